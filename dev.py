@@ -1,0 +1,430 @@
+#!/usr/bin/env python3
+"""Every chore of this project behind one file that needs nothing but Python 3.11.
+
+    python3 dev.py run  [ARGS]   dashpot ARGS; without ARGS, identify the example rig
+    python3 dev.py test [ARGS]   the tests; ARGS go to pytest
+    python3 dev.py check         ruff, mypy and the import contracts
+    python3 dev.py bench [NAME]  the benchmarks, all or the named ones; what follows the first -option goes to them
+    python3 dev.py env           only make the environment, .venv
+    python3 dev.py lock [ARGS]   renew requirements/*locked.txt; --upgrade moves every pin
+
+The first call makes .venv from requirements/locked.txt, every file checked against its hash. Later calls
+compare a stamp and start at once; a changed lock, another Python or a set-up cut short remakes .venv.
+"""
+
+# Kept readable by Pythons from 3.7 on, so that they get the one line of version_complaint, not a SyntaxError.
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator, Mapping, Sequence
+    from typing import Any
+
+OLDEST = (3, 11)
+ROOT = Path(__file__).resolve().parent
+VENV = ROOT / ".venv"
+BIN = VENV / ("Scripts" if os.name == "nt" else "bin")
+PYTHON = BIN / ("python.exe" if os.name == "nt" else "python")
+STAMP = VENV / "stamp.json"
+PEERS_STAMP = VENV / "stamp-peers.json"
+PIP_LOG = VENV / "pip.log"
+REQUIREMENTS = ROOT / "requirements"
+LOCKED = REQUIREMENTS / "locked.txt"
+PEERS_LOCKED = REQUIREMENTS / "peers-locked.txt"
+EXAMPLE = ["identify", "examples/shake_table/rig.toml", "examples/shake_table/amplitudes.csv"]
+ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
+PIP_INSTALL_LOCKED = ("install", "--require-hashes", "--only-binary", ":all:", "-r")
+COMMANDS = ("run", "test", "check", "bench", "env", "lock")
+
+
+class SetupError(Exception):
+    """What is wrong and what to do about it, in one line."""
+
+
+class UsageError(SetupError):
+    """The command line cannot be understood."""
+
+
+# ---------------------------------------------------------------- pure functions
+
+
+def dotted(version: Iterable[object]) -> str:
+    """3.11 of sys.version_info or (3, 11)."""
+    return ".".join(str(n) for n in list(version)[:2])
+
+
+def version_complaint(version: tuple[Any, ...]) -> str | None:
+    """One line when this Python is too old, else None."""
+    if version[:2] >= OLDEST:
+        return None
+    needed = dotted(OLDEST)
+    return f"Python {needed} or newer is needed, this is {dotted(version)}: try python{needed} dev.py"
+
+
+def parse(argv: Sequence[str]) -> tuple[str, list[str]]:
+    """The sub-command and what is passed through to the program behind it."""
+    if not argv:
+        raise UsageError(f"say what to do: python3 dev.py {'|'.join(COMMANDS)}  (--help tells more)")
+    command, *extra = argv
+    if command in ("-h", "--help"):
+        return "help", []
+    if command not in COMMANDS:
+        raise UsageError(f"no command {command!r}: there are {', '.join(COMMANDS)}")
+    if extra and command in ("check", "env"):
+        raise UsageError(f"{command} takes no arguments, got {' '.join(extra)}")
+    return command, extra
+
+
+def digest(*parts: str | bytes) -> str:
+    """SHA-256 over the parts, each preceded by its length so that moving a boundary changes the result."""
+    total = hashlib.sha256()
+    for part in parts:
+        data = part.encode() if isinstance(part, str) else part
+        total.update(b"%d:" % len(data) + data)
+    return total.hexdigest()
+
+
+def packages_stamp(locked: bytes, version: Iterable[object], root: str) -> str:
+    """What the packages follow from: the lock, Python's minor version, the place (a venv cannot move)."""
+    return digest(locked, dotted(version), root)
+
+
+def project_stamp(pyproject: str) -> str:
+    """What the editable install follows from: metadata and build settings, not the settings of linters."""
+    import tomllib
+
+    table = tomllib.loads(pyproject)
+    used = [table.get("project"), table.get("build-system"), table.get("tool", {}).get("hatch")]
+    return digest(json.dumps(used, sort_keys=True))
+
+
+def pip_complaint(output: str) -> str:
+    """pip's pages of output as one line with a cure."""
+    for signs, answer in (
+        (
+            ("DO NOT MATCH THE HASHES",),
+            "a download does not match its hash in the lock: try again, and distrust the mirror if it stays so",
+        ),
+        (("No space left", "Errno 28"), "the disk is full: make room for about 1 GB"),
+        (
+            ("connection broken", "Max retries", "ConnectionError", "Temporary failure", "ProxyError"),
+            "the package index cannot be reached: check the network and pip's settings (pip config list)",
+        ),
+    ):
+        if any(sign in output for sign in signs):
+            return answer
+    lines = output.splitlines()
+    for line in lines:
+        if "No matching distribution found for" in line:
+            wanted = line.split(" for ")[-1].split(" (")[0]
+            return f"no ready-made wheel of {wanted} for this Python and platform: try another Python"
+    errors = [line.strip() for line in lines if line.lstrip().upper().startswith("ERROR")]
+    return errors[-1] if errors else "pip failed"
+
+
+def addresses_in(locked: str) -> list[str]:
+    """Lines of a lock file that name a place instead of a package."""
+    signs = ("://", "--index-url", "--extra-index-url", "--find-links", "file:", " @ ")
+    return [line for line in locked.splitlines() if any(sign in line for sign in signs)]
+
+
+def split_bench(extra: Sequence[str], known: Sequence[str]) -> tuple[list[str], list[str]]:
+    """Names of benchmarks to run (all when none is given), and the options for them."""
+    first = next((i for i, word in enumerate(extra) if word.startswith("-")), len(extra))
+    names = [Path(word).stem for word in extra[:first]]
+    for name in names:
+        if name not in known:
+            raise UsageError(f"no benchmark {name!r}: there are {', '.join(known) if known else 'none yet'}")
+    return names or list(known), list(extra[first:])
+
+
+def child_environment(base: Mapping[str, str], extra: Mapping[str, str]) -> dict[str, str]:
+    """The caller's environment without what would mix other packages into .venv or make pip ask questions."""
+    mixing = ("PYTHONPATH", "PYTHONHOME", "PIP_TARGET", "PIP_PREFIX")
+    quiet = {"PIP_USER": "0", "PIP_NO_INPUT": "1", "PIP_DISABLE_PIP_VERSION_CHECK": "1"}
+    return {**{name: value for name, value in base.items() if name not in mixing}, **quiet, **extra}
+
+
+# ---------------------------------------------------------------- the environment
+
+
+def say(text: str) -> None:
+    print(f"dev.py: {text}", file=sys.stderr, flush=True)
+
+
+def call(command: Sequence[str | Path], cwd: Path | None = None, **variables: str) -> int:
+    """Run to the end, return the exit code as a shell would."""
+    process = subprocess.Popen(
+        [str(word) for word in command],
+        cwd=cwd,
+        env=child_environment(os.environ, variables),
+        stdin=subprocess.DEVNULL if sys.stdin is None else None,
+    )
+    while True:
+        try:
+            code = process.wait()
+            return code if code >= 0 else 128 - code
+        except KeyboardInterrupt:
+            continue  # the child got it too and decides how to end
+        except SystemExit:
+            process.terminate()
+
+
+def quietly(command: Sequence[str | Path]) -> str:
+    """Run, return the output; SetupError carries it when the command fails."""
+    done = subprocess.run(
+        [str(word) for word in command],
+        cwd=ROOT,
+        env=child_environment(os.environ, {}),
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        close_fds=False,  # the child shares the lock of only_one, which so outlives a killed dev.py
+        text=True,
+        errors="replace",
+    )
+    if done.returncode:
+        raise SetupError(done.stdout)
+    return done.stdout
+
+
+def pip(python: Path, *arguments: str | Path, log: Path) -> None:
+    try:
+        quietly([python, "-m", "pip", "--log", log, *arguments])
+    except SetupError as failure:
+        details = f" (pip's own words: {log})" if log.is_relative_to(ROOT) else ""
+        raise SetupError(pip_complaint(str(failure)) + details) from failure
+
+
+def make_venv(place: Path) -> None:
+    # From the base interpreter: dev.py may itself be run by the .venv that is about to be replaced.
+    python = getattr(sys, "_base_executable", None) or sys.executable
+    try:
+        quietly([python, "-m", "venv", place])
+    except SetupError as failure:
+        raise SetupError(
+            "this Python cannot make a virtual environment: install its venv module (apt install python3-venv)"
+        ) from failure
+
+
+@contextlib.contextmanager
+def only_one(path: Path) -> Iterator[None]:
+    """Hold off other dev.py of this clone.  The system frees the lock when its last holder dies."""
+    with path.open("a+b") as file:
+        os.set_inheritable(file.fileno(), True)
+        if sys.platform == "win32":
+            import msvcrt
+            import time
+
+            def attempt(wait: bool) -> None:
+                while True:
+                    try:
+                        file.seek(0)
+                        return msvcrt.locking(file.fileno(), msvcrt.LK_NBLCK, 1)
+                    except OSError:
+                        if not wait:
+                            raise
+                        time.sleep(0.2)
+        else:
+            import fcntl
+
+            def attempt(wait: bool) -> None:
+                fcntl.flock(file, fcntl.LOCK_EX if wait else fcntl.LOCK_EX | fcntl.LOCK_NB)
+
+        try:
+            attempt(wait=False)
+        except OSError:
+            say("another dev.py is setting up this clone, waiting for it")
+            attempt(wait=True)
+        yield
+
+
+def read_stamp(path: Path) -> dict[str, str]:
+    """What a finished set-up left; empty when there is none or it is unreadable."""
+    try:
+        found = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return {}
+    return found if isinstance(found, dict) else {}
+
+
+def write_stamp(path: Path, stamp: Mapping[str, str]) -> None:
+    """In one step, so that a stamp is whole or absent."""
+    part = path.with_suffix(".part")
+    part.write_text(json.dumps(stamp), encoding="utf-8")
+    os.replace(part, path)
+
+
+def wanted_stamp() -> dict[str, str]:
+    return {
+        "packages": packages_stamp(LOCKED.read_bytes(), sys.version_info, str(ROOT)),
+        "project": project_stamp((ROOT / "pyproject.toml").read_text(encoding="utf-8")),
+    }
+
+
+def ready(wanted: Mapping[str, str]) -> bool:
+    return PYTHON.exists() and read_stamp(STAMP) == wanted
+
+
+def make_environment() -> None:
+    """Make .venv follow the lock and pyproject.toml; nothing to do when its stamp says it does."""
+    if ready(wanted_stamp()):
+        return
+    with only_one(ROOT / ".venv.lock"):
+        wanted = wanted_stamp()
+        if ready(wanted):
+            return
+        same_packages = PYTHON.exists() and read_stamp(STAMP).get("packages") == wanted["packages"]
+        if not same_packages:
+            say("making .venv from requirements/locked.txt, a minute or two")
+            # The stamp goes first and comes last: whatever cuts this short leaves an environment that is remade.
+            STAMP.unlink(missing_ok=True)
+            if VENV.is_symlink():
+                VENV.unlink()
+            elif VENV.exists():
+                shutil.rmtree(VENV)
+            make_venv(VENV)
+            pip(PYTHON, *PIP_INSTALL_LOCKED, LOCKED, log=PIP_LOG)
+        else:
+            say("pyproject.toml has changed, installing the project again")
+        pip(PYTHON, "install", "--no-deps", "--no-build-isolation", "--no-index", "-e", ROOT, log=PIP_LOG)
+        try:
+            quietly([PYTHON, "-m", "pip", "check"])
+        except SetupError as failure:
+            gap = str(failure).partition("\n")[0]
+            raise SetupError(
+                f"the lock lacks what pyproject.toml asks for ({gap}): python3 dev.py lock"
+            ) from failure
+        write_stamp(STAMP, wanted)
+
+
+def install_peers() -> None:
+    """Peers of the benchmarks that not every machine can have; without them their benchmarks say so."""
+    wanted = {"packages": digest(PEERS_LOCKED.read_bytes())}
+    if read_stamp(PEERS_STAMP) == wanted:
+        return
+    with only_one(ROOT / ".venv.lock"):
+        say("installing the peers of requirements/peers-locked.txt")
+        try:
+            pip(PYTHON, *PIP_INSTALL_LOCKED, PEERS_LOCKED, log=PIP_LOG)
+        except SetupError as failure:
+            say(f"going on without the peers of requirements/peers.in: {failure}")
+        else:
+            write_stamp(PEERS_STAMP, wanted)
+
+
+# ---------------------------------------------------------------- the commands
+
+
+def run(extra: list[str]) -> int:
+    if extra:
+        return call([BIN / "dashpot", *extra])
+    return call([BIN / "dashpot", *EXAMPLE], cwd=ROOT)
+
+
+def test(extra: list[str]) -> int:
+    # One BLAS thread in each worker: two workers with two threads each fight over two cores.
+    # worksteal keeps neighbouring tests together, so fixtures of a module are mostly made once.
+    return call(
+        [PYTHON, "-m", "pytest", "-q", "-n", "2", "--dist", "worksteal", *extra],
+        cwd=ROOT,
+        MPLBACKEND="Agg",
+        **ONE_THREAD,
+    )
+
+
+def check(_: list[str]) -> int:
+    chores: dict[str, list[str | Path]] = {
+        "ruff check": [PYTHON, "-m", "ruff", "check", "."],
+        "ruff format": [PYTHON, "-m", "ruff", "format", "--check", "."],
+        "mypy": [PYTHON, "-m", "mypy", "--strict", "src/dashpot", "dev.py"],
+        "import contracts": [BIN / "lint-imports"],
+    }
+    failed = []
+    for name, command in chores.items():
+        print(f"--- {name}", flush=True)
+        if call(command, cwd=ROOT):
+            failed.append(name)
+    print(f"--- failed: {', '.join(failed)}" if failed else "--- all checks passed", flush=True)
+    return 1 if failed else 0
+
+
+def bench(extra: list[str]) -> int:
+    known = sorted(path.stem for path in (ROOT / "benchmarks").glob("*.py") if not path.name.startswith("_"))
+    names, options = split_bench(extra, known)
+    install_peers()
+    worst = 0
+    for name in names:
+        print(f"--- {name}", flush=True)
+        worst = max(worst, call([PYTHON, ROOT / "benchmarks" / f"{name}.py", *options], cwd=ROOT))
+    if not names:
+        say("there are no benchmarks yet")
+    return worst
+
+
+def lock(extra: list[str]) -> int:
+    options = (
+        f"--quiet --universal --python-version {dotted(OLDEST)} --generate-hashes --no-header --no-annotate"
+    )
+    with tempfile.TemporaryDirectory(prefix="dashpot-lock-") as folder:
+        place = Path(folder)
+        make_venv(place)
+        binaries = place / BIN.name
+        pip(binaries / PYTHON.name, "install", "uv", log=place / "pip.log")
+        for output, inputs in (
+            (LOCKED, ["pyproject.toml", "requirements/dev.in"]),
+            (PEERS_LOCKED, ["requirements/peers.in", "--constraints", "requirements/locked.txt"]),
+        ):
+            target = output.relative_to(ROOT)
+            code = call(
+                [binaries / "uv", "pip", "compile", *options.split(), *extra, *inputs, "-o", target], cwd=ROOT
+            )
+            if code:
+                return code
+            named = addresses_in(output.read_text(encoding="utf-8"))
+            if named:
+                raise SetupError(f"{target} names a place, which must not be committed: {named[0].strip()}")
+            say(f"{target} is up to date")
+    return 0
+
+
+def main(argv: Sequence[str]) -> int:
+    complaint = version_complaint(sys.version_info)
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))  # so that children end with us
+    try:
+        if complaint is not None:
+            raise SetupError(complaint)
+        command, extra = parse(argv)
+        if command == "help":
+            print(__doc__)
+            return 0
+        if command == "lock":
+            return lock(extra)
+        make_environment()
+        if command == "env":
+            return 0
+        return {"run": run, "test": test, "check": check, "bench": bench}[command](extra)
+    except SetupError as failure:
+        say(str(failure))
+        return 2
+    except OSError as failure:
+        say(f"{failure.filename or 'system'}: {failure.strerror or failure}")
+        return 2
+    except KeyboardInterrupt:
+        say("interrupted; the next call goes on from a clean state")
+        return 130
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

@@ -1,0 +1,170 @@
+"""dev.py's pure functions, and its file and process handling in a temporary folder; no network."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import dev
+
+
+@pytest.mark.parametrize("version", [(3, 11), (3, 11, 7, "final", 0), (3, 12, 0), (4, 0)])
+def test_new_enough_pythons_pass(version: tuple[object, ...]) -> None:
+    assert dev.version_complaint(version) is None
+
+
+@pytest.mark.parametrize("version", [(3, 10, 13, "final", 0), (3, 9), (2, 7, 18)])
+def test_old_pythons_get_one_line_that_names_both_versions(version: tuple[object, ...]) -> None:
+    complaint = dev.version_complaint(version)
+    assert complaint is not None
+    assert "\n" not in complaint
+    assert "3.11 or newer" in complaint
+    assert f"this is {version[0]}.{version[1]}:" in complaint
+
+
+@pytest.mark.parametrize(
+    ("argv", "expected"),
+    [
+        (["test", "-k", "foo"], ("test", ["-k", "foo"])),
+        (["run", "--help"], ("run", ["--help"])),
+        (["run"], ("run", [])),
+        (["lock", "--upgrade"], ("lock", ["--upgrade"])),
+        (["--help"], ("help", [])),
+    ],
+)
+def test_arguments_are_passed_through(argv: list[str], expected: tuple[str, list[str]]) -> None:
+    assert dev.parse(argv) == expected
+
+
+@pytest.mark.parametrize(
+    ("argv", "named"), [([], "run"), (["tset"], "'tset'"), (["check", "--fix"], "--fix"), (["env", "x"], "x")]
+)
+def test_a_wrong_command_line_is_one_line_that_names_what_is_wrong(argv: list[str], named: str) -> None:
+    with pytest.raises(dev.UsageError) as failure:
+        dev.parse(argv)
+    assert named in str(failure.value)
+    assert "\n" not in str(failure.value)
+
+
+def test_a_digest_sees_where_parts_end() -> None:
+    assert dev.digest("ab", "c") != dev.digest("a", "bc")
+    assert dev.digest("ab", b"c") == dev.digest("ab", "c")
+
+
+def test_packages_stamp_follows_lock_minor_version_and_place() -> None:
+    stamp = dev.packages_stamp(b"numpy==2", (3, 11, 7), "/here")
+    assert stamp == dev.packages_stamp(b"numpy==2", (3, 11, 9), "/here")
+    others = [
+        (b"numpy==3", (3, 11, 7), "/here"),
+        (b"numpy==2", (3, 12, 7), "/here"),
+        (b"numpy==2", (3, 11, 7), "/there"),
+    ]
+    assert stamp not in {dev.packages_stamp(*other) for other in others}
+
+
+def test_project_stamp_follows_metadata_but_not_the_settings_of_linters() -> None:
+    project = '[project]\nname = "dashpot"\n[project.scripts]\ndashpot = "dashpot.app.cli:main"\n'
+    stamp = dev.project_stamp(project)
+    assert stamp == dev.project_stamp(project + "[tool.ruff]\nline-length = 80\n")
+    assert stamp != dev.project_stamp(project.replace("cli:main", "cli:start"))
+
+
+@pytest.mark.parametrize(
+    ("output", "cure"),
+    [
+        (
+            "WARNING: Retrying after connection broken by 'X'\nERROR: No matching distribution found for a==1",
+            "network",
+        ),
+        (
+            "ERROR: Could not find it\nERROR: No matching distribution found for numpy==2.5 (from -r x)",
+            "numpy==2.5 for",
+        ),
+        ("ERROR: THESE PACKAGES DO NOT MATCH THE HASHES FROM THE REQUIREMENTS FILE.", "hash"),
+        ("ERROR: Could not install: [Errno 28] No space left on device", "disk is full"),
+        ("noise\nERROR: something of its own\nmore noise", "ERROR: something of its own"),
+        ("", "pip failed"),
+    ],
+)
+def test_pip_output_becomes_one_line(output: str, cure: str) -> None:
+    assert cure in dev.pip_complaint(output)
+    assert "\n" not in dev.pip_complaint(output)
+
+
+def test_benchmarks_are_chosen_by_name_and_keep_their_options() -> None:
+    assert dev.split_bench([], ["a", "b"]) == (["a", "b"], [])
+    assert dev.split_bench(["b", "--runs", "3"], ["a", "b"]) == (["b"], ["--runs", "3"])
+    assert dev.split_bench(["benchmarks/b.py"], ["a", "b"]) == (["b"], [])
+    with pytest.raises(dev.UsageError, match="'c': there are a, b"):
+        dev.split_bench(["c"], ["a", "b"])
+
+
+def test_a_child_does_not_inherit_other_packages() -> None:
+    made = dev.child_environment(
+        {"PYTHONPATH": "/elsewhere", "PIP_TARGET": "/x", "HOME": "/h"}, {"OMP_NUM_THREADS": "1"}
+    )
+    assert "PYTHONPATH" not in made
+    assert "PIP_TARGET" not in made
+    assert (made["HOME"], made["OMP_NUM_THREADS"]) == ("/h", "1")
+
+
+def test_a_cut_or_missing_stamp_counts_as_none(tmp_path: Path) -> None:
+    path = tmp_path / "stamp.json"
+    assert dev.read_stamp(path) == {}
+    dev.write_stamp(path, {"packages": "abc"})
+    assert dev.read_stamp(path) == {"packages": "abc"}
+    path.write_text(path.read_text()[:8])
+    assert dev.read_stamp(path) == {}
+    path.write_text(json.dumps(["abc"]))
+    assert dev.read_stamp(path) == {}
+
+
+@pytest.mark.parametrize("file", [dev.LOCKED, dev.PEERS_LOCKED], ids=lambda path: path.name)
+def test_lock_files_pin_and_hash_every_package_and_name_no_place(file: Path) -> None:
+    text = file.read_text()
+    assert dev.addresses_in(text) == []
+    packages = text.replace("\\\n", " ").strip().splitlines()
+    assert packages
+    assert [line for line in packages if "==" not in line or "--hash=sha256:" not in line] == []
+
+
+def test_places_in_a_lock_file_are_found() -> None:
+    lines = ["--index-url https://example.org/simple", "a @ file:///tmp/a.whl", "--find-links wheels"]
+    assert dev.addresses_in("\n".join(["a==1 \\", "    --hash=sha256:00", *lines])) == lines
+
+
+def test_exit_codes_are_passed_on() -> None:
+    assert dev.call([sys.executable, "-c", "raise SystemExit(3)"]) == 3
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="signals of POSIX")
+def test_a_killed_child_gives_the_shell_s_code() -> None:
+    assert dev.call([sys.executable, "-c", "import os; os.kill(os.getpid(), 9)"]) == 137
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="the file lock of Windows is not shared with children")
+def test_set_up_is_done_by_one_at_a_time(tmp_path: Path) -> None:
+    """Four processes read, wait and write one counter; without the lock they would overwrite each other."""
+    counter = tmp_path / "counter"
+    counter.write_text("0")
+    code = (
+        "import dev, pathlib, sys, time\n"
+        "counter = pathlib.Path(sys.argv[1])\n"
+        "with dev.only_one(counter.with_name('lock')):\n"
+        "    seen = int(counter.read_text()); time.sleep(0.1); counter.write_text(str(seen + 1))\n"
+    )
+    children = [
+        subprocess.Popen(
+            [sys.executable, "-c", code, counter],
+            cwd=dev.ROOT,
+            env={**os.environ, "PYTHONPATH": str(dev.ROOT)},
+        )
+        for _ in range(4)
+    ]
+    assert [child.wait(timeout=30) for child in children] == [0] * 4
+    assert counter.read_text() == "4"
