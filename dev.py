@@ -346,8 +346,8 @@ def test(extra: list[str]) -> int:
 
 def check(_: list[str]) -> int:
     chores: dict[str, list[str | Path]] = {
-        "ruff check": [PYTHON, "-m", "ruff", "check", "."],
-        "ruff format": [PYTHON, "-m", "ruff", "format", "--check", "."],
+        "ruff check": [PYTHON, "-m", "ruff", "check", "--output-format", "concise", "."],
+        "ruff format": [PYTHON, "-m", "ruff", "format", "--check", "--output-format", "concise", "."],
         "mypy": [PYTHON, "-m", "mypy", "--strict", "src/dashpot", "dev.py"],
         "import contracts": [BIN / "lint-imports"],
     }
