@@ -1,0 +1,1 @@
+"""Measured data: records of samples, spectra of complex amplitudes, and the readers that make them."""

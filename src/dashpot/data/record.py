@@ -1,0 +1,58 @@
+"""Record: one stretch of sampled channels."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from dashpot.arrays import Real, frozen
+from dashpot.channel import Channel
+from dashpot.errors import DataError
+
+
+@dataclass(frozen=True)
+class Record:
+    """Samples of all channels on one clock, in SI units.
+
+    time          (samples,)             s, increasing, not necessarily uniform
+    values        (..., samples, channels)  SI units; gain, sign and delay of the channels are still in them
+    frequency_hz  the drive frequency of a stepped-sine dwell, None where it is not one
+    experiment    which experiment the record belongs to
+    source        where it came from, for messages
+    """
+
+    channels: tuple[Channel, ...]
+    time: Real
+    values: Real
+    frequency_hz: float | None = None
+    experiment: int = 0
+    source: str = "record"
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "channels", tuple(self.channels))
+        object.__setattr__(self, "time", frozen(self.time, np.float64))
+        object.__setattr__(self, "values", frozen(self.values, np.float64))
+        if self.values.shape[-2:] != (len(self.time), len(self.channels)):
+            raise DataError(
+                f"values of shape {self.values.shape} do not fit {len(self.time)} samples "
+                f"of {len(self.channels)} channels",
+                self.source,
+            )
+        if not np.all(np.isfinite(self.time)):
+            raise DataError(
+                f"the time is not finite at row {int(np.argmin(np.isfinite(self.time))) + 1}", self.source
+            )
+        if np.any(np.diff(self.time) <= 0):
+            row = int(np.argmax(np.diff(self.time) <= 0)) + 2
+            raise DataError(
+                f"the time does not increase at row {row}", self.source, "sort the rows or split the record"
+            )
+        bad = ~np.isfinite(self.values)
+        if np.any(bad):
+            row, column = (int(k) for k in np.argwhere(bad)[0][-2:])
+            raise DataError(
+                f"{self.channels[column].name} is not finite at row {row + 1}",
+                self.source,
+                "cut the gap out or fill it",
+            )

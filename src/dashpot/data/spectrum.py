@@ -1,0 +1,243 @@
+"""Spectrum: complex amplitudes of all channels at each line, with the covariance of their noise.
+
+Wherever amplitudes come from (records, tables, FRF files, simulation), estimation starts here and never asks again.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from dashpot.arrays import Complex, Ints, Real, frozen
+from dashpot.channel import Channel
+from dashpot.errors import DataError
+
+
+@dataclass(frozen=True)
+class Moments:
+    """Second moments Σ_t q qᵀ of the samples, for the methods of the paper that work on samples.
+
+    q(t) = (channels in SI units, cos ωt, sin ωt) with offset and drift taken out of every entry alike;
+    `products` has shape (..., lines, channels + 2, channels + 2).
+    """
+
+    products: Real
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "products", frozen(self.products, np.float64))
+
+
+@dataclass(frozen=True)
+class Spectrum:
+    """Complex amplitudes, x(t) = Re(X e^{jωt}), in SI units with known gains, signs and delays taken out.
+
+    frequency_hz  (lines,)                      the same frequency may occur more than once
+    amplitudes    (..., lines, channels)        NaN where a channel was not measured
+    covariance    (..., lines, channels, channels)  V = E[Δ Δᴴ] of the amplitudes' noise Δ, taken as circular: the real
+                  and the imaginary part have the covariance Re V / 2 each.  0 is exact; NaN is unknown.  Leading axes
+                  may be missing where all repeats share it.
+    samples       (lines,)                      samples behind each line (1 where amplitudes are all there is)
+    dof           (lines,)                      residual degrees of freedom (real) behind V; inf where V is given
+    noise         (lines,)                      how V was found: "given", "white", "blocks" or "unknown"
+    experiment    (lines,)                      which experiment a line belongs to
+    moments       second moments of the samples, where they were asked for
+    """
+
+    channels: tuple[Channel, ...]
+    frequency_hz: Real
+    amplitudes: Complex
+    covariance: Complex
+    samples: Ints
+    dof: Real
+    noise: tuple[str, ...]
+    experiment: Ints
+    moments: Moments | None = None
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "channels", tuple(self.channels))
+        object.__setattr__(self, "noise", tuple(self.noise))
+        object.__setattr__(self, "frequency_hz", frozen(self.frequency_hz, np.float64))
+        object.__setattr__(self, "amplitudes", frozen(self.amplitudes, np.complex128))
+        object.__setattr__(self, "covariance", frozen(self.covariance, np.complex128))
+        object.__setattr__(self, "samples", frozen(self.samples, np.int64))
+        object.__setattr__(self, "dof", frozen(self.dof, np.float64))
+        object.__setattr__(self, "experiment", frozen(self.experiment, np.int64))
+        lines, channels = len(self.frequency_hz), len(self.channels)
+        expected = {
+            "amplitudes": (self.amplitudes.shape[-2:], (lines, channels)),
+            "covariance": (self.covariance.shape[-3:], (lines, channels, channels)),
+            "samples": (self.samples.shape, (lines,)),
+            "dof": (self.dof.shape, (lines,)),
+            "noise": ((len(self.noise),), (lines,)),
+            "experiment": (self.experiment.shape, (lines,)),
+        }
+        for name, (found, wanted) in expected.items():
+            if found != wanted:
+                raise DataError(f"{name} has shape {found}, its last axes must be {wanted}")
+        names = [channel.name for channel in self.channels]
+        if len(set(names)) != len(names):
+            raise DataError("a channel is named twice", cure="every channel needs its own name")
+        wrong = ~(np.isfinite(self.frequency_hz) & (self.frequency_hz > 0))
+        if np.any(wrong):
+            line = int(np.argmax(wrong))
+            raise DataError(
+                f"frequency {self.frequency_hz[line]} Hz at line {line + 1}",
+                cure="frequencies must be positive and finite",
+            )
+
+    @property
+    def omega(self) -> Real:
+        """2π f, (lines,), rad/s."""
+        return 2 * np.pi * self.frequency_hz
+
+    @property
+    def lines(self) -> int:
+        """Number of lines."""
+        return len(self.frequency_hz)
+
+    @property
+    def batch(self) -> tuple[int, ...]:
+        """Leading axes: repeats of the same test."""
+        return self.amplitudes.shape[:-2]
+
+    def index(self, name: str) -> int:
+        """Position of a channel by name.  Raises DataError where there is none."""
+        for i, channel in enumerate(self.channels):
+            if channel.name == name:
+                return i
+        raise DataError(
+            f"there is no channel {name}", cure=f"there are {', '.join(c.name for c in self.channels)}"
+        )
+
+    def sd(self) -> Real:
+        """Standard deviation of the real (and of the imaginary) part of each amplitude, (..., lines, channels)."""
+        diagonal = np.diagonal(self.covariance, axis1=-2, axis2=-1).real
+        return np.sqrt(np.maximum(diagonal, 0.0) / 2)
+
+    def select(self, lines: Sequence[int] | Ints) -> Spectrum:
+        """The same spectrum with only some lines, in the order given."""
+        i = np.asarray(lines)
+        return Spectrum(
+            self.channels,
+            self.frequency_hz[i],
+            self.amplitudes[..., i, :],
+            self.covariance[..., i, :, :],
+            self.samples[i],
+            self.dof[i],
+            tuple(self.noise[int(k)] for k in i),
+            self.experiment[i],
+            None if self.moments is None else Moments(self.moments.products[..., i, :, :]),
+        )
+
+    def with_channels(self, channels: tuple[Channel, ...]) -> Spectrum:
+        """The same numbers under other channel descriptions, one for one."""
+        return replace(self, channels=channels)
+
+    def __add__(self, other: Spectrum) -> Spectrum:
+        """Lines of both; channels are matched by name, and one that is missing on a side is NaN there."""
+        return concatenate([self, other])
+
+
+def concatenate(spectra: Sequence[Spectrum]) -> Spectrum:
+    """Lines of all the spectra, one after another.  Channels are matched by name.
+
+    Raises DataError where channels of one name are described differently, or the batches do not match.
+    """
+    channels: dict[str, Channel] = {}
+    for spectrum in spectra:
+        for channel in spectrum.channels:
+            if channels.setdefault(channel.name, channel) != channel:
+                raise DataError(
+                    f"channel {channel.name} is described differently in the spectra that are put together",
+                    cure="describe it once, or name one of them differently",
+                )
+    batch = np.broadcast_shapes(*(spectrum.batch for spectrum in spectra))
+    shared = all(spectrum.covariance.ndim == 3 for spectrum in spectra)
+    amplitudes, covariances = [], []
+    for spectrum in spectra:
+        own = {channel.name: i for i, channel in enumerate(spectrum.channels)}
+        where = [i for i, name in enumerate(channels) if name in own]
+        source = [own[name] for name in channels if name in own]
+        X = np.full((*batch, spectrum.lines, len(channels)), np.nan + 0j)
+        X[..., where] = np.broadcast_to(
+            spectrum.amplitudes[..., source], (*batch, spectrum.lines, len(where))
+        )
+        V = np.zeros(
+            (*(() if shared else batch), spectrum.lines, len(channels), len(channels)), dtype=complex
+        )
+        V[..., np.ix_(where, where)[0], np.ix_(where, where)[1]] = spectrum.covariance[..., source, :][
+            ..., source
+        ]
+        amplitudes.append(X)
+        covariances.append(V)
+    return Spectrum(
+        tuple(channels.values()),
+        np.concatenate([spectrum.frequency_hz for spectrum in spectra]),
+        np.concatenate(amplitudes, axis=-2),
+        np.concatenate(covariances, axis=-3),
+        np.concatenate([spectrum.samples for spectrum in spectra]),
+        np.concatenate([spectrum.dof for spectrum in spectra]),
+        tuple(kind for spectrum in spectra for kind in spectrum.noise),
+        np.concatenate([spectrum.experiment for spectrum in spectra]),
+        _moments(spectra, list(channels), batch),
+    )
+
+
+def _moments(spectra: Sequence[Spectrum], names: list[str], batch: tuple[int, ...]) -> Moments | None:
+    """Moments of all lines, kept only where every spectrum has all the channels and the moments."""
+    parts = []
+    for spectrum in spectra:
+        own = {channel.name: i for i, channel in enumerate(spectrum.channels)}
+        if spectrum.moments is None or set(own) != set(names):
+            return None
+        order = [*(own[name] for name in names), len(names), len(names) + 1]
+        products = spectrum.moments.products[..., order, :][..., order]
+        parts.append(np.broadcast_to(products, (*batch, *products.shape[-3:])))
+    return Moments(np.concatenate(parts, axis=-3))
+
+
+def merge_repeats(spectrum: Spectrum) -> Spectrum:
+    """One line for all lines of one frequency and experiment: the amplitudes averaged by their covariances.
+
+    The repeats must have been driven alike.  Lines whose noise is unknown or singular are averaged evenly.
+    """
+    groups: dict[tuple[float, int], list[int]] = {}
+    for line, key in enumerate(
+        zip(spectrum.frequency_hz.tolist(), spectrum.experiment.tolist(), strict=True)
+    ):
+        groups.setdefault(key, []).append(line)
+    if len(groups) == spectrum.lines:
+        return spectrum
+    return concatenate([_average(spectrum.select(group)) for group in groups.values()])
+
+
+def _average(group: Spectrum) -> Spectrum:
+    """Weighted mean of lines that measure the same amplitudes; exact channels are averaged evenly among themselves."""
+    if group.lines == 1:
+        return group
+    V = group.covariance
+    identity = np.eye(len(group.channels))
+    weights = np.broadcast_to(identity / group.lines, V.shape)
+    covariance = np.sum(V, axis=-3, keepdims=True) / group.lines**2
+    if np.all(np.isfinite(V)) and np.all(np.isfinite(group.amplitudes)):
+        exact = np.all(np.diagonal(V, axis1=-2, axis2=-1) == 0, axis=-2, keepdims=True)
+        filled = V + exact[..., None] * identity
+        if np.all(np.linalg.matrix_rank(filled, hermitian=True) == len(group.channels)):
+            precision = np.linalg.inv(filled)
+            total = np.sum(precision, axis=-3, keepdims=True)
+            weights = np.linalg.solve(total, precision)
+            covariance = np.where(exact[..., None] | exact[..., None, :], 0.0, np.linalg.inv(total))
+    amplitudes = np.sum(np.einsum("...lij,...lj->...li", weights, group.amplitudes), axis=-2, keepdims=True)
+    return Spectrum(
+        group.channels,
+        group.frequency_hz[:1],
+        amplitudes,
+        covariance,
+        np.sum(group.samples, keepdims=True),
+        np.sum(group.dof, keepdims=True),
+        group.noise[:1],
+        group.experiment[:1],
+        None if group.moments is None else Moments(np.sum(group.moments.products, axis=-3, keepdims=True)),
+    )
