@@ -1,0 +1,1 @@
+"""Masses, dampers and springs of a vibrating rig from noisy test data."""

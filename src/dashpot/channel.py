@@ -1,0 +1,63 @@
+"""What a measured channel is: a quantity of a point, of a combination of points, or of an element."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from enum import StrEnum
+from types import MappingProxyType
+
+
+class Quantity(StrEnum):
+    """What is measured.  Displacement, velocity and acceleration are derivatives 0, 1, 2 of the same motion."""
+
+    DISPLACEMENT = "displacement"
+    VELOCITY = "velocity"
+    ACCELERATION = "acceleration"
+    FORCE = "force"
+
+    @property
+    def derivative(self) -> int:
+        """How often the displacement is differentiated (motions only)."""
+        return {"displacement": 0, "velocity": 1, "acceleration": 2}[self.value]
+
+
+@dataclass(frozen=True)
+class Channel:
+    """One channel, and how its raw numbers relate to the physical quantity in SI units.
+
+    raw(t) · (unit in SI) = sign · gain · quantity(t − delay).  Known calibrations are taken out when raw numbers
+    become a Spectrum; `gain`, `delay` or `sign` None means unknown, to be estimated with the rest.
+
+    `of` maps points (coordinates, displacement inputs) to factors.  With quantity "force", `of` names one force
+    input (the applied force), one displacement input (the reaction force that moves it) or elements (the force in
+    them).  `noise` (in `unit`) and `relative_noise` (of the amplitude) are standard deviations of one sample, `rate`
+    is in Hz; they serve simulation and design, never identification.
+    """
+
+    name: str
+    of: Mapping[str, float]
+    quantity: Quantity = Quantity.DISPLACEMENT
+    unit: str = ""
+    scale: float = 1.0
+    gain: float | None = 1.0
+    delay: float | None = 0.0
+    sign: float | None = 1.0
+    noise: float = 0.0
+    relative_noise: float = 0.0
+    rate: float | None = None
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "of", MappingProxyType(dict(self.of)))
+
+    def __reduce__(self) -> tuple[object, ...]:
+        return (
+            Channel,
+            (
+                self.name, dict(self.of), self.quantity, self.unit, self.scale, self.gain, self.delay, self.sign,
+                self.noise, self.relative_noise, self.rate,
+            ),
+        )  # fmt: skip
+
+    def __hash__(self) -> int:
+        return hash((self.name, tuple(self.of.items()), self.quantity, self.unit))

@@ -1,0 +1,58 @@
+"""The errors of dashpot: each says where, what is wrong, and what to do."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Problem:
+    """One thing that is wrong: a place (file:line, column, row), a cause and a remedy."""
+
+    what: str
+    where: str | None = None
+    cure: str | None = None
+
+    def __str__(self) -> str:
+        place = "" if self.where is None else f"{self.where}: "
+        remedy = "" if self.cure is None else f"; {self.cure}"
+        return f"{place}{self.what}{remedy}"
+
+
+class DashpotError(Exception):
+    """Base of all errors that a user can cause or cure.  `exit_code` is what the command line returns."""
+
+    exit_code = 2
+
+    def __init__(
+        self, what: str | Iterable[Problem], where: str | None = None, cure: str | None = None
+    ) -> None:
+        self.problems: tuple[Problem, ...] = (
+            (Problem(what, where, cure),) if isinstance(what, str) else tuple(what)
+        )
+        super().__init__("\n".join(str(problem) for problem in self.problems))
+
+
+class ModelError(DashpotError):
+    """The rig file or the model is wrong."""
+
+
+class DataError(DashpotError):
+    """A data file, a record or a spectrum is wrong, or does not fit the model."""
+
+
+class UsageError(DashpotError):
+    """A method or an option asks for what cannot be done here."""
+
+
+class IdentifiabilityError(DashpotError):
+    """The data, or any data, cannot give the unknown parameters."""
+
+    exit_code = 3
+
+
+class ConvergenceError(DashpotError):
+    """An iteration did not settle."""
+
+    exit_code = 3

@@ -1,0 +1,1 @@
+"""Estimators: from a model and a spectrum to parameters with their uncertainty."""

@@ -1,0 +1,294 @@
+"""The result of an identification: complete, immutable, and without a way back to the data."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from dashpot.arrays import Bools, Complex, Ints, Real, frozen
+from dashpot.errors import DataError
+
+FORMAT = "0.1"
+
+
+@dataclass(frozen=True)
+class Value:
+    """One parameter: its value, standard deviation, 95 % interval and Cramér-Rao bound, in `unit`."""
+
+    name: str
+    value: float
+    sd: float
+    interval95: tuple[float, float]
+    bound_sd: float
+    unit: str
+    known: bool = False
+
+
+@dataclass(frozen=True)
+class ModeValues:
+    """Modes of the estimated rig, in order of |λ|: eigenvalues in 1/s, shapes (modes, n) with largest entry 1."""
+
+    eigenvalues: Complex
+    frequency_hz: Real
+    damping_ratio: Real
+    frequency_sd: Real
+    damping_sd: Real
+    shapes: Complex
+
+    def __post_init__(self) -> None:
+        for name in ("eigenvalues", "shapes"):
+            object.__setattr__(self, name, frozen(getattr(self, name), np.complex128))
+        for name in ("frequency_hz", "damping_ratio", "frequency_sd", "damping_sd"):
+            object.__setattr__(self, name, frozen(getattr(self, name), np.float64))
+
+
+@dataclass(frozen=True)
+class Fit:
+    """χ² of the residuals against the noise that was given or measured, (...,), and its p-value.
+
+    `known_noise` is False where the noise was unknown: then χ² is dof by construction and p is NaN.
+    """
+
+    chi2: Real
+    dof: int
+    p: Real
+    known_noise: bool = True
+
+    @property
+    def rejected(self) -> Bools:
+        """Whether the residuals are larger than the noise allows: the model, not the sensors, limits the answer."""
+        return np.asarray(self.p < 1e-3)
+
+    @property
+    def misfit(self) -> Real:
+        """√(χ²/dof): how many times larger than the noise the residuals are."""
+        return np.sqrt(self.chi2 / max(self.dof, 1))
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """Values of the unknowns with their full covariance; every array may have leading batch axes.
+
+    names, units        of the unknowns, in order
+    values (..., m)     estimates
+    covariance          (..., m, m)
+    noise_covariance    (..., m, m)  what the sensors' noise alone gives; the same unless `basis` says otherwise
+    bound_sd (..., m)   standard deviations at the Cramér-Rao bound, at the estimate
+    dof (..., m)        degrees of freedom of the t quantile that the intervals use
+    basis               what the intervals count: "sensor noise", "residuals" or "model misfit"
+    fixed               (name, value, unit) of the known and the tied parameters; a tied one is `times` an unknown
+    """
+
+    model: str
+    method: str
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+    values: Real
+    covariance: Real
+    noise_covariance: Real
+    bound_sd: Real
+    dof: Real
+    basis: str
+    converged: Bools
+    iterations: Ints
+    history: Real
+    fit: Fit
+    known: tuple[tuple[str, float, str], ...]
+    tied: tuple[tuple[str, str, float, str], ...]
+    modes: ModeValues | None
+    calibrations: Mapping[str, tuple[float, float]]
+    warnings: tuple[str, ...]
+
+    def __post_init__(self) -> None:
+        for name in ("values", "covariance", "noise_covariance", "bound_sd", "dof", "history"):
+            object.__setattr__(self, name, frozen(getattr(self, name), np.float64))
+
+    @property
+    def status(self) -> str:
+        """ "converged" or "not converged"; of a batch, how many did."""
+        if self.converged.ndim == 0:
+            return "converged" if bool(self.converged) else "not converged"
+        return f"{int(np.sum(self.converged))} of {self.converged.size} converged"
+
+    @property
+    def sd(self) -> Real:
+        """Standard deviations, (..., m)."""
+        return np.sqrt(np.diagonal(self.covariance, axis1=-2, axis2=-1))
+
+    @property
+    def noise_sd(self) -> Real:
+        """Standard deviations from the sensors' noise alone, (..., m)."""
+        return np.sqrt(np.diagonal(self.noise_covariance, axis1=-2, axis2=-1))
+
+    def interval(self, level: float = 0.95) -> tuple[Real, Real]:
+        """Lower and upper ends of the intervals, each (..., m)."""
+        from scipy.stats import t
+
+        half = t.ppf(0.5 + level / 2, self.dof) * self.sd
+        return self.values - half, self.values + half
+
+    def __iter__(self) -> Iterator[Value]:
+        """The unknowns one by one (no batch axes)."""
+        low, high = self.interval()
+        for j, name in enumerate(self.names):
+            yield Value(
+                name, float(self.values[j]), float(self.sd[j]), (float(low[j]), float(high[j])),
+                float(self.bound_sd[j]), self.units[j],
+            )  # fmt: skip
+
+    def __getitem__(self, name: str) -> Value:
+        for value in self:
+            if value.name == name:
+                return value
+        raise KeyError(f"{name} is not among the unknowns {', '.join(self.names)}")
+
+    def parameters(self) -> dict[str, Value]:
+        """All parameters of the rig by name: unknown, tied and known."""
+        found = {value.name: value for value in self}
+        everything = dict(found)
+        for name, root, times, unit in self.tied:
+            v = found[root]
+            ends = sorted(times * end for end in v.interval95)
+            everything[name] = Value(
+                name, times * v.value, abs(times) * v.sd, (ends[0], ends[1]), abs(times) * v.bound_sd, unit
+            )
+        for name, number, unit in self.known:
+            everything[name] = Value(name, number, 0.0, (number, number), 0.0, unit, known=True)
+        return everything
+
+    def to_json(self) -> str:
+        """The estimate as JSON (no batch axes); `from_json` loads it again."""
+        if self.values.ndim != 1:
+            raise DataError("a batch of estimates is not written as JSON", cure="save its arrays instead")
+        noise = dict(zip(self.names, self.noise_sd.tolist(), strict=True))
+        dof = dict(zip(self.names, self.dof.tolist(), strict=True))
+        parameters = {}
+        for name, v in self.parameters().items():
+            entry: dict[str, Any] = {
+                "value": v.value, "sd": v.sd, "interval95": list(v.interval95), "unit": v.unit, "known": v.known,
+                "bound_sd": v.bound_sd,
+            }  # fmt: skip
+            if name in noise:
+                entry |= {"noise_sd": noise[name], "interval_dof": dof[name]}
+            parameters[name] = entry
+        content = {
+            "dashpot": FORMAT,
+            "model": self.model,
+            "method": self.method,
+            "status": self.status,
+            "iterations": int(self.iterations),
+            "parameters": parameters,
+            "order": list(self.names),
+            "covariance": self.covariance.tolist(),
+            "noise_covariance": self.noise_covariance.tolist(),
+            "intervals_count": self.basis,
+            "tied": [list(tie) for tie in self.tied],
+            "calibrations": {name: {"value": v, "sd": s} for name, (v, s) in self.calibrations.items()},
+            "modes": [] if self.modes is None else _mode_rows(self.modes),
+            "fit": {
+                "chi2": float(self.fit.chi2), "dof": self.fit.dof, "p": float(self.fit.p),
+                "known_noise": self.fit.known_noise,
+            },
+            "history": self.history.tolist(),
+            "warnings": list(self.warnings),
+        }  # fmt: skip
+        return json.dumps(_plain(content), indent=1, ensure_ascii=False, allow_nan=False) + "\n"
+
+    @staticmethod
+    def from_json(text: str, where: str = "estimate") -> Estimate:
+        """The estimate that `to_json` wrote.  Raises DataError where the text is not one."""
+        try:
+            return _loaded(json.loads(text))
+        except (KeyError, TypeError, ValueError, AttributeError) as error:
+            raise DataError(
+                f"this is no estimate of dashpot ({error})", where, "write it with --json"
+            ) from error
+
+    @staticmethod
+    def load(path: str | Path) -> Estimate:
+        """The estimate in a JSON file.  Raises DataError where there is none."""
+        try:
+            text = Path(path).read_text(encoding="utf-8")
+        except (OSError, UnicodeDecodeError) as error:
+            raise DataError("the file cannot be read", str(path), "write it with --json") from error
+        return Estimate.from_json(text, str(path))
+
+
+def _plain(content: Any) -> Any:
+    """NaN and infinities as null: JSON has none."""
+    if isinstance(content, float) and not math.isfinite(content):
+        return None
+    if isinstance(content, dict):
+        return {key: _plain(value) for key, value in content.items()}
+    if isinstance(content, list):
+        return [_plain(value) for value in content]
+    return content
+
+
+def _mode_rows(modes: ModeValues) -> list[dict[str, Any]]:
+    rows = []
+    for k in range(len(modes.eigenvalues)):
+        rows.append(
+            {
+                "frequency_hz": float(modes.frequency_hz[k]),
+                "damping_ratio": float(modes.damping_ratio[k]),
+                "eigenvalue": [float(modes.eigenvalues[k].real), float(modes.eigenvalues[k].imag)],
+                "frequency_sd": float(modes.frequency_sd[k]),
+                "damping_sd": float(modes.damping_sd[k]),
+                "shape": [[float(z.real), float(z.imag)] for z in modes.shapes[k]],
+            }  # fmt: skip
+        )
+    return rows
+
+
+def _loaded(content: Mapping[str, Any]) -> Estimate:
+    def number(value: float | None, missing: float = math.nan) -> float:
+        return missing if value is None else float(value)
+
+    order = tuple(content["order"])
+    parameters = content["parameters"]
+    rows = content["modes"]
+    tied = tuple((str(a), str(b), float(c), str(d)) for a, b, c, d in content["tied"])
+    modes = ModeValues(
+        np.array([complex(*row["eigenvalue"]) for row in rows]),
+        np.array([row["frequency_hz"] for row in rows], dtype=float),
+        np.array([row["damping_ratio"] for row in rows], dtype=float),
+        np.array([number(row["frequency_sd"]) for row in rows]),
+        np.array([number(row["damping_sd"]) for row in rows]),
+        np.array([[complex(*z) for z in row["shape"]] for row in rows]),
+    )
+    fit = content["fit"]
+    return Estimate(
+        model=content["model"],
+        method=content["method"],
+        names=order,
+        units=tuple(parameters[name]["unit"] for name in order),
+        values=np.array([number(parameters[name]["value"]) for name in order]),
+        covariance=np.array([[number(v) for v in row] for row in content["covariance"]]),
+        noise_covariance=np.array([[number(v) for v in row] for row in content["noise_covariance"]]),
+        bound_sd=np.array([number(parameters[name]["bound_sd"]) for name in order]),
+        dof=np.array([number(parameters[name]["interval_dof"], math.inf) for name in order]),
+        basis=content["intervals_count"],
+        converged=np.asarray(content["status"] == "converged"),
+        iterations=np.asarray(content["iterations"], dtype=np.int64),
+        history=np.array([[number(v) for v in row] for row in content["history"]]),
+        fit=Fit(
+            np.asarray(number(fit["chi2"])),
+            int(fit["dof"]),
+            np.asarray(number(fit["p"])),
+            bool(fit["known_noise"]),
+        ),
+        known=tuple((n, float(e["value"]), str(e["unit"])) for n, e in parameters.items() if e["known"]),
+        tied=tied,
+        modes=modes if rows else None,
+        calibrations={
+            name: (float(c["value"]), number(c["sd"])) for name, c in content["calibrations"].items()
+        },
+        warnings=tuple(content["warnings"]),
+    )

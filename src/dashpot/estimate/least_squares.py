@@ -1,0 +1,276 @@
+"""Least squares on the equation of motion: the paper's on samples (eq. 17), on amplitudes, weighted, compensated."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import ClassVar
+
+import numpy as np
+
+from dashpot.arrays import Complex, Real, hermitian
+from dashpot.errors import UsageError
+from dashpot.estimate.auxiliary import auxiliary
+from dashpot.estimate.method import Method, Prepared, Solution, closed_form
+from dashpot.estimate.regression import (
+    gram,
+    gram_force,
+    inverse,
+    known_side,
+    regressors,
+    solve_scaled,
+    weighted_normal,
+)
+from dashpot.estimate.samples import Sampled, sampled, sums_with_samples
+from dashpot.estimate.states import States
+from dashpot.model.dynamics import solve, unit_forces
+from dashpot.model.network import Model
+
+
+@dataclass(frozen=True)
+class LeastSquares(Method):
+    """The paper's least squares on samples (eq. 17, Q = I).  Biased: the noise's power enters the normal matrix."""
+
+    name: ClassVar[str] = "ls"
+
+    def solve(self, data: Prepared) -> Solution:
+        """θ in closed form; the covariance is the estimator's own spread, not its distance from the truth."""
+        looks = sampled(data)
+        N, r = sums_with_samples(looks)
+        theta = solve_sums(looks, N, r)
+        return closed_form(
+            theta, sandwich(looks, N, looks.a, theta, noisy_instruments=True, bins=looks.weight)
+        )
+
+
+@dataclass(frozen=True)
+class HarmonicLeastSquares(Method):
+    """Least squares on amplitudes, unweighted: a bias smaller than that of samples by about 2/N."""
+
+    name: ClassVar[str] = "hls"
+
+    def solve(self, data: Prepared) -> Solution:
+        """θ in closed form from the combined amplitudes."""
+        looks = combined(data)
+        N, r = (
+            gram(data.model, looks.a, looks.a, looks.weight),
+            gram_force(data.model, looks.a, looks.f, looks.weight),
+        )
+        theta = solve_sums(looks, N, r)
+        bins = np.ones_like(looks.weight)
+        return closed_form(theta, sandwich(looks, N, looks.a, theta, noisy_instruments=True, bins=bins))
+
+
+@dataclass(frozen=True)
+class WeightedLeastSquares(Method):
+    """Least squares on amplitudes, weighted by Ω = Cov(e)⁻¹ at the unweighted estimate."""
+
+    name: ClassVar[str] = "wls"
+    weighted: ClassVar[bool] = True
+
+    def solve(self, data: Prepared) -> Solution:
+        """θ in closed form, given the weight."""
+        model = data.model
+        if data.states is None:
+            raise UsageError("wls needs every coordinate and input", cure="use the method ml")
+        looks = combined(data)
+        N, r = gram(model, looks.a, looks.a, looks.weight), gram_force(model, looks.a, looks.f, looks.weight)
+        Se = auxiliary(model, model.parameters(solve_sums(looks, N, r)), data.states).Se
+        Phi, h = regressors(model, looks.a), known_side(model, looks.a, looks.f)
+        bread, right = _with_priors(model, *_normal(Se, Phi, h))
+        theta = solve_scaled(bread, right)
+        Q = equation_map(looks, model.parameters(theta))
+        e = np.einsum("...nc,...c->...n", Q, looks.y)
+        Gamma = _noise_map(looks)
+        meat = _score_covariance(
+            solve(Se, Phi), Q, solve(Se, e[..., None])[..., 0], Gamma, solve(Se, Q), looks.V,
+            np.full_like(looks.weight, 2.0), np.ones_like(looks.weight),
+        )  # fmt: skip
+        half = inverse(bread)
+        return closed_form(theta, half @ (meat + np.diag(model.prior_precision)) @ half)
+
+
+def _normal(Se: Complex, Phi: Complex, h: Complex) -> tuple[Real, Real]:
+    """2 Re Φᴴ Ω Φ and 2 Re Φᴴ Ω h, summed over lines."""
+    both = np.concatenate([Phi, h[..., None]], axis=-1)
+    _, products = weighted_normal(both, Se, both)
+    return products[..., :-1, :-1], products[..., :-1, -1]
+
+
+def _with_priors(model: Model, N: Real, right: Real) -> tuple[Real, Real]:
+    return N + np.diag(model.prior_precision), right + model.prior_precision * model.prior_mean
+
+
+def combined(data: Prepared) -> Sampled:
+    """Unit forces from the amplitudes that all channels together give."""
+    if data.states is None:
+        raise UsageError("hls needs every coordinate and input", cure="use the method ml")
+    model, spectrum, V, P = data.model, data.spectrum, data.covariance, data.states.looks
+    y = np.nan_to_num(spectrum.amplitudes)
+    span = np.concatenate([model.B, model.D], axis=1)
+    q = span.shape[1]
+    reading = model.factors(spectrum.omega)[:, :, None] * (span @ P[..., :q, :])
+    s = data.states
+    a = unit_forces(model, spectrum.omega, s.X, s.U)
+    return Sampled(
+        model, spectrum.omega, V, y, a, reading, s.U, s.f, P[..., q:, :], spectrum.samples / 2, None, None
+    )  # fmt: skip
+
+
+def solve_sums(looks: Sampled, N: Real, r: Real, theta: Real | None = None) -> Real:
+    """θ from N and r of (G), priors as further rows scaled by the equation error's variance at `theta`.
+
+    Without `theta` the parameters with a prior are held at it first, to learn that variance.
+    """
+    model = looks.model
+    T = model.T
+    matrix, right = T.T @ N @ T, (r - N @ model.p0) @ T
+    if not np.any(model.prior_precision):
+        return solve_scaled(matrix, right)
+    if theta is None:
+        diagonal = np.abs(np.diagonal(matrix, axis1=-2, axis2=-1))
+        chosen = model.prior_precision > 0
+        held = 1e8 * np.max(diagonal[..., chosen] / model.prior_precision[chosen], axis=-1)
+        theta = _solve_prior(model, matrix, right, held)
+    return _solve_prior(model, matrix, right, equation_variance(looks, theta))
+
+
+def _solve_prior(model: Model, matrix: Real, right: Real, variance: Real) -> Real:
+    return solve_scaled(*_with_priors(model, matrix / variance[..., None, None], right / variance[..., None]))
+
+
+def equation_map(looks: Sampled, p: Real) -> Complex:
+    """Q with e = Q y, (K, lines, n, channels): Bᵀ diag(p) reading − S force."""
+    model = looks.model
+    forces = (model.B.T * p[:, None, None, :]) @ looks.reading
+    return forces - model.S @ looks.force if looks.force.shape[-2] else forces
+
+
+def equation_variance(looks: Sampled, theta: Real) -> Real:
+    """Mean variance of the equation error per sample, (K,), N²: what one row of the unweighted sums is worth."""
+    Q = equation_map(looks, looks.model.parameters(theta))
+    power = np.einsum("...lnc,...lcd,...lnd->...l", Q, looks.V, np.conj(Q)).real
+    variance: Real = np.mean(power * looks.weight, axis=-1) / (2 * looks.model.n)
+    return np.where(variance > 0, variance, 1.0)
+
+
+def sandwich(
+    looks: Sampled,
+    N: Real,
+    w: Complex,
+    theta: Real,
+    *,
+    noisy_instruments: bool = False,
+    bins: Real | None = None,
+) -> Real:
+    """Covariance N⁻¹ (Σ cov of the scores) N⁻ᵀ of an unweighted estimate; (K, unknowns, unknowns).  THEORY §5.
+
+    With noisy instruments (w = a) the score is quadratic in the noise: what it adds is the covariance of quadratic
+    forms of Gaussian noise, once for each independent `bin` of frequency in which the noise enters (samples / 2 for
+    sums over samples, 1 for amplitudes).
+    """
+    model = looks.model
+    Q = equation_map(looks, model.parameters(theta))
+    Gamma = _noise_map(looks) if noisy_instruments else None
+    e = np.einsum("...nc,...c->...n", Q, looks.y)
+    one = np.ones_like(looks.weight) if bins is None else bins
+    meat = _score_covariance(regressors(model, w), Q, e, Gamma, Q, looks.V, looks.weight, one)
+    T = model.T
+    bread = T.T @ N @ T
+    if np.any(model.prior_precision):
+        variance = equation_variance(looks, theta)[..., None, None]
+        bread = bread / variance + np.diag(model.prior_precision)
+        meat = meat / variance**2 + np.diag(model.prior_precision)
+    half = inverse(bread)
+    return half @ meat @ np.swapaxes(half, -1, -2)
+
+
+def _noise_map(looks: Sampled) -> Complex:
+    """Γ with ΔΦ = Γ Δy, (K or 1, lines, n, unknowns, channels)."""
+    return np.einsum("in,iu,...lic->...lnuc", looks.model.B, looks.model.T, looks.reading, optimize=True)
+
+
+def _score_covariance(
+    A: Complex,
+    Q: Complex,
+    e: Complex,
+    Gamma: Complex | None,
+    weighted_Q: Complex,
+    V: Complex,
+    weight: Real,
+    bins: Real,
+) -> Real:
+    """Covariance of Σ_l weight_l Re(Aᴴ e), where e = Q y, ΔA = Γ Δy and E[Δy Δyᴴ] = V; (K, unknowns, unknowns)."""
+    g = hermitian(A) @ Q
+    if Gamma is not None:
+        g = g + np.einsum("...ln,...lnuc->...luc", np.conj(e), Gamma)
+    linear = 0.5 * np.sum((weight**2)[:, None, None] * (g @ V @ hermitian(g)).real, axis=-3)
+    if Gamma is None:
+        return linear
+    form = np.einsum("...lnuc,...lnd->...lucd", np.conj(Gamma), weighted_Q, optimize=True)
+    form = (form + hermitian(form)) / 2 @ V[..., None, :, :]
+    quadratic = np.einsum("...lucd,...lvdc->...luv", form, form, optimize=True).real
+    total: Real = linear + np.sum((weight**2 * bins)[:, None, None] * quadratic, axis=-3)
+    return total
+
+
+def compensated(model: Model, data: States) -> Real:
+    """A consistent start: least squares on amplitudes with the noise's own moments taken out, twice; (K, unknowns).
+
+    E[Φᴴ Ω Φ] of the measured regressors is that of the true ones plus a term in Σ, which is known; the first pass is
+    unweighted with the parameters that have a prior held there, the second weighted by Ω at the first.  Where taking
+    the noise out leaves no positive definite matrix, it is left in.
+    """
+    fixed = _without_priors(model)
+    theta = _compensated(fixed, data, None)
+    full = np.broadcast_to(model.prior_mean, (len(theta), len(model.unknowns))).copy()
+    full[:, model.prior_precision == 0] = theta
+    Se = auxiliary(model, model.parameters(full), data).Se
+    weighted = _compensated(model, data, Se)
+    return np.where(np.all(np.isfinite(weighted), axis=-1, keepdims=True), weighted, full)
+
+
+def _without_priors(model: Model) -> Model:
+    """The model with its uncertain known values taken as exact."""
+    return replace(model, elements=tuple(replace(element, sd=None) for element in model.elements))
+
+
+def _compensated(model: Model, data: States, Se: Complex | None) -> Real:
+    a = unit_forces(model, data.omega, data.X, data.U)
+    Phi, h = regressors(model, a), known_side(model, a, data.f)
+    q = data.n + data.r
+    span = np.concatenate([model.B, model.D], axis=1)
+    reading = model.factors(data.omega)[:, :, None] * span
+    Gamma = np.einsum("in,iu,lic->lnuc", model.B, model.T, reading, optimize=True)
+    known = -np.einsum("in,i,lic->lnc", model.B, model.p0, reading, optimize=True)
+    both = np.concatenate([Gamma, known[:, :, None, :]], axis=2)
+    if data.z.shape[-1] > q:
+        force = np.zeros((*both.shape[:3], model.S.shape[1]))
+        force[:, :, -1, :] = model.S
+        both = np.concatenate([both, force], axis=-1)
+    if Se is None:
+        Se = np.broadcast_to(np.eye(model.n, dtype=complex), (len(data.omega), model.n, model.n))
+        typical = np.sum(np.abs(both[:, :, :-1]) ** 2, axis=(1, 2, 3))
+        Se = Se * np.where(typical > 0, typical, 1.0)[:, None, None]
+        priors = np.zeros(len(model.unknowns))
+    else:
+        priors = model.prior_precision
+    N, right = _normal(Se, Phi, h)
+    lines, n, m1, c = both.shape
+    weighted = solve(Se, np.broadcast_to(both.reshape(lines, n, m1 * c), (*Se.shape[:-2], n, m1 * c)))
+    weighted = weighted.reshape(*Se.shape[:-2], n, m1, c)
+    noise = (
+        2
+        * np.einsum(
+            "...lnuc,...lnvd,...ldc->...uv", np.conj(weighted), both, data.covariance, optimize=True
+        ).real
+    )
+    prior = np.diag(priors), priors * model.prior_mean
+    clean, clean_right = N - noise[..., :-1, :-1] + prior[0], right - noise[..., :-1, -1] + prior[1]
+    scale = np.sqrt(np.maximum(np.abs(np.diagonal(N + prior[0], axis1=-2, axis2=-1)), 1e-300))
+    smallest = np.linalg.eigvalsh(np.nan_to_num(clean / (scale[..., :, None] * scale[..., None, :])))[..., 0]
+    raw = np.linalg.eigvalsh(np.nan_to_num((N + prior[0]) / (scale[..., :, None] * scale[..., None, :])))[
+        ..., 0
+    ]
+    usable = smallest > 0.05 * raw
+    matrix = np.where(usable[..., None, None], clean, N + prior[0])
+    return solve_scaled(matrix, np.where(usable[..., None], clean_right, right + prior[1]))

@@ -1,0 +1,63 @@
+"""What a method is: a small frozen value that turns prepared data into a Solution."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass, field
+from typing import ClassVar
+
+import numpy as np
+
+from dashpot.arrays import Bools, Complex, Ints, Real
+from dashpot.data.spectrum import Spectrum
+from dashpot.estimate.states import States
+from dashpot.model.network import Model
+
+
+@dataclass(frozen=True)
+class Prepared:
+    """Data as every method gets them: one leading axis of K repeats on the amplitudes.
+
+    `covariance` is the channels' V, (K or 1, lines, channels, channels); `states` combines the channels, None where
+    some coordinate is not seen.
+    """
+
+    model: Model
+    spectrum: Spectrum
+    covariance: Complex
+    states: States | None
+
+
+@dataclass(frozen=True)
+class Solution:
+    """What a method found, for K repeats.
+
+    theta (K, unknowns); covariance (K, unknowns, unknowns) of the noise given in the spectrum; converged and
+    iterations (K,); history: θ after each iteration of the first repeat, (iterations + 1, unknowns).
+    `nuisance` are calibrations that were estimated beside θ, by name, with values and standard deviations (K,).
+    """
+
+    theta: Real
+    covariance: Real
+    converged: Bools
+    iterations: Ints
+    history: Real
+    nuisance: dict[str, tuple[Real, Real]] = field(default_factory=dict)
+    warnings: tuple[str, ...] = ()
+
+
+class Method(ABC):
+    """An estimator.  Subclasses are frozen dataclasses; `name` is what files and the command line call it."""
+
+    name: ClassVar[str]
+    weighted: ClassVar[bool] = False
+
+    @abstractmethod
+    def solve(self, data: Prepared) -> Solution:
+        """Estimate θ for all repeats.  Raises DataError where the data lack what the method needs."""
+
+
+def closed_form(theta: Real, covariance: Real) -> Solution:
+    """A solution without iterations."""
+    solved: Bools = np.all(np.isfinite(theta), axis=-1)
+    return Solution(theta, covariance, solved, np.zeros(len(theta), dtype=np.int64), theta[:1])

@@ -1,0 +1,99 @@
+"""The equation of motion as a regression, and its normal matrix, the Gram (THEORY §2).
+
+e = Bᵀ (p ∘ a) − S f = Φ θ − h,      Φ = Bᵀ diag(a) T,      h = S f − Bᵀ diag(a) p⁰
+N = (B Bᵀ) ∘ Σ w aᵀ,   r = Σ w ∘ (B S f),   θ̂ = (Tᵀ N T)⁻¹ Tᵀ (r − N p⁰)                         (G)
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from dashpot.arrays import Complex, Real, hermitian
+from dashpot.model.dynamics import solve
+from dashpot.model.network import Model
+
+
+def gram(model: Model, w: Complex, a: Complex, weight: Real) -> Real:
+    """(B Bᵀ) ∘ Σ_l weight_l Re(w̄ aᵀ), shape (..., elements, elements).  THEORY (G).
+
+    w, a: instruments and unit forces, (..., lines, elements); weight: (lines,).
+    """
+    products = hermitian(w * weight[:, None]) @ a
+    meeting: Real = model.B @ model.B.T
+    return meeting * products.real
+
+
+def gram_force(model: Model, w: Complex, f: Complex, weight: Real) -> Real:
+    """r = Σ_l weight_l Re(w̄ ∘ B S f), shape (..., elements).  THEORY (G)."""
+    if f.shape[-1] == 0:
+        return np.zeros((*w.shape[:-2], w.shape[-1]))
+    force = f @ (model.B @ model.S).T
+    total: Real = np.sum(weight[:, None] * (np.conj(w) * force).real, axis=-2)
+    return total
+
+
+def solve_gram(model: Model, N: Real, r: Real) -> Real:
+    """θ̂ = (Tᵀ N T)⁻¹ Tᵀ (r − N p⁰), shape (..., unknowns).  THEORY (G)."""
+    T = model.T
+    return solve_scaled(T.T @ N @ T, (r - N @ model.p0) @ T)
+
+
+def regressors(model: Model, a: Complex) -> Complex:
+    """Φ = Bᵀ diag(a) T, shape (..., lines, n, unknowns)."""
+    mixed: Complex = (a[..., None, :] * model.B.T) @ model.T
+    return mixed
+
+
+def known_side(model: Model, a: Complex, f: Complex) -> Complex:
+    """h = S f − Bᵀ diag(a) p⁰, shape (..., lines, n)."""
+    side: Complex = -((a * model.p0) @ model.B)
+    return side + f @ model.S.T if f.shape[-1] else side
+
+
+def weighted_normal(Psi: Complex, Se: Complex, Phi: Complex) -> tuple[Complex, Real]:
+    """(Ω Ψ, 2 Re Σ_l Ψᴴ Ω Φ) with Ω = Se⁻¹; shapes (..., lines, n, m) and (..., m, m).
+
+    This is (G) with B Ω Bᵀ in place of B Bᵀ, multiplied out from the side of the unknowns: m columns, not all
+    elements.  The factor 2 makes it the inverse of a covariance, since Se is E[e eᴴ] of a complex amplitude.
+    """
+    Q = solve(Se, Psi)
+    m = Psi.shape[-1]
+    rows = Psi.shape[-3] * Psi.shape[-2]
+    left = Q.reshape(*Q.shape[:-3], rows, m)
+    right = Phi.reshape(*Phi.shape[:-3], rows, Phi.shape[-1])
+    return Q, 2 * (hermitian(left) @ right).real
+
+
+def solve_scaled(matrix: Real, right: Real) -> Real:
+    """matrix⁻¹ right for stacks of square systems, rows and columns scaled alike first; NaN where singular.
+
+    matrix (..., m, m), right (..., m).
+    """
+    scale = np.sqrt(np.abs(np.diagonal(matrix, axis1=-2, axis2=-1)))
+    scale = np.where(scale > 0, scale, 1.0)
+    scaled = matrix / (scale[..., :, None] * scale[..., None, :])
+    return _solve_or_nan(scaled, (right / scale)[..., None])[..., 0] / scale
+
+
+def inverse(matrix: Real) -> Real:
+    """matrix⁻¹ of stacks of information matrices, scaled first; NaN where singular."""
+    scale = np.sqrt(np.abs(np.diagonal(matrix, axis1=-2, axis2=-1)))
+    scale = np.where(scale > 0, scale, 1.0)
+    outer = scale[..., :, None] * scale[..., None, :]
+    return _solve_or_nan(matrix / outer, np.broadcast_to(np.eye(matrix.shape[-1]), matrix.shape)) / outer
+
+
+def _solve_or_nan(matrix: Real, right: Real) -> Real:
+    try:
+        solution: Real = np.linalg.solve(matrix, right)
+        return solution
+    except np.linalg.LinAlgError:
+        flat = matrix.reshape(-1, *matrix.shape[-2:])
+        sides = np.broadcast_to(right, (*matrix.shape[:-2], *right.shape[-2:])).reshape(
+            len(flat), *right.shape[-2:]
+        )
+        out = np.full_like(sides, np.nan)
+        for k in range(len(flat)):
+            if np.all(np.isfinite(flat[k])) and np.linalg.matrix_rank(flat[k]) == flat.shape[-1]:
+                out[k] = np.linalg.solve(flat[k], sides[k])
+        return out.reshape(*matrix.shape[:-2], *right.shape[-2:])

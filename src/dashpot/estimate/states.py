@@ -1,0 +1,206 @@
+"""From channels to the amplitudes of coordinates, inputs and forces (THEORY §3, §4).
+
+The state of line l is z = (X, U, f).  A channel is a linear look at it, y = C(ω) z + noise; where the channels of a
+line see every entry of z, generalised least squares combines them by their covariances: velocity and displacement of
+one point, accelerations, differences, several sensors on one point are all looks at one amplitude.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from dashpot.arrays import Bools, Complex, Real, hermitian
+from dashpot.channel import Channel, Quantity
+from dashpot.data.spectrum import Spectrum
+from dashpot.errors import DataError
+from dashpot.model.network import Model
+
+
+@dataclass(frozen=True)
+class States:
+    """Amplitudes z = (X, U, f) = P y, (..., lines, q), q = n + r + s, and their covariance E[Δ Δᴴ], (..., lines, q, q).
+
+    `looks` is P, (..., lines, q, channels).
+    """
+
+    omega: Real
+    z: Complex
+    covariance: Complex
+    looks: Complex
+    n: int
+    r: int
+
+    @property
+    def X(self) -> Complex:
+        """Coordinates, (..., lines, n), m."""
+        return self.z[..., : self.n]
+
+    @property
+    def U(self) -> Complex:
+        """Displacement inputs, (..., lines, r), m."""
+        return self.z[..., self.n : self.n + self.r]
+
+    @property
+    def f(self) -> Complex:
+        """Force inputs, (..., lines, s), N."""
+        return self.z[..., self.n + self.r :]
+
+
+def state_names(model: Model) -> tuple[str, ...]:
+    """Names of the entries of z."""
+    return (*model.coordinates, *model.displacement_inputs, *model.force_inputs)
+
+
+def is_direct(model: Model, channel: Channel) -> bool:
+    """Whether a channel is a look at z alone: no unknown calibration, no force in an element or at a moved input."""
+    if None in (channel.gain, channel.delay, channel.sign):
+        return False
+    return channel.quantity is not Quantity.FORCE or set(channel.of) <= set(model.force_inputs)
+
+
+def measurement(model: Model, channels: Sequence[Channel], omega: Real) -> Complex:
+    """C(ω) of the direct channels, (lines, channels, n + r + s); rows of other channels are 0.
+
+    Raises DataError where a channel measures a point that the model has not.
+    """
+    column = {name: j for j, name in enumerate(state_names(model))}
+    C = np.zeros((len(omega), len(channels), len(column)), dtype=np.complex128)
+    for i, channel in enumerate(channels):
+        if not is_direct(model, channel):
+            continue
+        law = (
+            np.ones_like(omega, dtype=complex)
+            if channel.quantity is Quantity.FORCE
+            else (1j * omega) ** channel.quantity.derivative
+        )
+        for point, factor in channel.of.items():
+            if point not in column:
+                raise DataError(
+                    f"channel {channel.name} measures {point}, which the rig has not",
+                    cure=f"the rig has {', '.join(column)}",
+                )
+            C[:, i, column[point]] += factor * law
+    return C
+
+
+def unseen(model: Model, spectrum: Spectrum, channels: Bools | None = None) -> tuple[str, ...]:
+    """Names of coordinates and inputs that the direct channels (or some of them) do not determine at some line."""
+    C = measurement(model, spectrum.channels, spectrum.omega)
+    rates = np.where(spectrum.omega > 0, spectrum.omega, 1.0)
+    present = _present(spectrum) if channels is None else _present(spectrum) & channels
+    power = np.array(
+        [0 if c.quantity is Quantity.FORCE else c.quantity.derivative for c in spectrum.channels]
+    )
+    C = C / rates[:, None, None] ** power[None, :, None] * present[..., None]
+    names = state_names(model)
+    missing = np.zeros(len(names), dtype=bool)
+    for pattern in np.unique(present, axis=0):
+        line = int(np.argmax(np.all(present == pattern, axis=-1)))
+        _, s, Vh = np.linalg.svd(C[line], full_matrices=True)
+        rank = int(np.sum(s > 1e-9 * max(1.0, float(s[0]) if s.size else 0.0)))
+        missing |= np.linalg.norm(Vh[rank:], axis=0) > 1e-9
+    return tuple(name for name, lost in zip(names, missing, strict=True) if lost)
+
+
+def _present(spectrum: Spectrum) -> Bools:
+    """Which channels were measured at which line, (lines, channels)."""
+    finite = np.isfinite(spectrum.amplitudes)
+    present: Bools = np.all(finite.reshape(-1, *finite.shape[-2:]), axis=0)
+    return present
+
+
+def noise_is_known(spectrum: Spectrum) -> bool:
+    """Whether the covariance of the amplitudes is given or was estimated from samples, at every line."""
+    return not np.any(np.isnan(spectrum.covariance))
+
+
+def working_covariance(model: Model, spectrum: Spectrum) -> Complex:
+    """Covariance of the channels to weigh with: as known, or equal parts of each channel's size where nothing is.
+
+    Unknown noise leaves the inputs exact and gives each other channel the same relative noise; what it lacks is one
+    common factor, which the residuals supply.
+    """
+    if noise_is_known(spectrum):
+        return spectrum.covariance
+    present = _present(spectrum)
+    X = np.where(present, spectrum.amplitudes, 0.0)
+    size = np.sqrt(np.sum(np.abs(X) ** 2, axis=-2) / np.maximum(np.sum(present, axis=0), 1))
+    inputs = set(model.displacement_inputs) | set(model.force_inputs)
+    free = np.array([not set(channel.of) <= inputs for channel in spectrum.channels])
+    variance = np.where(free, size**2, 0.0)[..., None, :] * np.ones((spectrum.lines, 1))
+    return (variance[..., :, None] * np.eye(len(spectrum.channels))).astype(np.complex128)
+
+
+def looks(model: Model, spectrum: Spectrum, covariance: Complex, channels: Bools | None = None) -> Complex:
+    """P with ẑ = P y, (..., lines, n + r + s, channels): generalised least squares from the direct channels.
+
+    ẑ minimises (y − C z)ᴴ V⁻¹ (y − C z); exact channels are met exactly.  `channels` limits what is used.
+    Raises DataError where some entry of z is not seen.
+    """
+    C = measurement(model, spectrum.channels, spectrum.omega)
+    used = _present(spectrum) & np.array([is_direct(model, channel) for channel in spectrum.channels])
+    if channels is not None:
+        used = used & channels
+    y_size, z_size = _sizes(spectrum, C)
+    C = C * used[..., None] * z_size[:, None, :] / y_size[:, :, None]
+    both = used[:, :, None] & used[:, None, :]
+    V = np.where(both, covariance / (y_size[:, :, None] * y_size[:, None, :]), np.eye(C.shape[-2]))
+    diagonal = np.where(used, np.diagonal(V, axis1=-2, axis2=-1).real, 0.0)
+    largest = np.max(diagonal, axis=-1)
+    V = np.where(both, V / np.where(largest > 0, largest, 1.0)[..., None, None], V)
+    channels_count, q = C.shape[-2:]
+    system = np.zeros((*V.shape[:-2], channels_count + q, channels_count + q), dtype=np.complex128)
+    system[..., :channels_count, :channels_count] = V
+    system[..., :channels_count, channels_count:] = C
+    system[..., channels_count:, :channels_count] = hermitian(C)
+    right = np.zeros((channels_count + q, channels_count))
+    right[:channels_count] = np.eye(channels_count)
+    try:
+        P: Complex = np.linalg.solve(system, np.broadcast_to(right, (*V.shape[:-2], *right.shape)))[
+            ..., channels_count:, :
+        ]
+    except np.linalg.LinAlgError as error:
+        raise DataError(
+            "two exact channels measure the same thing, or some coordinate is not seen",
+            cure="give the channels their noise (a column NAME_sd), or leave one out",
+        ) from error
+    return P * used[:, None, :] * z_size[:, :, None] / y_size[:, None, :]
+
+
+def _sizes(spectrum: Spectrum, C: Complex) -> tuple[Real, Real]:
+    """Typical sizes of channels, (lines, channels), and of z, (lines, q), that scale the solves."""
+    magnitude = np.abs(np.nan_to_num(spectrum.amplitudes)).reshape(-1, *spectrum.amplitudes.shape[-2:])
+    size = np.mean(magnitude, axis=0)
+    overall = np.max(size, axis=0, initial=0.0)
+    size = np.maximum(size, 1e-6 * np.where(overall > 0, overall, 1.0))
+    with np.errstate(divide="ignore"):
+        by_channel = np.where(np.abs(C) > 0, size[:, :, None] / np.abs(C), np.inf)
+    z_size = np.min(by_channel, axis=1)
+    return size, np.where(np.isfinite(z_size), z_size, 1.0)
+
+
+def states(model: Model, spectrum: Spectrum, covariance: Complex) -> States:
+    """The amplitudes z with their covariance, all direct channels combined.
+
+    Raises DataError where some coordinate or input is not seen by any channel.
+    """
+    require_seen(model, spectrum)
+    P = looks(model, spectrum, covariance)
+    y = np.nan_to_num(spectrum.amplitudes)
+    z = np.einsum("...lqc,...lc->...lq", P, y)
+    return States(
+        spectrum.omega, z, P @ covariance @ hermitian(P), P, model.n, len(model.displacement_inputs)
+    )
+
+
+def require_seen(model: Model, spectrum: Spectrum) -> None:
+    """Raises DataError that names what no channel sees."""
+    missing = unseen(model, spectrum)
+    if missing:
+        raise DataError(
+            f"no channel sees {', '.join(missing)} at every line",
+            cure="this method needs every coordinate and input: use the method ml, or add the channel",
+        )

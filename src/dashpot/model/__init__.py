@@ -1,0 +1,1 @@
+"""Models of rigs: elements, the network they form, its dynamics, and the files that describe it."""

@@ -1,0 +1,218 @@
+"""Dynamics of a network: stiffness, response, sensitivities and modes.
+
+The one convention of signs and phases: x(t) = Re(X e^{jωt}).  All functions take leading batch axes on the
+parameters p, (..., elements), and on the amplitudes; `omega` is (lines,) in rad/s.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from dashpot.arrays import Bools, Complex, Real
+from dashpot.errors import ModelError
+from dashpot.model.network import Model
+
+
+@dataclass(frozen=True)
+class Matrices:
+    """M ẍ + C ẋ + K x = F u̇ + G u + J ü + S f (paper eq. 1), and H of the hysteretic dampers (K + jH at ω > 0).
+
+    M, C, K, H: (..., n, n); F, G, J: (..., n, r).  J is not in the paper: it belongs to masses and inerters that
+    hang on an input.
+    """
+
+    M: Real
+    C: Real
+    K: Real
+    H: Real
+    F: Real
+    G: Real
+    J: Real
+
+
+def _assemble(p: Real, left: Real, right: Real) -> Real:
+    """Σ_i p_i left_iᵀ right_i, (..., columns of left, columns of right)."""
+    outer = left[:, :, None] * right[:, None, :]
+    flat: Real = p @ outer.reshape(len(left), left.shape[1] * right.shape[1])
+    return flat.reshape(*p.shape[:-1], left.shape[1], right.shape[1])
+
+
+def matrices(model: Model, p: Real) -> Matrices:
+    """Matrices of the rig with parameters p of shape (..., elements).  Paper eq. 1 and 6."""
+    B, D = model.B, model.D
+    group = model.by_matrix
+    own = {key: _assemble(p[..., i], B[i], B[i]) for key, i in group.items()}
+    driven = {key: -_assemble(p[..., i], B[i], D[i]) for key, i in group.items() if key != "H"}
+    return Matrices(own["M"], own["C"], own["K"], own["H"], driven["C"], driven["K"], driven["M"])
+
+
+def dynamic_stiffness(model: Model, p: Real, omega: Real) -> Complex:
+    """Bᵀ diag(p φ) B, shape (..., lines, n, n), N/m."""
+    return _at_lines(model, p, omega, model.B)
+
+
+def input_stiffness(model: Model, p: Real, omega: Real) -> Complex:
+    """R = −Bᵀ diag(p φ) D, the force on the coordinates per unit of input displacement; (..., lines, n, r), N/m."""
+    return -_at_lines(model, p, omega, model.D)
+
+
+def _at_lines(model: Model, p: Real, omega: Real, right: Real) -> Complex:
+    B = model.B
+    factor = {"M": -(omega**2), "C": 1j * omega, "K": np.ones_like(omega), "H": 1j * np.sign(omega)}
+    total = np.zeros((*p.shape[:-1], len(omega), B.shape[1], right.shape[1]), dtype=np.complex128)
+    for key, i in model.by_matrix.items():
+        if len(i):
+            total += factor[key][:, None, None] * _assemble(p[..., i], B[i], right[i])[..., None, :, :]
+    return total
+
+
+def solve(matrix: Complex, right: Complex) -> Complex:
+    """matrix⁻¹ right for stacks of small matrices (..., n, n) and right sides (..., n, k).
+
+    One- and two-row systems are solved by formula: a stack of a million of them costs as much as ten thousand calls
+    of LAPACK.  Raises ModelError where a matrix is singular.
+    """
+    n = matrix.shape[-1]
+    with np.errstate(all="ignore"):
+        if n == 1:
+            return right / matrix
+        if n == 2:
+            a, b = matrix[..., 0, 0, None], matrix[..., 0, 1, None]
+            c, d = matrix[..., 1, 0, None], matrix[..., 1, 1, None]
+            determinant = a * d - b * c
+            top = (d * right[..., 0, :] - b * right[..., 1, :]) / determinant
+            bottom = (a * right[..., 1, :] - c * right[..., 0, :]) / determinant
+            return np.stack([top, bottom], axis=-2)
+    try:
+        solution: Complex = np.linalg.solve(matrix, right)
+    except np.linalg.LinAlgError as error:
+        raise ModelError(
+            "the rig has no steady response at some frequency",
+            cure="an undamped resonance is hit, or a coordinate has neither mass nor spring: change one of them",
+        ) from error
+    return solution
+
+
+def response(model: Model, p: Real, omega: Real, U: Complex, f: Complex | None = None) -> Complex:
+    """Amplitudes X of the coordinates, (..., lines, n), m, to inputs U (..., lines, r) and forces f (..., lines, s)."""
+    force = np.einsum("...ij,...j->...i", input_stiffness(model, p, omega), U)
+    if f is not None:
+        force = force + np.einsum("ij,...j->...i", model.S, f)
+    return solve(dynamic_stiffness(model, p, omega), force[..., None])[..., 0]
+
+
+def elongations(model: Model, X: Complex, U: Complex) -> Complex:
+    """δ_i = b_i·X + d_i·U, shape (..., lines, elements)."""
+    return X @ model.B.T + U @ model.D.T
+
+
+def unit_forces(model: Model, omega: Real, X: Complex, U: Complex) -> Complex:
+    """a_i = φ_i(ω) (b_i·X + d_i·U), shape (..., lines, elements), N per unit of p_i.  THEORY (E)."""
+    return model.factors(omega) * elongations(model, X, U)
+
+
+def sensitivities(model: Model, p: Real, omega: Real, X: Complex, U: Complex) -> Complex:
+    """∂X/∂p_i = −D⁻¹ b_iᵀ a_i, shape (..., lines, n, elements).  THEORY §4."""
+    forces = model.B.T * unit_forces(model, omega, X, U)[..., None, :]
+    return -solve(dynamic_stiffness(model, p, omega), forces)
+
+
+@dataclass(frozen=True)
+class Modes:
+    """Eigenvalues with Im ≥ 0 (one of each conjugate pair, and the real ones), in order of magnitude.
+
+    eigenvalues: (..., modes), 1/s; shapes: (..., modes, n), largest entry 1; `sensitivity` is ∂λ/∂p,
+    (..., modes, elements).
+    """
+
+    eigenvalues: Complex
+    shapes: Complex
+    sensitivity: Complex
+
+    @property
+    def frequency_hz(self) -> Real:
+        """|λ| / 2π."""
+        return np.abs(self.eigenvalues) / (2 * np.pi)
+
+    @property
+    def damping_ratio(self) -> Real:
+        """−Re λ / |λ|."""
+        magnitude = np.abs(self.eigenvalues)
+        with np.errstate(invalid="ignore", divide="ignore"):
+            return np.where(magnitude > 0, -self.eigenvalues.real / magnitude, 0.0) + 0.0  # no −0
+
+
+def modes(model: Model, p: Real) -> Modes:
+    """Modes of one rig, p of shape (elements,).  (λ² M + λ C + K + jH) φ = 0.
+
+    Massless coordinates give infinite eigenvalues, which are left out; with hysteretic dampers only Im λ > 0 has a
+    meaning.  A rigid-body motion without damping is a double zero.  The sensitivity is
+    ∂λ/∂p_i = −φ_i(λ) (b_i·φ)² / (φᵀ (2λM + C) φ), all matrices being symmetric; it is not finite where eigenvalues
+    coincide.
+    """
+    parts = matrices(model, p)
+    n = model.n
+    # Time is scaled to make stiffness and inertia alike in size: the pencil's rank decisions depend on it.
+    rate = _typical_rate(parts)
+    K = parts.K + 1j * parts.H if np.any(parts.H) else parts.K
+    zero, one = np.zeros((n, n)), np.eye(n)
+    scale = np.max(np.abs(K)) + rate * np.max(np.abs(parts.C)) + rate**2 * np.max(np.abs(parts.M))
+    if scale == 0:
+        raise ModelError(
+            "the rig has no modes: all its parameters are zero", cure="give it mass and stiffness"
+        )
+    A = np.block([[zero, one], [-K / scale, -rate * parts.C / scale]])
+    E = np.block([[one, zero], [zero, rate**2 * parts.M / scale]])
+    from scipy.linalg import eig  # scipy.linalg costs 50 ms of start-up, and few callers want modes
+
+    (alpha, beta), vectors = eig(A, E, homogeneous_eigvals=True)
+    finite = np.abs(beta) > 1e-10 * np.abs(alpha)
+    with np.errstate(all="ignore"):
+        values = np.where(finite, alpha / np.where(finite, beta, 1.0), np.inf)
+    if _floats(K):
+        # Rounding splits a double zero into a pair of the size √ε.
+        values = np.where(np.abs(values) < 1e-6, 0.0, values)
+    tolerance = 1e-9 * np.abs(values)
+    keep: Bools = finite & (values.imag >= -tolerance)
+    values, shapes = values[keep] * rate, vectors[:n, keep].T
+    values = np.where(np.abs(values.imag) <= 1e-9 * np.abs(values), values.real + 0j, values)
+    order = np.lexsort((values.imag, np.round(np.abs(values), 9)))
+    values, shapes = values[order], shapes[order]
+    biggest = np.take_along_axis(shapes, np.argmax(np.abs(shapes), axis=-1)[:, None], axis=-1)
+    shapes = shapes / np.where(biggest == 0, 1.0, biggest)
+    return Modes(values, shapes, _eigenvalue_sensitivity(model, parts, values, shapes))
+
+
+def _floats(K: Complex | Real) -> bool:
+    """Whether some motion meets no stiffness; coordinates are scaled, for they may be lengths and angles."""
+    size = np.sqrt(np.abs(np.diag(K)))
+    if np.any(size == 0):
+        return True
+    singular = np.linalg.svd(K / np.outer(size, size), compute_uv=False)
+    return bool(singular[-1] < 1e-13 * len(K) * singular[0])
+
+
+def _typical_rate(parts: Matrices) -> float:
+    M, C, K = (float(np.max(np.abs(matrix))) for matrix in (parts.M, parts.C, np.hypot(parts.K, parts.H)))
+    if M > 0 and K > 0:
+        return float(np.sqrt(K / M))
+    if C > 0 and K > 0:
+        return K / C
+    if M > 0 and C > 0:
+        return C / M
+    return 1.0
+
+
+def _eigenvalue_sensitivity(model: Model, parts: Matrices, values: Complex, shapes: Complex) -> Complex:
+    slope = 2 * values[:, None, None] * parts.M + parts.C
+    denominator = np.einsum("ki,kij,kj->k", shapes, slope, shapes)
+    law = {"M": values**2, "C": values, "K": np.ones_like(values), "H": 1j * np.ones_like(values)}
+    factor = np.empty((len(values), len(model.elements)), dtype=np.complex128)
+    for key, i in model.by_matrix.items():
+        factor[:, i] = law[key][:, None]
+    elongation = shapes @ model.B.T
+    with np.errstate(divide="ignore", invalid="ignore"):
+        sensitivity: Complex = -factor * elongation**2 / denominator[:, None]
+    return sensitivity
