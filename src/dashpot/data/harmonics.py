@@ -291,8 +291,7 @@ def _factor(gram: Real, record: Record, f: float) -> Real:
             record.source,
             "record more periods, at a rate that is not twice the frequency or less, or ask for fewer harmonics",
         )
-    L: Real = np.linalg.cholesky(gram)
-    return L
+    return np.linalg.cholesky(gram).astype(np.float64)
 
 
 def _cho_solve(L: Real, right: Real) -> Real:

@@ -1,0 +1,98 @@
+"""Readers: one module per file format, and `read`, which tells the formats apart by their columns."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from dashpot.channel import Channel
+from dashpot.data.harmonics import Noise
+from dashpot.data.harmonics import spectrum as amplitudes_of
+from dashpot.data.readers.amplitudes import is_amplitudes, read_amplitudes, write_amplitudes
+from dashpot.data.readers.stepped_sine import read_records, write_records
+from dashpot.data.readers.table import open_table
+from dashpot.data.record import Record
+from dashpot.data.spectrum import Spectrum, concatenate
+from dashpot.errors import DataError
+
+__all__ = ["Reading", "read", "write_amplitudes", "write_records"]
+
+
+@dataclass(frozen=True)
+class Reading:
+    """What the files hold: time records, lines that were amplitudes already (None: no such file), and what to tell."""
+
+    records: tuple[Record, ...]
+    amplitudes: Spectrum | None
+    notes: tuple[str, ...]
+
+    def spectrum(
+        self,
+        *,
+        orders: Sequence[int] = (1,),
+        harmonics: Sequence[int] | None = None,
+        drift: int | None = 1,
+        noise: Noise = "auto",
+        moments: bool = False,
+        refine: bool = False,
+        settle: bool = False,
+    ) -> Spectrum:
+        """All lines: those of the records (options as of `harmonics.spectrum`), then those that were amplitudes.
+
+        Raises DataError where second moments are asked for and a file holds amplitudes only.
+        """
+        if moments and self.amplitudes is not None:
+            raise DataError(
+                "a table of amplitudes has no samples",
+                cure="give time records, or choose a method that works on amplitudes",
+            )
+        parts = [] if self.amplitudes is None else [self.amplitudes]
+        if self.records:
+            lines = amplitudes_of(
+                self.records,
+                orders=orders,
+                harmonics=harmonics,
+                drift=drift,
+                noise=noise,
+                moments=moments,
+                refine=refine,
+                settle=settle,
+            )
+            parts.insert(0, lines)
+        return parts[0] if len(parts) == 1 else concatenate(parts)
+
+
+def read(
+    paths: str | os.PathLike[str] | Sequence[str | os.PathLike[str]],
+    channels: Sequence[Channel],
+    *,
+    frequency_hz: float | None = None,
+) -> Reading:
+    """Read files of any known format, told apart by their columns.
+
+    `frequency_hz` is the drive frequency of time records without such a column.  Files without an `experiment` column
+    are experiments 0, 1, 2, … in the order given.  Raises DataError, one line per cause, with file, row and column.
+    """
+    several = [paths] if isinstance(paths, str | os.PathLike) else list(paths)
+    if not several:
+        raise DataError("there are no data", cure="give one file at least")
+    if not channels:
+        raise DataError(
+            "no channels are listed", cure="say in [channels] of the rig file what the columns are"
+        )
+    if frequency_hz is not None and not 0 < frequency_hz < 1e12:
+        raise DataError(f"frequency {frequency_hz:g} Hz", cure="frequencies must be positive and finite")
+    records: list[Record] = []
+    spectra: list[Spectrum] = []
+    notes: list[str] = []
+    for number, path in enumerate(several):
+        table = open_table(path)
+        if is_amplitudes(table):
+            lines, told = read_amplitudes(table, channels, number)
+            spectra.append(lines)
+        else:
+            dwells, told = read_records(table, channels, frequency_hz, number)
+            records.extend(dwells)
+        notes.extend(told)
+    return Reading(tuple(records), concatenate(spectra) if spectra else None, tuple(notes))
