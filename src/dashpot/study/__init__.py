@@ -1,0 +1,1 @@
+"""Studies: simulated tests, Monte Carlo, and the paper's own figures again."""
