@@ -67,7 +67,7 @@ def information(model: Model, at: Auxiliary) -> Real:
     return 2 * (hermitian(Psi) @ solve(at.Se, Psi)).real
 
 
-def normal_equations(model: Model, at: Auxiliary, a: Complex, f: Complex) -> tuple[Real, Real, Real]:
+def normal_equations(model: Model, at: Auxiliary, a: Complex) -> tuple[Real, Real, Real]:
     """(N of the instruments w with the measured a, N of w with itself, gradient −Re Ψᴴ Ω e · 2)."""
     Psi = regressors(model, at.w)
     Q, symmetric = weighted_normal(Psi, at.Se, Psi)

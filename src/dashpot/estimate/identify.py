@@ -127,7 +127,7 @@ def _identify(model: Model, spectrum: Spectrum, method: Method) -> _Part:
     dof = rows - m + int(np.count_nonzero(model.prior_precision))
     # χ² is the model's, not the method's: one Gauss-Newton step leads from the estimate to the minimum nearby.
     a = unit_forces(model, data.states.omega, data.states.X, data.states.U)
-    _, symmetric, gradient = normal_equations(model, at, a, data.states.f)
+    _, symmetric, gradient = normal_equations(model, at, a)
     gradient = gradient - model.prior_precision * (solution.theta - model.prior_mean)
     excess = np.sum(gradient * solve_scaled(symmetric + np.diag(model.prior_precision), gradient), axis=-1)
     per_line = at.cost_per_line()
@@ -185,7 +185,7 @@ def _assemble(
 ) -> Estimate:
     def join(pieces: list[Real]) -> Real:
         whole = np.concatenate(pieces)
-        return whole.reshape(*batch, *whole.shape[1:])
+        return whole.reshape((*batch, *whole.shape[1:]))
 
     theta = join([part.solution.theta for part in parts])
     covariance = join([part.covariance for part in parts])

@@ -10,14 +10,13 @@ import numpy as np
 
 from dashpot.arrays import Bools, Complex, Ints, Real
 from dashpot.errors import UsageError
-from dashpot.estimate.auxiliary import Auxiliary, auxiliary, information, normal_equations
+from dashpot.estimate.auxiliary import auxiliary, information, normal_equations
 from dashpot.estimate.least_squares import compensated, sandwich, solve_sums
 from dashpot.estimate.method import Method, Prepared, Solution
-from dashpot.estimate.regression import inverse, solve_scaled
+from dashpot.estimate.regression import inverse
 from dashpot.estimate.samples import Sampled, least_squares_sums, sampled, sums_with_harmonics
-from dashpot.estimate.states import States
+from dashpot.estimate.search import Local, minimise
 from dashpot.model.dynamics import response, unit_forces
-from dashpot.model.network import Model
 
 
 @dataclass(frozen=True)
@@ -96,96 +95,24 @@ class OptimalIV(Method):
         if data.states is None:
             raise UsageError("oiv needs every coordinate and input", cure="use the method ml")
         model, states = data.model, data.states
-        start = compensated(model, states)
-        search = _Search(model, states, start)
-        search.run(self.max_iterations, self.tolerance)
-        at = auxiliary(model, model.parameters(search.theta), states)
-        lines = information(model, at)
-        bread = inverse(np.sum(lines, axis=-3) + np.diag(model.prior_precision))
-        return Solution(search.theta, bread, search.converged, search.iterations, np.array(search.history))
 
-
-class _Search:
-    """Refined instrumental variables for all repeats at once, guarded by Levenberg-Marquardt on the same cost."""
-
-    def __init__(self, model: Model, states: States, theta: Real) -> None:
-        self.model, self.states = model, states
-        self.theta = theta.copy()
-        self.converged = np.zeros(len(theta), dtype=bool)
-        self.iterations = np.zeros(len(theta), dtype=np.int64)
-        self.history = [theta[0].copy()]
-
-    def _rows(self, rows: Ints) -> States:
-        s = self.states
-        covariance = s.covariance if len(s.covariance) == 1 else s.covariance[rows]
-        looks = s.looks if len(s.looks) == 1 else s.looks[rows]
-        return States(s.omega, s.z[rows], covariance, looks, s.n, s.r)
-
-    def _evaluate(self, theta: Real, data: States) -> tuple[Auxiliary, Real]:
-        at = auxiliary(self.model, self.model.parameters(theta), data)
-        away = theta - self.model.prior_mean
-        cost = at.cost() + np.sum(self.model.prior_precision * away**2, axis=-1)
-        return at, np.where(np.isfinite(cost), cost, np.inf)
-
-    def _steps(self, theta: Real, at: Auxiliary, data: States, damping: Real) -> tuple[Real, Real]:
-        """The next step of each repeat and the standard deviations that it is measured in."""
-        model = self.model
-        a = unit_forces(model, data.omega, data.X, data.U)
-        mixed, symmetric, gradient = normal_equations(model, at, a, data.f)
-        prior = model.prior_precision
-        gradient = gradient - prior * (theta - model.prior_mean)
-        symmetric = symmetric + np.diag(prior)
-        free = damping == 0
-        diagonal = np.diagonal(symmetric, axis1=-2, axis2=-1)
-        damped = symmetric + (damping[:, None] * diagonal)[..., None] * np.eye(theta.shape[-1])
-        chosen = np.where(free[:, None, None], mixed + np.diag(prior), damped)
-        spread = np.sqrt(np.maximum(np.diagonal(inverse(symmetric), axis1=-2, axis2=-1), 0.0))
-        return solve_scaled(chosen, gradient), spread
-
-    def run(self, limit: int, tolerance: float) -> None:
-        """Iterate until no unknown moves by more than `tolerance` standard deviations (or 1e-13 of its size)."""
-        active = np.flatnonzero(np.all(np.isfinite(self.theta), axis=-1))
-        if not len(active):
-            return
-        data = self._rows(active)
-        theta = self.theta[active]
-        at, cost = self._evaluate(theta, data)
-        damping = np.zeros(len(active))
-        for _ in range(limit):
-            step, spread = self._steps(theta, at, data, damping)
-            trial = theta + np.nan_to_num(step)
-            trial_at, trial_cost = self._evaluate(trial, data)
-            better = (trial_cost <= cost * (1 + 1e-12) + 1e-12) & np.all(np.isfinite(step), axis=-1)
-            small = np.all(np.abs(step) <= np.maximum(tolerance * spread, 1e-13 * np.abs(theta)), axis=-1)
-            theta = np.where(better[:, None], trial, theta)
-            cost = np.where(better, trial_cost, cost)
-            at = Auxiliary(
-                *(_pick(better, new, old) for new, old in zip(_fields(trial_at), _fields(at), strict=True))
+        def evaluate(theta: Real, rows: Ints) -> Local:
+            part = states.rows(rows)
+            at = auxiliary(model, model.parameters(theta), part)
+            a = unit_forces(model, part.omega, part.X, part.U)
+            mixed, symmetric, gradient = normal_equations(model, at, a)
+            precision = model.prior_precision
+            away = theta - model.prior_mean
+            return Local(
+                at.cost() + np.sum(precision * away**2, axis=-1),
+                gradient - precision * away,
+                symmetric + np.diag(precision),
+                mixed + np.diag(precision),
             )
-            self.iterations[active] += 1
-            self.theta[active] = theta
-            if active[0] == 0:
-                self.history.append(theta[0].copy())
-            # A full step that lands within the tolerance ends the search; a damped one only if it is tiny because
-            # nothing lower is left (damping has grown past all sense).
-            done = small & (better | (damping > 1e8))
-            self.converged[active[done]] = True
-            damping = np.where(
-                better, np.where(damping > 1e-6, damping / 10, 0.0), np.maximum(damping * 10, 1e-4)
-            )
-            lost = damping > 1e12
-            keep = ~(done | lost)
-            if not np.any(keep):
-                break
-            if not np.all(keep):
-                active, theta, cost, damping = active[keep], theta[keep], cost[keep], damping[keep]
-                at = Auxiliary(*(part[keep] for part in _fields(at)))
-                data = self._rows(active)
 
-
-def _fields(at: Auxiliary) -> tuple[np.ndarray, ...]:
-    return at.e, at.Se, at.w
-
-
-def _pick(better: Bools, new: np.ndarray, old: np.ndarray) -> np.ndarray:
-    return np.where(better.reshape(-1, *([1] * (new.ndim - 1))), new, old)
+        found = minimise(
+            evaluate, compensated(model, states), limit=self.max_iterations, tolerance=self.tolerance
+        )
+        at = auxiliary(model, model.parameters(found.x), states)
+        bread = inverse(np.sum(information(model, at), axis=-3) + np.diag(model.prior_precision))
+        return Solution(found.x, bread, found.converged, found.iterations, found.history)

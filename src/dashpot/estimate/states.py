@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dashpot.arrays import Bools, Complex, Real, hermitian
+from dashpot.arrays import Bools, Complex, Ints, Real, hermitian
 from dashpot.channel import Channel, Quantity
 from dashpot.data.spectrum import Spectrum
 from dashpot.errors import DataError
@@ -32,6 +32,12 @@ class States:
     looks: Complex
     n: int
     r: int
+
+    def rows(self, rows: Ints) -> States:
+        """Some of the repeats; what all repeats share stays shared."""
+        covariance = self.covariance if len(self.covariance) == 1 else self.covariance[rows]
+        looks = self.looks if len(self.looks) == 1 else self.looks[rows]
+        return States(self.omega, self.z[rows], covariance, looks, self.n, self.r)
 
     @property
     def X(self) -> Complex:

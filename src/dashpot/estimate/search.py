@@ -1,0 +1,128 @@
+"""Minimising a sum of squares for many repeats at once: full steps where they help, damped ones where they do not."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from dashpot.arrays import Bools, Ints, Real
+from dashpot.estimate.regression import inverse, solve_scaled
+
+
+@dataclass(frozen=True)
+class Local:
+    """The cost at k points and what a step needs.
+
+    cost (k,); gradient (k, m), minus half the slope; symmetric (k, m, m), half the curvature of Gauss-Newton;
+    free (k, m, m), the matrix of the full step (`symmetric` itself, or a refined instrumental one).
+    """
+
+    cost: Real
+    gradient: Real
+    symmetric: Real
+    free: Real
+
+    def where(self, chosen: Bools, other: Local) -> Local:
+        """This where chosen, else the other."""
+        one, two = chosen[:, None], chosen[:, None, None]
+        return Local(
+            np.where(chosen, self.cost, other.cost),
+            np.where(one, self.gradient, other.gradient),
+            np.where(two, self.symmetric, other.symmetric),
+            np.where(two, self.free, other.free),
+        )
+
+    def rows(self, keep: Bools) -> Local:
+        """Some of the points."""
+        return Local(self.cost[keep], self.gradient[keep], self.symmetric[keep], self.free[keep])
+
+
+@dataclass(frozen=True)
+class Found:
+    """Where the search ended, for K repeats; history of the first one, (iterations + 1, m)."""
+
+    x: Real
+    cost: Real
+    converged: Bools
+    iterations: Ints
+    history: Real
+
+
+def minimise(
+    evaluate: Callable[[Real, Ints], Local],
+    start: Real,
+    *,
+    limit: int,
+    tolerance: float,
+    lower: Real | None = None,
+    upper: Real | None = None,
+) -> Found:
+    """Minimise the cost of each of K repeats from `start`, (K, m), within bounds.
+
+    `evaluate(x, rows)` gives the cost at x for the repeats `rows`.  A step that does not lower the cost is repeated
+    with Levenberg and Marquardt's damping on the diagonal of `symmetric`.  A repeat ends when its full step is below
+    `tolerance` standard deviations (or 1e-13 of the value) in every unknown.  A bound whose far side is downhill
+    holds its unknown there.
+    """
+    repeats, m = start.shape
+    low = np.full(m, -np.inf) if lower is None else lower
+    high = np.full(m, np.inf) if upper is None else upper
+    x_all = np.clip(start, low, high)
+    cost_all = np.full(repeats, np.inf)
+    converged = np.zeros(repeats, dtype=bool)
+    iterations = np.zeros(repeats, dtype=np.int64)
+    history = [x_all[0].copy()]
+    active = np.flatnonzero(np.all(np.isfinite(x_all), axis=-1))
+    if not len(active):
+        return Found(x_all, cost_all, converged, iterations, np.array(history))
+    x = x_all[active]
+    here = _finite(evaluate(x, active))
+    damping = np.zeros(len(active))
+    for _ in range(limit):
+        step, spread = _step(x, here, damping, low, high)
+        trial = np.clip(x + np.nan_to_num(step), low, high)
+        there = _finite(evaluate(trial, active))
+        usable = np.all(np.isfinite(step), axis=-1)
+        better = usable & (there.cost <= here.cost * (1 + 1e-12) + 1e-12)
+        moved = np.abs(trial - x)
+        small = np.all(moved <= np.maximum(tolerance * spread, 1e-13 * np.abs(x)), axis=-1)
+        x = np.where(better[:, None], trial, x)
+        here = there.where(better, here)
+        iterations[active] += 1
+        x_all[active], cost_all[active] = x, here.cost
+        if active[0] == 0:
+            history.append(x[0].copy())
+        # A tiny full step ends the search.  So does a tiny rejected one: nothing lower is left within rounding.
+        done = small & usable & ((damping == 0) | ~better)
+        converged[active[done]] = True
+        damping = np.where(better, np.where(damping > 1e-6, damping / 10, 0.0), np.maximum(damping * 10, 1e-4))
+        keep = ~(done | (damping > 1e14))
+        if not np.any(keep):
+            break
+        if not np.all(keep):
+            active, x, damping, here = active[keep], x[keep], damping[keep], here.rows(keep)
+    return Found(x_all, cost_all, converged, iterations, np.array(history))
+
+
+def _finite(local: Local) -> Local:
+    cost = np.where(np.isfinite(local.cost), local.cost, np.inf)
+    return Local(cost, local.gradient, local.symmetric, local.free)
+
+
+def _step(x: Real, here: Local, damping: Real, low: Real, high: Real) -> tuple[Real, Real]:
+    """The next step of each repeat, and the standard deviations that steps are measured in."""
+    m = x.shape[-1]
+    diagonal = np.diagonal(here.symmetric, axis1=-2, axis2=-1)
+    damped = here.symmetric + (damping[:, None] * diagonal)[..., None] * np.eye(m)
+    matrix = np.where((damping == 0)[:, None, None], here.free, damped)
+    gradient = here.gradient
+    held = ((x <= low) & (gradient < 0)) | ((x >= high) & (gradient > 0))
+    if np.any(held):
+        free = ~held
+        both = free[:, :, None] & free[:, None, :]
+        matrix = np.where(both, matrix, np.eye(m))
+        gradient = np.where(held, 0.0, gradient)
+    spread = np.sqrt(np.maximum(np.diagonal(inverse(here.symmetric), axis1=-2, axis2=-1), 0.0))
+    return solve_scaled(matrix, gradient), np.nan_to_num(spread)
