@@ -375,7 +375,7 @@ def _check_end(table: Table) -> Table:
 
 
 def _looks_cut(last: str, before: list[str]) -> bool:
-    """Shorter than numbers of one width, or by four digits than any; or without the exponent or decimals of the others."""
+    """Shorter than numbers of one width, or by four digits than any; or without the exponent of the others."""
     shortest = min(len(cell) for cell in before)
     alike = len(before) >= 3 and all(len(cell) == shortest for cell in before)
     if len(last) < shortest - (0 if alike else 3):
