@@ -376,7 +376,33 @@ def paper_rig(frequency_hz: Sequence[float] | None = None) -> Rig:
         ),
         "Yamane 1989",
     )  # fmt: skip
-    case3 = [1, 1.5, 2, 2.25, 2.5, 2.75, 3, 3.25, 3.5, 3.75, 4, 5, 6, 7, 8, 8.5, 9, 9.5, 10, 10.5, 11, 11.5, 12, 13, 14]
+    case3 = [
+        1,
+        1.5,
+        2,
+        2.25,
+        2.5,
+        2.75,
+        3,
+        3.25,
+        3.5,
+        3.75,
+        4,
+        5,
+        6,
+        7,
+        8,
+        8.5,
+        9,
+        9.5,
+        10,
+        10.5,
+        11,
+        11.5,
+        12,
+        13,
+        14,
+    ]
     f = np.array(case3 if frequency_hz is None else frequency_hz, dtype=float)
     theta = np.array([3.0, 2.7, 30.0, 40.0, 90.0, 50.0])
     return Rig(model, theta, f, np.full((len(f), 1), -1j), np.zeros((len(f), 0), dtype=complex))
