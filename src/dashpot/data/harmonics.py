@@ -107,7 +107,10 @@ class RefinedFrequency:
 
 @dataclass(frozen=True)
 class Settled:
-    """The part of a dwell where the transient has decayed, and what was thrown away in front of it."""
+    """The part of a dwell where the transient has decayed, and what was thrown away in front of it.
+
+    `note` says so in words; it is empty where there was no transient.
+    """
 
     record: Record
     dropped_samples: int
@@ -661,7 +664,7 @@ def settled(record: Record, frequency_hz: float | None = None) -> Settled:
     features = _block_features(record, f, starts, ends)
     keep_from = _truncation(features)
     if keep_from == 0:
-        return Settled(record, 0, 0.0, f"{record.source}: no transient at {f:g} Hz")
+        return Settled(record, 0, 0.0, "")
     first = int(starts[keep_from])
     dropped = float(time[first] - time[0])
     kept = replace(record, time=time[first:], values=record.values[..., first:, :])
@@ -754,10 +757,18 @@ def _lines(
     settle: bool,
 ) -> Spectrum:
     """The lines of one record."""
+    notes: list[str] = []
     if settle:
-        record = settled(record).record
+        part = settled(record)
+        record = part.record
+        notes.append(part.note)
     if refine:
-        record = replace(record, frequency_hz=refine_frequency(record, drift=drift).frequency_hz)
+        found = refine_frequency(record, drift=drift)
+        if abs(found.frequency_hz - found.nominal_hz) > 3 * found.sd:
+            notes.append(
+                f"{record.source}: driven at {found.frequency_hz:.7g} Hz, not at {found.nominal_hz:.7g} Hz"
+            )
+        record = replace(record, frequency_hz=found.frequency_hz)
     fit = fit_harmonics(record, orders=orders, harmonics=harmonics, drift=drift, noise=noise)
     own = [fit.orders.index(order) for order in sorted(set(orders))]
     frequencies = fit.frequency_hz * np.array([fit.orders[i] for i in own], dtype=float)
@@ -772,6 +783,7 @@ def _lines(
         (fit.noise,) * len(own),
         np.full(len(own), record.experiment),
         second_moments(record, drift) if moments else None,
+        tuple(note for note in (*notes, *fit.notes) if note),
     )
 
 

@@ -43,6 +43,7 @@ class Spectrum:
     noise         (lines,)                      how V was found: "given", "white", "blocks" or "unknown"
     experiment    (lines,)                      which experiment a line belongs to
     moments       second moments of the samples, where they were asked for
+    notes         what a reader of results should know: samples thrown away, noise that could not be judged
     """
 
     channels: tuple[Channel, ...]
@@ -54,10 +55,12 @@ class Spectrum:
     noise: tuple[str, ...]
     experiment: Ints
     moments: Moments | None = None
+    notes: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "channels", tuple(self.channels))
         object.__setattr__(self, "noise", tuple(self.noise))
+        object.__setattr__(self, "notes", tuple(self.notes))
         object.__setattr__(self, "frequency_hz", frozen(self.frequency_hz, np.float64))
         object.__setattr__(self, "amplitudes", frozen(self.amplitudes, np.complex128))
         object.__setattr__(self, "covariance", frozen(self.covariance, np.complex128))
@@ -129,6 +132,7 @@ class Spectrum:
             tuple(self.noise[int(k)] for k in i),
             self.experiment[i],
             None if self.moments is None else Moments(self.moments.products[..., i, :, :]),
+            self.notes,
         )
 
     def with_channels(self, channels: tuple[Channel, ...]) -> Spectrum:
@@ -182,6 +186,7 @@ def concatenate(spectra: Sequence[Spectrum]) -> Spectrum:
         tuple(kind for spectrum in spectra for kind in spectrum.noise),
         np.concatenate([spectrum.experiment for spectrum in spectra]),
         _moments(spectra, list(channels), batch),
+        tuple(dict.fromkeys(note for spectrum in spectra for note in spectrum.notes)),
     )
 
 
@@ -240,4 +245,5 @@ def _average(group: Spectrum) -> Spectrum:
         group.noise[:1],
         group.experiment[:1],
         None if group.moments is None else Moments(np.sum(group.moments.products, axis=-3, keepdims=True)),
+        group.notes,
     )
