@@ -32,7 +32,8 @@ class Channel:
     `of` maps points (coordinates, displacement inputs) to factors.  With quantity "force", `of` names one force
     input (the applied force), one displacement input (the reaction force that moves it) or elements (the force in
     them).  `noise` (in `unit`) and `relative_noise` (of the amplitude) are standard deviations of one sample, `rate`
-    is in Hz; they serve simulation and design, never identification.
+    is in Hz; they serve simulation and design, never identification.  `same_gain_as` names the channel whose unknown
+    gain this one shares (the same amplifier in another experiment).
     """
 
     name: str
@@ -46,6 +47,7 @@ class Channel:
     noise: float = 0.0
     relative_noise: float = 0.0
     rate: float | None = None
+    same_gain_as: str | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "of", MappingProxyType(dict(self.of)))
@@ -55,7 +57,7 @@ class Channel:
             Channel,
             (
                 self.name, dict(self.of), self.quantity, self.unit, self.scale, self.gain, self.delay, self.sign,
-                self.noise, self.relative_noise, self.rate,
+                self.noise, self.relative_noise, self.rate, self.same_gain_as,
             ),
         )  # fmt: skip
 

@@ -75,14 +75,16 @@ class Fit:
 class Estimate:
     """Values of the unknowns with their full covariance; every array may have leading batch axes.
 
-    names, units        of the unknowns, in order
+    names, units        of the unknowns, in order; gains and delays that were estimated follow as channel.gain …
     values (..., m)     estimates
     covariance          (..., m, m)
     noise_covariance    (..., m, m)  what the sensors' noise alone gives; the same unless `basis` says otherwise
     bound_sd (..., m)   standard deviations at the Cramér-Rao bound, at the estimate
     dof (..., m)        degrees of freedom of the t quantile that the intervals use
     basis               what the intervals count: "sensor noise", "residuals" or "model misfit"
-    fixed               (name, value, unit) of the known and the tied parameters; a tied one is `times` an unknown
+    known               (name, value, unit) of the exactly known parameters
+    tied                (name, unknown, times, unit) of the parameters that are a multiple of an unknown
+    signs               ±1 of the channels whose sign was found
     """
 
     model: str
@@ -102,7 +104,7 @@ class Estimate:
     known: tuple[tuple[str, float, str], ...]
     tied: tuple[tuple[str, str, float, str], ...]
     modes: ModeValues | None
-    calibrations: Mapping[str, tuple[float, float]]
+    signs: Mapping[str, Real]
     warnings: tuple[str, ...]
 
     def __post_init__(self) -> None:
@@ -189,7 +191,7 @@ class Estimate:
             "noise_covariance": self.noise_covariance.tolist(),
             "intervals_count": self.basis,
             "tied": [list(tie) for tie in self.tied],
-            "calibrations": {name: {"value": v, "sd": s} for name, (v, s) in self.calibrations.items()},
+            "signs": {name: float(sign) for name, sign in self.signs.items()},
             "modes": [] if self.modes is None else _mode_rows(self.modes),
             "fit": {
                 "chi2": float(self.fit.chi2), "dof": self.fit.dof, "p": float(self.fit.p),
@@ -287,8 +289,6 @@ def _loaded(content: Mapping[str, Any]) -> Estimate:
         known=tuple((n, float(e["value"]), str(e["unit"])) for n, e in parameters.items() if e["known"]),
         tied=tied,
         modes=modes if rows else None,
-        calibrations={
-            name: (float(c["value"]), number(c["sd"])) for name, c in content["calibrations"].items()
-        },
+        signs={name: np.asarray(float(sign)) for name, sign in content["signs"].items()},
         warnings=tuple(content["warnings"]),
     )

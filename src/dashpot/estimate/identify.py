@@ -3,21 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from dashpot.arrays import Complex, Real
 from dashpot.data.spectrum import Moments, Spectrum
 from dashpot.errors import DataError, IdentifiabilityError, UsageError
-from dashpot.estimate.auxiliary import auxiliary, information, normal_equations
-from dashpot.estimate.covariance import channels_correlate, interval_dof, noise_quality, without_correlation
+from dashpot.estimate.covariance import channels_correlate, without_correlation
 from dashpot.estimate.estimate import Estimate, Fit, ModeValues
 from dashpot.estimate.instruments import OptimalIV
+from dashpot.estimate.likelihood import MaximumLikelihood
 from dashpot.estimate.method import Method, Prepared, Solution
-from dashpot.estimate.regression import inverse, solve_scaled
-from dashpot.estimate.states import noise_is_known, states, unseen, working_covariance
-from dashpot.model.dynamics import modes, unit_forces
+from dashpot.estimate.states import is_direct, noise_is_known, states, unseen, working_covariance
+from dashpot.estimate.worth import Judged, Worth, judge, worth
+from dashpot.model.dynamics import modes
 from dashpot.model.network import Model
 
 CHUNK = 2_000_000  # complex numbers of amplitudes at once: keeps the working set of a batch near 1 GB
@@ -32,7 +32,7 @@ def identify(
 ) -> Estimate:
     """Estimate the unknowns of `model` from `spectrum`.
 
-    The default method is OptimalIV where every coordinate and input is seen.  Leading batch axes of the spectrum are
+    The default method is `automatic`.  Leading batch axes of the spectrum are
     repeats of the same test and come back as leading axes of the Estimate; `progress(done, all)` is called between
     chunks of them.
 
@@ -40,7 +40,7 @@ def identify(
     determine the unknowns.
     """
     _check(model, spectrum)
-    chosen = OptimalIV() if method is None else method
+    chosen = automatic(model, spectrum) if method is None else method
     batch = spectrum.batch
     flat = _flatten(spectrum)
     repeats = flat.amplitudes.shape[0]
@@ -51,6 +51,12 @@ def identify(
         if progress is not None:
             progress(min(first + size, repeats), repeats)
     return _assemble(model, chosen, parts, batch, flat)
+
+
+def automatic(model: Model, spectrum: Spectrum) -> Method:
+    """OptimalIV where calibrated channels of motion and force see every coordinate and input, else MaximumLikelihood."""
+    direct = all(is_direct(model, channel) for channel in spectrum.channels)
+    return OptimalIV() if direct and not unseen(model, spectrum) else MaximumLikelihood()
 
 
 def _check(model: Model, spectrum: Spectrum) -> None:
@@ -89,14 +95,13 @@ def _repeats(flat: Spectrum, rows: slice) -> Spectrum:
     return replace(flat, amplitudes=flat.amplitudes[rows], covariance=V, moments=moments)
 
 
+@dataclass(frozen=True)
 class _Part:
     """What one chunk of repeats gave."""
 
-    def __init__(
-        self, solution: Solution, cov: Real, noise: Real, bound: Real, dof: Real, chi2: Real, p: Real
-    ) -> None:
-        self.solution, self.covariance, self.noise, self.bound, self.dof = solution, cov, noise, bound, dof
-        self.chi2, self.p = chi2, p
+    solution: Solution
+    judged: Judged
+    worth: Worth
 
 
 def _noise_free(V: Complex) -> bool:
@@ -106,78 +111,16 @@ def _noise_free(V: Complex) -> bool:
 def _identify(model: Model, spectrum: Spectrum, method: Method) -> _Part:
     known = noise_is_known(spectrum) and not _noise_free(spectrum.covariance)
     if not known:
-        spectrum = replace(
-            spectrum,
-            covariance=np.full_like(spectrum.covariance, np.nan),
-            noise=("unknown",) * spectrum.lines,
-        )
+        nothing = np.full_like(spectrum.covariance, np.nan)
+        spectrum = replace(spectrum, covariance=nothing, noise=("unknown",) * spectrum.lines)
     V = working_covariance(model, spectrum)
     V = V if V.ndim == 4 else V[None]
     correlate = channels_correlate(spectrum) if known else np.ones(len(V), dtype=bool)
     V = np.where(correlate[:, None, None, None], V, without_correlation(V))
     data = Prepared(model, spectrum, V, None if unseen(model, spectrum) else states(model, spectrum, V))
     solution = method.solve(data)
-    if data.states is None:
-        raise UsageError("some coordinate is not seen", cure="use the method ml")
-    at = auxiliary(model, model.parameters(solution.theta), data.states)
-    lines = information(model, at)
-    prior = np.diag(model.prior_precision)
-    m = len(model.unknowns)
-    rows = 2 * model.n * spectrum.lines
-    dof = rows - m + int(np.count_nonzero(model.prior_precision))
-    # χ² is the model's, not the method's: one Gauss-Newton step leads from the estimate to the minimum nearby.
-    a = unit_forces(model, data.states.omega, data.states.X, data.states.U)
-    _, symmetric, gradient = normal_equations(model, at, a)
-    gradient = gradient - model.prior_precision * (solution.theta - model.prior_mean)
-    excess = np.sum(gradient * solve_scaled(symmetric + np.diag(model.prior_precision), gradient), axis=-1)
-    per_line = at.cost_per_line()
-    away = np.sum(model.prior_precision * (solution.theta - model.prior_mean) ** 2, axis=-1)
-    if not known:
-        chi2 = np.maximum(np.sum(per_line, axis=-1) + away - excess, 0.0)
-        scale = chi2 / max(dof, 1)
-        covariance = solution.covariance * scale[:, None, None]
-        bound = inverse(np.sum(lines, axis=-3) / scale[:, None, None] + prior)
-        degrees = np.full(solution.theta.shape, float(max(dof, 1)))
-        return _Part(
-            solution, covariance, covariance, bound, degrees, chi2 / scale, np.full(len(chi2), np.nan)
-        )
-    quality = noise_quality(spectrum, np.atleast_1d(correlate))
-    chi2 = np.maximum(
-        np.sum(per_line * quality.shrink, axis=-1) + away - excess * np.mean(quality.shrink, axis=-1), 0.0
-    )
-    p = _p_value(chi2, dof, model.n, spectrum)
-    bound = inverse(np.sum(lines * quality.shrink[..., None, None], axis=-3) + prior)
-    bread = inverse(np.sum(lines, axis=-3) + prior)
-    shares = bread[:, None] @ (lines * quality.inflation[..., None, None]) @ bread[:, None]
-    if method.weighted:
-        noise = np.sum(shares, axis=-3) + bread @ prior @ bread
-    else:
-        noise = solution.covariance
-    degrees = interval_dof(np.diagonal(shares, axis1=-2, axis2=-1), quality.dof)
-    misfit = (p < 1e-3) & (chi2 > dof)
-    factor = np.where(misfit, chi2 / max(dof, 1), 1.0)
-    covariance = noise * factor[:, None, None]
-    degrees = np.where(misfit[:, None], np.minimum(degrees, float(max(dof, 1))), degrees)
-    return _Part(solution, covariance, noise, bound, degrees, chi2, p)
-
-
-def _p_value(chi2: Real, dof: int, n: int, spectrum: Spectrum) -> Real:
-    """Tail probability of χ², widened where the noise was estimated.
-
-    With an estimated covariance a line's quadratic form is a Lawley-Hotelling trace; mean and variance of their sum
-    are matched by a scaled χ².
-    """
-    from scipy.stats import chi2 as distribution
-
-    if dof <= 0:
-        return np.full(len(chi2), np.nan)
-    nu = spectrum.dof
-    with np.errstate(invalid="ignore"):
-        wide = (nu - 1) * (nu - n + 1) / ((nu - n) * (nu - n - 3))
-    wide = np.where(np.isfinite(nu), np.where(nu - n - 3 > 0, wide, np.nan), 1.0)
-    ratio = float(np.nanmean(wide)) if np.any(np.isfinite(wide)) else 1.0
-    p: Real = distribution.sf(chi2 / ratio, dof / ratio)
-    return p
+    judged = judge(data, solution, method.by_output)
+    return _Part(solution, judged, worth(data, solution, judged, known, correlate, method.weighted))
 
 
 def _assemble(
@@ -188,48 +131,47 @@ def _assemble(
         return whole.reshape((*batch, *whole.shape[1:]))
 
     theta = join([part.solution.theta for part in parts])
-    covariance = join([part.covariance for part in parts])
-    noise = join([part.noise for part in parts])
-    converged = np.concatenate([part.solution.converged for part in parts]).reshape(batch)
+    covariance = join([part.worth.covariance for part in parts])
+    noise = join([part.worth.noise for part in parts])
     single = not batch
-    dof = 2 * model.n * spectrum.lines - len(model.unknowns) + int(np.count_nonzero(model.prior_precision))
+    judged = parts[0].judged
     known_noise = noise_is_known(spectrum) and not _noise_free(spectrum.covariance)
-    fit = Fit(join([part.chi2 for part in parts]), dof, join([part.p for part in parts]), known_noise)
+    chi2, p = join([part.worth.chi2 for part in parts]), join([part.worth.p for part in parts])
+    fit = Fit(chi2, judged.dof, p, known_noise)
     if single:
-        _require_determined(model, theta, noise)
+        _require_determined(judged.names, theta, noise)
     misfit = bool(np.any(fit.rejected))
-    basis = "model misfit" if misfit else "sensor noise" if known_noise else "residuals"
-    names = tuple(unknown.name for unknown in model.unknowns)
     warnings = list(dict.fromkeys(w for part in parts for w in part.solution.warnings))
     warnings += _warnings(model, theta, fit, known_noise) if single else []
+    m = len(model.unknowns)
     return Estimate(
         model=model.name,
         method=method.name,
-        names=names,
-        units=tuple(unknown.unit for unknown in model.unknowns),
+        names=judged.names,
+        units=judged.units,
         values=theta,
         covariance=covariance,
         noise_covariance=noise,
-        bound_sd=join([np.sqrt(np.diagonal(part.bound, axis1=-2, axis2=-1)) for part in parts]),
-        dof=join([part.dof for part in parts]),
-        basis=basis,
-        converged=converged,
+        bound_sd=join([np.sqrt(np.diagonal(part.worth.bound, axis1=-2, axis2=-1)) for part in parts]),
+        dof=join([part.worth.dof for part in parts]),
+        basis="model misfit" if misfit else "sensor noise" if known_noise else "residuals",
+        converged=np.concatenate([part.solution.converged for part in parts]).reshape(batch),
         iterations=np.concatenate([part.solution.iterations for part in parts]).reshape(batch),
         history=parts[0].solution.history,
         fit=fit,
         known=_known(model),
         tied=_tied(model),
-        modes=mode_values(model, theta, covariance) if single else None,
-        calibrations={},
+        modes=mode_values(model, theta[:m], covariance[:m, :m]) if single else None,
+        signs={name: join([part.solution.signs[name] for part in parts]) for name in parts[0].solution.signs},
         warnings=tuple(warnings),
     )
 
 
-def _require_determined(model: Model, theta: Real, covariance: Real) -> None:
+def _require_determined(names: tuple[str, ...], theta: Real, covariance: Real) -> None:
     variance = np.diagonal(covariance)
     if np.all(np.isfinite(theta)) and np.all(np.isfinite(variance)) and np.all(variance >= 0):
         return
-    lost = [u.name for u, v in zip(model.unknowns, variance, strict=True) if not np.isfinite(v)]
+    lost = [name for name, v in zip(names, variance, strict=True) if not np.isfinite(v)]
     raise IdentifiabilityError(
         f"the data do not determine {', '.join(lost) if lost else 'the unknowns'}",
         cure="give one of them a value, add frequencies, or ask `dashpot check` which combinations can be found",
@@ -248,7 +190,7 @@ def _warnings(model: Model, theta: Real, fit: Fit, known_noise: bool) -> list[st
             f"(χ² {float(fit.chi2):.4g} with {fit.dof} degrees of freedom); intervals are widened by that factor, "
             "what counts only sensor noise is named so"
         )
-    for unknown, value in zip(model.unknowns, theta, strict=True):
+    for unknown, value in zip(model.unknowns, theta, strict=False):
         if value < 0:
             found.append(
                 f"{unknown.name} comes out negative ({value:.4g} {unknown.unit}): the model or the data lack something"

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass, field
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from typing import ClassVar
 
 import numpy as np
@@ -27,14 +28,21 @@ class Prepared:
     covariance: Complex
     states: States | None
 
+    def only(self, repeat: int) -> Prepared:
+        """One of the repeats."""
+        V = self.covariance if len(self.covariance) == 1 else self.covariance[repeat : repeat + 1]
+        spectrum = replace(self.spectrum, amplitudes=self.spectrum.amplitudes[repeat : repeat + 1], moments=None)
+        states = None if self.states is None else self.states.rows(np.array([repeat]))
+        return Prepared(self.model, spectrum, V, states)
+
 
 @dataclass(frozen=True)
 class Solution:
     """What a method found, for K repeats.
 
-    theta (K, unknowns); covariance (K, unknowns, unknowns) of the noise given in the spectrum; converged and
-    iterations (K,); history: θ after each iteration of the first repeat, (iterations + 1, unknowns).
-    `nuisance` are calibrations that were estimated beside θ, by name, with values and standard deviations (K,).
+    theta (K, unknowns), followed by gains and delays where the method estimates them; covariance of the noise given
+    in the spectrum, (K, unknowns, unknowns); converged and iterations (K,); history: θ after each iteration of the
+    first repeat, (iterations + 1, unknowns).  `signs`: channels whose sign was found, ±1 for each repeat.
     """
 
     theta: Real
@@ -42,7 +50,7 @@ class Solution:
     converged: Bools
     iterations: Ints
     history: Real
-    nuisance: dict[str, tuple[Real, Real]] = field(default_factory=dict)
+    signs: Mapping[str, Real] = field(default_factory=dict)
     warnings: tuple[str, ...] = ()
 
 
@@ -51,6 +59,7 @@ class Method(ABC):
 
     name: ClassVar[str]
     weighted: ClassVar[bool] = False
+    by_output: ClassVar[bool] = False
 
     @abstractmethod
     def solve(self, data: Prepared) -> Solution:
