@@ -1,1 +1,144 @@
-"""Masses, dampers and springs of a vibrating rig from noisy test data."""
+"""Masses, dampers and springs of a vibrating rig from noisy test data.
+
+    from dashpot import read_rig, read, identify
+
+    rig = read_rig("rig.toml")
+    estimate = identify(rig.model, read("test.csv", rig.channels).spectrum())
+
+Public names are loaded when they are first used, so that `import dashpot` costs nothing.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    __version__: str
+    from dashpot.channel import Channel, Quantity
+    from dashpot.check.residuals import Residuals, residuals
+    from dashpot.data.harmonics import HarmonicFit, fit_harmonics, refine_frequency, settled, spectrum
+    from dashpot.data.readers import Reading, read, write_amplitudes, write_records
+    from dashpot.data.record import Record
+    from dashpot.data.spectrum import Moments, Spectrum, concatenate, merge_repeats
+    from dashpot.errors import (
+        ConvergenceError,
+        DashpotError,
+        DataError,
+        IdentifiabilityError,
+        ModelError,
+        Problem,
+        UsageError,
+    )
+    from dashpot.estimate.estimate import Estimate, Fit, ModeValues, Value
+    from dashpot.estimate.identify import identify
+    from dashpot.estimate.instruments import InstrumentalVariables, OptimalIV
+    from dashpot.estimate.least_squares import HarmonicLeastSquares, LeastSquares, WeightedLeastSquares
+    from dashpot.estimate.likelihood import MaximumLikelihood
+    from dashpot.estimate.methods import method
+    from dashpot.model.dynamics import Matrices, Modes, matrices, modes, response, sensitivities
+    from dashpot.model.elements import Element, Kind, between, mass
+    from dashpot.model.modelfile import Rig, default_channels, parse_rig, read_rig, write_rig
+    from dashpot.model.network import Input, Model, Unknown
+    from dashpot.study.simulate import Dwells, dwells, simulate_records, simulate_spectrum
+
+_NAMES = {
+    "channel": "Channel Quantity",
+    "check.residuals": "Residuals residuals",
+    "data.harmonics": "HarmonicFit fit_harmonics refine_frequency settled spectrum",
+    "data.readers": "Reading read write_amplitudes write_records",
+    "data.record": "Record",
+    "data.spectrum": "Moments Spectrum concatenate merge_repeats",
+    "errors": "ConvergenceError DashpotError DataError IdentifiabilityError ModelError Problem UsageError",
+    "estimate.estimate": "Estimate Fit ModeValues Value",
+    "estimate.identify": "identify",
+    "estimate.instruments": "InstrumentalVariables OptimalIV",
+    "estimate.least_squares": "HarmonicLeastSquares LeastSquares WeightedLeastSquares",
+    "estimate.likelihood": "MaximumLikelihood",
+    "estimate.methods": "method",
+    "model.dynamics": "Matrices Modes matrices modes response sensitivities",
+    "model.elements": "Element Kind between mass",
+    "model.modelfile": "Rig default_channels parse_rig read_rig write_rig",
+    "model.network": "Input Model Unknown",
+    "study.simulate": "Dwells dwells simulate_records simulate_spectrum",
+}
+_HOME = {name: module for module, names in _NAMES.items() for name in names.split()}
+
+__all__ = [
+    "Channel",
+    "ConvergenceError",
+    "DashpotError",
+    "DataError",
+    "Dwells",
+    "Element",
+    "Estimate",
+    "Fit",
+    "HarmonicFit",
+    "HarmonicLeastSquares",
+    "IdentifiabilityError",
+    "Input",
+    "InstrumentalVariables",
+    "Kind",
+    "LeastSquares",
+    "Matrices",
+    "MaximumLikelihood",
+    "ModeValues",
+    "Model",
+    "ModelError",
+    "Modes",
+    "Moments",
+    "OptimalIV",
+    "Problem",
+    "Quantity",
+    "Reading",
+    "Record",
+    "Residuals",
+    "Rig",
+    "Spectrum",
+    "Unknown",
+    "UsageError",
+    "Value",
+    "WeightedLeastSquares",
+    "__version__",
+    "between",
+    "concatenate",
+    "default_channels",
+    "dwells",
+    "fit_harmonics",
+    "identify",
+    "mass",
+    "matrices",
+    "merge_repeats",
+    "method",
+    "modes",
+    "parse_rig",
+    "read",
+    "read_rig",
+    "refine_frequency",
+    "residuals",
+    "response",
+    "sensitivities",
+    "settled",
+    "simulate_records",
+    "simulate_spectrum",
+    "spectrum",
+    "write_amplitudes",
+    "write_records",
+    "write_rig",
+]
+
+
+def __getattr__(name: str) -> object:
+    if name == "__version__":
+        from importlib.metadata import version
+
+        return version("dashpot")
+    if name not in _HOME:
+        raise AttributeError(f"module 'dashpot' has no attribute {name!r}")
+    found = getattr(import_module(f"dashpot.{_HOME[name]}"), name)
+    globals()[name] = found
+    return found
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)

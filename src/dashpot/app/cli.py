@@ -1,0 +1,142 @@
+"""The command `dashpot`: finds the command asked for, runs it, and turns what goes wrong into lines and exit codes.
+
+0 done; 2 bad usage, model or data; 3 not identifiable or not converged; 1 a fault of dashpot itself; 130 interrupted.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+import warnings
+from collections.abc import Sequence
+from importlib import import_module
+
+import click
+
+from dashpot.app.commands import COMMANDS
+from dashpot.errors import DashpotError
+
+FAULT, USAGE, INTERRUPTED, BROKEN_PIPE = 1, 2, 130, 141  # 128 + signal, as shells report it
+TRACEBACK = "DASHPOT_TRACEBACK"
+
+
+class Commands(click.Group):
+    """Commands by name, each imported when it is called."""
+
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        """Names in the order of COMMANDS."""
+        return list(COMMANDS)
+
+    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
+        """The click command of that name; None where there is none."""
+        if cmd_name not in COMMANDS:
+            return None
+        found = import_module(f"dashpot.app.commands.{cmd_name}").command
+        assert isinstance(found, click.Command)
+        return found
+
+    def resolve_command(
+        self, ctx: click.Context, args: list[str]
+    ) -> tuple[str | None, click.Command | None, list[str]]:
+        """As click does, with the nearest name in the message where there is no such command."""
+        if args and args[0] not in COMMANDS and not args[0].startswith("-"):
+            from difflib import get_close_matches
+
+            near = get_close_matches(args[0], COMMANDS, n=1)
+            cure = f"did you mean {near[0]}?" if near else f"there are {', '.join(COMMANDS)}"
+            raise click.UsageError(f"there is no command {args[0]!r}; {cure}", ctx)
+        return super().resolve_command(ctx, args)
+
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """The list of commands, without importing them."""
+        with formatter.section("Commands"):
+            formatter.write_dl(list(COMMANDS.items()))
+
+
+def _version(ctx: click.Context, _: click.Parameter, wanted: bool) -> None:
+    if wanted and not ctx.resilient_parsing:
+        from dashpot import __version__
+
+        click.echo(f"dashpot {__version__}")
+        ctx.exit()
+
+
+@click.group(cls=Commands, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100})
+@click.option(
+    "--version", is_flag=True, expose_value=False, is_eager=True, callback=_version, help="Show the version."
+)
+def cli() -> None:
+    """Masses, dampers and springs of a vibrating rig from noisy test data, with intervals you can trust."""
+
+
+def run(args: Sequence[str] | None = None) -> int:
+    """Run one command line (that of the process unless given); the exit code.
+
+    What goes wrong is told on stderr, one line for each problem.  With DASHPOT_TRACEBACK set, faults of dashpot
+    itself are raised instead.
+    """
+    try:
+        result = cli.main(None if args is None else list(args), prog_name="dashpot", standalone_mode=False)
+        sys.stdout.flush()
+    except click.exceptions.NoArgsIsHelpError as asked:
+        click.echo(asked.format_message())
+        return USAGE
+    except click.ClickException as error:
+        return _usage(error)
+    except DashpotError as error:
+        _tell(str(problem) for problem in error.problems)
+        return error.exit_code
+    except (KeyboardInterrupt, click.Abort):
+        _tell(["interrupted; nothing was written"])
+        return INTERRUPTED
+    except BrokenPipeError:
+        # Whoever read the output has had enough (| head).  What is still buffered must not complain at exit.
+        _silence_stdout()
+        return BROKEN_PIPE
+    except MemoryError:
+        _tell(["the memory is not enough; give fewer lines, repeats or samples at a time"])
+        return USAGE
+    except Exception as error:
+        if os.environ.get(TRACEBACK):
+            raise
+        cause = " ".join(f"{type(error).__name__}: {error}".split())[:300]
+        _tell([f"a fault of dashpot itself ({cause}); set {TRACEBACK}=1 to see where"])
+        return FAULT
+    return result if isinstance(result, int) else 0
+
+
+def _silence_stdout() -> None:
+    try:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    except (OSError, ValueError):  # stdout is no file
+        return
+
+
+def _tell(lines: object) -> None:
+    from collections.abc import Iterable
+
+    assert isinstance(lines, Iterable)
+    for line in lines:
+        click.echo(f"dashpot: {line}", err=True)
+
+
+def _usage(error: click.ClickException) -> int:
+    text = " ".join(error.format_message().split()).rstrip(".")
+    context = getattr(error, "ctx", None)
+    path = context.command_path if context is not None else "dashpot"
+    hint = "" if "; " in text else f"; {path} --help shows what it takes"
+    _tell([text + hint])
+    return USAGE
+
+
+def main() -> None:
+    """Entry point of the command `dashpot`."""
+    for stream in (sys.stdout, sys.stderr):
+        # A terminal that knows no ± or χ² shows ? rather than ending the run.
+        if hasattr(stream, "reconfigure"):
+            stream.reconfigure(errors="replace")
+    if not os.environ.get(TRACEBACK) and not sys.warnoptions:
+        warnings.simplefilter(
+            "ignore"
+        )  # what matters is told by the results; the interpreter's own are for developers
+    sys.exit(run())

@@ -1,0 +1,117 @@
+"""dashpot identify: from a rig file and test data to parameters with intervals."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from dashpot.app.options import Conditioning, Positive, amplitudes, conditioning_options, tell_notes
+
+if TYPE_CHECKING:
+    from dashpot.data.readers import Reading
+    from dashpot.data.spectrum import Spectrum
+    from dashpot.estimate.estimate import Estimate
+    from dashpot.estimate.method import Method
+    from dashpot.model.modelfile import Rig
+
+NOT_CONVERGED = 3
+CHOICES = ["auto", "ls", "hls", "wls", "iv", "oiv", "ml"]
+
+
+@click.command(name="identify")
+@click.argument("rig")
+@click.argument("data", nargs=-1, required=True)
+@click.option(
+    "--method", "chosen", type=click.Choice(CHOICES), default="auto", show_default=True,
+    help="Estimator; auto is oiv where every coordinate and input is measured, ml elsewhere.",
+)  # fmt: skip
+@click.option("--json", "json_out", metavar="OUT", help="Write the estimate as JSON.")
+@click.option("--report", metavar="OUT.html", help="Write a report with figures, one HTML file.")
+@click.option(
+    "--seed", type=click.IntRange(0), default=0, show_default=True, help="Of the starts that ml draws."
+)
+@click.option(
+    "--level",
+    type=Positive(100),
+    default=95.0,
+    show_default=True,
+    metavar="%",
+    help="Of the intervals printed.",
+)
+@conditioning_options
+@click.option("--quiet", "-q", is_flag=True, help="Print no table and no notes.")
+def command(
+    rig: str,
+    data: tuple[str, ...],
+    chosen: str,
+    json_out: str | None,
+    report: str | None,
+    seed: int,
+    level: float,
+    frequency: float | None,
+    quiet: bool,
+    **how: Any,
+) -> int:
+    """Find the unknown masses, dampers and springs of RIG (a rig.toml) from DATA.
+
+    DATA are CSV files of time records (frequency_hz, time_s, channels) or of complex amplitudes (frequency_hz,
+    NAME_re, NAME_im, NAME_sd).  Exit code 3: the data do not determine the unknowns, or the iteration did not settle.
+    """
+    from dashpot.app.files import check_targets, write_text
+    from dashpot.check.scale import require_scale
+    from dashpot.model.modelfile import read_rig
+
+    check_targets([json_out, report], [rig, *data])
+    found = read_rig(rig)
+    require_scale(found.model, found.channels, rig)
+
+    from dashpot.app.progress import progress
+    from dashpot.data.readers import read
+    from dashpot.estimate.identify import identify
+
+    reading = read(data, found.channels, frequency_hz=frequency)
+    tell_notes(reading.notes, quiet)
+    conditioning: Conditioning = how  # type: ignore[assignment]  # click gives the options by their names
+    spectrum = _spectrum(reading, conditioning, chosen)
+    with progress("identify", quiet) as moved:
+        estimate = identify(found.model, spectrum, _method(chosen, found, spectrum, seed), progress=moved)
+    if json_out is not None:
+        write_text(json_out, estimate.to_json())
+    if report is not None:
+        from dashpot.present.report import identification_report
+
+        write_text(report, identification_report(found.model, spectrum, estimate, level / 100, [rig, *data]))
+    if not quiet:
+        from dashpot.present.tables import console, show_estimate
+
+        show_estimate(console(), estimate, level / 100)
+    return _ending(estimate)
+
+
+def _spectrum(reading: Reading, how: Conditioning, chosen: str) -> Spectrum:
+    """Amplitudes; with the second moments of the samples where the paper's least squares asks for them."""
+    samples = chosen == "ls" and reading.amplitudes is None
+    return amplitudes(reading, how, moments=samples)
+
+
+def _method(chosen: str, rig: Rig, spectrum: Spectrum, seed: int) -> Method:
+    from dashpot.estimate.methods import method
+    from dashpot.estimate.states import unseen
+
+    name = chosen
+    if chosen == "auto":
+        name = "ml" if unseen(rig.model, spectrum) else "oiv"
+    return method(name, seed=seed)
+
+
+def _ending(estimate: Estimate) -> int:
+    """The exit code, and a line where the iteration has not settled."""
+    if bool(estimate.converged):
+        return 0
+    cure = "give the unknowns a guess, check signs and units of the channels, or try another --method"
+    click.echo(
+        f"dashpot: {estimate.method} did not settle in {int(estimate.iterations)} iterations; {cure}",
+        err=True,
+    )
+    return NOT_CONVERGED

@@ -1,0 +1,39 @@
+"""dashpot spectrum: from time records to a table of complex amplitudes."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import click
+
+from dashpot.app.options import Conditioning, amplitudes, conditioning_options, tell_notes
+
+
+@click.command(name="spectrum")
+@click.argument("rig")
+@click.argument("records", nargs=-1, required=True)
+@click.option("--out", metavar="TABLE.csv", required=True, help="The table of amplitudes to write.")
+@conditioning_options
+@click.option("--quiet", "-q", is_flag=True, help="Print nothing.")
+def command(
+    rig: str, records: tuple[str, ...], out: str, frequency: float | None, quiet: bool, **how: Any
+) -> None:
+    """Turn time RECORDS of the channels that RIG lists into a table of complex amplitudes with their noise.
+
+    The table (frequency_hz, NAME_re, NAME_im, NAME_sd …, x(t) = Re(X e^{jωt})) is data for `dashpot identify`.
+    """
+    from dashpot.app.files import check_targets
+    from dashpot.data.readers import read, write_amplitudes
+    from dashpot.model.modelfile import read_rig
+
+    check_targets([out], [rig, *records])
+    found = read_rig(rig)
+    reading = read(records, found.channels, frequency_hz=frequency)
+    tell_notes(reading.notes, quiet)
+    conditioning: Conditioning = how  # type: ignore[assignment]  # click gives the options by their names
+    spectrum = amplitudes(reading, conditioning)
+    write_amplitudes(spectrum, out)
+    if not quiet:
+        from dashpot.present.tables import console, show_spectrum
+
+        show_spectrum(console(), spectrum, out)

@@ -1,0 +1,123 @@
+"""Options that several commands share."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING, Any, TypedDict, TypeVar
+
+import click
+
+if TYPE_CHECKING:
+    from dashpot.data.harmonics import Noise
+    from dashpot.data.readers import Reading
+    from dashpot.data.spectrum import Spectrum
+
+Function = TypeVar("Function", bound=Callable[..., Any])
+
+
+class WholeNumbers(click.ParamType[Any]):
+    """Whole numbers, such as 1,3,5; "none" where that is allowed, "auto" likewise."""
+
+    name = "n,n,…"
+
+    def __init__(self, words: Sequence[str] = ()) -> None:
+        self.words = words
+
+    def convert(
+        self, value: object, param: click.Parameter | None, ctx: click.Context | None
+    ) -> tuple[int, ...] | str:
+        """The numbers, or the word."""
+        text = str(value).strip()
+        if text in self.words:
+            return text
+        try:
+            found = tuple(int(part) for part in text.split(","))
+        except ValueError:
+            found = ()
+        if not found or min(found) < 1 or max(found) > 1000:
+            allowed = "".join(f" or {word}" for word in self.words)
+            self.fail(f"{text!r} is no list of multiples; write them as 1,3,5{allowed}", param, ctx)
+        return found
+
+
+class Positive(click.ParamType[float]):
+    """A finite number above 0 (and below `most`)."""
+
+    name = "number"
+
+    def __init__(self, most: float = 1e300) -> None:
+        self.most = most
+
+    def convert(self, value: object, param: click.Parameter | None, ctx: click.Context | None) -> float:
+        """The number."""
+        try:
+            number = float(str(value))
+        except ValueError:
+            self.fail(f"{value!r} is no number; write one such as 12.5", param, ctx)
+        if not 0 < number < self.most:
+            top = "" if self.most > 1e200 else f" and below {self.most:g}"
+            self.fail(f"{value} is out of range; give a number above 0{top}", param, ctx)
+        return number
+
+
+class Conditioning(TypedDict):
+    """How time records become amplitudes, as the options say it."""
+
+    orders: tuple[int, ...]
+    harmonics: tuple[int, ...] | str
+    drift: str
+    noise: Noise
+    refine: bool
+    settle: bool
+
+
+def conditioning_options(function: Function) -> Function:
+    """The options of Conditioning, and --frequency."""
+    options = [
+        click.option(
+            "--frequency", type=Positive(1e12), metavar="HZ", help="Drive frequency of records that do not say it."
+        ),
+        click.option(
+            "--orders", type=WholeNumbers(), default="1", show_default=True, metavar="1,3,…",
+            help="Multiples of the drive frequency whose amplitudes are used.",
+        ),
+        click.option(
+            "--harmonics", type=WholeNumbers(("auto", "none")), default="auto", show_default=True, metavar="2,3,…",
+            help="Multiples solved for beside them, so that they do not count as noise; auto, none.",
+        ),
+        click.option(
+            "--drift", type=click.Choice(["none", "0", "1", "2", "3"]), default="1", show_default=True,
+            help="Degree of the polynomial taken out with them; 0 is an offset alone.",
+        ),
+        click.option(
+            "--noise", type=click.Choice(["auto", "white", "blocks"]), default="auto", show_default=True,
+            help="How the noise of the amplitudes is found from the residual.",
+        ),
+        click.option("--refine", is_flag=True, help="Find the true frequency near the stated one."),
+        click.option("--settle", is_flag=True, help="Drop the transient at the start of each dwell."),
+    ]  # fmt: skip
+    for option in reversed(options):
+        function = option(function)
+    return function
+
+
+def amplitudes(reading: Reading, how: Conditioning, moments: bool = False) -> Spectrum:
+    """The spectrum of what was read."""
+    chosen = how["harmonics"]
+    harmonics: tuple[int, ...] | None
+    if isinstance(chosen, str):
+        harmonics = None if chosen == "auto" else ()
+    else:
+        harmonics = chosen
+    drift = None if how["drift"] == "none" else int(how["drift"])
+    return reading.spectrum(
+        orders=how["orders"], harmonics=harmonics, drift=drift, noise=how["noise"], moments=moments,
+        refine=how["refine"], settle=how["settle"],
+    )  # fmt: skip
+
+
+def tell_notes(notes: Sequence[str], quiet: bool) -> None:
+    """What was noticed on the way, on stderr."""
+    if not quiet:
+        for note in dict.fromkeys(notes):
+            click.echo(f"note: {note}", err=True)

@@ -1,0 +1,281 @@
+"""What the estimated rig predicts for each channel, and how far the measured amplitudes are from it.
+
+The model fixes X = D⁻¹ (R U + S f), so all channels of a line are linear in its inputs v = (U, f): y = G(ω) v.  v is
+found from the line's own channels by generalised least squares (exact channels are met exactly), which is the
+projection that maximum likelihood makes; ŷ = G v̂.  With exact inputs ŷ is the response to them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from dashpot.arrays import Complex, Ints, Real, frozen, hermitian
+from dashpot.channel import Channel, Quantity
+from dashpot.data.spectrum import Spectrum
+from dashpot.errors import DataError
+from dashpot.estimate.estimate import Estimate
+from dashpot.estimate.states import noise_is_known, working_covariance
+from dashpot.model.dynamics import response, unit_forces
+from dashpot.model.network import Model
+
+Calibrations = Mapping[str, float]
+
+
+@dataclass(frozen=True)
+class Residuals:
+    """Measured against predicted, all (lines, channels) unless said; SI units.
+
+    measured, predicted   complex amplitudes; NaN where a channel was not measured
+    sd                    of the real (and of the imaginary) part of the measured amplitude
+    normalised            (measured − predicted) over the sd that this difference has after v was fitted; NaN where it
+                          has none.  Re and Im have variance 1 where the model is right and the noise as stated.
+    inputs                v̂, (lines, inputs), in the order of `input_names`
+    scaled                whether the noise was unknown and is scaled so that `normalised` has variance 1 on the whole
+    """
+
+    channels: tuple[str, ...]
+    units: tuple[str, ...]
+    input_names: tuple[str, ...]
+    frequency_hz: Real
+    experiment: Ints
+    measured: Complex
+    predicted: Complex
+    sd: Real
+    normalised: Complex
+    inputs: Complex
+    scaled: bool
+
+    def __post_init__(self) -> None:
+        for name in ("measured", "predicted", "normalised", "inputs"):
+            object.__setattr__(self, name, frozen(getattr(self, name), np.complex128))
+        for name in ("frequency_hz", "sd"):
+            object.__setattr__(self, name, frozen(getattr(self, name), np.float64))
+        object.__setattr__(self, "experiment", frozen(self.experiment, np.int64))
+
+    def worst(self) -> tuple[str, float, float] | None:
+        """(channel, frequency in Hz, |normalised| / √2) of the largest residual; None where there is none."""
+        size = np.nan_to_num(np.abs(self.normalised)) / np.sqrt(2)
+        if not size.size or not np.any(size > 0):
+            return None
+        line, channel = np.unravel_index(int(np.argmax(size)), size.shape)
+        return self.channels[int(channel)], float(self.frequency_hz[line]), float(size[line, channel])
+
+    def rms(self) -> Real:
+        """Root mean square of the normalised residuals of each channel, (channels,): 1 where all is right."""
+        finite = np.isfinite(self.normalised)
+        power = np.sum(np.where(finite, np.abs(self.normalised) ** 2, 0.0), axis=0)
+        with np.errstate(invalid="ignore", divide="ignore"):
+            rms: Real = np.sqrt(power / (2 * np.sum(finite, axis=0)))
+        return rms
+
+
+_UNITS = {"displacement": "m", "velocity": "m/s", "acceleration": "m/s²", "force": "N"}
+_ANGULAR = {"displacement": "rad", "velocity": "rad/s", "acceleration": "rad/s²", "force": "N·m"}
+
+
+def channel_unit(model: Model, channel: Channel) -> str:
+    """SI unit of a channel's quantity."""
+    along = {e.name: e.along for e in model.elements} | {
+        i.name: i.at for i in model.inputs if i.kind == "force"
+    }
+    points = {point for name in channel.of for point in along.get(name, {name: 1.0})}
+    table = _ANGULAR if points and points <= set(model.angles) else _UNITS
+    return table[channel.quantity.value]
+
+
+def channel_response(
+    model: Model, p: Real, channels: Sequence[Channel], omega: Real, calibrations: Calibrations | None = None
+) -> Complex:
+    """G(ω), (lines, channels, inputs): amplitude of each channel per unit of each input, U first, then f; SI units.
+
+    p (elements,).  `calibrations` are estimated `NAME.gain`, `NAME.sign` and `NAME.delay`; what is not estimated is
+    1, 1 and 0, for known calibrations have been taken out of a Spectrum.  Raises DataError where a channel measures
+    what the rig has not.
+    """
+    r, s = len(model.displacement_inputs), len(model.force_inputs)
+    one = np.eye(r + s, dtype=complex)[:, None, :]
+    U = np.broadcast_to(one[..., :r], (r + s, len(omega), r))
+    f = np.broadcast_to(one[..., r:], (r + s, len(omega), s))
+    X = np.stack([response(model, p, omega, U[k], f[k]) for k in range(r + s)])
+    points = {name: X[..., i] for i, name in enumerate(model.coordinates)}
+    points |= {name: U[..., i] for i, name in enumerate(model.displacement_inputs)}
+    forces = {name: f[..., i] for i, name in enumerate(model.force_inputs)}
+    if any(c.quantity is Quantity.FORCE and not set(c.of) <= set(forces) for c in channels):
+        own = p * unit_forces(model, omega, X, U)
+        forces |= {element.name: own[..., i] for i, element in enumerate(model.elements)}
+        forces |= {name: (own @ model.D)[..., i] for i, name in enumerate(model.displacement_inputs)}
+    G = np.zeros((r + s, len(omega), len(channels)), dtype=complex)
+    for i, channel in enumerate(channels):
+        force = channel.quantity is Quantity.FORCE
+        law = np.ones_like(omega, dtype=complex) if force else (1j * omega) ** channel.quantity.derivative
+        for name, factor in channel.of.items():
+            source = forces if force else points
+            if name not in source:
+                raise DataError(
+                    f"channel {channel.name} measures {name}, which the rig has not",
+                    cure=f"it has {', '.join(source)}",
+                )
+            G[..., i] += factor * law * source[name]
+        G[..., i] *= _calibration(channel, omega, {} if calibrations is None else calibrations)
+    return np.moveaxis(G, 0, -1)
+
+
+def _calibration(channel: Channel, omega: Real, calibrations: Calibrations) -> Complex:
+    gain = calibrations.get(f"{channel.same_gain_as or channel.name}.gain", 1.0)
+    sign = calibrations.get(f"{channel.name}.sign", 1.0)
+    factor: Complex = gain * sign * np.exp(-1j * omega * calibrations.get(f"{channel.name}.delay", 0.0))
+    return factor
+
+
+def calibrations_of(model: Model, estimate: Estimate) -> dict[str, float]:
+    """What an estimate found of the channels: NAME.gain, NAME.delay (s) and NAME.sign."""
+    m = len(model.unknowns)
+    found = dict(zip(estimate.names[m:], estimate.values[m:].tolist(), strict=True))
+    return found | {f"{name}.sign": float(sign) for name, sign in estimate.signs.items()}
+
+
+def residuals(
+    model: Model, theta: Real, spectrum: Spectrum, calibrations: Calibrations | None = None
+) -> Residuals:
+    """Residuals of one spectrum (no batch axes) at θ, (unknowns,).
+
+    Raises DataError where a channel measures what the rig has not.
+    """
+    p = model.parameters(np.asarray(theta, dtype=float))
+    known = noise_is_known(spectrum) and bool(np.any(spectrum.covariance))
+    G = channel_response(model, p, spectrum.channels, spectrum.omega, calibrations)
+    y = spectrum.amplitudes
+    V = working_covariance(model, spectrum)
+    if not known:
+        V = _relative(y, V)
+    predicted, spread, v = _project(G, y, V)
+    difference = y - predicted
+    size = np.diagonal(V, axis1=-2, axis2=-1).real
+    variance = np.diagonal(spread, axis1=-2, axis2=-1).real
+    usable = np.isfinite(y) & (variance > 1e-9 * np.where(size > 0, size, np.inf))
+    with np.errstate(invalid="ignore", divide="ignore"):
+        normalised = np.where(usable, difference / np.sqrt(np.where(usable, variance, 1.0) / 2), np.nan)
+    sd = np.sqrt(np.maximum(size, 0.0) / 2)
+    if not known:
+        freedom = 2 * np.sum(usable) - len(model.unknowns)
+        scale = float(np.sqrt(np.nansum(np.abs(normalised) ** 2) / max(int(freedom), 1)))
+        normalised, sd = normalised / (scale if scale > 0 else 1.0), sd * scale
+    return Residuals(
+        tuple(channel.name for channel in spectrum.channels),
+        tuple(channel_unit(model, channel) for channel in spectrum.channels),
+        (*model.displacement_inputs, *model.force_inputs),
+        spectrum.frequency_hz,
+        spectrum.experiment,
+        y,
+        predicted,
+        sd,
+        normalised,
+        v,
+        not known,
+    )
+
+
+def _relative(y: Complex, V: Complex) -> Complex:
+    """V with zeros where nothing was measured (sizes of absent channels mean nothing)."""
+    return np.where(np.isfinite(V), V, 0.0) + 0 * np.nan_to_num(y)[..., None]
+
+
+def _project(G: Complex, y: Complex, V: Complex) -> tuple[Complex, Complex, Complex]:
+    """(ŷ, covariance of y − ŷ, v̂): generalised least squares of v in y = G v + noise, line by line.
+
+    Exact channels (variance 0) are met exactly as far as they agree with each other.
+    """
+    predicted = np.empty_like(y)
+    spread = np.zeros_like(V)
+    v = np.zeros((len(y), G.shape[-1]), dtype=complex)
+    for line in range(len(y)):
+        there = np.isfinite(y[line])
+        g, own = G[line][there], V[line][np.ix_(there, there)]
+        size = np.sqrt(np.sum(np.abs(g) ** 2, axis=0))
+        size = np.where(size > 0, size, 1.0)
+        P = _estimator(g / size, own)
+        v[line] = (P @ y[line][there]) / size
+        predicted[line] = G[line] @ v[line]
+        rest = np.eye(len(g)) - (g / size) @ P
+        spread[line][np.ix_(there, there)] = rest @ own @ hermitian(rest)
+    return predicted, spread, v
+
+
+def _estimator(g: Complex, V: Complex) -> Complex:
+    """P with v̂ = P y minimising (y − g v)ᴴ V⁻¹ (y − g v); exact channels first, the rest of v from the noisy ones."""
+    variance = np.diagonal(V).real
+    exact = variance <= 0
+    P = np.zeros((g.shape[1], len(g)), dtype=complex)
+    free = np.eye(g.shape[1], dtype=complex)
+    if np.any(exact):
+        fixed = np.linalg.pinv(g[exact], rcond=1e-10)
+        P[:, exact] = fixed
+        _, s, Vh = np.linalg.svd(g[exact])
+        rank = int(np.sum(s > 1e-10 * s[0])) if s.size and s[0] > 0 else 0
+        free = hermitian(Vh[rank:])
+    noisy = ~exact
+    if free.shape[1] and np.any(noisy):
+        sd = np.sqrt(variance[noisy])
+        L = np.linalg.cholesky(V[np.ix_(noisy, noisy)] / sd[:, None] / sd + 1e-13 * np.eye(len(sd)))
+        white = np.linalg.solve(L, (g[noisy] @ free) / sd[:, None])
+        half = np.linalg.pinv(white, rcond=1e-10) @ np.linalg.solve(L, np.diag(1 / sd).astype(complex))
+        P[:, noisy] = free @ half
+        P[:, exact] -= free @ half @ g[noisy] @ P[:, exact]
+    return P
+
+
+@dataclass(frozen=True)
+class Curve:
+    """Frequency response of each channel to the one input of a rig.
+
+    frequency_hz (points,), response (points, channels): the model's; lines_hz (lines,), measured (lines, channels):
+    measured amplitudes over the input's, sd of their real and imaginary parts; predicted likewise; SI units over SI
+    unit of the input.
+    """
+
+    frequency_hz: Real
+    response: Complex
+    lines_hz: Real
+    measured: Complex
+    predicted: Complex
+    sd: Real
+
+
+def response_curve(
+    model: Model,
+    theta: Real,
+    spectrum: Spectrum,
+    found: Residuals,
+    points: int = 400,
+    calibrations: Calibrations | None = None,
+) -> Curve | None:
+    """The model's response between the lines; None where the rig has more than one input."""
+    if len(model.inputs) != 1:
+        return None
+    low, high = float(np.min(found.frequency_hz)), float(np.max(found.frequency_hz))
+    grid = np.geomspace(low / 1.25, high * 1.25, points)
+    p = model.parameters(np.asarray(theta, dtype=float))
+    G = channel_response(model, p, spectrum.channels, 2 * np.pi * grid, calibrations)[..., 0]
+    v = found.inputs[:, :1]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return Curve(
+            grid, G, found.frequency_hz, found.measured / v, found.predicted / v, found.sd / np.abs(v)
+        )
+
+
+def correlation(covariance: Real) -> Real:
+    """Correlation matrix of a covariance; NaN where a variance is 0."""
+    sd = np.sqrt(np.diagonal(covariance))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        found: Real = covariance / np.outer(sd, sd)
+    return found
+
+
+def distance_from_end(history: Real, sd: Real) -> Real:
+    """|θ_k − θ_end| / sd of each iteration but the last, (iterations, unknowns)."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        distance: Real = np.abs(history[:-1] - history[-1]) / sd
+    return distance

@@ -1,0 +1,232 @@
+"""Figures of an identification, from arrays alone; no pyplot, so no window and no state is left behind."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.ticker import LogLocator, MaxNLocator, NullFormatter, StrMethodFormatter
+
+from dashpot.arrays import Complex, Real
+
+INK, MUTED, GRID = "#1f2933", "#7b8794", "#e4e7eb"
+MODEL, DATA, BAD = "#0b6e99", "#1f2933", "#b5372b"
+COLOURS = ("#0b6e99", "#c4661f", "#4a7c3a", "#8a4f9e", "#b5372b", "#5c6b7a", "#b08a1e", "#2f8f83")
+
+_STYLE = {
+    "font.family": "sans-serif",
+    "font.size": 9,
+    "text.color": INK,
+    "axes.labelcolor": INK,
+    "axes.edgecolor": MUTED,
+    "axes.linewidth": 0.6,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.titlesize": 9,
+    "axes.titleweight": "bold",
+    "axes.titlelocation": "left",
+    "axes.grid": True,
+    "axes.axisbelow": True,
+    "grid.color": GRID,
+    "grid.linewidth": 0.6,
+    "xtick.color": INK,
+    "ytick.color": INK,
+    "xtick.labelsize": 8,
+    "ytick.labelsize": 8,
+    "legend.fontsize": 8,
+    "legend.frameon": False,
+    "svg.fonttype": "none",
+    "svg.hashsalt": "dashpot",
+    "figure.constrained_layout.use": True,
+}
+
+
+@contextmanager
+def style() -> Iterator[None]:
+    """The look of all figures."""
+    with mpl.rc_context(_STYLE):  # type: ignore[arg-type]  # the stub wants every key as a literal
+        yield
+
+
+def svg(figure: Figure) -> str:
+    """The figure as an SVG element for a page: no XML head, no date."""
+    out = io.StringIO()
+    with style():
+        figure.savefig(out, format="svg", metadata={"Date": None, "Creator": None}, transparent=True)
+    text = out.getvalue()
+    return text[text.index("<svg") :]
+
+
+def _logarithmic(f: Real) -> bool:
+    return bool(len(f)) and float(np.max(f)) > 3 * float(np.min(f))
+
+
+def _frequency_axis(axes: Axes, f: Real) -> None:
+    if not _logarithmic(f):
+        return
+    axes.set_xscale("log")
+    axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0), numticks=12))
+    axes.xaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
+    axes.xaxis.set_minor_formatter(NullFormatter())
+
+
+def degrees(values: Complex) -> Real:
+    """Phases in degrees, (−180, 180]."""
+    found: Real = np.degrees(np.angle(values))
+    return found
+
+
+def amplitude_and_phase(
+    names: Sequence[str],
+    units: Sequence[str],
+    lines_hz: Real,
+    measured: Complex,
+    sd: Real,
+    curve_hz: Real | None,
+    curve: Complex | None,
+    predicted: Complex | None,
+) -> Figure:
+    """A row for each channel, amplitude left and phase right: measured as dots with ±2 sd, the model as a line.
+
+    measured, sd, predicted (lines, channels); curve (points, channels) between the lines, or None: then `predicted`
+    stands as crosses at the lines.
+    """
+    rows = len(names)
+    with style():
+        figure = Figure(figsize=(7.6, max(1.8 * rows, 2.2) + 0.4))
+        grid = figure.subplots(rows, 2, squeeze=False, sharex=True, gridspec_kw={"width_ratios": [3, 2]})
+        for row, (name, unit) in enumerate(zip(names, units, strict=True)):
+            left, right = grid[row]
+            y, spread = measured[:, row], sd[:, row]
+            size = np.abs(y)
+            with np.errstate(invalid="ignore", divide="ignore"):
+                angle = np.degrees(np.where(size > 0, spread / size, np.nan))
+            low = np.minimum(2 * spread, 0.999 * size)
+            shown = degrees(y) if predicted is None else _beside(degrees(y), degrees(predicted[:, row]))
+            left.errorbar(
+                lines_hz, size, yerr=[np.nan_to_num(low), np.nan_to_num(2 * spread)], fmt="o", color=DATA, ms=3.2,
+                elinewidth=0.8, label="measured, ±2 sd", zorder=3,
+            )  # fmt: skip
+            right.errorbar(
+                lines_hz, shown, yerr=np.nan_to_num(np.minimum(2 * angle, 180)), fmt="o", color=DATA, ms=3.2,
+                elinewidth=0.8, zorder=3,
+            )  # fmt: skip
+            if curve is not None and curve_hz is not None:
+                left.plot(curve_hz, np.abs(curve[:, row]), color=MODEL, lw=1.3, label="model", zorder=2)
+                right.plot(curve_hz, _unbroken(degrees(curve[:, row])), color=MODEL, lw=1.3, zorder=2)
+            elif predicted is not None:
+                marks = {"marker": "x", "ls": "", "color": MODEL, "ms": 6, "zorder": 2}
+                left.plot(lines_hz, np.abs(predicted[:, row]), label="model", **marks)
+                right.plot(lines_hz, degrees(predicted[:, row]), **marks)
+            _amplitude_axis(left, size, None if curve is None else np.abs(curve[:, row]))
+            left.set_title(name)
+            left.set_ylabel(unit)
+            right.set_ylabel("phase, °")
+            right.set_ylim(-200, 200)
+            right.set_yticks([-180, -90, 0, 90, 180])
+            for axes in (left, right):
+                _frequency_axis(axes, lines_hz)
+        for axes in grid[-1]:
+            axes.set_xlabel("frequency, Hz")
+        grid[0][0].legend(loc="best")
+    return figure
+
+
+def _amplitude_axis(axes: Axes, size: Real, model: Real | None) -> None:
+    """Logarithmic, from the data and the model; an error bar that reaches down to nothing must not flatten both."""
+    everything = size if model is None else np.append(size, model)
+    positive = everything[np.isfinite(everything) & (everything > 0)]
+    if len(positive):
+        axes.set_yscale("log")
+        axes.set_ylim(float(np.min(positive)) / 2, float(np.max(positive)) * 2)
+
+
+def _beside(phase: Real, reference: Real) -> Real:
+    """The same phases, in the turn that is nearest to the reference."""
+    nearest: Real = reference + (phase - reference + 180) % 360 - 180
+    return nearest
+
+
+def _unbroken(phase: Real) -> Real:
+    """A gap where the phase jumps by a turn, so that no line crosses the picture."""
+    jump = np.abs(np.diff(phase)) > 180
+    out = phase.copy()
+    out[1:][jump] = np.nan
+    return out
+
+
+def residual_plot(names: Sequence[str], lines_hz: Real, normalised: Complex) -> Figure:
+    """Normalised residuals over frequency, real parts as dots and imaginary parts as rings, with the ±2 band."""
+    with style():
+        figure = Figure(figsize=(7.6, 2.5))
+        axes = figure.subplots()
+        axes.axhspan(-2, 2, color=MODEL, alpha=0.08, lw=0)
+        axes.axhline(0, color=MUTED, lw=0.6)
+        for k, name in enumerate(names):
+            z, colour = normalised[:, k], COLOURS[k % len(COLOURS)]
+            if not np.any(np.isfinite(z)):
+                continue
+            axes.plot(lines_hz, z.real, "o", color=colour, ms=3.5, label=name)
+            axes.plot(lines_hz, z.imag, "o", color=colour, ms=3.5, mfc="none")
+        worst = float(np.nanmax(np.abs(np.append(np.abs(normalised).ravel(), 3.0))))
+        if worst > 30:
+            axes.set_yscale("symlog", linthresh=2)
+        axes.set_ylabel("residual / sd")
+        axes.set_xlabel("frequency, Hz   (● real, ○ imaginary part)")
+        _frequency_axis(axes, lines_hz)
+        handles, labels = axes.get_legend_handles_labels()
+        if handles and len(labels) <= 12:
+            axes.legend(handles, labels, loc="upper left", bbox_to_anchor=(1.0, 1.0))
+    return figure
+
+
+def history_plot(names: Sequence[str], distance: Real) -> Figure:
+    """Distance of each unknown from where it ended, in standard deviations, over the iterations."""
+    with style():
+        figure = Figure(figsize=(7.6, 2.4))
+        axes = figure.subplots()
+        steps = np.arange(len(distance))
+        for k, name in enumerate(names):
+            shown = np.where(distance[:, k] > 0, distance[:, k], np.nan)
+            axes.plot(steps, shown, "o-", color=COLOURS[k % len(COLOURS)], ms=3, lw=1, label=name)
+        if np.any(distance > 0):
+            axes.set_yscale("log")
+        axes.axhline(1, color=MUTED, lw=0.8, ls=":")
+        axes.set_xlabel("iteration")
+        axes.set_ylabel("distance from\nthe end / sd")
+        axes.xaxis.set_major_locator(MaxNLocator(integer=True))
+        if len(names) <= 12:
+            axes.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0))
+    return figure
+
+
+def correlation_plot(names: Sequence[str], matrix: Real) -> Figure:
+    """Correlation matrix of the estimates, blue for + and red for −, with numbers where there is room."""
+    count = len(names)
+    size = min(max(0.48 * count + 1.2, 2.4), 7.6)
+    with style():
+        figure = Figure(figsize=(size + 0.7, size))
+        axes = figure.subplots()
+        axes.grid(visible=False)
+        image = axes.imshow(matrix, cmap="RdBu", vmin=-1, vmax=1)
+        if count <= 12:
+            for i in range(count):
+                for j in range(count):
+                    value = float(matrix[i, j])
+                    if np.isfinite(value):
+                        ink = "white" if abs(value) > 0.5 else INK
+                        text = f"{value:.2f}".replace("0.", ".").replace("-", "−") if i != j else "1"
+                        axes.text(j, i, text, ha="center", va="center", color=ink, fontsize=7.5)
+        if count <= 40:
+            axes.set_xticks(range(count), names, rotation=45 if max(map(len, names)) > 3 else 0)
+            axes.set_yticks(range(count), names)
+        axes.tick_params(length=0)
+        for spine in axes.spines.values():
+            spine.set_visible(False)
+        figure.colorbar(image, ax=axes, shrink=0.8, ticks=[-1, 0, 1])
+    return figure
