@@ -7,6 +7,7 @@ parameters p, (..., elements), and on the amplitudes; `omega` is (lines,) in rad
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import cast
 
 import numpy as np
 
@@ -69,38 +70,61 @@ def _at_lines(model: Model, p: Real, omega: Real, right: Real) -> Complex:
 
 
 def solve(matrix: Complex, right: Complex) -> Complex:
-    """matrix⁻¹ right for stacks of small matrices (..., n, n) and right sides (..., n, k).
+    """matrix⁻¹ right for stacks of small matrices (..., n, n) and right sides (..., n, k); NaN where singular.
 
     One- and two-row systems are solved by formula: a stack of a million of them costs as much as ten thousand calls
-    of LAPACK.  Raises ModelError where a matrix is singular.
+    of LAPACK.
     """
     n = matrix.shape[-1]
+    if n > 2:
+        try:
+            return cast("Complex", np.linalg.solve(matrix, right))
+        except np.linalg.LinAlgError:
+            # One singular matrix of a batch must not cost the others their answer.
+            regular = np.linalg.slogdet(matrix)[0] != 0
+            safe = np.where(regular[..., None, None], matrix, np.nan)
+            return cast("Complex", np.linalg.solve(safe, right))
     with np.errstate(all="ignore"):
         if n == 1:
-            return right / matrix
-        if n == 2:
+            determinant = matrix[..., 0]
+            solution = right / matrix
+        else:
             a, b = matrix[..., 0, 0, None], matrix[..., 0, 1, None]
             c, d = matrix[..., 1, 0, None], matrix[..., 1, 1, None]
             determinant = a * d - b * c
             top = (d * right[..., 0, :] - b * right[..., 1, :]) / determinant
             bottom = (a * right[..., 1, :] - c * right[..., 0, :]) / determinant
-            return np.stack([top, bottom], axis=-2)
-    try:
-        solution: Complex = np.linalg.solve(matrix, right)
-    except np.linalg.LinAlgError as error:
-        raise ModelError(
-            "the rig has no steady response at some frequency",
-            cure="an undamped resonance is hit, or a coordinate has neither mass nor spring: change one of them",
-        ) from error
+            solution = np.stack([top, bottom], axis=-2)
+    if not np.all(determinant):
+        solution = np.where(determinant[..., None, :] == 0, np.nan, solution)
     return solution
 
 
-def response(model: Model, p: Real, omega: Real, U: Complex, f: Complex | None = None) -> Complex:
-    """Amplitudes X of the coordinates, (..., lines, n), m, to inputs U (..., lines, r) and forces f (..., lines, s)."""
+def _singular() -> ModelError:
+    return ModelError(
+        "the rig has no steady response at some frequency",
+        cure="an undamped resonance is hit, or a coordinate has neither mass nor spring: change one of them",
+    )
+
+
+def amplitudes(model: Model, p: Real, omega: Real, U: Complex, f: Complex | None = None) -> Complex:
+    """As `response`, with NaN where the rig has no steady response: for searches, which may pass through anything."""
     force = np.einsum("...ij,...j->...i", input_stiffness(model, p, omega), U)
     if f is not None:
         force = force + np.einsum("ij,...j->...i", model.S, f)
     return solve(dynamic_stiffness(model, p, omega), force[..., None])[..., 0]
+
+
+def response(model: Model, p: Real, omega: Real, U: Complex, f: Complex | None = None) -> Complex:
+    """Amplitudes X of the coordinates, (..., lines, n), m, to inputs U (..., lines, r) and forces f (..., lines, s).
+
+    Raises ModelError where the rig has no steady response: an undamped resonance is hit, or nothing holds a
+    coordinate.
+    """
+    X = amplitudes(model, p, omega, U, f)
+    if not np.all(np.isfinite(X)):
+        raise _singular()
+    return X
 
 
 def elongations(model: Model, X: Complex, U: Complex) -> Complex:

@@ -14,8 +14,9 @@ import math
 import os
 import re
 import tomllib
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Annotated, Any, Literal, TypeVar
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
@@ -84,8 +85,7 @@ def parse_rig(text: str, path: str = "rig.toml") -> Rig:
     Raises ModelError with every problem found, each at file:line and key.
     """
     document = _document(text, path)
-    reader = _Reader(document, Lines(text.replace("\r\n", "\n")), path)
-    return reader.rig()
+    return _Reader(document, text, path).rig()
 
 
 def default_channels(model: Model) -> tuple[Channel, ...]:
@@ -169,7 +169,7 @@ def _syntax_problem(message: str, text: str, path: str) -> Problem:
             cure = "a table in { } stands on one line; a long one can be a [section.name] with a line for each key"
         cause = f"{message[: found.start()]}, at column {found[2]}"
         return Problem(_one_line(cause), f"{path}:{found[1]}", cure)
-    line = text.rstrip().count("\n") + 1
+    last = text.rstrip().count("\n") + 1
     return Problem(
         _one_line(message.removesuffix(" (at end of document)")) + ", at the end", f"{path}:{last}", cure
     )
@@ -397,12 +397,17 @@ AnyEntry = TypeVar("AnyEntry", bound=_Entry)
 class _Reader:
     """Reads one document, gathering problems; `rig` gives the rig or raises them all."""
 
-    def __init__(self, document: dict[str, Any], lines: Lines, path: str) -> None:
+    def __init__(self, document: dict[str, Any], text: str, path: str) -> None:
         self.document = document
-        self.lines = lines
+        self.text = text
         self.path = path
         self.problems: list[tuple[int, Problem]] = []
         self.faulty: set[str] = set()  # names of inputs and elements that could not be read whole
+
+    @cached_property
+    def lines(self) -> Lines:
+        """Where each key stands; only a file with problems is scanned for it."""
+        return Lines(self.text.replace("\r\n", "\n"))
 
     def rig(self) -> Rig:
         """The rig.  Raises ModelError."""
@@ -440,10 +445,15 @@ class _Reader:
             if key not in known:
                 cure = f"{_did_you_mean(key, known)}a rig file has {listed(known)}"
                 self._report((key,), "unknown key or section", cure)
+                self.faulty.add(key)  # what it holds is missing elsewhere
         raw = {key: self.document[key] for key in _HEAD if key in self.document}
         head = self._validated(_Head, raw, ())
-        if head is not None:
+        if head is not None and head.coordinates:
             return head
+        if head is not None:
+            self._report(
+                ("coordinates",), "there are no coordinates", 'list them, such as coordinates = ["x1"]'
+            )
         self.faulty.add("coordinates")
         names = raw.get("coordinates")
         usable = [name for name in names if isinstance(name, str)] if isinstance(names, list) else []
@@ -489,15 +499,16 @@ class _Reader:
         return inputs
 
     def _elements(self, head: _Head, inputs: Sequence[Input]) -> list[Element]:
-        points = self._points(head, inputs)
-        forces = {one.name for one in inputs if one.kind == "force"}
+        there = _Points(
+            self._points(head, inputs),
+            frozenset(one.name for one in inputs if one.kind == "force"),
+            frozenset(head.angles),
+        )
         elements = []
         for section in (key for key in self.document if key in SECTIONS):
             for name, raw in self._entries(section):
                 entry = self._entry(_ElementEntry, section, name, raw)
-                element = (
-                    None if entry is None else self._element(section, name, entry, raw, head, points, forces)
-                )
+                element = None if entry is None else self._element(section, name, entry, raw, there)
                 if element is None:
                     self.faulty.add(name)
                 else:
@@ -512,19 +523,24 @@ class _Reader:
                 self.faulty.add(element.name)
         return elements
 
-    def _points(self, head: _Head, inputs: Sequence[Input]) -> list[str]:
+    def _points(self, head: _Head, inputs: Sequence[Input]) -> dict[str, None]:
         """All points there are, those of faulty inputs too: they exist, whatever is wrong with them."""
         moved = [one.name for one in inputs if one.kind == "displacement"]
         table = self.document.get("inputs")
         broken = [name for name in table if name in self.faulty] if isinstance(table, dict) else []
-        return [*head.coordinates, *moved, *broken]
+        return dict.fromkeys((*head.coordinates, *moved, *broken))
 
-    def _names_of_elements(self) -> list[str]:
+    def _names_of_elements(self) -> dict[str, None]:
         tables = (self.document.get(section) for section in SECTIONS)
-        return [name for table in tables if isinstance(table, dict) for name in table]
+        return {name: None for table in tables if isinstance(table, dict) for name in table}
 
     def _points_known(
-        self, place: Place, at: Mapping[str, float], points: Sequence[str], table: bool, called: str = "point"
+        self,
+        place: Place,
+        at: Mapping[str, float],
+        points: Collection[str],
+        table: bool,
+        called: str = "point",
     ) -> bool:
         good = True
         for point, factor in at.items():
@@ -551,13 +567,11 @@ class _Reader:
         name: str,
         entry: _ElementEntry,
         raw: Mapping[str, Any],
-        head: _Head,
-        points: Sequence[str],
-        forces: Iterable[str],
+        there: _Points,
     ) -> Element | None:
         place = (section, name)
-        along = self._attachment(section, place, entry, raw, points, forces)
-        factor = self._element_scale(place, entry, along or {}, head.angles)
+        along = self._attachment(section, place, entry, raw, there)
+        factor = self._element_scale(place, entry, along or {}, there.angles)
         if along is None or factor is None:
             return None
 
@@ -583,8 +597,7 @@ class _Reader:
         place: Place,
         entry: _ElementEntry,
         raw: Mapping[str, Any],
-        points: Sequence[str],
-        forces: Iterable[str],
+        there: _Points,
     ) -> dict[str, float] | None:
         given = [key for key in ("at", "between", "along") if getattr(entry, key) is not None]
         if len(given) != 1:
@@ -608,11 +621,11 @@ class _Reader:
                 return None
         along = _signed(entry.between) if entry.between is not None else dict(entry.at or entry.along or {})
         for point in along:
-            if point in forces:
+            if point in there.forces:
                 cure = f"attach it to the coordinate that {point} acts at"
                 self._report((*place, key), f"{point} is a force, not a point", cure)
                 return None
-        if not self._points_known((*place, key), along, points, isinstance(raw.get(key), dict)):
+        if not self._points_known((*place, key), along, there.points, isinstance(raw.get(key), dict)):
             return None
         attached = {point: factor for point, factor in along.items() if point != GROUND}
         if not attached:
@@ -623,7 +636,7 @@ class _Reader:
         return attached
 
     def _element_scale(
-        self, place: Place, entry: _ElementEntry, along: Mapping[str, float], angles: Sequence[str]
+        self, place: Place, entry: _ElementEntry, along: Mapping[str, float], angles: Collection[str]
     ) -> float | None:
         if entry.unit is None:
             return 1.0
@@ -744,7 +757,7 @@ class _Reader:
         place = ("channels", name)
         key = "unit"
         try:
-            arms, angles = sights.lever(of, quantity)
+            arms, angles = sights.arms(of, quantity), sights.angles
             unit = entry.unit if entry.unit is not None else si_unit(quantity.value, _all_in(arms, angles))
             # A voltage with a stated gain is in V per SI unit; with the default gain of 1 nobody has calibrated it.
             electrical = entry.gain is None or "gain" in entry.model_fields_set
@@ -775,23 +788,28 @@ _BETWEEN = '{ between = ["x1", "ground"] }'
 
 
 @dataclass(frozen=True)
+class _Points:
+    """What elements can be attached to, what they cannot although it is named, and which of the points are angles."""
+
+    points: Collection[str]
+    forces: frozenset[str]
+    angles: frozenset[str]
+
+
+@dataclass(frozen=True)
 class _Sights:
     """What channels can look at, and whether a look makes sense."""
 
-    points: list[str]
+    points: Collection[str]
     inputs: Mapping[str, Input]
     elements: Mapping[str, Element]
     angles: frozenset[str]
     faulty: frozenset[str]
 
-    @property
-    def names(self) -> list[str]:
+    @cached_property
+    def names(self) -> dict[str, None]:
         """Points, force inputs and elements, faulty ones too."""
-        return list(dict.fromkeys((*self.points, *self.inputs, *self.elements, *sorted(self.faulty))))
-
-    def forces(self) -> list[str]:
-        """Names of the force inputs."""
-        return [one.name for one in self.inputs.values() if one.kind == "force"]
+        return dict.fromkeys((*self.points, *self.inputs, *self.elements, *sorted(self.faulty)))
 
     def usual_quantity(self, of: Mapping[str, float]) -> Quantity:
         """Force for force inputs and elements, which do nothing else; displacement for points."""
@@ -820,33 +838,29 @@ class _Sights:
             return f"{name} is a coordinate: no force is measured there", cure
         return None
 
-    def lever(self, of: Mapping[str, float], quantity: Quantity) -> tuple[Mapping[str, float], Iterable[str]]:
-        """Factors and angles that decide between m and rad, N and N·m.  Raises UsageError where forces differ in it."""
-        (first, *others) = of
+    def arms(self, of: Mapping[str, float], quantity: Quantity) -> Mapping[str, float]:
+        """Points and factors that decide between m and rad, N and N·m.  Raises UsageError where forces differ in it."""
+        first = next(iter(of))
         if quantity != Quantity.FORCE or first in self.points:
-            return of, self.angles
+            return of
         if first in self.elements:
-            turned = {name: _all_in(self.elements[name].along, self.angles) for name in of}
-            if len(set(turned.values())) > 1:
+            if len({_all_in(self.elements[name].along, self.angles) for name in of}) > 1:
                 raise UsageError("forces and torques cannot be added", cure="name elements of one kind")
-            return self.elements[first].along if not others else of, [
-                *self.angles,
-                *(n for n in of if turned[n]),
-            ]
-        return self.inputs[first].at, self.angles
+            return self.elements[first].along
+        return self.inputs[first].at
 
 
 def _signed(pair: Sequence[str]) -> dict[str, float]:
     return {pair[0]: 1.0, pair[1]: -1.0}
 
 
-def _all_in(points: Iterable[str], angles: Iterable[str]) -> bool:
+def _all_in(points: Iterable[str], angles: Collection[str]) -> bool:
     points = list(points)
-    return bool(points) and set(points) <= set(angles)
+    return bool(points) and all(point in angles for point in points)
 
 
 def _scale_of_points(
-    unit: str, quantity: str, along: Mapping[str, float], angles: Iterable[str], electrical: bool = False
+    unit: str, quantity: str, along: Mapping[str, float], angles: Collection[str], electrical: bool = False
 ) -> float:
     """Factor of `unit` to SI for what is stretched along some points.  Raises UsageError.
 

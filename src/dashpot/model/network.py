@@ -286,10 +286,11 @@ def problems(
         yield Problem("there are no coordinates", "coordinates", 'list them, such as coordinates = ["x1"]')
     if complete and not elements:
         yield Problem("there are no elements", "masses", "add masses, springs or dampers")
+    complete = complete and bool(coordinates) and bool(elements)
     points = dict.fromkeys((*coordinates, *(one.name for one in inputs if one.kind == "displacement")))
     attached = {point for element in elements for point in element.along}
     for one in inputs:
-        yield from _input_problems(one, coordinates)
+        yield from _input_problems(one, coordinates, complete)
         if complete and one.kind == "displacement" and one.name not in attached:
             yield Problem(
                 f"no element is attached to the input {one.name}", one.name, "attach one or remove the input"
@@ -301,7 +302,7 @@ def problems(
             f"there are {listed(points)}",
         )
     for element in elements:
-        yield from _element_problems(element, points)
+        yield from _element_problems(element, points, complete)
     yield from _tie_problems(elements, frozenset(angles), complete)
     for coordinate in dict.fromkeys(coordinates) if complete else ():
         if coordinate not in attached:
@@ -339,7 +340,7 @@ def _name_problems(
             )
 
 
-def _input_problems(one: Input, coordinates: Sequence[str]) -> Iterator[Problem]:
+def _input_problems(one: Input, coordinates: Sequence[str], complete: bool) -> Iterator[Problem]:
     if one.kind not in ("displacement", "force"):
         yield Problem(f"{one.kind!r} is no kind of input", one.name, 'use "displacement" or "force"')
         return
@@ -354,7 +355,7 @@ def _input_problems(one: Input, coordinates: Sequence[str]) -> Iterator[Problem]
     if not one.at:
         yield Problem("a force input must say where it acts", one.name, 'add at = "x1"')
     for coordinate, factor in one.at.items():
-        if coordinate not in coordinates:
+        if complete and coordinate not in coordinates:
             cure = f"a force acts at coordinates: {listed(coordinates)}"
             yield Problem(f"the force acts at {coordinate}, which is no coordinate", one.name, cure)
         elif not np.isfinite(factor) or factor == 0:
@@ -363,12 +364,12 @@ def _input_problems(one: Input, coordinates: Sequence[str]) -> Iterator[Problem]
             )
 
 
-def _element_problems(element: Element, points: Collection[str]) -> Iterator[Problem]:
+def _element_problems(element: Element, points: Collection[str], complete: bool) -> Iterator[Problem]:
     name, value, sd, lower, upper = element.name, element.value, element.sd, element.lower, element.upper
     if not element.along:
         yield Problem("both ends are on the ground", name, "attach it to a coordinate")
     for point, factor in element.along.items():
-        if point not in points:
+        if complete and point not in points:
             cure = f"there are {listed(points)}"
             yield Problem(f"{point} is neither a coordinate nor a displacement input", name, cure)
         elif not np.isfinite(factor) or factor == 0:

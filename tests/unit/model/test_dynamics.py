@@ -1,0 +1,372 @@
+"""Dynamics: laws of physics, closed forms against finite differences, and rigs with known answers."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from dashpot.errors import ModelError
+from dashpot.model.dynamics import (
+    dynamic_stiffness,
+    elongations,
+    input_stiffness,
+    matrices,
+    modes,
+    response,
+    sensitivities,
+    solve,
+    unit_forces,
+)
+from dashpot.model.elements import Element, Kind, between, mass
+from dashpot.model.network import Input, Model
+
+
+def spring(name: str, first: str, second: str = "ground", **known: Any) -> Element:
+    return between(name, Kind.SPRING, first, second, **known)
+
+
+def damper(name: str, first: str, second: str = "ground", **known: Any) -> Element:
+    return between(name, Kind.DAMPER, first, second, **known)
+
+
+PAPER = Model(
+    ("x1", "x2"),
+    (Input("u"),),
+    (
+        mass("m1", "x1"), mass("m2", "x2"), spring("k1", "x1", "x2"), spring("k2", "x2", "u"),
+        damper("c1", "x1", "x2"), damper("c2", "x2", "u"), damper("c3", "x1"), damper("c4", "x2"),
+    ),
+)  # fmt: skip
+PAPER_P = np.array([3.0, 2.7, 4600.0, 4600.0, 30.0, 40.0, 90.0, 50.0])
+
+# Every kind of element, levers, two displacement inputs with masses and inerters on them, two forces
+RICH = Model(
+    ("a", "b", "c"),
+    (Input("u"), Input("f", "force", {"b": 1.0}), Input("v"), Input("g", "force", {"a": 1.0, "c": -0.5})),
+    (
+        mass("m1", "a"),
+        Element("m2", Kind.MASS, {"b": 0.6, "c": 0.4}),
+        mass("mu", "u"),
+        Element("ml", Kind.MASS, {"c": 0.5, "v": 0.5}),
+        between("i1", Kind.INERTER, "a", "v"),
+        between("i2", Kind.INERTER, "b", "c"),
+        spring("k1", "a", "b"),
+        spring("k2", "b", "u"),
+        Element("k3", Kind.SPRING, {"a": 1.0, "b": -1.6, "c": 0.6}),
+        spring("k4", "c", "v"),
+        damper("c1", "b", "c"),
+        Element("c2", Kind.DAMPER, {"a": 0.5, "c": 0.5, "u": -1.0}),
+        damper("c3", "c"),
+        between("h1", Kind.HYSTERETIC, "a", "u"),
+        between("h2", Kind.HYSTERETIC, "b", "ground"),
+    ),
+)
+RICH_P = np.array([2.0, 3.0, 1.0, 0.7, 0.4, 0.6, 900.0, 1500.0, 400.0, 700.0, 6.0, 8.0, 5.0, 60.0, 90.0])
+OMEGA = np.array([0.3, 4.0, 11.0, 19.0, 47.0])
+
+
+def drive(model: Model, lines: int, *batch: int) -> tuple[np.ndarray, np.ndarray]:
+    """Random amplitudes of the inputs."""
+    rng = np.random.default_rng(7)
+
+    def amplitudes(count: int) -> np.ndarray:
+        shape = (*batch, lines, count)
+        return rng.normal(size=shape) + 1j * rng.normal(size=shape)
+
+    return amplitudes(len(model.displacement_inputs)), amplitudes(len(model.force_inputs))
+
+
+@pytest.mark.parametrize(("model", "p"), [(PAPER, PAPER_P), (RICH, RICH_P)], ids=["paper", "rich"])
+class TestLaws:
+    def test_forces_balance(self, model: Model, p: np.ndarray) -> None:
+        """Bᵀ (p ∘ a) = S f.  THEORY (E)."""
+        U, f = drive(model, len(OMEGA))
+        X = response(model, p, OMEGA, U, f)
+        left = (p * unit_forces(model, OMEGA, X, U)) @ model.B
+        np.testing.assert_allclose(left, f @ model.S.T, atol=1e-9 * np.max(np.abs(p)))
+
+    def test_maxwell_reciprocity(self, model: Model, p: np.ndarray) -> None:
+        compliance = np.linalg.inv(dynamic_stiffness(model, p, OMEGA))
+        np.testing.assert_allclose(compliance, np.swapaxes(compliance, -1, -2), rtol=1e-9, atol=1e-16)
+
+    def test_power_of_the_inputs_is_dissipated(self, model: Model, p: np.ndarray) -> None:
+        """½ Re(F̄ · jωδ) of forces and reactions = Σ ½ c |ωδ|² + ½ ω h |δ|² of the dampers."""
+        U, f = drive(model, len(OMEGA))
+        X = response(model, p, OMEGA, U, f)
+        forces = p * unit_forces(model, OMEGA, X, U)
+        reactions = forces @ model.D
+        speed = 1j * OMEGA[:, None]
+        supplied = 0.5 * np.sum((np.conj(reactions) * speed * U).real, axis=-1)
+        supplied += 0.5 * np.sum((np.conj(f @ model.S.T) * speed * X).real, axis=-1)
+        stretch = np.abs(elongations(model, X, U)) ** 2
+        i = model.by_matrix
+        lost = 0.5 * OMEGA**2 * (stretch[:, i["C"]] @ p[i["C"]]) + 0.5 * OMEGA * (
+            stretch[:, i["H"]] @ p[i["H"]]
+        )
+        np.testing.assert_allclose(supplied, lost, rtol=1e-9)
+
+    def test_negative_frequencies_are_conjugate(self, model: Model, p: np.ndarray) -> None:
+        U, f = drive(model, len(OMEGA))
+        X = response(model, p, OMEGA, U, f)
+        np.testing.assert_allclose(response(model, p, -OMEGA, U.conj(), f.conj()), X.conj(), rtol=1e-12)
+
+    def test_order_of_coordinates_inputs_and_elements_does_not_matter(
+        self, model: Model, p: np.ndarray
+    ) -> None:
+        rng = np.random.default_rng(3)
+        coordinates, inputs, elements = (
+            rng.permutation(len(part)) for part in (model.coordinates, model.inputs, model.elements)
+        )
+        twin = Model(
+            tuple(model.coordinates[i] for i in coordinates),
+            tuple(model.inputs[i] for i in inputs),
+            tuple(model.elements[i] for i in elements),
+        )
+        U, f = drive(model, len(OMEGA))
+        twin_U = U[:, [model.displacement_inputs.index(name) for name in twin.displacement_inputs]]
+        twin_f = f[:, [model.force_inputs.index(name) for name in twin.force_inputs]]
+        X = response(model, p, OMEGA, U, f)
+        twin_X = response(twin, p[elements], OMEGA, twin_U, twin_f)
+        np.testing.assert_allclose(twin_X, X[:, coordinates], rtol=1e-10)
+        np.testing.assert_allclose(
+            modes(twin, p[elements]).eigenvalues, modes(model, p).eigenvalues, rtol=1e-8
+        )
+
+    def test_units_of_force_cancel(self, model: Model, p: np.ndarray) -> None:
+        U, f = drive(model, len(OMEGA))
+        X = response(model, p, OMEGA, U, f)
+        np.testing.assert_allclose(response(model, 1e6 * p, OMEGA, U, 1e6 * f), X, rtol=1e-10)
+
+    def test_units_of_time_scale_the_eigenvalues(self, model: Model, p: np.ndarray) -> None:
+        per_ms = np.array([10.0 ** (-3 * kind.derivative) for kind in model.kinds])
+        # Time in units of 1000 s: c has s¹, m has s²
+        np.testing.assert_allclose(
+            modes(model, p * per_ms).eigenvalues, 1000 * modes(model, p).eigenvalues, rtol=1e-9
+        )
+
+    def test_units_of_one_coordinate_scale_its_amplitude(self, model: Model, p: np.ndarray) -> None:
+        name = model.coordinates[0]
+
+        def stretched(points: Any, by: float) -> dict[str, float]:
+            return {point: factor * (by if point == name else 1.0) for point, factor in points.items()}
+
+        twin = Model(
+            model.coordinates,
+            tuple(Input(one.name, one.kind, stretched(one.at, 1e-3)) for one in model.inputs),
+            tuple(Element(one.name, one.kind, stretched(one.along, 1e-3)) for one in model.elements),
+        )
+        U, f = drive(model, len(OMEGA))
+        X, twin_X = response(model, p, OMEGA, U, f), response(twin, p, OMEGA, U, f)
+        np.testing.assert_allclose(twin_X[:, 0], 1e3 * X[:, 0], rtol=1e-9)
+        np.testing.assert_allclose(twin_X[:, 1:], X[:, 1:], rtol=1e-9)
+        np.testing.assert_allclose(modes(twin, p).eigenvalues, modes(model, p).eigenvalues, rtol=1e-7)
+
+    def test_matrices_make_the_same_dynamic_stiffness(self, model: Model, p: np.ndarray) -> None:
+        """K + jωC − ω²M + jH and G + jωF − ω²J.  Paper eq. 1."""
+        parts, w = matrices(model, p), OMEGA[:, None, None]
+        own = parts.K + 1j * w * parts.C - w**2 * parts.M + 1j * parts.H
+        np.testing.assert_allclose(dynamic_stiffness(model, p, OMEGA), own, rtol=1e-12)
+        hysteretic = -np.einsum("i,ij,ik->jk", *(one[model.by_matrix["H"]] for one in (p, model.B, model.D)))
+        driven = parts.G + 1j * w * parts.F - w**2 * parts.J + 1j * hysteretic
+        np.testing.assert_allclose(input_stiffness(model, p, OMEGA), driven, rtol=1e-12)
+
+    def test_batches_are_loops(self, model: Model, p: np.ndarray) -> None:
+        rng = np.random.default_rng(5)
+        batch = p * rng.uniform(0.5, 1.5, size=(3, 2, len(p)))
+        U, f = drive(model, len(OMEGA), 3, 2)
+        X = response(model, batch, OMEGA, U, f)
+        S = sensitivities(model, batch, OMEGA, X, U)
+        M = matrices(model, batch).M
+        for i in np.ndindex(3, 2):
+            one = response(model, batch[i], OMEGA, U[i], f[i])
+            np.testing.assert_allclose(X[i], one, rtol=1e-12)
+            np.testing.assert_allclose(
+                S[i], sensitivities(model, batch[i], OMEGA, one, U[i]), rtol=1e-10, atol=1e-15
+            )
+            np.testing.assert_array_equal(M[i], matrices(model, batch[i]).M)
+
+    def test_sensitivities_of_the_response(self, model: Model, p: np.ndarray) -> None:
+        U, f = drive(model, len(OMEGA))
+        S = sensitivities(model, p, OMEGA, response(model, p, OMEGA, U, f), U)
+        for i, step in enumerate(1e-5 * p):
+            more, less = p.copy(), p.copy()
+            more[i] += step
+            less[i] -= step
+            slope = (response(model, more, OMEGA, U, f) - response(model, less, OMEGA, U, f)) / (2 * step)
+            np.testing.assert_allclose(S[..., i], slope, atol=2e-8 * np.max(np.abs(slope)))
+
+    def test_sensitivities_of_the_eigenvalues(self, model: Model, p: np.ndarray) -> None:
+        S = modes(model, p).sensitivity
+        for i, step in enumerate(1e-5 * p):
+            more, less = p.copy(), p.copy()
+            more[i] += step
+            less[i] -= step
+            slope = (modes(model, more).eigenvalues - modes(model, less).eigenvalues) / (2 * step)
+            np.testing.assert_allclose(S[:, i], slope, atol=1e-6 * np.max(np.abs(S[:, i])) + 1e-12)
+
+    def test_modes_solve_the_eigenvalue_problem(self, model: Model, p: np.ndarray) -> None:
+        parts, found = matrices(model, p), modes(model, p)
+        for value, shape in zip(found.eigenvalues, found.shapes, strict=True):
+            terms = [value**2 * parts.M @ shape, value * parts.C @ shape, (parts.K + 1j * parts.H) @ shape]
+            np.testing.assert_allclose(sum(terms), 0, atol=1e-9 * np.max(np.abs(terms)))
+            assert np.max(np.abs(shape)) == pytest.approx(1.0)
+
+
+class TestKnownRigs:
+    def one(self, *elements: Element) -> np.ndarray:
+        points = dict.fromkeys(point for element in elements for point in element.along)
+        model = Model(tuple(points), (), elements)
+        found = modes(model, model.p0)
+        with np.errstate(all="raise"):
+            assert np.all(np.isfinite(found.damping_ratio))
+        return np.asarray(found.eigenvalues)
+
+    def test_the_rig_of_the_paper(self) -> None:
+        found = modes(PAPER, PAPER_P)
+        np.testing.assert_allclose(found.eigenvalues, [-16.0460 + 18.6229j, -26.1762 + 60.3144j], atol=5e-5)
+        magnitude = np.hypot([16.0460, 26.1762], [18.6229, 60.3144])
+        np.testing.assert_allclose(found.frequency_hz, magnitude / (2 * np.pi), rtol=1e-5)
+        np.testing.assert_allclose(found.damping_ratio, [16.0460, 26.1762] / magnitude, rtol=1e-5)
+
+    def test_the_matrices_of_the_paper(self) -> None:
+        parts = matrices(PAPER, PAPER_P)
+        np.testing.assert_array_equal(parts.M, [[3.0, 0], [0, 2.7]])
+        np.testing.assert_array_equal(parts.C, [[120.0, -30], [-30, 120]])
+        np.testing.assert_array_equal(parts.K, [[4600.0, -4600], [-4600, 9200]])
+        np.testing.assert_array_equal(parts.F, [[0.0], [40]])
+        np.testing.assert_array_equal(parts.G, [[0.0], [4600]])
+
+    def test_the_base_moves_the_rig_along_when_slow(self) -> None:
+        free = PAPER_P * np.where([e.name in ("c3", "c4") for e in PAPER.elements], 0.0, 1.0)
+        X = response(PAPER, free, np.array([1e-6]), np.ones((1, 1), complex))
+        np.testing.assert_allclose(X, 1.0, rtol=1e-9)
+
+    @pytest.mark.parametrize("c", [0.0, 3.0, 20.0, 50.0])
+    def test_one_mass(self, c: float) -> None:
+        """m = 1, k = 100: λ² + c λ + 100 = 0, critical at c = 20."""
+        found = self.one(mass("m", "x", value=1.0), spring("k", "x", value=100.0), damper("c", "x", value=c))
+        expected = np.roots([1.0, c, 100.0])
+        expected = np.sort_complex(expected[expected.imag >= 0])[::-1]
+        np.testing.assert_allclose(found, expected, rtol=1e-6)
+
+    def test_an_inerter_acts_as_a_mass_between_points(self) -> None:
+        found = self.one(
+            mass("m", "x", value=1.0),
+            between("b", Kind.INERTER, "x", "ground", value=3.0),
+            spring("k", "x", value=100.0),
+        )
+        np.testing.assert_allclose(found, [5j], atol=1e-12)
+
+    def test_a_hysteretic_damper(self) -> None:
+        """m λ² + k (1 + jη) = 0."""
+        found = self.one(
+            mass("m", "x", value=2.0),
+            spring("k", "x", value=100.0),
+            between("h", Kind.HYSTERETIC, "x", "ground", value=5.0),
+        )
+        (expected,) = [root for root in np.roots([2.0, 0.0, 100 + 5j]) if root.imag > 0]
+        np.testing.assert_allclose(found, [expected], rtol=1e-12)
+
+    def test_hysteretic_loss_does_not_depend_on_the_frequency(self) -> None:
+        model = Model(
+            ("x",), (Input("f", "force", {"x": 1.0}),), (between("h", Kind.HYSTERETIC, "x", "ground"),)
+        )
+        X = response(
+            model,
+            np.array([5.0]),
+            OMEGA,
+            np.zeros((len(OMEGA), 0), complex),
+            np.ones((len(OMEGA), 1), complex),
+        )
+        np.testing.assert_allclose(X[:, 0], -0.2j)
+
+    def test_a_massless_coordinate_between_spring_and_damper(self) -> None:
+        """Maxwell's element: m s² + k c s / (k + c s) = 0, so s = 0 and m c s² + m k s + k c = 0."""
+        found = self.one(
+            mass("m", "x", value=3.0), spring("k", "x", "y", value=100.0), damper("c", "y", value=5.0)
+        )
+        slow, fast = np.sort(np.roots([15.0, 300.0, 500.0]))[::-1]
+        np.testing.assert_allclose(found, [0.0, slow, fast], rtol=1e-9, atol=1e-9)
+
+    def test_a_massless_coordinate_between_two_springs(self) -> None:
+        found = self.one(
+            mass("m", "x", value=3.0), spring("k", "x", "y", value=100.0), spring("q", "y", value=25.0)
+        )
+        np.testing.assert_allclose(found, [1j * np.sqrt(20.0 / 3.0)], rtol=1e-9)
+
+    def test_a_mass_on_a_lever(self) -> None:
+        """Springs at the ends of a massless lever, m at the point 0.3 a + 0.7 b: in series, seen through the arms."""
+        found = self.one(
+            Element("m", Kind.MASS, {"a": 0.3, "b": 0.7}, value=3.0),
+            spring("k", "a", value=100.0),
+            spring("q", "b", value=5.0),
+        )
+        stiffness = 1.0 / (0.3**2 / 100.0 + 0.7**2 / 5.0)
+        np.testing.assert_allclose(found, [1j * np.sqrt(stiffness / 3.0)], rtol=1e-9)
+
+    def test_a_bouncing_and_pitching_body(self) -> None:
+        """m, J on two springs k at ±d: √(2k/m) and √(2kd²/J), coordinates of different size."""
+        found = self.one(
+            mass("m", "x", value=1200.0), mass("J", "pitch", value=2000.0),
+            Element("front", Kind.SPRING, {"x": 1.0, "pitch": 1.4}, value=3e4),
+            Element("rear", Kind.SPRING, {"x": 1.0, "pitch": -1.4}, value=3e4),
+        )  # fmt: skip
+        expected = np.sort([np.sqrt(6e4 / 1200), np.sqrt(6e4 * 1.4**2 / 2000)])
+        np.testing.assert_allclose(found, 1j * expected, rtol=1e-9)
+
+    def test_coordinates_of_very_different_size(self) -> None:
+        found = self.one(
+            mass("m", "x", value=1e4),
+            spring("k", "x", value=1e6),
+            mass("J", "a", value=1e-7),
+            spring("q", "a", value=1e-4),
+        )
+        np.testing.assert_allclose(found, [10j, 1j * np.sqrt(1000.0)], rtol=1e-8)
+
+    def test_a_free_body_has_a_double_zero(self) -> None:
+        found = self.one(
+            mass("m", "x", value=3.0), mass("q", "y", value=3.0), spring("k", "x", "y", value=100.0)
+        )
+        np.testing.assert_allclose(found, [0, 0, 1j * np.sqrt(200 / 3.0)], rtol=1e-9)
+
+    def test_a_free_body_with_a_damper(self) -> None:
+        found = self.one(
+            mass("m", "x", value=3.0), mass("q", "y", value=3.0), spring("k", "x", "y", value=100.0),
+            damper("c", "x", "y", value=1.0),
+        )  # fmt: skip
+        np.testing.assert_allclose(found[:2], 0)
+        np.testing.assert_allclose(found[2], np.roots([3.0, 2.0, 200.0])[0], rtol=1e-9)
+
+    def test_a_rig_without_mass(self) -> None:
+        np.testing.assert_allclose(
+            self.one(spring("k", "x", value=10.0), damper("c", "x", value=5.0)), [-2.0]
+        )
+        assert len(self.one(spring("k", "x", value=10.0))) == 0
+
+    def test_a_rig_of_zeros(self) -> None:
+        with pytest.raises(ModelError, match="no modes"):
+            self.one(spring("k", "x", value=0.0))
+
+
+class TestSolve:
+    @pytest.mark.parametrize("n", [1, 2, 3, 5])
+    def test_against_lapack(self, n: int) -> None:
+        rng = np.random.default_rng(n)
+        matrix = rng.normal(size=(4, 3, n, n)) + 1j * rng.normal(size=(4, 3, n, n))
+        right = rng.normal(size=(4, 3, n, 2)) + 0j
+        np.testing.assert_allclose(solve(matrix, right), np.linalg.solve(matrix, right), rtol=1e-9)
+
+    @pytest.mark.parametrize("n", [1, 2, 3])
+    def test_singular(self, n: int) -> None:
+        matrix = np.ones((2, n, n)) * np.array([1.0, 0.0])[:, None, None] + 0j
+        matrix[0] += np.eye(n)
+        found = solve(matrix, np.ones((2, n, 1), complex))
+        np.testing.assert_allclose(found[0], 1 / (n + 1))
+        assert np.all(np.isnan(found[1]))
+
+    def test_an_undamped_resonance(self) -> None:
+        model = Model(("x",), (Input("u"),), (mass("m", "x"), spring("k", "x", "u")))
+        with pytest.raises(ModelError, match=r"no steady response.*; an undamped resonance"):
+            response(model, np.array([1.0, 100.0]), np.array([10.0]), np.ones((1, 1), complex))
