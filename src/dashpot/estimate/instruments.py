@@ -16,7 +16,7 @@ from dashpot.estimate.method import Method, Prepared, Solution
 from dashpot.estimate.regression import inverse
 from dashpot.estimate.samples import Sampled, least_squares_sums, sampled, sums_with_harmonics
 from dashpot.estimate.search import Local, minimise
-from dashpot.model.dynamics import response, unit_forces
+from dashpot.model.dynamics import amplitudes, unit_forces
 
 
 @dataclass(frozen=True)
@@ -50,7 +50,7 @@ class InstrumentalVariables(Method):
 def instruments(looks: Sampled, theta: Real) -> Complex:
     """w_i of eq. 18-19, amplitudes (K, lines, elements): unit forces of the auxiliary model's response."""
     model = looks.model
-    X = response(model, model.parameters(theta), looks.omega, looks.U, looks.f)
+    X = amplitudes(model, model.parameters(theta), looks.omega, looks.U, looks.f)
     return unit_forces(model, looks.omega, X, looks.U)
 
 

@@ -98,7 +98,7 @@ class MaximumLikelihood(Method):
         log = rig & bool(logarithmic) & np.all(psi > 0, axis=0)
 
         def evaluate(x: Real, rows: Ints) -> Local:
-            at = np.where(log, np.exp(np.where(log, np.clip(x, -700, 700), 0.0)), x)
+            at = np.where(log, np.exp(np.where(log, x, 0.0)), x)
             here = local(view, data, at, sign[rows])
             chain = np.where(log, at, 1.0)
             both = chain[:, :, None] * chain[:, None, :]
@@ -108,8 +108,12 @@ class MaximumLikelihood(Method):
             x = np.where(log, np.log(np.where(log, psi, 1.0)), psi)
             low = np.where(log, np.log(np.maximum(lower, 0.0)), lower)
             high = np.where(log, np.log(np.maximum(upper, 0.0)), upper)
-        found = minimise(evaluate, x, limit=limit, tolerance=1e-6, lower=low, upper=high)
-        return np.where(log, np.exp(np.where(log, np.clip(found.x, -700, 700), 0.0)), found.x)
+        # A decade a step, and no further than 20 from the start, keeps what is hardly seen from running away.
+        low, high = np.maximum(low, np.min(x, axis=0) - 46), np.minimum(high, np.max(x, axis=0) + 46)
+        low, high = np.where(log, low, lower), np.where(log, high, upper)
+        longest = np.where(log, 2.3, np.inf)
+        found = minimise(evaluate, x, limit=limit, tolerance=1e-6, lower=low, upper=high, longest=longest)
+        return np.where(log, np.exp(np.where(log, found.x, 0.0)), found.x)
 
     def _again(
         self, data: Prepared, view: Outlook, exact: Measured, found: Found, sign: Real, lower: Real, upper: Real

@@ -58,13 +58,14 @@ def minimise(
     tolerance: float,
     lower: Real | None = None,
     upper: Real | None = None,
+    longest: Real | float = np.inf,
 ) -> Found:
     """Minimise the cost of each of K repeats from `start`, (K, m), within bounds.
 
     `evaluate(x, rows)` gives the cost at x for the repeats `rows`.  A step that does not lower the cost is repeated
     with Levenberg and Marquardt's damping on the diagonal of `symmetric`.  A repeat ends when its full step is below
     `tolerance` standard deviations (or 1e-13 of the value) in every unknown.  A bound whose far side is downhill
-    holds its unknown there.
+    holds its unknown there.  No unknown moves by more than `longest` in one step.
     """
     repeats, m = start.shape
     low = np.full(m, -np.inf) if lower is None else lower
@@ -78,12 +79,14 @@ def minimise(
     if not len(active):
         return Found(x_all, cost_all, converged, iterations, np.array(history))
     x = x_all[active]
-    here = _finite(evaluate(x, active))
+    with np.errstate(all="ignore"):
+        here = _finite(evaluate(x, active))
     damping = np.zeros(len(active))
     for _ in range(limit):
         step, spread = _step(x, here, damping, low, high)
-        trial = np.clip(x + np.nan_to_num(step), low, high)
-        there = _finite(evaluate(trial, active))
+        trial = np.clip(x + np.clip(np.nan_to_num(step), -longest, longest), low, high)
+        with np.errstate(all="ignore"):
+            there = _finite(evaluate(trial, active))
         usable = np.all(np.isfinite(step), axis=-1)
         better = usable & (there.cost <= here.cost * (1 + 1e-12) + 1e-12)
         moved = np.abs(trial - x)
@@ -124,5 +127,7 @@ def _step(x: Real, here: Local, damping: Real, low: Real, high: Real) -> tuple[R
         both = free[:, :, None] & free[:, None, :]
         matrix = np.where(both, matrix, np.eye(m))
         gradient = np.where(held, 0.0, gradient)
-    spread = np.sqrt(np.maximum(np.diagonal(inverse(here.symmetric), axis1=-2, axis2=-1), 0.0))
-    return solve_scaled(matrix, gradient), np.nan_to_num(spread)
+    # A direction that is not seen makes these overflow: such a step is refused or damped, not reported.
+    with np.errstate(all="ignore"):
+        spread = np.sqrt(np.maximum(np.diagonal(inverse(here.symmetric), axis1=-2, axis2=-1), 0.0))
+        return solve_scaled(matrix, gradient), np.nan_to_num(spread)
