@@ -294,13 +294,12 @@ def simulate_spectrum(
     residual = None
     if moments or noise == "estimated":
         residual = sd[:, :, None] * _wishart(rng, K, free, sd) * sd[:, None, :]
+    V = _covariance(spread, sd)
+    dof, basis = np.full(lines, np.inf), "given"
     if noise == "estimated" and residual is not None:
         _require_free(test, free)
-        V = (spread / free)[:, None, None] * residual
+        V = ((spread / free)[:, None, None] * residual).astype(np.complex128)
         dof, basis = free.astype(float), "white"
-    else:
-        V = (spread[:, None] * sd**2)[:, :, None] * np.eye(len(channels))
-        dof, basis = np.full(lines, np.inf), "given"
     products = None
     if moments and residual is not None:
         products = _moments(A, gram, residual)
@@ -319,6 +318,32 @@ def simulate_spectrum(
         np.zeros(lines, dtype=np.int64),
         None if products is None else Moments(products),
     )
+
+
+def clean_spectrum(
+    model: Model, p: Real, channels: Sequence[Channel], test: Dwells, *, drift: int | None = None
+) -> Spectrum:
+    """Amplitudes without noise, with the covariance that their noise would have: what bounds are computed from."""
+    channels = tuple(channels)
+    Y = clean_amplitudes(model, p, channels, test)
+    spread = np.trace(np.linalg.inv(_grams(test, drift)), axis1=-2, axis2=-1)
+    lines = len(test.frequency_hz)
+    return Spectrum(
+        channels,
+        test.frequency_hz,
+        Y,
+        _covariance(spread, noise_sd(channels, Y)),
+        test.samples,
+        np.full(lines, np.inf),
+        ("given",) * lines,
+        np.zeros(lines, dtype=np.int64),
+    )
+
+
+def _covariance(spread: Real, sd: Real) -> Complex:
+    """E[Δ Δᴴ] = tr P · diag σ², (lines, channels, channels)."""
+    V = (spread[:, None] * sd**2)[:, :, None] * np.eye(sd.shape[-1])
+    return V.astype(np.complex128)
 
 
 def _grams(test: Dwells, drift: int | None) -> Real:

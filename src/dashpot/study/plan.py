@@ -1,0 +1,203 @@
+"""What a study varies: grids over rigs, unknowns, frequencies, noise and samples, spread out into scenarios."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from itertools import product
+from types import MappingProxyType
+from typing import Literal
+
+import numpy as np
+
+from dashpot.arrays import Ints
+from dashpot.channel import Channel
+from dashpot.errors import UsageError
+from dashpot.model.network import Model, listed
+from dashpot.study.montecarlo import Scenario
+from dashpot.study.simulate import Dwells, NoiseBasis, dwells, with_constant_noise, with_relative_noise
+
+NoiseKind = Literal["relative", "constant", "channels"]
+ALL = "all"  # the unknowns as the rig has them
+
+
+@dataclass(frozen=True)
+class Bench:
+    """A rig to simulate: its model, what its unknowns truly are, and its channels."""
+
+    model: Model
+    values: Mapping[str, float]
+    channels: tuple[Channel, ...]
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "values", MappingProxyType(dict(self.values)))
+        object.__setattr__(self, "channels", tuple(self.channels))
+
+
+@dataclass(frozen=True)
+class Grid:
+    """Every combination of the entries; names refer to the tables of the Study.
+
+    noise       levels, as `kind` takes them: "relative" ρ × the channel's amplitude at each frequency (paper eq. 21),
+                "constant" ρ × its rms amplitude over the frequencies `reference`, the same at all frequencies, or
+                "channels" ρ × the noise that the rig's channels state
+    samples     per frequency, or in all where `in_all`
+    covariance  "given" or "estimated" from the residuals
+    """
+
+    rigs: tuple[str, ...]
+    frequencies: tuple[str, ...]
+    noise: tuple[float, ...]
+    samples: tuple[int, ...]
+    methods: tuple[str, ...]
+    draws: int
+    unknowns: tuple[str, ...] = (ALL,)
+    kind: NoiseKind = "relative"
+    reference: str | None = None
+    in_all: bool = False
+    covariance: tuple[NoiseBasis, ...] = ("given",)
+
+
+@dataclass(frozen=True)
+class Study:
+    """Tables that grids refer to, and the grids.
+
+    unknowns    sets of parameters that are to be found; all others are known exactly
+    amplitudes  of the inputs, SI units, 1 where not named;   periods  time of a dwell
+    drift       degree of the trend that the harmonic regression solves for, None for none
+    """
+
+    name: str
+    seed: int
+    rigs: Mapping[str, Bench]
+    frequencies: Mapping[str, tuple[float, ...]]
+    grids: tuple[Grid, ...]
+    unknowns: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    amplitudes: Mapping[str, complex] = field(default_factory=dict)
+    periods: float = 1.0
+    drift: int | None = None
+
+    def __post_init__(self) -> None:
+        for name in ("rigs", "frequencies", "unknowns", "amplitudes"):
+            object.__setattr__(self, name, MappingProxyType(dict(getattr(self, name))))
+
+
+def scenarios(study: Study) -> tuple[Scenario, ...]:
+    """All points of all grids, each once: what two grids share has the methods of both and the larger number of draws.
+
+    Raises UsageError or ModelError where a combination is none.
+    """
+    found: dict[str, Scenario] = {}
+    for grid in study.grids:
+        for one in _points(study, grid):
+            other = found.get(one.name)
+            if other is not None:
+                methods = tuple(dict.fromkeys((*other.methods, *one.methods)))
+                one = replace(other, methods=methods, draws=max(one.draws, other.draws))
+            found[one.name] = one
+    return tuple(found.values())
+
+
+def _points(study: Study, grid: Grid) -> Iterator[Scenario]:
+    ranges = (grid.rigs, grid.unknowns, grid.frequencies, grid.noise, grid.samples, grid.covariance)
+    for rig, unknowns, frequencies, level, samples, basis in product(*ranges):
+        bench = study.rigs[rig]
+        lines = study.frequencies[frequencies]
+        counts = share_out(samples, len(lines)) if grid.in_all else np.full(len(lines), samples)
+        model = bench.model
+        if unknowns != ALL:
+            model = with_unknowns(bench, study.unknowns[unknowns])
+        test = _test(study, bench, lines, counts)
+        factors: dict[str, str | float | int] = {
+            "rig": rig,
+            "unknowns": unknowns,
+            "frequencies": frequencies,
+            "kind": grid.kind,
+            "noise": float(level),
+            ("in_all" if grid.in_all else "samples"): int(samples),
+            "covariance": basis,
+        }
+        yield Scenario(
+            factors,
+            model,
+            model.theta({u.name: truth(bench, u.name) for u in model.unknowns}),
+            _channels(study, grid, bench, level),
+            test,
+            grid.methods,
+            grid.draws,
+            basis,
+            study.drift,
+        )
+
+
+def _test(study: Study, bench: Bench, lines: Sequence[float], counts: int | Ints) -> Dwells:
+    own = {one.name for one in bench.model.inputs}
+    amplitudes = {name: size for name, size in study.amplitudes.items() if name in own}
+    return dwells(bench.model, lines, counts, amplitudes=amplitudes, periods=study.periods)
+
+
+def _channels(study: Study, grid: Grid, bench: Bench, level: float) -> tuple[Channel, ...]:
+    match grid.kind:
+        case "relative":
+            return with_relative_noise(bench.model, bench.channels, level)
+        case "channels":
+            return tuple(
+                replace(c, noise=level * c.noise, relative_noise=level * c.relative_noise)
+                for c in bench.channels
+            )
+        case "constant":
+            if grid.reference is None:
+                raise UsageError(
+                    "constant noise has no size", cure="name the frequencies of its reference amplitude"
+                )
+            model = bench.model
+            theta = model.theta({u.name: truth(bench, u.name) for u in model.unknowns})
+            reference = _test(study, bench, study.frequencies[grid.reference], 4)
+            return with_constant_noise(model, model.parameters(theta), bench.channels, level, reference)
+
+
+def share_out(samples: int, lines: int) -> Ints:
+    """So many samples in all over the lines, the first ones taking what is left over; (lines,).
+
+    Raises UsageError where there are fewer than two for each.
+    """
+    if samples < 2 * lines:
+        raise UsageError(
+            f"{samples} samples are too few for {lines} frequencies", cure=f"take {2 * lines} or more"
+        )
+    return np.full(lines, samples // lines) + (np.arange(lines) < samples % lines)
+
+
+def truth(bench: Bench, name: str) -> float:
+    """The true value of a parameter: as stated for the study, or the rig's own value or guess.
+
+    Raises UsageError where there is neither.
+    """
+    if name in bench.values:
+        return float(bench.values[name])
+    element = next(element for element in bench.model.elements if element.name == name)
+    for number in (element.value, element.guess):
+        if number is not None:
+            return float(number)
+    raise UsageError(f"the true value of {name} is not said", cure=f"add {name} to the values of the rig")
+
+
+def with_unknowns(bench: Bench, names: Sequence[str]) -> Model:
+    """The model with these parameters unknown and all others known exactly as they truly are.
+
+    Raises UsageError for a name that is no parameter of its own.
+    """
+    own = [element.name for element in bench.model.elements if element.same_as is None]
+    for name in names:
+        if name not in own:
+            raise UsageError(f"{name} is no parameter of the rig", cure=f"it has {listed(own)}")
+    elements = []
+    for element in bench.model.elements:
+        if element.same_as is not None:
+            elements.append(element)
+        elif element.name in names:
+            elements.append(replace(element, value=None, sd=None))
+        else:
+            value = truth(bench, element.name)
+            elements.append(replace(element, value=value, sd=None, guess=None, lower=None, upper=None))
+    return replace(bench.model, elements=tuple(elements))

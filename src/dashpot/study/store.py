@@ -1,0 +1,95 @@
+"""Blocks and tables on disk: Parquet files that are there whole or not at all."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from dashpot.errors import DataError
+
+WIDE = ("values", "sd", "half")  # one column an unknown
+
+
+def write_block(path: Path, block: Mapping[str, Mapping[str, np.ndarray]]) -> None:
+    """A block's repeats, method after method, one row a repeat.  Raises DataError where it cannot be written."""
+    columns: dict[str, Any] = {
+        "method": np.concatenate([np.full(len(own["p"]), name) for name, own in block.items()])
+    }
+    for name in ("converged", "p"):
+        columns[name] = np.concatenate([own[name] for own in block.values()])
+    for name in WIDE:
+        wide = np.concatenate([own[name] for own in block.values()])
+        columns |= {f"{name}_{i}": np.ascontiguousarray(wide[:, i]) for i in range(wide.shape[1])}
+    write_table(path, columns)
+
+
+def read_block(path: Path, unknowns: int) -> dict[str, dict[str, np.ndarray]]:
+    """What `write_block` wrote, by method.  Raises DataError where the file is not whole."""
+    import pyarrow.parquet as parquet
+
+    try:
+        table = parquet.read_table(path, use_threads=False)
+        columns = {name: table[name].to_numpy() for name in table.column_names}
+        names = columns["method"]
+        found = {}
+        for name in dict.fromkeys(names.tolist()):
+            rows = names == name
+            found[str(name)] = {
+                **{key: columns[key][rows] for key in ("converged", "p")},
+                **{
+                    key: np.stack([columns[f"{key}_{i}"][rows] for i in range(unknowns)], axis=-1)
+                    for key in WIDE
+                },
+            }
+        return found
+    except (OSError, KeyError, ValueError) as error:  # pyarrow's own errors are kinds of these
+        raise DataError(
+            "this block of a study cannot be read", str(path), "delete it and run the study again"
+        ) from error
+
+
+def sound(path: Path) -> bool:
+    """Whether a block is there and whole."""
+    import pyarrow.parquet as parquet
+
+    if not path.is_file():
+        return False
+    try:
+        parquet.read_metadata(path)
+    except (OSError, ValueError):
+        return False
+    return True
+
+
+def write_table(path: Path, columns: Mapping[str, Sequence[Any] | np.ndarray]) -> None:
+    """A Parquet file of named columns; it takes its place when it is whole.  Raises DataError."""
+    import pyarrow as pa
+    import pyarrow.parquet as parquet
+
+    table = pa.table(dict(columns))
+    temporary = path.with_name(f".{path.name}.{os.getpid()}")
+    try:
+        parquet.write_table(table, temporary, compression="zstd", write_statistics=False)
+        os.replace(temporary, path)
+    except OSError as error:
+        temporary.unlink(missing_ok=True)
+        raise DataError(
+            f"cannot be written ({error.strerror or error})", str(path), "check the path and the space left"
+        ) from None
+
+
+def write_bytes(path: Path, content: bytes) -> None:
+    """A file that takes its place when it is whole.  Raises DataError."""
+    temporary = path.with_name(f".{path.name}.{os.getpid()}")
+    try:
+        temporary.write_bytes(content)
+        os.replace(temporary, path)
+    except OSError as error:
+        temporary.unlink(missing_ok=True)
+        raise DataError(
+            f"cannot be written ({error.strerror or error})", str(path), "check the path and the space left"
+        ) from None
