@@ -315,8 +315,28 @@ def test_transient_is_cut_and_reported():
     assert found.dropped_samples == np.searchsorted(t, t[0] + found.dropped_s - 1e-9)
     assert "thrown away" in found.note
     assert found.record.time[0] == t[found.dropped_samples]
+    assert found.record.time[-1] == t[-1]
     after = fit_harmonics(found.record)
     assert np.all(np.abs(after.amplitudes[0] - [1, 2]) < 6 * np.sqrt(np.diagonal(after.covariance[0]).real))
+
+
+def test_silence_before_and_ring_down_after_the_dwell_are_cut():
+    """The drive runs from 20 s to 50 s of 80 s, 0.4 % off its nominal frequency."""
+    rng = np.random.default_rng(22)
+    t, f = np.arange(8000) / 100, 2.008
+    decay = np.where(t > 50, np.exp(-(t - 50) / 8), 0)[:, None] * np.cos(2 * np.pi * 2.7 * t)[:, None]
+    y = (
+        wave(t, f, [1, 2]) * ((t > 20) & (t < 50))[:, None]
+        + decay * [0.5, 1]
+        + 0.01 * rng.normal(size=(8000, 2))
+    )
+    found = settled(Record((X1, X2), t, y, 2.0))
+    assert 20 < found.record.time[0] < 26
+    assert 44 < found.record.time[-1] < 50
+    assert found.dropped_samples == 8000 - len(found.record.time)
+    assert "the first" in found.note
+    assert "the last" in found.note
+    assert refine_frequency(found.record).frequency_hz == pytest.approx(f, abs=1e-4)
 
 
 def test_settled_record_is_left_alone():
