@@ -55,7 +55,7 @@ def channels_correlate(spectrum: Spectrum, level: float = 0.01) -> Bools:
     −(ν − (2q+5)/6) ln |R| is χ² with q(q−1)/2 degrees of freedom for each line (Bartlett 1950).  Given covariances
     are taken at their word: True.
     """
-    from scipy.stats import chi2
+    from scipy.special import chdtri
 
     V = spectrum.covariance
     usable = np.isfinite(spectrum.dof)
@@ -79,7 +79,7 @@ def channels_correlate(spectrum: Spectrum, level: float = 0.01) -> Bools:
         np.where(possible, factor * np.where(np.isfinite(logarithm), logarithm, 0.0), 0.0), axis=-1
     )
     count = float(np.sum(np.where(possible, per_line, 0.0)))
-    correlate: Bools = np.asarray(statistic > (chi2.ppf(1 - level, count) if count else np.inf))
+    correlate: Bools = np.asarray(statistic > (chdtri(count, level) if count else np.inf))
     return correlate
 
 

@@ -119,14 +119,14 @@ class MaximumLikelihood(Method):
         self, data: Prepared, view: Outlook, exact: Measured, found: Found, sign: Real, lower: Real, upper: Real
     ) -> tuple[Found, Real]:
         """Repeats that did not end in a fit are searched from starts of their own; the better end is kept."""
-        from scipy.stats import chi2
+        from scipy.special import chdtri
 
         dof = exact.rows - found.x.shape[-1]
         known = not np.any(np.isnan(data.spectrum.covariance))
         poor = ~found.converged
         if known and dof > 0:
             typical = np.median(found.cost)
-            poor |= found.cost > max(float(chi2.isf(POOR, dof)), 1.5 * float(typical))
+            poor |= found.cost > max(float(chdtri(dof, POOR)), 1.5 * float(typical))
         if len(found.cost) == 1 and data.states is not None:
             poor |= ~found.converged
         x, cost, converged, iterations = (a.copy() for a in (found.x, found.cost, found.converged, found.iterations))
