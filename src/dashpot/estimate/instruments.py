@@ -7,16 +7,21 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
+from scipy.special import chdtrc
 
 from dashpot.arrays import Bools, Complex, Ints, Real
 from dashpot.errors import UsageError
 from dashpot.estimate.auxiliary import auxiliary, information, normal_equations
-from dashpot.estimate.least_squares import compensated, sandwich, solve_sums
+from dashpot.estimate.least_squares import sandwich, solve_sums, starts
 from dashpot.estimate.method import Method, Prepared, Solution
 from dashpot.estimate.regression import inverse
 from dashpot.estimate.samples import Sampled, least_squares_sums, sampled, sums_with_harmonics
-from dashpot.estimate.search import Local, minimise
+from dashpot.estimate.search import Found, Local, minimise
+from dashpot.estimate.states import States
 from dashpot.model.dynamics import amplitudes, unit_forces
+from dashpot.model.network import Model
+
+ASTRAY = 1e-4  # χ² so unlikely may mean a local minimum: other starts are tried
 
 
 @dataclass(frozen=True)
@@ -110,9 +115,29 @@ class OptimalIV(Method):
                 mixed + np.diag(precision),
             )
 
-        found = minimise(
-            evaluate, compensated(model, states), limit=self.max_iterations, tolerance=self.tolerance
-        )
+        first, *others = starts(model, states)
+        found = self._search(evaluate, first, np.arange(len(first)))
+        for start in others:
+            astray = np.flatnonzero(~found.converged | (_tail(model, states, found.cost) < ASTRAY))
+            if not len(astray):
+                break
+            found = found.improved(astray, self._search(evaluate, start, astray))
         at = auxiliary(model, model.parameters(found.x), states)
         bread = inverse(np.sum(information(model, at), axis=-3) + np.diag(model.prior_precision))
         return Solution(found.x, bread, found.converged, found.iterations, found.history)
+
+    def _search(self, evaluate: Callable[[Real, Ints], Local], start: Real, repeats: Ints) -> Found:
+        """Minimise the cost of some of the repeats."""
+        return minimise(
+            lambda theta, rows: evaluate(theta, repeats[rows]),
+            start[repeats],
+            limit=self.max_iterations,
+            tolerance=self.tolerance,
+        )
+
+
+def _tail(model: Model, states: States, cost: Real) -> Real:
+    """Probability that χ² exceeds the cost, were the noise as stated."""
+    dof = 2 * model.n * len(states.omega) - len(model.unknowns) + int(np.count_nonzero(model.prior_precision))
+    tail: Real = np.asarray(chdtrc(float(max(dof, 1)), np.where(np.isfinite(cost), cost, np.inf)))
+    return tail

@@ -213,20 +213,34 @@ def _score_covariance(
     return total
 
 
-def compensated(model: Model, data: States) -> Real:
-    """A consistent start: least squares on amplitudes with the noise's own moments taken out, twice; (K, unknowns).
+def starts(model: Model, data: States) -> tuple[Real, Real, Real]:
+    """Starts for the iterative estimators, each (K, unknowns), the best first.
 
-    E[Φᴴ Ω Φ] of the measured regressors is that of the true ones plus a term in Σ, which is known; the first pass is
-    unweighted with the parameters that have a prior held there, the second weighted by Ω at the first.  Where taking
-    the noise out leaves no positive definite matrix, it is left in.
+    Least squares on amplitudes; weighted by Ω at that, twice; and weighted with the noise's own moments taken out.
+    Weighting comes first: far from the truth, taking the noise out leaves a matrix that is all but singular.
+    Parameters with a prior are held there in the first pass, which has no scale to weigh them by.
     """
     fixed = _without_priors(model)
-    theta = _compensated(fixed, data, None)
-    full = np.broadcast_to(model.prior_mean, (len(theta), len(model.unknowns))).copy()
-    full[:, model.prior_precision == 0] = theta
-    Se = auxiliary(model, model.parameters(full), data).Se
-    weighted = _compensated(model, data, Se)
-    return np.where(np.all(np.isfinite(weighted), axis=-1, keepdims=True), weighted, full)
+    free = model.prior_precision == 0
+    plain = np.broadcast_to(model.prior_mean, (len(data.z), len(model.unknowns))).copy()
+    if np.any(free):
+        plain[:, free] = solve_scaled(*_amplitude_normal(fixed, data, None))
+    weighted = plain
+    for _ in range(2):
+        Se = auxiliary(model, model.parameters(weighted), data).Se
+        N, right = _with_priors(model, *_amplitude_normal(model, data, Se))
+        weighted = _where_finite(solve_scaled(N, right), weighted)
+    Se = auxiliary(model, model.parameters(weighted), data).Se
+    return _where_finite(_compensated(model, data, Se), weighted), weighted, plain
+
+
+def compensated(model: Model, data: States) -> Real:
+    """The best of the `starts`, (K, unknowns)."""
+    return starts(model, data)[0]
+
+
+def _where_finite(values: Real, otherwise: Real) -> Real:
+    return np.where(np.all(np.isfinite(values), axis=-1, keepdims=True), values, otherwise)
 
 
 def _without_priors(model: Model) -> Model:
@@ -234,9 +248,21 @@ def _without_priors(model: Model) -> Model:
     return replace(model, elements=tuple(replace(element, sd=None) for element in model.elements))
 
 
-def _compensated(model: Model, data: States, Se: Complex | None) -> Real:
+def _amplitude_normal(model: Model, data: States, Se: Complex | None) -> tuple[Real, Real]:
+    """Normal matrix and right side of least squares on amplitudes with weight Se⁻¹, or none."""
     a = unit_forces(model, data.omega, data.X, data.U)
-    Phi, h = regressors(model, a), known_side(model, a, data.f)
+    if Se is None:
+        Se = np.broadcast_to(np.eye(model.n, dtype=complex), (len(data.omega), model.n, model.n))
+    return _normal(Se, regressors(model, a), known_side(model, a, data.f))
+
+
+def _compensated(model: Model, data: States, Se: Complex) -> Real:
+    """Weighted least squares less what the noise of the regressors adds to its sums; (K, unknowns).
+
+    E[Φᴴ Ω Φ] of the measured regressors is that of the true ones plus a term in Σ, which is known.  Where taking it
+    out leaves no positive definite matrix, it is left in.
+    """
+    N, right = _amplitude_normal(model, data, Se)
     q = data.n + data.r
     span = np.concatenate([model.B, model.D], axis=1)
     reading = model.factors(data.omega)[:, :, None] * span
@@ -247,30 +273,28 @@ def _compensated(model: Model, data: States, Se: Complex | None) -> Real:
         force = np.zeros((*both.shape[:3], model.S.shape[1]))
         force[:, :, -1, :] = model.S
         both = np.concatenate([both, force], axis=-1)
-    if Se is None:
-        Se = np.broadcast_to(np.eye(model.n, dtype=complex), (len(data.omega), model.n, model.n))
-        typical = np.sum(np.abs(both[:, :, :-1]) ** 2, axis=(1, 2, 3))
-        Se = Se * np.where(typical > 0, typical, 1.0)[:, None, None]
-        priors = np.zeros(len(model.unknowns))
-    else:
-        priors = model.prior_precision
-    N, right = _normal(Se, Phi, h)
     lines, n, m1, c = both.shape
     weighted = solve(Se, np.broadcast_to(both.reshape(lines, n, m1 * c), (*Se.shape[:-2], n, m1 * c)))
-    weighted = weighted.reshape(*Se.shape[:-2], n, m1, c)
+    spread = np.einsum("lnvd,...ldc->...lnvc", both, data.covariance)
+    left = np.moveaxis(weighted.reshape(*Se.shape[:-2], n, m1, c), -2, -4)
+    right_side = np.broadcast_to(np.moveaxis(spread, -2, -4), left.shape)
+    rows = lines * n * c
     noise = (
         2
-        * np.einsum(
-            "...lnuc,...lnvd,...ldc->...uv", np.conj(weighted), both, data.covariance, optimize=True
+        * (
+            np.conj(left.reshape(*left.shape[:-4], m1, rows))
+            @ np.swapaxes(right_side.reshape(*left.shape[:-4], m1, rows), -1, -2)
         ).real
     )
-    prior = np.diag(priors), priors * model.prior_mean
-    clean, clean_right = N - noise[..., :-1, :-1] + prior[0], right - noise[..., :-1, -1] + prior[1]
-    scale = np.sqrt(np.maximum(np.abs(np.diagonal(N + prior[0], axis1=-2, axis2=-1)), 1e-300))
-    smallest = np.linalg.eigvalsh(np.nan_to_num(clean / (scale[..., :, None] * scale[..., None, :])))[..., 0]
-    raw = np.linalg.eigvalsh(np.nan_to_num((N + prior[0]) / (scale[..., :, None] * scale[..., None, :])))[
-        ..., 0
-    ]
-    usable = smallest > 0.05 * raw
-    matrix = np.where(usable[..., None, None], clean, N + prior[0])
-    return solve_scaled(matrix, np.where(usable[..., None], clean_right, right + prior[1]))
+    prior, prior_right = np.diag(model.prior_precision), model.prior_precision * model.prior_mean
+    raw, clean = N + prior, N - noise[..., :-1, :-1] + prior
+    scale = np.sqrt(np.maximum(np.abs(np.diagonal(raw, axis1=-2, axis2=-1)), 1e-300))
+    outer = scale[..., :, None] * scale[..., None, :]
+    usable = _smallest(clean / outer) > 0.05 * _smallest(raw / outer)
+    matrix = np.where(usable[..., None, None], clean, raw)
+    return solve_scaled(matrix, right + prior_right - np.where(usable[..., None], noise[..., :-1, -1], 0.0))
+
+
+def _smallest(matrix: Real) -> Real:
+    smallest: Real = np.linalg.eigvalsh(np.nan_to_num(matrix))[..., 0]
+    return smallest

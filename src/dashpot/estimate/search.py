@@ -49,6 +49,17 @@ class Found:
     iterations: Ints
     history: Real
 
+    def improved(self, rows: Ints, other: Found) -> Found:
+        """With what another search over some of the repeats found, where that is lower.  Iterations add up."""
+        better = (other.cost < self.cost[rows] * (1 - 1e-9)) | (other.converged & ~self.converged[rows])
+        x, cost, converged = self.x.copy(), self.cost.copy(), self.converged.copy()
+        iterations = self.iterations.copy()
+        x[rows[better]], cost[rows[better]] = other.x[better], other.cost[better]
+        converged[rows[better]] = other.converged[better]
+        iterations[rows] += other.iterations
+        history = other.history if len(rows) and rows[0] == 0 and better[0] else self.history
+        return Found(x, cost, converged, iterations, history)
+
 
 def minimise(
     evaluate: Callable[[Real, Ints], Local],
@@ -100,7 +111,9 @@ def minimise(
         # A tiny full step ends the search.  So does a tiny rejected one: nothing lower is left within rounding.
         done = small & usable & ((damping == 0) | ~better)
         converged[active[done]] = True
-        damping = np.where(better, np.where(damping > 1e-6, damping / 10, 0.0), np.maximum(damping * 10, 1e-4))
+        damping = np.where(
+            better, np.where(damping > 1e-6, damping / 10, 0.0), np.maximum(damping * 10, 1e-4)
+        )
         keep = ~(done | (damping > 1e14))
         if not np.any(keep):
             break
