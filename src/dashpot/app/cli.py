@@ -87,7 +87,7 @@ def run(args: Sequence[str] | None = None) -> int:
         _tell(str(problem) for problem in error.problems)
         return error.exit_code
     except (KeyboardInterrupt, click.Abort):
-        _tell(["interrupted; nothing was written"])
+        _tell(["interrupted; no file is left half-written"])
         return INTERRUPTED
     except BrokenPipeError:
         # Whoever read the output has had enough (| head).  What is still buffered must not complain at exit.

@@ -51,7 +51,7 @@ def short(value: float, digits: int = 3) -> str:
         return "–"
     if value == 0:
         return "0"
-    size = math.floor(math.log10(abs(value)))
+    size = int(f"{abs(value):.{digits - 1}e}".partition("e")[2])  # after rounding: 0.0999 is 0.1
     if -5 < size < 7:
         text = _fixed(round(value, digits - 1 - size), max(digits - 1 - size, 0))
     else:

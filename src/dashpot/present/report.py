@@ -98,7 +98,9 @@ def _modes(estimate: Estimate) -> list[dict[str, object]]:
         swings = eigenvalue.imag != 0
         frequency = rounded(float(modes.frequency_hz[k]), float(modes.frequency_sd[k]))
         damping = rounded(float(modes.damping_ratio[k]), float(modes.damping_sd[k]))
-        shape = [f"{abs(z):.2f} ∠ {np.degrees(np.angle(z)):.0f}°" for z in modes.shapes[k].tolist()]
+        shape = [
+            f"{abs(z):.2f} ∠ {round(float(np.degrees(np.angle(z)))):d}°" for z in modes.shapes[k].tolist()
+        ]
         time = short(1 / abs(eigenvalue.real)) if eigenvalue.real != 0 else "∞"
         rows.append(
             {"swings": swings, "frequency": frequency, "damping": damping, "shape": shape, "time": time}

@@ -30,7 +30,7 @@ def console() -> Console:
 
 @dataclass(frozen=True)
 class Row:
-    """One parameter, as text; `known` are given, not found."""
+    """One parameter, as text; `known` are given, not found; `tie` says of which unknown it is a multiple."""
 
     name: str
     value: str
@@ -42,6 +42,7 @@ class Row:
     noise: str
     unit: str
     known: bool
+    tie: str = ""
 
 
 def parameter_rows(estimate: Estimate, level: float = 0.95) -> list[Row]:
@@ -55,11 +56,9 @@ def parameter_rows(estimate: Estimate, level: float = 0.95) -> list[Row]:
         rows.append(_row(name, v.value, v.sd, (low[name], high[name]), v.bound_sd, noise[name], v.unit))
     for name, root, times, unit in estimate.tied:
         v = everything[name]
-        ends = sorted((times * low[root], times * high[root]))
-        label = f"{name} = {'' if times == 1 else short(times) + ' '}{root}"
-        rows.append(
-            _row(label, v.value, v.sd, (ends[0], ends[1]), v.bound_sd, abs(times) * noise[root], unit)
-        )
+        value, sd = rounded(v.value, v.sd)
+        tie = f"= {root}" if times == 1 else f"= {times:g} × {root}"
+        rows.append(Row(name, value, sd, "", "", "", "", "", unit, False, tie))
     for name, number, unit in estimate.known:
         rows.append(Row(name, f"{number:.6g}", "known", "", "", "", "", "", unit, True))
     return rows
@@ -91,10 +90,10 @@ def parameter_table(estimate: Estimate, level: float = 0.95) -> Table:
     table.add_column("unit", no_wrap=True)
     low, high = (max((len(getattr(row, end)) for row in rows), default=0) for end in ("low", "high"))
     for row in rows:
-        between = "" if row.known else f"{row.low.rjust(low)} … {row.high.ljust(high)}"
+        between = f"{row.low.rjust(low)} … {row.high.ljust(high)}" if row.low else row.tie
         cells = [row.name, row.value, row.sd]
         cells += [row.noise] if misfit else []
-        cells += [row.share, between, row.bound, row.unit]
+        cells += [row.share, between, row.bound, "" if row.unit == "1" else row.unit]
         table.add_row(*cells, style="dim" if row.known else None)
     return table
 
@@ -218,8 +217,8 @@ def _paragraph(out: Console, text: str, style: str) -> None:
         out.print(Text(line, style=style), soft_wrap=True)
 
 
-def show_spectrum(out: Console, spectrum: Spectrum, where: str) -> None:
-    """Print what a spectrum holds: lines, channels, and how large their noise is."""
+def show_spectrum(out: Console, spectrum: Spectrum, units: Sequence[str], where: str) -> None:
+    """Print what a spectrum holds: lines, channels with their SI units, and how large their noise is."""
     sd = spectrum.sd()
     table = Table(box=box.SIMPLE_HEAD, padding=(0, 1), pad_edge=False, show_edge=False)
     table.add_column("channel", overflow="fold", min_width=9)
@@ -228,7 +227,7 @@ def show_spectrum(out: Console, spectrum: Spectrum, where: str) -> None:
     table.add_column("unit")
     magnitude = np.abs(spectrum.amplitudes)
     for i, channel in enumerate(spectrum.channels):
-        table.add_row(channel.name, *_range(magnitude[:, i], sd[:, i]), _si(channel.quantity.value))
+        table.add_row(channel.name, *_range(magnitude[:, i], sd[:, i]), units[i])
     f = spectrum.frequency_hz
     out.print(
         Text(
@@ -252,10 +251,6 @@ def _range(magnitude: np.ndarray, sd: np.ndarray) -> Sequence[str]:
     noise = float(np.median(sd[finite]))
     typical = float(np.median(magnitude[finite]))
     return (f"{short(low)} … {short(high)}", short(noise, 2), percent(noise, typical) + " %")
-
-
-def _si(quantity: str) -> str:
-    return {"displacement": "m", "velocity": "m/s", "acceleration": "m/s²", "force": "N"}[quantity]
 
 
 def listed(names: Iterable[str]) -> str:

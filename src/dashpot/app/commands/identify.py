@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from dashpot.model.modelfile import Rig
 
 NOT_CONVERGED = 3
+STDOUT = "-"
 CHOICES = ["auto", "ls", "hls", "wls", "iv", "oiv", "ml"]
 
 
@@ -26,15 +27,20 @@ CHOICES = ["auto", "ls", "hls", "wls", "iv", "oiv", "ml"]
     "--method", "chosen", type=click.Choice(CHOICES), default="auto", show_default=True,
     help="Estimator; auto is oiv where every coordinate and input is measured, ml elsewhere.",
 )  # fmt: skip
-@click.option("--json", "json_out", metavar="OUT", help="Write the estimate as JSON.")
+@click.option("--json", "json_out", metavar="OUT", help="Write the estimate as JSON; - is stdout.")
 @click.option("--report", metavar="OUT.html", help="Write a report with figures, one HTML file.")
 @click.option(
-    "--seed", type=click.IntRange(0), default=0, show_default=True, help="Of the starts that ml draws."
+    "--seed",
+    type=click.IntRange(0),
+    default=0,
+    show_default=True,
+    metavar="N",
+    help="Of the starts that ml draws.",
 )
 @click.option(
     "--level",
     type=Positive(100),
-    default=95.0,
+    default=95,
     show_default=True,
     metavar="%",
     help="Of the intervals printed.",
@@ -62,9 +68,10 @@ def command(
     from dashpot.check.scale import require_scale
     from dashpot.model.modelfile import read_rig
 
-    check_targets([json_out, report], [rig, *data])
+    check_targets([None if json_out == STDOUT else json_out, report], [rig, *data])
     found = read_rig(rig)
     require_scale(found.model, found.channels, rig)
+    _check_method(found, chosen)
 
     from dashpot.app.progress import progress
     from dashpot.data.readers import read
@@ -76,13 +83,16 @@ def command(
     spectrum = _spectrum(reading, conditioning, chosen)
     with progress("identify", quiet) as moved:
         estimate = identify(found.model, spectrum, _method(chosen, found, spectrum, seed), progress=moved)
-    if json_out is not None:
-        write_text(json_out, estimate.to_json())
     if report is not None:
         from dashpot.present.report import identification_report
 
-        write_text(report, identification_report(found.model, spectrum, estimate, level / 100, [rig, *data]))
-    if not quiet:
+        page = identification_report(found.model, spectrum, estimate, level / 100, [rig, *data])
+        write_text(report, page)
+    if json_out == STDOUT:
+        click.echo(estimate.to_json(), nl=False)
+    elif json_out is not None:
+        write_text(json_out, estimate.to_json())
+    if not quiet and json_out != STDOUT:
         from dashpot.present.tables import console, show_estimate
 
         show_estimate(console(), estimate, level / 100)
@@ -97,12 +107,30 @@ def _spectrum(reading: Reading, how: Conditioning, chosen: str) -> Spectrum:
 
 def _method(chosen: str, rig: Rig, spectrum: Spectrum, seed: int) -> Method:
     from dashpot.estimate.methods import method
-    from dashpot.estimate.states import unseen
+    from dashpot.estimate.states import is_direct, unseen
 
     name = chosen
     if chosen == "auto":
-        name = "ml" if unseen(rig.model, spectrum) else "oiv"
+        # Forces in elements and at moved inputs, and unknown calibrations, are used by ml alone.
+        plain = all(is_direct(rig.model, channel) for channel in spectrum.channels)
+        name = "oiv" if plain and not unseen(rig.model, spectrum) else "ml"
     return method(name, seed=seed)
+
+
+def _check_method(rig: Rig, chosen: str) -> None:
+    """Only ml uses every channel: refuse the others where what they use leaves the scale of the forces free."""
+    from dashpot.check.scale import free_scales
+    from dashpot.errors import IdentifiabilityError
+    from dashpot.estimate.states import is_direct
+
+    if chosen in ("auto", "ml"):
+        return
+    used = [channel for channel in rig.channels if is_direct(rig.model, channel)]
+    if free_scales(rig.model, used):
+        raise IdentifiabilityError(
+            f"the method {chosen} does not use the channel that fixes the scale of the forces", rig.path,
+            "use the method ml",
+        )  # fmt: skip
 
 
 def _ending(estimate: Estimate) -> int:

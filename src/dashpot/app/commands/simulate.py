@@ -119,21 +119,14 @@ def command(
     `relative_noise` of the rig file.
     """
     from dashpot.app.files import check_targets
-    from dashpot.errors import UsageError
     from dashpot.model.modelfile import read_rig
 
     check_targets([out], [rig])
     found = read_rig(rig)
     model = found.model
     given = _once(values, "--set")
-    theta = model.theta({name: given[name] for name in given if not _is_known(model, name)})
-    strangers = [name for name in given if _is_known(model, name)]
-    if strangers:
-        raise UsageError(
-            f"--set {strangers[0]}: the rig file gives its value",
-            rig,
-            "change it there, or leave it out here",
-        )
+    _check_values(model, given, rig)
+    theta = model.theta(given)
 
     import numpy as np
 
@@ -172,7 +165,26 @@ def _once(settings: Sequence[tuple[str, float]], option: str) -> dict[str, float
     return found
 
 
-def _is_known(model: Model, name: str) -> bool:
-    """Whether `name` is an element whose value is known exactly or tied to another's."""
-    unknown = {one.name for one in model.unknowns}
-    return name not in unknown and any(element.name == name for element in model.elements)
+def _check_values(model: Model, given: dict[str, float], rig: str) -> None:
+    """Every unknown needs a value, and nothing else may have one.  Raises UsageError with all problems."""
+    from dashpot.errors import Problem, UsageError
+
+    unknown = {one.name: one for one in model.unknowns}
+    elements = {element.name for element in model.elements}
+    problems = []
+    for name in given:
+        if name in elements and name not in unknown:
+            what, cure = (
+                f"--set {name}: the rig file gives its value",
+                "change it there, or leave it out here",
+            )
+            problems.append(Problem(what, rig, cure))
+        elif name not in unknown:
+            what, cure = f"--set {name}: there is no such unknown", f"there are {', '.join(unknown)}"
+            problems.append(Problem(what, rig, cure))
+    for name, one in unknown.items():
+        if name not in given and one.prior is None and one.guess is None:
+            cure = f"add --set {name}=1.0, or a guess in the rig file"
+            problems.append(Problem(f"{name} has no value", rig, cure))
+    if problems:
+        raise UsageError(problems)

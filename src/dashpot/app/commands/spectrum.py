@@ -34,6 +34,8 @@ def command(
     spectrum = amplitudes(reading, conditioning)
     write_amplitudes(spectrum, out)
     if not quiet:
+        from dashpot.check.residuals import channel_unit
         from dashpot.present.tables import console, show_spectrum
 
-        show_spectrum(console(), spectrum, out)
+        units = [channel_unit(found.model, channel) for channel in spectrum.channels]
+        show_spectrum(console(), spectrum, units, out)
