@@ -101,18 +101,20 @@ def _with_priors(model: Model, N: Real, right: Real) -> tuple[Real, Real]:
 
 
 def combined(data: Prepared) -> Sampled:
-    """Unit forces from the amplitudes that all channels together give."""
+    """Unit forces from the amplitudes z = (X, U, f) that all channels together give; z takes the channels' place."""
     if data.states is None:
         raise UsageError("hls needs every coordinate and input", cure="use the method ml")
-    model, spectrum, V, P = data.model, data.spectrum, data.covariance, data.states.looks
-    y = np.nan_to_num(spectrum.amplitudes)
-    span = np.concatenate([model.B, model.D], axis=1)
-    q = span.shape[1]
-    reading = model.factors(spectrum.omega)[:, :, None] * (span @ P[..., :q, :])
-    s = data.states
+    model, spectrum, s = data.model, data.spectrum, data.states
+    size = s.z.shape[-1]
+    span = np.zeros((len(model.elements), size))
+    span[:, : s.n + s.r] = np.concatenate([model.B, model.D], axis=1)
+    reading = model.factors(spectrum.omega)[None, :, :, None] * span
+    force = np.broadcast_to(
+        np.eye(size, dtype=complex)[s.n + s.r :], (1, spectrum.lines, size - s.n - s.r, size)
+    )
     a = unit_forces(model, spectrum.omega, s.X, s.U)
     return Sampled(
-        model, spectrum.omega, V, y, a, reading, s.U, s.f, P[..., q:, :], spectrum.samples / 2, None, None
+        model, spectrum.omega, s.covariance, s.z, a, reading, s.U, s.f, force, spectrum.samples / 2, None, None
     )  # fmt: skip
 
 
@@ -186,7 +188,10 @@ def sandwich(
 
 def _noise_map(looks: Sampled) -> Complex:
     """Γ with ΔΦ = Γ Δy, (K or 1, lines, n, unknowns, channels)."""
-    return np.einsum("in,iu,...lic->...lnuc", looks.model.B, looks.model.T, looks.reading, optimize=True)
+    Gamma: Complex = np.einsum(
+        "in,iu,...lic->...lnuc", looks.model.B, looks.model.T, looks.reading, optimize=True
+    )
+    return Gamma
 
 
 def _score_covariance(
@@ -203,14 +208,24 @@ def _score_covariance(
     g = hermitian(A) @ Q
     if Gamma is not None:
         g = g + np.einsum("...ln,...lnuc->...luc", np.conj(e), Gamma)
-    linear = 0.5 * np.sum((weight**2)[:, None, None] * (g @ V @ hermitian(g)).real, axis=-3)
+    linear: Real = 0.5 * np.sum((weight**2)[:, None, None] * (g @ V @ hermitian(g)).real, axis=-3)
     if Gamma is None:
         return linear
-    form = np.einsum("...lnuc,...lnd->...lucd", np.conj(Gamma), weighted_Q, optimize=True)
-    form = (form + hermitian(form)) / 2 @ V[..., None, :, :]
-    quadratic = np.einsum("...lucd,...lvdc->...luv", form, form, optimize=True).real
-    total: Real = linear + np.sum((weight**2 * bins)[:, None, None] * quadratic, axis=-3)
+    # ½ tr(F_u V F_v V) + ½ tr(F_u V F_vᴴ V) with F_u = Γ_uᴴ Q, in products of n rows rather than of channels.
+    scale = (weight**2 * bins)[:, None, None]
+    by_unknown = np.moveaxis(Gamma, -2, -4)  # (..., unknowns, lines, n, channels)
+    spread = by_unknown @ V[..., None, :, :, :]
+    crossed = spread @ hermitian(weighted_Q)[..., None, :, :, :]
+    power = weighted_Q @ V @ hermitian(weighted_Q)
+    first = _flat(crossed * scale) @ np.swapaxes(_flat(np.swapaxes(crossed, -1, -2)), -1, -2)
+    second = _flat(power[..., None, :, :, :] @ spread * scale) @ hermitian(_flat(by_unknown))
+    total: Real = linear + 0.5 * (first + second).real
     return total
+
+
+def _flat(stack: Complex) -> Complex:
+    """(..., unknowns, lines, n, k) with the last three axes in one."""
+    return stack.reshape(*stack.shape[:-3], int(np.prod(stack.shape[-3:])))
 
 
 def starts(model: Model, data: States) -> tuple[Real, Real, Real]:
