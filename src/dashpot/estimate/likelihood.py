@@ -13,7 +13,7 @@ from dashpot.estimate.method import Method, Prepared, Solution
 from dashpot.estimate.output import Measured, Outlook, measured, outlook, predict
 from dashpot.estimate.regression import inverse
 from dashpot.estimate.search import Found, Local, minimise
-from dashpot.estimate.starts import candidates
+from dashpot.estimate.starts import candidates, neighbours
 from dashpot.estimate.states import is_direct
 
 POOR = 1e-6  # p-value below which a repeat is searched again from its own starts
@@ -25,12 +25,14 @@ class MaximumLikelihood(Method):
 
     Where all coordinates are seen the start is the noise-compensated least squares; elsewhere `candidates` random
     rigs of sensible size are ranked with softened weights and the best `starts` of them are searched, the weights
-    hardening step by step.  Repeats share the start that the first one finds, and look for their own where it does
-    not lead to a fit.  `positive` holds the parameters of the rig at or above 0; bounds of the model hold always.
+    hardening step by step, for at most `rounds` rounds.  Repeats share the start that the first one finds, and look
+    for their own where it does not lead to a fit.  `positive` holds the parameters of the rig at or above 0; bounds
+    of the model hold always.
     """
 
-    starts: int = 8
-    candidates: int = 400
+    starts: int = 64
+    candidates: int = 2000
+    rounds: int = 6
     positive: bool = False
     max_iterations: int = 200
     tolerance: float = 1e-9
@@ -67,28 +69,47 @@ class MaximumLikelihood(Method):
         self, view: Outlook, data: Measured, start: Real, sign: Real, lower: Real, upper: Real, limit: int | None = None
     ) -> Found:
         def evaluate(psi: Real, rows: Ints) -> Local:
-            return local(view, data.pick(rows) if len(data.y) > 1 else data, psi, sign[rows])
+            return local(view, data.pick(rows), psi, sign[rows])
 
         most = self.max_iterations if limit is None else limit
         return minimise(evaluate, start, limit=most, tolerance=self.tolerance, lower=lower, upper=upper)
 
     def _global(self, data: Prepared, view: Outlook, repeat: int) -> tuple[Real, Real]:
-        """The best ψ and signs, (1, M) and (1, channels), that many starts of one repeat lead to."""
+        """The best ψ and signs, (1, M) and (1, channels), that many starts of one repeat lead to.
+
+        Rounds end when the best end fits (known noise) and was reached at least twice, or when two rounds in a row
+        bring nothing; later rounds search around the best ends as well.
+        """
         one = data.only(repeat)
         rng = np.random.default_rng([self.seed, repeat])
-        psi, sign = candidates(one, view, self.candidates, rng)
         lower, upper = bounds(data, view, self.positive)
-        count = 4 * self.starts
-        for softness, limit in ((1.0, 8), (0.3, 12), (0.1, 15), (0.03, 15), (0.0, 60)):
-            soft = measured(one, view, softness)
-            cost = _cost(view, soft, psi, sign)
-            order = np.argsort(cost)[:count]
-            psi, sign = psi[order], sign[order]
-            found = self._descend_all(view, soft, psi, sign, lower, upper, limit, logarithmic=softness > 0)
-            psi, count = found, max(self.starts, count // 2)
-        cost = _cost(view, measured(one, view), psi, sign)
-        best = int(np.argmin(cost))
-        return psi[best : best + 1], sign[best : best + 1]
+        exact, soft, softer = measured(one, view), measured(one, view, 0.1), measured(one, view, 1.0)
+        acceptable = _acceptable(one, exact, len(view.names))
+        best, signs, costs = np.empty((0, len(view.names))), np.empty((0, len(view.channels))), np.empty(0)
+        idle = 0
+        for turn in range(self.rounds):
+            psi, sign = candidates(one, view, self.candidates, rng)
+            chosen = np.argsort(_cost(view, softer, psi, sign))[: self.starts]
+            if turn == 0:
+                chosen = np.union1d(chosen, [0])
+            psi, sign = psi[chosen], sign[chosen]
+            if turn > 0:
+                near, near_sign = neighbours(best[: self.starts // 8], signs, view, self.starts, rng)
+                psi, sign = np.concatenate([psi, near]), np.concatenate([sign, near_sign])
+            for data_now, limit in ((softer, 30), (soft, 20), (exact, 60)):
+                psi = self._descend_all(
+                    view, data_now, psi, sign, lower, upper, limit, logarithmic=data_now is not exact
+                )
+            before = costs[0] if len(costs) else np.inf
+            best, signs = np.concatenate([best, psi]), np.concatenate([signs, sign])
+            costs = np.concatenate([costs, _cost(view, exact, psi, sign)])
+            order = np.argsort(costs)[: 4 * self.starts]
+            best, signs, costs = best[order], signs[order], costs[order]
+            reached = int(np.sum(costs <= costs[0] + 1e-3 * max(1.0, costs[0])))
+            idle = idle + 1 if costs[0] > before * (1 - 1e-3) else 0
+            if (costs[0] <= acceptable and reached > 1) or idle > 1:
+                break
+        return best[:1], signs[:1]
 
     def _descend_all(
         self, view: Outlook, data: Measured, psi: Real, sign: Real, lower: Real, upper: Real, limit: int, logarithmic: bool
@@ -119,29 +140,32 @@ class MaximumLikelihood(Method):
         self, data: Prepared, view: Outlook, exact: Measured, found: Found, sign: Real, lower: Real, upper: Real
     ) -> tuple[Found, Real]:
         """Repeats that did not end in a fit are searched from starts of their own; the better end is kept."""
-        from scipy.special import chdtri
-
-        dof = exact.rows - found.x.shape[-1]
-        known = not np.any(np.isnan(data.spectrum.covariance))
-        poor = ~found.converged
-        if known and dof > 0:
-            typical = np.median(found.cost)
-            poor |= found.cost > max(float(chdtri(dof, POOR)), 1.5 * float(typical))
-        if len(found.cost) == 1 and data.states is not None:
-            poor |= ~found.converged
-        x, cost, converged, iterations = (a.copy() for a in (found.x, found.cost, found.converged, found.iterations))
+        poor = ~found.converged | (found.cost > np.maximum(_acceptable(data, exact, found.x.shape[-1]), 1.5 * np.median(found.cost)))
+        if len(poor) == 1 and data.states is None:
+            return found, sign  # its start was its own already
+        x, cost, converged, iterations = (
+            found.x.copy(), found.cost.copy(), found.converged.copy(), found.iterations.copy(),
+        )  # fmt: skip
         sign = sign.copy()
         for repeat in np.flatnonzero(poor):
-            if len(found.cost) == 1 and data.states is None and found.converged[0]:
-                break  # this start was its own already
             psi, flips = self._global(data, view, int(repeat))
-            part = exact.pick(np.array([repeat])) if len(exact.y) > 1 else exact
-            new = self._descend(view, part, psi, flips, lower, upper)
-            if new.cost[0] < cost[repeat] or not np.isfinite(cost[repeat]):
+            new = self._descend(view, exact.pick(np.array([repeat])), psi, flips, lower, upper)
+            if not new.cost[0] >= cost[repeat]:
                 x[repeat], cost[repeat], converged[repeat] = new.x[0], new.cost[0], new.converged[0]
                 iterations[repeat] += new.iterations[0]
                 sign[repeat] = flips[0]
         return Found(x, cost, converged, iterations, found.history), sign
+
+
+def _acceptable(data: Prepared, exact: Measured, unknowns: int) -> float:
+    """The χ² above which an end is no fit; inf where the noise is not known."""
+    from scipy.stats import chi2
+
+    dof = exact.rows - unknowns
+    if np.any(np.isnan(data.spectrum.covariance)) or dof <= 0:
+        return np.inf
+    doubt = np.min(data.spectrum.dof)
+    return float(chi2.isf(POOR, dof)) * (1.0 if np.isinf(doubt) else 1 + 8 / max(doubt - 4, 1.0))
 
 
 def bounds(data: Prepared, view: Outlook, positive: bool) -> tuple[Real, Real]:

@@ -145,6 +145,8 @@ class Measured:
 
     def pick(self, rows: Ints) -> Measured:
         """Some of the repeats."""
+        if len(self.y) == 1:
+            return self  # many starts of one repeat
         W = self.W if len(self.W) == 1 else self.W[rows]
         return Measured(self.y[rows], W, None if self.q is None else self.q[rows], self.rows)
 

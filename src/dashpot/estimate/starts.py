@@ -11,46 +11,56 @@ from dashpot.estimate.output import Outlook, measured, predict
 from dashpot.model.elements import Kind
 
 
+SCATTER = (0.03, 0.1, 0.2, 0.35, 0.6)  # decades by which the elements of one candidate differ
+
+
 def candidates(data: Prepared, view: Outlook, count: int, rng: np.random.Generator) -> tuple[Real, Real]:
     """`count` draws of ψ, (count, M), and of the channels' signs, (count, channels).
 
-    Masses are drawn around the mass that known parameters or measured forces imply, springs and dampers from natural
-    frequencies and damping ratios spread over the band of the data.  Guesses and priors of the model narrow the draw.
-    The first candidate is the middle of every range.
+    Each candidate has a mass, a natural frequency and a damping ratio of its own, around which its elements scatter
+    by little or much: rigs are mostly built of parts alike, and among rigs of like parts a search finds its way.  The
+    mass is drawn around what known parameters or measured forces imply, the frequency from the band of the data.
+    Guesses and priors of the model narrow the draw; the first candidate is the middle of every range.
     """
-    spread = rng.standard_normal((count, len(view.names)))
-    spread[0] = 0.0
-    uniform = rng.random((count, len(view.names)))
-    uniform[0] = 0.5
     omega = view.omega
-    low, high = 0.5 * np.min(omega), 2.0 * np.max(omega)
-    mass = _typical_mass(data, view)
+    low, high = np.min(omega), 1.5 * np.max(omega)
+    masses = _typical_mass(data, view) * 10 ** (0.3 * rng.standard_normal(count))
+    rates = low * (high / low) ** rng.random(count)
+    ratios = 10 ** rng.uniform(-2.3, 0.0, count)
+    decades = rng.choice(SCATTER, count)[:, None] * rng.standard_normal((count, len(view.names)))
+    masses[0], rates[0], ratios[0], decades[0] = _typical_mass(data, view), np.sqrt(low * high), 0.05, 0.0
+    size = {
+        Kind.MASS: masses,
+        Kind.INERTER: masses,
+        Kind.SPRING: masses * rates**2,
+        Kind.DAMPER: 2 * ratios * masses * rates,
+        Kind.HYSTERETIC: 2 * ratios * masses * rates**2,
+    }
+    kinds = {element.name: element.kind for element in data.model.elements}
     psi = np.ones((count, len(view.names)))
-    by_name = {element.name: element for element in data.model.elements}
     for j, unknown in enumerate(data.model.unknowns):
-        m = mass * 10 ** (0.5 * spread[:, j])
-        rate = low * (high / low) ** uniform[:, j]
-        ratio = 10 ** rng.uniform(-2.5, 0.0, count)
-        ratio[0] = 0.05
-        kind = by_name[unknown.name].kind
         if unknown.prior is not None and unknown.sd is not None:
-            psi[:, j] = unknown.prior + unknown.sd * np.clip(spread[:, j], -1, 1)
+            psi[:, j] = unknown.prior + unknown.sd * np.clip(decades[:, j], -1, 1)
         elif unknown.guess is not None:
-            psi[:, j] = unknown.guess * np.exp(0.3 * spread[:, j])
-        elif kind in (Kind.MASS, Kind.INERTER):
-            psi[:, j] = m
-        elif kind is Kind.SPRING:
-            psi[:, j] = m * rate**2
-        elif kind is Kind.DAMPER:
-            psi[:, j] = 2 * ratio * m * rate
+            psi[:, j] = unknown.guess * 10 ** (0.3 * decades[:, j])
         else:
-            psi[:, j] = 2 * ratio * m * rate**2
+            psi[:, j] = size[kinds[unknown.name]] * 10 ** decades[:, j]
         if unknown.lower is not None or unknown.upper is not None:
             psi[:, j] = np.clip(psi[:, j], unknown.lower, unknown.upper)
     if view.delays:
         psi[:, view.m + view.gains :] = 0.0
-    sign = np.ones((count, len(view.channels)))
-    return _calibrated(data, view, psi, sign, rng)
+    return _calibrated(data, view, psi, np.ones((count, len(view.channels))), rng)
+
+
+def neighbours(
+    psi: Real, sign: Real, view: Outlook, count: int, rng: np.random.Generator
+) -> tuple[Real, Real]:
+    """`count` draws around the rigs already found, which a wrong valley may separate from the right one."""
+    origin = rng.integers(0, len(psi), count)
+    decades = rng.choice(SCATTER[1:4], count)[:, None] * rng.standard_normal((count, view.m))
+    moved = psi[origin].copy()
+    moved[:, : view.m] *= 10**decades
+    return moved, sign[origin]
 
 
 def _typical_mass(data: Prepared, view: Outlook) -> float:
