@@ -1,0 +1,262 @@
+"""The bench: a rig, its sensors and its shaker, and what one sample at any frequency would tell."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+
+import numpy as np
+
+from dashpot.arrays import Complex, Ints, Real, frozen
+from dashpot.channel import Channel
+from dashpot.design.information import Outputs, calibrations, outputs, per_sample
+from dashpot.errors import ModelError, UsageError
+from dashpot.model.dynamics import modes
+from dashpot.model.network import Model
+
+UNDAMPED = 1e-7  # damping ratio that is rounding
+SETTLED = 1e-3  # what is left of a transient when a dwell starts
+
+
+@dataclass(frozen=True)
+class Limits:
+    """What the shaker can do at most, as amplitudes in SI units: m, m/s, m/s², N (rad and N·m for angles).
+
+    At a force input they hold for the motion of the point that it drives; the force of a displacement input is the
+    reaction of the rig.  None is no limit.
+    """
+
+    stroke: float | None = None
+    velocity: float | None = None
+    acceleration: float | None = None
+    force: float | None = None
+
+    def __post_init__(self) -> None:
+        for name, value in self.given.items():
+            if not (np.isfinite(value) and value > 0):
+                raise UsageError(f"the limit of {name} is {value:g}", cure="give a positive number")
+
+    @property
+    def given(self) -> dict[str, float]:
+        """The limits that are there, by name."""
+        every = {
+            "stroke": self.stroke, "velocity": self.velocity, "acceleration": self.acceleration, "force": self.force,
+        }  # fmt: skip
+        return {name: value for name, value in every.items() if value is not None}
+
+    def use(self, omega: Real, motion: Complex, force: Complex) -> Real:
+        """Largest part of a limit that is used, (..., lines), of motion and force (..., lines, inputs)."""
+        X, F = np.abs(motion), np.abs(force)
+        w = omega[:, None]
+        sizes = {"stroke": X, "velocity": w * X, "acceleration": w**2 * X, "force": F}
+        parts = [np.max(sizes[name], axis=-1) / value for name, value in self.given.items()]
+        if not parts:
+            return np.zeros(X.shape[:-1])
+        most: Real = np.max(np.stack(parts), axis=0)
+        return most
+
+
+@dataclass(frozen=True)
+class Bench:
+    """What stays the same from dwell to dwell.
+
+    theta        (scenarios, unknowns)  values that the unknowns may have; the first is the nominal one
+    probability  (scenarios,)           how likely each is; sums to 1
+    channels     the sensors, with their noise
+    drives       (patterns, r + s)      which inputs move together, and how; scaled to the limits
+    amplitude    size of a drive where no limit is given, m or N
+    """
+
+    model: Model
+    channels: tuple[Channel, ...]
+    theta: Real
+    probability: Real
+    drives: Complex
+    limits: Limits = field(default_factory=Limits)
+    amplitude: float = 1.0
+
+    def __post_init__(self) -> None:
+        for name, kind in (("theta", np.float64), ("probability", np.float64), ("drives", np.complex128)):
+            object.__setattr__(self, name, frozen(getattr(self, name), kind))
+        object.__setattr__(self, "channels", tuple(self.channels))
+        if not self.model.unknowns:
+            raise UsageError(
+                "every parameter of the rig is known", cure="leave out the value of what is to be found"
+            )
+        if not self.model.inputs:
+            raise UsageError("the rig has no input: nothing shakes it", cure="add one under [inputs]")
+        if not any(c.noise > 0 or c.relative_noise > 0 for c in self.channels):
+            raise UsageError(
+                "no channel states its noise",
+                cure="add noise or relative_noise to the channels in the rig file",
+            )
+
+    @property
+    def scenarios(self) -> int:
+        """Number of scenarios."""
+        return len(self.theta)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of ψ: the unknowns, then the calibrations that are estimated with them."""
+        return tuple(u.name for u in self.model.unknowns) + calibrations(self.channels)
+
+    @cached_property
+    def p(self) -> Real:
+        """Parameters of the elements, (scenarios, elements)."""
+        return self.model.parameters(self.theta)
+
+    @cached_property
+    def sizes(self) -> Real:
+        """What errors are relative to, (scenarios, parameters): |θ|, 1 for ln gain and where θ is 0."""
+        size = np.where(self.theta == 0, 1.0, np.abs(self.theta))
+        extra = len(self.names) - size.shape[1]
+        return np.concatenate([size, np.ones((len(size), extra))], axis=1)
+
+    def with_channels(self, channels: Sequence[Channel]) -> Bench:
+        """The same bench with other sensors."""
+        return replace(self, channels=tuple(channels))
+
+    def with_scenarios(self, theta: Real, probability: Real | None = None) -> Bench:
+        """The same bench with other values of the unknowns, equally likely unless said."""
+        p = np.full(len(theta), 1 / len(theta)) if probability is None else probability
+        return replace(self, theta=theta, probability=p)
+
+    def drive(self, frequency_hz: Real, pattern: Ints) -> Complex:
+        """Amplitudes (U, f) of each line, (lines, r + s): at the first limit met in any scenario."""
+        omega = 2 * np.pi * frequency_hz
+        unit = self.drives[pattern]
+        if not self.limits.given:
+            return self.amplitude * unit
+        scale = np.full(len(omega), np.inf)
+        for p in self.p:
+            seen = outputs(self.model, p, (), omega, unit)
+            with np.errstate(divide="ignore"):
+                scale = np.minimum(scale, 1 / self.limits.use(omega, seen.motion, seen.force))
+        if not np.all(np.isfinite(scale)):
+            line = int(np.argmin(np.isfinite(scale)))
+            raise UsageError(
+                f"at {frequency_hz[line]:.4g} Hz the shaker meets none of its limits",
+                cure="give its stroke too",
+            )
+        return unit * (scale * (1 - 1e-12))[:, None]
+
+    def seen(self, frequency_hz: Real, pattern: Ints, scenario: int = 0) -> Outputs:
+        """What the channels show at each line."""
+        drive = self.drive(frequency_hz, pattern)
+        return outputs(self.model, self.p[scenario], self.channels, 2 * np.pi * frequency_hz, drive)
+
+    def information(self, frequency_hz: Real, pattern: Ints) -> Real:
+        """What one sample at each line tells about ψ in parts of its size, (scenarios, lines, q, q).
+
+        Nothing within 1 % of a resonance that nothing damps: no test can dwell there.
+        """
+        omega = 2 * np.pi * frequency_hz
+        drive = self.drive(frequency_hz, pattern)
+        found = []
+        for p, size in zip(self.p, self.sizes, strict=True):
+            seen = outputs(self.model, p, self.channels, omega, drive)
+            M = per_sample(self.model, p, self.channels, omega, seen)
+            found.append(M * size[:, None] * size)
+        every = np.stack(found)
+        for f in self.undamped:
+            every[:, np.abs(frequency_hz / f - 1) < 0.01] = 0.0
+        return every
+
+    @cached_property
+    def undamped(self) -> tuple[float, ...]:
+        """Resonances, Hz, that nothing damps in some scenario."""
+        return tuple(f for f, zeta in self.resonances() if zeta < UNDAMPED)
+
+    @cached_property
+    def prior(self) -> Real:
+        """Information of parameters that are known with an sd, in parts of their size, (scenarios, q, q)."""
+        extra = np.zeros(len(self.names) - len(self.model.unknowns))
+        precision = np.concatenate([self.model.prior_precision, extra])
+        diagonal: Real = (precision * self.sizes**2)[..., None] * np.eye(len(precision))
+        return diagonal
+
+    def resonances(self) -> list[tuple[float, float]]:
+        """(frequency in Hz, damping ratio) of all oscillating modes of all scenarios."""
+        found = []
+        for p in self.p:
+            own = modes(self.model, p)
+            for value, f, zeta in zip(own.eigenvalues, own.frequency_hz, own.damping_ratio, strict=True):
+                if value.imag > 0:
+                    found.append((float(f), float(zeta)))
+        return found
+
+    def settling(self) -> float:
+        """Time in which the slowest transient falls to 1e-3, s, in the worst scenario.
+
+        Raises UsageError where a mode never dies out.  Hysteretic dampers damp a mode as e^{−Im √… t} near its
+        frequency; a rigid-body motion (a zero eigenvalue) is no vibration and is left out.
+        """
+        slowest = np.inf
+        for p in self.p:
+            values = modes(self.model, p).eigenvalues
+            moving = values[np.abs(values) > 0]
+            if moving.size == 0:
+                continue
+            decay = -moving.real
+            if np.any(decay <= 1e-12 * np.abs(moving)):
+                f = np.abs(moving[int(np.argmin(decay))]) / 2 / np.pi
+                raise UsageError(
+                    f"the mode at {f:.4g} Hz never settles: nothing damps it",
+                    cure="state the time with --settle",
+                )
+            slowest = min(slowest, float(np.min(decay)))
+        return float(-np.log(SETTLED) / slowest) if np.isfinite(slowest) else 0.0
+
+
+def drive_patterns(model: Model, chosen: Sequence[str] = ()) -> Complex:
+    """Patterns in which the inputs move, (patterns, r + s).
+
+    `chosen` names them: "u" alone, "u,v" together, "u,-v" against each other, "u,v@90" with a phase in degrees.
+    Without any: each input alone and, with several, all together; of two also opposed and in quadrature.
+    """
+    names = [*model.displacement_inputs, *model.force_inputs]
+    if chosen:
+        return np.array([_pattern(text, names) for text in chosen])
+    patterns = list(np.eye(len(names), dtype=complex))
+    if len(names) == 2 and len(model.force_inputs) != 1:
+        patterns += [np.array([1, factor], dtype=complex) for factor in (1, -1, 1j)]
+    elif len(names) > 2 and len({one.kind for one in model.inputs}) == 1:
+        patterns.append(np.ones(len(names), dtype=complex))
+    return np.array(patterns)
+
+
+def _pattern(text: str, names: Sequence[str]) -> Complex:
+    pattern = np.zeros(len(names), dtype=complex)
+    for part in text.split(","):
+        word, _, angle = part.strip().partition("@")
+        sign = -1.0 if word.startswith("-") else 1.0
+        name = word.removeprefix("-").strip()
+        if name not in names:
+            raise UsageError(f"the rig has no input {name!r}", cure=f"it has {', '.join(names)}")
+        try:
+            phase = float(angle) if angle else 0.0
+        except ValueError:
+            raise UsageError(f"{angle!r} is no angle", cure='write degrees, such as "u,v@90"') from None
+        pattern[names.index(name)] = sign * np.exp(1j * np.deg2rad(phase))
+    return pattern
+
+
+def bench(
+    model: Model,
+    channels: Sequence[Channel],
+    theta: Real | Mapping[str, float],
+    *,
+    limits: Limits | None = None,
+    amplitude: float = 1.0,
+    drives: Sequence[str] = (),
+) -> Bench:
+    """A bench with one scenario: the nominal values of the unknowns, θ or by name."""
+    nominal = model.theta(theta) if isinstance(theta, Mapping) else np.asarray(theta, dtype=float)
+    if nominal.shape != (len(model.unknowns),):
+        raise ModelError(f"{len(model.unknowns)} values are needed, not {nominal.size}")
+    return Bench(
+        model, tuple(channels), nominal[None], np.ones(1), drive_patterns(model, drives),
+        Limits() if limits is None else limits, amplitude,
+    )  # fmt: skip
