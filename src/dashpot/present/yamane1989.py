@@ -299,7 +299,9 @@ def _curves(picture: Picture, parameters: Sequence[str], *, logarithmic: bool) -
 
 
 def _band(curve: Curve) -> draw.Band:
-    return draw.Band(f"{curve.method}", draw.colour(curve.method), curve.mean, curve.low, curve.high)
+    return draw.Band(
+        curve.method, draw.colour(curve.method), curve.mean, curve.low, curve.high, curve.method == "oiv"
+    )
 
 
 def _limits(curves: Sequence[Curve]) -> tuple[float, float]:
@@ -395,10 +397,15 @@ def page(found: Reproduction, drawn: Mapping[str, tuple[str, bytes]]) -> str:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    images = {
-        name: (caption, base64.b64encode(content).decode("ascii"))
-        for name, (caption, content) in drawn.items()
-    }
+    # A PNG file states its width at byte 16.
+    images = [
+        (
+            caption,
+            int.from_bytes(content[16:20], "big") * 96 // draw.DPI,
+            base64.b64encode(content).decode("ascii"),
+        )
+        for caption, content in drawn.values()
+    ]
     return environment.get_template("yamane1989.html").render(
         found=found,
         tables=tables(found),

@@ -799,8 +799,8 @@ class Findings:
         """Which case is best, and whether the paper's order survives."""
         texts = []
         for kind, words in (
-            ("relative", "noise in proportion to the amplitude"),
-            ("constant", "noise of constant size"),
+            ("relative", "Noise in proportion to the amplitude"),
+            ("constant", "Noise of constant size"),
         ):
             points = {case: self.own._at(frequencies=case, kind=kind) for case in self.paper.cases}
             for name in ("iv", "oiv"):
@@ -825,7 +825,7 @@ class Findings:
         survives = kept["relative"]
         return Finding(
             f"The paper's order of its cases {'survives' if survives else 'does not survive'}",
-            f"rms spread by case, best first. {'. '.join(texts)}. The paper ranks CASE-3 before CASE-2 before CASE-1 "
+            f"Rms spread by case, best first. {'. '.join(texts)}. The paper ranks CASE-3 before CASE-2 before CASE-1 "
             f"from one draw each; under its own noise the true order of iv is {'the same' if survives else 'another'}, "
             f"and single draws come in the paper's order {chance:.0f} % of the time (17 % were all three alike). With "
             f"noise of constant size the paper's order {'holds' if kept['constant'] else 'does not hold either'}.",
