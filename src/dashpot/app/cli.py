@@ -89,8 +89,9 @@ def run(args: Sequence[str] | None = None) -> int:
     except (KeyboardInterrupt, click.Abort):
         _tell(["interrupted; no file is left half-written"])
         return INTERRUPTED
-    except BrokenPipeError:
-        # Whoever read the output has had enough (| head).  What is still buffered must not complain at exit.
+    except (BrokenPipeError, SystemExit):
+        # Whoever read the output has had enough (| head): click and rich answer that with SystemExit, and nothing
+        # else here does.  What is still buffered must not complain at exit.
         _silence_stdout()
         return BROKEN_PIPE
     except MemoryError:

@@ -1,0 +1,241 @@
+"""The commands from end to end, in this process."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from dashpot import Estimate, __version__, read, read_rig
+from dashpot.app import cli
+from dashpot.app.commands import COMMANDS
+from dashpot.estimate.methods import METHODS, method
+from tests.unit.app.conftest import RIG, VALUES, Command
+
+
+def test_simulated_data_give_the_parameters_back(dashpot: Command, data: Path) -> None:
+    # Three unknowns and the noise of seed 0: each within 4 sd (chance of a false alarm 2e-4).
+    done = dashpot("identify", "rig.toml", "data.csv", "--json", "out.json", "--report", "out.html")
+    assert done.code == 0
+    assert done.err == []
+    found = Estimate.load("out.json")
+    assert found.method == "oiv"
+    for name, truth in VALUES.items():
+        value = found[name]
+        assert 0 < value.sd < 0.02 * truth
+        assert abs(value.value - truth) < 4 * value.sd
+    assert "The model fits" in done.out
+    assert Path("out.html").read_text(encoding="utf-8").startswith("<!DOCTYPE html>")
+
+
+def test_json_keeps_its_contract(dashpot: Command, data: Path) -> None:
+    done = dashpot("identify", "rig.toml", "data.csv", "--json", "-")
+    content = json.loads(done.out)
+    assert content["dashpot"] == "0.1"
+    assert content["model"] == "Two masses on a shaken base"
+    assert content["method"] == "oiv"
+    assert content["status"] == "converged"
+    assert isinstance(content["iterations"], int)
+    assert content["order"] == ["m1", "c1", "c2"]
+    covariance = np.array(content["covariance"])
+    assert covariance.shape == (3, 3)
+    for j, name in enumerate(content["order"]):
+        entry = content["parameters"][name]
+        assert entry["sd"] == pytest.approx(covariance[j, j] ** 0.5)
+        assert entry["interval95"][0] < entry["value"] < entry["interval95"][1]
+        assert entry["known"] is False
+        assert entry["bound_sd"] > 0
+    assert content["parameters"]["m1"]["unit"] == "kg"
+    assert content["parameters"]["m2"]["known"] is True
+    assert content["parameters"]["m2"]["value"] == 2.7
+    for mode in content["modes"]:
+        assert {"frequency_hz", "damping_ratio", "eigenvalue", "frequency_sd", "damping_sd"} <= mode.keys()
+        assert len(mode["eigenvalue"]) == 2
+    assert {"chi2", "dof", "p"} <= content["fit"].keys()
+    assert content["warnings"] == []
+
+
+def test_amplitudes_give_what_their_records_give(dashpot: Command, data: Path) -> None:
+    assert dashpot("spectrum", "rig.toml", "data.csv", "--out", "table.csv").code == 0
+    direct = json.loads(dashpot("identify", "rig.toml", "data.csv", "--json", "-").out)
+    through = json.loads(dashpot("identify", "rig.toml", "table.csv", "--json", "-").out)
+    np.testing.assert_allclose(direct["covariance"], through["covariance"], rtol=1e-6)
+    for name in direct["order"]:
+        a, b = direct["parameters"][name], through["parameters"][name]
+        assert a["value"] == pytest.approx(b["value"], abs=1e-6 * a["sd"])
+
+
+@pytest.mark.parametrize("name", ["hls", "wls", "iv", "oiv", "ml"])
+def test_every_method_runs(dashpot: Command, data: Path, name: str) -> None:
+    done = dashpot("identify", "rig.toml", "data.csv", "--method", name, "--json", "-")
+    assert done.code == 0, done.err
+    content = json.loads(done.out)
+    assert content["method"] == name
+    assert content["parameters"]["m1"]["value"] == pytest.approx(3.0, rel=0.05)
+
+
+def test_auto_is_ml_where_a_coordinate_is_not_seen(dashpot: Command, data: Path) -> None:
+    Path("rig.toml").write_text(RIG.replace("x2 = { of", "# x2 = { of"), encoding="utf-8")
+    done = dashpot("identify", "rig.toml", "data.csv", "--json", "-")
+    assert done.code == 0, done.err
+    assert json.loads(done.out)["method"] == "ml"
+    assert any("x2" in line for line in done.err)  # the column that is left unread
+
+
+def test_a_reaction_force_replaces_the_known_parameter(dashpot: Command, rig: Path) -> None:
+    free = RIG.replace('m2 = { at = "x2", value = 2.7 }', 'm2 = { at = "x2", guess = 2.7 }').replace(
+        ", value = 4600 }", ", guess = 4600 }"
+    )
+    free += 'reaction = { of = "u", quantity = "force", noise = 0.01 }\n'
+    rig.write_text(free, encoding="utf-8")
+    settings = [text for name, value in VALUES.items() for text in ("--set", f"{name}={value}")]
+    dashpot(
+        "simulate",
+        "rig.toml",
+        "--out",
+        "d.csv",
+        "--frequencies",
+        "1:15:10",
+        "--amplitude",
+        "u=0.01",
+        *settings,
+    )
+    done = dashpot("identify", "rig.toml", "d.csv", "--json", "-")
+    assert done.code == 0, done.err
+    found = json.loads(done.out)
+    assert found["method"] == "ml"
+    for name, truth in {**VALUES, "m2": 2.7, "k1": 4600, "k2": 4600}.items():
+        entry = found["parameters"][name]
+        assert abs(entry["value"] - truth) < 4.5 * entry["sd"]
+    refused = dashpot("identify", "rig.toml", "d.csv", "--method", "oiv")
+    assert refused.code == 3
+    assert "ml" in refused.err[0]
+
+
+def test_simulated_table_carries_its_noise(dashpot: Command, rig: Path) -> None:
+    settings = [text for name, value in VALUES.items() for text in ("--set", f"{name}={value}")]
+    done = dashpot(
+        "simulate", "rig.toml", "--out", "t.csv", "--table", "--frequencies", "2,4,8", "--samples", "100",
+        "--amplitude", "u=0.01", *settings,
+    )  # fmt: skip
+    assert done.code == 0, done.err
+    lines = read("t.csv", read_rig("rig.toml").channels).spectrum()
+    assert lines.noise == ("given",) * 3
+    assert lines.frequency_hz.tolist() == [2, 4, 8]
+    # Noise of 0.02 mm a sample: the real and the imaginary part have √(2/N) of it, with little lost to the drift.
+    np.testing.assert_allclose(lines.sd()[:, 0], 2e-5 * np.sqrt(2 / 100), rtol=0.02)
+    assert np.all(lines.sd()[:, 2] == 0)
+
+
+def test_the_seed_decides_the_noise(dashpot: Command, rig: Path) -> None:
+    settings = [text for name, value in VALUES.items() for text in ("--set", f"{name}={value}")]
+
+    def drawn(seed: int) -> str:
+        dashpot(
+            "simulate", "rig.toml", "--out", "s.csv", "--frequencies", "3", "--seed", str(seed), *settings
+        )
+        return Path("s.csv").read_text(encoding="utf-8")
+
+    assert drawn(1) == drawn(1)
+    assert drawn(1) != drawn(2)
+
+
+def test_not_converged_is_told_written_and_ends_with_3(
+    dashpot: Command, data: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    import dashpot.estimate.methods as methods
+
+    real = methods.method
+    monkeypatch.setattr(methods, "method", lambda name, **settings: real(name, max_iterations=1))
+    done = dashpot("identify", "rig.toml", "data.csv", "--json", "out.json")
+    assert done.code == 3
+    assert len(done.err) == 1
+    assert "did not settle" in done.err[0]
+    assert "NOT CONVERGED" in done.out
+    assert json.loads(Path("out.json").read_text(encoding="utf-8"))["status"] == "not converged"
+
+
+def test_help_names_all_commands_and_imports_none(dashpot: Command) -> None:
+    code = (
+        "import sys; from dashpot.app.cli import run; code = run(['--help']);"
+        "heavy = {'numpy', 'rich', 'scipy', 'pydantic', 'matplotlib', 'jinja2', 'pyarrow'} & set(sys.modules);"
+        "print(sorted(heavy), file=sys.stderr); sys.exit(code)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert done.returncode == 0
+    assert done.stderr.strip() == "[]"
+    assert all(name in done.stdout for name in COMMANDS)
+
+
+@pytest.mark.parametrize("name", list(COMMANDS))
+def test_every_command_has_help(dashpot: Command, name: str) -> None:
+    done = dashpot(name, "--help")
+    assert done.code == 0
+    assert done.out.startswith(f"Usage: dashpot {name}")
+
+
+def test_version(dashpot: Command) -> None:
+    assert dashpot("--version").out == f"dashpot {__version__}\n"
+
+
+def test_choices_of_methods_are_those_there_are() -> None:
+    from dashpot.app.commands.identify import CHOICES
+
+    assert ["auto", *METHODS] == CHOICES
+    assert [method(name).name for name in METHODS] == list(METHODS)
+
+
+def test_a_fault_is_one_line_and_raised_on_request(
+    dashpot: Command, data: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    import dashpot.model.modelfile as modelfile
+
+    def broken(path: str) -> None:
+        raise ZeroDivisionError("one\ntwo")
+
+    monkeypatch.setattr(modelfile, "read_rig", broken)
+    done = dashpot("identify", "rig.toml", "data.csv")
+    assert done.code == 1
+    assert len(done.err) == 1
+    assert "ZeroDivisionError: one two" in done.err[0]
+    assert "DASHPOT_TRACEBACK" in done.err[0]
+    monkeypatch.setenv("DASHPOT_TRACEBACK", "1")
+    with pytest.raises(ZeroDivisionError):
+        cli.run(["identify", "rig.toml", "data.csv"])
+
+
+def test_interruption_leaves_no_file(dashpot: Command, data: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    before = sorted(os.listdir())
+
+    def interrupt(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("dashpot.app.files.os.replace", interrupt)
+    done = dashpot("identify", "rig.toml", "data.csv", "--json", "out.json")
+    assert done.code == 130
+    assert len(done.err) == 1
+    assert sorted(os.listdir()) == before
+
+
+def test_a_broken_pipe_is_silent(data: Path) -> None:
+    command = [
+        sys.executable,
+        "-c",
+        "from dashpot.app.cli import main; main()",
+        "identify",
+        "rig.toml",
+        "data.csv",
+    ]
+    with subprocess.Popen(
+        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, cwd=data.parent
+    ) as process:
+        assert process.stdout is not None
+        process.stdout.close()
+        assert process.stderr is not None
+        assert process.stderr.read() == b""
+        assert process.wait() == 141
