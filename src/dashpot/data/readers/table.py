@@ -259,9 +259,10 @@ def bare(column: str) -> tuple[str, str | None]:
     return (match["name"], match["unit"].strip()) if match else (column, None)
 
 
-def open_table(path: str | os.PathLike[str]) -> Table:
+def open_table(path: str | os.PathLike[str], first_column: str | None = None) -> Table:
     """Read a file, plain or .gz, and its header row: after blank rows, rows that begin with #, and `sep=`.
 
+    Files of instruments say other things first: with `first_column` the header row is the first that begins with it.
     Raises DataError where the file cannot be read, is not text in UTF-8, is empty, or has a header and no rows.
     """
     source = shown(os.fspath(path), 200)
@@ -294,10 +295,18 @@ def open_table(path: str | os.PathLike[str]) -> Table:
         start = end + 1
         if text.lower().startswith("sep=") and len(text) == 5:
             delimiter = text[4]
+        elif first_column is not None:
+            if text.startswith(first_column):
+                break
         elif text and not text.startswith("#"):
             break
         if start >= len(data):
-            raise DataError("the file has no header row", source, "give a file with a header row and data")
+            cure = (
+                "a header row and data"
+                if first_column is None
+                else f"a header row that begins with {first_column}"
+            )
+            raise DataError("the file has no header row", source, f"give a file with {cure}")
     if delimiter is None:
         delimiter = max(_DELIMITERS, key=text.count)
     header = _header(text, delimiter, f"{source}:{row}")
