@@ -70,6 +70,7 @@ def command(
 
     check_targets([None if json_out == STDOUT else json_out, report], [rig, *data])
     found = read_rig(rig)
+    _check_unknowns(found, rig)
     require_scale(found.model, found.channels, rig)
     _check_method(found, chosen)
 
@@ -115,6 +116,13 @@ def _method(chosen: str, rig: Rig, spectrum: Spectrum, seed: int) -> Method:
         plain = all(is_direct(rig.model, channel) for channel in spectrum.channels)
         name = "oiv" if plain and not unseen(rig.model, spectrum) else "ml"
     return method(name, seed=seed)
+
+
+def _check_unknowns(found: Rig, path: str) -> None:
+    from dashpot.errors import UsageError
+
+    if not found.model.unknowns:
+        raise UsageError("every parameter is known", path, "leave out the value of what is to be found")
 
 
 def _check_method(rig: Rig, chosen: str) -> None:

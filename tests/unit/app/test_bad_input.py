@@ -1,0 +1,292 @@
+"""Whatever is wrong with a file: one line with place, cause and cure, exit code 2, no traceback, no output."""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from tests.unit.app.conftest import RIG, Command, Ran
+
+
+def refused(done: Ran, *parts: str, code: int = 2, lines: int = 1) -> None:
+    """One line for each problem, each with a cure after a semicolon; all `parts` are named; no file was written."""
+    assert done.code == code, (done.out, done.err)
+    assert done.out == ""
+    assert len(done.err) == lines, done.err
+    for line in done.err:
+        assert line.startswith("dashpot: ")
+        assert "; " in line, f"no cure in: {line}"
+        assert "Traceback" not in line
+    for part in parts:
+        assert any(part in line for line in done.err), (part, done.err)
+    assert not {"out.json", "out.html"} & set(os.listdir())
+
+
+def identify(dashpot: Command, *data: str) -> Ran:
+    return dashpot("identify", "rig.toml", *data, "--json", "out.json", "--report", "out.html")
+
+
+# Rig files
+
+BAD_RIGS = {
+    "unknown key": ('m1 = { at = "x1" }', 'm1 = { at = "x1", weight = 3 }', ["rig.toml:6", "masses.m1", "weight"]),
+    "unknown section": ("[masses]", "[weights]", ["rig.toml:5", "weights"]),
+    "wrong type": ("value = 2.7", 'value = "2,7"', ["rig.toml:7", "masses.m2.value", "2.7"]),
+    "negative mass": ("value = 2.7", "value = -2.7", ["rig.toml:7", "m2", "negative"]),
+    "not finite": ("value = 2.7", "value = nan", ["rig.toml:7", "m2", "finite"]),
+    "no such coordinate": ('m1 = { at = "x1" }', 'm1 = { at = "x9" }', ["rig.toml:6", "x9"]),
+    "nothing attached": ('["x1", "x2"]\n[in', '["x1", "x2", "x3"]\n[in', ["rig.toml:2", "x3", "attached"]),
+    "named twice": (
+        "[springs]\n",
+        '[springs]\nm1 = { between = ["x1", "u"], value = 3 }\n',
+        ["rig.toml:", "m1", "2 times"],
+    ),
+    "key twice": ('m1 = { at = "x1" }', 'm1 = { at = "x1" }\nm1 = { at = "x2" }', ["rig.toml:7", "m1", "twice"]),
+    "tie in a circle": (
+        'c1 = { between = ["x1", "x2"] }\nc2 = { between = ["x2", "u"] }',
+        'c1 = { between = ["x1", "x2"], same_as = "c2" }\nc2 = { between = ["x2", "u"], same_as = "c1" }',
+        ["circle"],
+    ),
+    "wrong unit": ('unit = "mm", noise = 0.02 }\nu', 'unit = "kg", noise = 0.02 }\nu', ["rig.toml:", "x2", "kg"]),
+    "broken syntax": ("[masses]", "[masses", ["rig.toml:5"]),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", BAD_RIGS)
+def test_bad_rig(dashpot: Command, data: Path, case: str) -> None:
+    old, new, parts = BAD_RIGS[case]
+    text = RIG.replace(old, new, 1)
+    assert text != RIG
+    Path("rig.toml").write_text(text, encoding="utf-8")
+    done = identify(dashpot, "data.csv")
+    refused(done, *parts, lines=len(done.err))
+    assert len(done.err) <= 4
+
+
+def test_all_problems_of_a_rig_at_once(dashpot: Command, data: Path) -> None:
+    text = RIG.replace("value = 2.7", "value = -2.7").replace(
+        'c1 = { between = ["x1", "x2"] }', 'c1 = { at = "x7" }'
+    )
+    Path("rig.toml").write_text(text + "mystery = 3\n", encoding="utf-8")
+    done = identify(dashpot, "data.csv")
+    refused(done, "m2", "x7", "mystery", lines=3)
+
+
+@pytest.mark.parametrize(
+    "content",
+    [b"", b"\xff\xfea\x00", b"\xfa\xfb", b"coordinates = " + b"[" * 5000],
+    ids=["empty", "utf16", "bytes", "deep"],
+)
+def test_what_is_no_rig_file(dashpot: Command, data: Path, content: bytes) -> None:
+    Path("rig.toml").write_bytes(content)
+    refused(identify(dashpot, "data.csv"), "rig.toml")
+
+
+def test_missing_files(dashpot: Command, data: Path) -> None:
+    refused(dashpot("identify", "none.toml", "data.csv"), "none.toml")
+    refused(identify(dashpot, "none.csv"), "none.csv")
+    refused(identify(dashpot, "."), "directory")
+
+
+def test_nothing_known_is_refused_before_data_are_read(dashpot: Command, rig: Path) -> None:
+    free = re.sub(r", value = [\d.]+", "", RIG)
+    rig.write_text(free, encoding="utf-8")
+    done = identify(dashpot, "not_there.csv")
+    refused(done, "all forces scale together", "give one of them a value", code=3)
+
+
+def test_all_known_leaves_nothing_to_find(dashpot: Command, data: Path) -> None:
+    known = RIG.replace('m1 = { at = "x1" }', 'm1 = { at = "x1", value = 3 }')
+    known = known.replace('"x2"] }', '"x2"], value = 20 }').replace('"u"] }', '"u"], value = 30 }')
+    Path("rig.toml").write_text(known, encoding="utf-8")
+    refused(identify(dashpot, "not_there.csv"), "rig.toml", "known")
+
+
+def test_a_massless_coordinate_between_spring_and_damper_is_legitimate(dashpot: Command, rig: Path) -> None:
+    rig.write_text(
+        'coordinates = ["x1", "joint"]\n[inputs]\nu = {}\n[masses]\nm1 = { at = "x1", value = 2.0 }\n'
+        '[springs]\nk1 = { between = ["x1", "joint"] }\nk2 = { between = ["x1", "u"] }\n'
+        '[dampers]\nc1 = { between = ["joint", "u"] }\n[channels]\nx1 = { of = "x1", noise = 1e-3 }\n'
+        'joint = { of = "joint", noise = 1e-3 }\nu = { of = "u" }\n',
+        encoding="utf-8",
+    )
+    settings = ["--set", "k1=300", "--set", "k2=500", "--set", "c1=9"]
+    assert dashpot("simulate", "rig.toml", "--out", "d.csv", "--frequencies", "0.5:9:12", *settings).code == 0
+    assert identify(dashpot, "d.csv").code == 0
+
+
+# Data files
+
+
+def cell(row: int, column: int, text: str) -> Callable[[list[list[str]]], None]:
+    """Replace one cell; row 0 is the header."""
+
+    def change(rows: list[list[str]]) -> None:
+        rows[row][column] = text
+
+    return change
+
+
+def without(column: int) -> Callable[[list[list[str]]], None]:
+    def change(rows: list[list[str]]) -> None:
+        for row in rows:
+            del row[column]
+
+    return change
+
+
+def swapped(rows: list[list[str]]) -> None:
+    rows[20], rows[21] = rows[21], rows[20]
+
+
+def one_sample(rows: list[list[str]]) -> None:
+    del rows[2:]
+
+
+def ragged(rows: list[list[str]]) -> None:
+    rows[30] = rows[30][:3]
+
+
+def all_frequencies(text: str) -> Callable[[list[list[str]]], None]:
+    def change(rows: list[list[str]]) -> None:
+        for row in rows[1:]:
+            row[0] = text
+
+    return change
+
+
+# Columns: frequency_hz, time_s, x1, x2, u
+BAD_DATA: dict[str, tuple[Callable[[list[list[str]]], None], list[str]]] = {
+    "nan": (cell(7, 2, "nan"), ["data.csv:8", "x1"]),
+    "infinite": (cell(7, 3, "inf"), ["data.csv:8", "x2"]),
+    "gap": (cell(9, 4, ""), ["data.csv:10", "u"]),
+    "not numeric": (cell(5, 3, "abc"), ["data.csv:6", "x2", "abc"]),
+    "column missing": (without(3), ["data.csv", "x2"]),
+    "time missing": (without(1), ["data.csv", "time_s"]),
+    "column twice": (cell(0, 3, "x1"), ["data.csv", "x1"]),
+    "frequency 0": (all_frequencies("0"), ["data.csv:2", "frequency"]),
+    "frequency negative": (all_frequencies("-3"), ["data.csv:2", "frequency"]),
+    "time not increasing": (swapped, ["data.csv:", "time_s"]),
+    "one sample": (one_sample, ["data.csv:2", "one sample"]),
+    "ragged row": (ragged, ["data.csv:31"]),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", BAD_DATA)
+def test_bad_data(dashpot: Command, data: Path, case: str) -> None:
+    change, parts = BAD_DATA[case]
+    rows = [line.split(",") for line in data.read_text(encoding="utf-8").splitlines()]
+    change(rows)
+    data.write_text("".join(",".join(row) + "\n" for row in rows), encoding="utf-8")
+    refused(identify(dashpot, "data.csv"), *parts)
+
+
+def test_a_file_cut_in_half(dashpot: Command, data: Path) -> None:
+    content = data.read_bytes()
+    middle = len(content) // 2
+    end = content.rindex(b"\n", 0, middle) + 3  # three characters into a row
+    data.write_bytes(content[:end])
+    refused(identify(dashpot, "data.csv"), "data.csv:")
+
+
+@pytest.mark.parametrize(
+    ("content", "part"),
+    [
+        (b"", "data.csv"),
+        (b"frequency_hz,time_s,x1,x2,u\n", "data.csv"),
+        (b"\x00\x01\x02\xff\xfe", "data.csv"),
+        (b"1,2,3,4,5\n1,2,3,4,5\n", "header"),
+        (b",".join(b"c%d" % i for i in range(1_000_000)) + b"\n1\n", "data.csv"),
+    ],
+    ids=["empty", "header only", "binary", "no header", "million columns"],
+)
+def test_what_is_no_data_file(dashpot: Command, data: Path, content: bytes, part: str) -> None:
+    data.write_bytes(content)
+    refused(identify(dashpot, "data.csv"), part)
+
+
+def test_unit_of_the_header_against_the_rig(dashpot: Command, data: Path) -> None:
+    text = data.read_text(encoding="utf-8").replace("x1", "x1 [m/s]", 1)
+    data.write_text(text, encoding="utf-8")
+    refused(identify(dashpot, "data.csv"), "data.csv:1", "x1", "m/s")
+
+
+def test_bad_table_of_amplitudes(dashpot: Command, data: Path) -> None:
+    dashpot("spectrum", "rig.toml", "data.csv", "--out", "table.csv")
+    lines = Path("table.csv").read_text(encoding="utf-8").splitlines()
+    where = lines[0].split(",").index("x1_sd")
+    broken = lines[2].split(",")
+    broken[where] = "-1"
+    Path("bad.csv").write_text("\n".join([*lines[:2], ",".join(broken), *lines[3:]]) + "\n", encoding="utf-8")
+    refused(identify(dashpot, "bad.csv"), "bad.csv:3", "x1_sd")
+    refused(dashpot("identify", "rig.toml", "table.csv", "--method", "ls"), lines=1)
+
+
+def test_data_that_do_not_determine_the_unknowns_end_with_3(dashpot: Command, data: Path) -> None:
+    dashpot("spectrum", "rig.toml", "data.csv", "--out", "table.csv")
+    text = RIG.replace(
+        'c1 = { between = ["x1", "x2"] }', 'c1 = { between = ["x1", "x2"] }\nc9 = { between = ["x1", "x2"] }'
+    )
+    Path("rig.toml").write_text(text, encoding="utf-8")
+    refused(identify(dashpot, "data.csv"), "c1", "c9", code=3)
+
+
+# Usage
+
+BAD_USAGE = {
+    "no command": (["identfy"], "did you mean identify"),
+    "no rig": (["identify"], "RIG"),
+    "no data": (["identify", "rig.toml"], "DATA"),
+    "no such option": (["identify", "rig.toml", "data.csv", "--jsn", "o"], "--json"),
+    "no such method": (["identify", "rig.toml", "data.csv", "--method", "magic"], "magic"),
+    "level": (["identify", "rig.toml", "data.csv", "--level", "0"], "level"),
+    "orders": (["identify", "rig.toml", "data.csv", "--orders", "1,x"], "1,x"),
+    "frequencies": (["simulate", "rig.toml", "--out", "o.csv", "--frequencies", "5:1:3"], "5:1:3"),
+    "setting": (["simulate", "rig.toml", "--out", "o.csv", "--frequencies", "1", "--set", "m1"], "m1"),
+    "unset": (["simulate", "rig.toml", "--out", "o.csv", "--frequencies", "1", "--set", "m1=1", "--set", "c1=1"], "c2"),
+    "stranger": (
+        ["simulate", "rig.toml", "--out", "o.csv", "--frequencies", "1", "--set", "m1=1", "--set", "c1=1",
+         "--set", "c2=1", "--set", "zz=1"],
+        "zz",
+    ),
+    "no such input": (
+        ["simulate", "rig.toml", "--out", "o.csv", "--frequencies", "1", "--set", "m1=1", "--set", "c1=1",
+         "--set", "c2=1", "--amplitude", "w=1"],
+        "w",
+    ),
+    "paper": (["reproduce", "newton1687"], "yamane1989"),
+    "draws": (["reproduce", "yamane1989", "--draws", "0"], "0"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", BAD_USAGE)
+def test_bad_usage(dashpot: Command, data: Path, case: str) -> None:
+    args, part = BAD_USAGE[case]
+    before = sorted(os.listdir())
+    refused(dashpot(*args), part)
+    assert sorted(os.listdir()) == before
+
+
+@pytest.mark.parametrize(
+    ("target", "part"),
+    [
+        ("missing/out.json", "missing"),
+        (".", "folder"),
+        ("data.csv", "overwrite"),
+        ("rig.toml", "overwrite"),
+        ("", "folder"),
+    ],
+)
+def test_outputs_are_checked_before_the_work(dashpot: Command, data: Path, target: str, part: str) -> None:
+    content = data.read_bytes()
+    Path("rig.toml").write_text("broken", encoding="utf-8")  # never read
+    refused(dashpot("identify", "rig.toml", "data.csv", "--json", target), part)
+    assert data.read_bytes() == content
+
+
+def test_two_outputs_of_one_name(dashpot: Command, data: Path) -> None:
+    refused(dashpot("identify", "rig.toml", "data.csv", "--json", "o", "--report", "./o"), "two outputs")
