@@ -10,6 +10,7 @@ from dashpot.channel import Channel
 from dashpot.data.harmonics import Noise
 from dashpot.data.harmonics import spectrum as amplitudes_of
 from dashpot.data.readers.amplitudes import is_amplitudes, read_amplitudes, write_amplitudes
+from dashpot.data.readers.frf import is_frf, read_frf
 from dashpot.data.readers.stepped_sine import read_records, write_records
 from dashpot.data.readers.table import open_table
 from dashpot.data.record import Record
@@ -88,7 +89,10 @@ def read(
     notes: list[str] = []
     for number, path in enumerate(several):
         table = open_table(path)
-        if is_amplitudes(table):
+        if is_frf(table):
+            lines, told = read_frf(table, channels, number)
+            spectra.append(lines)
+        elif is_amplitudes(table):
             lines, told = read_amplitudes(table, channels, number)
             spectra.append(lines)
         else:
