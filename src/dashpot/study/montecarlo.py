@@ -158,6 +158,11 @@ class Task:
     seed: int
     file: str | None = None
 
+    @property
+    def identifications(self) -> int:
+        """Repeats times methods."""
+        return self.size * len(self.scenario.methods)
+
 
 @dataclass(frozen=True)
 class Done:
@@ -186,11 +191,10 @@ def run_task(task: Task) -> Done:
     except DashpotError as error:
         first = error.problems[0]
         raise UsageError(first.what, f"{scenario.name}", first.cure) from error
-    work = task.size * len(scenario.methods)
     if task.file is None:
-        return Done(scenario.key, task.index, work, block)
+        return Done(scenario.key, task.index, task.identifications, block)
     write_block(Path(task.file), {name: _columns(one) for name, one in block.items()})
-    return Done(scenario.key, task.index, work)
+    return Done(scenario.key, task.index, task.identifications)
 
 
 def estimates(task: Task) -> Iterable[tuple[str, Estimate]]:
@@ -295,9 +299,9 @@ def run(
         twice = next(name for name in names if names.count(name) > 1)
         raise UsageError(f"{twice} occurs twice in the study", cure="remove one of the two")
     work = tasks(scenarios, seed, block, folder)
-    total = sum(task.size * len(task.scenario.methods) for task in work)
-    left = [task for task in work if task.file is None or not sound(Path(task.file))]
-    done = total - sum(task.size * len(task.scenario.methods) for task in left)
+    total = sum(task.identifications for task in work)
+    left = [task for task in work if task.file is None or not sound(Path(task.file), task.identifications)]
+    done = total - sum(task.identifications for task in left)
     for parent in {Path(task.file).parent for task in left if task.file is not None}:
         parent.mkdir(parents=True, exist_ok=True)
     if progress is not None:

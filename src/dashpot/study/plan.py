@@ -89,13 +89,18 @@ def scenarios(study: Study) -> tuple[Scenario, ...]:
     """
     found: dict[str, Scenario] = {}
     for grid in study.grids:
-        for one in _points(study, grid):
+        for one in points(study, grid):
             other = found.get(one.name)
             if other is not None:
                 methods = tuple(dict.fromkeys((*other.methods, *one.methods)))
                 one = replace(other, methods=methods, draws=max(one.draws, other.draws))
             found[one.name] = one
     return tuple(found.values())
+
+
+def points(study: Study, grid: Grid) -> list[Scenario]:
+    """The points of one grid.  Raises UsageError or ModelError where a combination is none."""
+    return list(_points(study, grid))
 
 
 def _points(study: Study, grid: Grid) -> Iterator[Scenario]:
@@ -141,6 +146,11 @@ def _channels(study: Study, grid: Grid, bench: Bench, level: float) -> tuple[Cha
         case "relative":
             return with_relative_noise(bench.model, bench.channels, level)
         case "channels":
+            if not any(c.noise or c.relative_noise for c in bench.channels):
+                raise UsageError(
+                    "no channel of the rig states its noise",
+                    cure="add noise or relative_noise to its [channels]",
+                )
             return tuple(
                 replace(c, noise=level * c.noise, relative_noise=level * c.relative_noise)
                 for c in bench.channels

@@ -52,17 +52,17 @@ def read_block(path: Path, unknowns: int) -> dict[str, dict[str, np.ndarray]]:
         ) from error
 
 
-def sound(path: Path) -> bool:
-    """Whether a block is there and whole."""
+def sound(path: Path, rows: int) -> bool:
+    """Whether a block of so many rows is there and whole."""
     import pyarrow.parquet as parquet
 
     if not path.is_file():
         return False
     try:
-        parquet.read_metadata(path)
+        found: int = parquet.read_metadata(path).num_rows
     except (OSError, ValueError):
         return False
-    return True
+    return found == rows
 
 
 def write_table(path: Path, columns: Mapping[str, Sequence[Any] | np.ndarray]) -> None:

@@ -19,6 +19,7 @@ import numpy as np
 
 from dashpot.arrays import Complex, Real, frozen
 from dashpot.channel import Quantity
+from dashpot.errors import UsageError
 from dashpot.model.dynamics import matrices, modes
 from dashpot.model.elements import Element, Kind, between, mass
 from dashpot.model.network import Input, Model
@@ -28,6 +29,7 @@ from dashpot.study.simulate import standard_channels
 
 SEED = 1989
 DRAWS = 1000
+FEWEST = 20
 METHODS = ("ls", "iv", "oiv")
 FOUR = "four"
 FIGURE2_LEVELS = (0.01, 0.025, 0.05, 0.1, 0.15, 0.2, 0.25, 0.3, 0.35)
@@ -149,10 +151,10 @@ def _grid(draws: int) -> Grid:
 
 
 def _study(name: str, grids: tuple[Grid, ...], seed: int) -> Study:
-    """The input is u = sin ωt (eq. 2).
+    """The paper does not say at which instants it sampled.
 
-    The paper does not say at which instants it sampled.  Without offset or drift all even spreads over whole half
-    periods have the same distribution, so half a period is taken: it makes sense of two samples too.
+    Without offset or drift all even spreads over whole half periods have the same distribution, whatever the phase of
+    the input (sin ωt in eq. 2, cos ωt here), so half a period is taken: it makes sense of two samples too.
     """
     paper = printed()
     return Study(
@@ -162,7 +164,6 @@ def _study(name: str, grids: tuple[Grid, ...], seed: int) -> Study:
         paper.cases,
         grids,
         unknowns={FOUR: tuple(paper.table3)},
-        amplitudes={"u": -1j},
         periods=0.5,
     )
 
@@ -318,9 +319,12 @@ def reproduce(
 ) -> Reproduction:
     """Tables 1-4 and Figures 2-3 with `draws` noise draws for each point; `progress(done, all)` counts identifications.
 
-    The same seed gives the same numbers whatever the `mapper`.  About 2 ms a draw and point.
+    The same seed gives the same numbers whatever the `mapper`.  About 2 ms a draw and point.  Raises UsageError for
+    fewer than FEWEST draws.
     """
-    points = {one.name: one for one in (*scenarios(tables(draws, seed)), *scenarios(figures(draws, seed)))}
+    if draws < FEWEST:
+        raise UsageError(f"{draws} draws are too few to speak of a spread", cure=f"take {FEWEST} or more")
+    points = {one.name: one for one in (*scenarios(figures(draws, seed)), *scenarios(tables(draws, seed)))}
     results = run(list(points.values()), seed, mapper=mapper, progress=progress)
     return Assembly(results).reproduction(draws, seed)
 
