@@ -26,6 +26,7 @@ METHOD_COLOURS: Mapping[str, str] = {
     "ml": "#2f8f83",
 }
 DPI = 180
+PANELS_A_ROW = 3
 
 
 def colour(method: str, place: int = 0) -> str:
@@ -81,11 +82,15 @@ def band_panels(
     band_label: str = "band: 95 % of the draws",
 ) -> Figure:
     """A panel for each title with lines, bands and points over one abscissa; what lies outside `limits` is cut off."""
-    count = len(titles)
+    columns = min(len(titles), PANELS_A_ROW)
+    rows = -(-len(titles) // columns)
     with style():
-        figure = Figure(figsize=(2.9 * count + 1.0, 3.5))
-        grid = figure.subplots(1, count, squeeze=False)[0]
-        for axes, title, own, points in zip(grid, titles, bands, marks, strict=True):
+        figure = Figure(figsize=(2.9 * columns + 1.0, 2.9 * rows + 0.6))
+        table = figure.subplots(rows, columns, squeeze=False)
+        grid = list(table.flat)
+        for axes in grid[len(titles) :]:
+            axes.set_visible(False)
+        for axes, title, own, points in zip(grid, titles, bands, marks, strict=False):
             axes.axhline(0.0, color=MUTED, lw=0.8, zorder=1)
             for band in own:
                 axes.fill_between(x, band.low, band.high, color=band.colour, alpha=0.16, lw=0, zorder=2)
@@ -99,11 +104,13 @@ def band_panels(
                     clip_on=False,
                 )  # fmt: skip
             axes.set_title(title)
-            axes.set_xlabel(x_label)
             _abscissa(axes, x, logarithmic)
+        for axes in grid[max(0, len(titles) - columns) : len(titles)]:
+            axes.set_xlabel(x_label)
         for axes, pair in zip(grid, limits if limits is not None else [], strict=False):
             axes.set_ylim(*pair)
-        grid[0].set_ylabel(y_label)
+        for axes in table[:, 0]:
+            axes.set_ylabel(y_label)
         handles = [Line2D([], [], label=band.label, **band.stroke) for band in _distinct(bands)]
         handles.append(Line2D([], [], color=MUTED, alpha=0.25, lw=7, label=band_label))
         handles += [
@@ -233,7 +240,7 @@ def bar_panels(
                 for at, value, error in zip(x, series.values, series.errors, strict=True):
                     axes.annotate(
                         f"{value:.2f}", (at, value + 1.96 * error), (0, 2), textcoords="offset points",
-                        ha="center", va="bottom", fontsize=7.5,
+                        ha="center", va="bottom", fontsize=7.5 if len(own) < 3 else 6.5,
                     )  # fmt: skip
             for at, value in enumerate(bound):
                 axes.plot([at - 0.42, at + 0.42], [value, value], color=INK, lw=1.1, ls=(0, (4, 2)), zorder=4)
