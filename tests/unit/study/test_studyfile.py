@@ -1,0 +1,249 @@
+"""Study files: what is read, and one line with a place, a cause and a cure for all that is wrong."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from dashpot.errors import UsageError
+from dashpot.study import yamane1989
+from dashpot.study.plan import scenarios
+from dashpot.study.session import fingerprint
+from dashpot.study.studyfile import parse_study, read_study
+
+EXAMPLES = Path(__file__).parents[3] / "examples" / "studies"
+
+RIG = """\
+coordinates = ["x"]
+[inputs]
+u = {}
+[masses]
+m = { at = "x" }
+[dampers]
+c = { between = ["x", "u"], guess = 30 }
+[springs]
+k = { between = ["x", "u"], value = 4600 }
+[channels]
+x = { of = "x", noise = 0.01 }
+v = { of = "x", quantity = "velocity" }
+u = { of = "u" }
+"""
+STUDY = """\
+draws = 100
+methods = ["oiv"]
+[rigs.one]
+file = "rig.toml"
+values = { m = 3.0 }
+[frequencies]
+few = [1, 2, 5]
+[[grid]]
+noise = [0.1]
+samples = 56
+"""
+
+
+@pytest.fixture
+def folder(tmp_path):
+    (tmp_path / "rig.toml").write_text(RIG)
+    return tmp_path
+
+
+def parsed(folder, text):
+    return parse_study(text, str(folder / "study.toml"))
+
+
+@pytest.mark.parametrize("which", ["tables", "figures"])
+def test_the_papers_study_files_are_what_reproduce_computes(which):
+    """Same names (so same random numbers), same physics, same methods and draws: the same bits."""
+    study = read_study(EXAMPLES / f"yamane1989_{which}.toml")
+    own = getattr(yamane1989, which)()
+    assert study.seed == own.seed
+    for one, other in zip(scenarios(study), scenarios(own), strict=True):
+        assert one.name == other.name
+        assert one.key == other.key
+        assert fingerprint(one) == fingerprint(other)
+        assert (one.methods, one.draws) == (other.methods, other.draws)
+
+
+def test_a_short_file_has_sensible_defaults(folder):
+    study = parsed(folder, STUDY)
+    (one,) = scenarios(study)
+    assert study.name == "study"
+    assert study.seed == 0
+    assert one.theta.tolist() == [3.0, 30.0]  # the damper's is its guess
+    assert one.noise == "given"
+    assert one.drift is None
+    assert one.test.samples.tolist() == [56, 56, 56]
+    assert one.methods == ("oiv",)
+
+
+def test_everything_that_can_be_said(folder):
+    text = STUDY.replace("draws = 100", 'name = "all"\nseed = 4\ndrift = 1\nperiods = 3').replace(
+        "[[grid]]\nnoise = [0.1]\nsamples = 56",
+        """\
+sweep = { from = 1, to = 100, count = 3, spacing = "logarithmic" }
+even = { from = 1, to = 3, count = 3 }
+[unknowns]
+mass = ["m"]
+[amplitudes]
+u = 0.01
+[[grid]]
+draws = 10
+frequencies = ["sweep", "even"]
+unknowns = ["all", "mass"]
+kind = "constant"
+reference = "few"
+noise = [0.1, 0.2]
+samples_in_all = [30, 60]
+covariance = ["given", "estimated"]
+methods = ["ls", "oiv"]
+[[grid]]
+draws = 20
+kind = "channels"
+samples = [8]
+frequencies = "few"
+""",
+    )
+    study = parsed(folder, text)
+    points = scenarios(study)
+    assert len(points) == 2**5 + 1
+    assert np.allclose(points[0].test.frequency_hz, [1, 10, 100])
+    assert points[0].test.U[0, 0] == 0.01
+    assert points[0].test.periods[0] == 3
+    assert points[0].drift == 1
+    assert points[-1].draws == 20
+    assert points[-1].channels[0].noise == 0.01
+    assert {point.noise for point in points} == {"given", "estimated"}
+
+
+WRONG = [
+    ("draws = 100", "draw = 100", '1: draw: unknown key; did you mean "draws"?'),
+    ("draws = 100", "", "8: grid[0]: the number of draws is not said; add draws = 1000"),
+    ("draws = 100", "draws = 1", "1: draws: 1 is out of range; write a whole number from 2"),
+    ("draws = 100", "draws = 1e3", "1: draws: 1000.0 is no whole number"),
+    ("draws = 100", 'draws = "many"', '1: draws: "many" is no whole number'),
+    ("draws = 100", "draws = true", "1: draws: true is no whole number"),
+    ("draws = 100", "draws = 100\nseed = -1", "2: seed: -1 is out of range"),
+    ("draws = 100", "draws = 100\nperiods = 0", "2: periods: 0 is not positive"),
+    ("draws = 100", "draws = 100\nperiods = nan", "2: periods: nan is not finite"),
+    ('["oiv"]', '["oivv"]', '2: methods: "oivv" is no method; did you mean "oiv"?'),
+    ('["oiv"]', "[]", "2: methods: the list is empty"),
+    ('["oiv"]', '["oiv", "oiv"]', '2: methods: "oiv" stands twice in the list'),
+    ('["oiv"]', "[3]", "2: methods: 3 is no name; write names in quotes"),
+    ('file = "rig.toml"\n', "", "3: rigs.one: the rig file is not named"),
+    ("rig.toml", "rag.toml", "there is no such file"),
+    (
+        "values = { m = 3.0 }",
+        "",
+        "3: rigs.one: the true value of m is not said; add values = { m = … }, in kg",
+    ),
+    ("{ m = 3.0 }", "{ m = 3.0, q = 1 }", "5: rigs.one.values.q: the rig has no such parameter of its own"),
+    ("{ m = 3.0 }", '{ m = "3" }', '5: rigs.one.values.m: "3" is no number'),
+    ("{ m = 3.0 }", "{ m = inf }", "5: rigs.one.values.m: inf is not finite"),
+    ("{ m = 3.0 }", "3", "5: rigs.one.values: this is no table"),
+    ("[1, 2, 5]", "[1, -2, 5]", "7: frequencies.few: -2 is not positive"),
+    ("[1, 2, 5]", "[1, 2, 1]", "7: frequencies.few: 1 stands twice"),
+    ("[1, 2, 5]", '"all"', "7: frequencies.few: these are no frequencies; write a list"),
+    ("[1, 2, 5]", "{ from = 1, to = 5 }", "7: frequencies.few: count missing"),
+    ("[1, 2, 5]", "{ from = 5, to = 1, count = 4 }", "7: frequencies.few: from 5 is not below to 1"),
+    ("[1, 2, 5]", "{ from = 1, to = 5, count = 4, spacing = 'log' }", 'few.spacing: "log" is no spacing'),
+    ("[frequencies]\nfew = [1, 2, 5]\n", "", "frequencies: there are no frequencies"),
+    ("noise = [0.1]\n", "", "8: grid[0]: the noise is not said; add noise = [0.01, 0.1]"),
+    ("noise = [0.1]", "noise = [-0.1]", "9: grid[0].noise: a noise of -0.1"),
+    ("noise = [0.1]", "nois = [0.1]", '9: grid[0].nois: unknown key; did you mean "noise"?'),
+    (
+        "noise = [0.1]",
+        "noise = 0.1\nkind = 'constant'",
+        "8: grid[0]: constant noise has no size; add reference",
+    ),
+    ("noise = [0.1]", "noise = 0.1\nkind = 'white'", '10: grid[0].kind: "white" is no kind of noise'),
+    ("noise = [0.1]", "noise = 0.1\nreference = 'few2'", '10: grid[0].reference: "few2" is no set'),
+    ("samples = 56", "", "8: grid[0]: the number of samples is not said"),
+    ("samples = 56", "samples = 1", "10: grid[0].samples: 1 is out of range"),
+    (
+        "samples = 56",
+        "samples_in_all = 5",
+        "8: grid[0]: 5 samples are too few for 3 frequencies; take 6 or more",
+    ),
+    (
+        "samples = 56",
+        "samples = 56\nsamples_in_all = 60",
+        "8: grid[0]: samples and samples_in_all are both given",
+    ),
+    (
+        "samples = 56",
+        "samples = 56\nfrequencies = 'many'",
+        '11: grid[0].frequencies: "many" is no set of freq',
+    ),
+    ("samples = 56", "samples = 56\nunknowns = 'two'", '11: grid[0].unknowns: "two" is no set of unknowns'),
+    ("samples = 56", "samples = 56\nrigs = 'two'", '11: grid[0].rigs: "two" is no rig; there are one'),
+    (
+        "samples = 56",
+        "samples = 56\ncovariance = 'guessed'",
+        '11: grid[0].covariance: "guessed" is no covariance',
+    ),
+    ("[[grid]]\nnoise = [0.1]\nsamples = 56\n", "", "grid: there is no grid; add [[grid]]"),
+    ("[frequencies]", "[unknowns]\nall = ['m']\n[frequencies]", "7: unknowns.all: the name all is taken"),
+    ("[frequencies]", "[unknowns]\ntwo = ['m', 'z']\n[frequencies]", '7: unknowns.two: "z" is no parameter'),
+    (
+        "[frequencies]",
+        "[amplitudes]\nw = 1\n[frequencies]",
+        "7: amplitudes.w: no rig has this input; there are u",
+    ),
+    ("[frequencies]", "[frequencies", "6: Expected ']' at the end of a table declaration"),
+    ("[rigs.one]", "rigs = 5\n[one]", "3: rigs: this is no table"),
+]
+
+
+@pytest.mark.parametrize(("old", "new", "message"), WRONG)
+def test_what_is_wrong_is_told_in_one_line_with_its_place(folder, old, new, message):
+    assert old in STUDY
+    with pytest.raises(UsageError) as caught:
+        parsed(folder, STUDY.replace(old, new, 1))
+    told = str(caught.value)
+    assert message in told
+    assert all(line.startswith(str(folder)) for line in told.splitlines())
+
+
+def test_all_problems_are_told_at_once(folder):
+    text = (
+        STUDY.replace("100", "0")
+        .replace("0.1", "-1")
+        .replace("[1, 2, 5]", "[0]")
+        .replace("m = 3.0", "n = 3.0")
+    )
+    with pytest.raises(UsageError) as caught:
+        parsed(folder, text)
+    assert len(caught.value.problems) == 5
+
+
+def test_faults_of_the_rig_file_are_told_at_their_own_place(folder):
+    (folder / "rig.toml").write_text(RIG.replace('at = "x"', 'at = "y"'))
+    with pytest.raises(UsageError, match=r"rig\.toml:5: masses\.m\.at: "):
+        parsed(folder, STUDY)
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        (b"", "empty"),
+        (b"\xff\xfea\x00", "not UTF-8"),
+        (b"a = " + b"[" * 5000, "nested too deep|Unclosed|nclosed"),
+    ],
+)
+def test_files_that_are_no_study_file(folder, content, message):
+    path = folder / "study.toml"
+    path.write_bytes(content)
+    with pytest.raises(UsageError, match=message):
+        read_study(path)
+    with pytest.raises(UsageError, match="this is a folder"):
+        read_study(folder)
+    with pytest.raises(UsageError, match="there is no such file"):
+        read_study(folder / "other.toml")
+
+
+@pytest.mark.parametrize("end", range(20, len(STUDY) - 12, 7))
+def test_a_file_cut_short_never_passes_nor_crashes(folder, end):
+    """Cut anywhere before its grid is complete, it is refused."""
+    with pytest.raises(UsageError):
+        parsed(folder, STUDY[:end])
