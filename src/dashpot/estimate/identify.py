@@ -12,14 +12,15 @@ from dashpot.data.spectrum import Moments, Spectrum
 from dashpot.errors import DataError, IdentifiabilityError, UsageError
 from dashpot.estimate.covariance import channels_correlate, without_correlation
 from dashpot.estimate.estimate import Estimate, Fit, ModeValues
-from dashpot.estimate.instruments import OptimalIV
+from dashpot.estimate.instruments import OptimalIV, likeliest
 from dashpot.estimate.likelihood import MaximumLikelihood
 from dashpot.estimate.method import Method, Prepared, Solution
 from dashpot.estimate.states import is_direct, noise_is_known, states, unseen, working_covariance
-from dashpot.estimate.worth import Judged, Worth, judge, worth
+from dashpot.estimate.worth import ROUNDING, Judged, Worth, judge, worth
 from dashpot.model.dynamics import modes
 from dashpot.model.network import Model
 
+BIASED = 3.0  # standard deviations
 CHUNK = 2_000_000  # complex numbers of amplitudes at once: keeps the working set of a batch near 1 GB
 
 
@@ -117,10 +118,63 @@ def _identify(model: Model, spectrum: Spectrum, method: Method) -> _Part:
     V = V if V.ndim == 4 else V[None]
     correlate = channels_correlate(spectrum) if known else np.ones(len(V), dtype=bool)
     V = np.where(correlate[:, None, None, None], V, without_correlation(V))
-    data = Prepared(model, spectrum, V, None if unseen(model, spectrum) else states(model, spectrum, V))
+    if not known and np.any(model.prior_precision):
+        V = _sized_by_residuals(model, spectrum, method, V)
+    data = _prepared(model, spectrum, V)
     solution = method.solve(data)
-    judged = judge(data, solution, method.by_output)
-    return _Part(solution, judged, worth(data, solution, judged, known, correlate, method.weighted))
+    best = _most_likely(data, solution, method)
+    judged = judge(data, best, method.by_output)
+    value = worth(data, best, judged, known, correlate, method.weighted)
+    if len(solution.theta) == 1 and known and best is not solution:
+        solution = replace(
+            solution, warnings=(*solution.warnings, *_bias(judged.names, solution, best, value, method))
+        )
+    return _Part(solution, judged, value)
+
+
+def _prepared(model: Model, spectrum: Spectrum, V: Complex) -> Prepared:
+    return Prepared(model, spectrum, V, None if unseen(model, spectrum) else states(model, spectrum, V))
+
+
+def _sized_by_residuals(model: Model, spectrum: Spectrum, method: Method, V: Complex) -> Complex:
+    """V scaled until χ² is its degrees of freedom: priors weigh against noise of the right size only."""
+    exact = replace(model, elements=tuple(replace(element, sd=None) for element in model.elements))
+    for trial in (exact, model, model):
+        if not trial.unknowns:
+            continue
+        data = _prepared(trial, spectrum, V)
+        solution = method.solve(data)
+        best = _most_likely(data, solution, method)
+        judged = judge(data, best, method.by_output)
+        penalty = np.sum(judged.precision * (best.theta - judged.mean) ** 2, axis=-1)
+        chi2 = np.sum(judged.cost, axis=-1) + penalty
+        V = V * (np.maximum(chi2, ROUNDING) / max(judged.dof, 1))[:, None, None, None]
+    return V
+
+
+def _most_likely(data: Prepared, solution: Solution, method: Method) -> Solution:
+    """The solution with the most likely parameters near it."""
+    if method.efficient or method.by_output:
+        return solution
+    return replace(solution, theta=likeliest(data, solution.theta))
+
+
+def _bias(
+    names: tuple[str, ...], solution: Solution, best: Solution, value: Worth, method: Method
+) -> tuple[str, ...]:
+    """A warning where an estimate lies further from the most likely one than its spread explains (Hausman 1978)."""
+    sd = np.sqrt(np.diagonal(value.covariance[0]))
+    with np.errstate(invalid="ignore", divide="ignore"):
+        away = np.where(sd > 0, np.abs(solution.theta[0] - best.theta[0]) / sd, 0.0)
+    worst = int(np.argmax(np.nan_to_num(away)))
+    if not away[worst] > BIASED:
+        return ()
+    return (
+        (
+            f"{method.name} is biased by the noise of these data: {names[worst]} lies {away[worst]:.3g} of its standard "
+            "deviations from the most likely value, which oiv gives"
+        ),
+    )
 
 
 def _assemble(

@@ -94,46 +94,59 @@ class OptimalIV(Method):
     tolerance: float = 1e-9
     name: ClassVar[str] = "oiv"
     weighted: ClassVar[bool] = True
+    efficient: ClassVar[bool] = True
 
     def solve(self, data: Prepared) -> Solution:
         """θ at the minimum of Σ eᴴ Ω(θ) e with the priors' rows."""
         if data.states is None:
             raise UsageError("oiv needs every coordinate and input", cure="use the method ml")
         model, states = data.model, data.states
-
-        def evaluate(theta: Real, rows: Ints) -> Local:
-            part = states.rows(rows)
-            at = auxiliary(model, model.parameters(theta), part)
-            a = unit_forces(model, part.omega, part.X, part.U)
-            mixed, symmetric, gradient = normal_equations(model, at, a)
-            precision = model.prior_precision
-            away = theta - model.prior_mean
-            return Local(
-                at.cost() + np.sum(precision * away**2, axis=-1),
-                gradient - precision * away,
-                symmetric + np.diag(precision),
-                mixed + np.diag(precision),
-            )
-
         first, *others = starts(model, states)
-        found = self._search(evaluate, first, np.arange(len(first)))
+        found = self._search(model, states, first, np.arange(len(first)))
         for start in others:
             astray = np.flatnonzero(~found.converged | (_tail(model, states, found.cost) < ASTRAY))
             if not len(astray):
                 break
-            found = found.improved(astray, self._search(evaluate, start, astray))
+            found = found.improved(astray, self._search(model, states, start, astray))
         at = auxiliary(model, model.parameters(found.x), states)
         bread = inverse(np.sum(information(model, at), axis=-3) + np.diag(model.prior_precision))
         return Solution(found.x, bread, found.converged, found.iterations, found.history)
 
-    def _search(self, evaluate: Callable[[Real, Ints], Local], start: Real, repeats: Ints) -> Found:
-        """Minimise the cost of some of the repeats."""
-        return minimise(
-            lambda theta, rows: evaluate(theta, repeats[rows]),
-            start[repeats],
-            limit=self.max_iterations,
-            tolerance=self.tolerance,
+    def _search(self, model: Model, states: States, start: Real, repeats: Ints) -> Found:
+        return search(model, states, start, repeats, limit=self.max_iterations, tolerance=self.tolerance)
+
+
+def search(
+    model: Model, states: States, start: Real, repeats: Ints, *, limit: int, tolerance: float
+) -> Found:
+    """Minimise Σ eᴴ Ω(θ) e with the priors' rows, for some of the repeats; `start` is (K, unknowns) of all."""
+    precision = model.prior_precision
+
+    def evaluate(theta: Real, rows: Ints) -> Local:
+        part = states.rows(repeats[rows])
+        at = auxiliary(model, model.parameters(theta), part)
+        a = unit_forces(model, part.omega, part.X, part.U)
+        mixed, symmetric, gradient = normal_equations(model, at, a)
+        away = theta - model.prior_mean
+        return Local(
+            at.cost() + np.sum(precision * away**2, axis=-1),
+            gradient - precision * away,
+            symmetric + np.diag(precision),
+            mixed + np.diag(precision),
         )
+
+    return minimise(evaluate, start[repeats], limit=limit, tolerance=tolerance)
+
+
+def likeliest(data: Prepared, theta: Real) -> Real:
+    """The most likely parameters near θ, (K, unknowns), to a thousandth of a standard deviation.
+
+    χ² of the data and the bound belong to them, whatever method found θ.
+    """
+    if data.states is None:
+        return theta
+    everyone = np.arange(len(theta))
+    return search(data.model, data.states, theta, everyone, limit=50, tolerance=1e-3).x
 
 
 def _tail(model: Model, states: States, cost: Real) -> Real:

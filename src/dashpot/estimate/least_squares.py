@@ -78,6 +78,10 @@ class WeightedLeastSquares(Method):
         Phi, h = regressors(model, looks.a), known_side(model, looks.a, looks.f)
         bread, right = _with_priors(model, *_normal(Se, Phi, h))
         theta = solve_scaled(bread, right)
+        # One round of refinement by the residual: near a resonance Ω spans many powers of ten.
+        left = h - np.einsum("klnu,ku->kln", Phi, theta)
+        prior = model.prior_precision
+        theta = theta + solve_scaled(bread, _normal(Se, Phi, left)[1] + prior * (model.prior_mean - theta))
         Q = equation_map(looks, model.parameters(theta))
         e = np.einsum("...nc,...c->...n", Q, looks.y)
         Gamma = _noise_map(looks)

@@ -31,7 +31,9 @@ class Prepared:
     def only(self, repeat: int) -> Prepared:
         """One of the repeats."""
         V = self.covariance if len(self.covariance) == 1 else self.covariance[repeat : repeat + 1]
-        spectrum = replace(self.spectrum, amplitudes=self.spectrum.amplitudes[repeat : repeat + 1], moments=None)
+        spectrum = replace(
+            self.spectrum, amplitudes=self.spectrum.amplitudes[repeat : repeat + 1], moments=None
+        )
         states = None if self.states is None else self.states.rows(np.array([repeat]))
         return Prepared(self.model, spectrum, V, states)
 
@@ -55,10 +57,15 @@ class Solution:
 
 
 class Method(ABC):
-    """An estimator.  Subclasses are frozen dataclasses; `name` is what files and the command line call it."""
+    """An estimator.  Subclasses are frozen dataclasses; `name` is what files and the command line call it.
+
+    `weighted`: its covariance is the inverse of the information.  `efficient`: it maximises the likelihood of the
+    amplitudes, as does every one `by_output`, which works in the channels, not in the equation of motion.
+    """
 
     name: ClassVar[str]
     weighted: ClassVar[bool] = False
+    efficient: ClassVar[bool] = False
     by_output: ClassVar[bool] = False
 
     @abstractmethod

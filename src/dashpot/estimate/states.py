@@ -150,13 +150,20 @@ def looks(model: Model, spectrum: Spectrum, covariance: Complex, channels: Bools
     used = _present(spectrum) & np.array([is_direct(model, channel) for channel in spectrum.channels])
     if channels is not None:
         used = used & channels
-    y_size, z_size = _sizes(spectrum, C)
-    C = C * used[..., None] * z_size[:, None, :] / y_size[:, :, None]
     both = used[:, :, None] & used[:, None, :]
-    V = np.where(both, covariance / (y_size[:, :, None] * y_size[:, None, :]), np.eye(C.shape[-2]))
-    diagonal = np.where(used, np.diagonal(V, axis1=-2, axis2=-1).real, 0.0)
-    largest = np.max(diagonal, axis=-1)
-    V = np.where(both, V / np.where(largest > 0, largest, 1.0)[..., None, None], V)
+    sd = np.sqrt(np.maximum(np.diagonal(covariance, axis1=-2, axis2=-1).real, 0.0))
+    exact = used & (sd == 0)
+    # Each noisy channel is measured in its standard deviations and each entry of z in those of its best channel.
+    y_size = np.where(used & ~exact, sd, _sizes(spectrum))
+    C = C * used[..., None] / y_size[..., None]
+    largest = np.max(np.abs(C), axis=-2)
+    z_size = 1 / np.where(largest > 0, largest, 1.0)
+    C = C * z_size[..., None, :]
+    weakest = np.where(exact, np.max(np.abs(C), axis=-1), 1.0)
+    weakest = np.where(weakest > 0, weakest, 1.0)
+    C, y_size = C / weakest[..., None], y_size * weakest
+    _require_distinct(C, exact)
+    V = np.where(both, covariance / (y_size[..., :, None] * y_size[..., None, :]), np.eye(C.shape[-2]))
     channels_count, q = C.shape[-2:]
     system = np.zeros((*V.shape[:-2], channels_count + q, channels_count + q), dtype=np.complex128)
     system[..., :channels_count, :channels_count] = V
@@ -169,23 +176,38 @@ def looks(model: Model, spectrum: Spectrum, covariance: Complex, channels: Bools
             ..., channels_count:, :
         ]
     except np.linalg.LinAlgError as error:
-        raise DataError(
-            "two exact channels measure the same thing, or some coordinate is not seen",
-            cure="give the channels their noise (a column NAME_sd), or leave one out",
-        ) from error
-    return P * used[:, None, :] * z_size[:, :, None] / y_size[:, None, :]
+        raise _contradiction() from error
+    scaled: Complex = P * used[:, None, :] * z_size[..., :, None] / y_size[..., None, :]
+    return scaled
 
 
-def _sizes(spectrum: Spectrum, C: Complex) -> tuple[Real, Real]:
-    """Typical sizes of channels, (lines, channels), and of z, (lines, q), that scale the solves."""
+def _require_distinct(C: Complex, exact: Bools) -> None:
+    """Raises DataError where exact channels say the same thing more than once: no weights could tell them apart."""
+    count = np.sum(exact, axis=-1)
+    several = np.flatnonzero(np.any((count > 1).reshape(-1, C.shape[-3]), axis=0))
+    if not len(several):
+        return
+    rows = (C * exact[..., None])[..., several, :, :]
+    s = np.linalg.svd(rows, compute_uv=False)
+    expected = np.arange(s.shape[-1]) < count[..., several, None]
+    if np.any(count[..., several] > s.shape[-1]) or np.any(expected & (s < 1e-9)):
+        raise _contradiction()
+
+
+def _contradiction() -> DataError:
+    return DataError(
+        "two exact channels measure the same thing, or some coordinate is not seen",
+        cure="give the channels their noise (a column NAME_sd), or leave one out",
+    )
+
+
+def _sizes(spectrum: Spectrum) -> Real:
+    """Typical sizes of the channels, (lines, channels), which exact ones are measured in."""
     magnitude = np.abs(np.nan_to_num(spectrum.amplitudes)).reshape(-1, *spectrum.amplitudes.shape[-2:])
     size = np.mean(magnitude, axis=0)
     overall = np.max(size, axis=0, initial=0.0)
-    size = np.maximum(size, 1e-6 * np.where(overall > 0, overall, 1.0))
-    with np.errstate(divide="ignore"):
-        by_channel = np.where(np.abs(C) > 0, size[:, :, None] / np.abs(C), np.inf)
-    z_size = np.min(by_channel, axis=1)
-    return size, np.where(np.isfinite(z_size), z_size, 1.0)
+    sizes: Real = np.maximum(size, 1e-6 * np.where(overall > 0, overall, 1.0))
+    return sizes
 
 
 def states(model: Model, spectrum: Spectrum, covariance: Complex) -> States:

@@ -17,6 +17,7 @@ from dashpot.estimate.output import measured, outlook, predict
 from dashpot.estimate.regression import inverse, regressors, solve_scaled
 from dashpot.model.dynamics import solve
 
+ROUNDING = 1e-30  # χ² of exact data against noise of the data's own size
 MISFIT_LEVEL = 1e-3  # p-value of χ² below which intervals count the misfit of the model
 
 
@@ -87,12 +88,15 @@ def judge(data: Prepared, solution: Solution, by_output: bool) -> Judged:
     )  # fmt: skip
 
 
-def worth(data: Prepared, solution: Solution, judged: Judged, known: bool, correlate: Bools, weighted: bool) -> Worth:
+def worth(
+    data: Prepared, solution: Solution, judged: Judged, known: bool, correlate: Bools, weighted: bool
+) -> Worth:
     """Covariance, bound and χ².
 
-    χ² is the model's, not the method's: one Gauss-Newton step leads from the estimate to the minimum nearby.  Where
-    the noise is unknown, χ² supplies its size; where it was estimated, weights and intervals pay for that; where the
-    model does not fit, the covariance grows by χ²/dof.
+    χ² and bound are the model's, not the method's: `solution` and `judged` are to be those of the most likely
+    parameters, to which one Gauss-Newton step leads, with the covariance of the method.  Where the noise is unknown,
+    χ² supplies its size; where it was estimated, weights and intervals pay for that; where the model does not fit,
+    the covariance grows by χ²/dof.
     """
     prior = np.diag(judged.precision)
     away = solution.theta - judged.mean
@@ -104,11 +108,13 @@ def worth(data: Prepared, solution: Solution, judged: Judged, known: bool, corre
     usable = float(max(dof, 1))
     if not known:
         chi2 = np.maximum(np.sum(judged.cost, axis=-1) + penalty - excess, 0.0)
-        scale = chi2 / usable
+        scale = np.maximum(chi2, ROUNDING) / usable
         covariance = solution.covariance * scale[:, None, None]
         bound = inverse(np.sum(judged.information, axis=-3) / scale[:, None, None] + prior)
         nothing = np.full(len(chi2), np.nan)
-        return Worth(covariance, covariance, bound, np.full(away.shape, usable), np.full(len(chi2), usable), nothing)
+        return Worth(
+            covariance, covariance, bound, np.full(away.shape, usable), np.full(len(chi2), usable), nothing
+        )
     quality = noise_quality(data.spectrum, np.atleast_1d(correlate))
     shrink = np.mean(quality.shrink, axis=-1)
     chi2 = np.maximum(np.sum(judged.cost * quality.shrink, axis=-1) + penalty - excess * shrink, 0.0)
