@@ -56,12 +56,12 @@ def test_the_bound_is_that_of_the_facts(found, case):
 @pytest.mark.parametrize(("basis", "limit"), [("given", 1.03), ("estimated", 1.06)])
 @pytest.mark.parametrize("case", CASES)
 def test_optimal_instruments_sit_on_the_bound(found, case, basis, limit):
-    """Nothing is better than the bound by more than 3 standard errors either."""
+    """Nothing is better than the bound by more than 4 standard errors either: there are eight comparisons."""
     one, repeats, summary = found[case, basis, 0.1]
     rms, error = rms_spread(repeats["oiv"].errors(one.theta))
     bound = summary["oiv"].rms_bound
     assert rms <= limit * bound
-    assert rms >= bound - 3 * error
+    assert rms >= bound - 4 * error
     assert summary["oiv"].failed == 0
 
 

@@ -73,7 +73,7 @@ def channels_correlate(spectrum: Spectrum, level: float = 0.01) -> Bools:
     _, logarithm = np.linalg.slogdet(R)
     per_line = np.where(blocks, q * (q - 1.0), q * (q - 1) / 2)
     factor = np.where(blocks, spectrum.dof - (2 * q + 1) / 3, spectrum.dof - (2 * q + 5) / 6)
-    # With fewer degrees of freedom than channels the matrix is singular: nothing can be said, and the diagonal is all there is.
+    # With fewer degrees of freedom than channels the matrix is singular: the diagonal is all there is.
     possible = factor > q
     statistic = -np.sum(
         np.where(possible, factor * np.where(np.isfinite(logarithm), logarithm, 0.0), 0.0), axis=-1

@@ -244,7 +244,7 @@ def _mode_rows(modes: ModeValues) -> list[dict[str, Any]]:
                 "frequency_sd": float(modes.frequency_sd[k]),
                 "damping_sd": float(modes.damping_sd[k]),
                 "shape": [[float(z.real), float(z.imag)] for z in modes.shapes[k]],
-            }  # fmt: skip
+            }
         )
     return rows
 

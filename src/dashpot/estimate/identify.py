@@ -55,7 +55,7 @@ def identify(
 
 
 def automatic(model: Model, spectrum: Spectrum) -> Method:
-    """OptimalIV where calibrated channels of motion and force see every coordinate and input, else MaximumLikelihood."""
+    """OptimalIV where calibrated channels see every coordinate and input, else MaximumLikelihood."""
     direct = all(is_direct(model, channel) for channel in spectrum.channels)
     return OptimalIV() if direct and not unseen(model, spectrum) else MaximumLikelihood()
 
@@ -171,8 +171,8 @@ def _bias(
         return ()
     return (
         (
-            f"{method.name} is biased by the noise of these data: {names[worst]} lies {away[worst]:.3g} of its standard "
-            "deviations from the most likely value, which oiv gives"
+            f"{method.name} is biased by the noise of these data: {names[worst]} lies {away[worst]:.3g} of its "
+            "standard deviations from the most likely value, which oiv gives"
         ),
     )
 
@@ -197,6 +197,7 @@ def _assemble(
     misfit = bool(np.any(fit.rejected))
     warnings = list(dict.fromkeys(w for part in parts for w in part.solution.warnings))
     warnings += _warnings(model, theta, fit, known_noise) if single else []
+    warnings += _colour(spectrum)
     m = len(model.unknowns)
     return Estimate(
         model=model.name,
@@ -236,7 +237,8 @@ def _warnings(model: Model, theta: Real, fit: Fit, known_noise: bool) -> list[st
     found = []
     if not known_noise:
         found.append(
-            "the noise of the amplitudes is not given: equal relative noise is assumed and its size taken from the residuals"
+            "the noise of the amplitudes is not given: equal relative noise is assumed, its size taken from the "
+            "residuals"
         )
     elif bool(fit.rejected):
         found.append(
@@ -250,6 +252,18 @@ def _warnings(model: Model, theta: Real, fit: Fit, known_noise: bool) -> list[st
                 f"{unknown.name} comes out negative ({value:.4g} {unknown.unit}): the model or the data lack something"
             )
     return found
+
+
+def _colour(spectrum: Spectrum) -> list[str]:
+    """What the tests of whiteness led to."""
+    coloured = sum(kind == "blocks" for kind in spectrum.noise)
+    if not coloured:
+        return []
+    told = (
+        f"the noise of the samples is coloured at {coloured} of {spectrum.lines} lines: its size there is measured on "
+        "the frequencies beside the line, and the intervals count that"
+    )
+    return [told]
 
 
 def _known(model: Model) -> tuple[tuple[str, float, str], ...]:
@@ -280,7 +294,8 @@ def mode_values(model: Model, theta: Real, covariance: Real) -> ModeValues:
     damping = -slope.real / size[:, None] + values.real[:, None] * grow / size[:, None] ** 2
 
     def sd(jacobian: Real) -> Real:
-        return np.sqrt(np.maximum(np.einsum("ki,ij,kj->k", jacobian, covariance, jacobian), 0.0))
+        variance: Real = np.einsum("ki,ij,kj->k", jacobian, covariance, jacobian)
+        return np.sqrt(np.maximum(variance, 0.0))
 
     return ModeValues(
         values, found.frequency_hz, found.damping_ratio, sd(frequency), sd(damping), found.shapes

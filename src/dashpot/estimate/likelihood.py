@@ -66,7 +66,14 @@ class MaximumLikelihood(Method):
         )  # fmt: skip
 
     def _descend(
-        self, view: Outlook, data: Measured, start: Real, sign: Real, lower: Real, upper: Real, limit: int | None = None
+        self,
+        view: Outlook,
+        data: Measured,
+        start: Real,
+        sign: Real,
+        lower: Real,
+        upper: Real,
+        limit: int | None = None,
     ) -> Found:
         def evaluate(psi: Real, rows: Ints) -> Local:
             return local(view, data.pick(rows), psi, sign[rows])
@@ -112,7 +119,15 @@ class MaximumLikelihood(Method):
         return best[:1], signs[:1]
 
     def _descend_all(
-        self, view: Outlook, data: Measured, psi: Real, sign: Real, lower: Real, upper: Real, limit: int, logarithmic: bool
+        self,
+        view: Outlook,
+        data: Measured,
+        psi: Real,
+        sign: Real,
+        lower: Real,
+        upper: Real,
+        limit: int,
+        logarithmic: bool,
     ) -> Real:
         """Search from many starts of one repeat; in logarithms of the rig's parameters where they are positive."""
         rig = np.arange(psi.shape[-1]) < view.m
@@ -137,10 +152,19 @@ class MaximumLikelihood(Method):
         return np.where(log, np.exp(np.where(log, found.x, 0.0)), found.x)
 
     def _again(
-        self, data: Prepared, view: Outlook, exact: Measured, found: Found, sign: Real, lower: Real, upper: Real
+        self,
+        data: Prepared,
+        view: Outlook,
+        exact: Measured,
+        found: Found,
+        sign: Real,
+        lower: Real,
+        upper: Real,
     ) -> tuple[Found, Real]:
         """Repeats that did not end in a fit are searched from starts of their own; the better end is kept."""
-        poor = ~found.converged | (found.cost > np.maximum(_acceptable(data, exact, found.x.shape[-1]), 1.5 * np.median(found.cost)))
+        poor = ~found.converged | (
+            found.cost > np.maximum(_acceptable(data, exact, found.x.shape[-1]), 1.5 * np.median(found.cost))
+        )
         if len(poor) == 1 and data.states is None:
             return found, sign  # its start was its own already
         x, cost, converged, iterations = (

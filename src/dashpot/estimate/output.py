@@ -173,7 +173,9 @@ def measured(data: Prepared, view: Outlook, softness: float = 0.0) -> Measured:
     both = present[:, :, None] & present[:, None, :]
     scaled = (V + kept[..., None] * np.eye(V.shape[-1])) / (size[:, :, None] * size[:, None, :])
     scaled = np.where(both, scaled, np.eye(V.shape[-1]))
-    W = np.linalg.inv(scaled) / (size[:, :, None] * size[:, None, :])  # the weight is used as such, over and over
+    W = np.linalg.inv(scaled) / (
+        size[:, :, None] * size[:, None, :]
+    )  # the weight is used as such, over and over
     W = np.where(both, (W + hermitian(W)) / 2, 0.0)
     count = int(np.sum(present)) - (0 if q is not None else int(np.sum(_inputs_seen(view, present))))
     return Measured(y * present, W, q, 2 * count)
@@ -195,7 +197,8 @@ def _exact_inputs(view: Outlook, y: Complex, exact: Bools) -> Complex | None:
 
 def _inputs_seen(view: Outlook, present: Bools) -> Ints:
     """How many inputs each line's channels can tell apart at most."""
-    return np.minimum(np.sum(present, axis=-1), view.direct_q.shape[-1])
+    most: Ints = np.minimum(np.sum(present, axis=-1), view.direct_q.shape[-1])
+    return most
 
 
 @dataclass(frozen=True)
@@ -233,14 +236,20 @@ def predict(view: Outlook, data: Measured, psi: Real, sign: Real) -> Prediction:
         looking = looking + rows @ model.B
         direct_q = np.broadcast_to(direct_q, (*rows.shape[:-1], direct_q.shape[-1])).copy()
         direct_q[..., : model.D.shape[1]] += rows @ model.D
-    seen, back, stretch = _transfer(model, p, view.omega, np.broadcast_to(looking, (len(psi), *looking.shape[-3:])))
+    seen, back, stretch = _transfer(
+        model, p, view.omega, np.broadcast_to(looking, (len(psi), *looking.shape[-3:]))
+    )
     G = kappa[..., None] * (direct_q + seen)
     q, half = _inputs(G, data)
     predicted = np.einsum("...cq,...q->...c", G, q)
     residual = data.y - predicted
     a = model.factors(view.omega) * np.einsum("...eq,...q->...e", stretch, q)
-    slope = view.force * a[..., None, :] - back * a[..., None, :] if view.has_forces else -back * a[..., None, :]
-    J = np.concatenate([kappa[..., None] * (slope @ model.T), *_calibration_slopes(view, psi, predicted)], axis=-1)
+    slope = (
+        view.force * a[..., None, :] - back * a[..., None, :] if view.has_forces else -back * a[..., None, :]
+    )
+    J = np.concatenate(
+        [kappa[..., None] * (slope @ model.T), *_calibration_slopes(view, psi, predicted)], axis=-1
+    )
     weighted = (data.W @ residual[..., None])[..., 0]
     PJ = data.W @ J
     if half is not None:
@@ -266,7 +275,9 @@ def _transfer(model: Model, p: Real, omega: Real, looking: Complex) -> tuple[Com
     return looking @ X, np.swapaxes(model.B @ solved[..., :channels], -1, -2), stretch
 
 
-def _transfer_sparse(model: Model, p: Real, omega: Real, looking: Complex) -> tuple[Complex, Complex, Complex]:
+def _transfer_sparse(
+    model: Model, p: Real, omega: Real, looking: Complex
+) -> tuple[Complex, Complex, Complex]:
     B, D = model.sparse_B, model.D
     Bt = B.T.tocsr()
     channels, r = looking.shape[-2], D.shape[1]
@@ -275,7 +286,9 @@ def _transfer_sparse(model: Model, p: Real, omega: Real, looking: Complex) -> tu
         weight = p * factors
         stiffness = (Bt @ sparse.diags_array(weight) @ B).tocsc()
         factorised = splu(stiffness, permc_spec="MMD_AT_PLUS_A", options={"SymmetricMode": True})
-        right = np.concatenate([looking[line].T, -(Bt @ (weight[:, None] * D)), model.S.astype(complex)], axis=1)
+        right = np.concatenate(
+            [looking[line].T, -(Bt @ (weight[:, None] * D)), model.S.astype(complex)], axis=1
+        )
         solved = factorised.solve(np.ascontiguousarray(right))
         X = solved[:, channels:]
         seen.append(looking[line] @ X)
@@ -306,7 +319,9 @@ def _inputs(G: Complex, data: Measured) -> tuple[Complex, Complex | None]:
 
 def _calibration(view: Outlook, psi: Real, sign: Real) -> Complex:
     """κ of each channel, (K, lines, channels)."""
-    kappa = np.broadcast_to(sign[:, None, :].astype(np.complex128), (len(psi), len(view.omega), sign.shape[-1]))
+    kappa = np.broadcast_to(
+        sign[:, None, :].astype(np.complex128), (len(psi), len(view.omega), sign.shape[-1])
+    )
     if view.gains:
         gains = psi[:, view.m : view.m + view.gains]
         kappa = kappa * np.where(view.gain >= 0, gains[:, view.gain], 1.0)[:, None, :]

@@ -6,6 +6,8 @@ N = (B Bᵀ) ∘ Σ w aᵀ,   r = Σ w ∘ (B S f),   θ̂ = (Tᵀ N T)⁻¹ T�
 
 from __future__ import annotations
 
+from typing import cast
+
 import numpy as np
 
 from dashpot.arrays import Complex, Real, hermitian
@@ -80,13 +82,15 @@ def inverse(matrix: Real) -> Real:
     scale = np.sqrt(np.abs(np.diagonal(matrix, axis1=-2, axis2=-1)))
     scale = np.where(scale > 0, scale, 1.0)
     outer = scale[..., :, None] * scale[..., None, :]
-    return _solve_or_nan(matrix / outer, np.broadcast_to(np.eye(matrix.shape[-1]), matrix.shape)) / outer
+    found: Real = (
+        _solve_or_nan(matrix / outer, np.broadcast_to(np.eye(matrix.shape[-1]), matrix.shape)) / outer
+    )
+    return found
 
 
 def _solve_or_nan(matrix: Real, right: Real) -> Real:
     try:
-        solution: Real = np.linalg.solve(matrix, right)
-        return solution
+        return cast("Real", np.linalg.solve(matrix, right))
     except np.linalg.LinAlgError:
         flat = matrix.reshape(-1, *matrix.shape[-2:])
         sides = np.broadcast_to(right, (*matrix.shape[:-2], *right.shape[-2:])).reshape(

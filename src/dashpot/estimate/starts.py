@@ -10,7 +10,6 @@ from dashpot.estimate.method import Prepared
 from dashpot.estimate.output import Outlook, measured, predict
 from dashpot.model.elements import Kind
 
-
 SCATTER = (0.03, 0.1, 0.2, 0.35, 0.6)  # decades by which the elements of one candidate differ
 
 
@@ -72,7 +71,9 @@ def _typical_mass(data: Prepared, view: Outlook) -> float:
         number = element.value if element.value is not None else element.guess
         if number is not None and number > 0:
             known.append(number / omega ** power[element.kind])
-    masses = [e.value for e in data.model.elements if e.kind is Kind.MASS and e.value is not None and e.value > 0]
+    masses = [
+        e.value for e in data.model.elements if e.kind is Kind.MASS and e.value is not None and e.value > 0
+    ]
     if masses:
         return float(np.exp(np.mean(np.log(masses))))
     size = np.mean(np.abs(np.nan_to_num(data.spectrum.amplitudes)), axis=0)

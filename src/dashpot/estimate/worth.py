@@ -131,7 +131,7 @@ def worth(
 
 
 def _noise(judged: Judged, quality: NoiseQuality, bread: Real, prior: Real) -> tuple[Real, Real]:
-    """Covariance of a weighted estimate and the degrees of freedom of its variances, the noise having been estimated."""
+    """Covariance of a weighted estimate, the noise having been estimated, and the degrees of freedom behind it."""
     around = bread[:, None]
     shares = around @ (judged.information * quality.inflation[..., None, None]) @ around
     degrees = interval_dof(np.diagonal(shares, axis1=-2, axis2=-1), quality.dof)
