@@ -10,6 +10,8 @@ import numpy as np
 from dashpot.arrays import Bools, Ints, Real
 from dashpot.estimate.regression import inverse, solve_scaled
 
+PATIENCE = 12  # iterations after which Newton's own matrix is worth its evaluations
+
 
 @dataclass(frozen=True)
 class Local:
@@ -93,7 +95,9 @@ def minimise(
     with np.errstate(all="ignore"):
         here = _finite(evaluate(x, active))
     damping = np.zeros(len(active))
-    for _ in range(limit):
+    for turn in range(limit):
+        if turn >= PATIENCE:
+            here = _curved(evaluate, x, active, here, damping == 0)
         step, spread = _step(x, here, damping, low, high)
         trial = np.clip(x + np.clip(np.nan_to_num(step), -longest, longest), low, high)
         with np.errstate(all="ignore"):
@@ -120,6 +124,29 @@ def minimise(
         if not np.all(keep):
             active, x, damping, here = active[keep], x[keep], damping[keep], here.rows(keep)
     return Found(x_all, cost_all, converged, iterations, np.array(history))
+
+
+def _curved(evaluate: Callable[[Real, Ints], Local], x: Real, rows: Ints, here: Local, full: Bools) -> Local:
+    """Newton's matrix for full steps, by differences of the slope, where it is positive definite.
+
+    Gauss-Newton and instruments leave out the curvature that residuals bring in: where the model does not fit, they
+    creep.
+    """
+    m = x.shape[-1]
+    with np.errstate(all="ignore"):
+        spread = 1 / np.sqrt(np.diagonal(here.symmetric, axis1=-2, axis2=-1))
+        width = 1e-4 * np.where(np.isfinite(spread), spread, 1.0)
+        columns = [
+            (here.gradient - evaluate(x + width[:, j, None] * np.eye(m)[j], rows).gradient)
+            / width[:, j, None]
+            for j in range(m)
+        ]
+        curvature = np.stack(columns, axis=-1)
+        curvature = (curvature + np.swapaxes(curvature, -1, -2)) / 2
+        scaled = np.nan_to_num(curvature * spread[:, :, None] * spread[:, None, :])
+        convex = full & (np.linalg.eigvalsh(scaled)[:, 0] > 1e-6)
+    free = np.where(convex[:, None, None], curvature, here.free)
+    return Local(here.cost, here.gradient, here.symmetric, free)
 
 
 def _finite(local: Local) -> Local:
