@@ -376,6 +376,7 @@ class _ChannelEntry(_Entry):
     noise: Number = 0.0
     relative_noise: Number = 0.0
     rate: Number | None = None
+    same_gain_as: Text | None = None
 
 
 _ENTRIES: Mapping[str, type[_Entry]] = {
@@ -697,7 +698,30 @@ class _Reader:
             if entry is not None:
                 channel = self._channel(name, entry, raw, sights)
                 channels += [] if channel is None else [channel]
+        self._shared_gains(channels)
         return channels
+
+    def _shared_gains(self, channels: Sequence[Channel]) -> None:
+        """Whoever shares a gain shares an unknown one, of a channel that has it from nobody else."""
+        by_name = {channel.name: channel for channel in channels}
+        table = self.document["channels"]
+        listed_names = table if isinstance(table, dict) else {}
+        for channel in channels:
+            owner = channel.same_gain_as
+            place = ("channels", channel.name, "same_gain_as")
+            if owner is None:
+                continue
+            if owner not in listed_names:
+                others = [name for name in listed_names if name != channel.name]
+                cure = f"{_did_you_mean(owner, others)}there are {listed(others)}" if others else "list it"
+                self._report(place, f"{_show(owner)} is no channel", cure)
+            elif owner == channel.name:
+                self._report(place, "the channel shares its gain with itself", "name another one")
+            elif owner in by_name and by_name[owner].gain is not None:
+                self._report(place, f"the gain of {owner} is known", f'give {owner} gain = "unknown"')
+            elif owner in by_name and by_name[owner].same_gain_as is not None:
+                cure = f"name {by_name[owner].same_gain_as}"
+                self._report(place, f"{owner} has its gain from another channel", cure)
 
     def _channel(
         self, name: str, entry: _ChannelEntry, raw: Mapping[str, Any], sights: _Sights
@@ -730,6 +754,10 @@ class _Reader:
 
     def _channel_numbers(self, place: Place, entry: _ChannelEntry) -> bool:
         wrong: list[tuple[str, str, str]] = []
+        if entry.same_gain_as is not None and "gain" in entry.model_fields_set and entry.gain is not None:
+            wrong.append(
+                ("same_gain_as", "the gain is given as well", 'write gain = "unknown", or leave it out')
+            )
         if entry.gain == 0:
             wrong.append(("gain", "a gain of 0 measures nothing", 'give another one, or "unknown"'))
         if entry.sign is not None and entry.sign not in (1.0, -1.0):
@@ -760,10 +788,10 @@ class _Reader:
             arms, angles = sights.arms(of, quantity), sights.angles
             unit = entry.unit if entry.unit is not None else si_unit(quantity.value, _all_in(arms, angles))
             # A voltage with a stated gain is in V per SI unit; with the default gain of 1 nobody has calibrated it.
-            electrical = entry.gain is None or "gain" in entry.model_fields_set
+            gain = None if entry.same_gain_as is not None else entry.gain
+            electrical = gain is None or "gain" in entry.model_fields_set
             factor = _scale_of_points(unit, quantity.value, arms, angles, electrical)
             key = "gain"
-            gain = entry.gain
             if isinstance(gain, str):
                 gain = sensitivity(gain, unit, quantity.value, _all_in(arms, angles))
         except UsageError as error:
@@ -781,6 +809,7 @@ class _Reader:
             entry.noise,
             entry.relative_noise,
             entry.rate,
+            entry.same_gain_as,
         )
 
 
@@ -1007,6 +1036,8 @@ def _channel_fields(channel: Channel, model: Model) -> dict[str, str]:
             fields[key] = repr(float(number))
     if channel.rate is not None:
         fields["rate"] = repr(float(channel.rate))
+    if channel.same_gain_as is not None:
+        fields["same_gain_as"] = _quoted(channel.same_gain_as)
     return fields
 
 

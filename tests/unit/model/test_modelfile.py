@@ -617,3 +617,48 @@ def test_a_model_of_code_is_written(tmp_path: Path) -> None:
     file = tmp_path / "rig.toml"
     file.write_text(write_rig(Rig(model, default_channels(model))), encoding="utf-8")
     assert read_rig(file).model == model
+
+
+SHARED = """
+coordinates = ["x1", "x2"]
+[inputs]
+f1 = { kind = "force", at = "x1" }
+f2 = { kind = "force", at = "x2" }
+[masses]
+m1 = { at = "x1", value = 1 }
+m2 = { at = "x2", value = 2 }
+[springs]
+k1 = { between = ["x1", "ground"] }
+k2 = { between = ["x2", "ground"], same_as = "k1" }
+[channels]
+F1 = { of = "f1", gain = "unknown" }
+F2 = { of = "f2", gain = "unknown", same_gain_as = "F1" }
+F3 = { of = "f2", same_gain_as = "F1" }
+"""
+
+
+def test_a_gain_shared_by_channels() -> None:
+    read = parse_rig(SHARED)
+    assert [channel.gain for channel in read.channels] == [None, None, None]
+    assert [channel.same_gain_as for channel in read.channels] == [None, "F1", "F1"]
+    assert parse_rig(write_rig(read)) == read
+
+
+@pytest.mark.parametrize(
+    ("change", "what"),
+    [
+        (('same_gain_as = "F1" }\nF3', 'same_gain_as = "F4" }\nF3'), '"F4" is no channel; '),
+        (('same_gain_as = "F1" }\nF3', 'same_gain_as = "F2" }\nF3'), "shares its gain with itself"),
+        (('"f1", gain = "unknown"', '"f1", gain = 2'), "the gain of F1 is known"),
+        (('gain = "unknown", same', "gain = 3, same"), "the gain is given as well"),
+        (
+            ('"f2", same_gain_as = "F1"', '"f2", same_gain_as = "F2"'),
+            "has its gain from another channel; name F1",
+        ),
+        (('same_gain_as = "F1" }\nF3', "same_gain_as = 1 }\nF3"), "1 is no text"),
+    ],
+)
+def test_a_gain_that_cannot_be_shared(change: tuple[str, str], what: str) -> None:
+    assert change[0] in SHARED
+    found = problems(SHARED.replace(*change))
+    assert any(what in one and "same_gain_as" in one for one in found)
