@@ -1,0 +1,226 @@
+"""Time of identifications: one against scipy and lmfit, ten thousand in one batch, and how an iteration grows.
+
+`python3 dev.py bench identify`.  All figures of one run come from the same machine in the same minutes; compare
+ratios, not seconds.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+
+import lmfit
+import numpy as np
+from scipy.optimize import least_squares
+
+from dashpot.channel import Channel, Quantity
+from dashpot.data.spectrum import Spectrum
+from dashpot.estimate.identify import identify
+from dashpot.estimate.instruments import OptimalIV
+from dashpot.model.dynamics import response
+from dashpot.model.elements import Element, Kind, between, mass
+from dashpot.model.network import Input, Model
+
+TRUTH = {"m1": 3.0, "m2": 2.7, "c1": 30.0, "c2": 40.0, "c3": 90.0, "c4": 50.0}
+PAPER = Model(
+    ("x1", "x2"),
+    (Input("u"),),
+    (
+        mass("m1", "x1"),
+        mass("m2", "x2"),
+        between("c1", Kind.DAMPER, "x1", "x2"),
+        between("c2", Kind.DAMPER, "x2", "u"),
+        between("c3", Kind.DAMPER, "x1", "ground"),
+        between("c4", Kind.DAMPER, "x2", "ground"),
+        between("k1", Kind.SPRING, "x1", "x2", value=4600.0),
+        between("k2", Kind.SPRING, "x2", "u", value=4600.0),
+    ),
+)
+CASE_3 = np.array(
+    [
+        1,
+        1.5,
+        2,
+        2.25,
+        2.5,
+        2.75,
+        3,
+        3.25,
+        3.5,
+        3.75,
+        4,
+        5,
+        6,
+        7,
+        8,
+        8.5,
+        9,
+        9.5,
+        10,
+        10.5,
+        11,
+        11.5,
+        12,
+        13,
+        14,
+    ]
+)
+START = 1.5  # what the peers are told of the truth: they cannot start without
+
+
+def chain(n: int, more: int = 0) -> tuple[Model, dict[str, float]]:
+    """A chain of n masses on a moved base, masses and dampers unknown and `more` of the springs."""
+    points = ["u", *(f"x{i}" for i in range(1, n + 1))]
+    elements: list[Element] = [mass(f"m{i}", f"x{i}") for i in range(1, n + 1)]
+    truth = {f"m{i}": 1.0 + 0.1 * i for i in range(1, n + 1)}
+    for i in range(1, n + 1):
+        elements.append(between(f"c{i}", Kind.DAMPER, points[i - 1], points[i]))
+        truth[f"c{i}"] = 10.0 + i
+        free = 1 < i <= 1 + more
+        elements.append(
+            between(f"k{i}", Kind.SPRING, points[i - 1], points[i], **({} if free else {"value": 4000.0}))
+        )
+        if free:
+            truth[f"k{i}"] = 4000.0
+    return Model(tuple(points[1:]), (Input("u"),), tuple(elements)), truth
+
+
+def data(model: Model, truth: dict[str, float], hz: np.ndarray, draws: int, noise: float = 0.02) -> Spectrum:
+    """Amplitudes of displacement and velocity of every coordinate, exact base, noise in proportion."""
+    rng = np.random.default_rng(5)
+    omega = 2 * np.pi * hz
+    X = response(model, model.parameters(model.theta(truth)), omega, np.ones((len(hz), 1), dtype=complex))
+    Y = np.concatenate([X, 1j * omega[:, None] * X, np.ones((len(hz), 1))], axis=-1)
+    sd = noise * np.abs(Y)
+    sd[:, -1] = 0
+    wobble = rng.standard_normal((2, draws, *Y.shape))
+    channels = [Channel(f"{x}", {x: 1.0}) for x in model.coordinates]
+    channels += [Channel(f"d{x}", {x: 1.0}, Quantity.VELOCITY) for x in model.coordinates]
+    lines = len(hz)
+    return Spectrum(
+        (*channels, Channel("u", {"u": 1.0})), hz, Y + (wobble[0] + 1j * wobble[1]) * sd,
+        2 * (sd**2)[:, :, None] * np.eye(Y.shape[-1]), np.ones(lines, dtype=int), np.full(lines, np.inf),
+        ("given",) * lines, np.zeros(lines, dtype=int),
+    )  # fmt: skip
+
+
+def best_of(call: Callable[[], object], repeats: int = 7) -> float:
+    """The shortest of some times, s."""
+    times = []
+    for _ in range(repeats):
+        begin = time.perf_counter()
+        call()
+        times.append(time.perf_counter() - begin)
+    return min(times)
+
+
+def one_against_peers(repeats: int = 200) -> None:
+    """The paper's rig, amplitudes and their noise given: time, error and coverage, over the same noisy data."""
+    names, truth = list(TRUTH), np.array(list(TRUTH.values()))
+    spectrum = data(PAPER, TRUTH, CASE_3, repeats, noise=0.1 / np.sqrt(56 / 2))
+    omega, U = spectrum.omega, np.ones((spectrum.lines, 1), dtype=complex)
+    sd = spectrum.sd()[:, :-1]
+    jomega = 1j * omega[:, None]
+
+    def residual(theta: np.ndarray, Y: np.ndarray) -> np.ndarray:
+        X = response(PAPER, PAPER.parameters(theta), omega, U)
+        r = (np.concatenate([X, jomega * X], axis=-1) - Y) / sd
+        return np.concatenate([r.real.ravel(), r.imag.ravel()])
+
+    def by_scipy(Y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        found = least_squares(residual, START * truth, args=(Y,), x_scale=truth)
+        return found.x, np.sqrt(np.diag(np.linalg.inv(found.jac.T @ found.jac)))
+
+    def by_lmfit(Y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        parameters = lmfit.Parameters()
+        for name, value in zip(names, START * truth, strict=True):
+            parameters.add(name, value=value)
+
+        def call(p: lmfit.Parameters) -> np.ndarray:
+            return residual(np.array([p[name].value for name in names]), Y)
+
+        found = lmfit.minimize(call, parameters, scale_covar=False)
+        return np.array([found.params[n].value for n in names]), np.array(
+            [found.params[n].stderr for n in names]
+        )
+
+    def by_dashpot(k: int) -> tuple[np.ndarray, np.ndarray]:
+        lines = spectrum.lines
+        single = Spectrum(
+            spectrum.channels, spectrum.frequency_hz, spectrum.amplitudes[k], spectrum.covariance, spectrum.samples,
+            spectrum.dof, ("given",) * lines, spectrum.experiment,
+        )  # fmt: skip
+        estimate = identify(PAPER, single, OptimalIV())
+        return estimate.values, estimate.sd
+
+    own = best_of(lambda: by_dashpot(0))
+    print("One identification of the paper's rig (CASE-3, 25 lines, 6 unknowns, amplitudes given)\n")
+    print(
+        "| tool | start | time over dashpot's | rms relative error, % | 95 % intervals that hold the truth, % |"
+    )
+    print("|---|---|---|---|---|")
+    rows: list[tuple[str, str, Callable[[int], tuple[np.ndarray, np.ndarray]]]] = [
+        ("dashpot oiv", "none needed", by_dashpot),
+        ("scipy least_squares", f"{START:g} × truth", lambda k: by_scipy(spectrum.amplitudes[k, :, :-1])),
+        ("lmfit", f"{START:g} × truth", lambda k: by_lmfit(spectrum.amplitudes[k, :, :-1])),
+    ]
+    for name, start, solve in rows:
+        taken = own if solve is by_dashpot else best_of(lambda solve=solve: solve(0), 3)
+        found = [solve(k) for k in range(repeats)]
+        away = np.array([theta for theta, _ in found]) - truth
+        inside = np.abs(away) <= 1.96 * np.array([s for _, s in found])
+        error = 100 * np.sqrt(np.mean((away / truth) ** 2))
+        print(f"| {name} | {start} | {taken / own:.1f} | {error:.2f} | {100 * np.mean(inside):.1f} |")
+    print(f"\ndashpot: {1e3 * own:.1f} ms each; errors and coverage over {repeats} repeats.\n")
+
+
+def batches() -> None:
+    """Ten thousand repeats in one call, for rigs of different size."""
+    print("10,000 identifications in one call (25 lines, displacement and velocity of every coordinate)\n")
+    print("| coordinates | unknowns | s for 10,000 | µs each | one by one, over that |")
+    print("|---|---|---|---|---|")
+    for n in (1, 2, 4, 8):
+        model, truth = chain(n)
+        hz = np.linspace(1, 20, 25)
+        spectrum = data(model, truth, hz, 10_000)
+        single = data(model, truth, hz, 1)
+        begin = time.perf_counter()
+        identify(model, spectrum, OptimalIV())
+        taken = time.perf_counter() - begin
+        alone = best_of(lambda single=single, model=model: identify(model, single, OptimalIV()))
+        each = taken / 10_000
+        print(f"| {n} | {len(truth)} | {taken:.1f} | {1e6 * each:.0f} | {alone / each:.0f} × |")
+    print()
+
+
+def per_iteration(model: Model, truth: dict[str, float], lines: int) -> float:
+    """Seconds for an iteration of 50 repeats at once: all of identify, over its iterations."""
+    spectrum = data(model, truth, np.linspace(1, 20, lines), 50)
+    iterations = float(np.mean(identify(model, spectrum, OptimalIV()).iterations))
+    return best_of(lambda: identify(model, spectrum, OptimalIV()), 3) / iterations
+
+
+def growth() -> None:
+    """Time of an iteration against lines, coordinates and parameters."""
+    print("Time of an iteration, over that of the first row\n")
+    print("| varied | value | ratio |")
+    print("|---|---|---|")
+    for label, cases in (
+        ("lines (4 coordinates, 8 unknowns)", [(25, 4, 0), (50, 4, 0), (100, 4, 0), (200, 4, 0)]),
+        ("coordinates (50 lines, 2 unknowns each)", [(50, 2, 0), (50, 4, 0), (50, 8, 0), (50, 16, 0)]),
+        ("unknowns (50 lines, 8 coordinates)", [(50, 8, 0), (50, 8, 3), (50, 8, 7)]),
+    ):
+        first = None
+        for lines, n, more in cases:
+            model, truth = chain(n, more)
+            taken = per_iteration(model, truth, lines)
+            first = taken if first is None else first
+            shown = {"lines": lines, "coordinates": n, "unknowns": len(truth)}[label.split(" ")[0]]
+            print(f"| {label} | {shown} | {taken / first:.2f} |")
+    print()
+
+
+if __name__ == "__main__":
+    one_against_peers()
+    batches()
+    growth()
