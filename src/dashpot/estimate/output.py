@@ -13,6 +13,7 @@ from functools import cached_property
 
 import numpy as np
 from scipy import sparse
+from scipy.sparse.csgraph import connected_components, structural_rank
 from scipy.sparse.linalg import splu
 
 from dashpot.arrays import Bools, Complex, Ints, Real, frozen, hermitian
@@ -196,9 +197,23 @@ def _exact_inputs(view: Outlook, y: Complex, exact: Bools) -> Complex | None:
 
 
 def _inputs_seen(view: Outlook, present: Bools) -> Ints:
-    """How many inputs each line's channels can tell apart at most."""
-    most: Ints = np.minimum(np.sum(present, axis=-1), view.direct_q.shape[-1])
-    return most
+    """How many inputs each line's channels can tell apart: the generic rank of G there.
+
+    A channel sees an input that reaches its coordinates through elements; a force on another rig of the same model,
+    or on a part that is connected only to moved inputs, it does not.
+    """
+    model, B = view.model, abs(view.model.sparse_B)
+    count, part = connected_components(B.T @ B, directed=False)
+    member = sparse.csr_array((np.ones(model.n), (np.arange(model.n), part)), shape=(model.n, count))
+    driven = np.concatenate([B.T @ abs(model.D), abs(model.S)], axis=1)
+    looking = np.max(np.abs(view.direct_x), axis=0, initial=0.0) + abs(view.force) @ B
+    direct = np.max(np.abs(view.direct_q), axis=0, initial=0.0)
+    direct[:, : model.D.shape[1]] += abs(view.force) @ abs(model.D)
+    sees = ((looking @ member > 0).astype(float) @ (member.T @ driven > 0) > 0) | (direct > 0)
+    patterns, which = np.unique(present, axis=0, return_inverse=True)
+    ranks = [int(structural_rank(sparse.csr_array(sees & pattern[:, None]))) for pattern in patterns]
+    found: Ints = np.array(ranks, dtype=np.int64)[which.ravel()]
+    return found
 
 
 @dataclass(frozen=True)
