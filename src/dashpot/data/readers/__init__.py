@@ -11,6 +11,7 @@ from dashpot.data.harmonics import Noise
 from dashpot.data.harmonics import spectrum as amplitudes_of
 from dashpot.data.readers.amplitudes import is_amplitudes, read_amplitudes, write_amplitudes
 from dashpot.data.readers.frf import is_frf, read_frf
+from dashpot.data.readers.lvm import is_lvm, open_lvm
 from dashpot.data.readers.stepped_sine import read_records, write_records
 from dashpot.data.readers.table import open_table
 from dashpot.data.record import Record
@@ -89,6 +90,8 @@ def read(
     notes: list[str] = []
     for number, path in enumerate(several):
         table = open_table(path)
+        if is_lvm(table):
+            table = open_lvm(path)
         if is_frf(table):
             lines, told = read_frf(table, channels, number)
             spectra.append(lines)

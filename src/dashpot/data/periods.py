@@ -1,0 +1,71 @@
+"""Periodic tests: the mean of the periods of one record, and their scatter as the covariance of its noise.
+
+A multisine is repeated P times.  With X_p the amplitudes of period p, the mean over p has the covariance
+Σ (X_p − X̄)(X_p − X̄)ᴴ / (P (P − 1)) with P − 1 complex degrees of freedom (Pintelon and Schoukens, System
+Identification, 2nd ed. 2012, §2.5).  What repeats with every period, distortion too, is no noise.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from dashpot.data.harmonics import calibration, fit_harmonics
+from dashpot.data.record import Record
+from dashpot.data.spectrum import Spectrum
+from dashpot.errors import DataError
+
+UNEVEN = 1e-3  # of a sampling step
+
+
+def average_periods(
+    record: Record, period_s: float, orders: Sequence[int], *, skip: int = 0, drift: int = 0
+) -> Spectrum:
+    """A line for each of `orders`, multiples of 1/period_s, from the periods after the first `skip`.
+
+    `drift` is the degree of the polynomial taken out of each period.  Raises DataError where the sampling is uneven,
+    a period is no whole number of samples, or fewer than two periods are left.
+    """
+    if record.values.ndim != 2:
+        raise DataError("repeats of a periodic record are not averaged", record.source, "give one at a time")
+    time = record.time
+    step = float(time[-1] - time[0]) / (len(time) - 1)
+    if np.max(np.abs(time - time[0] - step * np.arange(len(time)))) > UNEVEN * step * len(time) ** 0.5:
+        raise DataError(
+            "the samples are not evenly spaced", record.source, "use the harmonic regression of the record"
+        )
+    each = round(period_s / step) if np.isfinite(period_s) and period_s > 0 else 0
+    if each < 2 or abs(each * step - period_s) * len(time) / each > UNEVEN * step * len(time) ** 0.5:
+        cure = "correct the period, or use the harmonic regression of the record"
+        raise DataError(f"{period_s:g} s is no whole number of samples of {step:g} s", record.source, cure)
+    count = len(time) // each - skip
+    if skip < 0 or count < 2:
+        raise DataError(
+            f"the record holds {len(time) // each} periods of {period_s:g} s, {skip} of them skipped",
+            record.source,
+            "two periods at least must be left",
+        )
+    first = skip * each
+    values = record.values[first : first + count * each].reshape(count, each, -1)
+    periods = replace(record, time=time[first : first + each], values=values)
+    wanted = sorted({int(order) for order in orders})
+    fit = fit_harmonics(periods, 1 / period_s, orders=wanted, harmonics=(), drift=drift, noise="white")
+    X = np.mean(fit.amplitudes, axis=0)
+    away = fit.amplitudes - X
+    V = np.einsum("plc,pld->lcd", away, np.conj(away)) / (count * (count - 1))
+    frequencies = np.array(wanted) / period_s
+    h = calibration(record.channels, frequencies)
+    notes = (f"{record.source}: the first {skip} periods are left out",) if skip else ()
+    return Spectrum(
+        record.channels,
+        frequencies,
+        X * h,
+        V * h[:, :, None] * np.conj(h)[:, None, :],
+        np.full(len(wanted), count * each),
+        np.full(len(wanted), 2.0 * (count - 1)),
+        ("blocks",) * len(wanted),
+        np.full(len(wanted), record.experiment),
+        notes=notes,
+    )
