@@ -148,7 +148,9 @@ class MaximumLikelihood(Method):
         low, high = np.maximum(low, np.min(x, axis=0) - 46), np.minimum(high, np.max(x, axis=0) + 46)
         low, high = np.where(log, low, lower), np.where(log, high, upper)
         longest = np.where(log, 2.3, np.inf)
-        found = minimise(evaluate, x, limit=limit, tolerance=1e-6, lower=low, upper=high, longest=longest)
+        found = minimise(
+            evaluate, x, limit=limit, tolerance=1e-6, lower=low, upper=high, longest=longest, patience=limit
+        )
         return np.where(log, np.exp(np.where(log, found.x, 0.0)), found.x)
 
     def _again(

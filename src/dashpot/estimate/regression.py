@@ -96,8 +96,9 @@ def _solve_or_nan(matrix: Real, right: Real) -> Real:
         sides = np.broadcast_to(right, (*matrix.shape[:-2], *right.shape[-2:])).reshape(
             len(flat), *right.shape[-2:]
         )
+        # What LAPACK refuses is NaN; its neighbours in the stack are solved as they would be alone.
+        regular = np.all(np.isfinite(flat), axis=(-2, -1))
+        regular[regular] = np.linalg.slogdet(flat[regular])[0] != 0
         out = np.full_like(sides, np.nan)
-        for k in range(len(flat)):
-            if np.all(np.isfinite(flat[k])) and np.linalg.matrix_rank(flat[k]) == flat.shape[-1]:
-                out[k] = np.linalg.solve(flat[k], sides[k])
+        out[regular] = np.linalg.solve(flat[regular], sides[regular])
         return out.reshape(*matrix.shape[:-2], *right.shape[-2:])

@@ -72,13 +72,15 @@ def minimise(
     lower: Real | None = None,
     upper: Real | None = None,
     longest: Real | float = np.inf,
+    patience: int = PATIENCE,
 ) -> Found:
     """Minimise the cost of each of K repeats from `start`, (K, m), within bounds.
 
     `evaluate(x, rows)` gives the cost at x for the repeats `rows`.  A step that does not lower the cost is repeated
     with Levenberg and Marquardt's damping on the diagonal of `symmetric`.  A repeat ends when its full step is below
     `tolerance` standard deviations (or 1e-13 of the value) in every unknown.  A bound whose far side is downhill
-    holds its unknown there.  No unknown moves by more than `longest` in one step.
+    holds its unknown there.  No unknown moves by more than `longest` in one step.  What still runs after `patience`
+    iterations goes on with Newton's own matrix.
     """
     repeats, m = start.shape
     low = np.full(m, -np.inf) if lower is None else lower
@@ -96,7 +98,7 @@ def minimise(
         here = _finite(evaluate(x, active))
     damping = np.zeros(len(active))
     for turn in range(limit):
-        if turn >= PATIENCE:
+        if turn >= patience:
             here = _curved(evaluate, x, active, here, damping == 0)
         step, spread = _step(x, here, damping, low, high)
         trial = np.clip(x + np.clip(np.nan_to_num(step), -longest, longest), low, high)
