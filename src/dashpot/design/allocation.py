@@ -262,7 +262,7 @@ class _Columns:
     def run(self, tolerance: float) -> Allocation:
         """Add columns until the gap is closed, then join the pairs that stand for one frequency."""
         best: Allocation | None = None
-        joined: Allocation | None = None
+        try_below = 1e-5
         for turn in range(30):
             weights = weigh(self.terms, self.prior, self.M)
             found, peaks = self._certified(weights)
@@ -270,7 +270,8 @@ class _Columns:
                 best = found
             if found.gap < tolerance:
                 break
-            if self.grid.free and found.gap < 1e-5 and joined is None:
+            if self.grid.free and found.gap < try_below:
+                try_below = 0.03 * found.gap
                 # Columns that crowd around one frequency slow the search down: one column that moves is better.
                 columns = self.f, self.k, self.M
                 joined = self._joined(best, tolerance)

@@ -16,6 +16,7 @@ from dashpot.model.dynamics import modes
 from dashpot.model.network import Model
 
 UNDAMPED = 1e-7  # damping ratio that is rounding
+CHUNK = 4_000_000  # complex numbers at once
 SETTLED = 1e-3  # what is left of a transient when a dwell starts
 
 
@@ -110,9 +111,17 @@ class Bench:
     @cached_property
     def sizes(self) -> Real:
         """What errors are relative to, (scenarios, parameters): |θ|, 1 for ln gain and where θ is 0."""
-        size = np.where(self.theta == 0, 1.0, np.abs(self.theta))
-        extra = len(self.names) - size.shape[1]
-        return np.concatenate([size, np.ones((len(size), extra))], axis=1)
+        return self.sizes_of(self.theta)
+
+    def sizes_of(self, theta: Real) -> Real:
+        """The same for any θ (scenarios, unknowns)."""
+        size = np.where(theta == 0, 1.0, np.abs(theta))
+        return np.concatenate([size, np.ones((len(size), len(self.names) - size.shape[1]))], axis=1)
+
+    def known(self, information: Real) -> Real:
+        """Information (q, q) in SI units of ψ, in parts of the sizes of each scenario, (scenarios, q, q)."""
+        relative: Real = information * self.sizes[:, :, None] * self.sizes[:, None, :]
+        return relative
 
     def with_channels(self, channels: Sequence[Channel]) -> Bench:
         """The same bench with other sensors."""
@@ -130,10 +139,12 @@ class Bench:
         if not self.limits.given:
             return self.amplitude * unit
         scale = np.full(len(omega), np.inf)
-        for p in self.p:
-            seen = outputs(self.model, p, (), omega, unit)
+        step = max(1, CHUNK // max(1, len(omega) * len(self.model.elements) * self.model.n))
+        for first in range(0, len(self.p), step):
+            seen = outputs(self.model, self.p[first : first + step], (), omega, unit)
             with np.errstate(divide="ignore"):
-                scale = np.minimum(scale, 1 / self.limits.use(omega, seen.motion, seen.force))
+                use = self.limits.use(omega, np.broadcast_to(seen.motion, seen.force.shape), seen.force)
+                scale = np.minimum(scale, 1 / np.max(use, axis=0))
         if not np.all(np.isfinite(scale)):
             line = int(np.argmin(np.isfinite(scale)))
             raise UsageError(
@@ -152,17 +163,23 @@ class Bench:
 
         Nothing within 1 % of a resonance that nothing damps: no test can dwell there.
         """
-        omega = 2 * np.pi * frequency_hz
-        drive = self.drive(frequency_hz, pattern)
-        found = []
-        for p, size in zip(self.p, self.sizes, strict=True):
-            seen = outputs(self.model, p, self.channels, omega, drive)
-            M = per_sample(self.model, p, self.channels, omega, seen)
-            found.append(M * size[:, None] * size)
-        every = np.stack(found)
+        every = self.per_sample(self.p, self.sizes, frequency_hz, self.drive(frequency_hz, pattern))
         for f in self.undamped:
             every[:, np.abs(frequency_hz / f - 1) < 0.01] = 0.0
         return every
+
+    def per_sample(self, p: Real, sizes: Real, frequency_hz: Real, drive: Complex) -> Real:
+        """The same for any parameters p (scenarios, elements), at a given drive (lines, r + s)."""
+        omega = 2 * np.pi * frequency_hz
+        lines, q = len(omega), len(self.names)
+        numbers = max(1, lines * (len(self.channels) * q + len(self.model.elements) * self.model.n))
+        step = max(1, CHUNK // numbers)
+        parts = [np.zeros((0, lines, q, q))]
+        for first in range(0, len(p), step):
+            seen = outputs(self.model, p[first : first + step], self.channels, omega, drive)
+            parts.append(per_sample(self.channels, seen))
+        relative: Real = np.concatenate(parts) * (sizes[:, None, :, None] * sizes[:, None, None, :])
+        return relative
 
     @cached_property
     def undamped(self) -> tuple[float, ...]:

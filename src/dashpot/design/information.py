@@ -44,8 +44,8 @@ class Outputs:
 
 def calibrations(channels: Sequence[Channel]) -> tuple[str, ...]:
     """Names of the calibrations that are estimated with θ.  An unknown sign costs no information: it is ±1."""
-    gains = tuple(f"gain of {c.name}" for c in channels if c.gain is None)
-    return gains + tuple(f"delay of {c.name}" for c in channels if c.delay is None)
+    gains = tuple(f"{c.name}.gain" for c in channels if c.gain is None)
+    return gains + tuple(f"{c.name}.delay" for c in channels if c.delay is None)
 
 
 def outputs(model: Model, p: Real, channels: Sequence[Channel], omega: Real, drive: Complex) -> Outputs:
@@ -215,7 +215,7 @@ def _projected(J: Complex, G: Complex, V: Complex) -> Real:
     return 2 * (hermitian(J) @ J).real
 
 
-def per_sample(model: Model, p: Real, channels: Sequence[Channel], omega: Real, seen: Outputs) -> Real:
+def per_sample(channels: Sequence[Channel], seen: Outputs) -> Real:
     """Information that one sample of each line adds, (..., lines, parameters, parameters), in SI units of ψ.
 
     N samples of a dwell give amplitudes with V = 4 R / N, R the covariance of one sample (white noise, whole periods

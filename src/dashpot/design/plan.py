@@ -188,10 +188,10 @@ def predict(bench: Bench, goal: Goal, information: Real, doubt: Doubt = "worst")
     size = bench.sizes[0]
     C = at.C[0] * size[:, None] * size
     units = tuple(u.unit for u in bench.model.unknowns) + tuple(
-        "s" if name.startswith("delay") else "1" for name in calibrations(bench.channels)
+        "s" if name.endswith(".delay") else "1" for name in calibrations(bench.channels)
     )
     # Calibrations are errors of ln gain and of delay; their value is 1 and 0.
-    extra = [0.0 if name.startswith("delay") else 1.0 for name in calibrations(bench.channels)]
+    extra = [0.0 if name.endswith(".delay") else 1.0 for name in calibrations(bench.channels)]
     values = np.concatenate([bench.theta[0], extra])
     return Prediction(bench.names, units, values, np.sqrt(np.diagonal(C)), C, goal.figure(at.F))
 
@@ -525,7 +525,8 @@ def spread_of_iv(bench: Bench, lines: Lines) -> Prediction | None:
         return None
     seen = bench.seen(lines.frequency_hz, lines.pattern)
     sd = noise_sd(bench.channels, seen.Y)
-    V = (4 * sd**2 / lines.samples[:, None])[..., None] * np.eye(len(bench.channels)).astype(np.complex128)
+    variance = 4 * sd**2 / lines.samples[:, None]
+    V = (variance[..., None] * np.eye(len(bench.channels))).astype(np.complex128)
     count = len(lines.frequency_hz)
     spectrum = Spectrum(
         bench.channels, lines.frequency_hz, seen.Y, V, np.maximum(lines.samples, 1).astype(np.int64),

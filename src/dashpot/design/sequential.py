@@ -1,0 +1,203 @@
+"""After data: what is known now, whether that is enough, and how much more it takes (paper §3.3)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from dashpot.arrays import Ints, Real, frozen
+from dashpot.channel import Channel
+from dashpot.data.spectrum import Spectrum
+from dashpot.design.bench import Bench
+from dashpot.errors import DashpotError, IdentifiabilityError, UsageError
+from dashpot.estimate.estimate import Estimate
+from dashpot.estimate.identify import identify
+from dashpot.estimate.method import Method
+from dashpot.model.network import Model
+
+
+def known_after(bench: Bench, estimate: Estimate) -> Real:
+    """Information that an estimate holds, SI units of ψ, (q, q): the inverse of its covariance.
+
+    Priors of the rig were in the estimate already.  Calibrations that are unknown are taken as unknown again.
+    Raises UsageError where the estimate is of other unknowns.
+    """
+    own = [unknown.name for unknown in bench.model.unknowns]
+    missing = [name for name in own if name not in estimate.names]
+    if missing:
+        raise UsageError(
+            f"the estimate says nothing of {', '.join(missing)}",
+            cure="give the estimate of this rig, or its data",
+        )
+    i = [estimate.names.index(name) for name in own]
+    C = estimate.covariance[np.ix_(i, i)]
+    size = np.sqrt(np.diagonal(C))
+    if not np.all(np.isfinite(C)) or np.any(size <= 0):
+        raise UsageError(
+            "the estimate's covariance is not finite and positive", cure="give one with --set and no data"
+        )
+    q = len(bench.names)
+    information = np.zeros((q, q))
+    scaled = np.linalg.inv(C / np.outer(size, size)) / np.outer(size, size)
+    information[: len(own), : len(own)] = (scaled + scaled.T) / 2
+    return information
+
+
+def noise_from(channels: Sequence[Channel], spectrum: Spectrum) -> tuple[Channel, ...]:
+    """The channels with the noise that data show, floor² + (relative · amplitude)² fitted over the lines.
+
+    Channels that state their noise, that the data have not, or that are exact there stay as they are.
+    """
+    from scipy.optimize import nnls
+
+    index = {channel.name: i for i, channel in enumerate(spectrum.channels)}
+    found = []
+    for channel in channels:
+        i = index.get(channel.name)
+        if channel.noise > 0 or channel.relative_noise > 0 or i is None:
+            found.append(channel)
+            continue
+        V = spectrum.covariance[..., i, i].real
+        power = np.abs(spectrum.amplitudes[..., i]) ** 2
+        axes = tuple(range(V.ndim - 1))
+        variance = np.mean(V, axis=axes) * spectrum.samples / 4
+        power = np.mean(power, axis=tuple(range(power.ndim - 1)))
+        usable = np.isfinite(variance) & (variance > 0) & np.isfinite(power)
+        if not np.any(usable):
+            found.append(channel)
+            continue
+        rows = np.stack([np.ones(int(np.sum(usable))), power[usable]], axis=1) / variance[usable, None]
+        scale = np.max(rows, axis=0)
+        (floor, relative), _ = nnls(rows / scale, np.ones(len(rows)))
+        gain = 1.0 if channel.gain is None else abs(channel.gain)
+        found.append(
+            replace(
+                channel,
+                noise=float(np.sqrt(floor / scale[0])) * gain / channel.scale,
+                relative_noise=float(np.sqrt(relative / scale[1])),
+            )
+        )
+    return tuple(found)
+
+
+@dataclass(frozen=True)
+class Progress:
+    """Estimates as data come in.
+
+    samples  (steps,)           samples behind each estimate
+    values   (steps, unknowns)  NaN where the data did not determine them yet
+    low, high (steps, unknowns) 95 % intervals
+    sd       (steps, unknowns)
+    """
+
+    names: tuple[str, ...]
+    samples: Ints
+    values: Real
+    sd: Real
+    low: Real
+    high: Real
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "samples", frozen(self.samples, np.int64))
+        for name in ("values", "sd", "low", "high"):
+            object.__setattr__(self, name, frozen(getattr(self, name), np.float64))
+
+    @property
+    def relative(self) -> Real:
+        """sd in parts of |value|, (steps, unknowns)."""
+        size = np.where(self.values == 0, 1.0, np.abs(self.values))
+        return self.sd / size
+
+
+def progress(
+    model: Model,
+    spectrum: Spectrum,
+    method: Method | None = None,
+    *,
+    steps: int = 12,
+    watch: Callable[[int, int], None] | None = None,
+) -> Progress:
+    """Identify from the first lines, more lines, … all lines, in the order of the spectrum (no batch axes).
+
+    Raises UsageError for a batch, IdentifiabilityError where not even all lines determine the unknowns.
+    """
+    if spectrum.batch:
+        raise UsageError("progress is of one test, not of a batch", cure="give one repeat")
+    counts = np.unique(np.linspace(1, spectrum.lines, min(steps, spectrum.lines)).round().astype(int))
+    m = len(model.unknowns)
+    values, sd, low, high = (np.full((len(counts), m), np.nan) for _ in range(4))
+    for k, count in enumerate(counts):
+        try:
+            found = identify(model, spectrum.select(np.arange(count)), method)
+        except DashpotError:
+            if count == spectrum.lines:
+                raise
+            continue
+        if bool(found.converged):
+            values[k], sd[k] = found.values, found.sd
+            low[k], high[k] = found.interval()
+        if watch is not None:
+            watch(k + 1, len(counts))
+    total = np.cumsum(spectrum.samples)[counts - 1]
+    names = tuple(unknown.name for unknown in model.unknowns)
+    return Progress(names, total, values, sd, low, high)
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """Whether there are enough samples.
+
+    reached   whether every watched unknown has its target
+    worst     name of the unknown that is farthest from it, and its relative sd over the target
+    more      samples that the same kind of test still needs; inf where no number helps
+    reason    in words
+    """
+
+    reached: bool
+    worst: str
+    excess: float
+    more: float
+    reason: str
+
+
+def enough(estimate: Estimate, targets: dict[str, float], samples: int, known: Real | None = None) -> Verdict:
+    """The stopping rule: sd ∝ 1/√samples for more of the same (paper §3.3), from the estimate so far.
+
+    `targets` are relative standard deviations by name.  `known` is information (unknowns, unknowns), SI, that did not
+    come from these samples (priors); it does not grow with them.  Where the model does not fit, the intervals count
+    its misfit, which no number of samples lowers.
+    """
+    names = list(estimate.names)
+    size = np.where(estimate.values == 0, 1.0, np.abs(estimate.values))
+    relative = estimate.sd / size
+    excess = {name: float(relative[names.index(name)]) / target for name, target in targets.items()}
+    worst = max(excess, key=lambda name: excess[name])
+    if not np.isfinite(excess[worst]):
+        raise IdentifiabilityError(f"the data do not determine {worst}", cure="add frequencies or sensors")
+    if excess[worst] <= 1:
+        return Verdict(True, worst, excess[worst], 0.0, "every interval is as narrow as was asked")
+    if bool(np.any(estimate.fit.rejected)):
+        reason = "the model does not fit: more samples will not narrow what its misfit leaves open"
+        return Verdict(False, worst, excess[worst], np.inf, reason)
+    scale = np.outer(size, size)
+    total = np.linalg.inv(estimate.covariance / scale)
+    fixed = np.zeros_like(total) if known is None else known * scale
+    j = [names.index(name) for name in targets]
+    aim = np.array([targets[name] for name in targets]) ** 2
+
+    def met(times: float) -> bool:
+        M = fixed + times * (total - fixed)
+        return bool(np.all(np.diagonal(np.linalg.inv(M))[j] <= aim))
+
+    low, high = 1.0, 2.0
+    while not met(high) and high < 1e12:
+        low, high = high, 2 * high
+    if high >= 1e12:
+        return Verdict(False, worst, excess[worst], np.inf, "more of the same test does not reach the target")
+    for _ in range(60):
+        middle = (low + high) / 2
+        low, high = (low, middle) if met(middle) else (middle, high)
+    more = float(np.ceil((high - 1) * samples))
+    return Verdict(False, worst, excess[worst], more, f"{worst} is {excess[worst]:.3g} times its target")
