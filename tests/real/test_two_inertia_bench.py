@@ -1,0 +1,67 @@
+"""The motor bench from its raw file: calibrations, inertias and stiffness without any start value."""
+
+from __future__ import annotations
+
+import runpy
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from dashpot.data.readers import read
+from dashpot.estimate.estimate import Estimate
+from dashpot.estimate.identify import identify
+from dashpot.model.modelfile import read_rig
+
+ROOT = Path(__file__).resolve().parents[2]
+EXAMPLE = ROOT / "examples" / "two_inertia_bench"
+RAW = ROOT.parent / "shared" / "data" / "two_inertia_bench" / "MultisineTypeA.mat"
+
+
+@pytest.fixture(scope="module")
+def bench() -> Estimate:
+    rig = read_rig(EXAMPLE / "rig.toml")
+    assert all(unknown.guess is None for unknown in rig.model.unknowns)
+    return identify(rig.model, read(str(EXAMPLE / "amplitudes.csv"), rig.channels).spectrum())
+
+
+def test_the_bench_is_built_alike(bench: Estimate) -> None:
+    assert bench.method == "ml"
+    assert bool(bench.converged)
+    assert bench["J2"].value / bench["J1"].value == pytest.approx(1, abs=0.01)
+
+
+def test_calibrations_are_found(bench: Estimate) -> None:
+    assert float(bench.signs["theta_l"]) == -1
+    # The torque is late by about 0.1 ms, so the current is early.
+    delay = bench["current.delay"]
+    assert delay.value == pytest.approx(-0.1e-3, abs=0.02e-3)
+    assert delay.interval95[1] < 0
+
+
+def test_resonance_and_antiresonance(bench: Estimate) -> None:
+    assert bench.modes is not None
+    assert bench.modes.frequency_hz[-1] == pytest.approx(76, abs=1)
+    assert np.sqrt(bench["k"].value / bench["J2"].value) / (2 * np.pi) == pytest.approx(54, abs=1)
+    assert all(bench[name].value > 0 for name in ("c", "d1", "d2"))
+
+
+def test_friction_is_not_hidden(bench: Estimate) -> None:
+    assert bool(bench.fit.rejected)
+    assert bench.basis == "model misfit"
+
+
+@pytest.mark.skipif(not RAW.is_file(), reason="the recording is not here")
+def test_the_table_is_what_the_raw_file_gives(tmp_path: Path) -> None:
+    main = runpy.run_path(str(EXAMPLE / "make_amplitudes.py"))["main"]
+    main(str(RAW), str(tmp_path / "amplitudes.csv"))
+    channels = read_rig(EXAMPLE / "rig.toml").channels
+    again = read(str(tmp_path / "amplitudes.csv"), channels).spectrum()
+    kept = read(str(EXAMPLE / "amplitudes.csv"), channels).spectrum()
+    assert list(again.frequency_hz) == list(range(11, 251))
+    assert np.max(np.abs(again.amplitudes - kept.amplitudes) / kept.sd()) < 1e-3
+    assert np.max(np.abs(again.sd() / kept.sd() - 1)) < 1e-3
+    correlation = np.abs(again.covariance[:, 1, 2]) / (2 * again.sd()[:, 1] * again.sd()[:, 2])
+    assert (
+        np.median(correlation[:60]) > 0.9
+    )  # both angles drift together: the covariance between channels matters
