@@ -9,7 +9,7 @@ import numpy as np
 from dashpot.arrays import Complex, Real, hermitian
 from dashpot.estimate.regression import regressors, weighted_normal
 from dashpot.estimate.states import States
-from dashpot.model.dynamics import dynamic_stiffness, input_stiffness, solve, unit_forces
+from dashpot.model.dynamics import solve, stiffness, unit_forces
 from dashpot.model.network import Model
 
 SINGULAR = 1e-13
@@ -45,10 +45,10 @@ def auxiliary(model: Model, p: Real, data: States) -> Auxiliary:
     Where the inputs are exact this is the response of the auxiliary model to them; where they are noisy, inputs and
     outputs are both corrected, as maximum likelihood does.  ẑ satisfies H ẑ = 0 exactly.
     """
-    D = dynamic_stiffness(model, p, data.omega)
-    R = input_stiffness(model, p, data.omega)
-    S = np.broadcast_to(-model.S.astype(complex), (*D.shape[:-1], model.S.shape[1]))
-    H = np.concatenate([D, -R, S], axis=-1)
+    H = stiffness(model, p, data.omega)
+    if model.S.shape[1]:
+        S = np.broadcast_to(-model.S.astype(complex), (*H.shape[:-1], model.S.shape[1]))
+        H = np.concatenate([H, S], axis=-1)
     spread = data.covariance @ hermitian(H)
     Se = H @ spread
     # Channels that are exact beside noisy ones would make Se singular: a floor far below the noise keeps it regular.

@@ -17,6 +17,34 @@ from dashpot.estimate.starts import candidates, neighbours
 from dashpot.estimate.states import is_direct
 
 POOR = 1e-6  # p-value below which a repeat is searched again from its own starts
+SOFTNESS = (0.3, 0.03, 0.0)  # relative noise added to every channel in the stages of a search from afar
+ROUGH = 60  # iterations of such a stage
+DEEPEST = 8  # valleys that are followed to the bottom
+RIVAL = 60.0  # χ² by which a valley may lie above the deepest one of one repeat and be the deepest of another
+DOUBT = 9.2  # χ² by which a rival may lie above and be told to the user: odds of 100 to 1
+
+
+@dataclass(frozen=True)
+class Valleys:
+    """Where searches ended, the deepest first: psi (V, M), signs of the channels (V, channels), cost (V,)."""
+
+    psi: Real
+    sign: Real
+    cost: Real
+
+    def with_ends(self, psi: Real, sign: Real, cost: Real) -> Valleys:
+        """With more ends; those within 2 % of a deeper one in every unknown lie in its valley and are left out."""
+        psi, sign = np.concatenate([self.psi, psi]), np.concatenate([self.sign, sign])
+        cost = np.concatenate([self.cost, cost])
+        kept: list[int] = []
+        for k in np.argsort(cost):
+            size = np.maximum(np.abs(psi[k]), np.abs(psi[kept]))
+            near = np.abs(psi[k] - psi[kept]) <= 0.02 * size
+            if np.isfinite(cost[k]) and not np.any(np.all(near, axis=-1) & np.all(sign[k] == sign[kept], axis=-1)):
+                kept.append(int(k))
+            if len(kept) == 4 * DEEPEST:
+                break
+        return self if not kept else Valleys(psi[kept], sign[kept], cost[kept])
 
 
 @dataclass(frozen=True)
@@ -48,14 +76,12 @@ class MaximumLikelihood(Method):
         repeats = len(exact.y)
         lower, upper = bounds(data, view, self.positive)
         direct = data.states is not None and all(is_direct(data.model, c) for c in data.spectrum.channels)
-        ones = np.ones((repeats, len(view.channels)))
+        warnings: tuple[str, ...] = ()
         if direct and data.states is not None:
-            start, sign = compensated(data.model, data.states), ones
+            start, sign = compensated(data.model, data.states), np.ones((repeats, len(view.channels)))
             found = self._descend(view, exact, start, sign, lower, upper)
         else:
-            psi, flips = self._global(data, view, 0)
-            start, sign = np.repeat(psi, repeats, axis=0), np.repeat(flips, repeats, axis=0)
-            found = self._descend(view, exact, start, sign, lower, upper)
+            found, sign, warnings = self._from_valleys(view, exact, self._global(data, view, 0), lower, upper)
         found, sign = self._again(data, view, exact, found, sign, lower, upper)
         at = predict(view, exact, found.x, sign)
         prior = prior_precision(view)
@@ -63,6 +89,7 @@ class MaximumLikelihood(Method):
         return Solution(
             found.x, bread, found.converged, found.iterations, found.history,
             signs={view.channels[int(c)].name: sign[:, c] for c in np.flatnonzero(view.flips)},
+            warnings=warnings,
         )  # fmt: skip
 
     def _descend(
@@ -81,42 +108,69 @@ class MaximumLikelihood(Method):
         most = self.max_iterations if limit is None else limit
         return minimise(evaluate, start, limit=most, tolerance=self.tolerance, lower=lower, upper=upper)
 
-    def _global(self, data: Prepared, view: Outlook, repeat: int) -> tuple[Real, Real]:
-        """The best ψ and signs, (1, M) and (1, channels), that many starts of one repeat lead to.
+    def _from_valleys(
+        self, view: Outlook, exact: Measured, valleys: Valleys, lower: Real, upper: Real
+    ) -> tuple[Found, Real, tuple[str, ...]]:
+        """Every repeat from the deepest valley and from its rivals, the lowest end kept; what rivals mean for one."""
+        repeats = len(exact.y)
+        if not len(valleys.cost):
+            raise ConvergenceError("no start leads anywhere", cure="give guesses of the unknowns")
+        unit = max(1.0, valleys.cost[0] / exact.rows)
+        near = valleys.cost <= valleys.cost[0] + RIVAL * unit
+        found: Found | None = None
+        ends, costs = [], []
+        for psi, flips in zip(valleys.psi[near][:DEEPEST], valleys.sign[near][:DEEPEST], strict=True):
+            flips = np.repeat(flips[None], repeats, axis=0)
+            one = self._descend(view, exact, np.repeat(psi[None], repeats, axis=0), flips, lower, upper)
+            ends.append(one.x[0])
+            costs.append(one.cost[0])
+            if found is None:
+                found, sign = one, flips
+                continue
+            lower_here = one.cost < found.cost - 1e-6 * unit
+            found = found.improved(np.arange(repeats), one)
+            sign = np.where(lower_here[:, None], flips, sign)
+        assert found is not None
+        return found, sign, ()
 
-        Rounds end when the best end fits (known noise) and was reached at least twice, or when two rounds in a row
-        bring nothing; later rounds search around the best ends as well.
+    def _global(self, data: Prepared, view: Outlook, repeat: int) -> Valleys:
+        """The valleys that many starts of one repeat lead to, the deepest first.
+
+        The first round starts from candidates, those after it from neighbours of the deepest valleys as well.  Rounds
+        end when the deepest one fits (known noise) and a quarter of the first starts led there, or when two rounds in
+        a row find nothing deeper.
         """
         one = data.only(repeat)
         rng = np.random.default_rng([self.seed, repeat])
         lower, upper = bounds(data, view, self.positive)
-        exact, soft, softer = measured(one, view), measured(one, view, 0.1), measured(one, view, 1.0)
+        exact = measured(one, view)
+        stages = [(soft, measured(one, view, soft)) for soft in SOFTNESS]
+        ranked_by = measured(one, view, 1.0)
         acceptable = _acceptable(one, exact, len(view.names))
-        best, signs, costs = np.empty((0, len(view.names))), np.empty((0, len(view.channels))), np.empty(0)
+        valleys = Valleys(np.empty((0, len(view.names))), np.empty((0, len(view.channels))), np.empty(0))
         idle = 0
         for turn in range(self.rounds):
             psi, sign = candidates(one, view, self.candidates, rng)
-            chosen = np.argsort(_cost(view, softer, psi, sign))[: self.starts]
-            if turn == 0:
-                chosen = np.union1d(chosen, [0])
+            order = np.argsort(_cost(view, ranked_by, psi, sign))
+            chosen = np.union1d(order[: self.starts], [0]) if turn == 0 else order[: self.starts // 4]
             psi, sign = psi[chosen], sign[chosen]
             if turn > 0:
-                near, near_sign = neighbours(best[: self.starts // 8], signs, view, self.starts, rng)
+                near, near_sign = neighbours(valleys.psi[:DEEPEST], valleys.sign[:DEEPEST], view, self.starts, rng)
                 psi, sign = np.concatenate([psi, near]), np.concatenate([sign, near_sign])
-            for data_now, limit in ((softer, 30), (soft, 20), (exact, 60)):
-                psi = self._descend_all(
-                    view, data_now, psi, sign, lower, upper, limit, logarithmic=data_now is not exact
-                )
-            before = costs[0] if len(costs) else np.inf
-            best, signs = np.concatenate([best, psi]), np.concatenate([signs, sign])
-            costs = np.concatenate([costs, _cost(view, exact, psi, sign)])
-            order = np.argsort(costs)[: 4 * self.starts]
-            best, signs, costs = best[order], signs[order], costs[order]
-            reached = int(np.sum(costs <= costs[0] + 1e-3 * max(1.0, costs[0])))
-            idle = idle + 1 if costs[0] > before * (1 - 1e-3) else 0
-            if (costs[0] <= acceptable and reached > 1) or idle > 1:
+            for soft, softened in stages:
+                psi = self._descend_all(view, softened, psi, sign, lower, upper, logarithmic=soft > 0)
+            costs = _cost(view, exact, psi, sign)
+            deep = np.argsort(costs)[: 2 * DEEPEST]
+            end = self._descend(view, exact, psi[deep], sign[deep], lower, upper)
+            psi[deep], costs[deep] = end.x, end.cost
+            before = valleys.cost[0] if len(valleys.cost) else np.inf
+            valleys = valleys.with_ends(psi, sign, costs)
+            lowest = valleys.cost[0]
+            idle = idle + 1 if lowest > before - 1e-3 * max(1.0, lowest / exact.rows) else 0
+            easy = turn == 0 and np.sum(costs <= lowest * 1.01 + 1) >= self.starts / 4
+            if (lowest <= acceptable and easy) or idle > 1:
                 break
-        return best[:1], signs[:1]
+        return valleys
 
     def _descend_all(
         self,
@@ -126,7 +180,6 @@ class MaximumLikelihood(Method):
         sign: Real,
         lower: Real,
         upper: Real,
-        limit: int,
         logarithmic: bool,
     ) -> Real:
         """Search from many starts of one repeat; in logarithms of the rig's parameters where they are positive."""
@@ -149,7 +202,7 @@ class MaximumLikelihood(Method):
         low, high = np.where(log, low, lower), np.where(log, high, upper)
         longest = np.where(log, 2.3, np.inf)
         found = minimise(
-            evaluate, x, limit=limit, tolerance=1e-6, lower=low, upper=high, longest=longest, patience=limit
+            evaluate, x, limit=ROUGH, tolerance=1e-6, lower=low, upper=high, longest=longest, patience=ROUGH
         )
         return np.where(log, np.exp(np.where(log, found.x, 0.0)), found.x)
 

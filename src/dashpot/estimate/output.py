@@ -21,7 +21,7 @@ from dashpot.channel import Channel, Quantity
 from dashpot.errors import DataError
 from dashpot.estimate.method import Prepared
 from dashpot.estimate.states import is_direct, measurement
-from dashpot.model.dynamics import dynamic_stiffness, input_stiffness, solve
+from dashpot.model.dynamics import solve, stiffness
 from dashpot.model.network import Model
 
 SPARSE_FROM = 48  # coordinates: above it a factorisation of the sparse pattern beats dense stacks
@@ -281,9 +281,10 @@ def _transfer(model: Model, p: Real, omega: Real, looking: Complex) -> tuple[Com
     if model.n >= SPARSE_FROM and len(p) == 1:
         return _transfer_sparse(model, p[0], omega, looking[0])
     channels = looking.shape[-2]
-    D, R = dynamic_stiffness(model, p, omega), input_stiffness(model, p, omega)
-    S = np.broadcast_to(model.S.astype(np.complex128), (*R.shape[:-1], model.S.shape[1]))
-    solved = solve(D, np.concatenate([np.swapaxes(looking, -1, -2), R, S], axis=-1))
+    both = stiffness(model, p, omega)
+    S = np.broadcast_to(model.S.astype(np.complex128), (*both.shape[:-1], model.S.shape[1]))
+    sides = [np.swapaxes(looking, -1, -2), -both[..., model.n :], S]
+    solved = solve(both[..., : model.n], np.concatenate(sides, axis=-1))
     X = solved[..., channels:]
     stretch = model.B @ X
     stretch[..., : model.D.shape[1]] += model.D

@@ -54,11 +54,26 @@ def candidates(data: Prepared, view: Outlook, count: int, rng: np.random.Generat
 def neighbours(
     psi: Real, sign: Real, view: Outlook, count: int, rng: np.random.Generator
 ) -> tuple[Real, Real]:
-    """`count` draws around the rigs already found, which a wrong valley may separate from the right one."""
+    """`count` draws around the rigs already found, which a wrong valley may separate from the right one.
+
+    Some scatter all parameters, some exchange two of a kind (chains seen at few points are nearly the same with two
+    of their parts exchanged), some change two parameters by much.
+    """
     origin = rng.integers(0, len(psi), count)
-    decades = rng.choice(SCATTER[1:4], count)[:, None] * rng.standard_normal((count, view.m))
     moved = psi[origin].copy()
-    moved[:, : view.m] *= 10**decades
+    kinds = {element.name: element.kind for element in view.model.elements}
+    alike = np.array([[kinds[a.name] == kinds[b.name] for b in view.model.unknowns] for a in view.model.unknowns])
+    pairs = np.argwhere(np.triu(alike, 1))
+    for row in moved:
+        move = rng.integers(0, 3)
+        if move == 0 and len(pairs):
+            i, j = pairs[rng.integers(0, len(pairs))]
+            row[[i, j]] = row[[j, i]]
+            row[: view.m] *= 10 ** (0.03 * rng.standard_normal(view.m))
+        elif move == 1 and view.m > 1:
+            row[rng.choice(view.m, 2, replace=False)] *= 10 ** (0.4 * rng.standard_normal(2))
+        else:
+            row[: view.m] *= 10 ** (rng.choice(SCATTER[1:3]) * rng.standard_normal(view.m))
     return moved, sign[origin]
 
 

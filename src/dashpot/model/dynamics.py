@@ -49,24 +49,25 @@ def matrices(model: Model, p: Real) -> Matrices:
     return Matrices(own["M"], own["C"], own["K"], own["H"], driven["C"], driven["K"], driven["M"])
 
 
+def stiffness(model: Model, p: Real, omega: Real) -> Complex:
+    """Bᵀ diag(p φ) [B | D]: dynamic stiffness and, behind it, −R of the inputs; (..., lines, n, n + r), N/m."""
+    factor = {"M": -(omega**2), "C": 1j * omega, "K": np.ones_like(omega), "H": 1j * np.sign(omega)}
+    n, r = model.B.shape[1], model.D.shape[1]
+    total = np.zeros((*p.shape[:-1], len(omega), n * (n + r)), dtype=np.complex128)
+    for key, i in model.by_matrix.items():
+        if len(i):
+            total += factor[key][:, None] * (p[..., i] @ model.products[key])[..., None, :]
+    return total.reshape(*total.shape[:-1], n, n + r)
+
+
 def dynamic_stiffness(model: Model, p: Real, omega: Real) -> Complex:
     """Bᵀ diag(p φ) B, shape (..., lines, n, n), N/m."""
-    return _at_lines(model, p, omega, model.B)
+    return stiffness(model, p, omega)[..., : model.n]
 
 
 def input_stiffness(model: Model, p: Real, omega: Real) -> Complex:
     """R = −Bᵀ diag(p φ) D, the force on the coordinates per unit of input displacement; (..., lines, n, r), N/m."""
-    return -_at_lines(model, p, omega, model.D)
-
-
-def _at_lines(model: Model, p: Real, omega: Real, right: Real) -> Complex:
-    B = model.B
-    factor = {"M": -(omega**2), "C": 1j * omega, "K": np.ones_like(omega), "H": 1j * np.sign(omega)}
-    total = np.zeros((*p.shape[:-1], len(omega), B.shape[1], right.shape[1]), dtype=np.complex128)
-    for key, i in model.by_matrix.items():
-        if len(i):
-            total += factor[key][:, None, None] * _assemble(p[..., i], B[i], right[i])[..., None, :, :]
-    return total
+    return -stiffness(model, p, omega)[..., model.n :]
 
 
 def solve(matrix: Complex, right: Complex) -> Complex:
@@ -109,10 +110,11 @@ def _singular() -> ModelError:
 
 def amplitudes(model: Model, p: Real, omega: Real, U: Complex, f: Complex | None = None) -> Complex:
     """As `response`, with NaN where the rig has no steady response: for searches, which may pass through anything."""
-    force = np.einsum("...ij,...j->...i", input_stiffness(model, p, omega), U)
+    both = stiffness(model, p, omega)
+    force = -np.einsum("...ij,...j->...i", both[..., model.n :], U)
     if f is not None:
         force = force + np.einsum("ij,...j->...i", model.S, f)
-    return solve(dynamic_stiffness(model, p, omega), force[..., None])[..., 0]
+    return solve(both[..., : model.n], force[..., None])[..., 0]
 
 
 def response(model: Model, p: Real, omega: Real, U: Complex, f: Complex | None = None) -> Complex:

@@ -154,10 +154,15 @@ class Model:
         """Kind of each element."""
         return tuple(element.kind for element in self.elements)
 
+    @cached_property
+    def _law(self) -> Ints:
+        return frozen([list(Kind).index(kind) for kind in self.kinds], np.int64)
+
     def factors(self, omega: Real) -> Complex:
         """φ_i(ω) for `omega` of shape (lines,) in rad/s; shape (lines, elements)."""
-        table = {kind: kind.factor(omega) for kind in set(self.kinds)}
-        return np.stack([table[kind] for kind in self.kinds], axis=-1)
+        table = np.stack([kind.factor(omega) for kind in Kind], axis=-1)
+        chosen: Complex = table[..., self._law]
+        return chosen
 
     # Unknowns
 
@@ -259,6 +264,17 @@ class Model:
         return {
             letter: frozen([i for i, kind in enumerate(self.kinds) if letters[kind] == letter], np.int64)
             for letter in "MCKH"
+        }
+
+    @cached_property
+    def products(self) -> Mapping[str, Real]:
+        """b_iᵀ [b_i | d_i] of the elements of M, C, K and H, flattened: (elements of it, n (n + r))."""
+        span = np.concatenate([self.B, self.D], axis=1)
+        return {
+            letter: frozen((self.B[i][:, :, None] * span[i][:, None, :]).reshape(len(i), -1), np.float64)
+            if len(i)
+            else frozen(np.zeros((0, self.B.shape[1] * span.shape[1])), np.float64)
+            for letter, i in self.by_matrix.items()
         }
 
     def __getstate__(self) -> dict[str, object]:
