@@ -23,7 +23,8 @@ def mapping(processes: int) -> Iterator[Map]:
     """A `map` over that many processes; with one, the built-in `map`.
 
     Processes are spawned, not forked, for forking a process with threads of BLAS in it may hang; each computes on one
-    thread.  After an interruption what has not begun is dropped.
+    thread.  After an interruption or an error the processes are ended at once: what they compute is there whole or not
+    at all, and waiting for them would leave a second Ctrl-C to hang in the interpreter's last breath.
     """
     if processes <= 1:
         yield map
@@ -37,6 +38,10 @@ def mapping(processes: int) -> Iterator[Map]:
     pool = ProcessPoolExecutor(processes, mp_context=get_context("spawn"), initializer=_ignore_interrupts)
     try:
         yield pool.map
+    except BaseException:
+        for process in list((pool._processes or {}).values()):  # Python 3.14 has a public name for this
+            process.terminate()
+        raise
     finally:
         pool.shutdown(wait=False, cancel_futures=True)
         for name, value in before.items():

@@ -65,6 +65,12 @@ def sound(path: Path, rows: int) -> bool:
     return found == rows
 
 
+def remove_unfinished(folder: Path) -> None:
+    """Delete what processes that were ended while writing have left."""
+    for path in folder.glob(".*.parquet.*"):
+        path.unlink(missing_ok=True)
+
+
 def write_table(path: Path, columns: Mapping[str, Sequence[Any] | np.ndarray]) -> None:
     """A Parquet file of named columns; it takes its place when it is whole.  Raises DataError."""
     import pyarrow as pa

@@ -127,7 +127,7 @@ class _Reader:
             key: self._number(("amplitudes", key), raw) for key, raw in self._table("amplitudes").items()
         }
         self._amplitudes_known(amplitudes, rigs)
-        grids = self._grids(rigs, frequencies, unknowns)
+        grids = self._grids(*(self._known(key) for key in ("rigs", "frequencies", "unknowns")))
         self._raise()
         study = Study(name, seed, rigs, frequencies, tuple(grids), unknowns, amplitudes, periods, drift)
         for place, grid in enumerate(study.grids):
@@ -210,6 +210,8 @@ class _Reader:
         return items
 
     def _names(self, place: Place, raw: object, known: Collection[str], what: str) -> tuple[str, ...]:
+        if not known:
+            return ()  # that there are none has been told
         found = []
         for item in self._list(place, raw):
             if not isinstance(item, str):
@@ -320,6 +322,11 @@ class _Reader:
                 )
 
     # Grids
+
+    def _known(self, key: str) -> list[str]:
+        """Names in a table, of entries that are faulty too: they exist, whatever is wrong with them."""
+        raw = self.document.get(key)
+        return list(raw) if isinstance(raw, dict) else []
 
     def _grids(
         self, rigs: Collection[str], frequencies: Collection[str], unknowns: Collection[str]

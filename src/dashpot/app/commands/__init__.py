@@ -14,5 +14,6 @@ COMMANDS: Mapping[str, str] = {
     "identify": "Find the unknown masses, dampers and springs of a rig from test data.",
     "simulate": "Write the test data that a rig with given parameters would yield.",
     "spectrum": "Turn time records into a table of complex amplitudes.",
+    "study": "Compare tests, noises and methods by Monte Carlo.",
     "reproduce": "Redo the tables and figures of a published paper.",
 }

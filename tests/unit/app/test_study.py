@@ -1,0 +1,115 @@
+"""dashpot study: files in, a folder out, and an end to it when asked."""
+
+from __future__ import annotations
+
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pyarrow.parquet as parquet
+import pytest
+
+from dashpot.study.store import sound
+from tests.unit.app.conftest import RIG, VALUES, Command
+
+STUDY = f"""\
+name = "noise and samples"
+draws = 30
+methods = ["oiv", "wls"]
+[rigs.two]
+file = "rig.toml"
+values = {{ {", ".join(f"{name} = {value}" for name, value in VALUES.items())} }}
+[frequencies]
+few = [2, 4, 6, 8, 10, 12]
+[[grid]]
+noise = [0.01, 0.05, 0.1]
+samples = 20
+"""
+
+
+@pytest.fixture
+def study(tmp_path: Path) -> Path:
+    """A study file beside its rig."""
+    (tmp_path / "rig.toml").write_text(RIG)
+    (tmp_path / "noise.toml").write_text(STUDY)
+    return tmp_path / "noise.toml"
+
+
+def test_a_folder_with_summary_draws_and_pictures(dashpot: Command, study: Path) -> None:
+    ran = dashpot("study", "noise.toml", "--processes", "1")
+    assert ran.code == 0, ran.err
+    table = parquet.read_table(study.parent / "noise" / "summary.parquet").to_pylist()
+    assert len(table) == 3 * 2 * len(VALUES)
+    assert {row["parameter"] for row in table} == set(VALUES)
+    assert all(row["draws"] == 30 and row["failed"] == 0 for row in table)
+    assert len(list((study.parent / "noise" / "draws").rglob("*.parquet"))) == 3
+    pictures = sorted(path.name for path in (study.parent / "noise").glob("*.png"))
+    assert pictures == ["noise_accuracy.png", "noise_errors.png"]
+    assert "ratio" in ran.out
+    assert "noise/summary.parquet" in ran.out
+    first = (study.parent / "noise" / "summary.parquet").read_bytes()
+    again = dashpot("study", "noise.toml", "--out", "other", "--processes", "2", "-q")
+    assert (again.code, again.out) == (0, "")
+    assert (study.parent / "other" / "summary.parquet").read_bytes() == first
+
+
+def test_more_draws_on_request(dashpot: Command, study: Path) -> None:
+    assert dashpot("study", "noise.toml", "--draws", "10", "-q", "--out", "s").code == 0
+    assert dashpot("study", "noise.toml", "--draws", "40", "-q", "--out", "s").code == 0
+    table = parquet.read_table(study.parent / "s" / "summary.parquet").to_pydict()
+    assert set(table["draws"]) == {40}
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("[0.01, 0.05, 0.1]", "-1", "dashpot: noise.toml:10: grid[0].noise: a noise of -1"),
+        ("rig.toml", "none.toml", "dashpot: none.toml: there is no such file"),
+        ("samples = 20", "samples = 2", "samples=2 covariance=given: 2 samples over 1 periods cannot tell"),
+        ('"wls"', '"ls"', "ls reads dampers from velocity channels"),
+    ],
+)
+def test_bad_studies_end_with_2_and_leave_no_summary(
+    dashpot: Command, study: Path, old: str, new: str, message: str
+) -> None:
+    study.write_text(STUDY.replace(old, new))
+    ran = dashpot("study", "noise.toml")
+    assert ran.code == 2
+    assert len(ran.err) == 1
+    assert message in ran.err[0]
+    assert not (study.parent / "noise").exists()
+
+
+def test_a_folder_of_something_else_is_refused(dashpot: Command, study: Path) -> None:
+    (study.parent / "mine").mkdir()
+    (study.parent / "mine" / "letter.txt").write_text("dear")
+    ran = dashpot("study", "noise.toml", "--out", "mine")
+    assert ran.code == 2
+    assert "holds other files" in ran.err[0]
+    assert [path.name for path in (study.parent / "mine").iterdir()] == ["letter.txt"]
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="interrupts are sent otherwise there")
+def test_ctrl_c_twice_ends_it_and_keeps_what_is_whole(study: Path) -> None:
+    study.write_text(STUDY.replace("draws = 30", "draws = 1000000"))
+    code = "import sys; from dashpot.app.cli import main; sys.argv[0] = 'dashpot'; main()"
+    command = [sys.executable, "-c", code, "study", "noise.toml", "--processes", "2"]
+    process = subprocess.Popen(
+        command, cwd=study.parent, stderr=subprocess.PIPE, text=True, start_new_session=True
+    )
+    draws = study.parent / "noise" / "draws"
+    deadline = time.monotonic() + 60
+    while not list(draws.rglob("[0-9]*.parquet")) and time.monotonic() < deadline:
+        time.sleep(0.05)
+    process.send_signal(signal.SIGINT)
+    time.sleep(0.2)
+    if process.poll() is None:
+        process.send_signal(signal.SIGINT)
+    _, told = process.communicate(timeout=30)
+    assert process.returncode in (130, -signal.SIGINT)
+    assert "what is done is kept in noise" in told
+    blocks = list(draws.rglob("[0-9]*.parquet"))
+    assert blocks
+    assert all(sound(path, 2 * 500) for path in blocks)
