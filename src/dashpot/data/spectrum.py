@@ -121,7 +121,7 @@ class Spectrum:
 
     def select(self, lines: Sequence[int] | Ints) -> Spectrum:
         """The same spectrum with only some lines, in the order given."""
-        i = np.asarray(lines)
+        i = np.asarray(lines, dtype=np.int64)
         return Spectrum(
             self.channels,
             self.frequency_hz[i],
