@@ -12,7 +12,8 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from types import MappingProxyType
 from typing import ClassVar, Literal
 
 import numpy as np
@@ -93,18 +94,40 @@ class MeanError(Goal):
 
 @dataclass(frozen=True)
 class WorstError(Goal):
-    """Largest relative variance; `targets` measures each in parts of a wanted relative sd, by name."""
+    """Largest relative variance of the unknowns (minimax)."""
 
     names: tuple[str, ...] = ()
-    targets: Mapping[str, float] = field(default_factory=dict)
     name: ClassVar[str] = "worst relative error (minimax)"
 
     def terms(self, bench: Bench, doubt: Doubt) -> Terms:
+        """Φ_j = C_jj."""
+        i = chosen(bench, self.names)
+        rows = np.zeros((len(i), len(bench.names)))
+        rows[range(len(i)), i] = 1.0
+        return Terms(_spread(bench, rows, doubt))
+
+
+@dataclass(frozen=True)
+class Targets(Goal):
+    """Largest variance in parts of what is wanted: `targets` are relative standard deviations by name."""
+
+    targets: Mapping[str, float]
+    name: ClassVar[str] = "worst error in parts of the targets (minimax)"
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "targets", MappingProxyType(dict(self.targets)))
+        for name, target in self.targets.items():
+            if not (np.isfinite(target) and target > 0):
+                raise UsageError(
+                    f"a target of {target:g} for {name}", cure="give a positive relative sd, such as 2%"
+                )
+
+    def terms(self, bench: Bench, doubt: Doubt) -> Terms:
         """Φ_j = C_jj / target_j²."""
-        i = chosen(bench, tuple(self.targets) if self.targets else self.names)
+        i = chosen(bench, tuple(self.targets))
         own = [bench.model.unknowns[int(j)].name for j in i]
         rows = np.zeros((len(i), len(bench.names)))
-        rows[range(len(i)), i] = [self.targets.get(name, 1.0) ** -2 for name in own]
+        rows[range(len(i)), i] = [self.targets[name] ** -2 for name in own]
         return Terms(_spread(bench, rows, doubt))
 
 

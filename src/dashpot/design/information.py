@@ -43,8 +43,11 @@ class Outputs:
 
 
 def calibrations(channels: Sequence[Channel]) -> tuple[str, ...]:
-    """Names of the calibrations that are estimated with θ.  An unknown sign costs no information: it is ±1."""
-    gains = tuple(f"{c.name}.gain" for c in channels if c.gain is None)
+    """Names of the calibrations that are estimated with θ.  An unknown sign costs no information: it is ±1.
+
+    A gain that several channels share is one unknown, named after its owner.
+    """
+    gains = tuple(f"{c.name}.gain" for c in channels if c.gain is None and c.same_gain_as is None)
     return gains + tuple(f"{c.name}.delay" for c in channels if c.delay is None)
 
 
@@ -82,7 +85,11 @@ def outputs(model: Model, p: Real, channels: Sequence[Channel], omega: Real, dri
     Y = np.einsum("...ij,...j->...i", C, z)
     by_parameter = own + C[..., :n] @ slope
     by_input = C[..., n:] + C[..., :n] @ by_drive
-    extra = [_column(Y, i) for i, c in enumerate(channels) if c.gain is None]
+    extra = [
+        sum((_column(Y, k) for k in _sharing(channels, c)), np.zeros_like(Y))
+        for c in channels
+        if c.gain is None and c.same_gain_as is None
+    ]
     extra += [-1j * omega[:, None] * _column(Y, i) for i, c in enumerate(channels) if c.delay is None]
     if extra:
         by_parameter = np.concatenate([by_parameter, np.stack(extra, axis=-1)], axis=-1)
@@ -97,6 +104,11 @@ def _column(Y: Complex, i: int) -> Complex:
     alone = np.zeros_like(Y)
     alone[..., i] = Y[..., i]
     return alone
+
+
+def _sharing(channels: Sequence[Channel], owner: Channel) -> list[int]:
+    """Indices of the channels whose unknown gain is the owner's."""
+    return [i for i, c in enumerate(channels) if c.gain is None and owner.name in (c.name, c.same_gain_as)]
 
 
 def _is_element_force(model: Model, channel: Channel) -> bool:

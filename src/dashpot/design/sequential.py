@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -16,6 +16,8 @@ from dashpot.estimate.estimate import Estimate
 from dashpot.estimate.identify import identify
 from dashpot.estimate.method import Method
 from dashpot.model.network import Model
+
+VAGUE = 0.5  # relative sd above which an estimate says less than a guess
 
 
 def known_after(bench: Bench, estimate: Estimate) -> Real:
@@ -43,6 +45,27 @@ def known_after(bench: Bench, estimate: Estimate) -> Real:
     scaled = np.linalg.inv(C / np.outer(size, size)) / np.outer(size, size)
     information[: len(own), : len(own)] = (scaled + scaled.T) / 2
     return information
+
+
+def values_after(
+    model: Model, estimate: Estimate, guesses: Mapping[str, float] | None = None
+) -> dict[str, float]:
+    """Values to design the next test for: the estimate's where it says something, else the guess.
+
+    An estimate says something where its sd is below half its size.  Guesses are those given, then the rig's; where
+    there is none, the estimate's size stands, or its sd where that is larger.
+    """
+    given = {} if guesses is None else guesses
+    found = {}
+    for unknown in model.unknowns:
+        if unknown.name not in estimate.names:
+            continue
+        j = estimate.names.index(unknown.name)
+        value, sd = float(estimate.values[j]), float(estimate.sd[j])
+        guess = given.get(unknown.name, unknown.guess)
+        vague = not (sd < VAGUE * abs(value))
+        found[unknown.name] = value if not vague else guess if guess is not None else max(abs(value), sd)
+    return found
 
 
 def noise_from(channels: Sequence[Channel], spectrum: Spectrum) -> tuple[Channel, ...]:

@@ -15,5 +15,6 @@ COMMANDS: Mapping[str, str] = {
     "simulate": "Write the test data that a rig with given parameters would yield.",
     "spectrum": "Turn time records into a table of complex amplitudes.",
     "study": "Compare tests, noises and methods by Monte Carlo.",
+    "design": "Find the next test: frequencies, times and sensors that tell most.",
     "reproduce": "Redo the tables and figures of a published paper.",
 }

@@ -1,0 +1,128 @@
+"""How many samples it takes to know every parameter of a three-mass rig to 1 %.
+
+Two ways from the same poor first test (five low frequencies): a uniform sweep repeated until the stopping rule says
+enough, and the next best dwells given what is known, re-planned each time the samples have doubled.  Run it as
+
+    python benchmarks/sequential_design.py [repeats] [seed]
+"""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Sequence
+
+import numpy as np
+
+from dashpot.channel import Channel
+from dashpot.data.spectrum import Spectrum, merge_repeats
+from dashpot.design.allocation import band_grid
+from dashpot.design.bench import bench
+from dashpot.design.goals import WorstError
+from dashpot.design.plan import Budget, shortest
+from dashpot.design.sequential import enough, known_after, values_after
+from dashpot.estimate.identify import identify
+from dashpot.model.elements import Kind, between, mass
+from dashpot.model.network import Input, Model
+from dashpot.study.simulate import dwells, simulate_spectrum
+
+TRUTH = {"m1": 1.2, "m2": 0.9, "m3": 1.5, "c1": 6.0, "c2": 9.0, "c3": 5.0, "k1": 1500.0, "k2": 2200.0}
+GUESS = {name: 2.0 * value for name, value in TRUTH.items()}  # all too large by a factor of two
+BAND = (0.5, 20.0)
+TARGET = 0.01
+FIRST = (0.6, 0.8, 1.0, 1.2, 1.4), 40  # frequencies, samples each: all below the first resonance
+SWEEP = np.linspace(*BAND, 25)
+
+
+def rig() -> Model:
+    """Three masses in a chain on a shaken base; the base spring is known."""
+    return Model(
+        ("x1", "x2", "x3"),
+        (Input("u"),),
+        (
+            mass("m1", "x1"), mass("m2", "x2"), mass("m3", "x3"),
+            between("c1", Kind.DAMPER, "x1", "u"), between("c2", Kind.DAMPER, "x2", "x1"),
+            between("c3", Kind.DAMPER, "x3", "x2"), between("k0", Kind.SPRING, "x1", "u", value=3000.0),
+            between("k1", Kind.SPRING, "x2", "x1"), between("k2", Kind.SPRING, "x3", "x2"),
+        ),
+        "three masses",
+    )  # fmt: skip
+
+
+def sensors() -> tuple[Channel, ...]:
+    """Displacements with 5 % noise, the base exactly."""
+    outputs = tuple(Channel(x, {x: 1.0}, relative_noise=0.05) for x in ("x1", "x2", "x3"))
+    return (*outputs, Channel("u", {"u": 1.0}))
+
+
+def measure(model: Model, f: Sequence[float], samples: Sequence[int], rng: np.random.Generator) -> Spectrum:
+    """What the rig shows at these frequencies."""
+    p = model.parameters(model.theta(TRUTH))
+    return simulate_spectrum(model, p, sensors(), dwells(model, list(f), list(samples)), rng)  # noise known
+
+
+def reached(model: Model, data: Spectrum) -> bool:
+    """The stopping rule."""
+    estimate = identify(model, data)
+    return enough(estimate, dict.fromkeys(TRUTH, TARGET), int(np.sum(data.samples))).reached
+
+
+def uniform(model: Model, data: Spectrum, rng: np.random.Generator) -> Spectrum:
+    """Sweeps, each a tenth of what there is, until enough."""
+    while not reached(model, data):
+        each = max(8, round(0.1 * np.sum(data.samples) / len(SWEEP)))
+        data = merge_repeats(data + measure(model, SWEEP.tolist(), [each] * len(SWEEP), rng))
+    return data
+
+
+def sequential(model: Model, data: Spectrum, rng: np.random.Generator) -> Spectrum:
+    """The shortest test to the target as far as is known, of which at most as much is run as there are samples."""
+    while not reached(model, data):
+        estimate = identify(model, data)
+        own = bench(model, sensors(), values_after(model, estimate, GUESS))
+        known = own.known(known_after(own, estimate))
+        total = int(np.sum(data.samples))
+        test = shortest(
+            own, WorstError(), 0.98 * TARGET, Budget(samples=total), band_grid(own, *BAND), known=known
+        )
+        if test is None:
+            test_f, share, wanted = [float(np.mean(BAND))], np.ones(1), 16.0
+        else:
+            test_f = test.lines.frequency_hz.tolist()
+            wanted = float(test.samples)
+            share = test.lines.samples / wanted
+        run = np.maximum(np.ceil(share * min(wanted, total)), 8).astype(int)
+        data = data + measure(model, test_f, run.tolist(), rng)
+    return data
+
+
+def compare(repeats: int, seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Samples (repeats,) of the uniform and of the sequential way, and the true relative errors of the latter."""
+    model = rig()
+    counts = np.zeros((2, repeats))
+    errors = np.zeros((repeats, len(TRUTH)))
+    for k in range(repeats):
+        rng = np.random.default_rng([seed, k])
+        first = measure(model, FIRST[0], [FIRST[1]] * len(FIRST[0]), rng)
+        counts[0, k] = np.sum(uniform(model, first, rng).samples)
+        data = sequential(model, first, rng)
+        counts[1, k] = np.sum(data.samples)
+        errors[k] = identify(model, data).values / np.array([TRUTH[u.name] for u in model.unknowns]) - 1
+    return counts[0], counts[1], errors
+
+
+def main() -> None:
+    repeats = int(sys.argv[1]) if len(sys.argv) > 1 else 200
+    seed = int(sys.argv[2]) if len(sys.argv) > 2 else 0
+    start = time.perf_counter()
+    swept, planned, errors = compare(repeats, seed)
+    for name, counts in (("uniform sweep", swept), ("next best dwells", planned)):
+        low, middle, high = np.quantile(counts, [0.1, 0.5, 0.9])
+        print(f"{name:18s} {middle:8.0f} samples ({low:.0f} … {high:.0f}, 80 % of repeats)")
+    print(f"ratio {np.median(swept / planned):.2f} (median of {repeats} repeats)")
+    print(f"true rms errors, %: {np.round(100 * np.sqrt(np.mean(errors**2, axis=0)), 2)}")
+    print(f"{time.perf_counter() - start:.0f} s")
+
+
+if __name__ == "__main__":
+    main()
