@@ -1,0 +1,300 @@
+"""What channels say about the unknowns of a rig, to first order, at a random rig and random frequencies, exactly.
+
+y = κ G(θ, s) q with s = jω; what the inputs q explain is taken out line by line.  A line of measured amplitudes and
+its conjugate are two points of the field, (s, j) and (−s, −j): the unknowns are real.  The twin in floating point
+gives the numbers of a direction whose unknowns the exact one has found.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from dashpot.arrays import Bools, Ints, Real
+from dashpot.channel import Channel, Quantity
+from dashpot.check import finite_field as field
+from dashpot.check.finite_field import PRIME, ROOT
+from dashpot.check.sizes import typical
+from dashpot.data.spectrum import Spectrum
+from dashpot.errors import IdentifiabilityError
+from dashpot.estimate.output import Measured, Outlook, outlook, predict
+from dashpot.model.elements import Kind
+from dashpot.model.network import Model, listed
+
+GOLDEN = 0.6180339887498949
+
+
+@dataclass(frozen=True)
+class Lines:
+    """The lines of a test: which share a frequency, what is measured, what is driven; inputs are (U, f).
+
+    frequency (lines,) numbers the distinct frequencies; present (lines, channels); driven (lines, inputs).  With
+    `conjugates`, each is measured amplitudes, which are two points of the field; else each is one point of its own.
+    """
+
+    frequency: Ints
+    present: Bools
+    driven: Bools
+    conjugates: bool = True
+
+
+def generic_lines(model: Model, channels: int, count: int, conjugates: bool = True) -> Lines:
+    """`count` lines of different frequencies with every channel measured and every input driven."""
+    present, driven = np.ones((count, channels), dtype=bool), np.ones((count, len(model.inputs)), dtype=bool)
+    return Lines(np.arange(count), present, driven, conjugates)
+
+
+def enough_lines(model: Model, channels: int, unknowns: int) -> Lines:
+    """Points enough that more add nothing: one equation at each may be all, and undamped rigs know s² alone."""
+    hysteretic = Kind.HYSTERETIC in model.kinds
+    return generic_lines(model, channels, (unknowns + 2) * (2 if hysteretic else 1), conjugates=False)
+
+
+def lines_of(model: Model, spectrum: Spectrum) -> Lines:
+    """The lines of data: an input is idle where an exact channel of it alone shows 0."""
+    finite = np.isfinite(spectrum.amplitudes).reshape(-1, spectrum.lines, len(spectrum.channels))
+    present = np.all(finite, axis=0)
+    variance = np.diagonal(spectrum.covariance, axis1=-2, axis2=-1).real
+    quiet = np.all(variance.reshape(-1, *present.shape) == 0, axis=0)
+    zero = np.all((spectrum.amplitudes == 0).reshape(-1, *present.shape), axis=0)
+    driven = np.ones((spectrum.lines, len(model.inputs)), dtype=bool)
+    for j, name in enumerate((*model.displacement_inputs, *model.force_inputs)):
+        for c, channel in enumerate(spectrum.channels):
+            force = (channel.quantity is Quantity.FORCE) == (name in model.force_inputs)
+            if force and set(channel.of) == {name}:
+                driven[:, j] &= ~(present & quiet & zero)[:, c]
+    _, frequency = np.unique(spectrum.frequency_hz, return_inverse=True)
+    return Lines(frequency.astype(np.int64), present, driven)
+
+
+@dataclass(frozen=True)
+class Draw:
+    """One random rig: slopes by the unknowns ψ = (θ, gains, delays), inputs taken out, (rows, M); and its ψ, (M,).
+
+    A delay counts as 1 in ψ: only its shifts have a meaning.  Rows of priors are included.
+    """
+
+    rows: Ints
+    psi: Ints
+
+
+def view_of(model: Model, channels: Sequence[Channel]) -> Outlook:
+    """The constants of the channels, at no frequency in particular."""
+    return outlook(model, channels, np.ones(1))
+
+
+def exact(model: Model, channels: Sequence[Channel], lines: Lines, rng: np.random.Generator) -> Draw:
+    """Slopes at one random rig; known parameters have their values.
+
+    Raises IdentifiabilityError where the rig has no steady response, whatever its parameters.
+    """
+    view = view_of(model, channels)
+    m, M = view.m, len(view.names)
+    psi = rng.integers(1, PRIME, M)
+    psi[M - view.delays :] = 1
+    times = field.residues([tie.times for tie in model.ties])
+    column = np.where(np.any(model.T, axis=1), np.argmax(model.T != 0, axis=1), -1)
+    p = np.where(column >= 0, times * psi[column] % PRIME, field.residues(model.p0.tolist()))
+    s = rng.integers(1, PRIME, int(np.max(lines.frequency)) + 1)[lines.frequency]
+    present, driven = lines.present, lines.driven
+    j = np.where(np.arange(len(s)) % 2, PRIME - ROOT, ROOT)
+    if lines.conjugates:
+        s = np.concatenate([s, PRIME - s])
+        j = np.repeat([ROOT, PRIME - ROOT], len(lines.frequency))
+        present, driven = np.concatenate([present, present]), np.concatenate([driven, driven])
+    laws = {
+        Kind.SPRING: np.ones_like(s), Kind.DAMPER: s, Kind.MASS: s * s % PRIME, Kind.INERTER: s * s % PRIME,
+        Kind.HYSTERETIC: j,
+    }  # fmt: skip
+    law = np.stack([laws[kind] for kind in model.kinds], axis=-1)
+    G, y, J = _channels(model, channels, view, p, law, s, driven, rng)
+    by_theta = np.zeros((*y.shape, m), dtype=np.int64)
+    for e in np.flatnonzero(column >= 0):
+        by_theta[..., column[e]] = (by_theta[..., column[e]] + J[..., e] * times[e]) % PRIME
+    parts = [by_theta]
+    for k in range(view.gains):
+        own = (view.gain == k) * int(field.inverse(psi[m + k : m + k + 1])[0])
+        parts.append((y * own % PRIME)[..., None])
+    for k in range(view.delays):
+        parts.append(((PRIME - s)[:, None] * y % PRIME * (view.delay == k))[..., None])
+    slopes = np.concatenate(parts, axis=-1) * present[..., None]
+    whole = np.concatenate([G * present[..., None], slopes], axis=-1)
+    inputs = G.shape[-1]
+    rows = [_priors(model, M)]
+    for line in whole:
+        reduced, pivots = field.echelon(line, inputs)
+        rows.append(reduced[len(pivots) :, inputs:])
+    return Draw(np.concatenate(rows), psi)
+
+
+def _channels(
+    model: Model,
+    channels: Sequence[Channel],
+    view: Outlook,
+    p: Ints,
+    law: Ints,
+    s: Ints,
+    driven: Bools,
+    rng: np.random.Generator,
+) -> tuple[Ints, Ints, Ints]:
+    """(G, y = G q, slopes of y by the elements at fixed q) with calibrations 1, which only scale the rows."""
+    n, r = model.n, len(model.displacement_inputs)
+    inputs, count = r + len(model.force_inputs), len(s)
+    place = {name: i for i, name in enumerate(model.coordinates)}
+    drive = {name: i for i, name in enumerate((*model.displacement_inputs, *model.force_inputs))}
+    along = [_proportions(element.along) for element in model.elements]
+    own = [[(place[x], b) for x, b in factors.items() if x in place] for factors in along]
+    put = [[(drive[u], d) for u, d in factors.items() if u in drive] for factors in along]
+    strength = p * law % PRIME
+    D = np.zeros((count, n, n), dtype=np.int64)
+    R = np.zeros((count, n, inputs), dtype=np.int64)
+    for e in range(len(model.elements)):
+        for i, b in own[e]:
+            pull = strength[:, e] * b % PRIME
+            for k, other in own[e]:
+                D[:, i, k] = (D[:, i, k] + pull * other) % PRIME
+            for k, other in put[e]:
+                R[:, i, k] = (R[:, i, k] - pull * other) % PRIME
+    for k, name in enumerate(model.force_inputs):
+        for i, factor in enumerate(model.S[:, k]):
+            if factor:
+                R[:, i, drive[name]] = field.residue(factor)
+    C = np.zeros((count, len(channels), n), dtype=np.int64)
+    G = np.zeros((count, len(channels), inputs), dtype=np.int64)
+    force = [[(int(e), field.residue(row[e])) for e in np.flatnonzero(row)] for row in view.force]
+    for c, channel in enumerate(channels):
+        for e, factor in force[c]:
+            push = strength[:, e] * factor % PRIME
+            for i, b in own[e]:
+                C[:, c, i] = (C[:, c, i] + push * b) % PRIME
+            for k, d in put[e]:
+                G[:, c, k] = (G[:, c, k] + push * d) % PRIME
+        if force[c]:
+            continue
+        rate = np.ones_like(s)
+        for _ in range(0 if channel.quantity is Quantity.FORCE else channel.quantity.derivative):
+            rate = rate * s % PRIME
+        for name, factor in channel.of.items():
+            target, at = (C, place[name]) if name in place else (G, drive[name])
+            target[:, c, at] = (target[:, c, at] + rate * field.residue(factor)) % PRIME
+    solved, regular = field.solve(D, np.concatenate([R, np.swapaxes(C, 1, 2)], axis=-1))
+    if not np.any(regular):
+        raise _unheld(model, D[0])
+    solved = solved * regular[:, None, None]
+    X, Z = solved[..., :inputs], solved[..., inputs:]
+    for i in range(n):
+        G = (G + C[:, :, i, None] * X[:, None, i, :]) % PRIME
+    G = G * regular[:, None, None]
+    q = rng.integers(1, PRIME, (count, inputs)) * driven
+    x = np.sum(X * q[:, None, :] % PRIME, axis=-1) % PRIME
+    y = np.sum(G * q[:, None, :] % PRIME, axis=-1) % PRIME
+    J = np.zeros((count, len(channels), len(model.elements)), dtype=np.int64)
+    for e in range(len(model.elements)):
+        stretch, back = np.zeros(count, dtype=np.int64), np.zeros((count, len(channels)), dtype=np.int64)
+        for i, b in own[e]:
+            stretch = (stretch + b * x[:, i]) % PRIME
+            back = (back + b * Z[:, i, :]) % PRIME
+        for k, d in put[e]:
+            stretch = (stretch + d * q[:, k]) % PRIME
+        for c in range(len(channels)):
+            for at, factor in force[c]:
+                if at == e:
+                    back[:, c] = (back[:, c] - factor) % PRIME
+        J[:, :, e] = -back * (law[:, e] * stretch % PRIME)[:, None] % PRIME
+    return G, y, J * regular[:, None, None]
+
+
+def _proportions(along: Mapping[str, float]) -> dict[str, int]:
+    """Factors modulo PRIME; their ratios count to twelve digits, so that rounding does not tell parallel levers apart."""
+    first = min(along)
+    lead = field.residue(along[first])
+    return {
+        point: lead * field.residue(float(f"{factor / along[first]:.12g}")) % PRIME
+        for point, factor in along.items()
+    }
+
+
+def _priors(model: Model, columns: int) -> Ints:
+    known = np.flatnonzero(model.prior_precision)
+    rows = np.zeros((len(known), columns), dtype=np.int64)
+    rows[np.arange(len(known)), known] = 1
+    return rows
+
+
+def _unheld(model: Model, D: Ints) -> IdentifiabilityError:
+    loose = np.flatnonzero(np.any(field.null_space(D) != 0, axis=0))
+    names = listed(model.coordinates[i] for i in loose)
+    return IdentifiabilityError(
+        f"the rig has no steady response: {names} can move with no force at all, whatever the parameters",
+        cure="attach another mass, spring or damper there, or remove a coordinate",
+    )
+
+
+# The same in floating point
+
+
+def nominal(model: Model, channels: Sequence[Channel]) -> tuple[Real, float]:
+    """(ψ, typical ω): near priors and guesses where there are any, near what known values suggest elsewhere; delays 0.
+
+    No two alike: symmetry would hide directions that other values have, or show more than there are.
+    """
+    view = view_of(model, channels)
+    size, rate = typical(model)
+    values = []
+    kinds = {element.name: element.kind for element in model.elements}
+    for unknown in model.unknowns:
+        choices = (unknown.prior, unknown.guess)
+        given = next((v for v in choices if v is not None and v != 0), None)
+        values.append(size[kinds[unknown.name]] if given is None else given)
+    values += [1.0] * view.gains
+    apart = 0.8 + 0.45 * np.modf(np.arange(1, len(values) + 1) * GOLDEN)[0]
+    return np.array([*(np.array(values) * apart), *[0.0] * view.delays]), rate
+
+
+def floating(
+    model: Model, channels: Sequence[Channel], lines: Lines, psi: Real, rate: float, rng: np.random.Generator
+) -> Real:
+    """The rows of `exact` at ψ, real, each channel of size 1; frequencies around `rate` (rad/s) and inputs at random.
+
+    Columns are slopes by ψ itself.
+    """
+    distinct = int(np.max(lines.frequency)) + 1
+    grid = rate * np.geomspace(0.25, 3.0, distinct) * np.exp(rng.uniform(-0.05, 0.05, distinct))
+    omega = grid[lines.frequency]
+    shape = lines.driven.shape
+    q = np.exp(rng.uniform(-0.5, 0.5, shape) + 2j * np.pi * rng.random(shape)) * lines.driven
+    view = outlook(model, channels, omega)
+    inputs, count = q.shape[-1], len(channels)
+    one = np.zeros((inputs + 1, len(omega), inputs), dtype=complex)
+    one[np.arange(inputs), :, np.arange(inputs)] = 1.0
+    one[-1] = q
+    nothing = np.zeros((inputs + 1, len(omega), count), dtype=complex)
+    weight = np.broadcast_to(np.eye(count, dtype=complex), (1, len(omega), count, count))
+    many = np.repeat(psi[None], inputs + 1, axis=0)
+    parts = [
+        predict(
+            view,
+            Measured(nothing[k : k + 1], weight, one[k : k + 1], 0),
+            many[k : k + 1],
+            np.ones((1, count)),
+        )
+        for k in range(inputs + 1)
+    ]
+    G = np.stack([-part.r[0] for part in parts[:inputs]], axis=-1)
+    y, J = -parts[-1].r[0], parts[-1].J[0]
+    level = np.maximum(np.abs(y), 1e-6 * np.max(np.abs(y), axis=0, initial=1e-300))
+    level = np.where(lines.present, level, np.inf)
+    G, J = G / level[..., None], J / level[..., None]
+    rows = [np.diag(np.where(psi == 0, 1.0, 1 / np.where(psi == 0, 1.0, psi)))[: len(model.unknowns)][
+        model.prior_precision > 0
+    ]]  # fmt: skip
+    for g, own in zip(G, J, strict=True):
+        size = np.linalg.norm(g, axis=0)
+        g = g / np.where(size > 0, size, 1.0)
+        u, s, _ = np.linalg.svd(g, full_matrices=False)
+        u = u[:, s > 1e-10 * max(float(s[0]) if s.size else 0.0, 1e-300)]
+        own = own - u @ (u.conj().T @ own)
+        rows += [own.real, own.imag]
+    return np.concatenate(rows)
