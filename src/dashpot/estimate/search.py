@@ -10,6 +10,7 @@ import numpy as np
 from dashpot.arrays import Bools, Ints, Real
 from dashpot.estimate.regression import inverse, solve_scaled
 
+ROUNDING = 1e-5  # standard deviations
 PATIENCE = 12  # iterations after which Newton's own matrix is worth its evaluations
 
 
@@ -80,7 +81,8 @@ def minimise(
     with Levenberg and Marquardt's damping on the diagonal of `symmetric`.  A repeat ends when its full step is below
     `tolerance` standard deviations (or 1e-13 of the value) in every unknown.  A bound whose far side is downhill
     holds its unknown there.  No unknown moves by more than `longest` in one step.  What still runs after `patience`
-    iterations goes on with Newton's own matrix.
+    iterations goes on with Newton's own matrix, and with every such number of iterations more may stop ten times
+    farther off, up to ROUNDING: unknowns that the data hardly tell apart come no nearer.
     """
     repeats, m = start.shape
     low = np.full(m, -np.inf) if lower is None else lower
@@ -107,7 +109,8 @@ def minimise(
         usable = np.all(np.isfinite(step), axis=-1)
         better = usable & (there.cost <= here.cost * (1 + 1e-12) + 1e-12)
         moved = np.abs(trial - x)
-        small = np.all(moved <= np.maximum(tolerance * spread, 1e-13 * np.abs(x)), axis=-1)
+        near = max(tolerance, min(tolerance * 10.0 ** (turn // patience - 1), ROUNDING))
+        small = np.all(moved <= np.maximum(near * spread, 1e-13 * np.abs(x)), axis=-1)
         x = np.where(better[:, None], trial, x)
         here = there.where(better, here)
         iterations[active] += 1
