@@ -194,8 +194,8 @@ def batches() -> None:
 
 
 def per_iteration(model: Model, truth: dict[str, float], lines: int) -> float:
-    """Seconds for an iteration of 50 repeats at once: all of identify, over its iterations."""
-    spectrum = data(model, truth, np.linspace(1, 20, lines), 50)
+    """Seconds for an iteration of 10 repeats at once: all of identify, over its iterations."""
+    spectrum = data(model, truth, np.linspace(1, 20, lines), 10)
     iterations = float(np.mean(identify(model, spectrum, OptimalIV()).iterations))
     return best_of(lambda: identify(model, spectrum, OptimalIV()), 3) / iterations
 
@@ -207,7 +207,7 @@ def growth() -> None:
     print("|---|---|---|")
     for label, cases in (
         ("lines (4 coordinates, 8 unknowns)", [(25, 4, 0), (50, 4, 0), (100, 4, 0), (200, 4, 0)]),
-        ("coordinates (50 lines, 2 unknowns each)", [(50, 2, 0), (50, 4, 0), (50, 8, 0), (50, 16, 0)]),
+        ("coordinates (50 lines, 2 unknowns each)", [(50, 2, 0), (50, 4, 0), (50, 8, 0)]),
         ("unknowns (50 lines, 8 coordinates)", [(50, 8, 0), (50, 8, 3), (50, 8, 7)]),
     ):
         first = None
