@@ -213,7 +213,11 @@ def _throw(
     frequency = grid * np.exp(rng.uniform(-0.05, 0.05, count))
     U = _drive(rng, count, displacements, same_phase) * 0.01
     f = _drive(rng, count, forces, same_phase) * 0.01 * k0
-    return Rig(model, theta, frequency, U, f)
+    rig = Rig(model, theta, frequency, U, f)
+    moving = np.max(np.abs(rig.X), axis=0)
+    return (
+        rig if np.all(moving > 1e-9 * np.max(moving)) else None
+    )  # some coordinate may hang on the ground alone
 
 
 def _knowledge(
