@@ -207,7 +207,7 @@ def _channels(
 
 
 def _proportions(along: Mapping[str, float]) -> dict[str, int]:
-    """Factors modulo PRIME; their ratios count to twelve digits, so that rounding does not tell parallel levers apart."""
+    """Factors modulo PRIME; their ratios count to twelve digits, for rounding must not tell levers apart."""
     first = min(along)
     lead = field.residue(along[first])
     return {

@@ -65,13 +65,13 @@ def command(
     NAME_re, NAME_im, NAME_sd).  Exit code 3: the data do not determine the unknowns, or the iteration did not settle.
     """
     from dashpot.app.files import check_targets, write_text
-    from dashpot.check.scale import require_scale
+    from dashpot.check.identifiability import require_identifiable
     from dashpot.model.modelfile import read_rig
 
     check_targets([None if json_out == STDOUT else json_out, report], [rig, *data])
     found = read_rig(rig)
     _check_unknowns(found, rig)
-    require_scale(found.model, found.channels, rig)
+    require_identifiable(found.model, found.channels, rig)
     _check_method(found, chosen)
 
     from dashpot.app.progress import progress
@@ -82,6 +82,7 @@ def command(
     tell_notes(reading.notes, quiet)
     conditioning: Conditioning = how  # type: ignore[assignment]  # click gives the options by their names
     spectrum = _spectrum(reading, conditioning, chosen)
+    require_identifiable(found.model, spectrum.channels, rig, spectrum)
     with progress("identify", quiet) as moved:
         estimate = identify(found.model, spectrum, _method(chosen, found, spectrum, seed), progress=moved)
     if report is not None:
