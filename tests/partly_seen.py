@@ -139,7 +139,9 @@ class Bench:
         count = self.q.shape[-1] if loose else 0
         total = np.zeros((J.shape[-1], J.shape[-1]))
         per_input = [
-            self.shown(self.psi, np.broadcast_to(np.eye(self.q.shape[-1])[i].astype(complex), self.q.shape))[:, noisy]
+            self.shown(self.psi, np.broadcast_to(np.eye(self.q.shape[-1])[i].astype(complex), self.q.shape))[
+                :, noisy
+            ]
             for i in range(count)
         ]
         for line in range(self.lines):
@@ -161,7 +163,11 @@ class Bench:
 
 
 def _model(
-    coordinates: str, inputs: tuple[Input, ...], elements: list[Element], values: Mapping[str, float], known: str = ""
+    coordinates: str,
+    inputs: tuple[Input, ...],
+    elements: list[Element],
+    values: Mapping[str, float],
+    known: str = "",
 ) -> Model:
     given = [
         replace(element, value=values[element.name]) if element.name in known.split() else element
@@ -192,7 +198,9 @@ def third_of_six() -> Bench:
     f = np.geomspace(1.2, 24, 25)
     channels = (Channel("a3", {"x3": 1}, A), Channel("a6", {"x6": 1}, A), Channel("u", {"u": 1}))
     model = _model("x1 x2 x3 x4 x5 x6", (Input("u"),), elements, values, "k1")
-    return Bench("a third of six", model, values, channels, f, _even(f, 0.01), _still(f), {"": 0.003, "u": 0.0})
+    return Bench(
+        "a third of six", model, values, channels, f, _even(f, 0.01), _still(f), {"": 0.003, "u": 0.0}
+    )
 
 
 def force_at_one_point() -> Bench:
@@ -219,7 +227,18 @@ def force_at_one_point() -> Bench:
 def noisy_base() -> Bench:
     """Four masses on a base whose motion is measured with noise, by an accelerometer like those on two of the masses."""
     values = dict(
-        m1=2.0, m2=0.5, m3=4.0, m4=1.0, k1=5000.0, k2=2500.0, k3=9000.0, k4=1500.0, c1=30.0, c2=2.0, c3=14.0, c4=5.0
+        m1=2.0,
+        m2=0.5,
+        m3=4.0,
+        m4=1.0,
+        k1=5000.0,
+        k2=2500.0,
+        k3=9000.0,
+        k4=1500.0,
+        c1=30.0,
+        c2=2.0,
+        c3=14.0,
+        c4=5.0,
     )
     points = ["u", "x1", "x2", "x3", "x4"]
     elements = [mass(f"m{i}", f"x{i}") for i in range(1, 5)]
@@ -247,13 +266,24 @@ def reaction() -> Bench:
         Channel("a1", {"x1": 1}, A), Channel("a3", {"x3": 1}, A), Channel("R", {"u": 1}, F), Channel("u", {"u": 1}),
     )  # fmt: skip
     model = _model("x1 x2 x3", (Input("u"),), elements, values)
-    return Bench("reaction force", model, values, channels, f, _even(f, 0.01), _still(f), {"": 0.02, "u": 0.0})
+    return Bench(
+        "reaction force", model, values, channels, f, _even(f, 0.01), _still(f), {"": 0.02, "u": 0.0}
+    )
 
 
 def pitch_and_bounce() -> Bench:
     """A body on two axles: bounce, pitch and both wheels, two roads of one profile, the rear one later."""
     values = dict(
-        mb=1200.0, J=1500.0, mf=60.0, mr=110.0, kf=18000.0, kr=42000.0, cf=900.0, cr=3200.0, tf=160000.0, tr=220000.0
+        mb=1200.0,
+        J=1500.0,
+        mf=60.0,
+        mr=110.0,
+        kf=18000.0,
+        kr=42000.0,
+        cf=900.0,
+        cr=3200.0,
+        tf=160000.0,
+        tr=220000.0,
     )
     front, rear = {"z": 1.0, "phi": -1.1}, {"z": 1.0, "phi": 1.6}
     elements = [
@@ -271,7 +301,9 @@ def pitch_and_bounce() -> Bench:
     given = [replace(e, value=values[e.name]) if e.name == "tf" else e for e in elements]
     model = Model(("z", "phi", "yf", "yr"), inputs, tuple(given), angles=frozenset({"phi"}))
     U = 0.01 * np.stack([np.ones(len(f)), np.exp(-2j * np.pi * f * 0.13)], axis=-1)
-    return Bench("pitch and bounce", model, values, channels, f, U, _still(f), {"": 0.02, "uf": 0.0, "ur": 0.0})
+    return Bench(
+        "pitch and bounce", model, values, channels, f, U, _still(f), {"": 0.02, "uf": 0.0, "ur": 0.0}
+    )
 
 
 def calibrations() -> Bench:

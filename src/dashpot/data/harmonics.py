@@ -167,7 +167,9 @@ def _check_length(record: Record, f: float, orders: tuple[int, ...], degree: int
             f"record at least {terms + 1} samples, better some hundred",
         )
     periods = f * _duration(record.time)
-    step = float(np.max(np.diff(record.time)))  # unevenly sampled periods may end this far inside, on both sides
+    step = float(
+        np.max(np.diff(record.time))
+    )  # unevenly sampled periods may end this far inside, on both sides
     if f * (float(record.time[-1] - record.time[0]) + 2 * step) < 1:
         raise DataError(
             f"the record holds {periods:.3g} of a period at {f:g} Hz",

@@ -8,6 +8,7 @@ from typing import ClassVar
 import numpy as np
 
 from dashpot.arrays import Ints, Real, hermitian
+from dashpot.errors import ConvergenceError
 from dashpot.estimate.least_squares import compensated
 from dashpot.estimate.method import Method, Prepared, Solution
 from dashpot.estimate.output import Measured, Outlook, measured, outlook, predict
@@ -19,8 +20,10 @@ from dashpot.estimate.states import is_direct
 POOR = 1e-6  # p-value below which a repeat is searched again from its own starts
 SOFTNESS = (0.3, 0.03, 0.0)  # relative noise added to every channel in the stages of a search from afar
 ROUGH = 60  # iterations of such a stage
+POLISH = 25  # iterations for the deepest ends of a round
 DEEPEST = 8  # valleys that are followed to the bottom
 RIVAL = 60.0  # χ² by which a valley may lie above the deepest one of one repeat and be the deepest of another
+PIECE = 2_000_000  # complex numbers of dynamic stiffness at once
 DOUBT = 9.2  # χ² by which a rival may lie above and be told to the user: odds of 100 to 1
 
 
@@ -40,7 +43,9 @@ class Valleys:
         for k in np.argsort(cost):
             size = np.maximum(np.abs(psi[k]), np.abs(psi[kept]))
             near = np.abs(psi[k] - psi[kept]) <= 0.02 * size
-            if np.isfinite(cost[k]) and not np.any(np.all(near, axis=-1) & np.all(sign[k] == sign[kept], axis=-1)):
+            if np.isfinite(cost[k]) and not np.any(
+                np.all(near, axis=-1) & np.all(sign[k] == sign[kept], axis=-1)
+            ):
                 kept.append(int(k))
             if len(kept) == 4 * DEEPEST:
                 break
@@ -109,35 +114,37 @@ class MaximumLikelihood(Method):
         return minimise(evaluate, start, limit=most, tolerance=self.tolerance, lower=lower, upper=upper)
 
     def _from_valleys(
-        self, view: Outlook, exact: Measured, valleys: Valleys, lower: Real, upper: Real
+        self, view: Outlook, data: Measured, valleys: Valleys, lower: Real, upper: Real
     ) -> tuple[Found, Real, tuple[str, ...]]:
-        """Every repeat from the deepest valley and from its rivals, the lowest end kept; what rivals mean for one."""
-        repeats = len(exact.y)
-        if not len(valleys.cost):
-            raise ConvergenceError("no start leads anywhere", cure="give guesses of the unknowns")
-        unit = max(1.0, valleys.cost[0] / exact.rows)
-        near = valleys.cost <= valleys.cost[0] + RIVAL * unit
+        """Each repeat from the deepest valley and its rivals: the lowest end, its signs, and a word on close rivals."""
+        unit = max(1.0, valleys.cost[0] / data.rows)
+        near = np.flatnonzero(valleys.cost <= valleys.cost[0] + RIVAL * unit)[: 2 * DEEPEST]
+        first = data.pick(np.array([0]))
+        bottoms = Valleys(valleys.psi[:0], valleys.sign[:0], valleys.cost[:0])
+        for k in near:
+            end = self._descend(
+                view, first, valleys.psi[k : k + 1], valleys.sign[k : k + 1], lower, upper, limit=ROUGH
+            )
+            if end.converged[0] or k == 0:
+                bottoms = bottoms.with_ends(end.x, valleys.sign[k : k + 1], end.cost)
         found: Found | None = None
-        ends, costs = [], []
-        for psi, flips in zip(valleys.psi[near][:DEEPEST], valleys.sign[near][:DEEPEST], strict=True):
-            flips = np.repeat(flips[None], repeats, axis=0)
-            one = self._descend(view, exact, np.repeat(psi[None], repeats, axis=0), flips, lower, upper)
-            ends.append(one.x[0])
-            costs.append(one.cost[0])
+        for psi, flips in zip(bottoms.psi, bottoms.sign, strict=True):
+            start, signs = (np.repeat(part[None], len(data.y), axis=0) for part in (psi, flips))
+            end = self._descend(view, data, start, signs, lower, upper)
             if found is None:
-                found, sign = one, flips
+                found, sign = end, signs
                 continue
-            lower_here = one.cost < found.cost - 1e-6 * unit
-            found = found.improved(np.arange(repeats), one)
-            sign = np.where(lower_here[:, None], flips, sign)
-        assert found is not None
-        return found, sign, ()
+            sign = np.where((end.cost < found.cost * (1 - 1e-9))[:, None], signs, sign)
+            found = found.improved(np.arange(len(data.y)), end)
+        if found is None:
+            raise ConvergenceError("no start leads to a minimum", cure="give guesses of the unknowns")
+        return found, sign, _rivals(view, first, bottoms, DOUBT * unit) if len(data.y) == 1 else ()
 
     def _global(self, data: Prepared, view: Outlook, repeat: int) -> Valleys:
         """The valleys that many starts of one repeat lead to, the deepest first.
 
         The first round starts from candidates, those after it from neighbours of the deepest valleys as well.  Rounds
-        end when the deepest one fits (known noise) and a quarter of the first starts led there, or when two rounds in
+        end when the deepest one fits (known noise) and a tenth of the first starts led there, or when two rounds in
         a row find nothing deeper.
         """
         one = data.only(repeat)
@@ -155,19 +162,21 @@ class MaximumLikelihood(Method):
             chosen = np.union1d(order[: self.starts], [0]) if turn == 0 else order[: self.starts // 4]
             psi, sign = psi[chosen], sign[chosen]
             if turn > 0:
-                near, near_sign = neighbours(valleys.psi[:DEEPEST], valleys.sign[:DEEPEST], view, self.starts, rng)
+                near, near_sign = neighbours(
+                    valleys.psi[:DEEPEST], valleys.sign[:DEEPEST], view, self.starts, rng
+                )
                 psi, sign = np.concatenate([psi, near]), np.concatenate([sign, near_sign])
             for soft, softened in stages:
                 psi = self._descend_all(view, softened, psi, sign, lower, upper, logarithmic=soft > 0)
             costs = _cost(view, exact, psi, sign)
-            deep = np.argsort(costs)[: 2 * DEEPEST]
-            end = self._descend(view, exact, psi[deep], sign[deep], lower, upper)
+            deep = np.argsort(costs)[:DEEPEST]
+            end = self._descend(view, exact, psi[deep], sign[deep], lower, upper, limit=POLISH)
             psi[deep], costs[deep] = end.x, end.cost
             before = valleys.cost[0] if len(valleys.cost) else np.inf
             valleys = valleys.with_ends(psi, sign, costs)
             lowest = valleys.cost[0]
             idle = idle + 1 if lowest > before - 1e-3 * max(1.0, lowest / exact.rows) else 0
-            easy = turn == 0 and np.sum(costs <= lowest * 1.01 + 1) >= self.starts / 4
+            easy = turn == 0 and np.sum(costs <= lowest * 1.01 + 1) >= self.starts / 10
             if (lowest <= acceptable and easy) or idle > 1:
                 break
         return valleys
@@ -227,13 +236,33 @@ class MaximumLikelihood(Method):
         )  # fmt: skip
         sign = sign.copy()
         for repeat in np.flatnonzero(poor):
-            psi, flips = self._global(data, view, int(repeat))
-            new = self._descend(view, exact.pick(np.array([repeat])), psi, flips, lower, upper)
+            valleys = self._global(data, view, int(repeat))
+            new, flips, _ = self._from_valleys(view, exact.pick(np.array([repeat])), valleys, lower, upper)
             if not new.cost[0] >= cost[repeat]:
                 x[repeat], cost[repeat], converged[repeat] = new.x[0], new.cost[0], new.converged[0]
                 iterations[repeat] += new.iterations[0]
                 sign[repeat] = flips[0]
         return Found(x, cost, converged, iterations, found.history), sign
+
+
+def _rivals(view: Outlook, data: Measured, bottoms: Valleys, doubt: float) -> tuple[str, ...]:
+    """A warning where the second deepest of the valleys of one repeat fits nearly as well as the deepest."""
+    at = predict(view, data, bottoms.psi[:1], bottoms.sign[:1])
+    information = np.sum(at.information(), axis=-3)[0] + np.diag(prior_precision(view))
+    sd = np.sqrt(np.abs(np.diagonal(inverse(information))))
+    best = bottoms.psi[0]
+    for psi, cost in zip(bottoms.psi[1:], bottoms.cost[1:], strict=True):
+        away, above = np.abs(psi - best), float(cost - bottoms.cost[0])
+        if above > doubt or not np.any(away > 3 * sd):
+            continue  # within 3 sd it is the same flat valley
+        largest = np.argsort(-away / np.maximum(np.abs(best), np.abs(psi)))[:4]
+        other = ", ".join(f"{view.names[j]} = {psi[j]:.4g} {view.units[j]}" for j in largest)
+        word = (
+            f"other values fit nearly as well (χ² is {above:.3g} more): {other}; a sensor at another point, "
+            "a known parameter or a guess would decide between them"
+        )
+        return (word,)
+    return ()
 
 
 def _acceptable(data: Prepared, exact: Measured, unknowns: int) -> float:
@@ -287,6 +316,11 @@ def local(view: Outlook, data: Measured, psi: Real, sign: Real) -> Local:
 
 
 def _cost(view: Outlook, data: Measured, psi: Real, sign: Real) -> Real:
+    """Cost at many ψ of one repeat, inf where there is none, in pieces that fit into memory."""
+    size = max(1, PIECE // (len(view.omega) * view.model.n * (view.model.n + len(view.channels))))
+    pieces = []
     with np.errstate(all="ignore"):
-        cost = local(view, data, psi, sign).cost
+        for first in range(0, len(psi), size):
+            pieces.append(local(view, data, psi[first : first + size], sign[first : first + size]).cost)
+    cost = np.concatenate(pieces)
     return np.where(np.isfinite(cost), cost, np.inf)

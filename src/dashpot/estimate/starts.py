@@ -62,7 +62,9 @@ def neighbours(
     origin = rng.integers(0, len(psi), count)
     moved = psi[origin].copy()
     kinds = {element.name: element.kind for element in view.model.elements}
-    alike = np.array([[kinds[a.name] == kinds[b.name] for b in view.model.unknowns] for a in view.model.unknowns])
+    alike = np.array(
+        [[kinds[a.name] == kinds[b.name] for b in view.model.unknowns] for a in view.model.unknowns]
+    )
     pairs = np.argwhere(np.triu(alike, 1))
     for row in moved:
         move = rng.integers(0, 3)
