@@ -309,7 +309,7 @@ class _Study:
         weigh = f" (weigh {masses[0]}, say)" if masses else ""
         cure = f"{give}{weigh}"
         even = len(exponents) == 1 and np.allclose(exponents[0], exponents[0, 0], rtol=1e-5)
-        if even and len(names) == len(self.names):
+        if even and set(names) == {unknown.name for unknown in self.model.unknowns}:
             driven = "" if self.model.force_inputs else " and only displacements go in"
             together = f"all forces scale together: only the ratios of {listed(names)} can be found"
             return f"nothing is known{driven}, so {together}", cure

@@ -284,8 +284,8 @@ def floating(
     ]
     G = np.stack([-part.r[0] for part in parts[:inputs]], axis=-1)
     y, J = -parts[-1].r[0], parts[-1].J[0]
-    level = np.maximum(np.abs(y), 1e-6 * np.max(np.abs(y), axis=0, initial=1e-300))
-    level = np.where(lines.present, level, np.inf)
+    level = np.maximum(np.abs(y), 1e-6 * np.max(np.abs(y), axis=0, initial=0.0))
+    level = np.where(lines.present, np.where(level > 0, level, 1.0), np.inf)
     G, J = G / level[..., None], J / level[..., None]
     rows = [np.diag(np.where(psi == 0, 1.0, 1 / np.where(psi == 0, 1.0, psi)))[: len(model.unknowns)][
         model.prior_precision > 0
