@@ -153,7 +153,7 @@ def assert_equal(rig: Rig, dwells: Sequence[Record], *, drift: int | None = None
     jitter=st.sampled_from([0.0, 0.6]),
     noise=st.sampled_from([0.002, 0.02]),
 )
-@settings(max_examples=30)
+@settings(max_examples=20)
 def test_random_networks(
     seed: int,
     n: int,

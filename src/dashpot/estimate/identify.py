@@ -163,7 +163,7 @@ def _bias(
     names: tuple[str, ...], solution: Solution, best: Solution, value: Worth, method: Method
 ) -> tuple[str, ...]:
     """A warning where an estimate lies further from the most likely one than its spread explains (Hausman 1978)."""
-    sd = np.sqrt(np.diagonal(value.covariance[0]))
+    sd = np.sqrt(np.maximum(np.diagonal(value.covariance[0]), 0.0))
     with np.errstate(invalid="ignore", divide="ignore"):
         away = np.where(sd > 0, np.abs(solution.theta[0] - best.theta[0]) / sd, 0.0)
     worst = int(np.argmax(np.nan_to_num(away)))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import numpy as np
@@ -21,6 +21,7 @@ from dashpot.estimate.states import States
 from dashpot.model.dynamics import amplitudes, unit_forces
 from dashpot.model.network import Model
 
+FAR = 1e9  # times the start
 ASTRAY = 1e-4  # χ² so unlikely may mean a local minimum: other starts are tried
 
 
@@ -135,7 +136,11 @@ def search(
             mixed + np.diag(precision),
         )
 
-    return minimise(evaluate, start[repeats], limit=limit, tolerance=tolerance)
+    # With noise as large as the signal the likelihood may rise towards infinity: such a repeat has no answer.
+    reach = FAR * np.max(np.abs(np.nan_to_num(start)), axis=0, initial=0.0)
+    reach = np.where(reach > 0, reach, np.inf)
+    found = minimise(evaluate, start[repeats], limit=limit, tolerance=tolerance, lower=-reach, upper=reach)
+    return replace(found, converged=found.converged & np.all(np.abs(found.x) < reach, axis=-1))
 
 
 def likeliest(data: Prepared, theta: Real) -> Real:

@@ -10,9 +10,11 @@ from typing import cast
 
 import numpy as np
 
-from dashpot.arrays import Complex, Real, hermitian
+from dashpot.arrays import Bools, Complex, Real, hermitian
 from dashpot.model.dynamics import solve
 from dashpot.model.network import Model
+
+SINGULAR = 1e-14
 
 
 def gram(model: Model, w: Complex, a: Complex, weight: Real) -> Real:
@@ -85,14 +87,15 @@ def solve_scaled(matrix: Real, right: Real) -> Real:
 
 
 def inverse(matrix: Real) -> Real:
-    """matrix⁻¹ of stacks of information matrices, scaled first; NaN where singular."""
+    """matrix⁻¹ of stacks of information matrices, scaled first; NaN where singular to rounding."""
     scale = np.sqrt(np.abs(np.diagonal(matrix, axis1=-2, axis2=-1)))
     scale = np.where(scale > 0, scale, 1.0)
     outer = scale[..., :, None] * scale[..., None, :]
-    found: Real = (
-        _solve_or_nan(matrix / outer, np.broadcast_to(np.eye(matrix.shape[-1]), matrix.shape)) / outer
-    )
-    return found
+    found = _solve_or_nan(matrix / outer, np.broadcast_to(np.eye(matrix.shape[-1]), matrix.shape))
+    # Of a matrix with ones on its diagonal: entries that large are rounding, not information.
+    regular: Bools = np.max(np.abs(found), axis=(-2, -1)) < 1 / SINGULAR
+    result: Real = np.where(regular[..., None, None], found / outer, np.nan)
+    return result
 
 
 def _solve_or_nan(matrix: Real, right: Real) -> Real:
