@@ -247,7 +247,7 @@ class _Study:
             rows.append((slopes * np.where(self.psi == 0, 1.0, at * shift ** (power - 1.0)))[:, support])
         stacked = np.concatenate(rows)
         size = np.linalg.norm(stacked, axis=0)
-        v = np.linalg.svd(stacked / size)[2][-1] / size
+        v = _right_vectors(stacked / size)[-1] / size
         v = v / v[np.argmax(np.abs(v))]
         whole = np.zeros(len(self.names))
         whole[support] = np.where(np.abs(v) < 1e-9, 0.0, v)
@@ -374,6 +374,13 @@ class _Study:
                 if shown[-1] > SHOWN * size and any(self._element(name) for name in one.names):
                     cures[k].append(label)
         return cures
+
+
+def _right_vectors(matrix: Real) -> Real:
+    """All right singular vectors, (columns, columns), without the left ones of a tall matrix."""
+    tall = matrix.shape[0] >= matrix.shape[1]
+    vectors: Real = np.linalg.svd(matrix, full_matrices=not tall)[2]
+    return vectors
 
 
 def _power(psi: Ints, power: int) -> Ints:
@@ -538,7 +545,7 @@ def _with_lines(
     names = tuple(base.names[j] for j in involved)
     slopes = floating(model, channels, lines, base.nominal, rate, rng)
     scale = np.where(base.nominal == 0, 1.0, base.nominal)
-    directions = np.linalg.svd(slopes * scale)[2][rank:] * scale
+    directions = _right_vectors(slopes * scale)[rank:] * scale
     count, distinct = len(lines.frequency), len(np.unique(lines.frequency))
     more = _lines_missing(model, channels, lines, rng, M)
     at = "1 frequency" if distinct == 1 else f"{distinct} frequencies"
