@@ -145,6 +145,21 @@ def _chi2_by_hand(v: np.ndarray, theta: Real, spectrum: Spectrum) -> float:
     return float(2 * np.sum(np.where(exact, 0, np.abs(r) ** 2 / np.where(exact, 1, sd2))))
 
 
+def test_an_exact_and_a_noisy_input_together() -> None:
+    """What the exact input explains must not count for the noisy one."""
+    model = replace(MODEL, inputs=(Input("u"), Input("f", "force", {"x1": 1.0})))
+    sensors = (*channels(), Channel("f", {"f": 1.0}, Quantity.FORCE, noise=0.5))
+    test = dwells(model, F, 100, amplitudes={"f": 3000.0})
+    clean = tuple(replace(channel, noise=0.0) for channel in sensors)
+    rng = np.random.default_rng(12)
+    p = model.parameters(THETA)
+    noisy = simulate_spectrum(model, p, sensors, test, rng)
+    exact = simulate_spectrum(model, p, clean, test, rng)
+    found = residuals(model, THETA, replace(noisy, amplitudes=exact.amplitudes))
+    np.testing.assert_allclose(found.inputs, np.tile([1, 3000], (len(F), 1)), rtol=1e-9)
+    np.testing.assert_allclose(found.predicted, exact.amplitudes, rtol=1e-9)
+
+
 def test_a_misplaced_line_is_the_worst() -> None:
     spectrum = simulated(7)
     X = spectrum.amplitudes.copy()
