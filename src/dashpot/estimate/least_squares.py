@@ -282,36 +282,26 @@ def _compensated(model: Model, data: States, Se: Complex) -> Real:
     out leaves no positive definite matrix, it is left in.
     """
     N, right = _amplitude_normal(model, data, Se)
-    q = data.n + data.r
-    span = np.concatenate([model.B, model.D], axis=1)
-    reading = model.factors(data.omega)[:, :, None] * span
-    Gamma = np.einsum("in,iu,lic->lnuc", model.B, model.T, reading, optimize=True)
-    known = -np.einsum("in,i,lic->lnc", model.B, model.p0, reading, optimize=True)
-    both = np.concatenate([Gamma, known[:, :, None, :]], axis=2)
-    if data.z.shape[-1] > q:
-        force = np.zeros((*both.shape[:3], model.S.shape[1]))
-        force[:, :, -1, :] = model.S
-        both = np.concatenate([both, force], axis=-1)
-    lines, n, m1, c = both.shape
-    weighted = solve(Se, np.broadcast_to(both.reshape(lines, n, m1 * c), (*Se.shape[:-2], n, m1 * c)))
-    spread = np.einsum("lnvd,...ldc->...lnvc", both, data.covariance)
-    left = np.moveaxis(weighted.reshape(*Se.shape[:-2], n, m1, c), -2, -4)
-    right_side = np.broadcast_to(np.moveaxis(spread, -2, -4), left.shape)
-    rows = lines * n * c
-    noise = (
-        2
-        * (
-            np.conj(left.reshape(*left.shape[:-4], m1, rows))
-            @ np.swapaxes(right_side.reshape(*left.shape[:-4], m1, rows), -1, -2)
-        ).real
-    )
+    noise, noise_right = _noise_sums(model, data, Se)
     prior, prior_right = np.diag(model.prior_precision), model.prior_precision * model.prior_mean
-    raw, clean = N + prior, N - noise[..., :-1, :-1] + prior
+    raw, clean = N + prior, N - noise + prior
     scale = np.sqrt(np.maximum(np.abs(np.diagonal(raw, axis1=-2, axis2=-1)), 1e-300))
     outer = scale[..., :, None] * scale[..., None, :]
     usable = _smallest(clean / outer) > 0.05 * _smallest(raw / outer)
     matrix = np.where(usable[..., None, None], clean, raw)
-    return solve_scaled(matrix, right + prior_right - np.where(usable[..., None], noise[..., :-1, -1], 0.0))
+    return solve_scaled(matrix, right + prior_right - np.where(usable[..., None], noise_right, 0.0))
+
+
+def _noise_sums(model: Model, data: States, Se: Complex) -> tuple[Real, Real]:
+    """What noise adds to 2 Re ΦᴴΩΦ and to 2 Re ΦᴴΩh, by (G): (B Ω Bᵀ) ∘ E[ā aᵀ], (K, unknowns, unknowns or none)."""
+    q = data.n + data.r
+    reading = model.factors(data.omega)[:, :, None] * np.concatenate([model.B, model.D], axis=1)
+    meeting = model.B @ solve(Se, np.broadcast_to(np.eye(model.n, dtype=complex), Se.shape))
+    spread = reading @ data.covariance[..., :q, :]
+    own = np.conj(spread[..., :q] @ hermitian(reading))
+    pairs = 2 * np.sum(((meeting @ model.B.T) * own).real, axis=-3)
+    forces = 2 * np.sum(((meeting @ model.S) * np.conj(spread[..., q:])).real, axis=(-1, -3))
+    return model.T.T @ pairs @ model.T, (forces - pairs @ model.p0) @ model.T
 
 
 def _smallest(matrix: Real) -> Real:
