@@ -21,6 +21,7 @@ from dashpot.estimate.identify import identify
 from dashpot.estimate.instruments import InstrumentalVariables
 
 MIN_SAMPLES = 8  # of a dwell: offset, drift and a harmonic leave some residual
+FEW = 8  # dwells up to which frequencies shift when one is dropped
 NYQUIST = 0.45  # highest frequency in parts of the sampling rate
 ENOUGH = 1e9  # samples or seconds; more is a mistake
 
@@ -147,7 +148,7 @@ class Prediction:
 class Plan:
     """The test: dwells, what they will tell, and how far from the best possible.
 
-    ideal   the goal's figure before rounding, with shares of any size
+    ideal   the goal's figure before rounding, for as much measuring (settling not counted), with shares of any size
     gap     the duality gap of that optimum (the equivalence theorem's certificate)
     loss    what rounding, smallest dwells and a limited number of them cost: figure / ideal − 1
     """
@@ -242,6 +243,10 @@ def plan(
             "the budget holds no test that determines the unknowns",
             cure="allow more samples, time or frequencies",
         )
+    count = len(best[1].frequency_hz)
+    if budget.time is not None and budget.settle > 0:
+        # The bound is for as much time of measuring as the plan has.
+        found = optimise(bench.information, terms, prior, budget.measured(count), grid)
     return _assembled(bench, goal, budget, prior, doubt, found, best[1])
 
 
@@ -264,9 +269,10 @@ def shortest(
         raise UsageError(f"a target of {figure:g}", cure="write it as 1% or c2=2%")
     prior = bench.prior if known is None else known
     terms = goal.terms(bench, doubt)
-    already = value(terms, prior).F
-    if goal.figure(already) <= figure:
+    already = goal.figure(value(terms, prior).F)
+    if already <= figure:
         return None
+    start = already**-2 if np.isfinite(already) else 0.0
     low, high = 0.0, math.inf
     amount = budget.samples if budget.samples is not None else budget.time
     assert amount is not None
@@ -275,23 +281,27 @@ def shortest(
         trial = budget.scaled(min(amount, ENOUGH) / (budget.samples or budget.time or 1.0))
         try:
             found = plan(bench, goal, trial, grid, known=known, doubt=doubt)
-            ratio = (found.predicted.figure / figure) ** 2
         except UsageError:
             if trial.settle == 0 and trial.min_dwell == 0 and amount > 1e6:
                 raise
-            found, ratio = None, 4.0
+            found = None
         if found is not None and found.predicted.figure <= figure:
             high = amount
             if best is None or _cost(found) <= _cost(best):
                 best = found
-            if ratio > 0.995 or high - low <= max(1.0 if budget.samples else 0.0, 2e-3 * high):
+            if found.predicted.figure > 0.997 * figure or high - low <= max(
+                1.0 if budget.samples else 0.0, 2e-3 * high
+            ):
                 break
         else:
             low = amount
         if low >= ENOUGH:
             raise UsageError(f"the target takes more than {ENOUGH:g} of test", cure="ask for less precision")
-        # The variance falls like 1/N but for what is known already and what settling takes.
-        guess = amount * ratio * (1.002 if ratio > 1 else 1.0)
+        guess = 4 * amount
+        if found is not None:
+            # Information, 1 / variance, grows from what is known about evenly with the test.
+            now = found.predicted.figure**-2
+            guess = amount * (1.001 * figure**-2 - start) / max(now - start, 1e-300)
         inside = low < guess < high
         amount = guess if inside else ((low + high) / 2 if np.isfinite(high) else 2 * low)
         if budget.samples is not None:
@@ -405,7 +415,8 @@ class _Shares:
             if not np.isfinite(value(self.terms, self.prior + np.mean(M, axis=1)).F):
                 return
             self.w = weigh(self.terms, self.prior, M).w
-            if self.grid.free and self.grid.high > self.grid.low:
+            # With many dwells left each matters little: their shares make up for the one that went.
+            if self.grid.free and self.grid.high > self.grid.low and self.count <= FEW:
                 for i in range(self.count):
                     M = self._shift(i, M, samples)
             F = value(self.terms, self.prior + np.einsum("i,siab->sab", self.w, M)).F

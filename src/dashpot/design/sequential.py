@@ -17,6 +17,7 @@ from dashpot.estimate.identify import identify
 from dashpot.estimate.method import Method
 from dashpot.model.network import Model
 
+ROUNDING = 1e-12  # of the eigenvalues of a correlation matrix
 VAGUE = 0.5  # relative sd above which an estimate says less than a guess
 
 
@@ -42,8 +43,10 @@ def known_after(bench: Bench, estimate: Estimate) -> Real:
         )
     q = len(bench.names)
     information = np.zeros((q, q))
-    scaled = np.linalg.inv(C / np.outer(size, size)) / np.outer(size, size)
-    information[: len(own), : len(own)] = (scaled + scaled.T) / 2
+    # Rounding may make tiny eigenvalues negative; a little less information than there is does no harm.
+    values, vectors = np.linalg.eigh(C / np.outer(size, size))
+    root = vectors / np.sqrt(np.maximum(values, ROUNDING * values[-1])) / size[:, None]
+    information[: len(own), : len(own)] = root @ root.T
     return information
 
 

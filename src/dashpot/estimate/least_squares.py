@@ -76,7 +76,7 @@ class WeightedLeastSquares(Method):
         N, r = gram(model, looks.a, looks.a, looks.weight), gram_force(model, looks.a, looks.f, looks.weight)
         Se = auxiliary(model, model.parameters(solve_sums(looks, N, r)), data.states).Se
         Phi, h = regressors(model, looks.a), known_side(model, looks.a, looks.f)
-        bread, right = _with_priors(model, *_normal(Se, Phi, h))
+        bread, right = with_priors(model, *_normal(Se, Phi, h))
         theta = solve_scaled(bread, right)
         # One round of refinement by the residual: near a resonance Ω spans many powers of ten.
         left = h - np.einsum("klnu,ku->kln", Phi, theta)
@@ -84,8 +84,8 @@ class WeightedLeastSquares(Method):
         theta = theta + solve_scaled(bread, _normal(Se, Phi, left)[1] + prior * (model.prior_mean - theta))
         Q = equation_map(looks, model.parameters(theta))
         e = np.einsum("...nc,...c->...n", Q, looks.y)
-        Gamma = _noise_map(looks)
-        meat = _score_covariance(
+        Gamma = noise_map(looks)
+        meat = score_covariance(
             solve(Se, Phi), Q, solve(Se, e[..., None])[..., 0], Gamma, solve(Se, Q), looks.V,
             np.full_like(looks.weight, 2.0), np.ones_like(looks.weight),
         )  # fmt: skip
@@ -100,7 +100,8 @@ def _normal(Se: Complex, Phi: Complex, h: Complex) -> tuple[Real, Real]:
     return products[..., :-1, :-1], products[..., :-1, -1]
 
 
-def _with_priors(model: Model, N: Real, right: Real) -> tuple[Real, Real]:
+def with_priors(model: Model, N: Real, right: Real) -> tuple[Real, Real]:
+    """The sums with one more row for each prior."""
     return N + np.diag(model.prior_precision), right + model.prior_precision * model.prior_mean
 
 
@@ -141,7 +142,7 @@ def solve_sums(looks: Sampled, N: Real, r: Real, theta: Real | None = None) -> R
 
 
 def _solve_prior(model: Model, matrix: Real, right: Real, variance: Real) -> Real:
-    return solve_scaled(*_with_priors(model, matrix / variance[..., None, None], right / variance[..., None]))
+    return solve_scaled(*with_priors(model, matrix / variance[..., None, None], right / variance[..., None]))
 
 
 def equation_map(looks: Sampled, p: Real) -> Complex:
@@ -176,10 +177,10 @@ def sandwich(
     """
     model = looks.model
     Q = equation_map(looks, model.parameters(theta))
-    Gamma = _noise_map(looks) if noisy_instruments else None
+    Gamma = noise_map(looks) if noisy_instruments else None
     e = np.einsum("...nc,...c->...n", Q, looks.y)
     one = np.ones_like(looks.weight) if bins is None else bins
-    meat = _score_covariance(regressors(model, w), Q, e, Gamma, Q, looks.V, looks.weight, one)
+    meat = score_covariance(regressors(model, w), Q, e, Gamma, Q, looks.V, looks.weight, one)
     T = model.T
     bread = T.T @ N @ T
     if np.any(model.prior_precision):
@@ -190,7 +191,7 @@ def sandwich(
     return half @ meat @ np.swapaxes(half, -1, -2)
 
 
-def _noise_map(looks: Sampled) -> Complex:
+def noise_map(looks: Sampled) -> Complex:
     """Γ with ΔΦ = Γ Δy, (K or 1, lines, n, unknowns, channels)."""
     Gamma: Complex = np.einsum(
         "in,iu,...lic->...lnuc", looks.model.B, looks.model.T, looks.reading, optimize=True
@@ -198,7 +199,7 @@ def _noise_map(looks: Sampled) -> Complex:
     return Gamma
 
 
-def _score_covariance(
+def score_covariance(
     A: Complex,
     Q: Complex,
     e: Complex,
@@ -243,14 +244,14 @@ def starts(model: Model, data: States) -> tuple[Real, Real, Real]:
     free = model.prior_precision == 0
     plain = np.broadcast_to(model.prior_mean, (len(data.z), len(model.unknowns))).copy()
     if np.any(free):
-        plain[:, free] = solve_scaled(*_amplitude_normal(fixed, data, None))
+        plain[:, free] = solve_scaled(*amplitude_normal(fixed, data, None))
     weighted = plain
     for _ in range(2):
         Se = auxiliary(model, model.parameters(weighted), data).Se
-        N, right = _with_priors(model, *_amplitude_normal(model, data, Se))
-        weighted = _where_finite(solve_scaled(N, right), weighted)
+        N, right = with_priors(model, *amplitude_normal(model, data, Se))
+        weighted = where_finite(solve_scaled(N, right), weighted)
     Se = auxiliary(model, model.parameters(weighted), data).Se
-    return _where_finite(_compensated(model, data, Se), weighted), weighted, plain
+    return where_finite(without_noise(model, data, Se), weighted), weighted, plain
 
 
 def compensated(model: Model, data: States) -> Real:
@@ -258,7 +259,8 @@ def compensated(model: Model, data: States) -> Real:
     return starts(model, data)[0]
 
 
-def _where_finite(values: Real, otherwise: Real) -> Real:
+def where_finite(values: Real, otherwise: Real) -> Real:
+    """Repeats of `values` that are finite throughout, else those of `otherwise`."""
     return np.where(np.all(np.isfinite(values), axis=-1, keepdims=True), values, otherwise)
 
 
@@ -267,7 +269,7 @@ def _without_priors(model: Model) -> Model:
     return replace(model, elements=tuple(replace(element, sd=None) for element in model.elements))
 
 
-def _amplitude_normal(model: Model, data: States, Se: Complex | None) -> tuple[Real, Real]:
+def amplitude_normal(model: Model, data: States, Se: Complex | None) -> tuple[Real, Real]:
     """Normal matrix and right side of least squares on amplitudes with weight Se⁻¹, or none."""
     a = unit_forces(model, data.omega, data.X, data.U)
     if Se is None:
@@ -275,14 +277,14 @@ def _amplitude_normal(model: Model, data: States, Se: Complex | None) -> tuple[R
     return _normal(Se, regressors(model, a), known_side(model, a, data.f))
 
 
-def _compensated(model: Model, data: States, Se: Complex) -> Real:
+def without_noise(model: Model, data: States, Se: Complex) -> Real:
     """Weighted least squares less what the noise of the regressors adds to its sums; (K, unknowns).
 
     E[Φᴴ Ω Φ] of the measured regressors is that of the true ones plus a term in Σ, which is known.  Where taking it
     out leaves no positive definite matrix, it is left in.
     """
-    N, right = _amplitude_normal(model, data, Se)
-    noise, noise_right = _noise_sums(model, data, Se)
+    N, right = amplitude_normal(model, data, Se)
+    noise, noise_right = noise_sums(model, data, Se)
     prior, prior_right = np.diag(model.prior_precision), model.prior_precision * model.prior_mean
     raw, clean = N + prior, N - noise + prior
     scale = np.sqrt(np.maximum(np.abs(np.diagonal(raw, axis1=-2, axis2=-1)), 1e-300))
@@ -292,7 +294,7 @@ def _compensated(model: Model, data: States, Se: Complex) -> Real:
     return solve_scaled(matrix, right + prior_right - np.where(usable[..., None], noise_right, 0.0))
 
 
-def _noise_sums(model: Model, data: States, Se: Complex) -> tuple[Real, Real]:
+def noise_sums(model: Model, data: States, Se: Complex) -> tuple[Real, Real]:
     """What noise adds to 2 Re ΦᴴΩΦ and to 2 Re ΦᴴΩh, by (G): (B Ω Bᵀ) ∘ E[ā aᵀ], (K, unknowns, unknowns or none)."""
     q = data.n + data.r
     reading = model.factors(data.omega)[:, :, None] * np.concatenate([model.B, model.D], axis=1)

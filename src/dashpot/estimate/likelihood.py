@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -11,15 +12,19 @@ from dashpot.arrays import Ints, Real, hermitian
 from dashpot.errors import ConvergenceError
 from dashpot.estimate.least_squares import compensated
 from dashpot.estimate.method import Method, Prepared, Solution
-from dashpot.estimate.output import Measured, Outlook, measured, outlook, predict
+from dashpot.estimate.output import Measured, Outlook, directly_driven, measured, outlook, predict
 from dashpot.estimate.regression import inverse
 from dashpot.estimate.search import Found, Local, minimise
 from dashpot.estimate.starts import candidates, neighbours
 from dashpot.estimate.states import is_direct
 
+Cost = Callable[[Real, Real], Local]  # of ψ (K, M) and signs (K, channels)
+
 POOR = 1e-6  # p-value below which a repeat is searched again from its own starts
-SOFTNESS = (0.3, 0.03, 0.0)  # relative noise added to every channel in the stages of a search from afar
+SOFTNESS = 0.03  # relative noise added to every channel in the middle stage of a search from afar
+SOFTER = 0.3  # and in the first one, where logarithms cannot be had
 ROUGH = 60  # iterations of such a stage
+LOG_RESIDUAL = 0.5  # nepers beyond which a residual of logarithms counts no longer by its square
 POLISH = 25  # iterations for the deepest ends of a round
 DEEPEST = 8  # valleys that are followed to the bottom
 RIVAL = 60.0  # χ² by which a valley may lie above the deepest one of one repeat and be the deepest of another
@@ -57,8 +62,8 @@ class MaximumLikelihood(Method):
     """Minimise Σ (y − κGq̂)ᴴ V⁻¹ (y − κGq̂) over θ, unknown gains and delays; inputs measured with noise are solved for.
 
     Where all coordinates are seen the start is the noise-compensated least squares; elsewhere `candidates` random
-    rigs of sensible size are ranked with softened weights and the best `starts` of them are searched, the weights
-    hardening step by step, for at most `rounds` rounds.  Repeats share the start that the first one finds, and look
+    rigs of sensible size are ranked by the logarithms of their responses, and the best `starts` of them searched, first
+    in logarithms, then with weights that harden step by step, for at most `rounds` rounds.  Repeats share the start that the first one finds, and look
     for their own where it does not lead to a fit.  `positive` holds the parameters of the rig at or above 0; bounds
     of the model hold always.
     """
@@ -140,6 +145,19 @@ class MaximumLikelihood(Method):
             raise ConvergenceError("no start leads to a minimum", cure="give guesses of the unknowns")
         return found, sign, _rivals(view, first, bottoms, DOUBT * unit) if len(data.y) == 1 else ()
 
+    def _stages(self, one: Prepared, view: Outlook, exact: Measured) -> tuple[Cost, ...]:
+        """What is minimised one after the other from afar: logarithms, softened weights, and the likelihood itself."""
+
+        def weighted(data: Measured) -> Cost:
+            return lambda psi, sign: local(view, data, psi, sign)
+
+        by_channels = directly_driven(view, exact)
+        first = weighted(measured(one, view, SOFTER))
+        if by_channels is not None:
+            reliability = _reliability(one, view)
+            first = lambda psi, sign: logarithmic(view, by_channels, reliability, psi, sign)  # noqa: E731
+        return first, weighted(measured(one, view, SOFTNESS)), weighted(exact)
+
     def _global(self, data: Prepared, view: Outlook, repeat: int) -> Valleys:
         """The valleys that many starts of one repeat lead to, the deepest first.
 
@@ -151,14 +169,13 @@ class MaximumLikelihood(Method):
         rng = np.random.default_rng([self.seed, repeat])
         lower, upper = bounds(data, view, self.positive)
         exact = measured(one, view)
-        stages = [(soft, measured(one, view, soft)) for soft in SOFTNESS]
-        ranked_by = measured(one, view, 1.0)
+        stages = self._stages(one, view, exact)
         acceptable = _acceptable(one, exact, len(view.names))
         valleys = Valleys(np.empty((0, len(view.names))), np.empty((0, len(view.channels))), np.empty(0))
         idle = 0
         for turn in range(self.rounds):
             psi, sign = candidates(one, view, self.candidates, rng)
-            order = np.argsort(_cost(view, ranked_by, psi, sign))
+            order = np.argsort(_cost(view, stages[0], psi, sign))
             chosen = np.union1d(order[: self.starts], [0]) if turn == 0 else order[: self.starts // 4]
             psi, sign = psi[chosen], sign[chosen]
             if turn > 0:
@@ -166,9 +183,9 @@ class MaximumLikelihood(Method):
                     valleys.psi[:DEEPEST], valleys.sign[:DEEPEST], view, self.starts, rng
                 )
                 psi, sign = np.concatenate([psi, near]), np.concatenate([sign, near_sign])
-            for soft, softened in stages:
-                psi = self._descend_all(view, softened, psi, sign, lower, upper, logarithmic=soft > 0)
-            costs = _cost(view, exact, psi, sign)
+            for stage in stages:
+                psi = _descend_all(view, stage, psi, sign, lower, upper)
+            costs = _cost(view, stages[-1], psi, sign)
             deep = np.argsort(costs)[:DEEPEST]
             end = self._descend(view, exact, psi[deep], sign[deep], lower, upper, limit=POLISH)
             psi[deep], costs[deep] = end.x, end.cost
@@ -180,40 +197,6 @@ class MaximumLikelihood(Method):
             if (lowest <= acceptable and easy) or idle > 1:
                 break
         return valleys
-
-    def _descend_all(
-        self,
-        view: Outlook,
-        data: Measured,
-        psi: Real,
-        sign: Real,
-        lower: Real,
-        upper: Real,
-        logarithmic: bool,
-    ) -> Real:
-        """Search from many starts of one repeat; in logarithms of the rig's parameters where they are positive."""
-        rig = np.arange(psi.shape[-1]) < view.m
-        log = rig & bool(logarithmic) & np.all(psi > 0, axis=0)
-
-        def evaluate(x: Real, rows: Ints) -> Local:
-            at = np.where(log, np.exp(np.where(log, x, 0.0)), x)
-            here = local(view, data, at, sign[rows])
-            chain = np.where(log, at, 1.0)
-            both = chain[:, :, None] * chain[:, None, :]
-            return Local(here.cost, here.gradient * chain, here.symmetric * both, here.free * both)
-
-        with np.errstate(divide="ignore", invalid="ignore"):
-            x = np.where(log, np.log(np.where(log, psi, 1.0)), psi)
-            low = np.where(log, np.log(np.maximum(lower, 0.0)), lower)
-            high = np.where(log, np.log(np.maximum(upper, 0.0)), upper)
-        # A decade a step, and no further than 20 from the start, keeps what is hardly seen from running away.
-        low, high = np.maximum(low, np.min(x, axis=0) - 46), np.minimum(high, np.max(x, axis=0) + 46)
-        low, high = np.where(log, low, lower), np.where(log, high, upper)
-        longest = np.where(log, 2.3, np.inf)
-        found = minimise(
-            evaluate, x, limit=ROUGH, tolerance=1e-6, lower=low, upper=high, longest=longest, patience=ROUGH
-        )
-        return np.where(log, np.exp(np.where(log, found.x, 0.0)), found.x)
 
     def _again(
         self,
@@ -243,6 +226,40 @@ class MaximumLikelihood(Method):
                 iterations[repeat] += new.iterations[0]
                 sign[repeat] = flips[0]
         return Found(x, cost, converged, iterations, found.history), sign
+
+
+def _reliability(one: Prepared, view: Outlook) -> Real:
+    """Weights of the logarithms, (lines, channels): 1 where a channel stands out of its noise, down to 0 below it."""
+    power = np.abs(np.nan_to_num(one.spectrum.amplitudes[0])) ** 2
+    if np.any(np.isnan(one.spectrum.covariance)):
+        return (power > 0) * 1.0
+    noise = np.diagonal(one.covariance[0], axis1=-2, axis2=-1).real
+    return power / np.where(power + noise > 0, power + noise, 1.0)
+
+
+def _descend_all(view: Outlook, cost: Cost, psi: Real, sign: Real, lower: Real, upper: Real) -> Real:
+    """Search from many starts of one repeat; in logarithms of the rig's parameters where they are all positive."""
+    log = (np.arange(psi.shape[-1]) < view.m) & np.all(psi > 0, axis=0)
+
+    def evaluate(x: Real, rows: Ints) -> Local:
+        at = np.where(log, np.exp(np.where(log, x, 0.0)), x)
+        here = cost(at, sign[rows])
+        chain = np.where(log, at, 1.0)
+        both = chain[:, :, None] * chain[:, None, :]
+        return Local(here.cost, here.gradient * chain, here.symmetric * both, here.free * both)
+
+    with np.errstate(divide="ignore", invalid="ignore"):
+        x = np.where(log, np.log(np.where(log, psi, 1.0)), psi)
+        low = np.where(log, np.log(np.maximum(lower, 0.0)), lower)
+        high = np.where(log, np.log(np.maximum(upper, 0.0)), upper)
+    # No further than 20 decades from the starts: what is hardly seen must not run out of the range of numbers.
+    low = np.where(log, np.maximum(low, np.min(x, axis=0) - 46), lower)
+    high = np.where(log, np.minimum(high, np.max(x, axis=0) + 46), upper)
+    longest = np.where(log, 1.0, np.inf)
+    found = minimise(
+        evaluate, x, limit=ROUGH, tolerance=1e-6, lower=low, upper=high, longest=longest, patience=ROUGH
+    )
+    return np.where(log, np.exp(np.where(log, found.x, 0.0)), found.x)
 
 
 def _rivals(view: Outlook, data: Measured, bottoms: Valleys, doubt: float) -> tuple[str, ...]:
@@ -315,12 +332,39 @@ def local(view: Outlook, data: Measured, psi: Real, sign: Real) -> Local:
     return Local(cost, gradient - precision * away, information, information)
 
 
-def _cost(view: Outlook, data: Measured, psi: Real, sign: Real) -> Real:
-    """Cost at many ψ of one repeat, inf where there is none, in pieces that fit into memory."""
+def logarithmic(view: Outlook, data: Measured, weight: Real, psi: Real, sign: Real) -> Local:
+    """Cost of the residuals ρ = ln y − ln ŷ, with slope and curvature, at ψ, (K, M).
+
+    Amplitude in nepers and phase in radians weigh alike at resonances and between them, so that the cost of a wrong
+    resonance grows with its distance and has no valley of its own: Sidman, DeAngelis and Verghese (1991), IEEE
+    Transactions on Automatic Control 36, 1065.  Large residuals count by their size (pseudo-Huber).  `data` must give
+    the inputs.
+    """
+    at = predict(view, data, psi, sign)
+    rows, M = at.J.shape[-3] * at.J.shape[-2], psi.shape[-1]
+    shown = data.y - at.r
+    seen = (data.y != 0) & (weight > 0)
+    with np.errstate(all="ignore"):
+        rho = np.where(seen, np.log(np.where(seen, data.y, 1.0) / shown), 0.0)
+        J = np.where(seen[..., None], at.J / shown[..., None], 0.0).reshape(len(psi), rows, M)
+    stretch = np.sqrt(1 + np.abs(rho) ** 2 / LOG_RESIDUAL**2)
+    cost = 4 * LOG_RESIDUAL**2 * np.sum(weight * (stretch - 1), axis=(-2, -1))
+    weighted = hermitian(J) * (weight / stretch).reshape(len(psi), 1, rows)
+    information = 2 * (weighted @ J).real
+    gradient = 2 * (weighted @ rho.reshape(len(psi), rows, 1)).real[..., 0]
+    precision = prior_precision(view)
+    away = psi - prior_mean(view)
+    information = information + np.diag(precision)
+    cost = cost + np.sum(precision * away**2, axis=-1)
+    return Local(cost, gradient - precision * away, information, information)
+
+
+def _cost(view: Outlook, cost: Cost, psi: Real, sign: Real) -> Real:
+    """The cost at many ψ of one repeat, inf where there is none, in pieces that fit into memory."""
     size = max(1, PIECE // (len(view.omega) * view.model.n * (view.model.n + len(view.channels))))
     pieces = []
     with np.errstate(all="ignore"):
         for first in range(0, len(psi), size):
-            pieces.append(local(view, data, psi[first : first + size], sign[first : first + size]).cost)
-    cost = np.concatenate(pieces)
-    return np.where(np.isfinite(cost), cost, np.inf)
+            pieces.append(cost(psi[first : first + size], sign[first : first + size]).cost)
+    total = np.concatenate(pieces)
+    return np.where(np.isfinite(total), total, np.inf)

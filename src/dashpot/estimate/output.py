@@ -196,6 +196,16 @@ def _exact_inputs(view: Outlook, y: Complex, exact: Bools) -> Complex | None:
     return q
 
 
+def directly_driven(view: Outlook, data: Measured) -> Measured | None:
+    """The data with inputs as the channels that measure nothing else show them, noise or not; None where none do."""
+    if data.q is not None:
+        return data
+    alone = np.any(view.direct_q, axis=-1) & ~np.any(view.direct_x, axis=-1) & np.all(data.y != 0, axis=0)
+    calibrated = (view.gain < 0) & (view.delay < 0) & ~view.flips
+    q = _exact_inputs(view, data.y, alone & calibrated)
+    return None if q is None else Measured(data.y, data.W, q, data.rows)
+
+
 def _inputs_seen(view: Outlook, present: Bools) -> Ints:
     """How many inputs each line's channels can tell apart: the generic rank of G there.
 

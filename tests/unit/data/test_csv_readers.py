@@ -164,7 +164,10 @@ ROWS = "1,0.0,1.5,2\n1,0.1,1.5,2\n1,0.2,1.5,2\n"
         ((HEAD + ROWS).replace("x1", "µ").encode("latin1"), "test.csv:1: byte 21 of the row is not UTF-8;"),
         ((HEAD + ROWS).encode("utf-16"), "test.csv: the file is in UTF-16;"),
         (b"PK\x03\x04\x00\x00\x00", "test.csv: the file is not text;"),
-        (gzip.compress((HEAD + ROWS).encode(), mtime=0)[:-12], "test.csv: the packed file is damaged or cut off;"),
+        (
+            gzip.compress((HEAD + ROWS).encode(), mtime=0)[:-12],
+            "test.csv: the packed file is damaged or cut off;",
+        ),
         (
             HEAD.replace(",u", ",u,experiment") + "1,0,1,2,0.5\n1,1,1,2,0.5\n",
             "column experiment: 0.5 is not a whole",

@@ -1,0 +1,183 @@
+# ruff: noqa: E501
+"""Information of planned tests against slow twins: finite differences, full matrices, the estimators' own."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from dashpot.channel import Channel, Quantity
+from dashpot.data.spectrum import Spectrum
+from dashpot.design.information import (
+    calibrations,
+    fisher,
+    noise_sd,
+    outputs,
+    per_sample,
+    spectrum_information,
+)
+from dashpot.errors import DataError, UsageError
+from dashpot.estimate import auxiliary as equation
+from dashpot.estimate.auxiliary import auxiliary, information
+from dashpot.estimate.identify import identify
+from dashpot.estimate.likelihood import MaximumLikelihood
+from dashpot.estimate.states import states
+from tests.rigs import Rig, amplitudes, channels, covariance, paper_rig, perfect, random_rig
+
+
+def everything(rig: Rig) -> tuple[Channel, ...]:
+    """Motions, differences, reactions, forces in elements, applied forces, unknown calibrations."""
+    model = rig.model
+    found = [*channels(rig, (Quantity.DISPLACEMENT, Quantity.ACCELERATION))]
+    found += [Channel(f"reaction {u}", {u: 1.0}, Quantity.FORCE) for u in model.displacement_inputs]
+    found += [Channel(f"in {e.name}", {e.name: 2.0}, Quantity.FORCE) for e in model.elements[-2:]]
+    if model.n > 1:
+        found.append(
+            Channel("difference", {model.coordinates[0]: 1.0, model.coordinates[1]: -0.5}, Quantity.VELOCITY)
+        )
+    found.append(Channel("loose", {model.coordinates[0]: 1.0}, gain=None, delay=None))
+    found.append(Channel("shared", {model.coordinates[-1]: 1.0}, gain=None, same_gain_as="loose"))
+    return tuple(replace(c, relative_noise=0.05) for c in found)
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_slopes_of_all_channels_against_finite_differences(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    rig = random_rig(rng, 1 + seed % 4, displacements=1 + seed % 2, forces=seed % 2)
+    model, chosen = rig.model, everything(rig)
+    drive = np.concatenate([rig.U, rig.f], axis=-1)
+    seen = outputs(model, rig.p, chosen, rig.omega, drive)
+    size = np.max(np.abs(seen.Y), axis=0)
+    for j, value in enumerate(rig.theta):
+        step = 1e-6 * value
+        ends = []
+        for sign in (1, -1):
+            theta = rig.theta.copy()
+            theta[j] += sign * step
+            ends.append(outputs(model, model.parameters(theta), chosen, rig.omega, drive).Y)
+        difference = (ends[0] - ends[1]) / (2 * step)
+        scale = np.max(np.abs(seen.by_parameter[..., j]), initial=0.0)
+        assert np.allclose(
+            seen.by_parameter[..., j] / size, difference / size, atol=1e-6 * scale / size.min(), rtol=1e-5
+        )
+    for i in range(drive.shape[1]):
+        moved = drive.copy()
+        moved[:, i] += 1.0
+        # Linear in the drive: the difference is exact.
+        assert np.allclose(
+            outputs(model, rig.p, chosen, rig.omega, moved).Y - seen.Y, seen.by_input[..., i], rtol=1e-8
+        )
+    gain, delay = len(rig.theta), len(rig.theta) + 1
+    assert calibrations(chosen) == ("loose.gain", "loose.delay")
+    loose, shared = len(chosen) - 2, len(chosen) - 1
+    assert np.allclose(seen.by_parameter[:, loose, gain], seen.Y[:, loose])
+    assert np.allclose(seen.by_parameter[:, shared, gain], seen.Y[:, shared])
+    assert np.allclose(seen.by_parameter[:, loose, delay], -1j * rig.omega * seen.Y[:, loose])
+    assert not np.any(seen.by_parameter[:, shared, delay])
+
+
+def test_reaction_is_the_force_that_moves_the_base() -> None:
+    """A base with a mass m on nothing else: force = m ω² × (−amplitude), and the spring of a grounded base pulls back."""
+    rig = paper_rig([2.0, 5.0])
+    seen = outputs(rig.model, rig.p, (Channel("F", {"u": 1.0}, Quantity.FORCE),), rig.omega, rig.U)
+    names = [e.name for e in rig.model.elements]
+    k2, c2 = rig.p[names.index("k2")], rig.p[names.index("c2")]
+    by_hand = (k2 + 1j * rig.omega * c2) * (rig.U[:, 0] - rig.X[:, 1])
+    assert np.allclose(seen.Y[:, 0], by_hand, rtol=1e-12)
+    assert np.allclose(seen.force[:, 0], by_hand, rtol=1e-12)
+
+
+@pytest.mark.parametrize("inputs", [0.0, 0.05])
+def test_all_sensors_as_the_estimators_count_them(inputs: float, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The equation of motion and the outputs hold the same information, exact and noisy inputs alike: to 1e-10."""
+    monkeypatch.setattr(equation, "SINGULAR", 0.0)  # its guard against singular weights is 1e-8 on stiff rigs
+    rng = np.random.default_rng(4)
+    for _ in range(25):
+        rig = random_rig(rng, int(rng.integers(1, 5)), displacements=1, forces=int(rng.integers(0, 2)))
+        chosen = channels(rig, (Quantity.DISPLACEMENT, Quantity.ACCELERATION))
+        V = covariance(rig, chosen, 0.05, inputs=inputs, correlation=0.3 if inputs else 0.0)
+        spectrum = perfect(rig, chosen, V)
+        own = spectrum_information(rig.model, rig.p, spectrum, np.concatenate([rig.U, rig.f], axis=-1))
+        theirs = information(rig.model, auxiliary(rig.model, rig.p, states(rig.model, spectrum, V)))
+        size = np.sqrt(np.diagonal(np.sum(theirs, axis=0)))
+        assert np.max(np.abs(own - theirs) / np.outer(size, size)) < 1e-10
+
+
+def test_few_sensors_as_maximum_likelihood_counts_them() -> None:
+    """One displacement, the reaction and a noisy base: the bound of the estimator is the inverse of the sum."""
+    rig = paper_rig(np.linspace(1, 14, 20).tolist())
+    chosen = (
+        Channel("x1", {"x1": 1.0}),
+        Channel("F", {"u": 1.0}, Quantity.FORCE),
+        Channel("a2", {"x2": 1.0}, Quantity.ACCELERATION),
+        Channel("u", {"u": 1.0}),
+    )
+    Y = outputs(rig.model, rig.p, chosen, rig.omega, rig.U).Y
+    V = (0.01 * np.abs(Y) ** 2)[..., None] * np.eye(4) / 50
+    lines = len(Y)
+    spectrum = Spectrum(
+        chosen, rig.frequency_hz, Y, V, np.ones(lines, dtype=int), np.full(lines, np.inf), ("given",) * lines,
+        np.zeros(lines, dtype=int),
+    )  # fmt: skip
+    estimate = identify(rig.model, spectrum, MaximumLikelihood())
+    total = np.sum(spectrum_information(rig.model, rig.p, spectrum, rig.U), axis=0)
+    bound = np.sqrt(np.diagonal(np.linalg.inv(total)))
+    own = [estimate.names.index(u.name) for u in rig.model.unknowns]
+    assert np.allclose(estimate.values[own], rig.theta, rtol=1e-5)
+    assert np.allclose(estimate.bound_sd[own], bound, rtol=1e-4)
+
+
+def test_noisy_inputs_cost_what_the_full_matrix_says() -> None:
+    """Projecting the inputs out equals inverting the information of parameters and inputs together."""
+    rng = np.random.default_rng(1)
+    J = rng.standard_normal((1, 5, 3)) + 1j * rng.standard_normal((1, 5, 3))
+    G = rng.standard_normal((1, 5, 2)) + 1j * rng.standard_normal((1, 5, 2))
+    A = rng.standard_normal((5, 5)) + 1j * rng.standard_normal((5, 5))
+    V = (A @ A.conj().T)[None]
+    # Real unknowns: parameters, then real and imaginary parts of the inputs.
+    slope = np.concatenate([J[0], G[0], 1j * G[0]], axis=1)
+    whole = 2 * (slope.conj().T @ np.linalg.solve(V[0], slope)).real
+    expected = np.linalg.inv(np.linalg.inv(whole)[:3, :3])
+    assert np.allclose(fisher(J, G, V, "abcde")[0], expected, rtol=1e-10)
+
+
+def test_exact_channels() -> None:
+    rig = paper_rig()
+    exact = (Channel("x1", {"x1": 1.0}), Channel("u", {"u": 1.0}), Channel("x2", {"x2": 1.0}, noise=1.0))
+    seen = outputs(rig.model, rig.p, exact, rig.omega, rig.U)
+    with pytest.raises(UsageError, match="x1 has no noise"):
+        per_sample(exact, seen)
+
+
+def test_perfectly_correlated_noise_is_refused() -> None:
+    J, G = np.ones((1, 2, 1), dtype=complex), np.zeros((1, 2, 0), dtype=complex)
+    with pytest.raises(DataError, match="correlated"):
+        fisher(J, G, np.ones((1, 2, 2), dtype=complex), "ab")
+
+
+def test_noise_in_its_unit() -> None:
+    """0.1 mm behind a gain of 4 and 3 % of 2 m."""
+    channel = Channel("x", {"x": 1.0}, unit="mm", scale=1e-3, gain=4.0, noise=0.1, relative_noise=0.03)
+    assert np.allclose(noise_sd((channel,), np.array([[2.0 + 0j]])), np.hypot(0.1e-3 / 4, 0.06))
+
+
+def test_relative_noise_makes_information_independent_of_amplitude() -> None:
+    rig = paper_rig()
+    relative = tuple(
+        replace(c, relative_noise=0.1) if set(c.of) != {"u"} else c
+        for c in channels(rig, tuple(Quantity)[:2])
+    )
+    M = [per_sample(relative, outputs(rig.model, rig.p, relative, rig.omega, a * rig.U)) for a in (1.0, 1e-4)]
+    assert np.allclose(M[0], M[1], rtol=1e-10)
+    floors = tuple(replace(c, noise=0.1, relative_noise=0.0) if c.relative_noise else c for c in relative)
+    M = [per_sample(floors, outputs(rig.model, rig.p, floors, rig.omega, a * rig.U)) for a in (1.0, 2.0)]
+    assert np.allclose(4 * M[0], M[1], rtol=1e-10)
+
+
+def test_channels_see_amplitudes_as_the_rig_of_the_tests_does() -> None:
+    rig = random_rig(np.random.default_rng(3), 3, forces=1)
+    chosen = channels(rig, (Quantity.VELOCITY,))
+    seen = outputs(rig.model, rig.p, chosen, rig.omega, np.concatenate([rig.U, rig.f], axis=-1))
+    assert np.allclose(seen.Y, amplitudes(rig, chosen), rtol=1e-10)
