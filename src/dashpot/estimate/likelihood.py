@@ -63,9 +63,9 @@ class MaximumLikelihood(Method):
 
     Where all coordinates are seen the start is the noise-compensated least squares; elsewhere `candidates` random
     rigs of sensible size are ranked by the logarithms of their responses, and the best `starts` of them searched, first
-    in logarithms, then with weights that harden step by step, for at most `rounds` rounds.  Repeats share the start that the first one finds, and look
-    for their own where it does not lead to a fit.  `positive` holds the parameters of the rig at or above 0; bounds
-    of the model hold always.
+    in logarithms, then with weights that harden step by step, for at most `rounds` rounds.  Repeats share the valleys
+    that the first one finds, and look for their own where these do not lead to a fit.  `positive` holds the parameters
+    of the rig at or above 0; bounds of the model hold always.
     """
 
     starts: int = 64
@@ -232,9 +232,10 @@ def _reliability(one: Prepared, view: Outlook) -> Real:
     """Weights of the logarithms, (lines, channels): 1 where a channel stands out of its noise, down to 0 below it."""
     power = np.abs(np.nan_to_num(one.spectrum.amplitudes[0])) ** 2
     if np.any(np.isnan(one.spectrum.covariance)):
-        return (power > 0) * 1.0
+        return np.where(power > 0, 1.0, 0.0)
     noise = np.diagonal(one.covariance[0], axis1=-2, axis2=-1).real
-    return power / np.where(power + noise > 0, power + noise, 1.0)
+    reliability: Real = power / np.where(power + noise > 0, power + noise, 1.0)
+    return reliability
 
 
 def _descend_all(view: Outlook, cost: Cost, psi: Real, sign: Real, lower: Real, upper: Real) -> Real:
