@@ -16,7 +16,7 @@ from dashpot.model.dynamics import modes
 from dashpot.model.network import Model
 
 UNDAMPED = 1e-7  # damping ratio that is rounding
-CHUNK = 4_000_000  # complex numbers at once
+CHUNK = 300_000  # complex numbers at once: they stay in the cache
 SETTLED = 1e-3  # what is left of a transient when a dwell starts
 
 

@@ -108,7 +108,7 @@ def in_the_worst_case(
     grid_of: Callable[[Bench], Grid],
     *,
     known: Real | None = None,
-    rounds: int = 20,
+    rounds: int = 14,
     seed: int = 0,
 ) -> Robust:
     """The test whose worst scenario is best.  `known` is information in SI units (q, q)."""

@@ -20,17 +20,19 @@ class Auxiliary:
     """Equation error and instruments at one θ, (..., lines, …).
 
     e   (..., lines, n)        equation error of the measured amplitudes, N
-    Se  (..., lines, n, n)     its covariance E[e eᴴ]
+    Se  (..., lines, n, n)     its covariance E[e eᴴ] = Ω⁻¹
+    Oe  (..., lines, n)        Ω e
     w   (..., lines, elements) unit forces of the amplitudes ẑ that satisfy the model and lie nearest to the data
     """
 
     e: Complex
     Se: Complex
+    Oe: Complex
     w: Complex
 
     def cost_per_line(self) -> Real:
         """2 eᴴ Ω e, (..., lines): χ² distributed at the truth, 2 n degrees of freedom each."""
-        total: Real = 2 * np.sum((np.conj(self.e) * solve(self.Se, self.e[..., None])[..., 0]).real, axis=-1)
+        total: Real = 2 * np.sum((np.conj(self.e) * self.Oe).real, axis=-1)
         return total
 
     def cost(self) -> Real:
@@ -52,13 +54,14 @@ def auxiliary(model: Model, p: Real, data: States) -> Auxiliary:
     spread = data.covariance @ hermitian(H)
     Se = H @ spread
     # Channels that are exact beside noisy ones would make Se singular: a floor far below the noise keeps it regular.
-    floor = SINGULAR * np.trace(Se, axis1=-2, axis2=-1).real
-    Se = Se + floor[..., None, None] * np.eye(model.n)
+    own = np.diagonal(Se, axis1=-2, axis2=-1).real
+    floor = SINGULAR * np.where(own > 0, own, np.max(own, axis=-1, keepdims=True))
+    Se = Se + floor[..., None] * np.eye(model.n)
     e = np.einsum("...ij,...j->...i", H, data.z)
-    correction = solve(Se, e[..., None])
-    z = data.z - (spread @ correction)[..., 0]
+    Oe = solve(Se, e[..., None])
+    z = data.z - (spread @ Oe)[..., 0]
     n, r = data.n, data.r
-    return Auxiliary(e, Se, unit_forces(model, data.omega, z[..., :n], z[..., n : n + r]))
+    return Auxiliary(e, Se, Oe[..., 0], unit_forces(model, data.omega, z[..., :n], z[..., n : n + r]))
 
 
 def information(model: Model, at: Auxiliary) -> Real:

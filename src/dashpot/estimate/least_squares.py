@@ -7,7 +7,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from dashpot.arrays import Complex, Real, hermitian
+from dashpot.arrays import Bools, Complex, Real, hermitian
 from dashpot.errors import UsageError
 from dashpot.estimate.auxiliary import auxiliary
 from dashpot.estimate.method import Method, Prepared, Solution, closed_form
@@ -76,12 +76,14 @@ class WeightedLeastSquares(Method):
         N, r = gram(model, looks.a, looks.a, looks.weight), gram_force(model, looks.a, looks.f, looks.weight)
         Se = auxiliary(model, model.parameters(solve_sums(looks, N, r)), data.states).Se
         Phi, h = regressors(model, looks.a), known_side(model, looks.a, looks.f)
-        bread, right = with_priors(model, *_normal(Se, Phi, h))
+        bread, right = with_priors(model, *normal_sums(Se, Phi, h))
         theta = solve_scaled(bread, right)
         # One round of refinement by the residual: near a resonance Ω spans many powers of ten.
         left = h - np.einsum("klnu,ku->kln", Phi, theta)
         prior = model.prior_precision
-        theta = theta + solve_scaled(bread, _normal(Se, Phi, left)[1] + prior * (model.prior_mean - theta))
+        theta = theta + solve_scaled(
+            bread, normal_sums(Se, Phi, left)[1] + prior * (model.prior_mean - theta)
+        )
         Q = equation_map(looks, model.parameters(theta))
         e = np.einsum("...nc,...c->...n", Q, looks.y)
         Gamma = noise_map(looks)
@@ -93,7 +95,7 @@ class WeightedLeastSquares(Method):
         return closed_form(theta, half @ (meat + np.diag(model.prior_precision)) @ half)
 
 
-def _normal(Se: Complex, Phi: Complex, h: Complex) -> tuple[Real, Real]:
+def normal_sums(Se: Complex, Phi: Complex, h: Complex) -> tuple[Real, Real]:
     """2 Re Φᴴ Ω Φ and 2 Re Φᴴ Ω h, summed over lines."""
     both = np.concatenate([Phi, h[..., None]], axis=-1)
     _, products = weighted_normal(both, Se, both)
@@ -251,7 +253,7 @@ def starts(model: Model, data: States) -> tuple[Real, Real, Real]:
         N, right = with_priors(model, *amplitude_normal(model, data, Se))
         weighted = where_finite(solve_scaled(N, right), weighted)
     Se = auxiliary(model, model.parameters(weighted), data).Se
-    return where_finite(without_noise(model, data, Se), weighted), weighted, plain
+    return where_finite(without_noise(model, data, Se)[0], weighted), weighted, plain
 
 
 def compensated(model: Model, data: States) -> Real:
@@ -274,14 +276,14 @@ def amplitude_normal(model: Model, data: States, Se: Complex | None) -> tuple[Re
     a = unit_forces(model, data.omega, data.X, data.U)
     if Se is None:
         Se = np.broadcast_to(np.eye(model.n, dtype=complex), (len(data.omega), model.n, model.n))
-    return _normal(Se, regressors(model, a), known_side(model, a, data.f))
+    return normal_sums(Se, regressors(model, a), known_side(model, a, data.f))
 
 
-def without_noise(model: Model, data: States, Se: Complex) -> Real:
+def without_noise(model: Model, data: States, Se: Complex) -> tuple[Real, Bools]:
     """Weighted least squares less what the noise of the regressors adds to its sums; (K, unknowns).
 
     E[Φᴴ Ω Φ] of the measured regressors is that of the true ones plus a term in Σ, which is known.  Where taking it
-    out leaves no positive definite matrix, it is left in.
+    out leaves no positive definite matrix, it is left in, and the second value is False, (K,).
     """
     N, right = amplitude_normal(model, data, Se)
     noise, noise_right = noise_sums(model, data, Se)
@@ -291,7 +293,8 @@ def without_noise(model: Model, data: States, Se: Complex) -> Real:
     outer = scale[..., :, None] * scale[..., None, :]
     usable = _smallest(clean / outer) > 0.05 * _smallest(raw / outer)
     matrix = np.where(usable[..., None, None], clean, raw)
-    return solve_scaled(matrix, right + prior_right - np.where(usable[..., None], noise_right, 0.0))
+    theta = solve_scaled(matrix, right + prior_right - np.where(usable[..., None], noise_right, 0.0))
+    return theta, usable
 
 
 def noise_sums(model: Model, data: States, Se: Complex) -> tuple[Real, Real]:

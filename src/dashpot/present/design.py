@@ -123,7 +123,9 @@ def _words(found: Answer, plan: Plan) -> list[str]:
     p = plan.predicted
     over = "" if found.robust is None else f", {_DOUBT[found.doubt]} {found.bench.scenarios} scenarios"
     first = f"{plan.goal[0].upper()}{plan.goal[1:]}{over}: {_figure(plan.goal, p.figure)}. "
-    first += f"No test with as much measuring in this band can be better than {_figure(plan.goal, plan.ideal)}, "
+    first += (
+        f"No test with as much measuring in this band can be better than {_figure(plan.goal, plan.ideal)}, "
+    )
     first += f"less a duality gap of {plan.gap:.1e}; "
     cost = 100 * max(plan.loss, 0.0)
     first += f"whole periods and limits cost {f'{cost:.2g} %' if cost >= 0.01 else 'less than 0.01 %'}."

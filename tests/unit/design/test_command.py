@@ -33,7 +33,7 @@ def test_contract_of_the_json(tmp_path: Path, capsys: pytest.CaptureFixture[str]
 
 def test_after_data_with_a_target(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     data = tmp_path / "data.csv"
-    given = ["--set", "m1=3,m2=2.7,c1=30,c2=40,c3=90,c4=50", "--frequencies", "2,3,4,5,6,8,10,12"]
+    given = ["--frequencies", "2,3,4,5,6,8,10,12", "--quiet"]
     assert run(["simulate", str(RIG), *given, "--samples", "56", "--out", str(data)]) == 0
     out, picture = tmp_path / "plan.json", tmp_path / "progress.png"
     args = ["--after", str(data), "--target", "1%", "--for", "worst", "--band", "0.25:25"]

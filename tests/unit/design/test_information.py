@@ -79,7 +79,7 @@ def test_slopes_of_all_channels_against_finite_differences(seed: int) -> None:
 
 
 def test_reaction_is_the_force_that_moves_the_base() -> None:
-    """A base with a mass m on nothing else: force = m ω² × (−amplitude), and the spring of a grounded base pulls back."""
+    """Base and second mass are joined by k2 and c2: their force, counted positive where the base is pushed up."""
     rig = paper_rig([2.0, 5.0])
     seen = outputs(rig.model, rig.p, (Channel("F", {"u": 1.0}, Quantity.FORCE),), rig.omega, rig.U)
     names = [e.name for e in rig.model.elements]
