@@ -1,4 +1,3 @@
-# ruff: noqa: E501
 """Information of planned tests against slow twins: finite differences, full matrices, the estimators' own."""
 
 from __future__ import annotations

@@ -1,4 +1,3 @@
-# ruff: noqa: PT012
 """Plans: budgets, whole periods, shortest tests, comparisons, files; robust tests, sensors, the stopping rule."""
 
 from __future__ import annotations
