@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 NOT_CONVERGED = 3
 STDOUT = "-"
-CHOICES = ["auto", "ls", "hls", "wls", "tls", "cls", "iv", "oiv", "ml"]
+CHOICES = ["auto", "ls", "hls", "wls", "iv", "oiv", "ml"]
 
 
 @click.command(name="identify")
