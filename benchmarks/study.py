@@ -3,7 +3,6 @@
 `python3 dev.py bench study`, or with `--total 1000000` the size that is claimed.  The same study runs twice: in one
 go, and interrupted half way (Ctrl-C) and resumed; then every block and the summary are compared byte for byte.
 
-On 2 processors shared with other work (load 3 to 4): MEASURED.
 """
 
 from __future__ import annotations
