@@ -39,6 +39,7 @@ class Residuals:
     channels: tuple[str, ...]
     units: tuple[str, ...]
     input_names: tuple[str, ...]
+    input_units: tuple[str, ...]
     frequency_hz: Real
     experiment: Ints
     measured: Complex
@@ -167,6 +168,7 @@ def residuals(
         tuple(channel.name for channel in spectrum.channels),
         tuple(channel_unit(model, channel) for channel in spectrum.channels),
         (*model.displacement_inputs, *model.force_inputs),
+        tuple(channel_unit(model, drive) for drive in _drives(model)),
         spectrum.frequency_hz,
         spectrum.experiment,
         y,
@@ -176,6 +178,12 @@ def residuals(
         v,
         not known,
     )
+
+
+def _drives(model: Model) -> tuple[Channel, ...]:
+    """Every input as a channel of its own: displacements, then forces."""
+    moved = tuple(Channel(name, {name: 1.0}) for name in model.displacement_inputs)
+    return (*moved, *(Channel(name, {name: 1.0}, Quantity.FORCE) for name in model.force_inputs))
 
 
 def _relative(y: Complex, V: Complex) -> Complex:

@@ -164,14 +164,16 @@ def _responses(found: Residuals, curve: Curve | None) -> Picture:
     names = [found.channels[i] for i in chosen]
     more = f" The first {MOST_PANELS} of {len(driven)} channels." if len(driven) > MOST_PANELS else ""
     if curve is None:
+        # Of another experiment's channel there is nothing to compare a prediction with.
+        predicted = np.where(np.isfinite(found.measured), found.predicted, np.nan)[:, chosen]
         figure = figures.amplitude_and_phase(
             names, [found.units[i] for i in chosen], found.frequency_hz, found.measured[:, chosen],
-            found.sd[:, chosen], None, None, found.predicted[:, chosen],
+            found.sd[:, chosen], None, None, predicted,
         )  # fmt: skip
         text = "Amplitude and phase of each channel, as measured and as the model predicts from the inputs."
         return Picture("Measured and predicted", text + more, Markup(figures.svg(figure)))
     source = found.input_names[0]
-    over = [_over(found, i, source) for i in chosen]
+    over = [f"{found.units[i]} per {found.input_units[0]}" for i in chosen]
     figure = figures.amplitude_and_phase(
         names, over, curve.lines_hz, curve.measured[:, chosen], curve.sd[:, chosen], curve.frequency_hz,
         curve.response[:, chosen], curve.predicted[:, chosen],
@@ -180,11 +182,3 @@ def _responses(found: Residuals, curve: Curve | None) -> Picture:
         f"Amplitude and phase of each channel over the input {source}, as measured and as the model predicts."
     )
     return Picture("Measured and predicted", text + more, Markup(figures.svg(figure)))
-
-
-def _over(found: Residuals, channel: int, source: str) -> str:
-    own = found.units[channel]
-    measured = dict(zip(found.channels, found.units, strict=True)).get(source)
-    if measured is None:
-        return f"{own} per {source}"
-    return f"{own} per {measured}"

@@ -156,6 +156,8 @@ def test_an_exact_and_a_noisy_input_together() -> None:
     noisy = simulate_spectrum(model, p, sensors, test, rng)
     exact = simulate_spectrum(model, p, clean, test, rng)
     found = residuals(model, THETA, replace(noisy, amplitudes=exact.amplitudes))
+    assert found.input_units == ("m", "N")
+    assert found.units == ("m", "m/s²", "m", "m", "N")
     np.testing.assert_allclose(found.inputs, np.tile([1, 3000], (len(F), 1)), rtol=1e-9)
     np.testing.assert_allclose(found.predicted, exact.amplitudes, rtol=1e-9)
 
