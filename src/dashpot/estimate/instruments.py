@@ -121,6 +121,16 @@ def search(
     model: Model, states: States, start: Real, repeats: Ints, *, limit: int, tolerance: float
 ) -> Found:
     """Minimise Σ eᴴ Ω(θ) e with the priors' rows, for some of the repeats; `start` is (K, unknowns) of all."""
+    evaluate = objective(model, states, repeats)
+    # With noise as large as the signal the likelihood may rise towards infinity: such a repeat has no answer.
+    reach = FAR * np.max(np.abs(np.nan_to_num(start)), axis=0, initial=0.0)
+    reach = np.where(reach > 0, reach, np.inf)
+    found = minimise(evaluate, start[repeats], limit=limit, tolerance=tolerance, lower=-reach, upper=reach)
+    return replace(found, converged=found.converged & np.all(np.abs(found.x) < reach, axis=-1))
+
+
+def objective(model: Model, states: States, repeats: Ints) -> Callable[[Real, Ints], Local]:
+    """Σ eᴴ Ω(θ) e with the priors' rows, as `minimise` takes it, for some of the repeats."""
     precision = model.prior_precision
 
     def evaluate(theta: Real, rows: Ints) -> Local:
@@ -136,11 +146,7 @@ def search(
             mixed + np.diag(precision),
         )
 
-    # With noise as large as the signal the likelihood may rise towards infinity: such a repeat has no answer.
-    reach = FAR * np.max(np.abs(np.nan_to_num(start)), axis=0, initial=0.0)
-    reach = np.where(reach > 0, reach, np.inf)
-    found = minimise(evaluate, start[repeats], limit=limit, tolerance=tolerance, lower=-reach, upper=reach)
-    return replace(found, converged=found.converged & np.all(np.abs(found.x) < reach, axis=-1))
+    return evaluate
 
 
 def likeliest(data: Prepared, theta: Real) -> Real:

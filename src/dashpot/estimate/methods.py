@@ -14,8 +14,11 @@ METHODS: Mapping[str, tuple[str, str]] = MappingProxyType(
         "ls": ("least_squares", "LeastSquares"),
         "hls": ("least_squares", "HarmonicLeastSquares"),
         "wls": ("least_squares", "WeightedLeastSquares"),
+        "tls": ("total_least_squares", "TotalLeastSquares"),
+        "cls": ("total_least_squares", "CompensatedLeastSquares"),
         "iv": ("instruments", "InstrumentalVariables"),
         "oiv": ("instruments", "OptimalIV"),
+        "oiv+": ("free_matrices", "DefiniteOptimalIV"),
         "ml": ("likelihood", "MaximumLikelihood"),
     }
 )

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 NOT_CONVERGED = 3
 STDOUT = "-"
-CHOICES = ["auto", "ls", "hls", "wls", "iv", "oiv", "ml"]
+CHOICES = ["auto", "ls", "hls", "wls", "tls", "cls", "iv", "oiv", "oiv+", "ml"]
 
 
 @click.command(name="identify")
@@ -108,14 +108,10 @@ def _spectrum(reading: Reading, how: Conditioning, chosen: str) -> Spectrum:
 
 
 def _method(chosen: str, rig: Rig, spectrum: Spectrum, seed: int) -> Method:
+    from dashpot.estimate.identify import automatic
     from dashpot.estimate.methods import method
-    from dashpot.estimate.states import is_direct, unseen
 
-    name = chosen
-    if chosen == "auto":
-        # Forces in elements and at moved inputs, and unknown calibrations, are used by ml alone.
-        plain = all(is_direct(rig.model, channel) for channel in spectrum.channels)
-        name = "oiv" if plain and not unseen(rig.model, spectrum) else "ml"
+    name = automatic(rig.model, spectrum).name if chosen == "auto" else chosen
     return method(name, seed=seed)
 
 
