@@ -1,0 +1,336 @@
+"""One record given to dashpot, to lmfit and to MuJoCo's sysid: error and stated interval against truth, and time.
+
+`python3 dev.py bench peers [--draws N]`.  The paper's rig on a base stepped through the frequencies of its CASE-3,
+from rest, one continuous record with white noise of one size in each channel: what an ordinary least squares of
+samples takes for granted.
+
+dashpot gets the rig.  lmfit gets dashpot's amplitudes with their standard deviations, a hand-written response and a
+start.  MuJoCo gets the samples, transients included, a start and bounds: masses on slide joints, the spring and the
+damper between them a fixed tendon, those to the base a position actuator (kp = k2) that follows u and a velocity
+actuator (kv = c2) that follows its rate.
+"""
+
+from __future__ import annotations
+
+import argparse
+import importlib.metadata
+import io
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import lmfit
+import numpy as np
+from scipy.linalg import expm
+from scipy.special import stdtrit
+
+from dashpot.channel import Channel, Quantity
+from dashpot.data.harmonics import spectrum
+from dashpot.data.record import Record
+from dashpot.data.spectrum import Spectrum
+from dashpot.estimate.identify import identify
+from dashpot.model.elements import Kind, between, mass
+from dashpot.model.network import Input, Model
+
+TRUTH = {"m1": 3.0, "m2": 2.7, "c1": 30.0, "c2": 40.0, "c3": 90.0, "c4": 50.0}
+NAMES, TRUE = tuple(TRUTH), np.array(list(TRUTH.values()))
+K1 = K2 = 4600.0
+RIG = Model(
+    ("x1", "x2"),
+    (Input("u"),),
+    (
+        mass("m1", "x1"),
+        mass("m2", "x2"),
+        between("c1", Kind.DAMPER, "x1", "x2"),
+        between("c2", Kind.DAMPER, "x2", "u"),
+        between("c3", Kind.DAMPER, "x1", "ground"),
+        between("c4", Kind.DAMPER, "x2", "ground"),
+        between("k1", Kind.SPRING, "x1", "x2", value=K1),
+        between("k2", Kind.SPRING, "x2", "u", value=K2),
+    ),
+)
+CHANNELS = (
+    Channel("x1", {"x1": 1.0}),
+    Channel("x2", {"x2": 1.0}),
+    Channel("v1", {"x1": 1.0}, Quantity.VELOCITY),
+    Channel("v2", {"x2": 1.0}, Quantity.VELOCITY),
+    Channel("u", {"u": 1.0}),
+)
+CASE_3 = (
+    *(1, 1.5, 2, 2.25, 2.5, 2.75, 3, 3.25, 3.5, 3.75, 4, 5, 6, 7),
+    *(8, 8.5, 9, 9.5, 10, 10.5, 11, 11.5, 12, 13, 14),
+)  # Hz
+STROKE = 1e-3  # m
+RATE = 100  # samples a second
+STEPS = 5  # of MuJoCo's integrator in a sample
+TRANSIENT = 0.5  # s: the slowest mode has fallen to e⁻⁸
+MEASURED = 0.75  # s at least, and whole periods
+NOISE = 0.1  # of a channel's size, standard deviation of each sample
+FOUND = 0.2  # of the truth: what ends farther off in any parameter has not found it
+
+
+@dataclass(frozen=True)
+class Test:
+    """The noise-free record, its motion at the integrator's finer times, and where each dwell is steady."""
+
+    time: np.ndarray  # (samples,)
+    values: np.ndarray  # (samples, 4): x1, x2, v1, v2
+    base: np.ndarray  # (samples,)
+    fine: np.ndarray  # (steps,) s
+    command: np.ndarray  # (steps, 2): u and its rate half a step after each fine time
+    dwells: tuple[tuple[float, slice], ...]
+
+
+def stepped_sine() -> Test:
+    """The rig's exact motion: a sine is a linear oscillator too, so one matrix exponential carries both on."""
+    k, c = TRUTH, K1 + K2
+    M = np.diag([k["m1"], k["m2"]])
+    C = np.array([[k["c1"] + k["c3"], -k["c1"]], [-k["c1"], k["c1"] + k["c2"] + k["c4"]]])
+    K = np.array([[K1, -K1], [-K1, c]])
+    h = 1 / (RATE * STEPS)
+    z = np.zeros(6)  # x1, x2, v1, v2, u, u̇/ω
+    states, commands, dwells = [z[None, :4]], [], []
+    base, begun = [0.0], 0
+    for hz in CASE_3:
+        omega = 2 * np.pi * hz
+        A = np.zeros((6, 6))
+        A[:2, 2:4] = np.eye(2)
+        A[2:4, :2], A[2:4, 2:4] = -np.linalg.solve(M, K), -np.linalg.solve(M, C)
+        A[3, 4:] = np.array([K2, k["c2"] * omega]) / k["m2"]
+        A[4, 5], A[5, 4] = omega, -omega
+        z[4:] = z[4], np.sqrt(STROKE**2 - z[4] ** 2) * (1 if z[5] >= 0 else -1)
+        half, whole = expm(A * h / 2), expm(A * h)
+        periods = np.ceil(MEASURED * hz)
+        samples = round((TRANSIENT + periods / hz) * RATE)
+        path = np.empty((samples * STEPS, 6))
+        for i in range(len(path)):
+            middle = half @ z
+            commands.append([middle[4], omega * middle[5]])
+            z = whole @ z
+            path[i] = z
+        states.append(path[STEPS - 1 :: STEPS, :4])
+        base.extend(path[STEPS - 1 :: STEPS, 4])
+        dwells.append((float(hz), slice(begun + 1 + round(TRANSIENT * RATE), begun + 1 + samples)))
+        begun += samples
+    fine = np.arange(len(commands) + 1) * h
+    return Test(
+        np.arange(begun + 1) / RATE, np.concatenate(states), np.array(base), fine,
+        np.array([*commands, commands[-1]]), tuple(dwells),
+    )  # fmt: skip
+
+
+def amplitudes(test: Test, values: np.ndarray) -> Spectrum:
+    """Amplitudes and their noise from the steady part of each dwell."""
+    every = np.column_stack([values, test.base])
+    return spectrum([Record(CHANNELS, test.time[part], every[part], hz) for hz, part in test.dwells])
+
+
+def by_dashpot(data: Spectrum) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Values, standard deviations and half widths of the 95 % intervals."""
+    found = identify(RIG, data)
+    return found.values, found.sd, found.interval()[1] - found.values
+
+
+def by_lmfit(data: Spectrum, start: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Output error: weighted least squares of the amplitudes of x1, x2, v1 and v2."""
+    s, U = 1j * data.omega, data.amplitudes[:, 4]
+    measured, sd = data.amplitudes[:, :4], data.sd()[:, :4]
+
+    def residual(p: lmfit.Parameters) -> np.ndarray:
+        m1, m2, c1, c2, c3, c4 = (p[name].value for name in NAMES)
+        d11 = s * s * m1 + s * (c1 + c3) + K1
+        d12 = -(s * c1 + K1)
+        d22 = s * s * m2 + s * (c1 + c2 + c4) + K1 + K2
+        X2 = (s * c2 + K2) * U / (d22 - d12 * d12 / d11)
+        X1 = -d12 * X2 / d11
+        r = (np.stack([X1, X2, s * X1, s * X2], axis=-1) - measured) / sd
+        return np.concatenate([r.real.ravel(), r.imag.ravel()])
+
+    parameters = lmfit.Parameters()
+    for name, value in zip(NAMES, start, strict=True):
+        parameters.add(name, value=value)
+    found = lmfit.minimize(residual, parameters, scale_covar=False)
+    errors = [found.params[name].stderr for name in NAMES]
+    sd_found = np.array([np.nan if error is None else error for error in errors])
+    return np.array([found.params[name].value for name in NAMES]), sd_found, 1.96 * sd_found
+
+
+MJCF = f"""
+<mujoco>
+  <option timestep="{1 / (RATE * STEPS)}" integrator="RK4" gravity="0 0 0"><flag contact="disable"/></option>
+  <worldbody>
+    <body name="one">
+      <inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/><joint name="x1" type="slide" axis="1 0 0" damping="1"/>
+    </body>
+    <body name="two">
+      <inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/><joint name="x2" type="slide" axis="1 0 0" damping="1"/>
+    </body>
+  </worldbody>
+  <tendon>
+    <fixed name="link" stiffness="{K1}" damping="1" springlength="0">
+      <joint joint="x1" coef="1"/><joint joint="x2" coef="-1"/>
+    </fixed>
+  </tendon>
+  <actuator><position name="u" joint="x2" kp="{K2}"/><velocity name="rate" joint="x2" kv="1"/></actuator>
+</mujoco>
+"""
+
+
+def mujoco_solver(
+    test: Test,
+) -> Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray, np.ndarray]]:
+    """A function from noisy values and a start to what MuJoCo's sysid states.  ImportError where it cannot be had."""
+    import mujoco
+    from mujoco import sysid
+
+    if not hasattr(sysid, "optimize"):
+        raise ImportError("mujoco is installed without what its sysid needs")
+    from absl import logging
+
+    logging.set_verbosity(logging.ERROR)
+    spec = mujoco.MjSpec.from_string(MJCF)
+    rig = spec.compile()
+    rest = sysid.create_initial_state(rig, np.zeros(2), np.zeros(2))
+    control = sysid.TimeSeries.from_control_names(test.fine, test.command, rig)
+    # The states of the rollout: what its sensors return after a step is from before it.
+    position, velocity = sysid.SignalType.MjStateQPos, sysid.SignalType.MjStateQVel
+    signals = [("x1_qpos", position), ("x2_qpos", position), ("x1_qvel", velocity), ("x2_qvel", velocity)]
+
+    def first(vector: np.ndarray, value: float) -> None:
+        vector[0] = value
+
+    def base_damper(spec: mujoco.MjSpec, value: float) -> None:
+        actuator = spec.actuator("rate")
+        actuator.gainprm[0], actuator.biasprm[2] = value, -value
+
+    writers: dict[str, Callable[[mujoco.MjSpec, float], None]] = {
+        "m1": lambda spec, value: setattr(spec.body("one"), "mass", value),
+        "m2": lambda spec, value: setattr(spec.body("two"), "mass", value),
+        "c1": lambda spec, value: first(spec.tendon("link").damping, value),
+        "c2": base_damper,
+        "c3": lambda spec, value: first(spec.joint("x1").damping, value),
+        "c4": lambda spec, value: first(spec.joint("x2").damping, value),
+    }
+
+    def solve(values: np.ndarray, start: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        measured = sysid.TimeSeries.from_names(test.time, values, rig, names=signals)
+        sequences = sysid.ModelSequences(
+            "rig", spec, "sweep", rest, control, measured, allow_missing_sensors=True
+        )
+        parameters = sysid.ParameterDict()
+        for name, value in zip(NAMES, start, strict=True):
+            parameters.add(
+                sysid.Parameter(
+                    name, value, value / 10, 10 * value,
+                    modifier=lambda spec, p, write=writers[name]: write(spec, float(p.value[0])),
+                )
+            )  # fmt: skip
+        residual = sysid.build_residual_fn(models_sequences=[sequences])
+        # Its Jacobian, which the intervals need, comes only with the fullest of its outputs.
+        found, result = sysid.optimize(parameters, residual, verbose=False, output=io.StringIO())
+        left, _, _ = residual(result.x, found)
+        _, half = sysid.calculate_intervals(left, result.jac)
+        return result.x, half / stdtrit(left[0].size - len(NAMES), 0.975), half
+
+    return solve
+
+
+@dataclass(frozen=True)
+class Row:
+    """What one tool gave over the draws."""
+
+    values: np.ndarray
+    sd: np.ndarray
+    half: np.ndarray
+    seconds: float
+
+    def figures(self) -> str:
+        off = np.abs(self.values / TRUE - 1)
+        with np.errstate(invalid="ignore"):
+            found = np.all(off < FOUND, axis=-1) & np.all(np.isfinite(self.sd), axis=-1)
+        if np.count_nonzero(found) < 2:
+            return f"{100 * np.mean(found):.0f} | – | – | – | – | {1e3 * self.seconds:.0f}"
+        values, sd, half = self.values[found], self.sd[found], self.half[found]
+        error = 100 * np.sqrt(np.mean((values / TRUE - 1) ** 2))
+        bias = 100 * np.max(np.abs(np.mean(values, axis=0) / TRUE - 1))
+        inside = 100 * np.mean(np.abs(values - TRUE) <= half)
+        ratio = np.mean(np.mean(sd, axis=0) / np.std(values, axis=0, ddof=1))
+        return (
+            f"{100 * np.mean(found):.0f} | {error:.2f} | {bias:.2f} | {inside:.1f} | {ratio:.2f} | "
+            f"{1e3 * self.seconds:.0f}"
+        )
+
+
+def measure(draws: int, solve: Callable[[int], tuple[np.ndarray, np.ndarray, np.ndarray]]) -> Row:
+    """All draws by one tool; the time is the median."""
+    found, seconds = [], []
+    for draw in range(draws):
+        begin = time.perf_counter()
+        found.append(solve(draw))
+        seconds.append(time.perf_counter() - begin)
+    values, sd, half = (np.array(part) for part in zip(*found, strict=True))
+    return Row(values, sd, half, float(np.median(seconds)))
+
+
+def levels(test: Test) -> dict[str, np.ndarray]:
+    """Standard deviations of the noise of each sample, (samples, 4) or (4,)."""
+    in_proportion = np.empty_like(test.values)
+    begin = 0
+    for _, part in test.dwells:
+        in_proportion[begin : part.stop] = NOISE * np.sqrt(2 * np.mean(test.values[part] ** 2, axis=0))
+        begin = part.stop
+    return {
+        f"{100 * NOISE:.0f} % of each channel's rms, the same at all frequencies": NOISE
+        * np.sqrt(np.mean(test.values**2, axis=0)),
+        f"{100 * NOISE:.0f} % of each channel's amplitude at each frequency (the paper's eq. 21)": in_proportion,
+    }
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("--draws", type=int, default=20)
+    draws = parser.parse_args().draws
+    test = stepped_sine()
+    try:
+        by_mujoco = mujoco_solver(test)
+    except ImportError as failure:
+        by_mujoco = None
+        print(f"mujoco is left out: {failure}\n")
+    else:
+        exact, _, _ = by_mujoco(test.values, 1.5 * TRUE)
+        print(
+            f"mujoco {importlib.metadata.version('mujoco')}, integrator RK4 with {1e3 / (RATE * STEPS):g} ms: from the "
+            f"record without noise its parameters are {100 * np.max(np.abs(exact / TRUE - 1)):.2f} % off at most.\n"
+        )
+    for number, (words, level) in enumerate(levels(test).items()):
+        rng = np.random.default_rng([1989, number])
+        noisy = [test.values + level * rng.standard_normal(test.values.shape) for _ in range(draws)]
+        begin = time.perf_counter()
+        data = [amplitudes(test, values) for values in noisy]
+        making = (time.perf_counter() - begin) / draws
+        print(
+            f"Noise {words}: {draws} draws of {test.time[-1]:.1f} s, {len(test.time)} samples of 4 channels\n"
+        )
+        print(
+            "| tool | start | found the truth, % | rms relative error, % | largest bias, % "
+            "| 95 % intervals that hold the truth, % | stated sd over spread | time, ms |"
+        )
+        print("|---|---|---|---|---|---|---|---|")
+        rows = [
+            ("dashpot oiv", "none", lambda k, data=data: by_dashpot(data[k])),
+            ("lmfit", "1.5 × truth", lambda k, data=data: by_lmfit(data[k], 1.5 * TRUE)),
+            ("lmfit", "5 × truth", lambda k, data=data: by_lmfit(data[k], 5 * TRUE)),
+        ]
+        if by_mujoco is not None:
+            rows.append(
+                ("mujoco.sysid", "1.5 × truth", lambda k, noisy=noisy: by_mujoco(noisy[k], 1.5 * TRUE))
+            )
+        for tool, start, solve in rows:
+            print(f"| {tool} | {start} | {measure(draws, solve).figures()} |", flush=True)
+        if by_mujoco is None:
+            print("| mujoco.sysid | 1.5 × truth | not installed | – | – | – | – | – |")
+        print(f"\nThe amplitudes for dashpot and lmfit take another {1e3 * making:.0f} ms.\n")
+
+
+if __name__ == "__main__":
+    main()
