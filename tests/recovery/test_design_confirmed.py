@@ -78,9 +78,11 @@ def test_amplitudes_at_the_shakers_limits_come_true() -> None:
 
 
 def test_next_best_dwells_against_a_uniform_sweep() -> None:
-    """From a poor first test to 1 % of all eight parameters: about half the samples (200 repeats: benchmarks/)."""
-    swept, planned, errors = compare(8, seed=1)
+    """From a poor first test to 1 % of all eight parameters: about half the samples.
+
+    Two repeats: the ratio varies by some per cent from one to the next (benchmarks/ has 200), and 16 errors know their
+    rms to about 20 %.
+    """
+    swept, planned, errors = compare(2, seed=1)
     assert np.median(swept / planned) > 1.8
-    rms = np.sqrt(np.mean(errors**2, axis=0))
-    # Eight repeats know each rms to 25 %; the mean square over eight parameters to about 10 %.
-    assert np.sqrt(np.mean(rms**2)) < 1.3 * TARGET
+    assert np.sqrt(np.mean(errors**2)) < 1.5 * TARGET

@@ -22,6 +22,7 @@ from dashpot.errors import IdentifiabilityError, UsageError
 Information = Callable[[Real, Ints], Real]  # (frequencies, patterns) → (scenarios, lines, q, q)
 
 TOLERANCE = 1e-9  # of the duality gap inside
+SINGULAR = 10 * np.finfo(float).eps  # pivot of a correlation matrix, for each row: rounding
 ROUNDS = 60
 ZOOM = 13  # points of a bracket at once
 
@@ -41,10 +42,13 @@ def value(terms: Terms, M: Real) -> Value:
     q = M.shape[-1]
     scale = np.sqrt(np.maximum(np.diagonal(M, axis1=-2, axis2=-1), 1e-300))
     outer = scale[:, :, None] * scale[:, None, :]
+    open_ = Value(np.inf, np.full(len(terms.weights), np.inf), np.full_like(M, np.nan), np.zeros_like(M))
     try:
         L = np.linalg.cholesky(M / outer)
     except np.linalg.LinAlgError:
-        return Value(np.inf, np.full(len(terms.weights), np.inf), np.full_like(M, np.nan), np.zeros_like(M))
+        return open_
+    if np.min(np.diagonal(L, axis1=-2, axis2=-1)) ** 2 < SINGULAR * q:
+        return open_  # whether Cholesky notices is up to the rounding of the machine
     root = np.linalg.solve(L, np.broadcast_to(np.eye(q), M.shape))
     C = np.swapaxes(root, -1, -2) @ root / outer
     rest = np.zeros_like(M)
@@ -369,7 +373,8 @@ class _Columns:
         width = float(np.median(steps)) if len(steps) else 0.0
         last = 0
         for _ in range(8):
-            f, k = _cluster(best, width)
+            kept = best.share > 1e-6
+            f, k, _ = clusters(best.frequency_hz[kept], best.pattern[kept], best.share[kept], width)
             if len(f) != last:
                 last = len(f)
                 self.f, self.k = f, k
@@ -403,19 +408,27 @@ class _Columns:
         return best if best is not None and best.gap < tolerance else None
 
 
-def _cluster(best: Allocation, width: float) -> tuple[Real, Ints]:
-    """Weighted means, in ln f, of runs of frequencies of one pattern that are closer than `width`."""
-    f, k = [], []
-    for pattern in np.unique(best.pattern):
-        rows = np.flatnonzero((best.pattern == pattern) & (best.share > 1e-6))
-        rows = rows[np.argsort(best.frequency_hz[rows])]
-        x, w = np.log(best.frequency_hz[rows]), best.share[rows]
-        group = np.concatenate([[0], np.cumsum(np.diff(x) > width)]) if len(x) else np.zeros(0, dtype=int)
+def clusters(
+    frequency_hz: Real, pattern: Ints, share: Real, width: float, between: bool = True
+) -> tuple[Real, Ints, Real]:
+    """One line for each run of frequencies of one pattern that are closer than `width` in ln f.
+
+    Its frequency is their weighted mean in ln f or, unless it may lie between them, that of the largest share.
+    """
+    f, k, w = [], [], []
+    for drive in np.unique(pattern):
+        rows = np.flatnonzero(pattern == drive)
+        rows = rows[np.argsort(frequency_hz[rows])]
+        x = np.log(frequency_hz[rows])
+        group = np.concatenate([[0], np.cumsum(np.diff(x) > width)])
         for g in np.unique(group):
-            own = group == g
-            f.append(float(np.exp(np.sum(x[own] * w[own]) / np.sum(w[own]))))
-            k.append(int(pattern))
-    return np.array(f), np.array(k, dtype=np.int64)
+            own = rows[group == g]
+            total = float(np.sum(share[own]))
+            mean = float(np.exp(np.sum(x[group == g] * share[own]) / total))
+            f.append(mean if between and len(own) > 1 else float(frequency_hz[own[np.argmax(share[own])]]))
+            k.append(int(drive))
+            w.append(total)
+    return np.array(f), np.array(k, dtype=np.int64), np.array(w)
 
 
 # The band

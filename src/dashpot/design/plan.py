@@ -5,14 +5,14 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from dashpot.arrays import Complex, Ints, Real, frozen
 from dashpot.data.spectrum import Spectrum
-from dashpot.design.allocation import Allocation, Grid, optimise, value, weigh
+from dashpot.design.allocation import Allocation, Grid, clusters, optimise, value, weigh
 from dashpot.design.bench import Bench
 from dashpot.design.goals import Doubt, Goal, MeanError, Terms
 from dashpot.design.information import calibrations, noise_sd
@@ -21,6 +21,8 @@ from dashpot.estimate.identify import identify
 from dashpot.estimate.instruments import InstrumentalVariables
 
 MIN_SAMPLES = 8  # of a dwell: offset, drift and a harmonic leave some residual
+SIMPLER = 1e-4  # of the variance: what it may cost to join dwells that crowd around one frequency
+CROWDS = (0.1, 0.03, 0.01, 0.003)  # distances in ln f within which they are joined
 FEW = 8  # dwells up to which frequencies shift when one is dropped
 NYQUIST = 0.45  # highest frequency in parts of the sampling rate
 ENOUGH = 1e9  # samples or seconds; more is a mistake
@@ -226,6 +228,7 @@ def plan(
     best: tuple[float, Lines] | None = None
     worse = 0
     shares = _Shares(bench, terms, prior, budget, grid, found)
+    shares.join()
     for count in range(shares.count, 0, -1):
         shares.thin(count)
         if budget.most is not None and count > budget.most:
@@ -374,6 +377,28 @@ class _Shares:
             return True
         samples = max(self.budget.measured(self.count), 1.0)
         return bool(np.any(self.w * samples < self._least()))
+
+    def join(self) -> None:
+        """One dwell for those that crowd around a frequency, where that costs next to nothing.
+
+        The optimum is flat there, and what finds it spreads the time over neighbours.
+        """
+        samples = max(self.budget.measured(self.count), self.budget.measured(0) / 2)
+        before = self.f, self.k, self.w
+        now = self._F(samples)
+        for width in CROWDS:
+            self.f, self.k, self.w = clusters(*before, width, self.grid.free)
+            if self.count == len(before[0]):
+                return
+            self._improve(samples)
+            slack = SIMPLER * (1.0 if self.terms.block is not None else now)
+            if self._F(samples) <= now + slack:
+                return
+        self.f, self.k, self.w = before
+
+    def _F(self, samples: float) -> float:
+        M = self.bench.information(self.f, self.k)
+        return value(self.terms, self.prior + samples * np.einsum("i,siab->sab", self.w, M)).F
 
     def _least(self) -> Real:
         """Fewest samples of each dwell."""
@@ -553,6 +578,15 @@ def spread_of_iv(bench: Bench, lines: Lines) -> Prediction | None:
     return Prediction(found.names, found.units, found.values, np.sqrt(np.diagonal(C)), C, rms)
 
 
+def _beside(bench: Bench, found: Prediction, known: Real) -> Prediction:
+    """An estimate weighed with what is known, (scenarios, q, q) in parts of the sizes, at the nominal values."""
+    size = bench.sizes[0]
+    outer = np.outer(size, size)
+    C = np.linalg.inv(np.linalg.inv(found.covariance / outer) + known[0]) * outer
+    rms = float(np.sqrt(np.mean(np.diagonal(C) / size**2)))
+    return replace(found, sd=np.sqrt(np.diagonal(C)), covariance=C, figure=rms)
+
+
 @dataclass(frozen=True)
 class Comparison:
     """Another test beside the plan.
@@ -593,6 +627,8 @@ def compare(
     if iv is not None and known is None:
         names = [u.name for u in bench.model.unknowns]
         factor_iv = ratio * (iv.rms(names) / found.predicted.rms(names)) ** 2
+    if iv is not None and known is not None:
+        iv = _beside(bench, iv, known)
     return Comparison(other, predicted, iv, ratio * times, factor_iv)
 
 

@@ -16,11 +16,17 @@ import numpy as np
 from dashpot.arrays import Real, frozen
 from dashpot.design.allocation import Grid, optimise, value
 from dashpot.design.bench import Bench
-from dashpot.design.goals import Doubt, Goal
-from dashpot.design.plan import Budget, Lines, Plan, plan
+from dashpot.design.goals import Goal
+from dashpot.design.plan import Budget, Lines, Plan, plan, shortest
 from dashpot.errors import UsageError
+from dashpot.estimate.estimate import Estimate
+from dashpot.model.network import Model
 
 CLOSE = 2e-3  # a scenario worse by less than this part of the variance ends the search
+SLOW = 64  # scenarios drawn to find the slowest transient
+
+
+NOTHING = Lines(np.zeros(0), np.zeros(0, dtype=np.int64), np.zeros(0))  # the test of no dwell
 
 
 @dataclass(frozen=True)
@@ -65,15 +71,48 @@ class Cloud:
         return np.where(small, 0.1 * nominal, theta)
 
 
+def box_of(model: Model, nominal: Real, doubt: float) -> Box:
+    """The same doubt in every unknown; of one that the rig file knows with an sd, no more than 1.96 sd."""
+    size = np.where(nominal == 0, 1.0, np.abs(nominal))
+    known = np.array([np.inf if u.sd is None else 1.96 * u.sd for u in model.unknowns])
+    return Box(np.minimum(doubt, known / size))
+
+
+def cloud_of(model: Model, estimate: Estimate) -> Cloud:
+    """The doubt that an estimate leaves in the unknowns of the rig, by their names.
+
+    Raises UsageError where it is of other unknowns, or has no finite covariance.
+    """
+    names = [unknown.name for unknown in model.unknowns]
+    missing = [name for name in names if name not in estimate.names]
+    if missing:
+        raise UsageError(
+            f"the estimate says nothing of {', '.join(missing)}", cure="give an estimate of this rig"
+        )
+    i = [estimate.names.index(name) for name in names]
+    covariance = estimate.covariance[np.ix_(i, i)]
+    if not np.all(np.isfinite(covariance)):
+        raise UsageError("the estimate's covariance is not finite", cure="say the doubt with --doubt 30%")
+    return Cloud(covariance)
+
+
+def slowest_settling(bench: Bench, prior: Box | Cloud, seed: int = 0) -> float:
+    """Settling time of the slowest of several scenarios, s.  Raises UsageError where one never settles."""
+    nominal = bench.theta[0]
+    drawn = prior.draw(nominal, SLOW, np.random.default_rng(seed))
+    return bench.with_scenarios(np.concatenate([nominal[None], drawn])).settling()
+
+
 @dataclass(frozen=True)
 class Robust:
     """A plan with the bench of its scenarios, and how bad it may get.
 
+    plan     None where what is known suffices already
     worst    the goal's figure in the worst scenario that was found
     search   the figures of the worst scenarios on the way
     """
 
-    plan: Plan
+    plan: Plan | None
     bench: Bench
     worst: float
     search: tuple[float, ...]
@@ -86,17 +125,27 @@ def on_average(
     prior: Box | Cloud,
     grid_of: Callable[[Bench], Grid],
     *,
+    target: float | None = None,
     count: int = 32,
     known: Real | None = None,
     seed: int = 0,
 ) -> Robust:
-    """The test with the best mean of the goal over `count` scenarios.  `known` is information in SI units (q, q)."""
+    """The test with the best mean of the goal over `count` scenarios; with a target, the shortest that has it.
+
+    `known` is information in SI units (q, q).
+    """
     nominal = bench.theta[0]
     theta = np.concatenate([nominal[None], prior.draw(nominal, count, np.random.default_rng(seed))])
     wide = bench.with_scenarios(theta)
     already = None if known is None else wide.known(known)
-    found = plan(wide, goal, budget, grid_of(wide), known=already, doubt="average")
-    at = value(goal.terms(wide, "worst"), _prior(wide, known) + found.lines.information(wide))
+    grid = grid_of(wide)
+    found = (
+        plan(wide, goal, budget, grid, known=already, doubt="average")
+        if target is None
+        else shortest(wide, goal, target, budget, grid, known=already, doubt="average")
+    )
+    M = _prior(wide, known)
+    at = value(goal.terms(wide, "worst"), M if found is None else M + found.lines.information(wide))
     return Robust(found, wide, goal.figure(at.F), ())
 
 
@@ -135,6 +184,48 @@ def in_the_worst_case(
     return Robust(final, wide, worst, tuple(search))
 
 
+def shortest_in_the_worst_case(
+    bench: Bench,
+    goal: Goal,
+    target: float,
+    budget: Budget,
+    prior: Box | Cloud,
+    grid_of: Callable[[Bench], Grid],
+    *,
+    known: Real | None = None,
+    rounds: int = 14,
+    seed: int = 0,
+) -> Robust:
+    """The shortest test whose worst scenario reaches the target, as far as a search finds it.
+
+    `budget` says what is short (samples or time) and is a first guess; `known` is information in SI units (q, q).
+    Raises UsageError where the search for scenarios does not end.
+    """
+    theta, aim = bench.theta[:1], target
+    search: list[float] = []
+    for turn in range(rounds):
+        wide = bench.with_scenarios(theta)
+        already = None if known is None else wide.known(known)
+        found = shortest(wide, goal, aim, budget, grid_of(wide), known=already)
+        lines = NOTHING if found is None else found.lines
+        worst, at = worst_scenario(wide, goal, lines, prior, known=known, seed=seed + turn)
+        search.append(worst)
+        if worst <= target:
+            return Robust(found, wide, worst, tuple(search))
+        if found is not None and worst <= target * (1 + CLOSE):
+            aim *= 0.999 * target / worst  # a scenario hardly worse than those that count already
+        else:
+            theta = np.concatenate([theta, at[None]])
+        if found is not None:
+            amount = found.samples if budget.samples is not None else found.time_s
+            assert amount is not None
+            budget = budget.scaled(amount * (worst / target) ** 2 / (budget.samples or budget.time or 1.0))
+    raise UsageError(
+        "no test was found whose worst case reaches the target",
+        cure="doubt less, or give --samples or --time",
+    )
+
+
 def _prior(bench: Bench, known: Real | None) -> Real:
     return bench.prior if known is None else bench.known(known)
 
@@ -155,12 +246,15 @@ def worst_scenario(
     """
     rng = np.random.default_rng(seed)
     nominal = bench.theta[0]
-    drive = bench.drive(lines.frequency_hz, lines.pattern)
+    measured = len(lines.samples) > 0
+    drive = bench.drive(lines.frequency_hz, lines.pattern) if measured else None
 
     def badness(theta: Real) -> Real:
         alone = bench.with_scenarios(theta)
-        each = bench.per_sample(alone.p, alone.sizes, lines.frequency_hz, drive)
-        M = _prior(alone, known) + np.einsum("i,siab->sab", lines.samples, each)
+        M = _prior(alone, known)
+        if drive is not None:
+            each = bench.per_sample(alone.p, alone.sizes, lines.frequency_hz, drive)
+            M = M + np.einsum("i,siab->sab", lines.samples, each)
         F = np.empty(len(theta))
         for s in range(len(theta)):
             one = alone.with_scenarios(theta[s : s + 1])
@@ -189,12 +283,3 @@ def worst_scenario(
             if F[top] > most:
                 at, most = near[top], float(F[top])
     return goal.figure(most), at
-
-
-def doubt_of(text: str) -> Doubt:
-    """ "average" or "worst".  Raises UsageError for anything else."""
-    if text == "average":
-        return "average"
-    if text == "worst":
-        return "worst"
-    raise UsageError(f"{text!r} is no way to weigh doubt", cure="use average or worst")

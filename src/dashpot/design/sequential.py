@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 
@@ -19,6 +20,10 @@ from dashpot.model.network import Model
 
 ROUNDING = 1e-12  # of the eigenvalues of a correlation matrix
 VAGUE = 0.5  # relative sd above which an estimate says less than a guess
+
+Reading = Literal[
+    "each", "rms", "volume"
+]  # what must be as small as its target: every sd, their rms, the mean radius
 
 
 def known_after(bench: Bench, estimate: Estimate) -> Real:
@@ -175,8 +180,9 @@ def progress(
 class Verdict:
     """Whether there are enough samples.
 
-    reached   whether every watched unknown has its target
-    worst     name of the unknown that is farthest from it, and its relative sd over the target
+    reached   whether the target is reached
+    worst     name of the unknown that is farthest from it
+    excess    what is read (an sd, an rms, a mean radius) over its target
     more      samples that the same kind of test still needs; inf where no number helps
     reason    in words
     """
@@ -188,7 +194,13 @@ class Verdict:
     reason: str
 
 
-def enough(estimate: Estimate, targets: dict[str, float], samples: int, known: Real | None = None) -> Verdict:
+def enough(
+    estimate: Estimate,
+    targets: Mapping[str, float],
+    samples: int,
+    known: Real | None = None,
+    reading: Reading = "each",
+) -> Verdict:
     """The stopping rule: sd ∝ 1/√samples for more of the same (paper §3.3), from the estimate so far.
 
     `targets` are relative standard deviations by name.  `known` is information (unknowns, unknowns), SI, that did not
@@ -197,33 +209,47 @@ def enough(estimate: Estimate, targets: dict[str, float], samples: int, known: R
     """
     names = list(estimate.names)
     size = np.where(estimate.values == 0, 1.0, np.abs(estimate.values))
-    relative = estimate.sd / size
-    excess = {name: float(relative[names.index(name)]) / target for name, target in targets.items()}
-    worst = max(excess, key=lambda name: excess[name])
-    if not np.isfinite(excess[worst]):
+    j = [names.index(name) for name in targets]
+    unit = np.array(list(targets.values())) * size[j]  # errors in parts of their targets
+
+    def over(C: Real) -> float:
+        own = C[np.ix_(j, j)] / np.outer(unit, unit)
+        if reading == "volume":
+            return float(np.exp(np.linalg.slogdet(own)[1] / 2 / len(j)))
+        variance = np.diagonal(own)
+        return float(np.sqrt(np.max(variance) if reading == "each" else np.mean(variance)))
+
+    each = np.sqrt(np.diagonal(estimate.covariance)[j]) / unit
+    worst = names[j[int(np.argmax(np.where(np.isfinite(each), each, np.inf)))]]
+    if not np.all(np.isfinite(each)):
         raise IdentifiabilityError(f"the data do not determine {worst}", cure="add frequencies or sensors")
-    if excess[worst] <= 1:
-        return Verdict(True, worst, excess[worst], 0.0, "every interval is as narrow as was asked")
+    excess = over(estimate.covariance)
+    what = {
+        "each": worst, "rms": "the rms of the relative standard deviations", "volume": "the confidence region",
+    }[reading]  # fmt: skip
+    if excess <= 1:
+        narrow = {"each": "every interval is", "rms": f"{what} is", "volume": "the confidence region is"}
+        return Verdict(True, worst, excess, 0.0, f"{narrow[reading]} as small as was asked")
     if bool(np.any(estimate.fit.rejected)):
         reason = "the model does not fit: more samples will not narrow what its misfit leaves open"
-        return Verdict(False, worst, excess[worst], np.inf, reason)
+        return Verdict(False, worst, excess, np.inf, reason)
     scale = np.outer(size, size)
     total = np.linalg.inv(estimate.covariance / scale)
-    fixed = np.zeros_like(total) if known is None else known * scale
-    j = [names.index(name) for name in targets]
-    aim = np.array([targets[name] for name in targets]) ** 2
+    fixed = np.zeros_like(total)
+    if known is not None:  # calibrations follow the unknowns; nothing was known of them
+        fixed[: len(known), : len(known)] = known * scale[: len(known), : len(known)]
 
     def met(times: float) -> bool:
         M = fixed + times * (total - fixed)
-        return bool(np.all(np.diagonal(np.linalg.inv(M))[j] <= aim))
+        return over(np.linalg.inv(M) * scale) <= 1
 
     low, high = 1.0, 2.0
     while not met(high) and high < 1e12:
         low, high = high, 2 * high
     if high >= 1e12:
-        return Verdict(False, worst, excess[worst], np.inf, "more of the same test does not reach the target")
+        return Verdict(False, worst, excess, np.inf, "more of the same test does not reach the target")
     for _ in range(60):
         middle = (low + high) / 2
         low, high = (low, middle) if met(middle) else (middle, high)
     more = float(np.ceil((high - 1) * samples))
-    return Verdict(False, worst, excess[worst], more, f"{worst} is {excess[worst]:.3g} times its target")
+    return Verdict(False, worst, excess, more, f"{what} is {excess:.3g} times its target")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -13,7 +13,7 @@ from dashpot.channel import Channel
 from dashpot.data.spectrum import Spectrum
 from dashpot.design.allocation import Grid, band_grid, natural_band
 from dashpot.design.bench import Bench, Limits, bench
-from dashpot.design.goals import Doubt, Goal
+from dashpot.design.goals import Doubt, Goal, MeanError, Volume
 from dashpot.design.plan import (
     NYQUIST,
     Budget,
@@ -27,10 +27,21 @@ from dashpot.design.plan import (
     shortest,
     to_json,
 )
-from dashpot.design.robust import Box, Cloud, Robust, in_the_worst_case, on_average
+from dashpot.design.robust import (
+    Box,
+    Cloud,
+    Robust,
+    box_of,
+    cloud_of,
+    in_the_worst_case,
+    on_average,
+    shortest_in_the_worst_case,
+    slowest_settling,
+)
 from dashpot.design.sensors import Choice, choose
 from dashpot.design.sequential import (
     Progress,
+    Reading,
     Verdict,
     enough,
     known_after,
@@ -55,7 +66,9 @@ class Question:
     estimate   what was found earlier; `after`, lines measured earlier, are identified to get it
     target     relative standard deviation to reach by the goal's own figure; None: spend the budget
     samples, time   the budget; neither: the shortest test for the target
-    doubt      None: the values are right; else over what the test is to be good: Box, or Cloud of the estimate
+    doubt      None: the values are right; else over what the test is to be good: a part of every value (less where
+               the rig file knows it better), a Box, a Cloud, or "estimate", the cloud of `estimate` or of what `after`
+               tells
     pick       (count, names) of the sensors to choose; names () are all
     against    frequencies, or measured lines, to compare with
     """
@@ -78,7 +91,7 @@ class Question:
     limits: Limits = field(default_factory=Limits)
     amplitude: float = 1.0
     drives: tuple[str, ...] = ()
-    doubt: Box | Cloud | None = None
+    doubt: float | Box | Cloud | Literal["estimate"] | None = None
     doubt_by: Doubt = "worst"
     pick: tuple[int, tuple[str, ...]] | None = None
     against: tuple[float, ...] | Spectrum | None = None
@@ -130,7 +143,8 @@ def answer(question: Question) -> Answer:
         choice = _pick(question, base, band_grid(base, low, high, question.step), information, rate)
         dropped = set(question.pick[1] or _outputs(base)) - set(choice.best)
         base = base.with_channels([c for c in base.channels if c.name not in dropped])
-    budget = _budget(question, base, rate)
+    about = _doubt(question, base, estimate)
+    budget = _budget(question, base, rate, about)
     if rate is not None and high > NYQUIST * rate and question.band is None:
         high = NYQUIST * rate
 
@@ -138,7 +152,7 @@ def answer(question: Question) -> Answer:
         return band_grid(own, low, high, question.step)
 
     known = base.prior if information is None else base.known(information)
-    found, wide, robust, doubt = _test(question, base, budget, grid_of, information)
+    found, wide, robust, doubt = _test(question, base, budget, grid_of, information, about)
     if wide is not base:
         known = wide.prior if information is None else wide.known(information)
     grid = grid_of(wide)
@@ -155,6 +169,16 @@ def answer(question: Question) -> Answer:
         wide, question.goal, grid, known, found, comparison, choice, robust, estimate, so_far, verdict, doubt,
         tuple(dict.fromkeys(notes)),
     )  # fmt: skip
+
+
+def _doubt(question: Question, base: Bench, estimate: Estimate | None) -> Box | Cloud | None:
+    if question.doubt is None or isinstance(question.doubt, Box | Cloud):
+        return question.doubt
+    if isinstance(question.doubt, float):
+        return box_of(base.model, base.theta[0], question.doubt)
+    if estimate is None:
+        raise UsageError("a doubt of an estimate that is not there", cure="say the doubt with --doubt 30%")
+    return cloud_of(base.model, estimate)
 
 
 def _outputs(base: Bench) -> list[str]:
@@ -198,7 +222,7 @@ def _rate(channels: tuple[Channel, ...]) -> float | None:
     return min(rates) if rates else None
 
 
-def _budget(question: Question, base: Bench, rate: float | None) -> Budget:
+def _budget(question: Question, base: Bench, rate: float | None, about: Box | Cloud | None) -> Budget:
     samples, time = question.samples, question.time
     if samples is None and time is None:
         if question.target is None:
@@ -208,29 +232,43 @@ def _budget(question: Question, base: Bench, rate: float | None) -> Budget:
         samples, time = (FIRST_SAMPLES, None) if rate is None else (None, FIRST_TIME)
     settle = question.settle
     if settle is None:
-        settle = base.settling() if time is not None else 0.0
+        settle = _settling(base, about) if time is not None else 0.0
     if samples is not None and question.settle is None and rate is not None:
-        settle = _settling_or_none(base)
+        settle = _settling_or_none(base, about)
     return Budget(samples, time, rate, settle, question.min_dwell, question.most)
 
 
-def _settling_or_none(base: Bench) -> float:
+def _settling(base: Bench, about: Box | Cloud | None) -> float:
+    """Settling time, s; with a doubt, of the slowest rig that it allows."""
+    return base.settling() if about is None else slowest_settling(base, about)
+
+
+def _settling_or_none(base: Bench, about: Box | Cloud | None) -> float:
     """Settling for a test that is counted in samples: told where it is known, 0 where nothing damps the rig."""
     try:
-        return base.settling()
+        return _settling(base, about)
     except UsageError:
         return 0.0
 
 
 def _test(
-    question: Question, base: Bench, budget: Budget, grid_of: Any, information: Real | None
+    question: Question,
+    base: Bench,
+    budget: Budget,
+    grid_of: Any,
+    information: Real | None,
+    about: Box | Cloud | None,
 ) -> tuple[Plan | None, Bench, Robust | None, Doubt]:
     shortest_one = question.samples is None and question.time is None
-    if question.doubt is not None:
-        if shortest_one:
-            raise UsageError("a robust test needs a budget", cure="give --samples or --time")
-        make = on_average if question.doubt_by == "average" else in_the_worst_case
-        robust = make(base, question.goal, budget, question.doubt, grid_of, known=information)
+    if about is not None:
+        goal = question.goal
+        target = question.target if shortest_one else None
+        if question.doubt_by == "average":
+            robust = on_average(base, goal, budget, about, grid_of, target=target, known=information)
+        elif target is not None:
+            robust = shortest_in_the_worst_case(base, goal, target, budget, about, grid_of, known=information)
+        else:
+            robust = in_the_worst_case(base, goal, budget, about, grid_of, known=information)
         return robust.plan, robust.bench, robust, question.doubt_by
     known = None if information is None else base.known(information)
     if shortest_one:
@@ -269,13 +307,19 @@ def _stopping(question: Question, estimate: Estimate | None) -> tuple[Progress |
     so_far = progress(question.model, question.after)
     if question.target is None:
         return so_far, None
-    targets = getattr(question.goal, "targets", {})
+    goal = question.goal
+    targets = getattr(goal, "targets", {})
     if not targets:
-        names = question.goal.names if hasattr(question.goal, "names") else ()
+        every = [u.name for u in question.model.unknowns]
         own = [u.name for u in question.model.unknowns if u.sd is None]
-        targets = dict.fromkeys(names or own, question.target)
+        targets = dict.fromkeys(getattr(goal, "names", ()) or own or every, question.target)
+    reading: Reading = (
+        "volume" if isinstance(goal, Volume) else "rms" if isinstance(goal, MeanError) else "each"
+    )
+    if len(targets) == 1:
+        reading = "each"
     known = np.diag(question.model.prior_precision)
-    verdict = enough(estimate, dict(targets), int(np.sum(question.after.samples)), known)
+    verdict = enough(estimate, dict(targets), int(np.sum(question.after.samples)), known, reading)
     return so_far, verdict
 
 

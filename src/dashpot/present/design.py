@@ -83,7 +83,8 @@ def _expected(found: Answer) -> Table:
     p = found.plan.predicted
     other = None if found.comparison is None else found.comparison
     table = _table()
-    for title in ("parameter", "value", "± to expect", "± %", "95 % interval"):
+    narrow = other is not None and found.estimate is not None  # else the units would not fit on 80 columns
+    for title in ("parameter", "value", *(() if narrow else ("± to expect",)), "± %", "95 % interval"):
         table.add_column(title, justify="left" if title == "parameter" else "right", no_wrap=True)
     if found.estimate is not None:
         table.add_column("now\n± %", justify="right", no_wrap=True)
@@ -97,7 +98,7 @@ def _expected(found: Answer) -> Table:
         v, sd = float(p.values[j]), float(p.sd[j])
         value, spread = rounded(v, sd)
         ends = alike([v - 1.96 * sd, v + 1.96 * sd], sd)
-        cells = [name, value, spread, _percent(p, name), " … ".join(ends)]
+        cells = [name, value, *(() if narrow else (spread,)), _percent(p, name), " … ".join(ends)]
         if now is not None:
             cells.append(now.get(name, NOTHING))
         if other is not None:
@@ -131,12 +132,11 @@ def _words(found: Answer, plan: Plan) -> list[str]:
     first += f"whole periods and limits cost {f'{cost:.2g} %' if cost >= 0.01 else 'less than 0.01 %'}."
     words = [first]
     if len(p.names) > 1:
-        words.append(f"Rms of the relative standard deviations of all parameters: {100 * p.rms():.3g} %.")
+        words.append(f"Rms of the relative standard deviations of all parameters: {short(100 * p.rms())} %.")
     if found.robust is not None:
-        words.append(
-            f"In the worst case of the whole doubt, as far as a search finds it: "
-            f"{_figure(plan.goal, found.robust.worst)}."
-        )
+        searched = found.doubt == "worst"
+        where = "of the whole doubt, as far as a search finds it" if searched else "of these scenarios"
+        words.append(f"In the worst case {where}: {_figure(plan.goal, found.robust.worst)}.")
     if found.comparison is not None:
         c = found.comparison
         line = f"The other test ({len(c.lines.frequency_hz)} frequencies) gives "
@@ -154,7 +154,7 @@ def _times(factor: float) -> str:
 
 def _figure(goal: str, value: float) -> str:
     """A goal's figure in words: a relative sd; of targets, in parts of them."""
-    return f"{value:.3g} × target" if "targets" in goal else f"{100 * value:.3g} %"
+    return f"{short(value)} × target" if "targets" in goal else f"{short(100 * value)} %"
 
 
 def _stopping(found: Answer, out: Console) -> None:
@@ -163,15 +163,16 @@ def _stopping(found: Answer, out: Console) -> None:
     if v.reached:
         out.print(Text(f"Enough: {v.reason}.", style="green"))
         return
-    more = (
-        ""
-        if not np.isfinite(v.more)
-        else f"; {v.more:,.0f} more samples of the same kind would do".replace(",", " ")
-    )
+    more = "" if not np.isfinite(v.more) else f"; {_grouped(v.more)} more samples of the same kind would do"
     best = ""
     if found.plan is not None and np.isfinite(v.more) and found.plan.predicted.figure <= 1.0001:
-        best = f", the test below adds {found.plan.samples:,} samples".replace(",", " ")
+        best = f", the test below adds {_grouped(found.plan.samples)}"
     out.print(Text(f"Not enough yet: {v.reason}{more}{best}."), soft_wrap=False)
+
+
+def _grouped(count: float) -> str:
+    """12 544, kept on one line."""
+    return f"{count:,.0f}".replace(",", "\N{NO-BREAK SPACE}")
 
 
 def _sensors(found: Answer, out: Console) -> None:

@@ -20,6 +20,7 @@ from matplotlib.ticker import (
 
 from dashpot.arrays import Real
 from dashpot.present.figures import COLOURS, INK, MODEL, MUTED, style
+from dashpot.present.numbers import short
 
 HEAT = LinearSegmentedColormap.from_list("heat", ["#ffffff", "#d5e6ee", "#7fb6cd", "#0b6e99", "#083d56"])
 OTHER, EARLIER = "#c4661f", "#7b8794"
@@ -51,10 +52,9 @@ def plan_figure(
     """
     with style():
         rows = max(1.3, 0.24 * len(names) + 0.5)
-        figure = Figure(figsize=(7.4, 2.5 + rows + max(1.5, 0.3 * len(names) + 0.8)))
-        top, middle, bottom = figure.subplots(
-            3, 1, gridspec_kw={"height_ratios": [2.3, rows, max(1.4, 0.3 * len(names) + 0.6)]}
-        )
+        bars = max(1.4, (0.12 + 0.11 * len(tests)) * len(names) + 0.6)
+        figure = Figure(figsize=(7.4, 2.6 + rows + bars))
+        top, middle, bottom = figure.subplots(3, 1, gridspec_kw={"height_ratios": [2.3, rows, bars]})
         _dwells(top, frequency_hz, curves, dwells_hz, dwells, dwell_unit)
         top.set_title(title)
         _heat(middle, frequency_hz, names, shares, dwells_hz)
@@ -151,7 +151,7 @@ def _intervals(axes: Axes, names: Sequence[str], tests: Sequence[Bars]) -> None:
         for value, place in zip(test.percent, at, strict=True):
             if np.isfinite(value) and height > 0.15:
                 axes.annotate(
-                    f"{value:.2g}", (value, place), textcoords="offset points", xytext=(3, 0), va="center", fontsize=7,
+                    short(value, 2), (value, place), textcoords="offset points", xytext=(3, 0), va="center", fontsize=7,
                     color=INK,
                 )  # fmt: skip
     axes.set_yticks(y)
@@ -168,7 +168,7 @@ def _intervals(axes: Axes, names: Sequence[str], tests: Sequence[Bars]) -> None:
     axes.set_xlabel("standard deviation to expect, per cent of the value")
     axes.set_title("Intervals to expect")
     if len(tests) > 1:
-        axes.legend(loc="lower right")
+        axes.legend(loc="best")
 
 
 def progress_figure(

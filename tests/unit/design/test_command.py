@@ -27,7 +27,7 @@ def test_contract_of_the_json(tmp_path: Path, capsys: pytest.CaptureFixture[str]
     assert csv.read_text().count("\n") == 1 + len(told["dwells"])
     assert picture.read_bytes().startswith(b"\x89PNG")
     shown = capsys.readouterr().out
-    assert "0.89 %" in shown
+    assert "0.890 %" in shown
     assert "duality gap" in shown
 
 

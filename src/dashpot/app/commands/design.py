@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import click
 
@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from dashpot.data.spectrum import Spectrum
     from dashpot.design.bench import Limits
     from dashpot.design.goals import Goal
-    from dashpot.design.robust import Box, Cloud
+    from dashpot.design.robust import Cloud
     from dashpot.estimate.estimate import Estimate
     from dashpot.model.modelfile import Rig
 
@@ -221,7 +221,7 @@ def command(
         found.model, channels, goal, values, earlier, data, aim, more["samples"], more["time"], more["rate"],
         settle, 0.0 if min_dwell is None else min_dwell, max_frequencies, more["band"], grid,
         _limits(found, more), _amplitude(found, more["amplitude"]), drives,
-        _doubt(more["robust"], more["doubt"], earlier if earlier is not None else estimate, data),
+        _doubt(found, more["robust"], more["doubt"], estimate, bool(after)),
         "worst" if more["robust"] is None else more["robust"],
         _pick(sensors), None if against is None else _against(found, against, more, quiet),
     )  # fmt: skip
@@ -374,20 +374,26 @@ def _amplitude(rig: Rig, text: str | None) -> float:
 
 
 def _doubt(
-    robust: str | None, doubt: float | None, estimate: Estimate | None, data: Spectrum | None
-) -> Box | Cloud | None:
-    from dashpot.design.robust import Box, Cloud
+    rig: Rig,
+    robust: str | None,
+    doubt: float | None,
+    estimate: Estimate | None,
+    after: bool,
+) -> float | Cloud | Literal["estimate"] | None:
+    """A part of every value, or the covariance of --estimate, or of what --after tells."""
+    from dashpot.design.robust import cloud_of
     from dashpot.errors import UsageError
 
-    if robust is None and doubt is None:
-        return None
-    if doubt is not None:
-        return Box(doubt)
-    if estimate is None or data is not None:
+    if robust is None or doubt is not None:
+        return doubt
+    if estimate is not None:
+        return cloud_of(rig.model, estimate)
+    if not after:
         raise UsageError(
-            "--robust without a doubt", cure="give --doubt 30%, or --estimate, whose covariance is the doubt"
+            "--robust without a doubt",
+            cure="give --doubt 30%, or --estimate or --after, whose covariance is the doubt",
         )
-    return Cloud(estimate.covariance)
+    return "estimate"
 
 
 def _pick(text: str | None) -> tuple[int, tuple[str, ...]] | None:
