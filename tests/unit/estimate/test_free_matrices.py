@@ -229,29 +229,26 @@ def test_letters_choose_the_matrices_that_are_held(weak) -> None:
     assert np.array_equal(identify(rig.model, few, DefiniteOptimalIV("MK")).values, free.values[:8])
 
 
-def test_a_floating_chain_is_held_on_what_its_springs_span() -> None:
-    """Two masses joined by a spring and a damper, nothing to ground: K is singular for good; c comes out at 0."""
+def test_a_floating_ring_is_held_on_what_its_springs_span() -> None:
+    """Three masses in a ring of springs, nothing to ground: K is singular for good, whatever its springs."""
+    x = ("x1", "x2", "x3")
+    ring = [("k1", "x1", "x2"), ("k2", "x2", "x3"), ("k3", "x3", "x1")]
     model = Model(
-        ("x1", "x2"), (Input("f", "force", {"x1": 1.0}),),
-        (mass("m1", "x1"), mass("m2", "x2"),
-         between("k", Kind.SPRING, "x1", "x2"), between("c", Kind.DAMPER, "x1", "x2")),
+        x, (Input("f", "force", {"x1": 1.0}),),
+        (*(mass(f"m{i}", at) for i, at in enumerate(x)), *(between(k, Kind.SPRING, a, b) for k, a, b in ring),
+         between("c", Kind.DAMPER, "x1", "x2")),
     )  # fmt: skip
     f = np.geomspace(1.5, 14.0, 14)
-    rig = Rig(
-        model,
-        np.array([1.0, 2.0, 900.0, 0.01]),
-        f,
-        np.zeros((14, 0), dtype=complex),
-        np.full((14, 1), 5.0 + 0j),
-    )
+    theta = np.array([1.0, 2.0, 1.5, 900.0, 700.0, 1200.0, 0.01])
+    rig = Rig(model, theta, f, np.zeros((14, 0), dtype=complex), np.full((14, 1), 5.0 + 0j))
     ch = channels(rig)
     spectrum = noisy(rig, ch, covariance(rig, ch, 0.05), np.random.default_rng(2), 20)
     free, held = identify(model, spectrum, OptimalIV()), identify(model, spectrum, DefiniteOptimalIV())
-    negative = free.values[:, 3] < 0
-    assert 4 <= np.sum(negative) <= 16
+    negative = free.values[:, 6] < 0
+    assert 3 <= np.sum(negative) <= 17
     assert np.all(held.converged)
     assert np.array_equal(held.values[~negative], free.values[~negative])
-    assert np.all((held.values[negative, 3] > 0) & (held.values[negative, 3] < 1e-4 * held.sd[negative, 3]))
+    assert np.all((held.values[negative, 6] > 0) & (held.values[negative, 6] < 1e-4 * held.sd[negative, 6]))
 
 
 def test_bad_pairs_and_letters_are_refused() -> None:

@@ -48,30 +48,45 @@ def slow_sums(
     return A, G
 
 
-def test_both_are_the_textbook_formulas_written_out() -> None:
+@pytest.mark.parametrize("prior", [False, True])
+def test_both_are_the_textbook_formulas_written_out(prior: bool) -> None:
     """tls: the eigenvector of A v = λ G v with the smallest λ (Van Huffel and Vandewalle); cls: A v = G v without its
-    last row.  Weighted by Ω at weighted least squares, here in two passes by hand."""
+    last row.  Weighted by Ω at weighted least squares, here in three passes by hand.
+
+    A prior is one more row, with noise of 1 on its right side; in the first pass it is held.
+    """
     rng = np.random.default_rng(5)
     for trial in range(4):
         rig = random_rig(rng, 2 + trial % 2, displacements=1, forces=trial % 2, known=0.3)
+        m = len(rig.theta)
+        if prior:
+            value, sd = 1.05 * rig.theta[0], 0.05 * rig.theta[0]
+            rig = rig.knowing({rig.names[0]: {"value": value, "sd": sd}})
         ch = channels(rig)
         V = covariance(rig, ch, 0.004, inputs=0.002, correlation=0.3)
         spectrum = noisy(rig, ch, V, rng)
-        z, m = spectrum.amplitudes, len(rig.theta)
-        weights = [np.eye(rig.model.n)] * rig.lines
+        z = spectrum.amplitudes
+
+        row = np.zeros(m + 1)
+        if prior:
+            row[[0, m]] = 1 / sd, value / sd
+        A, _ = slow_sums(rig, z, V, [np.eye(rig.model.n)] * rig.lines)
+        theta = np.linalg.solve(A[:m, :m], A[:m, m])
+        if prior:
+            theta = np.concatenate([[value], np.linalg.solve(A[1:m, 1:m], A[1:m, m] - A[1:m, 0] * value)])
         for _ in range(3):
-            A, G = slow_sums(rig, z, V, weights)
-            theta = np.linalg.solve(A[:m, :m], A[:m, m])
             H = [stiffness(rig.model, rig.model.parameters(theta), omega) for omega in rig.omega]
             weights = [np.linalg.inv(h @ v @ h.conj().T) for h, v in zip(H, V, strict=True)]
-        A, G = slow_sums(rig, z, V, weights)
+            A, G = slow_sums(rig, z, V, weights)
+            A += np.outer(row, row)
+            G[m, m] += prior
+            theta = np.linalg.solve(A[:m, :m], A[:m, m])
         size = 1 / np.sqrt(np.diag(A))
         scale = np.outer(size, size)
         values, vectors = eigh(G * scale, A * scale)  # the largest of 1/λ
         v = vectors[:, -1] * size
-        expected = -v[:m] / v[m]
         found = identify(rig.model, spectrum, TotalLeastSquares())
-        assert np.allclose(found.values, expected, rtol=1e-7)
+        assert np.allclose(found.values, -v[:m] / v[m], rtol=1e-7)
         assert bool(found.converged)
         assert 1 / values[-1] == pytest.approx(1, abs=0.7)
         compensated = np.linalg.solve(A[:m, :m] - G[:m, :m], A[:m, m] - G[:m, m])
@@ -79,7 +94,7 @@ def test_both_are_the_textbook_formulas_written_out() -> None:
         assert not any("too large" in warning for warning in found.warnings)
         assert np.allclose(found.values, compensated, rtol=1e-7)
         # The noise's moments matter here: without them the answer is another one.
-        assert not np.allclose(found.values, np.linalg.solve(A[:m, :m], A[:m, m]), rtol=1e-5)
+        assert not np.allclose(found.values, theta, rtol=1e-5)
 
 
 @pytest.mark.parametrize("name", ["tls", "cls"])
@@ -115,21 +130,24 @@ def test_total_least_squares_is_oiv_where_all_lines_weigh_alike() -> None:
 
 
 def test_total_least_squares_needs_the_noise_up_to_a_factor_only() -> None:
-    """Noise stated a hundred times too large changes neither values nor, by χ², what is said of them."""
+    """Noise stated a hundred times too small or too large: the same values, sd in its units.
+
+    Where it is too small, χ² sees it and widens the intervals by the right factor.
+    """
     rig = paper_rig()
     ch = channels(rig)
     V = covariance(rig, ch, 0.03)
     spectrum = noisy(rig, ch, V, np.random.default_rng(2))
-    wrong = replace(spectrum, covariance=V * 1e4)
-    found, same = (
-        identify(rig.model, spectrum, TotalLeastSquares()),
-        identify(rig.model, wrong, TotalLeastSquares()),
-    )
-    assert np.allclose(found.values, same.values, rtol=1e-8)
-    assert (
-        np.max(np.abs(identify(rig.model, wrong, CompensatedLeastSquares()).values - found.values) / found.sd)
-        > 0.1
-    )
+    found = identify(rig.model, spectrum, TotalLeastSquares())
+    for factor in (1e-4, 1e4):
+        wrong = replace(spectrum, covariance=V * factor)
+        same = identify(rig.model, wrong, TotalLeastSquares())
+        assert np.allclose(found.values, same.values, rtol=1e-8)
+        assert np.allclose(found.noise_sd, same.noise_sd / np.sqrt(factor), rtol=1e-6)
+        if factor < 1:
+            assert np.allclose(found.sd * found.fit.misfit, same.sd, rtol=1e-6)
+    off = identify(rig.model, wrong, CompensatedLeastSquares()).values - found.values
+    assert np.max(np.abs(off) / found.sd) > 0.1
 
 
 def test_compensation_of_unknown_noise_is_refused() -> None:
