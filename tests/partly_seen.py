@@ -354,4 +354,29 @@ def calibrations() -> Bench:
     )  # fmt: skip
 
 
+def two(
+    c3: float = 4.0, noise: float = 0.02, full: bool = False, known: str = "k1", **limits: float | None
+) -> Bench:
+    """Two masses on a shaken base with two dampers to ground, seen at one point twice over; c3 may have limits."""
+    values = {"m1": 2.0, "m2": 1.0, "k1": 4000.0, "k2": 3000.0, "c1": 20.0, "c2": 8.0, "c3": c3, "c4": 10.0}
+    elements = [
+        mass("m1", "x1"), mass("m2", "x2"),
+        between("k1", K, "u", "x1"), between("k2", K, "x1", "x2"),
+        between("c1", C, "u", "x1"), between("c2", C, "x1", "x2"),
+        between("c3", C, "x1", "ground", **limits), between("c4", C, "x2", "ground"),
+    ]  # fmt: skip
+    elements = [replace(e, value=values[e.name]) if e.name in known.split() else e for e in elements]
+    f = np.geomspace(2, 16, 14)
+    channels = (
+        Channel("a1", {"x1": 1}, A),
+        Channel("x2", {"x2": 1}),
+        Channel("u", {"u": 1}),
+    )
+    if full:
+        channels = (Channel("x1", {"x1": 1}), *channels[1:])
+    model = Model(("x1", "x2"), (Input("u"),), tuple(elements))
+    U, none = np.full((14, 1), 0.01 + 0j), np.zeros((14, 0), dtype=complex)
+    return Bench("two", model, values, channels, f, U, none, {"": noise, "u": 0.0})
+
+
 BENCHES = (third_of_six, force_at_one_point, noisy_base, reaction, pitch_and_bounce, calibrations)

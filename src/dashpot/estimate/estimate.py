@@ -81,6 +81,8 @@ class Estimate:
     noise_covariance    (..., m, m)  what the sensors' noise alone gives; the same unless `basis` says otherwise
     bound_sd (..., m)   standard deviations at the Cramér-Rao bound, at the estimate
     dof (..., m)        degrees of freedom of the t quantile that the intervals use
+    lower, upper (m,)   bounds that the estimate was held to, ±inf where there is none
+    free_values (..., m)  where it would lie without bounds, to first order; the same where none holds
     basis               what the intervals count: "sensor noise", "residuals" or "model misfit"
     known               (name, value, unit) of the exactly known parameters
     tied                (name, unknown, times, unit) of the parameters that are a multiple of an unknown
@@ -96,6 +98,9 @@ class Estimate:
     noise_covariance: Real
     bound_sd: Real
     dof: Real
+    lower: Real
+    upper: Real
+    free_values: Real
     basis: str
     converged: Bools
     iterations: Ints
@@ -108,7 +113,8 @@ class Estimate:
     warnings: tuple[str, ...]
 
     def __post_init__(self) -> None:
-        for name in ("values", "covariance", "noise_covariance", "bound_sd", "dof", "history"):
+        fields = ("values", "covariance", "noise_covariance", "bound_sd", "dof", "history", "lower", "upper")
+        for name in (*fields, "free_values"):
             object.__setattr__(self, name, frozen(getattr(self, name), np.float64))
 
     @property
@@ -129,11 +135,25 @@ class Estimate:
         return np.sqrt(np.diagonal(self.noise_covariance, axis1=-2, axis2=-1))
 
     def interval(self, level: float = 0.95) -> tuple[Real, Real]:
-        """Lower and upper ends of the intervals, each (..., m)."""
+        """Lower and upper ends of the intervals, each (..., m).
+
+        Where an unknown has bounds, the interval is that of the free estimate, cut off at them: what it holds of the
+        allowed values it held before, so its coverage is kept.  Where the free estimate lies beyond a bound, the cut
+        interval would shrink to nothing; there its far end is that of the distribution truncated at the bound, which
+        passes into the other one smoothly.  The interval always holds the value.
+        """
         from scipy.special import stdtrit  # scipy.stats costs half a second of start-up
 
         half = stdtrit(self.dof, 0.5 + level / 2) * self.sd
-        return self.values - half, self.values + half
+        low, high = self.free_values - half, self.free_values + half
+        if np.any(np.isfinite(self.lower) | np.isfinite(self.upper)):
+            reach = self.sd * _truncated_reach((self.lower - self.free_values) / self.sd, self.dof, level)
+            high = np.where(self.free_values < self.lower, self.free_values + reach, high)
+            reach = self.sd * _truncated_reach((self.free_values - self.upper) / self.sd, self.dof, level)
+            low = np.where(self.free_values > self.upper, self.free_values - reach, low)
+            low, high = np.clip(low, self.lower, self.upper), np.clip(high, self.lower, self.upper)
+            low, high = np.minimum(low, self.values), np.maximum(high, self.values)
+        return low, high
 
     def __iter__(self) -> Iterator[Value]:
         """The unknowns one by one (no batch axes)."""
@@ -170,6 +190,13 @@ class Estimate:
             raise DataError("a batch of estimates is not written as JSON", cure="save its arrays instead")
         noise = dict(zip(self.names, self.noise_sd.tolist(), strict=True))
         dof = dict(zip(self.names, self.dof.tolist(), strict=True))
+        limits = {
+            name: {"min": float(low), "max": float(high), "without_limits": float(free)}
+            for name, value, low, high, free in zip(
+                self.names, self.values, self.lower, self.upper, self.free_values, strict=True
+            )
+            if np.isfinite(low) or np.isfinite(high) or free != value
+        }
         parameters = {}
         for name, v in self.parameters().items():
             entry: dict[str, Any] = {
@@ -178,6 +205,8 @@ class Estimate:
             }  # fmt: skip
             if name in noise:
                 entry |= {"noise_sd": noise[name], "interval_dof": dof[name]}
+            if name in limits:
+                entry |= limits[name]
             parameters[name] = entry
         content = {
             "dashpot": FORMAT,
@@ -220,6 +249,17 @@ class Estimate:
         except (OSError, UnicodeDecodeError) as error:
             raise DataError("the file cannot be read", str(path), "write it with --json") from error
         return Estimate.from_json(text, str(path))
+
+
+def _truncated_reach(beyond: Real, dof: Real, level: float) -> Real:
+    """How far from its centre a standard t distribution cut off at `beyond` > 0 holds `level` of what is left."""
+    from scipy.special import stdtr, stdtrit
+
+    beyond = np.where(np.isfinite(beyond), np.maximum(beyond, 0.0), 0.0)
+    left = (1 - level) * stdtr(dof, -beyond)
+    with np.errstate(all="ignore"):
+        reach = -stdtrit(dof, left)
+    return np.where(np.isfinite(reach), np.maximum(reach, beyond), beyond)
 
 
 def _plain(content: Any) -> Any:
@@ -276,6 +316,11 @@ def _loaded(content: Mapping[str, Any]) -> Estimate:
         noise_covariance=np.array([[number(v) for v in row] for row in content["noise_covariance"]]),
         bound_sd=np.array([number(parameters[name]["bound_sd"]) for name in order]),
         dof=np.array([number(parameters[name]["interval_dof"], math.inf) for name in order]),
+        lower=np.array([number(parameters[name].get("min"), -math.inf) for name in order]),
+        upper=np.array([number(parameters[name].get("max"), math.inf) for name in order]),
+        free_values=np.array(
+            [number(parameters[name].get("without_limits", parameters[name]["value"])) for name in order]
+        ),
         basis=content["intervals_count"],
         converged=np.asarray(content["status"] == "converged"),
         iterations=np.asarray(content["iterations"], dtype=np.int64),

@@ -55,9 +55,13 @@ def identify(
 
 
 def automatic(model: Model, spectrum: Spectrum) -> Method:
-    """OptimalIV where calibrated channels see every coordinate and input, else MaximumLikelihood."""
+    """OptimalIV where calibrated channels see every coordinate and input, else MaximumLikelihood.
+
+    Bounds of unknowns are MaximumLikelihood's as well: it alone holds them.
+    """
     direct = all(is_direct(model, channel) for channel in spectrum.channels)
-    return OptimalIV() if direct and not unseen(model, spectrum) else MaximumLikelihood()
+    bounded = any(unknown.lower is not None or unknown.upper is not None for unknown in model.unknowns)
+    return OptimalIV() if direct and not bounded and not unseen(model, spectrum) else MaximumLikelihood()
 
 
 def _check(model: Model, spectrum: Spectrum) -> None:
@@ -193,12 +197,13 @@ def _assemble(
     chi2, p = join([part.worth.chi2 for part in parts]), join([part.worth.p for part in parts])
     fit = Fit(chi2, judged.dof, p, known_noise)
     if single:
-        _require_determined(judged.names, theta, noise)
+        require_determined(judged.names, theta, noise)
     misfit = bool(np.any(fit.rejected))
     warnings = list(dict.fromkeys(w for part in parts for w in part.solution.warnings))
     warnings += _warnings(model, theta, fit, known_noise) if single else []
     warnings += _colour(spectrum)
     m = len(model.unknowns)
+    limits = parts[0].solution.limits
     return Estimate(
         model=model.name,
         method=method.name,
@@ -207,22 +212,35 @@ def _assemble(
         values=theta,
         covariance=covariance,
         noise_covariance=noise,
-        bound_sd=join([np.sqrt(np.diagonal(part.worth.bound, axis1=-2, axis2=-1)) for part in parts]),
+        bound_sd=join([_sd(part.worth.bound) for part in parts]),
         dof=join([part.worth.dof for part in parts]),
+        lower=np.full(len(judged.names), -np.inf) if limits is None else limits.lower,
+        upper=np.full(len(judged.names), np.inf) if limits is None else limits.upper,
+        free_values=join([_free_values(part.solution) for part in parts]),
         basis="model misfit" if misfit else "sensor noise" if known_noise else "residuals",
         converged=np.concatenate([part.solution.converged for part in parts]).reshape(batch),
         iterations=np.concatenate([part.solution.iterations for part in parts]).reshape(batch),
         history=parts[0].solution.history,
         fit=fit,
-        known=_known(model),
-        tied=_tied(model),
+        known=known_values(model),
+        tied=tied_values(model),
         modes=mode_values(model, theta[:m], covariance[:m, :m]) if single else None,
         signs={name: join([part.solution.signs[name] for part in parts]) for name in parts[0].solution.signs},
         warnings=tuple(warnings),
     )
 
 
-def _require_determined(names: tuple[str, ...], theta: Real, covariance: Real) -> None:
+def _sd(covariance: Real) -> Real:
+    """NaN where rounding has made a variance negative: the data do not determine that unknown."""
+    variance = np.diagonal(covariance, axis1=-2, axis2=-1)
+    return np.sqrt(np.where(variance >= 0, variance, np.nan))
+
+
+def _free_values(solution: Solution) -> Real:
+    return solution.theta if solution.limits is None else solution.limits.free
+
+
+def require_determined(names: tuple[str, ...], theta: Real, covariance: Real) -> None:
     variance = np.diagonal(covariance)
     if np.all(np.isfinite(theta)) and np.all(np.isfinite(variance)) and np.all(variance >= 0):
         return
@@ -251,6 +269,10 @@ def _warnings(model: Model, theta: Real, fit: Fit, known_noise: bool) -> list[st
             found.append(
                 f"{unknown.name} comes out negative ({value:.4g} {unknown.unit}): the model or the data lack something"
             )
+        if (unknown.lower is not None and value < unknown.lower) or (
+            unknown.upper is not None and value > unknown.upper
+        ):
+            found.append(f"{unknown.name} lies beyond its bounds: of all methods, only ml holds to them")
     return found
 
 
@@ -266,7 +288,7 @@ def _colour(spectrum: Spectrum) -> list[str]:
     return [told]
 
 
-def _known(model: Model) -> tuple[tuple[str, float, str], ...]:
+def known_values(model: Model) -> tuple[tuple[str, float, str], ...]:
     unknown = {u.name for u in model.unknowns}
     return tuple(
         (element.name, float(model.p0[i]), model.unit(element))
@@ -275,7 +297,7 @@ def _known(model: Model) -> tuple[tuple[str, float, str], ...]:
     )
 
 
-def _tied(model: Model) -> tuple[tuple[str, str, float, str], ...]:
+def tied_values(model: Model) -> tuple[tuple[str, str, float, str], ...]:
     return tuple(
         (element.name, model.elements[tie.root].name, tie.times, model.unit(element))
         for element, tie, row in zip(model.elements, model.ties, model.T, strict=True)

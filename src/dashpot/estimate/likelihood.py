@@ -11,10 +11,10 @@ import numpy as np
 from dashpot.arrays import Ints, Real, hermitian
 from dashpot.errors import ConvergenceError
 from dashpot.estimate.least_squares import compensated
-from dashpot.estimate.method import Method, Prepared, Solution
+from dashpot.estimate.method import Limits, Method, Prepared, Solution
 from dashpot.estimate.output import Measured, Outlook, directly_driven, measured, outlook, predict
-from dashpot.estimate.regression import inverse
-from dashpot.estimate.search import Found, Local, minimise
+from dashpot.estimate.regression import inverse, solve_scaled
+from dashpot.estimate.search import PATIENCE, Found, Local, minimise
 from dashpot.estimate.starts import candidates, neighbours
 from dashpot.estimate.states import is_direct
 
@@ -99,8 +99,18 @@ class MaximumLikelihood(Method):
         return Solution(
             found.x, bread, found.converged, found.iterations, found.history,
             signs={view.channels[int(c)].name: sign[:, c] for c in np.flatnonzero(view.flips)},
-            warnings=warnings,
+            warnings=warnings, limits=self._limits(view, exact, found.x, sign, lower, upper),
         )  # fmt: skip
+
+    def _limits(
+        self, view: Outlook, data: Measured, psi: Real, sign: Real, lower: Real, upper: Real
+    ) -> Limits | None:
+        if not np.any(np.isfinite(lower) | np.isfinite(upper)):
+            return None
+        here = local(view, data, psi, sign)
+        held = np.any((psi <= lower) | (psi >= upper), axis=-1, keepdims=True)
+        free = np.where(held, psi + solve_scaled(here.symmetric, here.gradient), psi)
+        return Limits(lower, upper, free)
 
     def _descend(
         self,
@@ -135,12 +145,16 @@ class MaximumLikelihood(Method):
         found: Found | None = None
         for psi, flips in zip(bottoms.psi, bottoms.sign, strict=True):
             start, signs = (np.repeat(part[None], len(data.y), axis=0) for part in (psi, flips))
-            end = self._descend(view, data, start, signs, lower, upper)
             if found is None:
-                found, sign = end, signs
+                found, sign = self._descend(view, data, start, signs, lower, upper), signs
                 continue
-            sign = np.where((end.cost < found.cost * (1 - 1e-9))[:, None], signs, sign)
-            found = found.improved(np.arange(len(data.y)), end)
+            # A few steps tell for which repeats this valley is not out of the question.
+            short = self._descend(view, data, start, signs, lower, upper, limit=PATIENCE)
+            rows = np.flatnonzero(short.cost < found.cost + DOUBT * unit)
+            end = self._descend(view, data.pick(rows), short.x[rows], signs[rows], lower, upper)
+            sign = sign.copy()
+            sign[rows[found.worse(rows, end)]] = flips
+            found = found.improved(rows, end)
         if found is None:
             raise ConvergenceError("no start leads to a minimum", cure="give guesses of the unknowns")
         return found, sign, _rivals(view, first, bottoms, DOUBT * unit) if len(data.y) == 1 else ()

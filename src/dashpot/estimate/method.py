@@ -39,12 +39,25 @@ class Prepared:
 
 
 @dataclass(frozen=True)
+class Limits:
+    """Bounds of the unknowns: lower and upper (unknowns,), ±inf where there is none.
+
+    free (K, unknowns): where the estimate would lie without them, by one Gauss-Newton step; θ itself where none holds.
+    """
+
+    lower: Real
+    upper: Real
+    free: Real
+
+
+@dataclass(frozen=True)
 class Solution:
     """What a method found, for K repeats.
 
     theta (K, unknowns), followed by gains and delays where the method estimates them; covariance of the noise given
     in the spectrum, (K, unknowns, unknowns); converged and iterations (K,); history: θ after each iteration of the
     first repeat, (iterations + 1, unknowns).  `signs`: channels whose sign was found, ±1 for each repeat.
+    `limits`: bounds that were held, if any.
     """
 
     theta: Real
@@ -54,6 +67,7 @@ class Solution:
     history: Real
     signs: Mapping[str, Real] = field(default_factory=dict)
     warnings: tuple[str, ...] = ()
+    limits: Limits | None = None
 
 
 class Method(ABC):

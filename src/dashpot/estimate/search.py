@@ -52,9 +52,13 @@ class Found:
     iterations: Ints
     history: Real
 
+    def worse(self, rows: Ints, other: Found) -> Bools:
+        """For which of `rows` another search over them ended lower, or settled where this one did not."""
+        return (other.cost < self.cost[rows] * (1 - 1e-9)) | (other.converged & ~self.converged[rows])
+
     def improved(self, rows: Ints, other: Found) -> Found:
         """With what another search over some of the repeats found, where that is lower.  Iterations add up."""
-        better = (other.cost < self.cost[rows] * (1 - 1e-9)) | (other.converged & ~self.converged[rows])
+        better = self.worse(rows, other)
         x, cost, converged = self.x.copy(), self.cost.copy(), self.converged.copy()
         iterations = self.iterations.copy()
         x[rows[better]], cost[rows[better]] = other.x[better], other.cost[better]
@@ -101,8 +105,11 @@ def minimise(
     damping = np.zeros(len(active))
     for turn in range(limit):
         if turn >= patience:
-            here = _curved(evaluate, x, active, here, damping == 0)
-        step, spread = _step(x, here, damping, low, high)
+            here, convex = _curved(evaluate, x, active, here)
+            damping = np.where(convex & (turn == patience), 0.0, damping)
+        else:
+            convex = np.zeros(len(active), dtype=bool)
+        step, spread = _step(x, here, damping, convex, low, high)
         trial = np.clip(x + np.clip(np.nan_to_num(step), -longest, longest), low, high)
         with np.errstate(all="ignore"):
             there = _finite(evaluate(trial, active))
@@ -111,6 +118,7 @@ def minimise(
         moved = np.abs(trial - x)
         near = max(tolerance, min(tolerance * 10.0 ** (turn // patience - 1), ROUNDING))
         small = np.all(moved <= np.maximum(near * spread, 1e-13 * np.abs(x)), axis=-1)
+        calm = _calmer(damping, here.cost - there.cost, _promised(here, trial - x))
         x = np.where(better[:, None], trial, x)
         here = there.where(better, here)
         iterations[active] += 1
@@ -120,9 +128,7 @@ def minimise(
         # A tiny full step ends the search.  So does a tiny rejected one: nothing lower is left within rounding.
         done = small & usable & ((damping == 0) | ~better)
         converged[active[done]] = True
-        damping = np.where(
-            better, np.where(damping > 1e-6, damping / 10, 0.0), np.maximum(damping * 10, 1e-4)
-        )
+        damping = np.where(better, calm, np.maximum(damping * 3, 1e-5))
         keep = ~(done | (damping > 1e14))
         if not np.any(keep):
             break
@@ -131,8 +137,8 @@ def minimise(
     return Found(x_all, cost_all, converged, iterations, np.array(history))
 
 
-def _curved(evaluate: Callable[[Real, Ints], Local], x: Real, rows: Ints, here: Local, full: Bools) -> Local:
-    """Newton's matrix for full steps, by differences of the slope, where it is positive definite.
+def _curved(evaluate: Callable[[Real, Ints], Local], x: Real, rows: Ints, here: Local) -> tuple[Local, Bools]:
+    """Newton's matrix as `free`, by differences of the slope, where it is positive definite; and where it is.
 
     Gauss-Newton and instruments leave out the curvature that residuals bring in: where the model does not fit, they
     creep.
@@ -149,9 +155,24 @@ def _curved(evaluate: Callable[[Real, Ints], Local], x: Real, rows: Ints, here: 
         curvature = np.stack(columns, axis=-1)
         curvature = (curvature + np.swapaxes(curvature, -1, -2)) / 2
         scaled = np.nan_to_num(curvature * spread[:, :, None] * spread[:, None, :])
-        convex = full & (np.linalg.eigvalsh(scaled)[:, 0] > 1e-6)
+        convex = np.linalg.eigvalsh(scaled)[:, 0] > 1e-6
     free = np.where(convex[:, None, None], curvature, here.free)
-    return Local(here.cost, here.gradient, here.symmetric, free)
+    return Local(here.cost, here.gradient, here.symmetric, free), convex
+
+
+def _promised(here: Local, step: Real) -> Real:
+    """By how much a step would lower the cost were it the parabola that Gauss and Newton take it for."""
+    bent = np.einsum("ki,kij,kj->k", step, here.symmetric, step)
+    fall: Real = 2 * np.sum(here.gradient * step, axis=-1) - bent
+    return fall
+
+
+def _calmer(damping: Real, gained: Real, promised: Real) -> Real:
+    """Damping after a step that lowered the cost: a tenth where it kept its promise, as before where it hardly did."""
+    with np.errstate(all="ignore"):
+        kept = np.nan_to_num(gained / promised)
+    factor = np.where(kept > 0.75, 1 / 3, np.where(kept > 0.25, 0.7, 1.0))
+    return np.where(damping * factor > 1e-7, damping * factor, 0.0)
 
 
 def _finite(local: Local) -> Local:
@@ -159,12 +180,16 @@ def _finite(local: Local) -> Local:
     return Local(cost, local.gradient, local.symmetric, local.free)
 
 
-def _step(x: Real, here: Local, damping: Real, low: Real, high: Real) -> tuple[Real, Real]:
-    """The next step of each repeat, and the standard deviations that steps are measured in."""
+def _step(x: Real, here: Local, damping: Real, newton: Bools, low: Real, high: Real) -> tuple[Real, Real]:
+    """The next step of each repeat, and the standard deviations that steps are measured in.
+
+    `newton`: where `free` is Newton's matrix, which may be damped; an instrumental one gives full steps only.
+    """
     m = x.shape[-1]
     diagonal = np.diagonal(here.symmetric, axis1=-2, axis2=-1)
-    damped = here.symmetric + (damping[:, None] * diagonal)[..., None] * np.eye(m)
-    matrix = np.where((damping == 0)[:, None, None], here.free, damped)
+    full = newton | (damping == 0)
+    matrix = np.where(full[:, None, None], here.free, here.symmetric)
+    matrix = matrix + (damping[:, None] * diagonal)[..., None] * np.eye(m)
     gradient = here.gradient
     held = ((x <= low) & (gradient < 0)) | ((x >= high) & (gradient > 0))
     if np.any(held):
