@@ -10,7 +10,7 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from dashpot.channel import Quantity
-from dashpot.design.allocation import Grid, band_grid, natural_band, optimise
+from dashpot.design.allocation import Grid, band_grid, natural_band, optimise, value
 from dashpot.design.bench import Bench, Limits, bench
 from dashpot.design.goals import Goal, MeanError, Volume, WorstError
 from dashpot.design.plan import Budget, plan
@@ -39,7 +39,11 @@ def random_bench(seed: int, most: int = 4, limits: Limits | None = None) -> Benc
 
 @pytest.mark.parametrize("block", range(5))
 def test_duality_gap_on_random_rigs(block: int) -> None:
-    """Below 1e-6 on 50 rigs, each for one of the goals; F of other tests never below what the gap allows."""
+    """Below 1e-6 on 50 rigs, each for one of the goals; no other frequency gains more than the gap allows.
+
+    The theorem's slow twin: a thousandth of the test is spent at points between those of the search instead, and F
+    computed anew.
+    """
     for seed in range(10 * block, 10 * block + 10):
         own = random_bench(seed)
         goal = GOALS[seed % 3]
@@ -48,13 +52,21 @@ def test_duality_gap_on_random_rigs(block: int) -> None:
         found = optimise(own.information, terms, own.prior, 1e4, grid)
         assert found.gap < 1e-6
         assert np.sum(found.share) == pytest.approx(1.0)
-        # The equivalence theorem, evaluated anew on points between those of the search.
-        f = np.sqrt(grid.frequency_hz[1:] * grid.frequency_hz[:-1])
-        inside = grid.pattern[1:] == grid.pattern[:-1]
-        curve = (
-            np.interp(f[inside], grid.frequency_hz, found.curve[2]) if len(own.drives) == 1 else np.ones(1)
-        )
-        assert np.max(curve) <= 1 + 1e-5
+        f, k = np.sqrt(grid.frequency_hz[1:] * grid.frequency_hz[:-1]), grid.pattern[1:]
+        same = grid.pattern[:-1] == k
+        few = np.flatnonzero(same)[seed % 4 :: 4]
+        others = 1e4 * own.information(f[few], k[few])
+        best = own.information(found.frequency_hz, found.pattern)
+        M = 1e4 * np.einsum("i,siab->sab", found.share, best)
+        moved = [
+            value(terms, own.prior + 0.999 * M + 0.001 * others[:, i]).F for i in range(others.shape[1])
+        ]
+        unit = 1.0 if terms.block is not None else found.F
+        assert value(terms, own.prior + M).F == pytest.approx(found.F, rel=1e-9)
+        assert min(moved) >= found.F - 2e-6 * unit
+        worse = found.share * (1 + 0.2 * np.cos(np.arange(len(found.share))))
+        F = value(terms, own.prior + 1e4 * np.einsum("i,siab->sab", worse / worse.sum(), best)).F
+        assert F >= found.F - 2e-6 * unit
 
 
 @settings(max_examples=15)

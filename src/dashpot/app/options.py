@@ -60,6 +60,25 @@ class Positive(click.ParamType[float]):
         return number
 
 
+class Setting(click.ParamType[tuple[str, float]]):
+    """NAME=NUMBER."""
+
+    name = "name=value"
+
+    def convert(
+        self, value: object, param: click.Parameter | None, ctx: click.Context | None
+    ) -> tuple[str, float]:
+        """Name and number."""
+        name, equals, text = str(value).partition("=")
+        try:
+            number = float(text)
+        except ValueError:
+            number = float("nan")
+        if not equals or not name.strip() or not abs(number) < 1e300:
+            self.fail(f"{str(value)!r} sets nothing; write NAME=NUMBER, such as m1=3.0", param, ctx)
+        return name.strip(), number
+
+
 class Conditioning(TypedDict):
     """How time records become amplitudes, as the options say it."""
 

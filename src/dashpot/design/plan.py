@@ -299,7 +299,8 @@ def shortest(
         else:
             low = amount
         if low >= ENOUGH:
-            raise UsageError(f"the target takes more than {ENOUGH:g} of test", cure="ask for less precision")
+            unit = "s" if budget.samples is None else "samples"
+            raise UsageError(f"the target takes more than {ENOUGH:g} {unit}", cure="ask for less precision")
         guess = 4 * amount
         if found is not None:
             # Information, 1 / variance, grows from what is known about evenly with the test.
@@ -607,7 +608,10 @@ class Comparison:
 def compare(
     bench: Bench, goal: Goal, found: Plan, other: Lines, *, known: Real | None = None, doubt: Doubt = "worst"
 ) -> Comparison:
-    """Another test against a plan.  Raises IdentifiabilityError where it does not determine the unknowns."""
+    """Another test against a plan.
+
+    Raises IdentifiabilityError where it does not determine the unknowns, whatever the number of its samples.
+    """
     prior = bench.prior if known is None else known
     M = other.information(bench)
     predicted = predict(bench, goal, prior + M, doubt)

@@ -49,7 +49,7 @@ from dashpot.design.sequential import (
     progress,
     values_after,
 )
-from dashpot.errors import UsageError
+from dashpot.errors import IdentifiabilityError, UsageError
 from dashpot.estimate.estimate import Estimate
 from dashpot.estimate.identify import identify
 from dashpot.model.network import Model
@@ -158,10 +158,13 @@ def answer(question: Question) -> Answer:
     grid = grid_of(wide)
     comparison = None
     if found is not None and question.against is not None:
-        comparison = compare(
-            wide, question.goal, found, _other(question.against, found), known=None if information is None else known,
-            doubt=doubt,
-        )  # fmt: skip
+        other = _other(question.against, found)
+        try:
+            comparison = compare(
+                wide, question.goal, found, other, known=None if information is None else known, doubt=doubt
+            )
+        except IdentifiabilityError:
+            notes.append("the other test does not determine the unknowns, however many samples it takes")
     so_far, verdict = _stopping(question, estimate)
     if found is not None:
         notes += found.notes

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import click
 
-from dashpot.app.options import Positive, tell_notes
+from dashpot.app.options import Positive, Setting, tell_notes
 
 if TYPE_CHECKING:
     from dashpot.data.spectrum import Spectrum
@@ -62,22 +62,6 @@ class Band(click.ParamType[tuple[float, float]]):
         if match is None or not 0 < float(match[1]) < float(match[2]) < 1e12:
             self.fail(f"{value!r} is no band; write it in Hz as 0.5:25", param, ctx)
         return float(match[1]), float(match[2])
-
-
-class Setting(click.ParamType[tuple[str, float]]):
-    """A value by name: m1=3."""
-
-    name = "name=value"
-
-    def convert(
-        self, value: object, param: click.Parameter | None, ctx: click.Context | None
-    ) -> tuple[str, float]:
-        """Name and number."""
-        name, _, text = str(value).partition("=")
-        try:
-            return name.strip(), float(text)
-        except ValueError:
-            self.fail(f"{value!r} sets nothing; write it as m1=3.0", param, ctx)
 
 
 def share(text: str) -> float | None:
@@ -264,12 +248,14 @@ def _draw(
 def _known_names(rig: Rig, values: dict[str, float]) -> None:
     from dashpot.errors import UsageError
 
-    own = [unknown.name for unknown in rig.model.unknowns]
-    for name in values:
+    own = {unknown.name: unknown for unknown in rig.model.unknowns}
+    for name, value in values.items():
         if name not in own:
             raise UsageError(
                 f"--set {name}: no unknown of this rig", rig.path, f"its unknowns are {', '.join(own)}"
             )
+        if value < 0 and own[name].unit == "kg":
+            raise UsageError(f"--set {name}: a mass of {value:g} kg", rig.path, "give a positive mass")
 
 
 def _load(path: str) -> Estimate:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from dashpot.app.options import Positive
+from dashpot.app.options import Positive, Setting
 
 if TYPE_CHECKING:
     from dashpot.channel import Channel
@@ -43,25 +43,6 @@ class Frequencies(click.ParamType[tuple[float, ...]]):
                 f"{text!r} names no frequencies; write 1,2,5 or 0.5:25:40 (from:to:count, in Hz)", param, ctx
             )
         return found
-
-
-class Setting(click.ParamType[tuple[str, float]]):
-    """NAME=NUMBER."""
-
-    name = "name=value"
-
-    def convert(
-        self, value: object, param: click.Parameter | None, ctx: click.Context | None
-    ) -> tuple[str, float]:
-        """Name and number."""
-        name, equals, text = str(value).partition("=")
-        try:
-            number = float(text)
-        except ValueError:
-            number = float("nan")
-        if not equals or not name.strip() or not abs(number) < 1e300:
-            self.fail(f"{str(value)!r} sets nothing; write NAME=NUMBER, such as m1=3.0", param, ctx)
-        return name.strip(), number
 
 
 @click.command(name="simulate")
