@@ -47,6 +47,21 @@ def auxiliary(model: Model, p: Real, data: States) -> Auxiliary:
     Where the inputs are exact this is the response of the auxiliary model to them; where they are noisy, inputs and
     outputs are both corrected, as maximum likelihood does.  ẑ satisfies H ẑ = 0 exactly.
     """
+    H, spread, Se = _equation_noise(model, p, data)
+    e = np.einsum("...ij,...j->...i", H, data.z)
+    Oe = solve(Se, e[..., None])
+    z = data.z - (spread @ Oe)[..., 0]
+    n, r = data.n, data.r
+    return Auxiliary(e, Se, Oe[..., 0], unit_forces(model, data.omega, z[..., :n], z[..., n : n + r]))
+
+
+def equation_covariance(model: Model, p: Real, data: States) -> Complex:
+    """Se = H Σ Hᴴ alone, (..., lines, n, n)."""
+    return _equation_noise(model, p, data)[2]
+
+
+def _equation_noise(model: Model, p: Real, data: States) -> tuple[Complex, Complex, Complex]:
+    """H, Σ Hᴴ and Se = H Σ Hᴴ."""
     H = stiffness(model, p, data.omega)
     if model.S.shape[1]:
         S = np.broadcast_to(-model.S.astype(complex), (*H.shape[:-1], model.S.shape[1]))
@@ -56,12 +71,7 @@ def auxiliary(model: Model, p: Real, data: States) -> Auxiliary:
     # Channels that are exact beside noisy ones would make Se singular: a floor far below the noise keeps it regular.
     own = np.diagonal(Se, axis1=-2, axis2=-1).real
     floor = SINGULAR * np.where(own > 0, own, np.max(own, axis=-1, keepdims=True))
-    Se = Se + floor[..., None] * np.eye(model.n)
-    e = np.einsum("...ij,...j->...i", H, data.z)
-    Oe = solve(Se, e[..., None])
-    z = data.z - (spread @ Oe)[..., 0]
-    n, r = data.n, data.r
-    return Auxiliary(e, Se, Oe[..., 0], unit_forces(model, data.omega, z[..., :n], z[..., n : n + r]))
+    return H, spread, Se + floor[..., None] * np.eye(model.n)
 
 
 def information(model: Model, at: Auxiliary) -> Real:
@@ -70,11 +80,10 @@ def information(model: Model, at: Auxiliary) -> Real:
     return 2 * (hermitian(Psi) @ solve(at.Se, Psi)).real
 
 
-def normal_equations(model: Model, at: Auxiliary, a: Complex) -> tuple[Real, Real, Real]:
-    """(N of the instruments w with the measured a, N of w with itself, gradient −Re Ψᴴ Ω e · 2)."""
+def normal_equations(model: Model, at: Auxiliary, Phi: Complex) -> tuple[Real, Real, Real]:
+    """(N of the instruments w with the measured Φ, N of w with itself, gradient −Re Ψᴴ Ω e · 2)."""
     Psi = regressors(model, at.w)
     Q, symmetric = weighted_normal(Psi, at.Se, Psi)
-    Phi = regressors(model, a)
     rows = Q.shape[-3] * Q.shape[-2]
     left = hermitian(Q.reshape(*Q.shape[:-3], rows, Q.shape[-1]))
     mixed = 2 * (left @ Phi.reshape(*Phi.shape[:-3], rows, Phi.shape[-1])).real

@@ -14,7 +14,7 @@ from dashpot.errors import UsageError
 from dashpot.estimate.auxiliary import auxiliary, information, normal_equations
 from dashpot.estimate.least_squares import sandwich, solve_sums, starts
 from dashpot.estimate.method import Method, Prepared, Solution
-from dashpot.estimate.regression import inverse
+from dashpot.estimate.regression import inverse, regressors
 from dashpot.estimate.samples import Sampled, least_squares_sums, sampled, sums_with_harmonics
 from dashpot.estimate.search import Found, Local, minimise
 from dashpot.estimate.states import States
@@ -132,12 +132,12 @@ def search(
 def objective(model: Model, states: States, repeats: Ints) -> Callable[[Real, Ints], Local]:
     """Σ eᴴ Ω(θ) e with the priors' rows, as `minimise` takes it, for some of the repeats."""
     precision = model.prior_precision
+    mine = states.rows(repeats)
+    Phi = regressors(model, unit_forces(model, mine.omega, mine.X, mine.U))
 
     def evaluate(theta: Real, rows: Ints) -> Local:
-        part = states.rows(repeats[rows])
-        at = auxiliary(model, model.parameters(theta), part)
-        a = unit_forces(model, part.omega, part.X, part.U)
-        mixed, symmetric, gradient = normal_equations(model, at, a)
+        at = auxiliary(model, model.parameters(theta), mine.rows(rows))
+        mixed, symmetric, gradient = normal_equations(model, at, Phi[rows])
         away = theta - model.prior_mean
         return Local(
             at.cost() + np.sum(precision * away**2, axis=-1),

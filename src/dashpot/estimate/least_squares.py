@@ -9,7 +9,7 @@ import numpy as np
 
 from dashpot.arrays import Bools, Complex, Real, hermitian
 from dashpot.errors import UsageError
-from dashpot.estimate.auxiliary import auxiliary
+from dashpot.estimate.auxiliary import equation_covariance
 from dashpot.estimate.method import Method, Prepared, Solution, closed_form
 from dashpot.estimate.regression import (
     gram,
@@ -74,7 +74,7 @@ class WeightedLeastSquares(Method):
             raise UsageError("wls needs every coordinate and input", cure="use the method ml")
         looks = combined(data)
         N, r = gram(model, looks.a, looks.a, looks.weight), gram_force(model, looks.a, looks.f, looks.weight)
-        Se = auxiliary(model, model.parameters(solve_sums(looks, N, r)), data.states).Se
+        Se = equation_covariance(model, model.parameters(solve_sums(looks, N, r)), data.states)
         Phi, h = regressors(model, looks.a), known_side(model, looks.a, looks.f)
         bread, right = with_priors(model, *normal_sums(Se, Phi, h))
         theta = solve_scaled(bread, right)
@@ -245,15 +245,19 @@ def starts(model: Model, data: States) -> tuple[Real, Real, Real]:
     fixed = _without_priors(model)
     free = model.prior_precision == 0
     plain = np.broadcast_to(model.prior_mean, (len(data.z), len(model.unknowns))).copy()
+    Phi, h = equation(model, data)
     if np.any(free):
-        plain[:, free] = solve_scaled(*amplitude_normal(fixed, data, None))
+        even = np.broadcast_to(np.eye(model.n, dtype=complex), (len(data.omega), model.n, model.n))
+        sides = (Phi, h) if fixed is model else equation(fixed, data)
+        plain[:, free] = solve_scaled(*normal_sums(even, *sides))
     weighted = plain
     for _ in range(2):
-        Se = auxiliary(model, model.parameters(weighted), data).Se
-        N, right = with_priors(model, *amplitude_normal(model, data, Se))
+        Se = equation_covariance(model, model.parameters(weighted), data)
+        N, right = with_priors(model, *normal_sums(Se, Phi, h))
         weighted = where_finite(solve_scaled(N, right), weighted)
-    Se = auxiliary(model, model.parameters(weighted), data).Se
-    return where_finite(without_noise(model, data, Se)[0], weighted), weighted, plain
+    Se = equation_covariance(model, model.parameters(weighted), data)
+    clean, _ = without_noise(model, data, Se, *normal_sums(Se, Phi, h))
+    return where_finite(clean, weighted), weighted, plain
 
 
 def compensated(model: Model, data: States) -> Real:
@@ -268,24 +272,24 @@ def where_finite(values: Real, otherwise: Real) -> Real:
 
 def _without_priors(model: Model) -> Model:
     """The model with its uncertain known values taken as exact."""
+    if not np.any(model.prior_precision):
+        return model
     return replace(model, elements=tuple(replace(element, sd=None) for element in model.elements))
 
 
-def amplitude_normal(model: Model, data: States, Se: Complex | None) -> tuple[Real, Real]:
-    """Normal matrix and right side of least squares on amplitudes with weight Se⁻¹, or none."""
+def equation(model: Model, data: States) -> tuple[Complex, Complex]:
+    """Φ and h of the measured amplitudes: e = Φ θ − h; (K, lines, n, unknowns) and (K, lines, n)."""
     a = unit_forces(model, data.omega, data.X, data.U)
-    if Se is None:
-        Se = np.broadcast_to(np.eye(model.n, dtype=complex), (len(data.omega), model.n, model.n))
-    return normal_sums(Se, regressors(model, a), known_side(model, a, data.f))
+    return regressors(model, a), known_side(model, a, data.f)
 
 
-def without_noise(model: Model, data: States, Se: Complex) -> tuple[Real, Bools]:
+def without_noise(model: Model, data: States, Se: Complex, N: Real, right: Real) -> tuple[Real, Bools]:
     """Weighted least squares less what the noise of the regressors adds to its sums; (K, unknowns).
 
     E[Φᴴ Ω Φ] of the measured regressors is that of the true ones plus a term in Σ, which is known.  Where taking it
-    out leaves no positive definite matrix, it is left in, and the second value is False, (K,).
+    out leaves no positive definite matrix, it is left in, and the second value is False, (K,).  N and `right` are the
+    sums with the weight Se⁻¹, without the priors.
     """
-    N, right = amplitude_normal(model, data, Se)
     noise, noise_right = noise_sums(model, data, Se)
     prior, prior_right = np.diag(model.prior_precision), model.prior_precision * model.prior_mean
     raw, clean = N + prior, N - noise + prior

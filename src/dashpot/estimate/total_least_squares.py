@@ -16,10 +16,10 @@ import numpy as np
 
 from dashpot.arrays import Complex, Real
 from dashpot.errors import UsageError
-from dashpot.estimate.auxiliary import auxiliary
+from dashpot.estimate.auxiliary import auxiliary, equation_covariance
 from dashpot.estimate.least_squares import (
-    amplitude_normal,
     combined,
+    equation,
     equation_map,
     noise_map,
     noise_sums,
@@ -31,9 +31,9 @@ from dashpot.estimate.least_squares import (
     without_noise,
 )
 from dashpot.estimate.method import Method, Prepared, Solution
-from dashpot.estimate.regression import inverse, known_side, regressors, solve_scaled
+from dashpot.estimate.regression import inverse, regressors, solve_scaled
 from dashpot.estimate.states import States
-from dashpot.model.dynamics import solve, unit_forces
+from dashpot.model.dynamics import solve
 from dashpot.model.network import Model
 
 
@@ -53,7 +53,7 @@ class TotalLeastSquares(Method):
         states = _seen(data, self.name)
         model = data.model
         _, start, _ = starts(model, states)
-        sums = noisy_sums(model, states, auxiliary(model, model.parameters(start), states).Se)
+        sums = noisy_sums(model, states, equation_covariance(model, model.parameters(start), states))
         found = self._search(sums, start)
         covariance = _covariance(data, sums, found.theta, found.size, total=True)
         warnings = (
@@ -110,8 +110,9 @@ class CompensatedLeastSquares(Method):
             )
         model = data.model
         _, start, plain = starts(model, states)
-        sums = noisy_sums(model, states, auxiliary(model, model.parameters(start), states).Se)
-        theta, usable = without_noise(model, states, sums.Se)
+        sums = noisy_sums(model, states, equation_covariance(model, model.parameters(start), states))
+        raw = normal_sums(sums.Se, sums.Phi, sums.h)
+        theta, usable = without_noise(model, states, sums.Se, *raw)
         size = usable.astype(float)
         theta = theta + sums.correction(theta, size)
         covariance = _covariance(data, sums, theta, size, total=False)
@@ -179,7 +180,7 @@ class NoisySums:
 
     def noise(self, theta: Real) -> Real:
         """vᵀGv, (K,): what `cost` is on average where θ is true."""
-        spread = auxiliary(self.model, self.model.parameters(theta), self.states).Se
+        spread = equation_covariance(self.model, self.model.parameters(theta), self.states)
         rows = np.trace(solve(self.Se, spread), axis1=-2, axis2=-1).real
         total: Real = 2 * np.sum(rows, axis=-1) + np.count_nonzero(self.model.prior_precision)
         return total
@@ -198,10 +199,10 @@ class NoisySums:
 
 def noisy_sums(model: Model, states: States, Se: Complex) -> NoisySums:
     """The parts of A and G with weight Se⁻¹."""
-    N, r = with_priors(model, *amplitude_normal(model, states, Se))
+    Phi, h = equation(model, states)
+    N, r = with_priors(model, *normal_sums(Se, Phi, h))
     G, g = noise_sums(model, states, Se)
-    a = unit_forces(model, states.omega, states.X, states.U)
-    return NoisySums(model, states, Se, regressors(model, a), known_side(model, a, states.f), N, r, G, g)
+    return NoisySums(model, states, Se, Phi, h, N, r, G, g)
 
 
 def _covariance(data: Prepared, sums: NoisySums, theta: Real, size: Real, *, total: bool) -> Real:

@@ -155,14 +155,18 @@ class Model:
         return tuple(element.kind for element in self.elements)
 
     @cached_property
-    def _law(self) -> Ints:
-        return frozen([list(Kind).index(kind) for kind in self.kinds], np.int64)
+    def _by_kind(self) -> Mapping[Kind, Ints]:
+        return {
+            kind: frozen([i for i, own in enumerate(self.kinds) if own is kind], np.int64)
+            for kind in dict.fromkeys(self.kinds)
+        }
 
     def factors(self, omega: Real) -> Complex:
         """φ_i(ω) for `omega` of shape (lines,) in rad/s; shape (lines, elements)."""
-        table = np.stack([kind.factor(omega) for kind in Kind], axis=-1)
-        chosen: Complex = table[..., self._law]
-        return chosen
+        phi = np.empty((*omega.shape, len(self.elements)), dtype=np.complex128)
+        for kind, chosen in self._by_kind.items():
+            phi[..., chosen] = kind.factor(omega)[..., None]
+        return phi
 
     # Unknowns
 
