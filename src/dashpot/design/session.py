@@ -350,6 +350,12 @@ def json_of(found: Answer) -> str:
         }  # fmt: skip
     if found.robust is not None:
         extra["worst_case"] = found.robust.worst
+    if found.so_far is not None:
+        s = found.so_far
+        extra["so_far"] = {
+            "samples": s.samples.tolist(),
+            "relative_sd": {name: s.relative[:, j].tolist() for j, name in enumerate(s.names)},
+        }
     if found.verdict is not None:
         v = found.verdict
         extra["enough"] = {

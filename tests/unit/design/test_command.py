@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pytest
 
 from dashpot.app.cli import run
@@ -46,10 +48,140 @@ def test_after_data_with_a_target(tmp_path: Path, capsys: pytest.CaptureFixture[
     assert "Not enough yet" in capsys.readouterr().out
 
 
+def told(capsys: pytest.CaptureFixture[str], *args: str) -> dict[str, Any]:
+    """The JSON that the command prints."""
+    assert run(["design", str(RIG), *args, "--json", "-"]) == 0
+    found: dict[str, Any] = json.loads(capsys.readouterr().out)
+    return found
+
+
+def test_a_test_of_so_much_time_within_limits(capsys: pytest.CaptureFixture[str]) -> None:
+    args = [
+        "--time",
+        "1min",
+        "--rate",
+        "200",
+        "--settle",
+        "1.5s",
+        "--min-dwell",
+        "4s",
+        "--max-frequencies",
+        "3",
+    ]
+    args += ["--stroke", "5mm", "--max-velocity", "0.1m/s", "--max-acceleration", "1gn", "--max-force", "30N"]
+    found = told(capsys, *args, "--grid", "0.5", "--band", "0.5:25", "--for", "c2,m1")
+    assert 55 < found["time_s"] <= 60
+    assert len(found["dwells"]) <= 3
+    for dwell in found["dwells"]:
+        assert dwell["frequency_hz"] % 0.5 == 0
+        assert dwell["settle_s"] == 1.5
+        assert dwell["time_s"] >= 4
+        assert dwell["periods"] == pytest.approx(dwell["time_s"] * dwell["frequency_hz"])
+        w, u = 2 * np.pi * dwell["frequency_hz"], dwell["amplitudes"]["u"]
+        assert max(u / 0.005, w * u / 0.1, w**2 * u / 9.80665) <= 1
+    assert told(capsys, *args, "--grid", "0.5", "--band", "0.5:25")["figure"] > 0
+
+
+def test_targets_amplitudes_noise_and_values(capsys: pytest.CaptureFixture[str]) -> None:
+    band = ["--band", "0.25:25"]
+    both = told(capsys, "--target", "c2=2%,m1=1%", *band)["predicted"]
+    assert both["c2"]["relative_sd"] <= 0.02
+    assert both["m1"]["relative_sd"] <= 0.01
+    assert max(both["c2"]["relative_sd"] / 0.02, both["m1"]["relative_sd"] / 0.01) > 0.99
+    usual = told(capsys, "--samples", "1400", *band)
+    half = told(capsys, "--samples", "1400", "--relative-noise", "5%", "--amplitude", "3mm", *band)
+    assert half["figure"] == pytest.approx(usual["figure"] / 2)
+    assert half["dwells"][0]["amplitudes"]["u"] == pytest.approx(0.003)
+    other = told(capsys, "--samples", "1400", "--set", "m1=6", "--drive", "-u", *band)
+    assert other["predicted"]["m1"]["value"] == 6
+    assert other["dwells"][0]["amplitudes"]["u"] == -1
+    worst = told(capsys, "--samples", "1400", "--for", "worst", *band)
+    assert max(p["relative_sd"] for p in worst["predicted"].values()) < max(
+        p["relative_sd"] for p in usual["predicted"].values()
+    )
+    assert told(capsys, "--samples", "1400", "--for", "volume", *band)["gap"] < 1e-6
+
+
+def test_doubt_estimates_and_data(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """A box; the covariance of --estimate (not counted), of --after EST.json and of --after DATA (both counted)."""
+    data, estimate = str(tmp_path / "data.csv"), str(tmp_path / "estimate.json")
+    given = ["--frequencies", "2,3,4,5,6,8,10,12", "--samples", "56", "--seed", "4", "--quiet"]
+    assert run(["simulate", str(RIG), *given, "--out", data]) == 0
+    assert run(["identify", str(RIG), data, "--json", estimate, "--quiet"]) == 0
+    budget = ["--samples", "700", "--band", "0.25:25"]
+    plain = told(capsys, *budget)
+    box = told(capsys, *budget, "--doubt", "30%")
+    assert box["worst_case"] > box["predicted"]["m1"]["relative_sd"]
+    assert box["figure"] > plain["figure"]
+    mean = told(capsys, *budget, "--doubt", "30%", "--robust", "average")
+    assert plain["figure"] < mean["figure"] < box["figure"]
+    beside = told(capsys, *budget, "--estimate", estimate, "--robust", "average")
+    counted = told(capsys, *budget, "--after", estimate, "--robust", "worst")
+    again = told(capsys, *budget, "--after", data, "--robust", "worst", "--target", "1%")
+    assert counted["figure"] < 0.9 * beside["figure"]
+    assert again["figure"] == pytest.approx(counted["figure"], rel=1e-3)
+    assert again["enough"]["reached"] is False
+    assert again["enough"]["more_samples"] > 700
+    steps = again["so_far"]
+    assert steps["samples"][-1] == 448
+    assert steps["relative_sd"]["m1"][-1] < 0.05
+    assert len(steps["relative_sd"]["m1"]) == len(steps["samples"])
+
+
+def test_against_a_file_and_against_too_little(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The lines of a file count with their own shares of the samples; what determines nothing is said to."""
+    data = str(tmp_path / "data.csv")
+    given = ["--frequencies", "2,4,6,8,10,12", "--samples", "40", "--quiet"]
+    assert run(["simulate", str(RIG), *given, "--out", data]) == 0
+    budget = ["--samples", "1400", "--band", "0.25:25"]
+    file, listed = (told(capsys, *budget, "--against", what)["against"] for what in (data, "2:12:2"))
+    assert file == listed
+    assert file["sample_factor_iv"] > file["sample_factor"] > 1
+    lonely = told(capsys, *budget, "--against", "5")
+    assert "against" not in lonely
+    assert any("does not determine" in note for note in lonely["notes"])
+
+
+def test_sensors_are_chosen(capsys: pytest.CaptureFixture[str]) -> None:
+    found = told(capsys, "--samples", "1400", "--band", "0.25:25", "--sensors", "pick 2 of x1,v1,x2")
+    assert "x2" in found["sensors"]["best"]
+    assert len(found["sensors"]["best"]) == 2
+    assert [entry["figure"] for entry in found["sensors"]["ranking"]] == sorted(
+        entry["figure"] for entry in found["sensors"]["ranking"]
+    )
+
+
+@pytest.mark.parametrize("extra", [[], ["--after", "DATA", "--target", "1%"]], ids=["plan", "after"])
+def test_tables_fit_80_columns(
+    extra: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The widest table: with what is known now and with another test beside; units and all."""
+    monkeypatch.setenv("COLUMNS", "80")
+    data = str(tmp_path / "data.csv")
+    given = ["--frequencies", "2,3,4,5,6,8,10,12", "--samples", "56", "--quiet"]
+    assert run(["simulate", str(RIG), *given, "--out", data]) == 0
+    extra = [data if word == "DATA" else word for word in extra]
+    assert run(["design", str(RIG), "--samples", "1400", "--against", "1:14:1", *extra]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert max(len(line) for line in lines) <= 80
+    assert sum("N·s/m" in line for line in lines) == 4
+
+
 @pytest.mark.parametrize(
     ("args", "says"),
     [
         ([], "how much test there is"),
+        (["--samples", "1400", "--set", "m1=nan"], "sets nothing"),
+        (["--samples", "1400", "--set", "m1=-3"], "a mass of -3 kg"),
+        (["--samples", "1400", "--band", "100:200", "--rate", "250"], "too near half the sampling rate"),
+        (["--samples", "1400", "--doubt", "120%"], "between 0 and 100 %"),
+        (["--samples", "1400", "--grid", "40", "--band", "1:25"], "no multiple of 40 Hz"),
+        (["--time", "1min", "--rate", "200", "--settle", "2min"], "settling alone"),
+        (["--target", "1e-12"], "more than 1e+09 samples"),
+        (["--samples", "1400", "--against", "5,nan"], "frequencies and steps are positive"),
+        (["--samples", "1400", "--max-force", "0N"], "no force"),
+        (["--samples", "1400", "--progress", "p.png"], "--after DATA"),
+        (["--target", "c2=2%", "--for", "worst"], "--for with a target by names"),
         (["--samples", "100", "--time", "1min"], "both --samples and --time"),
         (["--time", "1min"], "sampling rate"),
         (["--time", "soon"], "no time"),
