@@ -118,7 +118,8 @@ def minimise(
         moved = np.abs(trial - x)
         near = max(tolerance, min(tolerance * 10.0 ** (turn // patience - 1), ROUNDING))
         small = np.all(moved <= np.maximum(near * spread, 1e-13 * np.abs(x)), axis=-1)
-        calm = _calmer(damping, here.cost - there.cost, _promised(here, trial - x))
+        with np.errstate(all="ignore"):  # steps from where there is no cost yet, or into the infinite
+            calm = _calmer(damping, here.cost - there.cost, _promised(here, trial - x))
         x = np.where(better[:, None], trial, x)
         here = there.where(better, here)
         iterations[active] += 1
