@@ -1,0 +1,94 @@
+"""Measured modes: natural frequencies, damping ratios and mode shapes with their uncertainty."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from dashpot.arrays import Complex, Real, frozen
+from dashpot.errors import DataError
+
+
+@dataclass(frozen=True)
+class ModalData:
+    """Modes that swing, as a modal test gives them; amplitudes may have leading batch axes (repeats).
+
+    points            names of the points of the shapes, any of the rig's coordinates; may be none
+    frequency_hz      (..., modes)            |λ| / 2π
+    damping_ratio     (..., modes)            −Re λ / |λ|; NaN where not measured
+    covariance        (modes, 2, 2)           of (frequency, damping ratio)
+    shapes            (..., modes, points)    of any complex scale each; NaN where not measured
+    shape_covariance  (modes, points, points) E[Δ Δᴴ] of circular noise: real and imaginary part have half of it each
+    """
+
+    points: tuple[str, ...]
+    frequency_hz: Real
+    damping_ratio: Real
+    covariance: Real
+    shapes: Complex
+    shape_covariance: Complex
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "points", tuple(self.points))
+        for name in ("frequency_hz", "damping_ratio", "covariance"):
+            object.__setattr__(self, name, frozen(getattr(self, name), np.float64))
+        for name in ("shapes", "shape_covariance"):
+            object.__setattr__(self, name, frozen(getattr(self, name), np.complex128))
+        count, points = self.modes, len(self.points)
+        expected = {
+            "damping_ratio": (self.damping_ratio.shape, self.frequency_hz.shape),
+            "covariance": (self.covariance.shape, (count, 2, 2)),
+            "shapes": (self.shapes.shape, (*self.frequency_hz.shape, points)),
+            "shape_covariance": (self.shape_covariance.shape, (count, points, points)),
+        }
+        for name, (found, wanted) in expected.items():
+            if found != wanted:
+                raise DataError(f"{name} has shape {found}, it must be {wanted}")
+        if count == 0:
+            raise DataError("there are no modes", cure="give at least one")
+        if not np.all((self.frequency_hz > 0) & np.isfinite(self.frequency_hz)):
+            raise DataError("a natural frequency is not positive and finite", cure="correct it")
+        damping = self.damping_ratio[~np.isnan(self.damping_ratio)]
+        if not np.all((damping > -1) & (damping < 1)):
+            raise DataError(
+                "a damping ratio is not between −1 and 1: such a mode does not swing", cure="leave it out"
+            )
+
+    @property
+    def modes(self) -> int:
+        """How many there are."""
+        return int(self.frequency_hz.shape[-1])
+
+    @property
+    def eigenvalues(self) -> Complex:
+        """λ = 2πf (−ζ + j √(1 − ζ²)), (..., modes), 1/s; ζ = 0 where not measured."""
+        zeta = np.nan_to_num(self.damping_ratio)
+        values: Complex = 2 * np.pi * self.frequency_hz * (-zeta + 1j * np.sqrt(1 - zeta**2))
+        return values
+
+
+def of_eigenvalues(
+    points: tuple[str, ...],
+    eigenvalues: Complex,
+    covariance: Real,
+    shapes: Complex,
+    shape_covariance: Complex,
+) -> ModalData:
+    """Modal data from eigenvalues (..., modes), 1/s, and the covariance (modes, 2, 2) of (Re λ, Im λ).
+
+    With repeats, the covariance of frequency and damping is taken at the mean eigenvalue.
+    """
+    size = np.abs(eigenvalues)
+    mean = np.mean(eigenvalues.reshape(-1, eigenvalues.shape[-1]), axis=0)
+    x, y, r = mean.real, mean.imag, np.abs(mean)
+    slope = np.array([[x / r / (2 * np.pi), y / r / (2 * np.pi)], [-(y**2) / r**3, x * y / r**3]])
+    slope = np.moveaxis(slope, -1, 0)
+    return ModalData(
+        points,
+        size / (2 * np.pi),
+        -eigenvalues.real / size,
+        slope @ covariance @ np.swapaxes(slope, -1, -2),
+        shapes,
+        shape_covariance,
+    )
