@@ -14,6 +14,7 @@ from importlib import import_module
 import click
 
 from dashpot.app.commands import COMMANDS
+from dashpot.app.workers import one_thread
 from dashpot.errors import DashpotError
 
 FAULT, USAGE, INTERRUPTED, BROKEN_PIPE = 1, 2, 130, 141  # 128 + signal, as shells report it
@@ -136,6 +137,7 @@ def main() -> None:
         # A terminal that knows no ± or χ² shows ? rather than ending the run.
         if hasattr(stream, "reconfigure"):
             stream.reconfigure(errors="replace")
+    one_thread()
     if not os.environ.get(TRACEBACK) and not sys.warnoptions:
         warnings.simplefilter(
             "ignore"

@@ -18,6 +18,18 @@ def cores() -> int:
     return os.cpu_count() or 1
 
 
+THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+
+
+def one_thread() -> None:
+    """Let BLAS compute on one thread, unless the user says otherwise; to be called before NumPy is imported.
+
+    Matrices here are small and many: on cores that have other work, waking threads takes most of the time.
+    """
+    for name in THREADS:
+        os.environ.setdefault(name, "1")
+
+
 @contextmanager
 def mapping(processes: int) -> Iterator[Map]:
     """A `map` over that many processes; with one, the built-in `map`.
@@ -32,9 +44,8 @@ def mapping(processes: int) -> Iterator[Map]:
     from concurrent.futures import ProcessPoolExecutor
     from multiprocessing import get_context
 
-    threads = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
-    before = {name: os.environ.get(name) for name in threads}
-    os.environ.update(dict.fromkeys(threads, "1"))  # spawned processes inherit it
+    before = {name: os.environ.get(name) for name in THREADS}
+    os.environ.update(dict.fromkeys(THREADS, "1"))  # spawned processes inherit it
     pool = ProcessPoolExecutor(processes, mp_context=get_context("spawn"), initializer=_ignore_interrupts)
     try:
         yield pool.map

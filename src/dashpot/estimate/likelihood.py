@@ -26,6 +26,7 @@ SOFTER = 0.3  # and in the first one, where logarithms cannot be had
 ROUGH = 60  # iterations of such a stage
 LOG_RESIDUAL = 0.5  # nepers beyond which a residual of logarithms counts no longer by its square
 POLISH = 25  # iterations for the deepest ends of a round
+EASY, PLAIN = 0.1, 0.5  # share of the first starts that end in one valley, if it fits and if not, that ends the search
 DEEPEST = 8  # valleys that are followed to the bottom
 RIVAL = 60.0  # χ² by which a valley may lie above the deepest one of one repeat and be the deepest of another
 PIECE = 2_000_000  # complex numbers of dynamic stiffness at once
@@ -176,8 +177,8 @@ class MaximumLikelihood(Method):
         """The valleys that many starts of one repeat lead to, the deepest first.
 
         The first round starts from candidates, those after it from neighbours of the deepest valleys as well.  Rounds
-        end when the deepest one fits (known noise) and a tenth of the first starts led there, or when two rounds in
-        a row find nothing deeper.
+        end when a tenth of the first starts led to the deepest one and it fits (known noise), or half of them, or when
+        two rounds in a row find nothing deeper.
         """
         one = data.only(repeat)
         rng = np.random.default_rng([self.seed, repeat])
@@ -207,8 +208,8 @@ class MaximumLikelihood(Method):
             valleys = valleys.with_ends(psi, sign, costs)
             lowest = valleys.cost[0]
             idle = idle + 1 if lowest > before - 1e-3 * max(1.0, lowest / exact.rows) else 0
-            easy = turn == 0 and np.sum(costs <= lowest * 1.01 + 1) >= self.starts / 10
-            if (lowest <= acceptable and easy) or idle > 1:
+            share = np.mean(costs <= lowest * 1.01 + 1) if turn == 0 else 0.0
+            if share >= (EASY if lowest <= acceptable else PLAIN) or idle > 1:
                 break
         return valleys
 
