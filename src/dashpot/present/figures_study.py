@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from textwrap import wrap
 from typing import Any
 
 import numpy as np
@@ -227,7 +228,8 @@ def bar_panels(
 ) -> Figure:
     """A panel for each title with groups of bars, their values above them, and a short line at each bound."""
     with style():
-        figure = Figure(figsize=(3.9 * len(titles) + 0.4, 3.4))
+        wide = max(3.9, min(0.6 + 0.28 * len(places) * len(panels[0]), 10.0)) if len(titles) == 1 else 3.9
+        figure = Figure(figsize=(wide * len(titles) + 0.4, 3.4))
         grid = figure.subplots(1, len(titles), squeeze=False, sharey=True)[0]
         for axes, title, own, bound in zip(grid, titles, panels, bounds, strict=True):
             width = 0.74 / len(own)
@@ -247,7 +249,7 @@ def bar_panels(
             axes.set_xticks(range(len(places)), places)
             axes.grid(visible=False, axis="x")
             axes.tick_params(axis="x", length=0)
-            axes.set_title(title)
+            axes.set_title("\n".join(wrap(title, int(11 * wide))))
             axes.margins(y=0.12)
         grid[0].set_ylabel(y_label)
         handles: list[Patch | Line2D] = [

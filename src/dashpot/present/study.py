@@ -6,6 +6,7 @@ import re
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from textwrap import wrap
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -24,6 +25,7 @@ from dashpot.study.store import write_bytes
 NUMERIC = {"noise": "noise level", "samples": "samples a frequency", "in_all": "samples in all"}
 NOTHING = "–"
 MOST_COLUMNS = 3  # of factors; more are put into one
+LABEL = 21  # characters of that one on a line: 80 columns hold the rest beside it
 FEWEST = 3  # points that make a curve
 MOST_PANELS = 6  # parameters drawn in one figure
 MOST_BARS = 8
@@ -45,15 +47,21 @@ def show(found: Outcome, console: Console) -> None:
         )
     for name in ("method", "bias", "spread", "bound", "ratio", "coverage", "failed"):
         table.add_column(name, justify="left" if name == "method" else "right", no_wrap=True)
-    before = None
+    before, wrapped = None, [""]
     for row in rows:
         s = row.summary
-        if before is not None and before is not row.scenario:
+        first = before is not row.scenario
+        if first and before is not None:
             table.add_section()
-        cells = [_text(row.scenario.factors.get(name)) for name in varied]
-        cells = cells if apart else [", ".join(cell for cell in cells if cell != NOTHING)]
-        cells = cells if before is not row.scenario else [""] * len(cells)
         before = row.scenario
+        cells = [_text(row.scenario.factors.get(name)) if first else "" for name in varied]
+        if not apart:
+            if first:
+                wrapped = wrap(", ".join(cell for cell in cells if cell != NOTHING), LABEL)
+            # A long label goes on beside the next methods; what is left at the last one takes lines of its own.
+            last = row.method == row.scenario.methods[-1]
+            cells = ["\n".join(wrapped) if last else wrapped[0] if wrapped else ""]
+            wrapped = wrapped[1:]
         table.add_row(
             *map(escape, cells), row.method, f"{_rms(s.mean):.2f}", f"{s.rms_spread:.2f}", f"{s.rms_bound:.2f}",
             f"{s.rms_spread / s.rms_bound:.2f}" if s.rms_bound > 0 else NOTHING,
