@@ -65,7 +65,7 @@ def average_periods(
         V * h[:, :, None] * np.conj(h)[:, None, :],
         np.full(len(wanted), count * each),
         np.full(len(wanted), 2.0 * (count - 1)),
-        ("blocks",) * len(wanted),
+        ("periods",) * len(wanted),
         np.full(len(wanted), record.experiment),
         notes=notes,
     )

@@ -40,7 +40,8 @@ class Spectrum:
                   may be missing where all repeats share it.
     samples       (lines,)                      samples behind each line (1 where amplitudes are all there is)
     dof           (lines,)                      residual degrees of freedom (real) behind V; inf where V is given
-    noise         (lines,)                      how V was found: "given", "white", "blocks" or "unknown"
+    noise         (lines,)                      how V was found: "given", "white", "blocks" (lines beside each
+                  harmonic), "periods" (scatter of averages of periods) or "unknown"
     experiment    (lines,)                      which experiment a line belongs to
     moments       second moments of the samples, where they were asked for
     notes         what a reader of results should know: samples thrown away, noise that could not be judged

@@ -28,13 +28,13 @@ def noise_quality(spectrum: Spectrum, correlated: Bools) -> NoiseQuality:
     """Moments of the inverse of an estimated covariance; `correlated` (K or 1,) says whether all of it was used.
 
     White residuals give a real Wishart matrix with ν degrees of freedom, E[S⁻¹] = 1/(ν−q−1) and
-    E[S⁻²] = (ν−1) / ((ν−q)(ν−q−1)(ν−q−3)); blocks give a complex one with ν/2 (Muirhead 1982, §3.2; Maiwald and
-    Kraus 2000).  q is the number of noisy channels, 1 where they are taken as uncorrelated.
+    E[S⁻²] = (ν−1) / ((ν−q)(ν−q−1)(ν−q−3)); blocks and periods give a complex one with ν/2 (Muirhead 1982, §3.2; Maiwald
+    and Kraus 2000).  q is the number of noisy channels, 1 where they are taken as uncorrelated.
     """
     variance = np.diagonal(spectrum.covariance, axis1=-2, axis2=-1).real
     variance = np.max(variance.reshape(-1, *variance.shape[-2:]), axis=0)
     q = np.where(correlated[:, None], np.sum(variance > 0, axis=-1), 1)
-    blocks = np.array([kind == "blocks" for kind in spectrum.noise])
+    blocks = np.array([kind in ("blocks", "periods") for kind in spectrum.noise])
     nu = spectrum.dof
     K = nu / 2
     with np.errstate(invalid="ignore", divide="ignore"):
@@ -69,7 +69,7 @@ def channels_correlate(spectrum: Spectrum, level: float = 0.01) -> Bools:
     V = V[..., noisy, :][..., noisy]
     sd = np.sqrt(variance[..., noisy])
     R = V / (sd[..., :, None] * sd[..., None, :])
-    blocks = np.array([kind == "blocks" for kind in spectrum.noise])
+    blocks = np.array([kind in ("blocks", "periods") for kind in spectrum.noise])
     _, logarithm = np.linalg.slogdet(R)
     per_line = np.where(blocks, q * (q - 1.0), q * (q - 1) / 2)
     factor = np.where(blocks, spectrum.dof - (2 * q + 1) / 3, spectrum.dof - (2 * q + 5) / 6)

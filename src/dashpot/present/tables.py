@@ -5,12 +5,12 @@ from __future__ import annotations
 import math
 import sys
 import textwrap
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from rich import box
-from rich.console import Console
+from rich.console import Console, JustifyMethod
 from rich.table import Table
 from rich.text import Text
 
@@ -20,6 +20,10 @@ from dashpot.present.numbers import aligned, alike, percent, probability, rounde
 
 WIDTH = 80
 MISFIT = "model misfit"
+NOISE_ONLY = "± sensor\nnoise only"
+JUSTIFY: Mapping[str, JustifyMethod] = {
+    "value": "right", "±": "right", NOISE_ONLY: "right", "± %": "right", "bound": "right", "unit": "left",
+}  # fmt: skip
 
 
 def console() -> Console:
@@ -74,28 +78,44 @@ def _row(
     )
 
 
-def parameter_table(estimate: Estimate, level: float = 0.95) -> Table:
-    """value, ±, relative ±, interval, bound, unit; where the model does not fit, also the ± of sensor noise alone."""
+def parameter_table(estimate: Estimate, level: float = 0.95, width: int | None = None) -> Table:
+    """value, ±, relative ±, interval, bound, unit; where the model does not fit, also the ± of sensor noise alone.
+
+    What is least missed is left out until the table is no wider than `width`.
+    """
     rows = parameter_rows(estimate, level)
-    misfit = estimate.basis == MISFIT
-    table = Table(box=box.SIMPLE_HEAD, padding=(0, 1), pad_edge=False, show_edge=False)
-    table.add_column("parameter", overflow="fold", min_width=9)
-    for title in ("value", "±"):
-        table.add_column(title, justify="right", no_wrap=True)
-    if misfit:
-        table.add_column("± sensor\nnoise only", justify="right", no_wrap=True)
-    table.add_column("± %", justify="right", no_wrap=True)
-    table.add_column(f"{100 * level:g} % interval", justify="center", no_wrap=True)
-    table.add_column("bound", justify="right", no_wrap=True)
-    table.add_column("unit", no_wrap=True)
     low, high = (max((len(getattr(row, end)) for row in rows), default=0) for end in ("low", "high"))
-    for row in rows:
-        between = f"{row.low.rjust(low)} … {row.high.ljust(high)}" if row.low else row.tie
-        cells = [row.name, row.value, row.sd]
-        cells += [row.noise] if misfit else []
-        cells += [row.share, between, row.bound, "" if row.unit == "1" else row.unit]
+    columns: dict[str, list[str]] = {
+        "parameter": [row.name for row in rows],
+        "value": [row.value for row in rows],
+        "±": [row.sd for row in rows],
+        NOISE_ONLY: [row.noise for row in rows],
+        "± %": [row.share for row in rows],
+        f"{100 * level:g} % interval": [
+            f"{row.low.rjust(low)} … {row.high.ljust(high)}" if row.low else row.tie for row in rows
+        ],
+        "bound": [row.bound for row in rows],
+        "unit": ["" if row.unit == "1" else row.unit for row in rows],
+    }
+    if estimate.basis != MISFIT:
+        del columns[NOISE_ONLY]
+    for least_missed in ("bound", "± %", NOISE_ONLY):
+        if width is not None and _natural_width(columns) > width:
+            columns.pop(least_missed, None)
+    table = Table(box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False, show_edge=False)
+    for title in columns:
+        if title == "parameter":
+            table.add_column(title, overflow="fold", min_width=9)
+        else:
+            table.add_column(title, justify=JUSTIFY.get(title, "center"), no_wrap=True)
+    for row, cells in zip(rows, zip(*columns.values(), strict=True), strict=True):
         table.add_row(*cells, style="dim" if row.known else None)
     return table
+
+
+def _natural_width(columns: Mapping[str, Sequence[str]]) -> int:
+    widths = [max(map(len, [*title.split("\n"), *cells])) for title, cells in columns.items()]
+    return sum(widths) + 2 * (len(widths) - 1)
 
 
 def mode_table(modes: ModeValues) -> Table:
@@ -183,7 +203,8 @@ def show_estimate(out: Console, estimate: Estimate, level: float = 0.95) -> None
         out.print(Text(estimate.model, style="bold"))
     out.print(Text(convergence_in_words(estimate), style="" if bool(estimate.converged) else "bold red"))
     out.print()
-    out.print(parameter_table(estimate, level))
+    table = parameter_table(estimate, level, out.width)
+    out.print(table)
     if estimate.signs:
         found = ", ".join(
             f"{name} {'+' if float(sign) > 0 else '-'}" for name, sign in estimate.signs.items()
@@ -195,7 +216,8 @@ def show_estimate(out: Console, estimate: Estimate, level: float = 0.95) -> None
         out.print(mode_table(estimate.modes))
     out.print()
     _paragraph(out, fit_in_words(estimate.fit), _colour(estimate.fit))
-    _paragraph(out, basis_in_words(estimate) + bound_in_words(estimate), "")
+    shown = any(column.header == "bound" for column in table.columns)
+    _paragraph(out, basis_in_words(estimate) + (bound_in_words(estimate) if shown else ""), "")
     for warning in worth_telling(estimate):
         _paragraph(out, f"Warning: {warning}", "yellow")
 
@@ -238,7 +260,10 @@ def show_spectrum(out: Console, spectrum: Spectrum, units: Sequence[str], where:
     out.print()
     out.print(table)
     kinds = dict.fromkeys(spectrum.noise)
-    told = {"white": "white residuals", "blocks": "lines beside each harmonic", "given": "what was given"}
+    told = {
+        "white": "white residuals", "blocks": "lines beside each harmonic", "periods": "the scatter of periods",
+        "given": "what was given",
+    }  # fmt: skip
     out.print()
     out.print(Text(f"Noise from {listed(told.get(kind, 'nothing: it is unknown') for kind in kinds)}."))
 

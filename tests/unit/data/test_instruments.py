@@ -183,7 +183,7 @@ class TestPeriods:
         assert np.einsum("rlc,rld->lcd", away, away.conj()) / 400 == pytest.approx(np.stack([V, V]), rel=0.25)
         assert found[0].frequency_hz == pytest.approx([4, 10])
         assert list(found[0].dof) == [20, 20]
-        assert found[0].noise == ("blocks", "blocks")
+        assert found[0].noise == ("periods", "periods")
         assert list(found[0].samples) == [1100, 1100]
 
     def test_what_cannot_be_averaged(self):

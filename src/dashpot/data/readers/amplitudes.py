@@ -21,7 +21,7 @@ from dashpot.data.spectrum import Spectrum
 from dashpot.errors import DataError
 
 SAMPLES, DOF, NOISE = "samples", "dof", "noise"
-KINDS = ("given", "white", "blocks", "unknown")
+KINDS = ("given", "white", "blocks", "periods", "unknown")
 
 
 def is_amplitudes(table: Table) -> bool:
