@@ -1,8 +1,8 @@
 """One record given to dashpot, to lmfit and to MuJoCo's sysid: error and stated interval against truth, and time.
 
-`python3 dev.py bench peers [--draws N] [--more N]`.  The paper's rig on a base stepped through the frequencies of its CASE-3,
-from rest, one continuous record with white noise of one size in each channel: what an ordinary least squares of
-samples takes for granted.
+`python3 dev.py bench peers [--draws N] [--more N]`.  The paper's rig on a base that is stepped through the frequencies
+of its CASE-3, from rest, in one continuous record; with white noise of one size in each channel, which an ordinary
+least squares of samples takes for granted, and with the paper's, in proportion to the amplitude at each frequency.
 
 dashpot gets the rig.  lmfit gets dashpot's amplitudes with their standard deviations, a hand-written response and a
 start.  MuJoCo gets the samples, transients included, a start and bounds: masses on slide joints, the spring and the
