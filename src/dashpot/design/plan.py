@@ -541,12 +541,6 @@ def _remarks(bench: Bench, lines: Lines) -> tuple[str, ...]:
                 f"{channel.name} hardly moves at {f:.4g} Hz, where purely relative noise makes it look perfect: "
                 "state its noise floor too"
             )
-    floors = [c.name for c in bench.channels if c.noise > 0]
-    if floors and not bench.limits.given:
-        remarks.append(
-            f"the noise of {', '.join(floors[:4])} has a floor, so the drive's size matters: "
-            f"{bench.amplitude:g} (SI) is assumed; state --amplitude or the shaker's limits"
-        )
     return tuple(remarks)
 
 

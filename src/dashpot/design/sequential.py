@@ -9,12 +9,13 @@ from typing import Literal
 import numpy as np
 
 from dashpot.arrays import Ints, Real, frozen
-from dashpot.channel import Channel
+from dashpot.channel import Channel, Quantity
 from dashpot.data.spectrum import Spectrum
 from dashpot.design.bench import Bench
 from dashpot.errors import DashpotError, IdentifiabilityError, UsageError
 from dashpot.estimate.estimate import Estimate
-from dashpot.estimate.identify import identify
+from dashpot.estimate.identify import automatic, identify
+from dashpot.estimate.likelihood import MaximumLikelihood
 from dashpot.estimate.method import Method
 from dashpot.model.network import Model
 
@@ -113,6 +114,23 @@ def noise_from(channels: Sequence[Channel], spectrum: Spectrum) -> tuple[Channel
     return tuple(found)
 
 
+def amplitude_from(model: Model, spectrum: Spectrum) -> float | None:
+    """Median amplitude of the inputs in data, m or N; None where no channel shows one, or inputs are of both kinds."""
+    if model.displacement_inputs and model.force_inputs:
+        return None
+    found = []
+    for i, channel in enumerate(spectrum.channels):
+        force = channel.quantity is Quantity.FORCE
+        inputs = model.force_inputs if force else model.displacement_inputs
+        if len(channel.of) != 1 or not set(channel.of) <= set(inputs):
+            continue
+        (factor,) = channel.of.values()
+        law = np.ones(spectrum.lines) if force else spectrum.omega**channel.quantity.derivative
+        size = np.abs(spectrum.amplitudes[..., i]) / (abs(factor) * law)
+        found += size[np.isfinite(size) & (size > 0)].tolist()
+    return float(np.median(found)) if found else None
+
+
 @dataclass(frozen=True)
 class Progress:
     """Estimates as data come in.
@@ -147,10 +165,13 @@ def progress(
     spectrum: Spectrum,
     method: Method | None = None,
     *,
+    whole: Estimate | None = None,
     steps: int = 12,
     watch: Callable[[int, int], None] | None = None,
 ) -> Progress:
     """Identify from the first lines, more lines, … all lines, in the order of the spectrum (no batch axes).
+
+    With `whole`, the estimate from all lines, each search starts from it instead of from far.
 
     Raises UsageError for a batch, IdentifiabilityError where not even all lines determine the unknowns.
     """
@@ -159,6 +180,10 @@ def progress(
     counts = np.unique(np.linspace(1, spectrum.lines, min(steps, spectrum.lines)).round().astype(int))
     m = len(model.unknowns)
     values, sd, low, high = (np.full((len(counts), m), np.nan) for _ in range(4))
+    if whole is not None:
+        model = _guessing(model, whole)
+        if method is None and isinstance(automatic(model, spectrum), MaximumLikelihood):
+            method = MaximumLikelihood(starts=4, candidates=4, rounds=1)
     for k, count in enumerate(counts):
         try:
             found = identify(model, spectrum.select(np.arange(count)), method)
@@ -167,13 +192,22 @@ def progress(
                 raise
             continue
         if bool(found.converged):
-            values[k], sd[k] = found.values, found.sd
-            low[k], high[k] = found.interval()
+            own = [found.names.index(unknown.name) for unknown in model.unknowns]  # not the calibrations
+            values[k], sd[k] = found.values[own], found.sd[own]
+            low[k], high[k] = (ends[own] for ends in found.interval())
         if watch is not None:
             watch(k + 1, len(counts))
     total = np.cumsum(spectrum.samples)[counts - 1]
     names = tuple(unknown.name for unknown in model.unknowns)
     return Progress(names, total, values, sd, low, high)
+
+
+def _guessing(model: Model, estimate: Estimate) -> Model:
+    """The model with what was estimated as guesses of its unknowns."""
+    unknowns = {unknown.name for unknown in model.unknowns if unknown.prior is None}
+    guesses = {n: float(v) for n, v in zip(estimate.names, estimate.values, strict=True) if n in unknowns}
+    elements = tuple(replace(e, guess=guesses.get(e.name, e.guess)) for e in model.elements)
+    return replace(model, elements=elements)
 
 
 @dataclass(frozen=True)

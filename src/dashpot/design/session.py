@@ -43,6 +43,7 @@ from dashpot.design.sequential import (
     Progress,
     Reading,
     Verdict,
+    amplitude_from,
     enough,
     known_after,
     noise_from,
@@ -70,6 +71,7 @@ class Question:
                the rig file knows it better), a Box, a Cloud, or "estimate", the cloud of `estimate` or of what `after`
                tells
     pick       (count, names) of the sensors to choose; names () are all
+    amplitude  of the drive where there is no limit; None: the median of the data's, else 1
     against    frequencies, or measured lines, to compare with
     """
 
@@ -89,7 +91,7 @@ class Question:
     band: tuple[float, float] | None = None
     step: float | None = None
     limits: Limits = field(default_factory=Limits)
-    amplitude: float = 1.0
+    amplitude: float | None = None
     drives: tuple[str, ...] = ()
     doubt: float | Box | Cloud | Literal["estimate"] | None = None
     doubt_by: Doubt = "worst"
@@ -129,10 +131,16 @@ def answer(question: Question) -> Answer:
         estimate = identify(model, question.after)
         channels = noise_from(channels, question.after)
     channels = _noisy(model, channels, notes)
+    amplitude = _amplitude(question, channels, notes)
     base = bench(
-        model, channels, _nominal(question, estimate), limits=question.limits, amplitude=question.amplitude,
+        model, channels, _nominal(question, estimate), limits=question.limits, amplitude=amplitude,
         drives=question.drives,
     )  # fmt: skip
+    if estimate is not None and bool(np.any(estimate.fit.rejected)):
+        notes.append(
+            "the model does not fit the earlier data: intervals to expect count the sensors' noise alone, and what the "
+            "model lacks will make the true ones wider"
+        )
     information = None if estimate is None else known_after(base, estimate)
     rate = question.rate if question.rate is not None else _rate(channels)
     low, high = question.band if question.band is not None else natural_band(base, rate)
@@ -172,6 +180,22 @@ def answer(question: Question) -> Answer:
         wide, question.goal, grid, known, found, comparison, choice, robust, estimate, so_far, verdict, doubt,
         tuple(dict.fromkeys(notes)),
     )  # fmt: skip
+
+
+def _amplitude(question: Question, channels: tuple[Channel, ...], notes: list[str]) -> float:
+    if question.amplitude is not None:
+        return question.amplitude
+    floors = [c.name for c in channels if c.noise > 0]
+    if question.limits.given or not floors:
+        return 1.0
+    found = None if question.after is None else amplitude_from(question.model, question.after)
+    whence = "is assumed" if found is None else "is the median of the data's"
+    size = 1.0 if found is None else found
+    notes.append(
+        f"the noise of {', '.join(floors[:4])} has a floor, so the drive's size matters: {size:.3g} (SI) {whence}; "
+        "state --amplitude or the shaker's limits"
+    )
+    return size
 
 
 def _doubt(question: Question, base: Bench, estimate: Estimate | None) -> Box | Cloud | None:
@@ -307,7 +331,7 @@ def _other(against: tuple[float, ...] | Spectrum, found: Plan) -> Lines:
 def _stopping(question: Question, estimate: Estimate | None) -> tuple[Progress | None, Verdict | None]:
     if question.after is None or estimate is None:
         return None, None
-    so_far = progress(question.model, question.after)
+    so_far = progress(question.model, question.after, whole=estimate)
     if question.target is None:
         return so_far, None
     goal = question.goal

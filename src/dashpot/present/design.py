@@ -6,6 +6,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from rich import box
 from rich.console import Console
+from rich.measure import Measurement
 from rich.table import Table
 from rich.text import Text
 
@@ -13,7 +14,7 @@ from dashpot.design.allocation import band_grid
 from dashpot.design.plan import Plan, Prediction, drive_names, shares
 from dashpot.design.session import Answer
 from dashpot.present import figures_design as draw
-from dashpot.present.numbers import alike, rounded, short
+from dashpot.present.numbers import alike, percent, rounded, short
 from dashpot.present.tables import listed
 
 NOTHING = "–"
@@ -36,7 +37,10 @@ def show(found: Answer, out: Console) -> None:
         return
     out.print(_dwells(found.plan))
     out.print()
-    out.print(_expected(found))
+    table = _expected(found)
+    if Measurement.get(out, out.options.update_width(1000), table).maximum > out.width:
+        table = _expected(found, interval=False)
+    out.print(table)
     out.print()
     for line in _words(found, found.plan):
         out.print(Text(line), soft_wrap=False)
@@ -78,13 +82,12 @@ def _dwells(plan: Plan) -> Table:
     return table
 
 
-def _expected(found: Answer) -> Table:
+def _expected(found: Answer, interval: bool = True) -> Table:
     assert found.plan is not None
     p = found.plan.predicted
     other = None if found.comparison is None else found.comparison
     table = _table()
-    narrow = other is not None and found.estimate is not None  # else the units would not fit on 80 columns
-    for title in ("parameter", "value", *(() if narrow else ("± to expect",)), "± %", "95 % interval"):
+    for title in ("parameter", "value", "± to expect", "± %", *(("95 % interval",) if interval else ())):
         table.add_column(title, justify="left" if title == "parameter" else "right", no_wrap=True)
     if found.estimate is not None:
         table.add_column("now\n± %", justify="right", no_wrap=True)
@@ -97,8 +100,8 @@ def _expected(found: Answer) -> Table:
     for j, name in enumerate(p.names):
         v, sd = float(p.values[j]), float(p.sd[j])
         value, spread = rounded(v, sd)
-        ends = alike([v - 1.96 * sd, v + 1.96 * sd], sd)
-        cells = [name, value, *(() if narrow else (spread,)), _percent(p, name), " … ".join(ends)]
+        ends = (" … ".join(alike([v - 1.96 * sd, v + 1.96 * sd], sd)),) if interval else ()
+        cells = [name, value, spread, _percent(p, name), *ends]
         if now is not None:
             cells.append(now.get(name, NOTHING))
         if other is not None:
@@ -112,12 +115,13 @@ def _expected(found: Answer) -> Table:
 def _now(found: Answer) -> dict[str, str]:
     assert found.estimate is not None
     e = found.estimate
-    size = np.where(e.values == 0, 1.0, np.abs(e.values))
-    return {name: short(100 * float(s), 2) for name, s in zip(e.names, e.sd / size, strict=True)}
+    return {name: percent(float(sd), float(v)) for name, sd, v in zip(e.names, e.sd, e.values, strict=True)}
 
 
 def _percent(p: Prediction, name: str) -> str:
-    return short(100 * float(p.relative[p.names.index(name)]), 2) if name in p.names else NOTHING
+    if name not in p.names or p.values[p.names.index(name)] == 0:
+        return NOTHING
+    return short(100 * float(p.relative[p.names.index(name)]), 2)
 
 
 def _words(found: Answer, plan: Plan) -> list[str]:
@@ -129,7 +133,7 @@ def _words(found: Answer, plan: Plan) -> list[str]:
     )
     first += f"less a duality gap of {plan.gap:.1e}; "
     cost = 100 * max(plan.loss, 0.0)
-    first += f"whole periods and limits cost {f'{cost:.2g} %' if cost >= 0.01 else 'less than 0.01 %'}."
+    first += f"whole periods and limits cost {f'{short(cost, 2)} %' if cost >= 0.01 else 'less than 0.01 %'}."
     words = [first]
     if len(p.names) > 1:
         words.append(f"Rms of the relative standard deviations of all parameters: {short(100 * p.rms())} %.")

@@ -128,6 +128,43 @@ def test_doubt_estimates_and_data(tmp_path: Path, capsys: pytest.CaptureFixture[
     assert len(steps["relative_sd"]["m1"]) == len(steps["samples"])
 
 
+def test_data_with_unknown_calibrations_and_a_floor(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A gain that is unknown is no parameter to plan for; the drive is as in the data, which says so."""
+    rig = tmp_path / "rig.toml"
+    text = RIG.read_text().replace("relative_noise = 0.1 }", "noise = 1e-5 }")
+    rig.write_text(text.replace('"velocity", noise = 1e-5', '"velocity", noise = 1e-4, gain = "unknown"'))
+    data = str(tmp_path / "data.csv")
+    given = ["--frequencies", "3,6,9,12", "--samples", "112", "--amplitude", "u=0.002", "--quiet"]
+    assert run(["simulate", str(rig), *given, "--out", data]) == 0
+    args = ["--samples", "700", "--band", "0.25:25", "--target", "0.01%", "--after", data, "--json", "-"]
+    assert run(["design", str(rig), *args]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert set(found["so_far"]["relative_sd"]) == {"m1", "m2", "c1", "c2", "c3", "c4"}
+    assert found["so_far"]["relative_sd"]["m1"][-1] < 0.01
+    assert "v1.gain" in found["predicted"]
+    assert found["enough"]["more_samples"] > 0
+    assert found["dwells"][0]["amplitudes"]["u"] == pytest.approx(0.002, rel=1e-3)
+    assert any("0.002 (SI) is the median of the data's" in note for note in found["notes"])
+    assert run(["design", str(rig), "--samples", "700", "--amplitude", "2mm"]) == 0
+    assert "Note: the noise" not in capsys.readouterr().out
+
+
+def test_a_model_that_does_not_fit_is_said_not_to(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    data = tmp_path / "data.csv"
+    given = ["--frequencies", "2,3,4,5,6,8,10,12", "--samples", "5000", "--quiet"]
+    assert run(["simulate", str(RIG), *given, "--out", str(data)]) == 0
+    rig = tmp_path / "rig.toml"
+    rig.write_text(RIG.read_text().replace('"u"], value = 4600', '"u"], value = 3000'))
+    args = ["--samples", "700", "--band", "0.25:25", "--target", "0.1%", "--after", str(data), "--json", "-"]
+    assert run(["design", str(rig), *args]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert any("the model does not fit the earlier data" in note for note in found["notes"])
+    assert found["enough"]["more_samples"] is None
+    assert "does not fit" in found["enough"]["reason"]
+
+
 def test_against_a_file_and_against_too_little(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """The lines of a file count with their own shares of the samples; what determines nothing is said to."""
     data = str(tmp_path / "data.csv")

@@ -353,9 +353,9 @@ def _limits(rig: Rig, more: dict[str, Any]) -> Limits:
     )  # fmt: skip
 
 
-def _amplitude(rig: Rig, text: str | None) -> float:
+def _amplitude(rig: Rig, text: str | None) -> float | None:
     if text is None:
-        return 1.0
+        return None
     return _quantity(rig, text, "displacement" if rig.model.displacement_inputs else "force")
 
 
