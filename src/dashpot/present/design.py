@@ -217,22 +217,25 @@ def figure(found: Answer) -> Figure:
     )
     p = plan.predicted
     timed = plan.time_s is not None
-    tests = [draw.Bars("this test", 100 * p.relative)]
+    bars = [j for j in range(len(p.names)) if p.values[j] != 0]  # a delay of 0 has no relative error
+    tests = [draw.Bars("this test", 100 * p.relative[bars])]
     if found.estimate is not None:
         e = found.estimate
         own = {n: float(s / abs(v)) if v else np.nan for n, s, v in zip(e.names, e.sd, e.values, strict=True)}
-        tests.append(draw.Bars("known now", 100 * np.array([own.get(n, np.nan) for n in p.names])))
+        tests.append(draw.Bars("known now", 100 * np.array([own.get(p.names[j], np.nan) for j in bars])))
     if found.comparison is not None:
-        tests.append(draw.Bars("other test, as many samples", 100 * found.comparison.predicted.relative))
+        tests.append(
+            draw.Bars("other test, as many samples", 100 * found.comparison.predicted.relative[bars])
+        )
         iv = found.comparison.iv
         if iv is not None and len(iv.names) == len(p.names):
-            tests.append(draw.Bars("other test by the paper's iv", 100 * iv.relative))
+            tests.append(draw.Bars("other test by the paper's iv", 100 * iv.relative[bars]))
     amounts = np.array([d.time_s if timed else d.samples for d in plan.dwells], dtype=float)
-    title = f"The next test: {len(plan.dwells)} dwells, {plan.samples} samples"
+    title = f"The next test: {len(plan.dwells)} dwell{'s'[: len(plan.dwells) - 1]}, {plan.samples} samples"
     title += "" if plan.time_s is None else f", {short(plan.time_s, 3)} s"
     return draw.plan_figure(
         title, f, curves, np.array([d.frequency_hz for d in plan.dwells]), amounts, "s" if timed else "samples",
-        p.names, told, tests,
+        p.names, told, [p.names[j] for j in bars], tests,
     )  # fmt: skip
 
 

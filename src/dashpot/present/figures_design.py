@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -24,6 +25,7 @@ from dashpot.present.numbers import short
 
 HEAT = LinearSegmentedColormap.from_list("heat", ["#ffffff", "#d5e6ee", "#7fb6cd", "#0b6e99", "#083d56"])
 OTHER, EARLIER = "#c4661f", "#7b8794"
+FRAME: dict[str, Any] = {"frameon": True, "framealpha": 0.85, "edgecolor": "none"}  # over bars and curves
 
 
 @dataclass(frozen=True)
@@ -43,6 +45,7 @@ def plan_figure(
     dwell_unit: str,
     names: Sequence[str],
     shares: Real,
+    bars: Sequence[str],
     tests: Sequence[Bars],
 ) -> Figure:
     """Where to dwell and for how long, what each frequency tells of each parameter, and the intervals to expect.
@@ -52,13 +55,13 @@ def plan_figure(
     """
     with style():
         rows = max(1.3, 0.24 * len(names) + 0.5)
-        bars = max(1.4, (0.12 + 0.11 * len(tests)) * len(names) + 0.6)
-        figure = Figure(figsize=(7.4, 2.6 + rows + bars))
-        top, middle, bottom = figure.subplots(3, 1, gridspec_kw={"height_ratios": [2.3, rows, bars]})
+        deep = max(1.4, (0.12 + 0.11 * len(tests)) * len(bars) + 0.6)
+        figure = Figure(figsize=(7.4, 2.6 + rows + deep))
+        top, middle, bottom = figure.subplots(3, 1, gridspec_kw={"height_ratios": [2.3, rows, deep]})
         _dwells(top, frequency_hz, curves, dwells_hz, dwells, dwell_unit)
         top.set_title(title)
         _heat(middle, frequency_hz, names, shares, dwells_hz)
-        _intervals(bottom, names, tests)
+        _intervals(bottom, bars, tests)
     return figure
 
 
@@ -85,7 +88,7 @@ def _dwells(
     axes.set_ylim(0, 1.08)
     axes.set_ylabel("worth of a sample")
     if len(curves) > 1:
-        axes.legend(loc="lower right")
+        axes.legend(loc="best", **FRAME)
     twin = axes.twinx()
     twin.grid(False)
     twin.spines["right"].set_visible(True)
@@ -168,7 +171,7 @@ def _intervals(axes: Axes, names: Sequence[str], tests: Sequence[Bars]) -> None:
     axes.set_xlabel("standard deviation to expect, per cent of the value")
     axes.set_title("Intervals to expect")
     if len(tests) > 1:
-        axes.legend(loc="best")
+        axes.legend(loc="best", **FRAME)
 
 
 def progress_figure(
