@@ -1,81 +1,25 @@
-"""Free symmetric M, C, K from force-input data (Okuma and Nagamatsu), as elements tied by T (THEORY §1).
-
-Every symmetric matrix is a sum of rank-one ones: p_ij bᵀb with b = e_i + e_j or e_i − e_j, and p_ii e_i e_iᵀ.  Each is
-an element, so all methods find the matrices of any rig; a pair that is left out is an entry held at zero.
-"""
+"""M, C, K of an estimate with their uncertainty, and estimates whose matrices are definite (Okuma and Nagamatsu)."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from itertools import combinations
-from typing import ClassVar, Literal
+from typing import ClassVar
 
 import numpy as np
 
 from dashpot.arrays import Bools, Ints, Real, frozen
-from dashpot.errors import ModelError
+from dashpot.errors import ModelError, UsageError
 from dashpot.estimate.estimate import Estimate
 from dashpot.estimate.instruments import OptimalIV, objective
 from dashpot.estimate.method import Method, Prepared, Solution
 from dashpot.estimate.regression import solve_scaled
 from dashpot.estimate.search import Found
 from dashpot.estimate.states import States
-from dashpot.model.elements import Element, Kind
-from dashpot.model.network import Input, Model
+from dashpot.model.free import LETTERS, Letter
+from dashpot.model.network import Model
 
-Letter = Literal["M", "C", "K"]
-LETTERS: tuple[Letter, ...] = ("M", "C", "K")
-Pairs = Iterable[tuple[str, str]]
 BARRIER = 1e-6  # of χ², for each row of the matrices: what keeping off the edge of the cone may cost
 TIE = 1e-4  # of χ²: more than the barrier costs, less than matters
-
-
-def free_model(
-    coordinates: Sequence[str],
-    inputs: Sequence[Input],
-    *,
-    pairs: Mapping[Letter, Pairs] | None = None,
-    letters: str = "MCK",
-    name: str = "free matrices",
-) -> Model:
-    """A model whose unknowns span all symmetric M, C, K, or those whose only off-diagonal entries are `pairs`.
-
-    Unknown m_x1 (c_x1, k_x1) acts at x1; m_x1_x2 along x1 + x2, so that it is M₁₂ itself; c_x1_x2 and k_x1_x2 along
-    x1 − x2, so that they are −C₁₂ and −K₁₂: the dampers and springs between the points, where there are such.
-    A letter without pairs given has all of them; `letters` leaves out whole matrices ("MK": no damping).
-    Raises ModelError for what is no pair of coordinates or no letter.
-    """
-    given: Mapping[Letter, Pairs] = {} if pairs is None else pairs
-    for letter in (*letters, *given):
-        if letter not in LETTERS:
-            raise ModelError(f"{letter!r} is no matrix", cure="there are M, C and K")
-    kinds = {"M": (Kind.MASS, Kind.INERTER), "C": (Kind.DAMPER,) * 2, "K": (Kind.SPRING,) * 2}
-    elements = []
-    for letter in LETTERS:
-        if letter not in letters:
-            continue
-        alone, joint = kinds[letter]
-        prefix = letter.lower()
-        elements += [Element(f"{prefix}_{x}", alone, {x: 1.0}) for x in coordinates]
-        other = 1.0 if letter == "M" else -1.0
-        for a, b in _ordered(coordinates, given.get(letter)):
-            elements.append(Element(f"{prefix}_{a}_{b}", joint, {a: 1.0, b: other}))
-    return Model(tuple(coordinates), tuple(inputs), tuple(elements), name)
-
-
-def _ordered(coordinates: Sequence[str], pairs: Pairs | None) -> list[tuple[str, str]]:
-    if pairs is None:
-        return list(combinations(coordinates, 2))
-    chosen = set()
-    for pair in pairs:
-        if len(set(pair)) != 2 or not set(pair) <= set(coordinates):
-            raise ModelError(
-                f"{' and '.join(map(str, pair))} is no pair of coordinates",
-                cure="name two different coordinates",
-            )
-        chosen.add(frozenset(pair))
-    return [pair for pair in combinations(coordinates, 2) if frozenset(pair) in chosen]
 
 
 @dataclass(frozen=True)
@@ -159,8 +103,9 @@ class DefiniteOptimalIV(Method):
 
     def solve(self, data: Prepared) -> Solution:
         """The free estimate, refined on the cone for the repeats that leave it."""
+        if data.states is None:
+            raise UsageError("oiv+ needs every coordinate and input", cure="use the method ml")
         free = OptimalIV().solve(data)
-        assert data.states is not None
         theta, converged, iterations = free.theta.copy(), free.converged.copy(), free.iterations.copy()
         cones = _cones(data.model, free.theta, self.letters)
         outside = np.all(np.isfinite(theta), axis=-1) & (_smallest(cones, np.nan_to_num(theta)) < 0)

@@ -17,7 +17,8 @@ from dashpot.estimate.likelihood import MaximumLikelihood
 from dashpot.estimate.method import Method, Prepared, Solution
 from dashpot.estimate.states import is_direct, noise_is_known, states, unseen, working_covariance
 from dashpot.estimate.worth import ROUNDING, Judged, Worth, judge, worth
-from dashpot.model.dynamics import modes
+from dashpot.model.dynamics import matrices, modes
+from dashpot.model.free import free_entries
 from dashpot.model.network import Model
 
 BIASED = 3.0  # standard deviations
@@ -264,15 +265,28 @@ def _warnings(model: Model, theta: Real, fit: Fit, known_noise: bool) -> list[st
             f"(χ² {float(fit.chi2):.4g} with {fit.dof} degrees of freedom); intervals are widened by that factor, "
             "what counts only sensor noise is named so"
         )
-    for unknown, value in zip(model.unknowns, theta, strict=False):
-        if value < 0:
+    found += wrong_signs(model, theta)
+    return found
+
+
+def wrong_signs(model: Model, theta: Real) -> list[str]:
+    """Warnings of negative parts, and of free matrices that are not definite."""
+    free = {element.name for element in model.elements if element.free}
+    found = [
+        f"{unknown.name} comes out negative ({value:.4g} {unknown.unit}): the model or the data lack something"
+        for unknown, value in zip(model.unknowns, theta, strict=False)
+        if value < 0 and unknown.name not in free
+    ]
+    if not free:
+        return found
+    parts = matrices(model, model.parameters(theta[: len(model.unknowns)]))
+    for letter in free_entries(model):
+        values = np.linalg.eigvalsh(getattr(parts, letter))
+        if values[0] < -1e-9 * values[-1]:
             found.append(
-                f"{unknown.name} comes out negative ({value:.4g} {unknown.unit}): the model or the data lack something"
+                f"{letter} is not positive definite (an eigenvalue of {values[0]:.3g} beside {values[-1]:.3g}): "
+                "the method oiv+ finds the most likely matrices that are"
             )
-        if (unknown.lower is not None and value < unknown.lower) or (
-            unknown.upper is not None and value > unknown.upper
-        ):
-            found.append(f"{unknown.name} lies beyond its bounds: of all methods, only ml holds to them")
     return found
 
 

@@ -17,7 +17,7 @@ from dashpot.arrays import Bools, Complex, Ints, Real, hermitian
 from dashpot.data.modal import ModalData
 from dashpot.errors import DataError, IdentifiabilityError, UsageError
 from dashpot.estimate.estimate import Estimate, Fit
-from dashpot.estimate.identify import known_values, mode_values, require_determined, tied_values
+from dashpot.estimate.identify import known_values, mode_values, require_determined, tied_values, wrong_signs
 from dashpot.estimate.regression import inverse, solve_scaled
 from dashpot.estimate.search import Found, Local, minimise
 from dashpot.estimate.worth import MISFIT_LEVEL
@@ -121,11 +121,7 @@ def _warnings(model: Model, theta: Real, fit: Fit) -> tuple[str, ...]:
             f"the model does not have these modes: residuals are {float(fit.misfit):.3g} times their uncertainty "
             f"(χ² {float(fit.chi2):.4g} with {fit.dof} degrees of freedom); intervals are widened by that factor"
         )
-    found += [
-        f"{unknown.name} comes out negative ({value:.4g} {unknown.unit}): the model or the data lack something"
-        for unknown, value in zip(model.unknowns, theta, strict=True)
-        if value < 0
-    ]
+    found += wrong_signs(model, theta)
     return tuple(found)
 
 

@@ -60,7 +60,8 @@ class Element:
     `along` maps coordinates and displacement inputs to their factors in the elongation δ = b·x + d·u; what is fixed
     to the ground does not appear.  `value` without `sd` is known exactly, with `sd` (same unit) known with that
     standard deviation, None is unknown; `guess` is a start for the iterations, `lower` and `upper` bound the estimate
-    where the method can.  `same_as` ties the parameter to another element's: p = times · p(same_as).
+    where the method can.  `same_as` ties the parameter to another element's: p = times · p(same_as).  `free`: no part
+    of the rig but of a free matrix, so that its parameter may have any sign.
     """
 
     name: str
@@ -73,14 +74,18 @@ class Element:
     upper: float | None = None
     same_as: str | None = None
     times: float = 1.0
+    free: bool = False
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "kind", Kind(self.kind))
         object.__setattr__(self, "along", MappingProxyType(dict(self.along)))
 
     def __reduce__(self) -> tuple[object, ...]:
-        fields = (self.value, self.sd, self.guess, self.lower, self.upper, self.same_as, self.times)
-        return (Element, (self.name, self.kind, dict(self.along), *fields))
+        known = (self.value, self.sd, self.guess, self.lower, self.upper)
+        return (
+            Element,
+            (self.name, self.kind, dict(self.along), *known, self.same_as, self.times, self.free),
+        )
 
     def __hash__(self) -> int:
         return hash(

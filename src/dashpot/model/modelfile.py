@@ -17,6 +17,7 @@ import tomllib
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import combinations
 from typing import Annotated, Any, Literal, TypeVar
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
@@ -26,6 +27,7 @@ from dashpot.channel import Channel, Quantity
 from dashpot.errors import ModelError, Problem, UsageError
 from dashpot.model import network
 from dashpot.model.elements import Element, Kind
+from dashpot.model.free import LETTERS, Letter, Pairs, free_elements, free_entries
 from dashpot.model.network import Input, Model, listed
 from dashpot.model.tomllines import Lines
 from dashpot.units import scale, sensitivity, si_unit
@@ -46,7 +48,7 @@ _QUANTITY_OF: Mapping[Kind, str] = {
     Kind.HYSTERETIC: "stiffness",
 }
 _HEAD = ("name", "coordinates", "angles")
-_TABLES = ("inputs", *SECTIONS, "channels")
+_TABLES = ("inputs", "free", *SECTIONS, "channels")
 
 Place = tuple[str | int, ...]
 
@@ -384,6 +386,7 @@ _ENTRIES: Mapping[str, type[_Entry]] = {
     "channels": _ChannelEntry,
     **dict.fromkeys(SECTIONS, _ElementEntry),
 }
+_FREE = 'free = "MCK", or [free] and below it K = "full", M = "diagonal"'
 _EXAMPLES: Mapping[str, str] = {
     "inputs": '{ kind = "displacement" }',
     "masses": '{ at = "x1" }',
@@ -414,7 +417,7 @@ class _Reader:
         """The rig.  Raises ModelError."""
         head = self._head()
         inputs = self._inputs(head)
-        elements = self._elements(head, inputs)
+        elements = [*self._free(head), *self._elements(head, inputs)]
         self._model_problems(head, inputs, elements)
         channels = self._channels(head, inputs, elements)
         if self.problems:
@@ -477,7 +480,7 @@ class _Reader:
         if isinstance(raw, int | float) and not isinstance(raw, bool) and section in SECTIONS:
             example = example.replace(" }", f", value = {_show(raw)} }}")
         cure = f"write {name} = {example}"
-        if name in _HEAD:
+        if name in (*_HEAD, "free"):
             cure = f"{name} stands above the first [section]; or {cure}"
         self._report((section, name), f"{_show(raw)} is no table", cure)
         return None
@@ -498,6 +501,57 @@ class _Reader:
             else:
                 self.faulty.add(name)
         return inputs
+
+    def _free(self, head: _Head) -> tuple[Element, ...]:
+        """Elements of free matrices: free = "MCK", or a table that says which entries may differ from 0."""
+        raw = self.document.get("free", {})
+        if (
+            isinstance(raw, str)
+            and raw
+            and all(raw.count(letter) == 1 and letter in LETTERS for letter in raw)
+        ):
+            raw = dict.fromkeys(raw, "full")
+        if not isinstance(raw, dict) or ("free" in self.document and not raw):
+            self._report(("free",), f"{_show(raw)} names no matrices", f"write {_FREE}")
+            self.faulty.add("free")
+            return ()
+        if raw and 0 < sum(x in head.angles for x in head.coordinates) < len(head.coordinates):
+            cure = "describe this rig by its elements"
+            self._report(("free",), "free matrices of displacements and angles together have no units", cure)
+            return ()
+        pairs: dict[Letter, Pairs] = {}
+        for name, entries in raw.items():
+            letter = next((known for known in LETTERS if known == name), None)
+            if letter is None:
+                self._report(("free", name), "no such matrix", "there are M, C and K")
+            else:
+                chosen = self._free_pairs(letter, entries, head.coordinates)
+                if chosen is not None:
+                    pairs[letter] = chosen
+        if set(pairs) != set(raw):
+            self.faulty.add("free")
+        return free_elements(head.coordinates, pairs=pairs, letters="".join(pairs))
+
+    def _free_pairs(self, letter: Letter, entries: object, coordinates: Sequence[str]) -> Pairs | None:
+        """The off-diagonal entries of a free matrix; None where they are misnamed."""
+        if entries == "full":
+            return list(combinations(coordinates, 2))
+        if entries == "diagonal":
+            return []
+        if not isinstance(entries, list):
+            cure = 'write "full", "diagonal" or the pairs that are joined: [["x1", "x2"], ["x2", "x3"]]'
+            self._report(("free", letter), f"{_show(entries)} says nothing of its entries", cure)
+            return None
+        pairs = []
+        for k, pair in enumerate(entries):
+            known = isinstance(pair, list) and len(pair) == 2 and all(one in coordinates for one in pair)
+            if not known or pair[0] == pair[1]:
+                text = " and ".join(map(str, pair)) if isinstance(pair, list) else _show(pair)
+                cure = f"name two different coordinates: {listed(coordinates)}"
+                self._report(("free", letter, k), f"{_one_line(text)[:60]} is no pair of coordinates", cure)
+                return None
+            pairs.append((pair[0], pair[1]))
+        return pairs
 
     def _elements(self, head: _Head, inputs: Sequence[Input]) -> list[Element]:
         there = _Points(
@@ -973,9 +1027,12 @@ def write_rig(rig: Rig) -> str:
             "[inputs]",
             *(f"{_key(one.name)} = {_inline(_input_fields(one))}" for one in model.inputs),
         ]
-    for kind in dict.fromkeys(model.kinds):
+    if free := free_entries(model):
+        whole = list(combinations(model.coordinates, 2))
+        out += ["", "[free]", *(f"{letter} = {_pairs_text(pairs, whole)}" for letter, pairs in free.items())]
+    for kind in dict.fromkeys(element.kind for element in model.elements if not element.free):
         section = next(name for name, one in SECTIONS.items() if one == kind)
-        members = [element for element in model.elements if element.kind == kind]
+        members = [element for element in model.elements if element.kind == kind and not element.free]
         out += [
             "",
             f"[{section}]",
@@ -984,6 +1041,12 @@ def write_rig(rig: Rig) -> str:
     out += ["", "[channels]"]
     out += [f"{_key(one.name)} = {_inline(_channel_fields(one, model))}" for one in rig.channels]
     return "\n".join(out) + "\n"
+
+
+def _pairs_text(pairs: Sequence[tuple[str, str]], whole: Sequence[tuple[str, str]]) -> str:
+    if len(pairs) in (0, len(whole)):
+        return _quoted("full" if pairs else "diagonal")
+    return "[" + ", ".join(map(_list, pairs)) + "]"
 
 
 def _input_fields(one: Input) -> dict[str, str]:

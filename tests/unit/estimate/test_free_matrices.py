@@ -13,7 +13,6 @@ from dashpot.estimate.auxiliary import auxiliary
 from dashpot.estimate.free_matrices import (
     DefiniteOptimalIV,
     definite,
-    free_model,
     matrices_of,
 )
 from dashpot.estimate.identify import identify
@@ -22,6 +21,7 @@ from dashpot.estimate.least_squares import HarmonicLeastSquares
 from dashpot.estimate.states import states
 from dashpot.model.dynamics import matrices
 from dashpot.model.elements import Kind, between, mass
+from dashpot.model.free import free_model
 from dashpot.model.network import Input, Model
 from tests.rigs import Rig, channels, covariance, noisy, perfect
 

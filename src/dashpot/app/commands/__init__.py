@@ -12,6 +12,7 @@ from collections.abc import Mapping
 # Name → what `dashpot --help` says of it, in the order of a day's work.
 COMMANDS: Mapping[str, str] = {
     "identify": "Find the unknown masses, dampers and springs of a rig from test data.",
+    "compare": "Put several estimators side by side on the same data.",
     "check": "Say what of a rig can be found, before data and with them.",
     "simulate": "Write the test data that a rig with given parameters would yield.",
     "spectrum": "Turn time records into a table of complex amplitudes.",

@@ -45,6 +45,7 @@ CHOICES = ["auto", "ls", "hls", "wls", "tls", "cls", "iv", "oiv", "oiv+", "ml"]
     metavar="%",
     help="Of the intervals printed.",
 )
+@click.option("--matrices", is_flag=True, help="Print M, C and K as well, as for a rig with free matrices.")
 @conditioning_options
 @click.option("--quiet", "-q", is_flag=True, help="Print no table and no notes.")
 def command(
@@ -56,6 +57,7 @@ def command(
     seed: int,
     level: float,
     frequency: float | None,
+    matrices: bool,
     quiet: bool,
     **how: Any,
 ) -> int:
@@ -71,6 +73,7 @@ def command(
     check_targets([None if json_out == STDOUT else json_out, report], [rig, *data])
     found = read_rig(rig)
     _check_unknowns(found, rig)
+    _check_matrices(found, matrices)
     require_identifiable(found.model, found.channels, rig)
     _check_method(found, chosen)
 
@@ -98,7 +101,31 @@ def command(
         from dashpot.present.tables import console, show_estimate
 
         show_estimate(console(), estimate, level / 100)
+        if matrices or any(element.free for element in found.model.elements):
+            _show_matrices(found, estimate)
     return _ending(estimate)
+
+
+def _show_matrices(rig: Rig, estimate: Estimate) -> None:
+    from dashpot.estimate.free_matrices import matrices_of
+    from dashpot.present.matrices import show_matrices
+    from dashpot.present.tables import console
+
+    show_matrices(console(), matrices_of(rig.model, estimate), set(rig.model.coordinates) <= rig.model.angles)
+
+
+def _check_matrices(rig: Rig, wanted: bool) -> None:
+    """Refuse --matrices, before the work, where they do not tell all of the rig."""
+    from dashpot.errors import UsageError
+
+    if wanted and len(rig.model.by_matrix["H"]):
+        raise UsageError("hysteretic dampers are in none of M, C and K", "--matrices", "leave the option out")
+    if wanted and 0 < len(rig.model.angles & set(rig.model.coordinates)) < rig.model.n:
+        raise UsageError(
+            "matrices of displacements and angles together have no one unit",
+            "--matrices",
+            "leave the option out",
+        )
 
 
 def _spectrum(reading: Reading, how: Conditioning, chosen: str) -> Spectrum:

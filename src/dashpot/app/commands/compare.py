@@ -1,0 +1,185 @@
+"""dashpot compare: the same data through several methods, one table and one picture."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from dashpot.app.options import Conditioning, Positive, amplitudes, conditioning_options, tell_notes
+
+if TYPE_CHECKING:
+    from dashpot.data.modal import ModalData
+    from dashpot.data.spectrum import Spectrum
+    from dashpot.model.modelfile import Rig
+
+STDOUT = "-"
+NOT_CONVERGED = 3
+
+
+class Assignments(click.ParamType[Any]):
+    """NAME=VALUE, several of them separated by commas."""
+
+    name = "name=value,…"
+
+    def convert(
+        self, value: object, param: click.Parameter | None, ctx: click.Context | None
+    ) -> dict[str, float]:
+        """Values by name."""
+        if isinstance(value, dict):
+            return value
+        found: dict[str, float] = {}
+        for part in str(value).split(","):
+            name, _, text = part.partition("=")
+            try:
+                number = float(text)
+            except ValueError:
+                number = float("nan")
+            if not name.strip() or not abs(number) < float("inf"):
+                self.fail(f"{part.strip()!r} is no NAME=VALUE; write m1=3,c1=30", param, ctx)
+            if name.strip() in found:
+                self.fail(f"{name.strip()} is given twice", param, ctx)
+            found[name.strip()] = number
+        return found
+
+
+@click.command(name="compare")
+@click.argument("rig")
+@click.argument("data", nargs=-1)
+@click.option(
+    "--methods", metavar="A,B,…",
+    help="Estimators, in the order of the rows: ls, hls, wls, tls, cls, iv, oiv, oiv+, ml.  Default: all that suit.",
+)  # fmt: skip
+@click.option(
+    "--modal", "modal_file", metavar="FILE",
+    help="Measured modes, CSV or JSON: frequency_hz, frequency_sd, damping_ratio, damping_sd, NAME_re, _im, _sd.",
+)  # fmt: skip
+@click.option(
+    "--truth",
+    type=Assignments(),
+    metavar="m1=3,…",
+    help="True values, to be marked where an interval misses them.",
+)
+@click.option("--figure", metavar="OUT.png", help="Draw the intervals.")
+@click.option("--json", "json_out", metavar="OUT", help="Write all estimates as JSON; - is stdout.")
+@click.option(
+    "--seed", type=click.IntRange(0), default=0, show_default=True, metavar="N",
+    help="Of the starts that ml and the modes draw.",
+)  # fmt: skip
+@click.option(
+    "--level", type=Positive(100), default=95, show_default=True, metavar="%", help="Of the intervals."
+)
+@conditioning_options
+@click.option("--quiet", "-q", is_flag=True, help="Print no table and no notes.")
+def command(
+    rig: str,
+    data: tuple[str, ...],
+    methods: str | None,
+    modal_file: str | None,
+    truth: dict[str, float] | None,
+    figure: str | None,
+    json_out: str | None,
+    seed: int,
+    level: float,
+    frequency: float | None,
+    quiet: bool,
+    **how: Any,
+) -> int:
+    """Find the unknowns of RIG from DATA with several methods, side by side.
+
+    DATA as for identify; with --modal FILE they may be left out.  A method that the data do not suit is named with
+    the reason.  Exit code 3: a method did not converge.
+    """
+    from dashpot.app.files import check_targets
+    from dashpot.errors import UsageError
+    from dashpot.estimate.methods import METHODS, method_class
+    from dashpot.model.free import free_entries
+    from dashpot.model.modelfile import read_rig
+
+    sources = [rig, *data, *([] if modal_file is None else [modal_file])]
+    check_targets([None if json_out == STDOUT else json_out, figure], sources)
+    if not data and modal_file is None:
+        raise UsageError("there are no data", cure="give DATA, --modal FILE, or both")
+    chosen = [] if methods is None else [name.strip() for name in methods.split(",")]
+    for name in chosen:
+        method_class(name)
+        if chosen.count(name) > 1:
+            raise UsageError(f"{name} is named twice", "--methods", "name each method once")
+    found = read_rig(rig)
+    if not found.model.unknowns:
+        raise UsageError("every parameter is known", rig, "leave out the value of what is to be found")
+    chosen = chosen or [name for name in METHODS if name != "oiv+" or free_entries(found.model)]
+    modal = _modes(modal_file, found)
+    spectrum = _spectrum(data, found, chosen, frequency, quiet, how) if data else None
+    return _compare(found, spectrum, modal, chosen, truth, figure, json_out, seed, level / 100, quiet)
+
+
+def _modes(path: str | None, rig: Rig) -> ModalData | None:
+    if path is None:
+        return None
+    from dashpot.data.readers.modal import read_modes
+
+    return read_modes(path, rig.model.coordinates)
+
+
+def _spectrum(
+    data: tuple[str, ...],
+    rig: Rig,
+    chosen: list[str],
+    frequency: float | None,
+    quiet: bool,
+    how: dict[str, Any],
+) -> Spectrum:
+    """Amplitudes; with the second moments of the samples where ls is asked for and there are samples."""
+    from dashpot.check.scale import require_scale
+    from dashpot.data.readers import read
+
+    require_scale(rig.model, rig.channels, rig.path)
+    reading = read(data, rig.channels, frequency_hz=frequency)
+    tell_notes(reading.notes, quiet)
+    conditioning: Conditioning = how  # type: ignore[assignment]  # click gives the options by their names
+    return amplitudes(reading, conditioning, moments="ls" in chosen and reading.amplitudes is None)
+
+
+def _compare(
+    rig: Rig,
+    spectrum: Spectrum | None,
+    modal: ModalData | None,
+    chosen: list[str],
+    truth: dict[str, float] | None,
+    figure: str | None,
+    json_out: str | None,
+    seed: int,
+    level: float,
+    quiet: bool,
+) -> int:
+    from dashpot.app.files import write_text
+    from dashpot.app.progress import progress
+    from dashpot.estimate.comparison import compare
+    from dashpot.estimate.methods import method
+
+    jobs = {name: method(name, seed=seed) for name in chosen}
+    with progress("compare", quiet) as moved:
+        found = compare(rig.model, spectrum, jobs, modal=modal, truth=truth, seed=seed, progress=moved)
+    if figure is not None:
+        from pathlib import Path
+
+        from dashpot.present.compare_figure import comparison_figure
+        from dashpot.present.figures_study import png
+        from dashpot.study.store import write_bytes
+
+        write_bytes(Path(figure), png(comparison_figure(found, level)))
+    if json_out == STDOUT:
+        click.echo(found.to_json(), nl=False)
+    elif json_out is not None:
+        write_text(json_out, found.to_json())
+    if not quiet and json_out != STDOUT:
+        from dashpot.present.compare_table import show_comparison
+        from dashpot.present.tables import console
+
+        show_comparison(console(), found, level)
+    unsettled = [name for name, estimate in found.estimates.items() if not bool(estimate.converged)]
+    if unsettled:
+        click.echo(f"dashpot: {', '.join(unsettled)} did not settle; give the unknowns a guess", err=True)
+        return NOT_CONVERGED
+    return 0

@@ -1,0 +1,101 @@
+"""The same data through several methods, side by side."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+
+from dashpot.data.modal import ModalData
+from dashpot.data.spectrum import Spectrum
+from dashpot.errors import DashpotError, UsageError
+from dashpot.estimate.estimate import FORMAT, Estimate
+from dashpot.estimate.identify import identify
+from dashpot.estimate.method import Method
+from dashpot.estimate.modal import NAME, identify_modal
+from dashpot.model.network import Model
+
+EFFICIENT = ("ml", "oiv", "oiv+")
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """Estimates by the name of the method, in the order asked for, and why others gave none.
+
+    names, units: the unknowns of the rig; truth: their true values, as far as known.
+    """
+
+    model: str
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+    estimates: Mapping[str, Estimate]
+    refused: Mapping[str, DashpotError]
+    truth: Mapping[str, float] = field(default_factory=dict)
+
+    def bound_sd(self, name: str) -> float | None:
+        """The Cramér-Rao bound of an unknown, from the best informed estimate of the test's own data."""
+        bounds = [e[name].bound_sd for which, e in self.estimates.items() if which != NAME]
+        bounds = [bound for bound in bounds if bound > 0]
+        return min(bounds) if bounds else None
+
+    def centre(self, name: str) -> float | None:
+        """The true value of an unknown, else the most likely one; None where no method gives that."""
+        if name in self.truth:
+            return self.truth[name]
+        likeliest = (self.estimates[which][name].value for which in EFFICIENT if which in self.estimates)
+        return next(likeliest, None)
+
+    def to_json(self) -> str:
+        """Every estimate as `identify --json` writes it, the reasons of the others, and the truth."""
+        content = {
+            "dashpot": FORMAT,
+            "model": self.model,
+            "methods": {name: json.loads(estimate.to_json()) for name, estimate in self.estimates.items()},
+            "refused": {name: str(error) for name, error in self.refused.items()},
+            "truth": dict(self.truth),
+        }
+        return json.dumps(content, indent=1, ensure_ascii=False, allow_nan=False) + "\n"
+
+
+def compare(
+    model: Model,
+    spectrum: Spectrum | None,
+    methods: Mapping[str, Method],
+    *,
+    modal: ModalData | None = None,
+    truth: Mapping[str, float] | None = None,
+    seed: int = 0,
+    progress: Callable[[int, int], None] | None = None,
+) -> Comparison:
+    """Identify with every method; measured modes, where given, come last.
+
+    A method that the data do not suit is named with its reason.  Raises its error where no method gives anything, and
+    UsageError where `truth` names what is no unknown.
+    """
+    names = tuple(unknown.name for unknown in model.unknowns)
+    true: Mapping[str, float] = {} if truth is None else truth
+    for name in true:
+        if name not in names:
+            raise UsageError(f"{name} is no unknown of this rig", cure=f"its unknowns are {', '.join(names)}")
+    estimates: dict[str, Estimate] = {}
+    refused: dict[str, DashpotError] = {}
+    jobs: dict[str, Callable[[], Estimate]] = {}
+    if spectrum is not None:
+        given = spectrum
+        for name, method in methods.items():
+            jobs[name] = lambda method=method: identify(model, given, method)  # type: ignore[misc]
+    if modal is not None:
+        shapes = modal
+        jobs[NAME] = lambda: identify_modal(model, shapes, seed=seed)
+    if not jobs:
+        raise UsageError("there is nothing to compare", cure="give data, measured modes, or both")
+    for done, (name, job) in enumerate(jobs.items()):
+        try:
+            estimates[name] = job()
+        except DashpotError as error:
+            refused[name] = error
+        if progress is not None:
+            progress(done + 1, len(jobs))
+    if not estimates:
+        raise next(iter(refused.values()))
+    return Comparison(model.name, names, tuple(u.unit for u in model.unknowns), estimates, refused, true)

@@ -1,0 +1,167 @@
+"""dashpot compare: table, picture and JSON of several methods; bad input is one line, exit code 2, nothing written."""
+
+from __future__ import annotations
+
+import json
+import os
+from pathlib import Path
+
+import pytest
+
+from tests.unit.app.conftest import RIG, Command, Ran
+
+TRUTH = "m1=3,c1=20,c2=30"
+MODES = "frequency_hz,frequency_sd,damping_ratio,damping_sd,x1_re,x1_im,x1_sd,x2_re,x2_im,x2_sd\n"
+
+
+def refused(done: Ran, *parts: str, code: int = 2) -> None:
+    """One line with a cure; all `parts` are in it; neither picture nor JSON was begun."""
+    assert done.code == code, (done.out, done.err)
+    assert done.out == ""
+    assert len(done.err) == 1, done.err
+    (line,) = done.err
+    assert line.startswith("dashpot: ")
+    assert "; " in line, f"no cure in: {line}"
+    for part in parts:
+        assert part in line, (part, line)
+    assert not [name for name in os.listdir() if "out" in name]
+
+
+def row(done: Ran, method: str) -> str:
+    (found,) = [line for line in done.out.splitlines() if line.split(" ")[0] == method]
+    return found
+
+
+def test_table_picture_and_json(dashpot: Command, data: Path) -> None:
+    done = dashpot(
+        "compare", "rig.toml", "data.csv", "--methods", "hls,oiv,ml", "--truth", TRUTH,
+        "--figure", "out.png", "--json", "out.json",
+    )  # fmt: skip
+    assert done.code == 0, done.err
+    assert max(map(len, done.out.splitlines())) <= 80
+    assert "truth" in done.out
+    assert row(done, "oiv").split()[1:] == row(done, "ml").split()[1:]
+    assert Path("out.png").read_bytes().startswith(b"\x89PNG")
+    content = json.loads(Path("out.json").read_text(encoding="utf-8"))
+    assert list(content["methods"]) == ["hls", "oiv", "ml"]
+    assert content["truth"] == {"m1": 3.0, "c1": 20.0, "c2": 30.0}
+    one = dashpot("identify", "rig.toml", "data.csv", "--method", "oiv", "--json", "-")
+    assert json.loads(one.out) == content["methods"]["oiv"]
+
+
+def test_all_methods_that_suit_and_why_others_do_not(dashpot: Command, data: Path) -> None:
+    """ls reads dampers from velocities, which are not measured: it has no row, but a reason."""
+    done = dashpot("compare", "rig.toml", "data.csv")
+    assert done.code == 0, done.err
+    for method in ("hls", "wls", "tls", "cls", "iv", "oiv", "ml"):
+        row(done, method)
+    assert "ls: reads dampers from velocity channels" in done.out
+    assert "oiv+" not in done.out  # of use for free matrices, and slower
+
+
+def test_an_interval_that_misses_is_marked(dashpot: Command, data: Path) -> None:
+    done = dashpot("compare", "rig.toml", "data.csv", "--methods", "oiv", "--truth", "m1=4")
+    assert done.code == 0
+    assert row(done, "oiv").count("*") == 1
+    assert "does not hold the truth" in done.out
+    worst = float(row(done, "oiv").split()[-1])
+    assert worst == pytest.approx(25, abs=1)
+    assert "*" not in dashpot("compare", "rig.toml", "data.csv", "--methods", "oiv", "--truth", TRUTH).out
+
+
+def modes_file() -> None:
+    """The modes of the rig with m1 = 3, c1 = 20, c2 = 30, to 0.1 %."""
+    import numpy as np
+
+    M, C = np.diag([3.0, 2.7]), np.array([[20.0, -20.0], [-20.0, 50.0]])
+    K = np.array([[4600.0, -4600.0], [-4600.0, 9200.0]])
+    A = np.block([[np.zeros((2, 2)), np.eye(2)], [-np.linalg.solve(M, K), -np.linalg.solve(M, C)]])
+    values, vectors = np.linalg.eig(A)
+    text = MODES
+    for k in np.flatnonzero(values.imag > 0):
+        f, zeta = abs(values[k]) / 2 / np.pi, -values[k].real / abs(values[k])
+        a, b = vectors[0, k] / vectors[1, k], 1.0
+        text += f"{f},{1e-3 * f},{zeta},{1e-2 * zeta},{a.real},{a.imag},0.002,{b},0,0\n"
+    Path("modes.csv").write_text(text, encoding="utf-8")
+
+
+def test_measured_modes_beside_data_and_alone(dashpot: Command, data: Path) -> None:
+    modes_file()
+    done = dashpot(
+        "compare", "rig.toml", "data.csv", "--modal", "modes.csv", "--methods", "oiv", "--truth", TRUTH
+    )
+    assert done.code == 0, done.err
+    assert "*" not in row(done, "modal")
+    alone = dashpot("compare", "rig.toml", "--modal", "modes.csv", "--json", "-")
+    assert alone.code == 0, alone.err
+    found = json.loads(alone.out)["methods"]
+    assert list(found) == ["modal"]
+    # Exact modes: the truth to what the file says of them.
+    for name, value in (("m1", 3.0), ("c1", 20.0), ("c2", 30.0)):
+        assert found["modal"]["parameters"][name]["value"] == pytest.approx(value, rel=1e-6)
+
+
+def test_quiet_prints_nothing(dashpot: Command, data: Path) -> None:
+    done = dashpot("compare", "rig.toml", "data.csv", "--methods", "oiv", "-q", "--json", "out.json")
+    assert (done.code, done.out, done.err) == (0, "", [])
+    assert Path("out.json").exists()
+
+
+BAD = {
+    "no data": (["rig.toml"], ["there are no data", "--modal"]),
+    "no such method": (["rig.toml", "data.csv", "--methods", "oiv,best"], ["best", "oiv"]),
+    "empty method": (["rig.toml", "data.csv", "--methods", "oiv,"], ["there is no method"]),
+    "method twice": (["rig.toml", "data.csv", "--methods", "oiv,oiv"], ["oiv", "twice"]),
+    "truth of nothing": (["rig.toml", "data.csv", "--truth", "m7=3"], ["m7", "m1, c1, c2"]),
+    "truth of the known": (["rig.toml", "data.csv", "--truth", "k1=3"], ["k1"]),
+    "truth without value": (["rig.toml", "data.csv", "--truth", "m1"], ["m1", "NAME=VALUE"]),
+    "truth no number": (["rig.toml", "data.csv", "--truth", "m1=three"], ["three"]),
+    "truth infinite": (["rig.toml", "data.csv", "--truth", "m1=inf"], ["inf"]),
+    "truth twice": (["rig.toml", "data.csv", "--truth", "m1=3,m1=4"], ["twice"]),
+    "no such data": (["rig.toml", "none.csv"], ["none.csv"]),
+    "no such modes": (["rig.toml", "data.csv", "--modal", "none.csv"], ["none.csv"]),
+    "modes that are data": (["rig.toml", "data.csv", "--modal", "data.csv"], ["data.csv", "frequency_sd"]),
+    "picture over data": (["rig.toml", "data.csv", "--figure", "data.csv"], ["data.csv", "overwrite"]),
+    "picture over modes": (["rig.toml", "--modal", "rig2.csv", "--figure", "rig2.csv"], ["overwrite"]),
+    "two outputs in one": (
+        ["rig.toml", "data.csv", "--figure", "out.x", "--json", "out.x"],
+        ["two outputs have this name"],
+    ),
+    "no folder": (["rig.toml", "data.csv", "--figure", "no/out.png"], ["no", "does not exist"]),
+    "level": (["rig.toml", "data.csv", "--level", "100"], ["100"]),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", BAD)
+def test_bad_input(dashpot: Command, data: Path, case: str) -> None:
+    args, parts = BAD[case]
+    full = [*args, "--json", "out.json"] if "--json" not in args else args
+    before = data.read_bytes()
+    refused(dashpot("compare", *full), *parts)
+    assert data.read_bytes() == before
+
+
+def test_bad_rig_and_all_known(dashpot: Command, data: Path) -> None:
+    Path("bad.toml").write_text(RIG.replace("4600", '"x"', 1), encoding="utf-8")
+    refused(dashpot("compare", "bad.toml", "data.csv", "--json", "out.json"), "bad.toml:9")
+
+
+def test_no_method_that_suits(dashpot: Command, data: Path) -> None:
+    """The reason of the first; nothing is written."""
+    done = dashpot("compare", "rig.toml", "data.csv", "--methods", "ls", "--figure", "out.png")
+    refused(done, "velocity")
+
+
+def test_nothing_known_is_refused(dashpot: Command, data: Path) -> None:
+    Path("rig.toml").write_text(RIG.replace(", value = 4600", ""), encoding="utf-8")
+    text = RIG.replace(", value = 4600", "").replace(", value = 2.7", "")
+    Path("rig.toml").write_text(text, encoding="utf-8")
+    refused(dashpot("compare", "rig.toml", "data.csv", "--json", "out.json"), "forces scale together", code=3)
+    modes_file()
+    refused(dashpot("compare", "rig.toml", "--modal", "modes.csv", "--json", "out.json"), "size of masses", code=3)
+
+
+def test_bad_modes_are_said_with_row_and_column(dashpot: Command, data: Path) -> None:
+    Path("modes.csv").write_text(MODES + "3,0.1,0.1,0.01,1,0,high,1,0,0\n", encoding="utf-8")
+    done = dashpot("compare", "rig.toml", "data.csv", "--modal", "modes.csv", "--json", "out.json")
+    refused(done, "modes.csv:2", "x1_sd", "high")
