@@ -266,6 +266,11 @@ def _warnings(model: Model, theta: Real, fit: Fit, known_noise: bool) -> list[st
             "what counts only sensor noise is named so"
         )
     found += wrong_signs(model, theta)
+    for unknown, value in zip(model.unknowns, theta, strict=False):
+        if (unknown.lower is not None and value < unknown.lower) or (
+            unknown.upper is not None and value > unknown.upper
+        ):
+            found.append(f"{unknown.name} lies beyond its bounds: of all methods, only ml holds to them")
     return found
 
 
