@@ -229,11 +229,12 @@ def _inside(model: Model, cones: list[_Cone], free: Real) -> tuple[Real, Bools]:
 def _nearest(centre: Real, W: Real, cones: list[_Cone], start: Real) -> Real:
     """The points of all the cones nearest to `centre` (K, unknowns) in the metric W, from `start` inside.
 
-    Minimises ½ |x − centre|²_W − μ Σ log det A(x), μ falling to BARRIER.  That is self-concordant: a Newton step of
-    length δ in its own metric, cut to 1 / (1 + δ), stays inside and goes down (Boyd and Vandenberghe 2004, 9.6).
+    Minimises ½ |x − centre|²_W − μ Σ log det A(x), μ falling from the distance of the start to BARRIER.  That is
+    self-concordant: a Newton step of length δ in its own metric, cut to 1 / (1 + δ), stays inside and goes down (Boyd
+    and Vandenberghe 2004, 9.6).
     """
     x = start
-    mu = 1.0
+    mu = np.maximum(np.einsum("ku,kuv,kv->k", x - centre, W, x - centre), 1.0)
     while True:
         for _ in range(200):
             b, B = np.zeros_like(x), np.zeros_like(W)
@@ -244,15 +245,15 @@ def _nearest(centre: Real, W: Real, cones: list[_Cone], start: Real) -> Real:
                 b = b + np.trace(G, axis1=-2, axis2=-1)
                 flat = G.reshape(*G.shape[:2], -1)
                 B = B + flat @ np.swapaxes(flat, -1, -2)
-            slope = ((centre - x)[:, None, :] @ W)[:, 0] + mu * b
-            step = np.nan_to_num(solve_scaled(W + mu * B, slope))
+            slope = ((centre - x)[:, None, :] @ W)[:, 0] + mu[:, None] * b
+            step = np.nan_to_num(solve_scaled(W + mu[:, None, None] * B, slope))
             away = np.sqrt(np.maximum(np.sum(step * slope, axis=-1), 0.0) / mu)
             x = x + step / np.where(away > 0.25, 1 + away, 1.0)[:, None]
             if np.all(away < 1e-2):
                 break
-        if mu <= BARRIER:
+        if np.all(mu <= BARRIER):
             return x
-        mu = max(mu / 10, BARRIER)
+        mu = np.maximum(mu / 10, BARRIER)
 
 
 def definite(matrices: FreeMatrices, letters: str = "MCK") -> Bools:

@@ -222,6 +222,20 @@ def test_on_the_cone_intervals_hold_the_truth_at_least_as_often(weak) -> None:
     assert np.min(covered[[name.startswith("c") for name in held.names]]) >= 98
 
 
+def test_the_cone_is_reached_from_far_off() -> None:
+    """All entries free, sharp resonances: the frequencies are known to 1e-6, and the start inside is 1,000 sd away."""
+    model = free_model(X, at("x3"))
+    rig = rig_of(model, C=1e-5 * K, lines=20, level=5.0)
+    ch = channels(rig)
+    spectrum = noisy(rig, ch, covariance(rig, ch, 0.01), np.random.default_rng(5), 12)
+    free, held = identify(model, spectrum, OptimalIV()), identify(model, spectrum, DefiniteOptimalIV())
+    outside = ~definite(matrices_of(model, free))
+    assert np.sum(outside) >= 8
+    assert np.all(held.converged)
+    assert np.all(definite(matrices_of(model, held)))
+    assert np.all(held.fit.chi2 - free.fit.chi2 < 30)
+
+
 def test_letters_choose_the_matrices_that_are_held(weak) -> None:
     """Only C leaves the cone here: held to K and M alone, nothing changes."""
     rig, spectrum, free, _ = weak
