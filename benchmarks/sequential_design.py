@@ -1,7 +1,8 @@
 """How many samples it takes to know every parameter of a three-mass rig to 1 %.
 
-Two ways from the same poor first test (five low frequencies): a uniform sweep repeated until the stopping rule says
-enough, and the next best dwells given what is known, re-planned each time the samples have doubled.  Run it as
+Two ways from the same poor first test (five low frequencies), both until the stopping rule says enough: a uniform
+sweep, repeated with as many samples as the rule says are missing, and the shortest test for the target given what is
+known, re-planned.  Neither adds more at once than there is.  Run it as
 
     python benchmarks/sequential_design.py [repeats] [seed]
 """
@@ -62,26 +63,26 @@ def measure(model: Model, f: Sequence[float], samples: Sequence[int], rng: np.ra
     return simulate_spectrum(model, p, sensors(), dwells(model, list(f), list(samples)), rng)  # noise known
 
 
-def reached(model: Model, data: Spectrum) -> bool:
-    """The stopping rule."""
+def missing(model: Model, data: Spectrum) -> float:
+    """The stopping rule: how many more samples of the same kind would do; 0 where there are enough."""
     try:
         estimate = identify(model, data)
     except IdentifiabilityError:
-        return False
-    return enough(estimate, dict.fromkeys(TRUTH, TARGET), int(np.sum(data.samples))).reached
+        return np.inf
+    return enough(estimate, dict.fromkeys(TRUTH, TARGET), int(np.sum(data.samples))).more
 
 
 def uniform(model: Model, data: Spectrum, rng: np.random.Generator) -> Spectrum:
-    """Sweeps, each a tenth of what there is, until enough."""
-    while not reached(model, data):
-        each = max(8, round(0.1 * np.sum(data.samples) / len(SWEEP)))
+    """Sweeps until enough, each of what is missing and at most as much as there is."""
+    while (more := missing(model, data)) > 0:
+        each = max(4, int(np.ceil(min(more, np.sum(data.samples)) / len(SWEEP))))
         data = merge_repeats(data + measure(model, SWEEP.tolist(), [each] * len(SWEEP), rng))
     return data
 
 
 def sequential(model: Model, data: Spectrum, rng: np.random.Generator) -> Spectrum:
     """The shortest test to the target as far as is known, of which at most as much is run as there are samples."""
-    while not reached(model, data):
+    while missing(model, data) > 0:
         own, known = bench(model, sensors(), GUESS), None
         try:
             estimate = identify(model, data)
