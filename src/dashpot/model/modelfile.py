@@ -518,6 +518,7 @@ class _Reader:
         if raw and 0 < sum(x in head.angles for x in head.coordinates) < len(head.coordinates):
             cure = "describe this rig by its elements"
             self._report(("free",), "free matrices of displacements and angles together have no units", cure)
+            self.faulty.add("free")
             return ()
         pairs: dict[Letter, Pairs] = {}
         for name, entries in raw.items():
@@ -546,9 +547,9 @@ class _Reader:
         for k, pair in enumerate(entries):
             known = isinstance(pair, list) and len(pair) == 2 and all(one in coordinates for one in pair)
             if not known or pair[0] == pair[1]:
-                text = " and ".join(map(str, pair)) if isinstance(pair, list) else _show(pair)
+                text = ", ".join(map(str, pair)) if isinstance(pair, list) else _show(pair)
                 cure = f"name two different coordinates: {listed(coordinates)}"
-                self._report(("free", letter, k), f"{_one_line(text)[:60]} is no pair of coordinates", cure)
+                self._report(("free", letter, k), f"{_one_line(text)[:60]}: no pair of coordinates", cure)
                 return None
             pairs.append((pair[0], pair[1]))
         return pairs
