@@ -1,12 +1,12 @@
 """Worst case of robust tests against that of nominal ones, ±30 % in every unknown, on random rigs.
 
-    python benchmarks/robust_design.py [rigs] [seed]
-
-Both tests are judged by one search for the worst scenario that neither has seen.
+`python3 dev.py bench robust_design`, or with `--rigs 50` the number that is claimed.  Both tests are judged by one search
+for the worst scenario that neither has seen.
 """
 
 from __future__ import annotations
 
+import argparse
 import sys
 import time
 from dataclasses import replace
@@ -59,8 +59,12 @@ def ratio(own: Bench) -> float:
 
 
 def main() -> None:
-    count = int(sys.argv[1]) if len(sys.argv) > 1 else 50
-    rng = np.random.default_rng(int(sys.argv[2]) if len(sys.argv) > 2 else 0)
+    """Ratios of the worst cases."""
+    options = argparse.ArgumentParser(description=__doc__)
+    options.add_argument("--rigs", type=int, default=10)
+    options.add_argument("--seed", type=int, default=0)
+    given = options.parse_args()
+    count, rng = given.rigs, np.random.default_rng(given.seed)
     start = time.perf_counter()
     found = np.array([ratio(random_bench(rng)) for _ in range(count)])
     low, middle, high = np.quantile(found, [0.1, 0.5, 0.9])

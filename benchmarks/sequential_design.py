@@ -2,14 +2,14 @@
 
 Two ways from the same poor first test (five low frequencies), both until the stopping rule says enough: a uniform
 sweep, repeated with as many samples as the rule says are missing, and the shortest test for the target given what is
-known, re-planned.  Neither adds more at once than there is.  Run it as
+known, re-planned.  Neither adds more at once than there is.
 
-    python benchmarks/sequential_design.py [repeats] [seed]
+`python3 dev.py bench sequential_design`, or with `--repeats 200` the number that is claimed.
 """
 
 from __future__ import annotations
 
-import sys
+import argparse
 import time
 from collections.abc import Sequence
 
@@ -121,14 +121,17 @@ def compare(repeats: int, seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarray
 
 
 def main() -> None:
-    repeats = int(sys.argv[1]) if len(sys.argv) > 1 else 200
-    seed = int(sys.argv[2]) if len(sys.argv) > 2 else 0
+    """Both ways, and how many times the samples the sweep takes."""
+    options = argparse.ArgumentParser(description=__doc__)
+    options.add_argument("--repeats", type=int, default=20)
+    options.add_argument("--seed", type=int, default=0)
+    given = options.parse_args()
     start = time.perf_counter()
-    swept, planned, errors = compare(repeats, seed)
+    swept, planned, errors = compare(given.repeats, given.seed)
     for name, counts in (("uniform sweep", swept), ("next best dwells", planned)):
         low, middle, high = np.quantile(counts, [0.1, 0.5, 0.9])
         print(f"{name:18s} {middle:8.0f} samples ({low:.0f} … {high:.0f}, 80 % of repeats)")
-    print(f"ratio {np.median(swept / planned):.2f} (median of {repeats} repeats)")
+    print(f"ratio {np.median(swept / planned):.2f} (median of {given.repeats} repeats)")
     print(f"true rms errors, %: {np.round(100 * np.sqrt(np.mean(errors**2, axis=0)), 2)}")
     print(f"{time.perf_counter() - start:.0f} s")
 
