@@ -15,7 +15,7 @@ from dashpot.estimate.estimate import Estimate, Fit, ModeValues
 from dashpot.estimate.instruments import OptimalIV, likeliest
 from dashpot.estimate.likelihood import MaximumLikelihood
 from dashpot.estimate.method import Method, Prepared, Solution
-from dashpot.estimate.states import is_direct, noise_is_known, states, unseen, working_covariance
+from dashpot.estimate.states import is_direct, noise_is_known, states_if_seen, unseen, working_covariance
 from dashpot.estimate.worth import ROUNDING, Judged, Worth, judge, worth
 from dashpot.model.dynamics import matrices, modes
 from dashpot.model.free import free_entries
@@ -138,7 +138,7 @@ def _identify(model: Model, spectrum: Spectrum, method: Method) -> _Part:
 
 
 def _prepared(model: Model, spectrum: Spectrum, V: Complex) -> Prepared:
-    return Prepared(model, spectrum, V, None if unseen(model, spectrum) else states(model, spectrum, V))
+    return Prepared(model, spectrum, V, states_if_seen(model, spectrum, V))
 
 
 def _sized_by_residuals(model: Model, spectrum: Spectrum, method: Method, V: Complex) -> Complex:

@@ -103,7 +103,7 @@ def unseen(model: Model, spectrum: Spectrum, channels: Bools | None = None) -> t
     C = C / rates[:, None, None] ** power[None, :, None] * present[..., None]
     names = state_names(model)
     missing = np.zeros(len(names), dtype=bool)
-    for pattern in np.unique(present, axis=0):
+    for pattern in present[:1] if np.all(present == present[0]) else np.unique(present, axis=0):
         line = int(np.argmax(np.all(present == pattern, axis=-1)))
         _, s, Vh = np.linalg.svd(C[line], full_matrices=True)
         rank = int(np.sum(s > 1e-9 * max(1.0, float(s[0]) if s.size else 0.0)))
@@ -216,6 +216,15 @@ def states(model: Model, spectrum: Spectrum, covariance: Complex) -> States:
     Raises DataError where some coordinate or input is not seen by any channel.
     """
     require_seen(model, spectrum)
+    return _combined(model, spectrum, covariance)
+
+
+def states_if_seen(model: Model, spectrum: Spectrum, covariance: Complex) -> States | None:
+    """As `states`, None where some coordinate or input is not seen."""
+    return None if unseen(model, spectrum) else _combined(model, spectrum, covariance)
+
+
+def _combined(model: Model, spectrum: Spectrum, covariance: Complex) -> States:
     P = looks(model, spectrum, covariance)
     y = np.nan_to_num(spectrum.amplitudes)
     z = np.einsum("...lqc,...lc->...lq", P, y)
