@@ -1,7 +1,7 @@
 """Worst case of robust tests against that of nominal ones, ±30 % in every unknown, on random rigs.
 
-`python3 dev.py bench robust_design`, or with `--rigs 50` the number that is claimed.  Both tests are judged by one search
-for the worst scenario that neither has seen.
+`python3 dev.py bench robust_design`, or with `--rigs 50` the number that is claimed.  Both tests are judged by one
+search for the worst scenario that neither has seen.
 """
 
 from __future__ import annotations
