@@ -14,6 +14,7 @@ from dashpot.estimate.comparison import Comparison
 from dashpot.present.figures import BAD, COLOURS, INK, MODEL, style
 
 ROW, PANEL = 0.24, 2.45  # inches a method, and a panel
+WIDE = 6.0  # times the narrowest interval: wider ones run out of the picture, for the others would be dots
 
 
 def comparison_figure(comparison: Comparison, level: float = 0.95) -> Figure:
@@ -47,7 +48,9 @@ def interval_plot(
     bands: Mapping[str, tuple[float, float]],
     level: float = 0.95,
 ) -> Figure:
-    """`values`, `low`, `high`: (methods, names).  Intervals that miss the truth are red, with an open dot.
+    """`values`, `low`, `high`: (methods, names).
+
+    Intervals that miss the truth are red, with an open dot; those that run out of the picture end in an arrow.
 
     bands: name → (centre, standard deviation) at the Cramér-Rao bound, drawn as wide as an interval.
     """
@@ -55,7 +58,7 @@ def interval_plot(
 
     columns = min(len(names), 3)
     rows = -(-len(names) // columns)
-    reach = float(ndtri(0.5 + level / 2))
+    reach, wider = float(ndtri(0.5 + level / 2)), False
     with style():
         figure = Figure(figsize=(0.6 + PANEL * columns, rows * (0.75 + ROW * len(methods)) + 0.35))
         grid = np.atleast_2d(figure.subplots(rows, columns, sharey=True, squeeze=False))
@@ -64,19 +67,15 @@ def interval_plot(
                 axes.set_visible(False)
                 continue
             name = names[k]
-            _panel(
-                axes, methods, values[:, k], low[:, k], high[:, k], truth.get(name), bands.get(name), reach
-            )
+            band = None
+            if name in bands:
+                centre, half = bands[name][0], reach * bands[name][1]
+                band = (centre - half, centre + half)
+            wider |= _panel(axes, methods, values[:, k], low[:, k], high[:, k], truth.get(name), band)
             axes.set_title(name)
             unit = "" if units[k] == "1" else units[k]
             axes.set_xlabel(unit, labelpad=1)
-        _legend(
-            figure,
-            bool(truth),
-            bool(bands),
-            level,
-            4 if columns == 3 else columns,
-        )
+        _legend(figure, bool(truth), bool(bands), wider, level, 5 if columns == 3 else columns)
     return figure
 
 
@@ -88,32 +87,53 @@ def _panel(
     high: Real,
     truth: float | None,
     band: tuple[float, float] | None,
-    reach: float,
-) -> None:
+) -> bool:
+    """Draws one unknown; whether some interval runs out of the picture."""
     place = np.arange(len(methods))
+    left, right = _view(value, low, high, truth)
+    wider = False
     if band is not None:
-        centre, half = band[0], reach * band[1]
-        axes.axvspan(centre - half, centre + half, color=MODEL, alpha=0.12, lw=0)
+        axes.axvspan(*band, color=MODEL, alpha=0.12, lw=0)
     if truth is not None:
         axes.axvline(truth, color=INK, lw=0.9)
     for i in place:
-        missed = truth is not None and not low[i] <= truth <= high[i]
+        missed = truth is not None and (truth < low[i] or truth > high[i])
         colour = BAD if missed else COLOURS[0]
         if np.isfinite(low[i]) and np.isfinite(high[i]):
             axes.plot([low[i], high[i]], [i, i], color=colour, lw=1.6, solid_capstyle="butt")
         inner, edge = ("white", BAD) if missed else (colour, "white")
         axes.plot(value[i], i, "o", color=inner, ms=4, mec=edge, mew=1.0 if missed else 0.6)
+        for end, arrow, beyond in ((left, "<", low[i] < left), (right, ">", high[i] > right)):
+            if beyond:
+                wider = True
+                axes.plot(end, i, arrow, color=colour, ms=4.5, mew=0, clip_on=False)
+    axes.set_xlim(left, right)
     axes.set_ylim(len(methods) - 0.4, -0.6)
     axes.set_yticks(place, methods)
     axes.tick_params(axis="y", length=0)
     axes.grid(visible=False, axis="y")
     axes.spines["left"].set_visible(False)
     axes.xaxis.set_major_locator(MaxNLocator(4, min_n_ticks=2))
-    axes.margins(x=0.08)
     axes.ticklabel_format(axis="x", useOffset=False, scilimits=(-4, 6))
+    return wider
 
 
-def _legend(figure: Figure, truth: bool, bound: bool, level: float, columns: int) -> None:
+def _view(value: Real, low: Real, high: Real, truth: float | None) -> tuple[float, float]:
+    """What part of the axis is shown: all of the intervals but those WIDE times wider than the narrowest."""
+    width = high - low
+    finite = np.isfinite(width) & (width > 0)
+    if not np.any(finite):
+        middle = float(np.mean(value))
+        return middle - max(abs(middle), 1.0), middle + max(abs(middle), 1.0)
+    shown = finite & (width <= WIDE * np.min(width[finite]))
+    ends = [float(np.min(low[shown])), float(np.max(high[shown]))]
+    if truth is not None:
+        ends.append(truth)
+    margin = 0.08 * (max(ends) - min(ends))
+    return min(ends) - margin, max(ends) + margin
+
+
+def _legend(figure: Figure, truth: bool, bound: bool, wider: bool, level: float, columns: int) -> None:
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
 
@@ -139,6 +159,8 @@ def _legend(figure: Figure, truth: bool, bound: bool, level: float, columns: int
         handles.append(Line2D([], [], color=INK, lw=0.9, label="truth"))
     if bound:
         handles.append(Patch(color=MODEL, alpha=0.12, lw=0, label="interval at the Cramér-Rao bound"))
+    if wider:
+        handles.append(Line2D([], [], color=COLOURS[0], marker=">", ms=4.5, mew=0, lw=1.6, label="goes on"))
     figure.legend(
         handles=handles, loc="outside lower center", ncols=columns, handlelength=1.8, columnspacing=1.6
     )

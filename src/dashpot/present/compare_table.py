@@ -13,7 +13,7 @@ from dashpot.estimate.estimate import Estimate
 from dashpot.present.numbers import aligned, percent, rounded, short
 
 MISSES = "*"
-GAP = 2  # between columns
+GAP = 2  # between columns; the box has one of it
 
 
 def show_comparison(console: Console, comparison: Comparison, level: float = 0.95) -> None:
@@ -69,7 +69,7 @@ def _missed(estimate: Estimate, name: str, truth: float | None, level: float) ->
         return False
     low, high = estimate.interval(level)
     j = estimate.names.index(name)
-    return not float(low[j]) <= truth <= float(high[j])
+    return truth < float(low[j]) or truth > float(high[j])
 
 
 def _errors_column(comparison: Comparison, rows: int) -> list[str]:
@@ -102,7 +102,7 @@ def _blocks(heads: list[str], columns: list[list[str]], width: int) -> list[list
 
 
 def _table(heads: list[str], columns: list[list[str]], methods: int) -> Table:
-    table = Table(box=box.SIMPLE_HEAD, padding=(0, GAP, 0, 0), pad_edge=False, show_edge=False)
+    table = Table(box=box.SIMPLE_HEAD, padding=(0, GAP - 1, 0, 0), pad_edge=False, show_edge=False)
     first = len(heads) - methods
     for own in (heads, *columns):
         head = Text("\n".join(own[:first]))

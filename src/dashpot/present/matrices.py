@@ -13,7 +13,7 @@ from dashpot.model.free import Letter
 from dashpot.present.numbers import aligned, rounded
 
 UNITS = {False: {"M": "kg", "C": "N·s/m", "K": "N/m"}, True: {"M": "kg·m²", "C": "N·m·s/rad", "K": "N·m/rad"}}
-GAP = 2  # between columns
+GAP = 2  # between columns; the box has one of it
 
 
 def show_matrices(console: Console, matrices: FreeMatrices, angular: bool = False) -> None:
@@ -53,7 +53,7 @@ def _columns(matrices: FreeMatrices, letter: Letter) -> list[list[str]]:
 
 
 def _table(matrices: FreeMatrices, columns: list[list[str]], block: list[int], title: str) -> Table:
-    table = Table(box=box.SIMPLE_HEAD, padding=(0, GAP, 0, 0), pad_edge=False, show_edge=False)
+    table = Table(box=box.SIMPLE_HEAD, padding=(0, GAP - 1, 0, 0), pad_edge=False, show_edge=False)
     table.add_column(Text(title), no_wrap=True)
     for j in block:
         table.add_column(Text(matrices.coordinates[j]), no_wrap=True)
