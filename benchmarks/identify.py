@@ -153,7 +153,7 @@ def one_against_peers(repeats: int = 200) -> None:
         estimate = identify(PAPER, single, OptimalIV())
         return estimate.values, estimate.sd
 
-    own = best_of(lambda: by_dashpot(0))
+    own = best_of(lambda: by_dashpot(0), 100)
     print("One identification of the paper's rig (CASE-3, 25 lines, 6 unknowns, amplitudes given)\n")
     print(
         "| tool | start | time over dashpot's | rms relative error, % | 95 % intervals that hold the truth, % |"
@@ -165,7 +165,7 @@ def one_against_peers(repeats: int = 200) -> None:
         ("lmfit", f"{START:g} × truth", lambda k: by_lmfit(spectrum.amplitudes[k, :, :-1])),
     ]
     for name, start, solve in rows:
-        taken = own if solve is by_dashpot else best_of(lambda solve=solve: solve(0), 3)
+        taken = own if solve is by_dashpot else best_of(lambda solve=solve: solve(0), 100)
         found = [solve(k) for k in range(repeats)]
         away = np.array([theta for theta, _ in found]) - truth
         inside = np.abs(away) <= 1.96 * np.array([s for _, s in found])
