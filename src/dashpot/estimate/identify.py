@@ -23,6 +23,7 @@ from dashpot.model.network import Model
 
 BIASED = 3.0  # standard deviations
 CHUNK = 2_000_000  # complex numbers of amplitudes at once: keeps the working set of a batch near 1 GB
+MODES_TO = 400  # coordinates: the modes of larger rigs would take longer than all else
 
 
 def identify(
@@ -225,7 +226,7 @@ def _assemble(
         fit=fit,
         known=known_values(model),
         tied=tied_values(model),
-        modes=mode_values(model, theta[:m], covariance[:m, :m]) if single else None,
+        modes=mode_values(model, theta[:m], covariance[:m, :m]) if single and model.n <= MODES_TO else None,
         signs={name: join([part.solution.signs[name] for part in parts]) for name in parts[0].solution.signs},
         warnings=tuple(warnings),
     )

@@ -12,7 +12,16 @@ from dashpot.arrays import Ints, Real, hermitian
 from dashpot.errors import ConvergenceError
 from dashpot.estimate.least_squares import compensated
 from dashpot.estimate.method import Limits, Method, Prepared, Solution
-from dashpot.estimate.output import Measured, Outlook, directly_driven, measured, outlook, predict
+from dashpot.estimate.output import (
+    SPARSE_FROM,
+    Measured,
+    Outlook,
+    directly_driven,
+    measured,
+    outlook,
+    predict,
+    small,
+)
 from dashpot.estimate.regression import inverse, solve_scaled
 from dashpot.estimate.search import PATIENCE, Found, Local, minimise
 from dashpot.estimate.starts import candidates, neighbours
@@ -26,7 +35,11 @@ SOFTER = 0.3  # and in the first one, where logarithms cannot be had
 ROUGH = 60  # iterations of such a stage
 LOG_RESIDUAL = 0.5  # nepers beyond which a residual of logarithms counts no longer by its square
 POLISH = 25  # iterations for the deepest ends of a round
-EASY, PLAIN = 0.1, 0.5  # share of the first starts that end in one valley, if it fits and if not, that ends the search
+EASY, PLAIN = (
+    0.1,
+    0.5,
+)  # share of the first starts that end in one valley, if it fits and if not, that ends the search
+LEAST = 16  # starts of the largest rigs
 DEEPEST = 8  # valleys that are followed to the bottom
 RIVAL = 60.0  # χ² by which a valley may lie above the deepest one of one repeat and be the deepest of another
 PIECE = 2_000_000  # complex numbers of dynamic stiffness at once
@@ -188,14 +201,25 @@ class MaximumLikelihood(Method):
         acceptable = _acceptable(one, exact, len(view.names))
         valleys = Valleys(np.empty((0, len(view.names))), np.empty((0, len(view.channels))), np.empty(0))
         idle = 0
+        # Large rigs: fewer starts, and none where a guess leads to a fit.
+        ease = min(1.0, SPARSE_FROM / view.model.n)
+        starts = max(int(self.starts * ease), min(self.starts, LEAST))
+        if not small(view.model) and all(u.guess is not None or u.sd is not None for u in data.model.unknowns):
+            psi, sign = candidates(one, view, 1, rng)
+            for stage in stages:
+                psi = _descend_all(view, stage, psi, sign, lower, upper)
+            end = self._descend(view, exact, psi, sign, lower, upper)
+            valleys = valleys.with_ends(end.x, sign, end.cost)
+            if end.cost[0] <= acceptable:
+                return valleys
         for turn in range(self.rounds):
-            psi, sign = candidates(one, view, self.candidates, rng)
+            psi, sign = candidates(one, view, int(self.candidates * ease) + starts, rng)
             order = np.argsort(_cost(view, stages[0], psi, sign))
-            chosen = np.union1d(order[: self.starts], [0]) if turn == 0 else order[: self.starts // 4]
+            chosen = np.union1d(order[:starts], [0]) if turn == 0 else order[: starts // 4]
             psi, sign = psi[chosen], sign[chosen]
             if turn > 0:
                 near, near_sign = neighbours(
-                    valleys.psi[:DEEPEST], valleys.sign[:DEEPEST], view, self.starts, rng
+                    valleys.psi[:DEEPEST], valleys.sign[:DEEPEST], view, starts, rng
                 )
                 psi, sign = np.concatenate([psi, near]), np.concatenate([sign, near_sign])
             for stage in stages:
@@ -377,7 +401,9 @@ def logarithmic(view: Outlook, data: Measured, weight: Real, psi: Real, sign: Re
 
 def _cost(view: Outlook, cost: Cost, psi: Real, sign: Real) -> Real:
     """The cost at many ψ of one repeat, inf where there is none, in pieces that fit into memory."""
-    size = max(1, PIECE // (len(view.omega) * view.model.n * (view.model.n + len(view.channels))))
+    model, channels = view.model, len(view.channels)
+    one = model.n * (model.n + channels) if small(model) else 2 * channels * len(model.elements)
+    size = max(1, PIECE // (len(view.omega) * one))
     pieces = []
     with np.errstate(all="ignore"):
         for first in range(0, len(psi), size):

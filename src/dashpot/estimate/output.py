@@ -258,7 +258,7 @@ def predict(view: Outlook, data: Measured, psi: Real, sign: Real) -> Prediction:
     looking, direct_q = view.direct_x, view.direct_q
     if view.has_forces:
         rows = view.force * (p[:, None, :] * model.factors(view.omega))[..., None, :]
-        looking = looking + rows @ model.B
+        looking = looking + (rows @ model.B if small(model) else _by_sparse(rows, model.sparse_B))
         direct_q = np.broadcast_to(direct_q, (*rows.shape[:-1], direct_q.shape[-1])).copy()
         direct_q[..., : model.D.shape[1]] += rows @ model.D
     seen, back, stretch = _transfer(
@@ -288,8 +288,8 @@ def _transfer(model: Model, p: Real, omega: Real, looking: Complex) -> tuple[Com
 
     Shapes (K, lines, channels, r + s), (K, lines, channels, elements), (K, lines, elements, r + s).
     """
-    if model.n >= SPARSE_FROM and len(p) == 1:
-        return _transfer_sparse(model, p[0], omega, looking[0])
+    if not small(model):
+        return _transfer_sparse(model, p, omega, looking)
     channels = looking.shape[-2]
     both = stiffness(model, p, omega)
     S = np.broadcast_to(model.S.astype(np.complex128), (*both.shape[:-1], model.S.shape[1]))
@@ -306,23 +306,37 @@ def _transfer_sparse(
 ) -> tuple[Complex, Complex, Complex]:
     B, D = model.sparse_B, model.D
     Bt = B.T.tocsr()
-    channels, r = looking.shape[-2], D.shape[1]
-    seen, back, stretch = [], [], []
+    indices, indptr, A = model.assembly
+    repeats, lines, channels = looking.shape[:3]
+    r, forces, sides = D.shape[1], model.S.astype(np.complex128), channels + D.shape[1] + model.S.shape[1]
+    pulled = np.empty((repeats, lines, len(model.elements), sides), dtype=np.complex128)
+    seen = np.empty((repeats, lines, channels, sides - channels), dtype=np.complex128)
     for line, factors in enumerate(model.factors(omega)):
-        weight = p * factors
-        stiffness = (Bt @ sparse.diags_array(weight) @ B).tocsc()
-        factorised = splu(stiffness, permc_spec="MMD_AT_PLUS_A", options={"SymmetricMode": True})
-        right = np.concatenate(
-            [looking[line].T, -(Bt @ (weight[:, None] * D)), model.S.astype(complex)], axis=1
-        )
-        solved = factorised.solve(np.ascontiguousarray(right))
-        X = solved[:, channels:]
-        seen.append(looking[line] @ X)
-        back.append((B @ solved[:, :channels]).T)
-        pulled = B @ X
-        pulled[:, :r] += D
-        stretch.append(pulled)
-    return np.stack(seen)[None], np.stack(back)[None], np.stack(stretch)[None]
+        for k in range(repeats):
+            weight = p[k] * factors
+            D_k = sparse.csc_array((A @ weight, indices, indptr), shape=(model.n, model.n))
+            right = np.concatenate([looking[k, line].T, -(Bt @ (weight[:, None] * D)), forces], axis=1)
+            try:
+                factorised = splu(D_k, permc_spec="MMD_AT_PLUS_A", options={"SymmetricMode": True})
+                solved = factorised.solve(right)
+            except RuntimeError:  # exactly singular
+                solved = np.full_like(right, np.nan)
+            pulled[k, line] = B @ solved
+            seen[k, line] = looking[k, line] @ solved[:, channels:]
+    stretch = pulled[..., channels:]
+    stretch[..., :r] += D
+    return seen, np.swapaxes(pulled[..., :channels], -1, -2), stretch
+
+
+def small(model: Model) -> bool:
+    """Whether stacks of full matrices beat factorisations of the sparse pattern."""
+    return model.n < SPARSE_FROM
+
+
+def _by_sparse(rows: Complex, matrix: sparse.csr_array) -> Complex:
+    """rows (..., elements) times a sparse matrix (elements, n)."""
+    flat: Complex = np.asarray(rows.reshape(-1, rows.shape[-1]) @ matrix)
+    return flat.reshape(*rows.shape[:-1], matrix.shape[1])
 
 
 def _inputs(G: Complex, data: Measured) -> tuple[Complex, Complex | None]:

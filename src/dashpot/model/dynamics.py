@@ -33,30 +33,34 @@ class Matrices:
     J: Real
 
 
-def _assemble(p: Real, left: Real, right: Real) -> Real:
-    """Σ_i p_i left_iᵀ right_i, (..., columns of left, columns of right)."""
-    outer = left[:, :, None] * right[:, None, :]
-    flat: Real = p @ outer.reshape(len(left), left.shape[1] * right.shape[1])
-    return flat.reshape(*p.shape[:-1], left.shape[1], right.shape[1])
+def _assemble(model: Model, p: Real, letter: str) -> Real:
+    """Σ p_i b_iᵀ [b_i | d_i] over the elements of M, C, K or H, flattened; (..., n (n + r))."""
+    products, own = model.products[letter], p[..., model.by_matrix[letter]]
+    if not own.shape[-1]:
+        return np.zeros((*p.shape[:-1], products.shape[1]))
+    if isinstance(products, np.ndarray):
+        return own @ products
+    flat: Real = own.reshape(-1, own.shape[-1]) @ products
+    return flat.reshape(*p.shape[:-1], products.shape[1])
 
 
 def matrices(model: Model, p: Real) -> Matrices:
     """Matrices of the rig with parameters p of shape (..., elements).  Paper eq. 1 and 6."""
-    B, D = model.B, model.D
-    group = model.by_matrix
-    own = {key: _assemble(p[..., i], B[i], B[i]) for key, i in group.items()}
-    driven = {key: -_assemble(p[..., i], B[i], D[i]) for key, i in group.items() if key != "H"}
+    n, r = model.n, model.D.shape[1]
+    both = {letter: _assemble(model, p, letter).reshape(*p.shape[:-1], n, n + r) for letter in "MCKH"}
+    own = {letter: part[..., :n] for letter, part in both.items()}
+    driven = {letter: -part[..., n:] for letter, part in both.items()}
     return Matrices(own["M"], own["C"], own["K"], own["H"], driven["C"], driven["K"], driven["M"])
 
 
 def stiffness(model: Model, p: Real, omega: Real) -> Complex:
     """Bᵀ diag(p φ) [B | D]: dynamic stiffness and, behind it, −R of the inputs; (..., lines, n, n + r), N/m."""
     factor = {"M": -(omega**2), "C": 1j * omega, "K": np.ones_like(omega), "H": 1j * np.sign(omega)}
-    n, r = model.B.shape[1], model.D.shape[1]
+    n, r = model.n, model.D.shape[1]
     total = np.zeros((*p.shape[:-1], len(omega), n * (n + r)), dtype=np.complex128)
     for key, i in model.by_matrix.items():
         if len(i):
-            total += factor[key][:, None] * (p[..., i] @ model.products[key])[..., None, :]
+            total += factor[key][:, None] * _assemble(model, p, key)[..., None, :]
     return total.reshape(*total.shape[:-1], n, n + r)
 
 

@@ -20,6 +20,7 @@ from dashpot.errors import ModelError, Problem
 from dashpot.model.elements import Element, Kind
 
 InputKind = Literal["displacement", "force"]
+DENSE = 1_000_000  # numbers up to which products of incidences are kept as full matrices
 
 
 @dataclass(frozen=True)
@@ -134,9 +135,14 @@ class Model:
         return frozen(self.sparse_B.toarray(), np.float64)
 
     @cached_property
+    def sparse_D(self) -> sparse.csr_array:
+        """Incidence over the displacement inputs, sparse, (elements, r)."""
+        return self._incidence(self.displacement_inputs)
+
+    @cached_property
     def D(self) -> Real:
         """Incidence over the displacement inputs, (elements, r).  THEORY (E)."""
-        return frozen(self._incidence(self.displacement_inputs).toarray(), np.float64)
+        return frozen(self.sparse_D.toarray(), np.float64)
 
     @cached_property
     def S(self) -> Real:
@@ -271,15 +277,29 @@ class Model:
         }
 
     @cached_property
-    def products(self) -> Mapping[str, Real]:
-        """b_iᵀ [b_i | d_i] of the elements of M, C, K and H, flattened: (elements of it, n (n + r))."""
-        span = np.concatenate([self.B, self.D], axis=1)
+    def products(self) -> Mapping[str, Real | sparse.csr_array]:
+        """b_iᵀ [b_i | d_i] of the elements of M, C, K and H, flattened: (elements of it, n (n + r)).
+
+        Sparse where the rig is large: an element joins few points.
+        """
+        span = sparse.csr_array(sparse.hstack([self.sparse_B, self.sparse_D]))
+        flat = {letter: _row_products(self.sparse_B[i], span[i]) for letter, i in self.by_matrix.items()}
+        small = len(self.elements) * self.n * span.shape[1] <= DENSE
         return {
-            letter: frozen((self.B[i][:, :, None] * span[i][:, None, :]).reshape(len(i), -1), np.float64)
-            if len(i)
-            else frozen(np.zeros((0, self.B.shape[1] * span.shape[1])), np.float64)
-            for letter, i in self.by_matrix.items()
+            letter: frozen(part.toarray(), np.float64) if small else part for letter, part in flat.items()
         }
+
+    @cached_property
+    def assembly(self) -> tuple[Ints, Ints, sparse.csr_array]:
+        """(indices, indptr, A) of the sparse dynamic stiffness by columns: its entries are A (p φ)."""
+        flat = _row_products(self.sparse_B, self.sparse_B).tocoo()
+        cells, place = np.unique(
+            flat.col, return_inverse=True
+        )  # row · n + column; symmetric, so rows are columns
+        A = sparse.csr_array((flat.data, (place, flat.row)), shape=(len(cells), len(self.elements)))
+        counts = np.bincount(cells // self.n, minlength=self.n)
+        indptr = np.concatenate([[0], np.cumsum(counts)])
+        return frozen(cells % self.n, np.int64), frozen(indptr, np.int64), A
 
     def __getstate__(self) -> dict[str, object]:
         names = ("coordinates", "inputs", "elements", "name", "angles")
@@ -287,6 +307,24 @@ class Model:
 
     def __hash__(self) -> int:
         return hash((self.coordinates, self.name, len(self.elements)))
+
+
+def _row_products(left: sparse.csr_array, right: sparse.csr_array) -> sparse.csr_array:
+    """Row i: the outer product of row i of both, flattened; (rows, columns of left · columns of right)."""
+    rows, columns, values = [], [], []
+    width = right.shape[1]
+    for i in range(left.shape[0]):
+        a, b = slice(*left.indptr[i : i + 2]), slice(*right.indptr[i : i + 2])
+        cells = left.indices[a].astype(np.int64)[:, None] * width + right.indices[b]
+        columns.append(cells.ravel())
+        values.append(np.outer(left.data[a], right.data[b]).ravel())
+        rows.append(np.full(cells.size, i))
+    shape = (left.shape[0], left.shape[1] * width)
+    if not rows:
+        return sparse.csr_array(shape)
+    return sparse.csr_array(
+        (np.concatenate(values), (np.concatenate(rows), np.concatenate(columns))), shape=shape
+    )
 
 
 def problems(

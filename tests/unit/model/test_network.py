@@ -9,8 +9,11 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy import sparse
 
 from dashpot.errors import ModelError
+from dashpot.model import network
+from dashpot.model.dynamics import matrices
 from dashpot.model.elements import Element, Kind, between, mass
 from dashpot.model.network import Input, Model, listed
 
@@ -122,6 +125,18 @@ class TestUnknowns:
 
 
 class TestIdentity:
+    def test_sparse_and_full_products_are_one(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        p = np.arange(1.0, len(RIG.elements) + 1)
+        full = matrices(RIG, p)
+        monkeypatch.setattr(network, "DENSE", 0)
+        large = matrices(copy.deepcopy(RIG), p)
+        for letter in "MCKHFGJ":
+            np.testing.assert_array_equal(getattr(large, letter), getattr(full, letter))
+        indices, indptr, A = RIG.assembly
+        phi = p * RIG.factors(np.array([3.0]))[0]
+        own = sparse.csc_array((A @ phi, indices, indptr), shape=(RIG.n, RIG.n)).toarray()
+        np.testing.assert_allclose(own, full.K + 1j * full.H + 3j * full.C - 9 * full.M, rtol=1e-14)
+
     def test_copies_and_pickles_are_equal(self) -> None:
         assert RIG.B is not None  # a cached array does not travel
         for twin in (pickle.loads(pickle.dumps(RIG)), copy.deepcopy(RIG)):
