@@ -233,7 +233,10 @@ def all_modes(model: Model, p: Real) -> tuple[Complex, Complex]:
         A = np.zeros((int(np.sum(regular)), 2 * n, 2 * n), dtype=K.dtype)
         A[:, :n, n:] = np.eye(n)
         A[:, n:] = -np.linalg.solve(scaled[regular], right)
-        found, vectors = np.linalg.eig(A)
+        # Where a search has run off to, rounding may leave nothing finite: such a rig has no modes.
+        whole = np.all(np.isfinite(A), axis=(-1, -2))
+        found, vectors = np.linalg.eig(np.where(whole[:, None, None], A, 0.0))
+        found = np.where(whole[:, None], found, np.nan)
         values[regular] = found
         shapes[regular] = np.swapaxes(vectors[:, :n], -1, -2) / size[regular][:, None, :]
     for k in np.flatnonzero(finite & ~regular):  # massless coordinates: fewer modes, found one rig at a time

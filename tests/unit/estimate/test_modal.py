@@ -121,6 +121,20 @@ def test_all_modes_are_those_of_one_rig_at_a_time() -> None:
                 assert cosine > 1 - 1e-9
 
 
+def test_a_rig_that_overflows_has_no_modes_and_costs_the_others_nothing() -> None:
+    rig = chain()
+    p = np.stack([rig.p, rig.p, rig.p])
+    p[1, :3] = 1e-300, 1.0, 1e300
+    p[1, 3:] = 1e308
+    with np.errstate(all="ignore"):
+        values, shapes = all_modes(rig.model, p)
+    assert not np.any(np.isfinite(values[1]))
+    own = all_modes(rig.model, rig.p[None])
+    for k in (0, 2):
+        assert np.array_equal(values[k], own[0][0])
+        assert np.array_equal(shapes[k], own[1][0])
+
+
 # Exact data
 
 
