@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.optimize import least_squares
 
 from dashpot.data.modal import ModalData, of_eigenvalues
 from dashpot.errors import DataError, IdentifiabilityError, UsageError
@@ -256,6 +257,38 @@ def test_a_shape_scaled_at_a_point_is_exact_there() -> None:
     same = identify_modal(rig.model, noisy)
     assert np.max(np.abs(found.values - same.values) / same.sd) < 0.008
     assert np.allclose(found.sd, same.sd, rtol=0.02)  # V is referred to noisy amplitudes, some of them small
+
+
+def test_the_answer_is_that_of_least_squares_written_out() -> None:
+    """Frequencies, damping ratios and shapes with each mode's scale as two more unknowns, by SciPy with differences.
+
+    Values to a thousandth of a standard deviation, sd to 0.1 %.
+    """
+    rig = chain()
+    data = measured(rig, np.random.default_rng(6), level=1e-4)
+    found = identify_modal(rig.model, data)
+    sd = np.sqrt(np.diagonal(data.shape_covariance, axis1=1, axis2=2).real / 2)
+
+    def residuals(psi: np.ndarray) -> np.ndarray:
+        own = modes(rig.model, rig.model.parameters(psi[:8] * rig.theta))
+        scale = psi[8:].reshape(2, 3)
+        rows = []
+        for k in range(3):
+            lam = own.eigenvalues[k]
+            off = np.array(
+                [data.frequency_hz[k] - abs(lam) / 2 / np.pi, data.damping_ratio[k] + lam.real / abs(lam)]
+            )
+            rows.append(np.linalg.solve(np.linalg.cholesky(data.covariance[k]), off))
+            shape = (data.shapes[k] - (scale[0, k] + 1j * scale[1, k]) * own.shapes[k]) / sd[k]
+            rows += [shape.real, shape.imag]
+        return np.concatenate(rows)
+
+    start = np.concatenate([np.ones(8), np.ones(3), np.zeros(3)])
+    best = least_squares(residuals, start, jac="3-point", xtol=1e-12, ftol=1e-14, gtol=1e-12)
+    assert 2 * best.cost == pytest.approx(float(found.fit.chi2), rel=1e-6)
+    assert np.max(np.abs(best.x[:8] * rig.theta - found.values) / found.sd) < 1e-3
+    spread = np.sqrt(np.diag(np.linalg.inv(best.jac.T @ best.jac)))[:8] * rig.theta
+    assert np.allclose(spread, found.sd, rtol=1e-3)
 
 
 # Which is which
