@@ -2,7 +2,8 @@
 
 `python3 dev.py bench peers [--draws N] [--more N]`.  The paper's rig on a base that is stepped through the frequencies
 of its CASE-3, from rest, in one continuous record; with white noise of one size in each channel, which an ordinary
-least squares of samples takes for granted, and with the paper's, in proportion to the amplitude at each frequency.
+least squares of samples takes for granted, with the paper's, in proportion to the amplitude at each frequency, and
+with noise on the base as well.
 
 dashpot gets the rig.  lmfit gets dashpot's amplitudes with their standard deviations, a hand-written response and a
 start.  MuJoCo gets the samples, transients included, a start and bounds: masses on slide joints, the spring and the
@@ -120,9 +121,8 @@ def stepped_sine() -> Test:
 
 
 def amplitudes(test: Test, values: np.ndarray) -> Spectrum:
-    """Amplitudes and their noise from the steady part of each dwell."""
-    every = np.column_stack([values, test.base])
-    return spectrum([Record(CHANNELS, test.time[part], every[part], hz) for hz, part in test.dwells])
+    """Amplitudes and their noise from the steady part of each dwell; values (samples, 5), the base last."""
+    return spectrum([Record(CHANNELS, test.time[part], values[part], hz) for hz, part in test.dwells])
 
 
 def by_dashpot(data: Spectrum) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -273,17 +273,25 @@ def measure(draws: int, solve: Callable[[int], tuple[np.ndarray, np.ndarray, np.
 
 
 def levels(test: Test) -> dict[str, np.ndarray]:
-    """Standard deviations of the noise of each sample, (samples, 4) or (4,)."""
-    in_proportion = np.empty_like(test.values)
+    """Standard deviations of the noise of each sample, (samples, 5) or (5,), the base last."""
+    everything = np.column_stack([test.values, test.base])
+    rms = np.sqrt(np.mean(everything**2, axis=0))
+    in_proportion = np.zeros_like(everything)
     begin = 0
     for _, part in test.dwells:
-        in_proportion[begin : part.stop] = NOISE * np.sqrt(2 * np.mean(test.values[part] ** 2, axis=0))
+        in_proportion[begin : part.stop, :4] = np.sqrt(2 * np.mean(test.values[part] ** 2, axis=0))
         begin = part.stop
+    size, moving = f"{100 * NOISE:.0f} %", np.array([1, 1, 1, 1, 0])
     return {
-        f"{100 * NOISE:.0f} % of each channel's rms, the same at all frequencies": NOISE
-        * np.sqrt(np.mean(test.values**2, axis=0)),
-        f"{100 * NOISE:.0f} % of each channel's amplitude at each frequency (the paper's eq. 21)": in_proportion,
+        f"{size} of each channel's rms, the same at all frequencies; the base exact": NOISE * rms * moving,
+        f"{size} of the amplitude at each frequency (eq. 21); the base exact": NOISE * in_proportion,
+        f"{size} of each channel's rms, the base measured like the masses": NOISE * rms,
     }
+
+
+def wobble(rng: np.random.Generator, base: np.random.Generator, samples: int) -> np.ndarray:
+    """White noise, (samples, 5); the base has a generator of its own, so that it does not change the others' noise."""
+    return np.column_stack([rng.standard_normal((samples, 4)), base.standard_normal(samples)])
 
 
 def main() -> None:
@@ -305,8 +313,9 @@ def main() -> None:
             f"record without noise its parameters are {100 * np.max(np.abs(exact / TRUE - 1)):.2f} % off at most.\n"
         )
     for number, (words, level) in enumerate(levels(test).items()):
-        rng = np.random.default_rng([1989, number])
-        noisy = [test.values + level * rng.standard_normal(test.values.shape) for _ in range(more)]
+        rng, base_rng = np.random.default_rng([1989, number]), np.random.default_rng([1989, number, 1])
+        clean = np.column_stack([test.values, test.base])
+        noisy = [clean + level * wobble(rng, base_rng, len(clean)) for _ in range(more)]
         begin = time.perf_counter()
         data = [amplitudes(test, values) for values in noisy]
         making = (time.perf_counter() - begin) / more
@@ -325,14 +334,20 @@ def main() -> None:
             ("lmfit", "5 × truth", lambda k, data=data: by_lmfit(data[k], 5 * TRUE)),
         ]
         rows = [(*row, draws) for row in quick]
-        if by_mujoco is not None:
+        exact_base = not np.any(level[..., 4])
+        if by_mujoco is not None and exact_base:
             rows.append(
-                ("mujoco.sysid", "1.5 × truth", lambda k, noisy=noisy: by_mujoco(noisy[k], 1.5 * TRUE), draws)
-            )
+                (
+                    "mujoco.sysid", "1.5 × truth",
+                    lambda k, noisy=noisy: by_mujoco(noisy[k][:, :4], 1.5 * TRUE), draws,
+                )
+            )  # fmt: skip
         rows += [(*row, more) for row in quick]
         for tool, start, solve, count in rows:
             print(f"| {tool} | {start} | {count} | {measure(count, solve).figures()} |", flush=True)
-        if by_mujoco is None:
+        if not exact_base:
+            print("| mujoco.sysid | – | – | its control is an exact motion | – | – | – | – | – |")
+        elif by_mujoco is None:
             print("| mujoco.sysid | 1.5 × truth | not installed | – | – | – | – | – | – |")
         print(f"\nThe amplitudes for dashpot and lmfit take another {1e3 * making:.0f} ms.\n")
 
