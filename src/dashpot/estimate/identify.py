@@ -203,6 +203,7 @@ def _assemble(
     misfit = bool(np.any(fit.rejected))
     warnings = list(dict.fromkeys(w for part in parts for w in part.solution.warnings))
     warnings += _warnings(model, theta, fit, known_noise) if single else []
+    warnings += _held(judged.names, theta, parts[0].solution) if single else []
     warnings += _colour(spectrum)
     m = len(model.unknowns)
     limits = parts[0].solution.limits
@@ -294,6 +295,18 @@ def wrong_signs(model: Model, theta: Real) -> list[str]:
                 "the method oiv+ finds the most likely matrices that are"
             )
     return found
+
+
+def _held(names: tuple[str, ...], theta: Real, solution: Solution) -> list[str]:
+    """Unknowns that lie at a bound."""
+    if solution.limits is None:
+        return []
+    at = (theta <= solution.limits.lower) | (theta >= solution.limits.upper)
+    return [
+        f"{name} is held at its bound; without it {float(free):.4g} would fit best"
+        for name, held, free in zip(names, at, solution.limits.free[0], strict=True)
+        if held
+    ]
 
 
 def _colour(spectrum: Spectrum) -> list[str]:

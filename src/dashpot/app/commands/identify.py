@@ -27,6 +27,7 @@ CHOICES = ["auto", "ls", "hls", "wls", "tls", "cls", "iv", "oiv", "oiv+", "ml"]
     "--method", "chosen", type=click.Choice(CHOICES), default="auto", show_default=True,
     help="Estimator; auto is oiv where every coordinate and input is measured, ml elsewhere.",
 )  # fmt: skip
+@click.option("--positive", is_flag=True, help="Hold every unknown at or above 0; by ml.")
 @click.option("--json", "json_out", metavar="OUT", help="Write the estimate as JSON; - is stdout.")
 @click.option("--report", metavar="OUT.html", help="Write a report with figures, one HTML file.")
 @click.option(
@@ -52,6 +53,7 @@ def command(
     rig: str,
     data: tuple[str, ...],
     chosen: str,
+    positive: bool,
     json_out: str | None,
     report: str | None,
     seed: int,
@@ -73,6 +75,7 @@ def command(
     check_targets([None if json_out == STDOUT else json_out, report], [rig, *data])
     found = read_rig(rig)
     _check_unknowns(found, rig)
+    chosen = _holding(chosen, positive)
     _check_matrices(found, matrices)
     require_identifiable(found.model, found.channels, rig)
     _check_method(found, chosen)
@@ -87,7 +90,9 @@ def command(
     spectrum = _spectrum(reading, conditioning, chosen)
     require_identifiable(found.model, spectrum.channels, rig, spectrum)
     with progress("identify", quiet) as moved:
-        estimate = identify(found.model, spectrum, _method(chosen, found, spectrum, seed), progress=moved)
+        estimate = identify(
+            found.model, spectrum, _method(chosen, found, spectrum, seed, positive), progress=moved
+        )
     if report is not None:
         from dashpot.present.report import identification_report
 
@@ -134,12 +139,23 @@ def _spectrum(reading: Reading, how: Conditioning, chosen: str) -> Spectrum:
     return amplitudes(reading, how, moments=samples)
 
 
-def _method(chosen: str, rig: Rig, spectrum: Spectrum, seed: int) -> Method:
+def _holding(chosen: str, positive: bool) -> str:
+    """The method: ml where unknowns are to be held at or above 0."""
+    from dashpot.errors import UsageError
+
+    if positive and chosen not in ("auto", "ml"):
+        raise UsageError(
+            f"the method {chosen} holds no bounds", cure="leave out --positive, or use the method ml"
+        )
+    return "ml" if positive else chosen
+
+
+def _method(chosen: str, rig: Rig, spectrum: Spectrum, seed: int, positive: bool) -> Method:
     from dashpot.estimate.identify import automatic
     from dashpot.estimate.methods import method
 
     name = automatic(rig.model, spectrum).name if chosen == "auto" else chosen
-    return method(name, seed=seed)
+    return method(name, seed=seed, positive=positive)
 
 
 def _check_unknowns(found: Rig, path: str) -> None:
