@@ -151,15 +151,18 @@ def test_total_least_squares_needs_the_noise_up_to_a_factor_only() -> None:
 
 
 def test_intervals_count_that_the_size_of_the_noise_is_found_as_well() -> None:
-    """Two lines, noise of 10 %: λ wavers with the equation error.  2,000 draws: median sd over half the width of the
-    middle 68 % is 0.90 to 0.99 (± 0.025); were λ taken as sure, it would be 1.11 to 1.24."""
-    rig = paper_rig([3, 9])
+    """Three lines, noise of 20 %: λ wavers with the equation error, and takes part of it up.
+
+    2,000 draws: median sd over half the width of the middle 68 % is 1.0 to 1.4, first order's error under so much
+    noise; were λ taken as sure, it would be 2.7 to 3.0.
+    """
+    rig = paper_rig([2, 4, 9])
     ch = channels(rig)
-    V = covariance(rig, ch, 0.1, inputs=0.05)
+    V = covariance(rig, ch, 0.2, inputs=0.1)
     found = identify(rig.model, noisy(rig, ch, V, np.random.default_rng(1), 2000), TotalLeastSquares())
     spread = np.diff(np.quantile(found.values, [0.1587, 0.8413], axis=0), axis=0)[0] / 2
     ratio = np.sqrt(np.median(np.diagonal(found.noise_covariance, axis1=-2, axis2=-1), axis=0)) / spread
-    assert np.all((ratio > 0.84) & (ratio < 1.06)), ratio
+    assert np.all((ratio > 0.8) & (ratio < 1.7)), ratio
 
 
 def test_compensation_of_unknown_noise_is_refused() -> None:
@@ -189,7 +192,7 @@ def study() -> tuple[Rig, dict[str, object]]:
     ch = channels(rig)
     V = covariance(rig, ch, 0.08, inputs=0.04, correlation=0.2)
     spectrum = noisy(rig, ch, V, np.random.default_rng(17), DRAWS)
-    return rig, {name: identify(rig.model, spectrum, method(name)) for name in ("wls", "tls", "cls", "oiv")}
+    return rig, {name: identify(rig.model, spectrum, method(name)) for name in ("wls", "tls", "cls")}
 
 
 @pytest.mark.parametrize("name", ["tls", "cls"])
@@ -207,7 +210,7 @@ def test_spread_against_the_bound(study, name: str) -> None:
     """Nothing beats the bound by more than 3 standard errors (1.6 % each); rms over the unknowns within 12 % of it
     (measured 1.05 with tls, 1.07 with cls, ± 0.01)."""
     _, found = study
-    ratio = found[name].values.std(0) / np.median(found["oiv"].bound_sd, axis=0)
+    ratio = found[name].values.std(0) / np.median(found[name].bound_sd, axis=0)
     assert np.all(ratio > 1 - 0.048)
     assert np.sqrt(np.mean(ratio**2)) < 1.12
 
