@@ -121,24 +121,25 @@ def weigh(terms: Terms, M0: Real, Mi: Real, tolerance: float = TOLERANCE) -> Wei
     K = len(terms.weights)
     w = np.full(lines, 1 / lines)
     at = value(terms, M0 + np.einsum("i,siab->sab", w, Mi))
+    if not np.isfinite(at.F):
+        return Weights(w, np.full(K, 1 / K), at.F)
     unit = 1.0 if terms.block is not None else max(at.F, 1e-300)
     y = np.full(K, 1 / K)
     t = float(np.max(at.parts)) + 0.1 * unit
     s = (t - at.parts) / unit
     nu, z = 0.0, np.ones(lines)
-    best = Weights(w, y, at.F)
+    best, closest = Weights(w, y, at.F), np.inf
     for turn in range(ROUNDS):
         g = -slopes(terms, at, Mi) / unit
         mean = y @ g
         if turn == 0:
             nu = float(-mean @ w)
             z = np.maximum(mean + nu, 0.0) + 0.1
-        slack = at.F - best.F - 1e-12 * unit
-        if slack <= 0:
-            best = Weights(w, y, at.F)
-        scale = 1.0 if terms.block is not None else at.F / unit
-        if _gap(at.parts / unit, g, w, y) < tolerance * scale:
-            return Weights(w, y, at.F)
+        gap = _gap(at.parts / unit, g, w, y)
+        if gap < closest:
+            best, closest = Weights(w, y, at.F), gap
+        if gap < tolerance * (1.0 if terms.block is not None else at.F / unit):
+            return best
         mu = 0.1 * float(z @ w + y @ s) / (lines + K)
         # Unknowns dw, dt, dν; dz = μ/w − z − z dw/w, dy = (μ − y s − y ds)/s with ds = (dt − g·dw) + residual.
         H = _curvature(terms, at, Mi, y) / unit + np.diag(z / w) + (g.T * (y / s)) @ g
@@ -354,6 +355,8 @@ class _Columns:
     def _exchange(self, w: Real, peaks: tuple[Real, Ints], keep: float) -> None:
         """Keep what has weight, add the peaks."""
         kept = w > keep * np.max(w)
+        if not np.isfinite(value(self.terms, self.prior + np.mean(self.M[:, kept], axis=1)).F):
+            kept[:] = True  # the best test for some leaves others open: the search must not start from there
         f, k = peaks
         new = [
             i for i in range(len(f))

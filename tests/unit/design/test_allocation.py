@@ -98,6 +98,26 @@ def test_the_gap_bounds_every_other_test() -> None:
         assert found.F * (1 - found.gap) - 1e-15 <= value(terms, np.einsum("i,siab->sab", w, M)).F
 
 
+def test_one_parameter_whose_best_test_leaves_the_others_open() -> None:
+    """The search passes by tests that determine too little; the least variance is that of any test's own limit."""
+    own = paper_bench()
+    grid = band_grid(own, 0.25, 25, 0.25)
+    terms = Volume(("c3",)).terms(own, "worst")
+    found = optimise(own.information, terms, own.prior, 1400, grid)
+    alone = optimise(own.information, MeanError(("c3",)).terms(own, "worst"), own.prior, 1400, grid)
+    assert found.gap < 1e-6
+    assert np.exp(found.F) == pytest.approx(alone.F, rel=1e-6)
+
+
+def test_what_rounding_alone_determines_is_open() -> None:
+    """Two lines of one sensor are 4 numbers for 6 unknowns: Cholesky may or may not notice."""
+    rng = np.random.default_rng(1)
+    terms = MeanError().terms(named_bench(1), "worst")
+    for _ in range(200):
+        J = rng.standard_normal((4, 6)) * 10 ** rng.uniform(-3, 3, 6)
+        assert np.inf == value(terms, (J.T @ J)[None]).F
+
+
 def test_a_crowd_of_equal_columns_is_no_trouble() -> None:
     rng = np.random.default_rng(2)
     own = named_bench(1)
