@@ -36,6 +36,8 @@ from dashpot.estimate.states import States
 from dashpot.model.dynamics import solve
 from dashpot.model.network import Model
 
+HIDDEN = 0.95  # of the noise that makes least squares singular: as close as compensated least squares goes
+
 
 @dataclass(frozen=True)
 class TotalLeastSquares(Method):
@@ -56,13 +58,20 @@ class TotalLeastSquares(Method):
         sums = noisy_sums(model, states, equation_covariance(model, model.parameters(start), states))
         found = self._search(sums, start)
         covariance = _covariance(data, sums, found.theta, found.size, total=True)
-        warnings = (
-            ()
-            if np.all(found.converged)
-            else ("the factor of the noise did not settle: the noise hides some unknown",)
-        )
+        warnings = []
+        if not np.all(found.converged):
+            warnings.append("the factor of the noise did not settle: the noise hides some unknown")
+        elif np.any(found.size > HIDDEN * sums.largest()):
+            warnings.append(
+                "tls is not to be trusted here: the noise all but hides some combination of unknowns"
+            )
         return Solution(
-            found.theta, covariance, found.converged, found.iterations, found.history, warnings=warnings
+            found.theta,
+            covariance,
+            found.converged,
+            found.iterations,
+            found.history,
+            warnings=tuple(warnings),
         )
 
     def _search(self, sums: NoisySums, start: Real) -> _Found:

@@ -244,6 +244,16 @@ def test_priors_are_rows_of_tls_and_cls() -> None:
         assert np.max(np.abs(shift[name] - shift["oiv"])) < 0.1
 
 
+def test_noise_that_hides_an_unknown_is_said_by_tls() -> None:
+    """Where the amplitudes are noise, the two smallest of its factors are of one size; not so with little noise."""
+    rig = paper_rig()
+    ch = channels(rig)
+    for level, said in ((30.0, True), (0.03, False)):
+        V = covariance(rig, ch, level)
+        found = identify(rig.model, noisy(rig, ch, V, np.random.default_rng(1), 40), TotalLeastSquares())
+        assert any("not to be trusted" in warning for warning in found.warnings) == said
+
+
 def test_noise_too_large_to_be_taken_out_is_said() -> None:
     rig = paper_rig([1, 2, 3, 4])
     ch = channels(rig)
