@@ -480,7 +480,7 @@ def _distinct(found: list[tuple[float, float]]) -> list[tuple[float, float]]:
 
 
 def natural_band(bench: Bench, rate: float | None = None) -> tuple[float, float]:
-    """A band about the rig's resonances: a fifth of the lowest to three times the highest, Hz.
+    """A band about the rig's resonances: a fifth of the lowest to three times the highest, Hz, to three digits.
 
     Raises UsageError where the rig has none.
     """
@@ -488,4 +488,4 @@ def natural_band(bench: Bench, rate: float | None = None) -> tuple[float, float]
     if not found:
         raise UsageError("the rig has no resonance to take the band from", cure="give it with --band 0.5:25")
     high = 3 * max(found) if rate is None else min(3 * max(found), 0.4 * rate)
-    return min(0.2 * min(found), high / 10), high
+    return float(f"{min(0.2 * min(found), high / 10):.3g}"), float(f"{high:.3g}")

@@ -227,6 +227,15 @@ class Bench:
         return float(-np.log(SETTLED) / slowest) if np.isfinite(slowest) else 0.0
 
 
+def drive_units(model: Model) -> dict[str, str]:
+    """SI units of the inputs by name: m or rad of those that are moved, N or N·m of forces."""
+    found = {name: "rad" if name in model.angles else "m" for name in model.displacement_inputs}
+    for one in model.inputs:
+        if one.name in model.force_inputs:
+            found[one.name] = "N·m" if set(one.at) <= set(model.angles) else "N"
+    return found
+
+
 def drive_patterns(model: Model, chosen: Sequence[str] = ()) -> Complex:
     """Patterns in which the inputs move, (patterns, r + s).
 

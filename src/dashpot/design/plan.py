@@ -731,13 +731,17 @@ def _finite(content: Any) -> Any:
     return content
 
 
-def to_csv(found: Plan) -> str:
-    """A table for the shaker's controller: one dwell a row, in the order in which to run them."""
+def to_csv(found: Plan, units: Mapping[str, str] | None = None) -> str:
+    """A table for the shaker's controller: one dwell a row, in the order in which to run them.
+
+    `units` of the inputs by name stand in the header: u_amplitude_m.
+    """
     inputs = list(found.dwells[0].amplitudes) if found.dwells else []
     turned = any(_phase(z) for dwell in found.dwells for z in dwell.amplitudes.values())
     head = ["dwell", "frequency_hz"]
     for name in inputs:
-        head += [f"{name}_amplitude", f"{name}_phase_deg"] if turned else [f"{name}_amplitude"]
+        unit = "" if units is None else f"_{units[name].replace('·', '')}"
+        head += [f"{name}_amplitude{unit}"] + ([f"{name}_phase_deg"] if turned else [])
     rows = [",".join([*head, "settle_s", "periods", "time_s", "samples"])]
     for i, dwell in enumerate(found.dwells):
         cells = [str(i + 1), f"{dwell.frequency_hz:.9g}"]

@@ -12,7 +12,7 @@ from dashpot.arrays import Real
 from dashpot.channel import Channel
 from dashpot.data.spectrum import Spectrum
 from dashpot.design.allocation import Grid, band_grid, natural_band
-from dashpot.design.bench import Bench, Limits, bench
+from dashpot.design.bench import Bench, Limits, bench, drive_units
 from dashpot.design.goals import Doubt, Goal, MeanError, Volume
 from dashpot.design.plan import (
     NYQUIST,
@@ -191,8 +191,9 @@ def _amplitude(question: Question, channels: tuple[Channel, ...], notes: list[st
     found = None if question.after is None else amplitude_from(question.model, question.after)
     whence = "is assumed" if found is None else "is the median of the data's"
     size = 1.0 if found is None else found
+    unit = "/".join(dict.fromkeys(drive_units(question.model).values()))
     notes.append(
-        f"the noise of {', '.join(floors[:4])} has a floor, so the drive's size matters: {size:.3g} (SI) {whence}; "
+        f"the noise of {', '.join(floors[:4])} has a floor, so the drive's size matters: {size:.3g} {unit} {whence}; "
         "state --amplitude or the shaker's limits"
     )
     return size

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 from matplotlib.figure import Figure
 from rich import box
@@ -11,6 +13,7 @@ from rich.table import Table
 from rich.text import Text
 
 from dashpot.design.allocation import band_grid
+from dashpot.design.bench import drive_units
 from dashpot.design.plan import Plan, Prediction, drive_names, shares
 from dashpot.design.session import Answer
 from dashpot.present import figures_design as draw
@@ -35,7 +38,7 @@ def show(found: Answer, out: Console) -> None:
     if found.plan is None:
         out.print(Text("No test is needed: what is known reaches the target already.", style="green"))
         return
-    out.print(_dwells(found.plan))
+    out.print(_dwells(found.plan, drive_units(found.bench.model)))
     out.print()
     table = _expected(found)
     if Measurement.get(out, out.options.update_width(1000), table).maximum > out.width:
@@ -52,14 +55,14 @@ def _table() -> Table:
     return Table(box=box.SIMPLE_HEAD, padding=(0, 1), pad_edge=False, show_edge=False)
 
 
-def _dwells(plan: Plan) -> Table:
+def _dwells(plan: Plan, units: Mapping[str, str]) -> Table:
     table = _table()
     inputs = list(plan.dwells[0].amplitudes)
     timed = plan.time_s is not None
     table.add_column("dwell", justify="right")
     table.add_column("frequency, Hz", justify="right")
     for name in inputs:
-        table.add_column(f"amplitude {name}", justify="right")
+        table.add_column(f"drive {name}, {units[name]}", justify="right")
     for title in ("settle, s", "periods", "measure, s") if timed else ():
         table.add_column(title, justify="right")
     table.add_column("samples", justify="right")

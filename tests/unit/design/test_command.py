@@ -27,6 +27,7 @@ def test_contract_of_the_json(tmp_path: Path, capsys: pytest.CaptureFixture[str]
     assert told["figure"] <= 0.0090
     assert told["against"]["sample_factor"] > 1
     assert csv.read_text().count("\n") == 1 + len(told["dwells"])
+    assert csv.read_text().startswith("dwell,frequency_hz,u_amplitude_m,settle_s,")
     assert picture.read_bytes().startswith(b"\x89PNG")
     shown = capsys.readouterr().out
     assert "0.890 %" in shown
@@ -146,7 +147,7 @@ def test_data_with_unknown_calibrations_and_a_floor(
     assert "v1.gain" in found["predicted"]
     assert found["enough"]["more_samples"] > 0
     assert found["dwells"][0]["amplitudes"]["u"] == pytest.approx(0.002, rel=1e-3)
-    assert any("0.002 (SI) is the median of the data's" in note for note in found["notes"])
+    assert any("0.002 m is the median of the data's" in note for note in found["notes"])
     assert run(["design", str(rig), "--samples", "700", "--amplitude", "2mm"]) == 0
     assert "Note: the noise" not in capsys.readouterr().out
 

@@ -180,6 +180,7 @@ def command(
 
     from dataclasses import replace
 
+    from dashpot.design.bench import drive_units
     from dashpot.design.plan import to_csv
     from dashpot.design.session import Question, answer, json_of
 
@@ -215,7 +216,7 @@ def command(
     elif json_out is not None:
         write_text(json_out, json_of(result))
     if csv_out is not None and result.plan is not None:
-        write_text(csv_out, to_csv(result.plan))
+        write_text(csv_out, to_csv(result.plan, drive_units(found.model)))
     _draw(result, figure_out, progress_out, goal, aim)
     if not quiet and json_out != STDOUT:
         from dashpot.present.design import show
