@@ -10,6 +10,7 @@ from collections.abc import Sequence
 
 from dashpot.channel import Channel, Quantity
 from dashpot.errors import IdentifiabilityError, Problem
+from dashpot.estimate.states import is_direct
 from dashpot.model.network import Model, listed
 
 
@@ -63,6 +64,23 @@ def require_scale(model: Model, channels: Sequence[Channel], where: str | None =
 
 
 Node = tuple[str, str]
+
+
+def require_scale_seen(
+    name: str, model: Model, channels: Sequence[Channel], where: str | None = None
+) -> None:
+    """Only ml uses every channel: refuses the other methods where what they use leaves the scale of the forces free.
+
+    Raises IdentifiabilityError.
+    """
+    if name == "ml":
+        return
+    if free_scales(model, [channel for channel in channels if is_direct(model, channel)]):
+        raise IdentifiabilityError(
+            f"the method {name} does not use the channel that fixes the scale of the forces",
+            where,
+            "use the method ml",
+        )
 
 
 def _parts(model: Model) -> dict[Node, int]:

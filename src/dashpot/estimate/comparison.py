@@ -63,12 +63,14 @@ def compare(
     methods: Mapping[str, Method],
     *,
     modal: ModalData | None = None,
+    refused: Mapping[str, DashpotError] | None = None,
     truth: Mapping[str, float] | None = None,
     seed: int = 0,
     progress: Callable[[int, int], None] | None = None,
 ) -> Comparison:
     """Identify with every method; measured modes, where given, come last.
 
+    `refused`: methods that were ruled out before, with the reason.
     A method that the data do not suit is named with its reason.  Raises its error where no method gives anything, and
     UsageError where `truth` names what is no unknown.
     """
@@ -78,7 +80,7 @@ def compare(
         if name not in names:
             raise UsageError(f"{name} is no unknown of this rig", cure=f"its unknowns are {', '.join(names)}")
     estimates: dict[str, Estimate] = {}
-    refused: dict[str, DashpotError] = {}
+    out: dict[str, DashpotError] = {} if refused is None else dict(refused)
     jobs: dict[str, Callable[[], Estimate]] = {}
     if spectrum is not None:
         given = spectrum
@@ -87,15 +89,15 @@ def compare(
     if modal is not None:
         shapes = modal
         jobs[NAME] = lambda: identify_modal(model, shapes, seed=seed)
-    if not jobs:
+    if not jobs and not out:
         raise UsageError("there is nothing to compare", cure="give data, measured modes, or both")
     for done, (name, job) in enumerate(jobs.items()):
         try:
             estimates[name] = job()
         except DashpotError as error:
-            refused[name] = error
+            out[name] = error
         if progress is not None:
             progress(done + 1, len(jobs))
     if not estimates:
-        raise next(iter(refused.values()))
-    return Comparison(model.name, names, tuple(u.unit for u in model.unknowns), estimates, refused, true)
+        raise next(iter(out.values()))
+    return Comparison(model.name, names, tuple(u.unit for u in model.unknowns), estimates, out, true)

@@ -57,7 +57,8 @@ class TotalLeastSquares(Method):
         _, start, _ = starts(model, states)
         sums = noisy_sums(model, states, equation_covariance(model, model.parameters(start), states))
         found = self._search(sums, start)
-        covariance = _covariance(data, sums, found.theta, found.size, total=True)
+        with np.errstate(all="ignore"):
+            covariance = _covariance(data, sums, found.theta, found.size, total=True)
         warnings = []
         if not np.all(found.converged):
             warnings.append("the factor of the noise did not settle: the noise hides some unknown")
@@ -124,7 +125,8 @@ class CompensatedLeastSquares(Method):
         theta, usable = without_noise(model, states, sums.Se, *raw)
         size = usable.astype(float)
         theta = theta + sums.correction(theta, size)
-        covariance = _covariance(data, sums, theta, size, total=False)
+        with np.errstate(all="ignore"):
+            covariance = _covariance(data, sums, theta, size, total=False)
         warnings = () if np.all(usable) else ("the noise is too large to be taken out: cls leaves it in",)
         solved = np.all(np.isfinite(theta), axis=-1)
         history = np.stack([plain[0], start[0], theta[0]])
@@ -199,9 +201,11 @@ class NoisySums:
         scale = np.sqrt(np.diagonal(self.N, axis1=-2, axis2=-1))
         scale = np.where(scale > 0, scale, 1.0)
         outer = scale[..., :, None] * scale[..., None, :]
-        values, vectors = np.linalg.eigh(np.nan_to_num(self.N / outer))
-        root = vectors / np.sqrt(np.maximum(values, 1e-15 * values[..., -1:]))[..., None, :]
-        worst = np.linalg.eigvalsh(np.swapaxes(root, -1, -2) @ (self.G / outer) @ root)[..., -1]
+        with np.errstate(all="ignore"):  # where the data determine nothing, nothing is finite
+            values, vectors = np.linalg.eigh(np.nan_to_num(self.N / outer))
+            root = vectors / np.sqrt(np.maximum(values, 1e-15 * values[..., -1:]))[..., None, :]
+            noise = np.swapaxes(root, -1, -2) @ (self.G / outer) @ root
+            worst = np.linalg.eigvalsh(np.nan_to_num(noise, posinf=0.0, neginf=0.0))[..., -1]
         with np.errstate(divide="ignore"):
             return np.where(worst > 0, 1 / np.maximum(worst, 1e-300), np.inf)
 

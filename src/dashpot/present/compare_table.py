@@ -137,7 +137,7 @@ def _by_name(said: list[tuple[str, str]], everyone: tuple[str, ...]) -> list[str
     """What is said of several methods in the same words, once."""
     names: dict[str, list[str]] = {}
     for text, name in said:
-        names.setdefault(text.removeprefix(f"{name} "), []).append(name)
+        names.setdefault(text.removeprefix("the method ").removeprefix(f"{name} "), []).append(name)
     return [
         f"{'all' if len(own) > 1 and tuple(own) == everyone else ', '.join(own)}: {text}"
         for text, own in names.items()

@@ -158,7 +158,42 @@ def test_nothing_known_is_refused(dashpot: Command, data: Path) -> None:
     Path("rig.toml").write_text(text, encoding="utf-8")
     refused(dashpot("compare", "rig.toml", "data.csv", "--json", "out.json"), "forces scale together", code=3)
     modes_file()
-    refused(dashpot("compare", "rig.toml", "--modal", "modes.csv", "--json", "out.json"), "size of masses", code=3)
+    refused(
+        dashpot("compare", "rig.toml", "--modal", "modes.csv", "--json", "out.json"), "size of masses", code=3
+    )
+
+
+def test_methods_that_miss_the_scale_are_refused_as_by_identify(dashpot: Command, data: Path) -> None:
+    """Nothing is known, and a reaction force is measured, which ml alone uses."""
+    text = RIG.replace(", value = 4600", "").replace(", value = 2.7", "")
+    text += 'R = { of = "u", quantity = "force", noise = 0.5 }\n'
+    Path("rig.toml").write_text(text, encoding="utf-8")
+    values = "m1=3,m2=2.7,k1=4600,k2=4600,c1=20,c2=30"
+    settings = [part for pair in values.split(",") for part in ("--set", pair)]
+    simulated = dashpot(
+        "simulate",
+        "rig.toml",
+        "--out",
+        "r.csv",
+        "--frequencies",
+        "1:15:8",
+        "--amplitude",
+        "u=0.01",
+        *settings,
+    )
+    assert simulated.code == 0, simulated.err
+    done = dashpot("compare", "rig.toml", "r.csv", "--truth", values)
+    assert done.code == 0, done.err
+    row_of_ml = [line for line in done.out.splitlines() if line.startswith("ml ")]
+    assert row_of_ml
+    assert not [line for line in done.out.splitlines() if line.startswith("oiv ")]
+    assert "oiv: does not use the channel that fixes the scale" in " ".join(done.out.split())
+    refused(
+        dashpot("compare", "rig.toml", "r.csv", "--methods", "tls,oiv", "--json", "out.json"),
+        "tls",
+        "scale",
+        code=3,
+    )
 
 
 def test_bad_modes_are_said_with_row_and_column(dashpot: Command, data: Path) -> None:

@@ -9,7 +9,7 @@ import pytest
 from scipy.linalg import eigh
 
 from dashpot import DataError
-from dashpot.errors import UsageError
+from dashpot.errors import IdentifiabilityError, UsageError
 from dashpot.estimate.identify import identify
 from dashpot.estimate.instruments import OptimalIV
 from dashpot.estimate.least_squares import WeightedLeastSquares
@@ -242,6 +242,16 @@ def test_priors_are_rows_of_tls_and_cls() -> None:
     assert np.max(np.abs(shift["oiv"])) > 0.3
     for name in ("tls", "cls"):
         assert np.max(np.abs(shift[name] - shift["oiv"])) < 0.1
+
+
+@pytest.mark.parametrize("name", ["tls", "cls", "oiv+"])
+def test_forces_without_a_scale_are_not_determined(name: str) -> None:
+    """Nothing known, and only a displacement goes in: all parameters 0 fit best."""
+    rig = paper_rig().knowing({"k1": {"value": None}, "k2": {"value": None}})
+    ch = channels(rig)
+    spectrum = noisy(rig, ch, covariance(rig, ch, 0.02), np.random.default_rng(1))
+    with pytest.raises(IdentifiabilityError, match="do not determine"):
+        identify(rig.model, spectrum, method(name))
 
 
 def test_noise_that_hides_an_unknown_is_said_by_tls() -> None:

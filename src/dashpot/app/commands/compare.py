@@ -155,12 +155,23 @@ def _compare(
 ) -> int:
     from dashpot.app.files import write_text
     from dashpot.app.progress import progress
+    from dashpot.check.scale import require_scale_seen
+    from dashpot.errors import DashpotError
     from dashpot.estimate.comparison import compare
     from dashpot.estimate.methods import method
 
-    jobs = {name: method(name, seed=seed) for name in chosen}
+    jobs, refused = {}, {}
+    for name in chosen:
+        try:
+            require_scale_seen(name, rig.model, rig.channels)
+            jobs[name] = method(name, seed=seed)
+        except DashpotError as error:
+            refused[name] = error
     with progress("compare", quiet) as moved:
-        found = compare(rig.model, spectrum, jobs, modal=modal, truth=truth, seed=seed, progress=moved)
+        found = compare(
+            rig.model, spectrum, jobs, modal=modal, refused={} if spectrum is None else refused,
+            truth=truth, seed=seed, progress=moved,
+        )  # fmt: skip
     if figure is not None:
         from pathlib import Path
 

@@ -70,6 +70,7 @@ def command(
     """
     from dashpot.app.files import check_targets, write_text
     from dashpot.check.identifiability import require_identifiable
+    from dashpot.check.scale import require_scale_seen
     from dashpot.model.modelfile import read_rig
 
     check_targets([None if json_out == STDOUT else json_out, report], [rig, *data])
@@ -78,7 +79,8 @@ def command(
     chosen = _holding(chosen, positive)
     _check_matrices(found, matrices)
     require_identifiable(found.model, found.channels, rig)
-    _check_method(found, chosen)
+    if chosen != "auto":
+        require_scale_seen(chosen, found.model, found.channels, rig)
 
     from dashpot.app.progress import progress
     from dashpot.data.readers import read
@@ -163,22 +165,6 @@ def _check_unknowns(found: Rig, path: str) -> None:
 
     if not found.model.unknowns:
         raise UsageError("every parameter is known", path, "leave out the value of what is to be found")
-
-
-def _check_method(rig: Rig, chosen: str) -> None:
-    """Only ml uses every channel: refuse the others where what they use leaves the scale of the forces free."""
-    from dashpot.check.scale import free_scales
-    from dashpot.errors import IdentifiabilityError
-    from dashpot.estimate.states import is_direct
-
-    if chosen in ("auto", "ml"):
-        return
-    used = [channel for channel in rig.channels if is_direct(rig.model, channel)]
-    if free_scales(rig.model, used):
-        raise IdentifiabilityError(
-            f"the method {chosen} does not use the channel that fixes the scale of the forces", rig.path,
-            "use the method ml",
-        )  # fmt: skip
 
 
 def _ending(estimate: Estimate) -> int:
