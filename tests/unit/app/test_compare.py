@@ -112,6 +112,7 @@ BAD = {
     "no such method": (["rig.toml", "data.csv", "--methods", "oiv,best"], ["best", "oiv"]),
     "empty method": (["rig.toml", "data.csv", "--methods", "oiv,"], ["there is no method"]),
     "method twice": (["rig.toml", "data.csv", "--methods", "oiv,oiv"], ["oiv", "twice"]),
+    "methods without data": (["rig.toml", "--modal", "m.csv", "--methods", "oiv"], ["--methods", "DATA"]),
     "truth of nothing": (["rig.toml", "data.csv", "--truth", "m7=3"], ["m7", "m1, c1, c2"]),
     "truth of the known": (["rig.toml", "data.csv", "--truth", "k1=3"], ["k1"]),
     "truth without value": (["rig.toml", "data.csv", "--truth", "m1"], ["m1", "NAME=VALUE"]),

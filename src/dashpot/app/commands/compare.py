@@ -100,6 +100,10 @@ def command(
     check_targets([None if json_out == STDOUT else json_out, figure], sources)
     if not data and modal_file is None:
         raise UsageError("there are no data", cure="give DATA, --modal FILE, or both")
+    if methods is not None and not data:
+        raise UsageError(
+            "methods work on DATA, and there are none", "--methods", "give DATA, or leave it out"
+        )
     chosen = [] if methods is None else [name.strip() for name in methods.split(",")]
     for name in chosen:
         method_class(name)
