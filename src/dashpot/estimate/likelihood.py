@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -165,6 +165,8 @@ class MaximumLikelihood(Method):
             # A few steps tell for which repeats this valley is not out of the question.
             short = self._descend(view, data, start, signs, lower, upper, limit=PATIENCE)
             rows = np.flatnonzero(short.cost < found.cost + DOUBT * unit)
+            if not len(rows):
+                continue
             end = self._descend(view, data.pick(rows), short.x[rows], signs[rows], lower, upper)
             sign = sign.copy()
             sign[rows[found.worse(rows, end)]] = flips
@@ -204,26 +206,24 @@ class MaximumLikelihood(Method):
         # Large rigs: fewer starts, and none where a guess leads to a fit.
         ease = min(1.0, SPARSE_FROM / view.model.n)
         starts = max(int(self.starts * ease), min(self.starts, LEAST))
-        if not small(view.model) and all(u.guess is not None or u.sd is not None for u in data.model.unknowns):
+        if not small(view.model) and all(
+            u.guess is not None or u.sd is not None for u in data.model.unknowns
+        ):
             psi, sign = candidates(one, view, 1, rng)
-            for stage in stages:
-                psi = _descend_all(view, stage, psi, sign, lower, upper)
+            psi, sign = self._through(view, stages, psi, sign, lower, upper, straight=True)
             end = self._descend(view, exact, psi, sign, lower, upper)
             valleys = valleys.with_ends(end.x, sign, end.cost)
-            if end.cost[0] <= acceptable:
+            if valleys.cost[0] <= acceptable:
                 return valleys
         for turn in range(self.rounds):
             psi, sign = candidates(one, view, int(self.candidates * ease) + starts, rng)
             order = np.argsort(_cost(view, stages[0], psi, sign))
-            chosen = np.union1d(order[:starts], [0]) if turn == 0 else order[: starts // 4]
+            chosen = np.concatenate([[0], order[:starts]]) if turn == 0 else order[: starts // 4]
             psi, sign = psi[chosen], sign[chosen]
             if turn > 0:
-                near, near_sign = neighbours(
-                    valleys.psi[:DEEPEST], valleys.sign[:DEEPEST], view, starts, rng
-                )
+                near, near_sign = neighbours(valleys.psi[:DEEPEST], valleys.sign[:DEEPEST], view, starts, rng)
                 psi, sign = np.concatenate([psi, near]), np.concatenate([sign, near_sign])
-            for stage in stages:
-                psi = _descend_all(view, stage, psi, sign, lower, upper)
+            psi, sign = self._through(view, stages, psi, sign, lower, upper, straight=turn == 0)
             costs = _cost(view, stages[-1], psi, sign)
             deep = np.argsort(costs)[:DEEPEST]
             end = self._descend(view, exact, psi[deep], sign[deep], lower, upper, limit=POLISH)
@@ -236,6 +236,28 @@ class MaximumLikelihood(Method):
             if share >= (EASY if lowest <= acceptable else PLAIN) or idle > 1:
                 break
         return valleys
+
+    def _through(
+        self,
+        view: Outlook,
+        stages: Sequence[Cost],
+        psi: Real,
+        sign: Real,
+        lower: Real,
+        upper: Real,
+        straight: bool,
+    ) -> tuple[Real, Real]:
+        """Where starts end that go through all stages; with `straight`, where the first half ends without the first.
+
+        Logarithms lead nearly everything to one valley, and that may be the wrong one.
+        """
+        half = (len(psi) + 1) // 2 if straight else 0
+        ends = []
+        for some, signs, ways in ((psi, sign, stages), (psi[:half], sign[:half], stages[1:])):
+            for stage in ways:
+                some = _descend_all(view, stage, some, signs, lower, upper) if len(some) else some
+            ends.append(some)
+        return np.concatenate(ends), np.concatenate([sign, sign[:half]])
 
     def _again(
         self,
