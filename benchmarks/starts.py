@@ -9,11 +9,14 @@ from __future__ import annotations
 import sys
 import time
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 
 from dashpot.estimate.identify import identify
 from dashpot.estimate.likelihood import MaximumLikelihood
+
+sys.path.insert(0, str(Path(__file__).parents[1]))  # for the rigs of the tests
 from tests.partly_seen import BENCHES
 
 FAR = 8.0
