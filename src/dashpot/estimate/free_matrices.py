@@ -11,6 +11,7 @@ from dashpot.arrays import Bools, Ints, Real, frozen
 from dashpot.errors import ModelError, UsageError
 from dashpot.estimate.estimate import Estimate
 from dashpot.estimate.instruments import OptimalIV, objective
+from dashpot.estimate.least_squares import where_finite
 from dashpot.estimate.method import Method, Prepared, Solution
 from dashpot.estimate.regression import solve_scaled
 from dashpot.estimate.search import Found
@@ -107,9 +108,13 @@ class DefiniteOptimalIV(Method):
             raise UsageError("oiv+ needs every coordinate and input", cure="use the method ml")
         free = OptimalIV().solve(data)
         theta, converged, iterations = free.theta.copy(), free.converged.copy(), free.iterations.copy()
-        cones = _cones(data.model, free.theta, self.letters)
-        outside = np.all(np.isfinite(theta), axis=-1) & (_smallest(cones, np.nan_to_num(theta)) < 0)
-        rows = np.flatnonzero(outside)
+        # What the data leave undetermined has no nearest point: the cone has no end in its direction.
+        known = np.all(np.isfinite(free.covariance), axis=(-1, -2)) & np.all(np.isfinite(theta), axis=-1)
+        there = np.flatnonzero(known & free.converged)
+        if not len(there):
+            return free
+        cones = _cones(data.model, theta[there], self.letters)
+        rows = there[_smallest(cones, theta[there]) < 0]
         history = free.history
         if len(rows):
             start, there_is = _inside(data.model, cones, theta[rows])
@@ -117,7 +122,7 @@ class DefiniteOptimalIV(Method):
             rows, start = rows[there_is], start[there_is]
         if len(rows):
             found = self._on_the_cone(data.model, data.states, cones, theta[rows], start, rows)
-            theta[rows], converged[rows] = found.x, found.converged & free.converged[rows]
+            theta[rows], converged[rows] = where_finite(found.x, theta[rows]), found.converged
             iterations[rows] += found.iterations
             if rows[0] == 0:
                 history = np.concatenate([history, found.history])
@@ -176,7 +181,7 @@ class _Cone:
 def _cones(model: Model, theta: Real, letters: str) -> list[_Cone]:
     """One cone for each matrix that the unknowns move, on the subspace that its elements span."""
     cones = []
-    size = np.nanmedian(np.abs(model.parameters(theta)), axis=0)
+    size = np.median(np.abs(model.parameters(theta)), axis=0)
     for letter in letters:
         index = model.by_matrix[letter]
         if not np.any(model.T[index]):
@@ -216,14 +221,14 @@ def _inside(model: Model, cones: list[_Cone], free: Real) -> tuple[Real, Bools]:
         for e in index:
             floor = np.where(model.T[e] != 0, 0.1 * np.nan_to_num(typical, nan=1.0)[:, None], floor)
     deep = np.maximum(np.abs(free), floor)
-    definite = _smallest(cones, deep) > 1e-9
     low, high = np.zeros(len(free)), np.ones(len(free))
     for _ in range(30):
         middle = (low + high) / 2
         good = _smallest(cones, free + middle[:, None] * (deep - free)) > 0
         low, high = np.where(good, low, middle), np.where(good, middle, high)
     part = high + 0.1 * (1 - high)
-    return free + part[:, None] * (deep - free), definite
+    found = free + part[:, None] * (deep - free)
+    return found, (_smallest(cones, deep) > 1e-9) & (_smallest(cones, found) > 0)
 
 
 def _nearest(centre: Real, W: Real, cones: list[_Cone], start: Real) -> Real:
@@ -233,26 +238,30 @@ def _nearest(centre: Real, W: Real, cones: list[_Cone], start: Real) -> Real:
     self-concordant: a Newton step of length δ in its own metric, cut to 1 / (1 + δ), stays inside and goes down (Boyd
     and Vandenberghe 2004, 9.6).
     """
-    x = start
+    x, before = start, start
     mu = np.maximum(np.einsum("ku,kuv,kv->k", x - centre, W, x - centre), 1.0)
+    lost = np.zeros(len(x), dtype=bool)
     while True:
         for _ in range(200):
+            # Rounding may carry a point over the edge where W is all but singular: it stays where it was inside.
+            lost |= ~(_smallest(cones, x) > 0)
+            x = np.where(lost[:, None], before, x)
             b, B = np.zeros_like(x), np.zeros_like(W)
             for cone in cones:
                 values, vectors = np.linalg.eigh(cone.at(x))
-                root = vectors / np.sqrt(np.maximum(values, 1e-300))[:, None, :]
+                root = vectors / np.sqrt(np.maximum(values, 1e-100))[:, None, :]
                 G = np.swapaxes(root, -1, -2)[:, None] @ cone.A @ root[:, None]  # A^-½ A_u A^-½, turned
                 b = b + np.trace(G, axis1=-2, axis2=-1)
                 flat = G.reshape(*G.shape[:2], -1)
                 B = B + flat @ np.swapaxes(flat, -1, -2)
             slope = ((centre - x)[:, None, :] @ W)[:, 0] + mu[:, None] * b
-            step = np.nan_to_num(solve_scaled(W + mu[:, None, None] * B, slope))
+            step = np.where(lost[:, None], 0.0, np.nan_to_num(solve_scaled(W + mu[:, None, None] * B, slope)))
             away = np.sqrt(np.maximum(np.sum(step * slope, axis=-1), 0.0) / mu)
-            x = x + step / np.where(away > 0.25, 1 + away, 1.0)[:, None]
+            before, x = x, x + step / np.where(away > 0.25, 1 + away, 1.0)[:, None]
             if np.all(away < 1e-2):
                 break
         if np.all(mu <= BARRIER):
-            return x
+            return np.where((_smallest(cones, x) > 0)[:, None], x, before)
         mu = np.maximum(mu / 10, BARRIER)
 
 
