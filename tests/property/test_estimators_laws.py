@@ -21,13 +21,17 @@ from dashpot.estimate.least_squares import HarmonicLeastSquares, WeightedLeastSq
 from dashpot.estimate.method import Method
 from dashpot.estimate.regression import known_side, regressors
 from dashpot.estimate.states import states
+from dashpot.estimate.total_least_squares import CompensatedLeastSquares, TotalLeastSquares
 from dashpot.model.dynamics import unit_forces
 from dashpot.model.elements import Kind
 from dashpot.model.network import Model
 from tests.rigs import Rig, channels, covariance, noisy, paper_rig, perfect, random_rig
 
 D, V, A = Quantity.DISPLACEMENT, Quantity.VELOCITY, Quantity.ACCELERATION
-METHODS = (HarmonicLeastSquares(), WeightedLeastSquares(), InstrumentalVariables(), OptimalIV())
+METHODS = (
+    HarmonicLeastSquares(), WeightedLeastSquares(), TotalLeastSquares(), CompensatedLeastSquares(),
+    InstrumentalVariables(), OptimalIV(),
+)  # fmt: skip
 SEEDS = st.integers(0, 2**32 - 1)
 INPUTS = st.sampled_from([(1, 0), (2, 0), (0, 1), (1, 1)])
 
@@ -328,6 +332,8 @@ def test_lines_at_an_undamped_resonance() -> None:
     rig = replace(rig, frequency_hz=np.append(rig.frequency_hz[:-1], pole * (1 + 1e-6)))
     seen = channels(rig, (D,))
     for method in METHODS:
+        if method == CompensatedLeastSquares():  # has nothing to take out where no noise is stated
+            continue
         estimate = identify(rig.model, perfect(rig, seen), method)
         # Unweighted, that one line holds all but 1e-12 of the sums.
         limit = 1e-6 if method.weighted else 1e-4
