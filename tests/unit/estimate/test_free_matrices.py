@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares
 
-from dashpot.errors import ModelError
+from dashpot.channel import Quantity
+from dashpot.errors import IdentifiabilityError, ModelError
 from dashpot.estimate.auxiliary import auxiliary
 from dashpot.estimate.free_matrices import (
     DefiniteOptimalIV,
@@ -234,6 +235,39 @@ def test_the_cone_is_reached_from_far_off() -> None:
     assert np.all(held.converged)
     assert np.all(definite(matrices_of(model, held)))
     assert np.all(held.fit.chi2 - free.fit.chi2 < 30)
+
+
+def test_on_the_cone_a_batch_is_its_repeats(weak) -> None:
+    """To a ten-thousandth of a standard deviation: cones are scaled by the batch, and the barrier knows their scale."""
+    rig, spectrum, free, held = weak
+    for k in np.flatnonzero(~definite(matrices_of(rig.model, free)))[:5]:
+        alone = identify(rig.model, replace(spectrum, amplitudes=spectrum.amplitudes[k]), DefiniteOptimalIV())
+        assert bool(alone.converged)
+        assert np.max(np.abs(alone.values - held.values[k]) / held.sd[k]) < 1e-4
+
+
+@pytest.mark.parametrize("factor", [1e-9, 1e9])
+def test_on_the_cone_units_of_force_do_not_matter(weak, factor: float) -> None:
+    """Forces in other units: all parameters in those, to a ten-thousandth of a standard deviation."""
+    rig, spectrum, _, held = weak
+    forces = np.array([channel.quantity == Quantity.FORCE for channel in spectrum.channels])
+    by = np.where(forces, factor, 1.0)
+    other = replace(
+        spectrum, amplitudes=(spectrum.amplitudes * by)[:8], covariance=spectrum.covariance * np.outer(by, by)
+    )
+    found = identify(rig.model, other, DefiniteOptimalIV())
+    assert np.all(found.converged)
+    assert np.max(np.abs(found.values / factor - held.values[:8]) / held.sd[:8]) < 1e-4
+
+
+def test_on_the_cone_too_few_data_are_refused() -> None:
+    model = free_model(X, at("x3"))
+    rig = rig_of(model, lines=2)  # 12 equations for 18 unknowns
+    ch = channels(rig)
+    with pytest.raises(IdentifiabilityError):
+        identify(
+            model, noisy(rig, ch, covariance(rig, ch, 0.01), np.random.default_rng(0)), DefiniteOptimalIV()
+        )
 
 
 def test_letters_choose_the_matrices_that_are_held(weak) -> None:
