@@ -101,6 +101,31 @@ def test_measured_modes_beside_data_and_alone(dashpot: Command, data: Path) -> N
         assert found["modal"]["parameters"][name]["value"] == pytest.approx(value, rel=1e-6)
 
 
+def test_a_method_that_does_not_settle_is_named(dashpot: Command, rig: Path) -> None:
+    """The paper's iteration under noise of three times the signal: exit code 3; the others are there all the same."""
+    rig.write_text(RIG.replace("noise = 0.02", "noise = 30"), encoding="utf-8")
+    test = [
+        "--frequencies",
+        "1:15:8",
+        "--samples",
+        "20",
+        "--periods",
+        "3",
+        "--amplitude",
+        "u=0.01",
+        "--table",
+    ]
+    values = ["--set", "m1=3", "--set", "c1=20", "--set", "c2=30"]
+    assert dashpot("simulate", "rig.toml", "--out", "n.csv", *test, *values).code == 0
+    done = dashpot("compare", "rig.toml", "n.csv", "--methods", "iv,oiv", "--json", "out.json")
+    assert done.code == 3
+    assert "iv did not converge." in done.out
+    (line,) = done.err
+    assert line.startswith("dashpot: iv did not settle; ")
+    found = json.loads(Path("out.json").read_text(encoding="utf-8"))["methods"]
+    assert [found[name]["status"] for name in ("iv", "oiv")] == ["not converged", "converged"]
+
+
 def test_quiet_prints_nothing(dashpot: Command, data: Path) -> None:
     done = dashpot("compare", "rig.toml", "data.csv", "--methods", "oiv", "-q", "--json", "out.json")
     assert (done.code, done.out, done.err) == (0, "", [])

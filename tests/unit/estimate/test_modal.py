@@ -326,6 +326,23 @@ def test_modes_that_cross_are_told_by_their_shapes() -> None:
     assert np.allclose(found.values, rig.theta, rtol=1e-6)
 
 
+def test_a_batch_is_its_repeats() -> None:
+    rig = chain()
+    data = measured(rig, np.random.default_rng(8), 4)
+    together = identify_modal(rig.model, data)
+    for k in range(4):
+        own = replace(
+            data,
+            frequency_hz=data.frequency_hz[k],
+            damping_ratio=data.damping_ratio[k],
+            shapes=data.shapes[k],
+        )
+        alone = identify_modal(rig.model, own)
+        assert np.allclose(alone.values, together.values[k], rtol=1e-8)
+        assert np.allclose(alone.covariance, together.covariance[k], rtol=1e-6)
+        assert float(alone.fit.chi2) == pytest.approx(float(together.fit.chi2[k]), rel=1e-8)
+
+
 # What it is worth
 
 

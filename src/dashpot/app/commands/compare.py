@@ -195,6 +195,9 @@ def _compare(
         show_comparison(console(), found, level)
     unsettled = [name for name, estimate in found.estimates.items() if not bool(estimate.converged)]
     if unsettled:
-        click.echo(f"dashpot: {', '.join(unsettled)} did not settle; give the unknowns a guess", err=True)
+        click.echo(
+            f"dashpot: {', '.join(unsettled)} did not settle; do not use these values, the noise may be too large",
+            err=True,
+        )
         return NOT_CONVERGED
     return 0
