@@ -18,6 +18,7 @@ from dashpot.data.modal import ModalData
 from dashpot.errors import DataError, IdentifiabilityError, UsageError
 from dashpot.estimate.estimate import Estimate, Fit
 from dashpot.estimate.identify import known_values, mode_values, require_determined, tied_values, wrong_signs
+from dashpot.estimate.likelihood import DOUBT
 from dashpot.estimate.regression import inverse, solve_scaled
 from dashpot.estimate.search import Found, Local, minimise
 from dashpot.estimate.worth import MISFIT_LEVEL
@@ -29,11 +30,15 @@ NAME = "modal"
 EXACT = 1e-6  # sd of exact points of a shape, relative to the largest of the others
 ASTRAY = 1e-4  # χ² so unlikely may mean a local minimum: other starts are tried
 STARTS = 32
+FOLLOWED = 10  # of the starts that have not settled after a few steps
+TIE = 0.01  # of χ²: what fits alike
 
 
 def identify_modal(model: Model, data: ModalData, *, starts: int = STARTS, seed: int = 0) -> Estimate:
     """Estimate the unknowns of `model` from measured modes; leading axes of the data are repeats.
 
+    Where only some points are seen, several rigs may have the same modes: one of them is returned, and a warning
+    names another.
     The first start is linear least squares on (λ²M + λC + K) φ = 0 where every coordinate is seen, and the model's
     guesses where it has them all; where these are missing or end with an unlikely χ², `starts` random rigs whose
     frequencies are those of the data are tried.  Displacement inputs stand still: the modes are those with them held.
@@ -46,7 +51,7 @@ def identify_modal(model: Model, data: ModalData, *, starts: int = STARTS, seed:
     batch = data.frequency_hz.shape[:-1]
     flat = _flatten(data)
     view = _view(model, flat)
-    found = _found(model, flat, view, starts, seed)
+    found, ends = _found(model, flat, view, starts, seed)
     m = len(model.unknowns)
     theta = found.x
     at = _evaluate(model, flat, view, theta, np.arange(len(theta)))
@@ -63,6 +68,7 @@ def identify_modal(model: Model, data: ModalData, *, starts: int = STARTS, seed:
     if not batch:
         _require_regular(at.symmetric[0], model)
         require_determined(names, theta[0], covariance[0])
+    rivals = () if ends is None else _rivals(model, found, ends, np.sqrt(np.diagonal(covariance[0])))
     fit = Fit(chi2.reshape(batch), dof, p.reshape(batch))
     widened = covariance * factor
     return Estimate(
@@ -87,7 +93,7 @@ def identify_modal(model: Model, data: ModalData, *, starts: int = STARTS, seed:
         tied=tied_values(model),
         modes=None if batch else mode_values(model, theta[0], widened[0]),
         signs={},
-        warnings=() if batch else _warnings(model, theta[0], fit),
+        warnings=() if batch else (*_warnings(model, theta[0], fit), *rivals),
     )
 
 
@@ -374,7 +380,8 @@ def _shape_rows(data: ModalData, view: _View, phi: Complex, dphi: Complex) -> tu
     return slope - seen[..., None] * along, r
 
 
-def _found(model: Model, data: ModalData, view: _View, starts: int, seed: int) -> Found:
+def _found(model: Model, data: ModalData, view: _View, starts: int, seed: int) -> tuple[Found, Found | None]:
+    """The deepest minima found, and for one repeat without a start of its own where all of its starts ended."""
     repeats = len(data.frequency_hz)
     everyone = np.arange(repeats)
     lower, upper = _bounds(model)
@@ -385,12 +392,13 @@ def _found(model: Model, data: ModalData, view: _View, starts: int, seed: int) -
             start, limit=limit, tolerance=1e-6, lower=lower, upper=upper, longest=np.inf,
         )  # fmt: skip
 
-    found = None
+    found, ends = None, None
     for first in (_linear(model, data, view), _guessed(model, repeats)):
         if first is None:
             continue
         own = search(first, everyone, 100)
         found = own if found is None else found.improved(everyone, own)
+    lonely = found is None and repeats == 1
     dof = max(view.rows - len(model.unknowns), 1)
     for attempt in range(2):
         if found is None:
@@ -401,19 +409,79 @@ def _found(model: Model, data: ModalData, view: _View, starts: int, seed: int) -
         if not len(astray) or not starts:
             break
         drawn = _random(model, data, starts, np.random.default_rng([seed, attempt]))
-        # A few steps tell the valleys apart; the deepest is followed to its end.
-        short = search(np.tile(drawn, (len(astray), 1)), np.repeat(astray, starts), 25)
-        best = np.argmin(
-            np.where(np.isfinite(short.cost), short.cost, np.inf).reshape(len(astray), starts), axis=1
-        )
-        start = short.x.reshape(len(astray), starts, -1)[np.arange(len(astray)), best]
-        own = search(start, astray, 100)
+        if lonely:
+            ends = search(drawn, np.zeros(starts, dtype=np.int64), 25)
+            open_ends = np.flatnonzero(~ends.converged & np.isfinite(ends.cost))
+            deepest = open_ends[np.argsort(ends.cost[open_ends])[:FOLLOWED]]
+            if len(deepest):
+                ends = ends.improved(deepest, search(ends.x[deepest], np.zeros_like(deepest), 100))
+            own = _one_of(model, ends)
+        else:
+            # A few steps tell the valleys apart; the deepest is followed to its end.
+            short = search(np.tile(drawn, (len(astray), 1)), np.repeat(astray, starts), 25)
+            best = np.argmin(
+                np.where(np.isfinite(short.cost), short.cost, np.inf).reshape(len(astray), starts), axis=1
+            )
+            start = short.x.reshape(len(astray), starts, -1)[np.arange(len(astray)), best]
+            own = search(start, astray, 100)
         found = own if found is None else found.improved(astray, own)
     if found is None:
         raise UsageError(
             "there is no start for the search", cure="give the unknowns a guess, or allow starts"
         )
-    return found
+    return found, ends
+
+
+def _one_of(model: Model, ends: Found) -> Found:
+    """The deepest of the ends; of those that fit alike to TIE, one without negative parts, and of like parts."""
+    cost = np.where(np.isfinite(ends.cost), ends.cost, np.inf)
+    if np.any(ends.converged & np.isfinite(cost)):
+        cost = np.where(ends.converged, cost, np.inf)
+    alike = cost <= np.min(cost) + TIE
+    sound = alike & np.all(ends.x > 0, axis=-1)
+    if np.any(sound):
+        logs = np.log(np.where(sound[:, None], ends.x, 1.0))
+        units = np.array([unknown.unit for unknown in model.unknowns])
+        spread = np.sum([np.ptp(logs[:, units == unit], axis=-1) for unit in dict.fromkeys(units)], axis=0)
+        at = [int(np.argmin(np.where(sound, spread, np.inf)))]
+    else:
+        at = [int(np.argmin(cost))]
+    return Found(ends.x[at], ends.cost[at], ends.converged[at], ends.iterations[at], ends.x[at])
+
+
+def _rivals(model: Model, found: Found, ends: Found, sd: Real) -> tuple[str, ...]:
+    """A warning where other ends fit nearly as well: frequencies alone have several rigs."""
+    best = found.x[0]
+    near = ends.converged & (ends.cost <= found.cost[0] + DOUBT)
+    if np.all(best >= 0):
+        near &= np.all(ends.x >= 0, axis=-1)
+    others: list[Real] = []
+    above: list[float] = []
+    for k in np.argsort(ends.cost):
+        if near[k] and all(np.any(np.abs(ends.x[k] - one) > 3 * sd) for one in (best, *others)):
+            others.append(ends.x[k])
+            above.append(float(ends.cost[k] - found.cost[0]))
+    if not others:
+        return ()
+    away = np.abs(others[0] - best)
+    largest = np.argsort(-away / np.maximum(np.abs(best), np.abs(others[0])))[:4]
+    values = ", ".join(
+        f"{model.unknowns[j].name} = {others[0][j]:.4g} {model.unknowns[j].unit}" for j in largest
+    )
+    more = len(others) - 1
+    many = (
+        f"; so do {more} more sets of values"
+        if more > 1
+        else "; so does one more set of values"
+        if more
+        else ""
+    )
+    worse = f"nearly as well (χ² is {above[0]:.3g} more)" if above[0] > TIE else "as well"
+    word = (
+        f"other values fit {worse}: {values}{many}; shapes at more points, a known parameter or a guess for every "
+        "unknown would decide between them"
+    )
+    return (word,)
 
 
 def _bounds(model: Model) -> tuple[Real, Real]:

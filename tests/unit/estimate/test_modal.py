@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -341,6 +342,45 @@ def test_a_batch_is_its_repeats() -> None:
         assert np.allclose(alone.values, together.values[k], rtol=1e-8)
         assert np.allclose(alone.covariance, together.covariance[k], rtol=1e-6)
         assert float(alone.fit.chi2) == pytest.approx(float(together.fit.chi2[k]), rel=1e-8)
+
+
+def frequencies_alone(**springs: dict[str, float]) -> tuple[Rig, ModalData]:
+    """Three known masses in a chain without dampers, and its three frequencies to 0.1 %."""
+    none = {name: {"value": 0.0} for name in ("c1", "c2", "c3")}
+    masses = {"m2": {"value": 1.0}, "m3": {"value": 3.0}}
+    rig = chain(dict.fromkeys(none, 0.0), **none, **masses, **springs)
+    return rig, replace(measured(rig, points=()), damping_ratio=np.full(3, np.nan))
+
+
+def test_other_rigs_with_the_same_frequencies_are_named() -> None:
+    """A chain is not the only one with its frequencies: whatever the seed, one set is the answer, others are told."""
+    rig, data = frequencies_alone()
+    found = [identify_modal(rig.model, data, seed=seed) for seed in range(3)]
+    for other in found:
+        assert np.allclose(other.values, found[0].values, rtol=1e-6)
+        assert float(other.fit.chi2) < 1e-6
+    (warning,) = found[0].warnings
+    assert "fit as well" in warning
+    named = dict(re.findall(r"(k\d) = ([\d.]+) N/m", warning))
+    assert len(named) == 3
+    theta = np.array([float(named[name]) for name in found[0].names])
+    assert np.max(np.abs(theta / found[0].values - 1)) > 0.1
+    f = modes(rig.model, rig.model.parameters(theta)).frequency_hz
+    assert np.allclose(f, data.frequency_hz, rtol=1e-3)  # four digits are printed
+    sets = [found[0].values, theta]
+    truth_is_one = any(np.allclose(one, rig.theta, rtol=1e-3) for one in sets)
+    assert truth_is_one or "more set" in warning
+
+
+def test_nothing_is_named_where_shapes_or_guesses_decide() -> None:
+    rig, data = frequencies_alone()
+    undamped = replace(measured(rig), damping_ratio=np.full(3, np.nan))
+    assert identify_modal(rig.model, undamped).warnings == ()
+    guesses = {name: {"guess": 0.9 * value} for name, value in zip(rig.names, rig.theta, strict=True)}
+    guessed, _ = frequencies_alone(**guesses)
+    found = identify_modal(guessed.model, data)
+    assert np.allclose(found.values, rig.theta, rtol=1e-6)
+    assert found.warnings == ()
 
 
 # What it is worth
