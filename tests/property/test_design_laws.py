@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import assume, given, settings
+from hypothesis import assume, example, given, settings
 from hypothesis import strategies as st
 
 from dashpot.channel import Quantity
@@ -84,6 +84,9 @@ def test_duality_gap_on_random_rigs(block: int) -> None:
     min_dwell=st.floats(0.0, 5.0),
     most=st.one_of(st.none(), st.integers(4, 6)),
 )
+@example(
+    974, 1e-4, 1.0, 0.1015625, 1.0, 60.0, 0.0, 0.0, None
+)  # the best test lies between the points of the grid
 def test_limits_and_budgets_are_never_broken(
     seed: int, stroke: float, velocity: float, acceleration: float, force: float, time: float, settle: float,
     min_dwell: float, most: int | None,

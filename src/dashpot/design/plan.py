@@ -250,6 +250,9 @@ def plan(
     if budget.time is not None and budget.settle > 0:
         # The bound is for as much time of measuring as the plan has.
         found = optimise(bench.information, terms, prior, budget.measured(count), grid)
+    if grid.free and best[0] < found.F - 1e-9 * abs(found.F):
+        # Between the points of a coarse grid lies a better test than the search saw: let it see.
+        found = optimise(bench.information, terms, prior, budget.measured(count), _with(grid, best[1]))
     return _assembled(bench, goal, budget, prior, doubt, found, best[1])
 
 
@@ -349,6 +352,16 @@ def _continuous(bench: Bench, terms: Terms, prior: Real, budget: Budget, grid: G
             return found
         dwells = count
     return found
+
+
+def _with(grid: Grid, lines: Lines) -> Grid:
+    """The grid with the frequencies of a test."""
+    f, k = (
+        np.concatenate([grid.frequency_hz, lines.frequency_hz]),
+        np.concatenate([grid.pattern, lines.pattern]),
+    )
+    _, first = np.unique(np.stack([k, f]), axis=1, return_index=True)
+    return Grid(f[first], k[first], grid.free)
 
 
 def _F(bench: Bench, terms: Terms, prior: Real, found: Allocation, samples: float) -> float:
