@@ -18,7 +18,9 @@ if TYPE_CHECKING:
     from dashpot.channel import Channel, Quantity
     from dashpot.check.residuals import Residuals, residuals
     from dashpot.data.harmonics import HarmonicFit, fit_harmonics, refine_frequency, settled, spectrum
+    from dashpot.data.modal import ModalData
     from dashpot.data.readers import Reading, read, write_amplitudes, write_records
+    from dashpot.data.readers.modal import read_modes
     from dashpot.data.record import Record
     from dashpot.data.spectrum import Moments, Spectrum, concatenate, merge_repeats
     from dashpot.errors import (
@@ -30,14 +32,19 @@ if TYPE_CHECKING:
         Problem,
         UsageError,
     )
+    from dashpot.estimate.comparison import Comparison, compare
     from dashpot.estimate.estimate import Estimate, Fit, ModeValues, Value
+    from dashpot.estimate.free_matrices import DefiniteOptimalIV, FreeMatrices, matrices_of
     from dashpot.estimate.identify import identify
     from dashpot.estimate.instruments import InstrumentalVariables, OptimalIV
     from dashpot.estimate.least_squares import HarmonicLeastSquares, LeastSquares, WeightedLeastSquares
     from dashpot.estimate.likelihood import MaximumLikelihood
     from dashpot.estimate.methods import method
+    from dashpot.estimate.modal import identify_modal
+    from dashpot.estimate.total_least_squares import CompensatedLeastSquares, TotalLeastSquares
     from dashpot.model.dynamics import Matrices, Modes, matrices, modes, response, sensitivities
     from dashpot.model.elements import Element, Kind, between, mass
+    from dashpot.model.free import free_model
     from dashpot.model.modelfile import Rig, default_channels, parse_rig, read_rig, write_rig
     from dashpot.model.network import Input, Model, Unknown
     from dashpot.study.simulate import Dwells, dwells, simulate_records, simulate_spectrum
@@ -46,18 +53,25 @@ _NAMES = {
     "channel": "Channel Quantity",
     "check.residuals": "Residuals residuals",
     "data.harmonics": "HarmonicFit fit_harmonics refine_frequency settled spectrum",
+    "data.modal": "ModalData",
     "data.readers": "Reading read write_amplitudes write_records",
+    "data.readers.modal": "read_modes",
     "data.record": "Record",
     "data.spectrum": "Moments Spectrum concatenate merge_repeats",
     "errors": "ConvergenceError DashpotError DataError IdentifiabilityError ModelError Problem UsageError",
+    "estimate.comparison": "Comparison compare",
     "estimate.estimate": "Estimate Fit ModeValues Value",
+    "estimate.free_matrices": "DefiniteOptimalIV FreeMatrices matrices_of",
     "estimate.identify": "identify",
     "estimate.instruments": "InstrumentalVariables OptimalIV",
     "estimate.least_squares": "HarmonicLeastSquares LeastSquares WeightedLeastSquares",
     "estimate.likelihood": "MaximumLikelihood",
     "estimate.methods": "method",
+    "estimate.modal": "identify_modal",
+    "estimate.total_least_squares": "CompensatedLeastSquares TotalLeastSquares",
     "model.dynamics": "Matrices Modes matrices modes response sensitivities",
     "model.elements": "Element Kind between mass",
+    "model.free": "free_model",
     "model.modelfile": "Rig default_channels parse_rig read_rig write_rig",
     "model.network": "Input Model Unknown",
     "study.simulate": "Dwells dwells simulate_records simulate_spectrum",
@@ -66,13 +80,17 @@ _HOME = {name: module for module, names in _NAMES.items() for name in names.spli
 
 __all__ = [
     "Channel",
+    "Comparison",
+    "CompensatedLeastSquares",
     "ConvergenceError",
     "DashpotError",
     "DataError",
+    "DefiniteOptimalIV",
     "Dwells",
     "Element",
     "Estimate",
     "Fit",
+    "FreeMatrices",
     "HarmonicFit",
     "HarmonicLeastSquares",
     "IdentifiabilityError",
@@ -82,6 +100,7 @@ __all__ = [
     "LeastSquares",
     "Matrices",
     "MaximumLikelihood",
+    "ModalData",
     "ModeValues",
     "Model",
     "ModelError",
@@ -95,24 +114,30 @@ __all__ = [
     "Residuals",
     "Rig",
     "Spectrum",
+    "TotalLeastSquares",
     "Unknown",
     "UsageError",
     "Value",
     "WeightedLeastSquares",
     "__version__",
     "between",
+    "compare",
     "concatenate",
     "default_channels",
     "dwells",
     "fit_harmonics",
+    "free_model",
     "identify",
+    "identify_modal",
     "mass",
     "matrices",
+    "matrices_of",
     "merge_repeats",
     "method",
     "modes",
     "parse_rig",
     "read",
+    "read_modes",
     "read_rig",
     "refine_frequency",
     "residuals",
