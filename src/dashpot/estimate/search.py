@@ -129,7 +129,7 @@ def minimise(
         # A tiny full step ends the search.  So does a tiny rejected one: nothing lower is left within rounding.
         done = small & usable & ((damping == 0) | ~better)
         converged[active[done]] = True
-        damping = np.where(better, calm, np.maximum(damping * 3, 1e-5))
+        damping = np.where(better, np.where(small, 0.0, calm), np.maximum(damping * 3, 1e-5))
         keep = ~(done | (damping > 1e14))
         if not np.any(keep):
             break
