@@ -204,7 +204,7 @@ def _assemble(
     warnings = list(dict.fromkeys(w for part in parts for w in part.solution.warnings))
     warnings += _warnings(model, theta, fit, known_noise) if single else []
     warnings += _held(judged.names, theta, parts[0].solution) if single else []
-    warnings += _colour(spectrum)
+    warnings += _colour(spectrum) + _left_out(model, spectrum)
     m = len(model.unknowns)
     limits = parts[0].solution.limits
     return Estimate(
@@ -319,6 +319,23 @@ def _colour(spectrum: Spectrum) -> list[str]:
         "the frequencies beside the line, and the intervals count that"
     )
     return [told]
+
+
+def _left_out(model: Model, spectrum: Spectrum) -> list[str]:
+    """Inputs that some lines measure and others leave empty: there they are unknown, which costs precision."""
+    measured = np.all(
+        np.isfinite(spectrum.amplitudes), axis=tuple(range(spectrum.amplitudes.ndim - 2))
+    )  # (lines, channels)
+    found = []
+    for name in (*model.displacement_inputs, *model.force_inputs):
+        direct = [set(channel.of) == {name} and is_direct(model, channel) for channel in spectrum.channels]
+        at = np.any(measured[:, direct], axis=-1)
+        if np.any(at) and not np.all(at):
+            found.append(
+                f"the input {name} is not measured at {np.sum(~at)} of {len(at)} lines and unknown there, which widens "
+                "the intervals: if it was at rest, write 0"
+            )
+    return found
 
 
 def known_values(model: Model) -> tuple[tuple[str, float, str], ...]:

@@ -181,6 +181,25 @@ def test_inputs_that_are_not_measured_at_all():
     assert found.fit.p > 1e-3
 
 
+def test_an_input_left_empty_in_one_experiment_is_told():
+    """A load cell that is not written while the base shakes: the force is unknown there, and intervals are wider."""
+    bench = two()
+    model = Model(("x1", "x2"), (Input("u"), Input("p", "force", {"x2": 1.0})), bench.model.elements)
+    p = Channel("p", {"p": 1}, Quantity.FORCE)
+    shaken = replace(
+        bench, model=model, f=np.zeros((14, 1), dtype=complex), channels=(*bench.channels, p),
+        noise={"": 0.02, "u": 0.0, "p": 0.0},
+    )  # fmt: skip
+    rested = shaken.spectrum(np.random.default_rng(4))
+    amplitudes, covariance = rested.amplitudes.copy(), rested.covariance.copy()
+    amplitudes[7:, 3], covariance[7:, 3, :], covariance[7:, :, 3] = np.nan, np.nan, np.nan
+    blank = replace(rested, amplitudes=amplitudes, covariance=covariance)
+    at_rest, unknown = identify(model, rested, ML), identify(model, blank, ML)
+    assert not any("is not measured" in warning for warning in at_rest.warnings)
+    assert any("the input p is not measured at 7 of 14 lines" in warning for warning in unknown.warnings)
+    assert np.all(unknown.sd > at_rest.sd)
+
+
 # Rivals
 
 
