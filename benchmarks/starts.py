@@ -38,7 +38,8 @@ def main() -> None:
         total += home
         each = (time.perf_counter() - start) / draws
         print(
-            f"{make.__name__}: {home} of {draws} home, {len(bench.psi)} unknowns, {each:.2f} s each", flush=True
+            f"{make.__name__}: {home} of {draws} home, {len(bench.psi)} unknowns, {each:.2f} s each",
+            flush=True,
         )
     print(f"in all {total} of {draws * len(BENCHES)}")
 
