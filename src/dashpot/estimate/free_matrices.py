@@ -114,6 +114,8 @@ class DefiniteOptimalIV(Method):
         if not len(there):
             return free
         cones = _cones(data.model, theta[there], self.letters)
+        if not cones:
+            return free
         rows = there[_smallest(cones, theta[there]) < 0]
         history = free.history
         if len(rows):
@@ -156,7 +158,7 @@ class DefiniteOptimalIV(Method):
             iterations[active] += 1
             if active[0] == 0:
                 history.append(x[0].copy())
-            done = length < self.tolerance
+            done = (length < self.tolerance) & np.all(np.isfinite(target), axis=-1)
             converged[active[done]] = True
             keep = ~done & better
             if not np.any(keep):
@@ -236,11 +238,12 @@ def _nearest(centre: Real, W: Real, cones: list[_Cone], start: Real) -> Real:
 
     Minimises ½ |x − centre|²_W − μ Σ log det A(x), μ falling from the distance of the start to BARRIER.  That is
     self-concordant: a Newton step of length δ in its own metric, cut to 1 / (1 + δ), stays inside and goes down (Boyd
-    and Vandenberghe 2004, 9.6).
+    and Vandenberghe 2004, 9.6).  Where `centre` or W is not finite, the start is returned.
     """
     x, before = start, start
     mu = np.maximum(np.einsum("ku,kuv,kv->k", x - centre, W, x - centre), 1.0)
-    lost = np.zeros(len(x), dtype=bool)
+    lost = ~np.isfinite(mu)
+    mu = np.where(lost, 1.0, mu)
     while True:
         for _ in range(200):
             # Rounding may carry a point over the edge where W is all but singular: it stays where it was inside.
@@ -256,7 +259,7 @@ def _nearest(centre: Real, W: Real, cones: list[_Cone], start: Real) -> Real:
                 B = B + flat @ np.swapaxes(flat, -1, -2)
             slope = ((centre - x)[:, None, :] @ W)[:, 0] + mu[:, None] * b
             step = np.where(lost[:, None], 0.0, np.nan_to_num(solve_scaled(W + mu[:, None, None] * B, slope)))
-            away = np.sqrt(np.maximum(np.sum(step * slope, axis=-1), 0.0) / mu)
+            away = np.sqrt(np.maximum(np.sum(step * np.nan_to_num(slope), axis=-1), 0.0) / mu)
             before, x = x, x + step / np.where(away > 0.25, 1 + away, 1.0)[:, None]
             if np.all(away < 1e-2):
                 break

@@ -13,6 +13,8 @@ from dashpot.errors import IdentifiabilityError, ModelError
 from dashpot.estimate.auxiliary import auxiliary
 from dashpot.estimate.free_matrices import (
     DefiniteOptimalIV,
+    _Cone,
+    _nearest,
     definite,
     matrices_of,
 )
@@ -297,6 +299,29 @@ def test_a_floating_ring_is_held_on_what_its_springs_span() -> None:
     assert np.all(held.converged)
     assert np.array_equal(held.values[~negative], free.values[~negative])
     assert np.all((held.values[negative, 6] > 0) & (held.values[negative, 6] < 1e-4 * held.sd[negative, 6]))
+
+
+def test_with_no_matrix_to_hold_the_free_estimate_is_the_answer() -> None:
+    """Hysteretic dampers are in none of M, C and K: where they alone are unknown, there is no cone."""
+    parts = (mass("m", "x1", value=2.0), between("k", Kind.SPRING, "x1", "ground", value=900.0))
+    model = Model(
+        ("x1",), (Input("f", "force", {"x1": 1.0}),), (*parts, between("h", Kind.HYSTERETIC, "x1", "ground"))
+    )
+    f = np.geomspace(1.5, 14.0, 8)
+    rig = Rig(model, np.array([40.0]), f, np.zeros((8, 0), dtype=complex), np.full((8, 1), 5.0 + 0j))
+    ch = channels(rig)
+    spectrum = noisy(rig, ch, covariance(rig, ch, 0.05), np.random.default_rng(3))
+    free, held = identify(model, spectrum, OptimalIV()), identify(model, spectrum, DefiniteOptimalIV())
+    assert np.array_equal(held.values, free.values)
+
+
+@pytest.mark.parametrize("centre", [np.nan, np.inf])
+def test_a_projection_of_nothing_finite_ends_where_it_started(centre: float) -> None:
+    """Beside it, the point −3 goes to the edge of the cone of what is not negative."""
+    cone = _Cone(np.zeros((1, 1)), np.ones((1, 1, 1)))
+    found = _nearest(np.array([[centre], [-3.0]]), np.ones((2, 1, 1)), [cone], np.array([[1.0], [1.0]]))
+    assert found[0, 0] == 1.0
+    assert 0 < found[1, 0] < 1e-6
 
 
 def test_bad_pairs_and_letters_are_refused() -> None:
