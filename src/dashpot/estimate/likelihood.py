@@ -35,10 +35,8 @@ SOFTER = 0.3  # and in the first one, where logarithms cannot be had
 ROUGH = 60  # iterations of such a stage
 LOG_RESIDUAL = 0.5  # nepers beyond which a residual of logarithms counts no longer by its square
 POLISH = 25  # iterations for the deepest ends of a round
-EASY, PLAIN = (
-    0.1,
-    0.5,
-)  # share of the first starts that end in one valley, if it fits and if not, that ends the search
+EASY = 0.1  # share of the first starts that end in one valley that fits: enough to end the search
+PLAIN = 0.5  # and in one that does not fit
 LEAST = 16  # starts of the largest rigs
 DEEPEST = 8  # valleys that are followed to the bottom
 RIVAL = 60.0  # χ² by which a valley may lie above the deepest one of one repeat and be the deepest of another
@@ -78,8 +76,8 @@ class MaximumLikelihood(Method):
     Where all coordinates are seen the start is the noise-compensated least squares; elsewhere `candidates` random
     rigs of sensible size are ranked by the logarithms of their responses, and the best `starts` of them searched, first
     in logarithms, then with weights that harden step by step, for at most `rounds` rounds.  Repeats share the valleys
-    that the first one finds, and look for their own where these do not lead to a fit.  `positive` holds the parameters
-    of the rig at or above 0; bounds of the model hold always.
+    that the first one finds, and look for their own where these do not lead to a fit.  `positive` holds the parts of
+    the rig at or above 0, not what belongs to a free matrix; bounds of the model hold always.
     """
 
     starts: int = 64
@@ -356,11 +354,12 @@ def _acceptable(data: Prepared, exact: Measured, unknowns: int) -> float:
 
 
 def bounds(data: Prepared, view: Outlook, positive: bool) -> tuple[Real, Real]:
-    """Lower and upper bounds of ψ from the model, and 0 for its parameters where `positive`."""
+    """Lower and upper bounds of ψ, each (M,), from the model, and 0 for its parts where `positive`."""
     size = len(view.names)
     low, high = np.full(size, -np.inf), np.full(size, np.inf)
+    free = {element.name for element in data.model.elements if element.free}
     for j, unknown in enumerate(data.model.unknowns):
-        if positive:
+        if positive and unknown.name not in free:
             low[j] = 0.0
         if unknown.lower is not None:
             low[j] = max(low[j], unknown.lower)

@@ -27,7 +27,7 @@ def alike(values: Sequence[float], sd: float) -> list[str]:
         last += 1
     largest = max((abs(v) for v in values if math.isfinite(v)), default=0.0)
     top = max(math.floor(math.log10(largest)) if largest > 0 else last, last)
-    if top >= PLAIN or last <= -PLAIN:
+    if top >= PLAIN or (last <= -PLAIN and top < 0):
         power = top
         return [
             _fixed(v / 10.0**power, power - last) + f"e{power}" if math.isfinite(v) else "–" for v in values

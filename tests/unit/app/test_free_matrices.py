@@ -111,6 +111,28 @@ def test_matrices_of_a_rig_of_elements(dashpot: Command, free: Path) -> None:
     assert found["x2", "x2"] == (-found["x1", "x2"][0], found["x1", "x2"][1])  # both are k2
 
 
+def test_free_matrices_beside_hysteretic_dampers(dashpot: Command, free: Path) -> None:
+    """Found like all else; the matrices do not tell all of such a rig and are not printed."""
+    text = FREE.replace('"MCK"', '"MK"') + '[hysteretic]\nh = { between = ["x1", "ground"], value = 0 }\n'
+    free.write_text(text, encoding="utf-8")
+    done = dashpot("identify", "free.toml", "data.csv")
+    assert done.code == 0, done.err
+    assert "k_x1_x2" in done.out
+    assert "K, N/m" not in done.out
+
+
+def test_positive_lets_entries_have_any_sign(dashpot: Command, free: Path) -> None:
+    """m_x1_x2 is M12 itself, and may well be negative; the free estimate is."""
+    found = [
+        json.loads(dashpot("identify", "free.toml", "data.csv", *more, "--json", "-").out)["parameters"]
+        for more in (["--method", "ml"], ["--positive"])
+    ]
+    negative = [name for name, entry in found[0].items() if entry["value"] < 0]
+    assert negative
+    for name in negative:
+        assert found[1][name]["value"] == pytest.approx(found[0][name]["value"], rel=1e-3)
+
+
 def test_compare_has_oiv_held_definite(dashpot: Command, free: Path) -> None:
     done = dashpot("compare", "free.toml", "data.csv", "--methods", "wls,oiv,oiv+", "--truth", "k_x1_x2=2000")
     assert done.code == 0, done.err

@@ -27,7 +27,9 @@ CHOICES = ["auto", "ls", "hls", "wls", "tls", "cls", "iv", "oiv", "oiv+", "ml"]
     "--method", "chosen", type=click.Choice(CHOICES), default="auto", show_default=True,
     help="Estimator; auto is oiv where every coordinate and input is measured, ml elsewhere.",
 )  # fmt: skip
-@click.option("--positive", is_flag=True, help="Hold every unknown at or above 0; by ml.")
+@click.option(
+    "--positive", is_flag=True, help="Hold every unknown but entries of free matrices at or above 0; by ml."
+)
 @click.option("--json", "json_out", metavar="OUT", help="Write the estimate as JSON; - is stdout.")
 @click.option("--report", metavar="OUT.html", help="Write a report with figures, one HTML file.")
 @click.option(
@@ -108,9 +110,15 @@ def command(
         from dashpot.present.tables import console, show_estimate
 
         show_estimate(console(), estimate, level / 100)
-        if matrices or any(element.free for element in found.model.elements):
+        if matrices or _of_free_matrices(found):
             _show_matrices(found, estimate)
     return _ending(estimate)
+
+
+def _of_free_matrices(rig: Rig) -> bool:
+    """Whether M, C and K are free and tell all of the rig: hysteretic dampers are in none of them."""
+    model = rig.model
+    return any(element.free for element in model.elements) and not len(model.by_matrix["H"])
 
 
 def _show_matrices(rig: Rig, estimate: Estimate) -> None:
