@@ -64,15 +64,14 @@ def surface(model: Model, spectrum: Spectrum, estimate: Estimate) -> Surface:
     sign = np.ones((len(psi), len(view.channels)))
     for name, flips in estimate.signs.items():
         sign[:, flat.index(name)] = flips.ravel()
-    prepared = Prepared(model, flat, V, None)
-    data = measured(prepared, view)
+    data = measured(Prepared(model, flat, V, None), view)
     if not known and np.any(model.prior_precision):
         # Priors weigh against noise of the right size: that which makes χ² its degrees of freedom.
         penalty = np.sum(prior_precision(view) * (psi - prior_mean(view)) ** 2, axis=-1)
         cost = local(view, data, psi, sign).cost - penalty
         size = cost / np.maximum(estimate.fit.dof - penalty, 1.0)
         data = replace(data, W=data.W / np.maximum(size, 1e-300)[:, None, None, None])
-    lower, upper = bounds(prepared, view, False)
+    lower, upper = bounds(view, False)
 
     def evaluate(at: Real, rows: Ints) -> Local:
         return local(view, data.pick(rows), at, sign[rows])

@@ -14,7 +14,7 @@ from dashpot.estimate.covariance import channels_correlate, without_correlation
 from dashpot.estimate.estimate import Estimate, Fit, ModeValues
 from dashpot.estimate.instruments import OptimalIV, likeliest
 from dashpot.estimate.likelihood import MaximumLikelihood
-from dashpot.estimate.method import Method, Prepared, Solution
+from dashpot.estimate.method import Limits, Method, Prepared, Solution
 from dashpot.estimate.states import is_direct, noise_is_known, states_if_seen, unseen, working_covariance
 from dashpot.estimate.worth import ROUNDING, Judged, Worth, judge, worth
 from dashpot.model.dynamics import matrices, modes
@@ -35,9 +35,8 @@ def identify(
 ) -> Estimate:
     """Estimate the unknowns of `model` from `spectrum`.
 
-    The default method is `automatic`.  Leading batch axes of the spectrum are
-    repeats of the same test and come back as leading axes of the Estimate; `progress(done, all)` is called between
-    chunks of them.
+    Without a method, `automatic` chooses it.  Leading batch axes of the spectrum are repeats of the same test and come
+    back as leading axes of the Estimate; `progress(done, all)` is called between chunks of them.
 
     Raises UsageError or DataError where the data lack what the method needs, IdentifiabilityError where they do not
     determine the unknowns.
@@ -62,17 +61,22 @@ def automatic(model: Model, spectrum: Spectrum) -> Method:
     Bounds of unknowns are MaximumLikelihood's as well: it alone holds them.
     """
     direct = all(is_direct(model, channel) for channel in spectrum.channels)
-    bounded = any(unknown.lower is not None or unknown.upper is not None for unknown in model.unknowns)
+    bounded = np.any(np.isfinite(model.bounds))
     return OptimalIV() if direct and not bounded and not unseen(model, spectrum) else MaximumLikelihood()
 
 
 def _check(model: Model, spectrum: Spectrum) -> None:
+    require_unknowns(model)
+    if spectrum.lines == 0:
+        raise DataError("there are no lines in the data", cure="give at least one frequency")
+
+
+def require_unknowns(model: Model) -> None:
+    """Raises UsageError where there is nothing to find."""
     if not model.unknowns:
         raise UsageError(
             "every parameter of the rig is known", cure="leave out the value of what is to be found"
         )
-    if spectrum.lines == 0:
-        raise DataError("there are no lines in the data", cure="give at least one frequency")
 
 
 def _flatten(spectrum: Spectrum) -> Spectrum:
@@ -203,10 +207,10 @@ def _assemble(
     misfit = bool(np.any(fit.rejected))
     warnings = list(dict.fromkeys(w for part in parts for w in part.solution.warnings))
     warnings += _warnings(model, theta, fit, known_noise) if single else []
-    warnings += _held(judged.names, theta, parts[0].solution) if single else []
+    limits = parts[0].solution.limits
+    warnings += held(judged.names, theta, limits) if single and limits is not None else []
     warnings += _colour(spectrum) + _left_out(model, spectrum)
     m = len(model.unknowns)
-    limits = parts[0].solution.limits
     return Estimate(
         model=model.name,
         method=method.name,
@@ -268,11 +272,12 @@ def _warnings(model: Model, theta: Real, fit: Fit, known_noise: bool) -> list[st
             "what counts only sensor noise is named so"
         )
     found += wrong_signs(model, theta)
-    for unknown, value in zip(model.unknowns, theta, strict=False):
-        if (unknown.lower is not None and value < unknown.lower) or (
-            unknown.upper is not None and value > unknown.upper
-        ):
-            found.append(f"{unknown.name} lies beyond its bounds: of all methods, only ml holds to them")
+    lower, upper = model.bounds
+    own = theta[: len(lower)]
+    for j in np.flatnonzero((own < lower) | (own > upper)):
+        found.append(
+            f"{model.unknowns[j].name} lies beyond its bounds: of all methods, only ml holds to them"
+        )
     return found
 
 
@@ -297,15 +302,13 @@ def wrong_signs(model: Model, theta: Real) -> list[str]:
     return found
 
 
-def _held(names: tuple[str, ...], theta: Real, solution: Solution) -> list[str]:
-    """Unknowns that lie at a bound."""
-    if solution.limits is None:
-        return []
-    at = (theta <= solution.limits.lower) | (theta >= solution.limits.upper)
+def held(names: tuple[str, ...], theta: Real, limits: Limits) -> list[str]:
+    """Warnings of unknowns that lie at a bound; one repeat."""
+    at = (theta <= limits.lower) | (theta >= limits.upper)
     return [
         f"{name} is held at its bound; without it {float(free):.4g} would fit best"
-        for name, held, free in zip(names, at, solution.limits.free[0], strict=True)
-        if held
+        for name, bound, free in zip(names, at, limits.free[0], strict=True)
+        if bound
     ]
 
 

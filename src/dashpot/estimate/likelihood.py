@@ -22,8 +22,8 @@ from dashpot.estimate.output import (
     predict,
     small,
 )
-from dashpot.estimate.regression import inverse, solve_scaled
-from dashpot.estimate.search import PATIENCE, Found, Local, minimise
+from dashpot.estimate.regression import inverse
+from dashpot.estimate.search import PATIENCE, Found, Local, minimise, without_bounds
 from dashpot.estimate.starts import candidates, neighbours
 from dashpot.estimate.states import is_direct
 
@@ -96,7 +96,7 @@ class MaximumLikelihood(Method):
         view = outlook(data.model, data.spectrum.channels, data.spectrum.omega)
         exact = measured(data, view)
         repeats = len(exact.y)
-        lower, upper = bounds(data, view, self.positive)
+        lower, upper = bounds(view, self.positive)
         direct = data.states is not None and all(is_direct(data.model, c) for c in data.spectrum.channels)
         warnings: tuple[str, ...] = ()
         if direct and data.states is not None:
@@ -119,10 +119,7 @@ class MaximumLikelihood(Method):
     ) -> Limits | None:
         if not np.any(np.isfinite(lower) | np.isfinite(upper)):
             return None
-        here = local(view, data, psi, sign)
-        held = np.any((psi <= lower) | (psi >= upper), axis=-1, keepdims=True)
-        free = np.where(held, psi + solve_scaled(here.symmetric, here.gradient), psi)
-        return Limits(lower, upper, free)
+        return Limits(lower, upper, without_bounds(psi, local(view, data, psi, sign), lower, upper))
 
     def _descend(
         self,
@@ -195,7 +192,7 @@ class MaximumLikelihood(Method):
         """
         one = data.only(repeat)
         rng = np.random.default_rng([self.seed, repeat])
-        lower, upper = bounds(data, view, self.positive)
+        lower, upper = bounds(view, self.positive)
         exact = measured(one, view)
         stages = self._stages(one, view, exact)
         acceptable = _acceptable(one, exact, len(view.names))
@@ -353,19 +350,15 @@ def _acceptable(data: Prepared, exact: Measured, unknowns: int) -> float:
     return float(chi2.isf(POOR, dof)) * (1.0 if np.isinf(doubt) else 1 + 8 / max(doubt - 4, 1.0))
 
 
-def bounds(data: Prepared, view: Outlook, positive: bool) -> tuple[Real, Real]:
+def bounds(view: Outlook, positive: bool) -> tuple[Real, Real]:
     """Lower and upper bounds of ψ, each (M,), from the model, and 0 for its parts where `positive`."""
-    size = len(view.names)
-    low, high = np.full(size, -np.inf), np.full(size, np.inf)
-    free = {element.name for element in data.model.elements if element.free}
-    for j, unknown in enumerate(data.model.unknowns):
-        if positive and unknown.name not in free:
-            low[j] = 0.0
-        if unknown.lower is not None:
-            low[j] = max(low[j], unknown.lower)
-        if unknown.upper is not None:
-            high[j] = unknown.upper
-    return low, high
+    model, endless = view.model, np.full(view.gains + view.delays, np.inf)
+    low, high = model.bounds
+    if positive:
+        free = {element.name for element in model.elements if element.free}
+        parts = np.array([unknown.name not in free for unknown in model.unknowns])
+        low = np.where(parts, np.maximum(low, 0.0), low)
+    return np.concatenate([low, -endless]), np.concatenate([high, endless])
 
 
 def prior_precision(view: Outlook) -> Real:

@@ -17,10 +17,19 @@ from dashpot.arrays import Bools, Complex, Ints, Real, hermitian
 from dashpot.data.modal import ModalData
 from dashpot.errors import DataError, IdentifiabilityError, UsageError
 from dashpot.estimate.estimate import Estimate, Fit
-from dashpot.estimate.identify import known_values, mode_values, require_determined, tied_values, wrong_signs
+from dashpot.estimate.identify import (
+    held,
+    known_values,
+    mode_values,
+    require_determined,
+    require_unknowns,
+    tied_values,
+    wrong_signs,
+)
 from dashpot.estimate.likelihood import DOUBT
+from dashpot.estimate.method import Limits
 from dashpot.estimate.regression import inverse, solve_scaled
-from dashpot.estimate.search import Found, Local, minimise
+from dashpot.estimate.search import Found, Local, minimise, without_bounds
 from dashpot.estimate.worth import MISFIT_LEVEL
 from dashpot.model.dynamics import matrices, modes, solve
 from dashpot.model.elements import Kind
@@ -55,9 +64,8 @@ def identify_modal(model: Model, data: ModalData, *, starts: int = STARTS, seed:
     m = len(model.unknowns)
     theta = found.x
     at = _evaluate(model, flat, view, theta, np.arange(len(theta)))
-    lower, upper = _bounds(model)
-    held = np.any((theta <= lower) | (theta >= upper), axis=-1, keepdims=True)
-    free = np.where(held, theta + solve_scaled(at.symmetric, at.gradient), theta)
+    lower, upper = model.bounds
+    free = without_bounds(theta, at, lower, upper)
     covariance = inverse(at.symmetric)
     dof = view.rows - m + int(np.count_nonzero(model.prior_precision))
     chi2 = at.cost
@@ -93,15 +101,12 @@ def identify_modal(model: Model, data: ModalData, *, starts: int = STARTS, seed:
         tied=tied_values(model),
         modes=None if batch else mode_values(model, theta[0], widened[0]),
         signs={},
-        warnings=() if batch else (*_warnings(model, theta[0], fit), *rivals),
+        warnings=() if batch else (*_warnings(model, theta[0], Limits(lower, upper, free), fit), *rivals),
     )
 
 
 def _check(model: Model, data: ModalData) -> None:
-    if not model.unknowns:
-        raise UsageError(
-            "every parameter of the rig is known", cure="leave out the value of what is to be found"
-        )
+    require_unknowns(model)
     for name in data.points:
         if name not in model.coordinates:
             raise DataError(
@@ -120,7 +125,7 @@ def _check(model: Model, data: ModalData) -> None:
         )
 
 
-def _warnings(model: Model, theta: Real, fit: Fit) -> tuple[str, ...]:
+def _warnings(model: Model, theta: Real, limits: Limits, fit: Fit) -> tuple[str, ...]:
     found = []
     if bool(fit.rejected):
         found.append(
@@ -128,6 +133,7 @@ def _warnings(model: Model, theta: Real, fit: Fit) -> tuple[str, ...]:
             f"(χ² {float(fit.chi2):.4g} with {fit.dof} degrees of freedom); intervals are widened by that factor"
         )
     found += wrong_signs(model, theta)
+    found += held(tuple(unknown.name for unknown in model.unknowns), theta, limits)
     return tuple(found)
 
 
@@ -384,12 +390,12 @@ def _found(model: Model, data: ModalData, view: _View, starts: int, seed: int) -
     """The deepest minima found, and for one repeat without a start of its own where all of its starts ended."""
     repeats = len(data.frequency_hz)
     everyone = np.arange(repeats)
-    lower, upper = _bounds(model)
+    lower, upper = model.bounds
 
     def search(start: Real, rows: Ints, limit: int) -> Found:
         return minimise(
             lambda theta, some: _evaluate(model, data, view, theta, rows[some]),
-            start, limit=limit, tolerance=1e-6, lower=lower, upper=upper, longest=np.inf,
+            start, limit=limit, tolerance=1e-6, lower=lower, upper=upper,
         )  # fmt: skip
 
     found, ends = None, None
@@ -484,13 +490,6 @@ def _rivals(model: Model, found: Found, ends: Found, sd: Real) -> tuple[str, ...
     return (word,)
 
 
-def _bounds(model: Model) -> tuple[Real, Real]:
-    return (
-        np.array([-np.inf if u.lower is None else u.lower for u in model.unknowns]),
-        np.array([np.inf if u.upper is None else u.upper for u in model.unknowns]),
-    )
-
-
 def _guessed(model: Model, repeats: int) -> Real | None:
     choices = [u.prior if u.guess is None else u.guess for u in model.unknowns]
     if any(choice is None for choice in choices):
@@ -536,9 +535,7 @@ def _random(model: Model, data: ModalData, count: int, rng: np.random.Generator)
         if value > 0 and element.kind is not Kind.DAMPER
     ]
     known += [
-        np.log(u.prior / 1.0)
-        for u in model.unknowns
-        if u.prior is not None and u.prior > 0 and u.unit == "kg"
+        np.log(u.prior) for u in model.unknowns if u.prior is not None and u.prior > 0 and u.unit == "kg"
     ]
     mass = float(np.exp(np.mean(known))) if known else 1.0
     kinds = {element.name: element.kind for element in model.elements}

@@ -57,7 +57,7 @@ class Found:
         return (other.cost < self.cost[rows] * (1 - 1e-9)) | (other.converged & ~self.converged[rows])
 
     def improved(self, rows: Ints, other: Found) -> Found:
-        """With what another search over some of the repeats found, where that is lower.  Iterations add up."""
+        """With what another search over some of the repeats found, where `worse` prefers it.  Iterations add up."""
         better = self.worse(rows, other)
         x, cost, converged = self.x.copy(), self.cost.copy(), self.converged.copy()
         iterations = self.iterations.copy()
@@ -66,6 +66,13 @@ class Found:
         iterations[rows] += other.iterations
         history = other.history if len(rows) and rows[0] == 0 and better[0] else self.history
         return Found(x, cost, converged, iterations, history)
+
+
+def without_bounds(x: Real, here: Local, lower: Real, upper: Real) -> Real:
+    """Where the minima x, (k, m), would lie without bounds: one full step on where a bound holds, else x itself."""
+    held = np.any((x <= lower) | (x >= upper), axis=-1, keepdims=True)
+    free: Real = np.where(held, x + solve_scaled(here.symmetric, here.gradient), x)
+    return free
 
 
 def minimise(
@@ -169,7 +176,7 @@ def _promised(here: Local, step: Real) -> Real:
 
 
 def _calmer(damping: Real, gained: Real, promised: Real) -> Real:
-    """Damping after a step that lowered the cost: a tenth where it kept its promise, as before where it hardly did."""
+    """Damping after a step that lowered the cost: a third where it kept its promise, as before where it hardly did."""
     with np.errstate(all="ignore"):
         kept = np.nan_to_num(gained / promised)
     factor = np.where(kept > 0.75, 1 / 3, np.where(kept > 0.25, 0.7, 1.0))

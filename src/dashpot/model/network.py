@@ -259,6 +259,13 @@ class Model:
             [0.0 if u.sd is None or u.prior is None else u.prior for u in self.unknowns], np.float64
         )
 
+    @cached_property
+    def bounds(self) -> tuple[Real, Real]:
+        """Least and largest values allowed to the unknowns, each (unknowns,); −inf and inf where there is no bound."""
+        low = [-np.inf if u.lower is None else u.lower for u in self.unknowns]
+        high = [np.inf if u.upper is None else u.upper for u in self.unknowns]
+        return frozen(low, np.float64), frozen(high, np.float64)
+
     def unit(self, element: Element) -> str:
         """SI unit of an element's parameter."""
         return parameter_unit(element, self.angles)

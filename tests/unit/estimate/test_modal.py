@@ -456,6 +456,21 @@ def test_a_model_that_lacks_something_is_rejected_and_its_intervals_widened() ->
     assert any("does not have these modes" in warning for warning in found.warnings)
 
 
+def test_a_bound_is_held_and_said_with_where_the_answer_would_lie_without() -> None:
+    """The bound lies half a standard deviation above what fits best."""
+    data = measured(chain(), np.random.default_rng(2))
+    free = identify_modal(chain().model, data)
+    bound = free["c1"].value + 0.5 * free["c1"].sd
+    found = identify_modal(chain(None, c1={"lower": bound}).model, data)
+    j = found.names.index("c1")
+    assert found.values[j] == bound
+    assert found.free_values[j] == pytest.approx(free.values[j], abs=0.02 * free.sd[j])
+    assert found.interval()[0][j] == bound
+    assert [word for word in found.warnings if "c1 is held at its bound" in word]
+    assert np.all(np.abs(found.values - free.values) <= 0.52 * free.sd)
+    assert not [word for word in free.warnings if "bound" in word]
+
+
 def test_eigenvalues_and_frequencies_say_the_same() -> None:
     """λ with the covariance of its parts becomes f and ζ by the slopes: against differences."""
     lam = np.array([-2.0 + 30j, -0.5 + 80j])
