@@ -44,3 +44,15 @@ def test_an_interval_is_no_wider_for_a_bound():
     width = [np.subtract(*found.interval()[::-1])[:, j] for found in (held, free)]
     assert np.all(width[0] <= width[1] * 1.02)
     assert np.mean(width[0]) < 0.8 * np.mean(width[1])
+
+
+def test_a_bound_that_the_data_contradict_is_no_fit():
+    """χ² of an estimate held at a bound is that of the rig whose damper is known to be there: 8 instead of 60."""
+    spectrum = two(c3=60.0).spectrum(np.random.default_rng(7))
+    held = identify(two(c3=60.0, upper=8.0).model, spectrum, MaximumLikelihood(tolerance=1e-12))
+    known = identify(two(c3=8.0, known="k1 c3").model, spectrum, MaximumLikelihood(tolerance=1e-12))
+    assert held.values[held.names.index("c3")] == 8.0
+    assert held.fit.chi2 == pytest.approx(known.fit.chi2, rel=1e-5)
+    assert held.fit.rejected
+    assert held.basis == "model misfit"
+    assert not identify(two(c3=60.0).model, spectrum).fit.rejected

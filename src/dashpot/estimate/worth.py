@@ -96,13 +96,14 @@ def worth(
     χ² and bound are the model's, not the method's: `solution` and `judged` are to be those of the most likely
     parameters, to which one Gauss-Newton step leads, with the covariance of the method.  Where the noise is unknown,
     χ² supplies its size; where it was estimated, weights and intervals pay for that; where the model does not fit,
-    the covariance grows by χ²/dof.
+    the covariance grows by χ²/dof.  Where bounds hold unknowns, χ² is that of the values held: bounds that the data
+    contradict are no fit.
     """
     prior = np.diag(judged.precision)
     away = solution.theta - judged.mean
     total = np.sum(judged.information, axis=-3) + prior
     gradient = np.sum(judged.scores, axis=-2) - judged.precision * away
-    excess = np.sum(gradient * solve_scaled(total, gradient), axis=-1)
+    excess = _excess(total, gradient, solution)
     penalty = np.sum(judged.precision * away**2, axis=-1)
     dof = judged.dof
     usable = float(max(dof, 1))
@@ -128,6 +129,17 @@ def worth(
     factor = np.where(misfit, chi2 / usable, 1.0)
     degrees = np.where(misfit[:, None], np.minimum(degrees, usable), degrees)
     return Worth(noise * factor[:, None, None], noise, bound, degrees, chi2, p)
+
+
+def _excess(total: Real, gradient: Real, solution: Solution) -> Real:
+    """What χ² at θ lies above its minimum, (K,), unknowns held at a bound staying there."""
+    if solution.limits is not None:
+        held = (solution.theta <= solution.limits.lower) | (solution.theta >= solution.limits.upper)
+        gradient = np.where(held, 0.0, gradient)
+        apart = (held[:, :, None] | held[:, None, :]) & ~np.eye(held.shape[-1], dtype=bool)
+        total = np.where(apart, 0.0, total)
+    excess: Real = np.sum(gradient * solve_scaled(total, gradient), axis=-1)
+    return excess
 
 
 def _noise(judged: Judged, quality: NoiseQuality, bread: Real, prior: Real) -> tuple[Real, Real]:
