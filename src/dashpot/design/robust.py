@@ -25,7 +25,6 @@ from dashpot.model.network import Model
 CLOSE = 2e-3  # a scenario worse by less than this part of the variance ends the search
 SLOW = 64  # scenarios drawn to find the slowest transient
 
-
 NOTHING = Lines(np.zeros(0), np.zeros(0, dtype=np.int64), np.zeros(0))  # the test of no dwell
 
 

@@ -22,9 +22,8 @@ from dashpot.model.network import Model
 ROUNDING = 1e-12  # of the eigenvalues of a correlation matrix
 VAGUE = 0.5  # relative sd above which an estimate says less than a guess
 
-Reading = Literal[
-    "each", "rms", "volume"
-]  # what must be as small as its target: every sd, their rms, the mean radius
+# What must be as small as its target: every sd, their rms, the mean radius.
+Reading = Literal["each", "rms", "volume"]
 
 
 def known_after(bench: Bench, estimate: Estimate) -> Real:

@@ -151,12 +151,11 @@ class MaximumLikelihood(Method):
             )
             if end.converged[0] or k == 0:
                 bottoms = bottoms.with_ends(end.x, valleys.sign[k : k + 1], end.cost)
-        found: Found | None = None
-        for psi, flips in zip(bottoms.psi, bottoms.sign, strict=True):
-            start, signs = (np.repeat(part[None], len(data.y), axis=0) for part in (psi, flips))
-            if found is None:
-                found, sign = self._descend(view, data, start, signs, lower, upper), signs
-                continue
+        repeats = len(data.y)
+        sign = np.repeat(bottoms.sign[:1], repeats, axis=0)
+        found = self._descend(view, data, np.repeat(bottoms.psi[:1], repeats, axis=0), sign, lower, upper)
+        for psi, flips in zip(bottoms.psi[1:], bottoms.sign[1:], strict=True):
+            start, signs = (np.repeat(part[None], repeats, axis=0) for part in (psi, flips))
             # A few steps tell for which repeats this valley is not out of the question.
             short = self._descend(view, data, start, signs, lower, upper, limit=PATIENCE)
             rows = np.flatnonzero(short.cost < found.cost + DOUBT * unit)
@@ -166,9 +165,7 @@ class MaximumLikelihood(Method):
             sign = sign.copy()
             sign[rows[found.worse(rows, end)]] = flips
             found = found.improved(rows, end)
-        if found is None:
-            raise ConvergenceError("no start leads to a minimum", cure="give guesses of the unknowns")
-        return found, sign, _rivals(view, first, bottoms, DOUBT * unit) if len(data.y) == 1 else ()
+        return found, sign, _rivals(view, first, bottoms, DOUBT * unit) if repeats == 1 else ()
 
     def _stages(self, one: Prepared, view: Outlook, exact: Measured) -> tuple[Cost, ...]:
         """What is minimised one after the other from afar: logarithms, softened weights, and the likelihood itself."""
@@ -188,7 +185,7 @@ class MaximumLikelihood(Method):
 
         The first round starts from candidates, those after it from neighbours of the deepest valleys as well.  Rounds
         end when a tenth of the first starts led to the deepest one and it fits (known noise), or half of them, or when
-        two rounds in a row find nothing deeper.
+        two rounds in a row find nothing deeper.  Raises ConvergenceError where no start ends at a finite cost.
         """
         one = data.only(repeat)
         rng = np.random.default_rng([self.seed, repeat])
@@ -208,7 +205,7 @@ class MaximumLikelihood(Method):
             psi, sign = self._through(view, stages, psi, sign, lower, upper, straight=True)
             end = self._descend(view, exact, psi, sign, lower, upper)
             valleys = valleys.with_ends(end.x, sign, end.cost)
-            if valleys.cost[0] <= acceptable:
+            if np.any(valleys.cost <= acceptable):
                 return valleys
         for turn in range(self.rounds):
             psi, sign = candidates(one, view, int(self.candidates * ease) + starts, rng)
@@ -225,6 +222,8 @@ class MaximumLikelihood(Method):
             psi[deep], costs[deep] = end.x, end.cost
             before = valleys.cost[0] if len(valleys.cost) else np.inf
             valleys = valleys.with_ends(psi, sign, costs)
+            if not len(valleys.cost):
+                raise ConvergenceError("no start leads to a minimum", cure="give guesses of the unknowns")
             lowest = valleys.cost[0]
             idle = idle + 1 if lowest > before - 1e-3 * max(1.0, lowest / exact.rows) else 0
             share = np.mean(costs <= lowest * 1.01 + 1) if turn == 0 else 0.0

@@ -157,7 +157,7 @@ def measured(data: Prepared, view: Outlook, softness: float = 0.0) -> Measured:
     spectrum, model = data.spectrum, data.model
     present = np.all(np.isfinite(spectrum.amplitudes), axis=0)
     y = np.nan_to_num(spectrum.amplitudes)
-    V = np.broadcast_to(data.covariance, (len(data.covariance), *data.covariance.shape[-3:]))
+    V = data.covariance
     inputs = {*model.displacement_inputs, *model.force_inputs}
     diagonal = np.diagonal(V, axis1=-2, axis2=-1).real
     silent = np.all(diagonal == 0, axis=0)
@@ -174,9 +174,8 @@ def measured(data: Prepared, view: Outlook, softness: float = 0.0) -> Measured:
     both = present[:, :, None] & present[:, None, :]
     scaled = (V + kept[..., None] * np.eye(V.shape[-1])) / (size[:, :, None] * size[:, None, :])
     scaled = np.where(both, scaled, np.eye(V.shape[-1]))
-    W = np.linalg.inv(scaled) / (
-        size[:, :, None] * size[:, None, :]
-    )  # the weight is used as such, over and over
+    # The weight is used as such, over and over.
+    W = np.linalg.inv(scaled) / (size[:, :, None] * size[:, None, :])
     W = np.where(both, (W + hermitian(W)) / 2, 0.0)
     count = int(np.sum(present)) - (0 if q is not None else int(np.sum(_inputs_seen(view, present))))
     return Measured(y * present, W, q, 2 * count)

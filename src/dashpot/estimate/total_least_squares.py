@@ -14,7 +14,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from dashpot.arrays import Complex, Real
+from dashpot.arrays import Bools, Complex, Ints, Real
 from dashpot.errors import UsageError
 from dashpot.estimate.auxiliary import auxiliary, equation_covariance
 from dashpot.estimate.least_squares import (
@@ -137,10 +137,12 @@ class CompensatedLeastSquares(Method):
 
 @dataclass(frozen=True)
 class _Found:
+    """Where the search for λ ended, for K repeats: θ (K, unknowns), size λ (K,), history of the first one."""
+
     theta: Real
     size: Real
-    converged: np.ndarray
-    iterations: np.ndarray
+    converged: Bools
+    iterations: Ints
     history: Real
 
 
@@ -148,8 +150,9 @@ class _Found:
 class NoisySums:
     """A and G in parts, priors included, for K repeats with a fixed weight Ω = Se⁻¹.
 
-    N, r: 2 Re Σ ΦᴴΩΦ and 2 Re Σ ΦᴴΩh; G, g: what the noise adds to them on average; prior_noise: the number of prior
-    rows, each of which adds 1.
+    Se (K, lines, n, n); Phi (K, lines, n, unknowns); h (K, lines, n);
+    N (K, unknowns, unknowns) and r (K, unknowns): 2 Re Σ ΦᴴΩΦ and 2 Re Σ ΦᴴΩh with the rows of the priors;
+    G and g, of the same shapes: what the noise adds to them on average
     """
 
     model: Model
@@ -190,7 +193,7 @@ class NoisySums:
         return total
 
     def noise(self, theta: Real) -> Real:
-        """vᵀGv, (K,): what `cost` is on average where θ is true."""
+        """vᵀGv, (K,): what `cost` is on average where θ is true; each row of a prior adds 1."""
         spread = equation_covariance(self.model, self.model.parameters(theta), self.states)
         rows = np.trace(solve(self.Se, spread), axis1=-2, axis2=-1).real
         total: Real = 2 * np.sum(rows, axis=-1) + np.count_nonzero(self.model.prior_precision)
@@ -224,9 +227,8 @@ def _covariance(data: Prepared, sums: NoisySums, theta: Real, size: Real, *, tot
     For total least squares λ = vᵀAv / vᵀGv is noisy too: the score is 2 Re (Φ − e kᵀ)ᴴ Ω e, k = (Gθ − g) / vᵀGv.
     Regressors are those of the amplitudes that satisfy the model: measured ones would count the noise twice.
     """
-    assert data.states is not None
     model, looks = data.model, combined(data)
-    at = auxiliary(model, model.parameters(theta), data.states)
+    at = auxiliary(model, model.parameters(theta), sums.states)
     Psi = regressors(model, at.w)
     Q = equation_map(looks, model.parameters(theta))
     Gamma = noise_map(looks)

@@ -300,9 +300,8 @@ class Model:
     def assembly(self) -> tuple[Ints, Ints, sparse.csr_array]:
         """(indices, indptr, A) of the sparse dynamic stiffness by columns: its entries are A (p φ)."""
         flat = _row_products(self.sparse_B, self.sparse_B).tocoo()
-        cells, place = np.unique(
-            flat.col, return_inverse=True
-        )  # row · n + column; symmetric, so rows are columns
+        # A cell is row · n + column; as the matrix is symmetric, its rows serve as columns.
+        cells, place = np.unique(flat.col, return_inverse=True)
         A = sparse.csr_array((flat.data, (place, flat.row)), shape=(len(cells), len(self.elements)))
         counts = np.bincount(cells // self.n, minlength=self.n)
         indptr = np.concatenate([[0], np.cumsum(counts)])

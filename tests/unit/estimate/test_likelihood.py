@@ -10,7 +10,7 @@ from scipy.optimize import least_squares
 
 from dashpot.channel import Channel, Quantity
 from dashpot.data.spectrum import concatenate
-from dashpot.errors import IdentifiabilityError
+from dashpot.errors import ConvergenceError, IdentifiabilityError
 from dashpot.estimate.estimate import Estimate
 from dashpot.estimate.identify import automatic, identify
 from dashpot.estimate.instruments import OptimalIV
@@ -301,6 +301,17 @@ def test_the_far_end_of_a_cut_interval_is_continuous():
         reach = _truncated_reach(np.full(3, beyond), dof, 0.95)
         assert np.allclose(t.sf(reach, dof) / t.sf(beyond, dof), 0.05, rtol=1e-9)
     assert np.isfinite(_truncated_reach(np.array([50.0]), np.array([np.inf]), 0.95)[0])
+
+
+def test_data_without_a_finite_cost_anywhere_are_refused():
+    """Amplitudes whose squares are no numbers: no start ends, and that is said."""
+    bench = two()
+    spectrum = bench.spectrum(np.random.default_rng(0))
+    with np.errstate(all="ignore"), pytest.raises(ConvergenceError, match="no start"):
+        identify(
+            bench.model, replace(spectrum, amplitudes=spectrum.amplitudes * 1e200),
+            MaximumLikelihood(candidates=20, starts=4),
+        )  # fmt: skip
 
 
 def test_bounds_come_back_from_json():
