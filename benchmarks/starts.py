@@ -1,7 +1,8 @@
 """How often maximum likelihood finds its own way: draws of six partly seen rigs, each searched from nothing.
 
-`python3 dev.py bench starts`, or with `--draws 50` the number that is claimed.  A batch shares the valleys that its first repeat finds; here every draw
-is identified alone, without guesses, and ends within 8 standard deviations of the truth or elsewhere.
+`python3 dev.py bench starts`, or with `--draws 50` the number that is claimed.  A batch shares the valleys that its
+first repeat finds; here every draw is identified alone, without guesses, and ends within 8 standard deviations of the
+truth or elsewhere.
 """
 
 from __future__ import annotations
