@@ -20,51 +20,10 @@ from dashpot.estimate.instruments import OptimalIV
 from dashpot.model.dynamics import response
 from dashpot.model.elements import Element, Kind, between, mass
 from dashpot.model.network import Input, Model
+from dashpot.study import yamane1989
 
-TRUTH = {"m1": 3.0, "m2": 2.7, "c1": 30.0, "c2": 40.0, "c3": 90.0, "c4": 50.0}
-PAPER = Model(
-    ("x1", "x2"),
-    (Input("u"),),
-    (
-        mass("m1", "x1"),
-        mass("m2", "x2"),
-        between("c1", Kind.DAMPER, "x1", "x2"),
-        between("c2", Kind.DAMPER, "x2", "u"),
-        between("c3", Kind.DAMPER, "x1", "ground"),
-        between("c4", Kind.DAMPER, "x2", "ground"),
-        between("k1", Kind.SPRING, "x1", "x2", value=4600.0),
-        between("k2", Kind.SPRING, "x2", "u", value=4600.0),
-    ),
-)
-CASE_3 = np.array(
-    [
-        1,
-        1.5,
-        2,
-        2.25,
-        2.5,
-        2.75,
-        3,
-        3.25,
-        3.5,
-        3.75,
-        4,
-        5,
-        6,
-        7,
-        8,
-        8.5,
-        9,
-        9.5,
-        10,
-        10.5,
-        11,
-        11.5,
-        12,
-        13,
-        14,
-    ]
-)
+PAPER, TRUTH = yamane1989.model(), dict(yamane1989.printed().values)
+CASE_3 = np.array(yamane1989.printed().cases["CASE-3"])  # Hz
 START = 1.5  # what the peers are told of the truth: they cannot start without
 
 

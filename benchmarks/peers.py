@@ -25,42 +25,17 @@ import numpy as np
 from scipy.linalg import expm
 from scipy.special import stdtrit
 
-from dashpot.channel import Channel, Quantity
 from dashpot.data.harmonics import spectrum
 from dashpot.data.record import Record
 from dashpot.data.spectrum import Spectrum
 from dashpot.estimate.identify import identify
-from dashpot.model.elements import Kind, between, mass
-from dashpot.model.network import Input, Model
+from dashpot.study import yamane1989
 
-TRUTH = {"m1": 3.0, "m2": 2.7, "c1": 30.0, "c2": 40.0, "c3": 90.0, "c4": 50.0}
+RIG, TRUTH = yamane1989.model(), dict(yamane1989.printed().values)
 NAMES, TRUE = tuple(TRUTH), np.array(list(TRUTH.values()))
-K1 = K2 = 4600.0
-RIG = Model(
-    ("x1", "x2"),
-    (Input("u"),),
-    (
-        mass("m1", "x1"),
-        mass("m2", "x2"),
-        between("c1", Kind.DAMPER, "x1", "x2"),
-        between("c2", Kind.DAMPER, "x2", "u"),
-        between("c3", Kind.DAMPER, "x1", "ground"),
-        between("c4", Kind.DAMPER, "x2", "ground"),
-        between("k1", Kind.SPRING, "x1", "x2", value=K1),
-        between("k2", Kind.SPRING, "x2", "u", value=K2),
-    ),
-)
-CHANNELS = (
-    Channel("x1", {"x1": 1.0}),
-    Channel("x2", {"x2": 1.0}),
-    Channel("v1", {"x1": 1.0}, Quantity.VELOCITY),
-    Channel("v2", {"x2": 1.0}, Quantity.VELOCITY),
-    Channel("u", {"u": 1.0}),
-)
-CASE_3 = (
-    *(1, 1.5, 2, 2.25, 2.5, 2.75, 3, 3.25, 3.5, 3.75, 4, 5, 6, 7),
-    *(8, 8.5, 9, 9.5, 10, 10.5, 11, 11.5, 12, 13, 14),
-)  # Hz
+K1, K2 = yamane1989.printed().known.values()
+CHANNELS = yamane1989.bench().channels  # x1, x2, their velocities and u
+CASE_3 = yamane1989.printed().cases["CASE-3"]  # Hz
 STROKE = 1e-3  # m
 RATE = 100  # samples a second
 STEPS = 5  # of MuJoCo's integrator in a sample
