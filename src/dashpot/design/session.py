@@ -202,7 +202,7 @@ def _amplitude(question: Question, channels: tuple[Channel, ...], notes: list[st
 def _doubt(question: Question, base: Bench, estimate: Estimate | None) -> Box | Cloud | None:
     if question.doubt is None or isinstance(question.doubt, Box | Cloud):
         return question.doubt
-    if isinstance(question.doubt, float):
+    if isinstance(question.doubt, float | int):
         return box_of(base.model, base.theta[0], question.doubt)
     if estimate is None:
         raise UsageError("a doubt of an estimate that is not there", cure="say the doubt with --doubt 30%")

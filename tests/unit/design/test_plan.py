@@ -39,6 +39,7 @@ from dashpot.design.robust import (
 )
 from dashpot.design.sensors import choose
 from dashpot.design.sequential import enough, known_after, noise_from, progress, values_after
+from dashpot.design.session import Question, answer
 from dashpot.errors import UsageError
 from dashpot.estimate.estimate import Estimate
 from dashpot.estimate.identify import identify
@@ -334,6 +335,16 @@ def test_doubts_of_the_rig_file_and_of_an_estimate() -> None:
 def replace_names(estimate: Estimate) -> Estimate:
     """An estimate of somebody else's unknowns."""
     return replace(estimate, names=tuple(f"other {name}" for name in estimate.names))
+
+
+def test_a_doubt_of_nothing_asks_for_the_test_of_the_values() -> None:
+    own = paper_bench()
+    values = dict(zip((u.name for u in own.model.unknowns), own.theta[0], strict=True))
+    asked = Question(own.model, own.channels, MeanError(), values, samples=1000, band=(0.5, 25))
+    plain, doubted = answer(asked).plan, answer(replace(asked, doubt=0)).plan
+    assert plain is not None
+    assert doubted is not None
+    assert doubted.predicted.figure == pytest.approx(plain.predicted.figure, rel=1e-4)
 
 
 def test_settling_of_the_slowest_rig_of_a_doubt() -> None:
