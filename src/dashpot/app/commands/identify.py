@@ -25,7 +25,7 @@ CHOICES = ["auto", "ls", "hls", "wls", "tls", "cls", "iv", "oiv", "oiv+", "ml"]
 @click.argument("data", nargs=-1, required=True)
 @click.option(
     "--method", "chosen", type=click.Choice(CHOICES), default="auto", show_default=True,
-    help="Estimator; auto is oiv where every coordinate and input is measured, ml elsewhere.",
+    help="Estimator; auto is oiv where every coordinate and input is measured and nothing bounded, ml elsewhere.",
 )  # fmt: skip
 @click.option(
     "--positive", is_flag=True, help="Hold every unknown but entries of free matrices at or above 0; by ml."
