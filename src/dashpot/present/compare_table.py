@@ -10,7 +10,7 @@ from rich.text import Text
 
 from dashpot.estimate.comparison import Comparison
 from dashpot.estimate.estimate import Estimate
-from dashpot.present.numbers import aligned, percent, rounded, short
+from dashpot.present.numbers import aligned, percent, plain, rounded, short
 
 MISSES = "*"
 GAP = 2  # between columns; the box has one of it
@@ -51,7 +51,7 @@ def _column(comparison: Comparison, name: str, level: float) -> list[str]:
         v = estimate[name]
         value, sd = rounded(v.value, v.sd)
         pairs.append((value, sd + (MISSES if _missed(estimate, name, truth, level) else "")))
-    told = "" if truth is None else f"{truth:.6g}"
+    told = "" if truth is None else plain(truth)
     values = aligned([told, *(value for value, _ in pairs)])
     widest = max(map(cell_len, values))
     values = [value.rjust(widest) for value in values]

@@ -42,7 +42,12 @@ def _fixed(value: float, decimals: int) -> str:
 
 
 def _six(value: float) -> str:
-    return f"{value:.6g}" if math.isfinite(value) else "–"
+    return plain(value) if math.isfinite(value) else "–"
+
+
+def plain(value: float) -> str:
+    """A number as it was written, to six digits: "2.7", "2e-9"."""
+    return f"{value:.6g}".replace("e+0", "e").replace("e-0", "e-").replace("e+", "e")
 
 
 def short(value: float, digits: int = 3) -> str:

@@ -16,7 +16,7 @@ from rich.text import Text
 
 from dashpot.data.spectrum import Spectrum
 from dashpot.estimate.estimate import Estimate, Fit, ModeValues
-from dashpot.present.numbers import aligned, alike, percent, probability, rounded, short
+from dashpot.present.numbers import aligned, alike, percent, plain, probability, rounded, short
 
 WIDTH = 80
 MISFIT = "model misfit"
@@ -64,7 +64,7 @@ def parameter_rows(estimate: Estimate, level: float = 0.95) -> list[Row]:
         tie = f"= {root}" if times == 1 else f"= {times:g} × {root}"
         rows.append(Row(name, value, sd, "", "", "", "", "", unit, False, tie))
     for name, number, unit in estimate.known:
-        rows.append(Row(name, f"{number:.6g}", "known", "", "", "", "", "", unit, True))
+        rows.append(Row(name, plain(number), "known", "", "", "", "", "", unit, True))
     return rows
 
 

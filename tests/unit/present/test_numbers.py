@@ -25,6 +25,8 @@ from dashpot.present.numbers import aligned, alike, percent, probability, rounde
         (1.5e-9, 2e-11, ("1.500e-9", "0.020e-9")),
         (4.5405191, 3.8e-6, ("4.5405191", "0.0000038")),
         (2.7, 0.0, ("2.7", "0")),
+        (2e-9, 0.0, ("2e-9", "0")),
+        (2e7, 0.0, ("2e7", "0")),
         (2.7, math.nan, ("2.7", "–")),
         (2.7, math.inf, ("2.7", "–")),
         (math.nan, 1.0, ("–", "1.0")),
