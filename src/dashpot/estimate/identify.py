@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.special import bdtrc
 
 from dashpot.arrays import Complex, Real
 from dashpot.data.spectrum import Moments, Spectrum
@@ -16,12 +17,14 @@ from dashpot.estimate.instruments import OptimalIV, likeliest
 from dashpot.estimate.likelihood import MaximumLikelihood
 from dashpot.estimate.method import Limits, Method, Prepared, Solution
 from dashpot.estimate.states import is_direct, noise_is_known, states_if_seen, unseen, working_covariance
+from dashpot.estimate.suspects import contradicted, silent, turned, twice
 from dashpot.estimate.worth import ROUNDING, Judged, Worth, judge, worth
 from dashpot.model.dynamics import matrices, modes
 from dashpot.model.free import free_entries
 from dashpot.model.network import Model
 
 BIASED = 3.0  # standard deviations
+FALSE_ALARMS = 0.05  # of short records of white noise, at most, fail the test of whiteness
 CHUNK = 2_000_000  # complex numbers of amplitudes at once: keeps the working set of a batch near 1 GB
 MODES_TO = 400  # coordinates: the modes of larger rigs would take longer than all else
 
@@ -203,13 +206,15 @@ def _assemble(
     chi2, p = join([part.worth.chi2 for part in parts]), join([part.worth.p for part in parts])
     fit = Fit(chi2, judged.dof, p, known_noise)
     if single:
-        require_determined(judged.names, theta, noise)
+        require_determined(judged.names, theta, noise, silent(model, spectrum))
     misfit = bool(np.any(fit.rejected))
     warnings = list(dict.fromkeys(w for part in parts for w in part.solution.warnings))
-    warnings += _warnings(model, theta, fit, known_noise) if single else []
+    if single:
+        warnings += _warnings(model, theta, fit, known_noise) + turned(model, theta, noise)
+        warnings += contradicted(model, theta, noise) if method.efficient or method.by_output else []
     limits = parts[0].solution.limits
     warnings += held(judged.names, theta, limits) if single and limits is not None else []
-    warnings += _colour(spectrum) + _left_out(model, spectrum)
+    warnings += _colour(spectrum) + _left_out(model, spectrum) + twice(spectrum)
     m = len(model.unknowns)
     return Estimate(
         model=model.name,
@@ -247,11 +252,20 @@ def _free_values(solution: Solution) -> Real:
     return solution.theta if solution.limits is None else solution.limits.free
 
 
-def require_determined(names: tuple[str, ...], theta: Real, covariance: Real) -> None:
+def require_determined(
+    names: tuple[str, ...], theta: Real, covariance: Real, silent: Sequence[str] = ()
+) -> None:
+    """Raises IdentifiabilityError, which names `silent` channels, where an unknown has no finite interval."""
     variance = np.diagonal(covariance)
     if np.all(np.isfinite(theta)) and np.all(np.isfinite(variance)) and np.all(variance >= 0):
         return
     lost = [name for name, v in zip(names, variance, strict=True) if not np.isfinite(v)]
+    if silent:
+        raise IdentifiabilityError(
+            f"the data do not determine {', '.join(lost) if lost else 'the unknowns'}, for {', '.join(silent)} "
+            f"show{'s' if len(silent) == 1 else ''} no motion at any line",
+            cure="see whether the sensor is connected, or leave the channel out of the rig file",
+        )
     raise IdentifiabilityError(
         f"the data do not determine {', '.join(lost) if lost else 'the unknowns'}",
         cure="give one of them a value, add frequencies, or ask `dashpot check` which combinations can be found",
@@ -313,9 +327,9 @@ def held(names: tuple[str, ...], theta: Real, limits: Limits) -> list[str]:
 
 
 def _colour(spectrum: Spectrum) -> list[str]:
-    """What the tests of whiteness led to."""
+    """What the tests of whiteness led to, where they failed at more lines than white noise explains."""
     coloured = sum(kind == "blocks" for kind in spectrum.noise)
-    if not coloured:
+    if not coloured or bdtrc(coloured - 1, spectrum.lines, FALSE_ALARMS) > FALSE_ALARMS * (1 + 1e-9):
         return []
     told = (
         f"the noise of the samples is coloured at {coloured} of {spectrum.lines} lines: its size there is measured on "
