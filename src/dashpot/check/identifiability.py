@@ -333,7 +333,7 @@ class _Study:
                 if part == 0:
                     continue
                 late = name.endswith(".delay")
-                moved.append(f"{name} {absolute:+.2g} s" if late else f"{name} {100 * part:+.2g} %")
+                moved.append(f"{name} {absolute:+.2g} s" if late else f"{name} {_share(100 * part)} %")
             parts.append(", ".join(moved[:8]) + (" …" if len(moved) > 8 else ""))
         more = "" if len(directions) <= 2 else f" and {len(directions) - 2} more"
         return (
@@ -470,6 +470,10 @@ def _place(along: object) -> str:
     if len(points) == 2 and abs(sum(points.values())) < 1e-12:
         return f"{ends[0]} to {ends[1]}"
     return "the same points"
+
+
+def _share(percent: float) -> str:
+    return f"{percent:+.0f}" if abs(percent) >= 99.5 else f"{percent:+.2g}"
 
 
 def _either(names: Sequence[str]) -> str:

@@ -212,3 +212,15 @@ def test_residues_read_numbers_as_they_are_written() -> None:
     assert field.residue(1 / 3) * 3 % PRIME == 1
     assert field.residue(-2.5) * 2 % PRIME == PRIME - 5
     assert (field.ROOT**2 + 1) % PRIME == 0
+
+
+def test_free_matrices_with_a_point_unseen_are_told_in_plain_numbers() -> None:
+    rig = parse_rig(
+        'free = "MCK"\ncoordinates = ["x1", "x2", "x3"]\n[inputs]\nf = { kind = "force", at = "x3" }\n[channels]\n'
+        'x1 = { of = "x1" }\nx3 = { of = "x3" }\nf = { of = "f", quantity = "force" }\n'
+    )
+    ((what, cure),) = told(structure(rig.model, rig.channels))
+    assert "can change together without a trace" in what
+    assert "m_x2 +100 %" in what
+    assert "e+" not in what
+    assert cure == "give 3 of them a value, or measure x2"
