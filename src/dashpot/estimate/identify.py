@@ -24,6 +24,7 @@ from dashpot.model.free import free_entries
 from dashpot.model.network import Model
 
 BIASED = 3.0  # standard deviations
+LOST = 1e-13  # of the terms of a variance: below it the sum is rounding
 FALSE_ALARMS = 0.05  # of short records of white noise, at most, fail the test of whiteness
 CHUNK = 2_000_000  # complex numbers of amplitudes at once: keeps the working set of a batch near 1 GB
 MODES_TO = 400  # coordinates: the modes of larger rigs would take longer than all else
@@ -373,7 +374,10 @@ def tied_values(model: Model) -> tuple[tuple[str, str, float, str], ...]:
 
 
 def mode_values(model: Model, theta: Real, covariance: Real) -> ModeValues:
-    """Modes at θ with standard deviations of frequency and damping propagated from its covariance."""
+    """Modes at θ with standard deviations of frequency and damping propagated from its covariance.
+
+    NaN where a standard deviation is lost in the rounding of terms that are far larger.
+    """
     found = modes(model, model.parameters(theta))
     slope = found.sensitivity @ model.T
     values = found.eigenvalues
@@ -384,7 +388,9 @@ def mode_values(model: Model, theta: Real, covariance: Real) -> ModeValues:
 
     def sd(jacobian: Real) -> Real:
         variance: Real = np.einsum("ki,ij,kj->k", jacobian, covariance, jacobian)
-        return np.sqrt(np.maximum(variance, 0.0))
+        terms = np.einsum("ki,ij,kj->k", np.abs(jacobian), np.abs(covariance), np.abs(jacobian))
+        lost = (variance <= LOST * terms) & (terms > 0)
+        return np.sqrt(np.where(lost, np.nan, np.maximum(variance, 0.0)))
 
     return ModeValues(
         values, found.frequency_hz, found.damping_ratio, sd(frequency), sd(damping), found.shapes

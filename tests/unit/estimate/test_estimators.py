@@ -15,7 +15,7 @@ from dashpot.errors import DataError, UsageError
 from dashpot.estimate.auxiliary import auxiliary, information
 from dashpot.estimate.covariance import channels_correlate, noise_quality
 from dashpot.estimate.estimate import Estimate
-from dashpot.estimate.identify import automatic, identify
+from dashpot.estimate.identify import automatic, identify, mode_values
 from dashpot.estimate.instruments import InstrumentalVariables, OptimalIV
 from dashpot.estimate.least_squares import HarmonicLeastSquares, LeastSquares, WeightedLeastSquares
 from dashpot.estimate.likelihood import MaximumLikelihood
@@ -373,3 +373,15 @@ def test_stiffness_and_response_agree() -> None:
     X = response(model, p, omega, np.full((len(HZ), 1), U + 0j))
     left = np.einsum("lij,lj->li", dynamic_stiffness(model, p, omega), X)
     np.testing.assert_allclose(left, input_stiffness(model, p, omega)[..., 0] * U, rtol=1e-9, atol=1e-9)
+
+
+def test_a_mode_whose_variance_is_rounding_has_no_standard_deviation():
+    """Where only k/m is known, and m and k for themselves hardly at all, the digits of the frequency's sd are lost."""
+    model = Model(("x",), (Input("u"),), (mass("m", "x"), between("k", Kind.SPRING, "x", "u")))
+    theta = np.array([2.0, 3000.0])
+    relative = np.array([[1.0, 1.0], [1.0, 1.0]])
+    scale = np.outer(theta, theta)
+    root = mode_values(model, theta, 0.01**2 * np.eye(2) * scale)
+    assert root.frequency_sd == pytest.approx(root.frequency_hz * 0.01 / np.sqrt(2))
+    assert np.all(np.isnan(mode_values(model, theta, 1e20 * relative * scale).frequency_sd))
+    assert np.all(mode_values(model, theta, 0 * scale).frequency_sd == 0)
