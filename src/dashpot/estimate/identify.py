@@ -23,6 +23,7 @@ from dashpot.model.dynamics import matrices, modes
 from dashpot.model.free import free_entries
 from dashpot.model.network import Model
 
+ZERO = 1.96  # standard deviations within which a negative part may be none
 BIASED = 3.0  # standard deviations
 LOST = 1e-13  # of the terms of a variance: below it the sum is rounding
 FALSE_ALARMS = 0.05  # of short records of white noise, at most, fail the test of whiteness
@@ -211,7 +212,7 @@ def _assemble(
     misfit = bool(np.any(fit.rejected))
     warnings = list(dict.fromkeys(w for part in parts for w in part.solution.warnings))
     if single:
-        warnings += _warnings(model, theta, fit, known_noise) + turned(model, theta, noise)
+        warnings += _warnings(model, theta, covariance, fit, known_noise) + turned(model, theta, noise)
         warnings += contradicted(model, theta, noise) if method.efficient or method.by_output else []
     limits = parts[0].solution.limits
     warnings += held(judged.names, theta, limits) if single and limits is not None else []
@@ -273,7 +274,7 @@ def require_determined(
     )
 
 
-def _warnings(model: Model, theta: Real, fit: Fit, known_noise: bool) -> list[str]:
+def _warnings(model: Model, theta: Real, covariance: Real, fit: Fit, known_noise: bool) -> list[str]:
     found = []
     if not known_noise:
         found.append(
@@ -286,7 +287,7 @@ def _warnings(model: Model, theta: Real, fit: Fit, known_noise: bool) -> list[st
             f"(χ² {float(fit.chi2):.4g} with {fit.dof} degrees of freedom); intervals are widened by that factor, "
             "what counts only sensor noise is named so"
         )
-    found += wrong_signs(model, theta)
+    found += wrong_signs(model, theta, covariance)
     lower, upper = model.bounds
     own = theta[: len(lower)]
     for j in np.flatnonzero((own < lower) | (own > upper)):
@@ -296,12 +297,18 @@ def _warnings(model: Model, theta: Real, fit: Fit, known_noise: bool) -> list[st
     return found
 
 
-def wrong_signs(model: Model, theta: Real) -> list[str]:
+def wrong_signs(model: Model, theta: Real, covariance: Real) -> list[str]:
     """Warnings of negative parts, and of free matrices that are not definite."""
     free = {element.name for element in model.elements if element.free}
+    sd = _sd(covariance)
     found = [
-        f"{unknown.name} comes out negative ({value:.4g} {unknown.unit}): the model or the data lack something"
-        for unknown, value in zip(model.unknowns, theta, strict=False)
+        f"{unknown.name} comes out negative ({value:.4g} {unknown.unit}): "
+        + (
+            "it may as well be 0, as its interval says"
+            if value > -ZERO * sd[j]
+            else "the model or the data lack something"
+        )
+        for j, (unknown, value) in enumerate(zip(model.unknowns, theta, strict=False))
         if value < 0 and unknown.name not in free
     ]
     if not free:

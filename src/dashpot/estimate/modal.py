@@ -101,7 +101,9 @@ def identify_modal(model: Model, data: ModalData, *, starts: int = STARTS, seed:
         tied=tied_values(model),
         modes=None if batch else mode_values(model, theta[0], widened[0]),
         signs={},
-        warnings=() if batch else (*_warnings(model, theta[0], Limits(lower, upper, free), fit), *rivals),
+        warnings=()
+        if batch
+        else (*_warnings(model, theta[0], widened[0], Limits(lower, upper, free), fit), *rivals),
     )
 
 
@@ -125,14 +127,14 @@ def _check(model: Model, data: ModalData) -> None:
         )
 
 
-def _warnings(model: Model, theta: Real, limits: Limits, fit: Fit) -> tuple[str, ...]:
+def _warnings(model: Model, theta: Real, covariance: Real, limits: Limits, fit: Fit) -> tuple[str, ...]:
     found = []
     if bool(fit.rejected):
         found.append(
             f"the model does not have these modes: residuals are {float(fit.misfit):.3g} times their uncertainty "
             f"(χ² {float(fit.chi2):.4g} with {fit.dof} degrees of freedom); intervals are widened by that factor"
         )
-    found += wrong_signs(model, theta)
+    found += wrong_signs(model, theta, covariance)
     found += held(tuple(unknown.name for unknown in model.unknowns), theta, limits)
     return tuple(found)
 

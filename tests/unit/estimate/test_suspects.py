@@ -101,3 +101,12 @@ def test_only_moving_points_are_silent():
     assert [channel.name for channel in once.channels] == ["x1", "x2", "u"]
     assert silent(two(full=True).model, replace(once, amplitudes=still)) == ["x2"]
     assert silent(two(full=True).model, once) == []
+
+
+@pytest.mark.parametrize(("c3", "words"), [(0.0, "it may as well be 0"), (-30.0, "lack something")])
+def test_a_damper_below_zero_is_held_against_the_model_only_beyond_its_uncertainty(c3, words):
+    """Seed 2: a damper that is truly 0 comes out negative by less than its uncertainty."""
+    found = identify(two(full=True).model, measured(2, c3=c3))
+    assert found["c3"].value < 0
+    (warning,) = told(found, "c3 comes out negative")
+    assert words in warning
