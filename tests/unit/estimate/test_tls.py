@@ -10,10 +10,18 @@ from scipy.linalg import eigh
 
 from dashpot import DataError
 from dashpot.errors import IdentifiabilityError, UsageError
+from dashpot.estimate.auxiliary import equation_covariance
 from dashpot.estimate.identify import identify
 from dashpot.estimate.instruments import OptimalIV
-from dashpot.estimate.least_squares import WeightedLeastSquares
+from dashpot.estimate.least_squares import (
+    WeightedLeastSquares,
+    equation,
+    normal_sums,
+    starts,
+    without_noise,
+)
 from dashpot.estimate.methods import method
+from dashpot.estimate.states import states
 from dashpot.estimate.total_least_squares import CompensatedLeastSquares, TotalLeastSquares
 from dashpot.model.dynamics import dynamic_stiffness, input_stiffness
 from dashpot.model.elements import Kind, between, mass
@@ -274,3 +282,12 @@ def test_noise_too_large_to_be_taken_out_is_said() -> None:
         rig.model, replace(clean, amplitudes=clean.amplitudes + draws), CompensatedLeastSquares()
     )
     assert any("too large to be taken out" in warning for warning in found.warnings)
+    seen = states(rig.model, clean, V[None])
+    seen = replace(seen, z=clean.amplitudes + draws)
+    _, start, _ = starts(rig.model, seen)
+    Se = equation_covariance(rig.model, rig.model.parameters(start), seen)
+    N, r = normal_sums(Se, *equation(rig.model, seen))
+    left_in = ~without_noise(rig.model, seen, Se, N, r)[1]
+    assert np.any(left_in)
+    plain = np.linalg.solve(N[left_in], r[left_in][..., None])[..., 0]
+    assert np.allclose(found.values[left_in], plain, rtol=1e-8)
