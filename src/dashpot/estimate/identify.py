@@ -341,7 +341,8 @@ def _colour(spectrum: Spectrum) -> list[str]:
         return []
     told = (
         f"the noise of the samples is coloured at {coloured} of {spectrum.lines} lines: its size there is measured on "
-        "the frequencies beside the line, and the intervals count that"
+        "the frequencies beside the line, and the intervals count that; a transient, or a frequency stated a little "
+        "wrong, looks alike: see --settle and --refine"
     )
     return [told]
 
