@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any, TypedDict, TypeVar
 
@@ -120,8 +121,8 @@ def conditioning_options(function: Function) -> Function:
     return function
 
 
-def amplitudes(reading: Reading, how: Conditioning, moments: bool = False) -> Spectrum:
-    """The spectrum of what was read."""
+def amplitudes(reading: Reading, how: Conditioning, quiet: bool, moments: bool = False) -> Spectrum:
+    """The spectrum of what was read; what was noticed on the way is told."""
     chosen = how["harmonics"]
     harmonics: tuple[int, ...] | None
     if isinstance(chosen, str):
@@ -129,14 +130,21 @@ def amplitudes(reading: Reading, how: Conditioning, moments: bool = False) -> Sp
     else:
         harmonics = chosen
     drift = None if how["drift"] == "none" else int(how["drift"])
-    return reading.spectrum(
+    spectrum = reading.spectrum(
         orders=how["orders"], harmonics=harmonics, drift=drift, noise=how["noise"], moments=moments,
         refine=how["refine"], settle=how["settle"],
     )  # fmt: skip
+    tell_notes(spectrum.notes, quiet)
+    return spectrum
 
 
 def tell_notes(notes: Sequence[str], quiet: bool) -> None:
-    """What was noticed on the way, on stderr."""
-    if not quiet:
-        for note in dict.fromkeys(notes):
-            click.echo(f"note: {note}", err=True)
+    """What was noticed on the way, on stderr: the first of those that differ in numbers alone, and how many follow."""
+    if quiet:
+        return
+    groups: dict[str, list[str]] = {}
+    for note in dict.fromkeys(notes):
+        groups.setdefault(re.sub(r"\d[\d.]*(e[-+]?\d+)?", "#", note), []).append(note)
+    for first, *others in groups.values():
+        more = f" (and {len(others)} more like this)" if others else ""
+        click.echo(f"note: {first}{more}", err=True)

@@ -267,3 +267,24 @@ def test_a_broken_pipe_is_silent(data: Path) -> None:
         assert process.stderr is not None
         assert process.stderr.read() == b""
         assert process.wait() == 141
+
+
+def test_what_was_noticed_in_the_records_is_told_once_for_all_dwells(dashpot: Command) -> None:
+    """A frequency that is stated 0.4 % too high: --refine finds it and says so, and what it was for is warned of."""
+    Path("rig.toml").write_text(RIG, encoding="utf-8")
+    values = [part for name, value in VALUES.items() for part in ("--set", f"{name}={value}")]
+    sent = ["--frequencies", "2:15:8", "--periods", "20", "--amplitude", "u=0.002", "--out", "true.csv"]
+    assert dashpot("simulate", "rig.toml", *values, *sent).code == 0
+    head, *rows = Path("true.csv").read_text(encoding="utf-8").splitlines()
+    cells = [row.split(",", 1) for row in rows]
+    text = "\n".join([head, *(f"{1.004 * float(hz):.12g},{rest}" for hz, rest in cells)]) + "\n"
+    Path("data.csv").write_text(text, encoding="utf-8")
+    blind = dashpot("identify", "rig.toml", "data.csv")
+    assert blind.err == []
+    assert "see --settle and --refine" in " ".join(blind.out.split())
+    for command in (("identify",), ("compare", "--methods", "oiv"), ("spectrum", "--out", "table.csv")):
+        name, *more = command
+        done = dashpot(name, "rig.toml", "data.csv", "--refine", *more)
+        assert done.code == 0
+        assert done.err == ["note: data.csv:2: driven at 2 Hz, not at 2.008 Hz (and 7 more like this)"]
+    assert dashpot("identify", "rig.toml", "data.csv", "--refine", "-q").err == []

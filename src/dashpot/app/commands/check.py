@@ -102,7 +102,7 @@ def _read(
 
     reading = read(data, rig.channels, frequency_hz=frequency)
     tell_notes(reading.notes, quiet)
-    return amplitudes(reading, how)
+    return amplitudes(reading, how, quiet)
 
 
 def _with_data(

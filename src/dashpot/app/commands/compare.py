@@ -142,7 +142,7 @@ def _spectrum(
     reading = read(data, rig.channels, frequency_hz=frequency)
     tell_notes(reading.notes, quiet)
     conditioning: Conditioning = how  # type: ignore[assignment]  # click gives the options by their names
-    return amplitudes(reading, conditioning, moments="ls" in chosen and reading.amplitudes is None)
+    return amplitudes(reading, conditioning, quiet, moments="ls" in chosen and reading.amplitudes is None)
 
 
 def _compare(

@@ -291,7 +291,9 @@ def _read(rig: Rig, paths: tuple[str, ...], more: dict[str, Any], quiet: bool) -
 
     reading = read(paths, rig.channels, frequency_hz=more["frequency"])
     tell_notes(reading.notes, quiet)
-    return reading.spectrum()
+    spectrum = reading.spectrum()
+    tell_notes(spectrum.notes, quiet)
+    return spectrum
 
 
 def _goal(wanted: str, target: str | None) -> tuple[Goal, float | None]:

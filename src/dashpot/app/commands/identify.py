@@ -91,7 +91,7 @@ def command(
     reading = read(data, found.channels, frequency_hz=frequency)
     tell_notes(reading.notes, quiet)
     conditioning: Conditioning = how  # type: ignore[assignment]  # click gives the options by their names
-    spectrum = _spectrum(reading, conditioning, chosen)
+    spectrum = _spectrum(reading, conditioning, chosen, quiet)
     require_identifiable(found.model, spectrum.channels, rig, spectrum)
     with progress("identify", quiet) as moved:
         estimate = identify(
@@ -143,10 +143,10 @@ def _check_matrices(rig: Rig, wanted: bool) -> None:
         )
 
 
-def _spectrum(reading: Reading, how: Conditioning, chosen: str) -> Spectrum:
+def _spectrum(reading: Reading, how: Conditioning, chosen: str, quiet: bool) -> Spectrum:
     """Amplitudes; with the second moments of the samples where the paper's least squares asks for them."""
     samples = chosen == "ls" and reading.amplitudes is None
-    return amplitudes(reading, how, moments=samples)
+    return amplitudes(reading, how, quiet, moments=samples)
 
 
 def _holding(chosen: str, positive: bool) -> str:

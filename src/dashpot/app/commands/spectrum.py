@@ -31,7 +31,7 @@ def command(
     reading = read(records, found.channels, frequency_hz=frequency)
     tell_notes(reading.notes, quiet)
     conditioning: Conditioning = how  # type: ignore[assignment]  # click gives the options by their names
-    spectrum = amplitudes(reading, conditioning)
+    spectrum = amplitudes(reading, conditioning, quiet)
     write_amplitudes(spectrum, out)
     if not quiet:
         from dashpot.check.residuals import channel_unit
