@@ -102,6 +102,21 @@ def test_least_squares_is_that_of_okuma_and_nagamatsu_written_out() -> None:
         )
 
 
+def test_entries_have_the_covariance_that_the_intervals_count() -> None:
+    """From `covariance`, which counts the misfit too: of uncorrelated unknowns that meet in an entry, variances add."""
+    model = free_model(X, at("x3"), pairs={"M": [], "C": CHAIN, "K": CHAIN})
+    rig = rig_of(model, np.diag([2.0, 1.5, 1.0]))
+    ch = channels(rig)
+    estimate = identify(model, noisy(rig, ch, covariance(rig, ch, 0.01), np.random.default_rng(6)))
+    names = [unknown.name for unknown in model.unknowns]
+    apart = replace(estimate, covariance=np.diag(np.arange(1.0, len(names) + 1)))
+    variance = dict(zip(names, np.arange(1.0, len(names) + 1), strict=True))
+    sd = matrices_of(model, apart).sd("K")
+    assert sd[0, 0] == pytest.approx(np.sqrt(variance["k_x1"] + variance["k_x1_x2"]))
+    assert sd[0, 1] == sd[1, 0] == pytest.approx(np.sqrt(variance["k_x1_x2"]))
+    assert sd[0, 2] == 0
+
+
 def test_the_order_of_coordinates_does_not_matter() -> None:
     """A chain read from its other end: the same matrices with the same sd, transposed."""
     pairs = {"M": [], "C": CHAIN, "K": CHAIN}
