@@ -250,6 +250,25 @@ def test_interruption_leaves_no_file(dashpot: Command, data: Path, monkeypatch: 
     assert sorted(os.listdir()) == before
 
 
+@pytest.mark.parametrize(("given", "used"), [(None, "1"), ("2", "2")])
+def test_blas_computes_on_one_thread_unless_told_otherwise(given: str | None, used: str) -> None:
+    """Set before NumPy is imported: afterwards it would have no effect."""
+    program = """
+import os, sys
+from dashpot.app import cli
+assert "numpy" not in sys.modules
+cli.run = lambda *_: print(os.environ["OPENBLAS_NUM_THREADS"], "numpy" in sys.modules) or 0
+cli.main()
+"""
+    environment = {k: v for k, v in os.environ.items() if not k.endswith("_NUM_THREADS")}
+    if given is not None:
+        environment["OPENBLAS_NUM_THREADS"] = given
+    done = subprocess.run(
+        [sys.executable, "-c", program], env=environment, capture_output=True, text=True, check=False
+    )
+    assert done.stdout.split() == [used, "False"], done.stderr
+
+
 def test_a_broken_pipe_is_silent(data: Path) -> None:
     command = [
         sys.executable,

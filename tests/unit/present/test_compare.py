@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -68,6 +69,25 @@ def test_nothing_is_said_of_a_truth_that_is_not_known(comparison: Comparison) ->
     assert "truth" not in text
     assert "worst" not in text
     assert "*" not in text
+
+
+def test_marks_are_those_of_the_level(comparison: Comparison) -> None:
+    """A truth 1.5 sd off is missed by the interval of 50 %, not by that of 95 %."""
+    oiv = comparison.estimates["oiv"]
+    near = {"c3": oiv["c3"].value + 1.5 * oiv["c3"].sd}
+    one = Comparison(comparison.model, comparison.names, comparison.units, {"oiv": oiv}, {}, near)
+    assert not [line for line in printed(one, 80) if "*" in line]
+    assert "* the 50 % interval does not hold the truth." in printed(one, 80, 0.5)
+
+
+def test_the_bound_is_that_of_the_test_not_of_measured_modes(comparison: Comparison) -> None:
+    """Modes are other data, and may tell more or less."""
+    oiv = comparison.estimates["oiv"]
+    both = {"oiv": oiv, "modal": replace(oiv, bound_sd=oiv.bound_sd / 2)}
+    one = Comparison(comparison.model, comparison.names, comparison.units, both, {}, {})
+    assert one.bound_sd("m1") == oiv["m1"].bound_sd
+    alone = Comparison(comparison.model, comparison.names, comparison.units, {"modal": oiv}, {}, {})
+    assert alone.bound_sd("m1") is None
 
 
 def test_the_picture_has_a_panel_for_each_unknown_and_marks_what_misses(comparison: Comparison) -> None:
