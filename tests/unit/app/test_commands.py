@@ -307,3 +307,27 @@ def test_what_was_noticed_in_the_records_is_told_once_for_all_dwells(dashpot: Co
         assert done.code == 0
         assert done.err == ["note: data.csv:2: driven at 2 Hz, not at 2.008 Hz (and 7 more like this)"]
     assert dashpot("identify", "rig.toml", "data.csv", "--refine", "-q").err == []
+
+
+@pytest.mark.parametrize("gain", [-1.0, 0.001])
+def test_a_wrong_sign_or_unit_shows_in_an_unknown_gain(dashpot: Command, data: Path, gain: float) -> None:
+    """What the how-to advises where a model does not fit: all gains unknown but that of the input."""
+    head, *rows = data.read_text(encoding="utf-8").splitlines()
+    at = head.split(",").index("x2")
+    lines = [head]
+    for row in rows:
+        cells = row.split(",")
+        cells[at] = repr(gain * float(cells[at]))
+        lines.append(",".join(cells))
+    Path("wrong.csv").write_text("\n".join(lines) + "\n", encoding="utf-8")
+    blind = dashpot("identify", "rig.toml", "wrong.csv")
+    assert blind.code == 3 or "The model does not fit" in blind.out
+    loose = RIG.replace('unit = "mm", noise', 'unit = "mm", gain = "unknown", noise')
+    assert loose.count('gain = "unknown"') == 2
+    Path("loose.toml").write_text(loose, encoding="utf-8")
+    done = dashpot("identify", "loose.toml", "wrong.csv", "--json", "out.json")
+    assert done.code == 0
+    found = Estimate.load("out.json")
+    assert abs(found["x2.gain"].value - gain) < 4 * found["x2.gain"].sd < 0.1 * abs(gain)
+    assert abs(found["x1.gain"].value - 1) < 4 * found["x1.gain"].sd < 0.1
+    assert "The model fits" in done.out

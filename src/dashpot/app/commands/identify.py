@@ -179,7 +179,10 @@ def _ending(estimate: Estimate) -> int:
     """The exit code, and a line where the iteration has not settled."""
     if bool(estimate.converged):
         return 0
-    cure = "give the unknowns a guess, check signs and units of the channels, or try another --method"
+    cure = (
+        'check signs and units of the channels (a wrong one shows where all have gain = "unknown" but one), '
+        "give the unknowns a guess, or try another --method"
+    )
     click.echo(
         f"dashpot: {estimate.method} did not settle in {int(estimate.iterations)} iterations; {cure}",
         err=True,
