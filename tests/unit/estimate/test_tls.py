@@ -115,6 +115,16 @@ def test_noise_that_is_all_but_absent_gives_the_parameters_back(name: str) -> No
         assert np.allclose(identify(rig.model, exact, method(name)).values, rig.theta, rtol=1e-8)
 
 
+@pytest.mark.parametrize("name", ["tls", "cls"])
+def test_light_damping_costs_no_digits(name: str) -> None:
+    """Dampers ten thousand times smaller: without a round of refinement rounding leaves 10⁻⁸ of them, 10⁻¹³ with."""
+    paper = paper_rig()
+    rig = replace(paper, theta=paper.theta * np.array([1, 1, *[1e-4] * 4]))
+    ch = channels(rig)
+    exact = perfect(rig, ch, covariance(rig, ch, 1e-8))
+    assert np.allclose(identify(rig.model, exact, method(name)).values, rig.theta, rtol=1e-10, atol=0)
+
+
 def one_line_rig() -> Rig:
     """One coordinate, one frequency, several inputs' amplitudes: all lines have the same Ω whatever θ."""
     model = Model(
