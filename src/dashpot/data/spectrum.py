@@ -90,6 +90,21 @@ class Spectrum:
                 f"frequency {self.frequency_hz[line]} Hz at line {line + 1}",
                 cure="frequencies must be positive and finite",
             )
+        infinite = np.argwhere(np.isinf(self.amplitudes))
+        if len(infinite):
+            line, channel = infinite[0][-2:]
+            raise DataError(
+                f"an infinite amplitude of {names[channel]} at line {line + 1}",
+                cure="what is not measured is NaN",
+            )
+        variance = np.diagonal(self.covariance, axis1=-2, axis2=-1).real
+        negative = np.argwhere(variance < 0)
+        if len(negative):
+            line, channel = negative[0][-2:]
+            raise DataError(
+                f"a negative variance of {names[channel]} at line {line + 1}",
+                cure="covariances are E[Δ Δᴴ]; 0 is exact, NaN unknown",
+            )
 
     @property
     def omega(self) -> Real:
