@@ -89,12 +89,13 @@ def without_correlation(covariance: Complex) -> Complex:
     return diagonal
 
 
-def interval_dof(lines_share: Real, dof: Real) -> Real:
-    """Satterthwaite's degrees of freedom of variances that are sums over lines; (..., unknowns).
+def interval_dof(lines_share: Real, dof: Real, exact: Real) -> Real:
+    """Satterthwaite's degrees of freedom of variances that are sums over lines and a part that is known exactly.
 
-    lines_share: each line's part of the variance, (..., lines, unknowns); dof: (lines,).
+    lines_share: each line's part of the variance, (..., lines, unknowns); dof: (lines,); exact and result
+    (..., unknowns).
     """
-    total = np.sum(lines_share, axis=-2)
+    total = np.sum(lines_share, axis=-2) + exact
     with np.errstate(invalid="ignore", divide="ignore"):
         doubt = np.sum(lines_share**2 / dof[:, None], axis=-2)
         result: Real = np.where(doubt > 0, total**2 / doubt, np.inf)

@@ -146,8 +146,10 @@ def _noise(judged: Judged, quality: NoiseQuality, bread: Real, prior: Real) -> t
     """Covariance of a weighted estimate, the noise having been estimated, and the degrees of freedom behind it."""
     around = bread[:, None]
     shares = around @ (judged.information * quality.inflation[..., None, None]) @ around
-    degrees = interval_dof(np.diagonal(shares, axis1=-2, axis2=-1), quality.dof)
-    return np.sum(shares, axis=-3) + bread @ prior @ bread, degrees
+    stated = bread @ prior @ bread
+    own = np.diagonal(stated, axis1=-2, axis2=-1)
+    degrees = interval_dof(np.diagonal(shares, axis1=-2, axis2=-1), quality.dof, own)
+    return np.sum(shares, axis=-3) + stated, degrees
 
 
 def _p_value(chi2: Real, dof: int, rows: int, spectrum: Spectrum) -> Real:
