@@ -41,6 +41,7 @@ LEAST = 16  # starts of the largest rigs
 DEEPEST = 8  # valleys that are followed to the bottom
 RIVAL = 60.0  # χ² by which a valley may lie above the deepest one of one repeat and be the deepest of another
 PIECE = 2_000_000  # complex numbers of dynamic stiffness at once
+TIE = 0.01  # of χ²: what fits alike
 DOUBT = 9.2  # χ² by which a rival may lie above and be told to the user: odds of 100 to 1
 
 
@@ -165,7 +166,7 @@ class MaximumLikelihood(Method):
             sign = sign.copy()
             sign[rows[found.worse(rows, end)]] = flips
             found = found.improved(rows, end)
-        return found, sign, _rivals(view, first, bottoms, DOUBT * unit) if repeats == 1 else ()
+        return found, sign, _rivals(view, first, found, sign, bottoms, DOUBT * unit) if repeats == 1 else ()
 
     def _stages(self, one: Prepared, view: Outlook, exact: Measured) -> tuple[Cost, ...]:
         """What is minimised one after the other from afar: logarithms, softened weights, and the likelihood itself."""
@@ -318,21 +319,24 @@ def _descend_all(view: Outlook, cost: Cost, psi: Real, sign: Real, lower: Real, 
     return np.where(log, np.exp(np.where(log, found.x, 0.0)), found.x)
 
 
-def _rivals(view: Outlook, data: Measured, bottoms: Valleys, doubt: float) -> tuple[str, ...]:
-    """A warning where the second deepest of the valleys of one repeat fits nearly as well as the deepest."""
-    at = predict(view, data, bottoms.psi[:1], bottoms.sign[:1])
+def _rivals(
+    view: Outlook, data: Measured, found: Found, sign: Real, bottoms: Valleys, doubt: float
+) -> tuple[str, ...]:
+    """A warning where another valley of one repeat fits nearly as well as the one that the search ended in."""
+    at = predict(view, data, found.x, sign)
     information = np.sum(at.information(), axis=-3)[0] + np.diag(prior_precision(view))
     sd = np.sqrt(np.abs(np.diagonal(inverse(information))))
-    best = bottoms.psi[0]
-    for psi, cost in zip(bottoms.psi[1:], bottoms.cost[1:], strict=True):
-        away, above = np.abs(psi - best), float(cost - bottoms.cost[0])
+    best = found.x[0]
+    for psi, cost in zip(bottoms.psi, bottoms.cost, strict=True):
+        away, above = np.abs(psi - best), float(cost - found.cost[0])
         if above > doubt or not np.any(away > 3 * sd):
             continue  # within 3 sd it is the same flat valley
         largest = np.argsort(-away / np.maximum(np.abs(best), np.abs(psi)))[:4]
         other = ", ".join(f"{view.names[j]} = {psi[j]:.4g} {view.units[j]}" for j in largest)
+        worse = f"nearly as well (χ² is {above:.3g} more)" if above > TIE else "as well"
         word = (
-            f"other values fit nearly as well (χ² is {above:.3g} more): {other}; a sensor at another point, "
-            "a known parameter or a guess would decide between them"
+            f"other values fit {worse}: {other}; a sensor at another point, a known parameter or a guess would decide "
+            "between them"
         )
         return (word,)
     return ()

@@ -26,7 +26,7 @@ from dashpot.estimate.identify import (
     tied_values,
     wrong_signs,
 )
-from dashpot.estimate.likelihood import DOUBT
+from dashpot.estimate.likelihood import DOUBT, TIE
 from dashpot.estimate.method import Limits
 from dashpot.estimate.regression import inverse, solve_scaled
 from dashpot.estimate.search import Found, Local, minimise, without_bounds
@@ -40,7 +40,6 @@ EXACT = 1e-6  # sd of exact points of a shape, relative to the largest of the ot
 ASTRAY = 1e-4  # χ² so unlikely may mean a local minimum: other starts are tried
 STARTS = 32
 FOLLOWED = 10  # of the starts that have not settled after a few steps
-TIE = 0.01  # of χ²: what fits alike
 
 
 def identify_modal(model: Model, data: ModalData, *, starts: int = STARTS, seed: int = 0) -> Estimate:

@@ -203,6 +203,13 @@ def test_an_input_left_empty_in_one_experiment_is_told():
 # Rivals
 
 
+def assert_other(found: Estimate, word: str) -> None:
+    """The values told are not those of the estimate itself: one lies more than 3 sd from it."""
+    told = [part.split(" = ") for part in word.partition(": ")[2].partition(";")[0].split(", ")]
+    away = [abs(float(rest.split()[0]) - found[name].value) / found[name].sd for name, rest in told]
+    assert max(away) > 3, word
+
+
 def test_two_rigs_that_show_the_same_are_both_told():
     """Two unlike oscillators on one base, of which only the sum is seen: which is which cannot be known."""
     values = {"ma": 1.0, "mb": 1.0, "ka": 1500.0, "kb": 5000.0, "ca": 3.0, "cb": 9.0}
@@ -219,7 +226,8 @@ def test_two_rigs_that_show_the_same_are_both_told():
     spectrum = bench.spectrum(np.random.default_rng(1))
     found = identify(model, spectrum, ML)
     assert sorted([found["ka"].value, found["kb"].value]) == pytest.approx([1500, 5000], rel=0.05)
-    assert any("other values fit nearly as well" in warning for warning in found.warnings)
+    (word,) = (warning for warning in found.warnings if "other values fit" in warning)
+    assert_other(found, word)
     both = replace(bench, channels=(*channels, Channel("a", {"a": 1})), noise={"": 0.01, "u": 0.0})
     decided = identify(model, both.spectrum(np.random.default_rng(1)), ML)
     assert decided["ka"].value == pytest.approx(1500, rel=0.05)
@@ -336,3 +344,48 @@ def test_bounds_are_a_matter_for_ml():
     spectrum = bench.spectrum(np.random.default_rng(1))
     assert isinstance(automatic(bench.model, spectrum), OptimalIV)
     assert isinstance(automatic(two(full=True, lower=0.0).model, spectrum), MaximumLikelihood)
+
+
+@pytest.mark.parametrize("draw", range(8))
+def test_the_rival_told_is_another_rig_than_the_answer(draw):
+    """A hidden mass between two springs of unknown size: two rigs show the same at x2, to rounding."""
+    H = Kind.HYSTERETIC
+    values = {"m1": 1.0, "m2": 2.0, "k1": 900.0, "k2": 1200.0, "h1": 30.0, "h2": 20.0}
+    elements = (
+        mass("m1", "x1", value=1.0), replace(mass("m2", "x2", value=2.0), sd=0.05),
+        between("k1", Kind.SPRING, "x1", "u"), between("k2", Kind.SPRING, "x1", "x2"),
+        between("h1", H, "x1", "u"), between("h2", H, "x1", "x2"),
+    )  # fmt: skip
+    f = np.array([2.0, 3.5])
+    channels = (Channel("x2", {"x2": 1}), Channel("u", {"u": 1}))
+    U, none = np.full((2, 1), 0.001 + 0j), np.zeros((2, 0), dtype=complex)
+    model = Model(("x1", "x2"), (Input("u"),), elements)
+    bench = Bench("hidden", model, values, channels, f, U, none, {"": 0.003, "u": 0.0})
+    found = identify(model, bench.spectrum(np.random.default_rng(draw)), ML)
+    for word in (warning for warning in found.warnings if "other values fit" in warning):
+        assert_other(found, word)
+    assert any("other values fit" in warning for warning in found.warnings)
+
+
+@pytest.mark.parametrize("share", [1e-4, 0.5])
+def test_a_statement_has_no_doubt_about_its_own_size(share):
+    """Intervals of noise measured with 8 degrees of freedom a line: what a prior tells counts as known exactly.
+
+    A prior that tells all but 1e-4 has the normal distribution's quantile; one that tells half leaves more degrees of
+    freedom than the data alone have.
+    """
+    bench = two(full=True, known="m1 m2 k1 k2 c1 c2 c4")
+    sure = bench.spectrum(np.random.default_rng(1))
+    doubtful = replace(sure, dof=np.full(sure.lines, 8.0))
+    alone = identify(bench.model, sure)["c3"]
+    s = alone.sd * np.sqrt(share / (1 - share))
+    elements = tuple(
+        replace(e, value=alone.value, sd=s) if e.name == "c3" else e for e in bench.model.elements
+    )
+    found = identify(replace(bench.model, elements=elements), doubtful)
+    low, high = found.interval()
+    if share < 0.01:
+        assert high[0] - low[0] == pytest.approx(2 * 1.95996 * s, rel=1e-3)
+    free = identify(bench.model, doubtful)
+    assert found.dof[0] > 2 * free.dof[0]
+    assert np.isfinite(found.dof[0])
