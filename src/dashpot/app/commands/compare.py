@@ -196,7 +196,7 @@ def _compare(
     unsettled = [name for name, estimate in found.estimates.items() if not bool(estimate.converged)]
     if unsettled:
         click.echo(
-            f"dashpot: {', '.join(unsettled)} did not settle, do not use these values; "
+            f"dashpot: {', '.join(unsettled)} did not settle; do not use these values: "
             "check signs and units of the channels, or the noise is too large",
             err=True,
         )
