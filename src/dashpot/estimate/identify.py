@@ -34,19 +34,23 @@ MODES_TO = 400  # coordinates: the modes of larger rigs would take longer than a
 def identify(
     model: Model,
     spectrum: Spectrum,
-    method: Method | None = None,
+    method: Method | str | None = None,
     *,
     progress: Callable[[int, int], None] | None = None,
 ) -> Estimate:
     """Estimate the unknowns of `model` from `spectrum`.
 
-    Without a method, `automatic` chooses it.  Leading batch axes of the spectrum are repeats of the same test and come
+    `method` may be a name ("oiv"); without one, `automatic` chooses.  Leading batch axes of the spectrum are repeats of the same test and come
     back as leading axes of the Estimate; `progress(done, all)` is called between chunks of them.
 
     Raises UsageError or DataError where the data lack what the method needs, IdentifiabilityError where they do not
     determine the unknowns.
     """
     _check(model, spectrum)
+    if isinstance(method, str):
+        from dashpot.estimate.methods import method as named  # it imports the estimators, one by one
+
+        method = named(method)
     chosen = automatic(model, spectrum) if method is None else method
     batch = spectrum.batch
     flat = _flatten(spectrum)

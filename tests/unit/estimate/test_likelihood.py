@@ -389,3 +389,13 @@ def test_a_statement_has_no_doubt_about_its_own_size(share):
     free = identify(bench.model, doubtful)
     assert found.dof[0] > 2 * free.dof[0]
     assert np.isfinite(found.dof[0])
+
+
+def test_a_method_may_be_named():
+    bench = two(full=True)
+    spectrum = bench.spectrum(np.random.default_rng(1))
+    assert np.array_equal(
+        identify(bench.model, spectrum, "oiv").values, identify(bench.model, spectrum, OptimalIV()).values
+    )
+    with pytest.raises(UsageError, match="there is no method olv"):
+        identify(bench.model, spectrum, "olv")
