@@ -40,8 +40,8 @@ def identify(
 ) -> Estimate:
     """Estimate the unknowns of `model` from `spectrum`.
 
-    `method` may be a name ("oiv"); without one, `automatic` chooses.  Leading batch axes of the spectrum are repeats of the same test and come
-    back as leading axes of the Estimate; `progress(done, all)` is called between chunks of them.
+    `method` may be a name ("oiv"); without one, `automatic` chooses.  Leading batch axes of the spectrum are repeats of
+    the same test and come back as leading axes of the Estimate; `progress(done, all)` is called between chunks of them.
 
     Raises UsageError or DataError where the data lack what the method needs, IdentifiabilityError where they do not
     determine the unknowns.

@@ -10,7 +10,7 @@ from scipy.optimize import least_squares
 
 from dashpot.channel import Channel, Quantity
 from dashpot.data.spectrum import concatenate
-from dashpot.errors import ConvergenceError, IdentifiabilityError
+from dashpot.errors import ConvergenceError, IdentifiabilityError, UsageError
 from dashpot.estimate.estimate import Estimate
 from dashpot.estimate.identify import automatic, identify
 from dashpot.estimate.instruments import OptimalIV
