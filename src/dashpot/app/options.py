@@ -70,14 +70,19 @@ class Setting(click.ParamType[tuple[str, float]]):
         self, value: object, param: click.Parameter | None, ctx: click.Context | None
     ) -> tuple[str, float]:
         """Name and number."""
-        name, equals, text = str(value).partition("=")
-        try:
-            number = float(text)
-        except ValueError:
-            number = float("nan")
-        if not equals or not name.strip() or not abs(number) < 1e300:
+        name, number = named_number(str(value))
+        if not name or not abs(number) < 1e300:
             self.fail(f"{str(value)!r} sets nothing; write NAME=NUMBER, such as m1=3.0", param, ctx)
-        return name.strip(), number
+        return name, number
+
+
+def named_number(text: str) -> tuple[str, float]:
+    """Name and number of NAME=NUMBER; NaN where there is no number."""
+    name, _, number = text.partition("=")
+    try:
+        return name.strip(), float(number)
+    except ValueError:
+        return name.strip(), float("nan")
 
 
 class Conditioning(TypedDict):

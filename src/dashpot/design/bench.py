@@ -81,10 +81,7 @@ class Bench:
         for name, kind in (("theta", np.float64), ("probability", np.float64), ("drives", np.complex128)):
             object.__setattr__(self, name, frozen(getattr(self, name), kind))
         object.__setattr__(self, "channels", tuple(self.channels))
-        if not self.model.unknowns:
-            raise UsageError(
-                "every parameter of the rig is known", cure="leave out the value of what is to be found"
-            )
+        self.model.require_unknowns()
         if not self.model.inputs:
             raise UsageError("the rig has no input: nothing shakes it", cure="add one under [inputs]")
         if not any(c.noise > 0 or c.relative_noise > 0 for c in self.channels):

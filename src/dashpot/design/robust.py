@@ -136,7 +136,7 @@ def on_average(
     nominal = bench.theta[0]
     theta = np.concatenate([nominal[None], prior.draw(nominal, count, np.random.default_rng(seed))])
     wide = bench.with_scenarios(theta)
-    already = None if known is None else wide.known(known)
+    already = _prior(wide, known)
     grid = grid_of(wide)
     found = (
         plan(wide, goal, budget, grid, known=already, doubt="average")
@@ -177,7 +177,7 @@ def in_the_worst_case(
         theta = np.concatenate([theta, at[None]])
     # The last scenario may be new: it counts too.
     wide = bench.with_scenarios(theta)
-    already = None if known is None else wide.known(known)
+    already = _prior(wide, known)
     final = plan(wide, goal, budget, grid_of(wide), known=already, doubt="worst")
     worst, _ = worst_scenario(wide, goal, final.lines, prior, known=known, seed=seed + rounds)
     return Robust(final, wide, worst, tuple(search))
@@ -204,7 +204,7 @@ def shortest_in_the_worst_case(
     search: list[float] = []
     for turn in range(rounds):
         wide = bench.with_scenarios(theta)
-        already = None if known is None else wide.known(known)
+        already = _prior(wide, known)
         found = shortest(wide, goal, aim, budget, grid_of(wide), known=already)
         lines = NOTHING if found is None else found.lines
         worst, at = worst_scenario(wide, goal, lines, prior, known=known, seed=seed + turn)

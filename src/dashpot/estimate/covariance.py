@@ -34,7 +34,7 @@ def noise_quality(spectrum: Spectrum, correlated: Bools) -> NoiseQuality:
     variance = np.diagonal(spectrum.covariance, axis1=-2, axis2=-1).real
     variance = np.max(variance.reshape(-1, *variance.shape[-2:]), axis=0)
     q = np.where(correlated[:, None], np.sum(variance > 0, axis=-1), 1)
-    blocks = np.array([kind in ("blocks", "periods") for kind in spectrum.noise])
+    blocks = _of_complex(spectrum)
     nu = spectrum.dof
     K = nu / 2
     with np.errstate(invalid="ignore", divide="ignore"):
@@ -47,6 +47,11 @@ def noise_quality(spectrum: Spectrum, correlated: Bools) -> NoiseQuality:
     inflation = np.where(enough, np.where(blocks, block_inflation, white_inflation), np.inf)
     shrink = np.where(enough, np.where(blocks, block_shrink, white_shrink), np.nan)
     return NoiseQuality(np.where(given, 1.0, inflation), np.where(given, 1.0, shrink), nu)
+
+
+def _of_complex(spectrum: Spectrum) -> Bools:
+    """Lines whose covariance comes from complex amplitudes (blocks, periods), not from real residuals; (lines,)."""
+    return np.array([kind in ("blocks", "periods") for kind in spectrum.noise])
 
 
 def channels_correlate(spectrum: Spectrum, level: float = 0.01) -> Bools:
@@ -69,7 +74,7 @@ def channels_correlate(spectrum: Spectrum, level: float = 0.01) -> Bools:
     V = V[..., noisy, :][..., noisy]
     sd = np.sqrt(variance[..., noisy])
     R = V / (sd[..., :, None] * sd[..., None, :])
-    blocks = np.array([kind in ("blocks", "periods") for kind in spectrum.noise])
+    blocks = _of_complex(spectrum)
     _, logarithm = np.linalg.slogdet(R)
     per_line = np.where(blocks, q * (q - 1.0), q * (q - 1) / 2)
     factor = np.where(blocks, spectrum.dof - (2 * q + 1) / 3, spectrum.dof - (2 * q + 5) / 6)

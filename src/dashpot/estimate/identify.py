@@ -10,17 +10,24 @@ from scipy.special import bdtrc
 
 from dashpot.arrays import Complex, Real
 from dashpot.data.spectrum import Moments, Spectrum
-from dashpot.errors import DataError, IdentifiabilityError, UsageError
+from dashpot.errors import DataError, IdentifiabilityError
 from dashpot.estimate.covariance import channels_correlate, without_correlation
 from dashpot.estimate.estimate import Estimate, Fit, ModeValues
 from dashpot.estimate.instruments import OptimalIV, likeliest
 from dashpot.estimate.likelihood import MaximumLikelihood
 from dashpot.estimate.method import Limits, Method, Prepared, Solution
-from dashpot.estimate.states import is_direct, noise_is_known, states_if_seen, unseen, working_covariance
+from dashpot.estimate.states import (
+    channels_present,
+    is_direct,
+    noise_is_known,
+    states_if_seen,
+    unseen,
+    working_covariance,
+)
 from dashpot.estimate.suspects import contradicted, silent, turned, twice
 from dashpot.estimate.worth import ROUNDING, Judged, Worth, judge, worth
 from dashpot.model.dynamics import matrices, modes
-from dashpot.model.free import free_entries
+from dashpot.model.free import free_entries, free_names
 from dashpot.model.network import Model
 
 ZERO = 1.96  # standard deviations within which a negative part may be none
@@ -75,17 +82,9 @@ def automatic(model: Model, spectrum: Spectrum) -> Method:
 
 
 def _check(model: Model, spectrum: Spectrum) -> None:
-    require_unknowns(model)
+    model.require_unknowns()
     if spectrum.lines == 0:
         raise DataError("there are no lines in the data", cure="give at least one frequency")
-
-
-def require_unknowns(model: Model) -> None:
-    """Raises UsageError where there is nothing to find."""
-    if not model.unknowns:
-        raise UsageError(
-            "every parameter of the rig is known", cure="leave out the value of what is to be found"
-        )
 
 
 def _flatten(spectrum: Spectrum) -> Spectrum:
@@ -303,7 +302,7 @@ def _warnings(model: Model, theta: Real, covariance: Real, fit: Fit, known_noise
 
 def wrong_signs(model: Model, theta: Real, covariance: Real) -> list[str]:
     """Warnings of negative parts, and of free matrices that are not definite."""
-    free = {element.name for element in model.elements if element.free}
+    free = free_names(model)
     sd = _sd(covariance)
     found = [
         f"{unknown.name} comes out negative ({value:.4g} {unknown.unit}): "
@@ -353,9 +352,7 @@ def _colour(spectrum: Spectrum) -> list[str]:
 
 def _left_out(model: Model, spectrum: Spectrum) -> list[str]:
     """Inputs that some lines measure and others leave empty: there they are unknown, which costs precision."""
-    measured = np.all(
-        np.isfinite(spectrum.amplitudes), axis=tuple(range(spectrum.amplitudes.ndim - 2))
-    )  # (lines, channels)
+    measured = channels_present(spectrum)
     found = []
     for name in (*model.displacement_inputs, *model.force_inputs):
         direct = [set(channel.of) == {name} and is_direct(model, channel) for channel in spectrum.channels]

@@ -26,6 +26,7 @@ from dashpot.estimate.regression import inverse
 from dashpot.estimate.search import PATIENCE, Found, Local, minimise, without_bounds
 from dashpot.estimate.starts import candidates, neighbours
 from dashpot.estimate.states import is_direct
+from dashpot.model.free import free_names
 
 Cost = Callable[[Real, Real], Local]  # of ψ (K, M) and signs (K, channels)
 
@@ -203,7 +204,7 @@ class MaximumLikelihood(Method):
             u.guess is not None or u.sd is not None for u in data.model.unknowns
         ):
             psi, sign = candidates(one, view, 1, rng)
-            psi, sign = self._through(view, stages, psi, sign, lower, upper, straight=True)
+            psi, sign = _through(view, stages, psi, sign, lower, upper, straight=True)
             end = self._descend(view, exact, psi, sign, lower, upper)
             valleys = valleys.with_ends(end.x, sign, end.cost)
             if np.any(valleys.cost <= acceptable):
@@ -216,7 +217,7 @@ class MaximumLikelihood(Method):
             if turn > 0:
                 near, near_sign = neighbours(valleys.psi[:DEEPEST], valleys.sign[:DEEPEST], view, starts, rng)
                 psi, sign = np.concatenate([psi, near]), np.concatenate([sign, near_sign])
-            psi, sign = self._through(view, stages, psi, sign, lower, upper, straight=turn == 0)
+            psi, sign = _through(view, stages, psi, sign, lower, upper, straight=turn == 0)
             costs = _cost(view, stages[-1], psi, sign)
             deep = np.argsort(costs)[:DEEPEST]
             end = self._descend(view, exact, psi[deep], sign[deep], lower, upper, limit=POLISH)
@@ -231,28 +232,6 @@ class MaximumLikelihood(Method):
             if share >= (EASY if lowest <= acceptable else PLAIN) or idle > 1:
                 break
         return valleys
-
-    def _through(
-        self,
-        view: Outlook,
-        stages: Sequence[Cost],
-        psi: Real,
-        sign: Real,
-        lower: Real,
-        upper: Real,
-        straight: bool,
-    ) -> tuple[Real, Real]:
-        """Where starts end that go through all stages; with `straight`, where the first half ends without the first.
-
-        Logarithms lead nearly everything to one valley, and that may be the wrong one.
-        """
-        half = (len(psi) + 1) // 2 if straight else 0
-        ends = []
-        for some, signs, ways in ((psi, sign, stages), (psi[:half], sign[:half], stages[1:])):
-            for stage in ways:
-                some = _descend_all(view, stage, some, signs, lower, upper) if len(some) else some
-            ends.append(some)
-        return np.concatenate(ends), np.concatenate([sign, sign[:half]])
 
     def _again(
         self,
@@ -282,6 +261,28 @@ class MaximumLikelihood(Method):
                 iterations[repeat] += new.iterations[0]
                 sign[repeat] = flips[0]
         return Found(x, cost, converged, iterations, found.history), sign
+
+
+def _through(
+    view: Outlook,
+    stages: Sequence[Cost],
+    psi: Real,
+    sign: Real,
+    lower: Real,
+    upper: Real,
+    straight: bool,
+) -> tuple[Real, Real]:
+    """Where starts end that go through all stages; with `straight`, where the first half ends without the first.
+
+    Logarithms lead nearly everything to one valley, and that may be the wrong one.
+    """
+    half = (len(psi) + 1) // 2 if straight else 0
+    past, signs = psi[:half], sign[:half]
+    for stage in stages:
+        psi = _descend_all(view, stage, psi, sign, lower, upper)
+    for stage in stages[1:] if half else ():
+        past = _descend_all(view, stage, past, signs, lower, upper)
+    return np.concatenate([psi, past]), np.concatenate([sign, signs])
 
 
 def _reliability(one: Prepared, view: Outlook) -> Real:
@@ -358,7 +359,7 @@ def bounds(view: Outlook, positive: bool) -> tuple[Real, Real]:
     model, endless = view.model, np.full(view.gains + view.delays, np.inf)
     low, high = model.bounds
     if positive:
-        free = {element.name for element in model.elements if element.free}
+        free = free_names(model)
         parts = np.array([unknown.name not in free for unknown in model.unknowns])
         low = np.where(parts, np.maximum(low, 0.0), low)
     return np.concatenate([low, -endless]), np.concatenate([high, endless])

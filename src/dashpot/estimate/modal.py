@@ -22,7 +22,6 @@ from dashpot.estimate.identify import (
     known_values,
     mode_values,
     require_determined,
-    require_unknowns,
     tied_values,
     wrong_signs,
 )
@@ -107,7 +106,7 @@ def identify_modal(model: Model, data: ModalData, *, starts: int = STARTS, seed:
 
 
 def _check(model: Model, data: ModalData) -> None:
-    require_unknowns(model)
+    model.require_unknowns()
     for name in data.points:
         if name not in model.coordinates:
             raise DataError(

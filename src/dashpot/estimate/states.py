@@ -96,7 +96,7 @@ def unseen(model: Model, spectrum: Spectrum, channels: Bools | None = None) -> t
     """Names of coordinates and inputs that the direct channels (or some of them) do not determine at some line."""
     C = measurement(model, spectrum.channels, spectrum.omega)
     rates = np.where(spectrum.omega > 0, spectrum.omega, 1.0)
-    present = _present(spectrum) if channels is None else _present(spectrum) & channels
+    present = channels_present(spectrum) if channels is None else channels_present(spectrum) & channels
     power = np.array(
         [0 if c.quantity is Quantity.FORCE else c.quantity.derivative for c in spectrum.channels]
     )
@@ -111,7 +111,7 @@ def unseen(model: Model, spectrum: Spectrum, channels: Bools | None = None) -> t
     return tuple(name for name, lost in zip(names, missing, strict=True) if lost)
 
 
-def _present(spectrum: Spectrum) -> Bools:
+def channels_present(spectrum: Spectrum) -> Bools:
     """Which channels were measured at which line, (lines, channels)."""
     finite = np.isfinite(spectrum.amplitudes)
     present: Bools = np.all(finite.reshape(-1, *finite.shape[-2:]), axis=0)
@@ -131,7 +131,7 @@ def working_covariance(model: Model, spectrum: Spectrum) -> Complex:
     """
     if noise_is_known(spectrum):
         return spectrum.covariance
-    present = _present(spectrum)
+    present = channels_present(spectrum)
     X = np.where(present, spectrum.amplitudes, 0.0)
     size = np.sqrt(np.sum(np.abs(X) ** 2, axis=-2) / np.maximum(np.sum(present, axis=0), 1))
     inputs = set(model.displacement_inputs) | set(model.force_inputs)
@@ -147,7 +147,7 @@ def looks(model: Model, spectrum: Spectrum, covariance: Complex, channels: Bools
     Raises DataError where some entry of z is not seen.
     """
     C = measurement(model, spectrum.channels, spectrum.omega)
-    used = _present(spectrum) & np.array([is_direct(model, channel) for channel in spectrum.channels])
+    used = channels_present(spectrum) & np.array([is_direct(model, channel) for channel in spectrum.channels])
     if channels is not None:
         used = used & channels
     both = used[:, :, None] & used[:, None, :]

@@ -11,9 +11,8 @@ from dashpot.model.elements import Kind
 from dashpot.model.network import Model
 
 APART = 4.0  # standard deviations beyond which two statements contradict each other
-MOST_TOLD = (
-    0.95  # share of a prior's variance in the posterior beyond which the data say too little to contradict it
-)
+# Share of a prior's variance in the posterior beyond which the data say too little to contradict it.
+MOST_TOLD = 0.95
 SILENT = 1e-12  # of the largest amplitude of the same quantity: rounding
 
 
@@ -69,11 +68,9 @@ def contradicted(model: Model, theta: Real, noise_covariance: Real) -> list[str]
 
 def turned(model: Model, theta: Real, noise_covariance: Real) -> list[str]:
     """A hint where every damper comes out negative beyond doubt: phases that count the other way do that."""
-    dampers = [
-        j
-        for j, unknown in enumerate(model.unknowns)
-        if any(e.name == unknown.name and e.kind in (Kind.DAMPER, Kind.HYSTERETIC) for e in model.elements)
-    ]
+    kinds = {element.name: element.kind for element in model.elements}
+    damper = (Kind.DAMPER, Kind.HYSTERETIC)
+    dampers = [j for j, unknown in enumerate(model.unknowns) if kinds[unknown.name] in damper]
     if not dampers or np.any(theta[dampers] > -APART * np.sqrt(np.diagonal(noise_covariance)[dampers])):
         return []
     told = (

@@ -78,6 +78,11 @@ def _ordered(coordinates: Sequence[str], pairs: Pairs | None) -> list[tuple[str,
     return [pair for pair in combinations(coordinates, 2) if frozenset(pair) in chosen]
 
 
+def free_names(model: Model) -> set[str]:
+    """Names of the elements that are entries of free matrices: any sign suits them."""
+    return {element.name for element in model.elements if element.free}
+
+
 def free_entries(model: Model) -> dict[Letter, list[tuple[str, str]]]:
     """The free matrices of a model, each with the pairs of coordinates whose entries may differ from 0."""
     found: dict[Letter, list[tuple[str, str]]] = {}

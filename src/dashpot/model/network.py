@@ -16,7 +16,7 @@ import numpy as np
 from scipy import sparse
 
 from dashpot.arrays import Complex, Ints, Real, frozen
-from dashpot.errors import ModelError, Problem
+from dashpot.errors import ModelError, Problem, UsageError
 from dashpot.model.elements import Element, Kind
 
 InputKind = Literal["displacement", "force"]
@@ -258,6 +258,13 @@ class Model:
         return frozen(
             [0.0 if u.sd is None or u.prior is None else u.prior for u in self.unknowns], np.float64
         )
+
+    def require_unknowns(self, where: str | None = None) -> None:
+        """Raises UsageError, placed at the file `where`, if there is nothing to find."""
+        if not self.unknowns:
+            raise UsageError(
+                "every parameter of the rig is known", where, "leave out the value of what is to be found"
+            )
 
     @cached_property
     def bounds(self) -> tuple[Real, Real]:

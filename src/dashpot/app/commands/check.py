@@ -59,10 +59,7 @@ def command(
     if (profiled or known) and not data:
         raise UsageError("--profile and --known need data", cure="name the data files after the rig")
     found = read_rig(rig)
-    if not found.model.unknowns:
-        raise UsageError(
-            "every parameter of the rig is known", rig, "leave out the value of what is to be found"
-        )
+    found.model.require_unknowns(rig)
     channels, spectrum = found.channels, None
     if data:
         conditioning: Conditioning = how  # type: ignore[assignment]  # click gives the options by their names

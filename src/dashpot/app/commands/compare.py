@@ -6,7 +6,14 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from dashpot.app.options import Conditioning, Positive, amplitudes, conditioning_options, tell_notes
+from dashpot.app.options import (
+    Conditioning,
+    Positive,
+    amplitudes,
+    conditioning_options,
+    named_number,
+    tell_notes,
+)
 
 if TYPE_CHECKING:
     from dashpot.data.modal import ModalData
@@ -30,16 +37,12 @@ class Assignments(click.ParamType[Any]):
             return value
         found: dict[str, float] = {}
         for part in str(value).split(","):
-            name, _, text = part.partition("=")
-            try:
-                number = float(text)
-            except ValueError:
-                number = float("nan")
-            if not name.strip() or not abs(number) < float("inf"):
+            name, number = named_number(part)
+            if not name or not abs(number) < float("inf"):
                 self.fail(f"{part.strip()!r} is no NAME=VALUE; write m1=3,c1=30", param, ctx)
-            if name.strip() in found:
-                self.fail(f"{name.strip()} is given twice", param, ctx)
-            found[name.strip()] = number
+            if name in found:
+                self.fail(f"{name} is given twice", param, ctx)
+            found[name] = number
         return found
 
 
@@ -110,8 +113,7 @@ def command(
         if chosen.count(name) > 1:
             raise UsageError(f"{name} is named twice", "--methods", "name each method once")
     found = read_rig(rig)
-    if not found.model.unknowns:
-        raise UsageError("every parameter is known", rig, "leave out the value of what is to be found")
+    found.model.require_unknowns(rig)
     chosen = chosen or [name for name in METHODS if name != "oiv+" or free_entries(found.model)]
     modal = _modes(modal_file, found)
     spectrum = _spectrum(data, found, chosen, frequency, quiet, how) if data else None

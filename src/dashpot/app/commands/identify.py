@@ -77,7 +77,7 @@ def command(
 
     check_targets([None if json_out == STDOUT else json_out, report], [rig, *data])
     found = read_rig(rig)
-    _check_unknowns(found, rig)
+    found.model.require_unknowns(rig)
     chosen = _holding(chosen, positive)
     _check_matrices(found, matrices)
     require_identifiable(found.model, found.channels, rig)
@@ -117,8 +117,10 @@ def command(
 
 def _of_free_matrices(rig: Rig) -> bool:
     """Whether M, C and K are free and tell all of the rig: hysteretic dampers are in none of them."""
+    from dashpot.model.free import free_names
+
     model = rig.model
-    return any(element.free for element in model.elements) and not len(model.by_matrix["H"])
+    return bool(free_names(model)) and not len(model.by_matrix["H"])
 
 
 def _show_matrices(rig: Rig, estimate: Estimate) -> None:
@@ -166,13 +168,6 @@ def _method(chosen: str, rig: Rig, spectrum: Spectrum, seed: int, positive: bool
 
     name = automatic(rig.model, spectrum).name if chosen == "auto" else chosen
     return method(name, seed=seed, positive=positive)
-
-
-def _check_unknowns(found: Rig, path: str) -> None:
-    from dashpot.errors import UsageError
-
-    if not found.model.unknowns:
-        raise UsageError("every parameter is known", path, "leave out the value of what is to be found")
 
 
 def _ending(estimate: Estimate) -> int:
