@@ -13,6 +13,9 @@ if TYPE_CHECKING:
     from dashpot.data.readers import Reading
     from dashpot.data.spectrum import Spectrum
 
+STDOUT = "-"  # as the name of a file to write
+NOT_CONVERGED = 3  # exit code
+
 Function = TypeVar("Function", bound=Callable[..., Any])
 
 

@@ -7,13 +7,18 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from dashpot.app.options import Conditioning, Positive, amplitudes, conditioning_options, tell_notes
+from dashpot.app.options import (
+    STDOUT,
+    Conditioning,
+    Positive,
+    amplitudes,
+    conditioning_options,
+    tell_notes,
+)
 
 if TYPE_CHECKING:
     from dashpot.data.spectrum import Spectrum
     from dashpot.model.modelfile import Rig
-
-STDOUT = "-"
 
 
 @click.command(name="check")

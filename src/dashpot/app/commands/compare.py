@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from dashpot.app.options import (
+    NOT_CONVERGED,
+    STDOUT,
     Conditioning,
     Positive,
     amplitudes,
@@ -19,9 +21,6 @@ if TYPE_CHECKING:
     from dashpot.data.modal import ModalData
     from dashpot.data.spectrum import Spectrum
     from dashpot.model.modelfile import Rig
-
-STDOUT = "-"
-NOT_CONVERGED = 3
 
 
 class Assignments(click.ParamType[Any]):

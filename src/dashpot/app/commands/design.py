@@ -8,7 +8,12 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import click
 
-from dashpot.app.options import Positive, Setting, tell_notes
+from dashpot.app.options import (
+    STDOUT,
+    Positive,
+    Setting,
+    tell_notes,
+)
 
 if TYPE_CHECKING:
     from dashpot.data.spectrum import Spectrum
@@ -18,7 +23,6 @@ if TYPE_CHECKING:
     from dashpot.estimate.estimate import Estimate
     from dashpot.model.modelfile import Rig
 
-STDOUT = "-"
 _TIMES = {"": 1.0, "s": 1.0, "sec": 1.0, "ms": 1e-3, "min": 60.0, "h": 3600.0}
 _NUMBER = r"[+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
 

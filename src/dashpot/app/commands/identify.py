@@ -6,7 +6,15 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from dashpot.app.options import Conditioning, Positive, amplitudes, conditioning_options, tell_notes
+from dashpot.app.options import (
+    NOT_CONVERGED,
+    STDOUT,
+    Conditioning,
+    Positive,
+    amplitudes,
+    conditioning_options,
+    tell_notes,
+)
 
 if TYPE_CHECKING:
     from dashpot.data.readers import Reading
@@ -15,8 +23,6 @@ if TYPE_CHECKING:
     from dashpot.estimate.method import Method
     from dashpot.model.modelfile import Rig
 
-NOT_CONVERGED = 3
-STDOUT = "-"
 CHOICES = ["auto", "ls", "hls", "wls", "tls", "cls", "iv", "oiv", "oiv+", "ml"]
 
 
