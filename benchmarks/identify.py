@@ -16,11 +16,11 @@ from scipy.optimize import least_squares
 from dashpot.channel import Channel, Quantity
 from dashpot.data.spectrum import Spectrum
 from dashpot.estimate.identify import identify
-from dashpot.estimate.instruments import OptimalIV
+from dashpot.estimate.linear.instrumental_variables import OptimalIV
 from dashpot.model.dynamics import response
 from dashpot.model.elements import Element, Kind, between, mass
 from dashpot.model.network import Input, Model
-from dashpot.study import yamane1989
+from dashpot.reproduce.yamane1989 import findings as yamane1989
 
 PAPER, TRUTH = yamane1989.model(), dict(yamane1989.printed().values)
 CASE_3 = np.array(yamane1989.printed().cases["CASE-3"])  # Hz

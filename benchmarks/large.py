@@ -14,9 +14,9 @@ import numpy as np
 from dashpot.channel import Channel, Quantity
 from dashpot.data.spectrum import Spectrum
 from dashpot.estimate.identify import identify
-from dashpot.estimate.likelihood import MaximumLikelihood, local
+from dashpot.estimate.likelihood.maximum_likelihood import MaximumLikelihood, local
+from dashpot.estimate.likelihood.objective import measured, observation_model
 from dashpot.estimate.method import Prepared
-from dashpot.estimate.output import measured, outlook
 from dashpot.model.elements import Kind, between, mass
 from dashpot.model.network import Input, Model
 from dashpot.study.simulate import dwells, simulate_spectrum
@@ -65,7 +65,7 @@ def data(n: int, lines: int) -> tuple[Model, np.ndarray, Spectrum]:
 def evaluation(model: Model, theta: np.ndarray, spectrum: Spectrum) -> float:
     """Seconds of one evaluation of cost, slope and curvature: the least of five."""
     flat = replace(spectrum, amplitudes=spectrum.amplitudes[None], covariance=spectrum.covariance[None])
-    view = outlook(model, flat.channels, flat.omega)
+    view = observation_model(model, flat.channels, flat.omega)
     given = measured(Prepared(model, flat, flat.covariance, None), view)
     times = []
     for _ in range(5):

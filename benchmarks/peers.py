@@ -25,11 +25,11 @@ import numpy as np
 from scipy.linalg import expm
 from scipy.special import stdtrit
 
-from dashpot.data.harmonics import spectrum
+from dashpot.data.conditioning.harmonic_fit import spectrum
 from dashpot.data.record import Record
 from dashpot.data.spectrum import Spectrum
 from dashpot.estimate.identify import identify
-from dashpot.study import yamane1989
+from dashpot.reproduce.yamane1989 import findings as yamane1989
 
 RIG, TRUTH = yamane1989.model(), dict(yamane1989.printed().values)
 NAMES, TRUE = tuple(TRUTH), np.array(list(TRUTH.values()))

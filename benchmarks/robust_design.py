@@ -16,15 +16,15 @@ import numpy as np
 
 from dashpot.channel import Quantity
 from dashpot.design.allocation import Grid, band_grid, natural_band
-from dashpot.design.bench import Bench, Limits, bench
-from dashpot.design.goals import MeanError
+from dashpot.design.criteria import MeanError
 from dashpot.design.plan import Budget, plan
-from dashpot.design.robust import Box, in_the_worst_case, worst_scenario
+from dashpot.design.robust import UniformBox, in_the_worst_case, worst_scenario
+from dashpot.design.test_setup import Bench, Limits, bench
 
 sys.path.insert(0, str(Path(__file__).parents[1]))  # for the random rigs of the tests
 from tests.rigs import channels, random_rig
 
-DOUBT = Box(0.3)
+DOUBT = UniformBox(0.3)
 LIMITS = Limits(stroke=0.01, velocity=0.2, acceleration=10.0)
 
 

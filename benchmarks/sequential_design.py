@@ -18,10 +18,10 @@ import numpy as np
 from dashpot.channel import Channel
 from dashpot.data.spectrum import Spectrum, merge_repeats
 from dashpot.design.allocation import band_grid
-from dashpot.design.bench import bench
-from dashpot.design.goals import WorstError
+from dashpot.design.criteria import WorstError
 from dashpot.design.plan import Budget, shortest
 from dashpot.design.sequential import enough, known_after, values_after
+from dashpot.design.test_setup import bench
 from dashpot.errors import IdentifiabilityError, UsageError
 from dashpot.estimate.identify import identify
 from dashpot.model.elements import Kind, between, mass

@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from dashpot.estimate.identify import identify
-from dashpot.estimate.likelihood import MaximumLikelihood
+from dashpot.estimate.likelihood.maximum_likelihood import MaximumLikelihood
 
 sys.path.insert(0, str(Path(__file__).parents[1]))  # for the rigs of the tests
 from tests.partly_seen import BENCHES

@@ -16,7 +16,7 @@ from dashpot.channel import Channel, Quantity
 from dashpot.data.record import Record
 from dashpot.data.spectrum import Spectrum
 from dashpot.errors import ModelError
-from dashpot.estimate.regression import regressors
+from dashpot.estimate.linear.gram import regressors
 from dashpot.model.dynamics import modes, response, unit_forces
 from dashpot.model.elements import Element, Kind, between, mass
 from dashpot.model.network import Input, Model

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from dashpot.model.dynamics import modes
-from dashpot.model.modelfile import read_rig
+from dashpot.model.rigfile import read_rig
 
 TRUTH = {
     "m1": 2.0,

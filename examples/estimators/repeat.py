@@ -13,9 +13,9 @@ from make_modes import TRUTH
 
 from dashpot.data.readers import read
 from dashpot.estimate.identify import identify
-from dashpot.estimate.methods import method
+from dashpot.estimate.registry import method
 from dashpot.model.dynamics import response
-from dashpot.model.modelfile import read_rig
+from dashpot.model.rigfile import read_rig
 
 HERE = Path(__file__).parent
 

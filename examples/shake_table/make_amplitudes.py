@@ -12,13 +12,13 @@ import numpy as np
 from scipy.special import fdtrc
 
 from dashpot.channel import Channel
-from dashpot.data.harmonics import spectrum
+from dashpot.data.conditioning.harmonic_fit import spectrum
 from dashpot.data.readers import write_amplitudes
-from dashpot.data.readers.xsens import read_xsens
+from dashpot.data.readers.delimited.xsens import read_xsens
 from dashpot.data.record import Record
 from dashpot.data.spectrum import Spectrum, concatenate
 from dashpot.errors import DashpotError
-from dashpot.model.modelfile import read_rig
+from dashpot.model.rigfile import read_rig
 
 HERE = Path(__file__).parent
 NOMINAL = ("1.0", "1.5", "2.0")  # Hz, as in the names of the files

@@ -11,8 +11,8 @@ from matplotlib.figure import Figure
 from dashpot.data.readers import read
 from dashpot.estimate.identify import identify
 from dashpot.model.dynamics import response
-from dashpot.model.modelfile import read_rig
-from dashpot.present.figures import COLOURS, style
+from dashpot.model.rigfile import read_rig
+from dashpot.present.figures.spectra import COLOURS, style
 
 HERE = Path(__file__).parent
 RIGS = {"rig.toml": "-", "rig_bending.toml": "--"}

@@ -8,14 +8,14 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
-from dashpot.data.harmonics import spectrum
+from dashpot.data.conditioning.harmonic_fit import spectrum
 from dashpot.data.readers import write_amplitudes
-from dashpot.data.readers.lvm import open_lvm
-from dashpot.data.readers.stepped_sine import read_records
+from dashpot.data.readers.delimited.lvm import open_lvm
+from dashpot.data.readers.delimited.stepped_sine import read_records
 from dashpot.data.record import Record
 from dashpot.data.spectrum import Spectrum
 from dashpot.errors import DashpotError
-from dashpot.model.modelfile import read_rig
+from dashpot.model.rigfile import read_rig
 
 HERE = Path(__file__).parent
 LOWEST = 2.0  # Hz

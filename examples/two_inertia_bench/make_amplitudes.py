@@ -13,7 +13,7 @@ from dashpot.data.readers import write_amplitudes
 from dashpot.data.record import Record
 from dashpot.data.spectrum import Spectrum
 from dashpot.errors import DashpotError
-from dashpot.model.modelfile import read_rig
+from dashpot.model.rigfile import read_rig
 
 HERE = Path(__file__).parent
 COLUMNS = {"current": "iq_adx", "theta_m": "theta_mx", "theta_l": "theta_my"}  # A, rad, rad

@@ -17,10 +17,16 @@ if TYPE_CHECKING:
     __version__: str
     from dashpot.channel import Channel, Quantity
     from dashpot.check.residuals import Residuals, residuals
-    from dashpot.data.harmonics import HarmonicFit, fit_harmonics, refine_frequency, settled, spectrum
-    from dashpot.data.modal import ModalData
+    from dashpot.data.conditioning.harmonic_fit import (
+        HarmonicFit,
+        fit_harmonics,
+        refine_frequency,
+        settled,
+        spectrum,
+    )
+    from dashpot.data.modal_data import ModalData
     from dashpot.data.readers import Reading, read, write_amplitudes, write_records
-    from dashpot.data.readers.modal import read_modes
+    from dashpot.data.readers.delimited.modes import read_modes
     from dashpot.data.record import Record
     from dashpot.data.spectrum import Moments, Spectrum, concatenate, merge_repeats
     from dashpot.errors import (
@@ -33,46 +39,46 @@ if TYPE_CHECKING:
         UsageError,
     )
     from dashpot.estimate.comparison import Comparison, compare
-    from dashpot.estimate.estimate import Estimate, Fit, ModeValues, Value
-    from dashpot.estimate.free_matrices import DefiniteOptimalIV, FreeMatrices, matrices_of
     from dashpot.estimate.identify import identify
-    from dashpot.estimate.instruments import InstrumentalVariables, OptimalIV
-    from dashpot.estimate.least_squares import HarmonicLeastSquares, LeastSquares, WeightedLeastSquares
-    from dashpot.estimate.likelihood import MaximumLikelihood
-    from dashpot.estimate.methods import method
-    from dashpot.estimate.modal import identify_modal
-    from dashpot.estimate.total_least_squares import CompensatedLeastSquares, TotalLeastSquares
+    from dashpot.estimate.likelihood.maximum_likelihood import MaximumLikelihood
+    from dashpot.estimate.linear.definite import DefiniteOptimalIV, FreeMatrices, matrices_of
+    from dashpot.estimate.linear.instrumental_variables import InstrumentalVariables, OptimalIV
+    from dashpot.estimate.linear.least_squares import HarmonicLeastSquares, LeastSquares, WeightedLeastSquares
+    from dashpot.estimate.linear.total_least_squares import CompensatedLeastSquares, TotalLeastSquares
+    from dashpot.estimate.modal.identify_modal import identify_modal
+    from dashpot.estimate.registry import method
+    from dashpot.estimate.result import Estimate, Fit, ModeValues, Value
     from dashpot.model.dynamics import Matrices, Modes, matrices, modes, response, sensitivities
     from dashpot.model.elements import Element, Kind, between, mass
-    from dashpot.model.free import free_model
-    from dashpot.model.modelfile import Rig, default_channels, parse_rig, read_rig, write_rig
     from dashpot.model.network import Input, Model, Unknown
+    from dashpot.model.rigfile import Rig, default_channels, parse_rig, read_rig, write_rig
+    from dashpot.model.unstructured import free_model
     from dashpot.study.simulate import Dwells, dwells, simulate_records, simulate_spectrum
 
 _NAMES = {
     "channel": "Channel Quantity",
     "check.residuals": "Residuals residuals",
-    "data.harmonics": "HarmonicFit fit_harmonics refine_frequency settled spectrum",
-    "data.modal": "ModalData",
+    "data.conditioning.harmonic_fit": "HarmonicFit fit_harmonics refine_frequency settled spectrum",
+    "data.modal_data": "ModalData",
     "data.readers": "Reading read write_amplitudes write_records",
-    "data.readers.modal": "read_modes",
+    "data.readers.delimited.modes": "read_modes",
     "data.record": "Record",
     "data.spectrum": "Moments Spectrum concatenate merge_repeats",
     "errors": "ConvergenceError DashpotError DataError IdentifiabilityError ModelError Problem UsageError",
     "estimate.comparison": "Comparison compare",
-    "estimate.estimate": "Estimate Fit ModeValues Value",
-    "estimate.free_matrices": "DefiniteOptimalIV FreeMatrices matrices_of",
+    "estimate.result": "Estimate Fit ModeValues Value",
+    "estimate.linear.definite": "DefiniteOptimalIV FreeMatrices matrices_of",
     "estimate.identify": "identify",
-    "estimate.instruments": "InstrumentalVariables OptimalIV",
-    "estimate.least_squares": "HarmonicLeastSquares LeastSquares WeightedLeastSquares",
-    "estimate.likelihood": "MaximumLikelihood",
-    "estimate.methods": "method",
-    "estimate.modal": "identify_modal",
-    "estimate.total_least_squares": "CompensatedLeastSquares TotalLeastSquares",
+    "estimate.linear.instrumental_variables": "InstrumentalVariables OptimalIV",
+    "estimate.linear.least_squares": "HarmonicLeastSquares LeastSquares WeightedLeastSquares",
+    "estimate.likelihood.maximum_likelihood": "MaximumLikelihood",
+    "estimate.registry": "method",
+    "estimate.modal.identify_modal": "identify_modal",
+    "estimate.linear.total_least_squares": "CompensatedLeastSquares TotalLeastSquares",
     "model.dynamics": "Matrices Modes matrices modes response sensitivities",
     "model.elements": "Element Kind between mass",
-    "model.free": "free_model",
-    "model.modelfile": "Rig default_channels parse_rig read_rig write_rig",
+    "model.unstructured": "free_model",
+    "model.rigfile": "Rig default_channels parse_rig read_rig write_rig",
     "model.network": "Input Model Unknown",
     "study.simulate": "Dwells dwells simulate_records simulate_spectrum",
 }

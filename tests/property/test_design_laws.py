@@ -11,10 +11,10 @@ from hypothesis import strategies as st
 
 from dashpot.channel import Quantity
 from dashpot.design.allocation import Grid, band_grid, natural_band, optimise, value
-from dashpot.design.bench import Bench, Limits, bench
-from dashpot.design.goals import Goal, MeanError, Targets, Volume, WorstError
+from dashpot.design.criteria import Goal, MeanError, Targets, Volume, WorstError
 from dashpot.design.plan import Budget, plan
-from dashpot.design.robust import Box, in_the_worst_case, worst_scenario
+from dashpot.design.robust import UniformBox, in_the_worst_case, worst_scenario
+from dashpot.design.test_setup import Bench, Limits, bench
 from dashpot.errors import UsageError
 from tests.rigs import channels, random_rig
 
@@ -142,9 +142,9 @@ def test_robust_beats_nominal_in_the_worst_case() -> None:
             return band_grid(wide, low, high)
 
         nominal = plan(own, MeanError(), Budget(samples=1e4), grid_of(own))
-        safe = in_the_worst_case(own, MeanError(), Budget(samples=1e4), Box(0.3), grid_of)
+        safe = in_the_worst_case(own, MeanError(), Budget(samples=1e4), UniformBox(0.3), grid_of)
         before, after = (
-            worst_scenario(safe.bench, MeanError(), lines, Box(0.3), count=600, seed=99)[0]
+            worst_scenario(safe.bench, MeanError(), lines, UniformBox(0.3), count=600, seed=99)[0]
             for lines in (nominal.lines, safe.plan.lines)
         )
         ratios.append(before / after)

@@ -13,15 +13,15 @@ from hypothesis import strategies as st
 from dashpot.channel import Channel, Quantity
 from dashpot.data.spectrum import Spectrum
 from dashpot.errors import DashpotError, DataError, IdentifiabilityError
-from dashpot.estimate.auxiliary import auxiliary
-from dashpot.estimate.estimate import Estimate
 from dashpot.estimate.identify import identify
-from dashpot.estimate.instruments import InstrumentalVariables, OptimalIV
-from dashpot.estimate.least_squares import HarmonicLeastSquares, WeightedLeastSquares
+from dashpot.estimate.linear.auxiliary_model import auxiliary
+from dashpot.estimate.linear.gram import known_side, regressors
+from dashpot.estimate.linear.instrumental_variables import InstrumentalVariables, OptimalIV
+from dashpot.estimate.linear.least_squares import HarmonicLeastSquares, WeightedLeastSquares
+from dashpot.estimate.linear.total_least_squares import CompensatedLeastSquares, TotalLeastSquares
 from dashpot.estimate.method import Method
-from dashpot.estimate.regression import known_side, regressors
-from dashpot.estimate.states import states
-from dashpot.estimate.total_least_squares import CompensatedLeastSquares, TotalLeastSquares
+from dashpot.estimate.preparation.state_reconstruction import states
+from dashpot.estimate.result import Estimate
 from dashpot.model.dynamics import unit_forces
 from dashpot.model.elements import Kind
 from dashpot.model.network import Model

@@ -10,10 +10,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dashpot.channel import Quantity
-from dashpot.data.harmonics import spectrum
+from dashpot.data.conditioning.harmonic_fit import spectrum
 from dashpot.estimate.identify import identify
-from dashpot.estimate.instruments import InstrumentalVariables, OptimalIV
-from dashpot.estimate.least_squares import HarmonicLeastSquares, LeastSquares, WeightedLeastSquares
+from dashpot.estimate.linear.instrumental_variables import InstrumentalVariables, OptimalIV
+from dashpot.estimate.linear.least_squares import HarmonicLeastSquares, LeastSquares, WeightedLeastSquares
 from dashpot.estimate.method import Method
 from dashpot.model.elements import Kind
 from tests.rigs import Rig, channels, covariance, perfect, random_rig, records

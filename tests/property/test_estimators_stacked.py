@@ -12,11 +12,11 @@ from hypothesis import strategies as st
 
 from dashpot.arrays import Complex, Real
 from dashpot.channel import Quantity
-from dashpot.data.harmonics import spectrum
+from dashpot.data.conditioning.harmonic_fit import spectrum
 from dashpot.data.record import Record
 from dashpot.estimate.identify import identify
-from dashpot.estimate.instruments import InstrumentalVariables
-from dashpot.estimate.least_squares import LeastSquares
+from dashpot.estimate.linear.instrumental_variables import InstrumentalVariables
+from dashpot.estimate.linear.least_squares import LeastSquares
 from dashpot.model.elements import Kind
 from tests.rigs import Rig, channels, paper_rig, random_rig, records
 

@@ -10,10 +10,10 @@ from hypothesis import strategies as st
 
 from dashpot.channel import Channel, Quantity
 from dashpot.estimate.identify import _flatten, identify
-from dashpot.estimate.instruments import OptimalIV
-from dashpot.estimate.likelihood import MaximumLikelihood, local
+from dashpot.estimate.likelihood.maximum_likelihood import MaximumLikelihood, local
+from dashpot.estimate.likelihood.objective import measured, observation_model
+from dashpot.estimate.linear.instrumental_variables import OptimalIV
 from dashpot.estimate.method import Prepared
-from dashpot.estimate.output import measured, outlook
 from tests.partly_seen import Bench
 from tests.rigs import channels, covariance, noisy, random_rig
 
@@ -73,7 +73,7 @@ def test_slopes_of_the_likelihood(seed, n, inputs):
     # Force channels of exact inputs are seldom exact themselves.
     bench = replace(bench, noise={k: v for k, v in bench.noise.items() if not k.startswith("force ")})
     flat = _flatten(bench.spectrum(rng, 1, 0.3))
-    view = outlook(bench.model, flat.channels, flat.omega)
+    view = observation_model(bench.model, flat.channels, flat.omega)
     given_data = measured(Prepared(bench.model, flat, flat.covariance, None), view)
     sign = np.array([[bench.signs.get(channel.name, 1.0) for channel in bench.channels]])
     psi = (bench.psi * np.exp(0.01 * rng.standard_normal(len(bench.psi))))[None]
@@ -164,7 +164,7 @@ def test_a_valley_past_which_logarithms_lead():
     bench = replace(bench, noise={"": 0.01, "at u1": 0.0})
     spectrum = bench.spectrum(rng)
     flat = _flatten(spectrum)
-    view = outlook(bench.model, flat.channels, flat.omega)
+    view = observation_model(bench.model, flat.channels, flat.omega)
     data = measured(Prepared(bench.model, flat, flat.covariance, None), view)
     sign = np.ones((1, len(bench.channels)))
     found = identify(bench.model, spectrum, MaximumLikelihood())

@@ -9,10 +9,10 @@ from hypothesis import strategies as st
 
 from dashpot.channel import Channel, Quantity
 from dashpot.errors import ModelError, Problem
+from dashpot.io.toml_document import Lines
 from dashpot.model.elements import Element, Kind
-from dashpot.model.modelfile import SECTIONS, Rig, parse_rig, write_rig
 from dashpot.model.network import Input, Model
-from dashpot.model.tomllines import Lines
+from dashpot.model.rigfile import SECTIONS, Rig, parse_rig, write_rig
 from dashpot.units import scale
 
 NAMES = st.one_of(

@@ -8,13 +8,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from dashpot.data.harmonics import spectrum
+from dashpot.data.conditioning.harmonic_fit import spectrum
 from dashpot.data.readers import read
-from dashpot.data.readers.xsens import read_xsens
-from dashpot.estimate.estimate import Estimate
+from dashpot.data.readers.delimited.xsens import read_xsens
 from dashpot.estimate.identify import identify
-from dashpot.model.modelfile import read_rig
-from dashpot.present.tables import fit_in_words, parameter_table
+from dashpot.estimate.result import Estimate
+from dashpot.model.rigfile import read_rig
+from dashpot.present.tables.estimate import fit_in_words, parameter_table
 
 ROOT = Path(__file__).resolve().parents[2]
 EXAMPLE = ROOT / "examples" / "shake_table"

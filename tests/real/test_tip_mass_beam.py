@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from dashpot.data.readers import read
-from dashpot.estimate.estimate import Estimate
 from dashpot.estimate.identify import identify
-from dashpot.model.modelfile import read_rig
+from dashpot.estimate.result import Estimate
+from dashpot.model.rigfile import read_rig
 
 ROOT = Path(__file__).resolve().parents[2]
 EXAMPLE = ROOT / "examples" / "tip_mass_beam"

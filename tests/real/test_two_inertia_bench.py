@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from dashpot.data.readers import read
-from dashpot.estimate.estimate import Estimate
 from dashpot.estimate.identify import automatic, identify
-from dashpot.estimate.likelihood import MaximumLikelihood
-from dashpot.model.modelfile import read_rig
+from dashpot.estimate.likelihood.maximum_likelihood import MaximumLikelihood
+from dashpot.estimate.result import Estimate
+from dashpot.model.rigfile import read_rig
 
 ROOT = Path(__file__).resolve().parents[2]
 EXAMPLE = ROOT / "examples" / "two_inertia_bench"

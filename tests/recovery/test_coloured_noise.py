@@ -11,11 +11,11 @@ from scipy.signal import lfilter
 from scipy.special import stdtrit
 
 from dashpot.channel import Channel, Quantity
-from dashpot.data.harmonics import spectrum
+from dashpot.data.conditioning.harmonic_fit import spectrum
 from dashpot.data.record import Record
 from dashpot.data.spectrum import Spectrum
-from dashpot.estimate.estimate import Estimate
 from dashpot.estimate.identify import identify
+from dashpot.estimate.result import Estimate
 from dashpot.model.dynamics import response
 from dashpot.model.elements import Element, Kind, between, mass
 from dashpot.model.network import Input, Model

@@ -8,11 +8,11 @@ import pytest
 from benchmarks import sequential_design
 from dashpot.channel import Channel, Quantity
 from dashpot.design.allocation import band_grid
-from dashpot.design.bench import Bench, Limits, bench
-from dashpot.design.goals import MeanError
+from dashpot.design.criteria import MeanError
 from dashpot.design.plan import Budget, Lines, compare, even_lines, frequencies_of, plan
+from dashpot.design.test_setup import Bench, Limits, bench
 from dashpot.estimate.identify import identify
-from dashpot.estimate.instruments import InstrumentalVariables
+from dashpot.estimate.linear.instrumental_variables import InstrumentalVariables
 from dashpot.estimate.method import Method
 from dashpot.study.simulate import dwells, simulate_spectrum
 from tests.rigs import paper_rig

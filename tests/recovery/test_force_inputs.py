@@ -20,15 +20,15 @@ import pytest
 from dashpot.app.cli import run
 from dashpot.arrays import Complex, Real
 from dashpot.channel import Quantity
-from dashpot.data.harmonics import spectrum as spectrum_of
+from dashpot.data.conditioning.harmonic_fit import spectrum as spectrum_of
 from dashpot.data.record import Record
 from dashpot.data.spectrum import Spectrum
-from dashpot.estimate.estimate import Estimate
 from dashpot.estimate.identify import identify
-from dashpot.estimate.instruments import InstrumentalVariables, OptimalIV
-from dashpot.estimate.least_squares import HarmonicLeastSquares, LeastSquares, WeightedLeastSquares
-from dashpot.estimate.likelihood import MaximumLikelihood
+from dashpot.estimate.likelihood.maximum_likelihood import MaximumLikelihood
+from dashpot.estimate.linear.instrumental_variables import InstrumentalVariables, OptimalIV
+from dashpot.estimate.linear.least_squares import HarmonicLeastSquares, LeastSquares, WeightedLeastSquares
 from dashpot.estimate.method import Method
+from dashpot.estimate.result import Estimate
 from dashpot.model.dynamics import response
 from dashpot.model.elements import Element, Kind, between, mass
 from dashpot.model.network import Input, Model

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from dashpot.estimate.identify import identify
-from dashpot.estimate.likelihood import MaximumLikelihood
+from dashpot.estimate.likelihood.maximum_likelihood import MaximumLikelihood
 from tests.partly_seen import two
 
 DRAWS = 4000

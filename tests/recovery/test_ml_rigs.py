@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from dashpot.estimate.identify import identify
-from dashpot.estimate.likelihood import MaximumLikelihood
+from dashpot.estimate.likelihood.maximum_likelihood import MaximumLikelihood
 from tests.partly_seen import BENCHES
 
 DRAWS = 4000

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from dashpot.data.modal import ModalData
-from dashpot.estimate.modal import identify_modal, mode_sensitivities
+from dashpot.data.modal_data import ModalData
+from dashpot.estimate.modal.identify_modal import identify_modal, mode_sensitivities
 from dashpot.model.dynamics import modes
 from tests.rigs import PAPER_KINDS, Rig, random_rig
 

@@ -10,9 +10,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from dashpot.reproduce.yamane1989.findings import printed, rms_spread, tables
 from dashpot.study import montecarlo
-from dashpot.study.plan import scenarios
-from dashpot.study.yamane1989 import printed, rms_spread, tables
+from dashpot.study.scenario import scenarios
 
 DRAWS = 4000
 SEED = 2

@@ -10,7 +10,7 @@ import pytest
 
 from dashpot.check.profile import profile
 from dashpot.estimate.identify import identify
-from dashpot.estimate.likelihood import MaximumLikelihood
+from dashpot.estimate.likelihood.maximum_likelihood import MaximumLikelihood
 from dashpot.model.elements import Kind, between, mass
 from dashpot.model.network import Input, Model
 from tests.rigs import Rig, amplitudes, channels, noisy

@@ -13,10 +13,10 @@ import pytest
 
 from dashpot.channel import Quantity
 from dashpot.data.spectrum import Spectrum
-from dashpot.estimate.estimate import Estimate
 from dashpot.estimate.identify import identify
-from dashpot.estimate.instruments import InstrumentalVariables, OptimalIV
-from dashpot.estimate.least_squares import HarmonicLeastSquares, WeightedLeastSquares
+from dashpot.estimate.linear.instrumental_variables import InstrumentalVariables, OptimalIV
+from dashpot.estimate.linear.least_squares import HarmonicLeastSquares, WeightedLeastSquares
+from dashpot.estimate.result import Estimate
 from tests.rigs import Rig, channels, covariance, noisy, random_rig
 
 D, V, A = Quantity.DISPLACEMENT, Quantity.VELOCITY, Quantity.ACCELERATION

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, TypedDict, TypeVar
 import click
 
 if TYPE_CHECKING:
-    from dashpot.data.harmonics import Noise
+    from dashpot.data.conditioning.harmonic_fit import Noise
     from dashpot.data.readers import Reading
     from dashpot.data.spectrum import Spectrum
 

@@ -18,8 +18,6 @@ import numpy as np
 
 from dashpot.arrays import Ints, Real, frozen
 from dashpot.channel import Channel, Quantity
-from dashpot.check import finite_field as field
-from dashpot.check.finite_field import PRIME
 from dashpot.check.scale import require_scale
 from dashpot.check.structure import (
     Draw,
@@ -36,6 +34,8 @@ from dashpot.data.spectrum import Spectrum
 from dashpot.errors import IdentifiabilityError, Problem
 from dashpot.model.elements import Kind
 from dashpot.model.network import Model, listed
+from dashpot.numerics import finite_field as field
+from dashpot.numerics.finite_field import PRIME
 
 Sort = Literal["unseen", "sum", "scale", "series", "mixed", "lines"]
 

@@ -11,13 +11,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from dashpot.arrays import Bools, Ints, Real, frozen
-from dashpot.check.surface import Surface, surface
+from dashpot.check.chi2_surface import Surface, surface
 from dashpot.data.spectrum import Spectrum
 from dashpot.errors import UsageError
-from dashpot.estimate.estimate import Estimate
 from dashpot.estimate.identify import identify
-from dashpot.estimate.search import Local, minimise
+from dashpot.estimate.result import Estimate
 from dashpot.model.network import Model
+from dashpot.numerics.levenberg_marquardt import QuadraticModel, minimise
 
 MISLEADS = 0.1  # of the normal interval's length by which an end may be off
 FRACTIONS = (0.25, 0.5, 0.75, 1.0)  # of the normal half-length, the first steps outwards
@@ -139,10 +139,10 @@ class _Walk:
             psi[:, j] = value[which]
             return psi
 
-        def evaluate(x: Real, which: Ints) -> Local:
+        def evaluate(x: Real, which: Ints) -> QuadraticModel:
             here = base.at(whole(x, which), rows[which])
             matrix = here.symmetric[:, others][:, :, others]
-            return Local(here.cost, here.gradient[:, others], matrix, matrix)
+            return QuadraticModel(here.cost, here.gradient[:, others], matrix, matrix)
 
         found = minimise(
             evaluate, start[:, others], limit=60, tolerance=1e-4,

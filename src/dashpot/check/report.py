@@ -5,10 +5,10 @@ from __future__ import annotations
 import math
 from typing import Any
 
+from dashpot.check.collinearity import Weakness
 from dashpot.check.identifiability import Structure
 from dashpot.check.profile import Profile
 from dashpot.check.sensitivity import KnownErrors
-from dashpot.check.weakness import Weakness
 from dashpot.data.spectrum import Spectrum
 
 FORMAT = "0.1"

@@ -16,8 +16,8 @@ from dashpot.arrays import Complex, Ints, Real, frozen, hermitian
 from dashpot.channel import Channel, Quantity
 from dashpot.data.spectrum import Spectrum
 from dashpot.errors import DataError
-from dashpot.estimate.estimate import Estimate
-from dashpot.estimate.states import noise_is_known, working_covariance
+from dashpot.estimate.preparation.state_reconstruction import noise_is_known, working_covariance
+from dashpot.estimate.result import Estimate
 from dashpot.model.dynamics import response, unit_forces
 from dashpot.model.network import Model
 

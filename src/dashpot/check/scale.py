@@ -10,7 +10,7 @@ from collections.abc import Sequence
 
 from dashpot.channel import Channel, Quantity
 from dashpot.errors import IdentifiabilityError, Problem
-from dashpot.estimate.states import is_direct
+from dashpot.estimate.preparation.state_reconstruction import is_direct
 from dashpot.model.network import Model, listed
 
 

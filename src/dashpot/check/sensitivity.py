@@ -11,16 +11,16 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from dashpot.arrays import Real, frozen
-from dashpot.check.surface import surface
+from dashpot.check.chi2_surface import surface
 from dashpot.data.spectrum import Spectrum
 from dashpot.errors import UsageError
-from dashpot.estimate.estimate import Estimate
 from dashpot.estimate.identify import automatic, identify
-from dashpot.estimate.likelihood import local
+from dashpot.estimate.likelihood.maximum_likelihood import local
+from dashpot.estimate.likelihood.objective import observation_model
 from dashpot.estimate.method import Method
-from dashpot.estimate.output import outlook
-from dashpot.estimate.regression import solve_scaled
+from dashpot.estimate.result import Estimate
 from dashpot.model.network import Model
+from dashpot.numerics.small_systems import solve_scaled
 
 STEP = 1e-4  # of a parameter, in differences of the slope and between identifications
 
@@ -92,7 +92,7 @@ def _from_slopes(
         model,
         elements=tuple(replace(e, value=None) if e.name in exact else e for e in model.elements),
     )
-    view = outlook(freed, spectrum.channels, spectrum.omega)
+    view = observation_model(freed, spectrum.channels, spectrum.omega)
     values = {e.name: e.value for e in model.elements} | dict(zip(base.view.names, base.psi[0], strict=True))
     psi = np.array([values[name] for name in view.names], dtype=float)
     size = np.where(psi == 0, 1.0, np.abs(psi))

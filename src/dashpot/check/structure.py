@@ -14,14 +14,14 @@ import numpy as np
 
 from dashpot.arrays import Bools, Ints, Real
 from dashpot.channel import Channel, Quantity
-from dashpot.check import finite_field as field
-from dashpot.check.finite_field import PRIME, ROOT
-from dashpot.check.sizes import typical
 from dashpot.data.spectrum import Spectrum
 from dashpot.errors import IdentifiabilityError
-from dashpot.estimate.output import Measured, Outlook, outlook, predict
+from dashpot.estimate.likelihood.objective import Measured, ObservationModel, observation_model, predict
 from dashpot.model.elements import Kind
 from dashpot.model.network import Model, listed
+from dashpot.model.typical_values import typical
+from dashpot.numerics import finite_field as field
+from dashpot.numerics.finite_field import PRIME, ROOT
 
 GOLDEN = 0.6180339887498949
 
@@ -80,9 +80,9 @@ class Draw:
     psi: Ints
 
 
-def view_of(model: Model, channels: Sequence[Channel]) -> Outlook:
+def view_of(model: Model, channels: Sequence[Channel]) -> ObservationModel:
     """The constants of the channels, at no frequency in particular."""
-    return outlook(model, channels, np.ones(1))
+    return observation_model(model, channels, np.ones(1))
 
 
 def exact(model: Model, channels: Sequence[Channel], lines: Lines, rng: np.random.Generator) -> Draw:
@@ -132,7 +132,7 @@ def exact(model: Model, channels: Sequence[Channel], lines: Lines, rng: np.rando
 def _channels(
     model: Model,
     channels: Sequence[Channel],
-    view: Outlook,
+    view: ObservationModel,
     p: Ints,
     law: Ints,
     s: Ints,
@@ -265,7 +265,7 @@ def floating(
     omega = grid[lines.frequency]
     shape = lines.driven.shape
     q = np.exp(rng.uniform(-0.5, 0.5, shape) + 2j * np.pi * rng.random(shape)) * lines.driven
-    view = outlook(model, channels, omega)
+    view = observation_model(model, channels, omega)
     inputs, count = q.shape[-1], len(channels)
     one = np.zeros((inputs + 1, len(omega), inputs), dtype=complex)
     one[np.arange(inputs), :, np.arange(inputs)] = 1.0

@@ -12,7 +12,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from dashpot.data.harmonics import calibration, fit_harmonics
+from dashpot.data.conditioning.harmonic_fit import calibration, fit_harmonics
 from dashpot.data.record import Record
 from dashpot.data.spectrum import Spectrum
 from dashpot.errors import DataError

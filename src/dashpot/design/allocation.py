@@ -15,8 +15,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from dashpot.arrays import Ints, Real
-from dashpot.design.bench import UNDAMPED, Bench
-from dashpot.design.goals import Terms
+from dashpot.design.criteria import Terms
+from dashpot.design.test_setup import UNDAMPED, Bench
 from dashpot.errors import IdentifiabilityError, UsageError
 
 Information = Callable[[Real, Ints], Real]  # (frequencies, patterns) → (scenarios, lines, q, q)

@@ -17,9 +17,10 @@ from dashpot.arrays import Bools, Complex, Real, hermitian
 from dashpot.channel import Channel, Quantity
 from dashpot.data.spectrum import Spectrum
 from dashpot.errors import DataError, UsageError
-from dashpot.estimate.states import measurement
-from dashpot.model.dynamics import dynamic_stiffness, input_stiffness, solve, unit_forces
+from dashpot.estimate.preparation.state_reconstruction import measurement
+from dashpot.model.dynamics import dynamic_stiffness, input_stiffness, unit_forces
 from dashpot.model.network import Model
+from dashpot.numerics.small_systems import solve_small
 
 NONE = 1e-9  # of a channel's largest sensitivity: below it, a channel does not see the parameters
 
@@ -62,14 +63,14 @@ def outputs(model: Model, p: Real, channels: Sequence[Channel], omega: Real, dri
     into = np.concatenate(
         [into, np.broadcast_to(model.S.astype(complex), (*into.shape[:-1], model.S.shape[1]))], axis=-1
     )
-    by_drive = solve(stiffness, into)
+    by_drive = solve_small(stiffness, into)
     X = np.einsum("...ij,...j->...i", by_drive, drive)
     U, f = drive[..., :r], drive[..., r:]
     U = np.broadcast_to(U, (*X.shape[:-1], r))
     a = unit_forces(model, omega, X, U)
     # ∂X/∂θ directly: one right side an unknown, not one an element.
     pull = (model.B.T * a[..., None, :]) @ model.T
-    slope = -solve(stiffness, pull)
+    slope = -solve_small(stiffness, pull)
     C = np.broadcast_to(
         _direct(model, channels, omega), (*X.shape[:-1], len(channels), n + drive.shape[-1])
     ).copy()

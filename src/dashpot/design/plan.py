@@ -13,12 +13,12 @@ import numpy as np
 from dashpot.arrays import Complex, Ints, Real, frozen
 from dashpot.data.spectrum import Spectrum
 from dashpot.design.allocation import Allocation, Grid, clusters, optimise, value, weigh
-from dashpot.design.bench import Bench
-from dashpot.design.goals import Doubt, Goal, MeanError, Terms
+from dashpot.design.criteria import Doubt, Goal, MeanError, Terms
 from dashpot.design.information import calibrations, noise_sd
+from dashpot.design.test_setup import Bench
 from dashpot.errors import DashpotError, IdentifiabilityError, UsageError
 from dashpot.estimate.identify import identify
-from dashpot.estimate.instruments import InstrumentalVariables
+from dashpot.estimate.linear.instrumental_variables import InstrumentalVariables
 
 MIN_SAMPLES = 8  # of a dwell: offset, drift and a harmonic leave some residual
 SIMPLER = 1e-4  # of the variance: what it may cost to join dwells that crowd around one frequency

@@ -15,11 +15,11 @@ import numpy as np
 
 from dashpot.arrays import Real, frozen
 from dashpot.design.allocation import Grid, optimise, value
-from dashpot.design.bench import Bench
-from dashpot.design.goals import Goal
+from dashpot.design.criteria import Goal
 from dashpot.design.plan import Budget, Lines, Plan, plan, shortest
+from dashpot.design.test_setup import Bench
 from dashpot.errors import UsageError
-from dashpot.estimate.estimate import Estimate
+from dashpot.estimate.result import Estimate
 from dashpot.model.network import Model
 
 CLOSE = 2e-3  # a scenario worse by less than this part of the variance ends the search
@@ -29,7 +29,7 @@ NOTHING = Lines(np.zeros(0), np.zeros(0, dtype=np.int64), np.zeros(0))  # the te
 
 
 @dataclass(frozen=True)
-class Box:
+class UniformBox:
     """Every unknown lies within value · (1 ± doubt); doubt (unknowns,) or one for all."""
 
     doubt: Real | float
@@ -53,7 +53,7 @@ class Box:
 
 
 @dataclass(frozen=True)
-class Cloud:
+class GaussianPrior:
     """The unknowns are normal about their values with this covariance (unknowns, unknowns), SI units."""
 
     covariance: Real
@@ -70,14 +70,14 @@ class Cloud:
         return np.where(small, 0.1 * nominal, theta)
 
 
-def box_of(model: Model, nominal: Real, doubt: float) -> Box:
+def uniform_box_of(model: Model, nominal: Real, doubt: float) -> UniformBox:
     """The same doubt in every unknown; of one that the rig file knows with an sd, no more than 1.96 sd."""
     size = np.where(nominal == 0, 1.0, np.abs(nominal))
     known = np.array([np.inf if u.sd is None else 1.96 * u.sd for u in model.unknowns])
-    return Box(np.minimum(doubt, known / size))
+    return UniformBox(np.minimum(doubt, known / size))
 
 
-def cloud_of(model: Model, estimate: Estimate) -> Cloud:
+def gaussian_prior_of(model: Model, estimate: Estimate) -> GaussianPrior:
     """The doubt that an estimate leaves in the unknowns of the rig, by their names.
 
     Raises UsageError where it is of other unknowns, or has no finite covariance.
@@ -92,10 +92,10 @@ def cloud_of(model: Model, estimate: Estimate) -> Cloud:
     covariance = estimate.covariance[np.ix_(i, i)]
     if not np.all(np.isfinite(covariance)):
         raise UsageError("the estimate's covariance is not finite", cure="say the doubt with --doubt 30%")
-    return Cloud(covariance)
+    return GaussianPrior(covariance)
 
 
-def slowest_settling(bench: Bench, prior: Box | Cloud, seed: int = 0) -> float:
+def slowest_settling(bench: Bench, prior: UniformBox | GaussianPrior, seed: int = 0) -> float:
     """Settling time of the slowest of several scenarios, s.  Raises UsageError where one never settles."""
     nominal = bench.theta[0]
     drawn = prior.draw(nominal, SLOW, np.random.default_rng(seed))
@@ -121,7 +121,7 @@ def on_average(
     bench: Bench,
     goal: Goal,
     budget: Budget,
-    prior: Box | Cloud,
+    prior: UniformBox | GaussianPrior,
     grid_of: Callable[[Bench], Grid],
     *,
     target: float | None = None,
@@ -152,7 +152,7 @@ def in_the_worst_case(
     bench: Bench,
     goal: Goal,
     budget: Budget,
-    prior: Box | Cloud,
+    prior: UniformBox | GaussianPrior,
     grid_of: Callable[[Bench], Grid],
     *,
     known: Real | None = None,
@@ -188,7 +188,7 @@ def shortest_in_the_worst_case(
     goal: Goal,
     target: float,
     budget: Budget,
-    prior: Box | Cloud,
+    prior: UniformBox | GaussianPrior,
     grid_of: Callable[[Bench], Grid],
     *,
     known: Real | None = None,
@@ -233,7 +233,7 @@ def worst_scenario(
     bench: Bench,
     goal: Goal,
     lines: Lines,
-    prior: Box | Cloud,
+    prior: UniformBox | GaussianPrior,
     *,
     known: Real | None = None,
     count: int = 192,
@@ -261,7 +261,7 @@ def worst_scenario(
         return F
 
     pool = np.concatenate([bench.theta, prior.draw(nominal, count, rng)])
-    if isinstance(prior, Box):
+    if isinstance(prior, UniformBox):
         width = prior.width(nominal)
         if len(nominal) <= 6:
             signs = np.array(np.meshgrid(*[[-1.0, 1.0]] * len(nominal))).reshape(len(nominal), -1).T
@@ -272,7 +272,7 @@ def worst_scenario(
     F = badness(pool)
     top = int(np.argmax(F))
     at, most = pool[top], float(F[top])
-    if isinstance(prior, Box):
+    if isinstance(prior, UniformBox):
         for radius in (1.0, 0.5, 0.25, 0.1, 0.04):
             steps = radius * width * rng.uniform(-1, 1, (32, len(nominal)))
             steps *= rng.random((32, len(nominal))) < 0.5

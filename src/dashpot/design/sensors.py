@@ -11,8 +11,8 @@ import numpy as np
 
 from dashpot.arrays import Real
 from dashpot.design.allocation import Grid, optimise
-from dashpot.design.bench import Bench
-from dashpot.design.goals import Doubt, Goal
+from dashpot.design.criteria import Doubt, Goal
+from dashpot.design.test_setup import Bench
 from dashpot.errors import IdentifiabilityError, UsageError
 
 EXACT = 300  # sets that are all tried

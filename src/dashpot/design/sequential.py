@@ -11,12 +11,12 @@ import numpy as np
 from dashpot.arrays import Ints, Real, frozen
 from dashpot.channel import Channel, Quantity
 from dashpot.data.spectrum import Spectrum
-from dashpot.design.bench import Bench
+from dashpot.design.test_setup import Bench
 from dashpot.errors import DashpotError, IdentifiabilityError, UsageError
-from dashpot.estimate.estimate import Estimate
 from dashpot.estimate.identify import automatic, identify
-from dashpot.estimate.likelihood import MaximumLikelihood
+from dashpot.estimate.likelihood.maximum_likelihood import MaximumLikelihood
 from dashpot.estimate.method import Method
+from dashpot.estimate.result import Estimate
 from dashpot.model.network import Model
 
 ROUNDING = 1e-12  # of the eigenvalues of a correlation matrix

@@ -6,13 +6,13 @@ import json
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 
-from dashpot.data.modal import ModalData
+from dashpot.data.modal_data import ModalData
 from dashpot.data.spectrum import Spectrum
 from dashpot.errors import DashpotError, UsageError
-from dashpot.estimate.estimate import FORMAT, Estimate
 from dashpot.estimate.identify import identify
 from dashpot.estimate.method import Method
-from dashpot.estimate.modal import NAME, identify_modal
+from dashpot.estimate.modal.identify_modal import NAME, identify_modal
+from dashpot.estimate.result import FORMAT, Estimate
 from dashpot.model.network import Model
 
 EFFICIENT = ("ml", "oiv", "oiv+")

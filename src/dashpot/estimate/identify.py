@@ -11,12 +11,18 @@ from scipy.special import bdtrc
 from dashpot.arrays import Complex, Real
 from dashpot.data.spectrum import Moments, Spectrum
 from dashpot.errors import DataError, IdentifiabilityError
-from dashpot.estimate.covariance import channels_correlate, without_correlation
-from dashpot.estimate.estimate import Estimate, Fit, ModeValues
-from dashpot.estimate.instruments import OptimalIV, likeliest
-from dashpot.estimate.likelihood import MaximumLikelihood
+from dashpot.estimate.inference.diagnostics import (
+    dead_channels,
+    duplicated_lines,
+    prior_conflict,
+    reversed_phase,
+)
+from dashpot.estimate.inference.uncertainty import ROUNDING, Judged, Worth, judge, worth
+from dashpot.estimate.likelihood.maximum_likelihood import MaximumLikelihood
+from dashpot.estimate.linear.instrumental_variables import OptimalIV, likeliest
 from dashpot.estimate.method import Limits, Method, Prepared, Solution
-from dashpot.estimate.states import (
+from dashpot.estimate.preparation.noise_quality import channels_correlate, without_correlation
+from dashpot.estimate.preparation.state_reconstruction import (
     channels_present,
     is_direct,
     noise_is_known,
@@ -24,11 +30,10 @@ from dashpot.estimate.states import (
     unseen,
     working_covariance,
 )
-from dashpot.estimate.suspects import contradicted, silent, turned, twice
-from dashpot.estimate.worth import ROUNDING, Judged, Worth, judge, worth
+from dashpot.estimate.result import Estimate, Fit, ModeValues
 from dashpot.model.dynamics import matrices, modes
-from dashpot.model.free import free_entries, free_names
 from dashpot.model.network import Model
+from dashpot.model.unstructured import free_entries, free_names
 
 ZERO = 1.96  # standard deviations within which a negative part may be none
 BIASED = 3.0  # standard deviations
@@ -55,7 +60,7 @@ def identify(
     """
     _check(model, spectrum)
     if isinstance(method, str):
-        from dashpot.estimate.methods import method as named  # it imports the estimators, one by one
+        from dashpot.estimate.registry import method as named  # it imports the estimators, one by one
 
         method = named(method)
     chosen = automatic(model, spectrum) if method is None else method
@@ -211,15 +216,17 @@ def _assemble(
     chi2, p = join([part.worth.chi2 for part in parts]), join([part.worth.p for part in parts])
     fit = Fit(chi2, judged.dof, p, known_noise)
     if single:
-        require_determined(judged.names, theta, noise, silent(model, spectrum))
+        require_determined(judged.names, theta, noise, dead_channels(model, spectrum))
     misfit = bool(np.any(fit.rejected))
     warnings = list(dict.fromkeys(w for part in parts for w in part.solution.warnings))
     if single:
-        warnings += _warnings(model, theta, covariance, fit, known_noise) + turned(model, theta, noise)
-        warnings += contradicted(model, theta, noise) if method.efficient or method.by_output else []
+        warnings += _warnings(model, theta, covariance, fit, known_noise) + reversed_phase(
+            model, theta, noise
+        )
+        warnings += prior_conflict(model, theta, noise) if method.efficient or method.by_output else []
     limits = parts[0].solution.limits
     warnings += held(judged.names, theta, limits) if single and limits is not None else []
-    warnings += _colour(spectrum) + _left_out(model, spectrum) + twice(spectrum)
+    warnings += _colour(spectrum) + _left_out(model, spectrum) + duplicated_lines(spectrum)
     m = len(model.unknowns)
     return Estimate(
         model=model.name,
@@ -258,17 +265,17 @@ def _free_values(solution: Solution) -> Real:
 
 
 def require_determined(
-    names: tuple[str, ...], theta: Real, covariance: Real, silent: Sequence[str] = ()
+    names: tuple[str, ...], theta: Real, covariance: Real, dead: Sequence[str] = ()
 ) -> None:
-    """Raises IdentifiabilityError, which names `silent` channels, where an unknown has no finite interval."""
+    """Raises IdentifiabilityError, which names `dead` channels, where an unknown has no finite interval."""
     variance = np.diagonal(covariance)
     if np.all(np.isfinite(theta)) and np.all(np.isfinite(variance)) and np.all(variance >= 0):
         return
     lost = [name for name, v in zip(names, variance, strict=True) if not np.isfinite(v)]
-    if silent:
+    if dead:
         raise IdentifiabilityError(
-            f"the data do not determine {', '.join(lost) if lost else 'the unknowns'}, for {', '.join(silent)} "
-            f"show{'s' if len(silent) == 1 else ''} no motion at any line",
+            f"the data do not determine {', '.join(lost) if lost else 'the unknowns'}, for {', '.join(dead)} "
+            f"show{'s' if len(dead) == 1 else ''} no motion at any line",
             cure="see whether the sensor is connected, or leave the channel out of the rig file",
         )
     raise IdentifiabilityError(

@@ -11,7 +11,7 @@ import numpy as np
 
 from dashpot.arrays import Bools, Complex, Ints, Real
 from dashpot.data.spectrum import Spectrum
-from dashpot.estimate.states import States
+from dashpot.estimate.preparation.state_reconstruction import States
 from dashpot.model.network import Model
 
 

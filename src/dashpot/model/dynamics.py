@@ -7,13 +7,13 @@ parameters p, (..., elements), and on the amplitudes; `omega` is (lines,) in rad
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import cast
 
 import numpy as np
 
 from dashpot.arrays import Bools, Complex, Real
 from dashpot.errors import ModelError
 from dashpot.model.network import Model
+from dashpot.numerics.small_systems import solve_small
 
 
 @dataclass(frozen=True)
@@ -74,37 +74,6 @@ def input_stiffness(model: Model, p: Real, omega: Real) -> Complex:
     return -stiffness(model, p, omega)[..., model.n :]
 
 
-def solve(matrix: Complex, right: Complex) -> Complex:
-    """matrix⁻¹ right for stacks of small matrices (..., n, n) and right sides (..., n, k); NaN where singular.
-
-    One- and two-row systems are solved by formula: a stack of a million of them costs as much as ten thousand calls
-    of LAPACK.
-    """
-    n = matrix.shape[-1]
-    if n > 2:
-        try:
-            return cast("Complex", np.linalg.solve(matrix, right))
-        except np.linalg.LinAlgError:
-            # One singular matrix of a batch must not cost the others their answer.
-            regular = np.linalg.slogdet(matrix)[0] != 0
-            safe = np.where(regular[..., None, None], matrix, np.nan)
-            return cast("Complex", np.linalg.solve(safe, right))
-    with np.errstate(all="ignore"):
-        if n == 1:
-            determinant = matrix[..., 0]
-            solution = right / matrix
-        else:
-            a, b = matrix[..., 0, 0, None], matrix[..., 0, 1, None]
-            c, d = matrix[..., 1, 0, None], matrix[..., 1, 1, None]
-            determinant = a * d - b * c
-            top = (d * right[..., 0, :] - b * right[..., 1, :]) / determinant
-            bottom = (a * right[..., 1, :] - c * right[..., 0, :]) / determinant
-            solution = np.stack([top, bottom], axis=-2)
-    if not np.all(determinant):
-        solution = np.where(determinant[..., None, :] == 0, np.nan, solution)
-    return solution
-
-
 def _singular() -> ModelError:
     return ModelError(
         "the rig has no steady response at some frequency",
@@ -118,7 +87,7 @@ def amplitudes(model: Model, p: Real, omega: Real, U: Complex, f: Complex | None
     force = -np.einsum("...ij,...j->...i", both[..., model.n :], U)
     if f is not None:
         force = force + np.einsum("ij,...j->...i", model.S, f)
-    return solve(both[..., : model.n], force[..., None])[..., 0]
+    return solve_small(both[..., : model.n], force[..., None])[..., 0]
 
 
 def response(model: Model, p: Real, omega: Real, U: Complex, f: Complex | None = None) -> Complex:
@@ -146,7 +115,7 @@ def unit_forces(model: Model, omega: Real, X: Complex, U: Complex) -> Complex:
 def sensitivities(model: Model, p: Real, omega: Real, X: Complex, U: Complex) -> Complex:
     """∂X/∂p_i = −D⁻¹ b_iᵀ a_i, shape (..., lines, n, elements).  THEORY §4."""
     forces = model.B.T * unit_forces(model, omega, X, U)[..., None, :]
-    return -solve(dynamic_stiffness(model, p, omega), forces)
+    return -solve_small(dynamic_stiffness(model, p, omega), forces)
 
 
 @dataclass(frozen=True)

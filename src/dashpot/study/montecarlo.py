@@ -21,10 +21,10 @@ import numpy as np
 from dashpot.arrays import Bools, Real, frozen
 from dashpot.channel import Channel
 from dashpot.errors import DashpotError, UsageError
-from dashpot.estimate.estimate import Estimate
 from dashpot.estimate.identify import identify
-from dashpot.estimate.methods import method
-from dashpot.estimate.states import unseen
+from dashpot.estimate.preparation.state_reconstruction import unseen
+from dashpot.estimate.registry import method
+from dashpot.estimate.result import Estimate
 from dashpot.model.network import Model
 from dashpot.study.simulate import Dwells, NoiseBasis, clean_spectrum, simulate_spectrum
 from dashpot.study.store import read_block, remove_unfinished, sound, write_block

@@ -25,11 +25,11 @@ from typing import Any, cast
 import numpy as np
 
 from dashpot.errors import DashpotError, Problem, UsageError
-from dashpot.estimate.methods import METHODS
-from dashpot.model.modelfile import read_rig
+from dashpot.estimate.registry import METHODS
+from dashpot.io.toml_document import Lines
 from dashpot.model.network import listed
-from dashpot.model.tomllines import Lines
-from dashpot.study.plan import ALL, Bench, Grid, NoiseKind, Study, points
+from dashpot.model.rigfile import read_rig
+from dashpot.study.scenario import ALL, Bench, Grid, NoiseKind, Study, points
 from dashpot.study.simulate import NoiseBasis
 
 Place = tuple[str | int, ...]

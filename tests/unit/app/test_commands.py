@@ -14,7 +14,7 @@ import pytest
 from dashpot import Estimate, __version__, read, read_rig
 from dashpot.app import cli
 from dashpot.app.commands import COMMANDS
-from dashpot.estimate.methods import METHODS, method
+from dashpot.estimate.registry import METHODS, method
 from tests.unit.app.conftest import RIG, VALUES, Command
 
 
@@ -176,7 +176,7 @@ def test_the_seed_decides_the_noise(dashpot: Command, rig: Path) -> None:
 def test_not_converged_is_told_written_and_ends_with_3(
     dashpot: Command, data: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    import dashpot.estimate.methods as methods
+    import dashpot.estimate.registry as methods
 
     real = methods.method
     monkeypatch.setattr(methods, "method", lambda name, **settings: real(name, max_iterations=1))
@@ -221,7 +221,7 @@ def test_choices_of_methods_are_those_there_are() -> None:
 def test_a_fault_is_one_line_and_raised_on_request(
     dashpot: Command, data: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    import dashpot.model.modelfile as modelfile
+    import dashpot.model.rigfile as modelfile
 
     def broken(path: str) -> None:
         raise ZeroDivisionError("one\ntwo")

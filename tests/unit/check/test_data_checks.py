@@ -7,15 +7,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from dashpot.check.chi2_surface import surface
+from dashpot.check.collinearity import weakness
 from dashpot.check.profile import profile
 from dashpot.check.sensitivity import known_errors
-from dashpot.check.surface import surface
-from dashpot.check.weakness import weakness
 from dashpot.data.spectrum import Spectrum
 from dashpot.errors import UsageError
 from dashpot.estimate.identify import identify
-from dashpot.estimate.instruments import InstrumentalVariables, OptimalIV
-from dashpot.estimate.likelihood import MaximumLikelihood
+from dashpot.estimate.likelihood.maximum_likelihood import MaximumLikelihood
+from dashpot.estimate.linear.instrumental_variables import InstrumentalVariables, OptimalIV
 from dashpot.estimate.method import Method
 from dashpot.model.elements import Kind, between, mass
 from dashpot.model.network import Input, Model

@@ -10,10 +10,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from dashpot import parse_rig
-from dashpot.check import finite_field as field
-from dashpot.check.finite_field import PRIME
 from dashpot.check.identifiability import Structure, require_identifiable, structure
 from dashpot.errors import IdentifiabilityError
+from dashpot.numerics import finite_field as field
+from dashpot.numerics.finite_field import PRIME
 from tests.rigs import channels, paper_rig, perfect, random_rig
 
 HEAD = 'coordinates = ["x1", "x2"]\n[inputs]\nu = {}\n'

@@ -9,8 +9,8 @@ import pytest
 
 from dashpot.channel import Channel, Quantity
 from dashpot.design.allocation import Grid, _curvature, band_grid, optimise, slopes, value, weigh
-from dashpot.design.bench import Bench, Limits, bench, drive_patterns
-from dashpot.design.goals import Goal, MeanError, Targets, Volume, WorstError
+from dashpot.design.criteria import Goal, MeanError, Targets, Volume, WorstError
+from dashpot.design.test_setup import Bench, Limits, bench, drive_patterns
 from dashpot.errors import IdentifiabilityError, UsageError
 from tests.rigs import paper_rig
 

@@ -18,11 +18,11 @@ from dashpot.design.information import (
     spectrum_information,
 )
 from dashpot.errors import DataError, UsageError
-from dashpot.estimate import auxiliary as equation
-from dashpot.estimate.auxiliary import auxiliary, information
 from dashpot.estimate.identify import identify
-from dashpot.estimate.likelihood import MaximumLikelihood
-from dashpot.estimate.states import states
+from dashpot.estimate.likelihood.maximum_likelihood import MaximumLikelihood
+from dashpot.estimate.linear import auxiliary_model as equation
+from dashpot.estimate.linear.auxiliary_model import auxiliary, information
+from dashpot.estimate.preparation.state_reconstruction import states
 from tests.rigs import Rig, amplitudes, channels, covariance, paper_rig, perfect, random_rig
 
 

@@ -10,9 +10,9 @@ import pytest
 
 from dashpot.channel import Channel, Quantity
 from dashpot.data.spectrum import Spectrum
+from dashpot.design.advise import Question, answer
 from dashpot.design.allocation import Allocation, band_grid
-from dashpot.design.bench import Bench, Limits, bench
-from dashpot.design.goals import MeanError, Targets, WorstError
+from dashpot.design.criteria import MeanError, Targets, WorstError
 from dashpot.design.plan import (
     Budget,
     Lines,
@@ -27,22 +27,22 @@ from dashpot.design.plan import (
     to_json,
 )
 from dashpot.design.robust import (
-    Box,
-    Cloud,
-    box_of,
-    cloud_of,
+    GaussianPrior,
+    UniformBox,
+    gaussian_prior_of,
     in_the_worst_case,
     on_average,
     shortest_in_the_worst_case,
     slowest_settling,
+    uniform_box_of,
     worst_scenario,
 )
 from dashpot.design.sensors import choose
 from dashpot.design.sequential import enough, known_after, noise_from, progress, values_after
-from dashpot.design.session import Question, answer
+from dashpot.design.test_setup import Bench, Limits, bench
 from dashpot.errors import UsageError
-from dashpot.estimate.estimate import Estimate
 from dashpot.estimate.identify import identify
+from dashpot.estimate.result import Estimate
 from dashpot.study.simulate import dwells, simulate_spectrum
 from tests.rigs import paper_rig
 
@@ -270,7 +270,7 @@ def test_robust_tests() -> None:
         return band_grid(wide, *BAND)
 
     nominal = plan(own, MeanError(), Budget(samples=1400), grid_of(own))
-    box = Box(0.3)
+    box = UniformBox(0.3)
     before, at = worst_scenario(own, MeanError(), nominal.lines, box)
     assert np.all(np.abs(at / own.theta[0] - 1) <= 0.3 + 1e-12)
     safe = in_the_worst_case(own, MeanError(), Budget(samples=1400), box, grid_of)
@@ -279,11 +279,11 @@ def test_robust_tests() -> None:
     after, _ = worst_scenario(own, MeanError(), safe.plan.lines, box, count=2000, seed=9)
     assert after <= safe.worst * 1.005
     calm = on_average(
-        own, MeanError(), Budget(samples=1400), Cloud(np.diag((0.1 * own.theta[0]) ** 2)), grid_of
+        own, MeanError(), Budget(samples=1400), GaussianPrior(np.diag((0.1 * own.theta[0]) ** 2)), grid_of
     )
     assert calm.plan.gap < 1e-6
     with pytest.raises(UsageError, match="between 0 and 100"):
-        in_the_worst_case(own, MeanError(), Budget(samples=1400), Box(1.5), grid_of)
+        in_the_worst_case(own, MeanError(), Budget(samples=1400), UniformBox(1.5), grid_of)
 
 
 def test_the_shortest_robust_test() -> None:
@@ -293,7 +293,7 @@ def test_the_shortest_robust_test() -> None:
     def grid_of(wide: Bench):  # type: ignore[no-untyped-def]
         return band_grid(wide, *BAND)
 
-    box, budget = Box(0.2), Budget(samples=1000)
+    box, budget = UniformBox(0.2), Budget(samples=1000)
     nominal = shortest(own, MeanError(), 0.02, budget, grid_of(own))
     safe = shortest_in_the_worst_case(own, MeanError(), 0.02, budget, box, grid_of)
     calm = on_average(own, MeanError(), budget, box, grid_of, target=0.02)
@@ -313,7 +313,7 @@ def test_doubts_of_the_rig_file_and_of_an_estimate() -> None:
     """A part of every value, less where an sd is stated; an estimate's covariance without its calibrations."""
     rig = paper_rig()
     known = rig.knowing({"m2": {"value": 2.7, "sd": 0.027}})
-    box = box_of(known.model, known.theta, 0.3)
+    box = uniform_box_of(known.model, known.theta, 0.3)
     names = [u.name for u in known.model.unknowns]
     wide = dict(zip(names, np.broadcast_to(box.doubt, len(names)), strict=True))
     assert wide.pop("m2") == pytest.approx(0.0196)
@@ -323,13 +323,13 @@ def test_doubts_of_the_rig_file_and_of_an_estimate() -> None:
     data = replace(measured(own), channels=loose)
     estimate = identify(own.model, data)
     assert estimate.covariance.shape == (7, 7)
-    cloud = cloud_of(own.model, estimate)
+    cloud = gaussian_prior_of(own.model, estimate)
     assert np.allclose(cloud.covariance, estimate.covariance[:6, :6])
     drawn = cloud.draw(own.theta[0], 4000, np.random.default_rng(0))
     # Cut at 2.5 sd, a normal keeps 0.97 of its spread; 4,000 draws know it to 1.1 % (1 sd).
     assert np.std(drawn, axis=0) == pytest.approx(0.98 * estimate.sd[:6], rel=0.05)
     with pytest.raises(UsageError, match="says nothing of"):
-        cloud_of(rig.model, replace_names(estimate))
+        gaussian_prior_of(rig.model, replace_names(estimate))
 
 
 def replace_names(estimate: Estimate) -> Estimate:
@@ -350,8 +350,8 @@ def test_a_doubt_of_nothing_asks_for_the_test_of_the_values() -> None:
 def test_settling_of_the_slowest_rig_of_a_doubt() -> None:
     """Masses 30 % heavier behind dampers 30 % weaker settle 1.86 times as slowly; 64 draws come near."""
     own = paper_bench()
-    assert 1.3 * own.settling() < slowest_settling(own, Box(0.3)) <= 1.9 * own.settling()
-    assert slowest_settling(own, Box(0.0)) == pytest.approx(own.settling())
+    assert 1.3 * own.settling() < slowest_settling(own, UniformBox(0.3)) <= 1.9 * own.settling()
+    assert slowest_settling(own, UniformBox(0.0)) == pytest.approx(own.settling())
 
 
 def test_dwells_that_crowd_are_one() -> None:

@@ -16,11 +16,11 @@ from dashpot.model.dynamics import (
     modes,
     response,
     sensitivities,
-    solve,
     unit_forces,
 )
 from dashpot.model.elements import Element, Kind, between, mass
 from dashpot.model.network import Input, Model
+from dashpot.numerics.small_systems import solve_small
 
 
 def spring(name: str, first: str, second: str = "ground", **known: Any) -> Element:
@@ -356,13 +356,13 @@ class TestSolve:
         rng = np.random.default_rng(n)
         matrix = rng.normal(size=(4, 3, n, n)) + 1j * rng.normal(size=(4, 3, n, n))
         right = rng.normal(size=(4, 3, n, 2)) + 0j
-        np.testing.assert_allclose(solve(matrix, right), np.linalg.solve(matrix, right), rtol=1e-9)
+        np.testing.assert_allclose(solve_small(matrix, right), np.linalg.solve(matrix, right), rtol=1e-9)
 
     @pytest.mark.parametrize("n", [1, 2, 3])
     def test_singular(self, n: int) -> None:
         matrix = np.ones((2, n, n)) * np.array([1.0, 0.0])[:, None, None] + 0j
         matrix[0] += np.eye(n)
-        found = solve(matrix, np.ones((2, n, 1), complex))
+        found = solve_small(matrix, np.ones((2, n, 1), complex))
         np.testing.assert_allclose(found[0], 1 / (n + 1))
         assert np.all(np.isnan(found[1]))
 

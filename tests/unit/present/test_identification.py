@@ -13,9 +13,9 @@ import pytest
 from rich.console import Console
 
 from dashpot import Estimate, Model, Spectrum, dwells, identify, parse_rig, simulate_spectrum
-from dashpot.present import figures
-from dashpot.present.report import identification_report
-from dashpot.present.tables import (
+from dashpot.present.figures import spectra as figures
+from dashpot.present.pages.report import identification_report
+from dashpot.present.tables.estimate import (
     basis_in_words,
     fit_in_words,
     parameter_rows,

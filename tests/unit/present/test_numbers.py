@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dashpot.present.numbers import aligned, alike, percent, probability, rounded, short
+from dashpot.present.text.numbers import aligned, alike, percent, probability, rounded, short
 
 
 @pytest.mark.parametrize(

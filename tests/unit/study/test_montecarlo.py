@@ -17,8 +17,8 @@ from dashpot.errors import DashpotError, IdentifiabilityError, UsageError
 from dashpot.model.elements import Kind, between, mass
 from dashpot.model.network import Input, Model
 from dashpot.study import montecarlo
-from dashpot.study.plan import Bench, Grid, Study, scenarios, share_out, with_unknowns
-from dashpot.study.session import rehearse, run_study
+from dashpot.study.runner import rehearse, run_study
+from dashpot.study.scenario import Bench, Grid, Study, scenarios, share_out, with_unknowns
 from dashpot.study.simulate import standard_channels
 
 MOTION = (Quantity.DISPLACEMENT, Quantity.VELOCITY)

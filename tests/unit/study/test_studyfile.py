@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from dashpot.errors import UsageError
-from dashpot.study import yamane1989
-from dashpot.study.plan import scenarios
-from dashpot.study.session import fingerprint, run_study
+from dashpot.reproduce.yamane1989 import findings as yamane1989
+from dashpot.study.runner import fingerprint, run_study
+from dashpot.study.scenario import scenarios
 from dashpot.study.studyfile import parse_study, read_study
 
 EXAMPLES = Path(__file__).parents[3] / "examples" / "studies"

@@ -18,7 +18,7 @@ from dashpot.app.options import (
 
 if TYPE_CHECKING:
     from dashpot.data.spectrum import Spectrum
-    from dashpot.model.modelfile import Rig
+    from dashpot.model.rigfile import Rig
 
 
 @click.command(name="check")
@@ -58,7 +58,7 @@ def command(
     from dashpot.check.identifiability import structure
     from dashpot.check.report import structure_content
     from dashpot.errors import IdentifiabilityError, UsageError
-    from dashpot.model.modelfile import read_rig
+    from dashpot.model.rigfile import read_rig
 
     check_targets([None if json_out == STDOUT else json_out], [rig, *data])
     if (profiled or known) and not data:
@@ -83,8 +83,8 @@ def command(
     if not verdict.identifiable:
         raise IdentifiabilityError(verdict.problems(rig))
     if not quiet and json_out != STDOUT:
-        from dashpot.present.check_tables import show_known, show_paragraphs, structure_in_words
-        from dashpot.present.tables import console
+        from dashpot.present.tables.check import show_known, show_paragraphs, structure_in_words
+        from dashpot.present.tables.estimate import console
 
         out, names = console(), [channel.name for channel in channels]
         show_paragraphs(out, structure_in_words(verdict, names, None if spectrum is None else spectrum.lines))
@@ -117,14 +117,14 @@ def _with_data(
     seed: int,
 ) -> list[Any]:
     """What the data say: paragraphs and tables to print; the same goes into `content`."""
+    from dashpot.check.chi2_surface import surface
+    from dashpot.check.collinearity import weakness
     from dashpot.check.profile import profile
     from dashpot.check.report import known_content, profile_content, weakness_content
     from dashpot.check.sensitivity import known_errors
-    from dashpot.check.surface import surface
-    from dashpot.check.weakness import weakness
     from dashpot.estimate.identify import automatic, identify
-    from dashpot.estimate.methods import method
-    from dashpot.present.check_tables import profile_in_words, weakness_in_words
+    from dashpot.estimate.registry import method
+    from dashpot.present.tables.check import profile_in_words, weakness_in_words
 
     estimate = identify(rig.model, spectrum, method(automatic(rig.model, spectrum).name, seed=seed))
     weak = weakness(surface(rig.model, spectrum, estimate), estimate.covariance)

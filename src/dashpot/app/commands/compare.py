@@ -18,9 +18,9 @@ from dashpot.app.options import (
 )
 
 if TYPE_CHECKING:
-    from dashpot.data.modal import ModalData
+    from dashpot.data.modal_data import ModalData
     from dashpot.data.spectrum import Spectrum
-    from dashpot.model.modelfile import Rig
+    from dashpot.model.rigfile import Rig
 
 
 class Assignments(click.ParamType[Any]):
@@ -94,9 +94,9 @@ def command(
     """
     from dashpot.app.files import check_targets
     from dashpot.errors import UsageError
-    from dashpot.estimate.methods import METHODS, method_class
-    from dashpot.model.free import free_entries
-    from dashpot.model.modelfile import read_rig
+    from dashpot.estimate.registry import METHODS, method_class
+    from dashpot.model.rigfile import read_rig
+    from dashpot.model.unstructured import free_entries
 
     sources = [rig, *data, *([] if modal_file is None else [modal_file])]
     check_targets([None if json_out == STDOUT else json_out, figure], sources)
@@ -122,7 +122,7 @@ def command(
 def _modes(path: str | None, rig: Rig) -> ModalData | None:
     if path is None:
         return None
-    from dashpot.data.readers.modal import read_modes
+    from dashpot.data.readers.delimited.modes import read_modes
 
     return read_modes(path, rig.model.coordinates)
 
@@ -163,7 +163,7 @@ def _compare(
     from dashpot.check.scale import require_scale_seen
     from dashpot.errors import DashpotError
     from dashpot.estimate.comparison import compare
-    from dashpot.estimate.methods import method
+    from dashpot.estimate.registry import method
 
     jobs, refused = {}, {}
     for name in chosen:
@@ -180,8 +180,8 @@ def _compare(
     if figure is not None:
         from pathlib import Path
 
-        from dashpot.present.compare_figure import comparison_figure
-        from dashpot.present.figures_study import png
+        from dashpot.present.figures.comparison import comparison_figure
+        from dashpot.present.figures.study import png
         from dashpot.study.store import write_bytes
 
         write_bytes(Path(figure), png(comparison_figure(found, level)))
@@ -190,8 +190,8 @@ def _compare(
     elif json_out is not None:
         write_text(json_out, found.to_json())
     if not quiet and json_out != STDOUT:
-        from dashpot.present.compare_table import show_comparison
-        from dashpot.present.tables import console
+        from dashpot.present.tables.comparison import show_comparison
+        from dashpot.present.tables.estimate import console
 
         show_comparison(console(), found, level)
     unsettled = [name for name, estimate in found.estimates.items() if not bool(estimate.converged)]

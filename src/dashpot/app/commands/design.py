@@ -17,11 +17,11 @@ from dashpot.app.options import (
 
 if TYPE_CHECKING:
     from dashpot.data.spectrum import Spectrum
-    from dashpot.design.bench import Limits
-    from dashpot.design.goals import Goal
-    from dashpot.design.robust import Cloud
-    from dashpot.estimate.estimate import Estimate
-    from dashpot.model.modelfile import Rig
+    from dashpot.design.criteria import Goal
+    from dashpot.design.robust import GaussianPrior
+    from dashpot.design.test_setup import Limits
+    from dashpot.estimate.result import Estimate
+    from dashpot.model.rigfile import Rig
 
 _TIMES = {"": 1.0, "s": 1.0, "sec": 1.0, "ms": 1e-3, "min": 60.0, "h": 3600.0}
 _NUMBER = r"[+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
@@ -175,7 +175,7 @@ def command(
     from dashpot.app.files import check_targets, write_text
     from dashpot.check.scale import require_scale
     from dashpot.errors import UsageError
-    from dashpot.model.modelfile import read_rig
+    from dashpot.model.rigfile import read_rig
 
     sources = [rig, *after, *([estimate_file] if estimate_file else [])]
     check_targets([None if json_out == STDOUT else json_out, csv_out, figure_out, progress_out], sources)
@@ -184,9 +184,9 @@ def command(
 
     from dataclasses import replace
 
-    from dashpot.design.bench import drive_units
+    from dashpot.design.advise import Question, answer, json_of
     from dashpot.design.plan import to_csv
-    from dashpot.design.session import Question, answer, json_of
+    from dashpot.design.test_setup import drive_units
 
     if more["samples"] is not None and more["time"] is not None:
         raise UsageError("both --samples and --time", cure="one of them is the budget")
@@ -223,8 +223,8 @@ def command(
         write_text(csv_out, to_csv(result.plan, drive_units(found.model)))
     _draw(result, figure_out, progress_out, goal, aim)
     if not quiet and json_out != STDOUT:
-        from dashpot.present.design import show
-        from dashpot.present.tables import console
+        from dashpot.present.tables.design import show
+        from dashpot.present.tables.estimate import console
 
         show(result, console())
     return 0
@@ -235,8 +235,8 @@ def _draw(
 ) -> None:
     if figure_out is None and progress_out is None:
         return
-    from dashpot.present.design import figure, progress_figure
-    from dashpot.present.figures_study import png
+    from dashpot.present.figures.study import png
+    from dashpot.present.tables.design import figure, progress_figure
     from dashpot.study.store import write_bytes
 
     if figure_out is not None and result.plan is not None:
@@ -264,7 +264,7 @@ def _known_names(rig: Rig, values: dict[str, float]) -> None:
 
 
 def _load(path: str) -> Estimate:
-    from dashpot.estimate.estimate import Estimate
+    from dashpot.estimate.result import Estimate
 
     return Estimate.load(path)
 
@@ -302,7 +302,7 @@ def _read(rig: Rig, paths: tuple[str, ...], more: dict[str, Any], quiet: bool) -
 
 def _goal(wanted: str, target: str | None) -> tuple[Goal, float | None]:
     """What --for and --target ask for, and the figure to reach."""
-    from dashpot.design.goals import MeanError, Targets, Volume, WorstError
+    from dashpot.design.criteria import MeanError, Targets, Volume, WorstError
     from dashpot.errors import UsageError
 
     aim = None
@@ -349,7 +349,7 @@ def _quantity(rig: Rig, text: str, quantity: str) -> float:
 
 
 def _limits(rig: Rig, more: dict[str, Any]) -> Limits:
-    from dashpot.design.bench import Limits
+    from dashpot.design.test_setup import Limits
 
     def limit(option: str, quantity: str) -> float | None:
         return None if more[option] is None else _quantity(rig, more[option], quantity)
@@ -372,15 +372,15 @@ def _doubt(
     doubt: float | None,
     estimate: Estimate | None,
     after: bool,
-) -> float | Cloud | Literal["estimate"] | None:
+) -> float | GaussianPrior | Literal["estimate"] | None:
     """A part of every value, or the covariance of --estimate, or of what --after tells."""
-    from dashpot.design.robust import cloud_of
+    from dashpot.design.robust import gaussian_prior_of
     from dashpot.errors import UsageError
 
     if robust is None or doubt is not None:
         return doubt
     if estimate is not None:
-        return cloud_of(rig.model, estimate)
+        return gaussian_prior_of(rig.model, estimate)
     if not after:
         raise UsageError(
             "--robust without a doubt",

@@ -19,9 +19,9 @@ from dashpot.app.options import (
 if TYPE_CHECKING:
     from dashpot.data.readers import Reading
     from dashpot.data.spectrum import Spectrum
-    from dashpot.estimate.estimate import Estimate
     from dashpot.estimate.method import Method
-    from dashpot.model.modelfile import Rig
+    from dashpot.estimate.result import Estimate
+    from dashpot.model.rigfile import Rig
 
 CHOICES = ["auto", "ls", "hls", "wls", "tls", "cls", "iv", "oiv", "oiv+", "ml"]
 
@@ -79,7 +79,7 @@ def command(
     from dashpot.app.files import check_targets, write_text
     from dashpot.check.identifiability import require_identifiable
     from dashpot.check.scale import require_scale_seen
-    from dashpot.model.modelfile import read_rig
+    from dashpot.model.rigfile import read_rig
 
     check_targets([None if json_out == STDOUT else json_out, report], [rig, *data])
     found = read_rig(rig)
@@ -104,7 +104,7 @@ def command(
             found.model, spectrum, _method(chosen, found, spectrum, seed, positive), progress=moved
         )
     if report is not None:
-        from dashpot.present.report import identification_report
+        from dashpot.present.pages.report import identification_report
 
         page = identification_report(found.model, spectrum, estimate, level / 100, [rig, *data])
         write_text(report, page)
@@ -113,7 +113,7 @@ def command(
     elif json_out is not None:
         write_text(json_out, estimate.to_json())
     if not quiet and json_out != STDOUT:
-        from dashpot.present.tables import console, show_estimate
+        from dashpot.present.tables.estimate import console, show_estimate
 
         show_estimate(console(), estimate, level / 100)
         if matrices or _of_free_matrices(found):
@@ -123,16 +123,16 @@ def command(
 
 def _of_free_matrices(rig: Rig) -> bool:
     """Whether M, C and K are free and tell all of the rig: hysteretic dampers are in none of them."""
-    from dashpot.model.free import free_names
+    from dashpot.model.unstructured import free_names
 
     model = rig.model
     return bool(free_names(model)) and not len(model.by_matrix["H"])
 
 
 def _show_matrices(rig: Rig, estimate: Estimate) -> None:
-    from dashpot.estimate.free_matrices import matrices_of
-    from dashpot.present.matrices import show_matrices
-    from dashpot.present.tables import console
+    from dashpot.estimate.linear.definite import matrices_of
+    from dashpot.present.tables.estimate import console
+    from dashpot.present.tables.matrices import show_matrices
 
     show_matrices(console(), matrices_of(rig.model, estimate), set(rig.model.coordinates) <= rig.model.angles)
 
@@ -170,7 +170,7 @@ def _holding(chosen: str, positive: bool) -> str:
 
 def _method(chosen: str, rig: Rig, spectrum: Spectrum, seed: int, positive: bool) -> Method:
     from dashpot.estimate.identify import automatic
-    from dashpot.estimate.methods import method
+    from dashpot.estimate.registry import method
 
     name = automatic(rig.model, spectrum).name if chosen == "auto" else chosen
     return method(name, seed=seed, positive=positive)

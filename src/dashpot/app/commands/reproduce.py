@@ -43,9 +43,9 @@ def command(
     check_targets([report])
     check_folder(figures)
 
-    from dashpot.present.tables import console
-    from dashpot.present.yamane1989 import show, write
-    from dashpot.study.yamane1989 import reproduce
+    from dashpot.present.pages.yamane1989 import show, write
+    from dashpot.present.tables.estimate import console
+    from dashpot.reproduce.yamane1989.findings import reproduce
 
     count = processes if processes is not None else 1 if draws < FEW else cores()
     with mapping(count) as mapper, progress(paper, quiet) as moved:

@@ -100,7 +100,7 @@ def command(
     `relative_noise` of the rig file.
     """
     from dashpot.app.files import check_targets
-    from dashpot.model.modelfile import read_rig
+    from dashpot.model.rigfile import read_rig
 
     check_targets([out], [rig])
     found = read_rig(rig)

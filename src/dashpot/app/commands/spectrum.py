@@ -24,7 +24,7 @@ def command(
     """
     from dashpot.app.files import check_targets
     from dashpot.data.readers import read, write_amplitudes
-    from dashpot.model.modelfile import read_rig
+    from dashpot.model.rigfile import read_rig
 
     check_targets([out], [rig, *records])
     found = read_rig(rig)
@@ -35,7 +35,7 @@ def command(
     write_amplitudes(spectrum, out)
     if not quiet:
         from dashpot.check.residuals import channel_unit
-        from dashpot.present.tables import console, show_spectrum
+        from dashpot.present.tables.estimate import console, show_spectrum
 
         units = [channel_unit(found.model, channel) for channel in spectrum.channels]
         show_spectrum(console(), spectrum, units, out)

@@ -48,10 +48,10 @@ def command(
 
     from dashpot.app.progress import progress
     from dashpot.app.workers import cores, mapping
-    from dashpot.present.study import show, write
-    from dashpot.present.tables import console
-    from dashpot.study.plan import scenarios
-    from dashpot.study.session import run_study
+    from dashpot.present.tables.estimate import console
+    from dashpot.present.tables.study import show, write
+    from dashpot.study.runner import run_study
+    from dashpot.study.scenario import scenarios
 
     if draws is not None:
         found = replace(found, grids=tuple(replace(grid, draws=draws) for grid in found.grids))

@@ -7,13 +7,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from dashpot.channel import Channel
-from dashpot.data.harmonics import Noise
-from dashpot.data.harmonics import spectrum as amplitudes_of
-from dashpot.data.readers.amplitudes import is_amplitudes, read_amplitudes, write_amplitudes
-from dashpot.data.readers.frf import is_frf, read_frf
-from dashpot.data.readers.lvm import is_lvm, open_lvm
-from dashpot.data.readers.stepped_sine import read_records, write_records
-from dashpot.data.readers.table import open_table
+from dashpot.data.conditioning.harmonic_fit import Noise
+from dashpot.data.conditioning.harmonic_fit import spectrum as amplitudes_of
+from dashpot.data.readers.delimited.amplitudes import is_amplitudes, read_amplitudes, write_amplitudes
+from dashpot.data.readers.delimited.frf import is_frf, read_frf
+from dashpot.data.readers.delimited.lvm import is_lvm, open_lvm
+from dashpot.data.readers.delimited.stepped_sine import read_records, write_records
+from dashpot.data.readers.delimited.table import open_table
 from dashpot.data.record import Record
 from dashpot.data.spectrum import Spectrum, concatenate
 from dashpot.errors import DataError

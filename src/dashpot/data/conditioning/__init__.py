@@ -1,0 +1,1 @@
+"""From records to amplitudes: settings, harmonic regression, noise, drive frequency, steady state."""

@@ -1,0 +1,1 @@
+"""Text tables: one module a format."""

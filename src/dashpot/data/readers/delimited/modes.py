@@ -1,0 +1,201 @@
+"""Files of measured modes, CSV or JSON.
+
+CSV: one row a mode; `frequency_hz`, `frequency_sd`, optionally `damping_ratio` and `damping_sd`, and for every point of
+the shapes that is measured `NAME_re`, `NAME_im` (or `NAME` alone: a real shape) and `NAME_sd`, the standard deviation
+of the real and of the imaginary part, each.  Shapes have any scale; a point may be left empty in some modes.
+JSON: `{"modes": [{"frequency_hz": 3.0, "frequency_sd": 0.01, "damping_ratio": 0.02, "damping_sd": 0.001,
+"shape": {"x1": [1.0, 0.0], "x2": 0.6}, "shape_sd": {"x1": 0.01, "x2": 0.01}}]}`.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from dashpot.arrays import Real
+from dashpot.data.modal_data import ModalData
+from dashpot.data.readers.delimited.table import Table, bare, listed, open_table, shown
+from dashpot.errors import DataError
+
+FREQUENCY, FREQUENCY_SD, DAMPING, DAMPING_SD = "frequency_hz", "frequency_sd", "damping_ratio", "damping_sd"
+PLAIN = (FREQUENCY, FREQUENCY_SD, DAMPING, DAMPING_SD)
+
+
+def read_modes(path: str | os.PathLike[str], coordinates: Sequence[str]) -> ModalData:
+    """The modes in a file, with shapes at those of the rig's `coordinates` that it has.
+
+    Raises DataError, one line, with file, row and column or mode, for what is missing, no number, negative or unknown.
+    """
+    source = shown(os.fspath(path), 200)
+    if os.fspath(path).lower().endswith(".json"):
+        return _from_json(path, source, coordinates)
+    return _from_table(open_table(path), coordinates)
+
+
+def _from_table(table: Table, coordinates: Sequence[str]) -> ModalData:
+    f_at, f_sd_at = table.need(FREQUENCY), table.need(FREQUENCY_SD, " (a mode without it cannot be weighed)")
+    z_at = table.find(DAMPING)
+    z_sd_at = None if z_at is None else table.need(DAMPING_SD, f" (it belongs to {DAMPING})")
+    points, columns = [], []
+    for name in coordinates:
+        real, alone = table.find(f"{name}_re"), table.find(name)
+        if real is None and alone is None:
+            continue
+        if real is not None and alone is not None:
+            raise DataError(
+                f"columns {shown(name)} and {shown(name)}_re: the same point twice",
+                table.source,
+                "remove one",
+            )
+        imaginary = table.need(f"{name}_im") if real is not None else None
+        points.append(name)
+        columns.append((alone if real is None else real, imaginary, table.need(f"{name}_sd")))
+    used = {f_at, f_sd_at, z_at, z_sd_at, *(at for three in columns for at in three)}
+    strangers = [bare(name)[0] for i, name in enumerate(table.header) if i not in used]
+    if strangers:
+        raise DataError(
+            f"column {listed(strangers)}: no coordinate of the rig",
+            f"{table.source}:{table.first_row - 1}",
+            f"shapes are read as NAME_re, NAME_im, NAME_sd at {listed(coordinates)}; remove the others",
+        )
+    wanted = [
+        at
+        for at in dict.fromkeys([f_at, f_sd_at, z_at, z_sd_at, *(a for t in columns for a in t)])
+        if at is not None
+    ]
+    gaps = [at for at in wanted if at not in (f_at, f_sd_at)]
+    values = table.numbers(wanted, gaps)
+    count = len(values[f_at])
+    nothing = np.full(count, np.nan)
+    zeta = nothing if z_at is None else values[z_at]
+    zeta_sd = nothing if z_sd_at is None else values[z_sd_at]
+    shape = np.full((count, len(points)), np.nan + 0j)
+    sd = np.full((count, len(points)), np.nan)
+    for c, (re, im, sd_at) in enumerate(columns):
+        assert re is not None
+        assert sd_at is not None
+        imaginary_part = np.where(np.isnan(values[re]), np.nan, 0.0) if im is None else values[im]
+        half = np.isnan(values[re]) != np.isnan(imaginary_part)
+        lacking = ~np.isnan(values[re]) & np.isnan(values[sd_at])
+        for wrong, at in ((half, re if im is None else im), (lacking, sd_at)):
+            if np.any(wrong):
+                raise table.error(int(np.argmax(wrong)), at, "the cell is empty", "fill the gap")
+        shape[:, c], sd[:, c] = values[re] + 1j * imaginary_part, values[sd_at]
+
+    def check(wrong: np.ndarray, at: int | None, cause: str, cure: str) -> None:
+        if at is not None and np.any(wrong):
+            raise table.error(int(np.argmax(wrong)), at, cause, cure)
+
+    check(~(values[f_at] > 0), f_at, "a frequency that is not positive", "give it in Hz")
+    check(~(values[f_sd_at] > 0), f_sd_at, "a standard deviation that is not positive", "give one above 0")
+    check(
+        np.abs(zeta) >= 1,
+        z_at,
+        "a damping ratio of 1 or more",
+        "give it as a fraction; such a mode does not swing",
+    )
+    check(
+        ~np.isnan(zeta) & ~(zeta_sd > 0),
+        z_sd_at,
+        "a standard deviation that is not positive",
+        "give one above 0",
+    )
+    for c, (_, _, sd_at) in enumerate(columns):
+        check(
+            sd[:, c] < 0, sd_at, "a negative standard deviation", "give 0 where it is exact, else one above 0"
+        )
+    exact = (
+        np.all((sd == 0) | np.isnan(sd), axis=-1)
+        & np.any(sd == 0, axis=-1)
+        & (np.sum(~np.isnan(sd), axis=-1) > 1)
+    )
+    check(exact, columns[0][2] if columns else None, "no point of the shape has a standard deviation above 0",
+          "give the uncertain points theirs; only the one that the shape is scaled by is exact")  # fmt: skip
+    return _assembled(points, values[f_at], values[f_sd_at], zeta, zeta_sd, shape, sd)
+
+
+def _assembled(
+    points: Sequence[str], f: Real, f_sd: Real, zeta: Real, zeta_sd: Real, shape: np.ndarray, sd: Real
+) -> ModalData:
+    covariance = np.zeros((len(f), 2, 2))
+    covariance[:, 0, 0], covariance[:, 1, 1] = f_sd**2, np.nan_to_num(zeta_sd) ** 2
+    V = 2 * np.nan_to_num(sd)[:, :, None] ** 2 * np.eye(len(points))
+    return ModalData(tuple(points), f, zeta, covariance, shape, V.astype(complex))
+
+
+def _from_json(path: str | os.PathLike[str], source: str, coordinates: Sequence[str]) -> ModalData:
+    try:
+        content = json.loads(Path(path).read_text(encoding="utf-8"))
+    except OSError as error:
+        raise DataError(f"cannot be read ({error.strerror or error})", source, "check the path") from None
+    except (ValueError, RecursionError):
+        raise DataError("this is no JSON", source, "correct it, or give a CSV file") from None
+    rows = content.get("modes") if isinstance(content, dict) else None
+    if not isinstance(rows, list) or not rows or not all(isinstance(row, dict) for row in rows):
+        raise DataError('there is no list "modes"', source, 'write {"modes": [{"frequency_hz": …}, …]}')
+    named = [_shape(row, "shape", f"{source}: mode {k + 1}") for k, row in enumerate(rows)]
+    points = [name for name in coordinates if any(name in shape for shape in named)]
+    count = len(rows)
+    numbers = np.full((4, count), np.nan)
+    shape = np.full((count, len(points)), np.nan + 0j)
+    sd = np.full((count, len(points)), np.nan)
+    for k, row in enumerate(rows):
+        where = f"{source}: mode {k + 1}"
+        strangers = [key for key in row if key not in (*PLAIN, "shape", "shape_sd")]
+        if strangers:
+            known = f"there are {', '.join(PLAIN)}, shape, shape_sd"
+            raise DataError(f"{shown(str(strangers[0]))}: unknown key", where, known)
+        for i, key in enumerate(PLAIN):
+            if key in row:
+                numbers[i, k] = _number(row[key], key, where)
+        f, f_sd, zeta, zeta_sd = numbers[:, k]
+        _require(f > 0, f"{FREQUENCY}: missing or not positive", where)
+        _require(f_sd > 0, f"{FREQUENCY_SD}: missing or not positive", where)
+        _require(math.isnan(zeta) or abs(zeta) < 1, f"{DAMPING}: not between −1 and 1", where)
+        _require(math.isnan(zeta) or zeta_sd > 0, f"{DAMPING_SD}: missing or not positive", where)
+        spread = _shape(row, "shape_sd", where)
+        for name, value in named[k].items():
+            if name not in points:
+                raise DataError(
+                    f"shape: {shown(name)} is no coordinate of the rig",
+                    where,
+                    f"there are {listed(coordinates)}",
+                )
+            _require(name in spread, f"shape_sd: {shown(name)} is missing", where)
+            _require(spread[name].real >= 0, f"shape_sd: {shown(name)} is negative", where)
+            shape[k, points.index(name)], sd[k, points.index(name)] = value, spread[name].real
+        uncertain = sd[k][~np.isnan(sd[k])]
+        _require(
+            len(uncertain) < 2 or bool(np.any(uncertain > 0)),
+            "shape_sd: no point of the shape has one above 0",
+            where,
+        )
+    return _assembled(points, numbers[0], numbers[1], numbers[2], numbers[3], shape, sd)
+
+
+def _require(fulfilled: bool, what: str, where: str) -> None:
+    if not fulfilled:
+        raise DataError(what, where, "give the number")
+
+
+def _shape(row: Mapping[str, Any], key: str, where: str) -> dict[str, complex]:
+    found = row.get(key, {})
+    if not isinstance(found, dict):
+        raise DataError(f"{key}: not a table", where, f'write it as "{key}": {{"x1": 1.0}}')
+    out = {}
+    for name, value in found.items():
+        parts = value if isinstance(value, list) and len(value) == 2 else [value, 0.0]
+        out[name] = complex(*(_number(part, f"{key}: {shown(name)}", where) for part in parts))
+    return out
+
+
+def _number(value: object, key: str, where: str) -> float:
+    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+        raise DataError(f"{key}: {shown(str(value))} is no finite number", where, "give a number")
+    return float(value)

@@ -1,0 +1,199 @@
+"""Time records as CSV: `frequency_hz`, `time_s`, then channels; one row per sample, a block of rows per frequency.
+
+Without `frequency_hz` the file is one record (or several, where the time starts again).  `experiment` is optional.
+"""
+
+from __future__ import annotations
+
+import itertools
+import os
+import re
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from dashpot.arrays import Ints, Real
+from dashpot.channel import Channel
+from dashpot.data.readers.delimited.table import LARGEST, Table, bare, listed, shown, write_rows
+from dashpot.data.record import Record
+from dashpot.errors import DataError
+
+FREQUENCY, TIME, EXPERIMENT = "frequency_hz", "time_s", "experiment"
+_IN_NAME = re.compile(r"(?<![\d.])(\d+(?:[.,p]\d+)?)[ _-]?hz(?![a-z])", re.IGNORECASE)
+
+
+def read_records(
+    table: Table, channels: Sequence[Channel], frequency_hz: float | None = None, experiment: int = 0
+) -> tuple[list[Record], list[str]]:
+    """Records and notes.  `frequency_hz` and `experiment` serve files without these columns; a frequency is also
+    taken from a file name such as sweep_12.5Hz.csv.
+
+    Raises DataError with file, row and column for what is missing, not a number, or not in order.
+    """
+    notes = list(table.notes)
+    time_at, f_at, experiment_at = table.need(TIME), table.find(FREQUENCY), table.find(EXPERIMENT)
+    at = [table.need(channel.name, " (the rig file lists it as a channel)") for channel in channels]
+    for column, channel in zip(at, channels, strict=True):
+        table.check_unit(column, channel)
+    known = [i for i in (f_at, experiment_at) if i is not None]
+    wanted = list(dict.fromkeys([time_at, *known, *at]))
+    extra = [bare(name)[0] for i, name in enumerate(table.header) if i not in wanted]
+    if extra:
+        notes.append(f"{table.source}: not read, because the rig file does not list them: {listed(extra)}")
+    numbers = table.numbers(wanted)
+    time = numbers[time_at]
+    _check_range(table, time_at, time, 1e12, "s")
+    frequency: Real | None = None
+    if f_at is not None:
+        frequency = numbers[f_at]
+        check_frequency(table, f_at, frequency)
+    elif frequency_hz is None:
+        frequency_hz = _frequency_in_name(table.source)
+        if frequency_hz is not None:
+            notes.append(f"{table.source}: taken as driven at {frequency_hz:g} Hz, from its name")
+    experiments = np.full(len(time), experiment, dtype=np.int64)
+    if experiment_at is not None:
+        experiments = whole_numbers(table, experiment_at, numbers[experiment_at])
+    values = np.stack([numbers[column] for column in at], axis=-1) if at else np.zeros((len(time), 0))
+    values = values * np.array([channel.scale for channel in channels])
+    for column, x in zip(at, values.T, strict=True):
+        _check_range(table, column, x, LARGEST, "(SI)")
+    starts = _blocks(table, time_at, time, frequency, experiments)
+    records = []
+    for start, end in zip(starts, [*starts[1:], len(time)], strict=True):
+        if end - start < 2:
+            raise table.error(
+                start,
+                time_at,
+                "the block has one sample",
+                "record more, or look for rows that are out of order",
+            )
+        record = Record(
+            tuple(channels),
+            time[start:end],
+            values[start:end],
+            frequency_hz if frequency is None else float(frequency[start]),
+            int(experiments[start]),
+            table.source if len(starts) == 1 else f"{table.source}:{table.first_row + start}",
+        )
+        notes.extend(_clipped(record))
+        records.append(record)
+    return records, notes
+
+
+def check_frequency(table: Table, column: int, frequency: Real) -> None:
+    """Raises DataError at the first frequency that is not positive."""
+    wrong = ~(frequency > 0) | (frequency > 1e12)
+    if np.any(wrong):
+        i = int(np.argmax(wrong))
+        raise table.error(i, column, f"frequency {frequency[i]:g} Hz", "frequencies must be positive")
+
+
+def whole_numbers(table: Table, column: int, values: Real) -> Ints:
+    """A column as integers.  Raises DataError at the first that is none."""
+    wrong = (values != np.round(values)) | (np.abs(values) > 2**53)
+    if np.any(wrong):
+        i = int(np.argmax(wrong))
+        raise table.error(i, column, f"{values[i]:g} is not a whole number", "number them 0, 1, 2, …")
+    return values.astype(np.int64)
+
+
+def _check_range(table: Table, column: int, values: Real, most: float, unit: str) -> None:
+    """Raises DataError at the first value that overflows sums of squares."""
+    wrong = ~(np.abs(values) <= most)
+    if np.any(wrong):
+        i = int(np.argmax(wrong))
+        raise table.error(i, column, f"{values[i]:g} {unit} is too large", "check the unit and the number")
+
+
+def _blocks(table: Table, column: int, time: Real, frequency: Real | None, experiments: Ints) -> list[int]:
+    """Where records begin: the frequency or the experiment changes, or the time starts again.
+
+    Raises DataError where the time stands still or goes back without starting again.
+    """
+    change = experiments[1:] != experiments[:-1]
+    if frequency is not None:
+        change = change | (frequency[1:] != frequency[:-1])
+    starts = [0, *(np.flatnonzero(change) + 1).tolist()]
+    back = set((np.flatnonzero(time[1:] <= time[:-1]) + 1).tolist()) - set(starts)
+    begun = np.array(starts)
+    for i in sorted(back):
+        start = int(begun[np.searchsorted(begun, i, side="right") - 1])
+        start = max([start, *(k for k in starts[len(begun) :] if k < i)])
+        if time[i] > time[start] + 0.02 * (time[i - 1] - time[start]):
+            raise table.error(
+                i,
+                column,
+                f"the time does not increase ({time[i - 1]:.9g} s, then {time[i]:.9g} s)",
+                "sort the rows; records that follow each other need their own experiment number",
+            )
+        starts.append(i)
+    return sorted(starts)
+
+
+def _clipped(record: Record) -> list[str]:
+    """Channels that rest at their limit: three samples in a row and 1 % of all at exactly the greatest or least value,
+    eight times as many as at the value next to it."""
+    notes = []
+    for channel, x in zip(record.channels, record.values.T, strict=True):
+        for limit, side in ((np.max(x), x < np.max(x)), (np.min(x), x > np.min(x))):
+            at = x == limit
+            count = int(np.sum(at))
+            if count < max(3, 0.01 * len(x)) or not np.any(side) or not np.any(at[2:] & at[1:-1] & at[:-2]):
+                continue
+            following = np.max(x[side]) if np.max(x) == limit else np.min(x[side])
+            if count >= 8 * np.sum(x == following):
+                notes.append(
+                    f"{record.source}: {channel.name} rests at its limit in {count} of {len(x)} samples: "
+                    "if it is clipped, its amplitude is too small; widen the range or drive less"
+                )
+                break
+    return notes
+
+
+def _frequency_in_name(source: str) -> float | None:
+    """12.5 of …/sweep_12.5Hz.csv or 12p5Hz, where it is the only one."""
+    found = {float(re.sub("[,pP]", ".", text)) for text in _IN_NAME.findall(Path(source).name)}
+    found = {f for f in found if 0 < f < 1e12}
+    return found.pop() if len(found) == 1 else None
+
+
+def write_records(records: Sequence[Record], path: str | os.PathLike[str]) -> None:
+    """Write records as stepped-sine CSV that reads back to the same records, numbers in the channels' own units.
+
+    Raises DataError for repeats (leading axes), records of different channels, and records that would run together.
+    """
+    if not records:
+        raise DataError("there are no records", cure="give one record at least")
+    channels = records[0].channels
+    for record in records:
+        if record.channels != channels or record.values.ndim != 2:
+            raise DataError(
+                "records of different channels, or repeats, do not fit in one file",
+                record.source,
+                "write one file each",
+            )
+    for before, after in itertools.pairwise(records):
+        same = before.frequency_hz == after.frequency_hz and before.experiment == after.experiment
+        if same and after.time[0] > before.time[0] + 0.02 * (before.time[-1] - before.time[0]):
+            raise DataError(
+                f"two records at {after.frequency_hz} Hz would run together",
+                after.source,
+                "give them experiment numbers",
+            )
+    header, columns = [TIME], [np.concatenate([record.time for record in records])]
+    lengths = [len(record.time) for record in records]
+    driven = [record.frequency_hz for record in records if record.frequency_hz is not None]
+    if driven and len(driven) < len(records):
+        raise DataError("some of the records have no frequency", cure="write them to a file of their own")
+    if driven:
+        header.insert(0, FREQUENCY)
+        columns.insert(0, np.repeat(np.array(driven, dtype=float), lengths))
+    if any(record.experiment for record in records):
+        header.append(EXPERIMENT)
+        columns.append(np.repeat(np.array([record.experiment for record in records]), lengths))
+    for i, channel in enumerate(channels):
+        header.append(channel.name)
+        columns.append(np.concatenate([record.values[:, i] for record in records]) / channel.scale)
+    write_rows(path, [shown(name, 1000) for name in header], columns)

@@ -1,0 +1,100 @@
+"""Xsens DOT inertial sensors: one CSV file for each sensor, on one clock, made one record.
+
+Some rows about the device, then the columns PacketCounter, SampleTimeFine (µs, 32 bits), Euler_X …, Acc_X … (m/s²),
+Gyr_X … (°/s).  The first row may hold zeros instead of a measurement.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from dashpot.arrays import Ints, Real
+from dashpot.channel import Channel, Quantity
+from dashpot.data.readers.delimited.table import Table, open_table, shown
+from dashpot.data.record import Record
+from dashpot.errors import DataError
+
+COUNTER, CLOCK = "PacketCounter", "SampleTimeFine"
+AXES = ("Acc_X", "Acc_Y", "Acc_Z")
+WRAP = 1 << 32  # µs, the clock starts again after 71.6 minutes
+FEWEST = 0.5  # share of the shortest file that all sensors must have in common
+
+
+def read_xsens(
+    paths: Mapping[str, str | os.PathLike[str]],
+    channels: Sequence[Channel],
+    axis: str = "X",
+    *,
+    frequency_hz: float | None = None,
+    experiment: int = 0,
+    source: str = "record",
+) -> tuple[Record, list[str]]:
+    """The acceleration along `axis` of every channel, at the times that all sensors have in common, and notes.
+
+    `paths` names the file of each channel.  Time counts from the first common sample, in s.  Raises DataError with
+    file, row and column for what is missing, not a number, or not in order, and where the sensors share no clock.
+    """
+    column = f"Acc_{axis}"
+    if column not in AXES:
+        raise DataError(f"there is no axis {shown(axis)}", source, "it may be X, Y or Z")
+    sensors: list[tuple[Ints, Real]] = []
+    notes: list[str] = []
+    for channel in channels:
+        if channel.name not in paths:
+            cure = f"there are files of {', '.join(paths) or 'nothing'}"
+            raise DataError(f"channel {channel.name} has no file", source, cure)
+        if channel.quantity is not Quantity.ACCELERATION or channel.scale != 1.0:
+            cure = 'set quantity = "acceleration" and unit = "m/s²" for it in the rig file'
+            raise DataError(f"channel {channel.name} is no acceleration in m/s²", source, cure)
+        clock, values, told = _sensor(open_table(paths[channel.name], COUNTER), column)
+        sensors.append((clock, values))
+        notes.extend(told)
+    if not sensors:
+        raise DataError("no channels are listed", source, "name one channel at least")
+    common = sensors[0][0]
+    for clock, _ in sensors[1:]:
+        common = np.intersect1d(common, clock, assume_unique=True)
+    shortest = min(len(clock) for clock, _ in sensors)
+    if len(common) < max(2, FEWEST * shortest):
+        raise DataError(
+            f"the sensors have {len(common)} times in common, the shortest file has {shortest}",
+            source,
+            "give files of one recording, made by sensors that were synchronised before it",
+        )
+    if len(common) < shortest:
+        notes.append(f"{source}: {shortest - len(common)} samples that not all sensors have are left out")
+    values = np.stack([x[np.searchsorted(clock, common)] for clock, x in sensors], axis=-1)
+    time = (common - common[0]) * 1e-6
+    return Record(tuple(channels), time, values, frequency_hz, experiment, source), notes
+
+
+def _sensor(table: Table, column: str) -> tuple[Ints, Real, list[str]]:
+    """Clock in µs, values in m/s², notes; rows of zeros at the start left out."""
+    counter_at, clock_at, value_at = table.need(COUNTER), table.need(CLOCK), table.need(column)
+    axes = [table.need(name) for name in AXES]
+    numbers = table.numbers(list(dict.fromkeys([counter_at, clock_at, *axes])))
+    clock = numbers[clock_at]
+    wrong = (clock != np.round(clock)) | (clock < 0) | (clock >= WRAP)
+    if np.any(wrong):
+        i = int(np.argmax(wrong))
+        raise table.error(i, clock_at, f"{clock[i]:g} is no time in whole µs", "export the file again")
+    steps = np.diff(clock)
+    ticks = clock.astype(np.int64) + WRAP * np.concatenate([[0], np.cumsum(steps < -WRAP / 2)]).astype(
+        np.int64
+    )
+    back = np.diff(ticks) <= 0
+    if np.any(back):
+        i = int(np.argmax(back)) + 1
+        raise table.error(i, clock_at, "the time does not increase", "sort the rows or split the file")
+    silent = np.all([numbers[at] == 0 for at in axes], axis=0)
+    first = int(np.argmin(silent)) if not np.all(silent) else len(silent)
+    if len(ticks) - first < 2:
+        raise DataError("there are no measurements", table.source, "give a file with more samples")
+    notes = list(table.notes)
+    lost = int(np.sum(np.diff(numbers[counter_at][first:]) - 1))
+    if lost > 0:
+        notes.append(f"{table.source}: {lost} packets are missing; the true times of the others are used")
+    return ticks[first:], numbers[value_at][first:], notes

@@ -1,0 +1,80 @@
+"""What in the data or in the rig file is probably a slip: told beside the estimate, never acted upon."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from dashpot.arrays import Real
+from dashpot.channel import Quantity
+from dashpot.data.spectrum import Spectrum
+from dashpot.model.elements import Kind
+from dashpot.model.network import Model
+
+APART = 4.0  # standard deviations beyond which two statements contradict each other
+# Share of a prior's variance in the posterior beyond which the data say too little to contradict it.
+MOST_TOLD = 0.95
+SILENT = 1e-12  # of the largest amplitude of the same quantity: rounding
+
+
+def dead_channels(model: Model, spectrum: Spectrum) -> list[str]:
+    """Channels of a moving point that show nothing at any line, though others of their quantity do."""
+    size = np.nan_to_num(np.abs(spectrum.amplitudes)).max(axis=tuple(range(spectrum.amplitudes.ndim - 1)))
+    found = []
+    for channel, largest in zip(spectrum.channels, size, strict=True):
+        alike = [other.quantity is channel.quantity for other in spectrum.channels]
+        moves = channel.quantity is not Quantity.FORCE and not set(channel.of).isdisjoint(model.coordinates)
+        if moves and largest <= SILENT * np.max(size[alike]):
+            found.append(channel.name)
+    return found
+
+
+def duplicated_lines(spectrum: Spectrum) -> list[str]:
+    """A warning of lines whose noisy amplitudes are those of another line to the last digit."""
+    if not np.any(spectrum.covariance):
+        return []
+    Y = np.moveaxis(np.nan_to_num(spectrum.amplitudes), -2, 0).reshape(spectrum.lines, -1)
+    rows = np.concatenate([np.asarray(spectrum.omega)[:, None], Y.real, Y.imag], axis=1)
+    rows = rows[np.any(Y != 0, axis=1)]
+    more = len(rows) - len(np.unique(rows, axis=0))
+    if not more:
+        return []
+    told = (
+        f"{more} of {spectrum.lines} lines repeat another one to the last digit and count as measurements of their "
+        "own: if the same data are given twice, the intervals are too small"
+    )
+    return [told]
+
+
+def prior_conflict(model: Model, theta: Real, noise_covariance: Real) -> list[str]:
+    """Warnings of parameters stated with an sd that the data, left alone, put elsewhere; θ counts the statement.
+
+    An efficient estimate θ and the statement μ ± s it has used differ by s² − var θ in variance where both are right.
+    """
+    found = []
+    for j in np.flatnonzero(model.prior_precision):
+        stated, variance = 1 / model.prior_precision[j], noise_covariance[j, j]
+        own = max(stated - variance, (1 - MOST_TOLD) * stated)
+        apart = abs(theta[j] - model.prior_mean[j]) / np.sqrt(own)
+        if not apart > APART:
+            continue
+        alone = (theta[j] - model.prior_mean[j] * variance / stated) / (1 - min(variance / stated, MOST_TOLD))
+        name, unit = model.unknowns[j].name, model.unknowns[j].unit
+        found.append(
+            f"{name} is stated as {model.prior_mean[j]:.4g} ± {np.sqrt(stated):.2g} {unit}, and the data alone would "
+            f"make it {alone:.4g}: {apart:.2g} standard deviations apart; one of the two is wrong, or the model is"
+        )
+    return found
+
+
+def reversed_phase(model: Model, theta: Real, noise_covariance: Real) -> list[str]:
+    """A hint where every damper comes out negative beyond doubt: phases that count the other way do that."""
+    kinds = {element.name: element.kind for element in model.elements}
+    damper = (Kind.DAMPER, Kind.HYSTERETIC)
+    dampers = [j for j, unknown in enumerate(model.unknowns) if kinds[unknown.name] in damper]
+    if not dampers or np.any(theta[dampers] > -APART * np.sqrt(np.diagonal(noise_covariance)[dampers])):
+        return []
+    told = (
+        "all unknown dampers come out negative: perhaps the phases count the other way; dashpot reads amplitudes as "
+        "x(t) = Re(X e^{jωt}), in other data change the sign of the imaginary parts"
+    )
+    return [told]

@@ -1,0 +1,139 @@
+"""Where to start a search when nobody guesses: rigs of sensible size, drawn at random (THEORY §4, ml)."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from dashpot.arrays import Real
+from dashpot.channel import Quantity
+from dashpot.estimate.likelihood.objective import ObservationModel, measured, predict
+from dashpot.estimate.method import Prepared
+from dashpot.model.elements import Kind
+
+SCATTER = (0.03, 0.1, 0.2, 0.35, 0.6)  # decades by which the elements of one candidate differ
+
+
+def candidates(
+    data: Prepared, view: ObservationModel, count: int, rng: np.random.Generator
+) -> tuple[Real, Real]:
+    """`count` draws of ψ, (count, M), and of the channels' signs, (count, channels).
+
+    Each candidate has a mass, a natural frequency and a damping ratio of its own, around which its elements scatter
+    by little or much: rigs are mostly built of parts alike, and among rigs of like parts a search finds its way.  The
+    mass is drawn around what known parameters or measured forces imply, the frequency from the band of the data.
+    Guesses and priors of the model narrow the draw; the first candidate is the middle of every range.
+    """
+    omega = view.omega
+    low, high = np.min(omega), 1.5 * np.max(omega)
+    masses = _typical_mass(data, view) * 10 ** (0.3 * rng.standard_normal(count))
+    rates = low * (high / low) ** rng.random(count)
+    ratios = 10 ** rng.uniform(-2.3, 0.0, count)
+    decades = rng.choice(SCATTER, count)[:, None] * rng.standard_normal((count, len(view.names)))
+    masses[0], rates[0], ratios[0], decades[0] = _typical_mass(data, view), np.sqrt(low * high), 0.05, 0.0
+    size = {
+        Kind.MASS: masses,
+        Kind.INERTER: masses,
+        Kind.SPRING: masses * rates**2,
+        Kind.DAMPER: 2 * ratios * masses * rates,
+        Kind.HYSTERETIC: 2 * ratios * masses * rates**2,
+    }
+    kinds = {element.name: element.kind for element in data.model.elements}
+    psi = np.ones((count, len(view.names)))
+    for j, unknown in enumerate(data.model.unknowns):
+        if unknown.prior is not None and unknown.sd is not None:
+            psi[:, j] = unknown.prior + unknown.sd * np.clip(decades[:, j], -1, 1)
+        elif unknown.guess is not None:
+            psi[:, j] = unknown.guess * 10 ** (0.3 * decades[:, j])
+        else:
+            psi[:, j] = size[kinds[unknown.name]] * 10 ** decades[:, j]
+        if unknown.lower is not None or unknown.upper is not None:
+            psi[:, j] = np.clip(psi[:, j], unknown.lower, unknown.upper)
+    if view.delays:
+        psi[:, view.m + view.gains :] = 0.0
+    return _calibrated(data, view, psi, np.ones((count, len(view.channels))), rng)
+
+
+def neighbours(
+    psi: Real, sign: Real, view: ObservationModel, count: int, rng: np.random.Generator
+) -> tuple[Real, Real]:
+    """`count` draws around the rigs already found, which a wrong valley may separate from the right one.
+
+    Some scatter all parameters, some exchange two of a kind (chains seen at few points are nearly the same with two
+    of their parts exchanged), some change two parameters by much.
+    """
+    origin = rng.integers(0, len(psi), count)
+    moved = psi[origin].copy()
+    kinds = {element.name: element.kind for element in view.model.elements}
+    alike = np.array(
+        [[kinds[a.name] == kinds[b.name] for b in view.model.unknowns] for a in view.model.unknowns]
+    )
+    pairs = np.argwhere(np.triu(alike, 1))
+    for row in moved:
+        move = rng.integers(0, 3)
+        if move == 0 and len(pairs):
+            i, j = pairs[rng.integers(0, len(pairs))]
+            row[[i, j]] = row[[j, i]]
+            row[: view.m] *= 10 ** (0.03 * rng.standard_normal(view.m))
+        elif move == 1 and view.m > 1:
+            row[rng.choice(view.m, 2, replace=False)] *= 10 ** (0.4 * rng.standard_normal(2))
+        else:
+            row[: view.m] *= 10 ** (rng.choice(SCATTER[1:3]) * rng.standard_normal(view.m))
+    return moved, sign[origin]
+
+
+def _typical_mass(data: Prepared, view: ObservationModel) -> float:
+    """The mass that known parameters imply at the middle of the band, else measured force over acceleration."""
+    omega = float(np.exp(np.mean(np.log(view.omega))))
+    power = {Kind.MASS: 0, Kind.INERTER: 0, Kind.DAMPER: 1, Kind.SPRING: 2, Kind.HYSTERETIC: 2}
+    known = []
+    for element in data.model.elements:
+        number = element.value if element.value is not None else element.guess
+        if number is not None and number > 0:
+            known.append(number / omega ** power[element.kind])
+    masses = [
+        e.value for e in data.model.elements if e.kind is Kind.MASS and e.value is not None and e.value > 0
+    ]
+    if masses:
+        return float(np.exp(np.mean(np.log(masses))))
+    size = np.mean(np.abs(np.nan_to_num(data.spectrum.amplitudes)), axis=0)
+    force = [i for i, c in enumerate(view.channels) if c.quantity is Quantity.FORCE]
+    motion = [i for i, c in enumerate(view.channels) if c.quantity is not Quantity.FORCE]
+    if force and motion and np.any(size[:, force]) and not known:
+        rate = np.array([2 - view.channels[i].quantity.derivative for i in motion])
+        acceleration = np.max(size[:, motion] * view.omega[:, None] ** rate, axis=-1)
+        pushed = np.max(size[:, force], axis=-1)
+        usable = (acceleration > 0) & (pushed > 0)
+        if np.any(usable):
+            return float(np.exp(np.median(np.log(pushed[usable] / acceleration[usable]))))
+    return float(np.exp(np.mean(np.log(known)))) if known else 1.0
+
+
+def _calibrated(
+    data: Prepared, view: ObservationModel, psi: Real, sign: Real, rng: np.random.Generator
+) -> tuple[Real, Real]:
+    """Gains and signs that suit each candidate: by regression on what it predicts, where the inputs are known."""
+    if not view.gains and not np.any(view.flips):
+        return psi, sign
+    soft = measured(data, view, 1.0)
+    if view.gains:
+        psi[:, view.m : view.m + view.gains] = 10 ** (0.5 * rng.standard_normal((len(psi), view.gains)))
+    if np.any(view.flips):
+        sign[:, view.flips] = rng.choice([-1.0, 1.0], size=(len(psi), int(np.sum(view.flips))))
+    if soft.q is None:
+        if view.gains:
+            psi[:, view.m : view.m + view.gains] *= rng.choice([-1.0, 1.0], size=(len(psi), view.gains))
+        return psi, sign
+    with np.errstate(all="ignore"):
+        at = predict(view, soft, psi, sign)
+    predicted = soft.y - at.r
+    weight = 1.0 / np.maximum(np.abs(soft.y) ** 2, 1e-300) * (np.abs(soft.y) > 0)
+    along = np.sum((np.conj(predicted) * soft.y).real * weight, axis=-2)
+    power = np.sum(np.abs(predicted) ** 2 * weight, axis=-2)
+    flip = view.flips & (along < 0)
+    sign = np.where(flip, -sign, sign)
+    for k in range(view.gains):
+        own = view.gain == k
+        ratio = np.sum(along[:, own], axis=-1) / np.maximum(np.sum(power[:, own], axis=-1), 1e-300)
+        usable = np.isfinite(ratio) & (ratio != 0)
+        psi[:, view.m + k] *= np.where(usable, ratio, 1.0)
+    return psi, sign

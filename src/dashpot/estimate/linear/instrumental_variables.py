@@ -1,0 +1,168 @@
+"""Instrumental variables: the paper's bootstrap (eq. 17-20) and the optimally weighted, refined form (THEORY §4)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import ClassVar
+
+import numpy as np
+from scipy.special import chdtrc
+
+from dashpot.arrays import Bools, Complex, Ints, Real
+from dashpot.errors import UsageError
+from dashpot.estimate.linear.auxiliary_model import auxiliary, information, normal_equations
+from dashpot.estimate.linear.gram import regressors
+from dashpot.estimate.linear.least_squares import sandwich, solve_sums, starts
+from dashpot.estimate.linear.sample_moments import Sampled, least_squares_sums, sampled, sums_with_harmonics
+from dashpot.estimate.method import Method, Prepared, Solution
+from dashpot.estimate.preparation.state_reconstruction import States
+from dashpot.model.dynamics import amplitudes, unit_forces
+from dashpot.model.network import Model
+from dashpot.numerics.levenberg_marquardt import OptimizeResult, QuadraticModel, minimise
+from dashpot.numerics.small_systems import scaled_inverse
+
+FAR = 1e9  # times the start
+ASTRAY = 1e-4  # χ² so unlikely may mean a local minimum: other starts are tried
+
+
+@dataclass(frozen=True)
+class InstrumentalVariables(Method):
+    """The paper's bootstrap: instruments from the auxiliary model, unweighted, from least squares (eq. 17-20).
+
+    Stops when no unknown moves by more than `tolerance` of its size.
+    """
+
+    max_iterations: int = 100
+    tolerance: float = 1e-10
+    name: ClassVar[str] = "iv"
+
+    def solve(self, data: Prepared) -> Solution:
+        """θ from (G) with instruments from the response of the auxiliary model."""
+        looks = sampled(data)
+        N, r = least_squares_sums(looks)
+        theta = solve_sums(looks, N, r)
+
+        def step(theta: Real, rows: Ints) -> Real:
+            part = looks.rows(rows)
+            N, r = sums_with_harmonics(part, instruments(part, theta))
+            return solve_sums(part, N, r, theta)
+
+        theta, converged, iterations, history = fixed_point(step, theta, self.tolerance, self.max_iterations)
+        w = instruments(looks, theta)
+        N, _ = sums_with_harmonics(looks, w)
+        return Solution(theta, sandwich(looks, N, w, theta), converged, iterations, history)
+
+
+def instruments(looks: Sampled, theta: Real) -> Complex:
+    """w_i of eq. 18-19, amplitudes (K, lines, elements): unit forces of the auxiliary model's response."""
+    model = looks.model
+    X = amplitudes(model, model.parameters(theta), looks.omega, looks.U, looks.f)
+    return unit_forces(model, looks.omega, X, looks.U)
+
+
+def fixed_point(
+    step: Callable[[Real, Ints], Real], theta: Real, tolerance: float, limit: int
+) -> tuple[Real, Bools, Ints, Real]:
+    """Repeat θ ← step(θ) for all repeats until each stands still; (θ, converged, iterations, history of the first)."""
+    theta = theta.copy()
+    converged = np.zeros(len(theta), dtype=bool)
+    iterations = np.zeros(len(theta), dtype=np.int64)
+    history = [theta[0].copy()]
+    active = np.flatnonzero(np.all(np.isfinite(theta), axis=-1))
+    for _ in range(limit):
+        if not len(active):
+            break
+        new = step(theta[active], active)
+        moved = np.max(np.abs(new - theta[active]) / np.maximum(np.abs(new), 1e-300), axis=-1)
+        theta[active] = new
+        iterations[active] += 1
+        if active[0] == 0:
+            history.append(new[0].copy())
+        converged[active[moved <= tolerance]] = True
+        active = active[(moved > tolerance) & np.all(np.isfinite(new), axis=-1)]
+    return theta, converged, iterations, np.array(history)
+
+
+@dataclass(frozen=True)
+class OptimalIV(Method):
+    """Optimally weighted, refined instrumental variables: Ω = (H Σ Hᴴ)⁻¹ and instruments follow θ̂.
+
+    Its fixed point is the maximum of the likelihood where all coordinates are seen, so it sits on the Cramér-Rao
+    bound.  A step that does not lower Σ eᴴ Ω e is replaced by damped Gauss-Newton steps, which do.
+    """
+
+    max_iterations: int = 200
+    tolerance: float = 1e-9
+    name: ClassVar[str] = "oiv"
+    weighted: ClassVar[bool] = True
+    efficient: ClassVar[bool] = True
+
+    def solve(self, data: Prepared) -> Solution:
+        """θ at the minimum of Σ eᴴ Ω(θ) e with the priors' rows."""
+        if data.states is None:
+            raise UsageError("oiv needs every coordinate and input", cure="use the method ml")
+        model, states = data.model, data.states
+        first, *others = starts(model, states)
+        found = self._search(model, states, first, np.arange(len(first)))
+        for start in others:
+            astray = np.flatnonzero(~found.converged | (_tail(model, states, found.cost) < ASTRAY))
+            if not len(astray):
+                break
+            found = found.improved(astray, self._search(model, states, start, astray))
+        at = auxiliary(model, model.parameters(found.x), states)
+        bread = scaled_inverse(np.sum(information(model, at), axis=-3) + np.diag(model.prior_precision))
+        return Solution(found.x, bread, found.converged, found.iterations, found.history)
+
+    def _search(self, model: Model, states: States, start: Real, repeats: Ints) -> OptimizeResult:
+        return search(model, states, start, repeats, limit=self.max_iterations, tolerance=self.tolerance)
+
+
+def search(
+    model: Model, states: States, start: Real, repeats: Ints, *, limit: int, tolerance: float
+) -> OptimizeResult:
+    """Minimise Σ eᴴ Ω(θ) e with the priors' rows, for some of the repeats; `start` is (K, unknowns) of all."""
+    evaluate = objective(model, states, repeats)
+    # With noise as large as the signal the likelihood may rise towards infinity: such a repeat has no answer.
+    reach = FAR * np.max(np.abs(np.nan_to_num(start)), axis=0, initial=0.0)
+    reach = np.where(reach > 0, reach, np.inf)
+    found = minimise(evaluate, start[repeats], limit=limit, tolerance=tolerance, lower=-reach, upper=reach)
+    return replace(found, converged=found.converged & np.all(np.abs(found.x) < reach, axis=-1))
+
+
+def objective(model: Model, states: States, repeats: Ints) -> Callable[[Real, Ints], QuadraticModel]:
+    """Σ eᴴ Ω(θ) e with the priors' rows, as `minimise` takes it, for some of the repeats."""
+    precision = model.prior_precision
+    mine = states.rows(repeats)
+    Phi = regressors(model, unit_forces(model, mine.omega, mine.X, mine.U))
+
+    def evaluate(theta: Real, rows: Ints) -> QuadraticModel:
+        at = auxiliary(model, model.parameters(theta), mine.rows(rows))
+        mixed, symmetric, gradient = normal_equations(model, at, Phi[rows])
+        away = theta - model.prior_mean
+        return QuadraticModel(
+            at.cost() + np.sum(precision * away**2, axis=-1),
+            gradient - precision * away,
+            symmetric + np.diag(precision),
+            mixed + np.diag(precision),
+        )
+
+    return evaluate
+
+
+def likeliest(data: Prepared, theta: Real) -> Real:
+    """The most likely parameters near θ, (K, unknowns), to a thousandth of a standard deviation.
+
+    χ² of the data and the bound belong to them, whatever method found θ.
+    """
+    if data.states is None:
+        return theta
+    everyone = np.arange(len(theta))
+    return search(data.model, data.states, theta, everyone, limit=50, tolerance=1e-3).x
+
+
+def _tail(model: Model, states: States, cost: Real) -> Real:
+    """Probability that χ² exceeds the cost, were the noise as stated."""
+    dof = 2 * model.n * len(states.omega) - len(model.unknowns) + int(np.count_nonzero(model.prior_precision))
+    tail: Real = np.asarray(chdtrc(float(max(dof, 1)), np.where(np.isfinite(cost), cost, np.inf)))
+    return tail

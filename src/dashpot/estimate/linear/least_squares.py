@@ -1,0 +1,311 @@
+"""Least squares on the equation of motion: the paper's on samples (eq. 17), on amplitudes, weighted, compensated."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import ClassVar
+
+import numpy as np
+
+from dashpot.arrays import Bools, Complex, Real, hermitian
+from dashpot.errors import UsageError
+from dashpot.estimate.linear.auxiliary_model import equation_covariance
+from dashpot.estimate.linear.gram import gram, gram_force, known_side, regressors, weighted_normal
+from dashpot.estimate.linear.sample_moments import Sampled, sampled, sums_with_samples
+from dashpot.estimate.method import Method, Prepared, Solution, closed_form
+from dashpot.estimate.preparation.state_reconstruction import States
+from dashpot.model.dynamics import unit_forces
+from dashpot.model.network import Model
+from dashpot.numerics.small_systems import scaled_inverse, solve_scaled, solve_small
+
+
+@dataclass(frozen=True)
+class LeastSquares(Method):
+    """The paper's least squares on samples (eq. 17, Q = I).  Biased: the noise's power enters the normal matrix."""
+
+    name: ClassVar[str] = "ls"
+
+    def solve(self, data: Prepared) -> Solution:
+        """θ in closed form; the covariance is the estimator's own spread, not its distance from the truth."""
+        looks = sampled(data)
+        N, r = sums_with_samples(looks)
+        theta = solve_sums(looks, N, r)
+        return closed_form(
+            theta, sandwich(looks, N, looks.a, theta, noisy_instruments=True, bins=looks.weight)
+        )
+
+
+@dataclass(frozen=True)
+class HarmonicLeastSquares(Method):
+    """Least squares on amplitudes, unweighted: a bias smaller than that of samples by about 2/N."""
+
+    name: ClassVar[str] = "hls"
+
+    def solve(self, data: Prepared) -> Solution:
+        """θ in closed form from the combined amplitudes."""
+        looks = combined(data)
+        N, r = (
+            gram(data.model, looks.a, looks.a, looks.weight),
+            gram_force(data.model, looks.a, looks.f, looks.weight),
+        )
+        theta = solve_sums(looks, N, r)
+        bins = np.ones_like(looks.weight)
+        return closed_form(theta, sandwich(looks, N, looks.a, theta, noisy_instruments=True, bins=bins))
+
+
+@dataclass(frozen=True)
+class WeightedLeastSquares(Method):
+    """Least squares on amplitudes, weighted by Ω = Cov(e)⁻¹ at the unweighted estimate."""
+
+    name: ClassVar[str] = "wls"
+    weighted: ClassVar[bool] = True
+
+    def solve(self, data: Prepared) -> Solution:
+        """θ in closed form, given the weight."""
+        model = data.model
+        if data.states is None:
+            raise UsageError("wls needs every coordinate and input", cure="use the method ml")
+        looks = combined(data)
+        N, r = gram(model, looks.a, looks.a, looks.weight), gram_force(model, looks.a, looks.f, looks.weight)
+        Se = equation_covariance(model, model.parameters(solve_sums(looks, N, r)), data.states)
+        Phi, h = regressors(model, looks.a), known_side(model, looks.a, looks.f)
+        bread, right = with_priors(model, *normal_sums(Se, Phi, h))
+        theta = solve_scaled(bread, right)
+        # One round of refinement by the residual: near a resonance Ω spans many powers of ten.
+        left = h - np.einsum("klnu,ku->kln", Phi, theta)
+        prior = model.prior_precision
+        theta = theta + solve_scaled(
+            bread, normal_sums(Se, Phi, left)[1] + prior * (model.prior_mean - theta)
+        )
+        Q = equation_map(looks, model.parameters(theta))
+        e = np.einsum("...nc,...c->...n", Q, looks.y)
+        Gamma = noise_map(looks)
+        meat = score_covariance(
+            solve_small(Se, Phi), Q, solve_small(Se, e[..., None])[..., 0], Gamma, solve_small(Se, Q), looks.V,
+            np.full_like(looks.weight, 2.0), np.ones_like(looks.weight),
+        )  # fmt: skip
+        half = scaled_inverse(bread)
+        return closed_form(theta, half @ (meat + np.diag(model.prior_precision)) @ half)
+
+
+def normal_sums(Se: Complex, Phi: Complex, h: Complex) -> tuple[Real, Real]:
+    """2 Re Φᴴ Ω Φ and 2 Re Φᴴ Ω h, summed over lines."""
+    both = np.concatenate([Phi, h[..., None]], axis=-1)
+    _, products = weighted_normal(both, Se, both)
+    return products[..., :-1, :-1], products[..., :-1, -1]
+
+
+def with_priors(model: Model, N: Real, right: Real) -> tuple[Real, Real]:
+    """The sums with one more row for each prior."""
+    return N + np.diag(model.prior_precision), right + model.prior_precision * model.prior_mean
+
+
+def combined(data: Prepared) -> Sampled:
+    """Unit forces from the amplitudes z = (X, U, f) that all channels together give; z takes the channels' place."""
+    if data.states is None:
+        raise UsageError("hls needs every coordinate and input", cure="use the method ml")
+    model, spectrum, s = data.model, data.spectrum, data.states
+    size = s.z.shape[-1]
+    span = np.zeros((len(model.elements), size))
+    span[:, : s.n + s.r] = np.concatenate([model.B, model.D], axis=1)
+    reading = model.factors(spectrum.omega)[None, :, :, None] * span
+    force = np.broadcast_to(
+        np.eye(size, dtype=complex)[s.n + s.r :], (1, spectrum.lines, size - s.n - s.r, size)
+    )
+    a = unit_forces(model, spectrum.omega, s.X, s.U)
+    return Sampled(
+        model, spectrum.omega, s.covariance, s.z, a, reading, s.U, s.f, force, spectrum.samples / 2, None, None
+    )  # fmt: skip
+
+
+def solve_sums(looks: Sampled, N: Real, r: Real, theta: Real | None = None) -> Real:
+    """θ from N and r of (G), priors as further rows scaled by the equation error's variance at `theta`.
+
+    Without `theta` the parameters with a prior are held at it first, to learn that variance.
+    """
+    model = looks.model
+    T = model.T
+    matrix, right = T.T @ N @ T, (r - N @ model.p0) @ T
+    if not np.any(model.prior_precision):
+        return solve_scaled(matrix, right)
+    if theta is None:
+        diagonal = np.abs(np.diagonal(matrix, axis1=-2, axis2=-1))
+        chosen = model.prior_precision > 0
+        held = 1e8 * np.max(diagonal[..., chosen] / model.prior_precision[chosen], axis=-1)
+        theta = _solve_prior(model, matrix, right, held)
+    return _solve_prior(model, matrix, right, equation_variance(looks, theta))
+
+
+def _solve_prior(model: Model, matrix: Real, right: Real, variance: Real) -> Real:
+    return solve_scaled(*with_priors(model, matrix / variance[..., None, None], right / variance[..., None]))
+
+
+def equation_map(looks: Sampled, p: Real) -> Complex:
+    """Q with e = Q y, (K, lines, n, channels): Bᵀ diag(p) reading − S force."""
+    model = looks.model
+    forces = (model.B.T * p[:, None, None, :]) @ looks.reading
+    return forces - model.S @ looks.force if looks.force.shape[-2] else forces
+
+
+def equation_variance(looks: Sampled, theta: Real) -> Real:
+    """Mean variance of the equation error per sample, (K,), N²: what one row of the unweighted sums is worth."""
+    Q = equation_map(looks, looks.model.parameters(theta))
+    power = np.einsum("...lnc,...lcd,...lnd->...l", Q, looks.V, np.conj(Q)).real
+    variance: Real = np.mean(power * looks.weight, axis=-1) / (2 * looks.model.n)
+    return np.where(variance > 0, variance, 1.0)
+
+
+def sandwich(
+    looks: Sampled,
+    N: Real,
+    w: Complex,
+    theta: Real,
+    *,
+    noisy_instruments: bool = False,
+    bins: Real | None = None,
+) -> Real:
+    """Covariance N⁻¹ (Σ cov of the scores) N⁻ᵀ of an unweighted estimate; (K, unknowns, unknowns).  THEORY §5.
+
+    With noisy instruments (w = a) the score is quadratic in the noise: what it adds is the covariance of quadratic
+    forms of Gaussian noise, once for each independent `bin` of frequency in which the noise enters (samples / 2 for
+    sums over samples, 1 for amplitudes).
+    """
+    model = looks.model
+    Q = equation_map(looks, model.parameters(theta))
+    Gamma = noise_map(looks) if noisy_instruments else None
+    e = np.einsum("...nc,...c->...n", Q, looks.y)
+    one = np.ones_like(looks.weight) if bins is None else bins
+    meat = score_covariance(regressors(model, w), Q, e, Gamma, Q, looks.V, looks.weight, one)
+    T = model.T
+    bread = T.T @ N @ T
+    if np.any(model.prior_precision):
+        variance = equation_variance(looks, theta)[..., None, None]
+        bread = bread / variance + np.diag(model.prior_precision)
+        meat = meat / variance**2 + np.diag(model.prior_precision)
+    half = scaled_inverse(bread)
+    return half @ meat @ np.swapaxes(half, -1, -2)
+
+
+def noise_map(looks: Sampled) -> Complex:
+    """Γ with ΔΦ = Γ Δy, (K or 1, lines, n, unknowns, channels)."""
+    Gamma: Complex = np.einsum(
+        "in,iu,...lic->...lnuc", looks.model.B, looks.model.T, looks.reading, optimize=True
+    )
+    return Gamma
+
+
+def score_covariance(
+    A: Complex,
+    Q: Complex,
+    e: Complex,
+    Gamma: Complex | None,
+    weighted_Q: Complex,
+    V: Complex,
+    weight: Real,
+    bins: Real,
+) -> Real:
+    """Covariance of Σ_l weight_l Re(Aᴴ e), where e = Q y, ΔA = Γ Δy and E[Δy Δyᴴ] = V; (K, unknowns, unknowns)."""
+    g = hermitian(A) @ Q
+    if Gamma is not None:
+        g = g + np.einsum("...ln,...lnuc->...luc", np.conj(e), Gamma)
+    linear: Real = 0.5 * np.sum((weight**2)[:, None, None] * (g @ V @ hermitian(g)).real, axis=-3)
+    if Gamma is None:
+        return linear
+    # ½ tr(F_u V F_v V) + ½ tr(F_u V F_vᴴ V) with F_u = Γ_uᴴ Q, in products of n rows rather than of channels.
+    scale = (weight**2 * bins)[:, None, None]
+    by_unknown = np.moveaxis(Gamma, -2, -4)  # (..., unknowns, lines, n, channels)
+    spread = by_unknown @ V[..., None, :, :, :]
+    crossed = spread @ hermitian(weighted_Q)[..., None, :, :, :]
+    power = weighted_Q @ V @ hermitian(weighted_Q)
+    first = _flat(crossed * scale) @ np.swapaxes(_flat(np.swapaxes(crossed, -1, -2)), -1, -2)
+    second = _flat(power[..., None, :, :, :] @ spread * scale) @ hermitian(_flat(by_unknown))
+    total: Real = linear + 0.5 * (first + second).real
+    return total
+
+
+def _flat(stack: Complex) -> Complex:
+    """(..., unknowns, lines, n, k) with the last three axes in one."""
+    return stack.reshape(*stack.shape[:-3], int(np.prod(stack.shape[-3:])))
+
+
+def starts(model: Model, data: States) -> tuple[Real, Real, Real]:
+    """Starts for the iterative estimators, each (K, unknowns), the best first.
+
+    Least squares on amplitudes; weighted by Ω at that, twice; and weighted with the noise's own moments taken out.
+    Weighting comes first: far from the truth, taking the noise out leaves a matrix that is all but singular.
+    Parameters with a prior are held there in the first pass, which has no scale to weigh them by.
+    """
+    fixed = _without_priors(model)
+    free = model.prior_precision == 0
+    plain = np.broadcast_to(model.prior_mean, (len(data.z), len(model.unknowns))).copy()
+    Phi, h = equation(model, data)
+    if np.any(free):
+        even = np.broadcast_to(np.eye(model.n, dtype=complex), (len(data.omega), model.n, model.n))
+        sides = (Phi, h) if fixed is model else equation(fixed, data)
+        plain[:, free] = solve_scaled(*normal_sums(even, *sides))
+    weighted = plain
+    for _ in range(2):
+        Se = equation_covariance(model, model.parameters(weighted), data)
+        N, right = with_priors(model, *normal_sums(Se, Phi, h))
+        weighted = where_finite(solve_scaled(N, right), weighted)
+    Se = equation_covariance(model, model.parameters(weighted), data)
+    clean, _ = without_noise(model, data, Se, *normal_sums(Se, Phi, h))
+    return where_finite(clean, weighted), weighted, plain
+
+
+def compensated(model: Model, data: States) -> Real:
+    """The best of the `starts`, (K, unknowns)."""
+    return starts(model, data)[0]
+
+
+def where_finite(values: Real, otherwise: Real) -> Real:
+    """Repeats of `values` that are finite throughout, else those of `otherwise`."""
+    return np.where(np.all(np.isfinite(values), axis=-1, keepdims=True), values, otherwise)
+
+
+def _without_priors(model: Model) -> Model:
+    """The model with its uncertain known values taken as exact."""
+    if not np.any(model.prior_precision):
+        return model
+    return replace(model, elements=tuple(replace(element, sd=None) for element in model.elements))
+
+
+def equation(model: Model, data: States) -> tuple[Complex, Complex]:
+    """Φ and h of the measured amplitudes: e = Φ θ − h; (K, lines, n, unknowns) and (K, lines, n)."""
+    a = unit_forces(model, data.omega, data.X, data.U)
+    return regressors(model, a), known_side(model, a, data.f)
+
+
+def without_noise(model: Model, data: States, Se: Complex, N: Real, right: Real) -> tuple[Real, Bools]:
+    """Weighted least squares less what the noise of the regressors adds to its sums; (K, unknowns).
+
+    E[Φᴴ Ω Φ] of the measured regressors is that of the true ones plus a term in Σ, which is known.  Where taking it
+    out leaves no positive definite matrix, it is left in, and the second value is False, (K,).  N and `right` are the
+    sums with the weight Se⁻¹, without the priors.
+    """
+    noise, noise_right = noise_sums(model, data, Se)
+    prior, prior_right = np.diag(model.prior_precision), model.prior_precision * model.prior_mean
+    raw, clean = N + prior, N - noise + prior
+    scale = np.sqrt(np.maximum(np.abs(np.diagonal(raw, axis1=-2, axis2=-1)), 1e-300))
+    outer = scale[..., :, None] * scale[..., None, :]
+    usable = _smallest(clean / outer) > 0.05 * _smallest(raw / outer)
+    matrix = np.where(usable[..., None, None], clean, raw)
+    theta = solve_scaled(matrix, right + prior_right - np.where(usable[..., None], noise_right, 0.0))
+    return theta, usable
+
+
+def noise_sums(model: Model, data: States, Se: Complex) -> tuple[Real, Real]:
+    """What noise adds to 2 Re ΦᴴΩΦ and to 2 Re ΦᴴΩh, by (G): (B Ω Bᵀ) ∘ E[ā aᵀ], (K, unknowns, unknowns or none)."""
+    q = data.n + data.r
+    reading = model.factors(data.omega)[:, :, None] * np.concatenate([model.B, model.D], axis=1)
+    meeting = model.B @ solve_small(Se, np.broadcast_to(np.eye(model.n, dtype=complex), Se.shape))
+    spread = reading @ data.covariance[..., :q, :]
+    own = np.conj(spread[..., :q] @ hermitian(reading))
+    pairs = 2 * np.sum(((meeting @ model.B.T) * own).real, axis=-3)
+    forces = 2 * np.sum(((meeting @ model.S) * np.conj(spread[..., q:])).real, axis=(-1, -3))
+    return model.T.T @ pairs @ model.T, (forces - pairs @ model.p0) @ model.T
+
+
+def _smallest(matrix: Real) -> Real:
+    smallest: Real = np.linalg.eigvalsh(np.nan_to_num(matrix))[..., 0]
+    return smallest

@@ -1,0 +1,215 @@
+"""Minimising a sum of squares for many repeats at once: full steps where they help, damped ones where they do not."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from dashpot.arrays import Bools, Ints, Real
+from dashpot.numerics.small_systems import scaled_inverse, solve_scaled
+
+ROUNDING = 1e-5  # standard deviations
+PATIENCE = 12  # iterations after which Newton's own matrix is worth its evaluations
+
+
+@dataclass(frozen=True)
+class QuadraticModel:
+    """The cost at k points and what a step needs.
+
+    cost (k,); gradient (k, m), minus half the slope; symmetric (k, m, m), half the curvature of Gauss-Newton;
+    free (k, m, m), the matrix of the full step (`symmetric` itself, or a refined instrumental one).
+    """
+
+    cost: Real
+    gradient: Real
+    symmetric: Real
+    free: Real
+
+    def where(self, chosen: Bools, other: QuadraticModel) -> QuadraticModel:
+        """This where chosen, else the other."""
+        one, two = chosen[:, None], chosen[:, None, None]
+        return QuadraticModel(
+            np.where(chosen, self.cost, other.cost),
+            np.where(one, self.gradient, other.gradient),
+            np.where(two, self.symmetric, other.symmetric),
+            np.where(two, self.free, other.free),
+        )
+
+    def rows(self, keep: Bools) -> QuadraticModel:
+        """Some of the points."""
+        return QuadraticModel(self.cost[keep], self.gradient[keep], self.symmetric[keep], self.free[keep])
+
+
+@dataclass(frozen=True)
+class OptimizeResult:
+    """Where the search ended, for K repeats; history of the first one, (iterations + 1, m)."""
+
+    x: Real
+    cost: Real
+    converged: Bools
+    iterations: Ints
+    history: Real
+
+    def worse(self, rows: Ints, other: OptimizeResult) -> Bools:
+        """For which of `rows` another search over them ended lower, or settled where this one did not."""
+        return (other.cost < self.cost[rows] * (1 - 1e-9)) | (other.converged & ~self.converged[rows])
+
+    def improved(self, rows: Ints, other: OptimizeResult) -> OptimizeResult:
+        """With what another search over some of the repeats found, where `worse` prefers it.  Iterations add up."""
+        better = self.worse(rows, other)
+        x, cost, converged = self.x.copy(), self.cost.copy(), self.converged.copy()
+        iterations = self.iterations.copy()
+        x[rows[better]], cost[rows[better]] = other.x[better], other.cost[better]
+        converged[rows[better]] = other.converged[better]
+        iterations[rows] += other.iterations
+        history = other.history if len(rows) and rows[0] == 0 and better[0] else self.history
+        return OptimizeResult(x, cost, converged, iterations, history)
+
+
+def without_bounds(x: Real, here: QuadraticModel, lower: Real, upper: Real) -> Real:
+    """Where the minima x, (k, m), would lie without bounds: one full step on where a bound holds, else x itself."""
+    held = np.any((x <= lower) | (x >= upper), axis=-1, keepdims=True)
+    free: Real = np.where(held, x + solve_scaled(here.symmetric, here.gradient), x)
+    return free
+
+
+def minimise(
+    evaluate: Callable[[Real, Ints], QuadraticModel],
+    start: Real,
+    *,
+    limit: int,
+    tolerance: float,
+    lower: Real | None = None,
+    upper: Real | None = None,
+    longest: Real | float = np.inf,
+    patience: int = PATIENCE,
+) -> OptimizeResult:
+    """Minimise the cost of each of K repeats from `start`, (K, m), within bounds.
+
+    `evaluate(x, rows)` gives the cost at x for the repeats `rows`.  A step that does not lower the cost is repeated
+    with Levenberg and Marquardt's damping on the diagonal of `symmetric`.  A repeat ends when its full step is below
+    `tolerance` standard deviations (or 1e-13 of the value) in every unknown.  A bound whose far side is downhill
+    holds its unknown there.  No unknown moves by more than `longest` in one step.  What still runs after `patience`
+    iterations goes on with Newton's own matrix, and with every such number of iterations more may stop ten times
+    farther off, up to ROUNDING: unknowns that the data hardly tell apart come no nearer.
+    """
+    repeats, m = start.shape
+    low = np.full(m, -np.inf) if lower is None else lower
+    high = np.full(m, np.inf) if upper is None else upper
+    x_all = np.clip(start, low, high)
+    cost_all = np.full(repeats, np.inf)
+    converged = np.zeros(repeats, dtype=bool)
+    iterations = np.zeros(repeats, dtype=np.int64)
+    history = [x_all[0].copy()]
+    active = np.flatnonzero(np.all(np.isfinite(x_all), axis=-1))
+    if not len(active):
+        return OptimizeResult(x_all, cost_all, converged, iterations, np.array(history))
+    x = x_all[active]
+    with np.errstate(all="ignore"):
+        here = _finite(evaluate(x, active))
+    damping = np.zeros(len(active))
+    for turn in range(limit):
+        if turn >= patience:
+            here, convex = _curved(evaluate, x, active, here)
+            damping = np.where(convex & (turn == patience), 0.0, damping)
+        else:
+            convex = np.zeros(len(active), dtype=bool)
+        step, spread = _step(x, here, damping, convex, low, high)
+        trial = np.clip(x + np.clip(np.nan_to_num(step), -longest, longest), low, high)
+        with np.errstate(all="ignore"):
+            there = _finite(evaluate(trial, active))
+        usable = np.all(np.isfinite(step), axis=-1)
+        better = usable & (there.cost <= here.cost * (1 + 1e-12) + 1e-12)
+        moved = np.abs(trial - x)
+        near = max(tolerance, min(tolerance * 10.0 ** (turn // patience - 1), ROUNDING))
+        small = np.all(moved <= np.maximum(near * spread, 1e-13 * np.abs(x)), axis=-1)
+        with np.errstate(all="ignore"):  # steps from where there is no cost yet, or into the infinite
+            calm = _calmer(damping, here.cost - there.cost, _promised(here, trial - x))
+        x = np.where(better[:, None], trial, x)
+        here = there.where(better, here)
+        iterations[active] += 1
+        x_all[active], cost_all[active] = x, here.cost
+        if active[0] == 0:
+            history.append(x[0].copy())
+        # A tiny full step ends the search.  So does a tiny rejected one: nothing lower is left within rounding.
+        done = small & usable & ((damping == 0) | ~better)
+        converged[active[done]] = True
+        damping = np.where(better, np.where(small, 0.0, calm), np.maximum(damping * 3, 1e-5))
+        keep = ~(done | (damping > 1e14))
+        if not np.any(keep):
+            break
+        if not np.all(keep):
+            active, x, damping, here = active[keep], x[keep], damping[keep], here.rows(keep)
+    return OptimizeResult(x_all, cost_all, converged, iterations, np.array(history))
+
+
+def _curved(
+    evaluate: Callable[[Real, Ints], QuadraticModel], x: Real, rows: Ints, here: QuadraticModel
+) -> tuple[QuadraticModel, Bools]:
+    """Newton's matrix as `free`, by differences of the slope, where it is positive definite; and where it is.
+
+    Gauss-Newton and instruments leave out the curvature that residuals bring in: where the model does not fit, they
+    creep.
+    """
+    m = x.shape[-1]
+    with np.errstate(all="ignore"):
+        spread = 1 / np.sqrt(np.diagonal(here.symmetric, axis1=-2, axis2=-1))
+        width = 1e-4 * np.where(np.isfinite(spread), spread, 1.0)
+        columns = [
+            (here.gradient - evaluate(x + width[:, j, None] * np.eye(m)[j], rows).gradient)
+            / width[:, j, None]
+            for j in range(m)
+        ]
+        curvature = np.stack(columns, axis=-1)
+        curvature = (curvature + np.swapaxes(curvature, -1, -2)) / 2
+        scaled = np.nan_to_num(curvature * spread[:, :, None] * spread[:, None, :])
+        convex = np.linalg.eigvalsh(scaled)[:, 0] > 1e-6
+    free = np.where(convex[:, None, None], curvature, here.free)
+    return QuadraticModel(here.cost, here.gradient, here.symmetric, free), convex
+
+
+def _promised(here: QuadraticModel, step: Real) -> Real:
+    """By how much a step would lower the cost were it the parabola that Gauss and Newton take it for."""
+    bent = np.einsum("ki,kij,kj->k", step, here.symmetric, step)
+    fall: Real = 2 * np.sum(here.gradient * step, axis=-1) - bent
+    return fall
+
+
+def _calmer(damping: Real, gained: Real, promised: Real) -> Real:
+    """Damping after a step that lowered the cost: a third where it kept its promise, as before where it hardly did."""
+    with np.errstate(all="ignore"):
+        kept = np.nan_to_num(gained / promised)
+    factor = np.where(kept > 0.75, 1 / 3, np.where(kept > 0.25, 0.7, 1.0))
+    return np.where(damping * factor > 1e-7, damping * factor, 0.0)
+
+
+def _finite(local: QuadraticModel) -> QuadraticModel:
+    cost = np.where(np.isfinite(local.cost), local.cost, np.inf)
+    return QuadraticModel(cost, local.gradient, local.symmetric, local.free)
+
+
+def _step(
+    x: Real, here: QuadraticModel, damping: Real, newton: Bools, low: Real, high: Real
+) -> tuple[Real, Real]:
+    """The next step of each repeat, and the standard deviations that steps are measured in.
+
+    `newton`: where `free` is Newton's matrix, which may be damped; an instrumental one gives full steps only.
+    """
+    m = x.shape[-1]
+    diagonal = np.diagonal(here.symmetric, axis1=-2, axis2=-1)
+    full = newton | (damping == 0)
+    matrix = np.where(full[:, None, None], here.free, here.symmetric)
+    matrix = matrix + (damping[:, None] * diagonal)[..., None] * np.eye(m)
+    gradient = here.gradient
+    held = ((x <= low) & (gradient < 0)) | ((x >= high) & (gradient > 0))
+    if np.any(held):
+        free = ~held
+        both = free[:, :, None] & free[:, None, :]
+        matrix = np.where(both, matrix, np.eye(m))
+        gradient = np.where(held, 0.0, gradient)
+    # A direction that is not seen makes these overflow: such a step is refused or damped, not reported.
+    with np.errstate(all="ignore"):
+        spread = np.sqrt(np.maximum(np.diagonal(scaled_inverse(here.symmetric), axis1=-2, axis2=-1), 0.0))
+        return solve_scaled(matrix, gradient), np.nan_to_num(spread)

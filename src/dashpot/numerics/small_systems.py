@@ -1,0 +1,81 @@
+"""Stacks of small linear systems: by formula, scaled, with NaN where one of the stack is singular."""
+
+from __future__ import annotations
+
+from typing import cast
+
+import numpy as np
+
+from dashpot.arrays import Bools, Complex, Real
+
+SINGULAR = 1e-14
+
+
+def solve_small(matrix: Complex, right: Complex) -> Complex:
+    """matrix⁻¹ right for stacks of small matrices (..., n, n) and right sides (..., n, k); NaN where singular.
+
+    One- and two-row systems are solved by formula: a stack of a million of them costs as much as ten thousand calls
+    of LAPACK.
+    """
+    n = matrix.shape[-1]
+    if n > 2:
+        try:
+            return cast("Complex", np.linalg.solve(matrix, right))
+        except np.linalg.LinAlgError:
+            # One singular matrix of a batch must not cost the others their answer.
+            regular = np.linalg.slogdet(matrix)[0] != 0
+            safe = np.where(regular[..., None, None], matrix, np.nan)
+            return cast("Complex", np.linalg.solve(safe, right))
+    with np.errstate(all="ignore"):
+        if n == 1:
+            determinant = matrix[..., 0]
+            solution = right / matrix
+        else:
+            a, b = matrix[..., 0, 0, None], matrix[..., 0, 1, None]
+            c, d = matrix[..., 1, 0, None], matrix[..., 1, 1, None]
+            determinant = a * d - b * c
+            top = (d * right[..., 0, :] - b * right[..., 1, :]) / determinant
+            bottom = (a * right[..., 1, :] - c * right[..., 0, :]) / determinant
+            solution = np.stack([top, bottom], axis=-2)
+    if not np.all(determinant):
+        solution = np.where(determinant[..., None, :] == 0, np.nan, solution)
+    return solution
+
+
+def solve_scaled(matrix: Real, right: Real) -> Real:
+    """matrix⁻¹ right for stacks of square systems, rows and columns scaled alike first; NaN where singular.
+
+    matrix (..., m, m), right (..., m).
+    """
+    scale = np.sqrt(np.abs(np.diagonal(matrix, axis1=-2, axis2=-1)))
+    scale = np.where(scale > 0, scale, 1.0)
+    scaled = matrix / (scale[..., :, None] * scale[..., None, :])
+    return _solve_or_nan(scaled, (right / scale)[..., None])[..., 0] / scale
+
+
+def scaled_inverse(matrix: Real) -> Real:
+    """matrix⁻¹ of stacks of information matrices, scaled first; NaN where singular to rounding."""
+    scale = np.sqrt(np.abs(np.diagonal(matrix, axis1=-2, axis2=-1)))
+    scale = np.where(scale > 0, scale, 1.0)
+    outer = scale[..., :, None] * scale[..., None, :]
+    found = _solve_or_nan(matrix / outer, np.broadcast_to(np.eye(matrix.shape[-1]), matrix.shape))
+    # Of a matrix with ones on its diagonal: entries that large are rounding, not information.
+    regular: Bools = np.max(np.abs(found), axis=(-2, -1)) < 1 / SINGULAR
+    result: Real = np.where(regular[..., None, None], found / outer, np.nan)
+    return result
+
+
+def _solve_or_nan(matrix: Real, right: Real) -> Real:
+    try:
+        return cast("Real", np.linalg.solve(matrix, right))
+    except np.linalg.LinAlgError:
+        flat = matrix.reshape(-1, *matrix.shape[-2:])
+        sides = np.broadcast_to(right, (*matrix.shape[:-2], *right.shape[-2:])).reshape(
+            len(flat), *right.shape[-2:]
+        )
+        # What LAPACK refuses is NaN; its neighbours in the stack are solved as they would be alone.
+        regular = np.all(np.isfinite(flat), axis=(-2, -1))
+        regular[regular] = np.linalg.slogdet(flat[regular])[0] != 0
+        out = np.full_like(sides, np.nan)
+        out[regular] = np.linalg.solve(flat[regular], sides[regular])
+        return out.reshape(*matrix.shape[:-2], *right.shape[-2:])

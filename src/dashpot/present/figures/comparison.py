@@ -1,0 +1,166 @@
+"""Intervals of several methods in one picture, from arrays alone."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
+
+from dashpot.arrays import Real
+from dashpot.estimate.comparison import Comparison
+from dashpot.present.figures.spectra import BAD, COLOURS, INK, MODEL, style
+
+ROW, PANEL = 0.24, 2.45  # inches a method, and a panel
+WIDE = 6.0  # times the narrowest interval: wider ones run out of the picture, for the others would be dots
+
+
+def comparison_figure(comparison: Comparison, level: float = 0.95) -> Figure:
+    """One panel for each unknown: every method's value with its interval, the truth and the bound's interval."""
+    methods = list(comparison.estimates)
+    values = np.array([[comparison.estimates[m][name].value for name in comparison.names] for m in methods])
+    ends = np.empty((2, *values.shape))
+    for i, method in enumerate(methods):
+        estimate = comparison.estimates[method]
+        index = [estimate.names.index(name) for name in comparison.names]
+        for side, end in enumerate(estimate.interval(level)):
+            ends[side, i] = end[index]
+    bands = {}
+    for name in comparison.names:
+        centre, bound = comparison.centre(name), comparison.bound_sd(name)
+        if centre is not None and bound is not None:
+            bands[name] = (centre, bound)
+    return interval_plot(
+        comparison.names, comparison.units, methods, values, ends[0], ends[1], comparison.truth, bands, level
+    )
+
+
+def interval_plot(
+    names: Sequence[str],
+    units: Sequence[str],
+    methods: Sequence[str],
+    values: Real,
+    low: Real,
+    high: Real,
+    truth: Mapping[str, float],
+    bands: Mapping[str, tuple[float, float]],
+    level: float = 0.95,
+) -> Figure:
+    """`values`, `low`, `high`: (methods, names).
+
+    Intervals that miss the truth are red, with an open dot; those that run out of the picture end in an arrow.
+
+    bands: name → (centre, standard deviation) at the Cramér-Rao bound, drawn as wide as an interval.
+    """
+    from scipy.special import ndtri
+
+    columns = min(len(names), 3)
+    rows = -(-len(names) // columns)
+    reach, wider = float(ndtri(0.5 + level / 2)), False
+    with style():
+        figure = Figure(figsize=(0.6 + PANEL * columns, rows * (0.75 + ROW * len(methods)) + 0.35))
+        grid = np.atleast_2d(figure.subplots(rows, columns, sharey=True, squeeze=False))
+        for k, axes in enumerate(grid.flat):
+            if k >= len(names):
+                axes.set_visible(False)
+                continue
+            name = names[k]
+            band = None
+            if name in bands:
+                centre, half = bands[name][0], reach * bands[name][1]
+                band = (centre - half, centre + half)
+            wider |= _panel(axes, methods, values[:, k], low[:, k], high[:, k], truth.get(name), band)
+            axes.set_title(name)
+            unit = "" if units[k] == "1" else units[k]
+            axes.set_xlabel(unit, labelpad=1)
+        _legend(figure, bool(truth), bool(bands), wider, level, 5 if columns == 3 else columns)
+    return figure
+
+
+def _panel(
+    axes: Axes,
+    methods: Sequence[str],
+    value: Real,
+    low: Real,
+    high: Real,
+    truth: float | None,
+    band: tuple[float, float] | None,
+) -> bool:
+    """Draws one unknown; whether some interval runs out of the picture."""
+    place = np.arange(len(methods))
+    left, right = _view(value, low, high, truth)
+    wider = False
+    if band is not None:
+        axes.axvspan(*band, color=MODEL, alpha=0.12, lw=0)
+    if truth is not None:
+        axes.axvline(truth, color=INK, lw=0.9)
+    for i in place:
+        missed = truth is not None and (truth < low[i] or truth > high[i])
+        colour = BAD if missed else COLOURS[0]
+        if np.isfinite(low[i]) and np.isfinite(high[i]):
+            axes.plot([low[i], high[i]], [i, i], color=colour, lw=1.6, solid_capstyle="butt")
+        inner, edge = ("white", BAD) if missed else (colour, "white")
+        axes.plot(value[i], i, "o", color=inner, ms=4, mec=edge, mew=1.0 if missed else 0.6)
+        for end, arrow, beyond in ((left, "<", low[i] < left), (right, ">", high[i] > right)):
+            if beyond:
+                wider = True
+                axes.plot(end, i, arrow, color=colour, ms=4.5, mew=0, clip_on=False)
+    axes.set_xlim(left, right)
+    axes.set_ylim(len(methods) - 0.4, -0.6)
+    axes.set_yticks(place, methods)
+    axes.tick_params(axis="y", length=0)
+    axes.grid(visible=False, axis="y")
+    axes.spines["left"].set_visible(False)
+    axes.xaxis.set_major_locator(MaxNLocator(4, min_n_ticks=2))
+    axes.ticklabel_format(axis="x", useOffset=False, scilimits=(-4, 6))
+    return wider
+
+
+def _view(value: Real, low: Real, high: Real, truth: float | None) -> tuple[float, float]:
+    """What part of the axis is shown: all of the intervals but those WIDE times wider than the narrowest."""
+    width = high - low
+    finite = np.isfinite(width) & (width > 0)
+    if not np.any(finite):
+        middle = float(np.mean(value))
+        return middle - max(abs(middle), 1.0), middle + max(abs(middle), 1.0)
+    shown = finite & (width <= WIDE * np.min(width[finite]))
+    ends = [float(np.min(low[shown])), float(np.max(high[shown]))]
+    if truth is not None:
+        ends.append(truth)
+    margin = 0.08 * (max(ends) - min(ends))
+    return min(ends) - margin, max(ends) + margin
+
+
+def _legend(figure: Figure, truth: bool, bound: bool, wider: bool, level: float, columns: int) -> None:
+    from matplotlib.lines import Line2D
+    from matplotlib.patches import Patch
+
+    handles: list[Line2D | Patch] = [
+        Line2D(
+            [],
+            [],
+            color=COLOURS[0],
+            marker="o",
+            ms=4,
+            mec="white",
+            mew=0.6,
+            lw=1.6,
+            label=f"value and {100 * level:g} % interval",
+        )
+    ]
+    if truth:
+        handles.append(
+            Line2D(
+                [], [], color=BAD, marker="o", ms=4, mfc="white", mew=1.0, lw=1.6, label="misses the truth"
+            )
+        )
+        handles.append(Line2D([], [], color=INK, lw=0.9, label="truth"))
+    if bound:
+        handles.append(Patch(color=MODEL, alpha=0.12, lw=0, label="interval at the Cramér-Rao bound"))
+    if wider:
+        handles.append(Line2D([], [], color=COLOURS[0], marker=">", ms=4.5, mew=0, lw=1.6, label="goes on"))
+    figure.legend(
+        handles=handles, loc="outside lower center", ncols=columns, handlelength=1.8, columnspacing=1.6
+    )

@@ -1,0 +1,321 @@
+"""Figures of Monte Carlo studies, from arrays alone."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from textwrap import wrap
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
+from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
+
+from dashpot.arrays import Real
+from dashpot.present.figures.spectra import COLOURS, INK, MUTED, style
+
+METHOD_COLOURS: Mapping[str, str] = {
+    "ls": "#c4661f",
+    "iv": "#0b6e99",
+    "oiv": "#4a7c3a",
+    "hls": "#8a4f9e",
+    "wls": "#b08a1e",
+    "ml": "#2f8f83",
+}
+DPI = 180
+PANELS_A_ROW = 3
+
+
+def colour(method: str, place: int = 0) -> str:
+    """The colour of a method; of an unknown one, by its place."""
+    return METHOD_COLOURS.get(method, COLOURS[place % len(COLOURS)])
+
+
+def png(figure: Figure) -> bytes:
+    """The figure as a PNG file, the same bytes for the same figure."""
+    out = io.BytesIO()
+    with style():
+        figure.savefig(out, format="png", dpi=DPI, metadata={"Software": None})
+    return out.getvalue()
+
+
+@dataclass(frozen=True)
+class Band:
+    """A line with a band around it; `low` and `high` are its edges, all (points,)."""
+
+    label: str
+    colour: str
+    middle: Real
+    low: Real
+    high: Real
+    dashed: bool = False
+
+    @property
+    def stroke(self) -> dict[str, Any]:
+        """Line properties."""
+        return {"color": self.colour, "lw": 1.7, "ls": (0, (4, 2.2)) if self.dashed else "-"}
+
+
+@dataclass(frozen=True)
+class Mark:
+    """Single points, (points,) each."""
+
+    label: str
+    colour: str
+    x: Real
+    y: Real
+
+
+def band_panels(
+    titles: Sequence[str],
+    x: Real,
+    bands: Sequence[Sequence[Band]],
+    marks: Sequence[Sequence[Mark]],
+    x_label: str,
+    y_label: str,
+    *,
+    logarithmic: bool = False,
+    limits: Sequence[tuple[float, float]] | None = None,
+    band_label: str = "band: 95 % of the draws",
+) -> Figure:
+    """A panel for each title with lines, bands and points over one abscissa; what lies outside `limits` is cut off."""
+    columns = min(len(titles), PANELS_A_ROW)
+    rows = -(-len(titles) // columns)
+    with style():
+        figure = Figure(figsize=(2.9 * columns + 1.0, 2.9 * rows + 0.6))
+        table = figure.subplots(rows, columns, squeeze=False)
+        grid = list(table.flat)
+        for axes in grid[len(titles) :]:
+            axes.set_visible(False)
+        for axes, title, own, points in zip(grid, titles, bands, marks, strict=False):
+            axes.axhline(0.0, color=MUTED, lw=0.8, zorder=1)
+            for band in own:
+                axes.fill_between(x, band.low, band.high, color=band.colour, alpha=0.16, lw=0, zorder=2)
+                for edge in (band.low, band.high):
+                    axes.plot(x, edge, color=band.colour, lw=0.5, alpha=0.6, zorder=2)
+            for band in own:
+                axes.plot(x, band.middle, zorder=3, **band.stroke)
+            for mark in points:
+                axes.plot(
+                    mark.x, mark.y, ls="", marker="D", ms=5, mfc=mark.colour, mec="white", mew=0.9, zorder=5,
+                    clip_on=False,
+                )  # fmt: skip
+            axes.set_title(title)
+            _abscissa(axes, x, logarithmic)
+        for axes in grid[max(0, len(titles) - columns) : len(titles)]:
+            axes.set_xlabel(x_label)
+        for axes, pair in zip(grid, limits if limits is not None else [], strict=False):
+            axes.set_ylim(*pair)
+        for axes in table[:, 0]:
+            axes.set_ylabel(y_label)
+        handles = [Line2D([], [], label=band.label, **band.stroke) for band in _distinct(bands)]
+        handles.append(Line2D([], [], color=MUTED, alpha=0.25, lw=7, label=band_label))
+        handles += [
+            Line2D([], [], ls="", marker="D", ms=5, mfc=mark.colour, mec="white", label=mark.label)
+            for mark in {mark.label: mark for own in marks for mark in own}.values()
+        ]
+        figure.legend(handles=handles, loc="outside upper left", ncols=len(handles), handlelength=1.6)
+    return figure
+
+
+def _distinct(bands: Sequence[Sequence[Band]]) -> list[Band]:
+    return list({band.label: band for own in bands for band in own}.values())
+
+
+def _abscissa(axes: Axes, x: Real, logarithmic: bool) -> None:
+    if logarithmic:
+        axes.set_xscale("log")
+        low, high = float(np.min(x)), float(np.max(x))
+        steps = [k * 10.0**n for n in range(-12, 13) for k in (1, 2, 5)]
+        axes.xaxis.set_major_locator(FixedLocator([s for s in steps if low * 0.999 <= s <= high * 1.001]))
+        axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:,g}"))
+        axes.xaxis.set_minor_locator(NullLocator())
+        axes.set_xlim(low / 1.06, high * 1.06)
+    else:
+        axes.set_xlim(float(min(0.0, np.min(x))), float(np.max(x)))
+
+
+@dataclass(frozen=True)
+class Spread:
+    """Where draws lie, for each row: mean and the edges of the middle half and of 95 %, (rows,); `printed` or NaN."""
+
+    label: str
+    colour: str
+    mean: Real
+    low: Real
+    high: Real
+    printed: Real
+
+
+def spread_panels(
+    titles: Sequence[str], rows: Sequence[str], panels: Sequence[Sequence[Spread]], x_label: str
+) -> Figure:
+    """A panel for each title; in it, for each row, a bar of the middle 95 % of each kind and its printed value."""
+    columns = min(2, len(titles))
+    lines = -(-len(titles) // columns)
+    with style():
+        figure = Figure(figsize=(3.9 * columns + 0.4, (0.42 * len(rows) + 0.75) * lines + 0.5))
+        grid = figure.subplots(lines, columns, squeeze=False)
+        for place, axes in enumerate(grid.flat):
+            if place >= len(titles):
+                axes.set_visible(False)
+                continue
+            own = panels[place]
+            axes.axvline(0.0, color=MUTED, lw=0.8, zorder=1)
+            step = 0.62 / max(len(own), 1)
+            for k, spread in enumerate(own):
+                y = np.arange(len(rows)) + (k - (len(own) - 1) / 2) * step
+                axes.barh(
+                    y, spread.high - spread.low, left=spread.low, height=0.78 * step, color=spread.colour,
+                    alpha=0.28, lw=0, zorder=2,
+                )  # fmt: skip
+                axes.plot(spread.mean, y, ls="", marker="|", ms=7, mew=1.6, color=spread.colour, zorder=3)
+                axes.plot(
+                    spread.printed,
+                    y,
+                    ls="",
+                    marker="D",
+                    ms=4.6,
+                    mfc=spread.colour,
+                    mec="white",
+                    mew=0.8,
+                    zorder=4,
+                )
+            axes.set_yticks(range(len(rows)), rows)
+            axes.set_ylim(len(rows) - 0.45, -0.55)
+            axes.use_sticky_edges = False
+            axes.margins(x=0.04)
+            axes.grid(visible=False, axis="y")
+            axes.tick_params(axis="y", length=0)
+            axes.set_title(titles[place])
+        for axes in grid[-1]:
+            axes.set_xlabel(x_label)
+        handles: list[Patch | Line2D] = []
+        kinds = {spread.label: spread for own in panels for spread in own}
+        for spread in kinds.values():
+            handles.append(
+                Patch(color=spread.colour, alpha=0.28, lw=0, label=f"{spread.label}, 95 % of draws")
+            )
+        handles.append(Line2D([], [], ls="", marker="|", ms=7, mew=1.6, color=INK, label="mean of the draws"))
+        handles.append(
+            Line2D([], [], ls="", marker="D", ms=4.6, mfc=INK, mec="white", label="printed in the paper")
+        )
+        figure.legend(handles=handles, loc="outside upper left", ncols=len(handles), handlelength=1.4)
+    return figure
+
+
+@dataclass(frozen=True)
+class Series:
+    """Values with standard errors over a few named places, (places,)."""
+
+    label: str
+    colour: str
+    values: Real
+    errors: Real
+
+
+def bar_panels(
+    titles: Sequence[str],
+    places: Sequence[str],
+    panels: Sequence[Sequence[Series]],
+    bounds: Sequence[Real],
+    y_label: str,
+    bound_label: str = "Cramér-Rao bound",
+) -> Figure:
+    """A panel for each title with groups of bars, their values above them, and a short line at each bound."""
+    with style():
+        wide = max(3.9, min(0.6 + 0.28 * len(places) * len(panels[0]), 10.0)) if len(titles) == 1 else 3.9
+        figure = Figure(figsize=(wide * len(titles) + 0.4, 3.4))
+        grid = figure.subplots(1, len(titles), squeeze=False, sharey=True)[0]
+        for axes, title, own, bound in zip(grid, titles, panels, bounds, strict=True):
+            width = 0.74 / len(own)
+            for k, series in enumerate(own):
+                x = np.arange(len(places)) + (k - (len(own) - 1) / 2) * width
+                axes.bar(
+                    x, series.values, 0.92 * width, yerr=1.96 * series.errors, color=series.colour,
+                    error_kw={"elinewidth": 0.9, "ecolor": INK},
+                )  # fmt: skip
+                for at, value, error in zip(x, series.values, series.errors, strict=True):
+                    axes.annotate(
+                        f"{value:.2f}", (at, value + 1.96 * error), (0, 2), textcoords="offset points",
+                        ha="center", va="bottom", fontsize=7.5 if len(own) < 3 else 6.5,
+                    )  # fmt: skip
+            for at, value in enumerate(bound):
+                axes.plot([at - 0.42, at + 0.42], [value, value], color=INK, lw=1.1, ls=(0, (4, 2)), zorder=4)
+            axes.set_xticks(range(len(places)), places)
+            axes.grid(visible=False, axis="x")
+            axes.tick_params(axis="x", length=0)
+            axes.set_title("\n".join(wrap(title, int(11 * wide))))
+            axes.margins(y=0.12)
+        grid[0].set_ylabel(y_label)
+        handles: list[Patch | Line2D] = [
+            Patch(color=series.colour, label=series.label) for series in panels[0]
+        ]
+        handles.append(Line2D([], [], color=INK, lw=1.1, ls=(0, (4, 2)), label=bound_label))
+        figure.legend(handles=handles, loc="outside upper left", ncols=len(handles), handlelength=1.8)
+    return figure
+
+
+@dataclass(frozen=True)
+class Accuracy:
+    """How one method does along an abscissa, (points,) each: rms spread and bias, coverage with its extremes, %."""
+
+    label: str
+    colour: str
+    spread: Real
+    bias: Real
+    coverage: Real
+    least: Real
+    greatest: Real
+
+
+def accuracy_panels(
+    x: Real, methods: Sequence[Accuracy], bound: Real, x_label: str, *, logarithmic: bool
+) -> Figure:
+    """Spread with the bound, bias, and coverage of 95 % intervals, beside each other; points a little apart."""
+    with style():
+        figure = Figure(figsize=(9.7, 3.4))
+        left, middle, right = figure.subplots(1, 3)
+        for method in methods:
+            look = {"color": method.colour, "lw": 1.5, "marker": "o", "ms": 3.4}
+            left.plot(x, method.spread, zorder=3, **look)
+            middle.plot(x, method.bias, zorder=3, **look)
+            right.fill_between(x, method.least, method.greatest, color=method.colour, alpha=0.14, lw=0)
+            right.plot(x, method.coverage, zorder=3, **look)
+        left.plot(x, bound, color=INK, lw=1.1, ls=(0, (4, 2)), zorder=4)
+        right.axhline(95, color=INK, lw=0.9, ls=(0, (1, 2)), zorder=2)
+        for axes in (left, middle):
+            _positive(axes)
+        right.set_ylim(min(90.0, max(0.0, float(np.nanmin([m.least for m in methods])) - 2)), 100.5)
+        titles = ("rms spread, %", "rms bias, %", "coverage of 95 % intervals, %")
+        for axes, title in zip((left, middle, right), titles, strict=True):
+            axes.set_title(title)
+            axes.set_xlabel(x_label)
+            _abscissa(axes, x, logarithmic)
+        handles = [Line2D([], [], color=m.colour, lw=1.5, marker="o", ms=3.4, label=m.label) for m in methods]
+        handles.append(Line2D([], [], color=INK, lw=1.1, ls=(0, (4, 2)), label="Cramér-Rao bound"))
+        handles.append(
+            Line2D([], [], color=MUTED, alpha=0.25, lw=7, label="least to greatest over the parameters")
+        )
+        figure.legend(handles=handles, loc="outside upper left", ncols=len(handles), handlelength=1.8)
+    return figure
+
+
+def _positive(axes: Axes) -> None:
+    """A logarithmic ordinate with plain numbers, 1, 2, 5."""
+    low, high = axes.dataLim.y0, axes.dataLim.y1
+    if not (np.isfinite(low) and low > 0):
+        return
+    axes.set_yscale("log")
+    room = (high / low) ** 0.06 if high > low else 1.5
+    low, high = low / room, high * room
+    wanted = (1, 2, 5) if high / low < 1e3 else (1,)
+    steps = [k * 10.0**n for n in range(-12, 13) for k in wanted]
+    axes.set_ylim(low, high)
+    axes.yaxis.set_major_locator(FixedLocator([s for s in steps if low <= s <= high]))
+    axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:,g}"))
+    axes.yaxis.set_minor_locator(NullLocator())

@@ -1,0 +1,262 @@
+"""A planned test to read and to look at."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+from matplotlib.figure import Figure
+from rich import box
+from rich.console import Console
+from rich.measure import Measurement
+from rich.table import Table
+from rich.text import Text
+
+from dashpot.design.advise import Answer
+from dashpot.design.allocation import band_grid
+from dashpot.design.plan import Plan, Prediction, drive_names, shares
+from dashpot.design.test_setup import drive_units
+from dashpot.present.figures import design as draw
+from dashpot.present.tables.estimate import listed
+from dashpot.present.text.numbers import alike, percent, rounded, short
+
+NOTHING = "–"
+_DOUBT = {"worst": "the worst of", "average": "on average over"}
+MOST_CURVES = 4
+MOST_SAMPLES = 400  # of a frequency axis
+
+
+def show(found: Answer, out: Console) -> None:
+    """Dwells, the intervals to expect, and what they are worth."""
+    out.print()
+    if found.bench.model.name:
+        out.print(Text(found.bench.model.name, style="bold"))
+    if found.verdict is not None:
+        _stopping(found, out)
+    if found.choice is not None:
+        _sensors(found, out)
+    if found.plan is None:
+        out.print(Text("No test is needed: what is known reaches the target already.", style="green"))
+        return
+    out.print(_dwells(found.plan, drive_units(found.bench.model)))
+    out.print()
+    table = _expected(found)
+    if Measurement.get(out, out.options.update_width(1000), table).maximum > out.width:
+        table = _expected(found, interval=False)
+    out.print(table)
+    out.print()
+    for line in _words(found, found.plan):
+        out.print(Text(line), soft_wrap=False)
+    for note in found.notes:
+        out.print(Text(f"Note: {note}.", style="yellow"), soft_wrap=False)
+
+
+def _table() -> Table:
+    return Table(box=box.SIMPLE_HEAD, padding=(0, 1), pad_edge=False, show_edge=False)
+
+
+def _dwells(plan: Plan, units: Mapping[str, str]) -> Table:
+    table = _table()
+    inputs = list(plan.dwells[0].amplitudes)
+    timed = plan.time_s is not None
+    table.add_column("dwell", justify="right")
+    table.add_column("frequency, Hz", justify="right")
+    for name in inputs:
+        table.add_column(f"drive {name}, {units[name]}", justify="right")
+    for title in ("settle, s", "periods", "measure, s") if timed else ():
+        table.add_column(title, justify="right")
+    table.add_column("samples", justify="right")
+    for i, dwell in enumerate(plan.dwells):
+        cells = [str(i + 1), f"{dwell.frequency_hz:.6g}"]
+        for name in inputs:
+            z = dwell.amplitudes[name]
+            turned = abs(z.imag) > 1e-12 * abs(z)
+            cells.append(f"{abs(z):.4g} ∠{np.degrees(np.angle(z)):.0f}°" if turned else f"{z.real:.4g}")
+        if timed:
+            cells += [short(dwell.settle_s), str(dwell.periods), short(dwell.time_s or 0.0, 4)]
+        table.add_row(*cells, str(dwell.samples))
+    total = [""] * (2 + len(inputs))
+    total[1] = "in all"
+    if timed:
+        settle = sum(dwell.settle_s for dwell in plan.dwells)
+        total += [short(settle), "", short((plan.time_s or 0.0) - settle, 4)]
+    table.add_section()
+    table.add_row(*total, str(plan.samples), style="dim")
+    return table
+
+
+def _expected(found: Answer, interval: bool = True) -> Table:
+    assert found.plan is not None
+    p = found.plan.predicted
+    other = None if found.comparison is None else found.comparison
+    table = _table()
+    for title in ("parameter", "value", "± to expect", "± %", *(("95 % interval",) if interval else ())):
+        table.add_column(title, justify="left" if title == "parameter" else "right", no_wrap=True)
+    if found.estimate is not None:
+        table.add_column("now\n± %", justify="right", no_wrap=True)
+    if other is not None:
+        table.add_column("other\n± %", justify="right", no_wrap=True)
+    if other is not None and other.iv is not None:
+        table.add_column("other,\niv ± %", justify="right", no_wrap=True)
+    table.add_column("unit")
+    now = None if found.estimate is None else _now(found)
+    for j, name in enumerate(p.names):
+        v, sd = float(p.values[j]), float(p.sd[j])
+        value, spread = rounded(v, sd)
+        ends = (" … ".join(alike([v - 1.96 * sd, v + 1.96 * sd], sd)),) if interval else ()
+        cells = [name, value, spread, _percent(p, name), *ends]
+        if now is not None:
+            cells.append(now.get(name, NOTHING))
+        if other is not None:
+            cells.append(_percent(other.predicted, name))
+        if other is not None and other.iv is not None:
+            cells.append(_percent(other.iv, name))
+        table.add_row(*cells, "" if p.units[j] == "1" else p.units[j])
+    return table
+
+
+def _now(found: Answer) -> dict[str, str]:
+    assert found.estimate is not None
+    e = found.estimate
+    return {name: percent(float(sd), float(v)) for name, sd, v in zip(e.names, e.sd, e.values, strict=True)}
+
+
+def _percent(p: Prediction, name: str) -> str:
+    if name not in p.names or p.values[p.names.index(name)] == 0:
+        return NOTHING
+    return short(100 * float(p.relative[p.names.index(name)]), 2)
+
+
+def _words(found: Answer, plan: Plan) -> list[str]:
+    p = plan.predicted
+    over = "" if found.robust is None else f", {_DOUBT[found.doubt]} {found.bench.scenarios} scenarios"
+    first = f"{plan.goal[0].upper()}{plan.goal[1:]}{over}: {_figure(plan.goal, p.figure)}. "
+    first += (
+        f"No test with as much measuring in this band can be better than {_figure(plan.goal, plan.ideal)}, "
+    )
+    first += f"less a duality gap of {plan.gap:.1e}; "
+    cost = 100 * max(plan.loss, 0.0)
+    first += f"whole periods and limits cost {f'{short(cost, 2)} %' if cost >= 0.01 else 'less than 0.01 %'}."
+    words = [first]
+    if len(p.names) > 1:
+        words.append(f"Rms of the relative standard deviations of all parameters: {short(100 * p.rms())} %.")
+    if found.robust is not None:
+        searched = found.doubt == "worst"
+        where = "of the whole doubt, as far as a search finds it" if searched else "of these scenarios"
+        words.append(f"In the worst case {where}: {_figure(plan.goal, found.robust.worst)}.")
+    if found.comparison is not None:
+        c = found.comparison
+        line = f"The other test ({len(c.lines.frequency_hz)} frequencies) gives "
+        line += f"{_figure(plan.goal, c.predicted.figure)} from as many samples: it takes "
+        line += f"{_times(c.factor)} the samples for the same precision"
+        if c.factor_iv is not None:
+            line += f", {_times(c.factor_iv)} with the paper's instrumental variables"
+        words.append(line + ".")
+    return words
+
+
+def _times(factor: float) -> str:
+    return f"{factor:.3g} times" if np.isfinite(factor) else "infinitely many times"
+
+
+def _figure(goal: str, value: float) -> str:
+    """A goal's figure in words: a relative sd; of targets, in parts of them."""
+    return f"{short(value)} × target" if "targets" in goal else f"{short(100 * value)} %"
+
+
+def _stopping(found: Answer, out: Console) -> None:
+    v = found.verdict
+    assert v is not None
+    if v.reached:
+        out.print(Text(f"Enough: {v.reason}.", style="green"))
+        return
+    more = "" if not np.isfinite(v.more) else f"; {_grouped(v.more)} more samples of the same kind would do"
+    best = ""
+    if found.plan is not None and np.isfinite(v.more) and found.plan.predicted.figure <= 1.0001:
+        best = f", the test below adds {_grouped(found.plan.samples)}"
+    out.print(Text(f"Not enough yet: {v.reason}{more}{best}."), soft_wrap=False)
+
+
+def _grouped(count: float) -> str:
+    """12 544, kept on one line."""
+    return f"{count:,.0f}".replace(",", "\N{NO-BREAK SPACE}")
+
+
+def _sensors(found: Answer, out: Console) -> None:
+    assert found.choice is not None
+    ranking = found.choice.ranking
+    goal = found.goal.name
+    how = "all sets were tried" if found.choice.complete else "by exchange: perhaps not the very best"
+    out.print(Text(f"Sensors: {listed(found.choice.best)} ({how})."), soft_wrap=False)
+    for names, figure in ranking[1:4]:
+        out.print(Text(f"  {listed(names)}: {_figure(goal, figure)}", style="dim"), soft_wrap=False)
+    out.print()
+
+
+def figure(found: Answer) -> Figure:
+    """Dwells on the directional derivative, information of each frequency about each parameter, intervals."""
+    assert found.plan is not None
+    plan = found.plan
+    grid = band_grid(found.bench, found.grid.low, found.grid.high)
+    first = grid.pattern == 0
+    f = grid.frequency_hz[first]
+    if len(f) > MOST_SAMPLES:
+        f = f[:: int(np.ceil(len(f) / MOST_SAMPLES))]
+    at, pattern, worth = plan.allocation.curve
+    names = drive_names(
+        [*found.bench.model.displacement_inputs, *found.bench.model.force_inputs], found.bench.drives
+    )
+    curves = [
+        (names[k], np.interp(f, at[pattern == k], worth[pattern == k]))
+        for k in np.unique(pattern).tolist()[:MOST_CURVES]
+    ]
+    patterns = np.unique(plan.lines.pattern)
+    told = np.max(
+        [
+            shares(found.bench, found.goal, plan.lines, found.known, f, np.full(len(f), k, dtype=np.int64))
+            for k in patterns
+        ],
+        axis=0,
+    )
+    p = plan.predicted
+    timed = plan.time_s is not None
+    bars = [j for j in range(len(p.names)) if p.values[j] != 0]  # a delay of 0 has no relative error
+    tests = [draw.Bars("this test", 100 * p.relative[bars])]
+    if found.estimate is not None:
+        e = found.estimate
+        own = {n: float(s / abs(v)) if v else np.nan for n, s, v in zip(e.names, e.sd, e.values, strict=True)}
+        tests.append(draw.Bars("known now", 100 * np.array([own.get(p.names[j], np.nan) for j in bars])))
+    if found.comparison is not None:
+        tests.append(
+            draw.Bars("other test, as many samples", 100 * found.comparison.predicted.relative[bars])
+        )
+        iv = found.comparison.iv
+        if iv is not None and len(iv.names) == len(p.names):
+            tests.append(draw.Bars("other test by the paper's iv", 100 * iv.relative[bars]))
+    amounts = np.array([d.time_s if timed else d.samples for d in plan.dwells], dtype=float)
+    title = f"The next test: {len(plan.dwells)} dwell{'s'[: len(plan.dwells) - 1]}, {plan.samples} samples"
+    title += "" if plan.time_s is None else f", {short(plan.time_s, 3)} s"
+    return draw.plan_figure(
+        title, f, curves, np.array([d.frequency_hz for d in plan.dwells]), amounts, "s" if timed else "samples",
+        p.names, told, [p.names[j] for j in bars], tests,
+    )  # fmt: skip
+
+
+def progress_figure(found: Answer, targets: dict[str, float]) -> Figure | None:
+    """Intervals against samples as data came; None where the data did not determine the unknowns before their end."""
+    if found.so_far is None:
+        return None
+    so_far = found.so_far
+    last = float(so_far.samples[-1])
+    more = (
+        4.0
+        if found.verdict is None or not np.isfinite(found.verdict.more)
+        else 1.3 * found.verdict.more / last + 1.3
+    )
+    ahead = last * np.geomspace(1, max(more, 1.5), 30)
+    end = 100 * so_far.relative[-1]
+    extrapolated = end * np.sqrt(last / ahead)[:, None]
+    aims = np.array([100 * targets.get(name, np.nan) for name in so_far.names])
+    return draw.progress_figure(
+        so_far.names, so_far.samples.astype(float), 100 * so_far.relative, ahead, extrapolated, aims
+    )

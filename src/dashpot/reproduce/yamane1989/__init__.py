@@ -1,0 +1,1 @@
+"""Yamane (1989): its tables, figures and rig."""

@@ -1,0 +1,378 @@
+"""Stepped-sine CSV and tables of amplitudes: what is read, and what is refused with its place."""
+
+import gzip
+import os
+import random
+import time
+
+import numpy as np
+import pytest
+
+from dashpot.channel import Channel, Quantity
+from dashpot.data.conditioning.harmonic_fit import spectrum
+from dashpot.data.readers import read, write_amplitudes, write_records
+from dashpot.data.record import Record
+from dashpot.data.spectrum import Spectrum
+from dashpot.errors import DataError
+
+X1, U = Channel("x1", {"x1": 1}, unit="mm", scale=1e-3), Channel("u", {"u": 1})
+CHANNELS = (X1, U)
+
+
+def dwell(f, seed=0, samples=60, experiment=0, channels=CHANNELS):
+    rng = np.random.default_rng(seed)
+    t = np.arange(samples) / 40
+    y = np.cos(2 * np.pi * f * t)[:, None] + 0.1 * rng.normal(size=(samples, len(channels)))
+    return Record(channels, t, y, f, experiment)
+
+
+@pytest.fixture
+def text(tmp_path):
+    write_records([dwell(f, i) for i, f in enumerate((1.0, 2.0, 2.0, 3.0))], tmp_path / "valid.csv")
+    return (tmp_path / "valid.csv").read_text()
+
+
+@pytest.fixture
+def put(tmp_path):
+    def write(content, name="test.csv"):
+        path = tmp_path / name
+        path.write_bytes(content if isinstance(content, bytes) else content.encode())
+        return path
+
+    return write
+
+
+def refusal(path, channels=CHANNELS, **options):
+    """The one line that refuses a file, without the folder."""
+    with pytest.raises(DataError) as caught:
+        read(path, channels, **options)
+    message = str(caught.value)
+    assert "\n" not in message
+    assert len(message) < 1000
+    assert caught.value.problems[0].cure
+    return message.replace(f"{os.path.dirname(path)}/", "")
+
+
+# ------------------------------------------------------------------------------------------------ records
+
+
+@pytest.mark.parametrize("name", ["a.csv", "a.csv.gz"])
+def test_records_read_back(tmp_path, name):
+    records = [dwell(1.0), dwell(2.0, 1), dwell(2.0, 2), dwell(2.0, 3, experiment=4)]
+    write_records(records, tmp_path / name)
+    reading = read(tmp_path / name, CHANNELS)
+    assert reading.notes == ()
+    assert reading.amplitudes is None
+    for given, found in zip(records, reading.records, strict=True):
+        np.testing.assert_array_equal(found.time, given.time)
+        np.testing.assert_allclose(found.values, given.values, rtol=4e-16)
+        assert (found.frequency_hz, found.experiment) == (given.frequency_hz, given.experiment)
+    assert [p.name for p in tmp_path.iterdir()] == [name]
+
+
+def test_units_become_si_and_columns_come_in_any_order(put):
+    path = put("u,junk,time_s,x1,frequency_hz\n1,a,0,2,5\n3,b,0.1,4,5\n")
+    reading = read(path, CHANNELS)
+    np.testing.assert_allclose(reading.records[0].values, [[2e-3, 1], [4e-3, 3]])
+    assert reading.records[0].channels == CHANNELS
+    assert len(reading.notes) == 1
+    assert reading.notes[0].endswith("not read, because the rig file does not list them: junk")
+
+
+def test_a_file_without_frequency_is_one_record(put):
+    path = put("time_s,x1,u\n0,1,2\n0.1,3,4\n0.25,3,4\n")
+    assert read(path, CHANNELS).records[0].frequency_hz is None
+    assert read(path, CHANNELS, frequency_hz=3.0).records[0].frequency_hz == 3.0
+    with pytest.raises(DataError, match="not known"):
+        read(path, CHANNELS).spectrum()
+    named = put(path.read_bytes(), "sweep_12.5Hz_b.csv")
+    reading = read(named, CHANNELS)
+    assert reading.records[0].frequency_hz == 12.5
+    assert "12.5 Hz" in reading.notes[0]
+
+
+def test_several_files_are_experiments_of_their_own(put):
+    a = put("time_s,x1,u\n0,1,2\n0.1,3,4\n", "a.csv")
+    reading = read([a, a], CHANNELS, frequency_hz=1)
+    assert [record.experiment for record in reading.records] == [0, 1]
+
+
+@pytest.mark.parametrize(
+    "dress",
+    [
+        lambda s: "# rig 7\n# operator\n\n" + s,
+        lambda s: "sep=,\r\n" + s.replace("\n", "\r\n"),
+        lambda s: "\ufeff" + s,
+        lambda s: s.replace(",", ";"),
+        lambda s: s.replace(",", "\t"),
+        lambda s: s.replace(",", ";").replace(".", ","),
+        lambda s: "sep=;\n" + s.replace(",", ";").replace(".", ","),
+        lambda s: s.replace("\n", "\r"),
+        lambda s: s.replace("x1", '"x1"').replace("u", " u "),
+        lambda s: s.replace("\n3", "\n\n\n3", 1),
+        lambda s: s.replace("x1", "x1 [mm]").replace("u", "u (m)"),
+        lambda s: s.replace("x1", "x1 (left)"),
+    ],
+)
+def test_dialects(put, text, dress):
+    plain, dressed = read(put(text), CHANNELS), read(put(dress(text), "dressed.csv"), CHANNELS)
+    assert len(plain.records) == len(dressed.records) == 4
+    for a, b in zip(plain.records, dressed.records, strict=True):
+        np.testing.assert_array_equal(a.values, b.values)
+        np.testing.assert_array_equal(a.time, b.time)
+
+
+HEAD = "frequency_hz,time_s,x1,u\n"
+ROWS = "1,0.0,1.5,2\n1,0.1,1.5,2\n1,0.2,1.5,2\n"
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        ("", "test.csv: the file is empty;"),
+        ("\n \n", "test.csv: the file is empty;"),
+        ("# only\n# comments\n", "test.csv: the file has no header row;"),
+        (HEAD, "test.csv:1: the file has a header and no rows;"),
+        (HEAD + "\n\n", "test.csv:1: the file has a header and no rows;"),
+        (ROWS, "test.csv:1: the file has no header row;"),
+        (HEAD + ROWS + "1,0.3,nan,2\n", 'test.csv:5: column x1: "nan" is not a finite number;'),
+        (HEAD + ROWS + "1,0.3,1,-inf\n", 'test.csv:5: column u: "-inf" is not a finite number;'),
+        (HEAD + ROWS + "1,0.3,1,1e999\n", 'test.csv:5: column u: "1e999" is not a finite number;'),
+        (HEAD + ROWS + "1,0.3,1,1e200\n", 'test.csv:5: column u: "1e200" is too large;'),
+        (HEAD + ROWS + "1,0.3,,2\n", "test.csv:5: column x1: the cell is empty;"),
+        (HEAD + ROWS + "1,0.3,abc,2\n", 'test.csv:5: column x1: "abc" is not a number;'),
+        ("# a\n\n" + HEAD + "\n" + ROWS + "\n1,0.3,abc,2\n", 'test.csv:9: column x1: "abc" is not a number;'),
+        (HEAD + ROWS + "1,0.3,1\n", "test.csv:5: the row has 3 cells, the header 4;"),
+        (HEAD + ROWS + "1,0.3", "test.csv:5: the row has 2 cells, the header 4;"),
+        (HEAD + "1,0,1,5,2\n", "decimal commas need a semicolon"),
+        (HEAD + "0,0.0,1,2\n0,0.1,1,2\n", "test.csv:2: column frequency_hz: frequency 0 Hz;"),
+        (HEAD + ROWS + "\n-3,0.0,1,2\n", "test.csv:6: column frequency_hz: frequency -3 Hz;"),
+        (
+            HEAD + ROWS + "1,0.2,1,2\n",
+            "test.csv:5: column time_s: the time does not increase (0.2 s, then 0.2 s);",
+        ),
+        (HEAD + ROWS + "1,0.15,1,2\n", "test.csv:5: column time_s: the time does not increase"),
+        (HEAD + ROWS + "2,0.15,1,2\n", "test.csv:5: column time_s: the block has one sample;"),
+        (
+            HEAD.replace("x1", "X1") + ROWS,
+            "column x1: missing (the rig file lists it as a channel); did you mean X1?",
+        ),
+        (HEAD.replace("time_s", "time") + ROWS, "test.csv:1: column time_s: missing; did you mean time?"),
+        (HEAD.replace(",u", ",x1") + ROWS, "test.csv:1: column x1: named twice, in columns 3 and 4;"),
+        (HEAD.replace("x1", "x1 [m]") + ROWS, "column x1: in m, the rig file says mm;"),
+        (HEAD.replace("x1", "x1 [N]") + ROWS, "column x1: N is no unit of displacement;"),
+        ((HEAD + ROWS).replace("x1", "µ").encode("latin1"), "test.csv:1: byte 21 of the row is not UTF-8;"),
+        ((HEAD + ROWS).encode("utf-16"), "test.csv: the file is in UTF-16;"),
+        (b"PK\x03\x04\x00\x00\x00", "test.csv: the file is not text;"),
+        (
+            gzip.compress((HEAD + ROWS).encode(), mtime=0)[:-12],
+            "test.csv: the packed file is damaged or cut off;",
+        ),
+        (
+            HEAD.replace(",u", ",u,experiment") + "1,0,1,2,0.5\n1,1,1,2,0.5\n",
+            "column experiment: 0.5 is not a whole",
+        ),
+        (HEAD + ROWS + '1,0.3,"1,2\n', "test.csv:5: "),
+    ],
+)
+def test_bad_files_are_refused_with_their_place(put, content, message):
+    assert message in refusal(put(content))
+
+
+def test_missing_file_and_directory(tmp_path):
+    assert "no such file" in refusal(tmp_path / "none.csv")
+    assert "is a directory" in refusal(tmp_path)
+    for paths, channels in (([], CHANNELS), ([tmp_path], ())):
+        with pytest.raises(DataError):
+            read(paths, channels)
+
+
+@pytest.mark.parametrize("name", ["c{}", "column_with_a_longer_name_{}"])
+def test_a_million_columns_are_refused_at_once(put, name):
+    path = put(",".join(name.format(i) for i in range(1_000_000)) + "\n" + "1," * 999_999 + "1\n")
+    start = time.perf_counter()
+    assert "header" in refusal(path)
+    assert time.perf_counter() - start < 1
+
+
+@pytest.mark.parametrize(
+    ("last", "cut"), [("-1.50000e-03", c) for c in ("-1.50000e-0", "-1.5", "-1.50000e", "-")]
+)
+def test_a_number_that_was_cut_off_is_refused(put, last, cut):
+    whole = "time_s,u,x1\n" + "".join(f"{i},0,{last}\n" for i in range(9))
+    assert len(read(put(whole), CHANNELS).records[0].time) == 9
+    assert "8" in refusal(put(whole[: -len(last) - 1] + cut))[:12] or "10" in refusal(
+        put(whole[: -len(last) - 1] + cut)
+    )
+    reading = read(put(whole[:-1]), CHANNELS)
+    assert "no line end" in reading.notes[0]
+
+
+def test_a_clipped_channel_is_told(put):
+    t = np.arange(2000) / 100
+    x = np.sin(2 * np.pi * 1.234 * t)
+    quantised = np.round(x * 50) / 50
+    for values, told in (
+        (x, False),
+        (quantised, False),
+        (np.minimum(x, 0.9), True),
+        (np.maximum(x, -0.98), True),
+    ):
+        rows = [f"{a!r},{b!r},0" for a, b in zip(t.tolist(), values.tolist(), strict=True)]
+        notes = read(put("time_s,x1,u\n" + "\n".join(rows) + "\n"), CHANNELS).notes
+        assert any("x1 rests at its limit" in note for note in notes) == told
+
+
+def test_writing_refuses_what_would_not_read_back(tmp_path):
+    late = dwell(1.0)
+    late = Record(CHANNELS, late.time + 2, late.values, 1.0)
+    for records in ([], [dwell(1.0), late], [dwell(1.0), Record((X1,), late.time, late.values[:, :1], 1.0)]):
+        with pytest.raises(DataError):
+            write_records(records, tmp_path / "a.csv")
+    with pytest.raises(DataError, match="cannot be written"):
+        write_records([dwell(1.0)], tmp_path / "none" / "a.csv")
+    assert list(tmp_path.iterdir()) == []
+
+
+# ------------------------------------------------------------------------------------------------ amplitudes
+
+
+def same(a, b):
+    assert a.channels == b.channels
+    assert (a.noise, a.samples.tolist(), a.experiment.tolist()) == (
+        b.noise,
+        b.samples.tolist(),
+        b.experiment.tolist(),
+    )
+    np.testing.assert_array_equal(a.frequency_hz, b.frequency_hz)
+    np.testing.assert_array_equal(a.dof, b.dof)
+    np.testing.assert_allclose(a.amplitudes, b.amplitudes, rtol=1e-15)
+    np.testing.assert_allclose(a.covariance, b.covariance, rtol=1e-14, atol=1e-300)
+
+
+@pytest.mark.parametrize("name", ["s.csv", "s.csv.gz"])
+def test_amplitudes_read_back(tmp_path, name):
+    channels = (
+        Channel("x1", {"x1": 1}, unit="mm", scale=1e-3, gain=2.5, sign=-1, delay=1e-3),
+        Channel("a", {"x1": 1}, Quantity.ACCELERATION, gain=None),
+        U,
+    )
+    lines = spectrum([dwell(f, i, channels=channels, experiment=i) for i, f in enumerate((1.1, 2.3, 3.7))])
+    write_amplitudes(lines, tmp_path / name)
+    reading = read(tmp_path / name, channels)
+    assert reading.notes == ()
+    assert reading.records == ()
+    same(lines, reading.spectrum())
+    with pytest.raises(DataError, match="no samples"):
+        reading.spectrum(moments=True)
+
+
+def test_unknown_noise_exact_noise_and_missing_channels_read_back(tmp_path):
+    X = np.array([[1 + 2j, 3], [4, 5j], [np.nan, 6]])
+    V = np.zeros((3, 2, 2), dtype=complex)
+    V[1, 0, 0] = 2.0
+    for noise, covariance in (
+        (("given",) * 3, V),
+        (("unknown",) * 3, np.full_like(V, np.nan)),
+        (("given", "given", "unknown"), np.where(np.arange(3)[:, None, None] == 2, np.nan, V)),
+    ):
+        lines = Spectrum(CHANNELS, [1, 2, 2], X, covariance, [1, 2, 3], [np.inf, 5, 7], noise, [0, 0, 1])
+        write_amplitudes(lines, tmp_path / "s.csv")
+        same(lines, read(tmp_path / "s.csv", CHANNELS).spectrum())
+    batch = Spectrum(CHANNELS, [1, 2, 2], X[None], V, [1, 2, 3], [1, 5, 7], noise, [0, 0, 1])
+    with pytest.raises(DataError, match="repeats"):
+        write_amplitudes(batch, tmp_path / "s.csv")
+
+
+def test_table_by_hand(put):
+    path = put("frequency_hz,x1_re,x1_im,x1_sd,u_re,u_im\n2,3,-4,0.5,1,0\n")
+    lines = read(path, CHANNELS).spectrum()
+    np.testing.assert_allclose(lines.amplitudes, [[3e-3 - 4e-3j, 1]])
+    np.testing.assert_allclose(lines.sd(), [[5e-4, 0]])
+    assert lines.noise == ("given",)
+    assert np.isinf(lines.dof[0])
+    bare = read(put("frequency_hz,x1_re,x1_im,u_re,u_im\n2,3,-4,1,0\n"), CHANNELS).spectrum()
+    assert bare.noise == ("unknown",)
+    assert np.all(np.isnan(bare.covariance))
+
+
+TABLE = "frequency_hz,experiment,x1_re,x1_im,x1_sd,u_re,u_im\n1,0,1,1,1,1,0\n2,0,1,1,1,1,0\n3,1,1,1,1,1,0\n"
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("x1_im", "x1_i", "test.csv:1: column x1_im: missing (the rig file lists the channel); did you mean"),
+        ("2,0,1,1,1", "2,0,,1,1", "test.csv:3: column x1_re: the cell is empty;"),
+        ("2,0,1,1,1", "2,0,,,", "test.csv:3: column x1_re: the cell is empty;"),
+        ("2,0,1,1,1", "2,0,1,,1", "test.csv:3: column x1_im: the cell is empty;"),
+        ("2,0,1,1,1", "2,0,1,1,", "test.csv:3: column x1_sd: the cell is empty;"),
+        ("2,0,1,1,1", "2,0,1,1,-1", "test.csv:3: column x1_sd: a standard deviation of -1;"),
+        ("2,0,1,1,1", "2,0,1,nan,1", 'test.csv:3: column x1_im: "nan" is not a finite number;'),
+        ("2,0,1,1,1", "-2,0,1,1,1", "test.csv:3: column frequency_hz: frequency -2 Hz;"),
+        ("2,0,1,1,1", "2,0.5,1,1,1", "test.csv:3: column experiment: 0.5 is not a whole number;"),
+        ("u_im", "x1_im", "test.csv:1: column x1_im: named twice"),
+        ("u_re", "u_re [mm]", "column u: in mm, the rig file says SI units;"),
+        ("frequency_hz", "frequency", "test.csv:1: column frequency_hz: missing; did you mean frequency?"),
+    ],
+)
+def test_bad_tables_are_refused_with_their_place(put, old, new, message):
+    assert message in refusal(put(TABLE.replace(old, new, 1)))
+
+
+def test_a_channel_may_be_left_out_of_an_experiment(put):
+    lines = read(put(TABLE.replace("3,1,1,1,1", "3,1,,,")), CHANNELS).spectrum()
+    assert np.isnan(lines.amplitudes[2, 0])
+    assert np.all(np.isfinite(lines.amplitudes[:2]))
+
+
+def test_impossible_covariances_are_refused(put):
+    header = "frequency_hz,x1_re,x1_im,x1_sd,u_re,u_im,u_sd,x1&u_cov_re,x1&u_cov_im\n"
+    assert (
+        np.linalg.eigvalsh(read(put(header + "1,1,1,1,1,0,1,1.9,0\n"), CHANNELS).spectrum().covariance[0])[0]
+        > 0
+    )
+    assert "larger than the sd" in refusal(put(header + "1,1,1,1,1,0,1,2.1,0\n"))
+
+
+# ------------------------------------------------------------------------------------------------ damage
+
+
+@pytest.mark.parametrize("kind", ["records", "amplitudes", "packed"])
+def test_damaged_files_give_data_or_a_data_error(tmp_path, kind):
+    """Random cuts, flips, insertions and repetitions of valid files; any other exception or warning fails."""
+    path = tmp_path / ("valid.csv.gz" if kind == "packed" else "valid.csv")
+    records = [dwell(f, i, samples=12) for i, f in enumerate((4.0, 6.0, 8.0))]
+    if kind == "amplitudes":
+        write_amplitudes(spectrum(records), path)
+    else:
+        write_records(records, path)
+    valid, damaged, rng = path.read_bytes(), tmp_path / "damaged.csv", random.Random(kind)
+    alphabet = b'0123456789.,;-+eE\n\r" \t#naif\xff\x00'
+    read_well, messages = 0, []
+    for _ in range(400):
+        data = bytearray(valid)
+        for _ in range(rng.choice([1, 1, 2, 5])):
+            if not data:
+                break
+            i = rng.randrange(len(data))
+            match rng.randrange(5):
+                case 0:
+                    data[i] = rng.choice(alphabet)
+                case 1:
+                    data[i] = rng.randrange(256)
+                case 2:
+                    del data[i : i + rng.choice([1, 1, 10, 100])]
+                case 3:
+                    data[i:i] = bytes([rng.choice(alphabet)]) * rng.choice([1, 3, 400])
+                case 4:
+                    del data[i:]
+        damaged.write_bytes(data)
+        try:
+            read(damaged, CHANNELS).spectrum()
+            read_well += 1
+        except DataError as error:
+            messages.append(str(error))
+    assert all("\n" not in message and len(message) < 1000 for message in messages)
+    assert len(messages) > 100
+    assert read_well > (0 if kind == "packed" else 10)

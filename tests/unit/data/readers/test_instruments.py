@@ -1,0 +1,202 @@
+"""Files of instruments, Xsens DOT and LabVIEW, and the average of periods: what is read, and what is refused."""
+
+import numpy as np
+import pytest
+
+from dashpot.channel import Channel, Quantity
+from dashpot.data.periods import average_periods
+from dashpot.data.readers import read
+from dashpot.data.readers.delimited.lvm import open_lvm
+from dashpot.data.readers.delimited.xsens import read_xsens
+from dashpot.data.record import Record
+from dashpot.errors import DataError
+
+SENSORS = tuple(Channel(name, {name: 1}, Quantity.ACCELERATION, "m/s²") for name in ("u", "x1"))
+
+
+def xsens(first=0, rows=40, step=8333, start=1000, change=None):
+    """A file whose Acc_X is the clock in s."""
+    lines = ["sep=,", "DeviceTag:,Xsens DOT", "", "PacketCounter,SampleTimeFine,Euler_X,Acc_X,Acc_Y,Acc_Z"]
+    for i in range(first, first + rows):
+        clock = (start + step * i) % 2**32
+        acceleration = "0.0,0.0,0.0" if i == first else f"{1e-6 * (start + step * i):.9f},1.0,9.8"
+        lines.append(f"{i - first},{clock},0.5,{acceleration}")
+    text = "\n".join(lines) + "\n"
+    return text if change is None else text.replace(*change, 1)
+
+
+@pytest.fixture
+def files(tmp_path):
+    def write(**texts):
+        paths = {}
+        for name, text in texts.items():
+            paths[name] = tmp_path / f"{name}.csv"
+            paths[name].write_text(text)
+        return paths
+
+    return write
+
+
+class TestXsens:
+    def test_sensors_are_aligned_on_their_clock(self, files):
+        record, notes = read_xsens(files(u=xsens(), x1=xsens(first=2)), SENSORS, frequency_hz=2.0)
+        # u begins with row 0, x1 with row 2; their first rows are zeros.
+        assert len(record.time) == 40 - 3
+        assert record.time[0] == 0
+        assert np.diff(record.time) == pytest.approx(8333e-6)
+        assert record.values[:, 0] == pytest.approx(record.values[:, 1])
+        assert record.values[:, 0] == pytest.approx(1e-6 * (1000 + 8333 * 3) + record.time)
+        assert record.frequency_hz == 2.0
+        assert "2 samples" in notes[-1]
+
+    def test_a_clock_that_starts_again(self, files):
+        start = 2**32 - 10 * 8333
+        record, _ = read_xsens(files(u=xsens(start=start), x1=xsens(start=start)), SENSORS)
+        assert np.diff(record.time) == pytest.approx(8333e-6)
+
+    def test_lost_packets_keep_their_times(self, files):
+        lines = xsens().splitlines()
+        text = "\n".join([*lines[:20], *lines[23:]]) + "\n"
+        record, notes = read_xsens(files(u=text, x1=xsens()), SENSORS)
+        assert np.max(np.diff(record.time)) == pytest.approx(4 * 8333e-6)
+        assert any("3 packets are missing" in note for note in notes)
+
+    @pytest.mark.parametrize(
+        ("text", "what"),
+        [
+            ("", "is empty"),
+            ("sep=,\nDeviceTag:,Xsens DOT\n", "no header row"),
+            (xsens(rows=1), "no measurements"),
+            (xsens(change=("Acc_X", "Acc_W")), "Acc_X: missing"),
+            (xsens(change=("SampleTimeFine", "Time")), "SampleTimeFine: missing"),
+            (xsens(change=(",1.0,9.8", ",nan,9.8")), "u.csv:6: column Acc_Y"),
+            (
+                xsens(change=("2,17666,", "2,1,")),
+                "u.csv:7: column SampleTimeFine: the time does not increase",
+            ),
+            (xsens(change=("2,17666,", "2,17666.5,")), "u.csv:7: column SampleTimeFine"),
+            (xsens()[:-30], "u.csv:44"),
+            (xsens(start=1001), "0 times in common"),
+        ],
+    )
+    def test_bad_files(self, files, text, what):
+        with pytest.raises(DataError, match=what) as error:
+            read_xsens(files(u=text, x1=xsens()), SENSORS)
+        assert "\n" not in str(error.value)
+
+    def test_what_does_not_fit(self, files):
+        paths = files(u=xsens(), x1=xsens())
+        with pytest.raises(DataError, match="x1 has no file"):
+            read_xsens({"u": paths["u"]}, SENSORS)
+        with pytest.raises(DataError, match="no acceleration in m/s²"):
+            read_xsens(paths, (Channel("u", {"u": 1}), SENSORS[1]))
+        with pytest.raises(DataError, match="no axis W"):
+            read_xsens(paths, SENSORS, "W")
+
+
+LVM_HEAD = """LabVIEW Measurement\t
+Separator\tTab
+Decimal_Separator\t.
+X_Columns\tOne
+***End_of_Header***\t
+\t
+Channels\t2\t\t
+Delta_X\t0.01\t0.01\t
+***End_of_Header***\t\t\t
+X_Value\tAcceleration (Trigger)\tForce (Trigger)\tComment
+"""
+AF = (
+    Channel("Acceleration", {"x": 1}, Quantity.ACCELERATION, "g", 9.80665),
+    Channel("Force", {"f": 1}, Quantity.FORCE),
+)
+
+
+def lvm(rows=100, comment=""):
+    t = 0.01 * np.arange(rows)
+    cells = [f"{x:.6f}\t{np.cos(2 * np.pi * 3 * x):.6f}\t{np.sin(2 * np.pi * 3 * x):.6f}" for x in t]
+    cells[0] += comment
+    return LVM_HEAD + "\n".join(cells) + "\n"
+
+
+class TestLabview:
+    @pytest.mark.parametrize("comment", ["", "\t", "\tstarted by hand"])
+    def test_told_by_its_first_row_and_driven_as_its_name_says(self, tmp_path, comment):
+        path = tmp_path / "3Hz_tmp_001.txt"
+        path.write_text(lvm(comment=comment))
+        reading = read(path, AF)
+        (record,) = reading.records
+        assert record.frequency_hz == 3.0
+        assert reading.spectrum(harmonics=(), noise="white").amplitudes[0] == pytest.approx(
+            [9.80665, -1j], abs=1e-5
+        )
+
+    def test_columns_under_other_names(self, tmp_path):
+        path = tmp_path / "a.lvm"
+        path.write_text(lvm())
+        assert open_lvm(path, {"Force (Trigger)": "F"}).header == ("time_s", "Acceleration (Trigger)", "F")
+        with pytest.raises(DataError, match="column Torque: missing"):
+            open_lvm(path, {"Torque": "T"})
+
+    @pytest.mark.parametrize(
+        ("text", "what"),
+        [
+            (LVM_HEAD, "a header and no rows"),
+            (LVM_HEAD[: LVM_HEAD.index("X_Value")], "no header row"),
+            (lvm() + LVM_HEAD + "0\t1\t2\n", "several segments"),
+            (
+                lvm().replace("Force (Trigger)\tComment", "X_Value\tForce (Trigger)"),
+                "column of time for each",
+            ),
+            (lvm().replace("0.010000\t", "0.010000\tbad", 1), "test_3Hz.txt:12: column Acceleration"),
+            (lvm()[:-12], "test_3Hz.txt:110"),
+        ],
+    )
+    def test_bad_files(self, tmp_path, text, what):
+        path = tmp_path / "test_3Hz.txt"
+        path.write_text(text)
+        with pytest.raises(DataError, match=what) as error:
+            read(path, AF)
+        assert "\n" not in str(error.value)
+
+
+class TestPeriods:
+    RATE, PERIOD = 200.0, 0.5
+
+    def record(self, seed, periods=12, noise=0.1, lines=(2, 5)):
+        rng = np.random.default_rng(seed)
+        t = np.arange(int(periods * self.RATE * self.PERIOD)) / self.RATE
+        clean = sum(k * np.cos(2 * np.pi * k * t / self.PERIOD + k) for k in lines)
+        common = noise * rng.standard_normal(len(t))
+        values = np.stack([clean + common, 2 * clean + common], axis=-1)
+        return Record((Channel("a", {"a": 1}), Channel("b", {"b": 1}, gain=2.0)), t, values)
+
+    def test_amplitudes_and_covariance_with_gains_taken_out(self):
+        # 400 repeats: the mean of a variance from 11 periods has a relative standard error of √(1/11/400) = 1.5 %.
+        found = [average_periods(self.record(seed), self.PERIOD, (2, 5), skip=1) for seed in range(400)]
+        X = np.array([one.amplitudes for one in found])
+        true = np.array([[2 * np.exp(2j)] * 2, [5 * np.exp(5j)] * 2])
+        V = 4 * 0.1**2 / (11 * 100) * np.array([[1, 0.5], [0.5, 0.25]])
+        assert np.abs(np.mean(X, axis=0) - true).max() < 5 * np.sqrt(V[0, 0] / 400)
+        mean = np.mean([one.covariance for one in found], axis=0)
+        assert mean == pytest.approx(np.stack([V, V]), rel=0.07)
+        away = X - true
+        assert np.einsum("rlc,rld->lcd", away, away.conj()) / 400 == pytest.approx(np.stack([V, V]), rel=0.25)
+        assert found[0].frequency_hz == pytest.approx([4, 10])
+        assert list(found[0].dof) == [20, 20]
+        assert found[0].noise == ("periods", "periods")
+        assert list(found[0].samples) == [1100, 1100]
+
+    def test_what_cannot_be_averaged(self):
+        record = self.record(0)
+        for period, skip, what in (
+            (0.5123, 0, "no whole number"),
+            (np.nan, 0, "no whole number"),
+            (-0.5, 0, "no whole number"),
+            (0.5, 11, "12 periods of 0.5 s, 11"),
+            (0.5, -1, "two periods"),
+        ):
+            with pytest.raises(DataError, match=what):
+                average_periods(record, period, (2,), skip=skip)
+        uneven = Record(record.channels, record.time + 1e-3 * np.sin(record.time), record.values)
+        with pytest.raises(DataError, match="evenly"):
+            average_periods(uneven, 0.5, (2,))

@@ -1,0 +1,258 @@
+"""Channels as functions of the unknowns: against the simulation, finite differences, and inputs as unknowns."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.sparse.linalg import splu
+
+from dashpot.channel import Channel, Quantity
+from dashpot.errors import DataError
+from dashpot.estimate.identify import _flatten, identify
+from dashpot.estimate.likelihood import objective as output
+from dashpot.estimate.likelihood.maximum_likelihood import MaximumLikelihood, local, logarithmic
+from dashpot.estimate.likelihood.objective import directly_driven, measured, observation_model, predict
+from dashpot.estimate.method import Prepared
+from dashpot.model.elements import Kind, between, mass
+from dashpot.model.network import Input, Model
+from tests.partly_seen import BENCHES, Bench, calibrations, noisy_base, reaction
+
+
+def prepared(bench, correlation=0.0, draws=1, seed=1):
+    flat = _flatten(bench.spectrum(np.random.default_rng(seed), draws, correlation))
+    data = Prepared(bench.model, flat, flat.covariance, None)
+    return data, observation_model(bench.model, flat.channels, flat.omega)
+
+
+def signs(bench):
+    return np.array([[bench.signs.get(channel.name, 1.0) for channel in bench.channels]])
+
+
+@pytest.fixture(params=BENCHES, ids=lambda make: make.__name__)
+def bench(request):
+    return request.param()
+
+
+def test_channels_show_what_the_simulation_says(bench):
+    data, view = prepared(bench)
+    exact = replace(measured(data, view), q=bench.q[None])
+    at = predict(view, exact, bench.psi[None], signs(bench))
+    shown = (exact.y - at.r)[0]
+    truth = bench.shown(bench.psi)
+    assert view.names == bench.names
+    assert np.allclose(shown, truth, rtol=0, atol=1e-11 * np.abs(truth).max(axis=0))
+
+
+def test_slopes_are_those_of_finite_differences(bench):
+    """To 1e-6 of the largest slope of each channel by each unknown, at inputs that are given."""
+    data, view = prepared(bench)
+    exact = replace(measured(data, view), q=bench.q[None])
+    J = predict(view, exact, bench.psi[None], signs(bench)).J[0]
+    expected = bench.slopes()
+    size = np.abs(expected).max(axis=0)
+    assert np.all(np.abs(J - expected) <= 1e-6 * size)
+    assert np.count_nonzero(size) > size.size / 2
+
+
+@pytest.mark.parametrize("correlation", [0.0, 0.6])
+def test_information_is_that_of_inputs_written_out_as_unknowns(bench, correlation):
+    """Π of profiled inputs against the Schur complement of real and imaginary parts of every input at every line."""
+    data, view = prepared(bench, correlation)
+    given = measured(data, view)
+    exact = replace(given, y=bench.shown(bench.psi)[None] * (given.y != 0))
+    found = np.sum(predict(view, exact, bench.psi[None], signs(bench)).information(), axis=-3)[0]
+    expected = bench.information(correlation)
+    size = np.sqrt(np.outer(np.diag(expected), np.diag(expected)))
+    assert np.all(np.abs(found - expected) <= 1e-6 * size)
+
+
+@pytest.mark.parametrize("kind", ["likelihood", "logarithms"])
+def test_gradients_are_those_of_finite_differences(bench, kind):
+    """The slope of the cost, away from its minimum and with noisy inputs profiled, to 1e-6."""
+    data, view = prepared(bench, 0.4)
+    given = measured(data, view)
+    sign = signs(bench)
+    if kind == "logarithms":
+        driven = directly_driven(view, given)
+        assert driven is not None
+        weight = np.linspace(0.1, 1.0, given.y[0].size).reshape(given.y.shape[1:])
+
+    def cost(psi):
+        here = (
+            local(view, given, psi, sign)
+            if kind == "likelihood"
+            else logarithmic(view, driven, weight, psi, sign)
+        )
+        return here
+
+    psi = bench.psi[None] * np.exp(0.02 * np.sin(np.arange(len(bench.psi))))
+    slope = np.empty(psi.shape[-1])
+    for j in range(len(slope)):
+        h = 1e-4 * abs(psi[0, j]) * np.eye(len(slope))[j]
+        rough = (cost(psi + 2 * h).cost - cost(psi - 2 * h).cost) / (4 * h[j])
+        fine = (cost(psi + h).cost - cost(psi - h).cost) / (2 * h[j])
+        slope[j] = (4 * fine[0] - rough[0]) / 3
+    here = cost(psi)
+    sd = 1 / np.sqrt(np.diagonal(here.symmetric[0]))
+    assert np.allclose(
+        -2 * here.gradient[0] * sd, slope * sd, rtol=1e-6, atol=1e-6 * np.max(np.abs(slope * sd))
+    )
+
+
+def chain(n, lines):
+    """A chain of n masses between a base and a force at its end, seen at three points and at the base's force."""
+    rng = np.random.default_rng(n)
+    points = ["u", *(f"x{i}" for i in range(1, n + 1))]
+    elements = [mass(f"m{i}", f"x{i}") for i in range(1, n + 1)]
+    elements += [between(f"k{i}", Kind.SPRING, points[i - 1], points[i]) for i in range(1, n + 1)]
+    elements += [between(f"c{i}", Kind.DAMPER, points[i - 1], points[i]) for i in range(1, n + 1)]
+    size = {"m": 1.0, "k": 4000.0, "c": 8.0}
+    values = {e.name: size[e.name[0]] * float(np.exp(rng.uniform(-1, 1))) for e in elements}
+    f = np.geomspace(1, 20, lines)
+    channels = (
+        Channel("first", {"x1": 1}, Quantity.ACCELERATION), Channel("middle", {f"x{n // 2}": 1, "x3": -1}),
+        Channel("last", {f"x{n}": 1}, Quantity.VELOCITY), Channel("R", {"u": 1}, Quantity.FORCE),
+        Channel("u", {"u": 1}), Channel("p", {"p": 1}, Quantity.FORCE),
+    )  # fmt: skip
+    model = Model(tuple(points[1:]), (Input("u"), Input("p", "force", {f"x{n}": 1.0})), tuple(elements))
+    U, force = np.full((lines, 1), 0.01 + 0j), np.full((lines, 1), 3.0 + 1j)
+    return Bench("chain", model, values, channels, f, U, force, {"": 0.01})
+
+
+def test_sparse_rigs_are_those_of_dense_matrices(monkeypatch):
+    bench = chain(60, 5)
+    data, view = prepared(bench)
+    given = measured(data, view)
+    sparse = predict(view, given, bench.psi[None], np.ones((1, 6)))
+    monkeypatch.setattr(output, "SPARSE_FROM", 1000)
+    dense = predict(view, given, bench.psi[None], np.ones((1, 6)))
+    for name in ("r", "J", "PJ", "q", "weighted"):
+        a, b = getattr(sparse, name), getattr(dense, name)
+        assert np.allclose(a, b, rtol=1e-10, atol=1e-10 * np.abs(b).max()), name
+
+
+def test_a_large_rig_costs_one_sparse_factorisation_a_line(monkeypatch):
+    """And gives the same many starts at once; time itself is measured in benchmarks/large.py."""
+    calls = []
+    monkeypatch.setattr(output, "splu", lambda *args, **how: calls.append(1) or splu(*args, **how))
+    bench = chain(60, 7)
+    data, view = prepared(bench)
+    given = measured(data, view)
+    psi = np.stack([bench.psi, 1.1 * bench.psi])
+    both = local(view, given, psi, np.ones((2, 6)))
+    assert len(calls) == 2 * 7
+    alone = local(view, given, psi[1:], np.ones((1, 6)))
+    assert np.array_equal(both.cost[1:], alone.cost)
+    assert np.array_equal(both.gradient[1:], alone.gradient)
+
+
+def test_a_singular_line_of_a_large_rig_is_no_answer():
+    bench = chain(60, 3)
+    data, view = prepared(bench)
+    psi = np.stack([0 * bench.psi, bench.psi])
+    with np.errstate(all="ignore"):
+        cost = local(view, measured(data, view), psi, np.ones((2, 6))).cost
+    assert np.isnan(cost[0])
+    assert np.isfinite(cost[1])
+
+
+def test_a_large_rig_is_identified_from_rough_guesses():
+    """A hundred coordinates, three unknowns, seen at both ends and by the force at the base."""
+    n, values = 100, {"k1": 4e5, "k50": 2e5, "c1": 80.0}
+    elements = [mass(f"m{i}", f"x{i}", value=1.0) for i in range(1, n + 1)]
+    points = ["u", *(f"x{i}" for i in range(1, n + 1))]
+    for kind in (Kind.SPRING, Kind.DAMPER):
+        for i in range(1, n + 1):
+            letter = "k" if kind is Kind.SPRING else "c"
+            name = f"{letter}{i}"
+            tie = {"guess": 0.75 * values[name]} if name in values else {"same_as": f"{letter}1"}
+            elements.append(between(name, kind, points[i - 1], points[i], **tie))
+    model = Model(tuple(points[1:]), (Input("u"),), tuple(elements))
+    channels = (
+        Channel("a1", {"x1": 1}, Quantity.ACCELERATION), Channel("end", {f"x{n}": 1}, Quantity.ACCELERATION),
+        Channel("u", {"u": 1}), Channel("R", {"u": 1}, Quantity.FORCE),
+    )  # fmt: skip
+    U, none = np.full((12, 1), 0.01 + 0j), np.zeros((12, 0), dtype=complex)
+    f = np.geomspace(0.5, 10, 12)
+    bench = Bench("large", model, values, channels, f, U, none, {"": 0.01, "u": 0.0})
+    found = identify(model, bench.spectrum(np.random.default_rng(1)), MaximumLikelihood())
+    assert found.converged
+    assert np.all(np.abs(found.values - bench.psi) < 4 * found.sd)
+    assert np.allclose(found.sd, bench.bound_sd(), rtol=0.2)
+
+
+def test_a_channel_that_was_not_measured_weighs_nothing():
+    """NaN at some lines is the same as the channel with a noise that swamps it there."""
+    bench = noisy_base()
+    data, view = prepared(bench)
+    Y = data.spectrum.amplitudes.copy()
+    Y[:, 5:9, 1] = np.nan
+    holes = Prepared(data.model, replace(data.spectrum, amplitudes=Y), data.covariance, None)
+    V = data.covariance.copy()
+    V[:, 5:9, 1, 1] *= 1e12
+    swamped = Prepared(data.model, data.spectrum, V, None)
+    one, two = (predict(view, measured(d, view), bench.psi[None], signs(bench)) for d in (holes, swamped))
+    assert np.allclose(
+        one.information(), two.information(), rtol=1e-6, atol=1e-6 * np.abs(two.information()).max()
+    )
+    assert np.allclose(one.cost_per_line, two.cost_per_line, rtol=1e-6)
+    assert measured(holes, view).rows == measured(data, view).rows - 8
+
+
+def test_inputs_that_no_channel_of_a_line_sees_are_not_driven():
+    bench = noisy_base()
+    data, view = prepared(bench)
+    Y = data.spectrum.amplitudes.copy()
+    Y[:, 3, :] = np.nan
+    holes = Prepared(data.model, replace(data.spectrum, amplitudes=Y), data.covariance, None)
+    at = predict(view, measured(holes, view), bench.psi[None], signs(bench))
+    assert at.q[0, 3, 0] == 0
+    assert np.all(np.isfinite(at.information()))
+    assert np.all(at.information()[0, 3] == 0)
+
+
+def test_exact_channels_give_the_inputs_and_are_no_residuals():
+    bench = reaction()
+    data, view = prepared(bench)
+    given = measured(data, view)
+    assert np.allclose(given.q[0], bench.q)
+    assert np.all(given.W[..., 3, :] == 0)
+    assert given.rows == 2 * 3 * bench.lines
+
+
+def test_noisy_inputs_are_taken_from_their_own_channels_for_logarithms():
+    bench = noisy_base()
+    data, view = prepared(bench)
+    driven = directly_driven(view, measured(data, view))
+    assert driven is not None
+    assert np.allclose(driven.q[0, :, 0], data.spectrum.amplitudes[0, :, 3] / (1j * data.spectrum.omega) ** 2)
+    blind = replace(bench, channels=bench.channels[:3])
+    data, view = prepared(blind)
+    assert directly_driven(view, measured(data, view)) is None
+
+
+def test_shared_gains_are_one_unknown():
+    bench = calibrations()
+    pair = (bench.channels[0], replace(bench.channels[1], delay=0.0, same_gain_as="a3"), *bench.channels[2:])
+    view = observation_model(bench.model, pair, 2 * np.pi * bench.frequency_hz)
+    assert view.gains == 1
+    assert list(view.gain) == [0, 0, -1, -1]
+    assert view.names[-1] == "a3.gain"
+    assert view.units[-1] == "1"
+
+
+@pytest.mark.parametrize(
+    ("channel", "word"),
+    [
+        (Channel("F", {"k9": 1}, Quantity.FORCE), "k9"),
+        (Channel("x", {"x9": 1}), "x9"),
+        (Channel("x", {"x1": 1}, same_gain_as="a9"), "a9"),
+        (Channel("x", {"x1": 1}, same_gain_as="a1"), "a1"),
+    ],
+)
+def test_channels_of_what_is_not_there_are_refused(channel, word):
+    bench = reaction()
+    with pytest.raises(DataError, match=word):
+        observation_model(bench.model, (*bench.channels, channel), 2 * np.pi * bench.frequency_hz)
