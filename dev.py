@@ -2,7 +2,7 @@
 """Every chore of this project behind one file that needs nothing but Python 3.11.
 
     python3 dev.py run  [ARGS]   dashpot ARGS; without ARGS, identify the example rig
-    python3 dev.py test [ARGS]   the tests; ARGS go to pytest
+    python3 dev.py test [ARGS]   the tests, a few minutes; --long: those that take longer; other ARGS go to pytest
     python3 dev.py check         ruff, mypy and the import contracts
     python3 dev.py bench [NAME]  the benchmarks, all or the named ones; what follows the first -option goes to them
     python3 dev.py env           only make the environment, .venv

@@ -20,7 +20,14 @@ SINGLES = 3
 FAR = 8.0  # standard deviations from the truth: another valley, not noise
 
 
-@pytest.mark.parametrize("make", BENCHES, ids=lambda make: make.__name__)
+SLOW = {"third_of_six", "force_at_one_point"}  # a third of a minute each
+
+
+@pytest.mark.parametrize(
+    "make",
+    [pytest.param(make, marks=[pytest.mark.long] * (make.__name__ in SLOW)) for make in BENCHES],
+    ids=lambda make: make.__name__,
+)
 def test_four_thousand_draws(make):
     """In one test, for the draws are worth identifying once; a millionth of a standard deviation is near enough."""
     bench = make()
