@@ -6,12 +6,13 @@ Wherever amplitudes come from (records, tables, FRF files, simulation), estimati
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from dashpot.arrays import Complex, Ints, Real, frozen
 from dashpot.channel import Channel
+from dashpot.data.stretch import SettledDwell, Stretch, WholeRecord, joined, selected
 from dashpot.errors import DataError
 
 
@@ -45,6 +46,9 @@ class Spectrum:
     experiment    (lines,)                      which experiment a line belongs to
     moments       second moments of the samples, where they were asked for
     notes         what a reader of results should know: samples thrown away, noise that could not be judged
+    stretch       (lines,)                      index into `stretches`: which lines share a dwell or a whole record;
+                  all settled where it is not given
+    stretches     what they share: settled dwells, or records with their boundary loads
     """
 
     channels: tuple[Channel, ...]
@@ -57,6 +61,8 @@ class Spectrum:
     experiment: Ints
     moments: Moments | None = None
     notes: tuple[str, ...] = ()
+    stretch: Ints = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
+    stretches: tuple[Stretch, ...] = (SettledDwell(),)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "channels", tuple(self.channels))
@@ -69,6 +75,9 @@ class Spectrum:
         object.__setattr__(self, "dof", frozen(self.dof, np.float64))
         object.__setattr__(self, "experiment", frozen(self.experiment, np.int64))
         lines, channels = len(self.frequency_hz), len(self.channels)
+        object.__setattr__(self, "stretches", tuple(self.stretches))
+        stretch = np.zeros(lines, dtype=np.int64) if not np.size(self.stretch) else self.stretch
+        object.__setattr__(self, "stretch", frozen(stretch, np.int64))
         expected = {
             "amplitudes": (self.amplitudes.shape[-2:], (lines, channels)),
             "covariance": (self.covariance.shape[-3:], (lines, channels, channels)),
@@ -76,10 +85,16 @@ class Spectrum:
             "dof": (self.dof.shape, (lines,)),
             "noise": ((len(self.noise),), (lines,)),
             "experiment": (self.experiment.shape, (lines,)),
+            "stretch": (self.stretch.shape, (lines,)),
         }
         for name, (found, wanted) in expected.items():
             if found != wanted:
                 raise DataError(f"{name} has shape {found}, its last axes must be {wanted}")
+        if lines and not (self.stretch.min() >= 0 and self.stretch.max() < len(self.stretches)):
+            raise DataError(
+                f"a line belongs to stretch {self.stretch.max()} of {len(self.stretches)}",
+                cure="stretch counts from 0 through stretches",
+            )
         names = [channel.name for channel in self.channels]
         if len(set(names)) != len(names):
             raise DataError("a channel is named twice", cure="every channel needs its own name")
@@ -135,6 +150,11 @@ class Spectrum:
         diagonal = np.diagonal(self.covariance, axis1=-2, axis2=-1).real
         return np.sqrt(np.maximum(diagonal, 0.0) / 2)
 
+    @property
+    def records(self) -> tuple[int, ...]:
+        """Indices of the stretches that are whole records."""
+        return tuple(i for i, value in enumerate(self.stretches) if isinstance(value, WholeRecord))
+
     def select(self, lines: Sequence[int] | Ints) -> Spectrum:
         """The same spectrum with only some lines, in the order given."""
         i = np.asarray(lines, dtype=np.int64)
@@ -149,6 +169,7 @@ class Spectrum:
             self.experiment[i],
             None if self.moments is None else Moments(self.moments.products[..., i, :, :]),
             self.notes,
+            *selected(self.stretch[i], self.stretches),
         )
 
     def with_channels(self, channels: tuple[Channel, ...]) -> Spectrum:
@@ -203,6 +224,7 @@ def concatenate(spectra: Sequence[Spectrum]) -> Spectrum:
         np.concatenate([spectrum.experiment for spectrum in spectra]),
         _moments(spectra, list(channels), batch),
         tuple(dict.fromkeys(note for spectrum in spectra for note in spectrum.notes)),
+        *joined([(spectrum.stretch, spectrum.stretches) for spectrum in spectra]),
     )
 
 
@@ -222,16 +244,27 @@ def _moments(spectra: Sequence[Spectrum], names: list[str], batch: tuple[int, ..
 def merge_repeats(spectrum: Spectrum) -> Spectrum:
     """One line for all lines of one frequency and experiment: the amplitudes averaged by their covariances.
 
-    The repeats must have been driven alike.  Lines whose noise is unknown or singular are averaged evenly.
+    The repeats must have been driven alike.  Lines whose noise is unknown or singular are averaged evenly.  Lines of
+    whole records stay, for every record has a transient of its own; so do equal lines of different fundamentals.
     """
-    groups: dict[tuple[float, int], list[int]] = {}
-    for line, key in enumerate(
-        zip(spectrum.frequency_hz.tolist(), spectrum.experiment.tolist(), strict=True)
+    groups: dict[tuple[float, int, int | float | None], list[int]] = {}
+    for line, (f, experiment, number) in enumerate(
+        zip(
+            spectrum.frequency_hz.tolist(),
+            spectrum.experiment.tolist(),
+            spectrum.stretch.tolist(),
+            strict=True,
+        )
     ):
-        groups.setdefault(key, []).append(line)
+        shared = spectrum.stretches[number]
+        apart = shared.fundamental_hz if isinstance(shared, SettledDwell) else -1 - number
+        groups.setdefault((f, experiment, apart), []).append(line)
     if len(groups) == spectrum.lines:
         return spectrum
-    return concatenate([_average(spectrum.select(group)) for group in groups.values()])
+    merged = concatenate([_average(spectrum.select(group)) for group in groups.values()])
+    first = np.array([group[0] for group in groups.values()])
+    stretch, stretches = selected(spectrum.stretch[first], spectrum.stretches)
+    return replace(merged, stretch=stretch, stretches=stretches)
 
 
 def _average(group: Spectrum) -> Spectrum:
@@ -262,4 +295,6 @@ def _average(group: Spectrum) -> Spectrum:
         group.experiment[:1],
         None if group.moments is None else Moments(np.sum(group.moments.products, axis=-3, keepdims=True)),
         group.notes,
+        np.zeros(1, dtype=np.int64),
+        group.stretches[:1],
     )

@@ -3,6 +3,9 @@
 x(t) = Re(X e^{jωt}); `NAME_sd` is the standard deviation of the real and of the imaginary part, each.  Further
 optional columns: `experiment`, `samples`, `dof`, `noise` and, for noise that channels share, `A&B_cov_re` and
 `A&B_cov_im`, the covariance E[Δ_A conj(Δ_B)].  Numbers are raw, in the channels' own units, calibrations still in.
+Lines of one whole record, which share its boundary loads, have one number in the column `record`,
+with `record_duration_s`, `record_samples`, `record_loads` (0 or 1) and `record_polynomial` (0 to 3).  Lines of one
+settled dwell have its number there and `fundamental_hz`.
 """
 
 from __future__ import annotations
@@ -18,9 +21,12 @@ from dashpot.data.conditioning.harmonic_fit import calibration
 from dashpot.data.readers.delimited.stepped_sine import EXPERIMENT, FREQUENCY, check_frequency, whole_numbers
 from dashpot.data.readers.delimited.table import LARGEST, Table, bare, listed, write_rows
 from dashpot.data.spectrum import Spectrum
+from dashpot.data.stretch import SettledDwell, Stretch, WholeRecord
 from dashpot.errors import DataError
 
 SAMPLES, DOF, NOISE = "samples", "dof", "noise"
+RECORD, FUNDAMENTAL = "record", "fundamental_hz"
+OF_RECORDS = ("record_duration_s", "record_samples", "record_loads", "record_polynomial")
 KINDS = ("given", "white", "blocks", "periods", "unknown")
 
 
@@ -54,7 +60,10 @@ def read_amplitudes(
             columns = [table.find(f"{a.name}&{b.name}_cov_{part}") for part in ("re", "im")]
             if i != j and columns[0] is not None:
                 pairs[i, j] = (columns[0], table.need(f"{a.name}&{b.name}_cov_im"))
-    found = {name: table.find(name) for name in (EXPERIMENT, SAMPLES, DOF, NOISE)}
+    stretch_columns = {name: table.find(name) for name in (RECORD, FUNDAMENTAL, *OF_RECORDS)}
+    if stretch_columns[RECORD] is None:
+        stretch_columns = {}
+    found = {name: table.find(name) for name in (EXPERIMENT, SAMPLES, DOF, NOISE)} | stretch_columns
     more = {name: at for name, at in found.items() if at is not None}
     gaps = [
         *real,
@@ -63,6 +72,7 @@ def read_amplitudes(
         *(at for pair in pairs.values() for at in pair),
     ]
     plain = [f_at, *(at for name, at in more.items() if name != NOISE)]
+    gaps += [more[name] for name in (FUNDAMENTAL, *OF_RECORDS) if name in more]
     wanted = list(dict.fromkeys([*plain, *gaps]))
     values = table.numbers(wanted, gaps, [more[DOF]] if DOF in more else [])
     read = {*wanted, *more.values()}
@@ -124,7 +134,49 @@ def read_amplitudes(
     V[unknown] = np.nan
     h = calibration(channels, frequency)
     V = V * h[:, :, None] * np.conj(h)[:, None, :]
-    return Spectrum(tuple(channels), frequency, X * h, V, samples, dof, tuple(noise), experiments), notes
+    stretch, stretches = _stretches(table, more, values, lines)
+    spectrum = Spectrum(
+        tuple(channels), frequency, X * h, V, samples, dof, tuple(noise), experiments,
+        stretch=stretch, stretches=stretches,
+    )  # fmt: skip
+    return spectrum, notes
+
+
+def _stretches(
+    table: Table, more: dict[str, int], values: dict[int, Real], lines: int
+) -> tuple[Ints, tuple[Stretch, ...]]:
+    """Which record or dwell each line belongs to.  Raises DataError where lines of one record disagree about it."""
+    if RECORD not in more:
+        return np.zeros(lines, dtype=np.int64), (SettledDwell(),)
+    numbers = whole_numbers(table, more[RECORD], values[more[RECORD]])
+    absent = np.full(lines, np.nan)
+    of_record = np.stack(
+        [values[more[name]] if name in more else absent for name in (FUNDAMENTAL, *OF_RECORDS)], axis=-1
+    )
+    stretch = np.zeros(lines, dtype=np.int64)
+    stretches: list[Stretch] = []
+    for number in np.unique(numbers):
+        rows = np.flatnonzero(numbers == number)
+        first = of_record[rows[0]]
+        differs = ~np.all((of_record[rows] == first) | (np.isnan(of_record[rows]) & np.isnan(first)), axis=-1)
+        if np.any(differs):
+            row = int(rows[int(np.argmax(differs))])
+            raise table.error(
+                row, more[RECORD], f"record {number} is described differently in row {table.row(int(rows[0]))}",
+                "its duration, samples, loads and columns must be the same in all of its lines",
+            )  # fmt: skip
+        fundamental, duration, samples, loads, polynomial = first.tolist()
+        stretch[rows] = len(stretches)
+        try:
+            if np.isfinite(duration) and np.isfinite(samples):
+                terms = 3 if np.isnan(polynomial) else int(polynomial)
+                stretches.append(WholeRecord(duration, int(samples), loads != 0, terms))
+            else:
+                stretches.append(SettledDwell(None if np.isnan(fundamental) else fundamental))
+        except DataError as error:
+            what = error.problems[0]
+            raise table.error(int(rows[0]), more[RECORD], what.what, what.cure or "") from error
+    return stretch, tuple(stretches)
 
 
 def _check_positive(table: Table, column: int, values: Real) -> None:
@@ -208,7 +260,29 @@ def write_amplitudes(spectrum: Spectrum, path: str | os.PathLike[str]) -> None:
                 columns += [_cells(V[:, i, j].real, known), _cells(V[:, i, j].imag, known)]
     header += [SAMPLES, DOF, NOISE]
     columns += [_cells(spectrum.samples), _cells(spectrum.dof), list(spectrum.noise)]
+    for name, cells in _stretch_cells(spectrum):
+        header.append(name)
+        columns.append(cells)
     write_rows(path, header, columns)
+
+
+def _stretch_cells(spectrum: Spectrum) -> list[tuple[str, Sequence[object]]]:
+    """Columns that say which record or dwell each line belongs to; none where all lines stand for themselves."""
+    if spectrum.stretches == (SettledDwell(),):
+        return []
+    rows = []
+    for number, value in enumerate(spectrum.stretches):
+        if isinstance(value, WholeRecord):
+            of_record = (value.duration_s, value.samples, int(value.loads), value.polynomial)
+            rows.append((str(number), "", *(repr(part) for part in of_record)))
+        else:
+            fundamental = "" if value.fundamental_hz is None else repr(value.fundamental_hz)
+            rows.append((str(number), fundamental, *[""] * len(OF_RECORDS)))
+    return [
+        (name, [rows[k][i] for k in spectrum.stretch.tolist()])
+        for i, name in enumerate((RECORD, FUNDAMENTAL, *OF_RECORDS))
+        if any(row[i] for row in rows)
+    ]
 
 
 def _cells(values: Real | Ints, there: Bools | None = None) -> Sequence[object]:

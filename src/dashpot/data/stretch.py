@@ -1,0 +1,89 @@
+"""What lines of a Spectrum have in common: a settled dwell, or a whole record with its transient (THEORY §8)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from dashpot.arrays import Ints, Real
+from dashpot.errors import DataError
+
+
+@dataclass(frozen=True)
+class SettledDwell:
+    """Lines of a steady state: no transient is in them.
+
+    fundamental_hz: drive frequency whose multiples the lines are; None where each line stands for itself.
+    """
+
+    fundamental_hz: float | None = None
+
+    def orders(self, frequency_hz: Real) -> Ints:
+        """Multiples of the fundamental that lines at `frequency_hz` are, 1 without one; shape of `frequency_hz`."""
+        if self.fundamental_hz is None:
+            return np.ones(np.shape(frequency_hz), dtype=np.int64)
+        return np.rint(np.asarray(frequency_hz) / self.fundamental_hz).astype(np.int64)
+
+
+@dataclass(frozen=True)
+class WholeRecord:
+    """Lines k / T of one stretch of samples, whose motion need not return to where it began.
+
+    duration_s   T = N times the sampling step, s
+    samples      N
+    loads        whether the lines carry boundary loads, an impulse and a doublet at every coordinate (THEORY (W));
+                 False where the motion is periodic in T, or starts and ends at rest
+    polynomial   how many of the columns 1, jω, (jω)² each output channel has for what the ends of the record alias
+    """
+
+    duration_s: float
+    samples: int
+    loads: bool = True
+    polynomial: int = 3
+
+    def __post_init__(self) -> None:
+        if not (0 < self.duration_s < np.inf and self.samples > 0 and 0 <= self.polynomial <= 3):
+            raise DataError(
+                f"a record of {self.samples} samples in {self.duration_s:g} s with {self.polynomial} polynomials",
+                cure="its duration and samples must be positive, its columns 0 to 3",
+            )
+
+    @property
+    def step_s(self) -> float:
+        """Sampling step, s."""
+        return self.duration_s / self.samples
+
+
+Stretch = SettledDwell | WholeRecord
+
+
+def joined(
+    parts: Sequence[tuple[Ints, tuple[Stretch, ...]]],
+) -> tuple[Ints, tuple[Stretch, ...]]:
+    """Stretches of several spectra put one after another, (lines of all,).
+
+    Records and dwells stay apart, even where they are alike; lines that stand for themselves share one stretch.
+    """
+    stretches: list[Stretch] = []
+    alone = SettledDwell()
+    lines = []
+    for stretch, values in parts:
+        number = np.zeros(len(values), dtype=np.int64)
+        for i, value in enumerate(values):
+            if value == alone and alone in stretches:
+                number[i] = stretches.index(alone)
+                continue
+            number[i] = len(stretches)
+            stretches.append(value)
+        lines.append(number[stretch])
+    return np.concatenate(lines) if lines else np.zeros(0, dtype=np.int64), tuple(stretches)
+
+
+def selected(stretch: Ints, stretches: tuple[Stretch, ...]) -> tuple[Ints, tuple[Stretch, ...]]:
+    """The stretches that are still used by lines with the numbers `stretch`, renumbered."""
+    if not len(stretch):
+        return stretch, stretches[:1]
+    used, number = np.unique(stretch, return_inverse=True)
+    return number.astype(np.int64), tuple(stretches[int(i)] for i in used)
