@@ -288,7 +288,7 @@ class _Study:
     def _parallel(self, names: tuple[str, ...], count: int) -> tuple[str, str]:
         """Why sums are all there is, and a cure beside values."""
         elements = [element for element in self.model.elements if element.name in names]
-        kinds = {"M" if e.kind in (Kind.MASS, Kind.INERTER) else e.kind.value for e in elements}
+        kinds = {e.law.matrix for e in elements}
         tied = {e.same_as for e in self.model.elements if e.same_as is not None}
         first = elements[0].along
         alike = len(kinds) == 1 and not tied & set(names) and all(_parallel(first, e.along) for e in elements)

@@ -17,7 +17,7 @@ from dashpot.channel import Channel, Quantity
 from dashpot.data.spectrum import Spectrum
 from dashpot.errors import IdentifiabilityError
 from dashpot.estimate.likelihood.objective import Measured, ObservationModel, observation_model, predict
-from dashpot.model.elements import Kind
+from dashpot.model.laws import Law
 from dashpot.model.network import Model, listed
 from dashpot.model.typical_values import typical
 from dashpot.numerics import finite_field as field
@@ -48,7 +48,7 @@ def generic_lines(model: Model, channels: int, count: int, conjugates: bool = Tr
 
 def enough_lines(model: Model, channels: int, unknowns: int) -> Lines:
     """Points enough that more add nothing: one equation at each may be all, and undamped rigs know s² alone."""
-    hysteretic = Kind.HYSTERETIC in model.kinds
+    hysteretic = any(element.law.hysteretic for element in model.elements)
     return generic_lines(model, channels, (unknowns + 2) * (2 if hysteretic else 1), conjugates=False)
 
 
@@ -104,11 +104,7 @@ def exact(model: Model, channels: Sequence[Channel], lines: Lines, rng: np.rando
         s = np.concatenate([s, PRIME - s])
         j = np.repeat([ROOT, PRIME - ROOT], len(lines.frequency))
         present, driven = np.concatenate([present, present]), np.concatenate([driven, driven])
-    laws = {
-        Kind.SPRING: np.ones_like(s), Kind.DAMPER: s, Kind.MASS: s * s % PRIME, Kind.INERTER: s * s % PRIME,
-        Kind.HYSTERETIC: j,
-    }  # fmt: skip
-    law = np.stack([laws[kind] for kind in model.kinds], axis=-1)
+    law = np.stack([_law_in_field(element.law, s, j) for element in model.elements], axis=-1)
     G, y, J = _channels(model, channels, view, p, law, s, driven, rng)
     by_theta = np.zeros((*y.shape, m), dtype=np.int64)
     for e in np.flatnonzero(column >= 0):
@@ -127,6 +123,14 @@ def exact(model: Model, channels: Sequence[Channel], lines: Lines, rng: np.rando
         reduced, pivots = field.echelon(line, inputs)
         rows.append(reduced[len(pivots) :, inputs:])
     return Draw(np.concatenate(rows), psi)
+
+
+def _law_in_field(law: Law, s: Ints, j: Ints) -> Ints:
+    """φ at the points s of the field, j being √−1 there; the shape of s."""
+    phi = j if law.hysteretic else np.ones_like(s)
+    for _ in range(law.power):
+        phi = phi * s % PRIME
+    return phi
 
 
 def _channels(

@@ -12,6 +12,7 @@ import numpy as np
 
 from dashpot.arrays import Bools, Complex, Real
 from dashpot.errors import ModelError
+from dashpot.model.elements import MATRICES
 from dashpot.model.network import Model
 from dashpot.numerics.small_systems import solve_small
 
@@ -47,7 +48,7 @@ def _assemble(model: Model, p: Real, letter: str) -> Real:
 def matrices(model: Model, p: Real) -> Matrices:
     """Matrices of the rig with parameters p of shape (..., elements).  Paper eq. 1 and 6."""
     n, r = model.n, model.D.shape[1]
-    both = {letter: _assemble(model, p, letter).reshape(*p.shape[:-1], n, n + r) for letter in "MCKH"}
+    both = {letter: _assemble(model, p, letter).reshape(*p.shape[:-1], n, n + r) for letter in MATRICES}
     own = {letter: part[..., :n] for letter, part in both.items()}
     driven = {letter: -part[..., n:] for letter, part in both.items()}
     return Matrices(own["M"], own["C"], own["K"], own["H"], driven["C"], driven["K"], driven["M"])
@@ -55,12 +56,11 @@ def matrices(model: Model, p: Real) -> Matrices:
 
 def stiffness(model: Model, p: Real, omega: Real) -> Complex:
     """Bᵀ diag(p φ) [B | D]: dynamic stiffness and, behind it, −R of the inputs; (..., lines, n, n + r), N/m."""
-    factor = {"M": -(omega**2), "C": 1j * omega, "K": np.ones_like(omega), "H": 1j * np.sign(omega)}
     n, r = model.n, model.D.shape[1]
     total = np.zeros((*p.shape[:-1], len(omega), n * (n + r)), dtype=np.complex128)
-    for key, i in model.by_matrix.items():
-        if len(i):
-            total += factor[key][:, None] * _assemble(model, p, key)[..., None, :]
+    for letter, members in model.by_matrix.items():
+        if len(members):
+            total += MATRICES[letter].factor(omega)[:, None] * _assemble(model, p, letter)[..., None, :]
     return total.reshape(*total.shape[:-1], n, n + r)
 
 
@@ -207,10 +207,7 @@ def _typical_rate(parts: Matrices) -> float:
 def _eigenvalue_sensitivity(model: Model, parts: Matrices, values: Complex, shapes: Complex) -> Complex:
     slope = 2 * values[:, None, None] * parts.M + parts.C
     denominator = np.einsum("ki,kij,kj->k", shapes, slope, shapes)
-    law = {"M": values**2, "C": values, "K": np.ones_like(values), "H": 1j * np.ones_like(values)}
-    factor = np.empty((len(values), len(model.elements)), dtype=np.complex128)
-    for key, i in model.by_matrix.items():
-        factor[:, i] = law[key][:, None]
+    factor = model.pole_factors(values)
     elongation = shapes @ model.B.T
     with np.errstate(divide="ignore", invalid="ignore"):
         sensitivity: Complex = -factor * elongation**2 / denominator[:, None]

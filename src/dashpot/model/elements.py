@@ -7,9 +7,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 from types import MappingProxyType
 
-import numpy as np
-
-from dashpot.arrays import Complex, Real
+from dashpot.model.laws import Law
 
 
 class Kind(StrEnum):
@@ -22,35 +20,28 @@ class Kind(StrEnum):
     HYSTERETIC = "hysteretic"
 
     @property
-    def unit(self) -> str:
-        """SI unit of the parameter where all points are displacements."""
-        return {"spring": "N/m", "damper": "N·s/m", "mass": "kg", "inerter": "kg", "hysteretic": "N/m"}[
-            self.value
-        ]
+    def law(self) -> Law:
+        """How the unit force follows from the elongation, and all else that goes with it."""
+        return _DECLARED[self][1]
 
     @property
-    def angular_unit(self) -> str:
-        """SI unit of the parameter where all points are angles."""
-        return {
-            "spring": "N·m/rad", "damper": "N·m·s/rad", "mass": "kg·m²", "inerter": "kg·m²", "hysteretic": "N·m/rad",
-        }[self.value]  # fmt: skip
+    def section(self) -> str:
+        """Name of the section of a rig file that holds elements of this kind."""
+        return _DECLARED[self][0]
 
-    @property
-    def derivative(self) -> int:
-        """Which derivative of the elongation the unit force is (hysteretic: the displacement, turned by 90°)."""
-        return {"spring": 0, "damper": 1, "mass": 2, "inerter": 2, "hysteretic": 0}[self.value]
 
-    def factor(self, omega: Real) -> Complex:
-        """φ(ω): 1, jω, −ω², −ω², j sign(ω); shape of `omega` (rad/s)."""
-        match self:
-            case Kind.SPRING:
-                return np.ones_like(omega, dtype=np.complex128)
-            case Kind.DAMPER:
-                return (1j * omega).astype(np.complex128)
-            case Kind.MASS | Kind.INERTER:
-                return (-(omega**2)).astype(np.complex128)
-            case Kind.HYSTERETIC:
-                return (1j * np.sign(omega)).astype(np.complex128)
+_DECLARED: Mapping[Kind, tuple[str, Law]] = {
+    Kind.SPRING: ("springs", Law(0, "K", "stiffness")),
+    Kind.DAMPER: ("dampers", Law(1, "C", "damping", dissipative=True)),
+    Kind.MASS: ("masses", Law(2, "M", "mass")),
+    Kind.INERTER: ("inerters", Law(2, "M", "mass")),
+    Kind.HYSTERETIC: ("hysteretic", Law(0, "H", "stiffness", dissipative=True, hysteretic=True)),
+}
+
+# The matrices of a rig, each with the law of all its elements.
+MATRICES: Mapping[str, Law] = MappingProxyType(
+    {letter: kind.law for letter in "MCKH" for kind in Kind if kind.law.matrix == letter}
+)
 
 
 @dataclass(frozen=True)
@@ -79,6 +70,11 @@ class Element:
     def __post_init__(self) -> None:
         object.__setattr__(self, "kind", Kind(self.kind))
         object.__setattr__(self, "along", MappingProxyType(dict(self.along)))
+
+    @property
+    def law(self) -> Law:
+        """How its unit force follows from its elongation."""
+        return self.kind.law
 
     def __reduce__(self) -> tuple[object, ...]:
         known = (self.value, self.sd, self.guess, self.lower, self.upper)

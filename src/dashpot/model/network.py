@@ -17,7 +17,7 @@ from scipy import sparse
 
 from dashpot.arrays import Complex, Ints, Real, frozen
 from dashpot.errors import ModelError, Problem, UsageError
-from dashpot.model.elements import Element, Kind
+from dashpot.model.elements import MATRICES, Element, Kind
 
 InputKind = Literal["displacement", "force"]
 DENSE = 1_000_000  # numbers up to which products of incidences are kept as full matrices
@@ -65,7 +65,7 @@ class Tie:
 def parameter_unit(element: Element, angles: Collection[str]) -> str:
     """SI unit of an element's parameter: that of a torsional element where it joins nothing but angles."""
     angular = bool(element.along) and all(point in angles for point in element.along)
-    return element.kind.angular_unit if angular else element.kind.unit
+    return element.law.unit(angular)
 
 
 @dataclass(frozen=True)
@@ -171,7 +171,14 @@ class Model:
         """φ_i(ω) for `omega` of shape (lines,) in rad/s; shape (lines, elements)."""
         phi = np.empty((*omega.shape, len(self.elements)), dtype=np.complex128)
         for kind, chosen in self._by_kind.items():
-            phi[..., chosen] = kind.factor(omega)[..., None]
+            phi[..., chosen] = kind.law.factor(omega)[..., None]
+        return phi
+
+    def pole_factors(self, poles: Complex) -> Complex:
+        """φ_i(λ) at complex rates λ, 1/s, of shape (...); shape (..., elements)."""
+        phi = np.empty((*poles.shape, len(self.elements)), dtype=np.complex128)
+        for kind, chosen in self._by_kind.items():
+            phi[..., chosen] = kind.law.pole_factor(poles)[..., None]
         return phi
 
     # Unknowns
@@ -282,12 +289,9 @@ class Model:
     @cached_property
     def by_matrix(self) -> Mapping[str, Ints]:
         """Indices of the elements that enter M, C, K and the hysteretic H."""
-        letters = {
-            Kind.MASS: "M", Kind.INERTER: "M", Kind.DAMPER: "C", Kind.SPRING: "K", Kind.HYSTERETIC: "H",
-        }  # fmt: skip
         return {
-            letter: frozen([i for i, kind in enumerate(self.kinds) if letters[kind] == letter], np.int64)
-            for letter in "MCKH"
+            letter: frozen([i for i, e in enumerate(self.elements) if e.law.matrix == letter], np.int64)
+            for letter in MATRICES
         }
 
     @cached_property
@@ -450,7 +454,7 @@ def _element_problems(element: Element, points: Collection[str], complete: bool)
         if not np.isfinite(number):
             yield Problem(f"{key} is {number:g}", name, "give a finite number")
     if value is not None and value < 0:
-        unit = element.kind.unit
+        unit = element.law.unit()
         yield Problem(f"a {element.kind} of {value:g} {unit} is negative", name, "give a value of 0 or more")
     # Below 1e-150 the weight 1/sd² leaves the range of numbers.
     if sd is not None and sd < 1e-150:

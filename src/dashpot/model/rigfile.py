@@ -33,20 +33,7 @@ from dashpot.model.unstructured import LETTERS, Letter, Pairs, free_elements, fr
 from dashpot.units import scale, sensitivity, si_unit
 
 GROUND = "ground"
-SECTIONS: Mapping[str, Kind] = {
-    "masses": Kind.MASS,
-    "inerters": Kind.INERTER,
-    "dampers": Kind.DAMPER,
-    "springs": Kind.SPRING,
-    "hysteretic": Kind.HYSTERETIC,
-}
-_QUANTITY_OF: Mapping[Kind, str] = {
-    Kind.MASS: "mass",
-    Kind.INERTER: "mass",
-    Kind.DAMPER: "damping",
-    Kind.SPRING: "stiffness",
-    Kind.HYSTERETIC: "stiffness",
-}
+SECTIONS: Mapping[str, Kind] = {kind.section: kind for kind in Kind}
 _HEAD = ("name", "coordinates", "angles")
 _TABLES = ("inputs", "free", *SECTIONS, "channels")
 
@@ -696,7 +683,7 @@ class _Reader:
     ) -> float | None:
         if entry.unit is None:
             return 1.0
-        quantity = _QUANTITY_OF[SECTIONS[str(place[0])]]
+        quantity = SECTIONS[str(place[0])].law.quantity
         try:
             return _scale_of_points(entry.unit, quantity, along, angles)
         except UsageError as error:

@@ -15,9 +15,7 @@ DAMPING = 0.05
 
 def typical(model: Model) -> tuple[Mapping[Kind, float], float]:
     """(a parameter's size by kind, a typical ω in rad/s) from known values and guesses."""
-    m = _middle(model, (Kind.MASS, Kind.INERTER))
-    k = _middle(model, (Kind.SPRING,))
-    c = _middle(model, (Kind.DAMPER,))
+    m, c, k = _middle(model, "M"), _middle(model, "C"), _middle(model, "K")
     if m is not None and k is not None:
         rate = float(np.sqrt(k / m))
     elif k is not None and c is not None:
@@ -28,16 +26,17 @@ def typical(model: Model) -> tuple[Mapping[Kind, float], float]:
         rate = RATE
     if m is None:
         m = k / rate**2 if k is not None else c / rate / (2 * DAMPING) if c is not None else 1.0
-    if k is None:
-        k = m * rate**2
-    if c is None:
-        c = 2 * DAMPING * m * rate
-    sizes = {Kind.MASS: m, Kind.INERTER: m, Kind.SPRING: k, Kind.DAMPER: c, Kind.HYSTERETIC: 2 * DAMPING * k}
+    middle: dict[str, float | None] = {"M": m, "C": c, "K": k}
+    sizes = {}
+    for kind in Kind:
+        size = middle.get(kind.law.matrix)
+        sizes[kind] = kind.law.typical_size(m, rate, DAMPING) if size is None else size
     return sizes, rate
 
 
-def _middle(model: Model, kinds: tuple[Kind, ...]) -> float | None:
-    """Geometric mean of the values and guesses of some kinds; None where there are none."""
-    numbers = [e.value if e.value is not None else e.guess for e in model.elements if e.kind in kinds]
+def _middle(model: Model, letter: str) -> float | None:
+    """Geometric mean of the values and guesses of the elements of a matrix; None where there are none."""
+    elements = [element for element in model.elements if element.law.matrix == letter]
+    numbers = [e.value if e.value is not None else e.guess for e in elements]
     given = [number for number in numbers if number is not None and number > 0]
     return float(np.exp(np.mean(np.log(given)))) if given else None

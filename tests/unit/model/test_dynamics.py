@@ -140,7 +140,7 @@ class TestLaws:
         np.testing.assert_allclose(response(model, 1e6 * p, OMEGA, U, 1e6 * f), X, rtol=1e-10)
 
     def test_units_of_time_scale_the_eigenvalues(self, model: Model, p: np.ndarray) -> None:
-        per_ms = np.array([10.0 ** (-3 * kind.derivative) for kind in model.kinds])
+        per_ms = np.array([10.0 ** (-3 * kind.law.power) for kind in model.kinds])
         # Time in units of 1000 s: c has s¹, m has s²
         np.testing.assert_allclose(
             modes(model, p * per_ms).eigenvalues, 1000 * modes(model, p).eigenvalues, rtol=1e-9

@@ -7,7 +7,6 @@ import numpy as np
 from dashpot.arrays import Real
 from dashpot.channel import Quantity
 from dashpot.data.spectrum import Spectrum
-from dashpot.model.elements import Kind
 from dashpot.model.network import Model
 
 APART = 4.0  # standard deviations beyond which two statements contradict each other
@@ -68,9 +67,8 @@ def prior_conflict(model: Model, theta: Real, noise_covariance: Real) -> list[st
 
 def reversed_phase(model: Model, theta: Real, noise_covariance: Real) -> list[str]:
     """A hint where every damper comes out negative beyond doubt: phases that count the other way do that."""
-    kinds = {element.name: element.kind for element in model.elements}
-    damper = (Kind.DAMPER, Kind.HYSTERETIC)
-    dampers = [j for j, unknown in enumerate(model.unknowns) if kinds[unknown.name] in damper]
+    dissipative = {element.name for element in model.elements if element.law.dissipative}
+    dampers = [j for j, unknown in enumerate(model.unknowns) if unknown.name in dissipative]
     if not dampers or np.any(theta[dampers] > -APART * np.sqrt(np.diagonal(noise_covariance)[dampers])):
         return []
     told = (

@@ -30,13 +30,7 @@ def candidates(
     ratios = 10 ** rng.uniform(-2.3, 0.0, count)
     decades = rng.choice(SCATTER, count)[:, None] * rng.standard_normal((count, len(view.names)))
     masses[0], rates[0], ratios[0], decades[0] = _typical_mass(data, view), np.sqrt(low * high), 0.05, 0.0
-    size = {
-        Kind.MASS: masses,
-        Kind.INERTER: masses,
-        Kind.SPRING: masses * rates**2,
-        Kind.DAMPER: 2 * ratios * masses * rates,
-        Kind.HYSTERETIC: 2 * ratios * masses * rates**2,
-    }
+    size = {kind: kind.law.typical_size(masses, rates, ratios) for kind in Kind}
     kinds = {element.name: element.kind for element in data.model.elements}
     psi = np.ones((count, len(view.names)))
     for j, unknown in enumerate(data.model.unknowns):
@@ -84,12 +78,12 @@ def neighbours(
 def _typical_mass(data: Prepared, view: ObservationModel) -> float:
     """The mass that known parameters imply at the middle of the band, else measured force over acceleration."""
     omega = float(np.exp(np.mean(np.log(view.omega))))
-    power = {Kind.MASS: 0, Kind.INERTER: 0, Kind.DAMPER: 1, Kind.SPRING: 2, Kind.HYSTERETIC: 2}
     known = []
     for element in data.model.elements:
         number = element.value if element.value is not None else element.guess
         if number is not None and number > 0:
-            known.append(number / omega ** power[element.kind])
+            # Which share of critical damping a damper has is not known: it counts as an impedance.
+            known.append(number / element.law.typical_size(1.0, omega, 0.5))
     masses = [
         e.value for e in data.model.elements if e.kind is Kind.MASS and e.value is not None and e.value > 0
     ]

@@ -82,9 +82,9 @@ def sampled(data: Prepared) -> Sampled:
     reading = np.empty(
         (len(V), spectrum.lines, len(model.elements), len(spectrum.channels)), dtype=np.complex128
     )
-    for i, kind in enumerate(model.kinds):
+    for i, element in enumerate(model.elements):
         reading[..., i, :] = phi[:, i, None] * np.einsum(
-            "q,...lqc->...lc", span[i], P[kind.derivative][..., : n + r, :]
+            "q,...lqc->...lc", span[i], P[element.law.power][..., : n + r, :]
         )
     a = np.einsum("...lic,...lc->...li", reading, y)
     everything = P[0]
@@ -109,7 +109,7 @@ def _channels_for(
 ) -> list[tuple[int, np.ndarray]]:
     """For each derivative that elements need (and 0), the motion channels that it is read from."""
     chosen = []
-    for k in sorted({0, *(kind.derivative for kind in model.kinds)}):
+    for k in sorted({0, *(element.law.power for element in model.elements)}):
         tries = [derivative == k, derivative == 2 - k] if k != 1 else [derivative == 1]
         found = next((t for t in tries if not unseen(model, spectrum, drive | t)), None)
         if found is None:

@@ -272,10 +272,7 @@ def mode_sensitivities(model: Model, p: Real, values: Complex, shapes: Complex) 
     lam = values[..., None, None]
     P = lam**2 * M + lam * C + K
     slope = ((2 * lam * M + C) @ shapes[..., None])[..., 0]
-    factor = np.empty((*values.shape, len(model.elements)), dtype=complex)
-    for key, index in model.by_matrix.items():
-        law = {"M": values**2, "C": values, "K": np.ones_like(values), "H": np.full_like(values, 1j)}[key]
-        factor[..., index] = law[..., None]
+    factor = model.pole_factors(values)
     forces = -np.swapaxes(model.B * (factor * (shapes @ model.B.T))[..., None], -1, -2)
     # Rows in units of the largest entry, ∂λ in units of |λ|, so that the border is as large as what it borders.
     size = np.max(np.abs(P), axis=(-1, -2), keepdims=True)
@@ -506,15 +503,7 @@ def _linear(model: Model, data: ModalData, view: _View) -> Real | None:
     lam = data.eigenvalues
     phi = data.shapes @ view.look
     phi = phi / np.linalg.norm(phi, axis=-1, keepdims=True)
-    law = {
-        Kind.MASS: lam**2,
-        Kind.INERTER: lam**2,
-        Kind.DAMPER: lam,
-        Kind.SPRING: lam**0,
-        Kind.HYSTERETIC: 1j * lam**0,
-    }
-    factor = np.stack([law[kind] for kind in model.kinds], axis=-1)
-    a = factor * (phi @ model.B.T) / np.abs(lam)[..., None] ** 2
+    a = model.pole_factors(lam) * (phi @ model.B.T) / np.abs(lam)[..., None] ** 2
     Phi = np.einsum("kli,in,iu->klnu", a, model.B, model.T, optimize=True)
     h = -np.einsum("kli,in,i->kln", a, model.B, model.p0, optimize=True)
     flat, side = Phi.reshape(len(a), -1, len(model.unknowns)), h.reshape(len(a), -1)
@@ -529,10 +518,9 @@ def _random(model: Model, data: ModalData, count: int, rng: np.random.Generator)
     """`count` rigs of like parts whose frequencies are those of the data, (count, unknowns)."""
     rate = 2 * np.pi * float(np.exp(np.mean(np.log(data.frequency_hz))))
     ratio = float(np.nanmean(np.abs(data.damping_ratio))) if np.any(np.isfinite(data.damping_ratio)) else 0.01
-    stiff = {Kind.MASS: 1.0, Kind.INERTER: 1.0, Kind.SPRING: rate**2, Kind.DAMPER: 2 * ratio * rate,
-             Kind.HYSTERETIC: 2 * ratio * rate**2}  # fmt: skip
+    per_mass = {kind: kind.law.typical_size(1.0, rate, ratio) for kind in Kind}
     known = [
-        np.log(value / stiff[element.kind])
+        np.log(value / per_mass[element.kind])
         for element, value in zip(model.elements, model.p0, strict=True)
         if value > 0 and element.kind is not Kind.DAMPER
     ]
@@ -551,5 +539,5 @@ def _random(model: Model, data: ModalData, count: int, rng: np.random.Generator)
         elif unknown.guess is not None:
             theta[:, j] = unknown.guess * scatter[:, j] ** 0.3
         else:
-            theta[:, j] = masses * stiff[kinds[unknown.name]] * scatter[:, j]
+            theta[:, j] = masses * per_mass[kinds[unknown.name]] * scatter[:, j]
     return theta
