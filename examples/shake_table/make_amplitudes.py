@@ -12,7 +12,7 @@ import numpy as np
 from scipy.special import fdtrc
 
 from dashpot.channel import Channel
-from dashpot.data.conditioning.harmonic_fit import spectrum
+from dashpot.data.conditioning.lines import spectrum
 from dashpot.data.readers import write_amplitudes
 from dashpot.data.readers.delimited.xsens import read_xsens
 from dashpot.data.record import Record

@@ -8,7 +8,7 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
-from dashpot.data.conditioning.harmonic_fit import spectrum
+from dashpot.data.conditioning.lines import spectrum
 from dashpot.data.readers import write_amplitudes
 from dashpot.data.readers.delimited.lvm import open_lvm
 from dashpot.data.readers.delimited.stepped_sine import read_records

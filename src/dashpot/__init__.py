@@ -17,13 +17,11 @@ if TYPE_CHECKING:
     __version__: str
     from dashpot.channel import Channel, Quantity
     from dashpot.check.residuals import Residuals, residuals
-    from dashpot.data.conditioning.harmonic_fit import (
-        HarmonicFit,
-        fit_harmonics,
-        refine_frequency,
-        settled,
-        spectrum,
-    )
+    from dashpot.data.conditioning.drive_frequency import refine_frequency
+    from dashpot.data.conditioning.harmonic_fit import HarmonicFit, fit_harmonics
+    from dashpot.data.conditioning.lines import spectrum
+    from dashpot.data.conditioning.settings import Conditioning
+    from dashpot.data.conditioning.steady_state import settled
     from dashpot.data.modal_data import ModalData
     from dashpot.data.readers import Reading, read, write_amplitudes, write_records
     from dashpot.data.readers.delimited.modes import read_modes
@@ -58,7 +56,11 @@ if TYPE_CHECKING:
 _NAMES = {
     "channel": "Channel Quantity",
     "check.residuals": "Residuals residuals",
-    "data.conditioning.harmonic_fit": "HarmonicFit fit_harmonics refine_frequency settled spectrum",
+    "data.conditioning.drive_frequency": "refine_frequency",
+    "data.conditioning.harmonic_fit": "HarmonicFit fit_harmonics",
+    "data.conditioning.lines": "spectrum",
+    "data.conditioning.settings": "Conditioning",
+    "data.conditioning.steady_state": "settled",
     "data.modal_data": "ModalData",
     "data.readers": "Reading read write_amplitudes write_records",
     "data.readers.delimited.modes": "read_modes",
@@ -88,6 +90,7 @@ __all__ = [
     "Channel",
     "Comparison",
     "CompensatedLeastSquares",
+    "Conditioning",
     "ConvergenceError",
     "DashpotError",
     "DataError",

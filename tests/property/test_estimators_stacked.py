@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from dashpot.arrays import Complex, Real
 from dashpot.channel import Quantity
-from dashpot.data.conditioning.harmonic_fit import spectrum
+from dashpot.data.conditioning.lines import spectrum
 from dashpot.data.record import Record
 from dashpot.estimate.identify import identify
 from dashpot.estimate.linear.instrumental_variables import InstrumentalVariables

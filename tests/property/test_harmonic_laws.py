@@ -5,7 +5,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dashpot.channel import Channel
-from dashpot.data.conditioning.harmonic_fit import fit_harmonics, spectrum
+from dashpot.data.conditioning.harmonic_fit import fit_harmonics
+from dashpot.data.conditioning.lines import spectrum
 from dashpot.data.record import Record
 
 CHANNELS = tuple(Channel(name, {name: 1.0}) for name in ("x1", "x2", "u"))

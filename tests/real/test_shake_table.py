@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from dashpot.data.conditioning.harmonic_fit import spectrum
+from dashpot.data.conditioning.lines import spectrum
 from dashpot.data.readers import read
 from dashpot.data.readers.delimited.xsens import read_xsens
 from dashpot.estimate.identify import identify

@@ -11,7 +11,7 @@ from scipy.signal import lfilter
 from scipy.special import stdtrit
 
 from dashpot.channel import Channel, Quantity
-from dashpot.data.conditioning.harmonic_fit import spectrum
+from dashpot.data.conditioning.lines import spectrum
 from dashpot.data.record import Record
 from dashpot.data.spectrum import Spectrum
 from dashpot.estimate.identify import identify

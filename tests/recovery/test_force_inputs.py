@@ -20,7 +20,7 @@ import pytest
 from dashpot.app.cli import run
 from dashpot.arrays import Complex, Real
 from dashpot.channel import Quantity
-from dashpot.data.conditioning.harmonic_fit import spectrum as spectrum_of
+from dashpot.data.conditioning.lines import spectrum as spectrum_of
 from dashpot.data.record import Record
 from dashpot.data.spectrum import Spectrum
 from dashpot.estimate.identify import identify

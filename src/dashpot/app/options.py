@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, Any, TypedDict, TypeVar
+from collections.abc import Callable, Mapping, Sequence
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
 if TYPE_CHECKING:
-    from dashpot.data.conditioning.harmonic_fit import Noise
+    from dashpot.data.conditioning.settings import Conditioning
     from dashpot.data.readers import Reading
     from dashpot.data.spectrum import Spectrum
 
@@ -88,19 +88,8 @@ def named_number(text: str) -> tuple[str, float]:
         return name.strip(), float("nan")
 
 
-class Conditioning(TypedDict):
-    """How time records become amplitudes, as the options say it."""
-
-    orders: tuple[int, ...]
-    harmonics: tuple[int, ...] | str
-    drift: str
-    noise: Noise
-    refine: bool
-    settle: bool
-
-
 def conditioning_options(function: Function) -> Function:
-    """The options of Conditioning, and --frequency."""
+    """The options that `conditioning_from` takes, and --frequency."""
     options = [
         click.option(
             "--frequency", type=Positive(1e12), metavar="HZ", help="Drive frequency of records that do not say it."
@@ -129,19 +118,17 @@ def conditioning_options(function: Function) -> Function:
     return function
 
 
-def amplitudes(reading: Reading, how: Conditioning, quiet: bool, moments: bool = False) -> Spectrum:
+def conditioning_from(options: Mapping[str, Any]) -> Conditioning:
+    """The value of the options of `conditioning_options`, by their names."""
+    from dashpot.data.conditioning.settings import Conditioning
+
+    drift = options["drift"]
+    return Conditioning(**{**options, "drift": int(drift) if drift.isdecimal() else drift})
+
+
+def amplitudes(reading: Reading, conditioning: Conditioning, quiet: bool, moments: bool = False) -> Spectrum:
     """The spectrum of what was read; what was noticed on the way is told."""
-    chosen = how["harmonics"]
-    harmonics: tuple[int, ...] | None
-    if isinstance(chosen, str):
-        harmonics = None if chosen == "auto" else ()
-    else:
-        harmonics = chosen
-    drift = None if how["drift"] == "none" else int(how["drift"])
-    spectrum = reading.spectrum(
-        orders=how["orders"], harmonics=harmonics, drift=drift, noise=how["noise"], moments=moments,
-        refine=how["refine"], settle=how["settle"],
-    )  # fmt: skip
+    spectrum = reading.spectrum(conditioning.changed(moments=moments))
     tell_notes(spectrum.notes, quiet)
     return spectrum
 

@@ -12,7 +12,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from dashpot.data.conditioning.harmonic_fit import calibration, fit_harmonics
+from dashpot.data.calibration import calibration
+from dashpot.data.conditioning.harmonic_fit import fit_harmonics
 from dashpot.data.record import Record
 from dashpot.data.spectrum import Spectrum
 from dashpot.errors import DataError

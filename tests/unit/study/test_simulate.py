@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from dashpot.channel import Channel, Quantity
-from dashpot.data.conditioning import harmonic_fit as harmonics
+from dashpot.data.conditioning import lines as harmonics
 from dashpot.errors import DataError, UsageError
 from dashpot.model.elements import Kind, between, mass
 from dashpot.model.network import Input, Model

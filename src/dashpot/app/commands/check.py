@@ -9,14 +9,15 @@ import click
 
 from dashpot.app.options import (
     STDOUT,
-    Conditioning,
     Positive,
     amplitudes,
+    conditioning_from,
     conditioning_options,
     tell_notes,
 )
 
 if TYPE_CHECKING:
+    from dashpot.data.conditioning.settings import Conditioning
     from dashpot.data.spectrum import Spectrum
     from dashpot.model.rigfile import Rig
 
@@ -67,7 +68,7 @@ def command(
     found.model.require_unknowns(rig)
     channels, spectrum = found.channels, None
     if data:
-        conditioning: Conditioning = how  # type: ignore[assignment]  # click gives the options by their names
+        conditioning = conditioning_from(how)
         spectrum = _read(found, data, frequency, conditioning, quiet)
         channels = spectrum.channels
     verdict = structure(found.model, channels, spectrum, seed)
@@ -98,13 +99,13 @@ def command(
 
 
 def _read(
-    rig: Rig, data: tuple[str, ...], frequency: float | None, how: Conditioning, quiet: bool
+    rig: Rig, data: tuple[str, ...], frequency: float | None, conditioning: Conditioning, quiet: bool
 ) -> Spectrum:
     from dashpot.data.readers import read
 
     reading = read(data, rig.channels, frequency_hz=frequency)
     tell_notes(reading.notes, quiet)
-    return amplitudes(reading, how, quiet)
+    return amplitudes(reading, conditioning, quiet)
 
 
 def _with_data(

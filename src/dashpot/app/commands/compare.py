@@ -9,9 +9,9 @@ import click
 from dashpot.app.options import (
     NOT_CONVERGED,
     STDOUT,
-    Conditioning,
     Positive,
     amplitudes,
+    conditioning_from,
     conditioning_options,
     named_number,
     tell_notes,
@@ -142,7 +142,7 @@ def _spectrum(
     require_scale(rig.model, rig.channels, rig.path)
     reading = read(data, rig.channels, frequency_hz=frequency)
     tell_notes(reading.notes, quiet)
-    conditioning: Conditioning = how  # type: ignore[assignment]  # click gives the options by their names
+    conditioning = conditioning_from(how)
     return amplitudes(reading, conditioning, quiet, moments="ls" in chosen and reading.amplitudes is None)
 
 

@@ -9,14 +9,15 @@ import click
 from dashpot.app.options import (
     NOT_CONVERGED,
     STDOUT,
-    Conditioning,
     Positive,
     amplitudes,
+    conditioning_from,
     conditioning_options,
     tell_notes,
 )
 
 if TYPE_CHECKING:
+    from dashpot.data.conditioning.settings import Conditioning
     from dashpot.data.readers import Reading
     from dashpot.data.spectrum import Spectrum
     from dashpot.estimate.method import Method
@@ -96,7 +97,7 @@ def command(
 
     reading = read(data, found.channels, frequency_hz=frequency)
     tell_notes(reading.notes, quiet)
-    conditioning: Conditioning = how  # type: ignore[assignment]  # click gives the options by their names
+    conditioning = conditioning_from(how)
     spectrum = _spectrum(reading, conditioning, chosen, quiet)
     require_identifiable(found.model, spectrum.channels, rig, spectrum)
     with progress("identify", quiet) as moved:
@@ -151,10 +152,10 @@ def _check_matrices(rig: Rig, wanted: bool) -> None:
         )
 
 
-def _spectrum(reading: Reading, how: Conditioning, chosen: str, quiet: bool) -> Spectrum:
+def _spectrum(reading: Reading, conditioning: Conditioning, chosen: str, quiet: bool) -> Spectrum:
     """Amplitudes; with the second moments of the samples where the paper's least squares asks for them."""
     samples = chosen == "ls" and reading.amplitudes is None
-    return amplitudes(reading, how, quiet, moments=samples)
+    return amplitudes(reading, conditioning, quiet, moments=samples)
 
 
 def _holding(chosen: str, positive: bool) -> str:

@@ -6,7 +6,7 @@ from typing import Any
 
 import click
 
-from dashpot.app.options import Conditioning, amplitudes, conditioning_options, tell_notes
+from dashpot.app.options import amplitudes, conditioning_from, conditioning_options, tell_notes
 
 
 @click.command(name="spectrum")
@@ -30,7 +30,7 @@ def command(
     found = read_rig(rig)
     reading = read(records, found.channels, frequency_hz=frequency)
     tell_notes(reading.notes, quiet)
-    conditioning: Conditioning = how  # type: ignore[assignment]  # click gives the options by their names
+    conditioning = conditioning_from(how)
     spectrum = amplitudes(reading, conditioning, quiet)
     write_amplitudes(spectrum, out)
     if not quiet:

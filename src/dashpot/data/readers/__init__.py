@@ -5,10 +5,11 @@ from __future__ import annotations
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Unpack
 
 from dashpot.channel import Channel
-from dashpot.data.conditioning.harmonic_fit import Noise
-from dashpot.data.conditioning.harmonic_fit import spectrum as amplitudes_of
+from dashpot.data.conditioning.lines import spectrum as amplitudes_of
+from dashpot.data.conditioning.settings import Conditioning, Treatments, conditioning_of
 from dashpot.data.readers.delimited.amplitudes import is_amplitudes, read_amplitudes, write_amplitudes
 from dashpot.data.readers.delimited.frf import is_frf, read_frf
 from dashpot.data.readers.delimited.lvm import is_lvm, open_lvm
@@ -30,38 +31,22 @@ class Reading:
     notes: tuple[str, ...]
 
     def spectrum(
-        self,
-        *,
-        orders: Sequence[int] = (1,),
-        harmonics: Sequence[int] | None = None,
-        drift: int | None = 1,
-        noise: Noise = "auto",
-        moments: bool = False,
-        refine: bool = False,
-        settle: bool = False,
+        self, conditioning: Conditioning | None = None, **treatments: Unpack[Treatments]
     ) -> Spectrum:
-        """All lines: those of the records (options as of `harmonics.spectrum`), then those that were amplitudes.
+        """All lines: those of the records, then those that were amplitudes.
 
+        `conditioning`, or its fields as keywords, says how records become amplitudes.
         Raises DataError where second moments are asked for and a file holds amplitudes only.
         """
-        if moments and self.amplitudes is not None:
+        settings = conditioning_of(conditioning, treatments)
+        if settings.moments and self.amplitudes is not None:
             raise DataError(
                 "a table of amplitudes has no samples",
                 cure="give time records, or choose a method that works on amplitudes",
             )
         parts = [] if self.amplitudes is None else [self.amplitudes]
         if self.records:
-            lines = amplitudes_of(
-                self.records,
-                orders=orders,
-                harmonics=harmonics,
-                drift=drift,
-                noise=noise,
-                moments=moments,
-                refine=refine,
-                settle=settle,
-            )
-            parts.insert(0, lines)
+            parts.insert(0, amplitudes_of(self.records, settings))
         return parts[0] if len(parts) == 1 else concatenate(parts)
 
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from dashpot.channel import Channel, Quantity
-from dashpot.data.conditioning.harmonic_fit import spectrum
+from dashpot.data.conditioning.lines import spectrum
 from dashpot.data.readers import read, write_amplitudes, write_records
 from dashpot.data.record import Record
 from dashpot.data.spectrum import Spectrum

@@ -17,7 +17,7 @@ import numpy as np
 
 from dashpot.arrays import Bools, Complex, Ints, Real
 from dashpot.channel import Channel
-from dashpot.data.conditioning.harmonic_fit import calibration
+from dashpot.data.calibration import calibration
 from dashpot.data.readers.delimited.stepped_sine import EXPERIMENT, FREQUENCY, check_frequency, whole_numbers
 from dashpot.data.readers.delimited.table import LARGEST, Table, bare, listed, write_rows
 from dashpot.data.spectrum import Spectrum

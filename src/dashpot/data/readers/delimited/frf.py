@@ -13,7 +13,7 @@ import numpy as np
 
 from dashpot.arrays import Complex
 from dashpot.channel import Channel
-from dashpot.data.conditioning.harmonic_fit import calibration
+from dashpot.data.calibration import calibration
 from dashpot.data.readers.delimited.stepped_sine import FREQUENCY, check_frequency
 from dashpot.data.readers.delimited.table import Table, bare, listed
 from dashpot.data.spectrum import Spectrum, concatenate

@@ -1,0 +1,122 @@
+"""How records become amplitudes: every treatment of the samples, in one value."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Literal, TypedDict, Unpack
+
+from dashpot.errors import DataError
+
+Noise = Literal["auto", "white", "blocks"]
+Harmonics = Sequence[int] | Literal["auto", "none"] | None
+Drift = int | Literal["auto", "none"] | None
+Settle = bool | float | Literal["auto", "none"]
+Refine = bool | Literal["auto", "none"]
+
+USUAL_DRIFT = 1
+HIGHEST_DRIFT = 100  # beyond this Legendre polynomials cost time and no record drifts so
+
+
+class FitTreatments(TypedDict, total=False):
+    """The fields of Conditioning that one fit of harmonics knows, as keywords."""
+
+    orders: Sequence[int]
+    harmonics: Harmonics
+    drift: Drift
+    noise: Noise
+
+
+class Treatments(FitTreatments, total=False):
+    """The fields of Conditioning as keywords."""
+
+    moments: bool
+    refine: Refine
+    settle: Settle
+
+
+@dataclass(frozen=True)
+class Conditioning:
+    """How records become amplitudes.  Every treatment is "auto", a value, or "none".
+
+    orders     multiples of the drive frequency whose amplitudes are wanted
+    harmonics  multiples solved for beside them, so that they do not count as noise; "auto" (or None): those up to the
+               tenth below half the sampling rate that are significant
+    drift      degree of the polynomial taken out; 0 is an offset alone, "none" (or None) not even that, "auto" is 1
+    noise      "white": covariance of least squares; "blocks": the spectrum of the residual beside each harmonic;
+               "auto" takes "white" unless the residual is coloured and there are enough periods
+    moments    add the second moments of the samples (order 1 alone)
+    refine     "auto" (or True): the most likely frequency near the stated one; "none" (or False): the stated one
+    settle     "auto" (or True): drop the transient of each record; a number: drop that many seconds; "none" (or False)
+
+    Raises DataError for orders that are no multiples, and for a drift or a time out of range.
+    """
+
+    orders: Sequence[int] = (1,)
+    harmonics: Harmonics = "auto"
+    drift: Drift = USUAL_DRIFT
+    noise: Noise = "auto"
+    moments: bool = False
+    refine: Refine = "none"
+    settle: Settle = "none"
+
+    def __post_init__(self) -> None:
+        orders = _multiples(self.orders, "orders")
+        if not orders:
+            raise DataError("no orders are asked for", cure="orders of harmonics are 1, 2, 3, …")
+        object.__setattr__(self, "orders", orders)
+        if self.harmonics is None or self.harmonics == "auto":
+            object.__setattr__(self, "harmonics", "auto")
+        elif self.harmonics == "none":
+            object.__setattr__(self, "harmonics", ())
+        else:
+            object.__setattr__(self, "harmonics", _multiples(self.harmonics, "harmonics"))
+        if self.drift is None:
+            object.__setattr__(self, "drift", "none")
+        if not 0 <= self.degree + 1 <= HIGHEST_DRIFT:
+            raise DataError(f"a drift of degree {self.degree}", cure='give a degree from 0, or "none"')
+        for name in ("refine", "settle"):
+            value = getattr(self, name)
+            if isinstance(value, bool):
+                object.__setattr__(self, name, "auto" if value else "none")
+        if isinstance(self.settle, int | float) and not 0 <= self.settle < 1e12:
+            raise DataError(f"a settling time of {self.settle:g} s", cure="give a time that is not negative")
+        if self.moments and self.orders != (1,):
+            raise DataError("second moments exist for the fundamental alone", cure="ask for orders (1,)")
+
+    @property
+    def degree(self) -> int:
+        """Degree of the drift; −1 is nothing."""
+        if self.drift is None or self.drift == "none":
+            return -1
+        return USUAL_DRIFT if self.drift == "auto" else int(self.drift)
+
+    @property
+    def nuisance_orders(self) -> tuple[int, ...] | None:
+        """Multiples solved for beside the orders; None: those that are significant."""
+        if self.harmonics is None or self.harmonics == "auto":
+            return None
+        return tuple(int(order) for order in self.harmonics if not isinstance(order, str))
+
+    @property
+    def nominal_frequency(self) -> bool:
+        """The stated frequency is taken as it is."""
+        return self.refine == "none"
+
+    def changed(self, **treatments: Unpack[Treatments]) -> Conditioning:
+        """The same with some treatments changed."""
+        return replace(self, **treatments) if treatments else self
+
+
+def conditioning_of(settings: Conditioning | None, treatments: Treatments | FitTreatments) -> Conditioning:
+    """The settings given (the usual ones where there are none), changed by keywords.  Raises as Conditioning."""
+    usual = Conditioning() if settings is None else settings
+    return replace(usual, **treatments) if treatments else usual
+
+
+def _multiples(orders: Sequence[int], name: str) -> tuple[int, ...]:
+    """Ascending multiples of the frequency, each once."""
+    multiples = tuple(sorted({int(order) for order in orders}))
+    if multiples and multiples[0] < 1:
+        raise DataError(f"{name} {tuple(orders)}", cure="orders of harmonics are 1, 2, 3, …")
+    return multiples
