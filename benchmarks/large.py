@@ -15,10 +15,11 @@ from dashpot.channel import Channel, Quantity
 from dashpot.data.spectrum import Spectrum
 from dashpot.estimate.identify import identify
 from dashpot.estimate.likelihood.maximum_likelihood import MaximumLikelihood, local
-from dashpot.estimate.likelihood.objective import measured, observation_model
+from dashpot.estimate.likelihood.objective import measured
 from dashpot.estimate.method import Prepared
 from dashpot.model.elements import Kind, between, mass
 from dashpot.model.network import Input, Model
+from dashpot.model.observation import observation_model
 from dashpot.study.simulate import dwells, simulate_spectrum
 
 SIZES = (10, 30, 100, 300, 1000)

@@ -52,6 +52,11 @@ class Channel:
     def __post_init__(self) -> None:
         object.__setattr__(self, "of", MappingProxyType(dict(self.of)))
 
+    @property
+    def factor(self) -> float:
+        """Known sign · gain, 1 for what is unknown of them: raw · scale = factor · quantity."""
+        return (1.0 if self.gain is None else self.gain) * (1.0 if self.sign is None else self.sign)
+
     def __reduce__(self) -> tuple[object, ...]:
         return (
             Channel,

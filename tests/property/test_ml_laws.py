@@ -11,9 +11,10 @@ from hypothesis import strategies as st
 from dashpot.channel import Channel, Quantity
 from dashpot.estimate.identify import _flatten, identify
 from dashpot.estimate.likelihood.maximum_likelihood import MaximumLikelihood, local
-from dashpot.estimate.likelihood.objective import measured, observation_model
+from dashpot.estimate.likelihood.objective import measured
 from dashpot.estimate.linear.instrumental_variables import OptimalIV
 from dashpot.estimate.method import Prepared
+from dashpot.model.observation import observation_model
 from tests.partly_seen import Bench
 from tests.rigs import channels, covariance, noisy, random_rig
 

@@ -10,18 +10,13 @@ from dashpot.arrays import Ints, Real
 from dashpot.data.spectrum import Spectrum
 from dashpot.errors import DataError
 from dashpot.estimate.likelihood.maximum_likelihood import bounds, local, prior_mean, prior_precision
-from dashpot.estimate.likelihood.objective import (
-    Measured,
-    ObservationModel,
-    measured,
-    observation_model,
-    predict,
-)
+from dashpot.estimate.likelihood.objective import Measured, measured, predict
 from dashpot.estimate.method import Prepared
 from dashpot.estimate.preparation.noise_quality import channels_correlate, without_correlation
 from dashpot.estimate.preparation.state_reconstruction import noise_is_known, working_covariance
 from dashpot.estimate.result import Estimate
 from dashpot.model.network import Model
+from dashpot.model.observation import ObservationModel, observation_model
 from dashpot.numerics.levenberg_marquardt import QuadraticModel, minimise
 from dashpot.numerics.small_systems import scaled_inverse
 

@@ -13,13 +13,19 @@ from dataclasses import dataclass
 import numpy as np
 
 from dashpot.arrays import Complex, Ints, Real, frozen, hermitian
-from dashpot.channel import Channel, Quantity
+from dashpot.channel import Channel
 from dashpot.data.spectrum import Spectrum
-from dashpot.errors import DataError
 from dashpot.estimate.preparation.state_reconstruction import noise_is_known, working_covariance
 from dashpot.estimate.result import Estimate
-from dashpot.model.dynamics import response, unit_forces
+from dashpot.model.dynamics import no_steady_response
 from dashpot.model.network import Model
+from dashpot.model.observation import (
+    calibration,
+    channel_unit,
+    input_channels,
+    observation_model,
+    transfer,
+)
 
 Calibrations = Mapping[str, float]
 
@@ -73,20 +79,6 @@ class Residuals:
         return rms
 
 
-_UNITS = {"displacement": "m", "velocity": "m/s", "acceleration": "m/s²", "force": "N"}
-_ANGULAR = {"displacement": "rad", "velocity": "rad/s", "acceleration": "rad/s²", "force": "N·m"}
-
-
-def channel_unit(model: Model, channel: Channel) -> str:
-    """SI unit of a channel's quantity."""
-    along = {e.name: e.along for e in model.elements} | {
-        i.name: i.at for i in model.inputs if i.kind == "force"
-    }
-    points = {point for name in channel.of for point in along.get(name, {name: 1.0})}
-    table = _ANGULAR if points and points <= set(model.angles) else _UNITS
-    return table[channel.quantity.value]
-
-
 def channel_response(
     model: Model, p: Real, channels: Sequence[Channel], omega: Real, calibrations: Calibrations | None = None
 ) -> Complex:
@@ -96,39 +88,17 @@ def channel_response(
     1, 1 and 0, for known calibrations have been taken out of a Spectrum.  Raises DataError where a channel measures
     what the rig has not.
     """
-    r, s = len(model.displacement_inputs), len(model.force_inputs)
-    one = np.eye(r + s, dtype=complex)[:, None, :]
-    U = np.broadcast_to(one[..., :r], (r + s, len(omega), r))
-    f = np.broadcast_to(one[..., r:], (r + s, len(omega), s))
-    X = np.stack([response(model, p, omega, U[k], f[k]) for k in range(r + s)])
-    points = {name: X[..., i] for i, name in enumerate(model.coordinates)}
-    points |= {name: U[..., i] for i, name in enumerate(model.displacement_inputs)}
-    forces = {name: f[..., i] for i, name in enumerate(model.force_inputs)}
-    if any(c.quantity is Quantity.FORCE and not set(c.of) <= set(forces) for c in channels):
-        own = p * unit_forces(model, omega, X, U)
-        forces |= {element.name: own[..., i] for i, element in enumerate(model.elements)}
-        forces |= {name: (own @ model.D)[..., i] for i, name in enumerate(model.displacement_inputs)}
-    G = np.zeros((r + s, len(omega), len(channels)), dtype=complex)
-    for i, channel in enumerate(channels):
-        force = channel.quantity is Quantity.FORCE
-        law = np.ones_like(omega, dtype=complex) if force else (1j * omega) ** channel.quantity.derivative
-        for name, factor in channel.of.items():
-            source = forces if force else points
-            if name not in source:
-                raise DataError(
-                    f"channel {channel.name} measures {name}, which the rig has not",
-                    cure=f"it has {', '.join(source)}",
-                )
-            G[..., i] += factor * law * source[name]
-        G[..., i] *= _calibration(channel, omega, {} if calibrations is None else calibrations)
-    return np.moveaxis(G, 0, -1)
-
-
-def _calibration(channel: Channel, omega: Real, calibrations: Calibrations) -> Complex:
-    gain = calibrations.get(f"{channel.same_gain_as or channel.name}.gain", 1.0)
-    sign = calibrations.get(f"{channel.name}.sign", 1.0)
-    factor: Complex = gain * sign * np.exp(-1j * omega * calibrations.get(f"{channel.name}.delay", 0.0))
-    return factor
+    view = observation_model(model, channels, omega)
+    given = {} if calibrations is None else calibrations
+    typical = [1.0] * view.gains + [0.0] * view.delays
+    values = [given.get(name, value) for name, value in zip(view.names[view.m :], typical, strict=True)]
+    psi = np.concatenate([np.zeros(view.m), values])
+    sign = np.array([given.get(f"{channel.name}.sign", 1.0) for channel in channels])
+    G = transfer(view, p).G
+    if not np.all(np.isfinite(G)):
+        raise no_steady_response()
+    response: Complex = calibration(view, psi, sign)[..., None] * G
+    return response
 
 
 def calibrations_of(model: Model, estimate: Estimate) -> dict[str, float]:
@@ -168,7 +138,7 @@ def residuals(
         tuple(channel.name for channel in spectrum.channels),
         tuple(channel_unit(model, channel) for channel in spectrum.channels),
         (*model.displacement_inputs, *model.force_inputs),
-        tuple(channel_unit(model, drive) for drive in _drives(model)),
+        tuple(channel_unit(model, drive) for drive in input_channels(model)),
         spectrum.frequency_hz,
         spectrum.experiment,
         y,
@@ -178,12 +148,6 @@ def residuals(
         v,
         not known,
     )
-
-
-def _drives(model: Model) -> tuple[Channel, ...]:
-    """Every input as a channel of its own: displacements, then forces."""
-    moved = tuple(Channel(name, {name: 1.0}) for name in model.displacement_inputs)
-    return (*moved, *(Channel(name, {name: 1.0}, Quantity.FORCE) for name in model.force_inputs))
 
 
 def _relative(y: Complex, V: Complex) -> Complex:

@@ -10,8 +10,8 @@ from collections.abc import Sequence
 
 from dashpot.channel import Channel, Quantity
 from dashpot.errors import IdentifiabilityError, Problem
-from dashpot.estimate.preparation.state_reconstruction import is_direct
 from dashpot.model.network import Model, listed
+from dashpot.model.observation import is_direct
 
 
 def free_scales(model: Model, channels: Sequence[Channel]) -> tuple[tuple[str, ...], ...]:

@@ -16,10 +16,10 @@ from dashpot.data.spectrum import Spectrum
 from dashpot.errors import UsageError
 from dashpot.estimate.identify import automatic, identify
 from dashpot.estimate.likelihood.maximum_likelihood import local
-from dashpot.estimate.likelihood.objective import observation_model
 from dashpot.estimate.method import Method
 from dashpot.estimate.result import Estimate
 from dashpot.model.network import Model
+from dashpot.model.observation import observation_model
 from dashpot.numerics.small_systems import solve_scaled
 
 STEP = 1e-4  # of a parameter, in differences of the slope and between identifications

@@ -16,9 +16,16 @@ from dashpot.arrays import Bools, Ints, Real
 from dashpot.channel import Channel, Quantity
 from dashpot.data.spectrum import Spectrum
 from dashpot.errors import IdentifiabilityError
-from dashpot.estimate.likelihood.objective import Measured, ObservationModel, observation_model, predict
 from dashpot.model.laws import Law
 from dashpot.model.network import Model, listed
+from dashpot.model.observation import (
+    ObservationModel,
+    calibration,
+    calibration_slopes,
+    measures_input,
+    observation_model,
+    transfer,
+)
 from dashpot.model.typical_values import typical
 from dashpot.numerics import finite_field as field
 from dashpot.numerics.finite_field import PRIME, ROOT
@@ -62,8 +69,7 @@ def lines_of(model: Model, spectrum: Spectrum) -> Lines:
     driven = np.ones((spectrum.lines, len(model.inputs)), dtype=bool)
     for j, name in enumerate((*model.displacement_inputs, *model.force_inputs)):
         for c, channel in enumerate(spectrum.channels):
-            force = (channel.quantity is Quantity.FORCE) == (name in model.force_inputs)
-            if force and set(channel.of) == {name}:
+            if measures_input(model, channel) and set(channel.of) == {name}:
                 driven[:, j] &= ~(present & quiet & zero)[:, c]
     _, frequency = np.unique(spectrum.frequency_hz, return_inverse=True)
     return Lines(frequency.astype(np.int64), present, driven)
@@ -270,24 +276,11 @@ def floating(
     shape = lines.driven.shape
     q = np.exp(rng.uniform(-0.5, 0.5, shape) + 2j * np.pi * rng.random(shape)) * lines.driven
     view = observation_model(model, channels, omega)
-    inputs, count = q.shape[-1], len(channels)
-    one = np.zeros((inputs + 1, len(omega), inputs), dtype=complex)
-    one[np.arange(inputs), :, np.arange(inputs)] = 1.0
-    one[-1] = q
-    nothing = np.zeros((inputs + 1, len(omega), count), dtype=complex)
-    weight = np.broadcast_to(np.eye(count, dtype=complex), (1, len(omega), count, count))
-    many = np.repeat(psi[None], inputs + 1, axis=0)
-    parts = [
-        predict(
-            view,
-            Measured(nothing[k : k + 1], weight, one[k : k + 1], 0),
-            many[k : k + 1],
-            np.ones((1, count)),
-        )
-        for k in range(inputs + 1)
-    ]
-    G = np.stack([-part.r[0] for part in parts[:inputs]], axis=-1)
-    y, J = -parts[-1].r[0], parts[-1].J[0]
+    rig = transfer(view, model.parameters(psi[: view.m]))
+    kappa = calibration(view, psi, np.ones(len(channels)))[..., None]
+    G = kappa * rig.G
+    y = np.einsum("lcq,lq->lc", G, q)
+    J = np.concatenate([kappa * rig.slopes(q), calibration_slopes(view, psi, y)], axis=-1)
     level = np.maximum(np.abs(y), 1e-6 * np.max(np.abs(y), axis=0, initial=0.0))
     level = np.where(lines.present, np.where(level > 0, level, 1.0), np.inf)
     G, J = G / level[..., None], J / level[..., None]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Any, Literal
 
 import numpy as np
@@ -54,6 +54,7 @@ from dashpot.errors import IdentifiabilityError, UsageError
 from dashpot.estimate.identify import identify
 from dashpot.estimate.result import Estimate
 from dashpot.model.network import Model
+from dashpot.model.observation import measures_input, with_relative_noise
 
 ASSUMED = 0.01  # relative noise where no channel states any
 FIRST_SAMPLES, FIRST_TIME = 1000.0, 60.0  # where the search for the shortest test starts
@@ -210,20 +211,18 @@ def _doubt(question: Question, base: Bench, estimate: Estimate | None) -> Unifor
 
 
 def _outputs(base: Bench) -> list[str]:
-    inputs = {*base.model.displacement_inputs, *base.model.force_inputs}
-    return [c.name for c in base.channels if not set(c.of) <= inputs]
+    return [c.name for c in base.channels if not measures_input(base.model, c)]
 
 
 def _noisy(model: Model, channels: tuple[Channel, ...], notes: list[str]) -> tuple[Channel, ...]:
     """Channels with noise; 1 % of the amplitude where none states any."""
     if any(c.noise > 0 or c.relative_noise > 0 for c in channels):
         return channels
-    inputs = {*model.displacement_inputs, *model.force_inputs}
     notes.append(
         "no channel states its noise: 1 % of each output's amplitude is assumed; intervals are proportional to it, "
         "the frequencies do not depend on its size"
     )
-    return tuple(c if set(c.of) <= inputs else replace(c, relative_noise=ASSUMED) for c in channels)
+    return with_relative_noise(model, channels, ASSUMED)
 
 
 def _nominal(question: Question, estimate: Estimate | None) -> dict[str, float]:

@@ -9,18 +9,16 @@ at a displacement input u is Dᵀ (p ∘ a).  With J = ∂Y/∂ψ the informatio
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from dashpot.arrays import Bools, Complex, Real, hermitian
-from dashpot.channel import Channel, Quantity
+from dashpot.channel import Channel
 from dashpot.data.spectrum import Spectrum
 from dashpot.errors import DataError, UsageError
-from dashpot.estimate.preparation.state_reconstruction import measurement
-from dashpot.model.dynamics import dynamic_stiffness, input_stiffness, unit_forces
 from dashpot.model.network import Model
-from dashpot.numerics.small_systems import solve_small
+from dashpot.model.observation import calibration_slopes, noise_sd, observation_model, transfer
 
 NONE = 1e-9  # of a channel's largest sensitivity: below it, a channel does not see the parameters
 
@@ -43,113 +41,27 @@ class Outputs:
     force: Complex
 
 
-def calibrations(channels: Sequence[Channel]) -> tuple[str, ...]:
-    """Names of the calibrations that are estimated with θ.  An unknown sign costs no information: it is ±1.
-
-    A gain that several channels share is one unknown, named after its owner.
-    """
-    gains = tuple(f"{c.name}.gain" for c in channels if c.gain is None and c.same_gain_as is None)
-    return gains + tuple(f"{c.name}.delay" for c in channels if c.delay is None)
-
-
 def outputs(model: Model, p: Real, channels: Sequence[Channel], omega: Real, drive: Complex) -> Outputs:
     """What the channels show of the rig with parameters p (..., elements) under `drive` = (U, f) (..., lines, r + s).
 
     Raises DataError where a channel measures what the rig has not.
     """
-    n, r = model.n, len(model.displacement_inputs)
-    stiffness = dynamic_stiffness(model, p, omega)
-    into = input_stiffness(model, p, omega)
-    into = np.concatenate(
-        [into, np.broadcast_to(model.S.astype(complex), (*into.shape[:-1], model.S.shape[1]))], axis=-1
+    r = len(model.displacement_inputs)
+    view = observation_model(model, channels, omega)
+    rig = transfer(view, p)
+    q = np.broadcast_to(drive, (*np.broadcast_shapes(rig.X.shape[:-2], drive.shape[:-1]), drive.shape[-1]))
+    Y = np.einsum("...cq,...q->...c", rig.G, q)
+    nominal = np.array([*[0.0] * view.m, *[1.0] * view.gains, *[0.0] * view.delays])
+    by_parameter = np.concatenate([rig.slopes(q), calibration_slopes(view, nominal, Y)], axis=-1)
+    X, U, f = np.einsum("...nq,...q->...n", rig.X, q), q[..., :r], q[..., r:]
+    reactions = (p[..., None, :] * rig.unit_forces(q)) @ model.D
+    return Outputs(
+        Y,
+        by_parameter,
+        np.broadcast_to(rig.G, (*q.shape[:-1], *rig.G.shape[-2:])),
+        np.concatenate([U, X @ model.S], axis=-1),
+        np.concatenate([reactions, f], axis=-1),
     )
-    by_drive = solve_small(stiffness, into)
-    X = np.einsum("...ij,...j->...i", by_drive, drive)
-    U, f = drive[..., :r], drive[..., r:]
-    U = np.broadcast_to(U, (*X.shape[:-1], r))
-    a = unit_forces(model, omega, X, U)
-    # ∂X/∂θ directly: one right side an unknown, not one an element.
-    pull = (model.B.T * a[..., None, :]) @ model.T
-    slope = -solve_small(stiffness, pull)
-    C = np.broadcast_to(
-        _direct(model, channels, omega), (*X.shape[:-1], len(channels), n + drive.shape[-1])
-    ).copy()
-    own = np.zeros((*X.shape[:-1], len(channels), len(model.unknowns)), dtype=np.complex128)
-    stretch = np.concatenate(
-        [model.B, model.D, np.zeros((len(model.elements), len(model.force_inputs)))], axis=1
-    )
-    strength = p[..., None, :] * model.factors(omega)
-    for i, factors in _force_rows(model, channels):
-        C[..., i, :] = (factors * strength) @ stretch
-        own[..., i, :] = (factors * a) @ model.T
-    z = np.concatenate([X, np.broadcast_to(drive, (*X.shape[:-1], drive.shape[-1]))], axis=-1)
-    Y = np.einsum("...ij,...j->...i", C, z)
-    by_parameter = own + C[..., :n] @ slope
-    by_input = C[..., n:] + C[..., :n] @ by_drive
-    extra = [
-        sum((_column(Y, k) for k in _sharing(channels, c)), np.zeros_like(Y))
-        for c in channels
-        if c.gain is None and c.same_gain_as is None
-    ]
-    extra += [-1j * omega[:, None] * _column(Y, i) for i, c in enumerate(channels) if c.delay is None]
-    if extra:
-        by_parameter = np.concatenate([by_parameter, np.stack(extra, axis=-1)], axis=-1)
-    motion = np.concatenate([U, X @ model.S], axis=-1)
-    force = np.concatenate(
-        [(p[..., None, :] * a) @ model.D, np.broadcast_to(f, (*X.shape[:-1], f.shape[-1]))], axis=-1
-    )
-    return Outputs(Y, by_parameter, by_input, motion, force)
-
-
-def _column(Y: Complex, i: int) -> Complex:
-    alone = np.zeros_like(Y)
-    alone[..., i] = Y[..., i]
-    return alone
-
-
-def _sharing(channels: Sequence[Channel], owner: Channel) -> list[int]:
-    """Indices of the channels whose unknown gain is the owner's."""
-    return [i for i, c in enumerate(channels) if c.gain is None and owner.name in (c.name, c.same_gain_as)]
-
-
-def _is_element_force(model: Model, channel: Channel) -> bool:
-    return channel.quantity is Quantity.FORCE and not set(channel.of) <= set(model.force_inputs)
-
-
-def _direct(model: Model, channels: Sequence[Channel], omega: Real) -> Complex:
-    """C of the channels that look at (X, U, f) alone; rows of force channels are 0."""
-    calibrated = [replace(c, gain=1.0, delay=0.0, sign=1.0) for c in channels]
-    return measurement(model, calibrated, omega)
-
-
-def _force_rows(model: Model, channels: Sequence[Channel]) -> list[tuple[int, Real]]:
-    """For each channel that measures element forces or a reaction: its index and the factors on p_i a_i."""
-    names = {element.name: i for i, element in enumerate(model.elements)}
-    found = []
-    for i, channel in enumerate(channels):
-        if not _is_element_force(model, channel):
-            continue
-        factors = np.zeros(len(model.elements))
-        for name, factor in channel.of.items():
-            if name in names:
-                factors[names[name]] += factor
-            elif name in model.displacement_inputs:
-                factors += factor * model.D[:, model.displacement_inputs.index(name)]
-            else:
-                raise DataError(
-                    f"channel {channel.name} measures the force of {name}, which the rig has not",
-                    cure=f"it has {', '.join((*names, *model.displacement_inputs, *model.force_inputs))}",
-                )
-        found.append((i, factors))
-    return found
-
-
-def noise_sd(channels: Sequence[Channel], Y: Complex) -> Real:
-    """Standard deviation of one sample, SI units, shape of Y: floor and relative part are independent."""
-    floor = np.array([abs(c.noise * c.scale / (1.0 if c.gain is None else c.gain)) for c in channels])
-    relative = np.array([c.relative_noise for c in channels])
-    sd: Real = np.hypot(floor, relative * np.abs(Y))
-    return sd
 
 
 def fisher(J: Complex, G: Complex, V: Complex, names: Sequence[str]) -> Real:

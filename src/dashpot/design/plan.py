@@ -14,11 +14,11 @@ from dashpot.arrays import Complex, Ints, Real, frozen
 from dashpot.data.spectrum import Spectrum
 from dashpot.design.allocation import Allocation, Grid, clusters, optimise, value, weigh
 from dashpot.design.criteria import Doubt, Goal, MeanError, Terms
-from dashpot.design.information import calibrations, noise_sd
 from dashpot.design.test_setup import Bench
 from dashpot.errors import DashpotError, IdentifiabilityError, UsageError
 from dashpot.estimate.identify import identify
 from dashpot.estimate.linear.instrumental_variables import InstrumentalVariables
+from dashpot.model.observation import calibration_names, noise_sd
 
 MIN_SAMPLES = 8  # of a dwell: offset, drift and a harmonic leave some residual
 SIMPLER = 1e-4  # of the variance: what it may cost to join dwells that crowd around one frequency
@@ -191,10 +191,10 @@ def predict(bench: Bench, goal: Goal, information: Real, doubt: Doubt = "worst")
     size = bench.sizes[0]
     C = at.C[0] * size[:, None] * size
     units = tuple(u.unit for u in bench.model.unknowns) + tuple(
-        "s" if name.endswith(".delay") else "1" for name in calibrations(bench.channels)
+        "s" if name.endswith(".delay") else "1" for name in calibration_names(bench.channels)
     )
     # Calibrations are errors of ln gain and of delay; their value is 1 and 0.
-    extra = [0.0 if name.endswith(".delay") else 1.0 for name in calibrations(bench.channels)]
+    extra = [0.0 if name.endswith(".delay") else 1.0 for name in calibration_names(bench.channels)]
     values = np.concatenate([bench.theta[0], extra])
     return Prediction(bench.names, units, values, np.sqrt(np.diagonal(C)), C, goal.figure(at.F))
 
@@ -565,7 +565,7 @@ def spread_of_iv(bench: Bench, lines: Lines) -> Prediction | None:
 
     None where they cannot be used: some coordinate is not seen, or a calibration is unknown.
     """
-    if calibrations(bench.channels):
+    if calibration_names(bench.channels):
         return None
     seen = bench.seen(lines.frequency_hz, lines.pattern)
     sd = noise_sd(bench.channels, seen.Y)

@@ -14,6 +14,7 @@ from dashpot.design.allocation import Grid, optimise
 from dashpot.design.criteria import Doubt, Goal
 from dashpot.design.test_setup import Bench
 from dashpot.errors import IdentifiabilityError, UsageError
+from dashpot.model.observation import measures_input
 
 EXACT = 300  # sets that are all tried
 COARSE = 60  # points of the grid on which sets are ranked
@@ -50,9 +51,8 @@ def choose(
 
     Raises UsageError for names that are no channels, IdentifiabilityError where no set determines the unknowns.
     """
-    inputs = {*bench.model.displacement_inputs, *bench.model.force_inputs}
     names = [channel.name for channel in bench.channels]
-    pool = list(among) if among else [c.name for c in bench.channels if not set(c.of) <= inputs]
+    pool = list(among) if among else [c.name for c in bench.channels if not measures_input(bench.model, c)]
     for name in pool:
         if name not in names:
             raise UsageError(f"{name} is no channel of this rig", cure=f"it has {', '.join(names)}")

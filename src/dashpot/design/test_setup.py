@@ -10,10 +10,11 @@ import numpy as np
 
 from dashpot.arrays import Complex, Ints, Real, frozen
 from dashpot.channel import Channel
-from dashpot.design.information import Outputs, calibrations, outputs, per_sample
+from dashpot.design.information import Outputs, outputs, per_sample
 from dashpot.errors import ModelError, UsageError
 from dashpot.model.dynamics import modes
 from dashpot.model.network import Model
+from dashpot.model.observation import calibration_names
 
 UNDAMPED = 1e-7  # damping ratio that is rounding
 CHUNK = 300_000  # complex numbers at once: they stay in the cache
@@ -98,7 +99,7 @@ class Bench:
     @property
     def names(self) -> tuple[str, ...]:
         """Names of ψ: the unknowns, then the calibrations that are estimated with them."""
-        return tuple(u.name for u in self.model.unknowns) + calibrations(self.channels)
+        return tuple(u.name for u in self.model.unknowns) + calibration_names(self.channels)
 
     @cached_property
     def p(self) -> Real:

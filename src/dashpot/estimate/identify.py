@@ -24,7 +24,6 @@ from dashpot.estimate.method import Limits, Method, Prepared, Solution
 from dashpot.estimate.preparation.noise_quality import channels_correlate, without_correlation
 from dashpot.estimate.preparation.state_reconstruction import (
     channels_present,
-    is_direct,
     noise_is_known,
     states_if_seen,
     unseen,
@@ -33,6 +32,7 @@ from dashpot.estimate.preparation.state_reconstruction import (
 from dashpot.estimate.result import Estimate, Fit, ModeValues
 from dashpot.model.dynamics import matrices, modes
 from dashpot.model.network import Model
+from dashpot.model.observation import is_direct
 from dashpot.model.unstructured import free_entries, free_names
 
 ZERO = 1.96  # standard deviations within which a negative part may be none

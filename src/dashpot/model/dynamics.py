@@ -74,7 +74,8 @@ def input_stiffness(model: Model, p: Real, omega: Real) -> Complex:
     return -stiffness(model, p, omega)[..., model.n :]
 
 
-def _singular() -> ModelError:
+def no_steady_response() -> ModelError:
+    """The error of a rig that hits an undamped resonance, or has a coordinate that nothing holds."""
     return ModelError(
         "the rig has no steady response at some frequency",
         cure="an undamped resonance is hit, or a coordinate has neither mass nor spring: change one of them",
@@ -98,7 +99,7 @@ def response(model: Model, p: Real, omega: Real, U: Complex, f: Complex | None =
     """
     X = amplitudes(model, p, omega, U, f)
     if not np.all(np.isfinite(X)):
-        raise _singular()
+        raise no_steady_response()
     return X
 
 

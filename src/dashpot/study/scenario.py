@@ -14,8 +14,9 @@ from dashpot.arrays import Ints
 from dashpot.channel import Channel
 from dashpot.errors import UsageError
 from dashpot.model.network import Model, listed
+from dashpot.model.observation import with_relative_noise
 from dashpot.study.montecarlo import Scenario
-from dashpot.study.simulate import Dwells, NoiseBasis, dwells, with_constant_noise, with_relative_noise
+from dashpot.study.simulate import Dwells, NoiseBasis, dwells, with_constant_noise
 
 NoiseKind = Literal["relative", "constant", "channels"]
 ALL = "all"  # the unknowns as the rig has them

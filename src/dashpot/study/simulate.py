@@ -9,7 +9,7 @@ theorems 3.1.2 and 3.2.14 (Bartlett's decomposition).
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -23,6 +23,13 @@ from dashpot.data.spectrum import Moments, Spectrum
 from dashpot.errors import DataError, UsageError
 from dashpot.model.dynamics import response, unit_forces
 from dashpot.model.network import Model
+from dashpot.model.observation import (
+    channel_amplitudes,
+    input_channels,
+    measures_input,
+    noise_sd,
+    observation_model,
+)
 
 NoiseBasis = Literal["given", "estimated"]
 
@@ -119,29 +126,7 @@ def standard_channels(model: Model, quantities: Sequence[Quantity]) -> tuple[Cha
         for quantity in quantities
         for point in model.coordinates
     ]
-    inputs = [Channel(name, {name: 1.0}) for name in model.displacement_inputs]
-    forces = [Channel(name, {name: 1.0}, Quantity.FORCE) for name in model.force_inputs]
-    return (*motions, *inputs, *forces)
-
-
-def is_drive(model: Model, channel: Channel) -> bool:
-    """Whether a channel measures inputs alone: displacement inputs, or an applied force."""
-    applied = channel.quantity is Quantity.FORCE
-    names = model.force_inputs if applied else model.displacement_inputs
-    return set(channel.of) <= set(names)
-
-
-def with_relative_noise(
-    model: Model, channels: Iterable[Channel], level: float, *, drives: bool = False
-) -> tuple[Channel, ...]:
-    """Channels with noise of sd = level × amplitude of that channel at that frequency and no other (paper eq. 21).
-
-    Channels of the inputs stay exact unless `drives`.
-    """
-    return tuple(
-        channel if is_drive(model, channel) and not drives else _noisy(channel, 0.0, level)
-        for channel in channels
-    )
+    return (*motions, *input_channels(model))
 
 
 def with_constant_noise(
@@ -157,31 +142,13 @@ def with_constant_noise(
     Y = clean_amplitudes(model, p, channels, reference)
     size = np.sqrt(np.mean(np.abs(Y) ** 2, axis=-2))
     return tuple(
-        channel if is_drive(model, channel) and not drives else _noisy(channel, level * float(rms), 0.0)
+        channel
+        if measures_input(model, channel) and not drives
+        else replace(
+            channel, noise=level * float(rms) * abs(channel.factor) / channel.scale, relative_noise=0.0
+        )
         for channel, rms in zip(channels, size, strict=True)
     )
-
-
-def _noisy(channel: Channel, absolute: float, relative: float) -> Channel:
-    """The channel with noise of `absolute` (SI units of the quantity) and `relative` size."""
-    factor = abs(_factor(channel))
-    return replace(channel, noise=absolute * factor / channel.scale, relative_noise=relative)
-
-
-def _factor(channel: Channel) -> float:
-    """sign · gain, 1 where unknown: raw · scale = factor · quantity."""
-    return (1.0 if channel.gain is None else channel.gain) * (1.0 if channel.sign is None else channel.sign)
-
-
-def noise_sd(channels: Sequence[Channel], Y: Complex) -> Real:
-    """Standard deviation of one sample, SI units of the quantity; `Y` (lines, channels) as of `clean_amplitudes`.
-
-    Absolute and relative part are independent: √((noise · scale / |gain|)² + (relative_noise |Y|)²).
-    """
-    floor = np.array([channel.noise * channel.scale / abs(_factor(channel)) for channel in channels])
-    relative = np.array([channel.relative_noise for channel in channels])
-    sd: Real = np.hypot(floor, relative * np.abs(Y))
-    return sd
 
 
 def clean_amplitudes(model: Model, p: Real, channels: Sequence[Channel], test: Dwells) -> Complex:
@@ -189,32 +156,10 @@ def clean_amplitudes(model: Model, p: Real, channels: Sequence[Channel], test: D
 
     Raises DataError where a channel measures what the rig has not.
     """
-    omega = test.omega
-    X = response(model, p, omega, test.U, test.f)
-    U = np.broadcast_to(test.U, (*X.shape[:-1], test.U.shape[-1]))
-    points = {
-        **{name: X[..., i] for i, name in enumerate(model.coordinates)},
-        **{name: U[..., i] for i, name in enumerate(model.displacement_inputs)},
-    }
-    forces = {name: test.f[:, i] for i, name in enumerate(model.force_inputs)}
-    if any(c.quantity is Quantity.FORCE and not set(c.of) <= set(forces) for c in channels):
-        own = p[..., None, :] * unit_forces(model, omega, X, U)
-        forces |= {element.name: own[..., i] for i, element in enumerate(model.elements)}
-        moved = own @ model.D
-        forces |= {name: moved[..., i] for i, name in enumerate(model.displacement_inputs)}
-    Y = np.zeros((*X.shape[:-1], len(channels)), dtype=complex)
-    for i, channel in enumerate(channels):
-        force = channel.quantity is Quantity.FORCE
-        source = forces if force else points
-        law = np.ones_like(omega, dtype=complex) if force else (1j * omega) ** channel.quantity.derivative
-        for name, factor in channel.of.items():
-            if name not in source:
-                raise DataError(
-                    f"channel {channel.name} measures {name}, which the rig has not",
-                    cure=f"it has {', '.join(source)}",
-                )
-            Y[..., i] += factor * law * source[name]
-    return Y
+    view = observation_model(model, channels, test.omega)
+    X = response(model, p, test.omega, test.U, test.f)
+    forces = p[..., None, :] * unit_forces(model, test.omega, X, test.U)
+    return channel_amplitudes(view, X, np.concatenate([test.U, test.f], axis=-1), forces)
 
 
 # Sample by sample
@@ -238,7 +183,7 @@ def simulate_records(
     channels = tuple(channels)
     Y = clean_amplitudes(model, p, channels, test)
     sd = noise_sd(channels, Y)
-    factor = np.array([_factor(channel) for channel in channels])
+    factor = np.array([channel.factor for channel in channels])
     delay = np.array([0.0 if channel.delay is None else channel.delay for channel in channels])
     level = np.zeros(len(channels)) if offset is None else np.asarray(offset, dtype=float)
     batch = () if draws is None else (draws,)

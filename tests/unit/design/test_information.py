@@ -9,20 +9,14 @@ import pytest
 
 from dashpot.channel import Channel, Quantity
 from dashpot.data.spectrum import Spectrum
-from dashpot.design.information import (
-    calibrations,
-    fisher,
-    noise_sd,
-    outputs,
-    per_sample,
-    spectrum_information,
-)
+from dashpot.design.information import fisher, outputs, per_sample, spectrum_information
 from dashpot.errors import DataError, UsageError
 from dashpot.estimate.identify import identify
 from dashpot.estimate.likelihood.maximum_likelihood import MaximumLikelihood
 from dashpot.estimate.linear import auxiliary_model as equation
 from dashpot.estimate.linear.auxiliary_model import auxiliary, information
 from dashpot.estimate.preparation.state_reconstruction import states
+from dashpot.model.observation import calibration_names, noise_sd
 from tests.rigs import Rig, amplitudes, channels, covariance, paper_rig, perfect, random_rig
 
 
@@ -69,7 +63,7 @@ def test_slopes_of_all_channels_against_finite_differences(seed: int) -> None:
             outputs(model, rig.p, chosen, rig.omega, moved).Y - seen.Y, seen.by_input[..., i], rtol=1e-8
         )
     gain, delay = len(rig.theta), len(rig.theta) + 1
-    assert calibrations(chosen) == ("loose.gain", "loose.delay")
+    assert calibration_names(chosen) == ("loose.gain", "loose.delay")
     loose, shared = len(chosen) - 2, len(chosen) - 1
     assert np.allclose(seen.by_parameter[:, loose, gain], seen.Y[:, loose])
     assert np.allclose(seen.by_parameter[:, shared, gain], seen.Y[:, shared])

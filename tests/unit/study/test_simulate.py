@@ -10,6 +10,7 @@ from dashpot.data.conditioning import lines as harmonics
 from dashpot.errors import DataError, UsageError
 from dashpot.model.elements import Kind, between, mass
 from dashpot.model.network import Input, Model
+from dashpot.model.observation import noise_sd, with_relative_noise
 from dashpot.study import simulate as sim
 
 MOTION = (Quantity.DISPLACEMENT, Quantity.VELOCITY)
@@ -32,7 +33,7 @@ def p(rig):
 
 
 def channels_of(rig, level=0.1):
-    return sim.with_relative_noise(rig, sim.standard_channels(rig, MOTION), level)
+    return with_relative_noise(rig, sim.standard_channels(rig, MOTION), level)
 
 
 @pytest.mark.parametrize("drift", [None, 0, 1])
@@ -141,12 +142,12 @@ def test_two_samples_a_dwell_are_enough_where_the_noise_is_given(rig, p):
 
 
 def test_singular_residuals_have_the_rank_of_their_freedom(rig, p):
-    channels = sim.with_relative_noise(rig, sim.standard_channels(rig, tuple(Quantity)[:3]), 0.1)
+    channels = with_relative_noise(rig, sim.standard_channels(rig, tuple(Quantity)[:3]), 0.1)
     test = sim.dwells(rig, [4.0], 4)
     found = sim.simulate_spectrum(
         rig, p, channels, test, np.random.default_rng(1), draws=20_000, noise="estimated"
     )
-    sd = sim.noise_sd(channels, sim.clean_amplitudes(rig, p, channels, test))[0, :3]
+    sd = noise_sd(channels, sim.clean_amplitudes(rig, p, channels, test))[0, :3]
     V = found.covariance[:, 0, :3, :3].real / np.outer(sd, sd)
     assert np.all(np.linalg.matrix_rank(V[:50], tol=1e-9) == 2)
     # E V̂ = V: Wishart entries over 2 degrees of freedom have an sd of at most their size, 4/N = 1 here.
@@ -169,7 +170,7 @@ def test_records_return_to_the_physical_quantity(rig, p):
     found = harmonics.spectrum(records, harmonics=(1,), drift=0)
     Y = sim.clean_amplitudes(rig, p, quiet, test)
     assert np.allclose(found.amplitudes, Y, rtol=1e-9)
-    assert sim.noise_sd(channels, Y)[0].tolist() == pytest.approx([0.4e-3 / 2, 0, 0, 0])
+    assert noise_sd(channels, Y)[0].tolist() == pytest.approx([0.4e-3 / 2, 0, 0, 0])
     # The foot carries what spring and damper pull back: u − x stretched, against the element's own x − u.
     assert found.amplitudes[0, 2] == pytest.approx(-found.amplitudes[0, 3])
     x, u = Y[0, :2]
@@ -182,11 +183,11 @@ def test_noise_of_constant_size_is_the_same_at_all_frequencies(rig, p):
     reference = sim.dwells(rig, [2.0, 4.0, 8.0])
     constant = sim.with_constant_noise(rig, p, channels, 0.1, reference)
     Y = sim.clean_amplitudes(rig, p, channels, reference)
-    sd = sim.noise_sd(constant, Y)
+    sd = noise_sd(constant, Y)
     assert np.allclose(sd, sd[0])
     assert np.allclose(sd[0, :2], 0.1 * np.sqrt(np.mean(np.abs(Y[:, :2]) ** 2, axis=0)))
     assert sd[0, 2] == 0
-    relative = sim.noise_sd(sim.with_relative_noise(rig, channels, 0.1, drives=True), Y)
+    relative = noise_sd(with_relative_noise(rig, channels, 0.1, drives=True), Y)
     assert np.allclose(relative, 0.1 * np.abs(Y))
 
 

@@ -182,21 +182,16 @@ def command(
     found = read_rig(rig)
     require_scale(found.model, found.channels, rig)
 
-    from dataclasses import replace
-
     from dashpot.design.advise import Question, answer, json_of
     from dashpot.design.plan import to_csv
     from dashpot.design.test_setup import drive_units
+    from dashpot.model.observation import with_relative_noise
 
     if more["samples"] is not None and more["time"] is not None:
         raise UsageError("both --samples and --time", cure="one of them is the budget")
     channels = found.channels
     if relative_noise is not None:
-        inputs = {*found.model.displacement_inputs, *found.model.force_inputs}
-        channels = tuple(
-            c if set(c.of) <= inputs else replace(c, noise=0.0, relative_noise=relative_noise)
-            for c in channels
-        )
+        channels = with_relative_noise(found.model, channels, relative_noise)
     data, earlier = _earlier(found, after, more, quiet)
     estimate = _load(estimate_file) if estimate_file is not None else None
     goal, aim = _goal(wanted, target)

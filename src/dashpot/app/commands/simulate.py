@@ -112,11 +112,12 @@ def command(
     import numpy as np
 
     from dashpot.data.readers import write_amplitudes, write_records
+    from dashpot.model.observation import with_relative_noise
     from dashpot.study import simulate as study
 
     channels: tuple[Channel, ...] = found.channels
     if relative_noise is not None:
-        channels = study.with_relative_noise(model, channels, relative_noise)
+        channels = with_relative_noise(model, channels, relative_noise)
     test = study.dwells(
         model,
         frequencies,

@@ -34,7 +34,7 @@ def command(
     spectrum = amplitudes(reading, conditioning, quiet)
     write_amplitudes(spectrum, out)
     if not quiet:
-        from dashpot.check.residuals import channel_unit
+        from dashpot.model.observation import channel_unit
         from dashpot.present.tables.estimate import console, show_spectrum
 
         units = [channel_unit(found.model, channel) for channel in spectrum.channels]

@@ -10,11 +10,12 @@ from dashpot.arrays import Bools, Complex, Real, hermitian
 from dashpot.data.spectrum import Spectrum
 from dashpot.errors import UsageError
 from dashpot.estimate.likelihood.maximum_likelihood import prior_mean, prior_precision
-from dashpot.estimate.likelihood.objective import measured, observation_model, predict
+from dashpot.estimate.likelihood.objective import measured, predict
 from dashpot.estimate.linear.auxiliary_model import auxiliary
 from dashpot.estimate.linear.gram import regressors
 from dashpot.estimate.method import Prepared, Solution
 from dashpot.estimate.preparation.noise_quality import NoiseQuality, interval_dof, noise_quality
+from dashpot.model.observation import observation_model
 from dashpot.numerics.small_systems import scaled_inverse, solve_scaled, solve_small
 
 ROUNDING = 1e-30  # χ² of exact data against noise of the data's own size

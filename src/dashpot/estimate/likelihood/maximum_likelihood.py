@@ -10,20 +10,11 @@ import numpy as np
 
 from dashpot.arrays import Ints, Real, hermitian
 from dashpot.errors import ConvergenceError
-from dashpot.estimate.likelihood.objective import (
-    SPARSE_FROM,
-    Measured,
-    ObservationModel,
-    directly_driven,
-    measured,
-    observation_model,
-    predict,
-    small,
-)
+from dashpot.estimate.likelihood.objective import Measured, directly_driven, measured, predict
 from dashpot.estimate.likelihood.starting_values import candidates, neighbours
 from dashpot.estimate.linear.least_squares import compensated
 from dashpot.estimate.method import Limits, Method, Prepared, Solution
-from dashpot.estimate.preparation.state_reconstruction import is_direct
+from dashpot.model.observation import SPARSE_FROM, ObservationModel, is_direct, observation_model, small
 from dashpot.model.unstructured import free_names
 from dashpot.numerics.levenberg_marquardt import (
     PATIENCE,

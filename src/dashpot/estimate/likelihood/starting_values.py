@@ -6,9 +6,10 @@ import numpy as np
 
 from dashpot.arrays import Real
 from dashpot.channel import Quantity
-from dashpot.estimate.likelihood.objective import ObservationModel, measured, predict
+from dashpot.estimate.likelihood.objective import measured, predict
 from dashpot.estimate.method import Prepared
 from dashpot.model.elements import Kind
+from dashpot.model.observation import ObservationModel
 
 SCATTER = (0.03, 0.1, 0.2, 0.35, 0.6)  # decades by which the elements of one candidate differ
 

@@ -17,8 +17,9 @@ from dashpot.data.spectrum import Spectrum
 from dashpot.errors import DataError, UsageError
 from dashpot.estimate.linear.gram import gram, gram_force
 from dashpot.estimate.method import Prepared
-from dashpot.estimate.preparation.state_reconstruction import is_direct, looks, require_seen, unseen
+from dashpot.estimate.preparation.state_reconstruction import looks, require_seen, unseen
 from dashpot.model.network import Model
+from dashpot.model.observation import is_direct, measures_input
 
 
 @dataclass(frozen=True)
@@ -65,9 +66,8 @@ def sampled(data: Prepared) -> Sampled:
     model, spectrum, V = data.model, data.spectrum, data.covariance
     require_seen(model, spectrum)
     y = np.nan_to_num(spectrum.amplitudes)
-    inputs = {*model.displacement_inputs, *model.force_inputs}
     drive = np.array(
-        [set(channel.of) <= inputs and is_direct(model, channel) for channel in spectrum.channels]
+        [measures_input(model, channel) and is_direct(model, channel) for channel in spectrum.channels]
     )
     derivative = np.array(
         [-1 if c.quantity is Quantity.FORCE else c.quantity.derivative for c in spectrum.channels]

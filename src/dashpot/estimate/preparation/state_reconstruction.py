@@ -8,7 +8,7 @@ one point, accelerations, differences, several sensors on one point are all look
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -17,6 +17,7 @@ from dashpot.channel import Channel, Quantity
 from dashpot.data.spectrum import Spectrum
 from dashpot.errors import DataError
 from dashpot.model.network import Model
+from dashpot.model.observation import is_direct, measures_input, observation_model
 
 
 @dataclass(frozen=True)
@@ -60,35 +61,16 @@ def state_names(model: Model) -> tuple[str, ...]:
     return (*model.coordinates, *model.displacement_inputs, *model.force_inputs)
 
 
-def is_direct(model: Model, channel: Channel) -> bool:
-    """Whether a channel is a look at z alone: no unknown calibration, no force in an element or at a moved input."""
-    if None in (channel.gain, channel.delay, channel.sign):
-        return False
-    return channel.quantity is not Quantity.FORCE or set(channel.of) <= set(model.force_inputs)
-
-
 def measurement(model: Model, channels: Sequence[Channel], omega: Real) -> Complex:
     """C(ω) of the direct channels, (lines, channels, n + r + s); rows of other channels are 0.
 
     Raises DataError where a channel measures a point that the model has not.
     """
-    column = {name: j for j, name in enumerate(state_names(model))}
-    C = np.zeros((len(omega), len(channels), len(column)), dtype=np.complex128)
-    for i, channel in enumerate(channels):
-        if not is_direct(model, channel):
-            continue
-        law = (
-            np.ones_like(omega, dtype=complex)
-            if channel.quantity is Quantity.FORCE
-            else (1j * omega) ** channel.quantity.derivative
-        )
-        for point, factor in channel.of.items():
-            if point not in column:
-                raise DataError(
-                    f"channel {channel.name} measures {point}, which the rig has not",
-                    cure=f"the rig has {', '.join(column)}",
-                )
-            C[:, i, column[point]] += factor * law
+    direct = np.array([is_direct(model, channel) for channel in channels], dtype=bool)
+    view = observation_model(
+        model, [replace(c, gain=1.0, delay=0.0, same_gain_as=None) for c in channels], omega
+    )
+    C: Complex = np.concatenate([view.direct_x, view.direct_q], axis=-1) * direct[:, None]
     return C
 
 
@@ -134,8 +116,7 @@ def working_covariance(model: Model, spectrum: Spectrum) -> Complex:
     present = channels_present(spectrum)
     X = np.where(present, spectrum.amplitudes, 0.0)
     size = np.sqrt(np.sum(np.abs(X) ** 2, axis=-2) / np.maximum(np.sum(present, axis=0), 1))
-    inputs = set(model.displacement_inputs) | set(model.force_inputs)
-    free = np.array([not set(channel.of) <= inputs for channel in spectrum.channels])
+    free = np.array([not measures_input(model, channel) for channel in spectrum.channels])
     variance = np.where(free, size**2, 0.0)[..., None, :] * np.ones((spectrum.lines, 1))
     return (variance[..., :, None] * np.eye(len(spectrum.channels))).astype(np.complex128)
 

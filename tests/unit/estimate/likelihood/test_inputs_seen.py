@@ -3,9 +3,10 @@
 import numpy as np
 
 from dashpot.channel import Channel, Quantity
-from dashpot.estimate.likelihood.objective import _inputs_seen, observation_model
+from dashpot.estimate.likelihood.objective import _inputs_seen
 from dashpot.model.elements import Element, Kind
 from dashpot.model.network import Input, Model
+from dashpot.model.observation import observation_model
 
 
 def seen(model, channels, present):

@@ -9,15 +9,15 @@ import pytest
 from scipy.sparse.linalg import splu
 
 from dashpot.channel import Channel, Quantity
-from dashpot.errors import DataError
 from dashpot.estimate.identify import _flatten, identify
-from dashpot.estimate.likelihood import objective as output
 from dashpot.estimate.likelihood.maximum_likelihood import MaximumLikelihood, local, logarithmic
-from dashpot.estimate.likelihood.objective import directly_driven, measured, observation_model, predict
+from dashpot.estimate.likelihood.objective import directly_driven, measured, predict
 from dashpot.estimate.method import Prepared
+from dashpot.model import observation
 from dashpot.model.elements import Kind, between, mass
 from dashpot.model.network import Input, Model
-from tests.partly_seen import BENCHES, Bench, calibrations, noisy_base, reaction
+from dashpot.model.observation import observation_model
+from tests.partly_seen import BENCHES, Bench, noisy_base, reaction
 
 
 def prepared(bench, correlation=0.0, draws=1, seed=1):
@@ -126,7 +126,7 @@ def test_sparse_rigs_are_those_of_dense_matrices(monkeypatch):
     data, view = prepared(bench)
     given = measured(data, view)
     sparse = predict(view, given, bench.psi[None], np.ones((1, 6)))
-    monkeypatch.setattr(output, "SPARSE_FROM", 1000)
+    monkeypatch.setattr(observation, "SPARSE_FROM", 1000)
     dense = predict(view, given, bench.psi[None], np.ones((1, 6)))
     for name in ("r", "J", "PJ", "q", "weighted"):
         a, b = getattr(sparse, name), getattr(dense, name)
@@ -136,7 +136,7 @@ def test_sparse_rigs_are_those_of_dense_matrices(monkeypatch):
 def test_a_large_rig_costs_one_sparse_factorisation_a_line(monkeypatch):
     """And gives the same many starts at once; time itself is measured in benchmarks/large.py."""
     calls = []
-    monkeypatch.setattr(output, "splu", lambda *args, **how: calls.append(1) or splu(*args, **how))
+    monkeypatch.setattr(observation, "splu", lambda *args, **how: calls.append(1) or splu(*args, **how))
     bench = chain(60, 7)
     data, view = prepared(bench)
     given = measured(data, view)
@@ -231,28 +231,3 @@ def test_noisy_inputs_are_taken_from_their_own_channels_for_logarithms():
     blind = replace(bench, channels=bench.channels[:3])
     data, view = prepared(blind)
     assert directly_driven(view, measured(data, view)) is None
-
-
-def test_shared_gains_are_one_unknown():
-    bench = calibrations()
-    pair = (bench.channels[0], replace(bench.channels[1], delay=0.0, same_gain_as="a3"), *bench.channels[2:])
-    view = observation_model(bench.model, pair, 2 * np.pi * bench.frequency_hz)
-    assert view.gains == 1
-    assert list(view.gain) == [0, 0, -1, -1]
-    assert view.names[-1] == "a3.gain"
-    assert view.units[-1] == "1"
-
-
-@pytest.mark.parametrize(
-    ("channel", "word"),
-    [
-        (Channel("F", {"k9": 1}, Quantity.FORCE), "k9"),
-        (Channel("x", {"x9": 1}), "x9"),
-        (Channel("x", {"x1": 1}, same_gain_as="a9"), "a9"),
-        (Channel("x", {"x1": 1}, same_gain_as="a1"), "a1"),
-    ],
-)
-def test_channels_of_what_is_not_there_are_refused(channel, word):
-    bench = reaction()
-    with pytest.raises(DataError, match=word):
-        observation_model(bench.model, (*bench.channels, channel), 2 * np.pi * bench.frequency_hz)

@@ -1,0 +1,383 @@
+"""What the channels show of a rig: y = κ (C_x X + C_q q + F (p ∘ a)) + noise, the one place of that map (THEORY §4).
+
+q = (U, f) are the inputs, X the coordinates and a the unit forces of the elements.  A motion is a combination of
+points, differentiated up to twice; an applied force is an entry of f; the force in an element is p_i a_i, and the
+reaction that moves a displacement input u is Dᵀ (p ∘ a).  κ_c = sign · gain · e^{−jωτ} is what is unknown of a
+channel's calibration; what is known of it has been taken out when raw numbers became amplitudes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from scipy import sparse
+from scipy.sparse.linalg import splu
+
+from dashpot.arrays import Bools, Complex, Ints, Real, frozen
+from dashpot.channel import Channel, Quantity
+from dashpot.errors import DataError
+from dashpot.model.dynamics import stiffness
+from dashpot.model.network import Model
+from dashpot.numerics.small_systems import solve_small
+from dashpot.units import si_unit
+
+SPARSE_FROM = 48  # coordinates: above it a factorisation of the sparse pattern beats dense stacks
+
+
+# What a channel measures
+
+
+def measures_input(model: Model, channel: Channel) -> bool:
+    """Whether a channel measures inputs and nothing else: moved points, or applied forces.
+
+    The reaction force at a moved point is no input: it depends on the parameters.
+    """
+    names = model.force_inputs if channel.quantity is Quantity.FORCE else model.displacement_inputs
+    return set(channel.of) <= set(names)
+
+
+def is_direct(model: Model, channel: Channel) -> bool:
+    """Whether a channel depends on X, U and f alone: its calibration is known, and it measures no element's force."""
+    if None in (channel.gain, channel.delay, channel.sign):
+        return False
+    return channel.quantity is not Quantity.FORCE or measures_input(model, channel)
+
+
+def input_channels(model: Model) -> tuple[Channel, ...]:
+    """Every input as a channel of its own, in the order of q = (U, f)."""
+    moved = tuple(Channel(name, {name: 1.0}) for name in model.displacement_inputs)
+    return (*moved, *(Channel(name, {name: 1.0}, Quantity.FORCE) for name in model.force_inputs))
+
+
+def channel_unit(model: Model, channel: Channel) -> str:
+    """SI unit of a channel's quantity."""
+    along = {element.name: element.along for element in model.elements}
+    along |= {given.name: given.at for given in model.inputs if given.kind == "force"}
+    points = {point for name in channel.of for point in along.get(name, {name: 1.0})}
+    return si_unit(channel.quantity.value, bool(points) and points <= set(model.angles))
+
+
+def noise_sd(channels: Sequence[Channel], Y: Complex) -> Real:
+    """Standard deviation of one sample's noise, SI units of the quantity; `Y` (..., lines, channels) amplitudes.
+
+    Absolute and relative part are independent: √((noise · scale / |sign · gain|)² + (relative_noise |Y|)²).
+    """
+    floor = np.array([channel.noise * channel.scale / abs(channel.factor) for channel in channels])
+    relative = np.array([channel.relative_noise for channel in channels])
+    sd: Real = np.hypot(floor, relative * np.abs(Y))
+    return sd
+
+
+def with_relative_noise(
+    model: Model, channels: Iterable[Channel], level: float, *, drives: bool = False
+) -> tuple[Channel, ...]:
+    """Channels with noise of sd = level × amplitude of that channel at that frequency and no other (paper eq. 21).
+
+    Channels of the inputs stay as they are unless `drives`.
+    """
+    return tuple(
+        channel
+        if measures_input(model, channel) and not drives
+        else replace(channel, noise=0.0, relative_noise=level)
+        for channel in channels
+    )
+
+
+# The map
+
+
+@dataclass(frozen=True)
+class ObservationModel:
+    """The channels of one rig at given frequencies.  Holds no data and no parameters.
+
+    on_x (channels, n), on_q (channels, r + s): factors of displacements and applied forces
+    derivative (channels,): how often they are differentiated
+    force (channels, elements): factors of p_i a_i in channels that measure element forces or reactions
+    gain, delay (channels,): index into the gains and delays that are estimated, −1 where known
+    flips (channels,): whether the sign is to be found
+
+    ψ = (θ, gains, delays) are the unknowns.
+    """
+
+    model: Model
+    channels: tuple[Channel, ...]
+    omega: Real
+    on_x: Real
+    on_q: Real
+    derivative: Ints
+    force: Real
+    gain: Ints
+    delay: Ints
+    flips: Bools
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the unknowns ψ."""
+        theta = [unknown.name for unknown in self.model.unknowns]
+        return (*theta, *calibration_names(self.channels))
+
+    @property
+    def units(self) -> tuple[str, ...]:
+        """Units of ψ."""
+        theta = [unknown.unit for unknown in self.model.unknowns]
+        return (*theta, *["1"] * self.gains, *["s"] * self.delays)
+
+    @property
+    def gains(self) -> int:
+        """Number of unknown gains."""
+        return int(np.max(self.gain, initial=-1)) + 1
+
+    @property
+    def delays(self) -> int:
+        """Number of unknown delays."""
+        return int(np.max(self.delay, initial=-1)) + 1
+
+    @property
+    def m(self) -> int:
+        """Number of unknowns of the rig itself."""
+        return len(self.model.unknowns)
+
+    @cached_property
+    def has_forces(self) -> bool:
+        """Whether some channel measures a force that depends on the parameters."""
+        return bool(np.any(self.force))
+
+    @cached_property
+    def inputs_alone(self) -> Bools:
+        """Which channels show inputs and nothing else of the rig, (channels,)."""
+        alone: Bools = np.any(self.on_q, axis=-1) & ~np.any(self.on_x, axis=-1) & ~np.any(self.force, axis=-1)
+        return alone
+
+    @cached_property
+    def rates(self) -> Complex:
+        """(jω)^derivative of each channel, (lines, channels)."""
+        powers = np.stack([np.ones_like(self.omega), 1j * self.omega, -(self.omega**2)], axis=-1)
+        return frozen(powers[:, self.derivative], np.complex128)
+
+    @cached_property
+    def direct_x(self) -> Complex:
+        """C_x, (lines, channels, n)."""
+        return frozen(self.rates[..., None] * self.on_x, np.complex128)
+
+    @cached_property
+    def direct_q(self) -> Complex:
+        """C_q, (lines, channels, r + s)."""
+        return frozen(self.rates[..., None] * self.on_q, np.complex128)
+
+
+def calibration_names(channels: Sequence[Channel]) -> tuple[str, ...]:
+    """Names of the calibrations that are estimated with θ: NAME.gain, then NAME.delay.
+
+    A gain that several channels share is one unknown, named after its owner; an unknown sign is none, being ±1.
+    """
+    gains = tuple(f"{c.name}.gain" for c in channels if c.gain is None and c.same_gain_as is None)
+    return gains + tuple(f"{c.name}.delay" for c in channels if c.delay is None)
+
+
+def observation_model(model: Model, channels: Sequence[Channel], omega: Real) -> ObservationModel:
+    """What `channels` show of `model` at `omega` (lines,), rad/s.
+
+    Raises DataError where a channel measures what the rig has not, or shares a gain that is not unknown.
+    """
+    on_x, on_q, force = _incidence(model, channels)
+    derivative = [0 if c.quantity is Quantity.FORCE else c.quantity.derivative for c in channels]
+    gain, delay = _unknown_calibrations(channels)
+    flips = [channel.sign is None and channel.gain is not None for channel in channels]
+    return ObservationModel(
+        model, tuple(channels), frozen(omega, np.float64), on_x, on_q, frozen(derivative, np.int64), force, gain,
+        delay, frozen(flips, np.bool_),
+    )  # fmt: skip
+
+
+def _incidence(model: Model, channels: Sequence[Channel]) -> tuple[Real, Real, Real]:
+    """Factors of the channels on coordinates, on inputs and on element forces; each (channels, …)."""
+    x = {name: i for i, name in enumerate(model.coordinates)}
+    moved = {name: j for j, name in enumerate(model.displacement_inputs)}
+    applied = {name: len(moved) + j for j, name in enumerate(model.force_inputs)}
+    elements = {element.name: i for i, element in enumerate(model.elements)}
+    on_x = np.zeros((len(channels), model.n))
+    on_q = np.zeros((len(channels), len(moved) + len(applied)))
+    force = np.zeros((len(channels), len(elements)))
+    for c, channel in enumerate(channels):
+        is_force = channel.quantity is Quantity.FORCE
+        for name, factor in channel.of.items():
+            if is_force and name in elements:
+                force[c, elements[name]] += factor
+            elif is_force and name in moved:
+                force[c] += factor * model.D[:, moved[name]]
+            elif is_force and name in applied:
+                on_q[c, applied[name]] += factor
+            elif not is_force and name in x:
+                on_x[c, x[name]] += factor
+            elif not is_force and name in moved:
+                on_q[c, moved[name]] += factor
+            else:
+                there = [*moved, *applied, *elements] if is_force else [*x, *moved]
+                raise DataError(
+                    f"channel {channel.name} measures {'the force of ' if is_force else ''}{name}, which the rig has "
+                    "not",
+                    cure=f"it has {', '.join(there)}",
+                )
+    return frozen(on_x, np.float64), frozen(on_q, np.float64), frozen(force, np.float64)
+
+
+def _unknown_calibrations(channels: Sequence[Channel]) -> tuple[Ints, Ints]:
+    """Index of each channel's unknown gain and delay, −1 where known; (channels,) each."""
+    names = {channel.name: c for c, channel in enumerate(channels)}
+    gain, delay = np.full(len(channels), -1), np.full(len(channels), -1)
+    for c, channel in enumerate(channels):
+        if channel.gain is None and channel.same_gain_as is None:
+            gain[c] = int(np.max(gain)) + 1
+        if channel.delay is None:
+            delay[c] = int(np.max(delay)) + 1
+    for c, channel in enumerate(channels):
+        if channel.same_gain_as is not None:
+            owner = names.get(channel.same_gain_as)
+            if owner is None or gain[owner] < 0:
+                raise DataError(
+                    f"channel {channel.name} shares the gain of {channel.same_gain_as}, which has no unknown gain",
+                    cure='name a channel with gain = "unknown"',
+                )
+            gain[c] = gain[owner]
+    return frozen(gain, np.int64), frozen(delay, np.int64)
+
+
+# Calibrations
+
+
+def calibration(view: ObservationModel, psi: Real, sign: Real) -> Complex:
+    """κ of each channel, (..., lines, channels); ψ (..., M), signs (..., channels)."""
+    shape = (*psi.shape[:-1], len(view.omega), sign.shape[-1])
+    kappa = np.broadcast_to(sign[..., None, :].astype(np.complex128), shape)
+    if view.gains:
+        gains = psi[..., view.m : view.m + view.gains]
+        kappa = kappa * np.where(view.gain >= 0, gains[..., view.gain], 1.0)[..., None, :]
+    if view.delays:
+        delays = psi[..., view.m + view.gains :]
+        late = np.where(view.delay >= 0, delays[..., view.delay], 0.0)
+        kappa = kappa * np.exp(-1j * view.omega[:, None] * late[..., None, :])
+    return kappa
+
+
+def calibration_slopes(view: ObservationModel, psi: Real, Y: Complex) -> Complex:
+    """∂y/∂gain = y / gain and ∂y/∂τ = −jω y of amplitudes Y (..., lines, channels); (..., lines, channels, count)."""
+    gain = view.gain[:, None] == np.arange(view.gains)
+    delay = view.delay[:, None] == np.arange(view.delays)
+    by_gain = Y[..., None] * gain / psi[..., None, None, view.m : view.m + view.gains]
+    by_delay = -1j * view.omega[:, None, None] * Y[..., None] * delay
+    return np.concatenate([by_gain, by_delay], axis=-1)
+
+
+# Amplitudes and slopes; calibrations left out
+
+
+def channel_amplitudes(view: ObservationModel, X: Complex, q: Complex, forces: Complex) -> Complex:
+    """C_x X + C_q q + F (p ∘ a), (..., lines, channels), SI units, of any state of the rig.
+
+    X (..., lines, n) m, q = (U, f) (..., lines, r + s), `forces` p ∘ a of the elements (..., lines, elements) N: the
+    elements' own law says what they are.
+    """
+    Y: Complex = view.rates * (X @ view.on_x.T + q @ view.on_q.T) + forces @ view.force.T
+    return Y
+
+
+@dataclass(frozen=True)
+class Transfer:
+    """The channels as functions of the inputs at parameters p, y = G q, and what their slopes are made of.
+
+    G (..., lines, channels, r + s)
+    X (..., lines, n, r + s): coordinates per unit of each input
+    E (..., lines, channels, elements): ∂y_c/∂p_i = E_ci a_i, the effect of an internal force in element i
+    """
+
+    view: ObservationModel
+    G: Complex
+    X: Complex
+    E: Complex
+
+    def unit_forces(self, q: Complex) -> Complex:
+        """a = φ (B X + D U) under inputs q (..., lines, r + s); (..., lines, elements), N per unit of p."""
+        model = self.view.model
+        X = np.einsum("...nq,...q->...n", self.X, q)
+        B = model.B if small(model) else model.sparse_B
+        elongation = _times(X, B.T) + q[..., : model.D.shape[1]] @ model.D.T
+        a: Complex = model.factors(self.view.omega) * elongation
+        return a
+
+    def slopes(self, q: Complex) -> Complex:
+        """∂y/∂θ under inputs q (..., lines, r + s); (..., lines, channels, unknowns)."""
+        by_theta: Complex = (self.E * self.unit_forces(q)[..., None, :]) @ self.view.model.T
+        return by_theta
+
+
+def transfer(view: ObservationModel, p: Real) -> Transfer:
+    """The channels at parameters p (..., elements); NaN where the rig has no steady response.
+
+    ∂X/∂p_i = −D⁻¹ b_iᵀ a_i is never formed: one adjoint solve per channel, D being symmetric, gives all its slopes,
+    E = F − (B D⁻¹ cᵀ)ᵀ.
+    """
+    return _transfer_dense(view, p) if small(view.model) else _transfer_sparse(view, p)
+
+
+def small(model: Model) -> bool:
+    """Whether stacks of full matrices beat factorisations of the sparse pattern."""
+    return model.n < SPARSE_FROM
+
+
+def _transfer_dense(view: ObservationModel, p: Real) -> Transfer:
+    model, r = view.model, view.model.D.shape[1]
+    lead = (*p.shape[:-1], len(view.omega))
+    C_x, C_q = view.direct_x, view.direct_q
+    if view.has_forces:
+        rows = view.force * (p[..., None, :] * model.factors(view.omega))[..., None, :]
+        C_x = C_x + rows @ model.B
+        C_q = np.broadcast_to(C_q, (*lead, *C_q.shape[-2:])).copy()
+        C_q[..., :r] += rows @ model.D
+    C_x = np.broadcast_to(C_x, (*lead, *C_x.shape[-2:]))
+    both = stiffness(model, p, view.omega)
+    S = np.broadcast_to(model.S.astype(np.complex128), (*lead, *model.S.shape))
+    sides = [np.swapaxes(C_x, -1, -2), -both[..., model.n :], S]
+    solved = solve_small(both[..., : model.n], np.concatenate(sides, axis=-1))
+    adjoint, X = solved[..., : len(view.channels)], solved[..., len(view.channels) :]
+    return Transfer(view, C_q + C_x @ X, X, view.force - np.swapaxes(model.B @ adjoint, -1, -2))
+
+
+def _transfer_sparse(view: ObservationModel, p: Real) -> Transfer:
+    model = view.model
+    B, D, lines, channels = model.sparse_B, model.D, len(view.omega), len(view.channels)
+    Bt, by_force = B.T.tocsr(), sparse.csr_array(view.force)
+    indices, indptr, A = model.assembly
+    flat = p.reshape(-1, p.shape[-1])
+    r, S = D.shape[1], model.S.astype(np.complex128)
+    G = np.empty((len(flat), lines, channels, r + S.shape[1]), dtype=np.complex128)
+    X = np.empty((len(flat), lines, model.n, r + S.shape[1]), dtype=np.complex128)
+    E = np.empty((len(flat), lines, channels, len(model.elements)), dtype=np.complex128)
+    for line, factors in enumerate(model.factors(view.omega)):
+        direct_x, direct_q = (view.rates[line][:, None] * on for on in (view.on_x, view.on_q))
+        for k, weight in enumerate(flat * factors):
+            C_x, C_q = direct_x, direct_q.copy()
+            if view.has_forces:
+                rows = by_force.multiply(weight).tocsr()
+                C_x = C_x + (rows @ B).toarray()
+                C_q[:, :r] += rows @ D
+            D_k = sparse.csc_array((A @ weight, indices, indptr), shape=(model.n, model.n))
+            right = np.concatenate([C_x.T, -(Bt @ (weight[:, None] * D)), S], axis=1)
+            try:
+                factorised = splu(D_k, permc_spec="MMD_AT_PLUS_A", options={"SymmetricMode": True})
+                solved = factorised.solve(right)
+            except RuntimeError:  # exactly singular
+                solved = np.full_like(right, np.nan)
+            X[k, line] = solved[:, channels:]
+            G[k, line] = C_q + C_x @ X[k, line]
+            E[k, line] = view.force - (B @ solved[:, :channels]).T
+    lead = p.shape[:-1]
+    return Transfer(view, *(part.reshape(*lead, *part.shape[1:]) for part in (G, X, E)))
+
+
+def _times(rows: Complex, matrix: Real | sparse.csr_array | sparse.csc_array) -> Complex:
+    """rows (..., k) times a full or sparse matrix (k, j)."""
+    flat: Complex = np.asarray(rows.reshape(-1, rows.shape[-1]) @ matrix)
+    return flat.reshape(*rows.shape[:-1], matrix.shape[1])
