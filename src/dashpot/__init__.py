@@ -82,6 +82,7 @@ _NAMES = {
     "model.unstructured": "free_model",
     "model.rigfile": "Rig default_channels parse_rig read_rig write_rig",
     "model.network": "Input Model Unknown",
+    "notices": "Notice",
     "study.simulate": "Dwells dwells simulate_records simulate_spectrum",
 }
 _HOME = {name: module for module, names in _NAMES.items() for name in names.split()}
@@ -115,6 +116,7 @@ __all__ = [
     "ModelError",
     "Modes",
     "Moments",
+    "Notice",
     "OptimalIV",
     "Problem",
     "Quantity",

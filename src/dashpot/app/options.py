@@ -12,6 +12,7 @@ if TYPE_CHECKING:
     from dashpot.data.conditioning.settings import Conditioning
     from dashpot.data.readers import Reading
     from dashpot.data.spectrum import Spectrum
+    from dashpot.notices import Notice
 
 STDOUT = "-"  # as the name of a file to write
 NOT_CONVERGED = 3  # exit code
@@ -133,12 +134,12 @@ def amplitudes(reading: Reading, conditioning: Conditioning, quiet: bool, moment
     return spectrum
 
 
-def tell_notes(notes: Sequence[str], quiet: bool) -> None:
+def tell_notes(notes: Sequence[Notice], quiet: bool) -> None:
     """What was noticed on the way, on stderr: the first of those that differ in numbers alone, and how many follow."""
     if quiet:
         return
     groups: dict[str, list[str]] = {}
-    for note in dict.fromkeys(notes):
+    for note in dict.fromkeys(str(notice) for notice in notes):
         groups.setdefault(re.sub(r"\d[\d.]*(e[-+]?\d+)?", "#", note), []).append(note)
     for first, *others in groups.values():
         more = f" (and {len(others)} more like this)" if others else ""

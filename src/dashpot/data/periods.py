@@ -17,6 +17,7 @@ from dashpot.data.conditioning.harmonic_fit import fit_harmonics
 from dashpot.data.record import Record
 from dashpot.data.spectrum import Spectrum
 from dashpot.errors import DataError
+from dashpot.notices import Notice
 
 UNEVEN = 1e-3  # of a sampling step
 
@@ -58,7 +59,10 @@ def average_periods(
     V = np.einsum("plc,pld->lcd", away, np.conj(away)) / (count * (count - 1))
     frequencies = np.array(wanted) / period_s
     h = calibration(record.channels, frequencies)
-    notes = (f"{record.source}: the first {skip} periods are left out",) if skip else ()
+    notes: tuple[Notice, ...] = ()
+    if skip:
+        text = f"{record.source}: the first {skip} periods are left out"
+        notes = (Notice("periods_skipped", text, (record.source,)),)
     return Spectrum(
         record.channels,
         frequencies,

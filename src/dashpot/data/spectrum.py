@@ -14,6 +14,7 @@ from dashpot.arrays import Complex, Ints, Real, frozen
 from dashpot.channel import Channel
 from dashpot.data.stretch import SettledDwell, Stretch, WholeRecord, joined, selected
 from dashpot.errors import DataError
+from dashpot.notices import Notice
 
 
 @dataclass(frozen=True)
@@ -45,7 +46,7 @@ class Spectrum:
                   harmonic), "periods" (scatter of averages of periods) or "unknown"
     experiment    (lines,)                      which experiment a line belongs to
     moments       second moments of the samples, where they were asked for
-    notes         what a reader of results should know: samples thrown away, noise that could not be judged
+    notes         what a reader of results should know: samples discarded, noise that could not be judged
     stretch       (lines,)                      index into `stretches`: which lines share a dwell or a whole record;
                   all settled where it is not given
     stretches     what they share: settled dwells, or records with their boundary loads
@@ -60,7 +61,7 @@ class Spectrum:
     noise: tuple[str, ...]
     experiment: Ints
     moments: Moments | None = None
-    notes: tuple[str, ...] = ()
+    notes: tuple[Notice, ...] = ()
     stretch: Ints = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
     stretches: tuple[Stretch, ...] = (SettledDwell(),)
 

@@ -34,6 +34,7 @@ from dashpot.model.dynamics import matrices, modes
 from dashpot.model.network import Model
 from dashpot.model.observation import is_direct
 from dashpot.model.unstructured import free_entries, free_names
+from dashpot.notices import Notice
 
 ZERO = 1.96  # standard deviations within which a negative part may be none
 BIASED = 3.0  # standard deviations
@@ -184,7 +185,7 @@ def _most_likely(data: Prepared, solution: Solution, method: Method) -> Solution
 
 def _bias(
     names: tuple[str, ...], solution: Solution, best: Solution, value: Worth, method: Method
-) -> tuple[str, ...]:
+) -> tuple[Notice, ...]:
     """A warning where an estimate lies further from the most likely one than its spread explains (Hausman 1978)."""
     sd = np.sqrt(np.maximum(np.diagonal(value.covariance[0]), 0.0))
     with np.errstate(invalid="ignore", divide="ignore"):
@@ -192,12 +193,11 @@ def _bias(
     worst = int(np.argmax(np.nan_to_num(away)))
     if not away[worst] > BIASED:
         return ()
-    return (
-        (
-            f"{method.name} is biased by the noise of these data: {names[worst]} lies {away[worst]:.3g} of its "
-            "standard deviations from the most likely value, which oiv gives"
-        ),
+    text = (
+        f"{method.name} is biased by the noise of these data: {names[worst]} lies {away[worst]:.3g} standard "
+        "deviations from the maximum-likelihood value, which oiv gives"
     )
+    return (Notice("biased", text, (names[worst],)),)
 
 
 def _assemble(
@@ -251,6 +251,7 @@ def _assemble(
         modes=mode_values(model, theta[:m], covariance[:m, :m]) if single and model.n <= MODES_TO else None,
         signs={name: join([part.solution.signs[name] for part in parts]) for name in parts[0].solution.signs},
         warnings=tuple(warnings),
+        notes=spectrum.notes,
     )
 
 
@@ -284,92 +285,90 @@ def require_determined(
     )
 
 
-def _warnings(model: Model, theta: Real, covariance: Real, fit: Fit, known_noise: bool) -> list[str]:
-    found = []
+def _warnings(model: Model, theta: Real, covariance: Real, fit: Fit, known_noise: bool) -> list[Notice]:
+    notices = []
     if not known_noise:
-        found.append(
-            "the noise of the amplitudes is not given: equal relative noise is assumed, its size taken from the "
+        text = (
+            "the noise of the amplitudes is not given: equal relative noise is assumed and its size taken from the "
             "residuals"
         )
+        notices.append(Notice("unknown_noise", text))
     elif bool(fit.rejected):
-        found.append(
+        text = (
             f"the model does not fit: residuals are {float(fit.misfit):.3g} times the sensors' noise "
-            f"(χ² {float(fit.chi2):.4g} with {fit.dof} degrees of freedom); intervals are widened by that factor, "
-            "what counts only sensor noise is named so"
+            f"(χ² {float(fit.chi2):.4g} with {fit.dof} degrees of freedom); intervals are widened by that factor"
         )
-    found += wrong_signs(model, theta, covariance)
+        notices.append(Notice("model_misfit", text))
+    notices += wrong_signs(model, theta, covariance)
     lower, upper = model.bounds
     own = theta[: len(lower)]
     for j in np.flatnonzero((own < lower) | (own > upper)):
-        found.append(
-            f"{model.unknowns[j].name} lies beyond its bounds: of all methods, only ml holds to them"
-        )
-    return found
+        name = model.unknowns[j].name
+        text = f"{name} lies beyond its bounds; of all methods only ml keeps to them"
+        notices.append(Notice("beyond_bound", text, (name,)))
+    return notices
 
 
-def wrong_signs(model: Model, theta: Real, covariance: Real) -> list[str]:
+def wrong_signs(model: Model, theta: Real, covariance: Real) -> list[Notice]:
     """Warnings of negative parts, and of free matrices that are not definite."""
     free = free_names(model)
     sd = _sd(covariance)
-    found = [
-        f"{unknown.name} comes out negative ({value:.4g} {unknown.unit}): "
-        + (
-            "it may as well be 0, as its interval says"
-            if value > -ZERO * sd[j]
-            else "the model or the data lack something"
-        )
-        for j, (unknown, value) in enumerate(zip(model.unknowns, theta, strict=False))
-        if value < 0 and unknown.name not in free
-    ]
+    notices = []
+    for j, (unknown, value) in enumerate(zip(model.unknowns, theta, strict=False)):
+        if value < 0 and unknown.name not in free:
+            within = value > -ZERO * sd[j]
+            why = "0 is within its interval" if within else "the model or the data are wrong somewhere"
+            text = f"{unknown.name} is negative ({value:.4g} {unknown.unit}): {why}"
+            notices.append(Notice("negative_but_zero" if within else "negative", text, (unknown.name,)))
     if not free:
-        return found
+        return notices
     parts = matrices(model, model.parameters(theta[: len(model.unknowns)]))
     for letter in free_entries(model):
         values = np.linalg.eigvalsh(getattr(parts, letter))
         if values[0] < -1e-9 * values[-1]:
-            found.append(
-                f"{letter} is not positive definite (an eigenvalue of {values[0]:.3g} beside {values[-1]:.3g}): "
+            text = (
+                f"{letter} is not positive definite (eigenvalues from {values[0]:.3g} to {values[-1]:.3g}); "
                 "the method oiv+ finds the most likely matrices that are"
             )
-    return found
+            notices.append(Notice("not_definite", text, (letter,)))
+    return notices
 
 
-def held(names: tuple[str, ...], theta: Real, limits: Limits) -> list[str]:
+def held(names: tuple[str, ...], theta: Real, limits: Limits) -> list[Notice]:
     """Warnings of unknowns that lie at a bound; one repeat."""
     at = (theta <= limits.lower) | (theta >= limits.upper)
     return [
-        f"{name} is held at its bound; without it {float(free):.4g} would fit best"
+        Notice(
+            "at_bound", f"{name} is at its bound; without the bound {float(free):.4g} would fit best", (name,)
+        )
         for name, bound, free in zip(names, at, limits.free[0], strict=True)
         if bound
     ]
 
 
-def _colour(spectrum: Spectrum) -> list[str]:
+def _colour(spectrum: Spectrum) -> list[Notice]:
     """What the tests of whiteness led to, where they failed at more lines than white noise explains."""
     coloured = sum(kind == "blocks" for kind in spectrum.noise)
     if not coloured or bdtrc(coloured - 1, spectrum.lines, FALSE_ALARMS) > FALSE_ALARMS * (1 + 1e-9):
         return []
-    told = (
-        f"the noise of the samples is coloured at {coloured} of {spectrum.lines} lines: its size there is measured on "
-        "the frequencies beside the line, and the intervals count that; a transient, or a frequency stated a little "
-        "wrong, looks alike: see --settle and --refine"
-    )
-    return [told]
+    text = f"coloured noise at {coloured} of {spectrum.lines} frequencies; the intervals include it"
+    return [Notice("coloured_noise", text)]
 
 
-def _left_out(model: Model, spectrum: Spectrum) -> list[str]:
+def _left_out(model: Model, spectrum: Spectrum) -> list[Notice]:
     """Inputs that some lines measure and others leave empty: there they are unknown, which costs precision."""
     measured = channels_present(spectrum)
-    found = []
+    notices = []
     for name in (*model.displacement_inputs, *model.force_inputs):
         direct = [set(channel.of) == {name} and is_direct(model, channel) for channel in spectrum.channels]
         at = np.any(measured[:, direct], axis=-1)
         if np.any(at) and not np.all(at):
-            found.append(
-                f"the input {name} is not measured at {np.sum(~at)} of {len(at)} lines and unknown there, which widens "
-                "the intervals: if it was at rest, write 0"
+            text = (
+                f"the input {name} is not measured at {np.sum(~at)} of {len(at)} lines and is unknown there, which "
+                "widens the intervals; if it was at rest, write 0"
             )
-    return found
+            notices.append(Notice("input_not_measured", text, (name,)))
+    return notices
 
 
 def known_values(model: Model) -> tuple[tuple[str, float, str], ...]:

@@ -13,6 +13,7 @@ from dashpot.arrays import Bools, Complex, Ints, Real
 from dashpot.data.spectrum import Spectrum
 from dashpot.estimate.preparation.state_reconstruction import States
 from dashpot.model.network import Model
+from dashpot.notices import Notice
 
 
 @dataclass(frozen=True)
@@ -66,7 +67,7 @@ class Solution:
     iterations: Ints
     history: Real
     signs: Mapping[str, Real] = field(default_factory=dict)
-    warnings: tuple[str, ...] = ()
+    warnings: tuple[Notice, ...] = ()
     limits: Limits | None = None
 
 

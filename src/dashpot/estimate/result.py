@@ -13,6 +13,7 @@ import numpy as np
 
 from dashpot.arrays import Bools, Complex, Ints, Real, frozen
 from dashpot.errors import DataError
+from dashpot.notices import Notice
 
 FORMAT = "0.1"
 
@@ -87,6 +88,7 @@ class Estimate:
     known               (name, value, unit) of the exactly known parameters
     tied                (name, unknown, times, unit) of the parameters that are a multiple of an unknown
     signs               ±1 of the channels whose sign was found
+    warnings, notes     notices of the estimate, and of the data it was made from
     """
 
     model: str
@@ -110,7 +112,8 @@ class Estimate:
     tied: tuple[tuple[str, str, float, str], ...]
     modes: ModeValues | None
     signs: Mapping[str, Real]
-    warnings: tuple[str, ...]
+    warnings: tuple[Notice, ...]
+    notes: tuple[Notice, ...] = ()
 
     def __post_init__(self) -> None:
         fields = ("values", "covariance", "noise_covariance", "bound_sd", "dof", "history", "lower", "upper")
@@ -227,7 +230,12 @@ class Estimate:
                 "known_noise": self.fit.known_noise,
             },
             "history": self.history.tolist(),
-            "warnings": list(self.warnings),
+            "warnings": [str(notice) for notice in self.warnings],
+            "codes": [notice.code for notice in self.warnings],
+            "concerns": [list(notice.of) for notice in self.warnings],
+            "notes": [str(notice) for notice in self.notes],
+            "note_codes": [notice.code for notice in self.notes],
+            "note_concerns": [list(notice.of) for notice in self.notes],
         }  # fmt: skip
         return json.dumps(_plain(content), indent=1, ensure_ascii=False, allow_nan=False) + "\n"
 
@@ -335,5 +343,20 @@ def _loaded(content: Mapping[str, Any]) -> Estimate:
         tied=tied,
         modes=modes if rows else None,
         signs={name: np.asarray(float(sign)) for name, sign in content["signs"].items()},
-        warnings=tuple(content["warnings"]),
+        warnings=_notices(content, "warnings", "codes", "concerns"),
+        notes=_notices(content, "notes", "note_codes", "note_concerns"),
+    )
+
+
+def _notices(content: Mapping[str, Any], texts: str, codes: str, concerns: str) -> tuple[Notice, ...]:
+    """Notices of a file; those of older files have texts alone, and no code."""
+    sentences = content.get(texts, [])
+    return tuple(
+        Notice(str(code), str(text), tuple(str(name) for name in of))
+        for text, code, of in zip(
+            sentences,
+            content.get(codes, [""] * len(sentences)),
+            content.get(concerns, [()] * len(sentences)),
+            strict=True,
+        )
     )

@@ -13,6 +13,7 @@ import pytest
 from rich.console import Console
 
 from dashpot import Estimate, Model, Spectrum, dwells, identify, parse_rig, simulate_spectrum
+from dashpot.notices import Notice
 from dashpot.present.figures import spectra as figures
 from dashpot.present.pages.report import identification_report
 from dashpot.present.tables.estimate import (
@@ -119,20 +120,20 @@ def test_a_misfit_is_named_with_both_uncertainties(good: Estimate, bad: Estimate
 
 
 def test_what_the_fit_says_is_said_once(good: Estimate, bad: Estimate) -> None:
-    """The library's own warnings of the same begin as `worth_telling` expects; others are told."""
-    assert any(warning.startswith("the model does not fit") for warning in bad.warnings)
+    """Warnings of what the sentence on the fit says are left out by their code; others are shown."""
+    assert "model_misfit" in {warning.code for warning in bad.warnings}
     assert worth_telling(bad) == ()
     unknown = measured()
     unknown = replace(
         unknown, covariance=np.full_like(unknown.covariance, np.nan), noise=("unknown",) * unknown.lines
     )
     blind = identify(RIG.model, unknown)
-    assert blind.warnings
+    assert [warning.code for warning in blind.warnings] == ["unknown_noise"]
     assert worth_telling(blind) == ()
     assert "noise is unknown" in fit_in_words(blind.fit)
     assert "scatter of the residuals" in basis_in_words(blind)
-    other = replace(good, warnings=("c1 comes out negative",))
-    assert "Warning: c1 comes out negative" in printed(other)
+    other = replace(good, warnings=(Notice("negative", "c1 is negative", ("c1",)),))
+    assert "Warning: c1 is negative" in printed(other)
 
 
 def test_fit_in_words(good: Estimate) -> None:

@@ -27,6 +27,7 @@ from dashpot.data.conditioning.residual_noise import (
 from dashpot.data.conditioning.settings import Conditioning, FitTreatments, Noise, conditioning_of
 from dashpot.data.record import Record
 from dashpot.errors import DataError
+from dashpot.notices import Notice
 
 SIGNIFICANT = 0.01
 HIGHEST_HARMONIC = 10  # looked for
@@ -64,7 +65,7 @@ class HarmonicFit:
     dof: Real
     noise: Literal["white", "blocks"]
     whiteness: Real
-    notes: tuple[str, ...] = ()
+    notes: tuple[Notice, ...] = ()
 
     def __post_init__(self) -> None:
         for name, kind in (

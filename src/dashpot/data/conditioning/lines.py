@@ -17,6 +17,7 @@ from dashpot.data.conditioning.steady_state import settled, without_start
 from dashpot.data.record import Record
 from dashpot.data.spectrum import Spectrum, concatenate
 from dashpot.errors import DataError
+from dashpot.notices import Notice
 
 
 def spectrum(
@@ -50,24 +51,23 @@ def _lines(record: Record, settings: Conditioning) -> Spectrum:
         (fit.noise,) * len(wanted),
         np.full(len(wanted), record.experiment),
         second_moments(record, settings.drift) if settings.moments else None,
-        tuple(note for note in (*notes, *fit.notes) if note),
+        (*notes, *fit.notes),
     )
 
 
-def _treated(record: Record, settings: Conditioning) -> tuple[Record, list[str]]:
+def _treated(record: Record, settings: Conditioning) -> tuple[Record, list[Notice]]:
     """The record settled and with its frequency refined, as far as that is wanted, and notes."""
-    notes: list[str] = []
+    notes: list[Notice] = []
     if settings.settle == "auto":
         part = settled(record)
         record = part.record
-        notes.append(part.note)
+        notes += [] if part.note is None else [part.note]
     elif settings.settle != "none":
         record = without_start(record, float(settings.settle))
     if settings.nominal_frequency:
         return record, notes
     refined = refine_frequency(record, drift=settings.drift)
     if abs(refined.frequency_hz - refined.nominal_hz) > 3 * refined.sd:
-        notes.append(
-            f"{record.source}: driven at {refined.frequency_hz:.7g} Hz, not at {refined.nominal_hz:.7g} Hz"
-        )
+        text = f"{record.source}: driven at {refined.frequency_hz:.7g} Hz, not at {refined.nominal_hz:.7g} Hz"
+        notes.append(Notice("frequency_refined", text, (record.source,)))
     return replace(record, frequency_hz=refined.frequency_hz), notes

@@ -15,6 +15,7 @@ from dashpot.data.conditioning.regression import duration
 from dashpot.data.conditioning.settings import Noise
 from dashpot.data.record import Record
 from dashpot.errors import DataError
+from dashpot.notices import Notice
 
 LAGS = 20  # of the portmanteau test
 HALF_BAND = 10  # lines on each side of a harmonic that show the noise there
@@ -97,7 +98,7 @@ class NoiseLevel:
     level: Complex
     dof: Real
     whiteness: Real
-    notes: tuple[str, ...] = ()
+    notes: tuple[Notice, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -123,10 +124,11 @@ class LocalNoise:
             return NoiseLevel("blocks", self.level, 2.0 * self.counts, self.whiteness)
         if not coloured:
             return replace(white, whiteness=self.whiteness)
-        note = (
-            f"{record.source}: the residual at {f:g} Hz is not white but {periods:.3g} periods "
-            "are too few to see its colour; the intervals take it as white"
+        text = (
+            f"{record.source}: the residual at {f:g} Hz is not white, but {periods:.3g} periods "
+            "are too few to measure its colour; the intervals treat it as white"
         )
+        note = Notice("colour_unresolved", text, (record.source,))
         return replace(white, whiteness=self.whiteness, notes=(note,))
 
 

@@ -11,6 +11,7 @@ from dashpot.arrays import Complex, Ints, Real
 from dashpot.data.conditioning.regression import basis, duration, window
 from dashpot.data.record import Record
 from dashpot.errors import DataError
+from dashpot.notices import Notice
 
 SIGNIFICANT = 0.01
 
@@ -19,13 +20,13 @@ SIGNIFICANT = 0.01
 class Settled:
     """The part of a dwell that is driven and where the transient has decayed, and what was thrown away around it.
 
-    `note` says so in words; it is empty where nothing was thrown away and a transient would have been seen.
+    `note` says so in words; it is None where nothing was thrown away and a transient would have been seen.
     """
 
     record: Record
     dropped_samples: int
     dropped_s: float
-    note: str
+    note: Notice | None
 
 
 def settled(record: Record, frequency_hz: float | None = None) -> Settled:
@@ -45,13 +46,14 @@ def settled(record: Record, frequency_hz: float | None = None) -> Settled:
     each = max(1, periods // 32, int(np.ceil(8 * periods / len(time))))
     blocks = periods // each
     if blocks < 8:
-        note = f"{record.source}: {periods} periods at {f:g} Hz are too few to see a transient; none was cut"
-        return Settled(record, 0, 0.0, note)
+        text = f"{record.source}: {periods} periods at {f:g} Hz are too few to detect a transient"
+        return Settled(record, 0, 0.0, Notice("transient_undetectable", text, (record.source,)))
     step = (time[-1] - time[0]) / (len(time) - 1)
     starts = np.searchsorted(time, time[-1] + step - (each / f) * np.arange(blocks, 0, -1) - step / 4)
     ends = np.append(starts[1:], len(time))
     if np.min(ends - starts) < 4:
-        return Settled(record, 0, 0.0, f"{record.source}: too many gaps to see a transient; none was cut")
+        text = f"{record.source}: too many gaps to detect a transient"
+        return Settled(record, 0, 0.0, Notice("transient_undetectable", text, (record.source,)))
     Z, rms = _block_amplitudes(record, f, starts, ends)
     begin, end = _driven(Z)
     if end - begin >= 8:
@@ -60,13 +62,14 @@ def settled(record: Record, frequency_hz: float | None = None) -> Settled:
     last = len(time) if end == blocks else int(starts[end])
     dropped = len(time) - (last - first)
     if not dropped:
-        return Settled(record, 0, 0.0, "")
+        return Settled(record, 0, 0.0, None)
     kept = replace(record, time=time[first:last], values=record.values[..., first:last, :])
     what = [f"the first {time[first] - time[0]:.4g} s"] * (first > 0) + [
         f"the last {time[-1] - time[last - 1]:.4g} s"
     ] * (last < len(time))
     whole = float(time[-1] - time[0])
-    note = f"{record.source}: {' and '.join(what)} of {whole:.4g} s at {f:g} Hz are not settled: thrown away"
+    text = f"{record.source}: discarded {' and '.join(what)} of {whole:.4g} s at {f:g} Hz (transient)"
+    note = Notice("transient_discarded", text, (record.source,))
     return Settled(kept, dropped, float(time[-1] - time[0] - (kept.time[-1] - kept.time[0])), note)
 
 

@@ -18,6 +18,7 @@ from dashpot.data.readers.delimited.table import open_table
 from dashpot.data.record import Record
 from dashpot.data.spectrum import Spectrum, concatenate
 from dashpot.errors import DataError
+from dashpot.notices import Notice
 
 __all__ = ["Reading", "read", "write_amplitudes", "write_records"]
 
@@ -28,7 +29,7 @@ class Reading:
 
     records: tuple[Record, ...]
     amplitudes: Spectrum | None
-    notes: tuple[str, ...]
+    notes: tuple[Notice, ...]
 
     def spectrum(
         self, conditioning: Conditioning | None = None, **treatments: Unpack[Treatments]
@@ -72,7 +73,7 @@ def read(
         raise DataError(f"frequency {frequency_hz:g} Hz", cure="frequencies must be positive and finite")
     records: list[Record] = []
     spectra: list[Spectrum] = []
-    notes: list[str] = []
+    notes: list[Notice] = []
     for number, path in enumerate(several):
         table = open_table(path)
         if is_lvm(table):

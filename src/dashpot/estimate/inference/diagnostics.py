@@ -8,6 +8,7 @@ from dashpot.arrays import Real
 from dashpot.channel import Quantity
 from dashpot.data.spectrum import Spectrum
 from dashpot.model.network import Model
+from dashpot.notices import Notice
 
 APART = 4.0  # standard deviations beyond which two statements contradict each other
 # Share of a prior's variance in the posterior beyond which the data say too little to contradict it.
@@ -27,7 +28,7 @@ def dead_channels(model: Model, spectrum: Spectrum) -> list[str]:
     return found
 
 
-def duplicated_lines(spectrum: Spectrum) -> list[str]:
+def duplicated_lines(spectrum: Spectrum) -> list[Notice]:
     """A warning of lines whose noisy amplitudes are those of another line to the last digit."""
     if not np.any(spectrum.covariance):
         return []
@@ -37,19 +38,19 @@ def duplicated_lines(spectrum: Spectrum) -> list[str]:
     more = len(rows) - len(np.unique(rows, axis=0))
     if not more:
         return []
-    told = (
-        f"{more} of {spectrum.lines} lines repeat another one to the last digit and count as measurements of their "
-        "own: if the same data are given twice, the intervals are too small"
+    text = (
+        f"{more} of {spectrum.lines} lines repeat another line to the last digit and are counted as independent "
+        "measurements; if the same data were given twice, the intervals are too small"
     )
-    return [told]
+    return [Notice("duplicated_lines", text)]
 
 
-def prior_conflict(model: Model, theta: Real, noise_covariance: Real) -> list[str]:
+def prior_conflict(model: Model, theta: Real, noise_covariance: Real) -> list[Notice]:
     """Warnings of parameters stated with an sd that the data, left alone, put elsewhere; θ counts the statement.
 
     An efficient estimate θ and the statement μ ± s it has used differ by s² − var θ in variance where both are right.
     """
-    found = []
+    notices = []
     for j in np.flatnonzero(model.prior_precision):
         stated, variance = 1 / model.prior_precision[j], noise_covariance[j, j]
         own = max(stated - variance, (1 - MOST_TOLD) * stated)
@@ -58,21 +59,22 @@ def prior_conflict(model: Model, theta: Real, noise_covariance: Real) -> list[st
             continue
         alone = (theta[j] - model.prior_mean[j] * variance / stated) / (1 - min(variance / stated, MOST_TOLD))
         name, unit = model.unknowns[j].name, model.unknowns[j].unit
-        found.append(
-            f"{name} is stated as {model.prior_mean[j]:.4g} ± {np.sqrt(stated):.2g} {unit}, and the data alone would "
-            f"make it {alone:.4g}: {apart:.2g} standard deviations apart; one of the two is wrong, or the model is"
+        text = (
+            f"{name} is stated as {model.prior_mean[j]:.4g} ± {np.sqrt(stated):.2g} {unit}, but the data alone give "
+            f"{alone:.4g}, {apart:.2g} standard deviations away: the statement, the data or the model is wrong"
         )
-    return found
+        notices.append(Notice("prior_conflict", text, (name,)))
+    return notices
 
 
-def reversed_phase(model: Model, theta: Real, noise_covariance: Real) -> list[str]:
+def reversed_phase(model: Model, theta: Real, noise_covariance: Real) -> list[Notice]:
     """A hint where every damper comes out negative beyond doubt: phases that count the other way do that."""
     dissipative = {element.name for element in model.elements if element.law.dissipative}
     dampers = [j for j, unknown in enumerate(model.unknowns) if unknown.name in dissipative]
     if not dampers or np.any(theta[dampers] > -APART * np.sqrt(np.diagonal(noise_covariance)[dampers])):
         return []
-    told = (
-        "all unknown dampers come out negative: perhaps the phases count the other way; dashpot reads amplitudes as "
-        "x(t) = Re(X e^{jωt}), in other data change the sign of the imaginary parts"
+    text = (
+        "all unknown dampers are negative: the phases may have the opposite sign; dashpot reads amplitudes as "
+        "x(t) = Re(X e^{jωt}), for data of the other convention change the sign of the imaginary parts"
     )
-    return [told]
+    return [Notice("reversed_phase", text, tuple(model.unknowns[j].name for j in dampers))]

@@ -16,6 +16,7 @@ from dashpot.estimate.linear.least_squares import compensated
 from dashpot.estimate.method import Limits, Method, Prepared, Solution
 from dashpot.model.observation import SPARSE_FROM, ObservationModel, is_direct, observation_model, small
 from dashpot.model.unstructured import free_names
+from dashpot.notices import Notice
 from dashpot.numerics.levenberg_marquardt import (
     PATIENCE,
     OptimizeResult,
@@ -97,7 +98,7 @@ class MaximumLikelihood(Method):
         repeats = len(exact.y)
         lower, upper = bounds(view, self.positive)
         direct = data.states is not None and all(is_direct(data.model, c) for c in data.spectrum.channels)
-        warnings: tuple[str, ...] = ()
+        warnings: tuple[Notice, ...] = ()
         if direct and data.states is not None:
             start, sign = compensated(data.model, data.states), np.ones((repeats, len(view.channels)))
             found = self._descend(view, exact, start, sign, lower, upper)
@@ -138,7 +139,7 @@ class MaximumLikelihood(Method):
 
     def _from_valleys(
         self, view: ObservationModel, data: Measured, valleys: LocalMinima, lower: Real, upper: Real
-    ) -> tuple[OptimizeResult, Real, tuple[str, ...]]:
+    ) -> tuple[OptimizeResult, Real, tuple[Notice, ...]]:
         """Each repeat from the deepest valley and its rivals: the lowest end, its signs, and a word on close rivals."""
         unit = max(1.0, valleys.cost[0] / data.rows)
         near = np.flatnonzero(valleys.cost <= valleys.cost[0] + RIVAL * unit)[: 2 * DEEPEST]
@@ -324,7 +325,7 @@ def _rivals(
     sign: Real,
     bottoms: LocalMinima,
     doubt: float,
-) -> tuple[str, ...]:
+) -> tuple[Notice, ...]:
     """A warning where another valley of one repeat fits nearly as well as the one that the search ended in."""
     at = predict(view, data, found.x, sign)
     information = np.sum(at.information(), axis=-3)[0] + np.diag(prior_precision(view))
@@ -336,12 +337,9 @@ def _rivals(
             continue  # within 3 sd it is the same flat valley
         largest = np.argsort(-away / np.maximum(np.abs(best), np.abs(psi)))[:4]
         other = ", ".join(f"{view.names[j]} = {psi[j]:.4g} {view.units[j]}" for j in largest)
-        worse = f"nearly as well (χ² is {above:.3g} more)" if above > TIE else "as well"
-        word = (
-            f"other values fit {worse}: {other}; a sensor at another point, a known parameter or a guess would decide "
-            "between them"
-        )
-        return (word,)
+        worse = f"almost as well (χ² is {above:.3g} larger)" if above > TIE else "equally well"
+        text = f"not unique: {other} fits {worse}; add a sensor at another point, fix a parameter or give a guess"
+        return (Notice("not_unique", text, tuple(view.names[j] for j in largest)),)
     return ()
 
 

@@ -34,6 +34,7 @@ from dashpot.estimate.linear.least_squares import (
 from dashpot.estimate.method import Method, Prepared, Solution
 from dashpot.estimate.preparation.state_reconstruction import States
 from dashpot.model.network import Model
+from dashpot.notices import Notice
 from dashpot.numerics.small_systems import scaled_inverse, solve_scaled, solve_small
 
 HIDDEN = 0.95  # of the noise that makes least squares singular: as close as compensated least squares goes
@@ -59,13 +60,13 @@ class TotalLeastSquares(Method):
         found = self._search(sums, start)
         with np.errstate(all="ignore"):
             covariance = _covariance(data, sums, found.theta, found.size, total=True)
-        warnings = []
+        warnings: list[Notice] = []
         if not np.all(found.converged):
-            warnings.append("the factor of the noise did not settle: the noise hides some unknown")
+            text = "the noise factor did not converge: the noise hides at least one unknown"
+            warnings.append(Notice("noise_factor_diverged", text))
         elif np.any(found.size > HIDDEN * sums.largest()):
-            warnings.append(
-                "tls is not to be trusted here: the noise all but hides some combination of unknowns"
-            )
+            text = "tls is not to be trusted here: the noise almost hides a combination of unknowns"
+            warnings.append(Notice("noise_near_singular", text))
         return Solution(
             found.theta,
             covariance,
@@ -127,7 +128,10 @@ class CompensatedLeastSquares(Method):
         theta = theta + sums.correction(theta, size)
         with np.errstate(all="ignore"):
             covariance = _covariance(data, sums, theta, size, total=False)
-        warnings = () if np.all(usable) else ("the noise is too large to be taken out: cls leaves it in",)
+        kept = Notice(
+            "noise_not_compensated", "the noise is too large to be compensated: cls leaves its bias in"
+        )
+        warnings = () if np.all(usable) else (kept,)
         solved = np.all(np.isfinite(theta), axis=-1)
         history = np.stack([plain[0], start[0], theta[0]])
         return Solution(

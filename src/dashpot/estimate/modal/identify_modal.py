@@ -31,6 +31,7 @@ from dashpot.estimate.result import Estimate, Fit
 from dashpot.model.dynamics import matrices, modes
 from dashpot.model.elements import Kind
 from dashpot.model.network import Model
+from dashpot.notices import Notice
 from dashpot.numerics.levenberg_marquardt import OptimizeResult, QuadraticModel, minimise, without_bounds
 from dashpot.numerics.small_systems import scaled_inverse, solve_scaled, solve_small
 
@@ -125,16 +126,17 @@ def _check(model: Model, data: ModalData) -> None:
         )
 
 
-def _warnings(model: Model, theta: Real, covariance: Real, limits: Limits, fit: Fit) -> tuple[str, ...]:
-    found = []
+def _warnings(model: Model, theta: Real, covariance: Real, limits: Limits, fit: Fit) -> tuple[Notice, ...]:
+    notices = []
     if bool(fit.rejected):
-        found.append(
+        text = (
             f"the model does not have these modes: residuals are {float(fit.misfit):.3g} times their uncertainty "
             f"(χ² {float(fit.chi2):.4g} with {fit.dof} degrees of freedom); intervals are widened by that factor"
         )
-    found += wrong_signs(model, theta, covariance)
-    found += held(tuple(unknown.name for unknown in model.unknowns), theta, limits)
-    return tuple(found)
+        notices.append(Notice("modes_misfit", text))
+    notices += wrong_signs(model, theta, covariance)
+    notices += held(tuple(unknown.name for unknown in model.unknowns), theta, limits)
+    return tuple(notices)
 
 
 def _require_regular(symmetric: Real, model: Model) -> None:
@@ -454,7 +456,7 @@ def _one_of(model: Model, ends: OptimizeResult) -> OptimizeResult:
     return OptimizeResult(ends.x[at], ends.cost[at], ends.converged[at], ends.iterations[at], ends.x[at])
 
 
-def _rivals(model: Model, found: OptimizeResult, ends: OptimizeResult, sd: Real) -> tuple[str, ...]:
+def _rivals(model: Model, found: OptimizeResult, ends: OptimizeResult, sd: Real) -> tuple[Notice, ...]:
     """A warning where other ends fit nearly as well: frequencies alone have several rigs."""
     best = found.x[0]
     near = ends.converged & (ends.cost <= found.cost[0] + DOUBT)
@@ -474,19 +476,13 @@ def _rivals(model: Model, found: OptimizeResult, ends: OptimizeResult, sd: Real)
         f"{model.unknowns[j].name} = {others[0][j]:.4g} {model.unknowns[j].unit}" for j in largest
     )
     more = len(others) - 1
-    many = (
-        f"; so do {more} more sets of values"
-        if more > 1
-        else "; so does one more set of values"
-        if more
-        else ""
+    many = f" ({more} more set{'' if more == 1 else 's'} of values likewise)" if more else ""
+    worse = f"almost as well (χ² is {above[0]:.3g} larger)" if above[0] > TIE else "equally well"
+    text = (
+        f"not unique: {values} fits {worse}{many}; measure shapes at more points, fix a parameter or give a guess "
+        "of every unknown"
     )
-    worse = f"nearly as well (χ² is {above[0]:.3g} more)" if above[0] > TIE else "as well"
-    word = (
-        f"other values fit {worse}: {values}{many}; shapes at more points, a known parameter or a guess for every "
-        "unknown would decide between them"
-    )
-    return (word,)
+    return (Notice("not_unique", text, tuple(model.unknowns[j].name for j in largest)),)
 
 
 def _guessed(model: Model, repeats: int) -> Real | None:

@@ -10,6 +10,7 @@ from rich.text import Text
 
 from dashpot.estimate.comparison import Comparison
 from dashpot.estimate.result import Estimate
+from dashpot.present.text.notices import with_remedy
 from dashpot.present.text.numbers import aligned, percent, plain, rounded, short
 
 MISSES = "*"
@@ -129,7 +130,9 @@ def _remarks(comparison: Comparison, level: float) -> list[str]:
         f"{name} did not converge." for name, e in comparison.estimates.items() if not bool(e.converged)
     ]
     reasons = [(str(error), name) for name, error in comparison.refused.items()]
-    told = [(warning, name) for name, e in comparison.estimates.items() for warning in e.warnings]
+    told = [
+        (with_remedy(warning), name) for name, e in comparison.estimates.items() for warning in e.warnings
+    ]
     return [*lines, *_by_name(reasons, ()), *_by_name(told, tuple(comparison.estimates))]
 
 

@@ -16,6 +16,7 @@ from rich.text import Text
 
 from dashpot.data.spectrum import Spectrum
 from dashpot.estimate.result import Estimate, Fit, ModeValues
+from dashpot.present.text.notices import with_remedy
 from dashpot.present.text.numbers import aligned, alike, percent, plain, probability, rounded, short
 
 WIDTH = 80
@@ -191,9 +192,12 @@ def convergence_in_words(estimate: Estimate) -> str:
 
 
 def worth_telling(estimate: Estimate) -> tuple[str, ...]:
-    """Warnings beside what `fit_in_words` says anyway."""
-    said = ("the model does not fit", "the noise of the amplitudes is not given")
-    return tuple(warning for warning in estimate.warnings if not warning.startswith(said))
+    """Warnings beside what `fit_in_words` says anyway, each with what to do about it."""
+    return tuple(
+        with_remedy(notice)
+        for notice in estimate.warnings
+        if notice.code not in ("model_misfit", "unknown_noise")
+    )
 
 
 def show_estimate(out: Console, estimate: Estimate, level: float = 0.95) -> None:

@@ -93,6 +93,6 @@ def test_too_few_periods_for_colour():
     record = Record((X1,), t, wave(t, 1, [1]) + coloured(rng, 0.9, 500, 1), 1.0)
     fit = fit_harmonics(record)
     assert fit.noise == "white"
-    assert "not white" in fit.notes[0]
+    assert "not white" in fit.notes[0].text
     with pytest.raises(DataError, match="too few"):
         fit_harmonics(record, noise="blocks")

@@ -47,7 +47,7 @@ class TestXsens:
         assert record.values[:, 0] == pytest.approx(record.values[:, 1])
         assert record.values[:, 0] == pytest.approx(1e-6 * (1000 + 8333 * 3) + record.time)
         assert record.frequency_hz == 2.0
-        assert "2 samples" in notes[-1]
+        assert "2 samples" in notes[-1].text
 
     def test_a_clock_that_starts_again(self, files):
         start = 2**32 - 10 * 8333
@@ -59,7 +59,7 @@ class TestXsens:
         text = "\n".join([*lines[:20], *lines[23:]]) + "\n"
         record, notes = read_xsens(files(u=text, x1=xsens()), SENSORS)
         assert np.max(np.diff(record.time)) == pytest.approx(4 * 8333e-6)
-        assert any("3 packets are missing" in note for note in notes)
+        assert any("3 packets are missing" in note.text for note in notes)
 
     @pytest.mark.parametrize(
         ("text", "what"),

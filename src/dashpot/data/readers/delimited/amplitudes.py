@@ -23,6 +23,7 @@ from dashpot.data.readers.delimited.table import LARGEST, Table, bare, listed, w
 from dashpot.data.spectrum import Spectrum
 from dashpot.data.stretch import SettledDwell, Stretch, WholeRecord
 from dashpot.errors import DataError
+from dashpot.notices import Notice
 
 SAMPLES, DOF, NOISE = "samples", "dof", "noise"
 RECORD, FUNDAMENTAL = "record", "fundamental_hz"
@@ -38,7 +39,7 @@ def is_amplitudes(table: Table) -> bool:
 
 def read_amplitudes(
     table: Table, channels: Sequence[Channel], experiment: int = 0
-) -> tuple[Spectrum, list[str]]:
+) -> tuple[Spectrum, list[Notice]]:
     """The spectrum in SI units with known calibrations taken out, and notes.
 
     No sd column at all: the noise is unknown (covariance NaN).  Where some channels have one, those without are exact.
@@ -79,7 +80,8 @@ def read_amplitudes(
     extra = [bare(name)[0] for i, name in enumerate(table.header) if i not in read]
     notes = list(table.notes)
     if extra:
-        notes.append(f"{table.source}: not read, because the rig file does not list them: {listed(extra)}")
+        text = f"{table.source}: not read, because the rig file does not list them: {listed(extra)}"
+        notes.append(Notice("columns_not_read", text, tuple(extra)))
     frequency = values[f_at]
     check_frequency(table, f_at, frequency)
     lines = len(frequency)

@@ -18,6 +18,7 @@ from dashpot.data.readers.delimited.stepped_sine import FREQUENCY, check_frequen
 from dashpot.data.readers.delimited.table import Table, bare, listed
 from dashpot.data.spectrum import Spectrum, concatenate
 from dashpot.errors import DataError
+from dashpot.notices import Notice
 
 
 def is_frf(table: Table) -> bool:
@@ -26,7 +27,7 @@ def is_frf(table: Table) -> bool:
     return any("/" in name and name.endswith("_re") and name[:-3] + "_im" in names for name in names)
 
 
-def read_frf(table: Table, channels: Sequence[Channel], experiment: int = 0) -> tuple[Spectrum, list[str]]:
+def read_frf(table: Table, channels: Sequence[Channel], experiment: int = 0) -> tuple[Spectrum, list[Notice]]:
     """The spectrum in SI units, one experiment for each input from number `experiment` on, and notes.
 
     Without any sd column the noise is unknown.  Raises DataError with file and column for what is missing, not a

@@ -18,6 +18,7 @@ from dashpot.channel import Channel
 from dashpot.data.readers.delimited.table import LARGEST, Table, bare, listed, shown, write_rows
 from dashpot.data.record import Record
 from dashpot.errors import DataError
+from dashpot.notices import Notice
 
 FREQUENCY, TIME, EXPERIMENT = "frequency_hz", "time_s", "experiment"
 _IN_NAME = re.compile(r"(?<![\d.])(\d+(?:[.,p]\d+)?)[ _-]?hz(?![a-z])", re.IGNORECASE)
@@ -25,7 +26,7 @@ _IN_NAME = re.compile(r"(?<![\d.])(\d+(?:[.,p]\d+)?)[ _-]?hz(?![a-z])", re.IGNOR
 
 def read_records(
     table: Table, channels: Sequence[Channel], frequency_hz: float | None = None, experiment: int = 0
-) -> tuple[list[Record], list[str]]:
+) -> tuple[list[Record], list[Notice]]:
     """Records and notes.  `frequency_hz` and `experiment` serve files without these columns; a frequency is also
     taken from a file name such as sweep_12.5Hz.csv.
 
@@ -40,7 +41,8 @@ def read_records(
     wanted = list(dict.fromkeys([time_at, *known, *at]))
     extra = [bare(name)[0] for i, name in enumerate(table.header) if i not in wanted]
     if extra:
-        notes.append(f"{table.source}: not read, because the rig file does not list them: {listed(extra)}")
+        text = f"{table.source}: not read, because the rig file does not list them: {listed(extra)}"
+        notes.append(Notice("columns_not_read", text, tuple(extra)))
     numbers = table.numbers(wanted)
     time = numbers[time_at]
     _check_range(table, time_at, time, 1e12, "s")
@@ -51,7 +53,8 @@ def read_records(
     elif frequency_hz is None:
         frequency_hz = _frequency_in_name(table.source)
         if frequency_hz is not None:
-            notes.append(f"{table.source}: taken as driven at {frequency_hz:g} Hz, from its name")
+            text = f"{table.source}: the drive frequency {frequency_hz:g} Hz is taken from the file's name"
+            notes.append(Notice("frequency_from_name", text, (table.source,)))
     experiments = np.full(len(time), experiment, dtype=np.int64)
     if experiment_at is not None:
         experiments = whole_numbers(table, experiment_at, numbers[experiment_at])
@@ -132,10 +135,10 @@ def _blocks(table: Table, column: int, time: Real, frequency: Real | None, exper
     return sorted(starts)
 
 
-def _clipped(record: Record) -> list[str]:
+def _clipped(record: Record) -> list[Notice]:
     """Channels that rest at their limit: three samples in a row and 1 % of all at exactly the greatest or least value,
     eight times as many as at the value next to it."""
-    notes = []
+    notes: list[Notice] = []
     for channel, x in zip(record.channels, record.values.T, strict=True):
         for limit, side in ((np.max(x), x < np.max(x)), (np.min(x), x > np.min(x))):
             at = x == limit
@@ -144,10 +147,11 @@ def _clipped(record: Record) -> list[str]:
                 continue
             following = np.max(x[side]) if np.max(x) == limit else np.min(x[side])
             if count >= 8 * np.sum(x == following):
-                notes.append(
-                    f"{record.source}: {channel.name} rests at its limit in {count} of {len(x)} samples: "
+                text = (
+                    f"{record.source}: {channel.name} stays at its limit in {count} of {len(x)} samples: "
                     "if it is clipped, its amplitude is too small; widen the range or drive less"
                 )
+                notes.append(Notice("clipped", text, (channel.name,)))
                 break
     return notes
 

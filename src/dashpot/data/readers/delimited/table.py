@@ -22,6 +22,7 @@ from dashpot import units
 from dashpot.arrays import Bools, Real
 from dashpot.channel import Channel, Quantity
 from dashpot.errors import DashpotError, DataError
+from dashpot.notices import Notice
 
 HEAD = 1 << 20  # bytes in which the header row must end
 MOST_COLUMNS = 10_000
@@ -59,7 +60,7 @@ class Table:
     first_row: int
     delimiter: str
     decimal: str
-    notes: tuple[str, ...]
+    notes: tuple[Notice, ...]
 
     def find(self, name: str) -> int | None:
         """Position of a column, by its name or by its name in front of a unit in brackets.
@@ -379,8 +380,8 @@ def _check_end(table: Table) -> Table:
             f"{table.source}:{table.row(sum(1 for _ in table._rows()) - 1)}",
             "copy it again, or take the last row out",
         )
-    note = f"{table.source}: the last row has no line end; if the file was cut off, its last number is wrong"
-    return replace(table, notes=(*table.notes, note))
+    text = f"{table.source}: the last row has no line end; if the file was cut off, its last number is wrong"
+    return replace(table, notes=(*table.notes, Notice("no_line_end", text, (table.source,))))
 
 
 def _looks_cut(last: str, before: list[str]) -> bool:

@@ -16,6 +16,7 @@ from dashpot.channel import Channel, Quantity
 from dashpot.data.readers.delimited.table import Table, open_table, shown
 from dashpot.data.record import Record
 from dashpot.errors import DataError
+from dashpot.notices import Notice
 
 COUNTER, CLOCK = "PacketCounter", "SampleTimeFine"
 AXES = ("Acc_X", "Acc_Y", "Acc_Z")
@@ -31,7 +32,7 @@ def read_xsens(
     frequency_hz: float | None = None,
     experiment: int = 0,
     source: str = "record",
-) -> tuple[Record, list[str]]:
+) -> tuple[Record, list[Notice]]:
     """The acceleration along `axis` of every channel, at the times that all sensors have in common, and notes.
 
     `paths` names the file of each channel.  Time counts from the first common sample, in s.  Raises DataError with
@@ -41,7 +42,7 @@ def read_xsens(
     if column not in AXES:
         raise DataError(f"there is no axis {shown(axis)}", source, "it may be X, Y or Z")
     sensors: list[tuple[Ints, Real]] = []
-    notes: list[str] = []
+    notes: list[Notice] = []
     for channel in channels:
         if channel.name not in paths:
             cure = f"there are files of {', '.join(paths) or 'nothing'}"
@@ -65,13 +66,14 @@ def read_xsens(
             "give files of one recording, made by sensors that were synchronised before it",
         )
     if len(common) < shortest:
-        notes.append(f"{source}: {shortest - len(common)} samples that not all sensors have are left out")
+        text = f"{source}: {shortest - len(common)} samples that not all sensors have are left out"
+        notes.append(Notice("samples_not_shared", text, (source,)))
     values = np.stack([x[np.searchsorted(clock, common)] for clock, x in sensors], axis=-1)
     time = (common - common[0]) * 1e-6
     return Record(tuple(channels), time, values, frequency_hz, experiment, source), notes
 
 
-def _sensor(table: Table, column: str) -> tuple[Ints, Real, list[str]]:
+def _sensor(table: Table, column: str) -> tuple[Ints, Real, list[Notice]]:
     """Clock in µs, values in m/s², notes; rows of zeros at the start left out."""
     counter_at, clock_at, value_at = table.need(COUNTER), table.need(CLOCK), table.need(column)
     axes = [table.need(name) for name in AXES]
@@ -96,5 +98,6 @@ def _sensor(table: Table, column: str) -> tuple[Ints, Real, list[str]]:
     notes = list(table.notes)
     lost = int(np.sum(np.diff(numbers[counter_at][first:]) - 1))
     if lost > 0:
-        notes.append(f"{table.source}: {lost} packets are missing; the true times of the others are used")
+        text = f"{table.source}: {lost} packets are missing; the others keep their true times"
+        notes.append(Notice("packets_lost", text, (table.source,)))
     return ticks[first:], numbers[value_at][first:], notes
