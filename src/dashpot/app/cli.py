@@ -6,19 +6,31 @@
 from __future__ import annotations
 
 import os
+import signal
 import sys
 import warnings
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
+from contextlib import suppress
 from importlib import import_module
+from types import FrameType
 
 import click
 
 from dashpot.app.commands import COMMANDS
 from dashpot.app.workers import one_thread
 from dashpot.errors import DashpotError
+from dashpot.io import ledger
 
 FAULT, USAGE, INTERRUPTED, BROKEN_PIPE = 1, 2, 130, 141  # 128 + signal, as shells report it
 TRACEBACK = "DASHPOT_TRACEBACK"
+
+
+class Ended(BaseException):
+    """A signal asks this process to end; raised so that what is being written is cleared away on the way out."""
+
+    def __init__(self, number: int) -> None:
+        super().__init__(number)
+        self.number = number
 
 
 class Commands(click.Group):
@@ -66,8 +78,10 @@ def _version(ctx: click.Context, _: click.Parameter, wanted: bool) -> None:
 @click.option(
     "--version", is_flag=True, expose_value=False, is_eager=True, callback=_version, help="Show the version."
 )
-def cli() -> None:
+@click.pass_context
+def cli(ctx: click.Context) -> None:
     """Masses, dampers and springs of a vibrating rig from noisy test data, with intervals you can trust."""
+    ctx.with_resource(ledger.opened())
 
 
 def run(args: Sequence[str] | None = None) -> int:
@@ -90,11 +104,21 @@ def run(args: Sequence[str] | None = None) -> int:
     except (KeyboardInterrupt, click.Abort):
         _tell(["interrupted; no file is left half-written"])
         return INTERRUPTED
+    except Ended as asked:
+        _tell([f"ended by {signal.Signals(asked.number).name}; no file is left half-written"])
+        return 128 + asked.number
     except (BrokenPipeError, SystemExit):
         # Whoever read the output has had enough (| head): click and rich answer that with SystemExit, and nothing
         # else here does.  What is still buffered must not complain at exit.
         _silence_stdout()
         return BROKEN_PIPE
+    except OSError as error:
+        if os.environ.get(TRACEBACK):
+            raise
+        place = "standard output" if error.filename is None else str(error.filename)
+        _silence_stdout()
+        _tell([f"{place}: cannot be used ({error.strerror or error}); check the path and the space left"])
+        return USAGE
     except MemoryError:
         _tell(["the memory is not enough; give fewer lines, repeats or samples at a time"])
         return USAGE
@@ -110,16 +134,14 @@ def run(args: Sequence[str] | None = None) -> int:
 def _silence_stdout() -> None:
     try:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-    except (OSError, ValueError):  # stdout is no file
+    except (OSError, ValueError, AttributeError):  # stdout is no file
         return
 
 
-def _tell(lines: object) -> None:
-    from collections.abc import Iterable
-
-    assert isinstance(lines, Iterable)
+def _tell(lines: Iterable[str]) -> None:
     for line in lines:
-        click.echo(f"dashpot: {line}", err=True)
+        with suppress(OSError):  # nobody listens: the exit code says it all the same
+            click.echo(f"dashpot: {line}", err=True)
 
 
 def _usage(error: click.ClickException) -> int:
@@ -131,8 +153,35 @@ def _usage(error: click.ClickException) -> int:
     return USAGE
 
 
+def _open_closed() -> None:
+    """Standard streams that the caller has closed lead nowhere, rather than into the first file that is opened."""
+    for number in range(3):
+        try:
+            os.fstat(number)
+        except OSError:
+            os.open(os.devnull, os.O_RDWR)  # takes the lowest number that is free
+    for number, name in enumerate(("stdout", "stderr"), 1):
+        if getattr(sys, name) is None:
+            setattr(sys, name, os.fdopen(number, "w", encoding="utf-8", closefd=False))
+
+
+def _end_on_signals() -> None:
+    """SIGTERM and SIGHUP end the run as Ctrl-C does, unless the caller has them ignored (nohup)."""
+
+    def end(number: int, _: FrameType | None) -> None:
+        signal.signal(number, signal.SIG_DFL)  # a second one ends it at once
+        raise Ended(number)
+
+    for name in ("SIGTERM", "SIGHUP"):
+        number = getattr(signal, name, None)
+        if number is not None and signal.getsignal(number) == signal.SIG_DFL:
+            signal.signal(number, end)
+
+
 def main() -> None:
     """Entry point of the command `dashpot`."""
+    _open_closed()
+    _end_on_signals()
     for stream in (sys.stdout, sys.stderr):
         # A terminal that knows no ± or χ² shows ? rather than ending the run.
         if hasattr(stream, "reconfigure"):

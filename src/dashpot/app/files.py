@@ -1,72 +1,93 @@
-"""Files that commands write: checked before the work starts, and there whole or not at all."""
+"""Files and folders as parameters of commands: checked before the work starts.
+
+A parameter that names a file or folder has one of these types, by which no output of a call can be an input of it:
+each input and output is entered in the run's ledger, whichever comes first, and what clashes is refused.
+"""
 
 from __future__ import annotations
 
 import os
-import tempfile
-from collections.abc import Iterable
 from pathlib import Path
 
-from dashpot.errors import DataError, UsageError
+import click
+
+from dashpot.errors import UsageError
+from dashpot.io import ledger
+
+STDOUT = "-"  # as the name of a file to write
 
 
-def check_targets(targets: Iterable[str | None], sources: Iterable[str] = ()) -> None:
-    """Refuse what could not be written after the work: raises UsageError, before the work.
+class InputFile(click.ParamType[str]):
+    """A file that is read.  Whether it is there, its reader says."""
 
-    A target must not be a folder, lie in a missing one, be named twice, or be one of the files that are read.
-    """
-    read = {os.path.realpath(source): source for source in sources}
-    taken: set[str] = set()
-    for target in targets:
-        if target is None:
-            continue
+    name = "file"
+
+    def convert(self, value: object, param: click.Parameter | None, ctx: click.Context | None) -> str:
+        """The path.  Raises UsageError where it is an output of the same call."""
+        return ledger.noted(str(value))
+
+
+class InputFileOr(InputFile):
+    """A file that is read where there is one of that name; else a text with a meaning of its own."""
+
+    def convert(self, value: object, param: click.Parameter | None, ctx: click.Context | None) -> str:
+        """The path or the text.  Raises UsageError where it is an output of the same call."""
+        text = str(value)
+        return super().convert(text, param, ctx) if os.path.exists(text) else text
+
+
+class OutputFile(click.ParamType[str]):
+    """A file to write; with `stdout`, - is standard output."""
+
+    name = "file"
+
+    def __init__(self, stdout: bool = False) -> None:
+        self.stdout = stdout
+
+    def convert(self, value: object, param: click.Parameter | None, ctx: click.Context | None) -> str:
+        """The path.  Raises UsageError where it could not be written after the work, or must not be."""
+        target = str(value)
+        if self.stdout and target == STDOUT:
+            return target
         path = Path(target)
-        real = os.path.realpath(target)
-        if not target or path.is_dir():
+        if not target or os.path.isdir(target):
             raise UsageError("this is a folder", target or '""', "name a file in it")
-        if not path.parent.is_dir():
-            raise UsageError(
-                f"the folder {path.parent} does not exist", target, "make it, or name another file"
-            )
-        if not os.access(path.parent, os.W_OK) or (path.exists() and not os.access(path, os.W_OK)):
+        if "\0" in target:
+            raise UsageError("a null character in a path", target, "name another file")
+        folder = path.parent if os.path.exists(target) else Path(os.path.realpath(target)).parent
+        if not os.path.isdir(folder):
+            raise UsageError(f"the folder {folder} does not exist", target, "make it, or name another file")
+        special = os.path.exists(target) and not os.path.isfile(target)
+        if not os.access(target if special else folder, os.W_OK) or (
+            os.path.exists(target) and not os.access(target, os.W_OK)
+        ):
             raise UsageError(
                 "this may not be written", target, "change its permissions, or name another file"
             )
-        if real in read:
-            raise UsageError("this would overwrite a file that is read", target, "name another file")
-        if real in taken:
-            raise UsageError("two outputs have this name", target, "name another file")
-        taken.add(real)
+        entries = ledger.current()
+        if entries is not None:
+            entries.claim(target, id(self) if param is None else param.name)
+        return target
 
 
-def check_folder(target: str | None) -> None:
+class OutputFolder(click.ParamType[str]):
+    """A folder that is made where it is missing.  What is written into it is checked when it is."""
+
+    name = "folder"
+
+    def convert(self, value: object, param: click.Parameter | None, ctx: click.Context | None) -> str:
+        """The path.  Raises UsageError where the folder cannot be made."""
+        target = str(value)
+        check_folder(target)
+        return target
+
+
+def check_folder(target: str) -> None:
     """Refuse a folder for output that cannot be made: its parent must exist.  Raises UsageError."""
-    if target is None:
-        return
+    if not target or "\0" in target:
+        raise UsageError("this names no folder", target or '""', "name another folder")
     path = Path(target)
-    if path.exists() and not path.is_dir():
+    if os.path.exists(target) and not os.path.isdir(target):
         raise UsageError("this is a file, not a folder", target, "name another folder")
-    if not path.exists() and not path.absolute().parent.is_dir():
+    if not os.path.exists(target) and not os.path.isdir(path.absolute().parent):
         raise UsageError(f"the folder {path.parent} does not exist", target, "make it, or name another")
-
-
-def write_text(target: str, text: str) -> None:
-    """Write a text file whole: a temporary file beside it takes its place at the end.  Raises DataError."""
-    path = Path(target)
-    temporary = None
-    try:
-        handle, temporary = tempfile.mkstemp(prefix=f".{path.name}.", dir=path.parent)
-        with os.fdopen(handle, "w", encoding="utf-8", newline="\n") as file:
-            file.write(text)
-        mask = os.umask(0)
-        os.umask(mask)
-        os.chmod(temporary, 0o666 & ~mask)
-        os.replace(temporary, path)
-        temporary = None
-    except OSError as error:
-        raise DataError(
-            f"cannot be written ({error.strerror or error})", target, "check the path and the space left"
-        ) from None
-    finally:
-        if temporary is not None:
-            Path(temporary).unlink(missing_ok=True)

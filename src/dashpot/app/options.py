@@ -14,7 +14,6 @@ if TYPE_CHECKING:
     from dashpot.data.spectrum import Spectrum
     from dashpot.notices import Notice
 
-STDOUT = "-"  # as the name of a file to write
 NOT_CONVERGED = 3  # exit code
 
 Function = TypeVar("Function", bound=Callable[..., Any])

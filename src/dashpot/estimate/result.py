@@ -13,6 +13,7 @@ import numpy as np
 
 from dashpot.arrays import Bools, Complex, Ints, Real, frozen
 from dashpot.errors import DataError
+from dashpot.io.ledger import noted
 from dashpot.notices import Notice
 
 FORMAT = "0.1"
@@ -253,7 +254,7 @@ class Estimate:
     def load(path: str | Path) -> Estimate:
         """The estimate in a JSON file.  Raises DataError where there is none."""
         try:
-            text = Path(path).read_text(encoding="utf-8")
+            text = Path(noted(path)).read_text(encoding="utf-8")
         except (OSError, UnicodeDecodeError) as error:
             raise DataError("the file cannot be read", str(path), "write it with --json") from error
         return Estimate.from_json(text, str(path))

@@ -25,6 +25,7 @@ from pydantic_core import PydanticCustomError
 
 from dashpot.channel import Channel, Quantity
 from dashpot.errors import ModelError, Problem, UsageError
+from dashpot.io.ledger import noted
 from dashpot.io.toml_document import Lines
 from dashpot.model import network
 from dashpot.model.elements import Element, Kind
@@ -56,7 +57,7 @@ def read_rig(path: str | os.PathLike[str]) -> Rig:
     """
     shown = os.fspath(path)
     try:
-        with open(path, "rb") as file:
+        with open(noted(path), "rb") as file:
             raw = file.read()
     except FileNotFoundError:
         raise ModelError("there is no such file", shown, "check the name and the folder") from None

@@ -25,9 +25,10 @@ from dashpot.estimate.identify import identify
 from dashpot.estimate.preparation.state_reconstruction import unseen
 from dashpot.estimate.registry import method
 from dashpot.estimate.result import Estimate
+from dashpot.io.atomic import remove_parts
 from dashpot.model.network import Model
 from dashpot.study.simulate import Dwells, NoiseBasis, clean_spectrum, simulate_spectrum
-from dashpot.study.store import read_block, remove_unfinished, sound, write_block
+from dashpot.study.store import read_block, sound, write_block
 
 BLOCK = 500  # repeats; part of what the seed means
 LEVELS = (0.025, 0.25, 0.5, 0.75, 0.975)  # of the quantiles in a Summary
@@ -304,7 +305,7 @@ def run(
     done = total - sum(task.identifications for task in left)
     for parent in {Path(task.file).parent for task in left if task.file is not None}:
         parent.mkdir(parents=True, exist_ok=True)
-        remove_unfinished(parent)
+        remove_parts(parent)
     if progress is not None:
         progress(done, total)
     memory: dict[tuple[str, int], Block] = {}

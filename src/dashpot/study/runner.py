@@ -17,9 +17,10 @@ from typing import Any
 import numpy as np
 
 from dashpot.errors import DashpotError, UsageError
+from dashpot.io.atomic import write_bytes
 from dashpot.study.montecarlo import BLOCK, LEVELS, Map, Results, Scenario, Summary, Task, run, run_task
 from dashpot.study.scenario import Study, scenarios
-from dashpot.study.store import write_bytes, write_table
+from dashpot.study.store import write_table
 
 FORMAT = 1
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -10,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from dashpot.errors import DataError
+from dashpot.io.atomic import write_bytes
 
 WIDE = ("values", "sd", "half")  # one column an unknown
 
@@ -65,37 +65,11 @@ def sound(path: Path, rows: int) -> bool:
     return found == rows
 
 
-def remove_unfinished(folder: Path) -> None:
-    """Delete what processes that were ended while writing have left."""
-    for path in folder.glob(".*.parquet.*"):
-        path.unlink(missing_ok=True)
-
-
 def write_table(path: Path, columns: Mapping[str, Sequence[Any] | np.ndarray]) -> None:
     """A Parquet file of named columns; it takes its place when it is whole.  Raises DataError."""
     import pyarrow as pa
     import pyarrow.parquet as parquet
 
-    table = pa.table(dict(columns))
-    temporary = path.with_name(f".{path.name}.{os.getpid()}")
-    try:
-        parquet.write_table(table, temporary, compression="zstd", write_statistics=False)
-        os.replace(temporary, path)
-    except OSError as error:
-        temporary.unlink(missing_ok=True)
-        raise DataError(
-            f"cannot be written ({error.strerror or error})", str(path), "check the path and the space left"
-        ) from None
-
-
-def write_bytes(path: Path, content: bytes) -> None:
-    """A file that takes its place when it is whole.  Raises DataError."""
-    temporary = path.with_name(f".{path.name}.{os.getpid()}")
-    try:
-        temporary.write_bytes(content)
-        os.replace(temporary, path)
-    except OSError as error:
-        temporary.unlink(missing_ok=True)
-        raise DataError(
-            f"cannot be written ({error.strerror or error})", str(path), "check the path and the space left"
-        ) from None
+    sink = pa.BufferOutputStream()
+    parquet.write_table(pa.table(dict(columns)), sink, compression="zstd", write_statistics=False)
+    write_bytes(path, sink.getvalue().to_pybytes())

@@ -26,6 +26,7 @@ import numpy as np
 
 from dashpot.errors import DashpotError, Problem, UsageError
 from dashpot.estimate.registry import METHODS
+from dashpot.io.ledger import noted
 from dashpot.io.toml_document import Lines
 from dashpot.model.network import listed
 from dashpot.model.rigfile import read_rig
@@ -65,7 +66,7 @@ def read_study(path: str | os.PathLike[str]) -> Study:
     """
     shown = os.fspath(path)
     try:
-        text = Path(path).read_bytes().decode("utf-8-sig")
+        text = Path(noted(path)).read_bytes().decode("utf-8-sig")
     except FileNotFoundError:
         raise UsageError("there is no such file", shown, "check the name and the folder") from None
     except IsADirectoryError:

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from dashpot.app.files import STDOUT, InputFile, OutputFile
 from dashpot.app.options import (
-    STDOUT,
     Positive,
     amplitudes,
     conditioning_from,
@@ -23,8 +23,8 @@ if TYPE_CHECKING:
 
 
 @click.command(name="check")
-@click.argument("rig")
-@click.argument("data", nargs=-1)
+@click.argument("rig", type=InputFile())
+@click.argument("data", type=InputFile(), nargs=-1)
 @click.option(
     "--profile", "profiled", multiple=True, metavar="NAME",
     help="Profile likelihood of an unknown and its interval; needs DATA.  May be repeated.",
@@ -32,7 +32,13 @@ if TYPE_CHECKING:
 @click.option(
     "--known", is_flag=True, help="How errors of the known parameters move each unknown; needs DATA."
 )
-@click.option("--json", "json_out", metavar="OUT", help="Write the findings as JSON; - is stdout.")
+@click.option(
+    "--json",
+    "json_out",
+    type=OutputFile(stdout=True),
+    metavar="OUT",
+    help="Write the findings as JSON; - is stdout.",
+)
 @click.option("--level", type=Positive(100), default=95, show_default=True, metavar="%", help="Of intervals.")
 @click.option(
     "--seed", type=click.IntRange(0), default=0, show_default=True, metavar="N", help="Of random draws."
@@ -55,13 +61,12 @@ def command(
 
     Exit code 3: some cannot; each line says which combinations can and what would help.
     """
-    from dashpot.app.files import check_targets, write_text
     from dashpot.check.identifiability import structure
     from dashpot.check.report import structure_content
     from dashpot.errors import IdentifiabilityError, UsageError
+    from dashpot.io.atomic import write_text
     from dashpot.model.rigfile import read_rig
 
-    check_targets([None if json_out == STDOUT else json_out], [rig, *data])
     if (profiled or known) and not data:
         raise UsageError("--profile and --known need data", cure="name the data files after the rig")
     found = read_rig(rig)

@@ -6,9 +6,9 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from dashpot.app.files import STDOUT, InputFile, OutputFile
 from dashpot.app.options import (
     NOT_CONVERGED,
-    STDOUT,
     Positive,
     amplitudes,
     conditioning_from,
@@ -46,14 +46,14 @@ class Assignments(click.ParamType[Any]):
 
 
 @click.command(name="compare")
-@click.argument("rig")
-@click.argument("data", nargs=-1)
+@click.argument("rig", type=InputFile())
+@click.argument("data", type=InputFile(), nargs=-1)
 @click.option(
     "--methods", metavar="A,B,…",
     help="Estimators, in the order of the rows: ls, hls, wls, tls, cls, iv, oiv, oiv+, ml.  Default: all that suit.",
 )  # fmt: skip
 @click.option(
-    "--modal", "modal_file", metavar="FILE",
+    "--modal", "modal_file", type=InputFile(), metavar="FILE",
     help="Measured modes, CSV or JSON: frequency_hz, frequency_sd, damping_ratio, damping_sd, NAME_re, _im, _sd.",
 )  # fmt: skip
 @click.option(
@@ -62,8 +62,14 @@ class Assignments(click.ParamType[Any]):
     metavar="m1=3,…",
     help="True values, to be marked where an interval misses them.",
 )
-@click.option("--figure", metavar="OUT.png", help="Draw the intervals.")
-@click.option("--json", "json_out", metavar="OUT", help="Write all estimates as JSON; - is stdout.")
+@click.option("--figure", type=OutputFile(), metavar="OUT.png", help="Draw the intervals.")
+@click.option(
+    "--json",
+    "json_out",
+    type=OutputFile(stdout=True),
+    metavar="OUT",
+    help="Write all estimates as JSON; - is stdout.",
+)
 @click.option(
     "--seed", type=click.IntRange(0), default=0, show_default=True, metavar="N",
     help="Of the starts that ml and the modes draw.",
@@ -92,14 +98,11 @@ def command(
     DATA as for identify; with --modal FILE they may be left out.  A method that the data do not suit is named with
     the reason.  Exit code 3: a method did not converge.
     """
-    from dashpot.app.files import check_targets
     from dashpot.errors import UsageError
     from dashpot.estimate.registry import METHODS, method_class
     from dashpot.model.rigfile import read_rig
     from dashpot.model.unstructured import free_entries
 
-    sources = [rig, *data, *([] if modal_file is None else [modal_file])]
-    check_targets([None if json_out == STDOUT else json_out, figure], sources)
     if not data and modal_file is None:
         raise UsageError("there are no data", cure="give DATA, --modal FILE, or both")
     if methods is not None and not data:
@@ -158,12 +161,12 @@ def _compare(
     level: float,
     quiet: bool,
 ) -> int:
-    from dashpot.app.files import write_text
     from dashpot.app.progress import progress
     from dashpot.check.scale import require_scale_seen
     from dashpot.errors import DashpotError
     from dashpot.estimate.comparison import compare
     from dashpot.estimate.registry import method
+    from dashpot.io.atomic import write_bytes, write_text
 
     jobs, refused = {}, {}
     for name in chosen:
@@ -178,13 +181,10 @@ def _compare(
             truth=truth, seed=seed, progress=moved,
         )  # fmt: skip
     if figure is not None:
-        from pathlib import Path
-
         from dashpot.present.figures.comparison import comparison_figure
         from dashpot.present.figures.study import png
-        from dashpot.study.store import write_bytes
 
-        write_bytes(Path(figure), png(comparison_figure(found, level)))
+        write_bytes(figure, png(comparison_figure(found, level)))
     if json_out == STDOUT:
         click.echo(found.to_json(), nl=False)
     elif json_out is not None:

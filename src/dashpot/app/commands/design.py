@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import click
 
+from dashpot.app.files import STDOUT, InputFile, InputFileOr, OutputFile
 from dashpot.app.options import (
-    STDOUT,
     Positive,
     Setting,
     tell_notes,
@@ -77,7 +77,7 @@ def share(text: str) -> float | None:
 
 
 @click.command(name="design")
-@click.argument("rig")
+@click.argument("rig", type=InputFile())
 @click.option("--time", "time", type=Duration(), metavar="10min", help="Time for the whole test.")
 @click.option(
     "--samples", type=click.IntRange(1, 1_000_000_000), metavar="N", help="Samples of the whole test."
@@ -95,9 +95,18 @@ def share(text: str) -> float | None:
     help="What is to be precise: all on average, the worst, the volume of the confidence region, or some.",
 )  # fmt: skip
 @click.option("--sensors", metavar='"pick 3 of a,b,…"', help="Choose the best few sensors; the others stay.")
-@click.option("--against", metavar="DATA|LIST", help="Compare with a test: a file, 1,2,5 or 0.5:25:0.5 (Hz).")
 @click.option(
-    "--after", multiple=True, metavar="DATA|EST.json", help="Count in data, or an estimate, that exist."
+    "--against",
+    type=InputFileOr(),
+    metavar="DATA|LIST",
+    help="Compare with a test: a file, 1,2,5 or 0.5:25:0.5 (Hz).",
+)
+@click.option(
+    "--after",
+    type=InputFile(),
+    multiple=True,
+    metavar="DATA|EST.json",
+    help="Count in data, or an estimate, that exist.",
 )
 @click.option("--stroke", metavar="5mm", help="Largest displacement amplitude of the shaker.")
 @click.option("--max-velocity", metavar="0.5m/s", help="Largest velocity amplitude.")
@@ -129,17 +138,36 @@ def share(text: str) -> float | None:
 @click.option(
     "--estimate",
     "estimate_file",
+    type=InputFile(),
     metavar="EST.json",
     help="Values to design for (not counted as data).",
 )
 @click.option(
     "--relative-noise", type=Share(), metavar="10%", help="Of all outputs, in place of the rig file's."
 )
-@click.option("--json", "json_out", metavar="OUT", help="Write the answer as JSON; - is stdout.")
-@click.option("--csv", "csv_out", metavar="OUT", help="Write the dwells for the shaker's controller.")
-@click.option("--figure", "figure_out", metavar="OUT.png", help="Draw dwells, information and intervals.")
 @click.option(
-    "--progress", "progress_out", metavar="OUT.png", help="Draw intervals against samples of --after DATA."
+    "--json",
+    "json_out",
+    type=OutputFile(stdout=True),
+    metavar="OUT",
+    help="Write the answer as JSON; - is stdout.",
+)
+@click.option(
+    "--csv", "csv_out", type=OutputFile(), metavar="OUT", help="Write the dwells for the shaker's controller."
+)
+@click.option(
+    "--figure",
+    "figure_out",
+    type=OutputFile(),
+    metavar="OUT.png",
+    help="Draw dwells, information and intervals.",
+)
+@click.option(
+    "--progress",
+    "progress_out",
+    type=OutputFile(),
+    metavar="OUT.png",
+    help="Draw intervals against samples of --after DATA.",
 )
 @click.option(
     "--frequency", type=Positive(1e12), metavar="HZ", help="Drive frequency of records that do not say it."
@@ -172,13 +200,11 @@ def command(
     The values to design for are those of the rig file (value, guess), of --set, or of an estimate.  Standard
     deviations in per cent are of the values.  The gap printed proves how good the test is (equivalence theorem).
     """
-    from dashpot.app.files import check_targets, write_text
     from dashpot.check.scale import require_scale
     from dashpot.errors import UsageError
+    from dashpot.io.atomic import write_text
     from dashpot.model.rigfile import read_rig
 
-    sources = [rig, *after, *([estimate_file] if estimate_file else [])]
-    check_targets([None if json_out == STDOUT else json_out, csv_out, figure_out, progress_out], sources)
     found = read_rig(rig)
     require_scale(found.model, found.channels, rig)
 
@@ -230,19 +256,19 @@ def _draw(
 ) -> None:
     if figure_out is None and progress_out is None:
         return
+    from dashpot.io.atomic import write_bytes
     from dashpot.present.figures.study import png
     from dashpot.present.tables.design import figure, progress_figure
-    from dashpot.study.store import write_bytes
 
     if figure_out is not None and result.plan is not None:
-        write_bytes(Path(figure_out), png(figure(result)))
+        write_bytes(figure_out, png(figure(result)))
     if progress_out is not None:
         targets = dict(getattr(goal, "targets", {}))
         if not targets and aim is not None:
             targets = dict.fromkeys((u.name for u in result.bench.model.unknowns), aim)
         drawn = progress_figure(result, targets)
         if drawn is not None:
-            write_bytes(Path(progress_out), png(drawn))
+            write_bytes(progress_out, png(drawn))
 
 
 def _known_names(rig: Rig, values: dict[str, float]) -> None:

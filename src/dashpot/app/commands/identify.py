@@ -6,9 +6,9 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from dashpot.app.files import STDOUT, InputFile, OutputFile
 from dashpot.app.options import (
     NOT_CONVERGED,
-    STDOUT,
     Positive,
     amplitudes,
     conditioning_from,
@@ -28,8 +28,8 @@ CHOICES = ["auto", "ls", "hls", "wls", "tls", "cls", "iv", "oiv", "oiv+", "ml"]
 
 
 @click.command(name="identify")
-@click.argument("rig")
-@click.argument("data", nargs=-1, required=True)
+@click.argument("rig", type=InputFile())
+@click.argument("data", type=InputFile(), nargs=-1, required=True)
 @click.option(
     "--method", "chosen", type=click.Choice(CHOICES), default="auto", show_default=True,
     help="Estimator; auto is oiv where every coordinate and input is measured and nothing bounded, ml elsewhere.",
@@ -37,8 +37,16 @@ CHOICES = ["auto", "ls", "hls", "wls", "tls", "cls", "iv", "oiv", "oiv+", "ml"]
 @click.option(
     "--positive", is_flag=True, help="Hold every unknown but entries of free matrices at or above 0; by ml."
 )
-@click.option("--json", "json_out", metavar="OUT", help="Write the estimate as JSON; - is stdout.")
-@click.option("--report", metavar="OUT.html", help="Write a report with figures, one HTML file.")
+@click.option(
+    "--json",
+    "json_out",
+    type=OutputFile(stdout=True),
+    metavar="OUT",
+    help="Write the estimate as JSON; - is stdout.",
+)
+@click.option(
+    "--report", type=OutputFile(), metavar="OUT.html", help="Write a report with figures, one HTML file."
+)
 @click.option(
     "--seed",
     type=click.IntRange(0),
@@ -77,12 +85,11 @@ def command(
     DATA are CSV files of time records (frequency_hz, time_s, channels) or of complex amplitudes (frequency_hz,
     NAME_re, NAME_im, NAME_sd).  Exit code 3: the data do not determine the unknowns, or the iteration did not settle.
     """
-    from dashpot.app.files import check_targets, write_text
     from dashpot.check.identifiability import require_identifiable
     from dashpot.check.scale import require_scale_seen
+    from dashpot.io.atomic import write_text
     from dashpot.model.rigfile import read_rig
 
-    check_targets([None if json_out == STDOUT else json_out, report], [rig, *data])
     found = read_rig(rig)
     found.model.require_unknowns(rig)
     chosen = _holding(chosen, positive)

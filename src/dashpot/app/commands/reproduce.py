@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import click
 
+from dashpot.app.files import OutputFile, OutputFolder
+
 PAPERS = ["yamane1989"]
 FEW = 200  # draws below which starting processes costs more than they save
 
@@ -14,8 +16,13 @@ FEW = 200  # draws below which starting processes costs more than they save
     "--draws", type=click.IntRange(2, 1_000_000), default=1000, show_default=True, metavar="N",
     help="Noise draws of each point.",
 )  # fmt: skip
-@click.option("--report", metavar="OUT.html", help="Write tables, figures and findings, one HTML file.")
-@click.option("--figures", metavar="DIR", help="Write the figures there, as PNG.")
+@click.option(
+    "--report",
+    type=OutputFile(),
+    metavar="OUT.html",
+    help="Write tables, figures and findings, one HTML file.",
+)
+@click.option("--figures", type=OutputFolder(), metavar="DIR", help="Write the figures there, as PNG.")
 @click.option(
     "--seed", type=click.IntRange(0), default=1989, show_default=True, metavar="N", help="Of the noise."
 )
@@ -36,13 +43,8 @@ def command(
 
     The same seed gives the same numbers, whatever the number of processes.
     """
-    from dashpot.app.files import check_folder, check_targets
     from dashpot.app.progress import progress
     from dashpot.app.workers import cores, mapping
-
-    check_targets([report])
-    check_folder(figures)
-
     from dashpot.present.pages.yamane1989 import show, write
     from dashpot.present.tables.estimate import console
     from dashpot.reproduce.yamane1989.findings import reproduce

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from dashpot.app.files import InputFile, OutputFile
 from dashpot.app.options import Positive, Setting
 
 if TYPE_CHECKING:
@@ -46,8 +47,8 @@ class Frequencies(click.ParamType[tuple[float, ...]]):
 
 
 @click.command(name="simulate")
-@click.argument("rig")
-@click.option("--out", metavar="FILE.csv", required=True, help="The file to write.")
+@click.argument("rig", type=InputFile())
+@click.option("--out", type=OutputFile(), metavar="FILE.csv", required=True, help="The file to write.")
 @click.option(
     "--set", "values", type=Setting(), multiple=True, metavar="NAME=VALUE",
     help="Value of an unknown, SI units; repeat it for each.  Guesses of the rig file serve where nothing is set.",
@@ -99,10 +100,8 @@ def command(
     Every unknown needs a value: by --set, or a guess in the rig file.  A channel's noise is `noise` (in its unit) and
     `relative_noise` of the rig file.
     """
-    from dashpot.app.files import check_targets
     from dashpot.model.rigfile import read_rig
 
-    check_targets([out], [rig])
     found = read_rig(rig)
     model = found.model
     given = _once(values, "--set")

@@ -6,13 +6,16 @@ from typing import Any
 
 import click
 
+from dashpot.app.files import InputFile, OutputFile
 from dashpot.app.options import amplitudes, conditioning_from, conditioning_options, tell_notes
 
 
 @click.command(name="spectrum")
-@click.argument("rig")
-@click.argument("records", nargs=-1, required=True)
-@click.option("--out", metavar="TABLE.csv", required=True, help="The table of amplitudes to write.")
+@click.argument("rig", type=InputFile())
+@click.argument("records", type=InputFile(), nargs=-1, required=True)
+@click.option(
+    "--out", type=OutputFile(), metavar="TABLE.csv", required=True, help="The table of amplitudes to write."
+)
 @conditioning_options
 @click.option("--quiet", "-q", is_flag=True, help="Print nothing.")
 def command(
@@ -22,11 +25,9 @@ def command(
 
     The table (frequency_hz, NAME_re, NAME_im, NAME_sd …, x(t) = Re(X e^{jωt})) is data for `dashpot identify`.
     """
-    from dashpot.app.files import check_targets
     from dashpot.data.readers import read, write_amplitudes
     from dashpot.model.rigfile import read_rig
 
-    check_targets([out], [rig, *records])
     found = read_rig(rig)
     reading = read(records, found.channels, frequency_hz=frequency)
     tell_notes(reading.notes, quiet)

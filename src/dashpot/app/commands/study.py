@@ -7,14 +7,16 @@ from pathlib import Path
 import click
 
 from dashpot.app.cli import INTERRUPTED
+from dashpot.app.files import InputFile, OutputFolder, check_folder
 
 FEW = 2000  # identifications below which starting processes costs more than they save
 
 
 @click.command(name="study")
-@click.argument("study")
+@click.argument("study", type=InputFile())
 @click.option(
     "--out",
+    type=OutputFolder(),
     metavar="DIR",
     help="Where draws, summary and pictures go; else a folder here of the file's name.",
 )
@@ -37,7 +39,6 @@ def command(
     The folder gets every draw (draws/…, Parquet), summary.parquet with bias, spread, coverage and bound of each
     method, and pictures.  The result depends on the file alone, to the bit: not on processes or interruptions.
     """
-    from dashpot.app.files import check_folder
     from dashpot.study.studyfile import read_study
 
     found = read_study(study)

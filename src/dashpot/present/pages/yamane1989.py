@@ -18,6 +18,7 @@ from rich.table import Table
 
 from dashpot.arrays import Real
 from dashpot.errors import DataError
+from dashpot.io.atomic import write_bytes
 from dashpot.present.figures import study as draw
 from dashpot.present.text.numbers import short
 from dashpot.reproduce.yamane1989.findings import (
@@ -30,7 +31,6 @@ from dashpot.reproduce.yamane1989.findings import (
     Picture,
     Reproduction,
 )
-from dashpot.study.store import write_bytes
 
 TEMPLATES = Path(__file__).parents[1] / "templates"
 ERROR = "relative error, %"

@@ -17,10 +17,10 @@ from rich.table import Table
 
 from dashpot.arrays import Real
 from dashpot.errors import DataError
+from dashpot.io.atomic import write_bytes
 from dashpot.present.figures import study as draw
 from dashpot.study.montecarlo import LEVELS, Summary
 from dashpot.study.runner import Outcome, Row
-from dashpot.study.store import write_bytes
 
 NUMERIC = {"noise": "noise level", "samples": "samples a frequency", "in_all": "samples in all"}
 NOTHING = "–"

@@ -22,6 +22,7 @@ from dashpot.arrays import Real
 from dashpot.data.modal_data import ModalData
 from dashpot.data.readers.delimited.table import Table, bare, listed, open_table, shown
 from dashpot.errors import DataError
+from dashpot.io.ledger import noted
 
 FREQUENCY, FREQUENCY_SD, DAMPING, DAMPING_SD = "frequency_hz", "frequency_sd", "damping_ratio", "damping_sd"
 PLAIN = (FREQUENCY, FREQUENCY_SD, DAMPING, DAMPING_SD)
@@ -131,7 +132,7 @@ def _assembled(
 
 def _from_json(path: str | os.PathLike[str], source: str, coordinates: Sequence[str]) -> ModalData:
     try:
-        content = json.loads(Path(path).read_text(encoding="utf-8"))
+        content = json.loads(Path(noted(path)).read_text(encoding="utf-8"))
     except OSError as error:
         raise DataError(f"cannot be read ({error.strerror or error})", source, "check the path") from None
     except (ValueError, RecursionError):

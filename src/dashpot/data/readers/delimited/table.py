@@ -7,7 +7,6 @@ import difflib
 import gzip
 import os
 import re
-import tempfile
 import zlib
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -22,6 +21,8 @@ from dashpot import units
 from dashpot.arrays import Bools, Real
 from dashpot.channel import Channel, Quantity
 from dashpot.errors import DashpotError, DataError
+from dashpot.io.atomic import write_bytes
+from dashpot.io.ledger import noted
 from dashpot.notices import Notice
 
 HEAD = 1 << 20  # bytes in which the header row must end
@@ -325,7 +326,7 @@ def _bytes(path: str | os.PathLike[str], source: str) -> bytes:
     if os.path.isdir(path):
         raise DataError("is a directory", source, "give the files in it")
     try:
-        data = Path(path).read_bytes()
+        data = Path(noted(path)).read_bytes()
         return gzip.decompress(data) if data[:2] == b"\x1f\x8b" else data
     except FileNotFoundError:
         raise DataError("there is no such file", source, "correct the path") from None
@@ -407,42 +408,25 @@ def write_rows(
 
     The file appears whole or not at all.  Raises DataError where it cannot be written.
     """
-    target = Path(path)
     arrays = [
         pa.array(np.asarray(c)) if isinstance(c, np.ndarray) else pa.array(c, pa.string()) for c in columns
     ]
     names = [f"c{i}" for i in range(len(arrays))]
-    temporary = None
-    try:
-        handle, temporary = tempfile.mkstemp(prefix=f".{target.name}.", dir=target.parent)
-        with os.fdopen(handle, "wb") as raw:
-            out = (
-                gzip.GzipFile(fileobj=raw, mode="wb", filename="", mtime=0) if target.suffix == ".gz" else raw
-            )
-            out.write((",".join(_quoted(name) for name in header) + "\n").encode())
-            sink = pa.BufferOutputStream()
-            pacsv.write_csv(
-                pa.table(arrays, names=names),
-                sink,
-                pacsv.WriteOptions(include_header=False, quoting_style="none"),
-            )
-            out.write(sink.getvalue().to_pybytes())
-            if out is not raw:
-                out.close()
-        mask = os.umask(0)
-        os.umask(mask)
-        os.chmod(temporary, 0o666 & ~mask)
-        os.replace(temporary, target)
-        temporary = None
-    except OSError as error:
-        raise DataError(
-            f"cannot be written ({shown(error.strerror or str(error), 100)})",
-            shown(str(target), 200),
-            "check the path",
-        ) from None
-    finally:
-        if temporary is not None:
-            Path(temporary).unlink(missing_ok=True)
+    sink = pa.BufferOutputStream()
+    pacsv.write_csv(
+        pa.table(arrays, names=names), sink, pacsv.WriteOptions(include_header=False, quoting_style="none")
+    )
+    head = (",".join(_quoted(name) for name in header) + "\n").encode()
+    parts = (head, memoryview(sink.getvalue()))
+    write_bytes(path, _packed(parts) if Path(path).suffix == ".gz" else parts)
+
+
+def _packed(parts: Iterable[bytes | memoryview]) -> Iterator[bytes]:
+    """Packed as gzip, without name and time, so that the same data give the same bytes."""
+    packer = zlib.compressobj(9, wbits=31)
+    for part in parts:
+        yield packer.compress(part)
+    yield packer.flush()
 
 
 def _quoted(name: str) -> str:

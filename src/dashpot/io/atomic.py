@@ -1,0 +1,135 @@
+"""The one way to write a file: it is there whole, or what was there before is still there.
+
+A temporary file in the same folder takes the file's place once it is complete and on the disk.  Links are followed,
+devices and pipes are written directly, and a file that was there keeps its mode and owner.
+"""
+
+from __future__ import annotations
+
+import errno
+import os
+import re
+import secrets
+import stat
+from collections.abc import Iterable
+from contextlib import suppress
+
+from dashpot.errors import DataError
+from dashpot.io import ledger
+
+PART = ".dashpot-", ".part"  # what the names of temporary files begin and end with
+_BINARY = getattr(os, "O_BINARY", 0)
+_NO_TERMINAL = getattr(os, "O_NOCTTY", 0)
+_NO_LINK = getattr(os, "O_NOFOLLOW", 0)
+_MOST_LINKS = 40
+
+
+def write_text(path: ledger.AnyPath, text: str) -> None:
+    """Write a text file, UTF-8.  Raises as `write_bytes`.
+
+    Half characters, as names of files that are no UTF-8 leave them, are written as JSON would (\\udcff).
+    """
+    write_bytes(path, text.encode("utf-8", errors="backslashreplace"))
+
+
+def write_bytes(path: ledger.AnyPath, content: bytes | Iterable[bytes | memoryview]) -> None:
+    """Write a file from its bytes, all at once or in parts.
+
+    Raises DataError where it cannot be written, UsageError where this run reads it or has written it already.
+    """
+    name = os.fspath(path)
+    entries = ledger.current()
+    if entries is not None:
+        entries.note_written(name)
+    parts = (content,) if isinstance(content, bytes) else content
+    try:
+        target = _destination(name)
+        if isinstance(target, int):
+            _fill(os.dup(target), parts)
+        elif _is_stream(target):
+            _fill(os.open(target, os.O_WRONLY | _BINARY | _NO_TERMINAL), parts)
+        else:
+            _replace(target, parts)
+    except (OSError, ValueError) as error:  # a ValueError is a path with a null character
+        reason = getattr(error, "strerror", None) or str(error)
+        raise DataError(f"cannot be written ({reason})", name, "check the path and the space left") from None
+
+
+def remove_parts(folder: ledger.AnyPath) -> None:
+    """Delete the temporary files that processes which were killed have left in a folder."""
+    with suppress(OSError):
+        for name in os.listdir(folder):
+            if name.startswith(PART[0]) and name.endswith(PART[1]):
+                with suppress(OSError):
+                    os.unlink(os.path.join(folder, name))
+
+
+def _destination(name: str) -> str | int:
+    """Where a path leads through all links: a path, or a descriptor of this process (/dev/stdout, /dev/fd/3)."""
+    path = os.path.abspath(name)
+    for _ in range(_MOST_LINKS):
+        folder, last = os.path.realpath(os.path.dirname(path)), os.path.basename(path)
+        if re.fullmatch(rf"/proc/(?:self|{os.getpid()})/fd", folder) and last.isdigit():
+            return int(last)
+        path = os.path.join(folder, last)
+        if not os.path.islink(path):
+            return path
+        path = os.path.join(folder, os.readlink(path))
+    raise OSError(errno.ELOOP, os.strerror(errno.ELOOP))
+
+
+def _is_stream(path: str) -> bool:
+    """Whether a character device or a pipe lies there.  Raises OSError for what cannot be replaced by a file."""
+    try:
+        mode = os.stat(path).st_mode
+    except FileNotFoundError:
+        return False
+    if stat.S_ISDIR(mode):
+        raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR))
+    if stat.S_ISBLK(mode):
+        raise OSError(errno.EPERM, "this is a disk")
+    if stat.S_ISREG(mode) and not os.access(path, os.W_OK):
+        raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))
+    return not stat.S_ISREG(mode)
+
+
+def _replace(target: str, parts: Iterable[bytes | memoryview]) -> None:
+    """Write a temporary file beside the target, and let it take the target's place."""
+    before = os.stat(target) if os.path.exists(target) else None
+    temporary = os.path.join(os.path.dirname(target), secrets.token_hex(8).join(PART))
+    try:
+        flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | _BINARY | _NO_LINK
+        size = _fill(os.open(temporary, flags, 0o666), parts, sync=True)  # the system takes its umask off
+        if os.stat(temporary).st_size != size:
+            raise OSError(errno.EIO, "the disk has not kept what was written")
+        if before is not None:
+            if hasattr(os, "chown"):
+                with suppress(PermissionError):
+                    os.chown(temporary, before.st_uid, before.st_gid)
+            os.chmod(temporary, stat.S_IMODE(before.st_mode))
+        os.replace(temporary, target)
+    except BaseException:
+        with suppress(OSError):
+            os.unlink(temporary)
+        raise
+
+
+def _fill(descriptor: int, parts: Iterable[bytes | memoryview], sync: bool = False) -> int:
+    """Write all parts, on the disk where `sync`, and close; how many bytes they were."""
+    total = 0
+    try:
+        for part in parts:
+            rest = memoryview(part).cast("B")
+            while rest:
+                count = os.write(descriptor, rest)
+                if count == 0:
+                    raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+                rest, total = rest[count:], total + count
+        if sync:
+            os.fsync(descriptor)
+    except BaseException:
+        with suppress(OSError):
+            os.close(descriptor)
+        raise
+    os.close(descriptor)  # a full network disk may say so only now
+    return total

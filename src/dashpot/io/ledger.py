@@ -1,0 +1,110 @@
+"""Which files one run reads and writes, so that no output ever replaces an input or another output.
+
+Files are told apart by identity, not by name: links, hard links and different spellings of a path are the same file.
+Without an open ledger nothing is noted and nothing refused: a program that calls dashpot minds its own files.
+"""
+
+from __future__ import annotations
+
+import os
+import stat
+from collections.abc import Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
+from dataclasses import dataclass, field
+from typing import TypeVar
+
+from dashpot.errors import UsageError
+
+AnyPath = str | os.PathLike[str]
+Path = TypeVar("Path", str, os.PathLike[str], str | os.PathLike[str])
+Key = str | tuple[int, int]
+
+
+@dataclass
+class Ledger:
+    """Inputs and outputs of a run, by the places and the inodes that their paths lead to."""
+
+    read: set[Key] = field(default_factory=set)
+    claimed: dict[Key, object] = field(default_factory=dict)
+    written: set[Key] = field(default_factory=set)
+
+    def note_read(self, path: AnyPath) -> None:
+        """An input.  Raises UsageError where it is an output of this run."""
+        keys = keys_of(path)
+        if any(key in self.claimed or key in self.written for key in keys):
+            raise _overwrites(path)
+        self.read.update(keys)
+
+    def claim(self, path: AnyPath, by: object) -> None:
+        """An output to come, of the option `by`.  Raises UsageError where it is an input or another's output."""
+        keys = keys_of(path)
+        if any(key in self.read for key in keys):
+            raise _overwrites(path)
+        if any(self.claimed.get(key, by) != by for key in keys):
+            raise _taken(path)
+        self.claimed.update(dict.fromkeys(keys, by))
+
+    def note_written(self, path: AnyPath) -> None:
+        """An output about to be written.  Raises UsageError where it is an input, or written already."""
+        keys = keys_of(path)
+        if any(key in self.read for key in keys):
+            raise _overwrites(path)
+        if any(key in self.written for key in keys):
+            raise _taken(path)
+        self.written.update(keys)
+
+
+_current: ContextVar[Ledger | None] = ContextVar("ledger", default=None)
+
+
+@contextmanager
+def opened() -> Iterator[Ledger]:
+    """A ledger for all that is read and written inside."""
+    ledger = Ledger()
+    before = _current.set(ledger)
+    try:
+        yield ledger
+    finally:
+        _current.reset(before)
+
+
+def current() -> Ledger | None:
+    """The ledger of this run; None where there is none."""
+    return _current.get()
+
+
+def noted(path: Path) -> Path:
+    """The path of an input, once it is in the ledger: every file is opened for reading through this.
+
+    Raises UsageError where the file is an output of this run.
+    """
+    ledger = current()
+    if ledger is not None:
+        ledger.note_read(path)
+    return path
+
+
+def keys_of(path: AnyPath) -> tuple[Key, ...]:
+    """What a path leads to: a place and, where a file lies there, its device and inode.
+
+    Nothing for devices and pipes, which may be read and written at once, nor for what is no path at all.
+    """
+    try:
+        place = os.path.realpath(path)
+        found = os.stat(path)
+    except FileNotFoundError:
+        return (place,)
+    except (OSError, ValueError):
+        return ()
+    if not stat.S_ISREG(found.st_mode):
+        return ()
+    return place, (found.st_dev, found.st_ino)
+
+
+def _overwrites(path: AnyPath) -> UsageError:
+    return UsageError("this would overwrite a file that is read", os.fspath(path), "name another file")
+
+
+def _taken(path: AnyPath) -> UsageError:
+    return UsageError("two outputs have this name", os.fspath(path), "name another file")
