@@ -14,7 +14,7 @@ OWN = {
     "reproduce/yamane1989/findings.py",
     "study/runner.py",
 }
-READS = {"open", "read_bytes", "read_text", "fdopen", "memory_map"}
+READS = {"open", "read_bytes", "read_text", "memory_map"}
 
 
 def _calls(tree: ast.AST) -> list[ast.Call]:
