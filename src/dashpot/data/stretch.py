@@ -10,6 +10,8 @@ import numpy as np
 from dashpot.arrays import Ints, Real
 from dashpot.errors import DataError
 
+MOST_TERMS = 6  # of a polynomial
+
 
 @dataclass(frozen=True)
 class SettledDwell:
@@ -35,19 +37,19 @@ class WholeRecord:
     samples      N
     loads        whether the lines carry boundary loads, an impulse and a doublet at every coordinate (THEORY (W));
                  False where the motion is periodic in T, or starts and ends at rest
-    polynomial   how many of the columns 1, jω, (jω)² each output channel has for what the ends of the record alias
+    polynomial   how many of the columns 1, jω, (jω)², … each output channel has for what the ends of the record alias
     """
 
     duration_s: float
     samples: int
     loads: bool = True
-    polynomial: int = 3
+    polynomial: int = 4
 
     def __post_init__(self) -> None:
-        if not (0 < self.duration_s < np.inf and self.samples > 0 and 0 <= self.polynomial <= 3):
+        if not (0 < self.duration_s < np.inf and self.samples > 0 and 0 <= self.polynomial <= MOST_TERMS):
             raise DataError(
                 f"a record of {self.samples} samples in {self.duration_s:g} s with {self.polynomial} polynomials",
-                cure="its duration and samples must be positive, its columns 0 to 3",
+                cure="its duration and samples must be positive, its columns 0 to 6",
             )
 
     @property

@@ -72,7 +72,7 @@ def judge(data: Prepared, solution: Solution, by_output: bool) -> Judged:
         at = predict(view, exact, solution.theta, sign)
         scores = 2 * (hermitian(at.J) @ at.weighted[..., None]).real[..., 0]
         return Judged(
-            view.names, view.units, at.information(), scores, at.cost_per_line, exact.rows,
+            view.names, view.units, at.information(), scores, at.cost_per_line, exact.rows - at.columns,
             prior_precision(view), prior_mean(view),
         )  # fmt: skip
     if data.states is None:

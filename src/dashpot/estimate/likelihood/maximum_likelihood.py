@@ -11,9 +11,11 @@ import numpy as np
 from dashpot.arrays import Ints, Real, hermitian
 from dashpot.errors import ConvergenceError
 from dashpot.estimate.likelihood.objective import Measured, directly_driven, measured, predict
+from dashpot.estimate.likelihood.record_start import record_starts
 from dashpot.estimate.likelihood.starting_values import candidates, neighbours
 from dashpot.estimate.linear.least_squares import compensated
 from dashpot.estimate.method import Limits, Method, Prepared, Solution
+from dashpot.estimate.preparation.state_reconstruction import States
 from dashpot.model.observation import SPARSE_FROM, ObservationModel, is_direct, observation_model, small
 from dashpot.model.unstructured import free_names
 from dashpot.notices import Notice
@@ -39,6 +41,7 @@ PLAIN = 0.5  # and in one that does not fit
 LEAST = 16  # starts of the largest rigs
 DEEPEST = 8  # valleys that are followed to the bottom
 RIVAL = 60.0  # χ² by which a valley may lie above the deepest one of one repeat and be the deepest of another
+RECORD_TOLERANCE = 1e-4  # standard deviations, of whole records
 PIECE = 2_000_000  # complex numbers of dynamic stiffness at once
 TIE = 0.01  # of χ²: what fits alike
 DOUBT = 9.2  # χ² by which a rival may lie above and be told to the user: odds of 100 to 1
@@ -100,7 +103,7 @@ class MaximumLikelihood(Method):
         direct = data.states is not None and all(is_direct(data.model, c) for c in data.spectrum.channels)
         warnings: tuple[Notice, ...] = ()
         if direct and data.states is not None:
-            start, sign = compensated(data.model, data.states), np.ones((repeats, len(view.channels)))
+            start, sign = _start(data, data.states, exact), np.ones((repeats, len(view.channels)))
             found = self._descend(view, exact, start, sign, lower, upper)
         else:
             found, sign, warnings = self._from_valleys(view, exact, self._global(data, view, 0), lower, upper)
@@ -135,7 +138,9 @@ class MaximumLikelihood(Method):
             return local(view, data.pick(rows), psi, sign[rows])
 
         most = self.max_iterations if limit is None else limit
-        return minimise(evaluate, start, limit=most, tolerance=self.tolerance, lower=lower, upper=upper)
+        # What depends on what among a record's columns is decided anew at each step: no nearer than that.
+        near = self.tolerance if data.ends is None else max(self.tolerance, RECORD_TOLERANCE)
+        return minimise(evaluate, start, limit=most, tolerance=near, lower=lower, upper=upper)
 
     def _from_valleys(
         self, view: ObservationModel, data: Measured, valleys: LocalMinima, lower: Real, upper: Real
@@ -259,6 +264,13 @@ class MaximumLikelihood(Method):
                 iterations[repeat] += new.iterations[0]
                 sign[repeat] = flips[0]
         return OptimizeResult(x, cost, converged, iterations, found.history), sign
+
+
+def _start(data: Prepared, states: States, exact: Measured) -> Real:
+    """Where all is seen: least squares less its noise, (K, unknowns), boundary loads of whole records solved for."""
+    if exact.ends is not None:
+        return record_starts(data.model, states, exact.ends)
+    return compensated(data.model, states)
 
 
 def _through(

@@ -14,6 +14,7 @@ from scipy import sparse
 from scipy.sparse.csgraph import connected_components, structural_rank
 
 from dashpot.arrays import Bools, Complex, Ints, Real, hermitian
+from dashpot.estimate.likelihood.boundary_loads import RecordEnds, projector, record_ends, whitener
 from dashpot.estimate.method import Prepared
 from dashpot.model.observation import (
     ObservationModel,
@@ -34,20 +35,25 @@ class Measured:
     """Amplitudes of K repeats, arranged for the likelihood.
 
     y (K, lines, channels), 0 where not measured; W (K or 1, lines, channels, channels) the inverse covariance, 0
-    where not measured; q (K, lines, r + s) where exact channels give the inputs, else None.
+    where not measured; q (K, lines, r + s) where exact channels give the inputs, else None; `rows` real equations.
+    `ends`: the columns that whole records bring, and `root` with rootᴴ root = W, where there are whole records.
     """
 
     y: Complex
     W: Complex
     q: Complex | None
     rows: int
+    ends: RecordEnds | None = None
+    root: Complex | None = None
 
     def pick(self, rows: Ints) -> Measured:
         """Some of the repeats."""
         if len(self.y) == 1:
             return self  # many starts of one repeat
         W = self.W if len(self.W) == 1 else self.W[rows]
-        return Measured(self.y[rows], W, None if self.q is None else self.q[rows], self.rows)
+        root = self.root if self.root is None or len(self.root) == 1 else self.root[rows]
+        q = None if self.q is None else self.q[rows]
+        return Measured(self.y[rows], W, q, self.rows, self.ends, root)
 
 
 def measured(data: Prepared, view: ObservationModel, softness: float = 0.0) -> Measured:
@@ -60,7 +66,8 @@ def measured(data: Prepared, view: ObservationModel, softness: float = 0.0) -> M
     silent = np.all(diagonal == 0, axis=0)
     drive = np.array([measures_input(model, c) and is_direct(model, c) for c in spectrum.channels])
     exact = present & silent & drive
-    q = _exact_inputs(view, y, exact)
+    by_channel = _from_exact(view, exact)
+    q = None if by_channel is None else np.einsum("lqc,...lc->...lq", by_channel, y)
     if q is not None:
         present = present & ~exact
     size = np.mean(np.abs(y), axis=0)
@@ -75,21 +82,22 @@ def measured(data: Prepared, view: ObservationModel, softness: float = 0.0) -> M
     W = np.linalg.inv(scaled) / (size[:, :, None] * size[:, None, :])
     W = np.where(both, (W + hermitian(W)) / 2, 0.0)
     count = int(np.sum(present)) - (0 if q is not None else int(np.sum(_inputs_seen(view, present))))
-    return Measured(y * present, W, q, 2 * count)
+    ends = record_ends(view, spectrum, by_channel)
+    return Measured(y * present, W, q, 2 * count, ends, None if ends is None else whitener(W))
 
 
-def _exact_inputs(view: ObservationModel, y: Complex, exact: Bools) -> Complex | None:
-    """Inputs from exact channels, (K, lines, r + s); None where they do not determine them at every line."""
+def _from_exact(view: ObservationModel, exact: Bools) -> Complex | None:
+    """Inputs by the exact channels, (lines, r + s, channels); None where they do not give them at every line."""
     C = view.direct_q * exact[..., None]
     count = C.shape[-1]
     scale = np.max(np.abs(C), axis=-1, keepdims=True, initial=0.0)
     with np.errstate(invalid="ignore", divide="ignore"):
         C = np.where(scale > 0, C / scale, 0.0)
-        right = np.where(scale[..., 0] > 0, y * exact / np.where(scale[..., 0] > 0, scale[..., 0], 1.0), 0.0)
+        unit = np.where(scale > 0, 1 / np.where(scale > 0, scale, 1.0), 0.0)[..., 0] * exact
     if np.any(np.linalg.matrix_rank(C) < count):
         return None
-    q: Complex = np.einsum("lqc,...lc->...lq", np.linalg.pinv(C), right)
-    return q
+    by_channel: Complex = np.linalg.pinv(C) * unit[:, None, :]
+    return by_channel
 
 
 def directly_driven(view: ObservationModel, data: Measured) -> Measured | None:
@@ -98,8 +106,11 @@ def directly_driven(view: ObservationModel, data: Measured) -> Measured | None:
         return data
     alone = view.inputs_alone & np.any(view.direct_q, axis=-1) & np.all(data.y != 0, axis=0)
     calibrated = (view.gain < 0) & (view.delay < 0) & ~view.flips
-    q = _exact_inputs(view, data.y, alone & calibrated)
-    return None if q is None else Measured(data.y, data.W, q, data.rows)
+    by_channel = _from_exact(view, alone & calibrated)
+    if by_channel is None:
+        return None
+    q = np.einsum("lqc,...lc->...lq", by_channel, data.y)
+    return Measured(data.y, data.W, q, data.rows)
 
 
 def _inputs_seen(view: ObservationModel, present: Bools) -> Ints:
@@ -127,7 +138,8 @@ class Prediction:
     """Channels, residuals and slopes at one ψ.
 
     r (K, lines, channels) residual y − κ G q̂; weighted (…) Π y = W r; J (…, M) slope of κ G q at fixed q;
-    PJ = Π J with Π = W − W G (Gᴴ W G)⁻¹ Gᴴ W; q̂ (K, lines, r + s); cost_per_line (K, lines)
+    PJ = Π J with Π = W − W G (Gᴴ W G)⁻¹ Gᴴ W; q̂ (K, lines, r + s); cost_per_line (K, lines).  Of whole records the
+    boundary loads and polynomials are taken out of r, and out of J; `columns` counts those that are not dependent.
     """
 
     r: Complex
@@ -136,6 +148,7 @@ class Prediction:
     PJ: Complex
     q: Complex
     cost_per_line: Real
+    columns: int = 0
 
     def information(self) -> Real:
         """2 Re Jᴴ Π J of each line, (K, lines, M, M)."""
@@ -144,21 +157,63 @@ class Prediction:
 
 def predict(view: ObservationModel, data: Measured, psi: Real, sign: Real) -> Prediction:
     """Evaluate the channels at ψ (K, M) with signs (K, channels)."""
+    if data.ends is not None and data.root is not None:
+        return _predict_records(view, data, data.ends, data.root, psi, sign)
     model = view.model
     kappa = calibration(view, psi, sign)
     rig = transfer(view, model.parameters(psi[:, : view.m]))
     G = kappa[..., None] * rig.G
     q, half = _inputs(G, data)
     predicted = np.einsum("...cq,...q->...c", G, q)
-    residual = data.y - predicted
     J = kappa[..., None] * rig.slopes(q)
     J = np.concatenate([J, calibration_slopes(view, psi, predicted)], axis=-1)
-    weighted = (data.W @ residual[..., None])[..., 0]
     PJ = data.W @ J
     if half is not None:
         PJ = PJ - half @ (hermitian(G) @ PJ)
+    return _prediction(data, data.y - predicted, J, PJ, q)
+
+
+def _prediction(
+    data: Measured, residual: Complex, J: Complex, PJ: Complex, q: Complex, columns: int = 0
+) -> Prediction:
+    weighted = (data.W @ residual[..., None])[..., 0]
     cost: Real = 2 * np.sum((np.conj(residual) * weighted).real, axis=-1)
-    return Prediction(residual, weighted, J, PJ, q, cost)
+    return Prediction(residual, weighted, J, PJ, q, cost, columns)
+
+
+def _predict_records(
+    view: ObservationModel, data: Measured, ends: RecordEnds, root: Complex, psi: Real, sign: Real
+) -> Prediction:
+    """As `predict`, with boundary loads and polynomials of whole records projected out after the inputs.
+
+    Slopes are those under the whole motion: the loads found are inputs of the larger rig.
+    """
+    kappa = calibration(view, psi, sign)
+    rig = transfer(ends.view, view.model.parameters(psi[:, : view.m]))
+    G, by_load = np.split(kappa[..., None] * rig.G, [ends.inputs], axis=-1)
+    driven, half = _inputs(G, data)
+
+    def without_inputs(columns: Complex) -> Complex:
+        return columns if half is None else columns - G @ (hermitian(half) @ columns)
+
+    polynomials = ends.polynomials() + G @ ends.by_input
+    columns = np.concatenate([by_load, ends.s[:, None, None] * by_load, polynomials], axis=-1)
+    free = without_inputs(columns)
+    of_ends = projector(ends, root @ free)
+    residual = data.y - np.einsum("...cq,...q->...c", G, driven)
+    found = of_ends.coefficients(root @ residual[..., None])[..., 0]
+    residual = residual - np.einsum("...cz,...z->...c", free, found)
+    n = ends.n
+    load = found[..., :n] + ends.s[:, None] * found[..., n : 2 * n]
+    q = driven + np.einsum("lqp,...lp->...lq", ends.by_input, found[..., 2 * n :])
+    if half is not None:
+        q = q - np.einsum("...cq,...cz,...z->...q", np.conj(half), columns, found)
+    motion = np.concatenate([q, load], axis=-1)
+    predicted = kappa * np.einsum("...cq,...q->...c", rig.G, motion)
+    J = kappa[..., None] * rig.slopes(motion)
+    J = without_inputs(np.concatenate([J, calibration_slopes(view, psi, predicted)], axis=-1))
+    J = J - free @ of_ends.coefficients(root @ J)
+    return _prediction(data, residual, J, data.W @ J, q, int(of_ends.rank[0]))
 
 
 def _inputs(G: Complex, data: Measured) -> tuple[Complex, Complex | None]:

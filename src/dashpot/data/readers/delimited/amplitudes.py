@@ -4,7 +4,7 @@ x(t) = Re(X e^{jωt}); `NAME_sd` is the standard deviation of the real and of th
 optional columns: `experiment`, `samples`, `dof`, `noise` and, for noise that channels share, `A&B_cov_re` and
 `A&B_cov_im`, the covariance E[Δ_A conj(Δ_B)].  Numbers are raw, in the channels' own units, calibrations still in.
 Lines of one whole record, which share its boundary loads, have one number in the column `record`,
-with `record_duration_s`, `record_samples`, `record_loads` (0 or 1) and `record_polynomial` (0 to 3).  Lines of one
+with `record_duration_s`, `record_samples`, `record_loads` (0 or 1) and `record_polynomial` (0 to 6).  Lines of one
 settled dwell have its number there and `fundamental_hz`.
 """
 
@@ -171,7 +171,7 @@ def _stretches(
         stretch[rows] = len(stretches)
         try:
             if np.isfinite(duration) and np.isfinite(samples):
-                terms = 3 if np.isnan(polynomial) else int(polynomial)
+                terms = 4 if np.isnan(polynomial) else int(polynomial)
                 stretches.append(WholeRecord(duration, int(samples), loads != 0, terms))
             else:
                 stretches.append(SettledDwell(None if np.isnan(fundamental) else fundamental))

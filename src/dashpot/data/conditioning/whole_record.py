@@ -1,0 +1,319 @@
+"""Whole records: all samples of any excitation become lines k/T that share the record's boundary loads (THEORY §8).
+
+Nothing has to settle, to repeat or to end where it began: what the ends of the record leave in its lines is smooth in
+frequency, a load a + jωb at every coordinate and a few real polynomial columns in each channel, and the likelihood
+solves for it.  Here the samples are checked, put through one FFT, and limited to the band in which something moves.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import numpy as np
+from scipy import fft
+
+from dashpot.arrays import Complex, Ints, Real
+from dashpot.channel import Channel
+from dashpot.data.calibration import calibration
+from dashpot.data.record import Record
+from dashpot.data.spectrum import Spectrum, concatenate
+from dashpot.data.stretch import WholeRecord
+from dashpot.errors import DataError
+
+UNEVEN = 0.02  # of a sampling step: stamps may be rounded by that much
+GAP = 1.5  # sampling steps: where the next sample is later than this, another record begins
+FEWEST = 16  # samples of a record
+HIGHEST = 0.9  # of half the sampling rate: above it the input between the samples is not known well enough
+BIN = 30  # lines, at least, whose mean power says whether something moves there
+BINS = 200  # at most
+STANDS_OUT = 4.0  # standard deviations of a bin's mean power above the floor: a signal
+POLYNOMIAL = 4  # columns 1, jω, (jω)², … of each output channel: the fourth takes the error down by twenty
+HALF_WINDOW = 30  # lines on either side over which the noise of a record at rest is smoothed
+FLOOR = "floor"  # kind of noise: white, as the top of the spectrum shows it, until residuals show more
+TOP = (0.6, 0.98)  # of half the sampling rate: where that floor is read
+FAR_BELOW = 0.1  # of the mean power of the lines: a floor is noise, not motion
+
+
+@dataclass(frozen=True)
+class Still:
+    """The noise of all channels as a record at rest shows it: periodogram of its samples.
+
+    frequency_hz (lines,); power (lines, channels, channels): 2/N of Σ Y Yᴴ smoothed over neighbouring lines, which is
+    E[Δ Δᴴ] of peak amplitudes times the number of samples; dof: real degrees of freedom behind each line.
+    """
+
+    frequency_hz: Real
+    power: Complex
+    dof: float
+
+    def covariance(self, frequency_hz: Real, samples: int) -> Complex:
+        """V of peak amplitudes of a record of so many samples, (lines, channels, channels)."""
+        at = np.searchsorted((self.frequency_hz[1:] + self.frequency_hz[:-1]) / 2, frequency_hz)
+        V: Complex = self.power[at] / samples
+        return V
+
+
+def even_step(record: Record) -> float:
+    """The sampling step, s.  Raises DataError where the samples are not evenly spaced."""
+    time = record.time
+    if len(time) < FEWEST:
+        raise DataError(
+            f"a record of {len(time)} samples",
+            record.source,
+            f"{FEWEST} samples are the least that can be used",
+        )
+    index = np.arange(len(time)) - (len(time) - 1) / 2
+    step = float(index @ (time - time[0]) / (index @ index))
+    away = np.abs(time - np.mean(time) - step * index)
+    # Rounded stamps stay within a digit of the line through all of them, however long the record is.
+    if np.max(away) > max(UNEVEN * step, 1.01 * _digit(time)):
+        row = int(np.argmax(away)) + 1
+        raise DataError(
+            f"the samples are not evenly spaced: row {row} is {np.max(away) / step:.3g} steps of {step:.4g} s off",
+            record.source,
+            "record with a steady clock; a resampled record would have errors that nobody can tell from motion",
+        )
+    return step
+
+
+def _digit(time: Real) -> float:
+    """The last digit that the stamps are written with, s; at most a quarter of the step."""
+    steps = np.diff(time[: min(len(time), 1000)])
+    usual = float(np.median(steps))
+    for digits in range(13):
+        if np.all(np.abs(steps - np.round(steps, digits)) < 1e-4 * usual):
+            return min(10.0**-digits, usual / 4)
+    return 0.0
+
+
+def without_gaps(record: Record) -> tuple[list[Record], tuple[str, ...]]:
+    """The record cut where samples are missing, and a note that says so; pieces too short to use are left out.
+
+    Raises DataError where no piece is long enough.
+    """
+    steps = np.diff(record.time)
+    if not len(steps):
+        return [record], ()
+    usual = float(np.median(steps))
+    cuts = np.flatnonzero(steps > GAP * usual) + 1
+    if not len(cuts):
+        return [record], ()
+    edges = [0, *cuts.tolist(), len(record.time)]
+    pieces = [
+        replace(record, time=record.time[a:b], values=record.values[..., a:b, :])
+        for a, b in pairwise(edges)
+        if b - a >= 4 * FEWEST
+    ]
+    lost = len(record.time) - sum(len(piece.time) for piece in pieces)
+    if not pieces:
+        raise DataError(
+            f"the time has {len(cuts)} gaps, and no piece between them has {4 * FEWEST} samples",
+            record.source,
+            "give the record without gaps",
+        )
+    at = ", ".join(f"{record.time[cut]:.6g} s" for cut in cuts[:3]) + (", …" if len(cuts) > 3 else "")
+    dropped = f", {lost} samples of short pieces left out" if lost else ""
+    return pieces, (
+        f"{record.source}: samples are missing before {at}: used as {len(pieces)} records{dropped}",
+    )
+
+
+def whole_record(
+    record: Record,
+    *,
+    band_hz: tuple[float, float] | None = None,
+    still: Still | None = None,
+    polynomial: int = POLYNOMIAL,
+    loads: bool = True,
+) -> Spectrum:
+    """Lines k/T, k ≥ 1, of one evenly sampled record, peak amplitudes (2/N) Σ x e^{−jωt}, SI units.
+
+    Without `band_hz` the lines reach from the first to where nothing stands out of the noise any more, and to 0.9 of
+    half the sampling rate at most.  The covariance is that of a record at `still`, else the white floor of each channel
+    (0 where it has none), which the residuals of a fit replace.  The offset is in the DC line alone, which is left out.
+    Raises DataError for uneven samples, a band without lines or without signal, and channels that do not move.
+    """
+    if record.values.ndim != 2:
+        raise DataError("repeats of a record are not put together", record.source, "give one at a time")
+    step = even_step(record)
+    record, remaining = _aligned(record, step)
+    samples = len(record.time)
+    duration = samples * step
+    _require_motion(record)
+    top = int(np.floor(HIGHEST * samples / 2))
+    first, last = 1, top
+    if band_hz is not None:
+        first, last = int(np.ceil(band_hz[0] * duration - 1e-9)), int(np.floor(band_hz[1] * duration + 1e-9))
+        first, last = max(first, 1), min(last, samples // 2 - 1)
+        if last < first:
+            raise DataError(
+                f"no line of the record lies between {band_hz[0]:g} and {band_hz[1]:g} Hz",
+                record.source,
+                f"its lines are multiples of {1 / duration:.4g} Hz up to {0.5 / step:.4g} Hz",
+            )
+    X = np.empty((last - first + 1, len(record.channels)), dtype=np.complex128)
+    floor = np.zeros(len(record.channels))
+    for c in range(len(record.channels)):
+        column = record.values[:, c]
+        Y = fft.rfft(column - column.mean())
+        Y *= 2 / samples
+        X[:, c] = Y[first : last + 1]
+        floor[c] = white_floor(Y)
+    if band_hz is None:
+        keep = _moving(X)
+        X = X[:keep]
+        last = first + keep - 1
+    frequency = np.arange(first, last + 1) / duration
+    lines, channels = X.shape
+    h = calibration(remaining, frequency)
+    if still is None:
+        V = np.broadcast_to(np.diag(floor).astype(np.complex128), (lines, channels, channels))
+        kind, dof = FLOOR, 2.0 * lines
+    else:
+        V, kind, dof = still.covariance(frequency, samples), "rest", still.dof
+    V = V * h[:, :, None] * np.conj(h)[:, None, :]
+    return Spectrum(
+        record.channels, frequency, X * h, V, np.full(lines, samples), np.full(lines, dof), (kind,) * lines,
+        np.full(lines, record.experiment),
+        stretch=np.zeros(lines, dtype=np.int64),
+        stretches=(WholeRecord(duration, samples, loads, polynomial),),
+    )  # fmt: skip
+
+
+def whole_records(
+    records: Sequence[Record],
+    *,
+    band_hz: tuple[float, float] | None = None,
+    still: Sequence[Record] = (),
+    polynomial: int = POLYNOMIAL,
+) -> Spectrum:
+    """Lines of several records, each with boundary loads of its own; records are cut where samples are missing.
+
+    `still`: records of the same channels with nothing driven, which give the noise.  Raises as `whole_record`.
+    """
+    notes: list[str] = []
+    pieces: list[Record] = []
+    for record in records:
+        parts, told = without_gaps(record)
+        pieces += parts
+        notes += told
+    noise = noise_at_rest(still) if still else None
+    spectra = [whole_record(piece, band_hz=band_hz, still=noise, polynomial=polynomial) for piece in pieces]
+    joined = concatenate(spectra)
+    used = sum(len(piece.time) for piece in pieces)
+    low, high = float(np.min(joined.frequency_hz)), float(np.max(joined.frequency_hz))
+    notes.append(
+        f"{len(pieces)} whole record{'s' if len(pieces) > 1 else ''}, {used} samples, {joined.lines} lines from "
+        f"{low:.4g} to {high:.4g} Hz, starting and ending transients estimated"
+    )
+    return replace(joined, notes=(*joined.notes, *notes))
+
+
+def noise_at_rest(records: Sequence[Record], half_window: int = HALF_WINDOW) -> Still:
+    """The noise that records with nothing driven show, smoothed over 2·half_window + 1 lines and over the records.
+
+    The longest record gives the lines; raises DataError for uneven samples and records too short.
+    """
+    longest = max(records, key=lambda record: len(record.time))
+    parts = [_periodogram(record, half_window) for record in records]
+    grid = parts[[record is longest for record in records].index(True)].frequency_hz
+    total = np.zeros((len(grid), len(longest.channels), len(longest.channels)), dtype=np.complex128)
+    dof = 0.0
+    for part in parts:
+        if part.power.shape[1:] != total.shape[1:]:
+            raise DataError("the records at rest have other channels than each other", longest.source)
+        total += part.dof * part.covariance(grid, 1)
+        dof += part.dof
+    return Still(grid, total / dof, dof)
+
+
+def _periodogram(record: Record, half_window: int) -> Still:
+    step = even_step(record)
+    samples = len(record.time)
+    lines = (samples - 1) // 2
+    if lines < 2 * half_window + 1:
+        raise DataError(
+            f"the record at rest has {samples} samples", record.source, f"{4 * half_window + 4} are the least"
+        )
+    centred = record.values - record.values.mean(axis=0)
+    Y = fft.rfft(centred, axis=0)[1 : lines + 1] * (2 / samples)
+    frequency = np.arange(1, lines + 1) / (samples * step)
+    power = smoothed(np.einsum("lc,ld->lcd", Y, np.conj(Y)), half_window) * samples
+    return Still(frequency, power, 2.0 * (2 * half_window + 1))
+
+
+def smoothed(values: Complex, half_window: int) -> Complex:
+    """Mean over the nearest 2·half_window + 1 lines (axis 0), fewer lines on one side taken from the other."""
+    lines = len(values)
+    width = min(2 * half_window + 1, lines)
+    sums = np.concatenate([np.zeros((1, *values.shape[1:]), dtype=values.dtype), np.cumsum(values, axis=0)])
+    first = np.clip(np.arange(lines) - width // 2, 0, lines - width)
+    mean: Complex = (sums[first + width] - sums[first]) / width
+    return mean
+
+
+def _aligned(record: Record, step: float) -> tuple[Record, tuple[Channel, ...]]:
+    """The record with late channels shifted by whole samples, so that their ends belong together.
+
+    The channels beside it have what is left of their delays, less than one sample.
+    """
+    shifts = np.array([round((channel.delay or 0.0) / step) for channel in record.channels])
+    remaining = tuple(
+        channel if not shift else replace(channel, delay=(channel.delay or 0.0) - shift * step)
+        for channel, shift in zip(record.channels, shifts.tolist(), strict=True)
+    )
+    if not np.any(shifts):
+        return record, remaining
+    first = shifts - shifts.min()
+    count = len(record.time) - int(first.max())
+    if count < FEWEST:
+        raise DataError("a channel is later than the record is long", record.source, "correct its delay")
+    values = np.stack([record.values[s : s + count, c] for c, s in enumerate(first)], axis=-1)
+    return replace(record, time=record.time[:count], values=values), remaining
+
+
+def _require_motion(record: Record) -> None:
+    """Raises DataError where a channel stays at one value."""
+    for c, channel in enumerate(record.channels):
+        column = record.values[:, c]
+        if np.ptp(column) == 0:
+            raise DataError(
+                f"{channel.name} stays at {column[0]:g} throughout",
+                record.source,
+                "see whether the sensor is connected, or leave the channel out of the rig file",
+            )
+
+
+def white_floor(Y: Complex) -> float:
+    """E[Δ Δ*] of white noise, from the lines Y (N/2 + 1,) of one channel near half the sampling rate.
+
+    0 where they are not flat, or not far below the others: then they show motion, and tell nothing of the noise.
+    """
+    top = np.abs(Y[int(TOP[0] * len(Y)) : int(TOP[1] * len(Y))]) ** 2
+    halves = np.array_split(top, 2)
+    if len(top) < 2 * BIN:
+        return 0.0
+    low, high = (float(np.mean(half)) for half in halves)
+    level = (low + high) / 2
+    even = abs(low - high) <= STANDS_OUT * level * 2 / len(top) ** 0.5
+    return level if even and level < FAR_BELOW * float(np.mean(np.abs(Y[1:]) ** 2)) else 0.0
+
+
+def _moving(X: Complex) -> int:
+    """How many of the lines are kept: up to the last bin in which some channel stands out of its floor."""
+    lines = len(X)
+    each = max(BIN, -(-lines // BINS))
+    if lines < 3 * each:
+        return lines
+    power = np.abs(X) ** 2
+    edges: Ints = np.arange(0, lines - each + 1, each)
+    mean = np.add.reduceat(power[: edges[-1] + each], edges, axis=0) / each
+    floor = np.quantile(mean[-max(3, len(mean) // 4) :], 0.25, axis=0)
+    out = np.flatnonzero(np.any(mean > (1 + STANDS_OUT / each**0.5) * floor, axis=-1))
+    if not len(out):
+        raise DataError(
+            "no channel moves more in one part of the band than in another: there is no signal in it"
+        )
+    return min(lines, int((out[-1] + 2) * each))

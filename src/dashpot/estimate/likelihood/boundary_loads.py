@@ -1,0 +1,178 @@
+"""Boundary loads of whole records: what the two ends of a record add to all of its lines (THEORY §8, W).
+
+D X = R U + S f + a + jω b, with a, b ∈ Rⁿ free: an impulse and a doublet at every coordinate.  What the ends alias, and
+what they add to velocities and accelerations, are the real columns 1, jω, (jω)² of each output channel.  All of them
+enter linearly; they are projected out of each record after the inputs have been out of each line, by a basis that
+leaves out columns which depend on each other.
+
+The loads are force inputs of a larger rig, one at every coordinate, so that its transfer gives their response, and its
+unit forces are those of the whole motion.  Slopes by the driven motion alone lead the iteration astray: slowly, and
+with a spread of up to twice what it states.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from dashpot.arrays import Bools, Complex, Ints, Real, frozen
+from dashpot.data.spectrum import Spectrum
+from dashpot.data.stretch import WholeRecord
+from dashpot.model.network import Input
+from dashpot.model.observation import ObservationModel, observation_model
+from dashpot.numerics.projection import orthonormal, real_rows
+
+
+@dataclass(frozen=True)
+class RecordEnds:
+    """The columns that the ends of each record bring; constants of one search.
+
+    view     the rig with a force input at every coordinate, behind its own inputs
+    lines    of each record
+    s        (lines,) jω over the highest ω of the record
+    loads    (records,) whether boundary loads are among the columns
+    terms    (records, polynomials) which polynomial columns are
+    channel, power (polynomials,): a column is s^power in one channel
+    by_input (lines, r + s, polynomials): how inputs that are taken as exact follow from a channel's polynomial; 0
+             where the channel is one of the data
+    """
+
+    view: ObservationModel
+    inputs: int
+    lines: tuple[Ints, ...]
+    s: Complex
+    loads: Bools
+    terms: Bools
+    channel: Ints
+    power: Ints
+    by_input: Complex
+
+    @property
+    def n(self) -> int:
+        """Coordinates."""
+        return self.view.model.n
+
+    @property
+    def count(self) -> int:
+        """Columns: two loads for each coordinate, and the polynomials."""
+        return 2 * self.n + len(self.channel)
+
+    def polynomials(self) -> Complex:
+        """Columns of the polynomials in the channels that are data, (lines, channels, polynomials)."""
+        columns = np.zeros((len(self.s), len(self.view.channels), len(self.channel)), dtype=np.complex128)
+        index = np.arange(len(self.channel))
+        columns[:, self.channel, index] = self.s[:, None] ** self.power
+        return columns
+
+    def used(self, record: int) -> Bools:
+        """Which of the columns one record has, (columns,)."""
+        loads = np.full(2 * self.n, self.loads[record])
+        return np.concatenate([loads, self.terms[record]])
+
+
+def with_loads(view: ObservationModel) -> ObservationModel:
+    """The same channels of the rig with a force input at every coordinate, behind its own inputs."""
+    model = view.model
+    taken = {*model.coordinates, *(given.name for given in model.inputs)}
+    names = []
+    for coordinate in model.coordinates:
+        name = f"load at {coordinate}"
+        while name in taken:
+            name += "'"
+        names.append(name)
+    extra = tuple(
+        Input(name, "force", {coordinate: 1.0})
+        for name, coordinate in zip(names, model.coordinates, strict=True)
+    )
+    return observation_model(replace(model, inputs=(*model.inputs, *extra)), view.channels, view.omega)
+
+
+def record_ends(
+    view: ObservationModel, spectrum: Spectrum, exact: Complex | None = None
+) -> RecordEnds | None:
+    """The columns of a spectrum's whole records; None where it has none with loads or polynomials.
+
+    `exact` (lines, r + s, channels) gives the inputs from channels that are taken as exact.
+    """
+    records = [
+        (value, np.flatnonzero(spectrum.stretch == number))
+        for number, value in enumerate(spectrum.stretches)
+        if isinstance(value, WholeRecord) and (value.loads or value.polynomial)
+    ]
+    if not records:
+        return None
+    outputs = ~view.inputs_alone
+    most = max(value.polynomial for value, _ in records)
+    channel, power = [], []
+    for c, output in enumerate(outputs):
+        # A moved base measured as velocity or acceleration has end terms of its own; other inputs have none.
+        terms = most if output else int(view.derivative[c])
+        channel += [c] * terms
+        power += list(range(terms))
+    of = np.array(channel, dtype=np.int64)
+    height = np.array(power, dtype=np.int64)
+    s = np.zeros(spectrum.lines, dtype=np.complex128)
+    terms_used = np.zeros((len(records), len(of)), dtype=bool)
+    measured = np.any(np.isfinite(spectrum.amplitudes.reshape(-1, *spectrum.amplitudes.shape[-2:])), axis=0)
+    for number, (value, lines) in enumerate(records):
+        s[lines] = 1j * spectrum.omega[lines] / np.max(spectrum.omega[lines])
+        there = np.any(measured[lines], axis=0)
+        terms_used[number] = (height < np.where(outputs[of], value.polynomial, height + 1)) & there[of]
+    by_input = np.zeros((spectrum.lines, view.on_q.shape[1], len(of)), dtype=np.complex128)
+    if exact is not None:
+        by_input = -exact[:, :, of] * (s[:, None] ** height)[:, None, :]
+    return RecordEnds(
+        with_loads(view),
+        view.on_q.shape[1],
+        tuple(lines for _, lines in records),
+        s,
+        np.array([value.loads for value, _ in records]),
+        terms_used,
+        of,
+        height,
+        by_input,
+    )
+
+
+@dataclass(frozen=True)
+class Projector:
+    """Least squares on the columns of each record, real coefficients.
+
+    lines: of each record; bases: (Q, B) of each as `orthonormal` gives them, the columns having unit noise and the
+    inputs taken out; rank (K,) of all records together
+    """
+
+    lines: tuple[Ints, ...]
+    bases: tuple[tuple[Real, Real], ...]
+    rank: Ints
+
+    def coefficients(self, sides: Complex) -> Real:
+        """Of each line's record, (K, lines, columns, sides), 0 at lines of no record; `sides` with unit noise."""
+        columns = self.bases[0][1].shape[-2]
+        out = np.zeros((*sides.shape[:2], columns, sides.shape[-1]))
+        for lines, (Q, B) in zip(self.lines, self.bases, strict=True):
+            solved = B @ (np.swapaxes(Q, -1, -2) @ real_rows(sides[:, lines]))
+            out[:, lines] = solved[:, None]
+        return out
+
+
+def projector(ends: RecordEnds, whitened: Complex) -> Projector:
+    """The projection on columns (K, lines, rows, columns) that have unit noise, the inputs taken out."""
+    bases, rank = [], np.zeros(len(whitened), dtype=np.int64)
+    for record, lines in enumerate(ends.lines):
+        Q, B, kept = orthonormal(real_rows(whitened[:, lines] * ends.used(record)))
+        bases.append((Q, B))
+        rank += kept
+    return Projector(ends.lines, tuple(bases), rank)
+
+
+def whitener(W: Complex) -> Complex:
+    """R with Rᴴ R = W, for stacks of weights (..., channels, channels) whose absent channels have zero rows."""
+    absent = np.diagonal(W, axis1=-2, axis2=-1).real == 0
+    filled = W + absent[..., None] * np.eye(W.shape[-1])
+    size = np.sqrt(np.diagonal(filled, axis1=-2, axis2=-1).real)
+    scaled = filled / (size[..., :, None] * size[..., None, :])
+    L = np.linalg.cholesky(scaled)
+    R: Complex = np.conj(np.swapaxes(L, -1, -2)) * np.where(absent, 0.0, size)[..., None, :]
+    return frozen(R, np.complex128)

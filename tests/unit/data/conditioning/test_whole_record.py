@@ -1,0 +1,145 @@
+"""Samples to lines of a whole record: scaling, noise, delays, gaps, the band, and what is refused."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from dashpot.arrays import Real
+from dashpot.channel import Channel
+from dashpot.data.conditioning.whole_record import (
+    FLOOR,
+    even_step,
+    noise_at_rest,
+    smoothed,
+    whole_record,
+    whole_records,
+    without_gaps,
+)
+from dashpot.data.record import Record
+from dashpot.data.stretch import WholeRecord
+from dashpot.errors import DataError
+
+A, B = Channel("a", {"a": 1.0}), Channel("b", {"b": 1.0})
+
+
+def record(values: Real, step: float = 0.01, channels: tuple[Channel, ...] = (A, B)) -> Record:
+    return Record(channels, step * np.arange(len(values)), values)
+
+
+def resonant(samples: int, rng: np.random.Generator) -> Real:
+    """Two channels that move below 10 Hz, rising and falling, sampled at 100 Hz, with white noise of 0.2."""
+    f = rng.uniform(0.5, 10, 40)
+    t = 0.01 * np.arange(samples)
+    moving = np.cos(2 * np.pi * f[:, None] * t + rng.uniform(0, 6, 40)[:, None])
+    rise = np.sin(np.pi * np.arange(samples) / samples)[:, None] ** 4
+    both = np.stack([moving.sum(0), 0.3 * (moving * f[:, None]).sum(0)], axis=-1)
+    return rise * both + 0.2 * rng.normal(size=(samples, 2))
+
+
+def test_peak_amplitudes_and_an_offset_that_is_left_out() -> None:
+    t = 0.01 * np.arange(1000)
+    values = np.stack([3 + 2 * np.cos(2 * np.pi * 4 * t + 0.3), np.cos(2 * np.pi * 7 * t)], axis=-1)
+    lines = whole_record(record(values), band_hz=(0.05, 20))
+    assert lines.stretches == (WholeRecord(10.0, 1000),)
+    assert lines.frequency_hz[0] == pytest.approx(0.1)
+    at = int(np.argmin(np.abs(lines.frequency_hz - 4)))
+    assert lines.amplitudes[at, 0] == pytest.approx(2 * np.exp(0.3j), abs=1e-12)
+    others = np.delete(np.abs(lines.amplitudes[:, 0]), at)
+    assert np.max(others) < 1e-12
+
+
+def test_white_noise_has_four_times_its_variance_over_samples() -> None:
+    rng = np.random.default_rng(1)
+    noise = rng.normal(size=(20000, 2)) * [1.0, 0.3]
+    lines = whole_record(record(noise), band_hz=(1, 40))
+    power = np.mean(np.abs(lines.amplitudes) ** 2, axis=0)
+    np.testing.assert_allclose(power, 4 * np.array([1.0, 0.09]) / 20000, rtol=0.05)  # 4 sd of 7,800 lines
+
+
+def test_the_floor_of_the_noise_is_found() -> None:
+    lines = whole_record(record(resonant(4000, np.random.default_rng(2))))
+    assert set(lines.noise) == {FLOOR}
+    floor = np.diagonal(lines.covariance[0]).real
+    np.testing.assert_allclose(floor, 4 * 0.04 / 4000, rtol=0.15)  # 4 sd of 760 lines
+
+
+def test_lines_end_where_nothing_moves_any_more() -> None:
+    lines = whole_record(record(resonant(4000, np.random.default_rng(3))))
+    assert 10.0 <= lines.frequency_hz[-1] < 13.0
+
+
+def test_noise_of_a_record_at_rest() -> None:
+    rng = np.random.default_rng(4)
+    coloured = np.cumsum(rng.normal(size=(30000, 2)), axis=0)
+    coloured[1:] -= 0.9 * coloured[:-1]  # not white, and the second channel shares half of the first one's
+    coloured[:, 1] += 0.5 * coloured[:, 0]
+    still = record(coloured - np.linspace(0, 1, 30000)[:, None] * (coloured[-1] - coloured[0]))
+    moving = record(resonant(4000, rng))
+    lines = whole_record(moving, band_hz=(2, 10), still=noise_at_rest([still]))
+    assert set(lines.noise) == {"rest"}
+    assert np.all(lines.dof == 122)
+    V = lines.covariance
+    share = V[:, 0, 1].real / V[:, 0, 0].real
+    assert np.mean(share) == pytest.approx(0.5, abs=0.1)
+    again = whole_record(still, band_hz=(2, 10))
+    power = np.mean(np.abs(again.amplitudes[:, 0]) ** 2) * 30000 / 4000
+    assert np.mean(V[:, 0, 0].real) == pytest.approx(power, rel=0.1)
+
+
+def test_a_late_channel_is_shifted() -> None:
+    values = resonant(2000, np.random.default_rng(5))
+    late = np.array(values)
+    late[7:, 1] = values[:-7, 1]
+    channels = (A, replace(B, delay=0.073))
+    shifted = whole_record(record(late, channels=channels), band_hz=(1, 9))
+    plain = whole_record(record(values[:1993]), band_hz=(1, 9))
+    turn = np.exp(2j * np.pi * plain.frequency_hz * 0.003)  # what is left of seven samples
+    np.testing.assert_allclose(shifted.amplitudes[:, 0], plain.amplitudes[:, 0], atol=1e-12)
+    np.testing.assert_allclose(shifted.amplitudes[:, 1], plain.amplitudes[:, 1] * turn, atol=1e-12)
+
+
+def test_gaps_make_records() -> None:
+    whole = record(resonant(3000, np.random.default_rng(6)))
+    keep = np.r_[0:1000, 1200:1230, 1300:3000]
+    cut = replace(whole, time=whole.time[keep], values=whole.values[keep])
+    pieces, notes = without_gaps(cut)
+    assert [len(piece.time) for piece in pieces] == [1000, 1700]
+    assert "samples are missing before 12 s, 13 s" in notes[0]
+    assert "30 samples of short pieces left out" in notes[0]
+    lines = whole_records([cut], band_hz=(1, 9))
+    assert len(lines.records) == 2
+    assert "2 whole records, 2700 samples" in lines.notes[-1]
+
+
+def test_rounded_stamps_are_even() -> None:
+    time = np.round(np.arange(5000) / 64, 3)
+    assert even_step(Record((A,), time, np.zeros((5000, 1)) + time[:, None])) == pytest.approx(
+        1 / 64, rel=1e-6
+    )
+
+
+def test_smoothing_keeps_a_constant_and_the_mean() -> None:
+    values = np.arange(100.0)[:, None].astype(complex)
+    mean = smoothed(values, 5)
+    np.testing.assert_allclose(mean[50], 50)
+    np.testing.assert_allclose(mean[0], mean[5])
+
+
+def refused(values: Real, message: str, **how: object) -> None:
+    with pytest.raises(DataError, match=message):
+        whole_record(record(values), **how)  # type: ignore[arg-type]
+
+
+def test_refusals() -> None:
+    rng = np.random.default_rng(7)
+    values = resonant(2000, rng)
+    refused(values, "no line of the record lies between 60 and 70 Hz", band_hz=(60.0, 70.0))
+    refused(values[:10], "a record of 10 samples")
+    still = np.array(values)
+    still[:, 1] = 4.0
+    refused(still, "b stays at 4 throughout")
+    refused(rng.normal(size=(5000, 2)), "there is no signal in it")
+    time = np.sort(rng.uniform(0, 20, 2000))
+    with pytest.raises(DataError, match="the samples are not evenly spaced"):
+        whole_record(Record((A, B), time, values))
