@@ -25,7 +25,7 @@ import numpy as np
 from scipy.linalg import expm
 from scipy.special import stdtrit
 
-from dashpot.data.conditioning.harmonic_fit import spectrum
+from dashpot.data.conditioning.lines import spectrum
 from dashpot.data.record import Record
 from dashpot.data.spectrum import Spectrum
 from dashpot.estimate.identify import identify

@@ -43,7 +43,8 @@ class Spectrum:
     samples       (lines,)                      samples behind each line (1 where amplitudes are all there is)
     dof           (lines,)                      residual degrees of freedom (real) behind V; inf where V is given
     noise         (lines,)                      how V was found: "given", "white", "blocks" (lines beside each
-                  harmonic), "periods" (scatter of averages of periods) or "unknown"
+                  harmonic), "periods" (scatter of averages of periods), of whole records "rest" (a record at rest),
+                  "floor" (where nothing moves; to be replaced by) "residual" (what a fit leaves over), or "unknown"
     experiment    (lines,)                      which experiment a line belongs to
     moments       second moments of the samples, where they were asked for
     notes         what a reader of results should know: samples discarded, noise that could not be judged

@@ -10,7 +10,7 @@ from scipy.special import bdtrc
 
 from dashpot.arrays import Complex, Real
 from dashpot.data.spectrum import Moments, Spectrum
-from dashpot.errors import DataError, IdentifiabilityError
+from dashpot.errors import DataError, IdentifiabilityError, UsageError
 from dashpot.estimate.inference.diagnostics import (
     dead_channels,
     duplicated_lines,
@@ -18,7 +18,9 @@ from dashpot.estimate.inference.diagnostics import (
     reversed_phase,
 )
 from dashpot.estimate.inference.uncertainty import ROUNDING, Judged, Worth, judge, worth
+from dashpot.estimate.likelihood.boundary_loads import carries_loads
 from dashpot.estimate.likelihood.maximum_likelihood import MaximumLikelihood
+from dashpot.estimate.likelihood.record_noise import noise_from_residuals, noise_is_sought
 from dashpot.estimate.linear.instrumental_variables import OptimalIV, likeliest
 from dashpot.estimate.method import Limits, Method, Prepared, Solution
 from dashpot.estimate.preparation.noise_quality import channels_correlate, without_correlation
@@ -65,8 +67,9 @@ def identify(
 
         method = named(method)
     chosen = automatic(model, spectrum) if method is None else method
+    _check_records(spectrum, chosen)
     batch = spectrum.batch
-    flat = _flatten(spectrum)
+    flat = _flatten(with_record_noise(model, spectrum, chosen))
     repeats = flat.amplitudes.shape[0]
     size = max(1, CHUNK // (flat.lines * (model.n + 1) * (len(model.elements) + len(flat.channels))))
     parts = []
@@ -80,8 +83,10 @@ def identify(
 def automatic(model: Model, spectrum: Spectrum) -> Method:
     """OptimalIV where calibrated channels see every coordinate and input, else MaximumLikelihood.
 
-    Bounds of unknowns are MaximumLikelihood's as well: it alone holds them.
+    Bounds of unknowns and whole records are MaximumLikelihood's as well: it alone holds them, and knows their loads.
     """
+    if carries_loads(spectrum):
+        return MaximumLikelihood()
     direct = all(is_direct(model, channel) for channel in spectrum.channels)
     bounded = np.any(np.isfinite(model.bounds))
     return OptimalIV() if direct and not bounded and not unseen(model, spectrum) else MaximumLikelihood()
@@ -91,6 +96,34 @@ def _check(model: Model, spectrum: Spectrum) -> None:
     model.require_unknowns()
     if spectrum.lines == 0:
         raise DataError("there are no lines in the data", cure="give at least one frequency")
+
+
+def _check_records(spectrum: Spectrum, method: Method) -> None:
+    """Raises UsageError where a method would take the transients of whole records for steady vibration."""
+    if carries_loads(spectrum) and not method.by_output:
+        raise UsageError(
+            f"the method {method.name} works on settled lines; whole records carry transients",
+            cure="use the method ml, or give settled dwells with their frequencies",
+        )
+
+
+def with_record_noise(model: Model, spectrum: Spectrum, method: Method | None = None) -> Spectrum:
+    """The spectrum with the noise of its whole records as the residuals of a fit show it; itself where that is known.
+
+    What `identify` does first; the spectrum it works with, for those who judge the fit.
+    """
+    if not noise_is_sought(spectrum):
+        return spectrum
+    chosen = method if isinstance(method, MaximumLikelihood) else MaximumLikelihood()
+    flat = _flatten(spectrum)
+    repeats = [
+        noise_from_residuals(model, _repeats(flat, slice(k, k + 1)), chosen)
+        for k in range(len(flat.amplitudes))
+    ]
+    V = np.concatenate([repeat.covariance for repeat in repeats])
+    dof = np.min([repeat.dof for repeat in repeats], axis=0)
+    covariance = V.reshape(*spectrum.batch, *V.shape[1:])
+    return replace(spectrum, covariance=covariance, noise=repeats[0].noise, dof=dof)
 
 
 def _flatten(spectrum: Spectrum) -> Spectrum:

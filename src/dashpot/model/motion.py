@@ -86,8 +86,8 @@ def integrator(model: Model, p: Real, step_s: float) -> Integrator:
     count = r + s
     nothing = np.zeros((n, s))
     forces = [np.hstack([rig.G, model.S]), np.hstack([rig.F, nothing]), np.hstack([rig.J, nothing])]
-    by_input = np.linalg.solve(rig.M, np.stack(forces))
-    acceleration = np.linalg.solve(rig.M, np.hstack([-rig.K, -rig.C]))
+    by_input = np.linalg.solve(rig.M, np.stack(forces)).astype(np.float64)
+    acceleration = np.linalg.solve(rig.M, np.hstack([-rig.K, -rig.C])).astype(np.float64)
     whole = np.zeros((2 * n + 4 * count, 2 * n + 4 * count))
     whole[:n, n : 2 * n] = np.eye(n)
     whole[n : 2 * n, : 2 * n] = acceleration

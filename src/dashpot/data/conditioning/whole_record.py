@@ -21,6 +21,7 @@ from dashpot.data.record import Record
 from dashpot.data.spectrum import Spectrum, concatenate
 from dashpot.data.stretch import WholeRecord
 from dashpot.errors import DataError
+from dashpot.notices import Notice
 
 UNEVEN = 0.02  # of a sampling step: stamps may be rounded by that much
 GAP = 1.5  # sampling steps: where the next sample is later than this, another record begins
@@ -88,7 +89,7 @@ def _digit(time: Real) -> float:
     return 0.0
 
 
-def without_gaps(record: Record) -> tuple[list[Record], tuple[str, ...]]:
+def without_gaps(record: Record) -> tuple[list[Record], tuple[Notice, ...]]:
     """The record cut where samples are missing, and a note that says so; pieces too short to use are left out.
 
     Raises DataError where no piece is long enough.
@@ -115,9 +116,8 @@ def without_gaps(record: Record) -> tuple[list[Record], tuple[str, ...]]:
         )
     at = ", ".join(f"{record.time[cut]:.6g} s" for cut in cuts[:3]) + (", …" if len(cuts) > 3 else "")
     dropped = f", {lost} samples of short pieces left out" if lost else ""
-    return pieces, (
-        f"{record.source}: samples are missing before {at}: used as {len(pieces)} records{dropped}",
-    )
+    text = f"{record.source}: samples are missing before {at}: used as {len(pieces)} records{dropped}"
+    return pieces, (Notice("gaps", text, (record.source,)),)
 
 
 def whole_record(
@@ -193,7 +193,7 @@ def whole_records(
 
     `still`: records of the same channels with nothing driven, which give the noise.  Raises as `whole_record`.
     """
-    notes: list[str] = []
+    notes: list[Notice] = []
     pieces: list[Record] = []
     for record in records:
         parts, told = without_gaps(record)
@@ -204,10 +204,11 @@ def whole_records(
     joined = concatenate(spectra)
     used = sum(len(piece.time) for piece in pieces)
     low, high = float(np.min(joined.frequency_hz)), float(np.max(joined.frequency_hz))
-    notes.append(
-        f"{len(pieces)} whole record{'s' if len(pieces) > 1 else ''}, {used} samples, {joined.lines} lines from "
-        f"{low:.4g} to {high:.4g} Hz, starting and ending transients estimated"
+    text = (
+        f"{len(pieces)} whole record{'s' if len(pieces) > 1 else ''} of {used} samples: {joined.lines} lines from "
+        f"{low:.4g} to {high:.4g} Hz, transients at both ends estimated with the rest"
     )
+    notes.append(Notice("whole_records", text))
     return replace(joined, notes=(*joined.notes, *notes))
 
 

@@ -50,8 +50,8 @@ def noise_quality(spectrum: Spectrum, correlated: Bools) -> NoiseQuality:
 
 
 def _of_complex(spectrum: Spectrum) -> Bools:
-    """Lines whose covariance comes from complex amplitudes (blocks, periods), not from real residuals; (lines,)."""
-    return np.array([kind in ("blocks", "periods") for kind in spectrum.noise])
+    """Lines whose covariance comes from complex amplitudes, not from real residuals of samples; (lines,)."""
+    return np.array([kind in ("blocks", "periods", "rest", "residual") for kind in spectrum.noise])
 
 
 def channels_correlate(spectrum: Spectrum, level: float = 0.01) -> Bools:

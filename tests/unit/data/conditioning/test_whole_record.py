@@ -105,11 +105,11 @@ def test_gaps_make_records() -> None:
     cut = replace(whole, time=whole.time[keep], values=whole.values[keep])
     pieces, notes = without_gaps(cut)
     assert [len(piece.time) for piece in pieces] == [1000, 1700]
-    assert "samples are missing before 12 s, 13 s" in notes[0]
-    assert "30 samples of short pieces left out" in notes[0]
+    assert "samples are missing before 12 s, 13 s" in notes[0].text
+    assert "30 samples of short pieces left out" in notes[0].text
     lines = whole_records([cut], band_hz=(1, 9))
     assert len(lines.records) == 2
-    assert "2 whole records, 2700 samples" in lines.notes[-1]
+    assert "2 whole records of 2700 samples" in lines.notes[-1].text
 
 
 def test_rounded_stamps_are_even() -> None:

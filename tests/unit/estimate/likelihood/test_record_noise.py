@@ -1,0 +1,73 @@
+"""The noise of whole records from the residuals of a fit: its size, its colour, and what noisy inputs hide of it."""
+
+import numpy as np
+import pytest
+from scipy.signal import lfilter
+
+from dashpot.channel import Quantity
+from dashpot.data.conditioning.whole_record import whole_record
+from dashpot.data.record import Record
+from dashpot.errors import UsageError
+from dashpot.estimate.identify import automatic, identify, with_record_noise
+from tests.whole_rigs import WholeTest, chain, record_of
+
+
+def swept(seed: int = 1) -> WholeTest:
+    model, theta = chain(2, 0.05, seed=seed)
+    return record_of(
+        model,
+        theta,
+        "sweep",
+        decay_times=12,
+        quantities=(Quantity.DISPLACEMENT, Quantity.VELOCITY),
+        seed=seed,
+    )
+
+
+def test_white_noise_is_found_by_its_size() -> None:
+    test = swept()
+    sd = 0.05 * test.size * np.array([1, 2, 1, 0.5, 0])
+    record = test.noisy(np.random.default_rng(2), sd)
+    found = with_record_noise(test.model, whole_record(record))
+    assert set(found.noise) == {"residual"}
+    size = np.sqrt(np.diagonal(found.covariance, axis1=1, axis2=2).real * len(record.time) / 4)
+    np.testing.assert_allclose(size[0], size[-1])  # white: one size for all lines
+    np.testing.assert_allclose(size[0, :4], sd[:4], rtol=0.06)  # 4 sd of 1,100 lines
+    assert size[0, 4] < 0.02 * test.size[4]  # the base has none; its spectrum ends somewhere
+
+
+def test_coloured_noise_is_followed() -> None:
+    test = swept()
+    rng = np.random.default_rng(3)
+    noise = lfilter([0.3], [1, -0.95], rng.normal(size=(len(test.record.time) + 500, 5)), axis=0)[500:]
+    noise *= 0.05 * test.size * np.array([1, 1, 1, 1, 0])
+    record = Record(test.record.channels, test.record.time, test.record.values + noise)
+    found = with_record_noise(test.model, whole_record(record))
+    step = record.time[1]
+    expected = 4 / len(record.time) * 0.09 / np.abs(1 - 0.95 * np.exp(-1j * found.omega * step)) ** 2
+    ratio = np.diagonal(found.covariance, axis1=1, axis2=2).real[:, 0] / (0.05 * test.size[0]) ** 2 / expected
+    inside = slice(30, -30)
+    assert np.mean(ratio[inside]) == pytest.approx(1.0, abs=0.1)
+    assert np.std(np.log(ratio[inside])) < 0.3  # 61 lines: 0.13
+
+
+def test_noise_of_the_base_is_read_where_nothing_moves() -> None:
+    test = swept()
+    sd = 0.05 * test.size
+    record = test.noisy(np.random.default_rng(4), sd)
+    found = with_record_noise(test.model, whole_record(record))
+    size = np.sqrt(np.diagonal(found.covariance, axis1=1, axis2=2).real * len(record.time) / 4).mean(axis=0)
+    np.testing.assert_allclose(size, sd, rtol=0.1)
+
+
+def test_one_call_does_it_all() -> None:
+    test = swept()
+    record = test.noisy(np.random.default_rng(5), 0.05 * test.size * np.array([1, 1, 1, 1, 0]))
+    lines = whole_record(record)
+    assert automatic(test.model, lines).name == "ml"
+    estimate = identify(test.model, lines)
+    away = (estimate.values - test.theta) / np.sqrt(np.diagonal(estimate.covariance))
+    assert np.max(np.abs(away)) < 3.5
+    assert np.max(np.abs(estimate.values / test.theta - 1)) < 0.05
+    with pytest.raises(UsageError, match="the method oiv works on settled lines"):
+        identify(test.model, lines, "oiv")
