@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from dashpot.channel import Channel, Quantity
 from dashpot.errors import ModelError, Problem
-from dashpot.io.toml_document import Lines
+from dashpot.io.toml_lines import Lines
 from dashpot.model.elements import Element, Kind
 from dashpot.model.network import Input, Model
 from dashpot.model.rigfile import SECTIONS, Rig, parse_rig, write_rig

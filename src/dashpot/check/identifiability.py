@@ -32,8 +32,9 @@ from dashpot.check.structure import (
 )
 from dashpot.data.spectrum import Spectrum
 from dashpot.errors import IdentifiabilityError, Problem
+from dashpot.io.words import listed
 from dashpot.model.elements import Kind
-from dashpot.model.network import Model, listed
+from dashpot.model.network import Model
 from dashpot.numerics import finite_field as field
 from dashpot.numerics.finite_field import PRIME
 

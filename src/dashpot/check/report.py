@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from typing import Any
 
 from dashpot.check.collinearity import Weakness
@@ -48,10 +47,10 @@ def weakness_content(found: Weakness, spectrum: Spectrum) -> dict[str, Any]:
         "weak_combinations": [
             {
                 "unknowns": dict(zip(one.names, one.direction.tolist(), strict=True)),
-                "relative_sd": _finite(one.spread),
+                "relative_sd": one.spread,
                 "widening": dict(zip(one.names, one.widening.tolist(), strict=True)),
                 "best_to_know": one.best,
-                "intervals_then": _finite(one.narrowing),
+                "intervals_then": one.narrowing,
             }
             for one in found.combinations
         ],
@@ -69,11 +68,11 @@ def profile_content(found: Profile) -> dict[str, Any]:
         "unit": found.unit,
         "level": found.level,
         "value": float(found.value),
-        "interval": [_finite(float(found.lower)), _finite(float(found.upper))],
-        "normal_interval": [_finite(float(found.normal_lower)), _finite(float(found.normal_upper))],
+        "interval": [float(found.lower), float(found.upper)],
+        "normal_interval": [float(found.normal_lower), float(found.normal_upper)],
         "normal_misleads": bool(found.misleads),
         "better_fit_met": bool(found.improved),
-        "curve": [[x, _finite(y)] for x, y in zip(found.points.tolist(), found.rise.tolist(), strict=True)],
+        "curve": [[x, y] for x, y in zip(found.points.tolist(), found.rise.tolist(), strict=True)],
     }
 
 
@@ -81,15 +80,11 @@ def known_content(found: KnownErrors) -> dict[str, Any]:
     """Per cent of each unknown for one per cent of each known parameter, and the slopes themselves."""
     return {
         "percent_per_percent": {
-            name: dict(zip(found.unknowns, map(_finite, row), strict=True))
+            name: dict(zip(found.unknowns, row, strict=True))
             for name, row in zip(found.known, found.relative.tolist(), strict=True)
         },
         "slopes": {
-            name: dict(zip(found.unknowns, map(_finite, row), strict=True))
+            name: dict(zip(found.unknowns, row, strict=True))
             for name, row in zip(found.known, found.slopes.tolist(), strict=True)
         },
     }
-
-
-def _finite(x: float) -> float | None:
-    return x if math.isfinite(x) else None

@@ -10,7 +10,8 @@ from collections.abc import Sequence
 
 from dashpot.channel import Channel, Quantity
 from dashpot.errors import IdentifiabilityError, Problem
-from dashpot.model.network import Model, listed
+from dashpot.io.words import listed
+from dashpot.model.network import Model
 from dashpot.model.observation import is_direct
 
 

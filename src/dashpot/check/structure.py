@@ -16,8 +16,9 @@ from dashpot.arrays import Bools, Ints, Real
 from dashpot.channel import Channel, Quantity
 from dashpot.data.spectrum import Spectrum
 from dashpot.errors import IdentifiabilityError
+from dashpot.io.words import listed
 from dashpot.model.laws import Law
-from dashpot.model.network import Model, listed
+from dashpot.model.network import Model
 from dashpot.model.observation import (
     ObservationModel,
     calibration,

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -18,6 +17,7 @@ from dashpot.design.test_setup import Bench
 from dashpot.errors import DashpotError, IdentifiabilityError, UsageError
 from dashpot.estimate.identify import identify
 from dashpot.estimate.linear.instrumental_variables import InstrumentalVariables
+from dashpot.io.json_document import to_json as encoded
 from dashpot.model.observation import calibration_names, noise_sd
 
 MIN_SAMPLES = 8  # of a dwell: offset, drift and a harmonic leave some residual
@@ -707,7 +707,7 @@ def to_json(found: Plan, extra: Mapping[str, Any] | None = None) -> str:
         "notes": list(found.notes),
     }
     content |= {} if extra is None else dict(extra)
-    return json.dumps(_finite(content), indent=1, ensure_ascii=False, allow_nan=False) + "\n"
+    return encoded(content)
 
 
 def _dwell(dwell: Dwell) -> dict[str, Any]:
@@ -732,16 +732,6 @@ def _amplitude(z: complex) -> float:
 
 def _phase(z: complex) -> float:
     return 0.0 if abs(z.imag) <= 1e-12 * abs(z) else float(np.rad2deg(np.angle(z)))
-
-
-def _finite(content: Any) -> Any:
-    if isinstance(content, float) and not math.isfinite(content):
-        return None
-    if isinstance(content, dict):
-        return {key: _finite(v) for key, v in content.items()}
-    if isinstance(content, list | tuple):
-        return [_finite(v) for v in content]
-    return content
 
 
 def to_csv(found: Plan, units: Mapping[str, str] | None = None) -> str:

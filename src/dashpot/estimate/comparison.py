@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 
@@ -13,6 +12,7 @@ from dashpot.estimate.identify import identify
 from dashpot.estimate.method import Method
 from dashpot.estimate.modal.identify_modal import NAME, identify_modal
 from dashpot.estimate.result import FORMAT, Estimate
+from dashpot.io.json_document import from_json, to_json
 from dashpot.model.network import Model
 
 EFFICIENT = ("ml", "oiv", "oiv+")
@@ -50,11 +50,11 @@ class Comparison:
         content = {
             "dashpot": FORMAT,
             "model": self.model,
-            "methods": {name: json.loads(estimate.to_json()) for name, estimate in self.estimates.items()},
+            "methods": {name: from_json(estimate.to_json()) for name, estimate in self.estimates.items()},
             "refused": {name: str(error) for name, error in self.refused.items()},
             "truth": dict(self.truth),
         }
-        return json.dumps(content, indent=1, ensure_ascii=False, allow_nan=False) + "\n"
+        return to_json(content)
 
 
 def compare(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -13,6 +12,7 @@ import numpy as np
 
 from dashpot.arrays import Bools, Complex, Ints, Real, frozen
 from dashpot.errors import DataError
+from dashpot.io.json_document import from_json, nullable, to_json
 from dashpot.io.ledger import noted
 from dashpot.notices import Notice
 
@@ -238,13 +238,13 @@ class Estimate:
             "note_codes": [notice.code for notice in self.notes],
             "note_concerns": [list(notice.of) for notice in self.notes],
         }  # fmt: skip
-        return json.dumps(_plain(content), indent=1, ensure_ascii=False, allow_nan=False) + "\n"
+        return to_json(content)
 
     @staticmethod
     def from_json(text: str, where: str = "estimate") -> Estimate:
         """The estimate that `to_json` wrote.  Raises DataError where the text is not one."""
         try:
-            return _loaded(json.loads(text))
+            return _loaded(from_json(text))
         except (KeyError, TypeError, ValueError, AttributeError) as error:
             raise DataError(
                 f"this is no estimate of dashpot ({error})", where, "write it with --json"
@@ -271,17 +271,6 @@ def _truncated_reach(beyond: Real, dof: Real, level: float) -> Real:
     return np.where(np.isfinite(reach), np.maximum(reach, beyond), beyond)
 
 
-def _plain(content: Any) -> Any:
-    """NaN and infinities as null: JSON has none."""
-    if isinstance(content, float) and not math.isfinite(content):
-        return None
-    if isinstance(content, dict):
-        return {key: _plain(value) for key, value in content.items()}
-    if isinstance(content, list):
-        return [_plain(value) for value in content]
-    return content
-
-
 def _mode_rows(modes: ModeValues) -> list[dict[str, Any]]:
     rows = []
     for k in range(len(modes.eigenvalues)):
@@ -299,9 +288,6 @@ def _mode_rows(modes: ModeValues) -> list[dict[str, Any]]:
 
 
 def _loaded(content: Mapping[str, Any]) -> Estimate:
-    def number(value: float | None, missing: float = math.nan) -> float:
-        return missing if value is None else float(value)
-
     order = tuple(content["order"])
     parameters = content["parameters"]
     rows = content["modes"]
@@ -310,8 +296,8 @@ def _loaded(content: Mapping[str, Any]) -> Estimate:
         np.array([complex(*row["eigenvalue"]) for row in rows]),
         np.array([row["frequency_hz"] for row in rows], dtype=float),
         np.array([row["damping_ratio"] for row in rows], dtype=float),
-        np.array([number(row["frequency_sd"]) for row in rows]),
-        np.array([number(row["damping_sd"]) for row in rows]),
+        np.array([nullable(row["frequency_sd"]) for row in rows]),
+        np.array([nullable(row["damping_sd"]) for row in rows]),
         np.array([[complex(*z) for z in row["shape"]] for row in rows]),
     )
     fit = content["fit"]
@@ -320,24 +306,24 @@ def _loaded(content: Mapping[str, Any]) -> Estimate:
         method=content["method"],
         names=order,
         units=tuple(parameters[name]["unit"] for name in order),
-        values=np.array([number(parameters[name]["value"]) for name in order]),
-        covariance=np.array([[number(v) for v in row] for row in content["covariance"]]),
-        noise_covariance=np.array([[number(v) for v in row] for row in content["noise_covariance"]]),
-        bound_sd=np.array([number(parameters[name]["bound_sd"]) for name in order]),
-        dof=np.array([number(parameters[name]["interval_dof"], math.inf) for name in order]),
-        lower=np.array([number(parameters[name].get("min"), -math.inf) for name in order]),
-        upper=np.array([number(parameters[name].get("max"), math.inf) for name in order]),
+        values=np.array([nullable(parameters[name]["value"]) for name in order]),
+        covariance=np.array([[nullable(v) for v in row] for row in content["covariance"]]),
+        noise_covariance=np.array([[nullable(v) for v in row] for row in content["noise_covariance"]]),
+        bound_sd=np.array([nullable(parameters[name]["bound_sd"]) for name in order]),
+        dof=np.array([nullable(parameters[name]["interval_dof"], math.inf) for name in order]),
+        lower=np.array([nullable(parameters[name].get("min"), -math.inf) for name in order]),
+        upper=np.array([nullable(parameters[name].get("max"), math.inf) for name in order]),
         free_values=np.array(
-            [number(parameters[name].get("without_limits", parameters[name]["value"])) for name in order]
+            [nullable(parameters[name].get("without_limits", parameters[name]["value"])) for name in order]
         ),
         basis=content["intervals_count"],
         converged=np.asarray(content["status"] == "converged"),
         iterations=np.asarray(content["iterations"], dtype=np.int64),
-        history=np.array([[number(v) for v in row] for row in content["history"]]),
+        history=np.array([[nullable(v) for v in row] for row in content["history"]]),
         fit=Fit(
-            np.asarray(number(fit["chi2"])),
+            np.asarray(nullable(fit["chi2"])),
             int(fit["dof"]),
-            np.asarray(number(fit["p"])),
+            np.asarray(nullable(fit["p"])),
             bool(fit["known_noise"]),
         ),
         known=tuple((n, float(e["value"]), str(e["unit"])) for n, e in parameters.items() if e["known"]),

@@ -1,215 +1,190 @@
-"""Where in a TOML text each key stands.
+"""TOML files whose keys know their lines, and a report of all that is wrong with one.
 
-tomllib gives values without places, and a message about springs.k1 must name its line.  The text is scanned a second
-time, only for keys; what the scan does not understand ends it, and what it has found until then is kept.
+document = read_toml("rig.toml", ModelError, Wanted("rig file", "describe a rig"))
+report = Report(document, ModelError)
+report.add(("springs", "k1", "value"), "the value is negative", "give 0 or more")
+report.raise_any()                     rig.toml:8: springs.k1.value: the value is negative; give 0 or more
 """
 
 from __future__ import annotations
 
+import os
 import re
-from bisect import bisect_right
-from collections.abc import Sequence
+import tomllib
+from collections.abc import Iterable
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
 
-Path = tuple[str | int, ...]
+from dashpot.errors import DashpotError, Problem
+from dashpot.io.ledger import noted
+from dashpot.io.toml_lines import Lines
+from dashpot.io.words import quoted, shown
 
-_BLANK = re.compile(r"(?:[ \t\r\n]|#[^\n]*)*")
-_SPACE = re.compile(r"[ \t]*")
-_BARE_KEY = re.compile(r"[A-Za-z0-9_-]+")
-_STRING = re.compile(
-    r'''"""(?:[^"\\]|\\.|"(?!""))*"{3,5} | \'\'\'(?:[^\']|\'(?!\'\'))*\'{3,5}
-      | "(?:[^"\\\n]|\\.)*" | \'[^\'\n]*\' ''',
-    re.VERBOSE | re.DOTALL,
-)
-_SCALAR = re.compile(r"[^,\]}#\n]*")
+Place = tuple[str | int, ...]
 
 
-class Lines:
-    """Lines (from 1) at which the keys of a TOML text are defined, by their paths; items of lists have numbers."""
+@dataclass(frozen=True)
+class Wanted:
+    """What a file should be, for messages: its kind ("rig file") and how it starts ("describe a rig, starting …")."""
 
-    def __init__(self, text: str) -> None:
-        self._starts = [0, *(match.end() for match in re.finditer("\n", text))]
-        scan = _Scan(text)
-        scan.run()
-        self._where = {path: [self.line_at(at) for at in places] for path, places in scan.defined.items()}
-        for path, at in scan.mentioned.items():
-            self._where.setdefault(path, [self.line_at(at)])
-
-    def line_at(self, position: int) -> int:
-        """The line of a character position."""
-        return bisect_right(self._starts, position)
-
-    def of(self, path: Sequence[str | int]) -> int | None:
-        """Line of the last definition of `path`, or of the nearest table around it; None where there is none."""
-        for length in range(len(path), 0, -1):
-            found = self._where.get(tuple(path[:length]))
-            if found is not None:
-                return found[-1]
-        return None
-
-    def twice(self) -> tuple[Path, int, int] | None:
-        """The first key that is defined again, with the lines of its first and second definition."""
-        found = [(lines[1], path, lines[0]) for path, lines in self._where.items() if len(lines) > 1]
-        if not found:
-            return None
-        second, path, first = min(found, key=lambda one: one[0])
-        return path, first, second
+    kind: str
+    start: str
 
 
-class _LostError(Exception):
-    """The scan has met something that is not TOML."""
+@dataclass(frozen=True)
+class TomlDocument:
+    """A TOML file: its table, its text and the path that messages name."""
+
+    table: dict[str, Any]
+    text: str
+    path: str
+
+    @cached_property
+    def lines(self) -> Lines:
+        """Where each key stands; only a file with problems is scanned for it."""
+        return Lines(_unix(self.text))
+
+    def line(self, place: Place) -> int:
+        """The line of a key, or of the nearest table around it; 0 where there is none."""
+        return self.lines.of(place) or 0
+
+    def problem(self, place: Place, what: str, cure: str | None = None) -> Problem:
+        """What is wrong at a key, placed at path:line: key."""
+        line = self.line(place)
+        file = f"{self.path}:{line}" if line else self.path
+        return Problem(what, f"{file}: {dotted(place)}" if place else file, cure)
 
 
-class _Scan:
-    def __init__(self, text: str) -> None:
-        self.text = text
-        self.at = 0
-        self.defined: dict[Path, list[int]] = {}
-        self.mentioned: dict[Path, int] = {}
-        self._counts: dict[Path, int] = {}  # of the tables in arrays of tables
+class Report:
+    """Gathers the problems of a document, to be told all at once in the order of their lines."""
 
-    def run(self) -> None:
-        try:
-            prefix: Path = ()
-            while True:
-                self._skip(_BLANK)
-                if self.at >= len(self.text):
-                    return
-                if self.text[self.at] == "[":
-                    prefix = self._header()
-                else:
-                    self._pair(prefix)
-                self._skip(_SPACE)
-                if self.at < len(self.text) and self.text[self.at] not in "#\r\n":
-                    return
-        except (_LostError, RecursionError):
-            return
+    def __init__(self, document: TomlDocument, error: type[DashpotError]) -> None:
+        self.document = document
+        self._error = error
+        self._problems: list[tuple[int, Problem]] = []
 
-    def _header(self) -> Path:
-        start = self.at
-        double = self.text.startswith("[[", start)
-        self.at += 2 if double else 1
-        key = self._key()
-        self._expect("]]" if double else "]")
-        path: Path = ()
-        for part in key[:-1]:
-            path = (*path, part)
-            self.mentioned.setdefault(path, start)
-            if path in self._counts:
-                path = (*path, self._counts[path])
-        path = (*path, key[-1])
-        if not double:
-            self._define(path, start)
-            return path
-        self._counts[path] = self._counts.get(path, -1) + 1
-        self.mentioned.setdefault(path, start)
-        path = (*path, self._counts[path])
-        self._define(path, start)
-        return path
+    def __len__(self) -> int:
+        return len(self._problems)
 
-    def _pair(self, prefix: Path) -> None:
-        self._skip(_SPACE)
-        start = self.at
-        key = self._key()
-        self._expect("=")
-        for length in range(1, len(key)):
-            self.mentioned.setdefault((*prefix, *key[:length]), start)
-        path = (*prefix, *key)
-        self._define(path, start)
-        self._value(path)
+    def add(self, place: Place, what: str, cure: str | None = None) -> None:
+        """Something is wrong at a key."""
+        self._problems.append((self.document.line(place), self.document.problem(place, what, cure)))
 
-    def _key(self) -> tuple[str, ...]:
-        parts: list[str] = []
-        while True:
-            self._skip(_SPACE)
-            bare = _BARE_KEY.match(self.text, self.at)
-            if bare is not None:
-                self.at = bare.end()
-                parts.append(bare[0])
-            else:
-                parts.append(self._quoted())
-            self._skip(_SPACE)
-            if not self.text.startswith(".", self.at):
-                return tuple(parts)
-            self.at += 1
+    def include(self, place: Place, problems: Iterable[Problem]) -> None:
+        """The problems of another file, which is named at this key."""
+        line = self.document.line(place)
+        self._problems += [(line, problem) for problem in problems]
 
-    def _quoted(self) -> str:
-        match = _STRING.match(self.text, self.at)
-        if match is None:
-            raise _LostError
-        self.at = match.end()
-        if match[0].startswith("'"):
-            return match[0][1:-1]
-        return re.sub(
-            r"\\(?:u([0-9a-fA-F]{4})|U([0-9a-fA-F]{8})|(.))", self._unescaped, match[0][1:-1], flags=re.DOTALL
-        )
+    def raise_any(self) -> None:
+        """Raises the document's kind of error with all problems, if there are any."""
+        if self._problems:
+            self._problems.sort(key=lambda entry: entry[0])
+            raise self._error(dict.fromkeys(problem for _, problem in self._problems))
 
-    @staticmethod
-    def _unescaped(match: re.Match[str]) -> str:
-        if match[3] is not None:
-            return {"b": "\b", "t": "\t", "n": "\n", "f": "\f", "r": "\r", "e": "\x1b"}.get(
-                match[3], match[3]
-            )
-        code = int(match[1] or match[2], 16)
-        return chr(code) if code <= 0x10FFFF else "?"
 
-    def _value(self, path: Path) -> None:
-        self._skip(_SPACE)
-        first = self.text[self.at : self.at + 1]
-        if first == "[":
-            self._list(path)
-        elif first == "{":
-            self._inline_table(path)
-        elif first in ('"', "'"):
-            match = _STRING.match(self.text, self.at)
-            if match is None:
-                raise _LostError
-            self.at = match.end()
+def read_toml(path: str | os.PathLike[str], error: type[DashpotError], wanted: Wanted) -> TomlDocument:
+    """The document in a file.  Raises `error` where it cannot be read or is no TOML in UTF-8."""
+    name = os.fspath(path)
+    try:
+        with open(noted(path), "rb") as file:
+            raw = file.read()
+    except FileNotFoundError:
+        raise error("there is no such file", name, "check the name and the folder") from None
+    except IsADirectoryError:
+        raise error("this is a folder", name, f"name the {wanted.kind} in it") from None
+    except (OSError, ValueError) as cause:
+        reason = cause.strerror if isinstance(cause, OSError) and cause.strerror else str(cause)
+        raise error(f"the file cannot be read: {reason}", name, "check its name and rights") from None
+    return parse_toml(_decoded(raw, name, error), name, error, wanted)
+
+
+def parse_toml(text: str, path: str, error: type[DashpotError], wanted: Wanted) -> TomlDocument:
+    """The document of a text; `path` is named in messages.  Raises `error` where it is no TOML."""
+    if not text.strip():
+        raise error("the file is empty", path, wanted.start)
+    try:
+        return TomlDocument(tomllib.loads(text), text, path)
+    except tomllib.TOMLDecodeError as cause:
+        raise error([_syntax_problem(str(cause), text, path)]) from None
+    except RecursionError:
+        raise error(
+            "lists or tables are nested too deep", path, f"a {wanted.kind} needs three levels"
+        ) from None
+    except ValueError:  # Python reads no integers of more than some thousand digits
+        raise error("a number has too many digits", path, "write it as 1.5e10") from None
+
+
+def dotted(place: Place) -> str:
+    """springs.k1.between[0]; keys that are not bare are quoted."""
+    text = ""
+    for part in place:
+        if isinstance(part, int):
+            text += f"[{part}]"
         else:
-            self._skip(_SCALAR)
+            text += ("." if text else "") + toml_key(part)
+    return text
 
-    def _list(self, path: Path) -> None:
-        self.at += 1
-        item = 0
-        while True:
-            self._skip(_BLANK)
-            if self.text.startswith("]", self.at):
-                self.at += 1
-                return
-            if self.at >= len(self.text):
-                raise _LostError
-            self._define((*path, item), self.at)
-            self._value((*path, item))
-            item += 1
-            self._skip(_BLANK)
-            if self.text.startswith(",", self.at):
-                self.at += 1
-            elif not self.text.startswith("]", self.at):
-                raise _LostError
 
-    def _inline_table(self, path: Path) -> None:
-        self.at += 1
-        while True:
-            self._skip(_BLANK)  # later versions of TOML allow line breaks here
-            if self.text.startswith("}", self.at):
-                self.at += 1
-                return
-            self._pair(path)
-            self._skip(_BLANK)
-            if self.text.startswith(",", self.at):
-                self.at += 1
-            elif not self.text.startswith("}", self.at):
-                raise _LostError
+def toml_key(name: str) -> str:
+    """A key as TOML writes it: bare where it may be."""
+    return name if re.fullmatch(r"[A-Za-z0-9_-]+", name) else quoted(name)
 
-    def _define(self, path: Path, at: int) -> None:
-        self.defined.setdefault(path, []).append(at)
 
-    def _skip(self, pattern: re.Pattern[str]) -> None:
-        match = pattern.match(self.text, self.at)
-        if match is not None:
-            self.at = match.end()
+def _decoded(raw: bytes, path: str, error: type[DashpotError]) -> str:
+    if raw.startswith((b"\xff\xfe", b"\xfe\xff")):
+        raise error("the file is UTF-16", path, "save it as UTF-8")
+    try:
+        return raw.decode("utf-8-sig")
+    except UnicodeDecodeError as cause:
+        line = raw.count(b"\n", 0, cause.start) + 1
+        what = f"byte {raw[cause.start]:#04x} is not UTF-8"
+        raise error(what, f"{path}:{line}", "save the file as UTF-8") from None
 
-    def _expect(self, what: str) -> None:
-        self._skip(_SPACE)
-        if not self.text.startswith(what, self.at):
-            raise _LostError
-        self.at += len(what)
+
+def _unix(text: str) -> str:
+    return text.replace("\r\n", "\n")
+
+
+_SYNTAX_CURES = (
+    ("Expected '='", "write key = value"),
+    ("Invalid value", 'write numbers with a decimal point, texts in quotes: "x1"'),
+    (
+        "nitial character for a key",
+        "write key = value; keys of other than letters, digits, _ and - take quotes",
+    ),
+    ("Cannot", "give a key once, as a value or as a table"),
+    ("Expected ']", "close the bracket"),
+    ("Expected newline", "one key a line; decimals take a point, texts quotes"),
+    ("nclosed inline table", "a table in { } stands on one line, its entries separated by commas"),
+    ("nclosed array", "separate the items by commas and close the list with ]"),
+    ("string", 'close the text with "'),
+    ('Expected "\'"', "close the text with '"),
+    ("Illegal character", 'texts end with " on the line they start on'),
+)
+
+
+def _syntax_problem(message: str, text: str, path: str) -> Problem:
+    """tomllib's message as a problem: placed at its line, with a cure."""
+    if re.match(r"Cannot (overwrite|declare|mutate)|Duplicate", message):
+        again = Lines(_unix(text)).twice()
+        if again is not None:
+            place, first, second = again
+            where = f"{path}:{second}: {dotted(place)}"
+            return Problem(f"given twice, first in line {first}", where, "remove one of them")
+    cure = next((cure for part, cure in _SYNTAX_CURES if part in message), "correct the TOML here")
+    position = re.search(r" \(at line (\d+), column (\d+)\)$", message)
+    if position is None:
+        last = text.rstrip().count("\n") + 1
+        cause = message.removesuffix(" (at end of document)")
+        return Problem(f"{shown(cause, 200)}, at the end", f"{path}:{last}", cure)
+    line = _unix(text).split("\n")[int(position[1]) - 1]
+    rest = line[int(position[2]) - 1 :].strip()
+    if rest.startswith("}"):
+        cure = "remove the comma before }"
+    elif "{" in line and "}" not in line and (not rest or rest.startswith("#")):
+        cure = (
+            "a table in { } stands on one line; a long one can be a [section.name] with a line for each key"
+        )
+    cause = shown(f"{message[: position.start()]}, at column {position[2]}", 200)
+    return Problem(cause, f"{path}:{position[1]}", cure)

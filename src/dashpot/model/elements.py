@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from enum import StrEnum
 from types import MappingProxyType
@@ -75,6 +75,10 @@ class Element:
     def law(self) -> Law:
         """How its unit force follows from its elongation."""
         return self.kind.law
+
+    def unit(self, angles: Collection[str]) -> str:
+        """SI unit of the parameter: that of a torsional element where it joins nothing but `angles`."""
+        return self.law.unit(bool(self.along) and all(point in angles for point in self.along))
 
     def __reduce__(self) -> tuple[object, ...]:
         known = (self.value, self.sd, self.guess, self.lower, self.upper)

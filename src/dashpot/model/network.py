@@ -5,8 +5,7 @@ p = T θ + p⁰        δ = B x + D u        Bᵀ (p ∘ a) = S f
 
 from __future__ import annotations
 
-from collections import Counter
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from types import MappingProxyType
@@ -16,8 +15,9 @@ import numpy as np
 from scipy import sparse
 
 from dashpot.arrays import Complex, Ints, Real, frozen
-from dashpot.errors import ModelError, Problem, UsageError
+from dashpot.errors import ModelError, UsageError
 from dashpot.model.elements import MATRICES, Element, Kind
+from dashpot.model.validation import problems
 
 InputKind = Literal["displacement", "force"]
 DENSE = 1_000_000  # numbers up to which products of incidences are kept as full matrices
@@ -62,12 +62,6 @@ class Tie:
     times: float
 
 
-def parameter_unit(element: Element, angles: Collection[str]) -> str:
-    """SI unit of an element's parameter: that of a torsional element where it joins nothing but angles."""
-    angular = bool(element.along) and all(point in angles for point in element.along)
-    return element.law.unit(angular)
-
-
 @dataclass(frozen=True)
 class Model:
     """A rig: coordinates, inputs and elements.  Immutable; knows nothing of data.
@@ -89,9 +83,9 @@ class Model:
         object.__setattr__(self, "inputs", tuple(self.inputs))
         object.__setattr__(self, "elements", tuple(self.elements))
         object.__setattr__(self, "angles", frozenset(self.angles))
-        found = list(problems(self.coordinates, self.inputs, self.elements, self.angles))
-        if found:
-            raise ModelError(found)
+        faults = list(problems(self.coordinates, self.inputs, self.elements, self.angles))
+        if faults:
+            raise ModelError(faults)
 
     # Names and counts
 
@@ -282,7 +276,7 @@ class Model:
 
     def unit(self, element: Element) -> str:
         """SI unit of an element's parameter."""
-        return parameter_unit(element, self.angles)
+        return element.unit(self.angles)
 
     # Groups of elements that the dynamics need
 
@@ -342,180 +336,3 @@ def _row_products(left: sparse.csr_array, right: sparse.csr_array) -> sparse.csr
     return sparse.csr_array(
         (np.concatenate(values), (np.concatenate(rows), np.concatenate(columns))), shape=shape
     )
-
-
-def problems(
-    coordinates: Sequence[str],
-    inputs: Sequence[Input],
-    elements: Sequence[Element],
-    angles: Iterable[str] = (),
-    complete: bool = True,
-) -> Iterator[Problem]:
-    """Everything that is wrong with the parts of a model, each placed at the name of what is wrong.
-
-    With `complete` False some inputs or elements are missing (a file's reader has found them faulty already), and
-    what only their absence may have caused is not reported.
-    """
-    yield from _name_problems(coordinates, inputs, elements)
-    if complete and not coordinates:
-        yield Problem("there are no coordinates", "coordinates", 'list them, such as coordinates = ["x1"]')
-    if complete and not elements:
-        yield Problem("there are no elements", "masses", "add masses, springs or dampers")
-    complete = complete and bool(coordinates) and bool(elements)
-    points = dict.fromkeys((*coordinates, *(one.name for one in inputs if one.kind == "displacement")))
-    attached = {point for element in elements for point in element.along}
-    for one in inputs:
-        yield from _input_problems(one, coordinates, complete)
-        if complete and one.kind == "displacement" and one.name not in attached:
-            yield Problem(
-                f"no element is attached to the input {one.name}", one.name, "attach one or remove the input"
-            )
-    for stranger in sorted(set(angles) - set(points)) if complete else ():
-        yield Problem(
-            f"{stranger} is neither a coordinate nor a displacement input",
-            "angles",
-            f"there are {listed(points)}",
-        )
-    for element in elements:
-        yield from _element_problems(element, points, complete)
-    yield from _tie_problems(elements, frozenset(angles), complete)
-    for coordinate in dict.fromkeys(coordinates) if complete else ():
-        if coordinate not in attached:
-            yield Problem(
-                f"nothing is attached to the coordinate {coordinate}",
-                coordinate,
-                "attach an element or remove it",
-            )
-
-
-def listed(names: Iterable[str], most: int = 12) -> str:
-    """Names for a message: the first `most`, separated by commas."""
-    names = list(names)
-    return ", ".join(names[:most]) + (f" … ({len(names)} in all)" if len(names) > most else "")
-
-
-def _name_problems(
-    coordinates: Sequence[str], inputs: Sequence[Input], elements: Sequence[Element]
-) -> Iterator[Problem]:
-    names = [*coordinates, *(one.name for one in inputs), *(one.name for one in elements)]
-    for name, count in Counter(names).items():
-        if name == "ground":
-            yield Problem("the name ground is taken: it is the inertial ground", name, "choose another name")
-        elif not name.isprintable() or name != name.strip() or not name:
-            yield Problem(
-                f"{name!r} is no usable name",
-                name,
-                "use a name without line breaks, tabs or spaces at its ends",
-            )
-        elif count > 1:
-            yield Problem(
-                f"the name {name} is used {count} times",
-                name,
-                "every coordinate, input and element needs its own",
-            )
-
-
-def _input_problems(one: Input, coordinates: Sequence[str], complete: bool) -> Iterator[Problem]:
-    if one.kind not in ("displacement", "force"):
-        yield Problem(f"{one.kind!r} is no kind of input", one.name, 'use "displacement" or "force"')
-        return
-    if one.kind == "displacement":
-        if one.at:
-            yield Problem(
-                "a displacement input takes no `at`",
-                one.name,
-                "elements attach to it by its name in `between`",
-            )
-        return
-    if not one.at:
-        yield Problem("a force input must say where it acts", one.name, 'add at = "x1"')
-    for coordinate, factor in one.at.items():
-        if complete and coordinate not in coordinates:
-            cure = f"a force acts at coordinates: {listed(coordinates)}"
-            yield Problem(f"the force acts at {coordinate}, which is no coordinate", one.name, cure)
-        elif not np.isfinite(factor) or factor == 0:
-            yield Problem(
-                f"the factor of {coordinate} is {factor:g}", one.name, "give a finite factor other than 0"
-            )
-
-
-def _element_problems(element: Element, points: Collection[str], complete: bool) -> Iterator[Problem]:
-    name, value, sd, lower, upper = element.name, element.value, element.sd, element.lower, element.upper
-    if not element.along:
-        yield Problem("both ends are on the ground", name, "attach it to a coordinate")
-    for point, factor in element.along.items():
-        if complete and point not in points:
-            cure = f"there are {listed(points)}"
-            yield Problem(f"{point} is neither a coordinate nor a displacement input", name, cure)
-        elif not np.isfinite(factor) or factor == 0:
-            yield Problem(f"the factor of {point} is {factor:g}", name, "give a finite factor other than 0")
-    numbers = _numbers(element)
-    for key, number in numbers.items():
-        if not np.isfinite(number):
-            yield Problem(f"{key} is {number:g}", name, "give a finite number")
-    if value is not None and value < 0:
-        unit = element.law.unit()
-        yield Problem(f"a {element.kind} of {value:g} {unit} is negative", name, "give a value of 0 or more")
-    # Below 1e-150 the weight 1/sd² leaves the range of numbers.
-    if sd is not None and sd < 1e-150:
-        yield Problem(f"sd is {sd:g}", name, "give a positive sd, or leave it out where the value is exact")
-    if sd is not None and value is None:
-        yield Problem("sd without a value", name, "give the value that the sd belongs to")
-    if element.guess is not None and value is not None:
-        yield Problem("both a value and a guess", name, "a known parameter needs no guess: remove one")
-    if lower is not None and upper is not None and lower >= upper:
-        yield Problem(f"min {lower:g} is not below max {upper:g}", name, "exchange or change them")
-        return
-    for key in ("value", "guess"):
-        start = numbers.get(key)
-        if start is not None and lower is not None and start < lower:
-            yield Problem(f"the {key} {start:g} is below min {lower:g}", name, f"change the {key} or min")
-        if start is not None and upper is not None and start > upper:
-            yield Problem(f"the {key} {start:g} is above max {upper:g}", name, f"change the {key} or max")
-
-
-def _numbers(element: Element) -> dict[str, float]:
-    """The numbers that an element states, under the names that a rig file gives them."""
-    numbers = {
-        "value": element.value, "sd": element.sd, "guess": element.guess, "min": element.lower, "max": element.upper,
-        "times": element.times,
-    }  # fmt: skip
-    return {key: number for key, number in numbers.items() if number is not None}
-
-
-def _tie_problems(elements: Sequence[Element], angles: frozenset[str], complete: bool) -> Iterator[Problem]:
-    by_name = {element.name: element for element in elements}
-    for element in elements:
-        if element.same_as is None:
-            if element.times != 1.0:
-                yield Problem(
-                    "`times` without `same_as`", element.name, "say which element it is a multiple of"
-                )
-            continue
-        if element.times == 0:
-            yield Problem("times is 0", element.name, "remove the element instead")
-        if _numbers(element).keys() - {"times"}:
-            cure = "keep same_as or the numbers, not both"
-            yield Problem("a tied parameter has a value, guess or limit of its own", element.name, cure)
-        seen = [element.name]
-        target: str | None = element.same_as
-        while target is not None and target in by_name and target not in seen:
-            seen.append(target)
-            target = by_name[target].same_as
-        if target is not None and target not in by_name:
-            if complete and len(seen) == 1:
-                cure = f"there are {listed(by_name)}"
-                yield Problem(f"same_as names {target}, which is no element", element.name, cure)
-        elif target is not None:
-            if target == element.name:
-                circle = " → ".join([*seen, target])
-                yield Problem(f"a tie in a circle: {circle}", element.name, "let one of them stand alone")
-        else:
-            root = by_name[seen[-1]]
-            own, other = parameter_unit(element, angles), parameter_unit(root, angles)
-            if own != other:
-                yield Problem(
-                    f"a {element.kind} ({own}) cannot be tied to the {root.kind} {root.name} ({other})",
-                    element.name,
-                    "tie parameters of one unit",
-                )

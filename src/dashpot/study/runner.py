@@ -8,7 +8,6 @@ summary.parquet               bias, spread, coverage and bound, one row for each
 from __future__ import annotations
 
 import hashlib
-import json
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,6 +17,7 @@ import numpy as np
 
 from dashpot.errors import DashpotError, UsageError
 from dashpot.io.atomic import write_bytes
+from dashpot.io.json_document import from_json, to_json
 from dashpot.study.montecarlo import BLOCK, LEVELS, Map, Results, Scenario, Summary, Task, run, run_task
 from dashpot.study.scenario import Study, scenarios
 from dashpot.study.store import write_table
@@ -145,14 +145,14 @@ def _claim(study: Study, found: Sequence[Scenario], folder: Path, block: int) ->
         raise UsageError(
             f"the folder cannot be used ({error.strerror or error})", str(folder), "name another one"
         ) from None
-    write_bytes(manifest, (json.dumps(own, indent=1, ensure_ascii=False) + "\n").encode("utf-8"))
+    write_bytes(manifest, to_json(own).encode("utf-8"))
 
 
 def _earlier(manifest: Path, own: dict[str, Any]) -> dict[str, Any]:
     """Scenarios of the study that lies there already.  Raises UsageError where the two do not go together."""
     another = "name another folder, or delete this one"
     try:
-        other = json.loads(manifest.read_text(encoding="utf-8"))
+        other = from_json(manifest.read_text(encoding="utf-8"))
         old = dict(other["scenarios"])
         prints = {key: str(entry["fingerprint"]) for key, entry in old.items()}
     except (ValueError, KeyError, TypeError):

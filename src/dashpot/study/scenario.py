@@ -13,7 +13,8 @@ import numpy as np
 from dashpot.arrays import Ints
 from dashpot.channel import Channel
 from dashpot.errors import UsageError
-from dashpot.model.network import Model, listed
+from dashpot.io.words import listed
+from dashpot.model.network import Model
 from dashpot.model.observation import with_relative_noise
 from dashpot.study.montecarlo import Scenario
 from dashpot.study.simulate import Dwells, NoiseBasis, dwells, with_constant_noise

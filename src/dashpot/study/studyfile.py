@@ -13,27 +13,23 @@ Whatever is wrong with a file is a UsageError with all its problems, each at `st
 
 from __future__ import annotations
 
-import difflib
 import math
 import os
-import re
-import tomllib
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from pathlib import Path
 from typing import Any, cast
 
 import numpy as np
 
-from dashpot.errors import DashpotError, Problem, UsageError
+from dashpot.errors import DashpotError, UsageError
 from dashpot.estimate.registry import METHODS
-from dashpot.io.ledger import noted
-from dashpot.io.toml_document import Lines
-from dashpot.model.network import listed
+from dashpot.io.toml_document import Place, Report, TomlDocument, Wanted, parse_toml, read_toml
+from dashpot.io.words import did_you_mean, listed, written
 from dashpot.model.rigfile import read_rig
 from dashpot.study.scenario import ALL, Bench, Grid, NoiseKind, Study, points
 from dashpot.study.simulate import NoiseBasis
 
-Place = tuple[str | int, ...]
+_WANTED = Wanted("study file", "describe a study, starting with [rigs.NAME]")
 
 HEAD = (
     "name",
@@ -64,18 +60,7 @@ def read_study(path: str | os.PathLike[str]) -> Study:
 
     Raises UsageError with every problem found, each at file:line and key.
     """
-    shown = os.fspath(path)
-    try:
-        text = Path(noted(path)).read_bytes().decode("utf-8-sig")
-    except FileNotFoundError:
-        raise UsageError("there is no such file", shown, "check the name and the folder") from None
-    except IsADirectoryError:
-        raise UsageError("this is a folder", shown, "name the study file in it") from None
-    except UnicodeDecodeError:
-        raise UsageError("the file is not UTF-8", shown, "save it as UTF-8") from None
-    except (OSError, ValueError) as error:
-        raise UsageError(f"the file cannot be read ({error})", shown, "check its name and rights") from None
-    return parse_study(text, shown)
+    return _Reader(read_toml(path, UsageError, _WANTED)).study()
 
 
 def parse_study(text: str, path: str = "study.toml") -> Study:
@@ -83,29 +68,16 @@ def parse_study(text: str, path: str = "study.toml") -> Study:
 
     Raises UsageError with every problem found, each at file:line and key.
     """
-    if not text.strip():
-        raise UsageError("the file is empty", path, "describe a study, starting with [rigs.NAME]")
-    try:
-        document = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
-        found = re.search(r"\(at line (\d+), column (\d+)\)$", str(error))
-        cause = re.sub(r" \(at .*\)$", "", str(error))
-        line = int(found[1]) if found is not None else text.rstrip().count("\n") + 1
-        column = f", at column {found[2]}" if found is not None else ", at the end"
-        raise UsageError(f"{cause}{column}", f"{path}:{line}", "correct the TOML here") from None
-    except (RecursionError, ValueError):
-        raise UsageError("the file is nested too deep or a number is too long", path, "simplify it") from None
-    return _Reader(document, Lines(text.replace("\r\n", "\n")), path).study()
+    return _Reader(parse_toml(text, path, UsageError, _WANTED)).study()
 
 
 class _Reader:
     """Reads one document, gathering problems; `study` gives the study or raises them all."""
 
-    def __init__(self, document: dict[str, Any], lines: Lines, path: str) -> None:
-        self.document = document
-        self.lines = lines
-        self.path = path
-        self.problems: list[tuple[int, Problem]] = []
+    def __init__(self, document: TomlDocument) -> None:
+        self.document = document.table
+        self.path = document.path
+        self.report = Report(document, UsageError)
 
     def study(self) -> Study:
         """The study.  Raises UsageError."""
@@ -119,8 +91,8 @@ class _Reader:
         frequencies = {
             key: self._lines(("frequencies", key), raw) for key, raw in self._table("frequencies").items()
         }
-        if not frequencies and not self.problems:
-            self._report(
+        if not frequencies and not len(self.report):
+            self.report.add(
                 ("frequencies",), "there are no frequencies", "add [frequencies] with name = [1, 2, 5]"
             )
         unknowns = self._unknowns(rigs)
@@ -129,68 +101,60 @@ class _Reader:
         }
         self._amplitudes_known(amplitudes, rigs)
         grids = self._grids(*(self._known(key) for key in ("rigs", "frequencies", "unknowns")))
-        self._raise()
+        self.report.raise_any()
         study = Study(name, seed, rigs, frequencies, tuple(grids), unknowns, amplitudes, periods, drift)
         for place, grid in enumerate(study.grids):
             try:
                 points(study, grid)
             except DashpotError as error:
                 for problem in error.problems:
-                    self._report(("grid", place), problem.what, problem.cure)
-        self._raise()
+                    self.report.add(("grid", place), problem.what, problem.cure)
+        self.report.raise_any()
         return study
-
-    def _raise(self) -> None:
-        if self.problems:
-            self.problems.sort(key=lambda found: found[0])
-            raise UsageError(dict.fromkeys(problem for _, problem in self.problems))
-
-    def _report(self, place: Place, what: str, cure: str | None = None) -> None:
-        line = self.lines.of(place)
-        file = self.path if line is None else f"{self.path}:{line}"
-        self.problems.append((line or 0, Problem(what, f"{file}: {_dotted(place)}", cure)))
 
     # Values
 
     def _keys(self, place: Place, table: Mapping[str, Any], known: Sequence[str]) -> None:
         for key in table:
             if key not in known:
-                self._report(
-                    (*place, key), "unknown key", f"{_did_you_mean(key, known)}there are {listed(known)}"
+                self.report.add(
+                    (*place, key), "unknown key", f"{did_you_mean(key, known)}there are {listed(known)}"
                 )
 
     def _table(self, key: str) -> dict[str, Any]:
         raw = self.document.get(key, {})
         if isinstance(raw, dict):
             return raw
-        self._report((key,), "this is no table", f"write [{key}] and below it name = …")
+        self.report.add((key,), "this is no table", f"write [{key}] and below it name = …")
         return {}
 
     def _text(self, place: Place, raw: object) -> str:
         if isinstance(raw, str):
             return raw
-        self._report(place, f"{_show(raw)} is no text", "write it in quotes")
+        self.report.add(place, f"{written(raw)} is no text", "write it in quotes")
         return ""
 
     def _number(self, place: Place, raw: object, *, positive: bool = False) -> float:
         if isinstance(raw, bool) or not isinstance(raw, int | float):
-            self._report(place, f"{_show(raw)} is no number", "write a number, without quotes")
+            self.report.add(place, f"{written(raw)} is no number", "write a number, without quotes")
             return 1.0
         number = float(raw) if abs(raw) < 1e300 else math.inf
         if not math.isfinite(number):
-            self._report(place, f"{_show(raw)} is not finite", "write a finite number")
+            self.report.add(place, f"{written(raw)} is not finite", "write a finite number")
         elif positive and number <= 0:
-            self._report(place, f"{number:g} is not positive", "write a number above 0")
+            self.report.add(place, f"{number:g} is not positive", "write a number above 0")
         else:
             return number
         return 1.0
 
     def _whole(self, place: Place, raw: object, least: int, most: int) -> int:
         if isinstance(raw, bool) or not isinstance(raw, int):
-            self._report(place, f"{_show(raw)} is no whole number", f"write a whole number from {least} on")
+            self.report.add(
+                place, f"{written(raw)} is no whole number", f"write a whole number from {least} on"
+            )
         elif not least <= raw <= most:
-            self._report(
-                place, f"{_show(raw)} is out of range", f"write a whole number from {least} to {most:g}"
+            self.report.add(
+                place, f"{written(raw)} is out of range", f"write a whole number from {least} to {most:g}"
             )
         else:
             return raw
@@ -200,12 +164,12 @@ class _Reader:
         """A list without repetitions; a single value stands for a list of one."""
         items = raw if isinstance(raw, list) else [raw]
         if not items:
-            self._report(place, "the list is empty", "give one entry at least")
+            self.report.add(place, "the list is empty", "give one entry at least")
         seen: set[object] = set()
         for item in items:
             if isinstance(item, str | int | float):
                 if item in seen:
-                    self._report(place, f"{_show(item)} stands twice in the list", "remove one of them")
+                    self.report.add(place, f"{written(item)} stands twice in the list", "remove one of them")
                     return list(dict.fromkeys(i for i in items if isinstance(i, str | int | float)))
                 seen.add(item)
         return items
@@ -216,10 +180,10 @@ class _Reader:
         found = []
         for item in self._list(place, raw):
             if not isinstance(item, str):
-                self._report(place, f"{_show(item)} is no name", "write names in quotes")
+                self.report.add(place, f"{written(item)} is no name", "write names in quotes")
             elif item not in known:
-                cure = f"{_did_you_mean(item, known)}there are {listed(known)}" if known else None
-                self._report(place, f"{_show(item)} is no {what}", cure)
+                cure = f"{did_you_mean(item, known)}there are {listed(known)}" if known else None
+                self.report.add(place, f"{written(item)} is no {what}", cure)
             else:
                 found.append(item)
         return tuple(found)
@@ -233,44 +197,45 @@ class _Reader:
             if isinstance(raw, str):
                 raw = {"file": raw}
             if not isinstance(raw, dict):
-                self._report(place, "this is no table", f'write [rigs.{name}] and below it file = "rig.toml"')
+                self.report.add(
+                    place, "this is no table", f'write [rigs.{name}] and below it file = "rig.toml"'
+                )
                 continue
             self._keys(place, raw, ("file", "values"))
             if "file" not in raw:
-                self._report(place, "the rig file is not named", 'add file = "rig.toml"')
+                self.report.add(place, "the rig file is not named", 'add file = "rig.toml"')
                 continue
             file = self._text((*place, "file"), raw["file"])
             values = raw.get("values", {})
             if not isinstance(values, dict):
-                self._report((*place, "values"), "this is no table", "write values = { m1 = 3.0 }")
+                self.report.add((*place, "values"), "this is no table", "write values = { m1 = 3.0 }")
                 values = {}
             if file:
                 bench = self._bench(place, file, values)
                 rigs |= {} if bench is None else {name: bench}
-        if not rigs and not self.problems:
-            self._report(("rigs",), "there is no rig", 'add [rigs.NAME] with file = "rig.toml"')
+        if not rigs and not len(self.report):
+            self.report.add(("rigs",), "there is no rig", 'add [rigs.NAME] with file = "rig.toml"')
         return rigs
 
     def _bench(self, place: Place, file: str, values: Mapping[str, Any]) -> Bench | None:
         try:
             rig = read_rig(Path(self.path).parent / file)
         except DashpotError as error:
-            line = self.lines.of((*place, "file")) or 0
-            self.problems += [(line, problem) for problem in error.problems]
+            self.report.include((*place, "file"), error.problems)
             return None
         own = [element.name for element in rig.model.elements if element.same_as is None]
         truth = {}
         for name, raw in values.items():
             here = (*place, "values", name)
             if name not in own:
-                cure = f"{_did_you_mean(name, own)}it has {listed(own)}"
-                self._report(here, "the rig has no such parameter of its own", cure)
+                cure = f"{did_you_mean(name, own)}it has {listed(own)}"
+                self.report.add(here, "the rig has no such parameter of its own", cure)
             else:
                 truth[name] = self._number(here, raw)
         for unknown in rig.model.unknowns:
             if unknown.name not in values and unknown.prior is None and unknown.guess is None:
                 cure = f"add values = {{ {unknown.name} = … }}, in {unknown.unit}"
-                self._report(place, f"the true value of {unknown.name} is not said", cure)
+                self.report.add(place, f"the true value of {unknown.name} is not said", cure)
         return Bench(rig.model, truth, rig.channels)
 
     def _lines(self, place: Place, raw: object) -> tuple[float, ...]:
@@ -278,7 +243,7 @@ class _Reader:
             return self._sweep(place, raw)
         if not isinstance(raw, list):
             cure = "write a list [1, 2, 5], or { from = 0.5, to = 25, count = 40 }"
-            self._report(place, "these are no frequencies", cure)
+            self.report.add(place, "these are no frequencies", cure)
             return ()
         return tuple(self._number(place, item, positive=True) for item in self._list(place, raw))
 
@@ -286,7 +251,7 @@ class _Reader:
         self._keys(place, raw, ("from", "to", "count", "spacing"))
         missing = [key for key in ("from", "to", "count") if key not in raw]
         if missing:
-            self._report(
+            self.report.add(
                 place, f"{' and '.join(missing)} missing", "write { from = 0.5, to = 25, count = 40 }"
             )
             return ()
@@ -294,11 +259,11 @@ class _Reader:
         count = self._whole((*place, "count"), raw["count"], 2, MOST_LINES)
         spacing = self._text((*place, "spacing"), raw.get("spacing", "linear"))
         if spacing not in ("linear", "logarithmic"):
-            self._report(
-                (*place, "spacing"), f"{_show(spacing)} is no spacing", 'write "linear" or "logarithmic"'
+            self.report.add(
+                (*place, "spacing"), f"{written(spacing)} is no spacing", 'write "linear" or "logarithmic"'
             )
         if low >= high:
-            self._report(place, f"from {low:g} is not below to {high:g}", "exchange or change them")
+            self.report.add(place, f"from {low:g} is not below to {high:g}", "exchange or change them")
             return ()
         step = np.geomspace if spacing == "logarithmic" else np.linspace
         return tuple(step(low, high, count).tolist())
@@ -308,7 +273,7 @@ class _Reader:
         sets = {}
         for name, raw in self._table("unknowns").items():
             if name == ALL:
-                self._report(
+                self.report.add(
                     ("unknowns", name), "the name all is taken: it is the rig as it is", "use another"
                 )
             sets[name] = self._names(("unknowns", name), raw, own, "parameter of the rigs")
@@ -318,7 +283,7 @@ class _Reader:
         inputs = {one.name for bench in rigs.values() for one in bench.model.inputs}
         for name in amplitudes:
             if rigs and name not in inputs:
-                self._report(
+                self.report.add(
                     ("amplitudes", name), "no rig has this input", f"there are {listed(sorted(inputs))}"
                 )
 
@@ -335,11 +300,13 @@ class _Reader:
         raw = self.document.get("grid", [])
         tables = raw if isinstance(raw, list) else [raw]
         if not tables:
-            self._report(("grid",), "there is no grid", "add [[grid]] with noise = [0.1] and samples = [56]")
+            self.report.add(
+                ("grid",), "there is no grid", "add [[grid]] with noise = [0.1] and samples = [56]"
+            )
         grids = []
         for k, table in enumerate(tables):
             if not isinstance(table, dict):
-                self._report(("grid",), "a grid is no table", "write [[grid]] and its keys below")
+                self.report.add(("grid",), "a grid is no table", "write [[grid]] and its keys below")
                 continue
             grid = self._grid(("grid", k), table, rigs, frequencies, unknowns)
             grids += [] if grid is None else [grid]
@@ -353,7 +320,7 @@ class _Reader:
         frequencies: Collection[str],
         unknowns: Collection[str],
     ) -> Grid | None:
-        before = len(self.problems)
+        before = len(self.report)
         self._keys(place, raw, GRID)
 
         def each(key: str, read: Callable[[Place, object], Any]) -> tuple[Any, ...]:
@@ -379,25 +346,25 @@ class _Reader:
         where = (*place, "draws") if "draws" in raw else ("draws",)
         count = 0
         if draws is None:
-            self._report(place, "the number of draws is not said", "add draws = 1000")
+            self.report.add(place, "the number of draws is not said", "add draws = 1000")
         else:
             count = self._whole(where, draws, 2, MOST_DRAWS)
         if len(kind) > 1:
-            self._report((*place, "kind"), "more than one kind of noise", "write a grid for each")
+            self.report.add((*place, "kind"), "more than one kind of noise", "write a grid for each")
         levels: tuple[float, ...] = ()
         if "noise" in raw:
             levels = each("noise", lambda here, item: self._level(here, item))
         elif kind == ("channels",):
             levels = (1.0,)
         else:
-            self._report(place, "the noise is not said", "add noise = [0.01, 0.1]")
+            self.report.add(place, "the noise is not said", "add noise = [0.01, 0.1]")
         in_all = "samples_in_all" in raw
         key = "samples_in_all" if in_all else "samples"
         samples: tuple[int, ...] = ()
         if in_all and "samples" in raw:
-            self._report(place, "samples and samples_in_all are both given", "keep the one that is meant")
+            self.report.add(place, "samples and samples_in_all are both given", "keep the one that is meant")
         elif key not in raw:
-            self._report(place, "the number of samples is not said", "add samples = [56], per frequency")
+            self.report.add(place, "the number of samples is not said", "add samples = [56], per frequency")
         else:
             samples = each(key, lambda here, item: self._whole(here, item, 2, MOST_SAMPLES))
         reference = raw.get("reference")
@@ -405,8 +372,8 @@ class _Reader:
             self._names((*place, "reference"), reference, frequencies, "set of frequencies")
         elif "constant" in kind:
             cure = "add reference = …, the frequencies whose rms amplitude it is a part of"
-            self._report(place, "constant noise has no size", cure)
-        if len(self.problems) > before:
+            self.report.add(place, "constant noise has no size", cure)
+        if len(self.report) > before:
             return None
         return Grid(
             own_rigs,
@@ -425,7 +392,7 @@ class _Reader:
     def _level(self, place: Place, raw: object) -> float:
         number = self._number(place, raw)
         if number < 0:
-            self._report(place, f"a noise of {number:g}", "write a positive level, such as 0.1")
+            self.report.add(place, f"a noise of {number:g}", "write a positive level, such as 0.1")
         return number
 
     def _methods(self, place: Place, raw: Mapping[str, Any]) -> tuple[str, ...]:
@@ -434,33 +401,3 @@ class _Reader:
         if "methods" in self.document:
             return self._names(("methods",), self.document["methods"], METHODS, "method")
         return ("oiv",)
-
-
-def _show(value: object) -> str:
-    """A value as the file wrote it, short and on one line."""
-    match value:
-        case bool():
-            return "true" if value else "false"
-        case str():
-            text = "".join(c if c.isprintable() else " " for c in value)
-            return f'"{text if len(text) <= 40 else text[:39] + "…"}"'
-        case dict():
-            return "a table"
-        case list():
-            return "a list"
-        case int() if abs(value) > 10**20:
-            return "so large a number"
-    return str(value)
-
-
-def _dotted(place: Place) -> str:
-    """grid[0].noise."""
-    text = ""
-    for part in place:
-        text += f"[{part}]" if isinstance(part, int) else ("." if text else "") + part
-    return text
-
-
-def _did_you_mean(word: str, known: Iterable[str]) -> str:
-    close = difflib.get_close_matches(word[:60], list(known), n=1, cutoff=0.6)
-    return f'did you mean "{close[0]}"? ' if close else ""

@@ -1,111 +1,74 @@
-"""Lines of keys, in every way in which TOML writes keys."""
+"""TOML files: what cannot be read is told with its place, and problems come in the order of the lines."""
 
-import tomllib
+from __future__ import annotations
+
+from pathlib import Path
 
 import pytest
 
-from dashpot.io.toml_document import Lines
+from dashpot.errors import DataError, ModelError, Problem
+from dashpot.io.toml_document import Report, Wanted, dotted, parse_toml, read_toml
 
-TEXT = '''# a comment = 1
-name = "a # b = [ {"   # k = 2
-text = """
-fake = 1
-[fake]
-""""
-raw = \'\'\'
-other = 2\'\'\'
-coordinates = [
-  "x1",  # first, ]
-  'x2',
-]
-a.b . "c.d" = { e = 1, "f\\u0041" = [1,
-  2] }
-[springs]
-k1 = { between = ["x1", "x2"], value = 4_600.0 }
-"k 2".value = 3
-  [springs.k3]
-  value = 1979-05-27T07:32:00
-[[many]]
-x = 1
-[[many]]
-x = 2
-[many.deep]
-y = 1
-'''
+WANTED = Wanted("rig file", "describe a rig")
 
 
-@pytest.mark.parametrize(
-    ("path", "line"),
-    [
-        (("name",), 2),
-        (("text",), 3),
-        (("raw",), 7),
-        (("coordinates",), 9),
-        (("coordinates", 0), 10),
-        (("coordinates", 1), 11),
-        (("a",), 13),
-        (("a", "b"), 13),
-        (("a", "b", "c.d"), 13),
-        (("a", "b", "c.d", "e"), 13),
-        (("a", "b", "c.d", "fA"), 13),
-        (("a", "b", "c.d", "fA", 1), 14),
-        (("springs",), 15),
-        (("springs", "k1"), 16),
-        (("springs", "k1", "value"), 16),
-        (("springs", "k1", "between", 1), 16),
-        (("springs", "k 2"), 17),
-        (("springs", "k 2", "value"), 17),
-        (("springs", "k3"), 18),
-        (("springs", "k3", "value"), 19),
-        (("many", 0, "x"), 21),
-        (("many", 1, "x"), 23),
-        (("many", 1, "deep", "y"), 25),
-        (("springs", "k1", "missing"), 16),
-        (("springs", "k9"), 15),
-    ],
-)
-def test_lines(path: tuple[str | int, ...], line: int) -> None:
-    tomllib.loads(TEXT)
-    assert Lines(TEXT).of(path) == line
+def test_problems_are_told_in_the_order_of_their_lines_and_once() -> None:
+    document = parse_toml("[b]\nx = 1\n[a]\ny = [1, 2]\n", "f.toml", ModelError, WANTED)
+    report = Report(document, DataError)
+    report.raise_any()
+    report.add(("a", "y", 1), "too large", "make it smaller")
+    report.add(("b", "x"), "too small")
+    report.add(("b", "x"), "too small")
+    report.include(("b", "x"), [Problem("wrong too", "other.toml:9")])
+    assert len(report) == 4
+    with pytest.raises(DataError) as caught:
+        report.raise_any()
+    assert str(caught.value).splitlines() == [
+        "f.toml:2: b.x: too small",
+        "other.toml:9: wrong too",
+        "f.toml:4: a.y[1]: too large; make it smaller",
+    ]
 
 
-def test_an_unknown_key_of_the_root_has_no_line() -> None:
-    assert Lines(TEXT).of(("fake",)) is None
-    assert Lines(TEXT).of(()) is None
-
-
-def test_every_key_that_tomllib_finds_has_a_line() -> None:
-    lines = Lines(TEXT)
-
-    def walk(value: object, path: tuple[str | int, ...]) -> None:
-        if path:
-            assert path in lines._where
-        if isinstance(value, dict):
-            for key, inner in value.items():
-                walk(inner, (*path, key))
-        elif isinstance(value, list):
-            for i, inner in enumerate(value):
-                walk(inner, (*path, i))
-
-    walk(tomllib.loads(TEXT), ())
+def test_a_key_that_is_missing_is_placed_at_the_table_around_it_or_at_the_file() -> None:
+    document = parse_toml("\n[b]\nx = 1\n", "f.toml", ModelError, WANTED)
+    assert str(document.problem(("b", "z"), "missing")) == "f.toml:2: b.z: missing"
+    assert str(document.problem(("c",), "missing")) == "f.toml: c: missing"
+    assert str(document.problem((), "wrong")) == "f.toml: wrong"
+    assert dotted(("a b", 3, "c")) == '"a b"[3].c'
 
 
 @pytest.mark.parametrize(
-    ("text", "found"),
+    ("text", "message"),
     [
-        ("a = 1\nb = 2\na = 3", (("a",), 1, 3)),
-        ("[s]\nk = 1\n\nk = '''\n\n'''", (("s", "k"), 2, 4)),
-        ("[s]\n[t]\n[s]", (("s",), 1, 3)),
-        ("k = { a = 1, a = 2 }", (("k", "a"), 1, 1)),
-        ("s.k = 1\ns.k = 2", (("s", "k"), 1, 2)),
-        ("a = 1\nb = 2", None),
+        ("  \n", "f.toml: the file is empty; describe a rig"),
+        ("a = 1\na = 2", "f.toml:2: a: given twice, first in line 1; remove one of them"),
+        ("a = {\n b = 1 }", "a table in { } stands on one line"),
+        ("a = [" * 5000, "f.toml"),
+        ("a = " + "9" * 5000, "f.toml: a number has too many digits"),
     ],
 )
-def test_keys_given_twice(text: str, found: object) -> None:
-    assert Lines(text).twice() == found
+def test_texts_that_are_no_toml(text: str, message: str) -> None:
+    with pytest.raises(ModelError) as caught:
+        parse_toml(text, "f.toml", ModelError, WANTED)
+    assert message in str(caught.value)
+    assert len(str(caught.value).splitlines()) == 1
 
 
-def test_a_text_that_is_not_toml_gives_the_lines_until_there() -> None:
-    lines = Lines("a = 1\nb = [1, 2\nc 3\nd = 4")
-    assert lines.of(("a",)) == 1
-    assert lines.of(("d",)) is None
+def test_files_that_cannot_be_read(tmp_path: Path) -> None:
+    path = tmp_path / "f.toml"
+    for content, message in (
+        (None, "there is no such file"),
+        (b"\xff\xfea\x00", "UTF-16"),
+        (b"a = 1\n\xe9", ":2: byte 0xe9 is not UTF-8"),
+    ):
+        if content is not None:
+            path.write_bytes(content)
+        with pytest.raises(DataError, match=message):
+            read_toml(path, DataError, WANTED)
+    with pytest.raises(DataError, match="this is a folder; name the rig file in it"):
+        read_toml(tmp_path, DataError, WANTED)
+    path.write_bytes(b"\xef\xbb\xbfa = 1\r\nb = 2\r\n")
+    document = read_toml(path, DataError, WANTED)
+    assert document.table == {"a": 1, "b": 2}
+    assert document.line(("b",)) == 2

@@ -12,10 +12,11 @@ import pytest
 from scipy import sparse
 
 from dashpot.errors import ModelError
+from dashpot.io.words import listed
 from dashpot.model import network
 from dashpot.model.dynamics import matrices
 from dashpot.model.elements import Element, Kind, between, mass
-from dashpot.model.network import Input, Model, listed
+from dashpot.model.network import Input, Model
 
 
 def spring(name: str, first: str = "x1", second: str = "ground", **known: Any) -> Element:
@@ -242,4 +243,4 @@ def test_an_inerter_may_be_tied_to_a_mass() -> None:
 
 def test_long_lists_are_cut() -> None:
     assert listed(["a", "b"]) == "a, b"
-    assert listed(map(str, range(100)), most=2) == "0, 1 … (100 in all)"
+    assert listed(map(str, range(100)), most=2) == "0, 1 and 98 more"

@@ -259,7 +259,8 @@ def test_faults_of_the_rig_file_are_told_at_their_own_place(folder):
     ("content", "message"),
     [
         (b"", "empty"),
-        (b"\xff\xfea\x00", "not UTF-8"),
+        (b"\xff\xfea\x00", "UTF-16"),
+        (b"a = 1\n\xe9", "2: byte 0xe9 is not UTF-8"),
         (b"a = " + b"[" * 5000, "nested too deep|Unclosed|nclosed"),
     ],
 )

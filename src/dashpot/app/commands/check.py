@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -65,6 +64,7 @@ def command(
     from dashpot.check.report import structure_content
     from dashpot.errors import IdentifiabilityError, UsageError
     from dashpot.io.atomic import write_text
+    from dashpot.io.json_document import to_json
     from dashpot.model.rigfile import read_rig
 
     if (profiled or known) and not data:
@@ -81,7 +81,7 @@ def command(
     told: list[Any] = []
     if verdict.identifiable and spectrum is not None:
         told = _with_data(found, spectrum, content, profiled, known, level / 100, seed)
-    text = json.dumps(content, indent=1, ensure_ascii=False, allow_nan=False) + "\n"
+    text = to_json(content)
     if json_out == STDOUT:
         click.echo(text, nl=False)
     elif json_out is not None:

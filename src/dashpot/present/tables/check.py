@@ -16,7 +16,7 @@ from dashpot.check.identifiability import Structure
 from dashpot.check.profile import Profile
 from dashpot.check.sensitivity import KnownErrors
 from dashpot.data.spectrum import Spectrum
-from dashpot.model.network import listed
+from dashpot.io.words import listed
 from dashpot.present.text.numbers import alike, short
 
 COLUMNS = 6  # unknowns side by side in the table of known errors

@@ -16,8 +16,8 @@ from dashpot.design.advise import Answer
 from dashpot.design.allocation import band_grid
 from dashpot.design.plan import Plan, Prediction, drive_names, shares
 from dashpot.design.test_setup import drive_units
+from dashpot.io.words import joined
 from dashpot.present.figures import design as draw
-from dashpot.present.tables.estimate import listed
 from dashpot.present.text.numbers import alike, percent, rounded, short
 
 NOTHING = "–"
@@ -187,9 +187,9 @@ def _sensors(found: Answer, out: Console) -> None:
     ranking = found.choice.ranking
     goal = found.goal.name
     how = "all sets were tried" if found.choice.complete else "by exchange: perhaps not the very best"
-    out.print(Text(f"Sensors: {listed(found.choice.best)} ({how})."), soft_wrap=False)
+    out.print(Text(f"Sensors: {joined(found.choice.best)} ({how})."), soft_wrap=False)
     for names, figure in ranking[1:4]:
-        out.print(Text(f"  {listed(names)}: {_figure(goal, figure)}", style="dim"), soft_wrap=False)
+        out.print(Text(f"  {joined(names)}: {_figure(goal, figure)}", style="dim"), soft_wrap=False)
     out.print()
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import sys
 import textwrap
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,6 +16,7 @@ from rich.text import Text
 
 from dashpot.data.spectrum import Spectrum
 from dashpot.estimate.result import Estimate, Fit, ModeValues
+from dashpot.io.words import joined
 from dashpot.present.text.notices import with_remedy
 from dashpot.present.text.numbers import aligned, alike, percent, plain, probability, rounded, short
 
@@ -269,7 +270,7 @@ def show_spectrum(out: Console, spectrum: Spectrum, units: Sequence[str], where:
         "given": "what was given",
     }  # fmt: skip
     out.print()
-    out.print(Text(f"Noise from {listed(told.get(kind, 'nothing: it is unknown') for kind in kinds)}."))
+    out.print(Text(f"Noise from {joined(told.get(kind, 'nothing: it is unknown') for kind in kinds)}."))
 
 
 def _range(magnitude: np.ndarray, sd: np.ndarray) -> Sequence[str]:
@@ -280,9 +281,3 @@ def _range(magnitude: np.ndarray, sd: np.ndarray) -> Sequence[str]:
     noise = float(np.median(sd[finite]))
     typical = float(np.median(magnitude[finite]))
     return (f"{short(low)} … {short(high)}", short(noise, 2), percent(noise, typical) + " %")
-
-
-def listed(names: Iterable[str]) -> str:
-    """Names joined by commas and "and"."""
-    items = list(names)
-    return items[0] if len(items) == 1 else ", ".join(items[:-1]) + " and " + items[-1] if items else ""

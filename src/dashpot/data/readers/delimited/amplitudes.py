@@ -19,10 +19,11 @@ from dashpot.arrays import Bools, Complex, Ints, Real
 from dashpot.channel import Channel
 from dashpot.data.calibration import calibration
 from dashpot.data.readers.delimited.stepped_sine import EXPERIMENT, FREQUENCY, check_frequency, whole_numbers
-from dashpot.data.readers.delimited.table import LARGEST, Table, bare, listed, write_rows
+from dashpot.data.readers.delimited.table import LARGEST, Table, bare, write_rows
 from dashpot.data.spectrum import Spectrum
 from dashpot.data.stretch import SettledDwell, Stretch, WholeRecord
 from dashpot.errors import DataError
+from dashpot.io.words import listed
 from dashpot.notices import Notice
 
 SAMPLES, DOF, NOISE = "samples", "dof", "noise"

@@ -15,9 +15,10 @@ from dashpot.arrays import Complex
 from dashpot.channel import Channel
 from dashpot.data.calibration import calibration
 from dashpot.data.readers.delimited.stepped_sine import FREQUENCY, check_frequency
-from dashpot.data.readers.delimited.table import Table, bare, listed
+from dashpot.data.readers.delimited.table import Table, bare
 from dashpot.data.spectrum import Spectrum, concatenate
 from dashpot.errors import DataError
+from dashpot.io.words import listed
 from dashpot.notices import Notice
 
 

@@ -9,7 +9,6 @@ JSON: `{"modes": [{"frequency_hz": 3.0, "frequency_sd": 0.01, "damping_ratio": 0
 
 from __future__ import annotations
 
-import json
 import math
 import os
 from collections.abc import Mapping, Sequence
@@ -20,9 +19,11 @@ import numpy as np
 
 from dashpot.arrays import Real
 from dashpot.data.modal_data import ModalData
-from dashpot.data.readers.delimited.table import Table, bare, listed, open_table, shown
+from dashpot.data.readers.delimited.table import Table, bare, open_table
 from dashpot.errors import DataError
+from dashpot.io.json_document import from_json
 from dashpot.io.ledger import noted
+from dashpot.io.words import listed, shown
 
 FREQUENCY, FREQUENCY_SD, DAMPING, DAMPING_SD = "frequency_hz", "frequency_sd", "damping_ratio", "damping_sd"
 PLAIN = (FREQUENCY, FREQUENCY_SD, DAMPING, DAMPING_SD)
@@ -132,7 +133,7 @@ def _assembled(
 
 def _from_json(path: str | os.PathLike[str], source: str, coordinates: Sequence[str]) -> ModalData:
     try:
-        content = json.loads(Path(noted(path)).read_text(encoding="utf-8"))
+        content = from_json(Path(noted(path)).read_text(encoding="utf-8"))
     except OSError as error:
         raise DataError(f"cannot be read ({error.strerror or error})", source, "check the path") from None
     except (ValueError, RecursionError):

@@ -15,9 +15,10 @@ import numpy as np
 
 from dashpot.arrays import Ints, Real
 from dashpot.channel import Channel
-from dashpot.data.readers.delimited.table import LARGEST, Table, bare, listed, shown, write_rows
+from dashpot.data.readers.delimited.table import LARGEST, Table, bare, write_rows
 from dashpot.data.record import Record
 from dashpot.errors import DataError
+from dashpot.io.words import listed, shown
 from dashpot.notices import Notice
 
 FREQUENCY, TIME, EXPERIMENT = "frequency_hz", "time_s", "experiment"

@@ -23,6 +23,7 @@ from dashpot.channel import Channel, Quantity
 from dashpot.errors import DashpotError, DataError
 from dashpot.io.atomic import write_bytes
 from dashpot.io.ledger import noted
+from dashpot.io.words import listed, shown
 from dashpot.notices import Notice
 
 HEAD = 1 << 20  # bytes in which the header row must end
@@ -30,19 +31,6 @@ MOST_COLUMNS = 10_000
 LARGEST = 1e100  # beyond this squares overflow, and no measurement is meant
 _DELIMITERS = (",", ";", "\t", "|")
 _UNIT = re.compile(r"^(?P<name>.*?)\s*[\[(](?P<unit>[^\[\]()]*)[\])]$")
-
-
-def shown(text: str, most: int = 40) -> str:
-    """A piece of a file fit for one line of a message."""
-    clean = "".join(c if c.isprintable() else "?" for c in text)
-    return clean if len(clean) <= most else clean[:most] + "…"
-
-
-def listed(names: Iterable[str], most: int = 8) -> str:
-    """A few of the names, and how many more there are."""
-    every = list(names)
-    more = "" if len(every) <= most else f" and {len(every) - most} more"
-    return ", ".join(shown(name) or "(no name)" for name in every[:most]) + more
 
 
 @dataclass(frozen=True)

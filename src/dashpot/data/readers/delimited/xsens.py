@@ -13,9 +13,10 @@ import numpy as np
 
 from dashpot.arrays import Ints, Real
 from dashpot.channel import Channel, Quantity
-from dashpot.data.readers.delimited.table import Table, open_table, shown
+from dashpot.data.readers.delimited.table import Table, open_table
 from dashpot.data.record import Record
 from dashpot.errors import DataError
+from dashpot.io.words import shown
 from dashpot.notices import Notice
 
 COUNTER, CLOCK = "PacketCounter", "SampleTimeFine"

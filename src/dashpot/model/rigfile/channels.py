@@ -1,0 +1,209 @@
+"""The section of a rig file that says what its channels measure."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+from dashpot.channel import Channel, Quantity
+from dashpot.errors import UsageError
+from dashpot.io.toml_document import Place
+from dashpot.io.words import did_you_mean, listed, written
+from dashpot.model.elements import Element
+from dashpot.model.network import Input
+from dashpot.model.rigfile.reading import Reading
+from dashpot.model.rigfile.rig import all_angles, scale_of_points
+from dashpot.model.rigfile.schema import GROUND, TABLES, ChannelEntry
+from dashpot.units import sensitivity, si_unit
+
+
+@dataclass(frozen=True)
+class Measurables:
+    """What channels can measure, and whether it makes sense to."""
+
+    points: Collection[str]
+    inputs: Mapping[str, Input]
+    elements: Mapping[str, Element]
+    angles: frozenset[str]
+    faulty: frozenset[str]
+
+    @cached_property
+    def names(self) -> dict[str, None]:
+        """Points, force inputs and elements, faulty ones too."""
+        return dict.fromkeys((*self.points, *self.inputs, *self.elements, *sorted(self.faulty)))
+
+    def usual_quantity(self, of: Mapping[str, float]) -> Quantity:
+        """Force for force inputs and elements, which do nothing else; displacement for points."""
+        moving = any(point in self.points for point in of)
+        return Quantity.DISPLACEMENT if moving else Quantity.FORCE
+
+    def fault(self, of: Mapping[str, float], quantity: Quantity) -> tuple[str, str] | None:
+        """What is wrong with measuring `quantity` of `of`, and the cure."""
+        if quantity is not Quantity.FORCE:
+            motionless = next((name for name in of if name not in self.points), None)
+            if motionless is None:
+                return None
+            kind = "an element" if motionless in self.elements else "a force"
+            cure = 'say quantity = "force", or name points'
+            return f"{motionless} is {kind}: it has no {quantity}", cure
+        if all(name in self.elements for name in of):
+            return None
+        if len(of) > 1:
+            return "a force of several things", "name one input, or elements only"
+        (name,) = of
+        if name in self.points and name not in self.inputs:
+            cure = f"name an input or elements: {listed((*self.inputs, *self.elements))}"
+            return f"{name} is a coordinate: no force is measured there", cure
+        return None
+
+    def arms(self, of: Mapping[str, float], quantity: Quantity) -> Mapping[str, float]:
+        """Points and factors that decide between m and rad, N and N·m.  Raises UsageError where forces differ in it."""
+        first = next(iter(of))
+        if quantity is not Quantity.FORCE or first in self.points:
+            return of
+        if first in self.elements:
+            if len({all_angles(self.elements[name].along, self.angles) for name in of}) > 1:
+                raise UsageError("forces and torques cannot be added", cure="name elements of one kind")
+            return self.elements[first].along
+        return self.inputs[first].at
+
+
+def read_channels(reading: Reading, measurables: Measurables) -> list[Channel] | None:
+    """The channels; None where the file has no such section."""
+    if "channels" not in reading.table:
+        return None
+    channels = []
+    for name, raw in reading.entries("channels"):
+        if not name.isprintable() or name != name.strip() or not name:
+            cure = "use the name of the column, without line breaks, tabs or spaces at its ends"
+            reading.report.add(("channels", name), f"{written(name)} is no usable name", cure)
+            continue
+        entry = reading.entry(ChannelEntry, "channels", name, raw)
+        channel = None if entry is None else _channel(reading, name, entry, raw, measurables)
+        if channel is not None:
+            channels.append(channel)
+    _check_shared_gains(reading, channels)
+    return channels
+
+
+def _check_shared_gains(reading: Reading, channels: Sequence[Channel]) -> None:
+    """Whoever shares a gain shares an unknown one, of a channel that has it from nobody else."""
+    by_name = {channel.name: channel for channel in channels}
+    table = reading.table["channels"]
+    names = table if isinstance(table, dict) else {}
+    for channel in channels:
+        owner = channel.same_gain_as
+        place = ("channels", channel.name, "same_gain_as")
+        if owner is None:
+            continue
+        if owner not in names:
+            others = [name for name in names if name != channel.name]
+            cure = f"{did_you_mean(owner, others)}there are {listed(others)}" if others else "list it"
+            reading.report.add(place, f"{written(owner)} is no channel", cure)
+        elif owner == channel.name:
+            reading.report.add(place, "the channel shares its gain with itself", "name another one")
+        elif owner in by_name and by_name[owner].gain is not None:
+            reading.report.add(place, f"the gain of {owner} is known", f'give {owner} gain = "unknown"')
+        elif owner in by_name and by_name[owner].same_gain_as is not None:
+            cure = f"name {by_name[owner].same_gain_as}"
+            reading.report.add(place, f"{owner} has its gain from another channel", cure)
+
+
+def _channel(
+    reading: Reading, name: str, entry: ChannelEntry, raw: Mapping[str, Any], measurables: Measurables
+) -> Channel | None:
+    place = ("channels", name)
+    of = {point: factor for point, factor in entry.of.items() if point != GROUND}
+    numbers_good = _numbers_good(reading, place, entry)
+    points_good = _points_good(reading, place, of, isinstance(raw["of"], dict), measurables)
+    if not (numbers_good and points_good) or reading.faulty & of.keys():
+        return None
+    quantity = Quantity(entry.quantity) if entry.quantity is not None else measurables.usual_quantity(of)
+    fault = measurables.fault(of, quantity)
+    if fault is not None:
+        reading.report.add((*place, "of"), *fault)
+        return None
+    return _calibrated(reading, name, entry, of, quantity, measurables)
+
+
+def _points_good(
+    reading: Reading, place: Place, of: Mapping[str, float], as_table: bool, measurables: Measurables
+) -> bool:
+    if not of:
+        reading.report.add((*place, "of"), "the ground does not move", "name what the channel measures")
+        return False
+    good = True
+    for point, factor in of.items():
+        place_of_point = (*place, "of", point) if as_table else (*place, "of")
+        if point not in measurables.names:
+            good = False
+            if not reading.faulty & {"coordinates", *TABLES}:  # else it may stand in what could not be read
+                names = measurables.names
+                cure = f"{did_you_mean(point, names)}there are {listed(names)}"
+                reading.report.add(place_of_point, f"{written(point)} is no point, input or element", cure)
+        elif factor == 0:
+            good = False
+            reading.no_factor(place_of_point, point)
+    return good
+
+
+def _numbers_good(reading: Reading, place: Place, entry: ChannelEntry) -> bool:
+    faults: list[tuple[str, str, str]] = []
+    if entry.same_gain_as is not None and "gain" in entry.model_fields_set and entry.gain is not None:
+        cure = 'write gain = "unknown", or leave it out'
+        faults.append(("same_gain_as", "the gain is given as well", cure))
+    if entry.gain == 0:
+        faults.append(("gain", "a gain of 0 measures nothing", 'give another one, or "unknown"'))
+    if entry.sign is not None and entry.sign not in (1.0, -1.0):
+        cure = 'write 1, -1 or "unknown"; a factor belongs into gain'
+        faults.append(("sign", f"the sign is {entry.sign:g}", cure))
+    for key in ("noise", "relative_noise"):
+        if getattr(entry, key) < 0:
+            faults.append((key, f"a standard deviation of {getattr(entry, key):g}", "give 0 or more"))
+    if entry.rate is not None and entry.rate <= 0:
+        cure = "give a positive number of samples per second"
+        faults.append(("rate", f"a rate of {entry.rate:g} Hz", cure))
+    for key, what, cure in faults:
+        reading.report.add((*place, key), what, cure)
+    return not faults
+
+
+def _calibrated(
+    reading: Reading,
+    name: str,
+    entry: ChannelEntry,
+    of: Mapping[str, float],
+    quantity: Quantity,
+    measurables: Measurables,
+) -> Channel | None:
+    place = ("channels", name)
+    key = "unit"
+    try:
+        arms, angles = measurables.arms(of, quantity), measurables.angles
+        unit = entry.unit if entry.unit is not None else si_unit(quantity.value, all_angles(arms, angles))
+        # A voltage with a stated gain is in V per SI unit; with the default gain of 1 nobody has calibrated it.
+        gain = None if entry.same_gain_as is not None else entry.gain
+        electrical = gain is None or "gain" in entry.model_fields_set
+        factor = scale_of_points(unit, quantity.value, arms, angles, electrical)
+        key = "gain"
+        if isinstance(gain, str):
+            gain = sensitivity(gain, unit, quantity.value, all_angles(arms, angles))
+    except UsageError as error:
+        reading.report.add((*place, key), error.problems[0].what, error.problems[0].cure)
+        return None
+    return Channel(
+        name,
+        of,
+        quantity,
+        unit,
+        scale=factor,
+        gain=gain,
+        delay=entry.delay,
+        sign=entry.sign,
+        noise=entry.noise,
+        relative_noise=entry.relative_noise,
+        rate=entry.rate,
+        same_gain_as=entry.same_gain_as,
+    )

@@ -1,0 +1,143 @@
+"""The sections of a rig file that hold elements."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from dashpot.errors import UsageError
+from dashpot.io.toml_document import Place
+from dashpot.io.words import did_you_mean, listed, quoted, written
+from dashpot.model.elements import Element
+from dashpot.model.rigfile.reading import Reading
+from dashpot.model.rigfile.rig import scale_of_points
+from dashpot.model.rigfile.schema import GROUND, SECTIONS, ElementEntry
+
+
+@dataclass(frozen=True)
+class Points:
+    """What elements can be attached to, what they cannot although it is named, and which of the points are angles."""
+
+    points: Collection[str]
+    forces: frozenset[str]
+    angles: frozenset[str]
+
+
+def read_elements(reading: Reading, points: Points) -> list[Element]:
+    """The elements of all sections, in the order of the file."""
+    elements = []
+    for section in (key for key in reading.table if key in SECTIONS):
+        for name, raw in reading.entries(section):
+            entry = reading.entry(ElementEntry, section, name, raw)
+            element = None if entry is None else _element(reading, section, name, entry, raw, points)
+            if element is None:
+                reading.faulty.add(name)
+            else:
+                elements.append(element)
+    _check_ties(reading, elements)
+    return elements
+
+
+def _check_ties(reading: Reading, elements: list[Element]) -> None:
+    tables = (reading.table.get(section) for section in SECTIONS)
+    names = {name: None for table in tables if isinstance(table, dict) for name in table}
+    for element in elements:
+        target = element.same_as
+        if target is not None and target not in names:
+            cure = f"{did_you_mean(target, names)}there are {listed(names)}"
+            place = (element.kind.section, element.name, "same_as")
+            reading.report.add(place, f"{written(target)} is no element", cure)
+            reading.faulty.add(element.name)
+
+
+def _element(
+    reading: Reading, section: str, name: str, entry: ElementEntry, raw: Mapping[str, Any], points: Points
+) -> Element | None:
+    place = (section, name)
+    along = _attachment(reading, place, entry, raw, points)
+    factor = _scale(reading, place, entry, along or {}, points.angles)
+    if along is None or factor is None:
+        return None
+
+    def si(number: float | None) -> float | None:
+        return None if number is None else number * factor
+
+    return Element(
+        name,
+        SECTIONS[section],
+        along,
+        value=si(entry.value),
+        sd=si(entry.sd),
+        guess=si(entry.guess),
+        lower=si(entry.min),
+        upper=si(entry.max),
+        same_as=entry.same_as,
+        times=entry.times,
+    )
+
+
+def _attachment(
+    reading: Reading, place: Place, entry: ElementEntry, raw: Mapping[str, Any], points: Points
+) -> dict[str, float] | None:
+    """Points and factors of the elongation; None, and the problem reported, where they are not said."""
+    key = _way_of_attachment(reading, place, entry)
+    if key is None or (entry.between is not None and not _two_points(reading, place, entry.between)):
+        return None
+    if entry.between is not None:
+        along = {entry.between[0]: 1.0, entry.between[1]: -1.0}
+    else:
+        along = dict(entry.at or entry.along or {})
+    for point in along:
+        if point in points.forces:
+            cure = f"attach it to the coordinate that {point} acts at"
+            reading.report.add((*place, key), f"{point} is a force, not a point", cure)
+            return None
+    if not reading.points_known((*place, key), along, points.points, isinstance(raw.get(key), dict)):
+        return None
+    attached = {point: factor for point, factor in along.items() if point != GROUND}
+    if not attached:
+        what = "it is attached to nothing but the ground"
+        reading.report.add((*place, key), what, "attach it to a coordinate")
+        return None
+    return attached
+
+
+def _way_of_attachment(reading: Reading, place: Place, entry: ElementEntry) -> str | None:
+    given = [key for key in ("at", "between", "along") if getattr(entry, key) is not None]
+    if len(given) == 1:
+        return given[0]
+    if given:
+        what = f"{' and '.join(given)} are both given"
+        reading.report.add(place, what, "keep the one that is right")
+    else:
+        usual = 'at = "x1"' if place[0] == "masses" else 'between = ["x1", "ground"]'
+        reading.report.add(place, "it is not said what it is attached to", f"add {usual}")
+    return None
+
+
+def _two_points(reading: Reading, place: Place, pair: list[str]) -> bool:
+    place_of_pair = (*place, "between")
+    if place[0] == "masses":
+        first = next((point for point in pair if point != GROUND), "x1")
+        cure = f"write at = {quoted(first)}; an inertance between two points belongs into [inerters]"
+        reading.report.add(place_of_pair, "a mass has one place, not two", cure)
+        return False
+    if pair[0] == pair[1]:
+        reading.report.add(place_of_pair, f"both ends are at {pair[0]}", "name two different points")
+        return False
+    return True
+
+
+def _scale(
+    reading: Reading, place: Place, entry: ElementEntry, along: Mapping[str, float], angles: Collection[str]
+) -> float | None:
+    """Factor of the entry's unit to SI; None where it is none of this element's."""
+    if entry.unit is None:
+        return 1.0
+    try:
+        return scale_of_points(entry.unit, SECTIONS[str(place[0])].law.quantity, along, angles)
+    except UsageError as error:
+        if along:  # else it is not known whether an angle is meant
+            reading.report.add((*place, "unit"), error.problems[0].what, error.problems[0].cure)
+        return None

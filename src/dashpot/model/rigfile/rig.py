@@ -1,0 +1,62 @@
+"""A rig as its file describes it: the model, and the channels that its data are made of."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterable, Mapping
+from dataclasses import dataclass
+
+from dashpot.channel import Channel, Quantity
+from dashpot.errors import UsageError
+from dashpot.model.network import Model
+from dashpot.units import scale, si_unit
+
+
+@dataclass(frozen=True)
+class Rig:
+    """A model, the channels that its data files are made of, and the file it was read from."""
+
+    model: Model
+    channels: tuple[Channel, ...]
+    path: str = ""
+
+
+def default_channels(model: Model) -> tuple[Channel, ...]:
+    """A channel for every coordinate and input, of its own name, in SI units."""
+    motions = [
+        Channel(point, {point: 1.0}, Quantity.DISPLACEMENT, si_unit("displacement", point in model.angles))
+        for point in (*model.coordinates, *model.displacement_inputs)
+    ]
+    forces = [
+        Channel(one.name, {one.name: 1.0}, Quantity.FORCE, si_unit("force", all_angles(one.at, model.angles)))
+        for one in model.inputs
+        if one.kind == "force"
+    ]
+    return (*motions, *forces)
+
+
+def all_angles(points: Iterable[str], angles: Collection[str]) -> bool:
+    """Whether there are points, and all of them are angles."""
+    points = list(points)
+    return bool(points) and all(point in angles for point in points)
+
+
+def scale_of_points(
+    unit: str, quantity: str, along: Mapping[str, float], angles: Collection[str], electrical: bool = False
+) -> float:
+    """Factor of `unit` to SI for what is stretched along some points.  Raises UsageError.
+
+    Angles alone count in rad, N·m … unless a factor other than ±1, an arm in m, may make a length of them; an angle
+    beside a displacement always has an arm.
+    """
+    if not all_angles(along, angles):
+        return scale(unit, quantity, False, electrical)
+    try:
+        return scale(unit, quantity, True, electrical)
+    except UsageError:
+        if all(abs(factor) == 1 for factor in along.values()):
+            raise
+        try:
+            return scale(unit, quantity, False, electrical)
+        except UsageError:
+            pass
+        raise

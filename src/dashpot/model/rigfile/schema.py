@@ -1,0 +1,223 @@
+"""What one entry of a rig file may hold: values that say what is wrong with them, and how to write them."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Mapping
+from typing import Annotated, Any, Literal, TypeVar
+
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
+from pydantic_core import ErrorDetails, PydanticCustomError
+
+from dashpot.channel import Quantity
+from dashpot.io.words import did_you_mean, listed, quoted, shown, written
+from dashpot.model.elements import Kind
+
+GROUND = "ground"
+SECTIONS: Mapping[str, Kind] = {kind.section: kind for kind in Kind}
+HEAD_KEYS = ("name", "coordinates", "angles")
+TABLES = ("inputs", "free", *SECTIONS, "channels")
+
+
+def _wrong(what: str, cure: str | None = None) -> PydanticCustomError:
+    return PydanticCustomError("rig", "{what}", {"what": what, "cure": cure})
+
+
+def _number(value: object) -> float:
+    if isinstance(value, str):
+        if re.fullmatch(r"\s*-?\d+,\d+\s*", value):
+            cure = f"write {_plain(value.strip().replace(',', '.'))}, with a point and without quotes"
+            raise _wrong(f"{written(value)} is text", cure)
+        bare = re.fullmatch(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*(\D.*)?", value)
+        if bare is not None and bare[2] is not None:
+            cure = f"write {_plain(bare[1])} without quotes, and the unit in unit = {quoted(bare[2][:20].strip())}"
+            raise _wrong(f"{written(value)} is text", cure)
+        if bare is not None:
+            raise _wrong(f"{written(value)} is text", f"write {_plain(bare[1])} without quotes")
+        if value.strip().lower() in ("unknown", "?", ""):
+            raise _wrong(f"{written(value)} is text", "leave the key out where the value is unknown")
+        raise _wrong(f"{written(value)} is text", "write a number")
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise _wrong(f"{written(value)} is no number", "write a number")
+    try:
+        number = float(value)
+    except OverflowError:
+        raise _wrong("the number is too large", "write a finite number") from None
+    if not math.isfinite(number):
+        raise _wrong(f"{written(value)} is not finite", "write a finite number")
+    return number
+
+
+def _plain(digits: str) -> str:
+    """A number as TOML takes it: .5 and 5. are not."""
+    digits = digits.removeprefix("+")
+    digits = re.sub(r"^(-?)\.", r"\g<1>0.", digits)
+    digits = re.sub(r"^(-?)0+(?=\d)", r"\1", digits)
+    return re.sub(r"\.(?!\d)", ".0", digits)
+
+
+def _number_or_unknown(value: object) -> float | None:
+    if isinstance(value, str) and value.strip().lower() == "unknown":
+        return None
+    return _number(value)
+
+
+def _gain(value: object) -> float | str | None:
+    """A number, None for "unknown", or a sensitivity such as "100 mV/g", which needs the channel's quantity."""
+    if isinstance(value, str) and re.match(r"\s*[-+]?[\d.]+([eE][-+]?\d+)?\s*[A-Za-zµμ]", value):
+        return value
+    return _number_or_unknown(value)
+
+
+def _text(value: object) -> str:
+    if not isinstance(value, str):
+        cure = (
+            "write it in quotes" if isinstance(value, dict | list) else f'write "{written(value)}" in quotes'
+        )
+        raise _wrong(f"{written(value)} is no text", cure)
+    return value
+
+
+def _texts(value: object) -> list[str]:
+    if isinstance(value, str):
+        raise _wrong(f"{written(value)} is text, not a list", f"write [{quoted(value[:40])}]")
+    if not isinstance(value, list):
+        raise _wrong(f"{written(value)} is no list", 'write a list of names, such as ["x1", "x2"]')
+    return value
+
+
+def _pair(value: object) -> list[str]:
+    names = _texts(value)
+    if len(names) != 2:
+        raise _wrong(
+            f"{len(names)} point{'' if len(names) == 1 else 's'} instead of two",
+            'write two points, such as ["x1", "ground"]; a lever with more takes along = { x1 = 0.6, x2 = 0.4 }',
+        )
+    return names
+
+
+def _one_or_table(value: object) -> dict[str, Any]:
+    if isinstance(value, str):
+        return {value: 1.0}
+    if isinstance(value, list):
+        raise _wrong(
+            "a list says no factors", "name one point, or write a table of factors { x1 = 1, x2 = -1 }"
+        )
+    if not isinstance(value, dict):
+        raise _wrong(
+            f"{written(value)} is no point", 'name one, such as "x1", or a table { x1 = 1, x2 = -1 }'
+        )
+    if not value:
+        raise _wrong("the table names no point", "name one, such as { x1 = 1 }")
+    return value
+
+
+def _one_or_many(value: object) -> dict[str, Any]:
+    if isinstance(value, list):
+        if not value:
+            raise _wrong("the list is empty", 'name a coordinate, such as "x1"')
+        if not all(isinstance(name, str) for name in value):
+            raise _wrong("the list holds more than names", 'list names, such as ["x1", "x2"]')
+        if len(set(value)) < len(value):
+            raise _wrong("a name stands twice in the list", "write a table of factors, such as { x1 = 2 }")
+        return dict.fromkeys(value, 1.0)
+    return _one_or_table(value)
+
+
+def _table(value: object) -> dict[str, Any]:
+    if not isinstance(value, dict):
+        raise _wrong(
+            f"{written(value)} is no table", "write a table of factors, such as { x1 = 0.6, x2 = 0.4 }"
+        )
+    return _one_or_table(value)
+
+
+def _one_of(*choices: str) -> BeforeValidator:
+    def chosen(value: object) -> str:
+        if _text(value) in choices:
+            return str(value)
+        guess = did_you_mean(str(value), choices)
+        raise _wrong(
+            f"{written(value)} is none of the choices", f"{guess}use {' or '.join(map(quoted, choices))}"
+        )
+
+    return BeforeValidator(chosen)
+
+
+Number = Annotated[float, BeforeValidator(_number)]
+NumberOrUnknown = Annotated[float | None, BeforeValidator(_number_or_unknown)]
+Gain = Annotated[float | str | None, BeforeValidator(_gain)]
+Text = Annotated[str, BeforeValidator(_text)]
+Names = Annotated[list[Text], BeforeValidator(_texts)]
+OnePointOrTable = Annotated[dict[str, Number], BeforeValidator(_one_or_table)]
+OneOrMany = Annotated[dict[str, Number], BeforeValidator(_one_or_many)]
+PointTable = Annotated[dict[str, Number], BeforeValidator(_table)]
+
+
+class Entry(BaseModel):
+    model_config = ConfigDict(strict=True, extra="forbid", frozen=True)
+
+
+class Head(Entry):
+    name: Text = ""
+    coordinates: Names
+    angles: Names = Field(default_factory=list)
+
+
+class InputEntry(Entry):
+    kind: Annotated[Literal["displacement", "force"], _one_of("displacement", "force")] = "displacement"
+    at: OneOrMany | None = None
+
+
+class ElementEntry(Entry):
+    at: OnePointOrTable | None = None
+    between: Annotated[list[Text], BeforeValidator(_pair)] | None = None
+    along: PointTable | None = None
+    value: Number | None = None
+    sd: Number | None = None
+    guess: Number | None = None
+    min: Number | None = None
+    max: Number | None = None
+    unit: Text | None = None
+    same_as: Text | None = None
+    times: Number = 1.0
+
+
+class ChannelEntry(Entry):
+    of: OnePointOrTable
+    quantity: Annotated[str, _one_of(*Quantity)] | None = None
+    unit: Text | None = None
+    gain: Gain = 1.0
+    delay: NumberOrUnknown = 0.0
+    sign: NumberOrUnknown = 1.0
+    noise: Number = 0.0
+    relative_noise: Number = 0.0
+    rate: Number | None = None
+    same_gain_as: Text | None = None
+
+
+FREE_EXAMPLE = 'free = "MCK", or [free] and below it K = "full", M = "diagonal"'
+TWO_POINTS = '{ between = ["x1", "ground"] }'
+EXAMPLES: Mapping[str, str] = {
+    "inputs": '{ kind = "displacement" }',
+    "masses": '{ at = "x1" }',
+    "channels": '{ of = "x1", unit = "mm" }',
+}
+AnyEntry = TypeVar("AnyEntry", bound=Entry)
+
+
+def explained(error: ErrorDetails, entry: type[Entry]) -> tuple[str, str | None]:
+    """Cause and cure of one of pydantic's errors."""
+    if error["type"] == "rig":
+        return error["ctx"]["what"], error["ctx"]["cure"]
+    key = str(error["loc"][-1])
+    if error["type"] == "extra_forbidden":
+        known = tuple(entry.model_fields)
+        return "unknown key", f"{did_you_mean(key, known)}there are {listed(known)}"
+    if error["type"] == "missing":
+        return "missing", f"add {_MISSING_EXAMPLES.get(key, key)}"
+    return shown(str(error["msg"]), 200), None
+
+
+_MISSING_EXAMPLES = {"coordinates": 'coordinates = ["x1"]', "of": 'of = "x1"'}

@@ -1,0 +1,135 @@
+"""Writing rig files: what `reader` reads back to the same rig."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from itertools import combinations
+
+from dashpot.channel import Channel
+from dashpot.errors import ModelError, UsageError
+from dashpot.io.toml_document import toml_key
+from dashpot.io.words import quoted
+from dashpot.model.elements import Element, Kind
+from dashpot.model.network import Input, Model
+from dashpot.model.rigfile.rig import Rig
+from dashpot.model.rigfile.schema import GROUND
+from dashpot.model.unstructured import free_entries
+from dashpot.units import scale
+
+
+def write_rig(rig: Rig) -> str:
+    """A rig file, TOML, that reads back to the same model and channels; parameters are in SI units.
+
+    Elements are grouped by kind, in the order in which the kinds first appear.  Raises ModelError for a channel
+    whose scale is not that of its unit, which a rig file cannot say.
+    """
+    model = rig.model
+    lines = [f"name = {quoted(model.name)}"] if model.name else []
+    lines.append(f"coordinates = {_list(model.coordinates)}")
+    if model.angles:
+        lines.append(f"angles = {_list(sorted(model.angles))}")
+    if model.inputs:
+        lines += _section("inputs", {source.name: _input_fields(source) for source in model.inputs})
+    if free := free_entries(model):
+        whole = list(combinations(model.coordinates, 2))
+        lines += [
+            "",
+            "[free]",
+            *(f"{letter} = {_pairs_text(pairs, whole)}" for letter, pairs in free.items()),
+        ]
+    for kind in dict.fromkeys(element.kind for element in model.elements if not element.free):
+        members = [element for element in model.elements if element.kind == kind and not element.free]
+        lines += _section(kind.section, {element.name: _element_fields(element) for element in members})
+    lines += _section("channels", {channel.name: _channel_fields(channel, model) for channel in rig.channels})
+    return "\n".join(lines) + "\n"
+
+
+def _section(name: str, entries: Mapping[str, Mapping[str, str]]) -> list[str]:
+    """The lines of a section, one an entry, behind an empty one."""
+    return ["", f"[{name}]", *(f"{toml_key(key)} = {_inline(fields)}" for key, fields in entries.items())]
+
+
+def _pairs_text(pairs: Sequence[tuple[str, str]], whole: Sequence[tuple[str, str]]) -> str:
+    if len(pairs) in (0, len(whole)):
+        return quoted("full" if pairs else "diagonal")
+    return "[" + ", ".join(map(_list, pairs)) + "]"
+
+
+def _input_fields(source: Input) -> dict[str, str]:
+    fields = {"kind": quoted(source.kind)}
+    if source.at:
+        fields["at"] = _points_text(source.at)
+    return fields
+
+
+def _element_fields(element: Element) -> dict[str, str]:
+    factors = element.along
+    match list(factors.items()):
+        case [(point, 1.0)] if element.kind == Kind.MASS:
+            fields = {"at": quoted(point)}
+        case [(point, 1.0)]:
+            fields = {"between": _list([point, GROUND])}
+        case [(first, 1.0), (second, -1.0)] if element.kind != Kind.MASS:
+            fields = {"between": _list([first, second])}
+        case _:
+            fields = {
+                "along": _inline({toml_key(point): repr(float(factor)) for point, factor in factors.items()})
+            }
+    numbers = {
+        "value": element.value, "sd": element.sd, "guess": element.guess, "min": element.lower, "max": element.upper,
+    }  # fmt: skip
+    fields |= {key: repr(float(number)) for key, number in numbers.items() if number is not None}
+    if element.same_as is not None:
+        fields["same_as"] = quoted(element.same_as)
+        if element.times != 1.0:
+            fields["times"] = repr(float(element.times))
+    return fields
+
+
+def _channel_fields(channel: Channel, model: Model) -> dict[str, str]:
+    fields = {"of": _points_text(channel.of), "quantity": quoted(channel.quantity.value)}
+    if channel.unit:
+        fields["unit"] = quoted(channel.unit)
+    elif channel.scale != 1.0:
+        what = f"the channel {channel.name} has a scale of {channel.scale:g} and no unit"
+        raise ModelError(what, cure="give it the unit that has this scale")
+    calibration = {"gain": channel.gain, "delay": channel.delay, "sign": channel.sign}
+    usual = {"gain": 1.0, "delay": 0.0, "sign": 1.0}
+    for key, number in calibration.items():
+        # The gain of a voltage is stated even where it is 1: else the channel would count as not calibrated.
+        stated = number != usual[key] or (key == "gain" and _is_electrical(channel))
+        if stated:
+            fields[key] = '"unknown"' if number is None else repr(float(number))
+    for key, number in (("noise", channel.noise), ("relative_noise", channel.relative_noise)):
+        if number != 0:
+            fields[key] = repr(float(number))
+    if channel.rate is not None:
+        fields["rate"] = repr(float(channel.rate))
+    if channel.same_gain_as is not None:
+        fields["same_gain_as"] = quoted(channel.same_gain_as)
+    return fields
+
+
+def _is_electrical(channel: Channel) -> bool:
+    for angular in (False, True):
+        try:
+            scale(channel.unit, channel.quantity.value, angular)
+        except UsageError:
+            continue
+        return False
+    return True
+
+
+def _points_text(points: Mapping[str, float]) -> str:
+    match list(points.items()):
+        case [(point, 1.0)]:
+            return quoted(point)
+    return _inline({toml_key(point): repr(float(factor)) for point, factor in points.items()})
+
+
+def _inline(fields: Mapping[str, str]) -> str:
+    return "{ " + ", ".join(f"{key} = {value}" for key, value in fields.items()) + " }"
+
+
+def _list(texts: Iterable[str]) -> str:
+    return "[" + ", ".join(map(quoted, texts)) + "]"

@@ -1,0 +1,41 @@
+"""Names and values in messages."""
+
+from __future__ import annotations
+
+import tomllib
+
+import pytest
+
+from dashpot.io.words import did_you_mean, joined, listed, quoted, shown, written
+
+
+def test_lists_of_names() -> None:
+    assert listed(["a", "b"]) == "a, b"
+    assert listed(map(str, range(100)), most=2) == "0, 1 and 98 more"
+    assert listed(["", "x\ny"]) == "(no name), x?y"
+    assert [joined(names) for names in ([], ["a"], ["a", "b"], ["a", "b", "c"])] == [
+        "",
+        "a",
+        "a and b",
+        "a, b and c",
+    ]
+
+
+@pytest.mark.parametrize("text", ["x", 'a "b"', "tab\tand\nline", "\x7f\u2028", "\U000e0001", "µ·²"])
+def test_a_quoted_text_is_one_line_of_toml_that_reads_back(text: str) -> None:
+    assert quoted(text).isprintable()
+    assert tomllib.loads(f"a = {quoted(text)}")["a"] == text
+
+
+def test_values_as_a_file_writes_them() -> None:
+    assert [written(value) for value in (True, 1.5, "x", {}, [], 10**30)] == [
+        "true", "1.5", '"x"', "a table", "a list", "so large a number",
+    ]  # fmt: skip
+    assert len(written("x" * 1000)) == 42
+    assert shown("x" * 100) == "x" * 40 + "…"
+
+
+def test_what_is_nearly_a_known_name_is_suggested() -> None:
+    assert did_you_mean("spirngs", ["springs", "masses"]) == 'did you mean "springs"? '
+    assert did_you_mean("MAS", ["springs", "masses"]) == 'did you mean "masses"? '
+    assert did_you_mean("zzz", ["springs"]) == ""
