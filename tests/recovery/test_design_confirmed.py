@@ -9,11 +9,12 @@ from benchmarks import sequential_design
 from dashpot.channel import Channel, Quantity
 from dashpot.design.allocation import band_grid
 from dashpot.design.criteria import MeanError
-from dashpot.design.plan import Budget, Lines, compare, even_lines, frequencies_of, plan
+from dashpot.design.plan import Budget, Lines, compare, even_lines, plan
 from dashpot.design.test_setup import Bench, Limits, bench
 from dashpot.estimate.identify import identify
 from dashpot.estimate.linear.instrumental_variables import InstrumentalVariables
 from dashpot.estimate.method import Method
+from dashpot.quantities import frequencies
 from dashpot.study.simulate import dwells, simulate_spectrum
 from tests.rigs import paper_rig
 
@@ -63,7 +64,7 @@ def test_the_papers_test_and_method_give_what_the_comparison_says(noise: tuple[f
     """CASE 3 of 1,400 samples, by oiv and by iv: within 4 %, of which 1.2 % (1 sd) is the 1,500 draws' own."""
     own = paper_bench(*noise)
     found = plan(own, MeanError(), Budget(samples=1400), band_grid(own, 0.25, 25))
-    beside = compare(own, MeanError(), found, even_lines(frequencies_of(CASE3), 1400))
+    beside = compare(own, MeanError(), found, even_lines(frequencies(CASE3), 1400))
     assert beside.iv is not None
     best, _ = spread(own, beside.lines, 1500, 21)
     paper, _ = spread(own, beside.lines, 1500, 22, InstrumentalVariables())

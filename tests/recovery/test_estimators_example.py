@@ -27,7 +27,7 @@ def test_the_amplitudes_are_made_by_the_command_of_the_readme(tmp_path: Path) ->
     out = tmp_path / "amplitudes.csv"
     settings = [part for name, value in TRUTH.items() for part in ("--set", f"{name}={value}")]
     code = run([
-        "simulate", str(EXAMPLE / "rig.toml"), "--out", str(out), "--table", "--frequencies", "1.5:12:24",
+        "simulate", str(EXAMPLE / "rig.toml"), "--out", str(out), "--table", "--frequencies", "1.5:12/24log",
         "--amplitude", "f=5", "--samples", "50", "--periods", "4", "--seed", "1", "--quiet", *settings,
     ])  # fmt: skip
     assert code == 0

@@ -509,7 +509,7 @@ def test_the_command_line_takes_a_force_channel(
     names = ("m1", "m2", "k1", "k2", "c1", "c2")
     values = [word for name in names for word in ("--set", f"{name}={TRUTH[name]}")]
     told(
-        capsys, "simulate", "rig.toml", "--out", "data.csv", "--frequencies", "2:13:12", "--amplitude", "f=20",
+        capsys, "simulate", "rig.toml", "--out", "data.csv", "--frequencies", "2:13/12log", "--amplitude", "f=20",
         "--periods", "5", *values,
     )  # fmt: skip
     header = Path("data.csv").read_text(encoding="utf-8").splitlines()[0]
@@ -580,7 +580,7 @@ def test_the_command_line_takes_records_of_separate_experiments(
     values = [word for name, value in TRUTH.items() for word in ("--set", f"{name}={value}")]
     for file, u, f, seed in (("shaken.csv", 0.005, 0.0, 0), ("pushed.csv", 0.0, 20.0, 1)):
         told(
-            capsys, "simulate", "rig.toml", "--out", file, "--frequencies", "2:13:8", "--periods", "5",
+            capsys, "simulate", "rig.toml", "--out", file, "--frequencies", "2:13/8log", "--periods", "5",
             "--amplitude", f"u={u}", "--amplitude", f"f={f}", "--seed", str(seed), *values,
         )  # fmt: skip
     files = ("shaken.csv", "pushed.csv")

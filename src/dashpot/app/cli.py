@@ -1,6 +1,6 @@
 """The command `dashpot`: finds the command asked for, runs it, and turns what goes wrong into lines and exit codes.
 
-0 done; 2 bad usage, model or data; 3 not identifiable or not converged; 1 a fault of dashpot itself; 130 interrupted.
+0 done; 2 bad usage, model or data; 3 not identifiable or not converged; 1 internal error; 130 interrupted.
 """
 
 from __future__ import annotations
@@ -15,14 +15,17 @@ from importlib import import_module
 from types import FrameType
 
 import click
+from click.shell_completion import CompletionItem
 
 from dashpot.app.commands import COMMANDS
+from dashpot.app.help import WIDEST
 from dashpot.app.workers import one_thread
 from dashpot.errors import DashpotError
 from dashpot.io import ledger
 
 FAULT, USAGE, INTERRUPTED, BROKEN_PIPE = 1, 2, 130, 141  # 128 + signal, as shells report it
 TRACEBACK = "DASHPOT_TRACEBACK"
+COMPLETION = "_DASHPOT_COMPLETE"  # set by the script that `dashpot completion` prints
 
 
 class Ended(BaseException):
@@ -44,9 +47,9 @@ class Commands(click.Group):
         """The click command of that name; None where there is none."""
         if cmd_name not in COMMANDS:
             return None
-        found = import_module(f"dashpot.app.commands.{cmd_name}").command
-        assert isinstance(found, click.Command)
-        return found
+        command = import_module(f"dashpot.app.commands.{cmd_name}").command
+        assert isinstance(command, click.Command)
+        return command
 
     def resolve_command(
         self, ctx: click.Context, args: list[str]
@@ -56,7 +59,7 @@ class Commands(click.Group):
             from difflib import get_close_matches
 
             near = get_close_matches(args[0], COMMANDS, n=1)
-            cure = f"did you mean {near[0]}?" if near else f"there are {', '.join(COMMANDS)}"
+            cure = f"did you mean {near[0]}?" if near else f"the commands are {', '.join(COMMANDS)}"
             raise click.UsageError(f"there is no command {args[0]!r}; {cure}", ctx)
         return super().resolve_command(ctx, args)
 
@@ -64,6 +67,19 @@ class Commands(click.Group):
         """The list of commands, without importing them."""
         with formatter.section("Commands"):
             formatter.write_dl(list(COMMANDS.items()))
+
+    def format_epilog(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """Where to go on."""
+        formatter.write_paragraph()
+        formatter.write("dashpot COMMAND --help explains a command, with examples.\n")
+
+    def shell_complete(self, ctx: click.Context, incomplete: str) -> list[CompletionItem]:
+        """Names of commands, without importing them; after a -, options."""
+        if incomplete.startswith("-"):
+            return click.Command.shell_complete(self, ctx, incomplete)
+        return [
+            CompletionItem(name, help=text) for name, text in COMMANDS.items() if name.startswith(incomplete)
+        ]
 
 
 def _version(ctx: click.Context, _: click.Parameter, wanted: bool) -> None:
@@ -74,22 +90,31 @@ def _version(ctx: click.Context, _: click.Parameter, wanted: bool) -> None:
         ctx.exit()
 
 
-@click.group(cls=Commands, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100})
+@click.group(
+    cls=Commands, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": WIDEST}
+)
 @click.option(
-    "--version", is_flag=True, expose_value=False, is_eager=True, callback=_version, help="Show the version."
+    "--version",
+    is_flag=True,
+    expose_value=False,
+    is_eager=True,
+    callback=_version,
+    help="Show the version and exit.",
 )
 @click.pass_context
 def cli(ctx: click.Context) -> None:
-    """Masses, dampers and springs of a vibrating rig from noisy test data, with intervals you can trust."""
+    """Identify the masses, dampers and springs of a vibrating rig from noisy test data, with confidence intervals."""
     ctx.with_resource(ledger.opened())
 
 
 def run(args: Sequence[str] | None = None) -> int:
     """Run one command line (that of the process unless given); the exit code.
 
-    What goes wrong is told on stderr, one line for each problem.  With DASHPOT_TRACEBACK set, faults of dashpot
-    itself are raised instead.
+    What goes wrong is reported on stderr, one line for each problem.  With DASHPOT_TRACEBACK set, internal errors are
+    raised instead.
     """
+    if os.environ.get(COMPLETION):
+        return _complete()
     try:
         result = cli.main(None if args is None else list(args), prog_name="dashpot", standalone_mode=False)
         sys.stdout.flush()
@@ -120,15 +145,22 @@ def run(args: Sequence[str] | None = None) -> int:
         _tell([f"{place}: cannot be used ({error.strerror or error}); check the path and the space left"])
         return USAGE
     except MemoryError:
-        _tell(["the memory is not enough; give fewer lines, repeats or samples at a time"])
+        _tell(["out of memory; give fewer frequencies, draws or samples at a time"])
         return USAGE
     except Exception as error:
         if os.environ.get(TRACEBACK):
             raise
         cause = " ".join(f"{type(error).__name__}: {error}".split())[:300]
-        _tell([f"a fault of dashpot itself ({cause}); set {TRACEBACK}=1 to see where"])
+        _tell([f"internal error, please report ({cause}); {TRACEBACK}=1 shows where"])
         return FAULT
     return result if isinstance(result, int) else 0
+
+
+def _complete() -> int:
+    """Answer the shell, which asks how to go on from what is typed."""
+    from click.shell_completion import shell_complete
+
+    return shell_complete(cli, {}, "dashpot", COMPLETION, os.environ[COMPLETION])
 
 
 def _silence_stdout() -> None:
@@ -148,8 +180,8 @@ def _usage(error: click.ClickException) -> int:
     text = " ".join(error.format_message().split()).rstrip(".")
     context = getattr(error, "ctx", None)
     path = context.command_path if context is not None else "dashpot"
-    hint = "" if "; " in text else f"; {path} --help shows what it takes"
-    _tell([text + hint])
+    # A cure follows a semicolon; where the message has none, the command's own help is it.
+    _tell([f"{text} (see {path} --help)" if "; " in text else f"{text}; see {path} --help"])
     return USAGE
 
 
@@ -188,7 +220,6 @@ def main() -> None:
             stream.reconfigure(errors="replace")
     one_thread()
     if not os.environ.get(TRACEBACK) and not sys.warnoptions:
-        warnings.simplefilter(
-            "ignore"
-        )  # what matters is told by the results; the interpreter's own are for developers
+        # What matters is in the results; warnings of the interpreter and of libraries are for developers.
+        warnings.simplefilter("ignore")
     sys.exit(run())

@@ -10,6 +10,7 @@ import os
 from pathlib import Path
 
 import click
+from click.shell_completion import CompletionItem
 
 from dashpot.errors import UsageError
 from dashpot.io import ledger
@@ -25,6 +26,12 @@ class InputFile(click.ParamType[str]):
     def convert(self, value: object, param: click.Parameter | None, ctx: click.Context | None) -> str:
         """The path.  Raises UsageError where it is an output of the same call."""
         return ledger.noted(str(value))
+
+    def shell_complete(
+        self, ctx: click.Context, param: click.Parameter, incomplete: str
+    ) -> list[CompletionItem]:
+        """Left to the shell."""
+        return [CompletionItem(incomplete, type="file")]
 
 
 class InputFileOr(InputFile):
@@ -62,12 +69,18 @@ class OutputFile(click.ParamType[str]):
             os.path.exists(target) and not os.access(target, os.W_OK)
         ):
             raise UsageError(
-                "this may not be written", target, "change its permissions, or name another file"
+                "no permission to write this file", target, "change its permissions, or name another file"
             )
         entries = ledger.current()
         if entries is not None:
             entries.claim(target, id(self) if param is None else param.name)
         return target
+
+    def shell_complete(
+        self, ctx: click.Context, param: click.Parameter, incomplete: str
+    ) -> list[CompletionItem]:
+        """Left to the shell."""
+        return [CompletionItem(incomplete, type="file")]
 
 
 class OutputFolder(click.ParamType[str]):
@@ -81,6 +94,12 @@ class OutputFolder(click.ParamType[str]):
         check_folder(target)
         return target
 
+    def shell_complete(
+        self, ctx: click.Context, param: click.Parameter, incomplete: str
+    ) -> list[CompletionItem]:
+        """Left to the shell."""
+        return [CompletionItem(incomplete, type="dir")]
+
 
 def check_folder(target: str) -> None:
     """Refuse a folder for output that cannot be made: its parent must exist.  Raises UsageError."""
@@ -91,3 +110,13 @@ def check_folder(target: str) -> None:
         raise UsageError("this is a file, not a folder", target, "name another folder")
     if not os.path.exists(target) and not os.path.isdir(path.absolute().parent):
         raise UsageError(f"the folder {path.parent} does not exist", target, "make it, or name another")
+
+
+def write_result(target: str | None, text: str) -> None:
+    """Write a result to a file, to stdout for "-", or nowhere for None.  Raises DataError."""
+    from dashpot.io.atomic import write_text
+
+    if target == STDOUT:
+        click.echo(text, nl=False)
+    elif target is not None:
+        write_text(target, text)

@@ -656,31 +656,6 @@ def even_lines(frequencies: Sequence[float], samples: float, weights: Sequence[f
     return Lines(f, np.zeros(len(f), dtype=np.int64), samples * w / np.sum(w))
 
 
-def frequencies_of(text: str) -> tuple[float, ...]:
-    """Frequencies written as 1,1.5,2 or 0.5:25:0.5 (from : to : step), or both; Hz.  Raises UsageError."""
-    found: list[float] = []
-    cure = "write frequencies in Hz as 1,1.5,2 or 0.5:25:0.5, or name a file that exists"
-    for part in text.split(","):
-        try:
-            numbers = [float(number) for number in part.split(":")]
-        except ValueError:
-            raise UsageError(f"{part.strip()!r} is neither a frequency nor a file", cure=cure) from None
-        if not all(np.isfinite(number) and number > 0 for number in numbers):
-            raise UsageError(f"{part.strip()!r}: frequencies and steps are positive", cure=cure)
-        match numbers:
-            case [one]:
-                found.append(one)
-            case [low, high] | [low, high, _]:
-                step = numbers[2] if len(numbers) == 3 else 1.0
-                count = int((high - low) / step + 1e-9) + 1
-                if not 0 < count <= 100_000:
-                    raise UsageError(f"{part.strip()!r} holds no reasonable number of frequencies", cure=cure)
-                found += [low + i * step for i in range(count)]
-            case _:
-                raise UsageError(f"{part.strip()!r} is not understood", cure=cure)
-    return tuple(found)
-
-
 # Files
 
 

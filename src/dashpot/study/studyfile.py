@@ -4,7 +4,7 @@
 
     name = "How much noise"                     draws = 1000       seed = 1       methods = ["iv", "oiv"]
     [rigs.paper]                                file = "rig.toml"  values = { m1 = 3.0, c1 = 30.0 }
-    [frequencies]                               few = [1, 2, 5]    sweep = { from = 0.5, to = 25, count = 40 }
+    [frequencies]                               few = [1, 2, 5]    range = "0.5:25/40"
     [unknowns]                                  two = ["m1", "c1"]
     [[grid]]                                    noise = [0.01, 0.1]  samples = [56]
 
@@ -26,6 +26,7 @@ from dashpot.estimate.registry import METHODS
 from dashpot.io.toml_document import Place, Report, TomlDocument, Wanted, parse_toml, read_toml
 from dashpot.io.words import did_you_mean, listed, written
 from dashpot.model.rigfile import read_rig
+from dashpot.quantities import frequencies
 from dashpot.study.scenario import ALL, Bench, Grid, NoiseKind, Study, points
 from dashpot.study.simulate import NoiseBasis
 
@@ -241,11 +242,22 @@ class _Reader:
     def _lines(self, place: Place, raw: object) -> tuple[float, ...]:
         if isinstance(raw, dict):
             return self._sweep(place, raw)
+        if isinstance(raw, str):
+            return self._written(place, raw)
         if not isinstance(raw, list):
-            cure = "write a list [1, 2, 5], or { from = 0.5, to = 25, count = 40 }"
-            self.report.add(place, "these are no frequencies", cure)
+            cure = 'write a list [1, 2, 5], a range "0.5:25/40", or { from = 0.5, to = 25, count = 40 }'
+            self.report.add(place, "these are not frequencies", cure)
             return ()
         return tuple(self._number(place, item, positive=True) for item in self._list(place, raw))
+
+    def _written(self, place: Place, text: str) -> tuple[float, ...]:
+        """Frequencies in the syntax of the command line, such as "1:10:0.5"."""
+        try:
+            return frequencies(text)
+        except UsageError as error:
+            for problem in error.problems:
+                self.report.add(place, problem.what, problem.cure)
+            return ()
 
     def _sweep(self, place: Place, raw: Mapping[str, Any]) -> tuple[float, ...]:
         self._keys(place, raw, ("from", "to", "count", "spacing"))

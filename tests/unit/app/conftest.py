@@ -76,7 +76,7 @@ def data(dashpot: Command, rig: Path) -> Path:
         "--out",
         "data.csv",
         "--frequencies",
-        "1:15:8",
+        "1:15/8log",
         "--amplitude",
         "u=0.01",
         *settings,

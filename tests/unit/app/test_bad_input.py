@@ -115,7 +115,9 @@ def test_a_massless_coordinate_between_spring_and_damper_is_legitimate(dashpot: 
         encoding="utf-8",
     )
     settings = ["--set", "k1=300", "--set", "k2=500", "--set", "c1=9"]
-    assert dashpot("simulate", "rig.toml", "--out", "d.csv", "--frequencies", "0.5:9:12", *settings).code == 0
+    assert (
+        dashpot("simulate", "rig.toml", "--out", "d.csv", "--frequencies", "0.5:9/12log", *settings).code == 0
+    )
     assert identify(dashpot, "d.csv").code == 0
 
 

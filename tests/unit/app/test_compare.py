@@ -106,7 +106,7 @@ def test_a_method_that_does_not_settle_is_named(dashpot: Command, rig: Path) -> 
     rig.write_text(RIG.replace("noise = 0.02", "noise = 30"), encoding="utf-8")
     test = [
         "--frequencies",
-        "1:15:8",
+        "1:15/8log",
         "--samples",
         "20",
         "--periods",
@@ -121,7 +121,7 @@ def test_a_method_that_does_not_settle_is_named(dashpot: Command, rig: Path) -> 
     assert done.code == 3
     assert "iv did not converge." in done.out
     (line,) = done.err
-    assert line.startswith("dashpot: iv did not settle; ")
+    assert line.startswith("dashpot: iv did not converge; ")
     found = json.loads(Path("out.json").read_text(encoding="utf-8"))["methods"]
     assert [found[name]["status"] for name in ("iv", "oiv")] == ["not converged", "converged"]
 
@@ -202,7 +202,7 @@ def test_methods_that_miss_the_scale_are_refused_as_by_identify(dashpot: Command
         "--out",
         "r.csv",
         "--frequencies",
-        "1:15:8",
+        "1:15/8log",
         "--amplitude",
         "u=0.01",
         *settings,

@@ -40,7 +40,8 @@ def free(dashpot: Command) -> Path:
     Path("frame.toml").write_text(FRAME, encoding="utf-8")
     Path("free.toml").write_text(FREE, encoding="utf-8")
     done = dashpot(
-        "simulate", "frame.toml", "--out", "data.csv", "--frequencies", "3:12:15", "--amplitude", "f=5", "--seed", "1"
+        "simulate", "frame.toml", "--out", "data.csv", "--frequencies", "3:12/15log", "--amplitude", "f=5",
+        "--seed", "1",
     )  # fmt: skip
     assert done.code == 0, done.err
     return Path("free.toml")

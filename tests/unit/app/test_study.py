@@ -109,7 +109,7 @@ def test_ctrl_c_twice_ends_it_and_keeps_what_is_whole(study: Path) -> None:
         process.send_signal(signal.SIGINT)
     _, told = process.communicate(timeout=30)
     assert process.returncode in (130, -signal.SIGINT)
-    assert "what is done is kept in noise" in told
+    assert "finished draws are kept in noise" in told
     blocks = list(draws.rglob("[0-9]*.parquet"))
     assert blocks
     assert all(sound(path, 2 * 500) for path in blocks)

@@ -19,7 +19,6 @@ from dashpot.design.plan import (
     _Shares,
     compare,
     even_lines,
-    frequencies_of,
     plan,
     predict,
     shortest,
@@ -43,6 +42,7 @@ from dashpot.design.test_setup import Bench, Limits, bench
 from dashpot.errors import UsageError
 from dashpot.estimate.identify import identify
 from dashpot.estimate.result import Estimate
+from dashpot.quantities import frequencies
 from dashpot.study.simulate import dwells, simulate_spectrum
 from tests.rigs import paper_rig
 
@@ -62,7 +62,7 @@ def paper_bench(limits: Limits | None = None) -> Bench:
 
 def measured(own: Bench, samples: int = 56, seed: int = 0, f: str = CASE3) -> Spectrum:
     rng = np.random.default_rng(seed)
-    test = dwells(own.model, frequencies_of(f), samples)
+    test = dwells(own.model, frequencies(f), samples)
     return simulate_spectrum(own.model, own.p[0], own.channels, test, rng)
 
 
@@ -151,7 +151,7 @@ def test_case_3_takes_many_times_the_samples() -> None:
     """The paper's CASE 3: 1.42 % at the bound, 2.76 % by its instrumental variables (their Monte Carlo: 2.7 %)."""
     own = paper_bench()
     found = plan(own, MeanError(), Budget(samples=1400), band_grid(own, *BAND))
-    beside = compare(own, MeanError(), found, even_lines(frequencies_of(CASE3), 1400))
+    beside = compare(own, MeanError(), found, even_lines(frequencies(CASE3), 1400))
     assert beside.predicted.figure == pytest.approx(0.0142, abs=1e-4)
     assert beside.iv is not None
     assert beside.iv.rms() == pytest.approx(0.0276, abs=3e-4)
@@ -170,7 +170,7 @@ def test_case_3_under_constant_noise() -> None:
     own = bench(rig.model, [*sensors, Channel("u", {"u": 1.0})], rig.theta)
     found = plan(own, MeanError(), Budget(samples=1400), band_grid(own, *BAND))
     assert found.predicted.figure <= 0.0092
-    beside = compare(own, MeanError(), found, even_lines(frequencies_of(CASE3), 1400))
+    beside = compare(own, MeanError(), found, even_lines(frequencies(CASE3), 1400))
     assert beside.predicted.figure == pytest.approx(0.0120, abs=1e-4)
     assert beside.iv is not None
     assert beside.iv.rms() == pytest.approx(0.0268, abs=1e-4)
@@ -226,14 +226,6 @@ def test_files() -> None:
     rows = to_csv(found).splitlines()
     assert rows[0] == "dwell,frequency_hz,u_amplitude,settle_s,periods,time_s,samples"
     assert len(rows) == 1 + len(found.dwells)
-
-
-def test_lists_of_frequencies() -> None:
-    assert frequencies_of("1,2:3:0.5,7:9") == (1.0, 2.0, 2.5, 3.0, 7.0, 8.0, 9.0)
-    assert len(frequencies_of(CASE3)) == 25
-    for bad in ("1,x", "0", "5:2", "1:2:3:4", "1:1e9:1e-3", "-1"):
-        with pytest.raises(UsageError):
-            frequencies_of(bad)
 
 
 def test_existing_data_count() -> None:
@@ -459,7 +451,7 @@ def test_another_test_after_data_counts_them_too() -> None:
     """Optimal or by the paper's bootstrap: what is known already is weighed with it."""
     own = paper_bench()
     found = plan(own, MeanError(), Budget(samples=1400), band_grid(own, *BAND))
-    other = even_lines(frequencies_of(CASE3), 1400)
+    other = even_lines(frequencies(CASE3), 1400)
     alone = compare(own, MeanError(), found, other)
     known = own.known(np.diag((0.01 * own.theta[0]) ** -2.0))
     both = compare(own, MeanError(), found, other, known=known)

@@ -175,7 +175,8 @@ WRONG = [
     ("{ m = 3.0 }", "3", "5: rigs.one.values: this is no table"),
     ("[1, 2, 5]", "[1, -2, 5]", "7: frequencies.few: -2 is not positive"),
     ("[1, 2, 5]", "[1, 2, 1]", "7: frequencies.few: 1 stands twice"),
-    ("[1, 2, 5]", '"all"', "7: frequencies.few: these are no frequencies; write a list"),
+    ("[1, 2, 5]", "3", "7: frequencies.few: these are not frequencies; write a list"),
+    ("[1, 2, 5]", '"all"', "7: frequencies.few: 'all' is not a frequency; write frequencies as 1,2,5"),
     ("[1, 2, 5]", "{ from = 1, to = 5 }", "7: frequencies.few: count missing"),
     ("[1, 2, 5]", "{ from = 5, to = 1, count = 4 }", "7: frequencies.few: from 5 is not below to 1"),
     ("[1, 2, 5]", "{ from = 1, to = 5, count = 4, spacing = 'log' }", 'few.spacing: "log" is no spacing'),
@@ -280,3 +281,9 @@ def test_a_file_cut_short_never_passes_nor_crashes(folder, end):
     """Cut anywhere before its grid is complete, it is refused."""
     with pytest.raises(UsageError):
         parsed(folder, STUDY[:end])
+
+
+@pytest.mark.parametrize(("text", "expected"), [("1:3:0.5", [1, 1.5, 2, 2.5, 3]), ("1,2:4/3", [1, 2, 3, 4])])
+def test_frequencies_in_the_syntax_of_the_command_line(folder, text, expected):
+    (one,) = scenarios(parsed(folder, STUDY.replace("[1, 2, 5]", f'"{text}"')))
+    assert one.test.frequency_hz.tolist() == expected

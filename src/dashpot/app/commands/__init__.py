@@ -11,12 +11,13 @@ from collections.abc import Mapping
 
 # Name → what `dashpot --help` says of it, in the order of a day's work.
 COMMANDS: Mapping[str, str] = {
-    "identify": "Find the unknown masses, dampers and springs of a rig from test data.",
-    "compare": "Put several estimators side by side on the same data.",
-    "check": "Say what of a rig can be found, before data and with them.",
+    "identify": "Estimate the unknown masses, dampers and springs of a rig from test data.",
+    "compare": "Compare several estimators on the same data.",
+    "check": "Check what the channels and the data can determine, and what not.",
     "simulate": "Write the test data that a rig with given parameters would yield.",
     "spectrum": "Turn time records into a table of complex amplitudes.",
-    "study": "Compare tests, noises and methods by Monte Carlo.",
-    "design": "Find the next test: frequencies, times and sensors that tell most.",
+    "study": "Compare tests, noise levels and methods by Monte Carlo simulation.",
+    "design": "Design the next test: the frequencies, times and sensors that tell most.",
     "reproduce": "Redo the tables and figures of a published paper.",
+    "completion": "Print the script that lets a shell complete dashpot commands.",
 }

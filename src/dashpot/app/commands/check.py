@@ -2,122 +2,109 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
-import click
-
-from dashpot.app.files import STDOUT, InputFile, OutputFile
+from dashpot.app.files import STDOUT
+from dashpot.app.help import dashpot_command, option
 from dashpot.app.options import (
-    Positive,
-    amplitudes,
-    conditioning_from,
+    DATA_HELP,
     conditioning_options,
-    tell_notes,
+    data_argument,
+    json_option,
+    level_option,
+    quiet_option,
+    rig_argument,
+    seed_option,
 )
+from dashpot.app.parameter_types import names
 
 if TYPE_CHECKING:
-    from dashpot.data.conditioning.settings import Conditioning
+    from dashpot.check.identifiability import Structure
     from dashpot.data.spectrum import Spectrum
     from dashpot.model.rigfile import Rig
 
+WITH_DATA = "With DATA"
 
-@click.command(name="check")
-@click.argument("rig", type=InputFile())
-@click.argument("data", type=InputFile(), nargs=-1)
-@click.option(
-    "--profile", "profiled", multiple=True, metavar="NAME",
-    help="Profile likelihood of an unknown and its interval; needs DATA.  May be repeated.",
+
+@dashpot_command(
+    "check",
+    "dashpot check rig.toml",
+    "dashpot check rig.toml data.csv --known --profile c1",
+)
+@rig_argument
+@data_argument(DATA_HELP)
+@option(
+    "--profile", "profiled", multiple=True, metavar="NAME,…", group=WITH_DATA,
+    help="Interval of an unknown from the profile likelihood, beside the normal one.  May be repeated.",
 )  # fmt: skip
-@click.option(
-    "--known", is_flag=True, help="How errors of the known parameters move each unknown; needs DATA."
-)
-@click.option(
-    "--json",
-    "json_out",
-    type=OutputFile(stdout=True),
-    metavar="OUT",
-    help="Write the findings as JSON; - is stdout.",
-)
-@click.option("--level", type=Positive(100), default=95, show_default=True, metavar="%", help="Of intervals.")
-@click.option(
-    "--seed", type=click.IntRange(0), default=0, show_default=True, metavar="N", help="Of random draws."
-)
+@option(
+    "--known", is_flag=True, group=WITH_DATA,
+    help="How much an error of each known parameter moves each estimate.",
+)  # fmt: skip
+@json_option("the findings")
+@level_option
 @conditioning_options
-@click.option("--quiet", "-q", is_flag=True, help="Print nothing but what is wrong.")
+@seed_option("the random numbers")
+@quiet_option
 def command(
-    rig: str,
-    data: tuple[str, ...],
-    profiled: tuple[str, ...],
-    known: bool,
-    json_out: str | None,
-    level: float,
-    seed: int,
-    frequency: float | None,
-    quiet: bool,
-    **how: Any,
-) -> int:
-    """Say whether the unknowns of RIG can be found from its channels, and, with DATA, which ones badly.
+    rig: str, data: tuple[str, ...], profiled: tuple[str, ...], known: bool, json_out: str | None, level: float,
+    seed: int, quiet: bool, **conditioning: Any,
+) -> int:  # fmt: skip
+    """Check whether the unknowns of RIG can be found from its channels and, with DATA, which ones only poorly.
 
-    Exit code 3: some cannot; each line says which combinations can and what would help.
+    Exit codes: 0 all can be found; 2 bad usage, model or data; 3 some cannot: each line says which combinations can be
+    found and what would help.
     """
+    from dashpot.app.data_files import read_spectrum
+    from dashpot.app.files import write_result
     from dashpot.check.identifiability import structure
     from dashpot.check.report import structure_content
     from dashpot.errors import IdentifiabilityError, UsageError
-    from dashpot.io.atomic import write_text
     from dashpot.io.json_document import to_json
     from dashpot.model.rigfile import read_rig
 
     if (profiled or known) and not data:
-        raise UsageError("--profile and --known need data", cure="name the data files after the rig")
-    found = read_rig(rig)
-    found.model.require_unknowns(rig)
-    channels, spectrum = found.channels, None
-    if data:
-        conditioning = conditioning_from(how)
-        spectrum = _read(found, data, frequency, conditioning, quiet)
-        channels = spectrum.channels
-    verdict = structure(found.model, channels, spectrum, seed)
-    content = structure_content(found.model.name, verdict)
-    told: list[Any] = []
+        raise UsageError("--profile and --known need data", cure="name the data files after the rig file")
+    rig_read = read_rig(rig)
+    rig_read.model.require_unknowns(rig)
+    spectrum = read_spectrum(rig_read, data, conditioning, quiet) if data else None
+    channels = rig_read.channels if spectrum is None else spectrum.channels
+    verdict = structure(rig_read.model, channels, spectrum, seed)
+    content = structure_content(rig_read.model.name, verdict)
+    parts: list[Any] = []
     if verdict.identifiable and spectrum is not None:
-        told = _with_data(found, spectrum, content, profiled, known, level / 100, seed)
-    text = to_json(content)
-    if json_out == STDOUT:
-        click.echo(text, nl=False)
-    elif json_out is not None:
-        write_text(json_out, text)
+        wanted = [name for text in profiled for name in names(text)]
+        parts = _with_data(rig_read, spectrum, content, wanted, known, level, seed)
+    write_result(json_out, to_json(content))
     if not verdict.identifiable:
         raise IdentifiabilityError(verdict.problems(rig))
     if not quiet and json_out != STDOUT:
-        from dashpot.present.tables.check import show_known, show_paragraphs, structure_in_words
-        from dashpot.present.tables.estimate import console
-
-        out, names = console(), [channel.name for channel in channels]
-        show_paragraphs(out, structure_in_words(verdict, names, None if spectrum is None else spectrum.lines))
-        for part in told:
-            out.print()
-            if isinstance(part, list):
-                show_paragraphs(out, part)
-            else:
-                show_known(out, part)
+        _show(verdict, [channel.name for channel in channels], spectrum, parts)
     return 0
 
 
-def _read(
-    rig: Rig, data: tuple[str, ...], frequency: float | None, conditioning: Conditioning, quiet: bool
-) -> Spectrum:
-    from dashpot.data.readers import read
+def _show(
+    verdict: Structure, channels: Sequence[str], spectrum: Spectrum | None, parts: Sequence[Any]
+) -> None:
+    from dashpot.present.tables.check import show_known, show_paragraphs, structure_in_words
+    from dashpot.present.tables.estimate import console
 
-    reading = read(data, rig.channels, frequency_hz=frequency)
-    tell_notes(reading.notes, quiet)
-    return amplitudes(reading, conditioning, quiet)
+    out = console()
+    show_paragraphs(out, structure_in_words(verdict, channels, None if spectrum is None else spectrum.lines))
+    for part in parts:
+        out.print()
+        if isinstance(part, list):
+            show_paragraphs(out, part)
+        else:
+            show_known(out, part)
 
 
 def _with_data(
     rig: Rig,
     spectrum: Spectrum,
     content: dict[str, Any],
-    profiled: tuple[str, ...],
+    profiled: Sequence[str],
     known: bool,
     level: float,
     seed: int,
@@ -136,13 +123,13 @@ def _with_data(
     weak = weakness(surface(rig.model, spectrum, estimate), estimate.covariance)
     content["data"] = weakness_content(weak, spectrum)
     units = dict(zip(estimate.names, estimate.units, strict=True))
-    told: list[Any] = [weakness_in_words(weak, spectrum, units)]
+    parts: list[Any] = [weakness_in_words(weak, spectrum, units)]
     if profiled:
         profiles = [profile(rig.model, spectrum, name, level, estimate) for name in profiled]
         content["profiles"] = [profile_content(one) for one in profiles]
-        told.append([profile_in_words(one) for one in profiles])
+        parts.append([profile_in_words(one) for one in profiles])
     if known:
         errors = known_errors(rig.model, spectrum, estimate)
         content["known_errors"] = known_content(errors)
-        told.append(errors)
-    return told
+        parts.append(errors)
+    return parts

@@ -2,204 +2,179 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from dashpot.app.files import STDOUT, InputFile, OutputFile
+from dashpot.app.files import STDOUT
+from dashpot.app.help import dashpot_command, option
 from dashpot.app.options import (
+    DATA_HELP,
     NOT_CONVERGED,
-    Positive,
-    amplitudes,
-    conditioning_from,
     conditioning_options,
-    named_number,
-    tell_notes,
+    data_argument,
+    file_option,
+    json_option,
+    level_option,
+    quiet_option,
+    rig_argument,
+    seed_option,
 )
+from dashpot.app.parameter_types import AMOUNTS, INPUT_FILE
 
 if TYPE_CHECKING:
     from dashpot.data.modal_data import ModalData
     from dashpot.data.spectrum import Spectrum
+    from dashpot.estimate.comparison import Comparison
     from dashpot.model.rigfile import Rig
+    from dashpot.quantities import Amount
+
+WHAT = "What to compare"
 
 
-class Assignments(click.ParamType[Any]):
-    """NAME=VALUE, several of them separated by commas."""
-
-    name = "name=value,…"
-
-    def convert(
-        self, value: object, param: click.Parameter | None, ctx: click.Context | None
-    ) -> dict[str, float]:
-        """Values by name."""
-        if isinstance(value, dict):
-            return value
-        found: dict[str, float] = {}
-        for part in str(value).split(","):
-            name, number = named_number(part)
-            if not name or not abs(number) < float("inf"):
-                self.fail(f"{part.strip()!r} is no NAME=VALUE; write m1=3,c1=30", param, ctx)
-            if name in found:
-                self.fail(f"{name} is given twice", param, ctx)
-            found[name] = number
-        return found
-
-
-@click.command(name="compare")
-@click.argument("rig", type=InputFile())
-@click.argument("data", type=InputFile(), nargs=-1)
-@click.option(
-    "--methods", metavar="A,B,…",
-    help="Estimators, in the order of the rows: ls, hls, wls, tls, cls, iv, oiv, oiv+, ml.  Default: all that suit.",
-)  # fmt: skip
-@click.option(
-    "--modal", "modal_file", type=InputFile(), metavar="FILE",
-    help="Measured modes, CSV or JSON: frequency_hz, frequency_sd, damping_ratio, damping_sd, NAME_re, _im, _sd.",
-)  # fmt: skip
-@click.option(
-    "--truth",
-    type=Assignments(),
-    metavar="m1=3,…",
-    help="True values, to be marked where an interval misses them.",
+@dashpot_command(
+    "compare",
+    "dashpot compare rig.toml data.csv",
+    'dashpot compare rig.toml data.csv --methods wls,oiv,ml --truth "m1=3,k1=4.6 kN/m" --figure methods.png',
 )
-@click.option("--figure", type=OutputFile(), metavar="OUT.png", help="Draw the intervals.")
-@click.option(
-    "--json",
-    "json_out",
-    type=OutputFile(stdout=True),
-    metavar="OUT",
-    help="Write all estimates as JSON; - is stdout.",
-)
-@click.option(
-    "--seed", type=click.IntRange(0), default=0, show_default=True, metavar="N",
-    help="Of the starts that ml and the modes draw.",
+@rig_argument
+@data_argument(DATA_HELP)
+@option(
+    "--methods", metavar="A,B,…", group=WHAT,
+    help="Estimators, in the order of the rows: ls, hls, wls, tls, cls, iv, oiv, oiv+, ml.  [default: all that suit]",
 )  # fmt: skip
-@click.option(
-    "--level", type=Positive(100), default=95, show_default=True, metavar="%", help="Of the intervals."
-)
+@option(
+    "--modal", "modal_file", type=INPUT_FILE, metavar="FILE", group=WHAT,
+    help="Add an estimate from measured modes, CSV or JSON (frequency_hz, frequency_sd, damping_ratio, damping_sd, "
+    "NAME_re, NAME_im, NAME_sd).",
+)  # fmt: skip
+@option(
+    "--truth", type=AMOUNTS, metavar="m1=3,…", group=WHAT,
+    help="True values where they are known; intervals that miss them are marked.  A bare number is in SI units.",
+)  # fmt: skip
+@file_option("--figure", "FILE.png", "Draw the intervals.")
+@json_option("all estimates")
+@level_option
 @conditioning_options
-@click.option("--quiet", "-q", is_flag=True, help="Print no table and no notes.")
+@seed_option("the starting values that ml and the fit to modes draw")
+@quiet_option
 def command(
-    rig: str,
-    data: tuple[str, ...],
-    methods: str | None,
-    modal_file: str | None,
-    truth: dict[str, float] | None,
-    figure: str | None,
-    json_out: str | None,
-    seed: int,
-    level: float,
-    frequency: float | None,
-    quiet: bool,
-    **how: Any,
-) -> int:
-    """Find the unknowns of RIG from DATA with several methods, side by side.
+    rig: str, data: tuple[str, ...], methods: str | None, modal_file: str | None, truth: dict[str, Amount] | None,
+    figure: str | None, json_out: str | None, seed: int, level: float, quiet: bool, **conditioning: Any,
+) -> int:  # fmt: skip
+    """Estimate the unknowns of RIG from DATA with several methods, side by side.
 
-    DATA as for identify; with --modal FILE they may be left out.  A method that the data do not suit is named with
-    the reason.  Exit code 3: a method did not converge.
+    DATA as for identify; with --modal FILE they may be left out.  A method that does not suit the data is named with
+    the reason.
+
+    Exit codes: 0 done; 2 bad usage, model or data; 3 a method did not converge.
     """
-    from dashpot.errors import UsageError
-    from dashpot.estimate.registry import METHODS, method_class
+    from dashpot.app.files import write_result
+    from dashpot.app.parameters import true_values
     from dashpot.model.rigfile import read_rig
-    from dashpot.model.unstructured import free_entries
 
-    if not data and modal_file is None:
+    chosen = _chosen(methods, bool(data), modal_file is not None)
+    rig_read = read_rig(rig)
+    rig_read.model.require_unknowns(rig)
+    chosen = chosen or _all_methods(rig_read)
+    true = None if truth is None else true_values(rig_read, truth)
+    modal = None if modal_file is None else _modes(modal_file, rig_read)
+    spectrum = _spectrum(data, rig_read, chosen, conditioning, quiet) if data else None
+    comparison = _compared(rig_read, spectrum, modal, chosen, true, seed, quiet)
+    if figure is not None:
+        _draw(comparison, level, figure)
+    write_result(json_out, comparison.to_json())
+    if not quiet and json_out != STDOUT:
+        from dashpot.present.tables.comparison import show_comparison
+        from dashpot.present.tables.estimate import console
+
+        show_comparison(console(), comparison, level)
+    return _ending(comparison)
+
+
+def _chosen(methods: str | None, data: bool, modal: bool) -> list[str]:
+    """The names of --methods, each a method and named once; none where the option is not given."""
+    from dashpot.errors import UsageError
+    from dashpot.estimate.registry import method_class
+
+    if not data and not modal:
         raise UsageError("there are no data", cure="give DATA, --modal FILE, or both")
-    if methods is not None and not data:
+    if methods is None:
+        return []
+    if not data:
         raise UsageError(
-            "methods work on DATA, and there are none", "--methods", "give DATA, or leave it out"
+            "the methods need DATA, and none are given", "--methods", "give DATA, or leave it out"
         )
-    chosen = [] if methods is None else [name.strip() for name in methods.split(",")]
+    chosen = [name.strip() for name in methods.split(",")]
     for name in chosen:
         method_class(name)
         if chosen.count(name) > 1:
             raise UsageError(f"{name} is named twice", "--methods", "name each method once")
-    found = read_rig(rig)
-    found.model.require_unknowns(rig)
-    chosen = chosen or [name for name in METHODS if name != "oiv+" or free_entries(found.model)]
-    modal = _modes(modal_file, found)
-    spectrum = _spectrum(data, found, chosen, frequency, quiet, how) if data else None
-    return _compare(found, spectrum, modal, chosen, truth, figure, json_out, seed, level / 100, quiet)
+    return chosen
 
 
-def _modes(path: str | None, rig: Rig) -> ModalData | None:
-    if path is None:
-        return None
+def _all_methods(rig: Rig) -> list[str]:
+    from dashpot.estimate.registry import METHODS
+    from dashpot.model.unstructured import free_entries
+
+    return [name for name in METHODS if name != "oiv+" or free_entries(rig.model)]
+
+
+def _modes(path: str, rig: Rig) -> ModalData:
     from dashpot.data.readers.delimited.modes import read_modes
 
     return read_modes(path, rig.model.coordinates)
 
 
 def _spectrum(
-    data: tuple[str, ...],
-    rig: Rig,
-    chosen: list[str],
-    frequency: float | None,
-    quiet: bool,
-    how: dict[str, Any],
+    data: Sequence[str], rig: Rig, chosen: list[str], conditioning: dict[str, Any], quiet: bool
 ) -> Spectrum:
-    """Amplitudes; with the second moments of the samples where ls is asked for and there are samples."""
+    from dashpot.app.data_files import read_spectrum
     from dashpot.check.scale import require_scale
-    from dashpot.data.readers import read
 
     require_scale(rig.model, rig.channels, rig.path)
-    reading = read(data, rig.channels, frequency_hz=frequency)
-    tell_notes(reading.notes, quiet)
-    conditioning = conditioning_from(how)
-    return amplitudes(reading, conditioning, quiet, moments="ls" in chosen and reading.amplitudes is None)
+    return read_spectrum(rig, data, conditioning, quiet, moments_for=chosen)
 
 
-def _compare(
-    rig: Rig,
-    spectrum: Spectrum | None,
-    modal: ModalData | None,
-    chosen: list[str],
-    truth: dict[str, float] | None,
-    figure: str | None,
-    json_out: str | None,
-    seed: int,
-    level: float,
-    quiet: bool,
-) -> int:
+def _compared(
+    rig: Rig, spectrum: Spectrum | None, modal: ModalData | None, chosen: list[str], truth: dict[str, float] | None,
+    seed: int, quiet: bool,
+) -> Comparison:  # fmt: skip
     from dashpot.app.progress import progress
     from dashpot.check.scale import require_scale_seen
     from dashpot.errors import DashpotError
     from dashpot.estimate.comparison import compare
     from dashpot.estimate.registry import method
-    from dashpot.io.atomic import write_bytes, write_text
 
     jobs, refused = {}, {}
-    for name in chosen:
+    for name in chosen if spectrum is not None else ():
         try:
             require_scale_seen(name, rig.model, rig.channels)
             jobs[name] = method(name, seed=seed)
         except DashpotError as error:
             refused[name] = error
     with progress("compare", quiet) as moved:
-        found = compare(
-            rig.model, spectrum, jobs, modal=modal, refused={} if spectrum is None else refused,
-            truth=truth, seed=seed, progress=moved,
-        )  # fmt: skip
-    if figure is not None:
-        from dashpot.present.figures.comparison import comparison_figure
-        from dashpot.present.figures.study import png
-
-        write_bytes(figure, png(comparison_figure(found, level)))
-    if json_out == STDOUT:
-        click.echo(found.to_json(), nl=False)
-    elif json_out is not None:
-        write_text(json_out, found.to_json())
-    if not quiet and json_out != STDOUT:
-        from dashpot.present.tables.comparison import show_comparison
-        from dashpot.present.tables.estimate import console
-
-        show_comparison(console(), found, level)
-    unsettled = [name for name, estimate in found.estimates.items() if not bool(estimate.converged)]
-    if unsettled:
-        click.echo(
-            f"dashpot: {', '.join(unsettled)} did not settle; do not use these values: "
-            "check signs and units of the channels, or the noise is too large",
-            err=True,
+        return compare(
+            rig.model, spectrum, jobs, modal=modal, refused=refused, truth=truth, seed=seed, progress=moved
         )
-        return NOT_CONVERGED
-    return 0
+
+
+def _draw(comparison: Comparison, level: float, figure: str) -> None:
+    from dashpot.io.atomic import write_bytes
+    from dashpot.present.figures.comparison import comparison_figure
+    from dashpot.present.figures.study import png
+
+    write_bytes(figure, png(comparison_figure(comparison, level)))
+
+
+def _ending(comparison: Comparison) -> int:
+    unsettled = [name for name, estimate in comparison.estimates.items() if not bool(estimate.converged)]
+    if not unsettled:
+        return 0
+    click.echo(
+        f"dashpot: {', '.join(unsettled)} did not converge; do not use these values: "
+        "check signs and units of the channels, or the noise is too large",
+        err=True,
+    )
+    return NOT_CONVERGED

@@ -2,247 +2,170 @@
 
 from __future__ import annotations
 
-import re
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 import click
 
-from dashpot.app.files import STDOUT, InputFile, InputFileOr, OutputFile
+from dashpot.app.files import STDOUT
+from dashpot.app.help import dashpot_command, option
 from dashpot.app.options import (
-    Positive,
-    Setting,
-    tell_notes,
+    conditioning_options,
+    file_option,
+    json_option,
+    quiet_option,
+    rig_argument,
+)
+from dashpot.app.parameter_types import (
+    AMOUNT,
+    AMOUNTS,
+    AMPLITUDE,
+    BAND,
+    FREQUENCY,
+    INPUT_FILE,
+    INPUT_FILE_OR,
+    SENSORS,
+    SETTLING,
+    SHARE,
+    SHARE_OR_ZERO,
+    TARGET,
+    TIME,
+    Count,
+    names,
 )
 
 if TYPE_CHECKING:
+    from dashpot.channel import Channel
     from dashpot.data.spectrum import Spectrum
+    from dashpot.design.advise import Answer, Question
     from dashpot.design.criteria import Goal
     from dashpot.design.robust import GaussianPrior
     from dashpot.design.test_setup import Limits
     from dashpot.estimate.result import Estimate
     from dashpot.model.rigfile import Rig
+    from dashpot.quantities import Amount
 
-_TIMES = {"": 1.0, "s": 1.0, "sec": 1.0, "ms": 1e-3, "min": 60.0, "h": 3600.0}
-_NUMBER = r"[+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
-
-
-class Duration(click.ParamType[float]):
-    """A time: 10min, 90s, 1.5h, 600."""
-
-    name = "time"
-
-    def convert(self, value: object, param: click.Parameter | None, ctx: click.Context | None) -> float:
-        """Seconds."""
-        match = re.fullmatch(rf"({_NUMBER})\s*([a-z]*)", str(value).strip())
-        if match is None or match[2] not in _TIMES:
-            self.fail(f"{value!r} is no time; write it as 10min, 90s or 1.5h", param, ctx)
-        return float(match[1]) * _TIMES[match[2]]
+BUDGET, AIM = "How much test", "What it is for"
+BASIS = "What is known"
+TEST, SHAKER, ROBUST = "The test", "The shaker", "Robustness"
 
 
-class Share(click.ParamType[float]):
-    """A part of something: 10% or 0.1."""
-
-    name = "%"
-
-    def convert(self, value: object, param: click.Parameter | None, ctx: click.Context | None) -> float:
-        """The part."""
-        found = share(str(value))
-        if found is None:
-            self.fail(f"{value!r} is no part; write it as 1% or 0.01", param, ctx)
-        return found
-
-
-class Band(click.ParamType[tuple[float, float]]):
-    """A band of frequencies: 0.5:25."""
-
-    name = "from:to"
-
-    def convert(
-        self, value: object, param: click.Parameter | None, ctx: click.Context | None
-    ) -> tuple[float, float]:
-        """Lower and upper end, Hz."""
-        match = re.fullmatch(rf"({_NUMBER}):({_NUMBER})", str(value).strip().removesuffix("Hz").strip())
-        if match is None or not 0 < float(match[1]) < float(match[2]) < 1e12:
-            self.fail(f"{value!r} is no band; write it in Hz as 0.5:25", param, ctx)
-        return float(match[1]), float(match[2])
-
-
-def share(text: str) -> float | None:
-    """1% or 0.01 as a number; None where the text is neither."""
-    match = re.fullmatch(rf"({_NUMBER})\s*(%?)", text.strip())
-    if match is None or float(match[1]) <= 0:
-        return None
-    return float(match[1]) / (100.0 if match[2] else 1.0)
-
-
-@click.command(name="design")
-@click.argument("rig", type=InputFile())
-@click.option("--time", "time", type=Duration(), metavar="10min", help="Time for the whole test.")
-@click.option(
-    "--samples", type=click.IntRange(1, 1_000_000_000), metavar="N", help="Samples of the whole test."
+@dashpot_command(
+    "design",
+    "dashpot design rig.toml --samples 1400 --set m1=3,c1=30",
+    "dashpot design rig.toml --after data.csv --target 1% --rate 500 --stroke 5mm --json plan.json",
+    'dashpot design rig.toml --time 10min --rate 500 --sensors "pick 2 of x1,x2,acc3" --against 2:10/5',
 )
-@click.option(
-    "--target",
-    metavar="1%|c2=2%",
-    help="Relative standard deviation to reach; alone it asks for the shortest test.",
+@rig_argument
+@option("--samples", type=Count(1), metavar="N", group=BUDGET, help="Samples of the whole test.")
+@option(
+    "--time", type=TIME, metavar="10min", group=BUDGET, help="Duration of the whole test, settling included."
 )
-@click.option(
-    "--band", type=Band(), help="Frequencies to choose from, Hz; about the resonances unless given."
-)
-@click.option(
-    "--for", "wanted", default="all", show_default=True, metavar="all|worst|volume|c2,m1",
-    help="What is to be precise: all on average, the worst, the volume of the confidence region, or some.",
+@option(
+    "--target", type=TARGET, metavar="1%|c2=2%,…", group=BUDGET,
+    help="Relative standard deviation to reach; without --samples and --time the shortest test that reaches it is "
+    "designed.",
 )  # fmt: skip
-@click.option("--sensors", metavar='"pick 3 of a,b,…"', help="Choose the best few sensors; the others stay.")
-@click.option(
-    "--against",
-    type=InputFileOr(),
-    metavar="DATA|LIST",
-    help="Compare with a test: a file, 1,2,5 or 0.5:25:0.5 (Hz).",
-)
-@click.option(
-    "--after",
-    type=InputFile(),
-    multiple=True,
-    metavar="DATA|EST.json",
-    help="Count in data, or an estimate, that exist.",
-)
-@click.option("--stroke", metavar="5mm", help="Largest displacement amplitude of the shaker.")
-@click.option("--max-velocity", metavar="0.5m/s", help="Largest velocity amplitude.")
-@click.option("--max-acceleration", metavar="2gn", help="Largest acceleration amplitude.")
-@click.option(
-    "--max-force", metavar="100N", help="Largest force amplitude; of a moved input, the rig's reaction."
-)
-@click.option("--amplitude", metavar="1mm", help="Of the drive, where no limit is given.")
-@click.option(
-    "--drive", "drives", multiple=True, metavar="u,-v", help="Inputs that move together; may be repeated."
-)
-@click.option(
-    "--rate", type=Positive(1e9), metavar="HZ", help="Sampling rate, unless the rig file states it."
-)
-@click.option("--settle", type=Duration(), metavar="2s", help="Before each dwell; else from the modes.")
-@click.option("--min-dwell", type=Duration(), metavar="5s", help="Shortest dwell.")
-@click.option(
-    "--max-frequencies", type=click.IntRange(1, 10_000), metavar="N", help="At most that many dwells."
-)
-@click.option("--grid", type=Positive(1e12), metavar="HZ", help="Only multiples of this frequency.")
-@click.option("--doubt", type=Share(), metavar="30%", help="The values may be wrong by that much.")
-@click.option(
-    "--robust", type=click.Choice(["worst", "average"]),
-    help="Good in the worst case of the doubt, or on average; without --doubt over an estimate's covariance.",
+@option(
+    "--for", "wanted", default="all", show_default=True, metavar="all|worst|volume|NAME,…", group=AIM,
+    help="What is to be precise: all unknowns on average, the worst one, the volume of the confidence region, or the "
+    "unknowns named.",
 )  # fmt: skip
-@click.option(
-    "--set", "settings", type=Setting(), multiple=True, metavar="m1=3", help="A value to design for."
+@option(
+    "--sensors", type=SENSORS, metavar='"pick 3 of a,b,…"', group=AIM,
+    help="Choose the best few of these channels; channels that are not listed stay.",
+)  # fmt: skip
+@option(
+    "--against", type=INPUT_FILE_OR, metavar="FILE|LIST|RANGE", group=AIM,
+    help="Compare with another test: a data file, or frequencies in Hz as 1,2,5, 1:10:0.5 or 1:10/25.",
+)  # fmt: skip
+@option(
+    "--set", "settings", type=AMOUNTS, multiple=True, metavar="NAME=VALUE,…", group=BASIS,
+    help="Values to design for, such as m1=3,k1=4.6kN/m; a bare number is in SI units.  May be repeated.",
+)  # fmt: skip
+@option(
+    "--estimate", "estimate_file", type=INPUT_FILE, metavar="FILE.json", group=BASIS,
+    help="Take the values to design for from an estimate, without counting it as data.",
+)  # fmt: skip
+@option(
+    "--after", type=INPUT_FILE, multiple=True, metavar="DATA|FILE.json", group=BASIS,
+    help="Existing data or estimate to build on.  May be repeated.",
+)  # fmt: skip
+@option(
+    "--relative-noise", type=SHARE_OR_ZERO, metavar="5%", group=BASIS,
+    help="Noise of a sample as a share of the amplitude, for every output, in place of the rig file's noise.",
+)  # fmt: skip
+@option(
+    "--band", type=BAND, metavar="LOWER:UPPER", group=TEST,
+    help="Frequencies to choose from, Hz.  [default: around the resonances]",
+)  # fmt: skip
+@option("--grid", type=FREQUENCY, metavar="HZ", group=TEST, help="Use only multiples of this frequency.")
+@option("--max-frequencies", type=Count(1, 10_000), metavar="N", group=TEST, help="Largest number of dwells.")
+@option("--min-dwell", type=TIME, metavar="5s", group=TEST, help="Shortest dwell.")
+@option(
+    "--settling-time", type=SETTLING, default="auto", show_default=True, metavar="auto|none|2s", group=TEST,
+    help="Wait before each dwell; auto takes three decades of the decay of the slowest mode.",
+)  # fmt: skip
+@option(
+    "--rate", type=FREQUENCY, metavar="HZ", group=TEST, help="Sampling rate.  [default: that of the rig file]"
 )
-@click.option(
-    "--estimate",
-    "estimate_file",
-    type=InputFile(),
-    metavar="EST.json",
-    help="Values to design for (not counted as data).",
+@option("--stroke", type=AMOUNT, metavar="5mm", group=SHAKER, help="Largest displacement amplitude.")
+@option("--max-velocity", type=AMOUNT, metavar="0.5m/s", group=SHAKER, help="Largest velocity amplitude.")
+@option(
+    "--max-acceleration", type=AMOUNT, metavar="2gn", group=SHAKER, help="Largest acceleration amplitude."
 )
-@click.option(
-    "--relative-noise", type=Share(), metavar="10%", help="Of all outputs, in place of the rig file's."
+@option(
+    "--max-force", type=AMOUNT, metavar="100N", group=SHAKER,
+    help="Largest force amplitude; for a moved base, of the force that moves it.",
+)  # fmt: skip
+@option(
+    "--amplitude", type=AMPLITUDE, metavar="[INPUT=]VALUE", group=SHAKER,
+    help="Amplitude of the drive, where no limit is given.",
+)  # fmt: skip
+@option(
+    "--drive", "drives", multiple=True, metavar="u,-v", group=SHAKER,
+    help="Inputs that move together, in phase or (with -) in antiphase.  May be repeated.",
+)  # fmt: skip
+@option(
+    "--doubt", type=SHARE, metavar="30%", group=ROBUST, help="How far the values to design for may be wrong."
 )
-@click.option(
-    "--json",
-    "json_out",
-    type=OutputFile(stdout=True),
-    metavar="OUT",
-    help="Write the answer as JSON; - is stdout.",
-)
-@click.option(
-    "--csv", "csv_out", type=OutputFile(), metavar="OUT", help="Write the dwells for the shaker's controller."
-)
-@click.option(
-    "--figure",
-    "figure_out",
-    type=OutputFile(),
-    metavar="OUT.png",
-    help="Draw dwells, information and intervals.",
-)
-@click.option(
-    "--progress",
-    "progress_out",
-    type=OutputFile(),
-    metavar="OUT.png",
-    help="Draw intervals against samples of --after DATA.",
-)
-@click.option(
-    "--frequency", type=Positive(1e12), metavar="HZ", help="Drive frequency of records that do not say it."
-)
-@click.option("--quiet", "-q", is_flag=True, help="Print no table and no notes.")
-def command(
-    rig: str,
-    wanted: str,
-    target: str | None,
-    sensors: str | None,
-    against: str | None,
-    after: tuple[str, ...],
-    drives: tuple[str, ...],
-    settle: float | None,
-    min_dwell: float | None,
-    max_frequencies: int | None,
-    grid: float | None,
-    settings: tuple[tuple[str, float], ...],
-    estimate_file: str | None,
-    relative_noise: float | None,
-    json_out: str | None,
-    csv_out: str | None,
-    figure_out: str | None,
-    progress_out: str | None,
-    quiet: bool,
-    **more: Any,
-) -> int:
-    """The next test of RIG: at which frequencies to dwell, how long, with which sensors.
+@option(
+    "--robust", type=click.Choice(["worst", "average"]), group=ROBUST,
+    help="Design for the worst case of the doubt, or for the average.  Without --doubt, the covariance of --estimate "
+    "or --after is the doubt.",
+)  # fmt: skip
+@json_option("the plan")
+@file_option("--csv", "FILE.csv", "Write the dwells for the shaker's controller.")
+@file_option("--figure", "FILE.png", "Draw dwells, information and the intervals to expect.")
+@file_option("--progress", "FILE.png", "Draw how the intervals shrank as the data of --after came in.")
+@conditioning_options
+@quiet_option
+def command(rig: str, json_out: str | None, quiet: bool, **options: Any) -> int:
+    """Design the next test of RIG: at which frequencies to dwell, for how long, with which sensors.
 
     The values to design for are those of the rig file (value, guess), of --set, or of an estimate.  Standard
-    deviations in per cent are of the values.  The gap printed proves how good the test is (equivalence theorem).
+    deviations in per cent are of the values.  The duality gap that is printed proves how close to optimal the test is
+    (equivalence theorem).
     """
+    from dashpot.app.files import write_result
     from dashpot.check.scale import require_scale
-    from dashpot.errors import UsageError
     from dashpot.io.atomic import write_text
     from dashpot.model.rigfile import read_rig
 
-    found = read_rig(rig)
-    require_scale(found.model, found.channels, rig)
+    rig_read = read_rig(rig)
+    require_scale(rig_read.model, rig_read.channels, rig)
 
-    from dashpot.design.advise import Question, answer, json_of
+    from dashpot.design.advise import answer, json_of
     from dashpot.design.plan import to_csv
     from dashpot.design.test_setup import drive_units
-    from dashpot.model.observation import with_relative_noise
 
-    if more["samples"] is not None and more["time"] is not None:
-        raise UsageError("both --samples and --time", cure="one of them is the budget")
-    channels = found.channels
-    if relative_noise is not None:
-        channels = with_relative_noise(found.model, channels, relative_noise)
-    data, earlier = _earlier(found, after, more, quiet)
-    estimate = _load(estimate_file) if estimate_file is not None else None
-    goal, aim = _goal(wanted, target)
-    values = dict(settings)
-    _known_names(found, values)
-    if earlier is None and estimate is not None:
-        values = {**_values_of(found, estimate), **values}
-    if progress_out is not None and data is None:
-        raise UsageError("--progress draws data as they came", cure="give them with --after DATA")
-    question = Question(
-        found.model, channels, goal, values, earlier, data, aim, more["samples"], more["time"], more["rate"],
-        settle, 0.0 if min_dwell is None else min_dwell, max_frequencies, more["band"], grid,
-        _limits(found, more), _amplitude(found, more["amplitude"]), drives,
-        _doubt(found, more["robust"], more["doubt"], estimate, bool(after)),
-        "worst" if more["robust"] is None else more["robust"],
-        _pick(sensors), None if against is None else _against(found, against, more, quiet),
-    )  # fmt: skip
+    question = _question(rig_read, options, quiet)
     result = answer(question)
-    if json_out == STDOUT:
-        click.echo(json_of(result), nl=False)
-    elif json_out is not None:
-        write_text(json_out, json_of(result))
-    if csv_out is not None and result.plan is not None:
-        write_text(csv_out, to_csv(result.plan, drive_units(found.model)))
-    _draw(result, figure_out, progress_out, goal, aim)
+    write_result(json_out, json_of(result))
+    if options["csv"] is not None and result.plan is not None:
+        write_text(options["csv"], to_csv(result.plan, drive_units(rig_read.model)))
+    _draw(result, options["figure"], options["progress"], question)
     if not quiet and json_out != STDOUT:
         from dashpot.present.tables.design import show
         from dashpot.present.tables.estimate import console
@@ -251,37 +174,74 @@ def command(
     return 0
 
 
-def _draw(
-    result: Any, figure_out: str | None, progress_out: str | None, goal: Goal, aim: float | None
-) -> None:
-    if figure_out is None and progress_out is None:
-        return
-    from dashpot.io.atomic import write_bytes
-    from dashpot.present.figures.study import png
-    from dashpot.present.tables.design import figure, progress_figure
-
-    if figure_out is not None and result.plan is not None:
-        write_bytes(figure_out, png(figure(result)))
-    if progress_out is not None:
-        targets = dict(getattr(goal, "targets", {}))
-        if not targets and aim is not None:
-            targets = dict.fromkeys((u.name for u in result.bench.model.unknowns), aim)
-        drawn = progress_figure(result, targets)
-        if drawn is not None:
-            write_bytes(progress_out, png(drawn))
-
-
-def _known_names(rig: Rig, values: dict[str, float]) -> None:
+def _question(rig: Rig, options: Mapping[str, Any], quiet: bool) -> Question:
+    """What the options ask for, in SI units.  Raises UsageError where they contradict each other."""
+    from dashpot.app.parameters import drive_amplitude, merged, parameter_values
+    from dashpot.design.advise import Question
     from dashpot.errors import UsageError
 
-    own = {unknown.name: unknown for unknown in rig.model.unknowns}
-    for name, value in values.items():
-        if name not in own:
-            raise UsageError(
-                f"--set {name}: no unknown of this rig", rig.path, f"its unknowns are {', '.join(own)}"
-            )
-        if value < 0 and own[name].unit == "kg":
-            raise UsageError(f"--set {name}: a mass of {value:g} kg", rig.path, "give a positive mass")
+    if options["samples"] is not None and options["time"] is not None:
+        raise UsageError("both --samples and --time are given", cure="give one of them: it is the budget")
+    data, earlier = _earlier(rig, options, quiet)
+    if options["progress"] is not None and data is None:
+        raise UsageError("--progress draws data as they came in", cure="give the data with --after DATA")
+    estimate = None if options["estimate_file"] is None else _load(options["estimate_file"])
+    values = parameter_values(rig, merged(options["settings"], "--set"))
+    _require_masses(rig, values)
+    if earlier is None and estimate is not None:
+        values = {**_values_of(rig, estimate), **values}
+    goal, target = _goal(options["wanted"], options["target"])
+    settling = options["settling_time"]
+    return Question(
+        model=rig.model,
+        channels=_channels(rig, options["relative_noise"]),
+        goal=goal,
+        values=values,
+        estimate=earlier,
+        after=data,
+        target=target,
+        samples=options["samples"],
+        time=options["time"],
+        rate=options["rate"],
+        settle=None if settling == "auto" else 0.0 if settling == "none" else settling,
+        min_dwell=0.0 if options["min_dwell"] is None else options["min_dwell"],
+        most=options["max_frequencies"],
+        band=options["band"],
+        step=options["grid"],
+        limits=_limits(rig, options),
+        amplitude=None if options["amplitude"] is None else drive_amplitude(rig.model, options["amplitude"]),
+        drives=options["drives"],
+        doubt=_doubt(rig, options, estimate),
+        doubt_by="worst" if options["robust"] is None else options["robust"],
+        pick=options["sensors"],
+        against=None if options["against"] is None else _against(rig, options, quiet),
+    )
+
+
+def _channels(rig: Rig, relative_noise: float | None) -> tuple[Channel, ...]:
+    if relative_noise is None:
+        return rig.channels
+    from dashpot.model.observation import with_relative_noise
+
+    return with_relative_noise(rig.model, rig.channels, relative_noise)
+
+
+def _earlier(rig: Rig, options: Mapping[str, Any], quiet: bool) -> tuple[Spectrum | None, Estimate | None]:
+    """Existing data, or one existing estimate."""
+    from dashpot.app.data_files import read_spectrum
+    from dashpot.errors import UsageError
+
+    after: Sequence[str] = options["after"]
+    estimates = [path for path in after if path.lower().endswith(".json")]
+    if not after:
+        return None, None
+    if not estimates:
+        return read_spectrum(rig, after, options, quiet), None
+    if len(after) > 1:
+        raise UsageError(
+            "--after names an estimate and other files", cure="give either one estimate, or all the data"
+        )
+    return None, _load(estimates[0])
 
 
 def _load(path: str) -> Estimate:
@@ -291,89 +251,49 @@ def _load(path: str) -> Estimate:
 
 
 def _values_of(rig: Rig, estimate: Estimate) -> dict[str, float]:
-    own = [unknown.name for unknown in rig.model.unknowns]
-    return {n: float(v) for n, v in zip(estimate.names, estimate.values, strict=True) if n in own}
+    unknowns = [unknown.name for unknown in rig.model.unknowns]
+    pairs = zip(estimate.names, estimate.values, strict=True)
+    return {name: float(value) for name, value in pairs if name in unknowns}
 
 
-def _earlier(
-    rig: Rig, after: tuple[str, ...], more: dict[str, Any], quiet: bool
-) -> tuple[Spectrum | None, Estimate | None]:
-    """Existing data, or one existing estimate."""
+def _require_masses(rig: Rig, values: Mapping[str, float]) -> None:
     from dashpot.errors import UsageError
 
-    estimates = [path for path in after if path.lower().endswith(".json")]
-    if not after:
-        return None, None
-    if estimates:
-        if len(after) > 1:
-            raise UsageError("an estimate and other data", cure="give either one estimate, or all the data")
-        return None, _load(estimates[0])
-    return _read(rig, after, more, quiet), None
+    units = {unknown.name: unknown.unit for unknown in rig.model.unknowns}
+    for name, value in values.items():
+        if value < 0 and units[name] == "kg":
+            raise UsageError(f"--set {name}: a mass of {value:g} kg", rig.path, "give a positive mass")
 
 
-def _read(rig: Rig, paths: tuple[str, ...], more: dict[str, Any], quiet: bool) -> Spectrum:
-    from dashpot.data.readers import read
-
-    reading = read(paths, rig.channels, frequency_hz=more["frequency"])
-    tell_notes(reading.notes, quiet)
-    spectrum = reading.spectrum()
-    tell_notes(spectrum.notes, quiet)
-    return spectrum
-
-
-def _goal(wanted: str, target: str | None) -> tuple[Goal, float | None]:
-    """What --for and --target ask for, and the figure to reach."""
+def _goal(wanted: str, target: float | Mapping[str, float] | None) -> tuple[Goal, float | None]:
+    """The criterion of --for and --target, and the figure to reach."""
     from dashpot.design.criteria import MeanError, Targets, Volume, WorstError
     from dashpot.errors import UsageError
 
-    aim = None
-    if target is not None and "=" in target:
+    if isinstance(target, Mapping):
         if wanted != "all":
-            raise UsageError("--for with a target by names", cure="the targets say what is to be precise")
-        targets = {}
-        for part in target.split(","):
-            name, _, text = part.partition("=")
-            number = share(text)
-            if number is None or not name.strip():
-                raise UsageError(f"{part.strip()!r} is no target", cure="write it as c2=2%,m1=1%")
-            targets[name.strip()] = number
-        return Targets(targets), 1.0
-    if target is not None:
-        aim = share(target)
-        if aim is None:
-            raise UsageError(f"{target!r} is no target", cure="write it as 1% or c2=2%")
-    if wanted == "all":
-        return MeanError(), aim
-    if wanted == "worst":
-        return WorstError(), aim
-    if wanted == "volume":
-        return Volume(), aim
-    names = tuple(name.strip() for name in wanted.split(",") if name.strip())
-    if not names:
+            raise UsageError(
+                "--for and a --target by names are both given", cure="the targets say what is to be precise"
+            )
+        return Targets(target), 1.0
+    criteria: dict[str, Goal] = {"all": MeanError(), "worst": WorstError(), "volume": Volume()}
+    if wanted in criteria:
+        return criteria[wanted], target
+    unknowns = names(wanted)
+    if not unknowns:
         raise UsageError("--for names nothing", cure="write all, worst, volume, or names such as c2,m1")
-    return MeanError(names), aim
+    return MeanError(unknowns), target
 
 
-def _quantity(rig: Rig, text: str, quantity: str) -> float:
-    """5mm, or 0.005, in SI units."""
-    from dashpot.errors import UsageError
-    from dashpot.units import scale
-
-    match = re.fullmatch(rf"({_NUMBER})\s*(\D.*)?", text.strip())
-    if match is None or float(match[1]) <= 0:
-        raise UsageError(
-            f"{text!r} is no {quantity}", cure="write a positive number with its unit, such as 5mm or 100N"
-        )
-    points = {*rig.model.displacement_inputs, *(p for one in rig.model.inputs for p in one.at)}
-    angular = bool(points) and points <= set(rig.model.angles)
-    return float(match[1]) * (1.0 if match[2] is None else scale(match[2].strip(), quantity, angular))
-
-
-def _limits(rig: Rig, more: dict[str, Any]) -> Limits:
+def _limits(rig: Rig, options: Mapping[str, Any]) -> Limits:
+    from dashpot.app.parameters import input_is_angular
     from dashpot.design.test_setup import Limits
 
-    def limit(option: str, quantity: str) -> float | None:
-        return None if more[option] is None else _quantity(rig, more[option], quantity)
+    angular = input_is_angular(rig.model)
+
+    def limit(name: str, quantity: str) -> float | None:
+        amount: Amount | None = options[name]
+        return None if amount is None else amount.si(quantity, angular)
 
     return Limits(
         limit("stroke", "displacement"), limit("max_velocity", "velocity"),
@@ -381,51 +301,57 @@ def _limits(rig: Rig, more: dict[str, Any]) -> Limits:
     )  # fmt: skip
 
 
-def _amplitude(rig: Rig, text: str | None) -> float | None:
-    if text is None:
-        return None
-    return _quantity(rig, text, "displacement" if rig.model.displacement_inputs else "force")
-
-
 def _doubt(
-    rig: Rig,
-    robust: str | None,
-    doubt: float | None,
-    estimate: Estimate | None,
-    after: bool,
+    rig: Rig, options: Mapping[str, Any], estimate: Estimate | None
 ) -> float | GaussianPrior | Literal["estimate"] | None:
-    """A part of every value, or the covariance of --estimate, or of what --after tells."""
+    """A share of every value, or the covariance of --estimate, or of what --after says."""
     from dashpot.design.robust import gaussian_prior_of
     from dashpot.errors import UsageError
 
-    if robust is None or doubt is not None:
+    doubt: float | None = options["doubt"]
+    if options["robust"] is None or doubt is not None:
         return doubt
     if estimate is not None:
         return gaussian_prior_of(rig.model, estimate)
-    if not after:
+    if not options["after"]:
         raise UsageError(
-            "--robust without a doubt",
-            cure="give --doubt 30%, or --estimate or --after, whose covariance is the doubt",
+            "--robust needs to know how wrong the values may be",
+            cure="give --doubt 30%, or --estimate or --after, whose covariance is used",
         )
     return "estimate"
 
 
-def _pick(text: str | None) -> tuple[int, tuple[str, ...]] | None:
-    from dashpot.errors import UsageError
-
-    if text is None:
-        return None
-    match = re.fullmatch(r"\s*(?:pick\s+)?(\d+)(?:\s+of\s+(.+))?\s*", text)
-    if match is None:
-        raise UsageError(f"{text!r} chooses no sensors", cure='write it as --sensors "pick 3 of a,b,c,d"')
-    names = () if match[2] is None else tuple(name.strip() for name in match[2].split(",") if name.strip())
-    return int(match[1]), names
-
-
-def _against(rig: Rig, text: str, more: dict[str, Any], quiet: bool) -> tuple[float, ...] | Spectrum:
+def _against(rig: Rig, options: Mapping[str, Any], quiet: bool) -> tuple[float, ...] | Spectrum:
     """A list of frequencies, or the lines of a file."""
-    from dashpot.design.plan import frequencies_of
+    from dashpot.app.data_files import read_spectrum
+    from dashpot.errors import UsageError
+    from dashpot.quantities import frequencies
 
+    text: str = options["against"]
     if Path(text).exists():
-        return _read(rig, (text,), more, quiet)
-    return frequencies_of(text)
+        return read_spectrum(rig, (text,), options, quiet)
+    try:
+        return frequencies(text)
+    except UsageError as error:
+        problem = error.problems[0]
+        raise UsageError(
+            f"--against: {problem.what}", cure=f"{problem.cure}, or name a file that exists"
+        ) from None
+
+
+def _draw(result: Answer, figure_out: str | None, progress_out: str | None, question: Question) -> None:
+    if figure_out is None and progress_out is None:
+        return
+    from dashpot.io.atomic import write_bytes
+    from dashpot.present.figures.study import png
+    from dashpot.present.tables.design import figure, progress_figure
+
+    if figure_out is not None and result.plan is not None:
+        write_bytes(figure_out, png(figure(result)))
+    if progress_out is not None:
+        targets = dict(getattr(question.goal, "targets", {}))
+        if not targets and question.target is not None:
+            targets = dict.fromkeys((u.name for u in result.bench.model.unknowns), question.target)
+        drawn = progress_figure(result, targets)
+        if drawn is not None:
+            write_bytes(progress_out, png(drawn))

@@ -4,32 +4,25 @@ from __future__ import annotations
 
 import click
 
-from dashpot.app.files import OutputFile, OutputFolder
+from dashpot.app.help import dashpot_command, option
+from dashpot.app.options import file_option, processes_option, quiet_option, seed_option
+from dashpot.app.parameter_types import FOLDER, Count
 
 PAPERS = ["yamane1989"]
 FEW = 200  # draws below which starting processes costs more than they save
 
 
-@click.command(name="reproduce")
-@click.argument("paper", type=click.Choice(PAPERS))
-@click.option(
-    "--draws", type=click.IntRange(2, 1_000_000), default=1000, show_default=True, metavar="N",
-    help="Noise draws of each point.",
+@dashpot_command("reproduce", "dashpot reproduce yamane1989 --draws 200 --report yamane1989.html")
+@click.argument("paper", type=click.Choice(PAPERS), help="Which paper.")
+@option(
+    "--draws", type=Count(2, 1_000_000), default=1000, show_default=True, metavar="N", group="Monte Carlo",
+    help="Draws of the noise in each scenario.",
 )  # fmt: skip
-@click.option(
-    "--report",
-    type=OutputFile(),
-    metavar="OUT.html",
-    help="Write tables, figures and findings, one HTML file.",
-)
-@click.option("--figures", type=OutputFolder(), metavar="DIR", help="Write the figures there, as PNG.")
-@click.option(
-    "--seed", type=click.IntRange(0), default=1989, show_default=True, metavar="N", help="Of the noise."
-)
-@click.option(
-    "--processes", type=click.IntRange(1, 1024), metavar="N", help="At work; all processors unless given."
-)
-@click.option("--quiet", "-q", is_flag=True, help="Print nothing.")
+@file_option("--report", "FILE.html", "Write tables, figures and findings as one HTML file.")
+@option("--figures", type=FOLDER, metavar="FOLDER", group="Output", help="Write the figures there, as PNG.")
+@seed_option("the noise", 1989)
+@processes_option
+@quiet_option
 def command(
     paper: str,
     draws: int,
@@ -51,9 +44,9 @@ def command(
 
     count = processes if processes is not None else 1 if draws < FEW else cores()
     with mapping(count) as mapper, progress(paper, quiet) as moved:
-        found = reproduce(draws, seed, moved, mapper=mapper)
-    written = write(found, report, figures)
+        reproduction = reproduce(draws, seed, moved, mapper=mapper)
+    written = write(reproduction, report, figures)
     if not quiet:
-        show(found, console())
+        show(reproduction, console())
         for name in written:
             click.echo(name)

@@ -2,111 +2,91 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
 import click
 
-from dashpot.app.files import InputFile, OutputFile
-from dashpot.app.options import Positive, Setting
+from dashpot.app.help import dashpot_command, option
+from dashpot.app.options import out_option, quiet_option, rig_argument, seed_option
+from dashpot.app.parameter_types import (
+    AMOUNTS,
+    AMPLITUDE,
+    FREQUENCIES,
+    FREQUENCY,
+    NUMBER,
+    SHARE_OR_ZERO,
+    Count,
+)
 
 if TYPE_CHECKING:
-    from dashpot.channel import Channel
-    from dashpot.model.network import Model
+    from dashpot.model.rigfile import Rig
+    from dashpot.quantities import Amount
+
+TEST = "The test"
+NOISE = "Noise"
 
 
-class Frequencies(click.ParamType[tuple[float, ...]]):
-    """1,2,5 or 0.5:25:40 (from, to and count, evenly on a logarithmic scale; 0.5:25:40lin evenly)."""
-
-    name = "hz,hz,…"
-
-    def convert(
-        self, value: object, param: click.Parameter | None, ctx: click.Context | None
-    ) -> tuple[float, ...]:
-        """The frequencies, Hz."""
-        text = str(value).strip()
-        linear = text.endswith("lin")
-        parts = text.removesuffix("lin").split(":")
-        try:
-            if len(parts) == 3:
-                first, last, count = float(parts[0]), float(parts[1]), int(parts[2])
-                if not (2 <= count <= 1_000_000 and 0 < first < last < 1e12):
-                    raise ValueError
-                steps = [k / (count - 1) for k in range(count)]
-                if linear:
-                    return tuple(first + (last - first) * step for step in steps)
-                return tuple(first * (last / first) ** step for step in steps)
-            found = tuple(float(part) for part in text.split(","))
-        except ValueError:
-            found = ()
-        if len(parts) != 1 or not found or not all(0 < f < 1e12 for f in found):
-            self.fail(
-                f"{text!r} names no frequencies; write 1,2,5 or 0.5:25:40 (from:to:count, in Hz)", param, ctx
-            )
-        return found
-
-
-@click.command(name="simulate")
-@click.argument("rig", type=InputFile())
-@click.option("--out", type=OutputFile(), metavar="FILE.csv", required=True, help="The file to write.")
-@click.option(
-    "--set", "values", type=Setting(), multiple=True, metavar="NAME=VALUE",
-    help="Value of an unknown, SI units; repeat it for each.  Guesses of the rig file serve where nothing is set.",
-)  # fmt: skip
-@click.option(
-    "--frequencies", type=Frequencies(), required=True, metavar="HZ,HZ,…|FROM:TO:COUNT[lin]",
-    help="Frequencies, Hz: a list, or a range (logarithmic, or lin).",
-)  # fmt: skip
-@click.option(
-    "--samples", type=click.IntRange(4, 100_000_000), default=200, show_default=True, help="Of a dwell."
+@dashpot_command(
+    "simulate",
+    "dashpot simulate rig.toml --set m1=3,c1=20,c2=30 --frequencies 1:10:0.5 --out data.csv",
+    "dashpot simulate rig.toml --frequencies 0.5:25/40log --amplitude u=2mm --table -o amplitudes.csv",
 )
-@click.option(
-    "--rate", type=Positive(1e12), metavar="HZ", help="Sampling rate; else the samples spread over --periods."
-)
-@click.option(
-    "--periods",
-    type=Positive(1e9),
-    default=10.0,
-    show_default=True,
-    help="Of a dwell, where no rate is given.",
-)
-@click.option(
-    "--amplitude", "amplitudes", type=Setting(), multiple=True, metavar="INPUT=VALUE",
-    help="Amplitude of an input, m (or rad, N); 1 where not given.",
+@rig_argument
+@option(
+    "--set", "values", type=AMOUNTS, multiple=True, metavar="NAME=VALUE,…", group="The rig",
+    help="Values of the unknowns, such as m1=3,k1=4.6kN/m; a bare number is in SI units.  May be repeated.  Unknowns "
+    "that are not set take the guess or value of the rig file.",
 )  # fmt: skip
-@click.option(
-    "--relative-noise", type=click.FloatRange(0, 1e6), metavar="PART",
-    help="Noise of a sample over the amplitude, of all channels but inputs, in place of the rig file's.",
+@option(
+    "--frequencies", type=FREQUENCIES, required=True, metavar="LIST|RANGE", group=TEST,
+    help="Frequencies in Hz: a list 1,2,5, start:stop:step, or start:stop/points (start:stop/pointslog on a "
+    "logarithmic scale).",
 )  # fmt: skip
-@click.option("--table", is_flag=True, help="Write complex amplitudes with their noise instead of samples.")
-@click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="Of the noise.")
-@click.option("--quiet", "-q", is_flag=True, help="Print nothing.")
+@option(
+    "--samples", type=Count(4, 100_000_000), default=200, show_default=True, metavar="N", group=TEST,
+    help="Samples of each dwell.",
+)  # fmt: skip
+@option(
+    "--rate", type=FREQUENCY, metavar="HZ", group=TEST,
+    help="Sampling rate.  [default: the samples spread over --periods]",
+)  # fmt: skip
+@option(
+    "--periods", type=NUMBER, default="10", show_default=True, metavar="N", group=TEST,
+    help="Periods of each dwell, where no rate is given.",
+)  # fmt: skip
+@option(
+    "--amplitude", "amplitudes", type=AMPLITUDE, multiple=True, metavar="[INPUT=]VALUE", group=TEST,
+    help="Amplitude of all inputs (2mm, 10N) or of one (u=2mm); may be repeated.  [default: 1 m, rad, N or N·m]",
+)  # fmt: skip
+@option(
+    "--relative-noise", type=SHARE_OR_ZERO, metavar="5%", group=NOISE,
+    help="Noise of a sample as a share of the amplitude, for every output, in place of the rig file's noise.",
+)  # fmt: skip
+@seed_option("the noise")
+@out_option("FILE.csv", "The file to write.")
+@option(
+    "--table", is_flag=True, group="Output", help="Write complex amplitudes with their noise, not samples."
+)
+@quiet_option
 def command(
-    rig: str,
-    out: str,
-    values: Sequence[tuple[str, float]],
-    frequencies: tuple[float, ...],
-    samples: int,
-    rate: float | None,
-    periods: float,
-    amplitudes: Sequence[tuple[str, float]],
-    relative_noise: float | None,
-    table: bool,
-    seed: int,
-    quiet: bool,
-) -> None:
-    """Write the stepped-sine test that RIG would yield, with the noise that its channels state.
+    rig: str, out: str, values: Sequence[Mapping[str, Amount]], frequencies: tuple[float, ...], samples: int,
+    rate: float | None, periods: float, amplitudes: Sequence[Amount | Mapping[str, Amount]],
+    relative_noise: float | None, table: bool, seed: int, quiet: bool,
+) -> None:  # fmt: skip
+    """Write the stepped-sine test data that RIG would yield, with the noise that its channels state.
 
-    Every unknown needs a value: by --set, or a guess in the rig file.  A channel's noise is `noise` (in its unit) and
-    `relative_noise` of the rig file.
+    Every unknown needs a value: from --set, or the value or guess of the rig file.  The noise of a channel is its
+    `noise` (in its unit) and its `relative_noise` in the rig file.
     """
+    from dashpot.app.parameters import input_amplitudes, merged, parameter_values
     from dashpot.model.rigfile import read_rig
 
-    found = read_rig(rig)
-    model = found.model
-    given = _once(values, "--set")
-    _check_values(model, given, rig)
-    theta = model.theta(given)
+    rig_read = read_rig(rig)
+    model = rig_read.model
+    values_si = parameter_values(rig_read, merged(values, "--set"))
+    _require_all(rig_read, values_si)
+    drive = input_amplitudes(model, amplitudes)
 
     import numpy as np
 
@@ -114,58 +94,31 @@ def command(
     from dashpot.model.observation import with_relative_noise
     from dashpot.study import simulate as study
 
-    channels: tuple[Channel, ...] = found.channels
+    channels = rig_read.channels
     if relative_noise is not None:
         channels = with_relative_noise(model, channels, relative_noise)
-    test = study.dwells(
-        model,
-        frequencies,
-        samples,
-        amplitudes=dict(_once(amplitudes, "--amplitude")),
-        periods=periods,
-        rate=rate,
-    )
-    p, rng = model.parameters(theta), np.random.default_rng(seed)
+    test = study.dwells(model, frequencies, samples, amplitudes=drive, periods=periods, rate=rate)
+    p, rng = model.parameters(model.theta(values_si)), np.random.default_rng(seed)
     if table:
         write_amplitudes(study.simulate_spectrum(model, p, channels, test, rng, drift=1), out)
     else:
         write_records(study.simulate_records(model, p, channels, test, rng), out)
     if not quiet:
-        what = "amplitudes" if table else f"{samples} samples each"
-        click.echo(f"{out}: {len(frequencies)} frequencies, {what}, of {', '.join(c.name for c in channels)}")
+        what = "amplitudes" if table else f"{samples} samples at each"
+        many = "1 frequency" if len(frequencies) == 1 else f"{len(frequencies)} frequencies"
+        click.echo(f"{out}: {many}, {what}; channels {', '.join(c.name for c in channels)}")
 
 
-def _once(settings: Sequence[tuple[str, float]], option: str) -> dict[str, float]:
-    from dashpot.errors import UsageError
-
-    found = dict(settings)
-    if len(found) < len(settings):
-        names = [name for name, _ in settings]
-        twice = next(name for name in names if names.count(name) > 1)
-        raise UsageError(f"{option} gives {twice} twice", cure="give it once")
-    return found
-
-
-def _check_values(model: Model, given: dict[str, float], rig: str) -> None:
-    """Every unknown needs a value, and nothing else may have one.  Raises UsageError with all problems."""
+def _require_all(rig: Rig, values: Mapping[str, float]) -> None:
+    """Every unknown needs a value.  Raises UsageError with all that have none."""
     from dashpot.errors import Problem, UsageError
 
-    unknown = {one.name: one for one in model.unknowns}
-    elements = {element.name for element in model.elements}
-    problems = []
-    for name in given:
-        if name in elements and name not in unknown:
-            what, cure = (
-                f"--set {name}: the rig file gives its value",
-                "change it there, or leave it out here",
-            )
-            problems.append(Problem(what, rig, cure))
-        elif name not in unknown:
-            what, cure = f"--set {name}: there is no such unknown", f"there are {', '.join(unknown)}"
-            problems.append(Problem(what, rig, cure))
-    for name, one in unknown.items():
-        if name not in given and one.prior is None and one.guess is None:
-            cure = f"add --set {name}=1.0, or a guess in the rig file"
-            problems.append(Problem(f"{name} has no value", rig, cure))
+    missing = [
+        u.name for u in rig.model.unknowns if u.name not in values and u.prior is None and u.guess is None
+    ]
+    problems = [
+        Problem(f"{name} has no value", rig.path, f"add --set {name}=1.0, or a guess in the rig file")
+        for name in missing
+    ]
     if problems:
         raise UsageError(problems)

@@ -4,39 +4,36 @@ from __future__ import annotations
 
 from typing import Any
 
-import click
-
-from dashpot.app.files import InputFile, OutputFile
-from dashpot.app.options import amplitudes, conditioning_from, conditioning_options, tell_notes
+from dashpot.app.help import dashpot_command
+from dashpot.app.options import conditioning_options, data_argument, out_option, quiet_option, rig_argument
 
 
-@click.command(name="spectrum")
-@click.argument("rig", type=InputFile())
-@click.argument("records", type=InputFile(), nargs=-1, required=True)
-@click.option(
-    "--out", type=OutputFile(), metavar="TABLE.csv", required=True, help="The table of amplitudes to write."
+@dashpot_command(
+    "spectrum",
+    "dashpot spectrum rig.toml records.csv --out amplitudes.csv",
+    "dashpot spectrum rig.toml run.csv --frequency 4.5 --orders 1,3 --settle auto -o amplitudes.csv",
 )
+@rig_argument
+@data_argument("CSV files of time records.", name="records", required=True)
+@out_option("FILE.csv", "The table of amplitudes to write.")
 @conditioning_options
-@click.option("--quiet", "-q", is_flag=True, help="Print nothing.")
-def command(
-    rig: str, records: tuple[str, ...], out: str, frequency: float | None, quiet: bool, **how: Any
-) -> None:
+@quiet_option
+def command(rig: str, records: tuple[str, ...], out: str, quiet: bool, **conditioning: Any) -> None:
     """Turn time RECORDS of the channels that RIG lists into a table of complex amplitudes with their noise.
 
-    The table (frequency_hz, NAME_re, NAME_im, NAME_sd …, x(t) = Re(X e^{jωt})) is data for `dashpot identify`.
+    The table (frequency_hz, NAME_re, NAME_im, NAME_sd, …; x(t) = Re(X e^{jωt}), peak values) is read by
+    `dashpot identify`.
     """
-    from dashpot.data.readers import read, write_amplitudes
+    from dashpot.app.data_files import read_spectrum
+    from dashpot.data.readers import write_amplitudes
     from dashpot.model.rigfile import read_rig
 
-    found = read_rig(rig)
-    reading = read(records, found.channels, frequency_hz=frequency)
-    tell_notes(reading.notes, quiet)
-    conditioning = conditioning_from(how)
-    spectrum = amplitudes(reading, conditioning, quiet)
+    rig_read = read_rig(rig)
+    spectrum = read_spectrum(rig_read, records, conditioning, quiet)
     write_amplitudes(spectrum, out)
     if not quiet:
         from dashpot.model.observation import channel_unit
         from dashpot.present.tables.estimate import console, show_spectrum
 
-        units = [channel_unit(found.model, channel) for channel in spectrum.channels]
+        units = [channel_unit(rig_read.model, channel) for channel in spectrum.channels]
         show_spectrum(console(), spectrum, units, out)

@@ -7,41 +7,39 @@ from pathlib import Path
 import click
 
 from dashpot.app.cli import INTERRUPTED
-from dashpot.app.files import InputFile, OutputFolder, check_folder
+from dashpot.app.help import dashpot_command, option
+from dashpot.app.options import processes_option, quiet_option
+from dashpot.app.parameter_types import FOLDER, INPUT_FILE, Count
 
 FEW = 2000  # identifications below which starting processes costs more than they save
 
 
-@click.command(name="study")
-@click.argument("study", type=InputFile())
-@click.option(
-    "--out",
-    type=OutputFolder(),
-    metavar="DIR",
-    help="Where draws, summary and pictures go; else a folder here of the file's name.",
-)
-@click.option(
-    "--draws",
-    type=click.IntRange(2, 1_000_000_000),
-    metavar="N",
-    help="Of each point, in place of the file's.",
-)
-@click.option(
-    "--processes", type=click.IntRange(1, 1024), metavar="N", help="At work; all processors unless given."
-)
-@click.option("--quiet", "-q", is_flag=True, help="Print nothing.")
+@dashpot_command("study", "dashpot study study.toml", "dashpot study study.toml --draws 200 --out quick")
+@click.argument("study", type=INPUT_FILE, help="Study file (TOML).")
+@option(
+    "--out", "-o", "out", type=FOLDER, metavar="FOLDER", group="Output",
+    help="Folder for draws, summary and pictures.  [default: a folder of the file's name]",
+)  # fmt: skip
+@option(
+    "--draws", type=Count(2), metavar="N", group="The study",
+    help="Draws of each scenario, in place of those in the file.",
+)  # fmt: skip
+@processes_option
+@quiet_option
 @click.pass_context
 def command(
     ctx: click.Context, study: str, out: str | None, draws: int | None, processes: int | None, quiet: bool
 ) -> None:
-    """Run the Monte Carlo study that the file STUDY describes, or go on where it was interrupted.
+    """Run the Monte Carlo study that the file STUDY describes, or continue one that was interrupted.
 
     The folder gets every draw (draws/…, Parquet), summary.parquet with bias, spread, coverage and bound of each
-    method, and pictures.  The result depends on the file alone, to the bit: not on processes or interruptions.
+    method, and pictures.  The result depends on the file alone, to the bit: neither on the number of processes nor on
+    interruptions.
     """
+    from dashpot.app.files import check_folder
     from dashpot.study.studyfile import read_study
 
-    found = read_study(study)
+    description = read_study(study)
     folder = out if out is not None else Path(study).stem
     check_folder(folder)
 
@@ -55,14 +53,18 @@ def command(
     from dashpot.study.scenario import scenarios
 
     if draws is not None:
-        found = replace(found, grids=tuple(replace(grid, draws=draws) for grid in found.grids))
-    work = sum(point.draws * len(point.methods) for point in scenarios(found))
+        description = replace(
+            description, grids=tuple(replace(grid, draws=draws) for grid in description.grids)
+        )
+    work = sum(point.draws * len(point.methods) for point in scenarios(description))
     count = processes if processes is not None else 1 if work < FEW else cores()
     try:
-        with mapping(count) as mapper, progress(found.name, quiet) as moved:
-            outcome = run_study(found, Path(folder), mapper=mapper, progress=moved)
+        with mapping(count) as mapper, progress(description.name, quiet) as moved:
+            outcome = run_study(description, Path(folder), mapper=mapper, progress=moved)
     except KeyboardInterrupt:
-        click.echo(f"dashpot: interrupted; what is done is kept in {folder}: run it again to go on", err=True)
+        click.echo(
+            f"dashpot: interrupted; finished draws are kept in {folder}: run it again to continue", err=True
+        )
         ctx.exit(INTERRUPTED)
     written = write(outcome, folder)
     if not quiet:

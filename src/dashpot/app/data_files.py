@@ -1,0 +1,61 @@
+"""Data files of a command: read, turned into amplitudes as the options say, and what was noticed on the way told."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+import click
+
+if TYPE_CHECKING:
+    from dashpot.data.conditioning.settings import Conditioning
+    from dashpot.data.spectrum import Spectrum
+    from dashpot.model.rigfile import Rig
+    from dashpot.notices import Notice
+
+CONDITIONING = ("orders", "harmonics", "drift", "noise", "refine", "settle")
+
+
+def read_spectrum(
+    rig: Rig,
+    paths: Sequence[str],
+    options: Mapping[str, Any],
+    quiet: bool,
+    *,
+    moments_for: Iterable[str] = (),
+) -> Spectrum:
+    """The amplitudes of data files, with the options of `conditioning_options` by name.
+
+    Second moments of the samples are kept where one of the methods named by `moments_for` needs them and the files
+    hold samples.  Raises DataError.
+    """
+    from dashpot.data.readers import read
+
+    reading = read(paths, rig.channels, frequency_hz=options["frequency"])
+    tell_notes(reading.notes, quiet)
+    moments = "ls" in moments_for and reading.amplitudes is None
+    spectrum = reading.spectrum(conditioning_from(options).changed(moments=moments))
+    tell_notes(spectrum.notes, quiet)
+    return spectrum
+
+
+def conditioning_from(options: Mapping[str, Any]) -> Conditioning:
+    """The value of the options of `conditioning_options`, by their names."""
+    from dashpot.data.conditioning.settings import Conditioning
+
+    drift = options["drift"]
+    treatments = {name: options[name] for name in CONDITIONING}
+    return Conditioning(**{**treatments, "drift": int(drift) if drift.isdecimal() else drift})
+
+
+def tell_notes(notes: Sequence[Notice], quiet: bool) -> None:
+    """What was noticed, on stderr: the first of those that differ in numbers alone, and how many follow."""
+    if quiet:
+        return
+    groups: dict[str, list[str]] = {}
+    for note in dict.fromkeys(str(notice) for notice in notes):
+        groups.setdefault(re.sub(r"\d[\d.]*(e[-+]?\d+)?", "#", note), []).append(note)
+    for first, *others in groups.values():
+        more = f" (and {len(others)} more like this)" if others else ""
+        click.echo(f"note: {first}{more}", err=True)

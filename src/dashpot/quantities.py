@@ -1,0 +1,184 @@
+"""Quantities, shares and lists of frequencies as people write them: "4.6 kN/m", "5 %", "1:10:0.5", "1:10/25".
+
+One syntax for the command line and for study files.  All raise UsageError that says how to write it.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from dataclasses import dataclass
+
+from dashpot.errors import UsageError
+from dashpot.units import scale, si_unit
+
+LARGEST, SMALLEST = 1e30, 1e-30  # beyond these, squares and products of a few quantities leave floating point
+MOST_FREQUENCIES = 1_000_000
+HIGHEST_FREQUENCY = 1e12  # Hz
+FREQUENCY_SYNTAX = "1,2,5, or a range start:stop:step or start:stop/points (1:10:0.5, 1:10/25; Hz)"
+
+_NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
+_AMOUNT = re.compile(rf"\s*({_NUMBER})\s*([^\s\d:].*?)?\s*", re.DOTALL)
+_POINTS = re.compile(rf"\s*({_NUMBER}\s*[^\d:]*?)\s*/\s*(\d+)\s*(log)?\s*")
+
+
+@dataclass(frozen=True)
+class Amount:
+    """A number and the unit written behind it; `unit` is None where none is written, which means SI."""
+
+    number: float
+    unit: str | None = None
+
+    def si(self, quantity: str, angular: bool = False) -> float:
+        """The value in SI units (Hz for a frequency).  `quantity`, `angular` as in `units.scale`.
+
+        Raises UsageError where the unit is not one of that quantity, or the value leaves the range of numbers.
+        """
+        factor = 1.0 if self.unit is None else scale(self.unit, quantity, angular)
+        return _within_range(self.number * factor, str(self))
+
+    def __str__(self) -> str:
+        return f"{self.number:g}" if self.unit is None else f"{self.number:g} {self.unit}"
+
+
+def amount(text: str) -> Amount:
+    """A number with or without a unit: "5mm", "4.6 kN/m", "3"."""
+    match = _AMOUNT.fullmatch(text)
+    if match is None:
+        raise UsageError(
+            f"{text.strip()!r} is not a quantity", cure="write a number, with a unit if you like: 2 mm"
+        )
+    return Amount(_within_range(float(match[1]), text), match[2])
+
+
+def share(text: str) -> float:
+    """A share of something as a number: "5 %" and "0.05" are 0.05."""
+    bare = text.strip().removesuffix("%")
+    per_cent = bare != text.strip()
+    try:
+        number = float(bare) / (100.0 if per_cent else 1.0)
+    except ValueError:
+        number = math.nan
+    if not re.fullmatch(_NUMBER, bare.strip()) or not math.isfinite(number):
+        raise UsageError(f"{text.strip()!r} is not a share", cure="write it as 5% or 0.05")
+    return _within_range(number, text)
+
+
+def positive(value: float, text: str) -> float:
+    """The value, if it is above 0."""
+    if not value > 0:
+        raise UsageError(f"{text.strip()!r} is out of range", cure="give a number above 0")
+    return value
+
+
+def quantity(text: str, kind: str, angular: bool = False) -> float:
+    """A quantity in SI units, such as `quantity("90 s", "time")`; `kind` is one of `units.QUANTITIES`."""
+    return amount(text).si(kind, angular)
+
+
+def frequency(text: str, unit: str | None = None) -> float:
+    """A frequency in Hz; `unit` is what a bare number is in (None: Hz)."""
+    try:
+        found = amount(text)
+        value = Amount(found.number, found.unit or unit).si("frequency")
+    except UsageError:
+        value = math.nan
+    if math.isnan(value):
+        raise UsageError(
+            f"{text.strip()!r} is not a frequency", cure=f"write frequencies as {FREQUENCY_SYNTAX}"
+        )
+    if not 0 < value < HIGHEST_FREQUENCY:
+        raise UsageError(f"{text.strip()!r} is out of range", cure="frequencies are positive, in Hz")
+    return value
+
+
+def band(text: str) -> tuple[float, float]:
+    """A band of frequencies, "0.5:25": its lower and its upper end, Hz."""
+    pieces = text.split(":")
+    if len(pieces) != 2:
+        raise UsageError(
+            f"{text.strip()!r} is not a band", cure="write it as lower:upper, such as 0.5:25 (Hz)"
+        )
+    unit = _unit_of(pieces[1])
+    low, high = (frequency(piece, unit) for piece in pieces)
+    if low >= high:
+        raise UsageError(f"{text.strip()!r} is not a band", cure="the upper end must be above the lower one")
+    return low, high
+
+
+def frequencies(text: str) -> tuple[float, ...]:
+    """Frequencies in Hz, in the order written: values, and ranges by step or by number of points, with commas between.
+
+    "1,2,5"; "1:10:0.5" from 1 to at most 10 in steps of 0.5; "1:10/25" 25 points from 1 to 10, evenly spaced, and
+    "1:10/25log" evenly on a logarithmic scale.  A unit behind the last number of a part holds for the whole part.
+    """
+    found: list[float] = []
+    for part in text.split(","):
+        found.extend(_frequencies_of_part(part))
+        if len(found) > MOST_FREQUENCIES:
+            raise UsageError(
+                f"{part.strip()!r} makes more than {MOST_FREQUENCIES:,} frequencies",
+                cure="take a larger step",
+            )
+    return tuple(found)
+
+
+def _frequencies_of_part(part: str) -> list[float]:
+    pieces = part.split(":")
+    if len(pieces) == 1:
+        return [frequency(part)]
+    points = _POINTS.fullmatch(pieces[1]) if len(pieces) == 2 else None
+    if points is None and len(pieces) != 3:
+        raise UsageError(
+            f"{part.strip()!r} is not a range of frequencies", cure=f"write frequencies as {FREQUENCY_SYNTAX}"
+        )
+    last = pieces[1] if points is None else points[1]
+    unit = _unit_of(pieces[-1] if points is None else last)
+    start, stop = frequency(pieces[0], unit), frequency(last, unit)
+    if start >= stop:
+        raise UsageError(
+            f"{part.strip()!r} ends below its start", cure="write start:stop with start below stop"
+        )
+    if points is None:
+        step = frequency(pieces[2], unit)
+        count = (stop - start) / step
+        if count > MOST_FREQUENCIES:
+            raise UsageError(
+                f"{part.strip()!r} makes more than {MOST_FREQUENCIES:,} frequencies",
+                cure="take a larger step",
+            )
+        return [start + k * step for k in range(math.floor(count * (1 + 1e-12) + 1e-9) + 1)]
+    return _points(start, stop, int(points[2]), logarithmic=points[3] is not None, part=part)
+
+
+def _points(start: float, stop: float, count: int, *, logarithmic: bool, part: str) -> list[float]:
+    if not 2 <= count <= MOST_FREQUENCIES:
+        raise UsageError(
+            f"{part.strip()!r} asks for {count:,} points", cure=f"take 2 to {MOST_FREQUENCIES:,} points"
+        )
+    steps = [k / (count - 1) for k in range(count)]
+    if logarithmic:
+        return [start * (stop / start) ** step for step in steps]
+    return [start + (stop - start) * step for step in steps]
+
+
+def _unit_of(piece: str) -> str | None:
+    match = _AMOUNT.fullmatch(piece)
+    return None if match is None else match[2]
+
+
+def _within_range(value: float, text: str) -> float:
+    if not (value == 0 or SMALLEST < abs(value) < LARGEST):
+        raise UsageError(
+            f"{text.strip()!r} is out of range", cure=f"give a magnitude from {SMALLEST:g} to {LARGEST:g}"
+        )
+    return value
+
+
+def quantity_of_unit(unit: str) -> tuple[str, bool] | None:
+    """Which quantity a parameter's SI unit belongs to, and whether it is an angular one; None for a bare number."""
+    for kind in ("mass", "damping", "stiffness"):
+        for angular in (False, True):
+            if si_unit(kind, angular) == unit:
+                return kind, angular
+    return None

@@ -1,0 +1,122 @@
+"""Values of options: the same syntax in every command, and extreme numbers refused in one line."""
+
+from __future__ import annotations
+
+import os
+from importlib import import_module
+from pathlib import Path
+
+import click
+import pytest
+
+from dashpot.app.commands import COMMANDS
+from dashpot.app.files import InputFile, OutputFile, OutputFolder
+from dashpot.app.parameter_types import TextType
+from tests.unit.app.conftest import Command
+
+EXTREMES = ["1e308", "-1e308", "nan", "inf", "-inf", "1e999", ""]
+
+
+def commands() -> dict[str, click.Command]:
+    return {name: import_module(f"dashpot.app.commands.{name}").command for name in COMMANDS}
+
+
+def numeric_options() -> list[tuple[str, str]]:
+    """(command, option) for every option that takes a number or a quantity."""
+    found = []
+    for name, command in commands().items():
+        for parameter in command.params:
+            takes_value = isinstance(parameter, click.Option) and not parameter.is_flag
+            if takes_value and not isinstance(
+                parameter.type,
+                InputFile | OutputFile | OutputFolder | click.Choice | click.types.StringParamType,
+            ):
+                found.append((name, parameter.opts[0]))
+    return found
+
+
+@pytest.mark.parametrize(("command", "option"), numeric_options())
+def test_extreme_numbers_are_refused_in_one_line(
+    dashpot: Command, data: Path, command: str, option: str
+) -> None:
+    before = sorted(os.listdir())
+    needed = {
+        "identify": ["rig.toml", "data.csv"], "compare": ["rig.toml", "data.csv"], "check": ["rig.toml", "data.csv"],
+        "simulate": ["rig.toml", "--out", "o.csv", "--frequencies", "3"], "design": ["rig.toml", "--samples", "100"],
+        "spectrum": ["rig.toml", "data.csv", "--out", "o.csv"], "study": ["study.toml"], "reproduce": ["yamane1989"],
+    }  # fmt: skip
+    for extreme in EXTREMES:
+        values = [extreme]
+        if option in ("--set", "--truth", "--amplitude"):
+            values = [f"m1={extreme}"]
+        for value in values:
+            done = dashpot(command, *needed[command], f"{option}={value}")
+            assert done.code == 2, (option, value, done)
+            assert done.out == ""
+            assert len(done.err) == 1
+            assert done.err[0].startswith("dashpot: ")
+            assert "Traceback" not in done.err[0]
+    assert sorted(os.listdir()) == before
+
+
+def test_an_option_means_the_same_in_every_command() -> None:
+    """Options of one name take the same type of value; those that differ are counted in different things on purpose."""
+    kinds: dict[str, set[str]] = {}
+    for command in commands().values():
+        for parameter in command.params:
+            for name in parameter.opts if isinstance(parameter, click.Option) else ():
+                kinds.setdefault(name, set()).add(f"{parameter.type.name}, flag: {parameter.is_flag}")
+    assert {name: found for name, found in kinds.items() if len(found) > 1} == {
+        "--out": {"file, flag: False", "folder, flag: False"},
+        "-o": {"file, flag: False", "folder, flag: False"},
+    }
+
+
+def test_per_cent_and_units_are_read_wherever_a_quantity_is(dashpot: Command, rig: Path) -> None:
+    def written(*options: str) -> str:
+        done = dashpot("simulate", "rig.toml", "-o", "out.csv", "--frequencies", "2,4", "-q", *options)
+        assert done.code == 0, done.err
+        return Path("out.csv").read_text(encoding="utf-8")
+
+    plain = written(
+        "--set", "m1=3", "--set", "c1=20", "--set", "c2=30", "--amplitude", "u=0.002", "--rate", "100"
+    )
+    assert plain == written(
+        "--set", "m1=3 kg,c1=20 N·s/m,c2=0.03 N*s/mm", "--amplitude", "2 mm", "--rate", "0.1 kHz"
+    )
+    noisy = written("--set", "m1=3,c1=20,c2=30", "--relative-noise", "5%")
+    assert noisy == written("--set", "m1=3,c1=20,c2=30", "--relative-noise", "0.05")
+
+
+def test_levels_in_per_cent_or_as_shares(dashpot: Command, data: Path) -> None:
+    texts = {
+        dashpot("identify", "rig.toml", "data.csv", "--level", level).out for level in ("90", "90%", "0.9")
+    }
+    assert len(texts) == 1
+    assert "90 % interval" in texts.pop()
+
+
+def test_words_of_a_type_stand_beside_its_values() -> None:
+    kind = TextType("time", float, words=("auto", "none"))
+    assert kind.convert(" auto ", None, None) == "auto"
+    assert kind.convert("2", None, None) == 2.0
+
+
+@pytest.mark.parametrize("option", ["--settle", "--refine"])
+def test_a_treatment_may_be_named_alone_anywhere(dashpot: Command, data: Path, option: str) -> None:
+    whole = dashpot("spectrum", "rig.toml", "data.csv", "-o", "a.csv", option, "auto")
+    assert whole.code == 0, whole.err
+    for args in (
+        (option, "rig.toml", "data.csv"),
+        ("rig.toml", "data.csv", option),
+        ("rig.toml", option, "data.csv"),
+    ):
+        assert dashpot("spectrum", *args, "-o", "b.csv").code == 0
+        assert Path("a.csv").read_bytes() == Path("b.csv").read_bytes()
+
+
+def test_a_stated_settling_time_is_discarded(dashpot: Command, data: Path) -> None:
+    kept = dashpot("spectrum", "rig.toml", "data.csv", "-o", "a.csv", "--settle", "none")
+    cut = dashpot("spectrum", "rig.toml", "data.csv", "-o", "b.csv", "--settle", "100 ms")
+    assert kept.code == cut.code == 0
+    assert Path("a.csv").read_bytes() != Path("b.csv").read_bytes()
