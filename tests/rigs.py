@@ -17,8 +17,9 @@ from dashpot.data.record import Record
 from dashpot.data.spectrum import Spectrum
 from dashpot.errors import ModelError
 from dashpot.estimate.linear.gram import regressors
-from dashpot.model.dynamics import modes, response, unit_forces
+from dashpot.model.dynamics import response, unit_forces
 from dashpot.model.elements import Element, Kind, between, mass
+from dashpot.model.modes import modes
 from dashpot.model.network import Input, Model
 
 ALL_KINDS = frozenset(Kind)

@@ -14,8 +14,8 @@ from scipy.optimize import least_squares
 from dashpot.arrays import Real
 from dashpot.channel import Channel, Quantity
 from dashpot.data.record import Record
-from dashpot.model.dynamics import modes
 from dashpot.model.elements import Kind, between, mass
+from dashpot.model.modes import modes
 from dashpot.model.motion import channel_samples, integrator
 from dashpot.model.network import Input, Model
 from dashpot.model.observation import observation_model

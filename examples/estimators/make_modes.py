@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from dashpot.model.dynamics import modes
+from dashpot.model.modes import modes
 from dashpot.model.rigfile import read_rig
 
 TRUTH = {

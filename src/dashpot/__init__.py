@@ -46,8 +46,9 @@ if TYPE_CHECKING:
     from dashpot.estimate.modal.identify_modal import identify_modal
     from dashpot.estimate.registry import method
     from dashpot.estimate.result import Estimate, Fit, ModeValues, Value
-    from dashpot.model.dynamics import Matrices, Modes, matrices, modes, response, sensitivities
+    from dashpot.model.dynamics import Matrices, matrices, response, sensitivities
     from dashpot.model.elements import Element, Kind, between, mass
+    from dashpot.model.modes import Modes, modes
     from dashpot.model.network import Input, Model, Unknown
     from dashpot.model.rigfile import Rig, default_channels, parse_rig, read_rig, write_rig
     from dashpot.model.unstructured import free_model
@@ -77,7 +78,8 @@ _NAMES = {
     "estimate.registry": "method",
     "estimate.modal.identify_modal": "identify_modal",
     "estimate.linear.total_least_squares": "CompensatedLeastSquares TotalLeastSquares",
-    "model.dynamics": "Matrices Modes matrices modes response sensitivities",
+    "model.dynamics": "Matrices matrices response sensitivities",
+    "model.modes": "Modes modes",
     "model.elements": "Element Kind between mass",
     "model.unstructured": "free_model",
     "model.rigfile": "Rig default_channels parse_rig read_rig write_rig",

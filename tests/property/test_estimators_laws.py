@@ -341,7 +341,7 @@ def test_lines_at_an_undamped_resonance() -> None:
 
 
 def _undamped(rig: Rig) -> float:
-    from dashpot.model.dynamics import modes
+    from dashpot.model.modes import modes
 
     found: np.ndarray = modes(rig.model, rig.model.parameters(rig.theta)).frequency_hz
     return float(found[0])

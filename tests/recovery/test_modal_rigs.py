@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from dashpot.data.modal_data import ModalData
-from dashpot.estimate.modal.identify_modal import identify_modal, mode_sensitivities
-from dashpot.model.dynamics import modes
+from dashpot.estimate.modal.identify_modal import identify_modal
+from dashpot.model.modes import mode_sensitivities, modes
 from tests.rigs import PAPER_KINDS, Rig, random_rig
 
 LEVEL = 3e-4  # of frequencies; damping ratios and shapes ten times that

@@ -12,7 +12,7 @@ from dashpot.arrays import Complex, Ints, Real, frozen
 from dashpot.channel import Channel
 from dashpot.design.information import Outputs, outputs, per_sample
 from dashpot.errors import ModelError, UsageError
-from dashpot.model.dynamics import modes
+from dashpot.model.modes import modes
 from dashpot.model.network import Model
 from dashpot.model.observation import calibration_names
 

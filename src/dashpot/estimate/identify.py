@@ -32,7 +32,8 @@ from dashpot.estimate.preparation.state_reconstruction import (
     working_covariance,
 )
 from dashpot.estimate.result import Estimate, Fit, ModeValues
-from dashpot.model.dynamics import matrices, modes
+from dashpot.model.dynamics import matrices
+from dashpot.model.modes import modes
 from dashpot.model.network import Model
 from dashpot.model.observation import is_direct
 from dashpot.model.unstructured import free_entries, free_names

@@ -13,12 +13,12 @@ from dashpot.model.dynamics import (
     elongations,
     input_stiffness,
     matrices,
-    modes,
     response,
     sensitivities,
     unit_forces,
 )
 from dashpot.model.elements import Element, Kind, between, mass
+from dashpot.model.modes import modes
 from dashpot.model.network import Input, Model
 from dashpot.numerics.small_systems import solve_small
 

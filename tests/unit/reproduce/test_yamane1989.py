@@ -9,7 +9,7 @@ import pytest
 from rich.console import Console
 
 from dashpot.errors import DataError, UsageError
-from dashpot.model.dynamics import modes
+from dashpot.model.modes import modes
 from dashpot.present.pages.yamane1989 import pictures, show, write
 from dashpot.reproduce.yamane1989 import findings as yamane
 

@@ -28,12 +28,12 @@ from dashpot.estimate.inference.uncertainty import MISFIT_LEVEL
 from dashpot.estimate.likelihood.maximum_likelihood import DOUBT, TIE
 from dashpot.estimate.method import Limits
 from dashpot.estimate.result import Estimate, Fit
-from dashpot.model.dynamics import matrices, modes
 from dashpot.model.elements import Kind
+from dashpot.model.modes import eigenpairs, mode_sensitivities
 from dashpot.model.network import Model
 from dashpot.notices import Notice
 from dashpot.numerics.levenberg_marquardt import OptimizeResult, QuadraticModel, minimise, without_bounds
-from dashpot.numerics.small_systems import scaled_inverse, solve_scaled, solve_small
+from dashpot.numerics.small_systems import scaled_inverse, solve_scaled
 
 NAME = "modal"
 EXACT = 1e-6  # sd of exact points of a shape, relative to the largest of the others
@@ -222,74 +222,7 @@ def _whitening(V: Complex | Real, what: str) -> Complex:
     )
 
 
-# Modes of the model and their sensitivities
-
-
-def all_modes(model: Model, p: Real) -> tuple[Complex, Complex]:
-    """Eigenvalues (K, 2n) and shapes (K, 2n, n) for p (K, elements); NaN where a rig has fewer.
-
-    All of them, conjugates and real ones included; only Im λ > 0 has a meaning with hysteretic dampers.
-    """
-    n = model.n
-    parts = matrices(model, p)
-    K = parts.K + 1j * parts.H if np.any(parts.H) else parts.K
-    values = np.full((len(p), 2 * n), np.nan + 0j)
-    shapes = np.full((len(p), 2 * n, n), np.nan + 0j)
-    size = np.sqrt(np.abs(np.diagonal(parts.M, axis1=-2, axis2=-1)))
-    size = np.where(size > 0, size, 1.0)
-    scaled = parts.M / (size[:, :, None] * size[:, None, :])
-    finite = np.all(np.isfinite(p), axis=-1)
-    regular = finite.copy()
-    regular[finite] = np.linalg.svd(scaled[finite], compute_uv=False)[:, -1] > 1e-9
-    if np.any(regular):
-        both = np.concatenate([K[regular], parts.C[regular].astype(K.dtype)], axis=-1)
-        right = both / size[regular][:, :, None] / np.concatenate([size[regular]] * 2, axis=-1)[:, None, :]
-        A = np.zeros((int(np.sum(regular)), 2 * n, 2 * n), dtype=K.dtype)
-        A[:, :n, n:] = np.eye(n)
-        A[:, n:] = -np.linalg.solve(scaled[regular], right)
-        # Where a search has run off to, rounding may leave nothing finite: such a rig has no modes.
-        whole = np.all(np.isfinite(A), axis=(-1, -2))
-        found, vectors = np.linalg.eig(np.where(whole[:, None, None], A, 0.0))
-        found = np.where(whole[:, None], found, np.nan)
-        values[regular] = found
-        shapes[regular] = np.swapaxes(vectors[:, :n], -1, -2) / size[regular][:, None, :]
-    for k in np.flatnonzero(finite & ~regular):  # massless coordinates: fewer modes, found one rig at a time
-        own = modes(model, p[k])
-        values[k, : len(own.eigenvalues)] = own.eigenvalues
-        shapes[k, : len(own.eigenvalues)] = own.shapes
-    return values, shapes
-
-
-def mode_sensitivities(model: Model, p: Real, values: Complex, shapes: Complex) -> tuple[Complex, Complex]:
-    """∂λ/∂p (..., modes, elements) and ∂φ/∂p (..., modes, n, elements) with φᴴ ∂φ = 0.
-
-    From (λ²M + λC + K + jH) φ = 0, differentiated and bordered (Nelson 1976; Lee, Jung and Lee 1999):
-    [P, P′φ; φᴴ, 0] (∂φ; ∂λ) = (−∂P/∂p φ; 0), one solve a mode for all elements.  p (..., elements); values
-    (..., modes); shapes (..., modes, n).  Not finite where eigenvalues coincide.
-    """
-    n = model.n
-    parts = matrices(model, p)
-    K = (parts.K + 1j * parts.H)[..., None, :, :]
-    M, C = parts.M[..., None, :, :], parts.C[..., None, :, :]
-    lam = values[..., None, None]
-    P = lam**2 * M + lam * C + K
-    slope = ((2 * lam * M + C) @ shapes[..., None])[..., 0]
-    factor = model.pole_factors(values)
-    forces = -np.swapaxes(model.B * (factor * (shapes @ model.B.T))[..., None], -1, -2)
-    # Rows in units of the largest entry, ∂λ in units of |λ|, so that the border is as large as what it borders.
-    size = np.max(np.abs(P), axis=(-1, -2), keepdims=True)
-    size = np.where(size > 0, size, 1.0)
-    rate = np.where(np.abs(values) > 0, np.abs(values), 1.0)[..., None]
-    length = np.linalg.norm(shapes, axis=-1, keepdims=True)
-    system = np.zeros((*values.shape, n + 1, n + 1), dtype=complex)
-    system[..., :n, :n] = P / size
-    system[..., :n, n] = slope * (rate / length) / size[..., 0]
-    system[..., n, :n] = np.conj(shapes) / length
-    right = np.zeros((*values.shape, n + 1, len(model.elements)), dtype=complex)
-    right[..., :n, :] = forces / size
-    both = solve_small(system, right)
-    dlam: Complex = both[..., n, :] * rate / length
-    return dlam, both[..., :n, :]
+# Pairing
 
 
 def pair(data: ModalData, view: _View, values: Complex, shapes: Complex) -> Ints:
@@ -332,7 +265,7 @@ def _evaluate(model: Model, data: ModalData, view: _View, theta: Real, rows: Int
     )
     p = model.parameters(theta)
     with np.errstate(all="ignore"):
-        values, shapes = all_modes(model, p)
+        values, shapes = eigenpairs(model, p)
         chosen = pair(part, view, values, shapes)
         lost = np.any(chosen < 0, axis=-1)
         at = np.maximum(chosen, 0)

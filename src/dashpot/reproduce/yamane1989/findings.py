@@ -20,8 +20,8 @@ import numpy as np
 from dashpot.arrays import Complex, Real, frozen
 from dashpot.channel import Quantity
 from dashpot.errors import UsageError
-from dashpot.model.dynamics import matrices, modes
 from dashpot.model.elements import Element, Kind, between, mass
+from dashpot.model.modes import eigenpairs, modes
 from dashpot.model.network import Input, Model
 from dashpot.study.montecarlo import LEVELS, Map, Repeats, Results, Scenario, Summary, run
 from dashpot.study.scenario import Bench, Grid, Study, scenarios
@@ -611,15 +611,9 @@ def eigenvalues(rig: Model, theta: Real) -> Complex:
 
     Rigs with overdamped modes have fewer: what is missing is NaN.
     """
-    parts = matrices(rig, rig.parameters(theta))
-    n = rig.n
-    A = np.zeros((len(theta), 2 * n, 2 * n))
-    A[:, :n, n:] = np.eye(n)
-    A[:, n:, :n] = -np.linalg.solve(parts.M, parts.K)
-    A[:, n:, n:] = -np.linalg.solve(parts.M, parts.C)
-    values = np.linalg.eigvals(A).astype(np.complex128)
+    values, _ = eigenpairs(rig, rig.parameters(theta))
     upper = values.imag > 1e-9 * np.abs(values)
-    order = np.argsort(np.where(upper, np.abs(values), np.inf), axis=-1)[:, :n]
+    order = np.argsort(np.where(upper, np.abs(values), np.inf), axis=-1)[:, : rig.n]
     found: Complex = np.where(
         np.take_along_axis(upper, order, axis=-1), np.take_along_axis(values, order, axis=-1), np.nan
     )

@@ -11,9 +11,9 @@ from scipy.optimize import least_squares
 
 from dashpot.data.modal_data import ModalData, of_eigenvalues
 from dashpot.errors import DataError, IdentifiabilityError, UsageError
-from dashpot.estimate.modal.identify_modal import all_modes, identify_modal, mode_sensitivities
-from dashpot.model.dynamics import modes
+from dashpot.estimate.modal.identify_modal import identify_modal
 from dashpot.model.elements import Kind, between, mass
+from dashpot.model.modes import mode_sensitivities, modes
 from dashpot.model.network import Input, Model
 from tests.rigs import PAPER_KINDS, Rig, random_rig
 
@@ -70,71 +70,6 @@ def chain(values: dict[str, float] | None = None, **known: dict[str, float]) -> 
     theta = np.array([true[unknown.name] for unknown in model.unknowns])
     none = np.zeros((1, 0), dtype=complex)
     return Rig(model, theta, np.array([1.0]), np.ones((1, 1), dtype=complex), none)
-
-
-# Slopes
-
-
-@pytest.mark.parametrize("n", [1, 2, 3, 5])
-def test_slopes_of_eigenvalues_and_shapes_are_those_of_differences(n: int) -> None:
-    """All kinds of elements, levers and ties: to 1e-6 of the largest of each mode, by central differences."""
-    rng = np.random.default_rng(40 + n)
-    for _ in range(3):
-        rig = random_rig(rng, n, displacements=1)
-        p = rig.p
-        values, shapes = swinging(rig)
-        shapes = shapes / np.linalg.norm(shapes, axis=-1, keepdims=True)
-        dlam, dphi = mode_sensitivities(rig.model, p, values, shapes)
-        for e in range(len(p)):
-            h = 1e-5 * p[e]
-            ends = []
-            for sign in (1, -1):
-                q = p.copy()
-                q[e] += sign * h
-                lam, phi = (a[0] for a in all_modes(rig.model, q[None]))
-                at = [int(np.argmin(np.abs(lam - value))) for value in values]
-                own = phi[at]
-                # Scaled so that φᴴ stays the same along φ, as the slope has it.
-                own = own / np.einsum("ki,ki->k", np.conj(shapes), own)[:, None]
-                ends.append((lam[at], own))
-            slope = (ends[0][0] - ends[1][0]) / (2 * h)
-            assert np.allclose(dlam[:, e] * p[e], slope * p[e], atol=1e-6 * np.max(np.abs(values)))
-            turned = (ends[0][1] - ends[1][1]) / (2 * h)
-            reach = max(1.0, float(np.max(np.abs(dphi[..., e]))) * p[e])
-            assert np.allclose(dphi[..., e] * p[e], turned * p[e], atol=1e-6 * reach)
-
-
-def test_all_modes_are_those_of_one_rig_at_a_time() -> None:
-    rng = np.random.default_rng(3)
-    for n in (1, 2, 4):
-        rig = random_rig(rng, n, displacements=1)
-        p = rig.p * np.exp(0.1 * rng.standard_normal((4, len(rig.p))))
-        values, shapes = all_modes(rig.model, p)
-        for k in range(4):
-            own = modes(rig.model, p[k])
-            for value, shape in zip(own.eigenvalues, own.shapes, strict=True):
-                if value.imag <= 1e-6 * abs(value):
-                    continue
-                j = int(np.argmin(np.abs(values[k] - value)))
-                assert abs(values[k, j] - value) < 1e-9 * abs(value)
-                cosine = (
-                    abs(np.vdot(shapes[k, j], shape)) / np.linalg.norm(shapes[k, j]) / np.linalg.norm(shape)
-                )
-                assert cosine > 1 - 1e-9
-
-
-def test_a_rig_that_overflows_has_no_modes_and_costs_the_others_nothing() -> None:
-    rig = chain()
-    p = np.stack([rig.p, rig.p, rig.p])
-    p[1, :3] = 1e-300, 1.0, 1e300
-    p[1, 3:] = 1e308
-    with np.errstate(all="ignore"):
-        values, shapes = all_modes(rig.model, p)
-    assert not np.any(np.isfinite(values[1]))
-    own = all_modes(rig.model, rig.p[None])
-    for k in (0, 2):
-        assert np.array_equal(values[k], own[0][0])
-        assert np.array_equal(shapes[k], own[1][0])
 
 
 # Exact data

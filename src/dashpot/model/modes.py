@@ -1,0 +1,183 @@
+"""Modes: eigenvalues and shapes of the quadratic pencil λ² M + λ C + K + jH, and their sensitivities."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from dashpot.arrays import Bools, Complex, Real
+from dashpot.errors import ModelError
+from dashpot.model.dynamics import Matrices, matrices
+from dashpot.model.network import Model
+from dashpot.numerics.small_systems import solve_small
+
+
+@dataclass(frozen=True)
+class Modes:
+    """Eigenvalues with Im ≥ 0 (one of each conjugate pair, and the real ones), in order of magnitude.
+
+    eigenvalues: (..., modes), 1/s; shapes: (..., modes, n), largest entry 1; `sensitivity` is ∂λ/∂p,
+    (..., modes, elements).
+    """
+
+    eigenvalues: Complex
+    shapes: Complex
+    sensitivity: Complex
+
+    @property
+    def frequency_hz(self) -> Real:
+        """|λ| / 2π."""
+        return np.abs(self.eigenvalues) / (2 * np.pi)
+
+    @property
+    def damping_ratio(self) -> Real:
+        """−Re λ / |λ|."""
+        magnitude = np.abs(self.eigenvalues)
+        with np.errstate(invalid="ignore", divide="ignore"):
+            return np.where(magnitude > 0, -self.eigenvalues.real / magnitude, 0.0) + 0.0  # no −0
+
+
+def modes(model: Model, p: Real) -> Modes:
+    """Modes of one rig, p of shape (elements,).  (λ² M + λ C + K + jH) φ = 0.
+
+    Massless coordinates give infinite eigenvalues, which are left out; with hysteretic dampers only Im λ > 0 has a
+    meaning.  A rigid-body motion without damping is a double zero.  The sensitivity is
+    ∂λ/∂p_i = −φ_i(λ) (b_i·φ)² / (φᵀ (2λM + C) φ), all matrices being symmetric; it is not finite where eigenvalues
+    coincide.  Raises ModelError where all parameters are zero.
+    """
+    parts = matrices(model, p)
+    poles, shapes = _upper_half(parts)
+    poles = poles * _typical_rate(parts)
+    order = np.lexsort((poles.imag, np.round(np.abs(poles), 9)))
+    poles, shapes = poles[order], shapes[order]
+    largest = np.take_along_axis(shapes, np.argmax(np.abs(shapes), axis=-1)[:, None], axis=-1)
+    shapes = shapes / np.where(largest == 0, 1.0, largest)
+    return Modes(poles, shapes, _eigenvalue_sensitivity(model, parts, poles, shapes))
+
+
+def _upper_half(parts: Matrices) -> tuple[Complex, Complex]:
+    """Eigenvalues with Im ≥ 0 of one rig in units of its typical rate, (modes,), and shapes (modes, n), by QZ.
+
+    Time is scaled to make stiffness and inertia alike in size: the pencil's rank decisions depend on it.
+    """
+    n = parts.M.shape[-1]
+    rate = _typical_rate(parts)
+    K = parts.K + 1j * parts.H if np.any(parts.H) else parts.K
+    zero, unit = np.zeros((n, n)), np.eye(n)
+    scale = np.max(np.abs(K)) + rate * np.max(np.abs(parts.C)) + rate**2 * np.max(np.abs(parts.M))
+    if scale == 0:
+        raise ModelError(
+            "the rig has no modes: all its parameters are zero", cure="give it mass and stiffness"
+        )
+    A = np.block([[zero, unit], [-K / scale, -rate * parts.C / scale]])
+    E = np.block([[unit, zero], [zero, rate**2 * parts.M / scale]])
+    from scipy.linalg import eig  # scipy.linalg costs 50 ms of start-up, and few callers want modes
+
+    (alpha, beta), vectors = eig(A, E, homogeneous_eigvals=True)
+    finite = np.abs(beta) > 1e-10 * np.abs(alpha)
+    with np.errstate(all="ignore"):
+        poles = np.where(finite, alpha / np.where(finite, beta, 1.0), np.inf)
+    if _floats(K):
+        # Rounding splits a double zero into a pair of the size √ε.
+        poles = np.where(np.abs(poles) < 1e-6, 0.0, poles)
+    keep: Bools = finite & (poles.imag >= -1e-9 * np.abs(poles))
+    poles, shapes = poles[keep], vectors[:n, keep].T
+    return np.where(np.abs(poles.imag) <= 1e-9 * np.abs(poles), poles.real + 0j, poles), shapes
+
+
+def _floats(K: Complex | Real) -> bool:
+    """Whether some motion meets no stiffness; coordinates are scaled, for they may be lengths and angles."""
+    size = np.sqrt(np.abs(np.diag(K)))
+    if np.any(size == 0):
+        return True
+    singular = np.linalg.svd(K / np.outer(size, size), compute_uv=False)
+    return bool(singular[-1] < 1e-13 * len(K) * singular[0])
+
+
+def _typical_rate(parts: Matrices) -> float:
+    M, C, K = (float(np.max(np.abs(matrix))) for matrix in (parts.M, parts.C, np.hypot(parts.K, parts.H)))
+    if M > 0 and K > 0:
+        return float(np.sqrt(K / M))
+    if C > 0 and K > 0:
+        return K / C
+    if M > 0 and C > 0:
+        return C / M
+    return 1.0
+
+
+def _eigenvalue_sensitivity(model: Model, parts: Matrices, values: Complex, shapes: Complex) -> Complex:
+    slope = 2 * values[:, None, None] * parts.M + parts.C
+    denominator = np.einsum("ki,kij,kj->k", shapes, slope, shapes)
+    factor = model.pole_factors(values)
+    elongation = shapes @ model.B.T
+    with np.errstate(divide="ignore", invalid="ignore"):
+        sensitivity: Complex = -factor * elongation**2 / denominator[:, None]
+    return sensitivity
+
+
+def eigenpairs(model: Model, p: Real) -> tuple[Complex, Complex]:
+    """Eigenvalues (K, 2n) and shapes (K, 2n, n) of many rigs, p (K, elements); NaN where a rig has fewer.
+
+    All of them, conjugates and real ones included, in no order; only Im λ > 0 has a meaning with hysteretic dampers.
+    Rigs whose mass matrix is regular are solved together, which is faster than `modes` of each.
+    """
+    n = model.n
+    parts = matrices(model, p)
+    K = parts.K + 1j * parts.H if np.any(parts.H) else parts.K
+    values = np.full((len(p), 2 * n), np.nan + 0j)
+    shapes = np.full((len(p), 2 * n, n), np.nan + 0j)
+    size = np.sqrt(np.abs(np.diagonal(parts.M, axis1=-2, axis2=-1)))
+    size = np.where(size > 0, size, 1.0)
+    scaled = parts.M / (size[:, :, None] * size[:, None, :])
+    finite = np.all(np.isfinite(p), axis=-1)
+    regular = finite.copy()
+    regular[finite] = np.linalg.svd(scaled[finite], compute_uv=False)[:, -1] > 1e-9
+    if np.any(regular):
+        both = np.concatenate([K[regular], parts.C[regular].astype(K.dtype)], axis=-1)
+        right = both / size[regular][:, :, None] / np.concatenate([size[regular]] * 2, axis=-1)[:, None, :]
+        A = np.zeros((int(np.sum(regular)), 2 * n, 2 * n), dtype=K.dtype)
+        A[:, :n, n:] = np.eye(n)
+        A[:, n:] = -np.linalg.solve(scaled[regular], right)
+        # Where a search has run off to, rounding may leave nothing finite: such a rig has no modes.
+        whole = np.all(np.isfinite(A), axis=(-1, -2))
+        poles, vectors = np.linalg.eig(np.where(whole[:, None, None], A, 0.0))
+        values[regular] = np.where(whole[:, None], poles, np.nan)
+        shapes[regular] = np.swapaxes(vectors[:, :n], -1, -2) / size[regular][:, None, :]
+    for k in np.flatnonzero(finite & ~regular):  # massless coordinates: fewer modes, found one rig at a time
+        single = modes(model, p[k])
+        values[k, : len(single.eigenvalues)] = single.eigenvalues
+        shapes[k, : len(single.eigenvalues)] = single.shapes
+    return values, shapes
+
+
+def mode_sensitivities(model: Model, p: Real, values: Complex, shapes: Complex) -> tuple[Complex, Complex]:
+    """∂λ/∂p (..., modes, elements) and ∂φ/∂p (..., modes, n, elements) with φᴴ ∂φ = 0.
+
+    From (λ²M + λC + K + jH) φ = 0, differentiated and bordered (Nelson 1976; Lee, Jung and Lee 1999):
+    [P, P′φ; φᴴ, 0] (∂φ; ∂λ) = (−∂P/∂p φ; 0), one solve a mode for all elements.  p (..., elements); values
+    (..., modes); shapes (..., modes, n).  Not finite where eigenvalues coincide.
+    """
+    n = model.n
+    parts = matrices(model, p)
+    K = (parts.K + 1j * parts.H)[..., None, :, :]
+    M, C = parts.M[..., None, :, :], parts.C[..., None, :, :]
+    lam = values[..., None, None]
+    P = lam**2 * M + lam * C + K
+    slope = ((2 * lam * M + C) @ shapes[..., None])[..., 0]
+    factor = model.pole_factors(values)
+    forces = -np.swapaxes(model.B * (factor * (shapes @ model.B.T))[..., None], -1, -2)
+    # Rows in units of the largest entry, ∂λ in units of |λ|, so that the border is as large as what it borders.
+    size = np.max(np.abs(P), axis=(-1, -2), keepdims=True)
+    size = np.where(size > 0, size, 1.0)
+    rate = np.where(np.abs(values) > 0, np.abs(values), 1.0)[..., None]
+    length = np.linalg.norm(shapes, axis=-1, keepdims=True)
+    system = np.zeros((*values.shape, n + 1, n + 1), dtype=complex)
+    system[..., :n, :n] = P / size
+    system[..., :n, n] = slope * (rate / length) / size[..., 0]
+    system[..., n, :n] = np.conj(shapes) / length
+    right = np.zeros((*values.shape, n + 1, len(model.elements)), dtype=complex)
+    right[..., :n, :] = forces / size
+    both = solve_small(system, right)
+    dlam: Complex = both[..., n, :] * rate / length
+    return dlam, both[..., :n, :]
