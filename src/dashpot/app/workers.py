@@ -4,10 +4,16 @@ from __future__ import annotations
 
 import os
 import signal
+import time
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
+from threading import Thread
+from types import FrameType
 from typing import Any
 
+from dashpot.io.atomic import clear_away
+
+PATIENCE = 3.0  # s, for a process that was told to end
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 Map = Callable[[Callable[[Any], Any], Iterable[Any]], Iterable[Any]]
 
@@ -34,7 +40,8 @@ def mapping(processes: int) -> Iterator[Map]:
 
     Processes are spawned, not forked, for forking a process with threads of BLAS in it may hang; each computes on one
     thread.  After an interruption or an error the processes are ended at once: what they compute is there whole or not
-    at all, and waiting for them would leave a second Ctrl-C to hang in the interpreter's last breath.
+    at all, and waiting for them would leave a second Ctrl-C to hang in the interpreter's last breath.  They end by
+    themselves when this process dies, however it does.
     """
     if processes <= 1:
         yield map
@@ -44,12 +51,16 @@ def mapping(processes: int) -> Iterator[Map]:
 
     before = {name: os.environ.get(name) for name in THREADS}
     os.environ.update(dict.fromkeys(THREADS, "1"))  # spawned processes inherit it
-    pool = ProcessPoolExecutor(processes, mp_context=get_context("spawn"), initializer=_ignore_interrupts)
+    pool = ProcessPoolExecutor(processes, mp_context=get_context("spawn"), initializer=_begin_worker)
     try:
         yield pool.map
     except BaseException:
-        for process in list((pool._processes or {}).values()):  # Python 3.14 has a public name for this
+        workers = list((pool._processes or {}).values())  # Python 3.14 has a public name for this
+        for process in workers:
             process.terminate()
+        for process in workers:
+            process.join(PATIENCE)
+            process.kill()
         raise
     finally:
         pool.shutdown(wait=False, cancel_futures=True)
@@ -60,6 +71,33 @@ def mapping(processes: int) -> Iterator[Map]:
                 os.environ[name] = value
 
 
-def _ignore_interrupts() -> None:
-    """Ctrl-C reaches the whole group; the parent alone answers it."""
+def _begin_worker() -> None:
+    """What a worker does first: it ends when it is told to or its parent dies, and clears its files away.
+
+    Ctrl-C reaches the whole group; the parent alone answers it.
+    """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    for name in ("SIGTERM", "SIGHUP"):
+        number = getattr(signal, name, None)
+        if number is not None and signal.getsignal(number) != signal.SIG_IGN:
+            signal.signal(number, _end_worker)
+    Thread(target=_end_with_parent, daemon=True).start()
+
+
+def _end_worker(number: int, _: FrameType | None) -> None:
+    clear_away()
+    os._exit(128 + number)
+
+
+def _end_with_parent() -> None:
+    """Wait until the parent is no more, then end: by the signal, and where that is not answered, at once."""
+    from multiprocessing import connection, parent_process
+
+    parent = parent_process()
+    if parent is None:
+        return
+    connection.wait([parent.sentinel])
+    os.kill(os.getpid(), signal.SIGTERM)
+    time.sleep(PATIENCE)
+    clear_away()
+    os._exit(1)

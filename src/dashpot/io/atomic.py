@@ -22,6 +22,7 @@ _BINARY = getattr(os, "O_BINARY", 0)
 _NO_TERMINAL = getattr(os, "O_NOCTTY", 0)
 _NO_LINK = getattr(os, "O_NOFOLLOW", 0)
 _MOST_LINKS = 40
+_open_parts: set[str] = set()  # temporary files of this process, for a handler that ends it at once
 
 
 def write_text(path: ledger.AnyPath, text: str) -> None:
@@ -53,6 +54,13 @@ def write_bytes(path: ledger.AnyPath, content: bytes | Iterable[bytes | memoryvi
     except (OSError, ValueError) as error:  # a ValueError is a path with a null character
         reason = getattr(error, "strerror", None) or str(error)
         raise DataError(f"cannot be written ({reason})", name, "check the path and the space left") from None
+
+
+def clear_away() -> None:
+    """Delete the temporary files that this process is writing: for a signal handler that ends it at once."""
+    for path in tuple(_open_parts):
+        with suppress(OSError):
+            os.unlink(path)
 
 
 def remove_parts(folder: ledger.AnyPath) -> None:
@@ -97,6 +105,7 @@ def _replace(target: str, parts: Iterable[bytes | memoryview]) -> None:
     """Write a temporary file beside the target, and let it take the target's place."""
     before = os.stat(target) if os.path.exists(target) else None
     temporary = os.path.join(os.path.dirname(target), secrets.token_hex(8).join(PART))
+    _open_parts.add(temporary)
     try:
         flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | _BINARY | _NO_LINK
         size = _fill(os.open(temporary, flags, 0o666), parts, sync=True)  # the system takes its umask off
@@ -112,6 +121,8 @@ def _replace(target: str, parts: Iterable[bytes | memoryview]) -> None:
         with suppress(OSError):
             os.unlink(temporary)
         raise
+    finally:
+        _open_parts.discard(temporary)
 
 
 def _fill(descriptor: int, parts: Iterable[bytes | memoryview], sync: bool = False) -> int:

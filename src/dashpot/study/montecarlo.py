@@ -9,9 +9,12 @@ from __future__ import annotations
 
 import hashlib
 import json
+from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields, is_dataclass
+from enum import Enum
 from functools import cached_property
+from importlib.metadata import version
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -25,10 +28,9 @@ from dashpot.estimate.identify import identify
 from dashpot.estimate.preparation.state_reconstruction import unseen
 from dashpot.estimate.registry import method
 from dashpot.estimate.result import Estimate
-from dashpot.io.atomic import remove_parts
 from dashpot.model.network import Model
 from dashpot.study.simulate import Dwells, NoiseBasis, clean_spectrum, simulate_spectrum
-from dashpot.study.store import read_block, sound, write_block
+from dashpot.study.store import Label, State, read_block, state_of, write_block
 
 BLOCK = 500  # repeats; part of what the seed means
 LEVELS = (0.025, 0.25, 0.5, 0.75, 0.975)  # of the quantiles in a Summary
@@ -83,6 +85,13 @@ class Scenario:
         """Sixteen hexadecimal digits that depend on the factors alone: the name of its files and of its randomness."""
         return hashlib.sha256(json.dumps(dict(self.factors)).encode()).hexdigest()[:16]
 
+    @cached_property
+    def fingerprint(self) -> str:
+        """A digest of all that the repeats depend on but the names, the seed, the methods and the number of draws."""
+        model = {name: value for name, value in _fields(self.model) if name != "name"}
+        parts = (model, self.theta, self.channels, self.test, self.noise, self.drift)
+        return hashlib.sha256(json.dumps(_canonical(parts)).encode()).hexdigest()
+
     @property
     def p(self) -> Real:
         """True parameters of all elements, (elements,)."""
@@ -96,6 +105,34 @@ class Scenario:
         clean = clean_spectrum(self.model, self.p, self.channels, self.test, drift=self.drift)
         way = "ml" if unseen(self.model, clean) else "oiv"
         return identify(self.model, clean, method(way)).bound_sd
+
+
+def _fields(value: object) -> list[tuple[str, object]]:
+    """Names and values of a dataclass's fields."""
+    assert is_dataclass(value)
+    return [(one.name, getattr(value, one.name)) for one in fields(value)]
+
+
+def _canonical(value: object) -> object:
+    """A value as JSON of which every bit counts and no order that means nothing: equal values give equal texts."""
+    if isinstance(value, Enum):
+        return _canonical(value.value)
+    if isinstance(value, np.ndarray | np.generic):
+        array = np.asarray(value)
+        return [str(array.dtype), list(array.shape), hashlib.sha256(array.tobytes()).hexdigest()]
+    if is_dataclass(value):
+        return {name: _canonical(own) for name, own in _fields(value)}
+    if isinstance(value, Mapping):
+        return {str(key): _canonical(value[key]) for key in sorted(value)}
+    if isinstance(value, frozenset | set):
+        return [_canonical(own) for own in sorted(value)]
+    if isinstance(value, tuple | list):
+        return [_canonical(own) for own in value]
+    if isinstance(value, float):
+        return value.hex()
+    if value is None or isinstance(value, str | int):
+        return value
+    raise TypeError(f"{type(value).__name__} has no canonical form")
 
 
 @dataclass(frozen=True)
@@ -164,6 +201,15 @@ class Task:
         """Repeats times methods."""
         return self.size * len(self.scenario.methods)
 
+    @property
+    def label(self) -> Label:
+        """What its file says that it holds."""
+        scenario = self.scenario
+        return Label(
+            scenario.fingerprint, self.seed, self.index, self.size, scenario.methods, len(scenario.model.unknowns),
+            version("dashpot"),
+        )  # fmt: skip
+
 
 @dataclass(frozen=True)
 class Done:
@@ -194,7 +240,7 @@ def run_task(task: Task) -> Done:
         raise UsageError(first.what, f"{scenario.name}", first.cure) from error
     if task.file is None:
         return Done(scenario.key, task.index, task.identifications, block)
-    write_block(Path(task.file), {name: _columns(one) for name, one in block.items()})
+    write_block(Path(task.file), {name: _columns(one) for name, one in block.items()}, task.label)
     return Done(scenario.key, task.index, task.identifications)
 
 
@@ -232,13 +278,17 @@ def _columns(repeats: Repeats) -> dict[str, Real | Bools]:
 
 @dataclass(frozen=True)
 class Results:
-    """All repeats of a run: handed over in memory, or kept in the files of `folder`."""
+    """All repeats of a run: handed over in memory, or kept in the files of `folder`.
+
+    `replaced` counts the blocks that lay there and were computed again, by what was wrong with them.
+    """
 
     scenarios: tuple[Scenario, ...]
     seed: int
     block: int
     folder: Path | None = None
     memory: Mapping[tuple[str, int], Block] = field(default_factory=dict)
+    replaced: Mapping[State, int] = field(default_factory=dict)
 
     def repeats(self, scenario: Scenario) -> dict[str, Repeats]:
         """The scenario's repeats by method, blocks in order."""
@@ -247,7 +297,7 @@ class Results:
             if task.file is None:
                 block = self.memory[scenario.key, task.index]
             else:
-                columns = read_block(Path(task.file), len(scenario.model.unknowns))
+                columns = read_block(Path(task.file), task.label)
                 block = {name: Repeats(**own) for name, own in columns.items()}
             for name in scenario.methods:
                 parts[name].append(block[name])
@@ -301,11 +351,14 @@ def run(
         raise UsageError(f"{twice} occurs twice in the study", cure="remove one of the two")
     work = tasks(scenarios, seed, block, folder)
     total = sum(task.identifications for task in work)
-    left = [task for task in work if task.file is None or not sound(Path(task.file), task.identifications)]
+    states = [
+        (task, "absent" if task.file is None else state_of(Path(task.file), task.label)) for task in work
+    ]
+    left = [task for task, state in states if state != "whole"]
+    replaced: Counter[State] = Counter(state for _, state in states if state in ("damaged", "outdated"))
     done = total - sum(task.identifications for task in left)
     for parent in {Path(task.file).parent for task in left if task.file is not None}:
         parent.mkdir(parents=True, exist_ok=True)
-        remove_parts(parent)
     if progress is not None:
         progress(done, total)
     memory: dict[tuple[str, int], Block] = {}
@@ -315,7 +368,7 @@ def run(
         done += finished.identifications
         if progress is not None:
             progress(done, total)
-    return Results(tuple(scenarios), seed, block, folder, memory)
+    return Results(tuple(scenarios), seed, block, folder, memory, replaced)
 
 
 # What the repeats say

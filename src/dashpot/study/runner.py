@@ -7,22 +7,21 @@ summary.parquet               bias, spread, coverage and bound, one row for each
 
 from __future__ import annotations
 
-import hashlib
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from dashpot.errors import DashpotError, UsageError
-from dashpot.io.atomic import write_bytes
+from dashpot.io.atomic import PART, remove_parts, write_text
 from dashpot.io.json_document import from_json, to_json
+from dashpot.io.lock import LOCK, locked
+from dashpot.notices import Notice
 from dashpot.study.montecarlo import BLOCK, LEVELS, Map, Results, Scenario, Summary, Task, run, run_task
 from dashpot.study.scenario import Study, scenarios
-from dashpot.study.store import write_table
+from dashpot.study.store import State, write_table
 
-FORMAT = 1
+FORMAT = 2
 
 
 @dataclass(frozen=True)
@@ -41,6 +40,7 @@ class Outcome:
     name: str
     seed: int
     rows: tuple[Row, ...]
+    notes: tuple[Notice, ...] = ()
 
     def columns(self) -> dict[str, list[Any]]:
         """The summary as a table: one row for each scenario, method and parameter; errors in % of the true value."""
@@ -84,18 +84,35 @@ def run_study(
     The result depends on the study alone: not on the mapper, nor on interruptions.  A study that has grown (more
     draws, levels, methods …) uses what an earlier one left.  `progress(done, all)` counts identifications.
 
-    Raises UsageError where the folder holds something else, or a method cannot do what is asked of it;
-    IdentifiabilityError where a test does not determine the unknowns.
+    Raises UsageError where the folder holds something else, another process works in it, or a method cannot do what is
+    asked of it; IdentifiabilityError where a test does not determine the unknowns.
     """
     found = scenarios(study)
     rehearse(found)
-    if folder is not None:
+    if folder is None:
+        return _outcome(study, run(found, study.seed, block=block, mapper=mapper, progress=progress))
+    _make(folder)
+    with locked(folder):
         _claim(study, found, folder, block)
-    results = run(found, study.seed, folder=folder, block=block, mapper=mapper, progress=progress)
-    outcome = Outcome(study.name, study.seed, tuple(_rows(results)))
-    if folder is not None:
+        for place in (folder, folder / "draws", *folder.glob("draws/*")):
+            remove_parts(place)
+        results = run(found, study.seed, folder=folder, block=block, mapper=mapper, progress=progress)
+        outcome = _outcome(study, results)
         write_table(folder / "summary.parquet", outcome.columns())
     return outcome
+
+
+def _outcome(study: Study, results: Results) -> Outcome:
+    texts: Mapping[State, str] = {
+        "damaged": "{} of the study's blocks computed again: damaged, or not in its place",
+        "outdated": "{} of the study's blocks computed again: another version of dashpot had computed it",
+    }
+    notes = [
+        Notice(f"{state}_blocks", text.format(results.replaced[state]))
+        for state, text in texts.items()
+        if results.replaced.get(state)
+    ]
+    return Outcome(study.name, study.seed, tuple(_rows(results)), tuple(notes))
 
 
 def rehearse(found: Sequence[Scenario]) -> None:
@@ -118,34 +135,36 @@ def _rows(results: Results) -> Iterable[Row]:
             yield Row(one, name, summary)
 
 
+def _make(folder: Path) -> None:
+    """Make the folder, or see that what lies in it is a study.  Raises UsageError."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        strangers = [one for one in folder.iterdir() if one.name != LOCK and not one.name.startswith(PART[0])]
+    except OSError as error:
+        raise UsageError(
+            f"the folder cannot be used ({error.strerror or error})", str(folder), "name another one"
+        ) from None
+    if strangers and not (folder / "study.json").exists():
+        raise UsageError(
+            "the folder holds other files, and no study", str(folder), "name a new folder for the study"
+        )
+
+
 def _claim(study: Study, found: Sequence[Scenario], folder: Path, block: int) -> None:
-    """Make the folder this study's, or see that it is.  Raises UsageError."""
+    """Write down whose folder it is, or see that it is this study's.  Raises UsageError."""
     own: dict[str, Any] = {
         "format": FORMAT,
         "name": study.name,
         "seed": study.seed,
         "block": block,
         "scenarios": {
-            one.key: {"factors": dict(one.factors), "fingerprint": fingerprint(one)} for one in found
+            one.key: {"factors": dict(one.factors), "fingerprint": one.fingerprint} for one in found
         },
     }
     manifest = folder / "study.json"
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        if not manifest.exists():
-            if any(folder.iterdir()):
-                raise UsageError(
-                    "the folder holds other files, and no study",
-                    str(folder),
-                    "name a new folder for the study",
-                )
-        else:
-            own["scenarios"] = _earlier(manifest, own) | own["scenarios"]
-    except OSError as error:
-        raise UsageError(
-            f"the folder cannot be used ({error.strerror or error})", str(folder), "name another one"
-        ) from None
-    write_bytes(manifest, to_json(own).encode("utf-8"))
+    if manifest.exists():
+        own["scenarios"] = _earlier(manifest, own) | own["scenarios"]
+    write_text(manifest, to_json(own))
 
 
 def _earlier(manifest: Path, own: dict[str, Any]) -> dict[str, Any]:
@@ -155,7 +174,7 @@ def _earlier(manifest: Path, own: dict[str, Any]) -> dict[str, Any]:
         other = from_json(manifest.read_text(encoding="utf-8"))
         old = dict(other["scenarios"])
         prints = {key: str(entry["fingerprint"]) for key, entry in old.items()}
-    except (ValueError, KeyError, TypeError):
+    except (OSError, ValueError, KeyError, TypeError):
         raise UsageError("this is no study of dashpot", str(manifest), another) from None
     for key in ("format", "seed", "block"):
         if other.get(key) != own[key]:
@@ -171,26 +190,3 @@ def _earlier(manifest: Path, own: dict[str, Any]) -> dict[str, Any]:
                 f"the folder holds another study: {named} was something else", str(manifest), another
             )
     return old
-
-
-def fingerprint(one: Scenario) -> str:
-    """A digest of all that the repeats of a scenario depend on, but its name, the seed and the number of draws."""
-    test = one.test
-    parts = [
-        repr((one.model.coordinates, sorted(one.model.angles), one.noise, one.drift)),
-        repr([(i.name, i.kind, sorted(i.at.items())) for i in one.model.inputs]),
-        repr([
-            (e.name, e.kind.value, sorted(e.along.items()), e.value, e.sd, e.guess, e.lower, e.upper, e.same_as,
-             e.times)
-            for e in one.model.elements
-        ]),
-        repr([
-            (c.name, sorted(c.of.items()), c.quantity.value, c.scale, c.gain, c.delay, c.sign, c.noise,
-             c.relative_noise)
-            for c in one.channels
-        ]),
-    ]  # fmt: skip
-    digest = hashlib.sha256("\n".join(parts).encode())
-    for array in (one.theta, test.frequency_hz, test.samples, test.periods, test.U, test.f):
-        digest.update(np.ascontiguousarray(array).tobytes())
-    return digest.hexdigest()

@@ -1,10 +1,17 @@
-"""Blocks and tables on disk: Parquet files that are there whole or not at all."""
+"""Blocks and tables on disk: Parquet files that are there whole or not at all.
+
+A block says what it is of (its Label) and carries a digest of its numbers beside the page checksums of Parquet, so that
+flipped bits, blocks of another place and blocks of another study or version are seen when it is read.
+"""
 
 from __future__ import annotations
 
+import hashlib
+import json
 from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -12,9 +19,33 @@ from dashpot.errors import DataError
 from dashpot.io.atomic import write_bytes
 
 WIDE = ("values", "sd", "half")  # one column an unknown
+META = b"dashpot"  # the key in the file's metadata
+State = Literal["absent", "whole", "damaged", "outdated", "other"]
+Block = dict[str, dict[str, np.ndarray]]
 
 
-def write_block(path: Path, block: Mapping[str, Mapping[str, np.ndarray]]) -> None:
+@dataclass(frozen=True)
+class Label:
+    """What a block is of.
+
+    fingerprint  all that the numbers follow from but seed, place and methods
+    seed, index  of the study, and of the block in its scenario
+    size         draws
+    methods      in their order
+    unknowns     how many
+    version      of dashpot that computed it
+    """
+
+    fingerprint: str
+    seed: int
+    index: int
+    size: int
+    methods: tuple[str, ...]
+    unknowns: int
+    version: str
+
+
+def write_block(path: Path, block: Mapping[str, Mapping[str, np.ndarray]], label: Label) -> None:
     """A block's repeats, method after method, one row a repeat.  Raises DataError where it cannot be written."""
     columns: dict[str, Any] = {
         "method": np.concatenate([np.full(len(own["p"]), name) for name, own in block.items()])
@@ -24,52 +55,99 @@ def write_block(path: Path, block: Mapping[str, Mapping[str, np.ndarray]]) -> No
     for name in WIDE:
         wide = np.concatenate([own[name] for own in block.values()])
         columns |= {f"{name}_{i}": np.ascontiguousarray(wide[:, i]) for i in range(wide.shape[1])}
-    write_table(path, columns)
+    write_table(path, columns, _meta(label, columns))
 
 
-def read_block(path: Path, unknowns: int) -> dict[str, dict[str, np.ndarray]]:
-    """What `write_block` wrote, by method.  Raises DataError where the file is not whole."""
-    import pyarrow.parquet as parquet
+def read_block(path: Path, label: Label) -> Block:
+    """What `write_block` wrote under this label, by method.
 
-    try:
-        table = parquet.read_table(path, use_threads=False)
-        columns = {name: table[name].to_numpy() for name in table.column_names}
-        names = columns["method"]
-        found = {}
-        for name in dict.fromkeys(names.tolist()):
-            rows = names == name
-            found[str(name)] = {
-                **{key: columns[key][rows] for key in ("converged", "p")},
-                **{
-                    key: np.stack([columns[f"{key}_{i}"][rows] for i in range(unknowns)], axis=-1)
-                    for key in WIDE
-                },
-            }
-        return found
-    except (OSError, KeyError, ValueError) as error:  # pyarrow's own errors are kinds of these
+    Raises DataError where the file is not whole, or is of something else.
+    """
+    content, state = _read(path, label)
+    if content is None:
         raise DataError(
-            "this block of a study cannot be read", str(path), "delete it and run the study again"
-        ) from error
+            f"this block of a study is {state}", str(path), "run the study again, which computes it again"
+        )
+    return content
 
 
-def sound(path: Path, rows: int) -> bool:
-    """Whether a block of so many rows is there and whole."""
-    import pyarrow.parquet as parquet
+def state_of(path: Path, label: Label) -> State:
+    """Whether a block is there and whole, and of what the label says.
 
-    if not path.is_file():
-        return False
-    try:
-        found: int = parquet.read_metadata(path).num_rows
-    except (OSError, ValueError):
-        return False
-    return found == rows
+    "damaged" has lost its numbers or lies in another's place; "outdated" was computed by another version; "other" has
+    other draws or methods.
+    """
+    return _read(path, label)[1]
 
 
-def write_table(path: Path, columns: Mapping[str, Sequence[Any] | np.ndarray]) -> None:
-    """A Parquet file of named columns; it takes its place when it is whole.  Raises DataError."""
+def _read(path: Path, label: Label) -> tuple[Block | None, State]:
     import pyarrow as pa
     import pyarrow.parquet as parquet
 
+    try:
+        raw = path.read_bytes()
+    except FileNotFoundError:
+        return None, "absent"
+    except OSError:
+        return None, "damaged"
+    try:
+        table = parquet.read_table(pa.BufferReader(raw), use_threads=False, page_checksum_verification=True)
+        meta = json.loads(table.schema.metadata[META])
+        own = Label(**{**meta["label"], "methods": tuple(meta["label"]["methods"])})
+        columns = {name: table[name].to_numpy() for name in table.column_names}
+        if meta["sha256"] != _digest(columns) or len(columns["method"]) != own.size * len(own.methods):
+            return None, "damaged"
+        if replace(own, size=label.size, methods=label.methods, version=label.version) != label:
+            return None, "damaged"
+        if own.version != label.version:
+            return None, "outdated"
+        if own != label:
+            return None, "other"
+        return _by_method(columns, label), "whole"
+    except Exception:  # damage may show anywhere between the file's first byte and the last key
+        return None, "damaged"
+
+
+def _by_method(columns: Mapping[str, np.ndarray], label: Label) -> Block:
+    found = {}
+    for k, name in enumerate(label.methods):
+        rows = slice(k * label.size, (k + 1) * label.size)
+        if set(columns["method"][rows]) != {name}:
+            raise ValueError(name)
+        found[name] = {
+            **{key: columns[key][rows] for key in ("converged", "p")},
+            **{
+                key: np.stack([columns[f"{key}_{i}"][rows] for i in range(label.unknowns)], axis=-1)
+                for key in WIDE
+            },
+        }
+    return found
+
+
+def _meta(label: Label, columns: Mapping[str, np.ndarray]) -> bytes:
+    return json.dumps({"label": asdict(label), "sha256": _digest(columns)}).encode()
+
+
+def _digest(columns: Mapping[str, np.ndarray]) -> str:
+    """Of the names and numbers of all columns, to the bit."""
+    digest = hashlib.sha256()
+    for name, column in columns.items():
+        numbers = column.dtype.kind in "fb"
+        data = column.tobytes() if numbers else json.dumps([str(text) for text in column]).encode()
+        digest.update(f"{name}:{column.dtype if numbers else 'text'}:{len(data)}:".encode() + data)
+    return digest.hexdigest()
+
+
+def write_table(
+    path: Path, columns: Mapping[str, Sequence[Any] | np.ndarray], meta: bytes | None = None
+) -> None:
+    """A Parquet file of named columns, with page checksums; it takes its place when it is whole.  Raises DataError."""
+    import pyarrow as pa
+    import pyarrow.parquet as parquet
+
+    table = pa.table(dict(columns))
+    if meta is not None:
+        table = table.replace_schema_metadata({META: meta})
     sink = pa.BufferOutputStream()
-    parquet.write_table(pa.table(dict(columns)), sink, compression="zstd", write_statistics=False)
+    parquet.write_table(table, sink, compression="zstd", write_statistics=False, write_page_checksum=True)
     write_bytes(path, sink.getvalue().to_pybytes())

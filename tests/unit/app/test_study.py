@@ -11,7 +11,6 @@ from pathlib import Path
 import pyarrow.parquet as parquet
 import pytest
 
-from dashpot.study.store import sound
 from tests.unit.app.conftest import RIG, VALUES, Command
 
 STUDY = f"""\
@@ -112,4 +111,5 @@ def test_ctrl_c_twice_ends_it_and_keeps_what_is_whole(study: Path) -> None:
     assert "finished draws are kept in noise" in told
     blocks = list(draws.rglob("[0-9]*.parquet"))
     assert blocks
-    assert all(sound(path, 2 * 500) for path in blocks)
+    for path in blocks:
+        assert parquet.read_table(path, page_checksum_verification=True).num_rows == 2 * 500

@@ -7,7 +7,7 @@ import pytest
 
 from dashpot.errors import UsageError
 from dashpot.reproduce.yamane1989 import findings as yamane1989
-from dashpot.study.runner import fingerprint, run_study
+from dashpot.study.runner import run_study
 from dashpot.study.scenario import scenarios
 from dashpot.study.studyfile import parse_study, read_study
 
@@ -61,7 +61,7 @@ def test_the_papers_study_files_are_what_reproduce_computes(which):
     for one, other in zip(scenarios(study), scenarios(own), strict=True):
         assert one.name == other.name
         assert one.key == other.key
-        assert fingerprint(one) == fingerprint(other)
+        assert one.fingerprint == other.fingerprint
         assert (one.methods, one.draws) == (other.methods, other.draws)
 
 

@@ -6,7 +6,8 @@ from pathlib import Path
 
 import click
 
-from dashpot.app.cli import INTERRUPTED
+from dashpot.app.cli import INTERRUPTED, Ended
+from dashpot.app.data_files import tell_notes
 from dashpot.app.help import dashpot_command, option
 from dashpot.app.options import processes_option, quiet_option
 from dashpot.app.parameter_types import FOLDER, INPUT_FILE, Count
@@ -61,11 +62,12 @@ def command(
     try:
         with mapping(count) as mapper, progress(description.name, quiet) as moved:
             outcome = run_study(description, Path(folder), mapper=mapper, progress=moved)
-    except KeyboardInterrupt:
+    except (KeyboardInterrupt, Ended) as cause:
         click.echo(
             f"dashpot: interrupted; finished draws are kept in {folder}: run it again to continue", err=True
         )
-        ctx.exit(INTERRUPTED)
+        ctx.exit(128 + cause.number if isinstance(cause, Ended) else INTERRUPTED)
+    tell_notes(outcome.notes, quiet)
     written = write(outcome, folder)
     if not quiet:
         show(outcome, console())

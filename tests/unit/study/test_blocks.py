@@ -1,0 +1,228 @@
+"""Blocks of a study on disk: every kind of damage is found, computed again, and said; one process at a time."""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+import sys
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from dashpot.errors import DataError, UsageError
+from dashpot.io.lock import LOCK, locked
+from dashpot.study import montecarlo
+from dashpot.study.runner import run_study
+from dashpot.study.scenario import Study
+from dashpot.study.store import Label, read_block, state_of, write_block
+from dashpot.study.studyfile import parse_study
+from tests.unit.app.conftest import RIG
+
+STUDY = """\
+seed = 5
+[rigs.two]
+file = "rig.toml"
+values = { m1 = 3.0, c1 = 20.0, c2 = 30.0 }
+[frequencies]
+few = [2, 4, 6, 8, 10, 12]
+[[grid]]
+methods = ["wls", "oiv"]
+noise = [0.02, 0.1]
+samples = 20
+draws = 30
+"""
+LABEL = Label("f" * 64, 7, 3, 5, ("wls", "oiv"), 2, "1.0")
+
+
+@pytest.fixture
+def study(tmp_path: Path) -> Study:
+    (tmp_path / "rig.toml").write_text(RIG, encoding="utf-8")
+    return parse_study(STUDY, str(tmp_path / "study.toml"))
+
+
+def _block(seed: int = 0) -> dict[str, dict[str, np.ndarray]]:
+    rng = np.random.default_rng(seed)
+    return {
+        name: {
+            "values": rng.normal(size=(5, 2)),
+            "sd": rng.random((5, 2)),
+            "half": rng.random((5, 2)),
+            "converged": rng.random(5) > 0.3,
+            "p": rng.random(5),
+        }
+        for name in LABEL.methods
+    }
+
+
+def _same(one: dict[str, dict[str, np.ndarray]], other: dict[str, dict[str, np.ndarray]]) -> bool:
+    return all(np.array_equal(one[m][key], other[m][key]) for m in one for key in one[m])
+
+
+def test_a_block_comes_back_as_it_went(tmp_path: Path) -> None:
+    block = _block()
+    block["wls"]["values"][0, 0] = np.nan
+    write_block(tmp_path / "b", block, LABEL)
+    back = read_block(tmp_path / "b", LABEL)
+    assert list(back) == list(block)
+    assert all(np.array_equal(back[m][k], block[m][k], equal_nan=True) for m in block for k in block[m])
+
+
+@pytest.mark.parametrize(
+    ("change", "state"),
+    [
+        ({"index": 4}, "damaged"),
+        ({"fingerprint": "e" * 64}, "damaged"),
+        ({"seed": 8}, "damaged"),
+        ({"version": "0.9"}, "outdated"),
+        ({"size": 4}, "other"),
+        ({"methods": ("oiv", "wls")}, "other"),
+        ({"methods": ("wls", "tls")}, "other"),
+    ],
+)
+def test_a_block_of_something_else_is_seen(tmp_path: Path, change: dict[str, object], state: str) -> None:
+    write_block(tmp_path / "b", _block(), LABEL)
+    wanted = replace(LABEL, **change)  # type: ignore[arg-type]
+    assert state_of(tmp_path / "b", wanted) == state
+    with pytest.raises(DataError, match=f"this block of a study is {state}"):
+        read_block(tmp_path / "b", wanted)
+    assert state_of(tmp_path / "b", LABEL) == "whole"
+    assert state_of(tmp_path / "none", LABEL) == "absent"
+
+
+def test_no_flipped_bit_passes_for_other_numbers(tmp_path: Path) -> None:
+    """Every third byte of the file, one bit of it: found, or without any meaning."""
+    block, path = _block(), tmp_path / "b"
+    write_block(path, block, LABEL)
+    raw = path.read_bytes()
+    rng = np.random.default_rng(1)
+    found = 0
+    for at in range(0, len(raw), 3):
+        path.write_bytes(raw[:at] + bytes([raw[at] ^ (1 << int(rng.integers(8)))]) + raw[at + 1 :])
+        if state_of(path, LABEL) == "whole":
+            assert _same(read_block(path, LABEL), block), at
+        else:
+            found += 1
+    assert found > 0.5 * len(raw) / 3
+
+
+@pytest.mark.parametrize("length", [16, 64])
+def test_no_zeroed_page_and_no_end_cut_off_passes(tmp_path: Path, length: int) -> None:
+    block, path = _block(), tmp_path / "b"
+    write_block(path, block, LABEL)
+    raw = path.read_bytes()
+    for at in range(0, len(raw), length):
+        for changed in (raw[:at] + bytes(length) + raw[at + length :], raw[:at]):
+            path.write_bytes(changed)
+            if state_of(path, LABEL) == "whole":
+                assert _same(read_block(path, LABEL), block), at
+
+
+def _blocks(folder: Path) -> list[Path]:
+    return sorted(folder.glob("draws/*/*.parquet"))
+
+
+def _flip(folder: Path) -> None:
+    path = _blocks(folder)[1]
+    raw = bytearray(path.read_bytes())
+    raw[len(raw) // 3] ^= 4
+    path.write_bytes(raw)
+
+
+def _swap(folder: Path) -> None:
+    one, other = _blocks(folder)[:2]
+    spare = folder / "spare"
+    for source, target in ((one, spare), (other, one), (spare, other)):
+        shutil.move(source, target)
+
+
+def _swap_scenarios(folder: Path) -> None:
+    one, other = (sorted(place.glob("*.parquet"))[0] for place in sorted(folder.glob("draws/*")))
+    content = one.read_bytes()
+    one.write_bytes(other.read_bytes())
+    other.write_bytes(content)
+
+
+def _zero(folder: Path) -> None:
+    path = _blocks(folder)[2]
+    raw = bytearray(path.read_bytes())
+    raw[100:612] = bytes(512)
+    path.write_bytes(raw)
+
+
+def _cut(folder: Path) -> None:
+    path = _blocks(folder)[0]
+    path.write_bytes(path.read_bytes()[:-50])
+
+
+@pytest.mark.parametrize(
+    ("damage", "count"), [(_flip, 1), (_swap, 2), (_swap_scenarios, 2), (_zero, 1), (_cut, 1)]
+)
+def test_damaged_blocks_are_computed_again(
+    study: Study, tmp_path: Path, damage: Callable[[Path], None], count: int
+) -> None:
+    folder = tmp_path / "s"
+    whole = run_study(study, folder, block=10)
+    assert whole.notes == ()
+    before = {path: path.read_bytes() for path in folder.rglob("*.parquet")}
+    damage(folder)
+    again = run_study(study, folder, block=10)
+    assert [(note.code, note.text.split()[0]) for note in again.notes] == [("damaged_blocks", str(count))]
+    assert again.columns() == whole.columns()
+    assert {path: path.read_bytes() for path in folder.rglob("*.parquet")} == before
+
+
+def test_blocks_of_another_version_are_computed_again(
+    study: Study, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder = tmp_path / "s"
+    with monkeypatch.context() as patched:
+        patched.setattr(montecarlo, "version", lambda _: "0.0.9")
+        run_study(study, folder, block=10)
+    again = run_study(study, folder, block=10)
+    assert [note.code for note in again.notes] == ["outdated_blocks"]
+    assert again.notes[0].text.startswith("6 of the study's blocks computed again: another version")
+    assert run_study(study, folder, block=10).notes == ()
+
+
+def test_other_methods_of_the_same_number_are_computed(study: Study, tmp_path: Path) -> None:
+    """As many rows of other methods were taken for the methods asked for."""
+    folder = tmp_path / "s"
+    run_study(study, folder, block=10)
+    other = replace(study, grids=(replace(study.grids[0], methods=("wls", "ml")),))
+    assert run_study(other, folder, block=10).columns() == run_study(other, block=10).columns()
+
+
+def test_a_folder_is_one_processs_at_a_time(study: Study, tmp_path: Path) -> None:
+    folder = tmp_path / "s"
+    run_study(study, folder, block=10)
+    assert not (folder / LOCK).exists()
+    code = (
+        "import sys; from dashpot.io.lock import locked\n"
+        f"with locked({str(folder)!r}): print('held', flush=True); sys.stdin.read()"
+    )
+    holder = subprocess.Popen(
+        [sys.executable, "-c", code], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+    )
+    assert holder.stdout is not None
+    assert holder.stdout.readline() == "held\n"
+    part = folder / "draws" / ".dashpot-0.part"
+    part.write_text("being written by the other")
+    with pytest.raises(UsageError, match=rf"another dashpot \(process {holder.pid}\) works in this folder"):
+        run_study(study, folder, block=10)
+    assert part.exists()
+    holder.kill()
+    holder.communicate()
+    run_study(study, folder, block=10)  # the lock died with its holder
+    assert not (folder / LOCK).exists()
+    assert not list(folder.rglob(".*"))
+
+
+def test_the_lock_is_freed_by_an_error(tmp_path: Path) -> None:
+    with pytest.raises(KeyError), locked(tmp_path):
+        raise KeyError
+    with locked(tmp_path):
+        assert (tmp_path / LOCK).exists()
+    assert not (tmp_path / LOCK).exists()
