@@ -87,9 +87,17 @@ class Scenario:
 
     @cached_property
     def fingerprint(self) -> str:
-        """A digest of all that the repeats depend on but the names, the seed, the methods and the number of draws."""
+        """A digest of all that the repeats depend on but the names, the seed, the methods and the number of draws.
+
+        Every field counts, those that are still to come as well, but for the rig's name, and of the channels the name
+        of the unit, whose scale counts, and the rate: the test says when samples are taken.
+        """
         model = {name: value for name, value in _fields(self.model) if name != "name"}
-        parts = (model, self.theta, self.channels, self.test, self.noise, self.drift)
+        channels = [
+            {name: value for name, value in _fields(one) if name not in ("unit", "rate")}
+            for one in self.channels
+        ]
+        parts = (model, self.theta, channels, self.test, self.noise, self.drift)
         return hashlib.sha256(json.dumps(_canonical(parts)).encode()).hexdigest()
 
     @property
