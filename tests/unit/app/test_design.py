@@ -103,6 +103,38 @@ def test_targets_amplitudes_noise_and_values(capsys: pytest.CaptureFixture[str])
     assert told(capsys, "--samples", "1400", "--for", "volume", *band)["gap"] < 1e-6
 
 
+REACTION = """
+coordinates = ["x"]
+[inputs]
+u = { kind = "displacement" }
+[masses]
+m = { at = "x", guess = 2.0 }
+[springs]
+k = { between = ["x", "u"], guess = 3000 }
+[dampers]
+c = { between = ["x", "u"], guess = 12 }
+[channels]
+x = { of = "x" }
+F = { of = "u", quantity = "force" }
+u = { of = "u" }
+"""
+
+
+def test_a_reaction_force_is_a_sensor_like_any_other(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """It gets the noise of the outputs, stated or assumed, and may be chosen; the input's own channel stays exact."""
+    rig = tmp_path / "rig.toml"
+    rig.write_text(REACTION, encoding="utf-8")
+    figures = []
+    for more in (["--relative-noise", "5%"], [], ["--sensors", "pick 1"]):
+        assert run(["design", str(rig), "--samples", "400", *more, "--json", "-"]) == 0
+        figures.append(json.loads(capsys.readouterr().out))
+    assert figures[0]["figure"] == pytest.approx(5 * figures[1]["figure"])
+    ranking = [entry["sensors"] for entry in figures[2]["sensors"]["ranking"]]
+    assert ranking == [["F"]]  # x alone knows the ratios of the parameters only
+
+
 def test_doubt_estimates_and_data(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """A box; the covariance of --estimate (not counted), of --after EST.json and of --after DATA (both counted)."""
     data, estimate = str(tmp_path / "data.csv"), str(tmp_path / "estimate.json")
