@@ -15,20 +15,21 @@ from pathlib import Path
 import numpy as np
 
 from dashpot.channel import Quantity
-from dashpot.design.allocation import Grid, band_grid, natural_band
-from dashpot.design.criteria import MeanError
-from dashpot.design.plan import Budget, plan
+from dashpot.design.budget import Budget
+from dashpot.design.criteria import AOptimal
+from dashpot.design.frequency_grid import FrequencyGrid, band_grid, natural_band
+from dashpot.design.plan import plan
 from dashpot.design.robust import UniformBox, in_the_worst_case, worst_scenario
-from dashpot.design.test_setup import Bench, Limits, bench
+from dashpot.design.test_setup import ShakerLimits, TestSetup, nominal_setup
 
 sys.path.insert(0, str(Path(__file__).parents[1]))  # for the random rigs of the tests
 from tests.rigs import channels, random_rig
 
 DOUBT = UniformBox(0.3)
-LIMITS = Limits(stroke=0.01, velocity=0.2, acceleration=10.0)
+LIMITS = ShakerLimits(stroke=0.01, velocity=0.2, acceleration=10.0)
 
 
-def random_bench(rng: np.random.Generator) -> Bench:
+def random_bench(rng: np.random.Generator) -> TestSetup:
     """One to three coordinates, a base or a force, displacement and acceleration sensors with floor and 5 % noise."""
     n, forces = int(rng.integers(1, 4)), int(rng.integers(0, 2))
     rig = random_rig(rng, n, displacements=1 - forces, forces=forces)
@@ -39,21 +40,21 @@ def random_bench(rng: np.random.Generator) -> Bench:
         else replace(c, relative_noise=0.05, noise=1e-4 * (2 * np.pi * 5) ** c.quantity.derivative)
         for c in channels(rig, (Quantity.DISPLACEMENT, Quantity.ACCELERATION))
     ]
-    return bench(rig.model, sensors, rig.theta, limits=LIMITS)
+    return nominal_setup(rig.model, sensors, rig.theta, limits=LIMITS)
 
 
-def ratio(own: Bench) -> float:
+def ratio(own: TestSetup) -> float:
     """Worst relative error of the nominal test over that of the robust one."""
     low, high = natural_band(own)
 
-    def grid_of(wide: Bench) -> Grid:
+    def grid_of(wide: TestSetup) -> FrequencyGrid:
         return band_grid(wide, low, high)
 
-    nominal = plan(own, MeanError(), Budget(samples=1e4), grid_of(own))
-    safe = in_the_worst_case(own, MeanError(), Budget(samples=1e4), DOUBT, grid_of)
+    nominal = plan(own, AOptimal(), Budget(samples=1e4), grid_of(own))
+    safe = in_the_worst_case(own, AOptimal(), Budget(samples=1e4), DOUBT, grid_of)
     before, after = (
-        worst_scenario(safe.bench, MeanError(), lines, DOUBT, count=1000, seed=99)[0]
-        for lines in (nominal.lines, safe.plan.lines)
+        worst_scenario(safe.setup, AOptimal(), lines, DOUBT, count=1000, seed=99)[0]
+        for lines in (nominal.schedule, safe.plan.schedule)
     )
     return before / after
 

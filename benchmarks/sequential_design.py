@@ -17,11 +17,12 @@ import numpy as np
 
 from dashpot.channel import Channel
 from dashpot.data.spectrum import Spectrum, merge_repeats
-from dashpot.design.allocation import band_grid
-from dashpot.design.criteria import WorstError
-from dashpot.design.plan import Budget, shortest
-from dashpot.design.sequential import enough, known_after, values_after
-from dashpot.design.test_setup import bench
+from dashpot.design.budget import Budget
+from dashpot.design.criteria import Minimax
+from dashpot.design.frequency_grid import band_grid
+from dashpot.design.shortest import shortest
+from dashpot.design.stopping import enough, known_after, values_after
+from dashpot.design.test_setup import nominal_setup
 from dashpot.errors import IdentifiabilityError, UsageError
 from dashpot.estimate.identify import identify
 from dashpot.model.elements import Kind, between, mass
@@ -83,29 +84,29 @@ def uniform(model: Model, data: Spectrum, rng: np.random.Generator) -> Spectrum:
 def sequential(model: Model, data: Spectrum, rng: np.random.Generator) -> Spectrum:
     """The shortest test to the target as far as is known, of which at most as much is run as there are samples."""
     while missing(model, data) > 0:
-        own, known = bench(model, sensors(), GUESS), None
+        own, known = nominal_setup(model, sensors(), GUESS), None
         try:
             estimate = identify(model, data)
-            own = bench(model, sensors(), values_after(model, estimate, GUESS))
+            own = nominal_setup(model, sensors(), values_after(model, estimate, GUESS))
             known = own.known(known_after(own, estimate))
         except (IdentifiabilityError, UsageError):
             pass  # the data say nothing yet: design for the guesses
         total = int(np.sum(data.samples))
         test = shortest(
-            own, WorstError(), 0.98 * TARGET, Budget(samples=total), band_grid(own, *BAND), known=known
+            own, Minimax(), 0.98 * TARGET, Budget(samples=total), band_grid(own, *BAND), known=known
         )
         if test is None:
             test_f, share, wanted = [float(np.mean(BAND))], np.ones(1), 16.0
         else:
-            test_f = test.lines.frequency_hz.tolist()
+            test_f = test.schedule.frequency_hz.tolist()
             wanted = float(test.samples)
-            share = test.lines.samples / wanted
+            share = test.schedule.samples / wanted
         run = np.maximum(np.ceil(share * min(wanted, total)), 8).astype(int)
         data = data + measure(model, test_f, run.tolist(), rng)
     return data
 
 
-def compare(repeats: int, seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def compare_tests(repeats: int, seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Samples (repeats,) of the uniform and of the sequential way, and the true relative errors of the latter."""
     model = rig()
     counts = np.zeros((2, repeats))
@@ -127,7 +128,7 @@ def main() -> None:
     options.add_argument("--seed", type=int, default=0)
     given = options.parse_args()
     start = time.perf_counter()
-    swept, planned, errors = compare(given.repeats, given.seed)
+    swept, planned, errors = compare_tests(given.repeats, given.seed)
     for name, counts in (("uniform sweep", swept), ("next best dwells", planned)):
         low, middle, high = np.quantile(counts, [0.1, 0.5, 0.9])
         print(f"{name:18s} {middle:8.0f} samples ({low:.0f} … {high:.0f}, 80 % of repeats)")

@@ -10,23 +10,25 @@ from hypothesis import assume, example, given, settings
 from hypothesis import strategies as st
 
 from dashpot.channel import Quantity
-from dashpot.design.allocation import Grid, band_grid, natural_band, optimise, value
-from dashpot.design.criteria import Goal, MeanError, Targets, Volume, WorstError
-from dashpot.design.plan import Budget, plan
+from dashpot.design.allocation import optimise
+from dashpot.design.budget import Budget
+from dashpot.design.criteria import AOptimal, Criterion, DOptimal, Minimax, MinimaxTargets, criterion_value
+from dashpot.design.frequency_grid import FrequencyGrid, band_grid, natural_band
+from dashpot.design.plan import plan
 from dashpot.design.robust import UniformBox, in_the_worst_case, worst_scenario
-from dashpot.design.test_setup import Bench, Limits, bench
+from dashpot.design.test_setup import ShakerLimits, TestSetup, nominal_setup
 from dashpot.errors import UsageError
 from tests.rigs import channels, random_rig
 
 
-def goals(own: Bench) -> list[Goal]:
+def goals(own: TestSetup) -> list[Criterion]:
     """One of each kind: for all, for one parameter, for two with targets of their own."""
     names = [u.name for u in own.model.unknowns]
-    two = Targets({names[0]: 0.01, names[-1]: 0.05})
-    return [MeanError(), WorstError(), Volume(), MeanError((names[len(names) // 2],)), two]
+    two = MinimaxTargets({names[0]: 0.01, names[-1]: 0.05})
+    return [AOptimal(), Minimax(), DOptimal(), AOptimal((names[len(names) // 2],)), two]
 
 
-def random_bench(seed: int, most: int = 4, limits: Limits | None = None) -> Bench:
+def random_bench(seed: int, most: int = 4, limits: ShakerLimits | None = None) -> TestSetup:
     """A random rig with displacement and acceleration sensors; noise relative, constant, or both, by the seed."""
     rng = np.random.default_rng(seed)
     n, forces = int(rng.integers(1, most + 1)), int(rng.integers(0, 2))
@@ -39,7 +41,7 @@ def random_bench(seed: int, most: int = 4, limits: Limits | None = None) -> Benc
         else replace(c, relative_noise=relative, noise=floor * (2 * np.pi * 5) ** c.quantity.derivative)
         for c in channels(rig, (Quantity.DISPLACEMENT, Quantity.ACCELERATION))
     ]
-    return bench(rig.model, sensors, rig.theta, limits=limits)
+    return nominal_setup(rig.model, sensors, rig.theta, limits=limits)
 
 
 @pytest.mark.parametrize("block", range(5))
@@ -51,8 +53,8 @@ def test_duality_gap_on_random_rigs(block: int) -> None:
     """
     for seed in range(10 * block, 10 * block + 10):
         own = random_bench(seed)
-        goal = goals(own)[seed % 5]
-        terms = goal.terms(own, "worst")
+        criterion = goals(own)[seed % 5]
+        terms = criterion.terms(own, "worst")
         grid = band_grid(own, *natural_band(own))
         found = optimise(own.information, terms, own.prior, 1e4, grid)
         assert found.gap < 1e-6
@@ -63,12 +65,15 @@ def test_duality_gap_on_random_rigs(block: int) -> None:
         others = 1e4 * own.information(f[few], k[few])
         best = own.information(found.frequency_hz, found.pattern)
         M = 1e4 * np.einsum("i,siab->sab", found.share, best)
-        moved = [value(terms, own.prior + 0.999 * M + 0.001 * others[:, i]).F for i in range(others.shape[1])]
+        moved = [
+            criterion_value(terms, own.prior + 0.999 * M + 0.001 * others[:, i]).F
+            for i in range(others.shape[1])
+        ]
         unit = 1.0 if terms.block is not None else found.F
-        assert pytest.approx(found.F, rel=1e-9) == value(terms, own.prior + M).F
+        assert pytest.approx(found.F, rel=1e-9) == criterion_value(terms, own.prior + M).F
         assert min(moved) >= found.F - 2e-6 * unit
         worse = found.share * (1 + 0.2 * np.cos(np.arange(len(found.share))))
-        F = value(terms, own.prior + 1e4 * np.einsum("i,siab->sab", worse / worse.sum(), best)).F
+        F = criterion_value(terms, own.prior + 1e4 * np.einsum("i,siab->sab", worse / worse.sum(), best)).F
         assert found.F - 2e-6 * unit <= F
 
 
@@ -91,15 +96,15 @@ def test_limits_and_budgets_are_never_broken(
     seed: int, stroke: float, velocity: float, acceleration: float, force: float, time: float, settle: float,
     min_dwell: float, most: int | None,
 ) -> None:  # fmt: skip
-    limits = Limits(stroke, velocity, acceleration, force)
+    limits = ShakerLimits(stroke, velocity, acceleration, force)
     own = random_bench(seed, 2, limits)
     low, high = natural_band(own, 200.0)
     f = np.geomspace(low, high, 30)
     patterns = len(own.drives)
-    grid = Grid(np.tile(f, patterns), np.repeat(np.arange(patterns), 30), free=seed % 2 == 0)
+    grid = FrequencyGrid(np.tile(f, patterns), np.repeat(np.arange(patterns), 30), free=seed % 2 == 0)
     try:
         found = plan(
-            own, MeanError(), Budget(time=time, rate=200, settle=settle, min_dwell=min_dwell, most=most), grid
+            own, AOptimal(), Budget(time=time, rate=200, settle=settle, min_dwell=min_dwell, most=most), grid
         )
     except UsageError as fault:
         assume("holds no test" not in str(fault))
@@ -107,7 +112,7 @@ def test_limits_and_budgets_are_never_broken(
     names = [*own.model.displacement_inputs, *own.model.force_inputs]
     for line, dwell in enumerate(found.dwells):
         w = 2 * np.pi * dwell.frequency_hz
-        seen = own.seen(found.lines.frequency_hz[line : line + 1], found.lines.pattern[line : line + 1])
+        seen = own.seen(found.schedule.frequency_hz[line : line + 1], found.schedule.pattern[line : line + 1])
         drive = np.array([dwell.amplitudes[name] for name in names])
         X, F = np.abs(seen.motion[0]), np.abs(seen.force[0])
         # The drive is the one that the amplitudes say, and at least one limit is met.
@@ -135,17 +140,17 @@ def test_robust_beats_nominal_in_the_worst_case() -> None:
     """
     ratios = []
     for seed in (102, 104, 107, 109):
-        own = random_bench(seed, 2, Limits(0.01, 0.2, 10.0))
+        own = random_bench(seed, 2, ShakerLimits(0.01, 0.2, 10.0))
         low, high = natural_band(own)
 
-        def grid_of(wide: Bench, low: float = low, high: float = high) -> Grid:
+        def grid_of(wide: TestSetup, low: float = low, high: float = high) -> FrequencyGrid:
             return band_grid(wide, low, high)
 
-        nominal = plan(own, MeanError(), Budget(samples=1e4), grid_of(own))
-        safe = in_the_worst_case(own, MeanError(), Budget(samples=1e4), UniformBox(0.3), grid_of)
+        nominal = plan(own, AOptimal(), Budget(samples=1e4), grid_of(own))
+        safe = in_the_worst_case(own, AOptimal(), Budget(samples=1e4), UniformBox(0.3), grid_of)
         before, after = (
-            worst_scenario(safe.bench, MeanError(), lines, UniformBox(0.3), count=600, seed=99)[0]
-            for lines in (nominal.lines, safe.plan.lines)
+            worst_scenario(safe.setup, AOptimal(), lines, UniformBox(0.3), count=600, seed=99)[0]
+            for lines in (nominal.schedule, safe.plan.schedule)
         )
         ratios.append(before / after)
     assert sum(ratio > 1 for ratio in ratios) == 4

@@ -7,10 +7,13 @@ import pytest
 
 from benchmarks import sequential_design
 from dashpot.channel import Channel, Quantity
-from dashpot.design.allocation import band_grid
-from dashpot.design.criteria import MeanError
-from dashpot.design.plan import Budget, Lines, compare, even_lines, plan
-from dashpot.design.test_setup import Bench, Limits, bench
+from dashpot.design.alternative import compare_tests
+from dashpot.design.budget import Budget
+from dashpot.design.criteria import AOptimal
+from dashpot.design.frequency_grid import band_grid
+from dashpot.design.plan import plan
+from dashpot.design.schedule import Schedule, even_schedule
+from dashpot.design.test_setup import ShakerLimits, TestSetup, nominal_setup
 from dashpot.estimate.identify import identify
 from dashpot.estimate.linear.instrumental_variables import InstrumentalVariables
 from dashpot.estimate.method import Method
@@ -21,18 +24,18 @@ from tests.rigs import paper_rig
 CASE3 = "1,1.5,2:4:0.25,5,6,7,8:12:0.5,13,14"
 
 
-def paper_bench(relative: float, floor: float, floor_v: float) -> Bench:
+def paper_bench(relative: float, floor: float, floor_v: float) -> TestSetup:
     rig = paper_rig()
     sensors = [
         Channel(f"{q.value[0]}{x}", {x: 1.0}, q, noise=noise, relative_noise=relative)
         for q, noise in ((Quantity.DISPLACEMENT, floor), (Quantity.VELOCITY, floor_v))
         for x in ("x1", "x2")
     ]
-    return bench(rig.model, [*sensors, Channel("u", {"u": 1.0})], rig.theta)
+    return nominal_setup(rig.model, [*sensors, Channel("u", {"u": 1.0})], rig.theta)
 
 
 def spread(
-    own: Bench, lines: Lines, draws: int, seed: int, method: Method | None = None
+    own: TestSetup, lines: Schedule, draws: int, seed: int, method: Method | None = None
 ) -> tuple[float, np.ndarray]:
     """Rms relative spread of an estimator (the optimal one) over repeats of a test, and each parameter's, in parts."""
     test = dwells(own.model, lines.frequency_hz, lines.samples.astype(int))
@@ -52,9 +55,9 @@ def spread(
 def test_the_predicted_error_comes_true(noise: tuple[float, float, float], at_most: float) -> None:
     """Within 2 %: 8,000 draws, whose rms over six parameters is itself known to about 0.5 % (1 sd)."""
     own = paper_bench(*noise)
-    found = plan(own, MeanError(), Budget(samples=1400), band_grid(own, 0.25, 25))
+    found = plan(own, AOptimal(), Budget(samples=1400), band_grid(own, 0.25, 25))
     assert found.predicted.figure <= at_most
-    rms, each = spread(own, found.lines, 8000, 20)
+    rms, each = spread(own, found.schedule, 8000, 20)
     assert rms == pytest.approx(found.predicted.figure, rel=0.02)
     assert each == pytest.approx(found.predicted.relative, rel=0.04)
 
@@ -63,11 +66,11 @@ def test_the_predicted_error_comes_true(noise: tuple[float, float, float], at_mo
 def test_the_papers_test_and_method_give_what_the_comparison_says(noise: tuple[float, float, float]) -> None:
     """CASE 3 of 1,400 samples, by oiv and by iv: within 4 %, of which 1.2 % (1 sd) is the 1,500 draws' own."""
     own = paper_bench(*noise)
-    found = plan(own, MeanError(), Budget(samples=1400), band_grid(own, 0.25, 25))
-    beside = compare(own, MeanError(), found, even_lines(frequencies(CASE3), 1400))
+    found = plan(own, AOptimal(), Budget(samples=1400), band_grid(own, 0.25, 25))
+    beside = compare_tests(own, AOptimal(), found, even_schedule(frequencies(CASE3), 1400))
     assert beside.iv is not None
-    best, _ = spread(own, beside.lines, 1500, 21)
-    paper, _ = spread(own, beside.lines, 1500, 22, InstrumentalVariables())
+    best, _ = spread(own, beside.schedule, 1500, 21)
+    paper, _ = spread(own, beside.schedule, 1500, 22, InstrumentalVariables())
     assert best == pytest.approx(beside.predicted.figure, rel=0.04)
     assert paper == pytest.approx(beside.iv.rms(), rel=0.04)
     assert beside.factor_iv == pytest.approx((paper / found.predicted.figure) ** 2, rel=0.08)
@@ -78,9 +81,9 @@ def test_the_test_for_one_parameter_gives_it_better(name: str) -> None:
     """3,000 draws: its spread is as predicted (4 %: 3 sd), and below that of the test for all."""
     own = paper_bench(0.1, 0.0, 0.0)
     grid, j = band_grid(own, 0.25, 25), own.names.index(name)
-    alone = plan(own, MeanError((name,)), Budget(samples=1400), grid)
-    together = plan(own, MeanError(), Budget(samples=1400), grid)
-    _, each = spread(own, alone.lines, 3000, 23)
+    alone = plan(own, AOptimal((name,)), Budget(samples=1400), grid)
+    together = plan(own, AOptimal(), Budget(samples=1400), grid)
+    _, each = spread(own, alone.schedule, 3000, 23)
     assert each[j] == pytest.approx(alone.predicted.relative[j], rel=0.04)
     assert alone.predicted.relative[j] < together.predicted.relative[j]
 
@@ -89,11 +92,11 @@ def test_amplitudes_at_the_shakers_limits_come_true() -> None:
     """Constant noise, amplitudes set by the limits: the prediction counts them."""
     rig = paper_rig()
     sensors = [Channel(x, {x: 1.0}, noise=2e-4) for x in ("x1", "x2")]
-    own = bench(
+    own = nominal_setup(
         rig.model, [*sensors, Channel("u", {"u": 1.0})], rig.theta,
-        limits=Limits(stroke=0.02, velocity=0.3, acceleration=8.0),
+        limits=ShakerLimits(stroke=0.02, velocity=0.3, acceleration=8.0),
     )  # fmt: skip
-    found = plan(own, MeanError(), Budget(time=60, rate=100, settle=own.settling()), band_grid(own, 0.5, 25))
+    found = plan(own, AOptimal(), Budget(time=60, rate=100, settle=own.settling()), band_grid(own, 0.5, 25))
     p, rng = own.p[0], np.random.default_rng(3)
     parts = [
         simulate_spectrum(
@@ -115,6 +118,6 @@ def test_next_best_dwells_against_a_uniform_sweep() -> None:
     Two repeats: the ratio varies by some per cent from one to the next (benchmarks/ has 200), and 16 errors know their
     rms to about 20 %.
     """
-    swept, planned, errors = sequential_design.compare(2, seed=1)
+    swept, planned, errors = sequential_design.compare_tests(2, seed=1)
     assert np.median(swept / planned) > 1.8
     assert np.sqrt(np.mean(errors**2)) < 1.5 * sequential_design.TARGET

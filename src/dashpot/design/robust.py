@@ -1,8 +1,8 @@
-"""Tests that are good although the parameters are in doubt: on average, or in the worst case.
+"""Tests that are good although the parameters are uncertain: on average, or in the worst case.
 
-A box θ (1 ± doubt), or the cloud of an Estimate.  The average is over drawn scenarios.  The worst case over a box is
-found by exchange: the best test for a few scenarios, then the scenario that is worst for that test, until none is
-worse (Shimizu and Aiyoshi 1980; Pronzato and Walter 1988 for designs).
+A box θ (1 ± relative), or the normal distribution of an Estimate.  The average is over drawn scenarios.  The worst
+case over a box is found by exchange: the best test for a few scenarios, then the scenario that is worst for that
+test, until none is worse (Shimizu and Aiyoshi 1980; Pronzato and Walter 1988 for designs).
 """
 
 from __future__ import annotations
@@ -14,25 +14,30 @@ from typing import ClassVar
 import numpy as np
 
 from dashpot.arrays import Real, frozen
-from dashpot.design.allocation import Grid, optimise, value
-from dashpot.design.criteria import Goal
-from dashpot.design.plan import Budget, Lines, Plan, plan, shortest
-from dashpot.design.test_setup import Bench
+from dashpot.design.allocation import optimise
+from dashpot.design.budget import Budget
+from dashpot.design.criteria import Criterion, criterion_value
+from dashpot.design.frequency_grid import FrequencyGrid
+from dashpot.design.plan import Plan, plan
+from dashpot.design.schedule import Schedule
+from dashpot.design.shortest import shortest
+from dashpot.design.test_setup import TestSetup
 from dashpot.errors import UsageError
 from dashpot.estimate.result import Estimate
 from dashpot.model.network import Model
 
 CLOSE = 2e-3  # a scenario worse by less than this part of the variance ends the search
+CORNERS = 6  # unknowns up to which all corners of a box are tried
 SLOW = 64  # scenarios drawn to find the slowest transient
 
-NOTHING = Lines(np.zeros(0), np.zeros(0, dtype=np.int64), np.zeros(0))  # the test of no dwell
+NOTHING = Schedule(np.zeros(0), np.zeros(0, dtype=np.int64), np.zeros(0))  # the test of no dwell
 
 
 @dataclass(frozen=True)
 class UniformBox:
-    """Every unknown lies within value · (1 ± doubt); doubt (unknowns,) or one for all."""
+    """Every unknown lies within value · (1 ± relative); relative (unknowns,) or one for all."""
 
-    doubt: Real | float
+    relative: Real | float
     kind: ClassVar[str] = "box"
 
     def draw(self, nominal: Real, count: int, rng: np.random.Generator) -> Real:
@@ -45,11 +50,13 @@ class UniformBox:
 
     def width(self, nominal: Real) -> Real:
         """Half the side of the box, (unknowns,), SI units."""
-        doubt = np.broadcast_to(np.asarray(self.doubt, dtype=float), nominal.shape)
-        if np.any(~np.isfinite(doubt) | (doubt < 0) | (doubt >= 1)):
-            raise UsageError("a doubt that is not between 0 and 100 %", cure="write it as --doubt 30%")
-        wide: Real = doubt * np.abs(nominal)
-        return wide
+        relative = np.broadcast_to(np.asarray(self.relative, dtype=float), nominal.shape)
+        if np.any(~np.isfinite(relative) | (relative < 0) | (relative >= 1)):
+            raise UsageError(
+                "the uncertainty of a value must lie between 0 and 100 %", cure="state it, for example 30 %"
+            )
+        width: Real = relative * np.abs(nominal)
+        return width
 
 
 @dataclass(frozen=True)
@@ -70,15 +77,15 @@ class GaussianPrior:
         return np.where(small, 0.1 * nominal, theta)
 
 
-def uniform_box_of(model: Model, nominal: Real, doubt: float) -> UniformBox:
-    """The same doubt in every unknown; of one that the rig file knows with an sd, no more than 1.96 sd."""
+def uniform_box_of(model: Model, nominal: Real, relative: float) -> UniformBox:
+    """The same uncertainty for every unknown; at most 1.96 sd where the rig file states an sd."""
     size = np.where(nominal == 0, 1.0, np.abs(nominal))
     known = np.array([np.inf if u.sd is None else 1.96 * u.sd for u in model.unknowns])
-    return UniformBox(np.minimum(doubt, known / size))
+    return UniformBox(np.minimum(relative, known / size))
 
 
 def gaussian_prior_of(model: Model, estimate: Estimate) -> GaussianPrior:
-    """The doubt that an estimate leaves in the unknowns of the rig, by their names.
+    """The uncertainty that an estimate leaves in the unknowns of the rig, by their names.
 
     Raises UsageError where it is of other unknowns, or has no finite covariance.
     """
@@ -91,105 +98,109 @@ def gaussian_prior_of(model: Model, estimate: Estimate) -> GaussianPrior:
     i = [estimate.names.index(name) for name in names]
     covariance = estimate.covariance[np.ix_(i, i)]
     if not np.all(np.isfinite(covariance)):
-        raise UsageError("the estimate's covariance is not finite", cure="say the doubt with --doubt 30%")
+        raise UsageError(
+            "the estimate's covariance is not finite", cure="state the uncertainty instead, for example 30 %"
+        )
     return GaussianPrior(covariance)
 
 
-def slowest_settling(bench: Bench, prior: UniformBox | GaussianPrior, seed: int = 0) -> float:
+def slowest_settling(setup: TestSetup, prior: UniformBox | GaussianPrior, seed: int = 0) -> float:
     """Settling time of the slowest of several scenarios, s.  Raises UsageError where one never settles."""
-    nominal = bench.theta[0]
+    nominal = setup.theta[0]
     drawn = prior.draw(nominal, SLOW, np.random.default_rng(seed))
-    return bench.with_scenarios(np.concatenate([nominal[None], drawn])).settling()
+    return setup.with_scenarios(np.concatenate([nominal[None], drawn])).settling()
 
 
 @dataclass(frozen=True)
 class Robust:
-    """A plan with the bench of its scenarios, and how bad it may get.
+    """A plan with the setup of its scenarios, and how bad it may get.
 
     plan     None where what is known suffices already
-    worst    the goal's figure in the worst scenario that was found
+    worst    the criterion's figure in the worst scenario that was found
     search   the figures of the worst scenarios on the way
     """
 
     plan: Plan | None
-    bench: Bench
+    setup: TestSetup
     worst: float
     search: tuple[float, ...]
 
 
 def on_average(
-    bench: Bench,
-    goal: Goal,
+    setup: TestSetup,
+    criterion: Criterion,
     budget: Budget,
     prior: UniformBox | GaussianPrior,
-    grid_of: Callable[[Bench], Grid],
+    grid_of: Callable[[TestSetup], FrequencyGrid],
     *,
     target: float | None = None,
     count: int = 32,
     known: Real | None = None,
     seed: int = 0,
 ) -> Robust:
-    """The test with the best mean of the goal over `count` scenarios; with a target, the shortest that has it.
+    """The test with the best mean of the criterion over `count` scenarios; with a target, the shortest that has it.
 
     `known` is information in SI units (q, q).
     """
-    nominal = bench.theta[0]
+    nominal = setup.theta[0]
     theta = np.concatenate([nominal[None], prior.draw(nominal, count, np.random.default_rng(seed))])
-    wide = bench.with_scenarios(theta)
+    wide = setup.with_scenarios(theta)
     already = _prior(wide, known)
     grid = grid_of(wide)
     found = (
-        plan(wide, goal, budget, grid, known=already, doubt="average")
+        plan(wide, criterion, budget, grid, known=already, robustness="average")
         if target is None
-        else shortest(wide, goal, target, budget, grid, known=already, doubt="average")
+        else shortest(wide, criterion, target, budget, grid, known=already, robustness="average")
     )
     M = _prior(wide, known)
-    at = value(goal.terms(wide, "worst"), M if found is None else M + found.lines.information(wide))
-    return Robust(found, wide, goal.figure(at.F), ())
+    at = criterion_value(
+        criterion.terms(wide, "worst"), M if found is None else M + found.schedule.information(wide)
+    )
+    return Robust(found, wide, criterion.figure(at.F), ())
 
 
 def in_the_worst_case(
-    bench: Bench,
-    goal: Goal,
+    setup: TestSetup,
+    criterion: Criterion,
     budget: Budget,
     prior: UniformBox | GaussianPrior,
-    grid_of: Callable[[Bench], Grid],
+    grid_of: Callable[[TestSetup], FrequencyGrid],
     *,
     known: Real | None = None,
     rounds: int = 14,
     seed: int = 0,
 ) -> Robust:
     """The test whose worst scenario is best.  `known` is information in SI units (q, q)."""
-    nominal = bench.theta[0]
+    nominal = setup.theta[0]
     theta = nominal[None]
     search: list[float] = []
     samples = max(budget.measured(len(nominal)), budget.measured(1) / 2)
     for turn in range(rounds):
         # Which scenarios matter is found on a grid of fixed frequencies: no need to place them finely yet.
-        wide = bench.with_scenarios(theta)
+        wide = setup.with_scenarios(theta)
         grid = replace(grid_of(wide), free=False)
-        found = optimise(wide.information, goal.terms(wide, "worst"), _prior(wide, known), samples, grid)
-        lines = Lines(found.frequency_hz, found.pattern, samples * found.share)
-        worst, at = worst_scenario(wide, goal, lines, prior, known=known, seed=seed + turn)
+        found = optimise(wide.information, criterion.terms(wide, "worst"), _prior(wide, known), samples, grid)
+        lines = Schedule(found.frequency_hz, found.pattern, samples * found.share)
+        worst, at = worst_scenario(wide, criterion, lines, prior, known=known, seed=seed + turn)
         search.append(worst)
-        if worst**2 <= goal.figure(found.F) ** 2 * (1 + CLOSE):
+        if worst**2 <= criterion.figure(found.F) ** 2 * (1 + CLOSE):
             break
         theta = np.concatenate([theta, at[None]])
     # The last scenario may be new: it counts too.
-    wide = bench.with_scenarios(theta)
+    wide = setup.with_scenarios(theta)
     already = _prior(wide, known)
-    final = plan(wide, goal, budget, grid_of(wide), known=already, doubt="worst")
-    worst, _ = worst_scenario(wide, goal, final.lines, prior, known=known, seed=seed + rounds)
+    final = plan(wide, criterion, budget, grid_of(wide), known=already, robustness="worst")
+    worst, _ = worst_scenario(wide, criterion, final.schedule, prior, known=known, seed=seed + rounds)
     return Robust(final, wide, worst, tuple(search))
 
 
 def shortest_in_the_worst_case(
-    bench: Bench,
-    goal: Goal,
+    setup: TestSetup,
+    criterion: Criterion,
     target: float,
     budget: Budget,
     prior: UniformBox | GaussianPrior,
-    grid_of: Callable[[Bench], Grid],
+    grid_of: Callable[[TestSetup], FrequencyGrid],
     *,
     known: Real | None = None,
     rounds: int = 14,
@@ -200,14 +211,14 @@ def shortest_in_the_worst_case(
     `budget` says what is short (samples or time) and is a first guess; `known` is information in SI units (q, q).
     Raises UsageError where the search for scenarios does not end.
     """
-    theta, aim = bench.theta[:1], target
+    theta, aim = setup.theta[:1], target
     search: list[float] = []
     for turn in range(rounds):
-        wide = bench.with_scenarios(theta)
+        wide = setup.with_scenarios(theta)
         already = _prior(wide, known)
-        found = shortest(wide, goal, aim, budget, grid_of(wide), known=already)
-        lines = NOTHING if found is None else found.lines
-        worst, at = worst_scenario(wide, goal, lines, prior, known=known, seed=seed + turn)
+        found = shortest(wide, criterion, aim, budget, grid_of(wide), known=already)
+        lines = NOTHING if found is None else found.schedule
+        worst, at = worst_scenario(wide, criterion, lines, prior, known=known, seed=seed + turn)
         search.append(worst)
         if worst <= target:
             return Robust(found, wide, worst, tuple(search))
@@ -221,18 +232,18 @@ def shortest_in_the_worst_case(
             budget = budget.scaled(amount * (worst / target) ** 2 / (budget.samples or budget.time or 1.0))
     raise UsageError(
         "no test was found whose worst case reaches the target",
-        cure="doubt less, or give --samples or --time",
+        cure="assume a smaller uncertainty, or state a number of samples or a time",
     )
 
 
-def _prior(bench: Bench, known: Real | None) -> Real:
-    return bench.prior if known is None else bench.known(known)
+def _prior(setup: TestSetup, known: Real | None) -> Real:
+    return setup.prior if known is None else setup.known(known)
 
 
 def worst_scenario(
-    bench: Bench,
-    goal: Goal,
-    lines: Lines,
+    setup: TestSetup,
+    criterion: Criterion,
+    schedule: Schedule,
     prior: UniformBox | GaussianPrior,
     *,
     known: Real | None = None,
@@ -241,44 +252,52 @@ def worst_scenario(
 ) -> tuple[float, Real]:
     """The worst figure of a test over the prior and the θ (unknowns,) at which it occurs.
 
-    Corners and inner points, then ever smaller steps from the worst of them.  The drive is the bench's.
+    Corners and inner points, then ever smaller steps from the worst of them.  The drive is the setup's.
     """
     rng = np.random.default_rng(seed)
-    nominal = bench.theta[0]
-    measured = len(lines.samples) > 0
-    drive = bench.drive(lines.frequency_hz, lines.pattern) if measured else None
+    nominal = setup.theta[0]
+    F = _figures_of(setup, criterion, schedule, known)
+    pool = np.concatenate([setup.theta, prior.draw(nominal, count, rng)])
+    if not isinstance(prior, UniformBox):
+        worst, theta = _largest(F, pool)
+        return criterion.figure(worst), theta
+    width = prior.width(nominal)
+    if len(nominal) <= CORNERS:
+        signs = np.array(np.meshgrid(*[[-1.0, 1.0]] * len(nominal))).reshape(len(nominal), -1).T
+        pool = np.concatenate([pool, nominal + width * signs])
+    worst, theta = _largest(F, pool)
+    for radius in (1.0, 0.5, 0.25, 0.1, 0.04):
+        steps = radius * width * rng.uniform(-1, 1, (32, len(nominal)))
+        steps *= rng.random((32, len(nominal))) < 0.5
+        value, near = _largest(F, np.clip(theta + steps, nominal - width, nominal + width))
+        if value > worst:
+            worst, theta = value, near
+    return criterion.figure(worst), theta
 
-    def badness(theta: Real) -> Real:
-        alone = bench.with_scenarios(theta)
-        M = _prior(alone, known)
+
+def _figures_of(
+    setup: TestSetup, criterion: Criterion, schedule: Schedule, known: Real | None
+) -> Callable[[Real], Real]:
+    """F of a test at each of θ (scenarios, unknowns), (scenarios,); driven as the setup says, whatever θ."""
+    measured = len(schedule.samples) > 0
+    drive = setup.drive(schedule.frequency_hz, schedule.pattern) if measured else None
+
+    def F(theta: Real) -> Real:
+        every = setup.with_scenarios(theta)
+        M = _prior(every, known)
         if drive is not None:
-            each = bench.per_sample(alone.p, alone.sizes, lines.frequency_hz, drive)
-            M = M + np.einsum("i,siab->sab", lines.samples, each)
-        F = np.empty(len(theta))
+            each = every.per_sample(every.p, every.sizes, schedule.frequency_hz, drive)
+            M = M + np.einsum("i,siab->sab", schedule.samples, each)
+        values = np.empty(len(theta))
         for s in range(len(theta)):
-            one = alone.with_scenarios(theta[s : s + 1])
-            F[s] = value(goal.terms(one, "worst"), M[s : s + 1]).F
-        return F
+            alone = every.with_scenarios(theta[s : s + 1])
+            values[s] = criterion_value(criterion.terms(alone, "worst"), M[s : s + 1]).F
+        return values
 
-    pool = np.concatenate([bench.theta, prior.draw(nominal, count, rng)])
-    if isinstance(prior, UniformBox):
-        width = prior.width(nominal)
-        if len(nominal) <= 6:
-            signs = np.array(np.meshgrid(*[[-1.0, 1.0]] * len(nominal))).reshape(len(nominal), -1).T
-            pool = np.concatenate([pool, nominal + width * signs])
-        low, high = nominal - width, nominal + width
-    else:
-        low, high = np.full_like(nominal, -np.inf), np.full_like(nominal, np.inf)
-    F = badness(pool)
-    top = int(np.argmax(F))
-    at, most = pool[top], float(F[top])
-    if isinstance(prior, UniformBox):
-        for radius in (1.0, 0.5, 0.25, 0.1, 0.04):
-            steps = radius * width * rng.uniform(-1, 1, (32, len(nominal)))
-            steps *= rng.random((32, len(nominal))) < 0.5
-            near = np.clip(at + steps, low, high)
-            F = badness(near)
-            top = int(np.argmax(F))
-            if F[top] > most:
-                at, most = near[top], float(F[top])
-    return goal.figure(most), at
+    return F
+
+
+def _largest(F: Callable[[Real], Real], theta: Real) -> tuple[float, Real]:
+    values = F(theta)
+    top = int(np.argmax(values))
+    return float(values[top]), theta[top]

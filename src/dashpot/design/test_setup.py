@@ -1,10 +1,11 @@
-"""The bench: a rig, its sensors and its shaker, and what one sample at any frequency would tell."""
+"""The test setup: a rig, its sensors and its shaker, and the information in one sample at any frequency."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import ClassVar
 
 import numpy as np
 
@@ -22,7 +23,7 @@ SETTLED = 1e-3  # what is left of a transient when a dwell starts
 
 
 @dataclass(frozen=True)
-class Limits:
+class ShakerLimits:
     """What the shaker can do at most, as amplitudes in SI units: m, m/s, m/s², N (rad and N·m for angles).
 
     At a force input they hold for the motion of the point that it drives; the force of a displacement input is the
@@ -60,7 +61,7 @@ class Limits:
 
 
 @dataclass(frozen=True)
-class Bench:
+class TestSetup:
     """What stays the same from dwell to dwell.
 
     theta        (scenarios, unknowns)  values that the unknowns may have; the first is the nominal one
@@ -70,12 +71,14 @@ class Bench:
     amplitude    size of a drive where no limit is given, m or N
     """
 
+    __test__: ClassVar[bool] = False  # pytest takes classes of such a name for tests
+
     model: Model
     channels: tuple[Channel, ...]
     theta: Real
     probability: Real
     drives: Complex
-    limits: Limits = field(default_factory=Limits)
+    limits: ShakerLimits = field(default_factory=ShakerLimits)
     amplitude: float = 1.0
 
     def __post_init__(self) -> None:
@@ -121,12 +124,12 @@ class Bench:
         relative: Real = information * self.sizes[:, :, None] * self.sizes[:, None, :]
         return relative
 
-    def with_channels(self, channels: Sequence[Channel]) -> Bench:
-        """The same bench with other sensors."""
+    def with_channels(self, channels: Sequence[Channel]) -> TestSetup:
+        """The same setup with other sensors."""
         return replace(self, channels=tuple(channels))
 
-    def with_scenarios(self, theta: Real, probability: Real | None = None) -> Bench:
-        """The same bench with other values of the unknowns, equally likely unless said."""
+    def with_scenarios(self, theta: Real, probability: Real | None = None) -> TestSetup:
+        """The same setup with other values of the unknowns, equally likely unless said."""
         p = np.full(len(theta), 1 / len(theta)) if probability is None else probability
         return replace(self, theta=theta, probability=p)
 
@@ -219,7 +222,7 @@ class Bench:
                 f = np.abs(moving[int(np.argmin(decay))]) / 2 / np.pi
                 raise UsageError(
                     f"the mode at {f:.4g} Hz never settles: nothing damps it",
-                    cure="state the time with --settle",
+                    cure="state the settling time",
                 )
             slowest = min(slowest, float(np.min(decay)))
         return float(-np.log(SETTLED) / slowest) if np.isfinite(slowest) else 0.0
@@ -267,20 +270,20 @@ def _pattern(text: str, names: Sequence[str]) -> Complex:
     return pattern
 
 
-def bench(
+def nominal_setup(
     model: Model,
     channels: Sequence[Channel],
     theta: Real | Mapping[str, float],
     *,
-    limits: Limits | None = None,
+    limits: ShakerLimits | None = None,
     amplitude: float = 1.0,
     drives: Sequence[str] = (),
-) -> Bench:
-    """A bench with one scenario: the nominal values of the unknowns, θ or by name."""
+) -> TestSetup:
+    """A setup with one scenario: the nominal values of the unknowns, θ or by name."""
     nominal = model.theta(theta) if isinstance(theta, Mapping) else np.asarray(theta, dtype=float)
     if nominal.shape != (len(model.unknowns),):
         raise ModelError(f"{len(model.unknowns)} values are needed, not {nominal.size}")
-    return Bench(
+    return TestSetup(
         model, tuple(channels), nominal[None], np.ones(1), drive_patterns(model, drives),
-        Limits() if limits is None else limits, amplitude,
+        ShakerLimits() if limits is None else limits, amplitude,
     )  # fmt: skip

@@ -240,7 +240,7 @@ def test_tables_fit_80_columns(
 @pytest.mark.parametrize(
     ("args", "says"),
     [
-        ([], "how much test there is"),
+        ([], "neither a budget nor a target"),
         (["--samples", "1400", "--set", "m1=nan"], "'nan' is not a quantity"),
         (["--samples", "1400", "--set", "m1=-3"], "a mass of -3 kg"),
         (["--samples", "1400", "--band", "100:200", "--rate", "250"], "too near half the sampling rate"),
@@ -256,10 +256,10 @@ def test_tables_fit_80_columns(
         (["--time", "1min"], "sampling rate"),
         (["--time", "soon"], "'soon' is not a quantity"),
         (["--samples", "1400", "--band", "25:1"], "'25:1' is not a band"),
-        (["--samples", "1400", "--for", "k9"], "k9 is no unknown"),
+        (["--samples", "1400", "--for", "k9"], "'k9' is not an unknown"),
         (["--samples", "1400", "--set", "k9=1"], "'k9' is not an unknown of this rig"),
         (["--samples", "1400", "--sensors", "three"], "is not a choice of sensors"),
-        (["--samples", "1400", "--sensors", "pick 1 of x9"], "x9 is no channel"),
+        (["--samples", "1400", "--sensors", "pick 1 of x9"], "no channel x9"),
         (["--samples", "1400", "--against", "a,b"], "or name a file that exists"),
         (["--samples", "1400", "--stroke", "5 kg"], "kg"),
         (["--samples", "1400", "--robust", "worst"], "--robust needs"),

@@ -39,9 +39,9 @@ if TYPE_CHECKING:
     from dashpot.channel import Channel
     from dashpot.data.spectrum import Spectrum
     from dashpot.design.advise import Answer, Question
-    from dashpot.design.criteria import Goal
+    from dashpot.design.criteria import Criterion
     from dashpot.design.robust import GaussianPrior
-    from dashpot.design.test_setup import Limits
+    from dashpot.design.test_setup import ShakerLimits
     from dashpot.estimate.result import Estimate
     from dashpot.model.rigfile import Rig
     from dashpot.quantities import Amount
@@ -156,15 +156,15 @@ def command(rig: str, json_out: str | None, quiet: bool, **options: Any) -> int:
     rig_read = read_rig(rig)
     require_scale(rig_read.model, rig_read.channels, rig)
 
-    from dashpot.design.advise import answer, json_of
-    from dashpot.design.plan import to_csv
+    from dashpot.design.advise import answer
+    from dashpot.design.plan_files import answer_to_json, plan_to_csv
     from dashpot.design.test_setup import drive_units
 
     question = _question(rig_read, options, quiet)
     result = answer(question)
-    write_result(json_out, json_of(result))
+    write_result(json_out, answer_to_json(result))
     if options["csv"] is not None and result.plan is not None:
-        write_text(options["csv"], to_csv(result.plan, drive_units(rig_read.model)))
+        write_text(options["csv"], plan_to_csv(result.plan, drive_units(rig_read.model)))
     _draw(result, options["figure"], options["progress"], question)
     if not quiet and json_out != STDOUT:
         from dashpot.present.tables.design import show
@@ -190,12 +190,12 @@ def _question(rig: Rig, options: Mapping[str, Any], quiet: bool) -> Question:
     _require_masses(rig, values)
     if earlier is None and estimate is not None:
         values = {**_values_of(rig, estimate), **values}
-    goal, target = _goal(options["wanted"], options["target"])
+    criterion, target = _criterion(options["wanted"], options["target"])
     settling = options["settling_time"]
     return Question(
         model=rig.model,
         channels=_channels(rig, options["relative_noise"]),
-        goal=goal,
+        criterion=criterion,
         values=values,
         estimate=earlier,
         after=data,
@@ -211,8 +211,8 @@ def _question(rig: Rig, options: Mapping[str, Any], quiet: bool) -> Question:
         limits=_limits(rig, options),
         amplitude=None if options["amplitude"] is None else drive_amplitude(rig.model, options["amplitude"]),
         drives=options["drives"],
-        doubt=_doubt(rig, options, estimate),
-        doubt_by="worst" if options["robust"] is None else options["robust"],
+        uncertainty=_uncertainty(rig, options, estimate),
+        robustness="worst" if options["robust"] is None else options["robust"],
         pick=options["sensors"],
         against=None if options["against"] is None else _against(rig, options, quiet),
     )
@@ -265,9 +265,9 @@ def _require_masses(rig: Rig, values: Mapping[str, float]) -> None:
             raise UsageError(f"--set {name}: a mass of {value:g} kg", rig.path, "give a positive mass")
 
 
-def _goal(wanted: str, target: float | Mapping[str, float] | None) -> tuple[Goal, float | None]:
+def _criterion(wanted: str, target: float | Mapping[str, float] | None) -> tuple[Criterion, float | None]:
     """The criterion of --for and --target, and the figure to reach."""
-    from dashpot.design.criteria import MeanError, Targets, Volume, WorstError
+    from dashpot.design.criteria import AOptimal, DOptimal, Minimax, MinimaxTargets
     from dashpot.errors import UsageError
 
     if isinstance(target, Mapping):
@@ -275,19 +275,19 @@ def _goal(wanted: str, target: float | Mapping[str, float] | None) -> tuple[Goal
             raise UsageError(
                 "--for and a --target by names are both given", cure="the targets say what is to be precise"
             )
-        return Targets(target), 1.0
-    criteria: dict[str, Goal] = {"all": MeanError(), "worst": WorstError(), "volume": Volume()}
+        return MinimaxTargets(target), 1.0
+    criteria: dict[str, Criterion] = {"all": AOptimal(), "worst": Minimax(), "volume": DOptimal()}
     if wanted in criteria:
         return criteria[wanted], target
     unknowns = names(wanted)
     if not unknowns:
         raise UsageError("--for names nothing", cure="write all, worst, volume, or names such as c2,m1")
-    return MeanError(unknowns), target
+    return AOptimal(unknowns), target
 
 
-def _limits(rig: Rig, options: Mapping[str, Any]) -> Limits:
+def _limits(rig: Rig, options: Mapping[str, Any]) -> ShakerLimits:
     from dashpot.app.parameters import input_is_angular
-    from dashpot.design.test_setup import Limits
+    from dashpot.design.test_setup import ShakerLimits
 
     angular = input_is_angular(rig.model)
 
@@ -295,13 +295,13 @@ def _limits(rig: Rig, options: Mapping[str, Any]) -> Limits:
         amount: Amount | None = options[name]
         return None if amount is None else amount.si(quantity, angular)
 
-    return Limits(
+    return ShakerLimits(
         limit("stroke", "displacement"), limit("max_velocity", "velocity"),
         limit("max_acceleration", "acceleration"), limit("max_force", "force"),
     )  # fmt: skip
 
 
-def _doubt(
+def _uncertainty(
     rig: Rig, options: Mapping[str, Any], estimate: Estimate | None
 ) -> float | GaussianPrior | Literal["estimate"] | None:
     """A share of every value, or the covariance of --estimate, or of what --after says."""
@@ -344,14 +344,13 @@ def _draw(result: Answer, figure_out: str | None, progress_out: str | None, ques
         return
     from dashpot.io.atomic import write_bytes
     from dashpot.present.figures.study import png
-    from dashpot.present.tables.design import figure, progress_figure
+    from dashpot.present.tables.design import figure, sequential_figure
 
     if figure_out is not None and result.plan is not None:
         write_bytes(figure_out, png(figure(result)))
     if progress_out is not None:
-        targets = dict(getattr(question.goal, "targets", {}))
-        if not targets and question.target is not None:
-            targets = dict.fromkeys((u.name for u in result.bench.model.unknowns), question.target)
-        drawn = progress_figure(result, targets)
+        aim = question.target
+        targets = {} if aim is None else question.criterion.targets_for(question.model, aim)
+        drawn = sequential_figure(result, targets)
         if drawn is not None:
             write_bytes(progress_out, png(drawn))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -12,9 +12,13 @@ from rich.measure import Measurement
 from rich.table import Table
 from rich.text import Text
 
+from dashpot.arrays import Complex
 from dashpot.design.advise import Answer
-from dashpot.design.allocation import band_grid
-from dashpot.design.plan import Plan, Prediction, drive_names, shares
+from dashpot.design.criteria import Criterion
+from dashpot.design.plan import Plan
+from dashpot.design.plan_curves import plan_curves
+from dashpot.design.plan_files import phase_deg
+from dashpot.design.precision import ExpectedPrecision
 from dashpot.design.test_setup import drive_units
 from dashpot.io.words import joined
 from dashpot.present.figures import design as draw
@@ -22,15 +26,13 @@ from dashpot.present.text.numbers import alike, percent, rounded, short
 
 NOTHING = "–"
 _DOUBT = {"worst": "the worst of", "average": "on average over"}
-MOST_CURVES = 4
-MOST_SAMPLES = 400  # of a frequency axis
 
 
 def show(found: Answer, out: Console) -> None:
     """Dwells, the intervals to expect, and what they are worth."""
     out.print()
-    if found.bench.model.name:
-        out.print(Text(found.bench.model.name, style="bold"))
+    if found.setup.model.name:
+        out.print(Text(found.setup.model.name, style="bold"))
     if found.verdict is not None:
         _stopping(found, out)
     if found.choice is not None:
@@ -38,7 +40,7 @@ def show(found: Answer, out: Console) -> None:
     if found.plan is None:
         out.print(Text("No test is needed: what is known reaches the target already.", style="green"))
         return
-    out.print(_dwells(found.plan, drive_units(found.bench.model)))
+    out.print(_dwells(found.plan, drive_units(found.setup.model)))
     out.print()
     table = _expected(found)
     if Measurement.get(out, out.options.update_width(1000), table).maximum > out.width:
@@ -121,7 +123,7 @@ def _now(found: Answer) -> dict[str, str]:
     return {name: percent(float(sd), float(v)) for name, sd, v in zip(e.names, e.sd, e.values, strict=True)}
 
 
-def _percent(p: Prediction, name: str) -> str:
+def _percent(p: ExpectedPrecision, name: str) -> str:
     if name not in p.names or p.values[p.names.index(name)] == 0:
         return NOTHING
     return short(100 * float(p.relative[p.names.index(name)]), 2)
@@ -129,11 +131,9 @@ def _percent(p: Prediction, name: str) -> str:
 
 def _words(found: Answer, plan: Plan) -> list[str]:
     p = plan.predicted
-    over = "" if found.robust is None else f", {_DOUBT[found.doubt]} {found.bench.scenarios} scenarios"
-    first = f"{plan.goal[0].upper()}{plan.goal[1:]}{over}: {_figure(plan.goal, p.figure)}. "
-    first += (
-        f"No test with as much measuring in this band can be better than {_figure(plan.goal, plan.ideal)}, "
-    )
+    over = "" if found.robust is None else f", {_DOUBT[found.robustness]} {found.setup.scenarios} scenarios"
+    first = f"{plan.criterion.name[0].upper()}{plan.criterion.name[1:]}{over}: {_figure(plan.criterion, p.figure)}. "
+    first += f"No test with as much measuring in this band can be better than {_figure(plan.criterion, plan.ideal)}, "
     first += f"less a duality gap of {plan.gap:.1e}; "
     cost = 100 * max(plan.loss, 0.0)
     first += f"whole periods and limits cost {f'{short(cost, 2)} %' if cost >= 0.01 else 'less than 0.01 %'}."
@@ -141,13 +141,13 @@ def _words(found: Answer, plan: Plan) -> list[str]:
     if len(p.names) > 1:
         words.append(f"Rms of the relative standard deviations of all parameters: {short(100 * p.rms())} %.")
     if found.robust is not None:
-        searched = found.doubt == "worst"
+        searched = found.robustness == "worst"
         where = "of the whole doubt, as far as a search finds it" if searched else "of these scenarios"
-        words.append(f"In the worst case {where}: {_figure(plan.goal, found.robust.worst)}.")
+        words.append(f"In the worst case {where}: {_figure(plan.criterion, found.robust.worst)}.")
     if found.comparison is not None:
         c = found.comparison
-        line = f"The other test ({len(c.lines.frequency_hz)} frequencies) gives "
-        line += f"{_figure(plan.goal, c.predicted.figure)} from as many samples: it takes "
+        line = f"The other test ({len(c.schedule.frequency_hz)} frequencies) gives "
+        line += f"{_figure(plan.criterion, c.predicted.figure)} from as many samples: it takes "
         line += f"{_times(c.factor)} the samples for the same precision"
         if c.factor_iv is not None:
             line += f", {_times(c.factor_iv)} with the paper's instrumental variables"
@@ -159,9 +159,9 @@ def _times(factor: float) -> str:
     return f"{factor:.3g} times" if np.isfinite(factor) else "infinitely many times"
 
 
-def _figure(goal: str, value: float) -> str:
-    """A goal's figure in words: a relative sd; of targets, in parts of them."""
-    return f"{short(value)} × target" if "targets" in goal else f"{short(100 * value)} %"
+def _figure(criterion: Criterion, value: float) -> str:
+    """A criterion's figure in words: a relative sd; of targets, in parts of them."""
+    return f"{short(value)} × target" if criterion.in_targets else f"{short(100 * value)} %"
 
 
 def _stopping(found: Answer, out: Console) -> None:
@@ -185,47 +185,42 @@ def _grouped(count: float) -> str:
 def _sensors(found: Answer, out: Console) -> None:
     assert found.choice is not None
     ranking = found.choice.ranking
-    goal = found.goal.name
     how = "all sets were tried" if found.choice.complete else "by exchange: perhaps not the very best"
     out.print(Text(f"Sensors: {joined(found.choice.best)} ({how})."), soft_wrap=False)
     for names, figure in ranking[1:4]:
-        out.print(Text(f"  {joined(names)}: {_figure(goal, figure)}", style="dim"), soft_wrap=False)
+        out.print(
+            Text(f"  {joined(names)}: {_figure(found.criterion, figure)}", style="dim"), soft_wrap=False
+        )
     out.print()
 
 
 def figure(found: Answer) -> Figure:
     """Dwells on the directional derivative, information of each frequency about each parameter, intervals."""
     assert found.plan is not None
-    plan = found.plan
-    grid = band_grid(found.bench, found.grid.low, found.grid.high)
-    first = grid.pattern == 0
-    f = grid.frequency_hz[first]
-    if len(f) > MOST_SAMPLES:
-        f = f[:: int(np.ceil(len(f) / MOST_SAMPLES))]
-    at, pattern, worth = plan.allocation.curve
-    names = drive_names(
-        [*found.bench.model.displacement_inputs, *found.bench.model.force_inputs], found.bench.drives
-    )
-    curves = [
-        (names[k], np.interp(f, at[pattern == k], worth[pattern == k]))
-        for k in np.unique(pattern).tolist()[:MOST_CURVES]
-    ]
-    patterns = np.unique(plan.lines.pattern)
-    told = np.max(
-        [
-            shares(found.bench, found.goal, plan.lines, found.known, f, np.full(len(f), k, dtype=np.int64))
-            for k in patterns
-        ],
-        axis=0,
-    )
-    p = plan.predicted
+    plan, setup = found.plan, found.setup
+    curves = plan_curves(setup, found.criterion, plan, found.known, found.grid.low, found.grid.high)
+    names = drive_names([*setup.model.displacement_inputs, *setup.model.force_inputs], setup.drives)
+    labelled = [(names[k], curve) for k, curve in zip(curves.patterns, curves.derivative, strict=True)]
     timed = plan.time_s is not None
+    amounts = np.array([d.time_s if timed else d.samples for d in plan.dwells], dtype=float)
+    title = f"The next test: {len(plan.dwells)} dwell{'s'[: len(plan.dwells) - 1]}, {plan.samples} samples"
+    title += "" if plan.time_s is None else f", {short(plan.time_s, 3)} s"
+    p = plan.predicted
     bars = [j for j in range(len(p.names)) if p.values[j] != 0]  # a delay of 0 has no relative error
+    return draw.plan_figure(
+        title, curves.frequency_hz, labelled, np.array([d.frequency_hz for d in plan.dwells]), amounts,
+        "s" if timed else "samples", p.names, curves.gain, [p.names[j] for j in bars], _bars(found, plan, bars),
+    )  # fmt: skip
+
+
+def _bars(found: Answer, plan: Plan, bars: list[int]) -> list[draw.Bars]:
+    """Relative standard deviations of the tests that are compared, of the parameters `bars`."""
+    p = plan.predicted
     tests = [draw.Bars("this test", 100 * p.relative[bars])]
     if found.estimate is not None:
         e = found.estimate
-        own = {n: float(s / abs(v)) if v else np.nan for n, s, v in zip(e.names, e.sd, e.values, strict=True)}
-        tests.append(draw.Bars("known now", 100 * np.array([own.get(p.names[j], np.nan) for j in bars])))
+        now = {n: float(s / abs(v)) if v else np.nan for n, s, v in zip(e.names, e.sd, e.values, strict=True)}
+        tests.append(draw.Bars("known now", 100 * np.array([now.get(p.names[j], np.nan) for j in bars])))
     if found.comparison is not None:
         tests.append(
             draw.Bars("other test, as many samples", 100 * found.comparison.predicted.relative[bars])
@@ -233,30 +228,34 @@ def figure(found: Answer) -> Figure:
         iv = found.comparison.iv
         if iv is not None and len(iv.names) == len(p.names):
             tests.append(draw.Bars("other test by the paper's iv", 100 * iv.relative[bars]))
-    amounts = np.array([d.time_s if timed else d.samples for d in plan.dwells], dtype=float)
-    title = f"The next test: {len(plan.dwells)} dwell{'s'[: len(plan.dwells) - 1]}, {plan.samples} samples"
-    title += "" if plan.time_s is None else f", {short(plan.time_s, 3)} s"
-    return draw.plan_figure(
-        title, f, curves, np.array([d.frequency_hz for d in plan.dwells]), amounts, "s" if timed else "samples",
-        p.names, told, [p.names[j] for j in bars], tests,
-    )  # fmt: skip
+    return tests
 
 
-def progress_figure(found: Answer, targets: dict[str, float]) -> Figure | None:
+def drive_names(inputs: Sequence[str], drives: Complex) -> list[str]:
+    """Patterns of a drive in words: "u", "u + v", "u − v"."""
+    words = []
+    for row in drives:
+        text = ""
+        for name, z in zip(inputs, row, strict=True):
+            if z == 0:
+                continue
+            sign = "−" if abs(z.imag) < 1e-12 and z.real < 0 else "+"
+            turn = "" if abs(z.imag) < 1e-12 else f"∠{phase_deg(complex(z)):.0f}°"
+            text += f"{f' {sign} ' if text else ('−' if sign == '−' else '')}{name}{turn}"
+        words.append(text)
+    return words
+
+
+def sequential_figure(found: Answer, targets: Mapping[str, float]) -> Figure | None:
     """Intervals against samples as data came; None where the data did not determine the unknowns before their end."""
-    if found.so_far is None:
+    so_far, verdict = found.so_far, found.verdict
+    if so_far is None:
         return None
-    so_far = found.so_far
-    last = float(so_far.samples[-1])
-    more = (
-        4.0
-        if found.verdict is None or not np.isfinite(found.verdict.more)
-        else 1.3 * found.verdict.more / last + 1.3
-    )
-    ahead = last * np.geomspace(1, max(more, 1.5), 30)
-    end = 100 * so_far.relative[-1]
-    extrapolated = end * np.sqrt(last / ahead)[:, None]
+    times = 4.0
+    if verdict is not None and np.isfinite(verdict.more):
+        times = max(1.3 * verdict.more / float(so_far.samples[-1]) + 1.3, 1.5)
+    ahead, relative = so_far.extrapolated(times)
     aims = np.array([100 * targets.get(name, np.nan) for name in so_far.names])
     return draw.progress_figure(
-        so_far.names, so_far.samples.astype(float), 100 * so_far.relative, ahead, extrapolated, aims
+        so_far.names, so_far.samples.astype(float), 100 * so_far.relative, ahead, 100 * relative, aims
     )

@@ -4,35 +4,33 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
 
 import numpy as np
 
 from dashpot.arrays import Ints, Real, frozen
-from dashpot.channel import Channel, Quantity
+from dashpot.channel import Channel
 from dashpot.data.spectrum import Spectrum
-from dashpot.design.test_setup import Bench
+from dashpot.design.criteria import Reading
+from dashpot.design.test_setup import TestSetup
 from dashpot.errors import DashpotError, IdentifiabilityError, UsageError
 from dashpot.estimate.identify import automatic, identify
 from dashpot.estimate.likelihood.maximum_likelihood import MaximumLikelihood
 from dashpot.estimate.method import Method
 from dashpot.estimate.result import Estimate
 from dashpot.model.network import Model
+from dashpot.model.observation import measures_input, observation_model
 
 ROUNDING = 1e-12  # of the eigenvalues of a correlation matrix
 VAGUE = 0.5  # relative sd above which an estimate says less than a guess
 
-# What must be as small as its target: every sd, their rms, the mean radius.
-Reading = Literal["each", "rms", "volume"]
 
-
-def known_after(bench: Bench, estimate: Estimate) -> Real:
+def known_after(setup: TestSetup, estimate: Estimate) -> Real:
     """Information that an estimate holds, SI units of ψ, (q, q): the inverse of its covariance.
 
     Priors of the rig were in the estimate already.  Calibrations that are unknown are taken as unknown again.
     Raises UsageError where the estimate is of other unknowns.
     """
-    own = [unknown.name for unknown in bench.model.unknowns]
+    own = [unknown.name for unknown in setup.model.unknowns]
     missing = [name for name in own if name not in estimate.names]
     if missing:
         raise UsageError(
@@ -44,9 +42,10 @@ def known_after(bench: Bench, estimate: Estimate) -> Real:
     size = np.sqrt(np.diagonal(C))
     if not np.all(np.isfinite(C)) or np.any(size <= 0):
         raise UsageError(
-            "the estimate's covariance is not finite and positive", cure="give one with --set and no data"
+            "the estimate's covariance is not finite and positive",
+            cure="state the values to design for instead of an estimate",
         )
-    q = len(bench.names)
+    q = len(setup.names)
     information = np.zeros((q, q))
     # Rounding may make tiny eigenvalues negative; a little less information than there is does no harm.
     values, vectors = np.linalg.eigh(C / np.outer(size, size))
@@ -102,11 +101,10 @@ def noise_from(channels: Sequence[Channel], spectrum: Spectrum) -> tuple[Channel
         rows = np.stack([np.ones(int(np.sum(usable))), power[usable]], axis=1) / variance[usable, None]
         scale = np.max(rows, axis=0)
         (floor, relative), _ = nnls(rows / scale, np.ones(len(rows)))
-        gain = 1.0 if channel.gain is None else abs(channel.gain)
         found.append(
             replace(
                 channel,
-                noise=float(np.sqrt(floor / scale[0])) * gain / channel.scale,
+                noise=float(np.sqrt(floor / scale[0])) * abs(channel.factor) / channel.scale,
                 relative_noise=float(np.sqrt(relative / scale[1])),
             )
         )
@@ -117,21 +115,17 @@ def amplitude_from(model: Model, spectrum: Spectrum) -> float | None:
     """Median amplitude of the inputs in data, m or N; None where no channel shows one, or inputs are of both kinds."""
     if model.displacement_inputs and model.force_inputs:
         return None
-    found = []
+    per_unit = np.abs(observation_model(model, spectrum.channels, spectrum.omega).direct_q).sum(axis=-1)
+    sizes: list[float] = []
     for i, channel in enumerate(spectrum.channels):
-        force = channel.quantity is Quantity.FORCE
-        inputs = model.force_inputs if force else model.displacement_inputs
-        if len(channel.of) != 1 or not set(channel.of) <= set(inputs):
-            continue
-        (factor,) = channel.of.values()
-        law = np.ones(spectrum.lines) if force else spectrum.omega**channel.quantity.derivative
-        size = np.abs(spectrum.amplitudes[..., i]) / (abs(factor) * law)
-        found += size[np.isfinite(size) & (size > 0)].tolist()
-    return float(np.median(found)) if found else None
+        if len(channel.of) == 1 and measures_input(model, channel):
+            size = np.abs(spectrum.amplitudes[..., i]) / per_unit[:, i]
+            sizes += size[np.isfinite(size) & (size > 0)].tolist()
+    return float(np.median(sizes)) if sizes else None
 
 
 @dataclass(frozen=True)
-class Progress:
+class SequentialEstimates:
     """Estimates as data come in.
 
     samples  (steps,)           samples behind each estimate
@@ -158,8 +152,17 @@ class Progress:
         size = np.where(self.values == 0, 1.0, np.abs(self.values))
         return self.sd / size
 
+    def extrapolated(self, times: float, points: int = 30) -> tuple[Real, Real]:
+        """Relative sds if the same test went on: (samples (points,), relative sd (points, unknowns)).
 
-def progress(
+        From the last step to `times` its samples, in proportion to 1/√samples.
+        """
+        last = float(self.samples[-1])
+        ahead = last * np.geomspace(1, times, points)
+        return ahead, self.relative[-1] * np.sqrt(last / ahead)[:, None]
+
+
+def sequential_estimates(
     model: Model,
     spectrum: Spectrum,
     method: Method | None = None,
@@ -167,7 +170,7 @@ def progress(
     whole: Estimate | None = None,
     steps: int = 12,
     watch: Callable[[int, int], None] | None = None,
-) -> Progress:
+) -> SequentialEstimates:
     """Identify from the first lines, more lines, … all lines, in the order of the spectrum (no batch axes).
 
     With `whole`, the estimate from all lines, each search starts from it instead of from far.
@@ -198,7 +201,7 @@ def progress(
             watch(k + 1, len(counts))
     total = np.cumsum(spectrum.samples)[counts - 1]
     names = tuple(unknown.name for unknown in model.unknowns)
-    return Progress(names, total, values, sd, low, high)
+    return SequentialEstimates(names, total, values, sd, low, high)
 
 
 def _guessing(model: Model, estimate: Estimate) -> Model:
@@ -240,29 +243,24 @@ def enough(
     come from these samples (priors); it does not grow with them.  Where the model does not fit, the intervals count
     its misfit, which no number of samples lowers.
     """
-    names = list(estimate.names)
     size = np.where(estimate.values == 0, 1.0, np.abs(estimate.values))
-    j = [names.index(name) for name in targets]
+    j = [estimate.names.index(name) for name in targets]
     unit = np.array(list(targets.values())) * size[j]  # errors in parts of their targets
-
-    def over(C: Real) -> float:
-        own = C[np.ix_(j, j)] / np.outer(unit, unit)
-        if reading == "volume":
-            return float(np.exp(np.linalg.slogdet(own)[1] / 2 / len(j)))
-        variance = np.diagonal(own)
-        return float(np.sqrt(np.max(variance) if reading == "each" else np.mean(variance)))
-
     each = np.sqrt(np.diagonal(estimate.covariance)[j]) / unit
-    worst = names[j[int(np.argmax(np.where(np.isfinite(each), each, np.inf)))]]
+    worst = estimate.names[j[int(np.argmax(np.where(np.isfinite(each), each, np.inf)))]]
     if not np.all(np.isfinite(each)):
         raise IdentifiabilityError(f"the data do not determine {worst}", cure="add frequencies or sensors")
-    excess = over(estimate.covariance)
+
+    def excess_of(C: Real) -> float:
+        return _excess(C[np.ix_(j, j)] / np.outer(unit, unit), reading)
+
+    excess = excess_of(estimate.covariance)
     what = {
         "each": worst, "rms": "the rms of the relative standard deviations", "volume": "the confidence region",
     }[reading]  # fmt: skip
     if excess <= 1:
-        narrow = {"each": "every interval is", "rms": f"{what} is", "volume": "the confidence region is"}
-        return Verdict(True, worst, excess, 0.0, f"{narrow[reading]} as small as was asked")
+        narrow = "every interval is" if reading == "each" else f"{what} is"
+        return Verdict(True, worst, excess, 0.0, f"{narrow} as small as was asked")
     if bool(np.any(estimate.fit.rejected)):
         reason = "the model does not fit: more samples will not narrow what its misfit leaves open"
         return Verdict(False, worst, excess, np.inf, reason)
@@ -271,18 +269,29 @@ def enough(
     fixed = np.zeros_like(total)
     if known is not None:  # calibrations follow the unknowns; nothing was known of them
         fixed[: len(known), : len(known)] = known * scale[: len(known), : len(known)]
+    times = _least_times(lambda t: excess_of(np.linalg.inv(fixed + t * (total - fixed)) * scale) <= 1)
+    if times is None:
+        return Verdict(False, worst, excess, np.inf, "more of the same test does not reach the target")
+    more = float(np.ceil((times - 1) * samples))
+    return Verdict(False, worst, excess, more, f"{what} is {excess:.3g} times its target")
 
-    def met(times: float) -> bool:
-        M = fixed + times * (total - fixed)
-        return over(np.linalg.inv(M) * scale) <= 1
 
+def _excess(C: Real, reading: Reading) -> float:
+    """What is read of a covariance in units of the targets: largest sd, rms of the sds, or mean radius."""
+    if reading == "volume":
+        return float(np.exp(np.linalg.slogdet(C)[1] / 2 / len(C)))
+    variance = np.diagonal(C)
+    return float(np.sqrt(np.max(variance) if reading == "each" else np.mean(variance)))
+
+
+def _least_times(met: Callable[[float], bool]) -> float | None:
+    """The smallest factor above 1 at which `met` holds; None where it is beyond 1e12."""
     low, high = 1.0, 2.0
     while not met(high) and high < 1e12:
         low, high = high, 2 * high
     if high >= 1e12:
-        return Verdict(False, worst, excess, np.inf, "more of the same test does not reach the target")
+        return None
     for _ in range(60):
         middle = (low + high) / 2
         low, high = (low, middle) if met(middle) else (middle, high)
-    more = float(np.ceil((high - 1) * samples))
-    return Verdict(False, worst, excess, more, f"{what} is {excess:.3g} times its target")
+    return high
