@@ -12,11 +12,12 @@ import numpy as np
 import pytest
 
 from dashpot.channel import Channel
-from dashpot.check.identifiability import Structure, require_identifiable, structure
+from dashpot.check.identifiability import Structure, structure
 from dashpot.errors import IdentifiabilityError
 from dashpot.model.dynamics import response
 from dashpot.model.elements import Kind, between, mass
 from dashpot.model.network import Model
+from dashpot.present.text.identifiability import require_identifiable
 from tests.rigs import Rig, channels, perfect, random_rig
 
 Case = tuple[Model, tuple[Channel, ...], set[str]]
@@ -74,7 +75,7 @@ def assert_true_directions(model: Model, seen: Sequence[Channel], found: Structu
         moved = np.any(one.directions != 0, axis=0)
         assert {name for name, m in zip(found.names, moved, strict=True) if m} == set(one.names)
         for direction in one.directions:
-            assert slope(direction) < 1e-6 * whole, one.what
+            assert slope(direction) < 1e-6 * whole, one.names
             count += 1
     directions = np.concatenate([one.directions for one in found.deficiencies]) / found.nominal
     assert np.linalg.matrix_rank(directions, 1e-9) == count == len(found.names) - found.rank

@@ -46,7 +46,7 @@ class Surface:
         return scaled_inverse(np.sum(self.information, axis=-3) + np.diag(prior_precision(self.view)))
 
 
-def surface(model: Model, spectrum: Spectrum, estimate: Estimate) -> Surface:
+def chi2_surface(model: Model, spectrum: Spectrum, estimate: Estimate) -> Surface:
     """χ² around `estimate`, weighed as `identify` weighs; leading batch axes become one of K repeats."""
     view = observation_model(model, spectrum.channels, spectrum.omega)
     if view.names != estimate.names:

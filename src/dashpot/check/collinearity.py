@@ -1,4 +1,4 @@
-"""What the data at hand tell badly: combinations of unknowns that widen the intervals, and lines that carry nothing.
+"""Collinearity in the data at hand: combinations of unknowns that widen the intervals, and lines that carry nothing.
 
 The correlation-scaled information has eigenvalues; a small one belongs to a combination that is hardly seen, and adds
 1/eigenvalue to the variance of what takes part in it (Belsley, Kuh and Welsch 1980, chapter 3).
@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dashpot.arrays import Real, frozen
+from dashpot.arrays import Ints, Real, frozen
 from dashpot.check.chi2_surface import Surface
 from dashpot.estimate.likelihood.maximum_likelihood import prior_precision
 
@@ -42,7 +42,7 @@ class Combination:
 
 
 @dataclass(frozen=True)
-class Weakness:
+class Collinearity:
     """Weak combinations, the weakest first, and what each line contributes.
 
     shares (lines, M): part of the information on each unknown (tr C I_l, unknown by unknown; a column sums to 1, less
@@ -58,63 +58,69 @@ class Weakness:
         object.__setattr__(self, "shares", frozen(self.shares, np.float64))
 
 
-def weakness(base: Surface, covariance: Real) -> Weakness:
-    """What the first repeat of a surface tells badly; `covariance` (M, M) is the estimate's.
+def collinearity(base: Surface, covariance: Real) -> Collinearity:
+    """What the first repeat of a surface determines badly; `covariance` (M, M) is the estimate's.
 
-    Intervals that are widened tenfold or more by the doubt about others are told.
+    Combinations count that inflate an interval tenfold or more over what it were with all other unknowns known.
     """
-    names = base.view.names
-    information = base.information[0]
-    total = np.sum(information, axis=0) + np.diag(prior_precision(base.view))
+    total = np.sum(base.information[0], axis=0) + np.diag(prior_precision(base.view))
     sd = np.sqrt(np.diagonal(total))
     values, vectors = np.linalg.eigh(total / np.outer(sd, sd))
     values = np.maximum(values, 1e-15)
+    combinations = _combinations(base, covariance, sd, values, vectors)
+    shares = _shares(base.information[0], total, sd, singular=values[0] <= 1e-14)
+    lines = len(shares)
+    idle = tuple(int(line) for line in np.flatnonzero(np.all(shares < IDLE / lines, axis=1)))
+    return Collinearity(base.view.names, combinations, shares, idle)
+
+
+def _combinations(
+    base: Surface, covariance: Real, sd: Real, values: Real, vectors: Real
+) -> tuple[Combination, ...]:
+    """From eigenvalues (M,) and vectors (M, M) of the information scaled by `sd` (M,)."""
+    names = base.view.names
     parts = vectors**2 / values  # of the variance of each unknown, (unknowns, combinations)
     inflation = np.sum(parts, axis=1)
     portion = parts / inflation[:, None]
     spread = np.sqrt(np.diagonal(covariance) / (inflation / sd**2))  # what the noise basis multiplies
-    late = np.array([name.endswith(".delay") for name in names])
-    size = np.where(late | (base.psi[0] == 0), 1.0, np.abs(base.psi[0]))
-    found = []
+    delays = np.array([name.endswith(".delay") for name in names])
+    size = np.where(delays | (base.psi[0] == 0), 1.0, np.abs(base.psi[0]))
+    combinations = []
     for k in np.argsort(values):
         if values[k] * WEAK**2 > 1:
             break
-        own = np.flatnonzero((portion[:, k] > PART) & (inflation > WEAK**2))
-        if not len(own):
+        members = np.flatnonzero((portion[:, k] > PART) & (inflation > WEAK**2))
+        if not len(members):
             continue
-        relative = vectors[:, k] / sd / size * np.where(base.psi[0] < 0, -1, 1)
-        peak = relative[own][np.argmax(np.abs(relative[own]))]
-        best, narrowing = _best(covariance, own)
-        along = float(abs(peak) / np.sqrt(values[k]) * np.mean(spread[own]))
-        found.append(
+        relative = (vectors[:, k] / sd / size * np.where(base.psi[0] < 0, -1, 1))[members]
+        peak = relative[np.argmax(np.abs(relative))]
+        best, narrowing = _best(covariance, members)
+        along = float(abs(peak) / np.sqrt(values[k]) * np.mean(spread[members]))
+        combinations.append(
             Combination(
-                tuple(names[i] for i in own),
-                relative[own] / peak,
-                along,
-                np.sqrt(inflation[own]),
-                names[best],
+                tuple(names[i] for i in members), relative / peak, along, np.sqrt(inflation[members]), names[best],
                 narrowing,
             )
-        )
-    C = (
-        np.linalg.inv(total / np.outer(sd, sd)) / np.outer(sd, sd)
-        if values[0] > 1e-14
-        else np.diag(1 / sd**2)
-    )
-    shares = np.einsum("jk,lki,ij->lj", C, information, C) / np.diagonal(C)
-    lines = len(information)
-    idle = tuple(int(line) for line in np.flatnonzero(np.all(shares < IDLE / lines, axis=1)))
-    return Weakness(names, tuple(found), shares, idle)
+        )  # fmt: skip
+    return tuple(combinations)
 
 
-def _best(covariance: Real, own: np.ndarray) -> tuple[int, float]:
-    """(the unknown whose value would narrow the intervals of `own` most, mean remaining factor of the others)."""
+def _shares(information: Real, total: Real, sd: Real, singular: bool) -> Real:
+    """Part of each line (lines, M, M) in the information on each unknown, (lines, M)."""
+    scale = np.outer(sd, sd)
+    C = np.diag(1 / sd**2) if singular else np.linalg.inv(total / scale) / scale
+    shares: Real = np.einsum("jk,lki,ij->lj", C, information, C) / np.diagonal(C)
+    return shares
+
+
+def _best(covariance: Real, members: Ints) -> tuple[int, float]:
+    """(the unknown whose value would narrow the intervals of `members` most, mean remaining factor of the others)."""
     variance = np.diagonal(covariance)
-    best, least = int(own[0]), np.inf
-    for i in own:
-        left = variance[own] - covariance[own, i] ** 2 / variance[i]
-        factor = np.sqrt(np.maximum(left, 0.0) / variance[own])
-        others = factor[own != i]
+    best, least = int(members[0]), np.inf
+    for i in members:
+        left = variance[members] - covariance[members, i] ** 2 / variance[i]
+        factor = np.sqrt(np.maximum(left, 0.0) / variance[members])
+        others = factor[members != i]
         mean = float(np.mean(others)) if len(others) else 0.0
         if mean < least:
             best, least = int(i), mean

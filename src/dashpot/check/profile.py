@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from dashpot.arrays import Bools, Ints, Real, frozen
-from dashpot.check.chi2_surface import Surface, surface
+from dashpot.check.chi2_surface import Surface, chi2_surface
 from dashpot.data.spectrum import Spectrum
 from dashpot.errors import UsageError
 from dashpot.estimate.identify import identify
@@ -89,7 +89,7 @@ def profile(
     if name not in found.names:
         raise UsageError(f"{name} is not among the unknowns", cure=f"there are {', '.join(found.names)}")
     j = found.names.index(name)
-    base = surface(model, spectrum, found)
+    base = chi2_surface(model, spectrum, found)
     low, high = (end[..., j] for end in found.interval(level))
     half = (high - low).ravel() / 2
     with np.errstate(invalid="ignore", divide="ignore"):
@@ -156,60 +156,87 @@ class _Walk:
 
     def end(self, side: float) -> _Side:
         """One side: below the estimate (−1) or above it (1)."""
-        base, j = self.base, self.j
-        repeats = len(base.psi)
-        bound = base.upper[j] if side > 0 else base.lower[j]
-        centre = base.psi[:, j]
-        inner, inner_root, psi = np.zeros(repeats), np.zeros(repeats), base.psi.copy()
-        slope = np.zeros_like(psi)
-        outer, outer_root = np.full(repeats, np.inf), np.full(repeats, np.inf)
-        end = np.full(repeats, side * np.inf)
-        improved = np.zeros(repeats, dtype=bool)
-        points: list[float] = []
-        rises: list[float] = []
-        with np.errstate(invalid="ignore", divide="ignore"):
-            tangent = base.covariance()[:, j] / base.covariance()[:, j, j][:, None]
-        slope = side * np.nan_to_num(tangent)
-        open_ones = np.isfinite(self.half) & (self.half > 0)
-        distance = np.zeros(repeats)
+        bracket = _Bracket(self, side)
         for turn in range(len(FRACTIONS) + FARTHEST):
-            rows = np.flatnonzero(open_ones & ~np.isfinite(outer))
-            if not len(rows):
-                break
             step = FRACTIONS[turn] if turn < len(FRACTIONS) else GROWTH ** (turn + 1 - len(FRACTIONS))
-            distance[rows] = step * self.half[rows]
-            limited = side * (centre[rows] + side * distance[rows] - bound) >= 0
-            distance[rows[limited]] = np.abs(bound - centre[rows[limited]])
-            start = psi[rows] + slope[rows] * (distance - inner)[rows, None]
-            root, there = self.held(centre[rows] + side * distance[rows], start, rows)
-            improved[rows] |= root < -CLOSE * self.root[rows]
-            if rows[0] == 0 and np.isfinite(root[0]):
-                points.append(float(there[0, j]))
-                rises.append(float(np.sign(root[0]) * root[0] ** 2))
-            beyond = root >= self.root[rows]
-            outer[rows[beyond]], outer_root[rows[beyond]] = distance[rows[beyond]], root[beyond]
-            stop = limited & ~beyond
-            end[rows[stop]] = bound
-            open_ones[rows[stop]] = False
-            go = rows[~beyond & ~stop]
-            new = there[~beyond & ~stop]
-            slope[go] = (new - psi[go]) / (distance[go] - inner[go])[:, None]
-            psi[go], inner[go], inner_root[go] = new, distance[go], root[~beyond & ~stop]
-        crossing = np.isfinite(outer)
-        for _ in range(REFINEMENTS):
-            rows = np.flatnonzero(crossing)
-            if not len(rows):
+            if not bracket.step_out(step):
                 break
-            share = (self.root - inner_root)[rows] / (outer_root - inner_root)[rows]
-            share = np.clip(np.where(np.isfinite(outer_root[rows]), share, 0.5), 0.02, 0.98)
-            middle = inner[rows] + share * (outer - inner)[rows]
-            start = psi[rows] + slope[rows] * (middle - inner[rows])[:, None]
-            root, there = self.held(centre[rows] + side * middle, start, rows)
-            beyond = root >= self.root[rows]
-            end[rows] = centre[rows] + side * middle
-            outer[rows[beyond]], outer_root[rows[beyond]] = middle[beyond], root[beyond]
-            within = rows[~beyond]
-            slope[within] = (there[~beyond] - psi[within]) / (middle[~beyond] - inner[within])[:, None]
-            psi[within], inner[within], inner_root[within] = there[~beyond], middle[~beyond], root[~beyond]
-            crossing[rows[np.abs(root - self.root[rows]) < CLOSE * self.root[rows]]] = False
-        return _Side(end, points, rises, improved)
+        for _ in range(REFINEMENTS):
+            if not bracket.refine():
+                break
+        return _Side(bracket.end, bracket.points, bracket.rises, bracket.improved)
+
+
+class _Bracket:
+    """Distances from the estimate between which each repeat's rise is reached: `inner` is short of it, `outer` beyond.
+
+    psi (K, M) is the profile's point at `inner`, slope its change per unit of distance; inner_root, outer_root are
+    roots of the rise.
+    """
+
+    def __init__(self, walk: _Walk, side: float) -> None:
+        base, j, repeats = walk.base, walk.j, len(walk.base.psi)
+        self.walk, self.side = walk, side
+        self.bound = float(base.upper[j] if side > 0 else base.lower[j])
+        self.centre, self.psi = base.psi[:, j], base.psi.copy()
+        self.inner, self.inner_root, self.distance = np.zeros((3, repeats))
+        self.outer, self.outer_root = np.full((2, repeats), np.inf)
+        self.end = np.full(repeats, side * np.inf)
+        self.improved = np.zeros(repeats, dtype=bool)
+        self.searching = np.isfinite(walk.half) & (walk.half > 0)
+        self.points: list[float] = []
+        self.rises: list[float] = []
+        covariance = base.covariance()[:, j]
+        with np.errstate(invalid="ignore", divide="ignore"):
+            tangent = covariance / covariance[:, j][:, None]
+        self.slope = side * np.nan_to_num(tangent)
+
+    def step_out(self, step: float) -> bool:
+        """Try `step` half-widths of the normal interval where nothing is beyond yet; False: nowhere."""
+        walk, side = self.walk, self.side
+        rows = np.flatnonzero(self.searching & ~np.isfinite(self.outer))
+        if not len(rows):
+            return False
+        self.distance[rows] = step * walk.half[rows]
+        limited = side * (self.centre[rows] + side * self.distance[rows] - self.bound) >= 0
+        self.distance[rows[limited]] = np.abs(self.bound - self.centre[rows[limited]])
+        root, psi = self._held(rows, self.distance[rows])
+        self.improved[rows] |= root < -CLOSE * walk.root[rows]
+        if rows[0] == 0 and np.isfinite(root[0]):
+            self.points.append(float(psi[0, walk.j]))
+            self.rises.append(float(np.sign(root[0]) * root[0] ** 2))
+        beyond = root >= walk.root[rows]
+        self.outer[rows[beyond]], self.outer_root[rows[beyond]] = self.distance[rows[beyond]], root[beyond]
+        stop = limited & ~beyond
+        self.end[rows[stop]] = self.bound
+        self.searching[rows[stop]] = False
+        on = ~beyond & ~stop
+        self._move_inner(rows[on], self.distance[rows[on]], root[on], psi[on])
+        return True
+
+    def refine(self) -> bool:
+        """Try between `inner` and `outer` where the end is not close yet; False: nowhere."""
+        rows = np.flatnonzero(np.isfinite(self.outer) & self.searching)
+        if not len(rows):
+            return False
+        root_wanted = self.walk.root[rows]
+        inner, outer = self.inner[rows], self.outer[rows]
+        share = (root_wanted - self.inner_root[rows]) / (self.outer_root - self.inner_root)[rows]
+        share = np.clip(np.where(np.isfinite(self.outer_root[rows]), share, 0.5), 0.02, 0.98)
+        middle = inner + share * (outer - inner)
+        root, psi = self._held(rows, middle)
+        self.end[rows] = self.centre[rows] + self.side * middle
+        beyond = root >= root_wanted
+        self.outer[rows[beyond]], self.outer_root[rows[beyond]] = middle[beyond], root[beyond]
+        self._move_inner(rows[~beyond], middle[~beyond], root[~beyond], psi[~beyond])
+        self.searching[rows[np.abs(root - root_wanted) < CLOSE * root_wanted]] = False
+        return True
+
+    def _held(self, rows: Ints, distance: Real) -> tuple[Real, Real]:
+        """(root of the rise, ψ) at a distance from the estimate."""
+        start = self.psi[rows] + self.slope[rows] * (distance - self.inner[rows])[:, None]
+        return self.walk.held(self.centre[rows] + self.side * distance, start, rows)
+
+    def _move_inner(self, rows: Ints, distance: Real, root: Real, psi: Real) -> None:
+        self.slope[rows] = (psi - self.psi[rows]) / (distance - self.inner[rows])[:, None]
+        self.psi[rows], self.inner[rows], self.inner_root[rows] = psi, distance, root

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from dashpot.arrays import Real, frozen
-from dashpot.check.chi2_surface import surface
+from dashpot.check.chi2_surface import chi2_surface
 from dashpot.data.spectrum import Spectrum
 from dashpot.errors import UsageError
 from dashpot.estimate.identify import automatic, identify
@@ -62,32 +62,29 @@ def known_errors(
     identifications for each known parameter.  Raises UsageError where nothing is known.
     """
     exact = [e for e in model.elements if e.value is not None and e.sd is None and e.value != 0]
-    leaning = [u for u in model.unknowns if u.sd is not None]
-    if not exact and not leaning:
+    uncertain = [u for u in model.unknowns if u.sd is not None]
+    if not exact and not uncertain:
         raise UsageError("no parameter of the rig is known", cure="there is nothing whose error could matter")
+    exact_names, uncertain_names = tuple(e.name for e in exact), tuple(u.name for u in uncertain)
+    known = (*exact_names, *uncertain_names)
     chosen = automatic(model, spectrum) if method is None else method
     if chosen.efficient or chosen.by_output:
-        slopes = _from_slopes(model, spectrum, estimate, [e.name for e in exact], [u.name for u in leaning])
+        slopes = _from_slopes(model, spectrum, estimate, exact_names, uncertain_names)
     else:
-        slopes = np.array(
-            [
-                _by_repetition(model, spectrum, chosen, name)
-                for name in [*(e.name for e in exact), *(u.name for u in leaning)]
-            ]
-        )
-    values = [e.value for e in exact] + [u.prior for u in leaning]
-    units = [model.unit(e) for e in exact] + [u.unit for u in leaning]
-    stated = [np.nan] * len(exact) + [float(u.sd or np.nan) for u in leaning]
+        slopes = np.array([_by_repetition(model, spectrum, chosen, name) for name in known])
+    units = (*(model.unit(e) for e in exact), *(u.unit for u in uncertain))
+    values = [*(e.value for e in exact), *(u.prior for u in uncertain)]
+    stated = [*(np.nan for _ in exact), *(u.sd for u in uncertain)]
     return KnownErrors(
-        (*(e.name for e in exact), *(u.name for u in leaning)), tuple(units), np.array(values, dtype=float),
-        np.array(stated), estimate.names, estimate.units, estimate.values, slopes,
+        known, units, np.array(values, dtype=float), np.array(stated, dtype=float), estimate.names, estimate.units,
+        estimate.values, slopes,
     )  # fmt: skip
 
 
 def _from_slopes(
-    model: Model, spectrum: Spectrum, estimate: Estimate, exact: list[str], leaning: list[str]
+    model: Model, spectrum: Spectrum, estimate: Estimate, exact: tuple[str, ...], uncertain: tuple[str, ...]
 ) -> Real:
-    base = surface(model, spectrum, estimate)
+    base = chi2_surface(model, spectrum, estimate)
     freed = replace(
         model,
         elements=tuple(replace(e, value=None) if e.name in exact else e for e in model.elements),
@@ -96,20 +93,20 @@ def _from_slopes(
     values = {e.name: e.value for e in model.elements} | dict(zip(base.view.names, base.psi[0], strict=True))
     psi = np.array([values[name] for name in view.names], dtype=float)
     size = np.where(psi == 0, 1.0, np.abs(psi))
-    late = np.array([name.endswith(".delay") for name in view.names])
-    step = STEP * np.where(late, 1 / np.max(view.omega), size)
+    delays = np.array([name.endswith(".delay") for name in view.names])
+    step = STEP * np.where(delays, 1 / np.max(view.omega), size)
     moved = np.concatenate([psi + np.diag(step), psi - np.diag(step)])
     sign = np.repeat(base.sign[:1], len(moved), axis=0)
     gradient = local(view, base.data, moved, sign).gradient
     curvature = -(gradient[: len(psi)] - gradient[len(psi) :]) / (2 * step[:, None])  # [by, of]
     index = {name: i for i, name in enumerate(view.names)}
-    own = [index[name] for name in base.view.names]
-    H = curvature[own][:, own]
+    columns = [index[name] for name in base.view.names]
+    H = curvature[columns][:, columns]
     H = (H + H.T) / 2
-    sides = [-curvature[index[name]][own] for name in exact]
-    for name in leaning:
+    sides = [-curvature[index[name]][columns] for name in exact]
+    for name in uncertain:
         j = base.view.names.index(name)
-        side = np.zeros(len(own))
+        side = np.zeros(len(columns))
         side[j] = model.prior_precision[j]
         sides.append(side)
     return np.array([solve_scaled(H, side) for side in sides])

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from dashpot.arrays import Bools, Ints, Real
-from dashpot.channel import Channel, Quantity
+from dashpot.channel import Channel
 from dashpot.data.spectrum import Spectrum
 from dashpot.errors import IdentifiabilityError
 from dashpot.io.words import listed
@@ -35,7 +35,7 @@ GOLDEN = 0.6180339887498949
 
 
 @dataclass(frozen=True)
-class Lines:
+class LinePattern:
     """The lines of a test: which share a frequency, what is measured, what is driven; inputs are (U, f).
 
     frequency (lines,) numbers the distinct frequencies; present (lines, channels); driven (lines, inputs).  With
@@ -48,19 +48,19 @@ class Lines:
     conjugates: bool = True
 
 
-def generic_lines(model: Model, channels: int, count: int, conjugates: bool = True) -> Lines:
+def generic_lines(model: Model, channels: int, count: int, conjugates: bool = True) -> LinePattern:
     """`count` lines of different frequencies with every channel measured and every input driven."""
     present, driven = np.ones((count, channels), dtype=bool), np.ones((count, len(model.inputs)), dtype=bool)
-    return Lines(np.arange(count), present, driven, conjugates)
+    return LinePattern(np.arange(count), present, driven, conjugates)
 
 
-def enough_lines(model: Model, channels: int, unknowns: int) -> Lines:
+def enough_lines(model: Model, channels: int, unknowns: int) -> LinePattern:
     """Points enough that more add nothing: one equation at each may be all, and undamped rigs know s² alone."""
     hysteretic = any(element.law.hysteretic for element in model.elements)
     return generic_lines(model, channels, (unknowns + 2) * (2 if hysteretic else 1), conjugates=False)
 
 
-def lines_of(model: Model, spectrum: Spectrum) -> Lines:
+def lines_of(model: Model, spectrum: Spectrum) -> LinePattern:
     """The lines of data: an input is idle where an exact channel of it alone shows 0."""
     finite = np.isfinite(spectrum.amplitudes).reshape(-1, spectrum.lines, len(spectrum.channels))
     present = np.all(finite, axis=0)
@@ -73,7 +73,7 @@ def lines_of(model: Model, spectrum: Spectrum) -> Lines:
             if measures_input(model, channel) and set(channel.of) == {name}:
                 driven[:, j] &= ~(present & quiet & zero)[:, c]
     _, frequency = np.unique(spectrum.frequency_hz, return_inverse=True)
-    return Lines(frequency.astype(np.int64), present, driven)
+    return LinePattern(frequency.astype(np.int64), present, driven)
 
 
 @dataclass(frozen=True)
@@ -92,7 +92,7 @@ def view_of(model: Model, channels: Sequence[Channel]) -> ObservationModel:
     return observation_model(model, channels, np.ones(1))
 
 
-def exact(model: Model, channels: Sequence[Channel], lines: Lines, rng: np.random.Generator) -> Draw:
+def exact(model: Model, channels: Sequence[Channel], lines: LinePattern, rng: np.random.Generator) -> Draw:
     """Slopes at one random rig; known parameters have their values.
 
     Raises IdentifiabilityError where the rig has no steady response, whatever its parameters.
@@ -112,17 +112,11 @@ def exact(model: Model, channels: Sequence[Channel], lines: Lines, rng: np.rando
         j = np.repeat([ROOT, PRIME - ROOT], len(lines.frequency))
         present, driven = np.concatenate([present, present]), np.concatenate([driven, driven])
     law = np.stack([_law_in_field(element.law, s, j) for element in model.elements], axis=-1)
-    G, y, J = _channels(model, channels, view, p, law, s, driven, rng)
+    G, y, J = _channels(model, view, p, law, s, driven, rng)
     by_theta = np.zeros((*y.shape, m), dtype=np.int64)
     for e in np.flatnonzero(column >= 0):
         by_theta[..., column[e]] = (by_theta[..., column[e]] + J[..., e] * times[e]) % PRIME
-    parts = [by_theta]
-    for k in range(view.gains):
-        own = (view.gain == k) * int(field.inverse(psi[m + k : m + k + 1])[0])
-        parts.append((y * own % PRIME)[..., None])
-    for k in range(view.delays):
-        parts.append(((PRIME - s)[:, None] * y % PRIME * (view.delay == k))[..., None])
-    slopes = np.concatenate(parts, axis=-1) * present[..., None]
+    slopes = np.concatenate([by_theta, _calibration_slopes(view, psi, s, y)], axis=-1) * present[..., None]
     whole = np.concatenate([G * present[..., None], slopes], axis=-1)
     inputs = G.shape[-1]
     rows = [_priors(model, M)]
@@ -132,89 +126,131 @@ def exact(model: Model, channels: Sequence[Channel], lines: Lines, rng: np.rando
     return Draw(np.concatenate(rows), psi)
 
 
+def _calibration_slopes(view: ObservationModel, psi: Ints, s: Ints, y: Ints) -> Ints:
+    """∂y/∂gain = y / gain and ∂y/∂τ = −s y, (lines, channels, gains + delays)."""
+    slopes = np.zeros((*y.shape, view.gains + view.delays), dtype=np.int64)
+    per_gain = field.inverse(psi[view.m : view.m + view.gains])
+    for k in range(view.gains):
+        slopes[..., k] = y * (view.gain == k) * int(per_gain[k]) % PRIME
+    for k in range(view.delays):
+        slopes[..., view.gains + k] = (PRIME - s)[:, None] * y % PRIME * (view.delay == k)
+    return slopes
+
+
 def _law_in_field(law: Law, s: Ints, j: Ints) -> Ints:
     """φ at the points s of the field, j being √−1 there; the shape of s."""
-    phi = j if law.hysteretic else np.ones_like(s)
-    for _ in range(law.power):
-        phi = phi * s % PRIME
-    return phi
+    phi = _to_the_power(s, law.power)
+    return phi * j % PRIME if law.hysteretic else phi
 
 
 def _channels(
-    model: Model,
-    channels: Sequence[Channel],
-    view: ObservationModel,
-    p: Ints,
-    law: Ints,
-    s: Ints,
-    driven: Bools,
-    rng: np.random.Generator,
+    model: Model, view: ObservationModel, p: Ints, law: Ints, s: Ints, driven: Bools, rng: np.random.Generator
 ) -> tuple[Ints, Ints, Ints]:
-    """(G, y = G q, slopes of y by the elements at fixed q) with calibrations 1, which only scale the rows."""
-    n, r = model.n, len(model.displacement_inputs)
-    inputs, count = r + len(model.force_inputs), len(s)
-    place = {name: i for i, name in enumerate(model.coordinates)}
-    drive = {name: i for i, name in enumerate((*model.displacement_inputs, *model.force_inputs))}
-    along = [_proportions(element.along) for element in model.elements]
-    own = [[(place[x], b) for x, b in factors.items() if x in place] for factors in along]
-    put = [[(drive[u], d) for u, d in factors.items() if u in drive] for factors in along]
-    strength = p * law % PRIME
-    D = np.zeros((count, n, n), dtype=np.int64)
-    R = np.zeros((count, n, inputs), dtype=np.int64)
-    for e in range(len(model.elements)):
-        for i, b in own[e]:
-            pull = strength[:, e] * b % PRIME
-            for k, other in own[e]:
-                D[:, i, k] = (D[:, i, k] + pull * other) % PRIME
-            for k, other in put[e]:
-                R[:, i, k] = (R[:, i, k] - pull * other) % PRIME
-    for k, name in enumerate(model.force_inputs):
-        for i, factor in enumerate(model.S[:, k]):
-            if factor:
-                R[:, i, drive[name]] = field.residue(factor)
-    C = np.zeros((count, len(channels), n), dtype=np.int64)
-    G = np.zeros((count, len(channels), inputs), dtype=np.int64)
-    force = [[(int(e), field.residue(row[e])) for e in np.flatnonzero(row)] for row in view.force]
-    for c, channel in enumerate(channels):
-        for e, factor in force[c]:
-            push = strength[:, e] * factor % PRIME
-            for i, b in own[e]:
-                C[:, c, i] = (C[:, c, i] + push * b) % PRIME
-            for k, d in put[e]:
-                G[:, c, k] = (G[:, c, k] + push * d) % PRIME
-        if force[c]:
-            continue
-        rate = np.ones_like(s)
-        for _ in range(0 if channel.quantity is Quantity.FORCE else channel.quantity.derivative):
-            rate = rate * s % PRIME
-        for name, factor in channel.of.items():
-            target, at = (C, place[name]) if name in place else (G, drive[name])
-            target[:, c, at] = (target[:, c, at] + rate * field.residue(factor)) % PRIME
+    """(G, y = G q, slopes of y by the elements at fixed q) with calibrations 1, which only scale the rows.
+
+    The exact twin of `model.observation.transfer`: p (elements,), law (lines, elements) φ, s (lines,) in place of jω.
+    """
+    rig = _field_rig(model, p * law % PRIME)
+    D, R = rig.stiffness()
+    C, G = rig.channels(view, s)
     solved, regular = field.solve(D, np.concatenate([R, np.swapaxes(C, 1, 2)], axis=-1))
     if not np.any(regular):
         raise _unheld(model, D[0])
     solved = solved * regular[:, None, None]
-    X, Z = solved[..., :inputs], solved[..., inputs:]
-    for i in range(n):
+    X, adjoint = solved[..., : R.shape[-1]], solved[..., R.shape[-1] :]
+    for i in range(model.n):
         G = (G + C[:, :, i, None] * X[:, None, i, :]) % PRIME
     G = G * regular[:, None, None]
-    q = rng.integers(1, PRIME, (count, inputs)) * driven
+    q = rng.integers(1, PRIME, (len(s), R.shape[-1])) * driven
     x = np.sum(X * q[:, None, :] % PRIME, axis=-1) % PRIME
     y = np.sum(G * q[:, None, :] % PRIME, axis=-1) % PRIME
-    J = np.zeros((count, len(channels), len(model.elements)), dtype=np.int64)
-    for e in range(len(model.elements)):
-        stretch, back = np.zeros(count, dtype=np.int64), np.zeros((count, len(channels)), dtype=np.int64)
-        for i, b in own[e]:
-            stretch = (stretch + b * x[:, i]) % PRIME
-            back = (back + b * Z[:, i, :]) % PRIME
-        for k, d in put[e]:
-            stretch = (stretch + d * q[:, k]) % PRIME
-        for c in range(len(channels)):
-            for at, factor in force[c]:
-                if at == e:
-                    back[:, c] = (back[:, c] - factor) % PRIME
-        J[:, :, e] = -back * (law[:, e] * stretch % PRIME)[:, None] % PRIME
+    J = rig.slopes(view, law, x, q, adjoint)
     return G, y, J * regular[:, None, None]
+
+
+@dataclass(frozen=True)
+class _FieldRig:
+    """A rig in the field: elongations of the elements as (coordinate, factor) and (input, factor), and p φ.
+
+    strength (lines, elements); S (n, r + s) how forces act.
+    """
+
+    along_x: list[list[tuple[int, int]]]
+    along_q: list[list[tuple[int, int]]]
+    strength: Ints
+    S: Ints
+
+    def stiffness(self) -> tuple[Ints, Ints]:
+        """Dynamic stiffness (lines, n, n), and the forces per unit of each input (lines, n, r + s)."""
+        n = len(self.S)
+        D = np.zeros((len(self.strength), n, n), dtype=np.int64)
+        R = np.tile(self.S, (len(self.strength), 1, 1))
+        for e, ends in enumerate(self.along_x):
+            for i, b in ends:
+                pull = self.strength[:, e] * b % PRIME
+                for k, other in ends:
+                    D[:, i, k] = (D[:, i, k] + pull * other) % PRIME
+                for k, other in self.along_q[e]:
+                    R[:, i, k] = (R[:, i, k] - pull * other) % PRIME
+        return D, R
+
+    def channels(self, view: ObservationModel, s: Ints) -> tuple[Ints, Ints]:
+        """What the channels show of coordinates (lines, channels, n), and of inputs (lines, channels, r + s)."""
+        n, inputs = self.S.shape
+        C = np.zeros((len(s), len(view.channels), n), dtype=np.int64)
+        G = np.zeros((len(s), len(view.channels), inputs), dtype=np.int64)
+        for c, e in np.argwhere(view.force):
+            push = self.strength[:, e] * field.residue(view.force[c, e]) % PRIME
+            for i, b in self.along_x[e]:
+                C[:, c, i] = (C[:, c, i] + push * b) % PRIME
+            for k, d in self.along_q[e]:
+                G[:, c, k] = (G[:, c, k] + push * d) % PRIME
+        for target, on in ((C, view.on_x), (G, view.on_q)):
+            for c, i in np.argwhere(on):
+                rate = _to_the_power(s, int(view.derivative[c]))
+                target[:, c, i] = (target[:, c, i] + rate * field.residue(on[c, i])) % PRIME
+        return C, G
+
+    def slopes(self, view: ObservationModel, law: Ints, x: Ints, q: Ints, adjoint: Ints) -> Ints:
+        """∂y/∂p at fixed q, (lines, channels, elements).
+
+        x (lines, n), q (lines, r + s), adjoint (lines, n, channels).
+        """
+        J = np.zeros((len(x), adjoint.shape[-1], law.shape[1]), dtype=np.int64)
+        for e in range(law.shape[1]):
+            elongation = np.zeros(len(x), dtype=np.int64)
+            effect = np.zeros((len(x), adjoint.shape[-1]), dtype=np.int64)
+            for i, b in self.along_x[e]:
+                elongation = (elongation + b * x[:, i]) % PRIME
+                effect = (effect - b * adjoint[:, i, :]) % PRIME
+            for k, d in self.along_q[e]:
+                elongation = (elongation + d * q[:, k]) % PRIME
+            for c in np.flatnonzero(view.force[:, e]):
+                effect[:, c] = (effect[:, c] + field.residue(view.force[c, e])) % PRIME
+            J[:, :, e] = effect * (law[:, e] * elongation % PRIME)[:, None] % PRIME
+        return J
+
+
+def _field_rig(model: Model, strength: Ints) -> _FieldRig:
+    x = {name: i for i, name in enumerate(model.coordinates)}
+    moved = {name: i for i, name in enumerate(model.displacement_inputs)}
+    along = [_proportions(element.along) for element in model.elements]
+    S = np.zeros((model.n, len(model.inputs)), dtype=np.int64)
+    for i, k in np.argwhere(model.S):
+        S[i, len(moved) + k] = field.residue(model.S[i, k])
+    return _FieldRig(
+        [[(x[point], b) for point, b in ends.items() if point in x] for ends in along],
+        [[(moved[point], d) for point, d in ends.items() if point in moved] for ends in along],
+        strength,
+        S,
+    )
+
+
+def _to_the_power(s: Ints, power: int) -> Ints:
+    result = np.ones_like(s)
+    for _ in range(power):
+        result = result * s % PRIME
+    return result
 
 
 def _proportions(along: Mapping[str, float]) -> dict[str, int]:
@@ -265,7 +301,12 @@ def nominal(model: Model, channels: Sequence[Channel]) -> tuple[Real, float]:
 
 
 def floating(
-    model: Model, channels: Sequence[Channel], lines: Lines, psi: Real, rate: float, rng: np.random.Generator
+    model: Model,
+    channels: Sequence[Channel],
+    lines: LinePattern,
+    psi: Real,
+    rate: float,
+    rng: np.random.Generator,
 ) -> Real:
     """The rows of `exact` at ψ, real, each channel of size 1; frequencies around `rate` (rad/s) and inputs at random.
 

@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from dashpot.check.chi2_surface import surface
-from dashpot.check.collinearity import weakness
+from dashpot.check.chi2_surface import chi2_surface
+from dashpot.check.collinearity import collinearity
 from dashpot.check.profile import profile
 from dashpot.check.sensitivity import known_errors
 from dashpot.data.spectrum import Spectrum
@@ -95,7 +95,7 @@ def test_a_weak_combination_is_named_with_its_effect() -> None:
     rig = two_dampers()
     spectrum = measured(rig, 1e-5)
     estimate = identify(rig.model, spectrum)
-    found = weakness(surface(rig.model, spectrum, estimate), estimate.covariance)
+    found = collinearity(chi2_surface(rig.model, spectrum, estimate), estimate.covariance)
     [weak] = found.combinations
     assert set(weak.names) == {"c", "h"}
     omega = 2 * np.pi * 3.0
@@ -118,7 +118,7 @@ def test_a_sound_test_has_no_weak_combination_and_shares_add_up() -> None:
     rig = paper_rig()
     spectrum = measured(rig)
     estimate = identify(rig.model, spectrum)
-    found = weakness(surface(rig.model, spectrum, estimate), estimate.covariance)
+    found = collinearity(chi2_surface(rig.model, spectrum, estimate), estimate.covariance)
     assert found.combinations == ()
     np.testing.assert_allclose(np.sum(found.shares, axis=0), 1.0)
     assert found.idle == ()
@@ -131,7 +131,7 @@ def test_a_line_with_a_thousand_times_the_noise_is_idle() -> None:
     V[7] *= 1e6
     loud = replace(spectrum, covariance=V)
     estimate = identify(rig.model, loud)
-    assert weakness(surface(rig.model, loud, estimate), estimate.covariance).idle == (7,)
+    assert collinearity(chi2_surface(rig.model, loud, estimate), estimate.covariance).idle == (7,)
 
 
 def test_profile_of_a_parabola_is_the_normal_interval() -> None:

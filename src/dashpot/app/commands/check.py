@@ -59,10 +59,11 @@ def command(
     from dashpot.app.data_files import read_spectrum
     from dashpot.app.files import write_result
     from dashpot.check.identifiability import structure
-    from dashpot.check.report import structure_content
-    from dashpot.errors import IdentifiabilityError, UsageError
+    from dashpot.errors import UsageError
     from dashpot.io.json_document import to_json
     from dashpot.model.rigfile import read_rig
+    from dashpot.present.content.check import structure_content
+    from dashpot.present.text.identifiability import require_full_rank
 
     if (profiled or known) and not data:
         raise UsageError("--profile and --known need data", cure="name the data files after the rig file")
@@ -71,14 +72,13 @@ def command(
     spectrum = read_spectrum(rig_read, data, conditioning, quiet) if data else None
     channels = rig_read.channels if spectrum is None else spectrum.channels
     verdict = structure(rig_read.model, channels, spectrum, seed)
-    content = structure_content(rig_read.model.name, verdict)
+    content = structure_content(rig_read.model, channels, verdict)
     parts: list[Any] = []
     if verdict.identifiable and spectrum is not None:
         wanted = [name for text in profiled for name in names(text)]
         parts = _with_data(rig_read, spectrum, content, wanted, known, level, seed)
     write_result(json_out, to_json(content))
-    if not verdict.identifiable:
-        raise IdentifiabilityError(verdict.problems(rig))
+    require_full_rank(verdict, rig_read.model, channels, rig)
     if not quiet and json_out != STDOUT:
         _show(verdict, [channel.name for channel in channels], spectrum, parts)
     return 0
@@ -110,20 +110,20 @@ def _with_data(
     seed: int,
 ) -> list[Any]:
     """What the data say: paragraphs and tables to print; the same goes into `content`."""
-    from dashpot.check.chi2_surface import surface
-    from dashpot.check.collinearity import weakness
+    from dashpot.check.chi2_surface import chi2_surface
+    from dashpot.check.collinearity import collinearity
     from dashpot.check.profile import profile
-    from dashpot.check.report import known_content, profile_content, weakness_content
     from dashpot.check.sensitivity import known_errors
     from dashpot.estimate.identify import automatic, identify
     from dashpot.estimate.registry import method
-    from dashpot.present.tables.check import profile_in_words, weakness_in_words
+    from dashpot.present.content.check import collinearity_content, known_content, profile_content
+    from dashpot.present.tables.check import collinearity_in_words, profile_in_words
 
     estimate = identify(rig.model, spectrum, method(automatic(rig.model, spectrum).name, seed=seed))
-    weak = weakness(surface(rig.model, spectrum, estimate), estimate.covariance)
-    content["data"] = weakness_content(weak, spectrum)
+    weak = collinearity(chi2_surface(rig.model, spectrum, estimate), estimate.covariance)
+    content["data"] = collinearity_content(weak, spectrum)
     units = dict(zip(estimate.names, estimate.units, strict=True))
-    parts: list[Any] = [weakness_in_words(weak, spectrum, units)]
+    parts: list[Any] = [collinearity_in_words(weak, spectrum, units)]
     if profiled:
         profiles = [profile(rig.model, spectrum, name, level, estimate) for name in profiled]
         content["profiles"] = [profile_content(one) for one in profiles]

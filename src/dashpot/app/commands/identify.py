@@ -67,10 +67,10 @@ def command(
     converge.
     """
     from dashpot.app.files import write_result
-    from dashpot.check.identifiability import require_identifiable
     from dashpot.check.scale import require_scale_seen
     from dashpot.io.atomic import write_text
     from dashpot.model.rigfile import read_rig
+    from dashpot.present.text.identifiability import require_identifiable
 
     rig_read = read_rig(rig)
     model = rig_read.model

@@ -11,7 +11,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from dashpot.check.collinearity import Combination, Weakness
+from dashpot.check.collinearity import Collinearity, Combination
 from dashpot.check.identifiability import Structure
 from dashpot.check.profile import Profile
 from dashpot.check.sensitivity import KnownErrors
@@ -28,11 +28,11 @@ def structure_in_words(found: Structure, channels: Sequence[str], lines: int | N
     unknowns = f"The {count} unknowns" if count > 1 else "The unknown"
     by = f"from {listed(channels)}" if lines is None else f"from {listed(channels)} at these {lines} lines"
     told = [f"Identifiable: {unknowns} ({listed(found.names)}) can be found {by}."]
-    if found.leaning:
-        told.append(f"Only the stated sd of {listed(found.leaning)} makes it so: intervals rest on that.")
-    for one, other in found.exchanges:
+    if found.prior_dependent:
+        told.append(f"Identifiable only through the prior on {listed(found.prior_dependent)}.")
+    for one, other in found.permutation_ambiguities:
         told.append(
-            f"{one} and {other} are not seen and alike: the data cannot tell which is which. "
+            f"{one} and {other} are unmeasured and interchangeable. "
             "Give an element of one of them a min or max."
         )
     return told
@@ -57,13 +57,11 @@ def combination_in_words(one: Combination, units: dict[str, str]) -> str:
     )
 
 
-def weakness_in_words(found: Weakness, spectrum: Spectrum, units: dict[str, str]) -> list[str]:
+def collinearity_in_words(found: Collinearity, spectrum: Spectrum, units: dict[str, str]) -> list[str]:
     """Weak combinations and idle lines, one paragraph each."""
     told = [combination_in_words(one, units) for one in found.combinations]
     if not told:
-        told.append(
-            "No combination of unknowns is hardly seen: no interval is ten times wider for doubt about others."
-        )
+        told.append("No strong collinearity: no interval is inflated tenfold.")
     if found.idle:
         idle = listed(f"{spectrum.frequency_hz[line]:.4g}" for line in found.idle)
         told.append(f"Lines that carry next to nothing for any unknown: {idle} Hz.")

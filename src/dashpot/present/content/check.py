@@ -2,46 +2,55 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
-from dashpot.check.collinearity import Weakness
+from dashpot.channel import Channel
+from dashpot.check.collinearity import Collinearity
+from dashpot.check.directions import Deficiency
 from dashpot.check.identifiability import Structure
 from dashpot.check.profile import Profile
 from dashpot.check.sensitivity import KnownErrors
 from dashpot.data.spectrum import Spectrum
+from dashpot.model.network import Model
+from dashpot.present.text.identifiability import combinations_in_words, in_words
 
 FORMAT = "0.1"
 
 
-def structure_content(model: str, found: Structure) -> dict[str, Any]:
+def structure_content(model: Model, channels: Sequence[Channel], found: Structure) -> dict[str, Any]:
     """Whether the rig is identifiable; directions are changes of unknowns, in their units, at `nominal`."""
     return {
         "dashpot": FORMAT,
-        "model": model,
+        "model": model.name,
         "identifiable": found.identifiable,
         "unknowns": list(found.names),
         "rank": found.rank,
         "nominal": dict(zip(found.names, found.nominal.tolist(), strict=True)),
-        "deficiencies": [
-            {
-                "sort": one.sort,
-                "unknowns": list(one.names),
-                "can_be_found": list(one.found),
-                "what": one.what,
-                "cure": one.cure,
-                "directions": [
-                    {name: x for name, x in zip(found.names, row, strict=True) if x != 0}
-                    for row in one.directions.tolist()
-                ],
-            }
-            for one in found.deficiencies
-        ],
-        "exchangeable": [list(pair) for pair in found.exchanges],
-        "rests_on_sd_of": list(found.leaning),
+        "deficiencies": [_deficiency(one, found, model, channels) for one in found.deficiencies],
+        "exchangeable": [list(pair) for pair in found.permutation_ambiguities],
+        "rests_on_sd_of": list(found.prior_dependent),
     }
 
 
-def weakness_content(found: Weakness, spectrum: Spectrum) -> dict[str, Any]:
+def _deficiency(
+    one: Deficiency, found: Structure, model: Model, channels: Sequence[Channel]
+) -> dict[str, Any]:
+    what, cure = in_words(one, found, model, channels)
+    return {
+        "sort": one.sort,
+        "unknowns": list(one.names),
+        "can_be_found": list(combinations_in_words(one)),
+        "what": what,
+        "cure": cure,
+        "directions": [
+            {name: x for name, x in zip(found.names, row, strict=True) if x != 0}
+            for row in one.directions.tolist()
+        ],
+    }
+
+
+def collinearity_content(found: Collinearity, spectrum: Spectrum) -> dict[str, Any]:
     """Weak combinations and what each line contributes."""
     return {
         "weak_combinations": [

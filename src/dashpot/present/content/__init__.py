@@ -1,0 +1,1 @@
+"""Results as plain content for JSON: numbers, texts, lists and tables."""

@@ -1,0 +1,250 @@
+"""What cannot be found of a rig, in words of physics, with what would help."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from fractions import Fraction
+
+import numpy as np
+
+from dashpot.arrays import Real
+from dashpot.channel import Channel, Quantity
+from dashpot.check.directions import Deficiency
+from dashpot.check.identifiability import Structure, is_large, structure
+from dashpot.check.scale import require_scale
+from dashpot.data.spectrum import Spectrum
+from dashpot.errors import IdentifiabilityError, Problem
+from dashpot.io.words import listed
+from dashpot.model.elements import Kind
+from dashpot.model.network import Model
+
+_POWERS = {"sum": 0, "scale": 1, "series": 2}  # of the unknowns, along the directions
+
+
+def require_identifiable(
+    model: Model, channels: Sequence[Channel], where: str | None = None, spectrum: Spectrum | None = None
+) -> None:
+    """Raises IdentifiabilityError with one problem for each thing that cannot be found, placed at the file `where`.
+
+    Of large rigs only the scale of the forces is checked.
+    """
+    if is_large(model):
+        require_scale(model, channels, where)
+    else:
+        require_full_rank(structure(model, channels, spectrum), model, channels, where)
+
+
+def require_full_rank(
+    found: Structure, model: Model, channels: Sequence[Channel], where: str | None = None
+) -> None:
+    """The same for a structure that has been worked out."""
+    if not found.identifiable:
+        raise IdentifiabilityError(problems_in_words(found, model, channels, where))
+
+
+def problems_in_words(
+    found: Structure, model: Model, channels: Sequence[Channel], where: str | None = None
+) -> list[Problem]:
+    """One Problem for each deficiency."""
+    said = [in_words(one, found, model, channels) for one in found.deficiencies]
+    return [Problem(what, where, cure) for what, cure in said]
+
+
+def in_words(one: Deficiency, found: Structure, model: Model, channels: Sequence[Channel]) -> tuple[str, str]:
+    """(what cannot be told apart, what would help) of one deficiency of a rig."""
+    what, cure = _said(one, found, model, channels)
+    return what, cure + (f", or measure {_sensors(one.sensors, model)}" if one.sensors else "")
+
+
+def combinations_in_words(one: Deficiency) -> tuple[str, ...]:
+    """The sums, products or sums of reciprocals that can be found."""
+    power = _POWERS.get(one.sort, 0)
+    return tuple(_combination(row, one.names, power) for row in one.combinations)
+
+
+def _said(one: Deficiency, found: Structure, model: Model, channels: Sequence[Channel]) -> tuple[str, str]:
+    names, count = one.names, len(one.directions)
+    give = "give one of them a value" if count == 1 else f"give {count} of them a value"
+    elements = {element.name for element in model.elements}
+    if one.sort == "unseen":
+        return _unseen(one, found, model, channels)
+    if one.sort == "lines":
+        return _lines(one, found)
+    if one.sort == "mixed":
+        return _moves(one, found), give
+    if one.sort == "scale":
+        return _scaled(one, found, model, give)
+    only = combinations_in_words(one)
+    what = f"of {listed(names)} only {listed(only)} can be found"
+    if not only:
+        what = f"{listed(names)} can change by any amounts"
+    if one.sort == "sum" and elements.issuperset(names):
+        reason, more = _parallel(names, model)
+        return f"{what}: {reason}", f"{give}{more}"
+    if one.sort == "series":
+        what += f": they are in series{_between(names, model)}"
+    return what, give
+
+
+def _parallel(names: tuple[str, ...], model: Model) -> tuple[str, str]:
+    """Why sums are all there is, and a cure beside values."""
+    elements = [element for element in model.elements if element.name in names]
+    matrices = {e.law.matrix for e in elements}
+    tied = {e.same_as for e in model.elements if e.same_as is not None}
+    first = elements[0].along
+    if len(matrices) > 1:
+        return "nothing that is measured tells them apart", ""
+    if not tied & set(names) and all(_alike(first, e.along) for e in elements):
+        together = "both" if len(elements) == 2 else "all"
+        verb = "move with" if elements[0].kind is Kind.MASS and len(first) == 1 else "join"
+        return f"{together} {verb} {_place(first)}", ", or attach one elsewhere"
+    return "together they act as one element would", ", or attach one elsewhere"
+
+
+def _scaled(one: Deficiency, found: Structure, model: Model, give: str) -> tuple[str, str]:
+    names = one.names
+    elements = [element for element in model.elements if element.name in names]
+    masses = [element.name for element in elements if element.kind is Kind.MASS]
+    cure = f"{give} (weigh {masses[0]}, say)" if masses else give
+    exponents = _relative(one, found)
+    even = len(exponents) == 1 and np.allclose(exponents[0], exponents[0, 0], rtol=1e-5)
+    if even and set(names) == {unknown.name for unknown in model.unknowns}:
+        driven = "" if model.force_inputs else " and only displacements go in"
+        together = f"all forces scale together: only the ratios of {listed(names)} can be found"
+        return f"nothing is known{driven}, so {together}", cure
+    if even and not elements:
+        return f"only the ratios of {listed(names)} can be found", give
+    if even:
+        return f"the forces of {listed(names)} scale together: only their ratios can be found", cure
+    only = combinations_in_words(one)
+    if len(only) <= 6:
+        return f"of {listed(names)} only {listed(only)} can be found", cure
+    up = [n for n, x in zip(names, exponents[0], strict=True) if x > 0]
+    down = [n for n, x in zip(names, exponents[0], strict=True) if x < 0]
+    text = f"{listed(up)} may grow by any factor while {listed(down)} shrink by it (or a power of it)"
+    return f"only products and ratios of {listed(names)} can be found: {text}", cure
+
+
+def _moves(one: Deficiency, found: Structure) -> str:
+    """A direction that depends on the rig, in per cent at the nominal values."""
+    columns = [found.names.index(name) for name in one.names]
+    parts = []
+    for direction, share in zip(one.directions[:2, columns], _relative(one, found)[:2], strict=True):
+        moved = [
+            f"{name} {absolute:+.2g} s" if name.endswith(".delay") else f"{name} {_share(100 * part)} %"
+            for name, absolute, part in zip(one.names, direction, share, strict=True)
+            if part != 0
+        ]
+        parts.append(", ".join(moved[:8]) + (" …" if len(moved) > 8 else ""))
+    count = len(one.directions)
+    more = "" if count <= 2 else f" and {count - 2} more"
+    return (
+        f"{listed(one.names)} can change together without a trace "
+        f"(at about the nominal values {' or '.join(parts)}{more})"
+    )
+
+
+def _relative(one: Deficiency, found: Structure) -> Real:
+    """The directions in parts of the nominal values, (k, names)."""
+    columns = [found.names.index(name) for name in one.names]
+    scale = np.where(found.nominal == 0, 1.0, found.nominal)
+    relative: Real = (one.directions / scale)[:, columns]
+    return relative
+
+
+def _unseen(one: Deficiency, found: Structure, model: Model, channels: Sequence[Channel]) -> tuple[str, str]:
+    inputs = [*model.displacement_inputs, *model.force_inputs]
+    quiet = [u for u in inputs if not any(u in channel.of for channel in channels)]
+    if len(one.names) == len(found.names) and quiet:
+        count = len(channels)
+        seen = "one channel" if count == 1 else f"{count} channels"
+        what = (
+            f"{seen} cannot separate the rig from its unmeasured input{'s'[: len(quiet) - 1]} {listed(quiet)}"
+        )
+        return what, f"measure {quiet[0]}, or more points"
+    give = "give it a value or leave it out" if len(one.names) == 1 else "give them values or leave them out"
+    return f"nothing that is measured depends on {listed(one.names)}", give
+
+
+def _lines(one: Deficiency, found: Structure) -> tuple[str, str]:
+    assert one.lines is not None
+    count, frequencies, more = one.lines.lines, one.lines.frequencies, one.lines.missing
+    M = len(found.names)
+    at = "1 frequency" if frequencies == 1 else f"{frequencies} frequencies"
+    held = f"{count} line{'' if count == 1 else 's'} at {at}"
+    what = f"{held} fix only {found.rank} combinations of the {M} unknowns: {listed(one.names)} stay open"
+    need = "" if more is None else f"measure at {more} more frequenc{'y' if more == 1 else 'ies'}, or "
+    return what, f"{need}give {M - found.rank} of them a value"
+
+
+def _between(names: tuple[str, ...], model: Model) -> str:
+    points = [set(e.along) for e in model.elements if e.name in names]
+    shared = set.intersection(*points) if points else set()
+    return f" through {listed(sorted(shared))}" if shared else ""
+
+
+def _sensors(sensors: Sequence[Channel], model: Model) -> str:
+    """The first four sensors: "x1, x2 or the force that moves u"."""
+    names = []
+    for channel in sensors[:4]:
+        (name,) = channel.of
+        if channel.quantity is Quantity.FORCE:
+            name = f"the force {name}" if name in model.force_inputs else f"the force that moves {name}"
+        names.append(name)
+    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} or {names[-1]}"
+
+
+def _combination(row: Real, names: Sequence[str], power: int) -> str:
+    """A sum, a product or a sum of reciprocals as text."""
+    terms = [(_simple(float(x)), name) for x, name in zip(row, names, strict=True) if x != 0]
+    return _product(terms) if power == 1 else _sum(terms, reciprocal=power == 2)
+
+
+def _product(terms: Sequence[tuple[float, str]]) -> str:
+    over = [_to_the(name, x) for x, name in terms if x > 0]
+    under = [_to_the(name, -x) for x, name in terms if x < 0]
+    top = "·".join(over) if over else "1"
+    below = under[0] if len(under) == 1 else f"({'·'.join(under)})"
+    return f"{top}/{below}" if under else top
+
+
+def _sum(terms: Sequence[tuple[float, str]], reciprocal: bool) -> str:
+    text = ""
+    for x, name in terms:
+        size = "" if abs(abs(x) - 1) < 1e-9 else f"{abs(x):.4g}"
+        if reciprocal:
+            body = f"{size or '1'}/{name}"
+        else:
+            body = f"{size}·{name}" if size else name
+        text += (" - " if x < 0 else " + ") + body if text else ("-" if x < 0 else "") + body
+    return text
+
+
+def _simple(x: float) -> float:
+    near = float(Fraction(x).limit_denominator(12))
+    return near if abs(near - x) < 1e-5 * abs(x) else x
+
+
+def _to_the(name: str, x: float) -> str:
+    return name if abs(x - 1) < 1e-9 else f"{name}^{x:.3g}"
+
+
+def _alike(first: Mapping[str, float], second: Mapping[str, float]) -> bool:
+    """Whether two elements are stretched alike, but for a factor."""
+    if first.keys() != second.keys():
+        return False
+    ratios = [second[point] / first[point] for point in first]
+    return bool(np.allclose(ratios, ratios[0]))
+
+
+def _place(along: Mapping[str, float]) -> str:
+    ends = list(along)
+    if len(ends) == 1:
+        return f"{ends[0]} to ground"
+    if len(ends) == 2 and abs(sum(along.values())) < 1e-12:
+        return f"{ends[0]} to {ends[1]}"
+    return "the same points"
+
+
+def _share(percent: float) -> str:
+    return f"{percent:+.0f}" if abs(percent) >= 99.5 else f"{percent:+.2g}"
