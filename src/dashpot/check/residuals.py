@@ -200,7 +200,7 @@ def _estimator(g: Complex, V: Complex) -> Complex:
 
 
 @dataclass(frozen=True)
-class Curve:
+class ResponseCurve:
     """Frequency response of each channel to the one input of a rig.
 
     frequency_hz (points,), response (points, channels): the model's; lines_hz (lines,), measured (lines, channels):
@@ -223,7 +223,7 @@ def response_curve(
     found: Residuals,
     points: int = 400,
     calibrations: Calibrations | None = None,
-) -> Curve | None:
+) -> ResponseCurve | None:
     """The model's response between the lines; None where the rig has more than one input."""
     if len(model.inputs) != 1:
         return None
@@ -233,7 +233,7 @@ def response_curve(
     G = channel_response(model, p, spectrum.channels, 2 * np.pi * grid, calibrations)[..., 0]
     v = found.inputs[:, :1]
     with np.errstate(divide="ignore", invalid="ignore"):
-        return Curve(
+        return ResponseCurve(
             grid, G, found.frequency_hz, found.measured / v, found.predicted / v, found.sd / np.abs(v)
         )
 

@@ -65,16 +65,16 @@ def known_errors(
     uncertain = [u for u in model.unknowns if u.sd is not None]
     if not exact and not uncertain:
         raise UsageError("no parameter of the rig is known", cure="there is nothing whose error could matter")
-    exact_names, uncertain_names = tuple(e.name for e in exact), tuple(u.name for u in uncertain)
-    known = (*exact_names, *uncertain_names)
+    rows: list[tuple[str, str, float | None, float | None]] = [
+        *((e.name, model.unit(e), e.value, np.nan) for e in exact),
+        *((u.name, u.unit, u.prior, u.sd) for u in uncertain),
+    ]
+    known, units, values, stated = zip(*rows, strict=True)
     chosen = automatic(model, spectrum) if method is None else method
     if chosen.efficient or chosen.by_output:
-        slopes = _from_slopes(model, spectrum, estimate, exact_names, uncertain_names)
+        slopes = _from_slopes(model, spectrum, estimate, known[: len(exact)], known[len(exact) :])
     else:
         slopes = np.array([_by_repetition(model, spectrum, chosen, name) for name in known])
-    units = (*(model.unit(e) for e in exact), *(u.unit for u in uncertain))
-    values = [*(e.value for e in exact), *(u.prior for u in uncertain)]
-    stated = [*(np.nan for _ in exact), *(u.sd for u in uncertain)]
     return KnownErrors(
         known, units, np.array(values, dtype=float), np.array(stated, dtype=float), estimate.names, estimate.units,
         estimate.values, slopes,

@@ -26,7 +26,7 @@ def calibration(channels: Sequence[Channel], frequency_hz: Real) -> Complex:
 
 def real_factor(channel: Channel) -> float:
     """Known sign · gain."""
-    factor = (1.0 if channel.gain is None else channel.gain) * (1.0 if channel.sign is None else channel.sign)
+    factor = channel.factor
     if factor == 0 or not np.isfinite(factor):
         raise DataError(
             f"channel {channel.name} has gain · sign = {factor:g}", cure="give a factor other than zero"

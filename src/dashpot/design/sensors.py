@@ -80,10 +80,9 @@ def choose(
             score(chosen)
     else:
         _exchange(pool, count, score)
-    sets = sorted((chosen for chosen in figures if len(chosen) == count), key=lambda chosen: figures[chosen])
-    finals = {chosen: figure(chosen, grid) for chosen in sets[:3]}
-    ranking = [(c, finals.get(c, figures[c])) for c in sets if np.isfinite(figures[c])]
-    ranking.sort(key=lambda entry: entry[1])
+    sets = sorted((chosen for chosen in figures if len(chosen) == count), key=figures.__getitem__)
+    figures |= {chosen: figure(chosen, grid) for chosen in sets[:3]}
+    ranking = sorted(((c, figures[c]) for c in sets if np.isfinite(figures[c])), key=lambda entry: entry[1])
     if not ranking or not np.isfinite(ranking[0][1]):
         raise IdentifiabilityError(
             f"no {count} of these sensors determine the unknowns",

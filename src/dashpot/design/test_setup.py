@@ -15,7 +15,7 @@ from dashpot.design.information import Outputs, outputs, per_sample
 from dashpot.errors import ModelError, UsageError
 from dashpot.model.modes import modes
 from dashpot.model.network import Model
-from dashpot.model.observation import calibration_names
+from dashpot.model.observation import calibration_names, channel_unit, input_channels
 
 UNDAMPED = 1e-7  # damping ratio that is rounding
 CHUNK = 300_000  # complex numbers at once: they stay in the cache
@@ -230,11 +230,7 @@ class TestSetup:
 
 def drive_units(model: Model) -> dict[str, str]:
     """SI units of the inputs by name: m or rad of those that are moved, N or N·m of forces."""
-    found = {name: "rad" if name in model.angles else "m" for name in model.displacement_inputs}
-    for one in model.inputs:
-        if one.name in model.force_inputs:
-            found[one.name] = "N·m" if set(one.at) <= set(model.angles) else "N"
-    return found
+    return {channel.name: channel_unit(model, channel) for channel in input_channels(model)}
 
 
 def drive_patterns(model: Model, chosen: Sequence[str] = ()) -> Complex:

@@ -194,34 +194,31 @@ def observation_model(model: Model, channels: Sequence[Channel], omega: Real) ->
 
 def _incidence(model: Model, channels: Sequence[Channel]) -> tuple[Real, Real, Real]:
     """Factors of the channels on coordinates, on inputs and on element forces; each (channels, …)."""
-    x = {name: i for i, name in enumerate(model.coordinates)}
+    r, s = len(model.displacement_inputs), len(model.force_inputs)
+    on_x, on_q, force = parts = tuple(
+        np.zeros((len(channels), size)) for size in (model.n, r + s, len(model.elements))
+    )
     moved = {name: j for j, name in enumerate(model.displacement_inputs)}
-    applied = {name: len(moved) + j for j, name in enumerate(model.force_inputs)}
-    elements = {element.name: i for i, element in enumerate(model.elements)}
-    on_x = np.zeros((len(channels), model.n))
-    on_q = np.zeros((len(channels), len(moved) + len(applied)))
-    force = np.zeros((len(channels), len(elements)))
+    points = {name: (on_x, i) for i, name in enumerate(model.coordinates)}
+    points |= {name: (on_q, j) for name, j in moved.items()}
+    forces = {name: (on_q, r + j) for j, name in enumerate(model.force_inputs)}
+    forces |= {element.name: (force, i) for i, element in enumerate(model.elements)}
     for c, channel in enumerate(channels):
         is_force = channel.quantity is Quantity.FORCE
         for name, factor in channel.of.items():
-            if is_force and name in elements:
-                force[c, elements[name]] += factor
+            part, column = (forces if is_force else points).get(name, (None, 0))
+            if part is not None:
+                part[c, column] += factor
             elif is_force and name in moved:
                 force[c] += factor * model.D[:, moved[name]]
-            elif is_force and name in applied:
-                on_q[c, applied[name]] += factor
-            elif not is_force and name in x:
-                on_x[c, x[name]] += factor
-            elif not is_force and name in moved:
-                on_q[c, moved[name]] += factor
             else:
-                there = [*moved, *applied, *elements] if is_force else [*x, *moved]
+                what, names = ("the force of ", [*moved, *forces]) if is_force else ("", list(points))
                 raise DataError(
-                    f"channel {channel.name} measures {'the force of ' if is_force else ''}{name}, which the rig has "
-                    "not",
-                    cure=f"it has {', '.join(there)}",
+                    f"channel {channel.name} measures {what}{name}, which the rig has not",
+                    cure=f"it has {', '.join(names)}",
                 )
-    return frozen(on_x, np.float64), frozen(on_q, np.float64), frozen(force, np.float64)
+    on_x, on_q, force = (frozen(part, np.float64) for part in parts)
+    return on_x, on_q, force
 
 
 def _unknown_calibrations(channels: Sequence[Channel]) -> tuple[Ints, Ints]:

@@ -11,8 +11,8 @@ from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup
 
 from dashpot.check.residuals import (
-    Curve,
     Residuals,
+    ResponseCurve,
     calibrations_of,
     correlation,
     distance_from_end,
@@ -157,7 +157,7 @@ def _pictures(model: Model, spectrum: Spectrum, estimate: Estimate, found: Resid
     return pictures
 
 
-def _responses(found: Residuals, curve: Curve | None) -> Picture:
+def _responses(found: Residuals, curve: ResponseCurve | None) -> Picture:
     """Amplitudes and phases; of a rig with one input over that input, the input's own channel left out."""
     driven = [i for i, name in enumerate(found.channels) if name not in found.input_names] or [0]
     chosen = driven[:MOST_PANELS]
