@@ -29,6 +29,7 @@ HELPS = 0.5  # χ² per degree of freedom must fall below this part of what it w
 ALIKE = 1.6  # ratio of what is left within which two causes explain alike
 RATES = (2 * np.pi, 1 / (2 * np.pi), 2.0, 0.5, 60.0, 1 / 60)
 MOST_DWELLS = 40
+RELABELLED = 6.0  # χ² for each number of a dwell below which it belongs to another frequency
 SIGN = Likeness(-1.0, 0, 0.0, False, 0.0)
 MOST = 5  # findings that are named
 
@@ -161,7 +162,15 @@ def _dwells(bench: Workbench, base: Trial, pool: Sequence[Real]) -> list[Cause]:
         without(base, "dwell", (f"{frequency[line]:g} Hz",), _only(base.kept, line=int(line)))
         for line in sorted(worst.tolist()) if lines > 3
     ]
-    return [_of_outcome(outcome) for outcome in bench.refitted(trials, pool)]
+    outcomes = bench.refitted(trials, pool)
+    found = [_of_outcome(outcome) for outcome in outcomes]
+    if outcomes:
+        best = min(outcomes, key=lambda outcome: outcome.reduced)
+        line = sorted(worst.tolist())[outcomes.index(best)]
+        number, left = bench.other_frequency(best.psi, base, line)
+        if left < RELABELLED * base.y.shape[1] * 2:
+            found.append(Cause("frequency", best.trial.of, best.reduced, number))
+    return found
 
 
 def _points(element: Element, model: Model) -> tuple[str, ...]:

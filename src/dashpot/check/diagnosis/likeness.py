@@ -44,8 +44,11 @@ class Likeness:
 
     def rounded(self) -> list[Likeness]:
         """This, and before it what it may be meant to be: a usual ratio of units nearby, no delay."""
-        if self.conjugate or self.power or self.delay:
+        if self.conjugate or self.delay:
             return [self]
+        if self.power:
+            plain = replace(self, number=float(np.copysign(1.0, self.number)))
+            return [plain, self] if abs(np.log(abs(self.number))) < NEAR else [self]
         near = [ratio for ratio in RATIOS if abs(np.log(abs(self.number) / ratio)) < NEAR]
         exact = [replace(self, number=float(np.copysign(ratio, self.number))) for ratio in near]
         return [*exact, self]

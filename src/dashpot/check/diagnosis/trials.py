@@ -12,7 +12,7 @@ import numpy as np
 
 from dashpot.arrays import Bools, Complex, Ints, Real
 from dashpot.estimate.likelihood.maximum_likelihood import local
-from dashpot.estimate.likelihood.objective import Measured, ObservationModel, measured, predict
+from dashpot.estimate.likelihood.objective import Measured, ObservationModel, measured, observation_model, predict
 from dashpot.estimate.likelihood.starting_values import candidates
 from dashpot.estimate.linear.least_squares import compensated
 from dashpot.estimate.method import Prepared
@@ -23,6 +23,7 @@ DRAWS = 600  # rigs drawn at random as starts, ranked for every trial
 STARTS = 3  # of them that are followed, beside the estimate's own
 SHORT = 10  # iterations after which only the best start of a trial goes on
 LONG = 25
+REACH = (0.1, 10.0)  # times its stated frequency within which a dwell's own is looked for
 LIMIT = 2.0  # nepers and radians beyond which a residual of logarithms counts no more
 
 
@@ -131,6 +132,28 @@ class Workbench:
         data = measured(_prepared(self.data, trial), self.view)
         with np.errstate(all="ignore"):
             cost = predict(self.view, data, psi[None], self.sign[None]).cost_per_line[0]
+        return np.where(np.isfinite(cost), cost, np.inf)
+
+    def other_frequency(self, psi: Real, trial: Trial, line: int) -> tuple[float, float]:
+        """The frequency (Hz) at which one line would fit best at ψ (M,), and its χ² there."""
+        spectrum = self.data.spectrum
+        low, high = np.log(REACH[0]), np.log(REACH[1])
+        middle, left = float(spectrum.frequency_hz[line]), np.inf
+        for points in (3000, 400):
+            grid = middle * np.exp(np.linspace(low, high, points))
+            cost = self._as_if_at(psi, trial, line, grid)
+            middle, left = float(grid[int(np.argmin(cost))]), float(np.min(cost))
+            low, high = (edge * 4 / points for edge in (low, high))
+        return middle, left
+
+    def _as_if_at(self, psi: Real, trial: Trial, line: int, grid: Real) -> Real:
+        rows = [line] * len(grid)
+        spectrum = replace(self.data.spectrum.select(rows), frequency_hz=grid)
+        view = observation_model(self.data.model, spectrum.channels, spectrum.omega)
+        there = replace(trial, y=trial.y[rows], V=trial.V[rows], kept=trial.kept[rows])
+        data = measured(_prepared(replace(self.data, spectrum=spectrum), there), view)
+        with np.errstate(all="ignore"):
+            cost = predict(view, data, psi[None], self.sign[None]).cost_per_line[0]
         return np.where(np.isfinite(cost), cost, np.inf)
 
     def _fitted(

@@ -1,0 +1,159 @@
+"""Findings in words, each with the line to write in the rig file."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from dashpot import units
+from dashpot.channel import Channel, Quantity
+from dashpot.check.diagnosis.diagnose import Cause
+from dashpot.check.diagnosis.findings import Finding
+from dashpot.check.diagnosis.likeness import CLOSE, Likeness
+from dashpot.errors import DashpotError
+from dashpot.model.elements import Element, Kind
+from dashpot.model.network import Model
+from dashpot.model.rigfile import channel_line, element_line, sections
+
+USUAL_UNITS = {
+    Quantity.DISPLACEMENT: ("m", "mm", "µm", "cm", "in", "deg", "rad"),
+    Quantity.VELOCITY: ("m/s", "mm/s", "in/s", "rpm", "rad/s", "deg/s"),
+    Quantity.ACCELERATION: ("m/s²", "g", "mm/s²", "rad/s²"),
+    Quantity.FORCE: ("N", "kN", "mN", "lbf"),
+}
+DERIVATIVES = (Quantity.DISPLACEMENT, Quantity.VELOCITY, Quantity.ACCELERATION)
+RATIOS_IN_WORDS = {
+    2**0.5: "peak values for rms", 0.5**0.5: "rms for peak values", 2.0: "peak to peak", 0.5: "half of it",
+}  # fmt: skip
+
+
+def finding(model: Model, channels: tuple[Channel, ...], cause: Cause) -> Finding:
+    """A cause in words.  Texts name no option of any command."""
+    by_name = {channel.name: channel for channel in channels}
+    if cause.kind in ("sign", "unit", "gain", "delay", "quantity") and cause.of[0] in by_name:
+        return _of_channel(model, by_name[cause.of[0]], cause)
+    if cause.kind == "swap":
+        return _swap(model, by_name[cause.of[0]], by_name[cause.of[1]], cause)
+    if cause.kind in ("element", "value") and cause.element is not None:
+        return _of_rig(model, cause, cause.element)
+    text, change = _of_data(cause)
+    return Finding(cause.kind, cause.of, text, change, cause.remaining, cause.number)
+
+
+def _of_channel(model: Model, channel: Channel, cause: Cause) -> Finding:
+    name, number = channel.name, 1.0 if cause.number is None else cause.number
+    relation = cause.likeness
+    if cause.kind == "sign":
+        mended = replace(channel, sign=-1.0 if channel.sign is None else -channel.sign)
+        text = f"{name} reads {_number(number)} × what the rig gives: wrong sign?"
+    elif cause.kind == "delay":
+        late = (0.0 if channel.delay is None else channel.delay) + number
+        mended = replace(channel, delay=late)
+        word = "late" if number > 0 else "early"
+        text = f"{name} is {1e3 * abs(number):.3g} ms {word}"
+    elif cause.kind == "quantity" and relation is not None:
+        mended, text = _other_quantity(channel, relation)
+    else:
+        mended, text = _other_unit(channel, number)
+    line = channel_line(mended, model)
+    return Finding(
+        cause.kind, cause.of, text, f"[channels] {line}", cause.remaining, cause.number, channels=(mended,)
+    )
+
+
+def _other_quantity(channel: Channel, relation: Likeness) -> tuple[Channel, str]:
+    """Shown is (jω)^power times what the stated quantity would be."""
+    text = f"{channel.name} moves as another derivative of the motion than {channel.quantity.value} would"
+    if channel.quantity is Quantity.FORCE:
+        return channel, text
+    order = channel.quantity.derivative + relation.power
+    if not 0 <= order <= 2:
+        return channel, text
+    true = DERIVATIVES[order]
+    return (
+        replace(channel, quantity=true, unit="", scale=1.0),
+        f"{channel.name} behaves as {_article(true.value)}, not as {_article(channel.quantity.value)}",
+    )
+
+
+def _article(word: str) -> str:
+    return f"{'an' if word[0] in 'aeiou' else 'a'} {word}"
+
+
+def _other_unit(channel: Channel, number: float) -> tuple[Channel, str]:
+    text = f"{channel.name} reads {_number(number)} × what the rig gives"
+    for unit in USUAL_UNITS[channel.quantity]:
+        try:
+            scale = units.scale(unit, channel.quantity.value, unit in ("deg", "rad", "rpm"))
+        except DashpotError:
+            continue
+        if number > 0 and abs(scale * number / channel.scale - 1) < CLOSE:
+            stated = channel.unit if channel.unit else units.si_unit(channel.quantity.value)
+            return replace(channel, unit=unit, scale=scale), f"{text}: {unit}, not {stated}?"
+    gain = (1.0 if channel.gain is None else channel.gain) * number
+    for ratio, word in RATIOS_IN_WORDS.items():
+        if abs(abs(number) / ratio - 1) < CLOSE:
+            text = f"{text}: {word}?"
+    return replace(channel, gain=float(f"{gain:.6g}")), text
+
+
+def _swap(model: Model, first: Channel, second: Channel, cause: Cause) -> Finding:
+    new_first = replace(second, name=first.name)
+    new_second = replace(first, name=second.name)
+    change = f"[channels] {channel_line(new_first, model)}; {channel_line(new_second, model)}"
+    text = f"{first.name} and {second.name} are exchanged"
+    return Finding(cause.kind, cause.of, text, change, cause.remaining, None, channels=(new_first, new_second))
+
+
+def _of_rig(model: Model, cause: Cause, element: Element) -> Finding:
+    number = 0.0 if cause.number is None else cause.number
+    unit = element.kind.unit
+    if cause.kind == "value":
+        stated = next(own for own in model.elements if own.name == element.name)
+        text = f"{element.name} would be {number:.4g} {unit}, not {stated.value:g}"
+        mended = replace(stated, value=None, guess=float(f"{number:.4g}") if number > 0 else None)
+    else:
+        where = " and ".join(element.along) if len(element.along) > 1 else f"{next(iter(element.along))} and the ground"
+        place = f"at {next(iter(element.along))}" if element.kind is Kind.MASS else f"between {where}"
+        text = f"a {element.kind.value} {place} is missing: {number:.3g} {unit}"
+        mended = element
+    change = f"[{sections()[mended.kind]}] {element_line(mended)}"
+    return Finding(cause.kind, cause.of, text, change, cause.remaining, cause.number, elements=(mended,))
+
+
+def _of_data(cause: Cause) -> tuple[str, str]:
+    match cause.kind:
+        case "conjugate" if cause.of:
+            return f"the phase of {cause.of[0]} counts the other way", f"conjugate {cause.of[0]} in the data"
+        case "conjugate":
+            return (
+                "the phases count the other way: the data use e^(−jωt)",
+                "change the sign of the imaginary parts",
+            )
+        case "dwell":
+            return f"the dwell at {cause.of[0]} contradicts all others", f"leave out {cause.of[0]}, or measure it again"
+        case "frequency" if cause.of:
+            return (
+                f"the dwell labelled {cause.of[0]} moves as one of {cause.number:.4g} Hz would",
+                f"label it {cause.number:.4g} Hz",
+            )
+        case "frequency":
+            return _rate(1.0 if cause.number is None else cause.number)
+        case _:
+            name = cause.of[0] if cause.of else "one channel"
+            return (
+                f"{name} contradicts all other channels, in no simple way",
+                f"leave {name} out, or look at its sensor and its place",
+            )
+
+
+def _rate(number: float) -> tuple[str, str]:
+    """Frequencies are `number` times what is stated."""
+    usual = {0.159155: "rad/s are stated as Hz", 6.283185: "Hz are stated as rad/s", 0.016667: "per minute for Hz"}
+    word = next((word for ratio, word in usual.items() if abs(number / ratio - 1) < 1e-3), "the time base is wrong")
+    text = f"the rig moves as at {number:.4g} × the stated frequencies: {word}"
+    return text, f"multiply the frequencies by {number:.6g}"
+
+
+def _number(value: float) -> str:
+    text = f"{value:.4g}"
+    return text.replace("-", "−")
