@@ -7,24 +7,27 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from dashpot.arrays import Bools, Real
+from dashpot.arrays import Bools, Ints, Real
+from dashpot.channel import Quantity
 from dashpot.check.diagnosis.findings import ORDER
 from dashpot.check.diagnosis.likeness import RATIOS, Likeness, likeness
 from dashpot.check.diagnosis.rig_changes import changes
+from dashpot.check.diagnosis.search import Workbench
 from dashpot.check.diagnosis.trials import (
     Outcome,
     Trial,
-    Workbench,
     conjugated,
     scaled,
     swapped,
     untouched,
     without,
 )
-from dashpot.estimate.likelihood.objective import observation_model
-from dashpot.model.elements import Element
+from dashpot.model.elements import Element, Kind
 from dashpot.model.network import Model
+from dashpot.model.observation import measures_input, observation_model
 
+GAINS = tuple(np.exp(np.linspace(np.log(0.4), np.log(2.5), 11)))
+DELAYS = (-0.4, -0.2, -0.1, -0.05, -0.02, 0.02, 0.05, 0.1, 0.2, 0.4)  # periods of the highest frequency
 HELPS = 0.5  # χ² per degree of freedom must fall below this part of what it was
 ALIKE = 1.6  # ratio of what is left within which two causes explain alike
 RATES = (2 * np.pi, 1 / (2 * np.pi), 2.0, 0.5, 60.0, 1 / 60)
@@ -62,15 +65,30 @@ def causes(bench: Workbench, seed: int = 0) -> tuple[float, list[Cause]]:
     pool = [outcome.psi for outcome in searched]
     found = [_of_outcome(outcome) for outcome in (*without_one, *inputs)]
     found += _mended_channels(bench, base, without_one, pool)
-    found += [_of_outcome(outcome) for outcome in bench.refitted(_rearranged(base, channels), pool)]
+    usual = [*_rearranged(base, channels), *_usual_mistakes(bench, base)]
+    found += [_of_outcome(outcome) for outcome in bench.refitted(usual, pool)]
     found += _dwells(bench, base, pool)
     found += [
         Cause(change.kind, _points(change.element, bench.data.model), change.reduced, change.number, element=change.element)
         for change in changes(bench, as_is.psi)
     ]
     found += _rates(bench, base, seed)
-    start = as_is.reduced
-    return start, ranked(found, start)
+    found += _phases(bench, as_is, found)
+    return as_is.reduced, ranked(found, as_is.reduced)
+
+
+def _phases(bench: Workbench, as_is: Outcome, found: Sequence[Cause]) -> list[Cause]:
+    """Phases that count the other way fit as well, with negative dampers: a cause though χ² is the same."""
+    damping = _dampers(bench.data.model)
+    turned = [cause for cause in found if cause.kind == "conjugate" and not cause.of]
+    if not len(damping) or not turned or np.any(as_is.psi[damping] > 0):
+        return []
+    return [replace(cause, remaining=min(cause.remaining, HELPS * as_is.reduced * 0.99)) for cause in turned]
+
+
+def _dampers(model: Model) -> Ints:
+    lossy = {element.name for element in model.elements if element.kind in (Kind.DAMPER, Kind.HYSTERETIC)}
+    return np.flatnonzero([unknown.name in lossy for unknown in model.unknowns])
 
 
 def ranked(found: Sequence[Cause], start: float) -> list[Cause]:
@@ -104,14 +122,32 @@ def _of_outcome(outcome: Outcome) -> Cause:
 
 
 def _inputs_otherwise(bench: Workbench, base: Trial) -> list[Trial]:
-    """An input's channel with another sign or unit: leaving it out tells little of the rig."""
-    model = bench.data.model
-    inputs = {*model.displacement_inputs, *model.force_inputs}
+    """An input's channel with the other sign or in another unit: leaving it out tells little of the rig."""
     trials = []
     for c, channel in enumerate(bench.view.channels):
-        if set(channel.of) <= inputs:
+        if measures_input(bench.data.model, channel):
             trials.append(scaled(base, "sign", channel.name, c, -1.0, -1.0))
-            trials += [scaled(base, "unit", channel.name, c, 1 / ratio, ratio) for ratio in RATIOS]
+            trials += [scaled(base, "unit", channel.name, c, 1 / ratio, ratio) for ratio in RATIOS[:4]]
+    return trials
+
+
+def _usual_mistakes(bench: Workbench, base: Trial) -> list[Trial]:
+    """Each channel with its sign turned, in another unit, with another gain, earlier or later."""
+    omega = bench.view.omega
+    period = 2 * np.pi / np.max(omega)
+    trials = []
+    for c, channel in enumerate(bench.view.channels):
+        name = channel.name
+        trials.append(scaled(base, "sign", name, c, -1.0, -1.0))
+        trials += [scaled(base, "unit", name, c, 1 / ratio, ratio) for ratio in RATIOS]
+        trials += [scaled(base, "gain", name, c, 1 / gain, gain) for gain in GAINS]
+        trials += [
+            scaled(base, "quantity", name, c, (1j * omega) ** -power, power)
+            for power in (-2, -1, 1, 2)
+            if channel.quantity is not Quantity.FORCE and 0 <= channel.quantity.derivative + power <= 2
+        ]
+        for delay in (part * period for part in DELAYS):
+            trials.append(scaled(base, "delay", name, c, np.exp(1j * omega * delay), delay))
     return trials
 
 

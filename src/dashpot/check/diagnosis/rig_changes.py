@@ -13,12 +13,13 @@ from itertools import combinations
 import numpy as np
 
 from dashpot.arrays import Real, hermitian
-from dashpot.check.diagnosis.trials import LONG, Workbench
+from dashpot.check.diagnosis.search import LONG, Workbench
 from dashpot.estimate.likelihood.maximum_likelihood import local, prior_mean, prior_precision
-from dashpot.estimate.likelihood.objective import measured, observation_model, predict
+from dashpot.estimate.likelihood.objective import measured, predict
 from dashpot.estimate.method import Prepared
 from dashpot.model.elements import Element, Kind, between, mass
 from dashpot.model.network import Model
+from dashpot.model.observation import observation_model
 from dashpot.numerics.levenberg_marquardt import QuadraticModel, minimise
 
 FOLLOWED = 6  # candidates that are fitted in full

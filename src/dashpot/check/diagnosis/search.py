@@ -1,0 +1,288 @@
+"""Fits of many trials at once: the same rig and view, other amplitudes, from starts that each trial can use."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from dashpot.arrays import Complex, Ints, Real
+from dashpot.check.diagnosis.trials import Outcome, Trial, prepared
+from dashpot.estimate.likelihood.maximum_likelihood import local, logarithmic
+from dashpot.estimate.likelihood.objective import Measured, directly_driven, measured, predict
+from dashpot.estimate.likelihood.starting_values import candidates
+from dashpot.estimate.linear.least_squares import compensated
+from dashpot.estimate.method import Prepared
+from dashpot.estimate.preparation.state_reconstruction import states_if_seen
+from dashpot.model.observation import ObservationModel, calibration, observation_model, transfer
+from dashpot.numerics.levenberg_marquardt import QuadraticModel, minimise
+
+DRAWS = 1500  # rigs drawn at random as starts, ranked for every trial
+FEW, MANY = 3, 12  # of them that are followed: where all is seen, and elsewhere
+SOFTNESS = 0.05  # relative noise added in the stage between logarithms and the likelihood
+SHORT = 8  # iterations after which only the best start of a trial goes on
+GLANCE = 3  # iterations after which only the best trials go on
+KEPT = 16  # of them
+LONG = 30
+LIMIT = 2.0  # nepers and radians beyond which a residual of logarithms counts no more
+REACH = (0.1, 10.0)  # times its stated frequency within which a dwell's own is looked for
+
+Cost = Callable[[Real, Ints], QuadraticModel]
+
+
+@dataclass(frozen=True)
+class Workbench:
+    """What the trials of one data set share: the data of one repeat, the view of it, the estimate ψ (M,) and signs."""
+
+    data: Prepared
+    view: ObservationModel
+    psi: Real
+    sign: Real
+
+    def searched(self, trials: Sequence[Trial], seed: int = 0) -> list[Outcome]:
+        """Each trial from the estimate, its own least squares and drawn rigs: thorough, for the few that need it."""
+        arranged = [self._arranged(trial) for trial in trials]
+        own = self._own(trials)
+        drawn, _ = candidates(self.data, self.view, DRAWS, np.random.default_rng(seed))
+        drawn = drawn[np.all(np.isfinite(drawn), axis=1)]
+        with np.errstate(all="ignore"):
+            G = transfer(self.view, self.data.model.parameters(drawn[:, : self.view.m])).G
+            signs = np.broadcast_to(self.sign, (len(drawn), len(self.sign)))
+            G = calibration(self.view, drawn, signs)[..., None] * G
+        followed = FEW if self.data.states is not None else MANY
+        best = [
+            drawn[np.argsort(_distance(G, one, trial))[:followed]]
+            for trial, one in zip(trials, arranged, strict=True)
+        ]
+        if self.data.states is None:
+            best = self._from_afar(trials, arranged, best)
+        starts = [_finite([self.psi[None], *own[t], best[t]]) for t in range(len(trials))]
+        return self._followed(trials, arranged, starts)
+
+    def refitted(self, trials: Sequence[Trial], pool: Sequence[Real]) -> list[Outcome]:
+        """Each trial from its own least squares or the best of a pool of ψ, each (M,); the hopeless a few steps only."""
+        if not trials:
+            return []
+        arranged = [self._arranged(trial) for trial in trials]
+        own = self._own(trials)
+        starts = [_finite([np.array(pool), *own[t]]) for t in range(len(trials))]
+        first = self._fitted(arranged, starts, 0)
+        glance = self._fitted(arranged, [x[None] for x, _ in first], GLANCE)
+        dof = np.array([max(one.rows - len(self.psi), 1) for one in arranged])
+        hopeful = np.argsort(np.array([cost for _, cost in glance]) / dof)[:KEPT].tolist()
+        long = self._fitted([arranged[t] for t in hopeful], [glance[t][0][None] for t in hopeful], LONG)
+        ends = list(glance)
+        for t, end in zip(hopeful, long, strict=True):
+            ends[t] = end
+        return self._outcomes(trials, arranged, ends)
+
+    def expected(self, outcome: Outcome) -> Complex:
+        """What the channels should show by a trial's fit, those that it left out as well, (lines, channels)."""
+        data = self._arranged(outcome.trial)
+        psi, sign = outcome.psi[None], self.sign[None]
+        with np.errstate(all="ignore"):
+            fitted = predict(self.view, data, psi, sign)
+            # The inputs are those of the trial; the residual is of every channel.
+            at = predict(self.view, replace(data, y=outcome.trial.y[None], q=fitted.q), psi, sign)
+        shown: Complex = outcome.trial.y - at.r[0]
+        return shown
+
+    def misfit(self, psi: Real, trial: Trial) -> Real:
+        """χ² of each line at ψ (M,), (lines,)."""
+        with np.errstate(all="ignore"):
+            at = predict(self.view, self._arranged(trial), psi[None], self.sign[None])
+        cost = at.cost_per_line[0]
+        return np.where(np.isfinite(cost), cost, np.inf)
+
+    def other_frequency(self, psi: Real, trial: Trial, line: int) -> tuple[float, float]:
+        """The frequency (Hz) at which one line would fit best at ψ (M,), and its χ² there."""
+        middle, left = float(self.data.spectrum.frequency_hz[line]), np.inf
+        low, high = np.log(REACH[0]), np.log(REACH[1])
+        for points in (3000, 400):
+            grid = middle * np.exp(np.linspace(low, high, points))
+            cost = self._as_if_at(psi, trial, line, grid)
+            middle, left = float(grid[int(np.argmin(cost))]), float(np.min(cost))
+            low, high = (edge * 4 / points for edge in (low, high))
+        return middle, left
+
+    def _as_if_at(self, psi: Real, trial: Trial, line: int, grid: Real) -> Real:
+        rows = [line] * len(grid)
+        spectrum = replace(self.data.spectrum.select(rows), frequency_hz=grid)
+        view = observation_model(self.data.model, spectrum.channels, spectrum.omega)
+        there = replace(trial, y=trial.y[rows], V=trial.V[rows], kept=trial.kept[rows])
+        data = measured(prepared(replace(self.data, spectrum=spectrum), there), view)
+        with np.errstate(all="ignore"):
+            cost = predict(view, data, psi[None], self.sign[None]).cost_per_line[0]
+        return np.where(np.isfinite(cost), cost, np.inf)
+
+    def _arranged(self, trial: Trial, softness: float = 0.0) -> Measured:
+        return measured(prepared(self.data, trial), self.view, softness)
+
+    def _own(self, trials: Sequence[Trial]) -> list[list[Real]]:
+        """Noise-compensated least squares of each trial's own data, (1, M), where all is seen; else nothing."""
+        own: list[list[Real]] = [[] for _ in trials]
+        if self.data.states is None:
+            return own
+        whole = np.isfinite(self.data.spectrum.amplitudes[0])
+        rows = [t for t, trial in enumerate(trials) if np.array_equal(trial.kept, whole)]
+        if not rows:
+            return own
+        Y = np.stack([np.where(whole, trials[t].y, np.nan) for t in rows])
+        V = np.stack([trials[t].V for t in rows])
+        spectrum = replace(self.data.spectrum, amplitudes=Y, covariance=np.nan_to_num(V), moments=None)
+        states = states_if_seen(self.data.model, spectrum, V)
+        if states is None:
+            return own
+        with np.errstate(all="ignore"):
+            theta = compensated(self.data.model, states)
+        rest = np.broadcast_to(self.psi[theta.shape[1] :], (len(rows), len(self.psi) - theta.shape[1]))
+        for t, psi in zip(rows, np.concatenate([theta, rest], axis=1), strict=True):
+            own[t] = [psi[None]]
+        return own
+
+    def _from_afar(
+        self, trials: Sequence[Trial], arranged: Sequence[Measured], starts: Sequence[Real]
+    ) -> list[Real]:
+        """Where the starts lead by logarithms of the channels, then with softened weights; the starts themselves beside.
+
+        Trials whose inputs no channel shows go through the second stage alone.
+        """
+        ends = list(starts)
+        driven = [directly_driven(self.view, one) for one in arranged]
+        group = [t for t, one in enumerate(driven) if one is not None and one.q is not None]
+        if group:
+            origin = np.repeat(group, [len(ends[t]) for t in group])
+            data = _stack([one for one in driven if one is not None], np.searchsorted(group, origin))
+            weight = np.stack([trials[t].kept & (trials[t].y != 0) for t in origin]).astype(float)
+
+            def by_logarithms(psi: Real, rows: Ints) -> QuadraticModel:
+                return logarithmic(self.view, data.pick(rows), weight[rows], psi, self._signs(psi))
+
+            x = _in_logarithms(by_logarithms, np.concatenate([ends[t] for t in group]), self.view.m)
+            for t in group:
+                ends[t] = x[origin == t]
+        soft = [self._arranged(trial, SOFTNESS) for trial in trials]
+        both = [np.concatenate([ends[t], starts[t]]) for t in range(len(trials))]
+        for exact in (True, False):
+            group = [t for t, one in enumerate(soft) if (one.q is not None) == exact]
+            if not group:
+                continue
+            origin = np.repeat(np.arange(len(group)), [len(both[t]) for t in group])
+            stacked = _stack([soft[t] for t in group], origin)
+
+            def softened(psi: Real, rows: Ints, data: Measured = stacked) -> QuadraticModel:
+                return local(self.view, data.pick(rows), psi, self._signs(psi))
+
+            x = _in_logarithms(softened, np.concatenate([both[t] for t in group]), self.view.m)
+            for k, t in enumerate(group):
+                ends[t] = x[origin == k]
+        return ends
+
+    def _signs(self, psi: Real) -> Real:
+        return np.broadcast_to(self.sign, (len(psi), len(self.sign)))
+
+    def _followed(
+        self, trials: Sequence[Trial], arranged: Sequence[Measured], starts: Sequence[Real]
+    ) -> list[Outcome]:
+        short = self._fitted(arranged, starts, SHORT)
+        return self._outcomes(trials, arranged, self._fitted(arranged, [x[None] for x, _ in short], LONG))
+
+    def _outcomes(
+        self, trials: Sequence[Trial], arranged: Sequence[Measured], ends: Sequence[tuple[Real, float]]
+    ) -> list[Outcome]:
+        return [
+            Outcome(trial, cost, one.rows - len(x), x)
+            for trial, one, (x, cost) in zip(trials, arranged, ends, strict=True)
+        ]
+
+    def _fitted(
+        self, arranged: Sequence[Measured], starts: Sequence[Real], limit: int
+    ) -> list[tuple[Real, float]]:
+        """The best end, ψ (M,) and χ², of each trial's starts, after `limit` iterations at most."""
+        ends: list[tuple[Real, float]] = [(self.psi, np.inf)] * len(arranged)
+        for exact in (True, False):
+            group = [t for t, one in enumerate(arranged) if (one.q is not None) == exact]
+            if not group:
+                continue
+            origin = np.repeat(np.arange(len(group)), [len(starts[t]) for t in group])
+            data = _stack([arranged[t] for t in group], origin)
+
+            def exactly(psi: Real, rows: Ints, data: Measured = data) -> QuadraticModel:
+                return local(self.view, data.pick(rows), psi, self._signs(psi))
+
+            x, cost = _descend(exactly, np.concatenate([starts[t] for t in group]), limit)
+            for k, t in enumerate(group):
+                mine = np.flatnonzero(origin == k)
+                best = mine[int(np.argmin(cost[mine]))]
+                ends[t] = (x[best], float(cost[best]))
+        return ends
+
+
+def _finite(rows: Sequence[Real]) -> Real:
+    stacked = np.concatenate(rows)
+    return stacked[np.all(np.isfinite(stacked), axis=1)]
+
+
+def _stack(arranged: Sequence[Measured], rows: Ints) -> Measured:
+    """One batch with a row for each start; all give the inputs exactly, or none does."""
+    inputs = [one.q for one in arranged if one.q is not None]
+    q = np.concatenate([inputs[r] for r in rows]) if len(inputs) == len(arranged) else None
+    return Measured(
+        np.concatenate([arranged[r].y for r in rows]),
+        np.concatenate([arranged[r].W[:1] for r in rows]),
+        q,
+        arranged[0].rows,
+    )
+
+
+def _descend(cost: Cost, start: Real, limit: int) -> tuple[Real, Real]:
+    if limit == 0:
+        with np.errstate(all="ignore"):
+            there = cost(start, np.arange(len(start))).cost
+        return start, np.where(np.isfinite(there), there, np.inf)
+    ended = minimise(cost, start, limit=limit, tolerance=1e-2)
+    return ended.x, np.where(np.isfinite(ended.cost), ended.cost, np.inf)
+
+
+def _in_logarithms(cost: Cost, start: Real, m: int) -> Real:
+    """Ends of a short search in logarithms of those of the rig's parameters that are positive at every start."""
+    log = (np.arange(start.shape[1]) < m) & np.all(start > 0, axis=0)
+
+    def evaluate(x: Real, rows: Ints) -> QuadraticModel:
+        at = np.where(log, np.exp(np.where(log, x, 0.0)), x)
+        there = cost(at, rows)
+        chain = np.where(log, at, 1.0)
+        both = chain[:, :, None] * chain[:, None, :]
+        return QuadraticModel(there.cost, there.gradient * chain, there.symmetric * both, there.free * both)
+
+    x = np.where(log, np.log(np.where(log, start, 1.0)), start)
+    low = np.where(log, np.min(x, axis=0) - 46, -np.inf)
+    high = np.where(log, np.max(x, axis=0) + 46, np.inf)
+    longest = np.where(log, 1.0, np.inf)
+    ended = minimise(
+        evaluate, x, limit=LONG, tolerance=1e-2, lower=low, upper=high, longest=longest, patience=LONG
+    )
+    return np.where(log, np.exp(np.where(log, ended.x, 0.0)), ended.x)
+
+
+def _distance(G: Complex, exact: Measured, trial: Trial) -> Real:
+    """How far each drawn rig is from a trial's data, (draws,): bounded logarithms of the channels, even weights."""
+    used = trial.kept & (trial.y != 0)
+    with np.errstate(all="ignore"):
+        if exact.q is not None:
+            shown = (G @ exact.q[0][..., None])[..., 0]
+        else:
+            size = np.where(used, 1 / np.maximum(np.abs(trial.y), 1e-300), 0.0)
+            g, y = G * size[..., None], trial.y * size
+            gh = np.conj(np.swapaxes(g, -1, -2))
+            normal = np.nan_to_num(gh @ g)
+            small = 1e-9 * np.trace(normal, axis1=-2, axis2=-1).real + 1e-300
+            v = np.linalg.solve(
+                normal + small[..., None, None] * np.eye(G.shape[-1]), np.nan_to_num(gh @ y[..., None])
+            )
+            shown = (G @ v)[..., 0]
+        away = np.abs(np.log(np.where(used, trial.y / shown, 1.0))) ** 2
+    away = np.where(np.isfinite(away), np.minimum(away, LIMIT**2), LIMIT**2)
+    total: Real = np.sum(np.where(used, away, 0.0), axis=(-2, -1))
+    return total
