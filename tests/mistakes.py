@@ -92,7 +92,9 @@ def _one_conjugate(model: Model, spectrum: Spectrum, rng: np.random.Generator) -
     c = int(rng.choice(_motions(model, spectrum)))
     Y = spectrum.amplitudes.copy()
     Y[:, c] = np.conj(Y[:, c])
-    return Case(model, replace(spectrum, amplitudes=Y), ("conjugate",), frozenset({spectrum.channels[c].name}))
+    return Case(
+        model, replace(spectrum, amplitudes=Y), ("conjugate",), frozenset({spectrum.channels[c].name})
+    )
 
 
 def _noise_only(model: Model, spectrum: Spectrum, rng: np.random.Generator) -> Case:
@@ -139,7 +141,9 @@ def _missing(kind: Kind) -> Mistake:
         lost = candidates[int(rng.integers(len(candidates)))]
         changed = replace(model, elements=tuple(e for e in model.elements if e.name != lost.name))
         points = tuple(lost.along)
-        return Case(changed, spectrum, ("element",), frozenset(points if len(points) > 1 else (*points, "ground")))
+        return Case(
+            changed, spectrum, ("element",), frozenset(points if len(points) > 1 else (*points, "ground"))
+        )
 
     return mistake
 
@@ -147,7 +151,9 @@ def _missing(kind: Kind) -> Mistake:
 def _wrong_value(model: Model, spectrum: Spectrum, rng: np.random.Generator) -> Case:
     known = [e for e in model.elements if e.value is not None and e.sd is None]
     wrong = known[int(rng.integers(len(known)))]
-    elements = tuple(replace(e, value=1.3 * e.value) if e.name == wrong.name and e.value else e for e in model.elements)
+    elements = tuple(
+        replace(e, value=1.3 * e.value) if e.name == wrong.name and e.value else e for e in model.elements
+    )
     return Case(replace(model, elements=elements), spectrum, ("value",), frozenset({wrong.name}))
 
 

@@ -9,7 +9,6 @@ import numpy as np
 
 from dashpot.arrays import Bools, Ints, Real
 from dashpot.channel import Quantity
-from dashpot.check.diagnosis.findings import ORDER
 from dashpot.check.diagnosis.likeness import RATIOS, Likeness, likeness
 from dashpot.check.diagnosis.rig_changes import changes
 from dashpot.check.diagnosis.search import Workbench
@@ -28,6 +27,10 @@ from dashpot.model.observation import measures_input, observation_model
 
 GAINS = tuple(np.exp(np.linspace(np.log(0.4), np.log(2.5), 11)))
 DELAYS = (-0.4, -0.2, -0.1, -0.05, -0.02, 0.02, 0.05, 0.1, 0.2, 0.4)  # periods of the highest frequency
+# What explains as much and is more particular is named first.
+ORDER = (
+    "sign", "unit", "swap", "conjugate", "quantity", "frequency", "dwell", "delay", "gain", "value", "element", "channel",
+)  # fmt: skip
 HELPS = 0.5  # χ² per degree of freedom must fall below this part of what it was
 ALIKE = 1.6  # ratio of what is left within which two causes explain alike
 RATES = (2 * np.pi, 1 / (2 * np.pi), 2.0, 0.5, 60.0, 1 / 60)
@@ -69,7 +72,13 @@ def causes(bench: Workbench, seed: int = 0) -> tuple[float, list[Cause]]:
     found += [_of_outcome(outcome) for outcome in bench.refitted(usual, pool)]
     found += _dwells(bench, base, pool)
     found += [
-        Cause(change.kind, _points(change.element, bench.data.model), change.reduced, change.number, element=change.element)
+        Cause(
+            change.kind,
+            _points(change.element, bench.data.model),
+            change.reduced,
+            change.number,
+            element=change.element,
+        )
         for change in changes(bench, as_is.psi)
     ]
     found += _rates(bench, base, seed)
@@ -183,9 +192,7 @@ def _number(relation: Likeness) -> float:
 def _rearranged(base: Trial, channels: Sequence[str]) -> list[Trial]:
     count = len(channels)
     trials = [conjugated(base, "conjugate", (), np.ones(count, dtype=bool))]
-    trials += [
-        swapped(base, (channels[i], channels[j]), i, j) for j in range(count) for i in range(j)
-    ]
+    trials += [swapped(base, (channels[i], channels[j]), i, j) for j in range(count) for i in range(j)]
     return trials
 
 
@@ -196,7 +203,8 @@ def _dwells(bench: Workbench, base: Trial, pool: Sequence[Real]) -> list[Cause]:
     frequency = bench.data.spectrum.frequency_hz
     trials = [
         without(base, "dwell", (f"{frequency[line]:g} Hz",), _only(base.kept, line=int(line)))
-        for line in sorted(worst.tolist()) if lines > 3
+        for line in sorted(worst.tolist())
+        if lines > 3
     ]
     outcomes = bench.refitted(trials, pool)
     found = [_of_outcome(outcome) for outcome in outcomes]

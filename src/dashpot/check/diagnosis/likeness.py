@@ -101,7 +101,9 @@ def _late(y: Complex, e: Complex, omega: Real) -> Likeness:
     taus = np.linspace(-reach, reach, 1201)
     match = np.abs(np.mean(turn * np.exp(1j * np.outer(taus, omega)), axis=1).real)
     tau = float(taus[int(np.argmax(match))])
-    phase = np.angle(turn * np.exp(1j * omega * tau) * np.sign(np.mean((turn * np.exp(1j * omega * tau)).real)))
+    phase = np.angle(
+        turn * np.exp(1j * omega * tau) * np.sign(np.mean((turn * np.exp(1j * omega * tau)).real))
+    )
     tau -= float(np.sum(phase * omega) / np.sum(omega**2))
     number = float(np.median((relative * np.exp(1j * omega * tau)).real))
     left = float(np.mean(np.minimum(np.abs(relative * np.exp(1j * omega * tau) / number - 1) ** 2, 1.0)))

@@ -57,7 +57,8 @@ def missing_elements(model: Model) -> list[Element]:
         element
         for element in candidates
         if (element.kind, frozenset(element.along.items())) not in there
-        and (element.kind, frozenset((point, -factor) for point, factor in element.along.items())) not in there
+        and (element.kind, frozenset((point, -factor) for point, factor in element.along.items()))
+        not in there
     ]
 
 
@@ -87,7 +88,9 @@ def _extended(model: Model, kind: str, elements: Sequence[Element]) -> tuple[Mod
         by_name = {element.name: element for element in elements}
         before = {e.name: float(e.value) for e in model.elements if e.name in by_name and e.value is not None}
         return replace(model, elements=tuple(by_name.get(e.name, e) for e in model.elements)), before
-    return replace(model, elements=(*model.elements, *elements)), dict.fromkeys((e.name for e in elements), 0.0)
+    return replace(model, elements=(*model.elements, *elements)), dict.fromkeys(
+        (e.name for e in elements), 0.0
+    )
 
 
 def _start(bench: Workbench, psi: Real, extended: Model, before: dict[str, float]) -> Real:
@@ -96,7 +99,9 @@ def _start(bench: Workbench, psi: Real, extended: Model, before: dict[str, float
     return np.array([*(known[unknown.name] for unknown in extended.unknowns), *psi[m:]])
 
 
-def _scores(bench: Workbench, psi: Real, kind: str, elements: list[Element]) -> list[tuple[float, str, Element]]:
+def _scores(
+    bench: Workbench, psi: Real, kind: str, elements: list[Element]
+) -> list[tuple[float, str, Element]]:
     """(fall of χ² that the score promises, kind, element) of each candidate."""
     if not elements:
         return []

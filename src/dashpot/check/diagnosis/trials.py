@@ -49,7 +49,9 @@ def untouched(data: Prepared) -> Trial:
     return Trial("", (), 1.0, np.nan_to_num(y), data.covariance[0], np.isfinite(y))
 
 
-def scaled(base: Trial, kind: str, channel: str, index: int, factor: Complex | complex, value: float) -> Trial:
+def scaled(
+    base: Trial, kind: str, channel: str, index: int, factor: Complex | complex, value: float
+) -> Trial:
     """One channel times `factor`, a number or (lines,)."""
     turn = np.ones(base.y.shape, dtype=np.complex128)
     turn[:, index] = factor

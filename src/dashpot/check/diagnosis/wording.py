@@ -7,9 +7,9 @@ from dataclasses import replace
 from dashpot import units
 from dashpot.channel import Channel, Quantity
 from dashpot.check.diagnosis.diagnose import Cause
-from dashpot.check.diagnosis.findings import Finding
 from dashpot.check.diagnosis.likeness import CLOSE, Likeness
 from dashpot.errors import DashpotError
+from dashpot.estimate.assessment import Finding
 from dashpot.model.elements import Element, Kind
 from dashpot.model.network import Model
 from dashpot.model.rigfile import channel_line, element_line, sections
@@ -101,7 +101,9 @@ def _swap(model: Model, first: Channel, second: Channel, cause: Cause) -> Findin
     new_second = replace(first, name=second.name)
     change = f"[channels] {channel_line(new_first, model)}; {channel_line(new_second, model)}"
     text = f"{first.name} and {second.name} are exchanged"
-    return Finding(cause.kind, cause.of, text, change, cause.remaining, None, channels=(new_first, new_second))
+    return Finding(
+        cause.kind, cause.of, text, change, cause.remaining, None, channels=(new_first, new_second)
+    )
 
 
 def _of_rig(model: Model, cause: Cause, element: Element) -> Finding:
@@ -112,7 +114,11 @@ def _of_rig(model: Model, cause: Cause, element: Element) -> Finding:
         text = f"{element.name} would be {number:.4g} {unit}, not {stated.value:g}"
         mended = replace(stated, value=None, guess=float(f"{number:.4g}") if number > 0 else None)
     else:
-        where = " and ".join(element.along) if len(element.along) > 1 else f"{next(iter(element.along))} and the ground"
+        where = (
+            " and ".join(element.along)
+            if len(element.along) > 1
+            else f"{next(iter(element.along))} and the ground"
+        )
         place = f"at {next(iter(element.along))}" if element.kind is Kind.MASS else f"between {where}"
         text = f"a {element.kind.value} {place} is missing: {number:.3g} {unit}"
         mended = element
@@ -130,7 +136,10 @@ def _of_data(cause: Cause) -> tuple[str, str]:
                 "change the sign of the imaginary parts",
             )
         case "dwell":
-            return f"the dwell at {cause.of[0]} contradicts all others", f"leave out {cause.of[0]}, or measure it again"
+            return (
+                f"the dwell at {cause.of[0]} contradicts all others",
+                f"leave out {cause.of[0]}, or measure it again",
+            )
         case "frequency" if cause.of:
             return (
                 f"the dwell labelled {cause.of[0]} moves as one of {cause.number:.4g} Hz would",
@@ -148,8 +157,14 @@ def _of_data(cause: Cause) -> tuple[str, str]:
 
 def _rate(number: float) -> tuple[str, str]:
     """Frequencies are `number` times what is stated."""
-    usual = {0.159155: "rad/s are stated as Hz", 6.283185: "Hz are stated as rad/s", 0.016667: "per minute for Hz"}
-    word = next((word for ratio, word in usual.items() if abs(number / ratio - 1) < 1e-3), "the time base is wrong")
+    usual = {
+        0.159155: "rad/s are stated as Hz",
+        6.283185: "Hz are stated as rad/s",
+        0.016667: "per minute for Hz",
+    }
+    word = next(
+        (word for ratio, word in usual.items() if abs(number / ratio - 1) < 1e-3), "the time base is wrong"
+    )
     text = f"the rig moves as at {number:.4g} × the stated frequencies: {word}"
     return text, f"multiply the frequencies by {number:.6g}"
 

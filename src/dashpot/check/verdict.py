@@ -1,0 +1,146 @@
+"""The verdict on a fit: by χ², by the signs and modes of the rig, by how residuals run over frequency."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from dashpot.arrays import Bools, Complex, Real
+from dashpot.check.residuals import Residuals, calibrations_of, residuals
+from dashpot.data.spectrum import Spectrum
+from dashpot.estimate.assessment import Assessment, Judgement, Misfit
+from dashpot.estimate.result import Estimate
+from dashpot.model.network import Model
+from dashpot.model.observation import measures_input
+from dashpot.model.unstructured import free_names
+from dashpot.notices import Notice
+
+REJECTED = 0.01  # p-value of χ² below which a rig does not fit: one clean test in a hundred
+FEWEST = 4  # degrees of freedom below which χ² has no power to speak of
+BEYOND = 3.0  # standard deviations by which a sign or a damping ratio must be wrong
+HEARD = 3.0  # standard deviations that an amplitude must have to be more than noise
+MOSTLY = 0.5  # share of a channel's lines
+SMOOTH = 4.5  # standard deviations of the correlation of neighbouring residuals
+WORST = 3  # amplitudes that are named
+
+
+def assess(model: Model, spectrum: Spectrum, estimate: Estimate) -> Assessment:
+    """The verdict on one estimate (no batch axes) from the spectrum it was made of."""
+    left = residuals(model, estimate.values, spectrum, calibrations_of(model, estimate))
+    motions = np.array([not measures_input(model, channel) for channel in spectrum.channels])
+    against = [
+        *_unphysical(model, estimate),
+        *_unstable(estimate),
+        *_rejected(estimate),
+        *_smooth(left, motions),
+    ]
+    doubts = [*_powerless(estimate), *_unheard(left, motions)]
+    verdict: Judgement = "does not fit" if against else "cannot tell" if doubts else "fits"
+    return Assessment(verdict, (*against, *doubts), _relative(left, motions), _worst(left))
+
+
+def _rejected(estimate: Estimate) -> list[Notice]:
+    fit = estimate.fit
+    if not bool(fit.p < REJECTED):
+        return []
+    return [Notice("chi2", f"the residuals are {float(fit.misfit):.2g} × the noise")]
+
+
+def _powerless(estimate: Estimate) -> list[Notice]:
+    fit = estimate.fit
+    if not fit.known_noise:
+        return [Notice("no_noise", "the noise is not known, so that nothing says how large residuals may be")]
+    if fit.dof < FEWEST:
+        return [Notice("few_degrees", f"{fit.dof} degrees of freedom are too few to test the fit")]
+    return []
+
+
+def _unphysical(model: Model, estimate: Estimate) -> list[Notice]:
+    """Parts of the rig that are negative beyond doubt by the sensors' noise; entries of free matrices may be."""
+    free = free_names(model)
+    names = [unknown.name for unknown in model.unknowns]
+    notices = []
+    for name, value, sd in zip(names, estimate.values, estimate.noise_sd, strict=False):
+        if name not in free and value < -BEYOND * sd:
+            notices.append(Notice("negative", f"{name} comes out negative", (name,)))
+    return notices
+
+
+def _unstable(estimate: Estimate) -> list[Notice]:
+    modes = estimate.modes
+    if modes is None:
+        return []
+    sd = np.nan_to_num(modes.damping_sd)
+    grows = (modes.damping_ratio < -BEYOND * sd) & (modes.damping_ratio < -1e-9)
+    return [
+        Notice("unstable", f"the mode at {frequency:.3g} Hz grows instead of dying away")
+        for frequency in modes.frequency_hz[grows]
+    ]
+
+
+def _unheard(left: Residuals, motions: Bools) -> list[Notice]:
+    """Channels that are little else than noise: they fit anything."""
+    with np.errstate(invalid="ignore", divide="ignore"):
+        heard = np.abs(left.measured) > HEARD * left.sd * np.sqrt(2)
+    present = np.isfinite(left.measured)
+    share = np.sum(heard & present, axis=0) / np.maximum(np.sum(present, axis=0), 1)
+    quiet = [
+        name
+        for name, part, motion, noise in zip(left.channels, share, motions, left.sd.T, strict=True)
+        if motion and part < MOSTLY and np.any(noise > 0)
+    ]
+    return [
+        Notice(
+            "below_noise", f"{name} is below three standard deviations of its noise at most lines", (name,)
+        )
+        for name in quiet
+    ]
+
+
+def _smooth(left: Residuals, motions: Bools) -> list[Notice]:
+    """Channels whose residuals run smoothly over frequency: noise does not."""
+    order = np.argsort(left.frequency_hz, kind="stable")
+    notices = []
+    for c in np.flatnonzero(motions):
+        r = left.normalised[order, c] / np.sqrt(2)
+        r = r[np.isfinite(r)]
+        if len(r) < 8 or np.mean(np.abs(r) ** 2) < 1.0:
+            continue
+        size = float(np.sum(np.abs(r) ** 2))
+        z = float(np.sum((r[1:] * np.conj(r[:-1])).real)) / size * np.sqrt(2 * len(r))
+        if z > SMOOTH:
+            name = left.channels[c]
+            notices.append(
+                Notice("smooth_residuals", f"the residuals of {name} run smoothly over frequency", (name,))
+            )
+    return notices
+
+
+def _relative(left: Residuals, motions: Bools) -> Mapping[str, float]:
+    def rms(values: Complex) -> Real:
+        power: Real = np.sqrt(np.nanmean(np.abs(values) ** 2, axis=0))
+        return power
+
+    shown = np.any(np.isfinite(left.measured), axis=0)
+    away = np.where(np.isfinite(left.measured), left.measured - left.predicted, np.nan)
+    sizes = rms(left.measured[:, shown])
+    parts = rms(away[:, shown]) / np.where(sizes > 0, sizes, 1.0)
+    names = [name for name, there in zip(left.channels, shown, strict=True) if there]
+    moved = motions[shown]
+    return {name: float(part) for name, part, motion in zip(names, parts, moved, strict=True) if motion}
+
+
+def _worst(left: Residuals) -> tuple[Misfit, ...]:
+    size = np.nan_to_num(np.abs(left.normalised)) / np.sqrt(2)
+    order = np.argsort(-size, axis=None)[:WORST]
+    misfits = []
+    for flat in order:
+        line, channel = np.unravel_index(int(flat), size.shape)
+        if size[line, channel] > 0:
+            misfits.append(
+                Misfit(
+                    left.channels[int(channel)], float(left.frequency_hz[line]), float(size[line, channel])
+                )
+            )
+    return tuple(misfits)

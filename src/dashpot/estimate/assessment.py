@@ -1,0 +1,102 @@
+"""What an estimate is worth to someone who must sign it: a verdict, the worst misfits, and what may be wrong."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from types import MappingProxyType
+from typing import Any, Literal
+
+from dashpot.channel import Channel
+from dashpot.model.elements import Element
+from dashpot.model.network import Model
+from dashpot.notices import Notice
+
+Judgement = Literal["fits", "does not fit", "cannot tell"]
+
+
+@dataclass(frozen=True)
+class Misfit:
+    """One amplitude and how far it is from what the rig predicts, in standard deviations."""
+
+    channel: str
+    frequency_hz: float
+    sd: float
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One possible cause of a misfit.
+
+    kind       "sign", "unit", "swap", "conjugate", "quantity", "frequency", "dwell", "delay", "gain", "value",
+               "element" or "channel"
+    of         what is meant: the channel, both channels of a swap, the frequency of a dwell, the points that an element
+               would join; empty where it concerns everything
+    text, change  in words, and what to write in the rig file or to do with the data
+    remaining  χ² over its degrees of freedom with the remedy taken
+    number     what was found: a gain, a delay in s, a frequency in Hz, a parameter
+    channels, elements  entries of the rig file as they would be; () where the data must be mended
+    """
+
+    kind: str
+    of: tuple[str, ...]
+    text: str
+    change: str
+    remaining: float
+    number: float | None = None
+    channels: tuple[Channel, ...] = ()
+    elements: tuple[Element, ...] = ()
+
+    def content(self) -> dict[str, Any]:
+        """As the JSON of an estimate has it."""
+        return {
+            "kind": self.kind, "of": list(self.of), "text": self.text, "change": self.change,
+            "remaining": self.remaining, "number": self.number,
+        }  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Assessment:
+    """Does the rig fit, how well in parts of the motion, and what is worst.
+
+    reasons            why the verdict is not "fits"
+    relative_residual  rms of measured − predicted over rms of measured, for each channel
+    worst              the amplitudes furthest from the prediction, the worst first
+    findings           possible causes, the best first; empty where all is well or nothing tried explains it
+    """
+
+    verdict: Judgement
+    reasons: tuple[Notice, ...] = ()
+    relative_residual: Mapping[str, float] = field(default_factory=dict)
+    worst: tuple[Misfit, ...] = ()
+    findings: tuple[Finding, ...] = ()
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "relative_residual", MappingProxyType(dict(self.relative_residual)))
+
+    def __reduce__(self) -> tuple[object, ...]:
+        return (
+            Assessment,
+            (self.verdict, self.reasons, dict(self.relative_residual), self.worst, self.findings),
+        )
+
+    def fit_content(self) -> dict[str, Any]:
+        """What the JSON of an estimate says of the fit beside χ²."""
+        return {
+            "verdict": self.verdict,
+            "reasons": [notice.text for notice in self.reasons],
+            "reason_codes": [notice.code for notice in self.reasons],
+            "relative_residual": dict(self.relative_residual),
+            "worst": [
+                {"channel": one.channel, "frequency_hz": one.frequency_hz, "sd": one.sd} for one in self.worst
+            ],
+        }
+
+
+def applied(model: Model, channels: Sequence[Channel], finding: Finding) -> tuple[Model, tuple[Channel, ...]]:
+    """Model and channels with a finding's remedy taken: entries of the same names replaced, new elements added."""
+    changed = {channel.name: channel for channel in finding.channels}
+    elements = {element.name: element for element in finding.elements}
+    kept = tuple(elements.pop(element.name, element) for element in model.elements)
+    new_model = replace(model, elements=(*kept, *elements.values())) if finding.elements else model
+    return new_model, tuple(changed.get(channel.name, channel) for channel in channels)
