@@ -11,6 +11,7 @@ from dashpot.check.residuals import Residuals, calibrations_of, residuals
 from dashpot.data.spectrum import Spectrum
 from dashpot.estimate.assessment import Assessment, Judgement, Misfit
 from dashpot.estimate.result import Estimate
+from dashpot.io.words import joined
 from dashpot.model.network import Model
 from dashpot.model.observation import measures_input
 from dashpot.model.unstructured import free_names
@@ -59,12 +60,15 @@ def _powerless(estimate: Estimate) -> list[Notice]:
 def _unphysical(model: Model, estimate: Estimate) -> list[Notice]:
     """Parts of the rig that are negative beyond doubt by the sensors' noise; entries of free matrices may be."""
     free = free_names(model)
-    names = [unknown.name for unknown in model.unknowns]
-    notices = []
-    for name, value, sd in zip(names, estimate.values, estimate.noise_sd, strict=False):
-        if name not in free and value < -BEYOND * sd:
-            notices.append(Notice("negative", f"{name} comes out negative", (name,)))
-    return notices
+    unknowns = [unknown.name for unknown in model.unknowns]
+    names = tuple(
+        name
+        for name, value, sd in zip(unknowns, estimate.values, estimate.noise_sd, strict=False)
+        if name not in free and value < -BEYOND * sd
+    )
+    if not names:
+        return []
+    return [Notice("negative", f"{joined(names)} {'is' if len(names) == 1 else 'are'} negative", names)]
 
 
 def _unstable(estimate: Estimate) -> list[Notice]:
@@ -73,10 +77,14 @@ def _unstable(estimate: Estimate) -> list[Notice]:
         return []
     sd = np.nan_to_num(modes.damping_sd)
     grows = (modes.damping_ratio < -BEYOND * sd) & (modes.damping_ratio < -1e-9)
-    return [
-        Notice("unstable", f"the mode at {frequency:.3g} Hz grows instead of dying away")
-        for frequency in modes.frequency_hz[grows]
-    ]
+    if not np.any(grows):
+        return []
+    where = joined(f"{frequency:.3g}" for frequency in modes.frequency_hz[grows])
+    several = np.sum(grows) > 1
+    text = (
+        f"the mode{'s' if several else ''} at {where} Hz grow{'' if several else 's'} instead of dying away"
+    )
+    return [Notice("unstable", text)]
 
 
 def _unheard(left: Residuals, motions: Bools) -> list[Notice]:
@@ -101,7 +109,7 @@ def _unheard(left: Residuals, motions: Bools) -> list[Notice]:
 def _smooth(left: Residuals, motions: Bools) -> list[Notice]:
     """Channels whose residuals run smoothly over frequency: noise does not."""
     order = np.argsort(left.frequency_hz, kind="stable")
-    notices = []
+    names = []
     for c in np.flatnonzero(motions):
         r = left.normalised[order, c] / np.sqrt(2)
         r = r[np.isfinite(r)]
@@ -110,11 +118,14 @@ def _smooth(left: Residuals, motions: Bools) -> list[Notice]:
         size = float(np.sum(np.abs(r) ** 2))
         z = float(np.sum((r[1:] * np.conj(r[:-1])).real)) / size * np.sqrt(2 * len(r))
         if z > SMOOTH:
-            name = left.channels[c]
-            notices.append(
-                Notice("smooth_residuals", f"the residuals of {name} run smoothly over frequency", (name,))
-            )
-    return notices
+            names.append(left.channels[c])
+    if not names:
+        return []
+    return [
+        Notice(
+            "smooth_residuals", f"the residuals of {joined(names)} run smoothly over frequency", tuple(names)
+        )
+    ]
 
 
 def _relative(left: Residuals, motions: Bools) -> Mapping[str, float]:

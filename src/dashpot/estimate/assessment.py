@@ -93,6 +93,21 @@ class Assessment:
         }
 
 
+def assessment_from(fit: Mapping[str, Any], diagnosis: Sequence[Mapping[str, Any]]) -> Assessment | None:
+    """The assessment in the JSON of an estimate; None where there is none.  Entries of rig files are not kept there."""
+    if "verdict" not in fit:
+        return None
+    reasons = tuple(
+        Notice(code, text) for code, text in zip(fit["reason_codes"], fit["reasons"], strict=True)
+    )
+    worst = tuple(Misfit(w["channel"], float(w["frequency_hz"]), float(w["sd"])) for w in fit["worst"])
+    findings = tuple(
+        Finding(d["kind"], tuple(d["of"]), d["text"], d["change"], float(d["remaining"]), d["number"])
+        for d in diagnosis
+    )
+    return Assessment(fit["verdict"], reasons, fit["relative_residual"], worst, findings)
+
+
 def applied(model: Model, channels: Sequence[Channel], finding: Finding) -> tuple[Model, tuple[Channel, ...]]:
     """Model and channels with a finding's remedy taken: entries of the same names replaced, new elements added."""
     changed = {channel.name: channel for channel in finding.channels}

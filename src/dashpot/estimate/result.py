@@ -12,6 +12,7 @@ import numpy as np
 
 from dashpot.arrays import Bools, Complex, Ints, Real, frozen
 from dashpot.errors import DataError
+from dashpot.estimate.assessment import Assessment, assessment_from
 from dashpot.io.json_document import from_json, nullable, to_json
 from dashpot.io.ledger import noted
 from dashpot.notices import Notice
@@ -90,6 +91,7 @@ class Estimate:
     tied                (name, unknown, times, unit) of the parameters that are a multiple of an unknown
     signs               ±1 of the channels whose sign was found
     warnings, notes     notices of the estimate, and of the data it was made from
+    assessment          verdict and diagnosis, where they were made
     """
 
     model: str
@@ -115,6 +117,7 @@ class Estimate:
     signs: Mapping[str, Real]
     warnings: tuple[Notice, ...]
     notes: tuple[Notice, ...] = ()
+    assessment: Assessment | None = None
 
     def __post_init__(self) -> None:
         fields = ("values", "covariance", "noise_covariance", "bound_sd", "dof", "history", "lower", "upper")
@@ -229,7 +232,9 @@ class Estimate:
             "fit": {
                 "chi2": float(self.fit.chi2), "dof": self.fit.dof, "p": float(self.fit.p),
                 "known_noise": self.fit.known_noise,
+                **({} if self.assessment is None else self.assessment.fit_content()),
             },
+            "diagnosis": [] if self.assessment is None else [f.content() for f in self.assessment.findings],
             "history": self.history.tolist(),
             "warnings": [str(notice) for notice in self.warnings],
             "codes": [notice.code for notice in self.warnings],
@@ -320,6 +325,7 @@ def _loaded(content: Mapping[str, Any]) -> Estimate:
         converged=np.asarray(content["status"] == "converged"),
         iterations=np.asarray(content["iterations"], dtype=np.int64),
         history=np.array([[nullable(v) for v in row] for row in content["history"]]),
+        assessment=assessment_from(fit, content.get("diagnosis", [])),
         fit=Fit(
             np.asarray(nullable(fit["chi2"])),
             int(fit["dof"]),

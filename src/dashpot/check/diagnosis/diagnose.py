@@ -1,237 +1,72 @@
-"""The verb: diagnose names what would make the rig fit, best first."""
+"""The verb: diagnose(model, spectrum) names what would make the rig fit, best first."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
-from dashpot.arrays import Bools, Ints, Real
-from dashpot.channel import Quantity
-from dashpot.check.diagnosis.likeness import RATIOS, Likeness, likeness
-from dashpot.check.diagnosis.rig_changes import changes
+from dashpot.check.diagnosis.causes import causes
 from dashpot.check.diagnosis.search import Workbench
-from dashpot.check.diagnosis.trials import (
-    Outcome,
-    Trial,
-    conjugated,
-    scaled,
-    swapped,
-    untouched,
-    without,
+from dashpot.check.diagnosis.wording import finding
+from dashpot.check.verdict import assess
+from dashpot.data.spectrum import Spectrum
+from dashpot.estimate.assessment import Finding
+from dashpot.estimate.likelihood.starting_values import candidates
+from dashpot.estimate.method import Prepared
+from dashpot.estimate.preparation.noise_quality import channels_correlate, without_correlation
+from dashpot.estimate.preparation.state_reconstruction import (
+    noise_is_known,
+    states_if_seen,
+    working_covariance,
 )
-from dashpot.model.elements import Element, Kind
+from dashpot.estimate.result import Estimate
 from dashpot.model.network import Model
-from dashpot.model.observation import measures_input, observation_model
+from dashpot.model.observation import observation_model
 
-GAINS = tuple(np.exp(np.linspace(np.log(0.4), np.log(2.5), 11)))
-DELAYS = (-0.4, -0.2, -0.1, -0.05, -0.02, 0.02, 0.05, 0.1, 0.2, 0.4)  # periods of the highest frequency
-# What explains as much and is more particular is named first.
-ORDER = (
-    "sign", "unit", "swap", "conjugate", "quantity", "frequency", "dwell", "delay", "gain", "value", "element", "channel",
-)  # fmt: skip
-HELPS = 0.5  # χ² per degree of freedom must fall below this part of what it was
-ALIKE = 1.6  # ratio of what is left within which two causes explain alike
-RATES = (2 * np.pi, 1 / (2 * np.pi), 2.0, 0.5, 60.0, 1 / 60)
-MOST_DWELLS = 40
-RELABELLED = 6.0  # χ² for each number of a dwell below which it belongs to another frequency
-SIGN = Likeness(-1.0, 0, 0.0, False, 0.0)
-MOST = 5  # findings that are named
+LARGEST = 12  # coordinates of the rigs that are diagnosed: trials of larger ones take too long to wait for
 
 
-@dataclass(frozen=True)
-class Cause:
-    """What may be wrong, and χ² per degree of freedom with it mended."""
+def diagnose(
+    model: Model, spectrum: Spectrum, estimate: Estimate | None = None, *, seed: int = 0
+) -> tuple[Finding, ...]:
+    """Causes that would explain most of a misfit, the best first; () where nothing that was tried does.
 
-    kind: str
-    of: tuple[str, ...]
-    remaining: float
-    number: float | None = None
-    likeness: Likeness | None = None
-    element: Element | None = None
-
-
-def causes(bench: Workbench, seed: int = 0) -> tuple[float, list[Cause]]:
-    """χ² per degree of freedom of the data as they are, and what would lower it to a half at least, the best first."""
-    base = untouched(bench.data)
-    channels = [channel.name for channel in bench.view.channels]
-    dropped = [
-        without(base, "channel", (name,), _only(base.kept, column=c)) for c, name in enumerate(channels)
-    ]
-    searched = bench.searched([base, *dropped, *_inputs_otherwise(bench, base)], seed)
-    as_is, without_one, inputs = (
-        searched[0],
-        searched[1 : 1 + len(channels)],
-        searched[1 + len(channels) :],
-    )
-    pool = [outcome.psi for outcome in searched]
-    found = [_of_outcome(outcome) for outcome in (*without_one, *inputs)]
-    found += _mended_channels(bench, base, without_one, pool)
-    usual = [*_rearranged(base, channels), *_usual_mistakes(bench, base)]
-    found += [_of_outcome(outcome) for outcome in bench.refitted(usual, pool)]
-    found += _dwells(bench, base, pool)
-    found += [
-        Cause(
-            change.kind,
-            _points(change.element, bench.data.model),
-            change.reduced,
-            change.number,
-            element=change.element,
-        )
-        for change in changes(bench, as_is.psi)
-    ]
-    found += _rates(bench, base, seed)
-    found += _phases(bench, as_is, found)
-    return as_is.reduced, ranked(found, as_is.reduced)
+    `spectrum` has no batch axes.  The estimate, where there is one, is one more start.  Nothing is applied.
+    """
+    if model.n > LARGEST:
+        return ()
+    data = _prepared(model, spectrum)
+    view = observation_model(model, spectrum.channels, spectrum.omega)
+    middle, signs = candidates(data, view, 1, np.random.default_rng(seed))
+    psi, sign = middle[0], signs[0]
+    if estimate is not None and np.all(np.isfinite(estimate.values)):
+        psi = estimate.values
+        for name, turned in estimate.signs.items():
+            sign[spectrum.index(name)] = float(turned)
+    _, found = causes(Workbench(data, view, psi, sign), seed)
+    return tuple(finding(model, spectrum.channels, cause) for cause in found)
 
 
-def _phases(bench: Workbench, as_is: Outcome, found: Sequence[Cause]) -> list[Cause]:
-    """Phases that count the other way fit as well, with negative dampers: a cause though χ² is the same."""
-    damping = _dampers(bench.data.model)
-    turned = [cause for cause in found if cause.kind == "conjugate" and not cause.of]
-    if not len(damping) or not turned or np.any(as_is.psi[damping] > 0):
-        return []
-    return [replace(cause, remaining=min(cause.remaining, HELPS * as_is.reduced * 0.99)) for cause in turned]
+def _prepared(model: Model, spectrum: Spectrum) -> Prepared:
+    """One repeat, weighed as for an estimate; noise that is not known is taken in parts of each channel's size."""
+    known = noise_is_known(spectrum) and bool(np.any(spectrum.covariance))
+    whole = replace(spectrum, amplitudes=spectrum.amplitudes[None], moments=None)
+    if not known:
+        nothing = np.full_like(spectrum.covariance, np.nan)
+        whole = replace(whole, covariance=nothing, noise=("unknown",) * spectrum.lines)
+    V = np.atleast_3d(working_covariance(model, whole))
+    V = V if V.ndim == 4 else V[None]
+    if known:
+        V = np.where(np.atleast_1d(channels_correlate(whole))[:, None, None, None], V, without_correlation(V))
+    return Prepared(model, whole, V, states_if_seen(model, whole, V))
 
 
-def _dampers(model: Model) -> Ints:
-    lossy = {element.name for element in model.elements if element.kind in (Kind.DAMPER, Kind.HYSTERETIC)}
-    return np.flatnonzero([unknown.name in lossy for unknown in model.unknowns])
-
-
-def ranked(found: Sequence[Cause], start: float) -> list[Cause]:
-    """Those that explain half of the misfit or more; what explains alike in the order of ORDER."""
-    helpful = [cause for cause in found if cause.remaining < HELPS * start]
-    if not helpful:
-        return []
-    best = max(min(cause.remaining for cause in helpful), 1.0)
-
-    def place(cause: Cause) -> tuple[float, int, float]:
-        tier = np.floor(np.log(max(cause.remaining, best) / best) / np.log(ALIKE))
-        return float(tier), ORDER.index(cause.kind), cause.remaining
-
-    named: dict[tuple[str, tuple[str, ...]], Cause] = {}
-    for cause in sorted(helpful, key=place):
-        named.setdefault((cause.kind, cause.of), cause)
-    return list(named.values())[:MOST]
-
-
-def _only(kept: Bools, *, column: int | None = None, line: int | None = None) -> Bools:
-    chosen = np.zeros(kept.shape, dtype=bool)
-    if column is not None:
-        chosen[:, column] = True
-    if line is not None:
-        chosen[line] = True
-    return chosen
-
-
-def _of_outcome(outcome: Outcome) -> Cause:
-    return Cause(outcome.trial.kind, outcome.trial.of, outcome.reduced, outcome.trial.value)
-
-
-def _inputs_otherwise(bench: Workbench, base: Trial) -> list[Trial]:
-    """An input's channel with the other sign or in another unit: leaving it out tells little of the rig."""
-    trials = []
-    for c, channel in enumerate(bench.view.channels):
-        if measures_input(bench.data.model, channel):
-            trials.append(scaled(base, "sign", channel.name, c, -1.0, -1.0))
-            trials += [scaled(base, "unit", channel.name, c, 1 / ratio, ratio) for ratio in RATIOS[:4]]
-    return trials
-
-
-def _usual_mistakes(bench: Workbench, base: Trial) -> list[Trial]:
-    """Each channel with its sign turned, in another unit, with another gain, earlier or later."""
-    omega = bench.view.omega
-    period = 2 * np.pi / np.max(omega)
-    trials = []
-    for c, channel in enumerate(bench.view.channels):
-        name = channel.name
-        trials.append(scaled(base, "sign", name, c, -1.0, -1.0))
-        trials += [scaled(base, "unit", name, c, 1 / ratio, ratio) for ratio in RATIOS]
-        trials += [scaled(base, "gain", name, c, 1 / gain, gain) for gain in GAINS]
-        trials += [
-            scaled(base, "quantity", name, c, (1j * omega) ** -power, power)
-            for power in (-2, -1, 1, 2)
-            if channel.quantity is not Quantity.FORCE and 0 <= channel.quantity.derivative + power <= 2
-        ]
-        for delay in (part * period for part in DELAYS):
-            trials.append(scaled(base, "delay", name, c, np.exp(1j * omega * delay), delay))
-    return trials
-
-
-def _mended_channels(
-    bench: Workbench, base: Trial, without_one: Sequence[Outcome], pool: Sequence[Real]
-) -> list[Cause]:
-    """Each channel that the others contradict, put right by the simplest relation to what they expect of it."""
-    omega = bench.view.omega
-    trials, relations = [], []
-    for c, outcome in enumerate(without_one):
-        expected = bench.expected(outcome)[:, c]
-        relation = likeness(base.y[:, c], expected, omega, base.kept[:, c])
-        for form in (SIGN, *([] if relation is None else relation.rounded())):
-            trials.append(_mended(bench, base, c, form))
-            relations.append(form)
-    return [
-        Cause(form.kind, outcome.trial.of, outcome.reduced, _number(form), form)
-        for outcome, form in zip(bench.refitted(trials, pool), relations, strict=True)
-    ]
-
-
-def _mended(bench: Workbench, base: Trial, c: int, form: Likeness) -> Trial:
-    name = bench.view.channels[c].name
-    if form.conjugate:
-        return conjugated(base, "conjugate", (name,), np.arange(base.y.shape[1]) == c)
-    return scaled(base, form.kind, name, c, form.factor(bench.view.omega), form.number)
-
-
-def _number(relation: Likeness) -> float:
-    return relation.delay if relation.kind == "delay" else relation.number
-
-
-def _rearranged(base: Trial, channels: Sequence[str]) -> list[Trial]:
-    count = len(channels)
-    trials = [conjugated(base, "conjugate", (), np.ones(count, dtype=bool))]
-    trials += [swapped(base, (channels[i], channels[j]), i, j) for j in range(count) for i in range(j)]
-    return trials
-
-
-def _dwells(bench: Workbench, base: Trial, pool: Sequence[Real]) -> list[Cause]:
-    """One dwell left out; where that mends the fit, the frequency at which it would belong is looked for."""
-    lines = base.y.shape[0]
-    worst = np.argsort(-np.min([bench.misfit(psi, base) for psi in pool], axis=0))[:MOST_DWELLS]
-    frequency = bench.data.spectrum.frequency_hz
-    trials = [
-        without(base, "dwell", (f"{frequency[line]:g} Hz",), _only(base.kept, line=int(line)))
-        for line in sorted(worst.tolist())
-        if lines > 3
-    ]
-    outcomes = bench.refitted(trials, pool)
-    found = [_of_outcome(outcome) for outcome in outcomes]
-    if outcomes:
-        best = min(outcomes, key=lambda outcome: outcome.reduced)
-        line = sorted(worst.tolist())[outcomes.index(best)]
-        number, left = bench.other_frequency(best.psi, base, line)
-        if left < RELABELLED * base.y.shape[1] * 2:
-            found.append(Cause("frequency", best.trial.of, best.reduced, number))
-    return found
-
-
-def _points(element: Element, model: Model) -> tuple[str, ...]:
-    if element.name in {own.name for own in model.elements}:
-        return (element.name,)
-    points = tuple(element.along)
-    return points if len(points) > 1 else (*points, "ground")
-
-
-def _rates(bench: Workbench, base: Trial, seed: int) -> list[Cause]:
-    """All frequencies times one factor: rad/s for Hz, a time base that is twice too fast."""
-    spectrum = bench.data.spectrum
-    found = []
-    for rate in RATES:
-        shifted = replace(spectrum, frequency_hz=spectrum.frequency_hz * rate)
-        data = replace(bench.data, spectrum=shifted, states=None)
-        view = observation_model(data.model, spectrum.channels, shifted.omega)
-        outcome = Workbench(data, view, bench.psi, bench.sign).searched([base], seed)[0]
-        found.append(Cause("frequency", (), outcome.reduced, rate))
-    return found
+def examined(model: Model, spectrum: Spectrum, estimate: Estimate, *, seed: int = 0) -> Estimate:
+    """The estimate with its assessment, and with a diagnosis where the rig does not fit; batches as they are."""
+    if estimate.values.ndim != 1:
+        return estimate
+    assessment = assess(model, spectrum, estimate)
+    if assessment.verdict == "does not fit" or not bool(estimate.converged):
+        assessment = replace(assessment, findings=diagnose(model, spectrum, estimate, seed=seed))
+    return replace(estimate, assessment=assessment)

@@ -69,7 +69,7 @@ def known_ratio(number: float) -> float | None:
 
 
 def likeness(shown: Complex, expected: Complex, omega: Real, used: Bools) -> Likeness | None:
-    """The simplest relation between what a channel shows and what it should, both (lines,); None where there is none."""
+    """The simplest relation of what a channel shows to what it should, both (lines,); None where there is none."""
     used = used & (np.abs(expected) > 0) & np.isfinite(expected) & (np.abs(shown) > 0)
     if np.sum(used) < 3:
         return None

@@ -61,7 +61,7 @@ class Workbench:
         return self._followed(trials, arranged, starts)
 
     def refitted(self, trials: Sequence[Trial], pool: Sequence[Real]) -> list[Outcome]:
-        """Each trial from its own least squares or the best of a pool of ψ, each (M,); the hopeless a few steps only."""
+        """Each trial from its own least squares or the best of a pool of ψ (M,); the hopeless a few steps only."""
         if not trials:
             return []
         arranged = [self._arranged(trial) for trial in trials]
@@ -144,7 +144,7 @@ class Workbench:
     def _from_afar(
         self, trials: Sequence[Trial], arranged: Sequence[Measured], starts: Sequence[Real]
     ) -> list[Real]:
-        """Where the starts lead by logarithms of the channels, then with softened weights; the starts themselves beside.
+        """Where the starts lead by logarithms of the channels, then with softened weights; and the starts alone.
 
         Trials whose inputs no channel shows go through the second stage alone.
         """

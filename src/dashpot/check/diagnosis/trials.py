@@ -68,7 +68,7 @@ def swapped(base: Trial, names: tuple[str, str], first: int, second: int) -> Tri
 
 
 def conjugated(base: Trial, kind: str, of: tuple[str, ...], chosen: Bools) -> Trial:
-    """The phases of the chosen channels (channels,) count the other way; correlations between the two kinds are lost."""
+    """Phases of the chosen channels (channels,) counted the other way; correlations across are lost."""
     y = np.where(chosen, np.conj(base.y), base.y)
     both, neither = chosen[:, None] & chosen[None, :], ~chosen[:, None] & ~chosen[None, :]
     V = np.where(both, np.conj(base.V), np.where(neither, base.V, 0.0))

@@ -6,13 +6,13 @@ from dataclasses import replace
 
 from dashpot import units
 from dashpot.channel import Channel, Quantity
-from dashpot.check.diagnosis.diagnose import Cause
+from dashpot.check.diagnosis.causes import Cause
 from dashpot.check.diagnosis.likeness import CLOSE, Likeness
 from dashpot.errors import DashpotError
 from dashpot.estimate.assessment import Finding
 from dashpot.model.elements import Element, Kind
 from dashpot.model.network import Model
-from dashpot.model.rigfile import channel_line, element_line, sections
+from dashpot.model.rigfile import channel_line, element_line
 
 USUAL_UNITS = {
     Quantity.DISPLACEMENT: ("m", "mm", "µm", "cm", "in", "deg", "rad"),
@@ -108,7 +108,7 @@ def _swap(model: Model, first: Channel, second: Channel, cause: Cause) -> Findin
 
 def _of_rig(model: Model, cause: Cause, element: Element) -> Finding:
     number = 0.0 if cause.number is None else cause.number
-    unit = element.kind.unit
+    unit = element.unit(model.angles)
     if cause.kind == "value":
         stated = next(own for own in model.elements if own.name == element.name)
         text = f"{element.name} would be {number:.4g} {unit}, not {stated.value:g}"
@@ -122,7 +122,7 @@ def _of_rig(model: Model, cause: Cause, element: Element) -> Finding:
         place = f"at {next(iter(element.along))}" if element.kind is Kind.MASS else f"between {where}"
         text = f"a {element.kind.value} {place} is missing: {number:.3g} {unit}"
         mended = element
-    change = f"[{sections()[mended.kind]}] {element_line(mended)}"
+    change = f"[{mended.kind.section}] {element_line(mended)}"
     return Finding(cause.kind, cause.of, text, change, cause.remaining, cause.number, elements=(mended,))
 
 

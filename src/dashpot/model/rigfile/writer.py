@@ -44,6 +44,16 @@ def write_rig(rig: Rig) -> str:
     return "\n".join(lines) + "\n"
 
 
+def channel_line(channel: Channel, model: Model) -> str:
+    """A channel's entry in [channels] of a rig file.  Raises ModelError as `write_rig`."""
+    return f"{toml_key(channel.name)} = {_inline(_channel_fields(channel, model))}"
+
+
+def element_line(element: Element) -> str:
+    """An element's entry in the section of its kind."""
+    return f"{toml_key(element.name)} = {_inline(_element_fields(element))}"
+
+
 def _section(name: str, entries: Mapping[str, Mapping[str, str]]) -> list[str]:
     """The lines of a section, one an entry, behind an empty one."""
     return ["", f"[{name}]", *(f"{toml_key(key)} = {_inline(fields)}" for key, fields in entries.items())]

@@ -15,8 +15,10 @@ from rich.table import Table
 from rich.text import Text
 
 from dashpot.data.spectrum import Spectrum
+from dashpot.estimate.assessment import Assessment
 from dashpot.estimate.result import Estimate, Fit, ModeValues
 from dashpot.io.words import joined
+from dashpot.present.text.assessment import diagnosis_in_words, motion_in_words, verdict_in_words
 from dashpot.present.text.notices import with_remedy
 from dashpot.present.text.numbers import aligned, alike, percent, plain, probability, rounded, short
 
@@ -193,12 +195,12 @@ def convergence_in_words(estimate: Estimate) -> str:
 
 
 def worth_telling(estimate: Estimate) -> tuple[str, ...]:
-    """Warnings beside what `fit_in_words` says anyway, each with what to do about it."""
-    return tuple(
-        with_remedy(notice)
-        for notice in estimate.warnings
-        if notice.code not in ("model_misfit", "unknown_noise")
-    )
+    """Warnings beside what fit and verdict say anyway, each with what to do about it."""
+    said = {"model_misfit", "unknown_noise"}
+    if estimate.assessment is not None:
+        said |= {notice.code for notice in estimate.assessment.reasons}
+        said |= {"reversed_phase"} if estimate.assessment.findings else set()
+    return tuple(with_remedy(notice) for notice in estimate.warnings if notice.code not in said)
 
 
 def show_estimate(out: Console, estimate: Estimate, level: float = 0.95) -> None:
@@ -220,11 +222,22 @@ def show_estimate(out: Console, estimate: Estimate, level: float = 0.95) -> None
         out.print()
         out.print(mode_table(estimate.modes))
     out.print()
-    _paragraph(out, fit_in_words(estimate.fit), _colour(estimate.fit))
+    if estimate.assessment is None:
+        _paragraph(out, fit_in_words(estimate.fit), _colour(estimate.fit))
+    else:
+        _show_assessment(out, estimate.fit, estimate.assessment)
     shown = any(column.header == "bound" for column in table.columns)
     _paragraph(out, basis_in_words(estimate) + (bound_in_words(estimate) if shown else ""), "")
     for warning in worth_telling(estimate):
         _paragraph(out, f"Warning: {warning}", "yellow")
+
+
+def _show_assessment(out: Console, fit: Fit, assessment: Assessment) -> None:
+    colour = {"fits": "green", "does not fit": "bold red", "cannot tell": "yellow"}[assessment.verdict]
+    _paragraph(out, verdict_in_words(fit, assessment), colour)
+    _paragraph(out, motion_in_words(assessment), "")
+    for line in diagnosis_in_words(assessment.findings):
+        _paragraph(out, line, "cyan")
 
 
 def bound_in_words(estimate: Estimate) -> str:

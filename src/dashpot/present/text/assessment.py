@@ -1,0 +1,58 @@
+"""The verdict on a fit and the diagnosis of a misfit, in sentences."""
+
+from __future__ import annotations
+
+import math
+
+from dashpot.estimate.assessment import Assessment, Finding
+from dashpot.estimate.result import Fit
+from dashpot.io.words import joined
+from dashpot.present.text.numbers import probability, short
+
+ALTERNATIVES = 2  # causes named beside the first
+VERDICTS = {
+    "fits": "The model fits",
+    "does not fit": "The model does not fit",
+    "cannot tell": "Whether the model fits, the data cannot tell",
+}
+
+
+def verdict_in_words(fit: Fit, assessment: Assessment) -> str:
+    """The verdict with its reasons, and χ²."""
+    reasons = joined(notice.text for notice in assessment.reasons if notice.code != "chi2")
+    residuals = "" if not fit.known_noise else f"residuals are {short(float(fit.misfit), 2)} × the noise"
+    why = "; ".join(part for part in (reasons, residuals) if part)
+    return f"{VERDICTS[assessment.verdict]}: {why}{_chi2(fit)}."
+
+
+def _chi2(fit: Fit) -> str:
+    if not fit.known_noise or fit.dof <= 0:
+        return ""
+    numbers = f"χ² = {short(float(fit.chi2))}, {fit.dof} degrees of freedom"
+    if not math.isfinite(float(fit.p)):
+        return f" ({numbers})"
+    p = probability(float(fit.p))
+    return f" ({numbers}, {f'p {p}' if p.startswith('<') else f'p = {p}'})"
+
+
+def motion_in_words(assessment: Assessment) -> str:
+    """How far measured and predicted amplitudes differ, in per cent of the motion, and where most."""
+    parts = [f"{short(100 * part, 2)} % at {name}" for name, part in assessment.relative_residual.items()]
+    sentence = f"Measured and predicted motion differ by {joined(parts)}." if parts else ""
+    if assessment.worst:
+        worst = [
+            f"{one.channel} at {short(one.frequency_hz, 4)} Hz ({short(one.sd, 2)} sd)"
+            for one in assessment.worst
+        ]
+        sentence += f" Largest residuals: {joined(worst)}."
+    return sentence.strip()
+
+
+def diagnosis_in_words(findings: tuple[Finding, ...]) -> list[str]:
+    """A line for each of the likeliest causes, with what to do about it."""
+    lines = []
+    for rank, finding in enumerate(findings[: 1 + ALTERNATIVES]):
+        lead = "Likely cause" if rank == 0 else "Or"
+        left = f"residuals would fall to {short(max(finding.remaining, 0.0) ** 0.5, 2)} × the noise"
+        lines.append(f"{lead}: {finding.text} ({left}). To change: {finding.change}")
+    return lines
