@@ -28,7 +28,8 @@ WORST = 3  # amplitudes that are named
 
 def assess(model: Model, spectrum: Spectrum, estimate: Estimate) -> Assessment:
     """The verdict on one estimate (no batch axes) from the spectrum it was made of."""
-    left = residuals(model, estimate.values, spectrum, calibrations_of(model, estimate))
+    theta = estimate.values[: len(model.unknowns)]
+    left = residuals(model, theta, spectrum, calibrations_of(model, estimate))
     motions = np.array([not measures_input(model, channel) for channel in spectrum.channels])
     against = [
         *_unphysical(model, estimate),

@@ -10,6 +10,7 @@ from dashpot.app.files import STDOUT
 from dashpot.app.help import dashpot_command, option
 from dashpot.app.options import (
     DATA_HELP,
+    DOES_NOT_FIT,
     NOT_CONVERGED,
     conditioning_options,
     data_argument,
@@ -23,8 +24,10 @@ from dashpot.app.options import (
 
 if TYPE_CHECKING:
     from dashpot.data.spectrum import Spectrum
+    from dashpot.errors import ConvergenceError, DashpotError, IdentifiabilityError
     from dashpot.estimate.method import Method
     from dashpot.estimate.result import Estimate
+    from dashpot.model.network import Model
     from dashpot.model.rigfile import Rig
 
 CHOICES = ["auto", "ls", "hls", "wls", "tls", "cls", "iv", "oiv", "oiv+", "ml"]
@@ -47,7 +50,12 @@ ESTIMATION = "Estimation"
     "--positive", is_flag=True, group=ESTIMATION,
     help="Hold every unknown at or above 0 (but not the entries of free matrices); uses ml.",
 )  # fmt: skip
+@option(
+    "--strict", is_flag=True, group=ESTIMATION,
+    help="Exit with code 4 where the model does not fit.",
+)  # fmt: skip
 @json_option("the estimate")
+@file_option("--apply", "NEW.toml", "Write the rig file as the likeliest cause of a misfit would have it.")
 @file_option("--report", "FILE.html", "Write a report with figures as one HTML file.")
 @option("--matrices", is_flag=True, group="Output", help="Print M, C and K as well.")
 @level_option
@@ -56,15 +64,15 @@ ESTIMATION = "Estimation"
 @quiet_option
 def command(
     rig: str, data: tuple[str, ...], chosen: str, positive: bool, json_out: str | None, report: str | None,
-    matrices: bool, level: float, seed: int, quiet: bool, **conditioning: Any,
+    strict: bool, apply: str | None, matrices: bool, level: float, seed: int, quiet: bool, **conditioning: Any,
 ) -> int:  # fmt: skip
     """Estimate the unknown masses, dampers and springs of RIG (a rig file, TOML) from DATA.
 
     DATA are CSV files: time records (frequency_hz, time_s, channels), complex amplitudes (frequency_hz, NAME_re,
     NAME_im, NAME_sd) or frequency response functions (frequency_hz, OUT/IN_re, OUT/IN_im).
 
-    Exit codes: 0 done; 2 bad usage, model or data; 3 the data do not determine the unknowns, or the iteration did not
-    converge.
+    Exit codes: 0 done, whatever the verdict; 2 bad usage, model or data; 3 the data do not determine the unknowns, or
+    the iteration did not converge; 4 with --strict, the model does not fit.
     """
     from dashpot.app.files import write_result
     from dashpot.check.scale import require_scale_seen
@@ -83,21 +91,60 @@ def command(
 
     from dashpot.app.data_files import read_spectrum
     from dashpot.app.progress import progress
+    from dashpot.check.diagnosis.diagnose import examined
+    from dashpot.errors import ConvergenceError, IdentifiabilityError
     from dashpot.estimate.identify import identify
 
     spectrum = read_spectrum(rig_read, data, conditioning, quiet, moments_for=[chosen])
     require_identifiable(model, spectrum.channels, rig, spectrum)
     with progress("identify", quiet) as moved:
         method = _method(chosen, rig_read, spectrum, seed, positive)
-        estimate = identify(model, spectrum, method, progress=moved)
+        try:
+            estimate = identify(model, spectrum, method, progress=moved)
+        except (IdentifiabilityError, ConvergenceError) as error:
+            raise _explained(error, model, spectrum, seed) from error
+        estimate = examined(model, spectrum, estimate, seed=seed)
     if report is not None:
         from dashpot.present.pages.report import identification_report
 
         write_text(report, identification_report(model, spectrum, estimate, level, [rig, *data]))
     write_result(json_out, estimate.to_json())
+    if apply is not None:
+        _apply(rig_read, estimate, apply)
     if not quiet and json_out != STDOUT:
         _show(rig_read, estimate, level, matrices)
-    return _ending(estimate)
+    return _ending(estimate, strict)
+
+
+def _explained(
+    error: IdentifiabilityError | ConvergenceError, model: Model, spectrum: Spectrum, seed: int
+) -> DashpotError:
+    """The error, with what would make the rig fit where something does."""
+    from dashpot.check.diagnosis.diagnose import diagnose
+    from dashpot.errors import Problem
+
+    findings = diagnose(model, spectrum, seed=seed)
+    if not findings:
+        return error
+    best = findings[0]
+    return type(error)([*error.problems, Problem(f"a likely cause: {best.text}", cure=best.change)])
+
+
+def _apply(rig: Rig, estimate: Estimate, path: str) -> None:
+    """Write the rig file with the first finding's remedy taken."""
+    from dataclasses import replace
+
+    from dashpot.errors import UsageError
+    from dashpot.estimate.assessment import applied
+    from dashpot.io.atomic import write_text
+    from dashpot.model.rigfile import write_rig
+
+    findings = () if estimate.assessment is None else estimate.assessment.findings
+    useful = [finding for finding in findings if finding.channels or finding.elements]
+    if not useful:
+        raise UsageError("there is no change of the rig file to apply", "--apply", "leave the option out")
+    model, channels = applied(rig.model, rig.channels, useful[0])
+    write_text(path, write_rig(replace(rig, model=model, channels=channels)))
 
 
 def _show(rig: Rig, estimate: Estimate, level: float, matrices: bool) -> None:
@@ -152,10 +199,11 @@ def _method(chosen: str, rig: Rig, spectrum: Spectrum, seed: int, positive: bool
     return method(name, seed=seed, positive=positive)
 
 
-def _ending(estimate: Estimate) -> int:
+def _ending(estimate: Estimate, strict: bool) -> int:
     """The exit code, and a line where the iteration has not converged."""
     if bool(estimate.converged):
-        return 0
+        misfits = estimate.assessment is not None and estimate.assessment.verdict == "does not fit"
+        return DOES_NOT_FIT if strict and misfits else 0
     cure = (
         'check signs and units of the channels (gain = "unknown" for all but one shows a wrong one), '
         "give the unknowns a guess, or try another --method"

@@ -128,7 +128,8 @@ def _only(kept: Bools, *, column: int | None = None, line: int | None = None) ->
 
 
 def _of_outcome(outcome: Outcome) -> Cause:
-    return Cause(outcome.trial.kind, outcome.trial.of, outcome.reduced, outcome.trial.value)
+    left = outcome.reduced if outcome.dof > 0 else np.inf  # nothing left to test it by
+    return Cause(outcome.trial.kind, outcome.trial.of, left, outcome.trial.value)
 
 
 def _inputs_otherwise(bench: Workbench, base: Trial) -> list[Trial]:

@@ -11,6 +11,7 @@ from dashpot.check.diagnosis.search import Workbench
 from dashpot.check.diagnosis.wording import finding
 from dashpot.check.verdict import assess
 from dashpot.data.spectrum import Spectrum
+from dashpot.data.stretch import WholeRecord
 from dashpot.estimate.assessment import Finding
 from dashpot.estimate.likelihood.starting_values import candidates
 from dashpot.estimate.method import Prepared
@@ -34,7 +35,8 @@ def diagnose(
 
     `spectrum` has no batch axes.  The estimate, where there is one, is one more start.  Nothing is applied.
     """
-    if model.n > LARGEST:
+    transients = any(isinstance(stretch, WholeRecord) and stretch.loads for stretch in spectrum.stretches)
+    if model.n > LARGEST or transients:
         return ()
     data = _prepared(model, spectrum)
     view = observation_model(model, spectrum.channels, spectrum.omega)

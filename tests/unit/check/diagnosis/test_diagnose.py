@@ -1,0 +1,129 @@
+"""Causes of a misfit: each usual mistake is named first where the data can show it (THEORY §11)."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from dashpot.channel import Quantity
+from dashpot.check.diagnosis.diagnose import diagnose, examined
+from dashpot.data.spectrum import Spectrum
+from dashpot.estimate.assessment import applied
+from dashpot.estimate.identify import identify
+from dashpot.model.network import Model
+from tests import partly_seen, rigs
+from tests.mistakes import MISTAKES
+
+# What no data of these rigs can show: with springs alone known, all frequencies times a factor is another rig; two
+# springs of which one is stated wrongly; with displacements alone, a wrong value of the only known mass scales all.
+UNDETECTABLE = {
+    ("paper", "time base twice too fast"),
+    ("paper", "wrong known value"),
+    ("partly seen", "wrong known value"),
+}
+FAST = ("sign of a motion", "mm for m", "two channels exchanged", "mislabelled dwell", "missing damper")
+
+
+def clean(rig: str, rng: np.random.Generator) -> tuple[Model, Spectrum]:
+    if rig == "partly seen":
+        bench = partly_seen.noisy_base()
+        return bench.model, bench.spectrum(rng)
+    if rig == "paper":
+        thrown, quantity, inputs = rigs.paper_rig(), Quantity.DISPLACEMENT, 0.0
+    else:
+        kinds = rigs.PAPER_KINDS
+        thrown = rigs.random_rig(
+            np.random.default_rng(11), 3, kinds=kinds, levers=False, ties=False, lines=25, worst=100
+        )
+        quantity, inputs = Quantity.ACCELERATION, 0.01
+    chosen = rigs.channels(thrown, (quantity,))
+    V = rigs.covariance(thrown, chosen, 0.01, inputs=inputs)
+    return thrown.model, rigs.noisy(thrown, chosen, V, rng)
+
+
+def rank_of_the_truth(rig: str, mistake: str, seed: int) -> int | None:
+    """Place of the true cause among the findings, 0 the first."""
+    rng = np.random.default_rng(seed)
+    case = MISTAKES[mistake](*clean(rig, rng), rng)
+    findings = diagnose(case.model, case.spectrum)
+    for place, finding in enumerate(findings):
+        if finding.kind in case.kinds and frozenset(finding.of) == case.of:
+            return place
+    return None
+
+
+@pytest.mark.parametrize("mistake", FAST)
+def test_the_true_cause_is_named_first(mistake):
+    assert rank_of_the_truth("paper", mistake, 100) == 0
+
+
+@pytest.mark.long
+def test_gallery_of_sixty_mistakes():
+    """Twenty kinds on three rigs: named first in 90 %, among the first three in 97 % of what data can show."""
+    cases = [
+        (rig, mistake)
+        for rig in ("paper", "three", "partly seen")
+        for mistake in MISTAKES
+        if (rig, mistake) not in UNDETECTABLE
+    ]
+    ranks = {case: rank_of_the_truth(*case, 100 + k) for k, case in enumerate(cases)}
+    missed = {case: rank for case, rank in ranks.items() if rank != 0}
+    assert sum(rank == 0 for rank in ranks.values()) >= 0.9 * len(cases), missed
+    assert sum(rank is not None and rank < 3 for rank in ranks.values()) >= 0.97 * len(cases), missed
+
+
+def test_the_change_mends_the_fit():
+    """The rig as the first finding would have it, applied to the same raw numbers, fits."""
+    model, spectrum = clean("paper", np.random.default_rng(3))
+    wrong = spectrum.channels[0].name
+    turned = np.where(np.array([channel.name for channel in spectrum.channels]) == wrong, -1.0, 1.0)
+    raw = replace(spectrum, amplitudes=spectrum.amplitudes * turned)
+    finding = diagnose(model, raw)[0]
+    assert (finding.kind, finding.of) == ("sign", (wrong,))
+    mended_model, channels = applied(model, raw.channels, finding)
+    assert [channel.sign for channel in channels if channel.name == wrong] == [-1.0]
+    assert mended_model == model
+    assert f"{wrong} = " in finding.change
+    assert "sign = -1" in finding.change
+
+
+def test_a_clean_test_fits_and_nothing_is_named():
+    model, spectrum = clean("paper", np.random.default_rng(4))
+    assessment = examined(model, spectrum, identify(model, spectrum)).assessment
+    assert assessment is not None
+    assert assessment.verdict == "fits"
+    assert assessment.findings == ()
+    assert assessment.reasons == ()
+    assert all(0 < part < 0.05 for part in assessment.relative_residual.values())
+
+
+def test_negative_dampers_never_fit_and_the_phases_are_blamed():
+    """The same χ² as the true rig has, but every damper is negative."""
+    model, spectrum = clean("paper", np.random.default_rng(5))
+    other_way = replace(
+        spectrum, amplitudes=np.conj(spectrum.amplitudes), covariance=np.conj(spectrum.covariance)
+    )
+    estimate = identify(model, other_way)
+    assert estimate.fit.p > 0.01
+    assessment = examined(model, other_way, estimate).assessment
+    assert assessment is not None
+    assert assessment.verdict == "does not fit"
+    assert {"negative", "unstable"} <= {notice.code for notice in assessment.reasons}
+    assert assessment.findings[0].kind == "conjugate"
+
+
+def test_the_json_carries_verdict_and_diagnosis_and_reads_back():
+    from dashpot.estimate.result import Estimate
+
+    model, spectrum = clean("paper", np.random.default_rng(6))
+    Y = spectrum.amplitudes.copy()
+    Y[:, 0] *= 1.2
+    spectrum = replace(spectrum, amplitudes=Y)
+    estimate = examined(model, spectrum, identify(model, spectrum))
+    again = Estimate.from_json(estimate.to_json())
+    assert again.assessment is not None
+    assert estimate.assessment is not None
+    assert again.assessment.verdict == estimate.assessment.verdict == "does not fit"
+    assert [f.content() for f in again.assessment.findings] == [
+        f.content() for f in estimate.assessment.findings
+    ]
