@@ -196,7 +196,12 @@ def _number(relation: Likeness) -> float:
 def _rearranged(base: Trial, channels: Sequence[str]) -> list[Trial]:
     count = len(channels)
     trials = [conjugated(base, "conjugate", (), np.ones(count, dtype=bool))]
-    trials += [swapped(base, (channels[i], channels[j]), i, j) for j in range(count) for i in range(j)]
+    trials += [
+        swapped(base, (channels[i], channels[j]), i, j)
+        for j in range(count)
+        for i in range(j)
+        if np.array_equal(base.kept[:, i], base.kept[:, j])
+    ]
     return trials
 
 
