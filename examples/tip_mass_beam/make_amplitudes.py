@@ -11,7 +11,7 @@ from pathlib import Path
 from dashpot.data.conditioning.lines import spectrum
 from dashpot.data.readers import write_amplitudes
 from dashpot.data.readers.delimited.lvm import open_lvm
-from dashpot.data.readers.delimited.stepped_sine import read_records
+from dashpot.data.readers.delimited.stepped_sine import Circumstances, read_records
 from dashpot.data.record import Record
 from dashpot.data.spectrum import Spectrum
 from dashpot.errors import DashpotError
@@ -36,7 +36,9 @@ def records(folder: Path) -> list[Record]:
         names = {"Acceleration (Trigger)": acceleration, "Force (Trigger)": force}
         for path in sorted((folder / f"mass{number + 1}").glob("*.txt")):
             table = open_lvm(path, names)
-            dwells, _ = read_records(table, (channels[acceleration], channels[force]), experiment=number)
+            dwells, _ = read_records(
+                table, (channels[acceleration], channels[force]), Circumstances(experiment=number)
+            )
             found += dwells
     driven = [(record.experiment, record.frequency_hz, record) for record in found]
     return [record for _, f, record in sorted(driven, key=lambda d: d[:2]) if f is not None and f > LOWEST]

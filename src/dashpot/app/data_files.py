@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -35,9 +36,19 @@ def read_spectrum(
     reading = read(paths, rig.channels, frequency_hz=options["frequency"])
     tell_notes(reading.notes, quiet)
     moments = "ls" in moments_for and reading.amplitudes is None
-    spectrum = reading.spectrum(conditioning_from(options).changed(moments=moments))
+    changes: dict[str, Any] = {"moments": moments}
+    changes |= {name: value for name, value in reading.conditioning.items() if not _was_given(name)}
+    conditioning = replace(conditioning_from(options), **changes)
+    spectrum = reading.spectrum(conditioning)
     tell_notes(spectrum.notes, quiet)
     return spectrum
+
+
+def _was_given(option: str) -> bool:
+    """Whether an option was written on the command line, which then counts more than a manifest."""
+    context = click.get_current_context(silent=True)
+    source = None if context is None else context.get_parameter_source(option)
+    return source is not None and source is not click.core.ParameterSource.DEFAULT
 
 
 def conditioning_from(options: Mapping[str, Any]) -> Conditioning:

@@ -61,7 +61,8 @@ def average_periods(
     h = calibration(record.channels, frequencies)
     notes: tuple[Notice, ...] = ()
     if skip:
-        text = f"{record.source}: the first {skip} periods are left out"
+        left_out = "period is" if skip == 1 else f"{skip} periods are"
+        text = f"{record.source}: the first {left_out} left out"
         notes = (Notice("periods_skipped", text, (record.source,)),)
     return Spectrum(
         record.channels,

@@ -8,7 +8,7 @@ import pytest
 
 from dashpot.channel import Channel
 from dashpot.data.readers.delimited.amplitudes import read_amplitudes, write_amplitudes
-from dashpot.data.readers.delimited.table import open_table
+from dashpot.data.readers.delimited.opening import open_table
 from dashpot.data.spectrum import Spectrum, concatenate, merge_repeats
 from dashpot.data.stretch import SettledDwell, WholeRecord
 from dashpot.errors import DataError
@@ -84,7 +84,7 @@ def test_a_table_that_contradicts_itself(tmp_path: Path) -> None:
     text = path.read_text().splitlines()
     text[4] = text[4].replace("10.0", "11.0")
     path.write_text("\n".join(text) + "\n")
-    with pytest.raises(DataError, match="record 2 is described differently in row 5"):
+    with pytest.raises(DataError, match=r"record 2 is described differently at .*:5"):
         read_amplitudes(open_table(path), mixed().channels)
 
 

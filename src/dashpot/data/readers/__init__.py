@@ -1,20 +1,23 @@
-"""Readers: one module per file format, and `read`, which tells the formats apart by their columns."""
+"""Readers: one module per file format, and `read`, which asks each whether a file is its own."""
 
 from __future__ import annotations
 
 import os
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Unpack
 
 from dashpot.channel import Channel
+from dashpot.data.clocks import ClockedRecords, clocked_lines
 from dashpot.data.conditioning.lines import spectrum as amplitudes_of
 from dashpot.data.conditioning.settings import Conditioning, Treatments, conditioning_of
-from dashpot.data.readers.delimited.amplitudes import is_amplitudes, read_amplitudes, write_amplitudes
-from dashpot.data.readers.delimited.frf import is_frf, read_frf
-from dashpot.data.readers.delimited.lvm import is_lvm, open_lvm
-from dashpot.data.readers.delimited.stepped_sine import read_records, write_records
-from dashpot.data.readers.delimited.table import open_table
+from dashpot.data.readers.datafile import open_file
+from dashpot.data.readers.delimited.amplitudes import write_amplitudes
+from dashpot.data.readers.delimited.stepped_sine import Circumstances, write_records
+from dashpot.data.readers.groups import read_group
+from dashpot.data.readers.interpretation import Interpreted, interpret_parts
+from dashpot.data.readers.manifest import is_manifest, is_pattern, manifest_of_pattern, read_manifest
+from dashpot.data.readers.registry import reader_of
 from dashpot.data.record import Record
 from dashpot.data.spectrum import Spectrum, concatenate
 from dashpot.errors import DataError
@@ -25,11 +28,17 @@ __all__ = ["Reading", "read", "write_amplitudes", "write_records"]
 
 @dataclass(frozen=True)
 class Reading:
-    """What the files hold: time records, lines that were amplitudes already (None: no such file), and what to tell."""
+    """What the files hold: time records, lines that were amplitudes already (None: no such file), and what to tell.
+
+    joint         records of sensors with sample times of their own
+    conditioning  how a manifest says that records become amplitudes; fields of Conditioning
+    """
 
     records: tuple[Record, ...]
     amplitudes: Spectrum | None
     notes: tuple[Notice, ...]
+    joint: tuple[ClockedRecords, ...] = ()
+    conditioning: Treatments = field(default_factory=lambda: Treatments())
 
     def spectrum(
         self, conditioning: Conditioning | None = None, **treatments: Unpack[Treatments]
@@ -39,13 +48,15 @@ class Reading:
         `conditioning`, or its fields as keywords, says how records become amplitudes.
         Raises DataError where second moments are asked for and a file holds amplitudes only.
         """
-        settings = conditioning_of(conditioning, treatments)
+        usual = Conditioning(**self.conditioning) if conditioning is None else conditioning
+        settings = conditioning_of(usual, treatments)
         if settings.moments and self.amplitudes is not None:
             raise DataError(
                 "a table of amplitudes has no samples",
                 cure="give time records, or choose a method that works on amplitudes",
             )
         parts = [] if self.amplitudes is None else [self.amplitudes]
+        parts[:0] = [clocked_lines(joint, settings) for joint in self.joint]
         if self.records:
             parts.insert(0, amplitudes_of(self.records, settings))
         return parts[0] if len(parts) == 1 else concatenate(parts)
@@ -57,7 +68,7 @@ def read(
     *,
     frequency_hz: float | None = None,
 ) -> Reading:
-    """Read files of any known format, told apart by their columns.
+    """Read files of any known format, manifests of tests (.toml), and patterns such as {frequency}Hz_*.lvm.
 
     `frequency_hz` is the drive frequency of time records without such a column.  Files without an `experiment` column
     are experiments 0, 1, 2, … in the order given.  Raises DataError, one line per cause, with file, row and column.
@@ -71,21 +82,16 @@ def read(
         )
     if frequency_hz is not None and not 0 < frequency_hz < 1e12:
         raise DataError(f"frequency {frequency_hz:g} Hz", cure="frequencies must be positive and finite")
-    records: list[Record] = []
-    spectra: list[Spectrum] = []
-    notes: list[Notice] = []
+    total, treatments = Interpreted(), Treatments()
     for number, path in enumerate(several):
-        table = open_table(path)
-        if is_lvm(table):
-            table = open_lvm(path)
-        if is_frf(table):
-            lines, told = read_frf(table, channels, number)
-            spectra.append(lines)
-        elif is_amplitudes(table):
-            lines, told = read_amplitudes(table, channels, number)
-            spectra.append(lines)
+        if is_manifest(path) or is_pattern(path):
+            manifest = read_manifest(path) if is_manifest(path) else manifest_of_pattern(path, number)
+            treatments.update(manifest.conditioning)
+            for group in manifest.groups:
+                total += read_group(group, channels, frequency_hz)
         else:
-            dwells, told = read_records(table, channels, frequency_hz, number)
-            records.extend(dwells)
-        notes.extend(told)
-    return Reading(tuple(records), concatenate(spectra) if spectra else None, tuple(notes))
+            file = open_file(path)
+            parts = reader_of(file).parts(file)
+            total += interpret_parts(parts, channels, Circumstances(frequency_hz, number))
+    amplitudes = concatenate(total.spectra) if total.spectra else None
+    return Reading(total.records, amplitudes, total.notes, total.joint, treatments)

@@ -137,12 +137,34 @@ class TestLabview:
         with pytest.raises(DataError, match="column Torque: missing"):
             open_lvm(path, {"Torque": "T"})
 
+    def test_several_segments(self, tmp_path):
+        path = tmp_path / "test_3Hz.txt"
+        segment = lvm().partition("***End_of_Header***")[2].lstrip("\t\n")
+        path.write_text(lvm() + "\n" + segment + "\n" + segment)
+        channels = (Channel("Acceleration (Trigger)", {"x": 1}, Quantity.ACCELERATION, "g", 9.80665),)
+        reading = read(path, channels)
+        assert len(reading.records) == 3
+        assert [record.source[-11:] for record in reading.records] == [
+            "(segment 1)",
+            "(segment 2)",
+            "(segment 3)",
+        ]
+        first, _, third = reading.records
+        assert np.array_equal(first.values, third.values)
+        with pytest.raises(DataError, match="several segments"):
+            open_lvm(path)
+        last = path.read_text().splitlines()
+        last[-1] = last[-1].replace("\t", "\tx", 1)
+        path.write_text("\n".join(last) + "\n")
+        with pytest.raises(DataError, match=f"segment 3.:{len(last)}: column Acceleration"):
+            read(path, channels)
+
     @pytest.mark.parametrize(
         ("text", "what"),
         [
             (LVM_HEAD, "a header and no rows"),
             (LVM_HEAD[: LVM_HEAD.index("X_Value")], "no header row"),
-            (lvm() + LVM_HEAD + "0\t1\t2\n", "several segments"),
+            (lvm() + LVM_HEAD + "0\t1\t2\n", "the block has one sample"),
             (
                 lvm().replace("Force (Trigger)\tComment", "X_Value\tForce (Trigger)"),
                 "column of time for each",

@@ -4,7 +4,7 @@ x(t) = Re(X e^{jωt}); `NAME_sd` is the standard deviation of the real and of th
 optional columns: `experiment`, `samples`, `dof`, `noise` and, for noise that channels share, `A&B_cov_re` and
 `A&B_cov_im`, the covariance E[Δ_A conj(Δ_B)].  Numbers are raw, in the channels' own units, calibrations still in.
 Lines of one whole record, which share its boundary loads, have one number in the column `record`,
-with `record_duration_s`, `record_samples`, `record_loads` (0 or 1) and `record_polynomial` (0 to 6).  Lines of one
+with `record_duration_s`, `record_samples`, `record_loads` (0 or 1) and `record_polynomial` (0 to 3).  Lines of one
 settled dwell have its number there and `fundamental_hz`.
 """
 
@@ -12,14 +12,17 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
 from dashpot.arrays import Bools, Complex, Ints, Real
 from dashpot.channel import Channel
 from dashpot.data.calibration import calibration
-from dashpot.data.readers.delimited.stepped_sine import EXPERIMENT, FREQUENCY, check_frequency, whole_numbers
-from dashpot.data.readers.delimited.table import LARGEST, Table, bare, write_rows
+from dashpot.data.readers.columns import LARGEST, Columns, bare
+from dashpot.data.readers.delimited.stepped_sine import EXPERIMENT, check_frequency, whole_numbers
+from dashpot.data.readers.delimited.writing import write_rows
+from dashpot.data.readers.sampling import FREQUENCY, frequency_column, frequency_scale
 from dashpot.data.spectrum import Spectrum
 from dashpot.data.stretch import SettledDwell, Stretch, WholeRecord
 from dashpot.errors import DataError
@@ -29,17 +32,49 @@ from dashpot.notices import Notice
 SAMPLES, DOF, NOISE = "samples", "dof", "noise"
 RECORD, FUNDAMENTAL = "record", "fundamental_hz"
 OF_RECORDS = ("record_duration_s", "record_samples", "record_loads", "record_polynomial")
-KINDS = ("given", "white", "blocks", "periods", "rest", "floor", "residual", "unknown")
+KINDS = ("given", "white", "blocks", "periods", "unknown")
 
 
-def is_amplitudes(table: Table) -> bool:
+def is_amplitudes(columns: Columns) -> bool:
     """There is a pair NAME_re, NAME_im."""
-    names = {bare(name)[0] for name in table.header}
+    names = {bare(name)[0] for name in columns.header}
     return any(name.endswith("_re") and name[:-3] + "_im" in names for name in names)
 
 
+@dataclass(frozen=True)
+class _Layout:
+    """Where everything stands: columns of the frequency and, for each channel, of real and imaginary part and sd.
+
+    scales     to SI units, one for each channel
+    pairs      {(channel, channel): columns of the real and imaginary part of their covariance}
+    more       {name: column} of what else there is
+    """
+
+    frequency: int
+    real: list[int]
+    imaginary: list[int]
+    sd: list[int | None]
+    scales: Real
+    pairs: dict[tuple[int, int], tuple[int, int]]
+    more: dict[str, int]
+
+    @property
+    def gaps(self) -> list[int]:
+        """Columns that may have empty cells."""
+        of_pairs = (at for pair in self.pairs.values() for at in pair)
+        of_stretches = (self.more[name] for name in (FUNDAMENTAL, *OF_RECORDS) if name in self.more)
+        sd = (at for at in self.sd if at is not None)
+        return [*self.real, *self.imaginary, *sd, *of_pairs, *of_stretches]
+
+    @property
+    def numeric(self) -> list[int]:
+        """All columns of numbers."""
+        plain = [self.frequency, *(at for name, at in self.more.items() if name != NOISE)]
+        return list(dict.fromkeys([*plain, *self.gaps]))
+
+
 def read_amplitudes(
-    table: Table, channels: Sequence[Channel], experiment: int = 0
+    columns: Columns, channels: Sequence[Channel], experiment: int = 0
 ) -> tuple[Spectrum, list[Notice]]:
     """The spectrum in SI units with known calibrations taken out, and notes.
 
@@ -47,72 +82,115 @@ def read_amplitudes(
     A channel may be left empty throughout an experiment: not measured there (amplitude NaN).
     Raises DataError with file, row and column for what is missing or not a number.
     """
-    f_at = table.need(FREQUENCY)
-    real = [table.need(f"{channel.name}_re", " (the rig file lists the channel)") for channel in channels]
-    imaginary = [
-        table.need(f"{channel.name}_im", " (the rig file lists the channel)") for channel in channels
-    ]
-    sd = [table.find(f"{channel.name}_sd") for channel in channels]
-    for at, channel in zip([*real, *imaginary, *sd], [*channels] * 3, strict=True):
-        if at is not None:
-            table.check_unit(at, channel)
+    layout = _layout(columns, channels)
+    values = columns.numbers(layout.numeric, layout.gaps, [layout.more[DOF]] if DOF in layout.more else [])
+    frequency = values[layout.frequency] * frequency_scale(columns, layout.frequency)
+    check_frequency(columns, layout.frequency, frequency)
+    lines = len(frequency)
+    experiments, samples, dof = _counts(columns, layout, values, lines, experiment)
+    noise = _kinds_of_noise(columns, layout, lines)
+    unknown = np.array([kind == "unknown" for kind in noise], dtype=bool)
+    X = (
+        np.stack(
+            [values[a] + 1j * values[b] for a, b in zip(layout.real, layout.imaginary, strict=True)], axis=-1
+        )
+        * layout.scales
+    )
+    absent = _absent(columns, experiments, layout.real, layout.imaginary, values)
+    X[absent] = np.nan
+    V = _covariance(columns, layout, values, absent, unknown)
+    large = ~absent & ~(np.abs(np.where(absent, 0, X)) <= LARGEST)
+    if np.any(large):
+        i, c = (int(k) for k in np.argwhere(large)[0])
+        what = f"{np.abs(X[i, c]):g} (SI) is too large"
+        raise columns.error(i, layout.real[c], what, "check the unit and the number")
+    h = calibration(channels, frequency)
+    V = V * h[:, :, None] * np.conj(h)[:, None, :]
+    stretch, stretches = _stretches(columns, layout.more, values, lines)
+    spectrum = Spectrum(
+        tuple(channels),
+        frequency,
+        X * h,
+        V,
+        samples,
+        dof,
+        noise,
+        experiments,
+        stretch=stretch,
+        stretches=stretches,
+    )
+    return spectrum, _notes(columns, layout)
+
+
+def _layout(columns: Columns, channels: Sequence[Channel]) -> _Layout:
+    """Where everything stands.  Raises DataError for a column that is missing or of another unit."""
+    f_at = frequency_column(columns, channels)
+    f_at = columns.need(FREQUENCY) if f_at is None else f_at
+    why = " (the rig file lists the channel)"
+    real = [columns.need(f"{channel.name}_re", why) for channel in channels]
+    imaginary = [columns.need(f"{channel.name}_im", why) for channel in channels]
+    sd = [columns.find(f"{channel.name}_sd") for channel in channels]
+    scales = [columns.scale(at, channel) for at, channel in zip(real, channels, strict=True)]
+    for at, scale, channel in zip([*imaginary, *sd], [*scales] * 2, [*channels] * 2, strict=True):
+        if (
+            at is not None
+            and columns.unit(at)
+            and not np.isclose(columns.scale(at, channel), scale, rtol=1e-9)
+        ):
+            what = f"column {channel.name}: real part, imaginary part and sd are in different units"
+            raise DataError(what, columns.heading, "give all three in one unit")
     pairs = {}
     for i, a in enumerate(channels):
         for j, b in enumerate(channels):
-            columns = [table.find(f"{a.name}&{b.name}_cov_{part}") for part in ("re", "im")]
-            if i != j and columns[0] is not None:
-                pairs[i, j] = (columns[0], table.need(f"{a.name}&{b.name}_cov_im"))
-    stretch_columns = {name: table.find(name) for name in (RECORD, FUNDAMENTAL, *OF_RECORDS)}
-    if stretch_columns[RECORD] is None:
-        stretch_columns = {}
-    found = {name: table.find(name) for name in (EXPERIMENT, SAMPLES, DOF, NOISE)} | stretch_columns
-    more = {name: at for name, at in found.items() if at is not None}
-    gaps = [
-        *real,
-        *imaginary,
-        *(at for at in sd if at is not None),
-        *(at for pair in pairs.values() for at in pair),
-    ]
-    plain = [f_at, *(at for name, at in more.items() if name != NOISE)]
-    gaps += [more[name] for name in (FUNDAMENTAL, *OF_RECORDS) if name in more]
-    wanted = list(dict.fromkeys([*plain, *gaps]))
-    values = table.numbers(wanted, gaps, [more[DOF]] if DOF in more else [])
-    read = {*wanted, *more.values()}
-    extra = [bare(name)[0] for i, name in enumerate(table.header) if i not in read]
-    notes = list(table.notes)
-    if extra:
-        text = f"{table.source}: not read, because the rig file does not list them: {listed(extra)}"
-        notes.append(Notice("columns_not_read", text, tuple(extra)))
-    frequency = values[f_at]
-    check_frequency(table, f_at, frequency)
-    lines = len(frequency)
-    experiments = np.full(lines, experiment, dtype=np.int64)
-    if EXPERIMENT in more:
-        experiments = whole_numbers(table, more[EXPERIMENT], values[more[EXPERIMENT]])
-    samples = np.ones(lines, dtype=np.int64)
-    if SAMPLES in more:
-        samples = whole_numbers(table, more[SAMPLES], values[more[SAMPLES]])
-        _check_positive(table, more[SAMPLES], samples.astype(float))
+            re = columns.find(f"{a.name}&{b.name}_cov_re")
+            if i != j and re is not None:
+                pairs[i, j] = (re, columns.need(f"{a.name}&{b.name}_cov_im"))
+    names = [EXPERIMENT, SAMPLES, DOF, NOISE]
+    if columns.find(RECORD) is not None:
+        names += [RECORD, FUNDAMENTAL, *OF_RECORDS]
+    more = {name: at for name in names if (at := columns.find(name)) is not None}
+    return _Layout(f_at, real, imaginary, sd, np.array(scales), pairs, more)
+
+
+def _counts(
+    columns: Columns, layout: _Layout, values: dict[int, Real], lines: int, experiment: int
+) -> tuple[Ints, Ints, Real]:
+    """Experiment, samples and degrees of freedom of each line."""
+    experiments, samples = np.full(lines, experiment, dtype=np.int64), np.ones(lines, dtype=np.int64)
     dof = np.full(lines, np.inf)
-    if DOF in more:
-        dof = values[more[DOF]]
-        _check_positive(table, more[DOF], dof)
-    noise = ["given" if any(at is not None for at in sd) else "unknown"] * lines
-    if NOISE in more:
-        noise = table.texts(more[NOISE])
-        for i, kind in enumerate(noise):
-            if kind not in KINDS:
-                raise table.error(
-                    i, more[NOISE], f'"{kind[:40]}" is not known', f"it may be {', '.join(KINDS)}"
-                )
-    unknown = np.array([kind == "unknown" for kind in noise]) | all(at is None for at in sd)
-    noise = ["unknown" if missing else kind for kind, missing in zip(noise, unknown.tolist(), strict=True)]
-    scale = np.array([channel.scale for channel in channels])
-    X = np.stack([values[a] + 1j * values[b] for a, b in zip(real, imaginary, strict=True)], axis=-1) * scale
-    absent = _absent(table, experiments, real, imaginary, values)
-    X[absent] = np.nan
-    V = np.zeros((lines, len(channels), len(channels)), dtype=complex)
-    for c, column in enumerate(sd):
+    if EXPERIMENT in layout.more:
+        at = layout.more[EXPERIMENT]
+        experiments = whole_numbers(columns, at, values[at])
+    if SAMPLES in layout.more:
+        at = layout.more[SAMPLES]
+        samples = whole_numbers(columns, at, values[at])
+        _check_positive(columns, at, samples.astype(float))
+    if DOF in layout.more:
+        dof = values[layout.more[DOF]]
+        _check_positive(columns, layout.more[DOF], dof)
+    return experiments, samples, dof
+
+
+def _kinds_of_noise(columns: Columns, layout: _Layout, lines: int) -> tuple[str, ...]:
+    """How the noise of each line was found.  Raises DataError for a word that is not known."""
+    given = any(at is not None for at in layout.sd)
+    if NOISE not in layout.more:
+        return ("given" if given else "unknown",) * lines
+    kinds = columns.texts(layout.more[NOISE])
+    for i, kind in enumerate(kinds):
+        if kind not in KINDS:
+            what = f'"{kind[:40]}" is not known'
+            raise columns.error(i, layout.more[NOISE], what, f"it may be {', '.join(KINDS)}")
+    return tuple(kinds) if given else ("unknown",) * lines
+
+
+def _covariance(
+    columns: Columns, layout: _Layout, values: dict[int, Real], absent: Bools, unknown: Bools
+) -> Complex:
+    """E[Δ Δᴴ] in SI units, (lines, channels, channels); NaN where it is unknown.  Raises DataError."""
+    lines, channels = absent.shape
+    V = np.zeros((lines, channels, channels), dtype=complex)
+    for c, column in enumerate(layout.sd):
         if column is None:
             continue
         missing = np.isnan(values[column])
@@ -120,38 +198,36 @@ def read_amplitudes(
         if np.any(wrong):
             i = int(np.argmax(wrong))
             cause = "the cell is empty" if missing[i] else f"a standard deviation of {values[column][i]:g}"
-            raise table.error(i, column, cause, "give a number that is not negative; 0 is exact")
-        V[:, c, c] = 2 * (np.where(missing, 0.0, values[column]) * scale[c]) ** 2
-    for (i, j), (re, im) in pairs.items():
+            raise columns.error(i, column, cause, "give a number that is not negative; 0 is exact")
+        V[:, c, c] = 2 * (np.where(missing, 0.0, values[column]) * layout.scales[c]) ** 2
+    for (i, j), (re, im) in layout.pairs.items():
         known = ~(np.isnan(values[re]) | np.isnan(values[im]))
-        product = np.where(known, values[re] + 1j * values[im], 0) * scale[i] * scale[j]
+        product = np.where(known, values[re] + 1j * values[im], 0) * layout.scales[i] * layout.scales[j]
         V[:, i, j], V[:, j, i] = product, np.conj(product)
-    large = ~absent & ~(np.abs(np.where(absent, 0, X)) <= LARGEST)
-    if np.any(large):
-        i, c = (int(k) for k in np.argwhere(large)[0])
-        raise table.error(
-            i, real[c], f"{np.abs(X[i, c]):g} (SI) is too large", "check the unit and the number"
-        )
-    if pairs:
-        _check_definite(table, V, min(pairs.values())[0])
+    if layout.pairs:
+        _check_definite(columns, V, min(layout.pairs.values())[0])
     V[unknown] = np.nan
-    h = calibration(channels, frequency)
-    V = V * h[:, :, None] * np.conj(h)[:, None, :]
-    stretch, stretches = _stretches(table, more, values, lines)
-    spectrum = Spectrum(
-        tuple(channels), frequency, X * h, V, samples, dof, tuple(noise), experiments,
-        stretch=stretch, stretches=stretches,
-    )  # fmt: skip
-    return spectrum, notes
+    return V
+
+
+def _notes(columns: Columns, layout: _Layout) -> list[Notice]:
+    """The notes of the file, and what is not read of it."""
+    read = {*layout.numeric, *layout.more.values()}
+    extra = [bare(name)[0] for i, name in enumerate(columns.header) if i not in read]
+    notes = list(columns.notes)
+    if extra:
+        text = f"{columns.source}: not read, because the rig file does not list them: {listed(extra)}"
+        notes.append(Notice("columns_not_read", text, tuple(extra)))
+    return notes
 
 
 def _stretches(
-    table: Table, more: dict[str, int], values: dict[int, Real], lines: int
+    columns: Columns, more: dict[str, int], values: dict[int, Real], lines: int
 ) -> tuple[Ints, tuple[Stretch, ...]]:
     """Which record or dwell each line belongs to.  Raises DataError where lines of one record disagree about it."""
     if RECORD not in more:
         return np.zeros(lines, dtype=np.int64), (SettledDwell(),)
-    numbers = whole_numbers(table, more[RECORD], values[more[RECORD]])
+    numbers = whole_numbers(columns, more[RECORD], values[more[RECORD]])
     absent = np.full(lines, np.nan)
     of_record = np.stack(
         [values[more[name]] if name in more else absent for name in (FUNDAMENTAL, *OF_RECORDS)], axis=-1
@@ -164,32 +240,32 @@ def _stretches(
         differs = ~np.all((of_record[rows] == first) | (np.isnan(of_record[rows]) & np.isnan(first)), axis=-1)
         if np.any(differs):
             row = int(rows[int(np.argmax(differs))])
-            raise table.error(
-                row, more[RECORD], f"record {number} is described differently in row {table.row(int(rows[0]))}",
+            raise columns.error(
+                row, more[RECORD], f"record {number} is described differently at {columns.place(int(rows[0]))}",
                 "its duration, samples, loads and columns must be the same in all of its lines",
             )  # fmt: skip
         fundamental, duration, samples, loads, polynomial = first.tolist()
         stretch[rows] = len(stretches)
         try:
             if np.isfinite(duration) and np.isfinite(samples):
-                terms = 4 if np.isnan(polynomial) else int(polynomial)
+                terms = 3 if np.isnan(polynomial) else int(polynomial)
                 stretches.append(WholeRecord(duration, int(samples), loads != 0, terms))
             else:
                 stretches.append(SettledDwell(None if np.isnan(fundamental) else fundamental))
         except DataError as error:
             what = error.problems[0]
-            raise table.error(int(rows[0]), more[RECORD], what.what, what.cure or "") from error
+            raise columns.error(int(rows[0]), more[RECORD], what.what, what.cure or "") from error
     return stretch, tuple(stretches)
 
 
-def _check_positive(table: Table, column: int, values: Real) -> None:
+def _check_positive(columns: Columns, column: int, values: Real) -> None:
     wrong = ~(values > 0)
     if np.any(wrong):
         i = int(np.argmax(wrong))
-        raise table.error(i, column, f"{values[i]:g}", "it must be positive")
+        raise columns.error(i, column, f"{values[i]:g}", "it must be positive")
 
 
-def _check_definite(table: Table, V: Complex, column: int) -> None:
+def _check_definite(columns: Columns, V: Complex, column: int) -> None:
     """Raises DataError where variances and covariances do not fit together."""
     size = np.sqrt(np.diagonal(V, axis1=1, axis2=2).real)
     size = np.where(size > 0, size, 1.0)
@@ -198,13 +274,13 @@ def _check_definite(table: Table, V: Complex, column: int) -> None:
     )
     if np.any(wrong):
         i = int(np.argmax(wrong))
-        raise table.error(
+        raise columns.error(
             i, column, "the covariances are larger than the sd of the channels allow", "correct either"
         )
 
 
 def _absent(
-    table: Table,
+    columns: Columns,
     experiments: Ints,
     real: list[int],
     imaginary: list[int],
@@ -222,7 +298,7 @@ def _absent(
                 continue
             i = int(np.argmax(mine & (half | empty[:, c])))
             at = a if np.isnan(values[a][i]) else b
-            raise table.error(
+            raise columns.error(
                 i,
                 at,
                 "the cell is empty",

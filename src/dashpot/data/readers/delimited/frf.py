@@ -11,82 +11,107 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from dashpot.arrays import Complex
+from dashpot.arrays import Complex, Real
 from dashpot.channel import Channel
 from dashpot.data.calibration import calibration
-from dashpot.data.readers.delimited.stepped_sine import FREQUENCY, check_frequency
-from dashpot.data.readers.delimited.table import Table, bare
+from dashpot.data.readers.columns import Columns, bare
+from dashpot.data.readers.delimited.stepped_sine import check_frequency
+from dashpot.data.readers.sampling import FREQUENCY, frequency_column, frequency_scale
 from dashpot.data.spectrum import Spectrum, concatenate
 from dashpot.errors import DataError
 from dashpot.io.words import listed
 from dashpot.notices import Notice
 
+Pair = tuple[str, str]  # names of a response and of an input
 
-def is_frf(table: Table) -> bool:
+
+def is_frf(columns: Columns) -> bool:
     """There is a pair OUT/IN_re, OUT/IN_im."""
-    names = {bare(name)[0] for name in table.header}
+    names = {bare(name)[0] for name in columns.header}
     return any("/" in name and name.endswith("_re") and name[:-3] + "_im" in names for name in names)
 
 
-def read_frf(table: Table, channels: Sequence[Channel], experiment: int = 0) -> tuple[Spectrum, list[Notice]]:
+def read_frf(
+    columns: Columns, channels: Sequence[Channel], experiment: int = 0
+) -> tuple[Spectrum, list[Notice]]:
     """The spectrum in SI units, one experiment for each input from number `experiment` on, and notes.
 
     Without any sd column the noise is unknown.  Raises DataError with file and column for what is missing, not a
     number, or not in the rig file.
     """
-    by_name = {channel.name: channel for channel in channels}
-    pairs = []
-    for name in (bare(column)[0] for column in table.header):
-        out, slash, into = name.removesuffix("_re").partition("/")
-        if slash and name.endswith("_re") and out in by_name and into in by_name:
-            pairs.append((out, into))
-    inputs = list(dict.fromkeys(into for _, into in pairs))
-    outputs = [channel.name for channel in channels if channel.name not in inputs]
-    if not pairs:
-        raise DataError(
-            f"no column OUT/IN_re names two channels of the rig file ({listed(by_name)})",
-            table.source,
-            "name the columns after its channels",
-        )
-    for into in inputs:
-        for out in outputs:
-            if (out, into) not in pairs:
-                raise DataError(
-                    f"there is no column {out}/{into}_re (the rig file lists the channels)",
-                    table.source,
-                    "add it, or take the channel out of the rig file",
-                )
-    columns = {
-        pair: (table.need(f"{'/'.join(pair)}_re"), table.need(f"{'/'.join(pair)}_im")) for pair in pairs
-    }
-    sd = {pair: at for pair in pairs if (at := table.find(f"{'/'.join(pair)}_sd")) is not None}
-    f_at = table.need(FREQUENCY)
-    values = table.numbers([f_at, *(at for both in columns.values() for at in both), *sd.values()])
-    frequency = values[f_at]
-    check_frequency(table, f_at, frequency)
-    for at in sd.values():
-        if np.any(values[at] < 0):
-            row = int(np.argmax(values[at] < 0))
-            raise table.error(row, at, f"a standard deviation of {values[at][row]:g}", "0 is exact")
-    scale = np.array([channel.scale for channel in channels])
-    h = calibration(channels, frequency)
-    lines, count = len(frequency), len(channels)
+    pairs = _pairs(columns, channels)
+    frequency, functions, sd = _functions(columns, channels, pairs)
+    scale = np.array([channel.scale for channel in channels]) * calibration(channels, frequency)
     spectra = []
-    for number, into in enumerate(inputs):
-        X = np.zeros((lines, count), dtype=np.complex128)
-        V: Complex = np.zeros((lines, count, count), dtype=np.complex128)
+    for number, into in enumerate(dict.fromkeys(into for _, into in pairs)):
+        X = np.zeros((len(frequency), len(channels)), dtype=np.complex128)
+        V: Complex = np.zeros((len(frequency), len(channels), len(channels)), dtype=np.complex128)
         for c, channel in enumerate(channels):
             if channel.name == into:
                 X[:, c] = 1.0
-            elif (pair := (channel.name, into)) in columns:
-                re, im = columns[pair]
-                X[:, c] = values[re] + 1j * values[im]
-                V[:, c, c] = 2 * values[sd[pair]] ** 2 if pair in sd else 0.0
+            elif (pair := (channel.name, into)) in functions:
+                X[:, c] = functions[pair]
+                V[:, c, c] = 2 * sd[pair] ** 2 if pair in sd else 0.0
         if not sd:
             V = np.full_like(V, np.nan)
-        V = V * (scale * h)[:, :, None] * np.conj(scale * h)[:, None, :]
-        whole = np.full(lines, experiment + number)
-        noise = ("given" if sd else "unknown",) * lines
-        ones, known = np.ones(lines, dtype=np.int64), np.full(lines, np.inf)
-        spectra.append(Spectrum(tuple(channels), frequency, X * scale * h, V, ones, known, noise, whole))
-    return concatenate(spectra), list(table.notes)
+        lines = len(frequency)
+        spectra.append(
+            Spectrum(
+                tuple(channels),
+                frequency,
+                X * scale,
+                V * scale[:, :, None] * np.conj(scale)[:, None, :],
+                np.ones(lines, dtype=np.int64),
+                np.full(lines, np.inf),
+                ("given" if sd else "unknown",) * lines,
+                np.full(lines, experiment + number),
+            )
+        )
+    return concatenate(spectra), list(columns.notes)
+
+
+def _pairs(columns: Columns, channels: Sequence[Channel]) -> list[Pair]:
+    """Which response to which input there is.  Raises DataError where there is none, or one is missing."""
+    names = {channel.name for channel in channels}
+    pairs = []
+    for name in (bare(column)[0] for column in columns.header):
+        out, slash, into = name.removesuffix("_re").partition("/")
+        if slash and name.endswith("_re") and out in names and into in names:
+            pairs.append((out, into))
+    if not pairs:
+        raise DataError(
+            f"no column OUT/IN_re names two channels of the rig file ({listed(c.name for c in channels)})",
+            columns.source,
+            "name the columns after its channels",
+        )
+    inputs = {into for _, into in pairs}
+    for into in inputs:
+        for out in names - inputs:
+            if (out, into) not in pairs:
+                raise DataError(
+                    f"there is no column {out}/{into}_re (the rig file lists the channels)",
+                    columns.source,
+                    "add it, or take the channel out of the rig file",
+                )
+    return pairs
+
+
+def _functions(
+    columns: Columns, channels: Sequence[Channel], pairs: Sequence[Pair]
+) -> tuple[Real, dict[Pair, Complex], dict[Pair, Real]]:
+    """Frequency in Hz, the functions and their standard deviations, each (lines,)."""
+    at = {
+        pair: (columns.need(f"{'/'.join(pair)}_re"), columns.need(f"{'/'.join(pair)}_im")) for pair in pairs
+    }
+    sd_at = {pair: i for pair in pairs if (i := columns.find(f"{'/'.join(pair)}_sd")) is not None}
+    f_at = frequency_column(columns, channels)
+    f_at = columns.need(FREQUENCY) if f_at is None else f_at
+    values = columns.numbers([f_at, *(i for both in at.values() for i in both), *sd_at.values()])
+    frequency = values[f_at] * frequency_scale(columns, f_at)
+    check_frequency(columns, f_at, frequency)
+    for i in sd_at.values():
+        if np.any(values[i] < 0):
+            row = int(np.argmax(values[i] < 0))
+            raise columns.error(row, i, f"a standard deviation of {values[i][row]:g}", "0 is exact")
+    functions = {pair: values[re] + 1j * values[im] for pair, (re, im) in at.items()}
+    return frequency, functions, {pair: values[i] for pair, i in sd_at.items()}

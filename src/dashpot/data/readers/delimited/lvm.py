@@ -3,55 +3,95 @@
     LabVIEW Measurement … ***End_of_Header*** … Channels 2 … ***End_of_Header***
     X_Value    Acceleration (Trigger)    Force (Trigger)    Comment
 
-`open_lvm` gives the table that stepped-sine readers take, the column X_Value under the name time_s.
+A file may hold several segments, each with a header of its own.  The column X_Value comes under the name time_s.
 """
 
 from __future__ import annotations
 
 import os
 import re
-from collections.abc import Mapping
-from dataclasses import replace
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
 
-from dashpot.data.readers.delimited.stepped_sine import TIME
-from dashpot.data.readers.delimited.table import Table, open_table
+from dashpot.data.readers.datafile import DataFile, open_file
+from dashpot.data.readers.delimited.opening import table_of
+from dashpot.data.readers.delimited.table import Table
+from dashpot.data.readers.sampling import TIME
 from dashpot.errors import DataError
+from dashpot.io.words import shown
 
-FIRST, COMMENT = "X_Value", "Comment"
-_END = b"***End_of_Header***"
+TITLE, FIRST, COMMENT = b"LabVIEW Measurement", "X_Value", "Comment"
+_END = re.compile(rb"^\*\*\*End_of_Header\*\*\*[^\n]*\n", re.MULTILINE)
+_HEAD = re.compile(rb"^(LabVIEW Measurement|Channels)\b", re.MULTILINE)  # of the file, of a segment
 
 
-def is_lvm(table: Table) -> bool:
-    """The first row says so."""
-    return table.header[0] == "LabVIEW Measurement"
+@dataclass(frozen=True)
+class LabViewReader:
+    """LabVIEW measurement files."""
+
+    format: str = "LabVIEW measurement"
+    extra: str | None = None
+
+    def sniff(self, file: DataFile) -> bool:
+        """The first row says so."""
+        return file.head.lstrip(b"\xef\xbb\xbf \r\n\t").startswith(TITLE)
+
+    def parts(self, file: DataFile) -> Iterator[Table]:
+        """The segments.  Times are those written, not multiples of the rounded Delta_X of the header.
+
+        Raises DataError where there is no column of time, or another one for each channel.
+        """
+        data = file.contents
+        ends = [match.end() for match in _END.finditer(data)]
+        heads = [i for i, end in enumerate(ends) if data[end : end + len(FIRST)] == FIRST.encode()]
+        if not heads:  # what is missing is said
+            yield _segment(data, file.name, 0, ())
+        for number, i in enumerate(heads, start=1):
+            end = ends[i]
+            next_head = _HEAD.search(data, end)
+            source = file.name if len(heads) == 1 else f"{file.name} (segment {number})"
+            above = data.count(b"\n", 0, end)
+            units = _units(data[ends[i - 1] if i else 0 : end].decode("utf-8", errors="replace"))
+            yield _segment(data[end : next_head.start() if next_head else len(data)], source, above, units)
 
 
 def open_lvm(path: str | os.PathLike[str], names: Mapping[str, str] | None = None) -> Table:
-    """The samples of a LabVIEW measurement file; `names` renames its columns.
+    """The samples of a file of one segment; `names` renames its columns.
 
-    Times are those written, not multiples of the rounded Delta_X of the header.  Raises DataError where the file is
-    none, holds several segments, has no column of time, or has another one for each channel.
+    Raises DataError as LabViewReader.parts, and where there are several segments or a column is missing.
     """
-    table = open_table(path, FIRST)
+    file = open_file(path)
+    tables = list(LabViewReader().parts(file))
+    if len(tables) > 1:
+        cure = "save each as a file of its own (one header)"
+        raise DataError("the file holds several segments", file.name, cure)
+    return tables[0].renamed(names or {})
+
+
+def _units(header: str) -> tuple[str | None, ...]:
+    """Units of the channels as the header of a segment lists them."""
+    for row in header.splitlines():
+        label, *units = row.split("\t")
+        if label == "Y_Unit_Label":
+            return tuple(unit.strip() or None for unit in units)
+    return ()
+
+
+def _segment(data: bytes, source: str, above: int, units: tuple[str | None, ...]) -> Table:
+    """One segment: `above` rows of the file stand above its bytes."""
+    table = table_of(data, source, FIRST)
+    table = replace(table, first_row=table.first_row + above)
     body = bytes(table.body)
-    if _END in body:
-        raise DataError(
-            "the file holds several segments", table.source, "save each as a file of its own (one header)"
-        )
     if table.header.count(FIRST) > 1:
         cure = "save it with one column of time (X_Columns One)"
-        raise DataError("there is a column of time for each channel", table.source, cure)
+        raise DataError("there is a column of time for each channel", shown(source, 200), cure)
     width = len(table.header)
     if table.header[-1] == COMMENT:  # filled in few rows, or none, and left away in the others
         width -= 1
         body = _without_comments(body, table.delimiter, width)
-    renamed = {FIRST: TIME, **(names or {})}
-    header = tuple(renamed.get(name, name) for name in table.header[:width])
-    for old in names or {}:
-        if old not in table.header:
-            cure = f"there are {', '.join(table.header[1:width])}"
-            raise DataError(f"column {old}: missing", f"{table.source}:{table.first_row - 1}", cure)
-    return replace(table, header=header, body=memoryview(body))
+    header = (TIME, *table.header[1:width])
+    of_columns = (None, *units[: width - 1], *[None] * (width - 1 - len(units)))
+    return replace(table, header=header, units=of_columns, body=memoryview(body))
 
 
 def _without_comments(body: bytes, delimiter: str, width: int) -> bytes:

@@ -12,14 +12,16 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from dashpot.arrays import Real
+from dashpot.arrays import Complex, Real
 from dashpot.data.modal_data import ModalData
-from dashpot.data.readers.delimited.table import Table, bare, open_table
+from dashpot.data.readers.columns import Columns, bare
+from dashpot.data.readers.delimited.opening import open_table
 from dashpot.errors import DataError
 from dashpot.io.json_document import from_json
 from dashpot.io.ledger import noted
@@ -40,86 +42,109 @@ def read_modes(path: str | os.PathLike[str], coordinates: Sequence[str]) -> Moda
     return _from_table(open_table(path), coordinates)
 
 
-def _from_table(table: Table, coordinates: Sequence[str]) -> ModalData:
+@dataclass(frozen=True)
+class _Layout:
+    """Columns of the frequency, the damping ratio and their sd, and of real part, imaginary part and sd of points."""
+
+    frequency: int
+    frequency_sd: int
+    damping: int | None
+    damping_sd: int | None
+    points: dict[str, tuple[int, int | None, int]]
+
+    @property
+    def columns(self) -> list[int]:
+        """All of them."""
+        of_points = (at for three in self.points.values() for at in three)
+        every = (self.frequency, self.frequency_sd, self.damping, self.damping_sd, *of_points)
+        return list(dict.fromkeys(at for at in every if at is not None))
+
+
+def _from_table(table: Columns, coordinates: Sequence[str]) -> ModalData:
+    layout = _layout(table, coordinates)
+    gaps = [at for at in layout.columns if at not in (layout.frequency, layout.frequency_sd)]
+    values = table.numbers(layout.columns, gaps)
+    absent = np.full(len(values[layout.frequency]), np.nan)
+    zeta = absent if layout.damping is None else values[layout.damping]
+    zeta_sd = absent if layout.damping_sd is None else values[layout.damping_sd]
+    shape, sd = _shapes(table, layout, values)
+    _check_modes(table, layout, values, zeta, zeta_sd)
+    _check_shapes(table, layout, sd)
+    f, f_sd = values[layout.frequency], values[layout.frequency_sd]
+    return _assembled(list(layout.points), f, f_sd, zeta, zeta_sd, shape, sd)
+
+
+def _layout(table: Columns, coordinates: Sequence[str]) -> _Layout:
+    """Where everything stands.  Raises DataError for what is missing, twice, or of no coordinate."""
     f_at, f_sd_at = table.need(FREQUENCY), table.need(FREQUENCY_SD, " (a mode without it cannot be weighed)")
     z_at = table.find(DAMPING)
     z_sd_at = None if z_at is None else table.need(DAMPING_SD, f" (it belongs to {DAMPING})")
-    points, columns = [], []
+    points: dict[str, tuple[int, int | None, int]] = {}
     for name in coordinates:
         real, alone = table.find(f"{name}_re"), table.find(name)
-        if real is None and alone is None:
-            continue
         if real is not None and alone is not None:
-            raise DataError(
-                f"columns {shown(name)} and {shown(name)}_re: the same point twice",
-                table.source,
-                "remove one",
-            )
-        imaginary = table.need(f"{name}_im") if real is not None else None
-        points.append(name)
-        columns.append((alone if real is None else real, imaginary, table.need(f"{name}_sd")))
-    used = {f_at, f_sd_at, z_at, z_sd_at, *(at for three in columns for at in three)}
-    strangers = [bare(name)[0] for i, name in enumerate(table.header) if i not in used]
+            what = f"columns {shown(name)} and {shown(name)}_re: the same point twice"
+            raise DataError(what, table.source, "remove one")
+        if real is not None:
+            points[name] = (real, table.need(f"{name}_im"), table.need(f"{name}_sd"))
+        elif alone is not None:
+            points[name] = (alone, None, table.need(f"{name}_sd"))
+    layout = _Layout(f_at, f_sd_at, z_at, z_sd_at, points)
+    strangers = [bare(name)[0] for i, name in enumerate(table.header) if i not in layout.columns]
     if strangers:
         raise DataError(
             f"column {listed(strangers)}: no coordinate of the rig",
-            f"{table.source}:{table.first_row - 1}",
+            table.heading,
             f"shapes are read as NAME_re, NAME_im, NAME_sd at {listed(coordinates)}; remove the others",
         )
-    wanted = [
-        at
-        for at in dict.fromkeys([f_at, f_sd_at, z_at, z_sd_at, *(a for t in columns for a in t)])
-        if at is not None
-    ]
-    gaps = [at for at in wanted if at not in (f_at, f_sd_at)]
-    values = table.numbers(wanted, gaps)
-    count = len(values[f_at])
-    nothing = np.full(count, np.nan)
-    zeta = nothing if z_at is None else values[z_at]
-    zeta_sd = nothing if z_sd_at is None else values[z_sd_at]
-    shape = np.full((count, len(points)), np.nan + 0j)
-    sd = np.full((count, len(points)), np.nan)
-    for c, (re, im, sd_at) in enumerate(columns):
-        assert re is not None
-        assert sd_at is not None
-        imaginary_part = np.where(np.isnan(values[re]), np.nan, 0.0) if im is None else values[im]
-        half = np.isnan(values[re]) != np.isnan(imaginary_part)
+    return layout
+
+
+def _shapes(table: Columns, layout: _Layout, values: Mapping[int, Real]) -> tuple[Complex, Real]:
+    """Shapes and their sd, (modes, points); NaN where a point is left empty.  Raises DataError for half a gap."""
+    count, points = len(values[layout.frequency]), len(layout.points)
+    shape, sd = np.full((count, points), np.nan + 0j), np.full((count, points), np.nan)
+    for c, (re, im, sd_at) in enumerate(layout.points.values()):
+        imaginary = np.where(np.isnan(values[re]), np.nan, 0.0) if im is None else values[im]
+        half = np.isnan(values[re]) != np.isnan(imaginary)
         lacking = ~np.isnan(values[re]) & np.isnan(values[sd_at])
         for wrong, at in ((half, re if im is None else im), (lacking, sd_at)):
             if np.any(wrong):
                 raise table.error(int(np.argmax(wrong)), at, "the cell is empty", "fill the gap")
-        shape[:, c], sd[:, c] = values[re] + 1j * imaginary_part, values[sd_at]
+        shape[:, c], sd[:, c] = values[re] + 1j * imaginary, values[sd_at]
+    return shape, sd
 
-    def check(wrong: np.ndarray, at: int | None, cause: str, cure: str) -> None:
+
+def _check_modes(
+    table: Columns, layout: _Layout, values: Mapping[int, Real], zeta: Real, zeta_sd: Real
+) -> None:
+    """Raises DataError at the first frequency, damping ratio or sd that is out of range."""
+    f, f_sd = values[layout.frequency], values[layout.frequency_sd]
+    not_positive, above = "a standard deviation that is not positive", "give one above 0"
+    unseen = "give it as a fraction; such a mode does not swing"
+    for wrong, at, cause, cure in (
+        (~(f > 0), layout.frequency, "a frequency that is not positive", "give it in Hz"),
+        (~(f_sd > 0), layout.frequency_sd, not_positive, above),
+        (np.abs(zeta) >= 1, layout.damping, "a damping ratio of 1 or more", unseen),
+        (~np.isnan(zeta) & ~(zeta_sd > 0), layout.damping_sd, not_positive, above),
+    ):
         if at is not None and np.any(wrong):
             raise table.error(int(np.argmax(wrong)), at, cause, cure)
 
-    check(~(values[f_at] > 0), f_at, "a frequency that is not positive", "give it in Hz")
-    check(~(values[f_sd_at] > 0), f_sd_at, "a standard deviation that is not positive", "give one above 0")
-    check(
-        np.abs(zeta) >= 1,
-        z_at,
-        "a damping ratio of 1 or more",
-        "give it as a fraction; such a mode does not swing",
-    )
-    check(
-        ~np.isnan(zeta) & ~(zeta_sd > 0),
-        z_sd_at,
-        "a standard deviation that is not positive",
-        "give one above 0",
-    )
-    for c, (_, _, sd_at) in enumerate(columns):
-        check(
-            sd[:, c] < 0, sd_at, "a negative standard deviation", "give 0 where it is exact, else one above 0"
-        )
-    exact = (
-        np.all((sd == 0) | np.isnan(sd), axis=-1)
-        & np.any(sd == 0, axis=-1)
-        & (np.sum(~np.isnan(sd), axis=-1) > 1)
-    )
-    check(exact, columns[0][2] if columns else None, "no point of the shape has a standard deviation above 0",
-          "give the uncertain points theirs; only the one that the shape is scaled by is exact")  # fmt: skip
-    return _assembled(points, values[f_at], values[f_sd_at], zeta, zeta_sd, shape, sd)
+
+def _check_shapes(table: Columns, layout: _Layout, sd: Real) -> None:
+    """Raises DataError at the first sd of a shape that is negative, and where all of a shape are 0."""
+    at = [sd_at for _, _, sd_at in layout.points.values()]
+    for c, column in enumerate(at):
+        if np.any(sd[:, c] < 0):
+            cure = "give 0 where it is exact, else one above 0"
+            raise table.error(int(np.argmax(sd[:, c] < 0)), column, "a negative standard deviation", cure)
+    there = ~np.isnan(sd)
+    exact = np.all((sd == 0) | ~there, axis=-1) & np.any(sd == 0, axis=-1) & (np.sum(there, axis=-1) > 1)
+    if np.any(exact):
+        cause = "no point of the shape has a standard deviation above 0"
+        cure = "give the uncertain points theirs; only the one that the shape is scaled by is exact"
+        raise table.error(int(np.argmax(exact)), at[0], cause, cure)
 
 
 def _assembled(

@@ -8,68 +8,82 @@ from __future__ import annotations
 import itertools
 import os
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from dashpot.arrays import Ints, Real
 from dashpot.channel import Channel
-from dashpot.data.readers.delimited.table import LARGEST, Table, bare, write_rows
+from dashpot.data.readers.columns import LARGEST, Columns, bare
+from dashpot.data.readers.delimited.writing import write_rows
+from dashpot.data.readers.sampling import (
+    FREQUENCY,
+    TIME,
+    check_range,
+    frequency_column,
+    frequency_scale,
+    read_time,
+    time_column,
+)
 from dashpot.data.record import Record
 from dashpot.errors import DataError
 from dashpot.io.words import listed, shown
 from dashpot.notices import Notice
 
-FREQUENCY, TIME, EXPERIMENT = "frequency_hz", "time_s", "experiment"
+EXPERIMENT = "experiment"
 _IN_NAME = re.compile(r"(?<![\d.])(\d+(?:[.,p]\d+)?)[ _-]?hz(?![a-z])", re.IGNORECASE)
 
 
+@dataclass(frozen=True)
+class Circumstances:
+    """What a file may leave out: the drive frequency of its records, their experiment, their sampling rate in Hz."""
+
+    frequency_hz: float | None = None
+    experiment: int = 0
+    rate_hz: float | None = None
+
+
 def read_records(
-    table: Table, channels: Sequence[Channel], frequency_hz: float | None = None, experiment: int = 0
+    columns: Columns, channels: Sequence[Channel], circumstances: Circumstances = Circumstances()
 ) -> tuple[list[Record], list[Notice]]:
-    """Records and notes.  `frequency_hz` and `experiment` serve files without these columns; a frequency is also
-    taken from a file name such as sweep_12.5Hz.csv.
+    """Records and notes.  A frequency is also taken from a file name such as sweep_12.5Hz.csv.
 
     Raises DataError with file, row and column for what is missing, not a number, or not in order.
     """
-    notes = list(table.notes)
-    time_at, f_at, experiment_at = table.need(TIME), table.find(FREQUENCY), table.find(EXPERIMENT)
-    at = [table.need(channel.name, " (the rig file lists it as a channel)") for channel in channels]
-    for column, channel in zip(at, channels, strict=True):
-        table.check_unit(column, channel)
-    known = [i for i in (f_at, experiment_at) if i is not None]
-    wanted = list(dict.fromkeys([time_at, *known, *at]))
-    extra = [bare(name)[0] for i, name in enumerate(table.header) if i not in wanted]
+    notes = list(columns.notes)
+    time_at = time_column(columns, channels, circumstances.rate_hz is not None)
+    f_at, experiment_at = frequency_column(columns, channels), columns.find(EXPERIMENT)
+    at = [columns.need(channel.name, " (the rig file lists it as a channel)") for channel in channels]
+    scales = [columns.scale(column, channel) for column, channel in zip(at, channels, strict=True)]
+    wanted = list(dict.fromkeys(i for i in (f_at, experiment_at, *at) if i is not None))
+    extra = [bare(name)[0] for i, name in enumerate(columns.header) if i not in wanted and i != time_at]
     if extra:
-        text = f"{table.source}: not read, because the rig file does not list them: {listed(extra)}"
+        text = f"{columns.source}: not read, because the rig file does not list them: {listed(extra)}"
         notes.append(Notice("columns_not_read", text, tuple(extra)))
-    numbers = table.numbers(wanted)
-    time = numbers[time_at]
-    _check_range(table, time_at, time, 1e12, "s")
+    time, numbers = read_time(columns, time_at, wanted, circumstances.rate_hz)
     frequency: Real | None = None
+    frequency_hz = circumstances.frequency_hz
     if f_at is not None:
-        frequency = numbers[f_at]
-        check_frequency(table, f_at, frequency)
+        frequency = numbers[f_at] * frequency_scale(columns, f_at)
+        check_frequency(columns, f_at, frequency)
     elif frequency_hz is None:
-        frequency_hz = _frequency_in_name(table.source)
+        frequency_hz = _frequency_in_name(columns.source)
         if frequency_hz is not None:
-            text = f"{table.source}: the drive frequency {frequency_hz:g} Hz is taken from the file's name"
-            notes.append(Notice("frequency_from_name", text, (table.source,)))
-    experiments = np.full(len(time), experiment, dtype=np.int64)
+            text = f"{columns.source}: the drive frequency {frequency_hz:g} Hz is taken from the file's name"
+            notes.append(Notice("frequency_from_name", text, (columns.source,)))
+    experiments = np.full(len(time), circumstances.experiment, dtype=np.int64)
     if experiment_at is not None:
-        experiments = whole_numbers(table, experiment_at, numbers[experiment_at])
-    values = np.stack([numbers[column] for column in at], axis=-1) if at else np.zeros((len(time), 0))
-    values = values * np.array([channel.scale for channel in channels])
-    for column, x in zip(at, values.T, strict=True):
-        _check_range(table, column, x, LARGEST, "(SI)")
-    starts = _blocks(table, time_at, time, frequency, experiments)
+        experiments = whole_numbers(columns, experiment_at, numbers[experiment_at])
+    values = _in_si(columns, at, scales, numbers, len(time))
+    starts = _blocks(columns, at[0] if time_at is None else time_at, time, frequency, experiments)
     records = []
     for start, end in zip(starts, [*starts[1:], len(time)], strict=True):
         if end - start < 2:
-            raise table.error(
+            raise columns.error(
                 start,
-                time_at,
+                at[0] if time_at is None else time_at,
                 "the block has one sample",
                 "record more, or look for rows that are out of order",
             )
@@ -79,39 +93,44 @@ def read_records(
             values[start:end],
             frequency_hz if frequency is None else float(frequency[start]),
             int(experiments[start]),
-            table.source if len(starts) == 1 else f"{table.source}:{table.first_row + start}",
+            columns.source if len(starts) == 1 else columns.part_from(start),
         )
         notes.extend(_clipped(record))
         records.append(record)
     return records, notes
 
 
-def check_frequency(table: Table, column: int, frequency: Real) -> None:
+def _in_si(
+    columns: Columns, at: Sequence[int], scales: Sequence[float], numbers: Mapping[int, Real], rows: int
+) -> Real:
+    """The channels in SI units, (samples, channels)."""
+    values = np.empty((rows, len(at)))
+    for i, (column, scale) in enumerate(zip(at, scales, strict=True)):
+        np.multiply(numbers[column], scale, out=values[:, i])
+        check_range(columns, column, values[:, i], LARGEST, "(SI)")
+    return values
+
+
+def check_frequency(columns: Columns, column: int, frequency: Real) -> None:
     """Raises DataError at the first frequency that is not positive."""
     wrong = ~(frequency > 0) | (frequency > 1e12)
     if np.any(wrong):
         i = int(np.argmax(wrong))
-        raise table.error(i, column, f"frequency {frequency[i]:g} Hz", "frequencies must be positive")
+        raise columns.error(i, column, f"frequency {frequency[i]:g} Hz", "frequencies must be positive")
 
 
-def whole_numbers(table: Table, column: int, values: Real) -> Ints:
+def whole_numbers(columns: Columns, column: int, values: Real) -> Ints:
     """A column as integers.  Raises DataError at the first that is none."""
     wrong = (values != np.round(values)) | (np.abs(values) > 2**53)
     if np.any(wrong):
         i = int(np.argmax(wrong))
-        raise table.error(i, column, f"{values[i]:g} is not a whole number", "number them 0, 1, 2, …")
+        raise columns.error(i, column, f"{values[i]:g} is not a whole number", "number them 0, 1, 2, …")
     return values.astype(np.int64)
 
 
-def _check_range(table: Table, column: int, values: Real, most: float, unit: str) -> None:
-    """Raises DataError at the first value that overflows sums of squares."""
-    wrong = ~(np.abs(values) <= most)
-    if np.any(wrong):
-        i = int(np.argmax(wrong))
-        raise table.error(i, column, f"{values[i]:g} {unit} is too large", "check the unit and the number")
-
-
-def _blocks(table: Table, column: int, time: Real, frequency: Real | None, experiments: Ints) -> list[int]:
+def _blocks(
+    columns: Columns, column: int, time: Real, frequency: Real | None, experiments: Ints
+) -> list[int]:
     """Where records begin: the frequency or the experiment changes, or the time starts again.
 
     Raises DataError where the time stands still or goes back without starting again.
@@ -126,7 +145,7 @@ def _blocks(table: Table, column: int, time: Real, frequency: Real | None, exper
         start = int(begun[np.searchsorted(begun, i, side="right") - 1])
         start = max([start, *(k for k in starts[len(begun) :] if k < i)])
         if time[i] > time[start] + 0.02 * (time[i - 1] - time[start]):
-            raise table.error(
+            raise columns.error(
                 i,
                 column,
                 f"the time does not increase ({time[i - 1]:.9g} s, then {time[i]:.9g} s)",
@@ -149,7 +168,7 @@ def _clipped(record: Record) -> list[Notice]:
             following = np.max(x[side]) if np.max(x) == limit else np.min(x[side])
             if count >= 8 * np.sum(x == following):
                 text = (
-                    f"{record.source}: {channel.name} stays at its limit in {count} of {len(x)} samples: "
+                    f"{record.source}: {channel.name} rests at its limit in {count} of {len(x)} samples: "
                     "if it is clipped, its amplitude is too small; widen the range or drive less"
                 )
                 notes.append(Notice("clipped", text, (channel.name,)))

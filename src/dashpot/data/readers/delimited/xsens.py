@@ -7,13 +7,19 @@ Gyr_X … (°/s).  The first row may hold zeros instead of a measurement.
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
 from dashpot.arrays import Ints, Real
 from dashpot.channel import Channel, Quantity
-from dashpot.data.readers.delimited.table import Table, open_table
+from dashpot.data.readers.columns import ArrayColumns, Load
+from dashpot.data.readers.datafile import DataFile
+from dashpot.data.readers.delimited.opening import open_table
+from dashpot.data.readers.delimited.table import Table
+from dashpot.data.readers.sampling import TIME
 from dashpot.data.record import Record
 from dashpot.errors import DataError
 from dashpot.io.words import shown
@@ -21,6 +27,7 @@ from dashpot.notices import Notice
 
 COUNTER, CLOCK = "PacketCounter", "SampleTimeFine"
 AXES = ("Acc_X", "Acc_Y", "Acc_Z")
+UNITS = {"Acc_": "m/s²", "FreeAcc_": "m/s²", "Gyr_": "deg/s", "Euler_": "deg"}  # by the beginning of the name
 WRAP = 1 << 32  # µs, the clock starts again after 71.6 minutes
 FEWEST = 0.5  # share of the shortest file that all sensors must have in common
 
@@ -74,9 +81,48 @@ def read_xsens(
     return Record(tuple(channels), time, values, frequency_hz, experiment, source), notes
 
 
+@dataclass(frozen=True)
+class XsensReader:
+    """The file of one Xsens DOT sensor."""
+
+    format: str = "Xsens DOT"
+    extra: str | None = None
+
+    def sniff(self, file: DataFile) -> bool:
+        """Its columns are there."""
+        return COUNTER.encode() in file.head and CLOCK.encode() in file.head
+
+    def parts(self, file: DataFile) -> Iterator[ArrayColumns]:
+        """What the sensor measured: `time_s` is its own clock, which synchronised sensors share."""
+        table = open_table(file, COUNTER)
+        ticks, first, notes = _clock(table)
+        loads: list[Load] = [lambda: ticks[first:] * 1e-6]
+        names, units = [TIME], ["s"]
+        for i, name in enumerate(table.header):
+            unit = next((unit for prefix, unit in UNITS.items() if name.startswith(prefix)), None)
+            if unit is not None:
+                names.append(name)
+                units.append(unit)
+                loads.append(partial(_from, table, i, first))
+        yield ArrayColumns(
+            file.name, tuple(names), tuple(units), tuple(notes), len(ticks) - first, tuple(loads)
+        )
+
+
+def _from(table: Table, column: int, first: int) -> Real:
+    return table.numbers([column])[column][first:]
+
+
 def _sensor(table: Table, column: str) -> tuple[Ints, Real, list[Notice]]:
     """Clock in µs, values in m/s², notes; rows of zeros at the start left out."""
-    counter_at, clock_at, value_at = table.need(COUNTER), table.need(CLOCK), table.need(column)
+    at = table.need(column)
+    ticks, first, notes = _clock(table)
+    return ticks[first:], _from(table, at, first), notes
+
+
+def _clock(table: Table) -> tuple[Ints, int, list[Notice]]:
+    """Clock in µs of all rows, the first row that is a measurement, notes."""
+    counter_at, clock_at = table.need(COUNTER), table.need(CLOCK)
     axes = [table.need(name) for name in AXES]
     numbers = table.numbers(list(dict.fromkeys([counter_at, clock_at, *axes])))
     clock = numbers[clock_at]
@@ -84,10 +130,8 @@ def _sensor(table: Table, column: str) -> tuple[Ints, Real, list[Notice]]:
     if np.any(wrong):
         i = int(np.argmax(wrong))
         raise table.error(i, clock_at, f"{clock[i]:g} is no time in whole µs", "export the file again")
-    steps = np.diff(clock)
-    ticks = clock.astype(np.int64) + WRAP * np.concatenate([[0], np.cumsum(steps < -WRAP / 2)]).astype(
-        np.int64
-    )
+    again = np.concatenate([[0], np.cumsum(np.diff(clock) < -WRAP / 2)]).astype(np.int64)
+    ticks = clock.astype(np.int64) + WRAP * again
     back = np.diff(ticks) <= 0
     if np.any(back):
         i = int(np.argmax(back)) + 1
@@ -101,4 +145,4 @@ def _sensor(table: Table, column: str) -> tuple[Ints, Real, list[Notice]]:
     if lost > 0:
         text = f"{table.source}: {lost} packets are missing; the others keep their true times"
         notes.append(Notice("packets_lost", text, (table.source,)))
-    return ticks[first:], numbers[value_at][first:], notes
+    return ticks, first, notes

@@ -1,0 +1,286 @@
+"""What every reader makes of a file: named columns of numbers, with the place of everything that is wrong in them."""
+
+from __future__ import annotations
+
+import difflib
+import re
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from typing import Any, Self
+
+import numpy as np
+
+from dashpot import units
+from dashpot.arrays import Real
+from dashpot.channel import Channel, Quantity
+from dashpot.errors import DashpotError, DataError
+from dashpot.io.words import listed, shown
+from dashpot.notices import Notice
+
+LARGEST = 1e100  # beyond this squares overflow, and no measurement is meant
+MOST_COLUMNS = 10_000
+_UNIT = re.compile(r"^(?P<name>.*?)\s*[\[(](?P<unit>[^\[\]()]*)[\])]$")
+
+
+def bare(column: str) -> tuple[str, str | None]:
+    """A column's name without the unit in brackets, and the unit."""
+    match = _UNIT.match(column)
+    return (match["name"], match["unit"].strip()) if match else (column, None)
+
+
+def is_unit(text: str) -> bool:
+    """Whether a text is a unit of anything that is measured."""
+    if any(_factors(text, quantity) for quantity in units.QUANTITIES):
+        return True
+    with suppress(DashpotError):
+        units.scale(text, "force", uncalibrated=True)  # volts and counts
+        return True
+    return False
+
+
+@dataclass(frozen=True)
+class Columns(ABC):
+    """Columns of one length, by name.
+
+    source  the file (and the part of it), for messages
+    header  names of the columns, as written
+    units   the unit of each column where the format says it apart from the name; empty: nowhere
+    notes   what was noticed on the way
+    """
+
+    source: str
+    header: tuple[str, ...]
+    units: tuple[str | None, ...]
+    notes: tuple[Notice, ...]
+
+    @property
+    @abstractmethod
+    def heading(self) -> str:
+        """The place where the names stand, for messages."""
+
+    @abstractmethod
+    def place(self, index: int) -> str:
+        """The place of a row, counted from 0, for messages."""
+
+    def part_from(self, index: int) -> str:
+        """The name of the part that begins at a row."""
+        return self.place(index)
+
+    @abstractmethod
+    def numbers(
+        self, columns: Sequence[int], optional: Sequence[int] = (), infinite: Sequence[int] = ()
+    ) -> dict[int, Real]:
+        """The columns as float64.  Gaps in `optional` ones give NaN; those of `infinite` may be inf.
+
+        Raises DataError at the first row with a gap, text, NaN or infinity.
+        """
+
+    @abstractmethod
+    def texts(self, column: int) -> list[str]:
+        """A column as text."""
+
+    @abstractmethod
+    def first(self, column: int) -> str:
+        """The first cell of a column as text, empty where there is none."""
+
+    def unit(self, column: int) -> str | None:
+        """The unit of a column, None where the file does not say it."""
+        apart = self.units[column] if self.units else None
+        return apart if apart is not None else bare(self.header[column])[1]
+
+    def find(self, name: str) -> int | None:
+        """Position of a column, by its name or by its name in front of a unit in brackets.
+
+        Raises DataError where there are two.
+        """
+        for names in (self.header, tuple(bare(column)[0] for column in self.header)):
+            if name not in names:
+                continue
+            if names.count(name) > 1:
+                at = [i for i, column in enumerate(names) if column == name]
+                raise DataError(
+                    f"column {shown(name)}: named twice, in columns {at[0] + 1} and {at[1] + 1}",
+                    self.heading,
+                    "rename one of them",
+                )
+            return names.index(name)
+        return None
+
+    def need(self, name: str, why: str = "") -> int:
+        """Position of a column.  Raises DataError that names the nearest column where there is none."""
+        at = self.find(name)
+        if at is not None:
+            return at
+        lower = {column.lower(): column for column in self.header}
+        near = difflib.get_close_matches(name.lower(), lower, n=1, cutoff=0.6)
+        known = f"did you mean {shown(lower[near[0]])}?" if near else f"there are {listed(self.header)}"
+        raise DataError(f"column {shown(name)}: missing{why}", self.heading, known)
+
+    def error(self, index: int, column: int, cause: str, cure: str) -> DataError:
+        """The DataError at a row and a column."""
+        name = shown(bare(self.header[column])[0])
+        return DataError(f"column {name}: {cause}", self.place(index), cure)
+
+    def renamed(self, names: Mapping[str, str]) -> Self:
+        """The same under other names, {as written: new}.  Raises DataError for a name that is not there."""
+        header = list(self.header)
+        units: list[str | None] = list(self.units) if self.units else [None] * len(header)
+        for written, new in names.items():
+            at = self.need(written)
+            units[at] = self.unit(at)
+            header[at] = new
+        return replace(self, header=tuple(header), units=tuple(units))
+
+    def scale(self, column: int, channel: Channel) -> float:
+        """Factor from the numbers of a column to SI units.
+
+        The unit is the one that the rig file gives the channel; where it gives none, the one of the file.
+        Raises DataError where they are not the same, and where the unit is one of another quantity.
+        """
+        unit = self.unit(column)
+        if unit is None or unit in ("", channel.unit):
+            return channel.scale
+        factors = _factors(unit, channel.quantity.value)
+        if any(np.isclose(factor, channel.scale, rtol=1e-9, atol=0) for factor in factors):
+            return channel.scale
+        if len(factors) == 1 and not channel.unit and channel.scale == 1.0:
+            return factors[0]
+        if factors:
+            raise DataError(
+                f"column {shown(channel.name)}: in {shown(unit)}, the rig file says {channel.unit or 'SI units'}",
+                self.heading,
+                f'set unit = "{shown(unit)}" for this channel in the rig file',
+            )
+        if any(_factors(unit, quantity.value) for quantity in Quantity):
+            raise DataError(
+                f"column {shown(channel.name)}: {shown(unit)} is no unit of {channel.quantity.value}",
+                self.heading,
+                "correct the unit in the file, or the quantity in the rig file",
+            )
+        return channel.scale
+
+
+def _factors(unit: str, quantity: str) -> list[float]:
+    """What the unit may mean in SI for the quantity, straight or angular; nothing where it is no such unit."""
+    factors = []
+    for angular in (False, True):
+        with suppress(DashpotError):
+            factors.append(units.scale(unit, quantity, angular))
+    return factors
+
+
+Load = Callable[[], Any]  # of a variable: a one-dimensional array
+
+
+@dataclass(frozen=True)
+class ArrayColumns(Columns):
+    """Columns of a file that holds arrays; each is loaded when it is asked for.
+
+    rows  their common length
+    """
+
+    rows: int
+    loads: tuple[Load, ...]
+
+    @property
+    def heading(self) -> str:
+        """The file itself."""
+        return self.source
+
+    def place(self, index: int) -> str:
+        """Sample counted from 1."""
+        return f"{self.source}: sample {index + 1}"
+
+    def numbers(
+        self, columns: Sequence[int], optional: Sequence[int] = (), infinite: Sequence[int] = ()
+    ) -> dict[int, Real]:
+        """As of Columns."""
+        values = {}
+        for column in columns:
+            numbers = self._number(column)
+            wrong = ~np.isfinite(numbers)
+            wrong |= np.abs(np.where(wrong, 0.0, numbers)) > LARGEST
+            if column in infinite:
+                wrong &= numbers != np.inf
+            if column in optional:
+                wrong &= ~np.isnan(numbers)
+            if np.any(wrong):
+                at = int(np.argmax(wrong))
+                cause = "is too large" if np.isfinite(numbers[at]) else "is not a finite number"
+                raise self.error(at, column, f"{numbers[at]:g} {cause}", "fill the gap, or cut it out")
+            values[column] = numbers
+        return values
+
+    def _number(self, column: int) -> Real:
+        """One column as float64, its length checked."""
+        name = shown(bare(self.header[column])[0])
+        values = np.asarray(self.loads[column]())
+        if values.ndim != 1 or len(values) != self.rows:
+            raise DataError(
+                f"{name} has the shape {values.shape}, not ({self.rows},)", self.source, "the file is damaged"
+            )
+        if values.dtype.kind == "M":
+            elapsed = (values - values[0]) if len(values) else values.astype("timedelta64[ns]")
+            return np.asarray(elapsed / np.timedelta64(1, "ns") * 1e-9, dtype=np.float64)
+        if values.dtype.kind == "m":
+            return np.asarray(values / np.timedelta64(1, "ns") * 1e-9, dtype=np.float64)
+        if values.dtype.kind == "O":
+            values = np.array([np.nan if value is None else value for value in values.tolist()])
+        if values.dtype.kind not in "fiub":
+            cure = "give real and imaginary part as NAME_re and NAME_im" if values.dtype.kind == "c" else ""
+            raise DataError(f"{name} holds no real numbers", self.source, cure or "choose another variable")
+        return values.astype(np.float64)
+
+    def texts(self, column: int) -> list[str]:
+        """As of Columns."""
+        values = np.asarray(self.loads[column]())
+        return ["" if value is None else str(value) for value in values.tolist()]
+
+    def first(self, column: int) -> str:
+        """As of Columns."""
+        values = np.asarray(self.loads[column]())
+        if not self.rows or values.dtype.kind in "mM":
+            return "0"
+        return str(values[0])
+
+
+def constant(value: object, rows: int) -> Load:
+    """A column that has one value throughout."""
+    return lambda: np.full(rows, value)
+
+
+def steps(start: float, step: float, rows: int) -> Load:
+    """A column of evenly spaced times."""
+    return lambda: start + step * np.arange(rows)
+
+
+def array_columns(
+    source: str,
+    variables: Mapping[str, Any],
+    units: Mapping[str, str | None] | None = None,
+    notes: Sequence[Notice] = (),
+) -> ArrayColumns:
+    """Columns of arrays (or of functions that load them) of one length.
+
+    Raises DataError where there are none, too many, or where their lengths differ.
+    """
+    if not variables:
+        raise DataError("there are no variables", source, "give a file with data")
+    if len(variables) > MOST_COLUMNS:
+        raise DataError(f"there are {len(variables)} variables", source, "give a file with fewer")
+    lengths = {name: len(values) for name, values in variables.items() if not callable(values)}
+    if len(set(lengths.values())) > 1:
+        short = ", ".join(f"{shown(name)}: {length}" for name, length in list(lengths.items())[:4])
+        raise DataError(
+            f"the variables are of different lengths ({short})", source, "choose those that match"
+        )
+    rows = next(iter(lengths.values()), 0)
+    loads = tuple(values if callable(values) else _held(values) for values in variables.values())
+    named = tuple(None if units is None else units.get(name) for name in variables)
+    return ArrayColumns(source, tuple(variables), named, tuple(notes), rows, loads)
+
+
+def _held(values: Any) -> Load:
+    return lambda: values

@@ -1,0 +1,246 @@
+"""Where the columns of a text file begin: encoding, delimiter, header row, row of units."""
+
+from __future__ import annotations
+
+import csv
+import os
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from dashpot.data.readers.columns import MOST_COLUMNS, is_unit
+from dashpot.data.readers.datafile import DataFile, open_file
+from dashpot.data.readers.delimited.table import Table
+from dashpot.data.readers.delimited.timestamps import is_timestamp
+from dashpot.data.readers.delimited.truncation import with_checked_end
+from dashpot.errors import DataError
+
+HEAD = 1 << 20  # bytes in which the header row must end
+MOST_LEADING = 400  # rows in front of the data that are looked through
+_DELIMITERS = (",", ";", "\t", "|")
+_BLANKS = " "  # as a delimiter: any number of blanks and tabs
+
+
+@dataclass(frozen=True)
+class _Row:
+    """A row that is not blank: its number in the file, where the next one begins, its text."""
+
+    number: int
+    end: int
+    text: str
+
+
+def open_table(path: str | os.PathLike[str] | DataFile, first_column: str | None = None) -> Table:
+    """Read a file, plain or .gz, and its header row: after blank rows, rows that begin with #, `sep=`, and others.
+
+    The header row is the one in front of the numbers, or in front of a row of units.  With `first_column` it is the
+    first row that begins with it.
+    Raises DataError where the file cannot be read, is not text, is empty, or has a header and no rows.
+    """
+    file = path if isinstance(path, DataFile) else open_file(path)
+    return table_of(file.contents, file.name, first_column)
+
+
+def table_of(data: bytes, source: str, first_column: str | None = None) -> Table:
+    """The table in the bytes of a file; as `open_table`."""
+    data = _as_utf8(data, source)
+    rows, delimiter = _leading_rows(data, source, first_column)
+    header_at = len(rows) - 1
+    if first_column is None:
+        rows, header_at = _with_header(data, rows, delimiter)
+    row = rows[header_at]
+    if delimiter is None:
+        delimiter = _delimiter(row.text)
+    place = f"{source}:{row.number}"
+    if delimiter == _BLANKS:
+        data = data[: row.end] + _tabbed(data[row.end :])
+        row = _Row(row.number, row.end, "\t".join(row.text.split()))
+        delimiter = "\t"
+    header = _names(row.text, delimiter, place)
+    start, first_row = row.end, row.number + 1
+    units: tuple[str | None, ...] = ()
+    following = _next_row(data, start, row.number)
+    if first_column is None and following is not None and _is_unit_row(_cells(following.text, delimiter)):
+        cells = _cells(following.text, delimiter)
+        if len(cells) == len(header):
+            units = tuple(_unit(cell) for cell in cells)
+            start, first_row = following.end, following.number + 1
+    if not data[start:].strip():
+        raise DataError("the file has a header and no rows", place, "give a file with data")
+    first_data = _next_row(data, start, first_row - 1)
+    width = 0 if first_data is None else len(_cells(first_data.text, delimiter))
+    if width == len(header) - 1 and not header[-1]:  # a delimiter at the end of the header alone
+        header, units = header[:-1], units[:width]
+    sample = data[start : start + 4096].decode("utf-8", errors="replace")
+    decimal = "," if delimiter != "," and "," in sample and "." not in sample else "."
+    body = memoryview(data)[start:]
+    return with_checked_end(Table(source, header, units, (), body, first_row, delimiter, decimal))
+
+
+def _as_utf8(data: bytes, source: str) -> bytes:
+    """The text as UTF-8 without a mark, with line feeds.  Raises DataError where it is no text."""
+    if not data.strip():
+        raise DataError("the file is empty", source, "give a file with a header row and data")
+    if data[:2] in (b"\xff\xfe", b"\xfe\xff"):
+        try:
+            data = data.decode("utf-16").encode()
+        except UnicodeError:
+            raise DataError("the file is damaged UTF-16", source, "save it as UTF-8") from None
+    data = data.removeprefix(b"\xef\xbb\xbf")
+    if b"\0" in data[:HEAD]:
+        raise DataError("the file is not text", source, "give a CSV file")
+    if b"\n" not in data and b"\r" in data:
+        data = data.replace(b"\r", b"\n")
+    return data
+
+
+def _leading_rows(data: bytes, source: str, first_column: str | None) -> tuple[list[_Row], str | None]:
+    """Rows up to the first that may be the header, the last of them, and the delimiter where `sep=` says it."""
+    position, number, delimiter = 0, 0, None
+    while True:
+        number += 1
+        end = data.find(b"\n", position, position + HEAD)
+        if end < 0 and len(data) - position > HEAD:
+            cure = "give a CSV file with one row per sample"
+            raise DataError("the header row is over 1 MB long", f"{source}:{number}", cure)
+        end = len(data) if end < 0 else end
+        try:
+            text = data[position:end].decode("utf-8").strip("\r\n ")
+        except UnicodeDecodeError as error:
+            what = f"byte {error.start + 1} of the row is not UTF-8"
+            raise DataError(what, f"{source}:{number}", "save the file as UTF-8") from None
+        position = min(end + 1, len(data))
+        if text.lower().startswith("sep=") and len(text) == 5:
+            delimiter = text[4]
+        elif text.startswith(first_column) if first_column else text and not text.startswith("#"):
+            return [_Row(number, position, text)], delimiter
+        if position >= len(data):
+            begins = "" if first_column is None else f" that begins with {first_column}"
+            cure = f"give a file with a header row{begins} and data"
+            raise DataError("the file has no header row", source, cure)
+
+
+def _next_row(data: bytes, position: int, number: int) -> _Row | None:
+    """The next row that is not blank, behind row `number` that ends at `position`."""
+    while position < len(data):
+        end = data.find(b"\n", position, position + HEAD)
+        end = min(len(data), position + HEAD) if end < 0 else end
+        text = data[position:end].decode("utf-8", errors="replace").strip("\r\n ")
+        position, number = min(end + 1, len(data)), number + 1
+        if text:
+            return _Row(number, position, text)
+    return None
+
+
+def _with_header(data: bytes, rows: list[_Row], delimiter: str | None) -> tuple[list[_Row], int]:
+    """Rows from the first candidate on, and which of them is the header row.
+
+    The first candidate is, where numbers or units follow it.  Otherwise the last row of text in front of two rows of
+    numbers of the same width, or in front of a row of units there; where there is none, the first candidate.
+    """
+    rows = list(rows)
+    while len(rows) < MOST_LEADING:
+        following = _next_row(data, rows[-1].end, rows[-1].number)
+        if following is None:
+            break
+        rows.append(following)
+        if len(rows) == 2 and _follow_at_once(rows, delimiter):
+            break
+        if len(rows) < 3:
+            continue
+        header = _header_in_front(rows, delimiter)
+        if header is not None:
+            return rows, header
+    return rows, 0
+
+
+def _follow_at_once(rows: Sequence[_Row], delimiter: str | None) -> bool:
+    """Whether numbers follow the first candidate, one for each name."""
+    mark = _delimiter(rows[0].text) if delimiter is None else delimiter
+    names, cells = (_cells(row.text, mark) for row in rows)
+    return (
+        abs(len(names) - len(cells)) <= 1 and _is_data(cells) and not any(_is_number(name) for name in names)
+    )
+
+
+def _header_in_front(rows: Sequence[_Row], delimiter: str | None) -> int | None:
+    """The header row, where the last two rows are the first ones of numbers; None where they are not."""
+    mark = _delimiter(rows[-1].text) if delimiter is None else delimiter
+    *_, first, second = (_cells(row.text, mark) for row in rows[-3:])
+    if len(first) != len(second) or not (_is_data(first) and _is_data(second)):
+        return None
+    for at in (len(rows) - 3, len(rows) - 4):
+        if at < 0:
+            return None
+        cells = _cells(rows[at].text, mark)
+        if abs(len(cells) - len(first)) > 1 or any(_is_number(cell) for cell in cells):
+            return None
+        if not _is_unit_row(cells):
+            return at
+    return None
+
+
+def _delimiter(text: str) -> str:
+    """The delimiter of a row."""
+    most = max(_DELIMITERS, key=text.count)
+    if text.count(most) == 0 and len(text.split()) > 1:
+        return _BLANKS
+    if most == "," and text.count(";") > 0:  # decimal commas
+        return ";"
+    return most
+
+
+def _cells(text: str, delimiter: str) -> list[str]:
+    if delimiter == _BLANKS:
+        return text.split()
+    try:
+        return [cell.strip() for cell in next(csv.reader([text], delimiter=delimiter))]
+    except (csv.Error, StopIteration, TypeError):
+        return []
+
+
+def _is_data(cells: Sequence[str]) -> bool:
+    """Numbers, moments and gaps alone, and a number among them."""
+    numbers = [_is_number(cell) for cell in cells]
+    return any(numbers) and all(
+        number or not cell or is_timestamp(cell) for cell, number in zip(cells, numbers, strict=True)
+    )
+
+
+def _is_unit_row(cells: Sequence[str]) -> bool:
+    """Units and gaps alone, two units at least or one where there is one column."""
+    named = [cell for cell in cells if cell not in ("", "-", "[-]", "[]")]
+    return bool(named) and all(is_unit(_unit(cell) or "") for cell in named)
+
+
+def _unit(cell: str) -> str | None:
+    """The unit in a cell of a row of units."""
+    text = re.sub(r"^[\[(](.*)[\])]$", r"\1", cell).strip()
+    return None if text in ("", "-") else text
+
+
+def _tabbed(body: bytes) -> bytes:
+    """Cells apart by one tab instead of blanks."""
+    return re.sub(rb"(?m)^\t|\t(?=\r?$)", b"", re.sub(rb"[ \t]+", b"\t", body))
+
+
+def _names(text: str, delimiter: str, place: str) -> tuple[str, ...]:
+    """Names of the columns."""
+    if text.count(delimiter) >= MOST_COLUMNS:
+        what = f"the header has {text.count(delimiter) + 1} columns"
+        raise DataError(what, place, "give a CSV file with one row per sample")
+    try:
+        names = next(csv.reader([text], delimiter=delimiter))
+    except (csv.Error, StopIteration, TypeError):
+        raise DataError("the header row cannot be taken apart", place, "look for a stray quote") from None
+    if all(_is_number(name) for name in names):
+        raise DataError("the file has no header row", place, "name the columns in the first row")
+    return tuple(name.strip() for name in names)
+
+
+def _is_number(text: str) -> bool:
+    try:
+        float(text.replace(",", "."))
+    except ValueError:
+        return False
+    return True

@@ -1,0 +1,116 @@
+"""Tables of amplitude and phase, NAME_amplitude and NAME_phase, as tables of real and imaginary part.
+
+X = amplitude · e^{j phase}.  The phase is in the unit in brackets behind its name, in degrees where there is none;
+NAME_phase_deg and NAME_phase_rad say it in the name.  Responses to inputs are OUT/IN_amplitude, OUT/IN_phase.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from dashpot import units
+from dashpot.arrays import Real
+from dashpot.data.readers.columns import Columns, bare
+from dashpot.errors import DashpotError, DataError
+from dashpot.io.words import shown
+
+AMPLITUDES = ("_amplitude", "_amp", "_abs", "_magnitude", "_mag")
+PHASES = ("_phase", "_phase_deg", "_phase_rad", "_ph", "_arg")
+
+
+@dataclass(frozen=True)
+class _Polar:
+    """A pair of columns, and the factor from the phase's numbers to rad."""
+
+    amplitude: int
+    phase: int
+    to_radian: float
+
+
+@dataclass(frozen=True)
+class RectangularColumns(Columns):
+    """Columns of `base`, and behind them the real and imaginary parts of its pairs of amplitude and phase."""
+
+    base: Columns
+    pairs: tuple[_Polar, ...]
+
+    @property
+    def heading(self) -> str:
+        """That of the base."""
+        return self.base.heading
+
+    def place(self, index: int) -> str:
+        """That of the base."""
+        return self.base.place(index)
+
+    def part_from(self, index: int) -> str:
+        """That of the base."""
+        return self.base.part_from(index)
+
+    def numbers(
+        self, columns: Sequence[int], optional: Sequence[int] = (), infinite: Sequence[int] = ()
+    ) -> dict[int, Real]:
+        """As of Columns."""
+        plain = len(self.base.header)
+        computed = [column for column in columns if column >= plain]
+        sources = {at for column in computed for at in self._sources(column)}
+        gaps = {at for column in computed if column in optional for at in self._sources(column)}
+        wanted = list(dict.fromkeys([*(column for column in columns if column < plain), *sorted(sources)]))
+        values = self.base.numbers(wanted, [*(c for c in optional if c < plain), *gaps], infinite)
+        for column in computed:
+            pair = self.pairs[(column - plain) // 2]
+            wave = np.cos if (column - plain) % 2 == 0 else np.sin
+            values[column] = values[pair.amplitude] * wave(values[pair.phase] * pair.to_radian)
+        return values
+
+    def _sources(self, column: int) -> tuple[int, int]:
+        pair = self.pairs[(column - len(self.base.header)) // 2]
+        return pair.amplitude, pair.phase
+
+    def texts(self, column: int) -> list[str]:
+        """As of Columns."""
+        return self.base.texts(column)
+
+    def first(self, column: int) -> str:
+        """As of Columns."""
+        return self.base.first(column)
+
+
+def with_real_and_imaginary(columns: Columns) -> Columns:
+    """The same with NAME_re and NAME_im for each pair NAME_amplitude, NAME_phase that stands without them.
+
+    Raises DataError where the unit of a phase is none of angle.
+    """
+    names = [bare(name)[0] for name in columns.header]
+    header, unit_of, pairs = list(columns.header), [columns.unit(i) for i in range(len(names))], []
+    for ending in AMPLITUDES:
+        for at, name in enumerate(names):
+            stem = name.removesuffix(ending)
+            if not name.endswith(ending) or not stem or f"{stem}_re" in names or f"{stem}_re" in header:
+                continue
+            phases = [i for i, other in enumerate(names) if other in [stem + phase for phase in PHASES]]
+            if len(phases) != 1:
+                continue
+            pairs.append(_Polar(at, phases[0], _to_radian(columns, phases[0])))
+            header += [f"{stem}_re", f"{stem}_im"]
+            unit_of += [columns.unit(at)] * 2
+    if not pairs:
+        return columns
+    return RectangularColumns(
+        columns.source, tuple(header), tuple(unit_of), columns.notes, columns, tuple(pairs)
+    )
+
+
+def _to_radian(columns: Columns, column: int) -> float:
+    """Factor from the numbers of a phase to rad."""
+    unit = columns.unit(column)
+    if unit is None:
+        unit = "rad" if bare(columns.header[column])[0].endswith("_rad") else "deg"
+    try:
+        return units.scale(unit, "displacement", angular=True)
+    except DashpotError:
+        what = f"column {shown(columns.header[column])}: {shown(unit)} is no unit of angle"
+        raise DataError(what, columns.heading, "give the phase in deg or rad") from None

@@ -1,0 +1,26 @@
+"""Delimited text of any shape."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+from dashpot.data.readers.datafile import DataFile
+from dashpot.data.readers.delimited.opening import open_table
+from dashpot.data.readers.delimited.table import Table
+
+
+@dataclass(frozen=True)
+class TextReader:
+    """A header row and columns of numbers, by comma, semicolon, tab, bar or blanks."""
+
+    format: str = "text"
+    extra: str | None = None
+
+    def sniff(self, file: DataFile) -> bool:
+        """No byte is zero, or the text is in UTF-16."""
+        return b"\0" not in file.head or file.head[:2] in (b"\xff\xfe", b"\xfe\xff")
+
+    def parts(self, file: DataFile) -> Iterator[Table]:
+        """The table."""
+        yield open_table(file)

@@ -1,0 +1,66 @@
+"""Excel workbooks and OpenDocument spreadsheets: every sheet is read as the text it shows would be."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+from dashpot.data.readers.columns import MOST_COLUMNS
+from dashpot.data.readers.datafile import DataFile
+from dashpot.data.readers.delimited.opening import table_of
+from dashpot.data.readers.delimited.table import Table
+from dashpot.data.readers.optional import damaged, library
+from dashpot.errors import DataError
+
+
+@dataclass(frozen=True)
+class ExcelReader:
+    """Sheets with a header row; empty sheets are left out."""
+
+    format: str = "Excel"
+    extra: str | None = "formats"
+
+    def sniff(self, file: DataFile) -> bool:
+        """A zip archive or compound file of that name, or with the parts of a workbook in front."""
+        head = file.head
+        if head.startswith(b"\xd0\xcf\x11\xe0"):
+            return True
+        names = (b"[Content_Types].xml", b"xl/", b"_rels/", b"docProps/", b"opendocument.spreadsheet")
+        return head.startswith(b"PK\x03\x04") and (
+            file.suffix in (".xlsx", ".xlsm", ".xlsb", ".ods") or any(name in head[:200] for name in names)
+        )
+
+    def parts(self, file: DataFile) -> Iterator[Table]:
+        """The sheets that hold anything."""
+        fastexcel = library("fastexcel", "formats", file.name, self.format)
+        with damaged(file.name, self.format):
+            book = fastexcel.read_excel(file.contents)
+            names = list(book.sheet_names)
+        count = 0
+        for name in names:
+            with damaged(file.name, self.format):
+                text = _text(book, name)
+            if text.count(b"\n") > 1 or (text and len(names) == 1):
+                count += 1
+                yield table_of(text, f"{file.name} ({name})" if len(names) > 1 else file.name)
+        if not count:
+            raise DataError("the workbook is empty", file.name, "give one with a header row and data")
+
+
+def _text(book: Any, name: str) -> bytes:
+    """A sheet as tab-separated text, numbers with all their digits."""
+    sheet = book.load_sheet(name, header_row=None, dtypes="string")
+    table = sheet.to_arrow()
+    if table.num_rows == 0 or table.num_columns == 0 or table.num_columns > MOST_COLUMNS:
+        return b""
+    columns = [[_cell(cell) for cell in column.to_pylist()] for column in table.columns]
+    rows = (
+        "\t".join(row).rstrip("\t") if i == 0 else "\t".join(row)
+        for i, row in enumerate(zip(*columns, strict=True))
+    )
+    return ("\n".join(rows) + "\n").encode()
+
+
+def _cell(cell: Any) -> str:
+    return "" if cell is None else str(cell).replace("\t", " ").replace("\n", " ")

@@ -1,0 +1,161 @@
+"""Files of a manifest as records and spectra: columns chosen and renamed, sensors joined, periods averaged."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from dashpot.channel import Channel
+from dashpot.data.clocks import ClockedRecords, Sensor, aligned_sensors, joined_sensors
+from dashpot.data.periods import average_periods
+from dashpot.data.readers.columns import Columns
+from dashpot.data.readers.datafile import open_file
+from dashpot.data.readers.delimited.stepped_sine import Circumstances, read_records
+from dashpot.data.readers.interpretation import Interpreted, interpret
+from dashpot.data.readers.manifest import Group, line_numbers
+from dashpot.data.readers.registry import reader_of
+from dashpot.data.readers.sampling import FREQUENCY, TIME
+from dashpot.data.record import Record
+from dashpot.errors import DataError
+from dashpot.io.words import listed, shown
+from dashpot.notices import Notice
+
+NOT_CHANNELS = (TIME, FREQUENCY, "experiment")
+
+
+def read_group(group: Group, channels: Sequence[Channel], frequency_hz: float | None) -> Interpreted:
+    """What one group of files holds.  `frequency_hz` serves where neither they nor their names say it.
+
+    Raises DataError, one line, for what is missing or damaged in a file, or does not fit its entry.
+    """
+    driven = frequency_hz if group.frequency_hz is None else group.frequency_hz
+    circumstances = Circumstances(driven, group.experiment, group.entry.rate_hz)
+    if group.entry.sensors:
+        found = _joined(group, channels, circumstances)
+    else:
+        (path,) = group.paths.values()
+        found = Interpreted()
+        for columns in _parts(group, path):
+            chosen, named = _chosen(group, columns, group.entry.columns, channels)
+            found += interpret(chosen, named, circumstances)
+    found = _windowed(found, group)
+    if group.entry.lines is None:
+        return found
+    return _averaged(found, line_numbers(group.entry.lines, group.place), group)
+
+
+def _parts(group: Group, path: Path) -> Iterator[Columns]:
+    """The parts of a file that the entry means: all that have its columns, or the one it names."""
+    file = open_file(path)
+    reader = reader_of(file)
+    wanted, names = [], []
+    columns = list(group.entry.columns.values())
+    for number, part in enumerate(reader.parts(file)):
+        names.append(part.source.removeprefix(file.name).strip(" :()"))
+        if group.entry.part is not None:
+            fits = group.entry.part in (names[-1], names[-1].rpartition("/")[2])
+        else:
+            fits = all(part.find(name) is not None for name in columns)
+        if fits:
+            wanted.append(number)
+    if group.entry.part is not None and not wanted:
+        what = f"there is no part {shown(group.entry.part)}"
+        raise DataError(what, file.name, f"there are {listed(names)}")
+    # Some libraries read samples only while the file is open, so the parts are gone through again.
+    for number, part in enumerate(reader.parts(file)):
+        if number in (wanted or [0]):
+            yield part
+
+
+def _chosen(
+    group: Group, columns: Columns, names: Mapping[str, str], channels: Sequence[Channel]
+) -> tuple[Columns, tuple[Channel, ...]]:
+    """The columns under the names of the channels and in the units of the entry, and the channels that are meant."""
+    by_name = {channel.name: channel for channel in channels}
+    for name in (*names, *group.entry.units):
+        if name not in by_name and name not in NOT_CHANNELS:
+            cure = f"the rig file lists {listed(by_name)}"
+            raise DataError(f"{shown(name)} is no channel of the rig", group.place, cure)
+    chosen = columns.renamed({column: name for name, column in names.items()})
+    if group.entry.units:
+        units = [chosen.unit(i) for i in range(len(chosen.header))]
+        for name, unit in group.entry.units.items():
+            units[chosen.need(name)] = unit
+        chosen = replace(chosen, units=tuple(units))
+    named = [by_name[name] for name in names if name in by_name]
+    return _only(chosen, named), tuple(named) if named else tuple(channels)
+
+
+def _only(columns: Columns, named: Sequence[Channel]) -> Columns:
+    """The same; what else is in a file of which the entry chooses columns is not worth a note."""
+    return columns if not named else replace(columns, notes=(*columns.notes, _CHOSEN))
+
+
+_CHOSEN = Notice("columns_chosen", "")
+
+
+def _joined(group: Group, channels: Sequence[Channel], circumstances: Circumstances) -> Interpreted:
+    """The record of all sensors of the group."""
+    sensors, notes = [], []
+    for name, names in group.entry.sensors.items():
+        path = group.paths[name]
+        columns, named = _chosen(group, next(_parts(group, path)), {**group.entry.columns, **names}, channels)
+        records, told = read_records(columns, named, circumstances)
+        notes += told
+        if len(records) != 1:
+            raise DataError(
+                f"{len(records)} records in the file of a sensor", str(path), "give one file each"
+            )
+        sensors.append(Sensor(name, named, records[0].time, records[0].values))
+    join = joined_sensors if group.entry.clock == "shared" else aligned_sensors
+    source = next(iter(group.paths.values())).name
+    joint, told = join(sensors, circumstances.frequency_hz, circumstances.experiment, source)
+    notes = [*_said(notes), *told]
+    if isinstance(joint, ClockedRecords):
+        return Interpreted(notes=tuple(notes), joint=(joint,))
+    return Interpreted((joint,), notes=tuple(notes))
+
+
+def _said(notes: Iterable[Notice]) -> list[Notice]:
+    """Notes that are worth saying where the entry chooses the columns."""
+    notes = list(notes)
+    chosen = _CHOSEN in notes
+    return [n for n in notes if n != _CHOSEN and not (chosen and n.code == "columns_not_read")]
+
+
+def _windowed(found: Interpreted, group: Group) -> Interpreted:
+    """The records within the window of the entry, notes tidied."""
+    found = replace(found, notes=tuple(_said(found.notes)))
+    window = group.entry.window_s
+    if window is None:
+        return found
+    return replace(
+        found,
+        records=tuple(_cut(record, window) for record in found.records),
+        joint=tuple(
+            replace(joint, parts=tuple(_cut(part, window) for part in joint.parts)) for joint in found.joint
+        ),
+    )
+
+
+def _cut(record: Record, window: tuple[float, float]) -> Record:
+    inside = (record.time >= window[0]) & (record.time <= window[1])
+    if np.sum(inside) < 2:
+        span = f"{record.time[0]:g} to {record.time[-1]:g} s"
+        raise DataError(f"nothing lies in window_s, the record goes from {span}", record.source, "correct it")
+    return replace(record, time=record.time[inside], values=record.values[inside])
+
+
+def _averaged(found: Interpreted, lines: tuple[int, ...], group: Group) -> Interpreted:
+    """Records of a multisine as the mean of their periods."""
+    spectra = list(found.spectra)
+    for record in found.records:
+        if record.frequency_hz is None:
+            cure = "give frequency_hz, the reciprocal of the period"
+            raise DataError("the period of the multisine is not known", group.place, cure)
+        period = 1 / record.frequency_hz
+        spectra.append(average_periods(record, period, lines, skip=group.entry.skip_periods))
+    return replace(found, records=(), spectra=tuple(spectra))

@@ -1,0 +1,113 @@
+"""HDF5, MATLAB 7.3 among it: datasets are variables, groups are parts, attributes say units and sampling."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from dashpot.data.readers.columns import ArrayColumns
+from dashpot.data.readers.datafile import DataFile
+from dashpot.data.readers.optional import damaged, library
+from dashpot.data.readers.variables import parts_of_variables
+from dashpot.errors import DataError
+
+SIGNATURE = b"\x89HDF\r\n\x1a\n"
+UNITS = ("unit", "units", "Unit", "Units", "unit_string")
+MOST_GROUPS = 10_000
+
+
+@dataclass(frozen=True)
+class Hdf5Reader:
+    """Every group that holds datasets of numbers is a part; attributes of a group and its parents are scalars of it."""
+
+    format: str = "HDF5"
+    extra: str | None = "formats"
+
+    def sniff(self, file: DataFile) -> bool:
+        """The signature at one of the places where it may stand."""
+        return any(file.head[at : at + 8] == SIGNATURE for at in (0, 512, 1024, 2048))
+
+    def parts(self, file: DataFile) -> Iterator[ArrayColumns]:
+        """The groups, the outermost first."""
+        h5py = library("h5py", "formats", file.name, self.format)
+        with _opened(h5py, file) as content:
+            groups = [("", content)]
+            found = False
+            for name, group in groups:
+                with damaged(file.name, self.format):
+                    variables, units = _scalars(group), {}
+                    for key, item in group.items():
+                        if isinstance(item, h5py.Group) and not key.startswith("#"):
+                            groups.append((f"{name}/{key}" if name else key, item))
+                        elif isinstance(item, h5py.Dataset):
+                            variables |= _variable(key, item)
+                            units[key] = _unit(item)
+                            variables |= {
+                                k: v
+                                for k, v in _scalars(item).items()
+                                if k not in variables and np.ndim(v) == 0
+                            }
+                if len(groups) > MOST_GROUPS:
+                    raise DataError(f"there are over {MOST_GROUPS} groups", file.name, "give a smaller file")
+                if any(np.size(value) > 1 for value in variables.values()):
+                    found = True
+                    place = f"{file.name} ({name})" if name else file.name
+                    yield from parts_of_variables(place, variables, units)
+            if not found:
+                raise DataError(
+                    "there are no datasets of numbers", file.name, "save the channels as datasets"
+                )
+
+
+@contextmanager
+def _opened(h5py: Any, file: DataFile) -> Iterator[Any]:
+    with damaged(file.name, "HDF5"):
+        if file.packed:
+            stream = file.reading()
+            with stream as raw, h5py.File(raw, "r") as content:
+                yield content
+        else:
+            with h5py.File(file.path, "r") as content:
+                yield content
+
+
+def _variable(name: str, item: Any) -> dict[str, Any]:
+    """A dataset of numbers as a variable; complex numbers of MATLAB are pairs of fields."""
+    if item.dtype.names:
+        if set(item.dtype.names) == {"real", "imag"}:
+            value = item[()]
+            return {name: value["real"] + 1j * value["imag"]}
+        if item.ndim == 1:  # a table
+            return {field: item[field] for field in item.dtype.names if item.dtype[field].kind in "fiub"}
+        return {}
+    if item.dtype.kind not in "fiubc" or item.size == 0 or "MATLAB_empty" in item.attrs:
+        return {}
+    if item.attrs.get("MATLAB_class", b"double") in (b"char", b"cell"):
+        return {}
+    return {name: item[()]}
+
+
+def _scalars(item: Any) -> dict[str, Any]:
+    """Attributes that are single numbers, of an item and of the groups around it."""
+    scalars: dict[str, Any] = {}
+    while True:
+        for name, value in item.attrs.items():
+            if np.size(value) == 1 and np.asarray(value).dtype.kind in "fiu":
+                scalars.setdefault(name, np.asarray(value).ravel()[0])
+        if item.name in ("/", None):
+            return scalars
+        item = item.parent
+
+
+def _unit(item: Any) -> str | None:
+    for name in UNITS:
+        value = item.attrs.get(name)
+        if isinstance(value, bytes):
+            return value.decode("utf-8", errors="replace")
+        if isinstance(value, str):
+            return value
+    return None

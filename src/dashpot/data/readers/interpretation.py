@@ -1,0 +1,78 @@
+"""Columns as what a rig's channels measured: records of samples, complex amplitudes, or frequency responses."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+from dashpot.channel import Channel
+from dashpot.data.clocks import ClockedRecords
+from dashpot.data.readers.columns import Columns
+from dashpot.data.readers.delimited.amplitudes import is_amplitudes, read_amplitudes
+from dashpot.data.readers.delimited.frf import is_frf, read_frf
+from dashpot.data.readers.delimited.polar import with_real_and_imaginary
+from dashpot.data.readers.delimited.stepped_sine import Circumstances, read_records
+from dashpot.data.record import Record
+from dashpot.data.spectrum import Spectrum
+from dashpot.notices import Notice
+
+
+@dataclass(frozen=True)
+class Interpreted:
+    """Records, lines that were amplitudes already, notes, and records of sensors with times of their own."""
+
+    records: tuple[Record, ...] = ()
+    spectra: tuple[Spectrum, ...] = ()
+    notes: tuple[Notice, ...] = ()
+    joint: tuple[ClockedRecords, ...] = ()
+
+    def __add__(self, other: Interpreted) -> Interpreted:
+        return Interpreted(
+            (*self.records, *other.records),
+            (*self.spectra, *other.spectra),
+            (*self.notes, *other.notes),
+            (*self.joint, *other.joint),
+        )
+
+
+def interpret_parts(
+    parts: Iterable[Columns], channels: Sequence[Channel], circumstances: Circumstances
+) -> Interpreted:
+    """All parts of a file that hold any of the channels; the first, where none does.
+
+    Raises DataError as `interpret`.
+    """
+    total, first = Interpreted(), None
+    for part in parts:
+        first = part if first is None else first
+        if _names_any(part, channels):
+            total += interpret(part, channels, circumstances)
+    if not (total.records or total.spectra) and first is not None:
+        return interpret(first, channels, circumstances)
+    return total
+
+
+def _names_any(columns: Columns, channels: Sequence[Channel]) -> bool:
+    """Whether a column belongs to one of the channels."""
+    names = [
+        name for column in columns.header for name in (column, column.split("[")[0].split("(")[0].strip())
+    ]
+    known = {channel.name for channel in channels}
+    stems = (name.rpartition("_")[0].split("/")[0] for name in names)
+    return not known.isdisjoint(names) or not known.isdisjoint(stems)
+
+
+def interpret(columns: Columns, channels: Sequence[Channel], circumstances: Circumstances) -> Interpreted:
+    """What the columns are is told by their names.
+
+    Raises DataError, one line per cause, with file, row and column.
+    """
+    columns = with_real_and_imaginary(columns)
+    if is_frf(columns):
+        lines, notes = read_frf(columns, channels, circumstances.experiment)
+        return Interpreted((), (lines,), tuple(notes))
+    if is_amplitudes(columns):
+        lines, notes = read_amplitudes(columns, channels, circumstances.experiment)
+        return Interpreted((), (lines,), tuple(notes))
+    records, notes = read_records(columns, channels, circumstances)
+    return Interpreted(tuple(records), (), tuple(notes))

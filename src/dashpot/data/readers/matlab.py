@@ -1,0 +1,81 @@
+"""MATLAB files: version 5 to 7.2 by SciPy, 7.3 as the HDF5 that it is."""
+
+from __future__ import annotations
+
+import io
+import warnings
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any, cast
+
+import numpy as np
+
+from dashpot.data.readers.columns import ArrayColumns
+from dashpot.data.readers.datafile import DataFile
+from dashpot.data.readers.matlab_layout import check_layout
+from dashpot.data.readers.optional import damaged
+from dashpot.data.readers.variables import parts_of_variables
+from dashpot.errors import DataError
+
+DEEPEST = 8  # structures inside structures
+
+
+@dataclass(frozen=True)
+class MatlabReader:
+    """MATLAB files before 7.3; fields of structures are STRUCT.FIELD."""
+
+    format: str = "MATLAB"
+    extra: str | None = None
+
+    def sniff(self, file: DataFile) -> bool:
+        """The first bytes say so."""
+        return file.head.startswith(b"MATLAB 5.0 MAT-file")
+
+    def parts(self, file: DataFile) -> Iterator[ArrayColumns]:
+        """The variables; elements of an array of structures are parts of their own."""
+        from scipy.io import loadmat
+
+        check_layout(file.contents, file.name)
+        with damaged(file.name, self.format), warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # of objects that only MATLAB can read
+            content: dict[str, Any] = loadmat(
+                cast(Any, io.BytesIO(file.contents)),
+                squeeze_me=False,
+                struct_as_record=False,
+                verify_compressed_data_integrity=True,
+            )
+        variables: dict[str, Any] = {}
+        series: list[tuple[str, dict[str, Any]]] = []
+        for name, value in content.items():
+            if not name.startswith("__"):
+                _flatten(name, value, variables, series)
+        for name, fields in series:
+            yield from parts_of_variables(f"{file.name} ({name})", {**variables, **fields})
+        if series and not any(np.size(value) > 1 for value in variables.values()):
+            return
+        if not variables:
+            raise DataError("there are no variables of numbers", file.name, "save the channels as arrays")
+        yield from parts_of_variables(file.name, variables)
+
+
+def _flatten(
+    name: str, value: Any, variables: dict[str, Any], series: list[tuple[str, dict[str, Any]]], depth: int = 0
+) -> None:
+    """Put a variable under its name, and the fields of structures under theirs."""
+    array = np.asarray(value)
+    if array.dtype.kind in "fiubc":
+        variables[name] = array
+        return
+    if array.dtype.kind != "O" or depth > DEEPEST:
+        return
+    structures = [item for item in array.ravel().tolist() if hasattr(item, "_fieldnames")]
+    if len(structures) == 1 and array.size == 1:
+        for field in structures[0]._fieldnames:
+            inner = getattr(structures[0], field)
+            _flatten(f"{name}.{field}", inner, variables, series, depth + 1)
+    elif structures and len(structures) == array.size:
+        for k, item in enumerate(structures):
+            fields: dict[str, Any] = {}
+            for field in item._fieldnames:
+                _flatten(field, getattr(item, field), fields, [], depth + 1)
+            series.append((f"{name}({k + 1})", fields))

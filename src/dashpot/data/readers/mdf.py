@@ -1,0 +1,61 @@
+"""MDF4 files of measuring systems (ASAM): channel groups with a time of their own are parts."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from dashpot.data.readers.columns import ArrayColumns, array_columns
+from dashpot.data.readers.datafile import DataFile
+from dashpot.data.readers.optional import damaged, library
+from dashpot.data.readers.sampling import TIME
+from dashpot.errors import DataError
+
+
+@dataclass(frozen=True)
+class MdfReader:
+    """Channel groups; the master channel is the time."""
+
+    format: str = "MDF"
+    extra: str | None = "mdf"
+
+    def sniff(self, file: DataFile) -> bool:
+        """The first bytes say so."""
+        return file.head.startswith((b"MDF     ", b"UnFinMF "))
+
+    def parts(self, file: DataFile) -> Iterator[ArrayColumns]:
+        """The groups that hold numbers."""
+        asammdf = library("asammdf", "mdf", file.name, self.format)
+        with damaged(file.name, self.format):
+            content = asammdf.MDF(io.BytesIO(file.contents))
+        count = 0
+        for number, group in enumerate(content.groups):
+            with damaged(file.name, self.format):
+                columns, units = _group(content, number, group)
+            if columns:
+                count += 1
+                place = f"{file.name} (group {number + 1})" if len(content.groups) > 1 else file.name
+                yield array_columns(place, columns, units)
+        if not count:
+            raise DataError("there are no channels with samples", file.name, "record something")
+
+
+def _group(content: Any, number: int, group: Any) -> tuple[dict[str, Any], dict[str, str | None]]:
+    """Samples and units of a group; nothing where there are none."""
+    columns: dict[str, Any] = {}
+    units: dict[str, str | None] = {}
+    master = content.masters_db.get(number)
+    for index, channel in enumerate(group.channels):
+        if index == master:
+            continue
+        signal = content.get(group=number, index=index, raw=False)
+        samples = np.asarray(signal.samples)
+        if samples.ndim == 1 and samples.dtype.kind in "fiub" and len(samples):
+            columns.setdefault(TIME, np.asarray(signal.timestamps))
+            columns[channel.name] = samples
+            units[channel.name] = signal.unit or None
+    return columns, units

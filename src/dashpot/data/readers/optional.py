@@ -1,0 +1,39 @@
+"""Libraries that only some formats need, and what damaged files do to them."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from contextlib import contextmanager
+from importlib import import_module
+from typing import Any
+
+from dashpot.errors import DashpotError, DataError
+from dashpot.io.words import shown
+
+
+def library(module: str, extra: str, source: str, what: str) -> Any:
+    """An optional module.  Raises DataError that names the extra where it is not installed."""
+    try:
+        return import_module(module)
+    except ImportError:
+        cure = f"install it: pip install 'dashpot[{extra}]'"
+        raise DataError(f"to read {what}, {module.partition('.')[0]} is needed", source, cure) from None
+
+
+@contextmanager
+def damaged(source: str, what: str) -> Iterator[None]:
+    """Whatever a library raises, in one line: files are not to be trusted."""
+    try:
+        yield
+    except DashpotError:
+        raise
+    except MemoryError:
+        raise DataError(
+            f"the {what} file asks for more memory than there is", source, "it may be damaged"
+        ) from None
+    except Exception as error:  # libraries of formats raise what they like
+        reason = re.sub(r"\s+", " ", str(error)).strip() or type(error).__name__
+        raise DataError(
+            f"the {what} file is damaged or cut off ({shown(reason, 100)})", source, "copy it again"
+        ) from None

@@ -1,0 +1,82 @@
+"""TDMS files of LabVIEW and DIAdem: groups are parts, properties say units and sampling."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from dashpot.data.readers.columns import ArrayColumns, array_columns, constant, steps
+from dashpot.data.readers.datafile import DataFile
+from dashpot.data.readers.optional import damaged, library
+from dashpot.data.readers.sampling import TIME, TIME_NAMES
+from dashpot.data.readers.variables import OF_ALL, step_of
+from dashpot.errors import DataError
+
+
+@dataclass(frozen=True)
+class TdmsReader:
+    """Every group is a part; channels are read when they are asked for."""
+
+    format: str = "TDMS"
+    extra: str | None = "formats"
+
+    def sniff(self, file: DataFile) -> bool:
+        """The first bytes say so."""
+        return file.head.startswith((b"TDSm", b"TDSh"))
+
+    def parts(self, file: DataFile) -> Iterator[ArrayColumns]:
+        """The groups, split by the lengths of their channels."""
+        nptdms = library("nptdms", "formats", file.name, self.format)
+        with file.reading() as stream, damaged(file.name, self.format):
+            content = nptdms.TdmsFile(stream, read_metadata_only=True, keep_open=True)
+            if getattr(content, "_incomplete_channel_properties", None):
+                raise DataError("the file is cut off", file.name, "copy it again")
+            groups = list(content.groups())
+            count = 0
+            for group in groups:
+                lengths: dict[int, list[Any]] = {}
+                for channel in group.channels():
+                    if np.dtype(channel.dtype).kind in "fiubM":
+                        lengths.setdefault(len(channel), []).append(channel)
+                scalars = {**content.properties, **group.properties}
+                for rows, channels in lengths.items():
+                    if rows:
+                        count += 1
+                        place = f"{file.name} ({group.name})" if len(groups) > 1 else file.name
+                        yield _part(place, channels, rows, scalars)
+            if not count:
+                raise DataError("there are no channels with samples", file.name, "record something")
+
+
+def _part(source: str, channels: list[Any], rows: int, scalars: dict[str, Any]) -> ArrayColumns:
+    """Channels of one length."""
+    loads: dict[str, Any] = {}
+    units: dict[str, str | None] = {}
+    for channel in channels:
+        loads[channel.name] = partial(_samples, channel, source)
+        units[channel.name] = channel.properties.get("unit_string") or channel.properties.get(
+            "NI_UnitDescription"
+        )
+        scalars = {**channel.properties, **scalars}
+    for name in OF_ALL:
+        if name in scalars and name not in loads:
+            loads[name] = constant(float(scalars[name]), rows)
+    if not any(name.lower() in TIME_NAMES for name in loads):
+        waveform = channels[0].properties
+        step = float(waveform.get("wf_increment", 0)) or step_of(scalars)
+        if step:
+            loads[TIME] = steps(float(waveform.get("wf_start_offset", 0)), step, rows)
+    columns = array_columns(source, loads, units)
+    return ArrayColumns(source, columns.header, columns.units, (), rows, columns.loads)
+
+
+def _samples(channel: Any, source: str) -> Any:
+    with damaged(source, "TDMS"):
+        samples = channel[:]
+        if len(samples) != len(channel):
+            raise DataError(f"channel {channel.name} is cut off", source, "copy the file again")
+        return samples

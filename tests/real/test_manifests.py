@@ -1,0 +1,52 @@
+"""The raw recordings of all four sets, each read by the manifest of its example and identified with its rig."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from dashpot.data.readers import read
+from dashpot.estimate.identify import identify
+from dashpot.estimate.likelihood.maximum_likelihood import MaximumLikelihood
+from dashpot.model.rigfile import read_rig
+
+ROOT = Path(__file__).resolve().parents[2]
+RAW = ROOT.parent / "shared" / "data"
+pytestmark = pytest.mark.skipif(not RAW.is_dir(), reason="the recordings are not here")
+QUICK = MaximumLikelihood(starts=4, candidates=100, rounds=1)
+
+
+def test_the_beam() -> None:
+    folder = ROOT / "examples" / "tip_mass_beam"
+    rig = read_rig(folder / "rig.toml")
+    lines = read(folder / "test.toml", rig.channels).spectrum()
+    table = read(folder / "amplitudes.csv", rig.channels).spectrum()
+    assert lines.frequency_hz == pytest.approx(table.frequency_hz, rel=1e-7)
+    assert np.nanmax(np.abs(lines.amplitudes - table.amplitudes) / table.sd()) < 0.01
+    found = identify(rig.model, lines, QUICK)
+    assert found["k"].value == pytest.approx(6610, rel=0.1)
+
+
+def test_the_motor_bench() -> None:
+    folder = ROOT / "examples" / "two_inertia_bench"
+    rig = read_rig(folder / "rig.toml")
+    lines = read(folder / "test.toml", rig.channels).spectrum()
+    table = read(folder / "amplitudes.csv", rig.channels).spectrum()
+    assert list(lines.frequency_hz) == list(range(11, 251))
+    assert np.max(np.abs(lines.amplitudes - table.amplitudes) / table.sd()) < 1e-3
+    found = identify(rig.model, lines, QUICK)
+    assert found["J2"].value / found["J1"].value == pytest.approx(1, abs=0.01)
+
+
+def test_the_shaken_frame() -> None:
+    folder = ROOT / "examples" / "shake_table"
+    rig = read_rig(folder / "rig_bending.toml")
+    lines = read(folder / "test.toml", rig.channels).spectrum()
+    found = identify(rig.model, lines, QUICK)
+    late = found["x3.delay"]
+    assert late.value == pytest.approx(1.77e-3, abs=3 * late.sd)
+    assert found.modes is not None
+    swinging = found.modes.frequency_hz[found.modes.frequency_hz > 1]
+    assert swinging == pytest.approx([3.767, 11.20, 16.67], rel=0.02)

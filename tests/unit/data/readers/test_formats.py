@@ -1,0 +1,183 @@
+"""Every format gives the same samples, whole or packed; what is damaged gives a right answer or one clear line."""
+
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from dashpot.data.readers import read
+from dashpot.data.readers.datafile import open_file
+from dashpot.data.readers.optional import library
+from dashpot.data.readers.registry import reader_of
+from dashpot.errors import DashpotError, DataError
+from dashpot.estimate.identify import identify
+from dashpot.model.rigfile import parse_rig
+from tests.unit.data.readers.written import (
+    CHANNELS,
+    WRITERS,
+    as_read,
+    packed,
+    recording,
+    wav,
+)
+
+RIG = """
+coordinates = ["x1", "x2"]
+[inputs]
+u = { kind = "displacement" }
+[masses]
+m1 = { at = "x1", value = 1.0 }
+m2 = { at = "x2" }
+[springs]
+k1 = { between = ["x1", "x2"] }
+k2 = { between = ["x2", "u"] }
+[dampers]
+c1 = { between = ["x1", "x2"] }
+c2 = { between = ["x2", "u"] }
+[channels]
+x1 = { of = "x1", unit = "mm" }
+x2 = { of = "x2", unit = "mm" }
+u = { of = "u", unit = "mm" }
+"""
+
+
+def same(records, expected, one_clock=False):
+    assert len(records) == len(expected)
+    for record, wanted in zip(records, expected, strict=True):
+        assert record.frequency_hz == wanted.frequency_hz
+        assert record.time - record.time[0] == pytest.approx(wanted.time - wanted.time[0], abs=1e-12)
+        assert record.values == pytest.approx(wanted.values, rel=1e-15)
+
+
+@pytest.mark.parametrize("name", WRITERS)
+def test_the_same_recording(tmp_path, name):
+    suffix, write = WRITERS[name]
+    path = tmp_path / f"test{suffix}"
+    expected = recording()
+    write(path, expected)
+    same(as_read(path), expected)
+    same(as_read(packed(path)), expected)
+
+
+@pytest.fixture(scope="module")
+def rig():
+    return parse_rig(RIG, "rig.toml")
+
+
+@pytest.mark.parametrize("name", [name for name in WRITERS if name != "CSV"])
+def test_the_same_estimate(tmp_path, rig, name):
+    csv, other = tmp_path / "test.csv", tmp_path / f"test{WRITERS[name][0]}"
+    WRITERS["CSV"][1](csv, recording())
+    WRITERS[name][1](other, recording())
+    treatments = {"harmonics": "none", "noise": "white"}
+    first, second = (
+        identify(rig.model, read(path, rig.channels).spectrum(**treatments)) for path in (csv, other)
+    )
+    for parameter in first.names:
+        assert second[parameter].value == pytest.approx(first[parameter].value, rel=1e-9)
+
+
+def test_wav_by_a_manifest(tmp_path):
+    record = recording()[0]
+    millimetres = np.round(record.values * 1e3 * 1024) / 1024
+    (tmp_path / "2Hz.wav").write_bytes(wav(millimetres))
+    (tmp_path / "test.toml").write_text(
+        '[[files]]\nname = "{frequency}Hz.wav"\ncolumns = { x1 = "channel_1", x2 = "channel_2", u = "channel_3" }\n'
+    )
+    same(as_read(tmp_path / "test.toml"), [record])
+    whole = (2**15 * 0.5 * np.sin(np.arange(100))).astype(np.int16)
+    from scipy.io import wavfile
+
+    wavfile.write(tmp_path / "int.wav", 100, whole)
+    part = next(iter(reader_of(open_file(tmp_path / "int.wav")).parts(open_file(tmp_path / "int.wav"))))
+    assert part.numbers([1])[1] == pytest.approx(whole / 2**15)
+
+
+def test_units_of_files_count(tmp_path):
+    """A file in inches is read in inches where the rig says nothing, and refused where it says mm."""
+    h5py = pytest.importorskip("h5py")
+    path = tmp_path / "test.h5"
+    with h5py.File(path, "w") as file:
+        file["x1"] = np.arange(1, 9.0)
+        file["x1"].attrs["units"] = "in"
+        file["time_s"] = np.arange(8) / 10
+    from dashpot.channel import Channel
+
+    (record,) = read(path, (Channel("x1", {"x1": 1}),)).records
+    assert record.values[:, 0] == pytest.approx(0.0254 * np.arange(1, 9))
+    with pytest.raises(DataError, match="column x1: in in, the rig file says mm"):
+        read(path, CHANNELS[:1])
+
+
+def test_an_extra_that_is_missing_is_named():
+    with pytest.raises(
+        DataError, match=r"TDMS, nptdmz is needed; install it: pip install 'dashpot\[formats\]'"
+    ):
+        library("nptdmz.x", "formats", "a.tdms", "TDMS")
+
+
+def outcome(path: Path) -> str:
+    """What becomes of a file: the records, or the one line that refuses it.  Everything else is a failure."""
+    start, records, said = time.process_time(), [], ""
+    try:
+        records = as_read(path)
+    except DashpotError as error:
+        said = str(error)
+    assert "\n" not in said
+    assert path.name in said or not said
+    assert all(np.all(np.isfinite(record.values)) for record in records)
+    assert time.process_time() - start < 5
+    return said
+
+
+@pytest.mark.parametrize("name", WRITERS)
+@pytest.mark.filterwarnings("ignore")
+def test_files_cut_off(tmp_path, name):
+    suffix, write = WRITERS[name]
+    whole, path = tmp_path / f"whole{suffix}", tmp_path / f"cut{suffix}"
+    write(whole, recording(64))
+    data = whole.read_bytes()
+    expected = recording(64)
+    rng = np.random.default_rng(0)
+    for length in {
+        0,
+        1,
+        4,
+        8,
+        64,
+        512,
+        len(data) // 2,
+        len(data) - 1,
+        *rng.integers(1, len(data), 12).tolist(),
+    }:
+        path.write_bytes(data[:length])
+        if outcome(path) == "" and name != "CSV":  # text ends where it ends
+            same(as_read(path), expected)
+
+
+@pytest.mark.parametrize("name", WRITERS)
+@pytest.mark.filterwarnings("ignore")
+def test_flipped_bytes(tmp_path, name):
+    suffix, write = WRITERS[name]
+    whole, path = tmp_path / f"whole{suffix}", tmp_path / f"flipped{suffix}"
+    write(whole, recording(64))
+    data = bytearray(whole.read_bytes())
+    rng = np.random.default_rng(1)
+    for k in range(25):
+        broken = bytearray(data)
+        reach = min(len(data), 400 if k % 2 else len(data))
+        for at in rng.integers(0, reach, 1 + k % 4):
+            broken[at] ^= int(rng.integers(1, 256))
+        path.write_bytes(bytes(broken))
+        outcome(path)
+
+
+@pytest.mark.parametrize(
+    "suffix", [".mat", ".h5", ".npz", ".parquet", ".feather", ".xlsx", ".tdms", ".wav", ".mf4", ".uff"]
+)
+def test_files_of_a_wrong_name(tmp_path, suffix):
+    path = tmp_path / f"noise{suffix}"
+    for content in (b"\x00" * 100, b"frequency_hz", bytes(range(256)) * 4):
+        path.write_bytes(content)
+        assert outcome(path) != ""
