@@ -8,6 +8,7 @@ from enum import StrEnum
 from types import MappingProxyType
 
 from dashpot.model.laws import Law
+from dashpot.model.nonlinear.force_law import ForceLaw, unit_of
 
 
 class Kind(StrEnum):
@@ -52,7 +53,8 @@ class Element:
     to the ground does not appear.  `value` without `sd` is known exactly, with `sd` (same unit) known with that
     standard deviation, None is unknown; `guess` is a start for the iterations, `lower` and `upper` bound the estimate
     where the method can.  `same_as` ties the parameter to another element's: p = times · p(same_as).  `free`: no part
-    of the rig but of a free matrix, so that its parameter may have any sign.
+    of the rig but of a free matrix, so that its parameter may have any sign.  `force_law`: a nonlinear law in place of
+    that of its kind, with any sign of its parameter.
     """
 
     name: str
@@ -66,6 +68,7 @@ class Element:
     same_as: str | None = None
     times: float = 1.0
     free: bool = False
+    force_law: ForceLaw | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "kind", Kind(self.kind))
@@ -78,13 +81,16 @@ class Element:
 
     def unit(self, angles: Collection[str]) -> str:
         """SI unit of the parameter: that of a torsional element where it joins nothing but `angles`."""
-        return self.law.unit(bool(self.along) and all(point in angles for point in self.along))
+        angular = bool(self.along) and all(point in angles for point in self.along)
+        if self.force_law is not None:
+            return unit_of(self.force_law.exponents[0], force=True, angle=angular)
+        return self.law.unit(angular)
 
     def __reduce__(self) -> tuple[object, ...]:
         known = (self.value, self.sd, self.guess, self.lower, self.upper)
         return (
             Element,
-            (self.name, self.kind, dict(self.along), *known, self.same_as, self.times, self.free),
+            (self.name, self.kind, dict(self.along), *known, self.same_as, self.times, self.free, self.force_law),
         )
 
     def __hash__(self) -> int:

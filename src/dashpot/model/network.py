@@ -17,6 +17,7 @@ from scipy import sparse
 from dashpot.arrays import Complex, Ints, Real, frozen
 from dashpot.errors import ModelError, UsageError
 from dashpot.model.elements import MATRICES, Element, Kind
+from dashpot.model.nonlinear.force_law import Constant, unit_of
 from dashpot.model.validation import problems
 
 InputKind = Literal["displacement", "force"]
@@ -157,20 +158,37 @@ class Model:
     @cached_property
     def _by_kind(self) -> Mapping[Kind, Ints]:
         return {
-            kind: frozen([i for i, own in enumerate(self.kinds) if own is kind], np.int64)
+            kind: frozen([i for i, e in enumerate(self.elements) if e.kind is kind and e.force_law is None], np.int64)
             for kind in dict.fromkeys(self.kinds)
         }
 
+    @cached_property
+    def nonlinear(self) -> Ints:
+        """Indices of the elements with a nonlinear law."""
+        return frozen([i for i, e in enumerate(self.elements) if e.force_law is not None], np.int64)
+
+    @cached_property
+    def constants(self) -> tuple[tuple[Element, Constant], ...]:
+        """Inner constants of the nonlinear laws, (G,), each with its element."""
+        return tuple((e, c) for e in self.elements if e.force_law is not None for c in e.force_law.constants)
+
+    @cached_property
+    def constant_slices(self) -> tuple[slice, ...]:
+        """For each nonlinear element, where its constants stand among all of them."""
+        counts = [len(e.force_law.constants) for e in self.elements if e.force_law is not None]
+        ends = np.cumsum([0, *counts])
+        return tuple(slice(int(a), int(b)) for a, b in zip(ends[:-1], ends[1:], strict=True))
+
     def factors(self, omega: Real) -> Complex:
-        """φ_i(ω) for `omega` of shape (lines,) in rad/s; shape (lines, elements)."""
-        phi = np.empty((*omega.shape, len(self.elements)), dtype=np.complex128)
+        """φ_i(ω) for `omega` of shape (lines,) in rad/s; shape (lines, elements); 0 for nonlinear elements."""
+        phi = np.zeros((*omega.shape, len(self.elements)), dtype=np.complex128)
         for kind, chosen in self._by_kind.items():
             phi[..., chosen] = kind.law.factor(omega)[..., None]
         return phi
 
     def pole_factors(self, poles: Complex) -> Complex:
         """φ_i(λ) at complex rates λ, 1/s, of shape (...); shape (..., elements)."""
-        phi = np.empty((*poles.shape, len(self.elements)), dtype=np.complex128)
+        phi = np.zeros((*poles.shape, len(self.elements)), dtype=np.complex128)
         for kind, chosen in self._by_kind.items():
             phi[..., chosen] = kind.law.pole_factor(poles)[..., None]
         return phi
@@ -200,14 +218,23 @@ class Model:
 
     @cached_property
     def unknowns(self) -> tuple[Unknown, ...]:
-        """The unknowns of θ, in the order of the elements; those with a prior are known with an sd."""
+        """The unknowns of θ: parameters in the order of the elements, then inner constants of nonlinear laws.
+
+        Those with a prior are known with an sd.
+        """
         chosen = (self.elements[i] for i in self._unknown_roots)
-        return tuple(Unknown(e.name, self.unit(e), e.value, e.sd, e.guess, e.lower, e.upper) for e in chosen)
+        parts = [Unknown(e.name, self.unit(e), e.value, e.sd, e.guess, e.lower, e.upper) for e in chosen]
+        inner = [
+            Unknown(f"{e.name}.{c.name}", self.constant_unit(e, c), c.value, c.sd, c.guess, c.lower, c.upper)
+            for e, c in self.constants
+            if c.unknown
+        ]
+        return (*parts, *inner)
 
     @cached_property
     def T(self) -> Real:
         """∂p/∂θ, (elements, unknowns).  THEORY §1."""
-        T = np.zeros((len(self.elements), len(self._unknown_roots)))
+        T = np.zeros((len(self.elements), len(self.unknowns)))
         column = {root: j for j, root in enumerate(self._unknown_roots)}
         for i, tie in enumerate(self.ties):
             if tie.root in column:
@@ -227,6 +254,31 @@ class Model:
     def parameters(self, theta: Real) -> Real:
         """p = T θ + p⁰ for θ of shape (..., unknowns); shape (..., elements)."""
         return theta @ self.T.T + self.p0
+
+    @cached_property
+    def constants_map(self) -> tuple[Real, Real]:
+        """(∂g/∂θ (G, unknowns), g⁰ (G,)): inner constants g of the nonlinear laws from the unknowns."""
+        slope, known = np.zeros((len(self.constants), len(self.unknowns))), np.zeros(len(self.constants))
+        column = len(self._unknown_roots)
+        for row, (_, constant) in enumerate(self.constants):
+            if constant.unknown:
+                slope[row, column] = 1.0
+                column += 1
+            else:
+                known[row] = constant.value
+        return frozen(slope, np.float64), frozen(known, np.float64)
+
+    def inner_constants(self, theta: Real) -> Real:
+        """Inner constants of the nonlinear laws for θ of shape (..., unknowns); shape (..., G)."""
+        slope, known = self.constants_map
+        constants: Real = theta @ slope.T + known
+        return constants
+
+    def constant_unit(self, element: Element, constant: Constant) -> str:
+        """SI unit of an inner constant."""
+        assert element.force_law is not None
+        angular = bool(element.along) and all(point in self.angles for point in element.along)
+        return unit_of(element.force_law.exponents[1].get(constant.name, (0.0, 0.0)), angle=angular)
 
     def theta(self, values: Mapping[str, float]) -> Real:
         """θ, (unknowns,), from values by name; what is not named takes its value or its guess from the model."""
@@ -284,7 +336,9 @@ class Model:
     def by_matrix(self) -> Mapping[str, Ints]:
         """Indices of the elements that enter M, C, K and the hysteretic H."""
         return {
-            letter: frozen([i for i, e in enumerate(self.elements) if e.law.matrix == letter], np.int64)
+            letter: frozen(
+                [i for i, e in enumerate(self.elements) if e.law.matrix == letter and e.force_law is None], np.int64
+            )
             for letter in MATRICES
         }
 

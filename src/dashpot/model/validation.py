@@ -129,7 +129,7 @@ def _element_problems(element: Element, points: Collection[str], complete: bool)
 
 def _value_problems(element: Element) -> Iterator[Problem]:
     name, value, sd = element.name, element.value, element.sd
-    if value is not None and value < 0:
+    if value is not None and value < 0 and element.force_law is None:
         what = f"a {element.kind} of {value:g} {element.law.unit()} is negative"
         yield Problem(what, name, "give a value of 0 or more")
     # Below 1e-150 the weight 1/sd² leaves the range of numbers.

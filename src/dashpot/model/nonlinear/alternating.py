@@ -1,0 +1,210 @@
+"""The alternating frequency-time transform: harmonics of elongations → one period in time → unit forces → harmonics.
+
+For laws without a state the slope is diagonal in time: ∂a/∂q = Γ⁺ (φ_d Γ + φ_v Γ̇).  Laws with a state are followed
+over the periods until they repeat, and their slopes with them (THEORY §9).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+
+from dashpot.arrays import Real, frozen
+from dashpot.model.network import Model
+from dashpot.model.nonlinear.force_law import ForceLaw
+
+REPEATS = 1e-11  # of the elongation
+
+
+@dataclass(frozen=True)
+class Alternated:
+    """Harmonics of the unit forces: a (N, e, W), slope ∂a/∂q (N, e, W, W), by_constant: (N, W, G) and states: (N, times
+    or 0) for each element."""
+
+    a: Real
+    slope: Real
+    by_constant: tuple[Real, ...]
+    states: tuple[Real, ...] = ()
+
+
+@lru_cache(maxsize=32)
+def basis(orders: int, times: int) -> tuple[Real, Real, Real]:
+    """(Γ, Γ̇ at ω = 1, Γ⁺): period from harmonics (times, W), its rate, and harmonics from a period (W, times)."""
+    angle = 2 * np.pi * np.outer(np.arange(times), np.arange(1, orders + 1)) / times
+    h = np.arange(1, orders + 1)
+    there, rate = np.ones((times, 2 * orders + 1)), np.zeros((times, 2 * orders + 1))
+    there[:, 1::2], there[:, 2::2] = np.cos(angle), -np.sin(angle)
+    rate[:, 1::2], rate[:, 2::2] = -h * np.sin(angle), -h * np.cos(angle)
+    back = 2 / times * there.T
+    back[0] = 1 / times
+    return frozen(there, np.float64), frozen(rate, np.float64), frozen(back, np.float64)
+
+
+def alternate(
+    model: Model, constants: Real, omega: Real, q: Real, times: int, *, slopes: bool = True,
+    start: Alternated | None = None,
+) -> Alternated:
+    """Harmonics of the unit forces of the nonlinear elements at elongations q (N, e, W), and their slopes.
+
+    constants (N, inner constants), omega (N,) rad/s; `times` instants of a period, even; `start`: the transform at
+    elongations nearby, whose states are a first guess.
+    """
+    N, e, W = q.shape
+    there, rate, back = basis((W - 1) // 2, times)
+    a = np.empty_like(q)
+    slope = np.empty((N, e, W, W) if slopes else (0, e, W, W))
+    by_constant, states = [], []
+    for row, (index, own) in enumerate(zip(model.nonlinear, model.constant_slices, strict=True)):
+        law = model.elements[int(index)].force_law
+        assert law is not None
+        d, v = q[:, row] @ there.T, omega[:, None] * (q[:, row] @ rate.T)
+        g = constants[:, own]
+        if law.has_state:
+            begun = None if start is None else start.states[row]
+            force, state, along, inner = _with_state(law, d, v, g, omega, there, rate, slopes, begun)
+            states.append(state)
+            a[:, row] = force @ back.T
+            if slopes:
+                slope[:, row] = back @ along
+                by_constant.append(back @ inner)
+            continue
+        states.append(np.zeros((N, 0)))
+        at = law(d, v, d, g)
+        a[:, row] = np.broadcast_to(at.value, d.shape) @ back.T
+        if not slopes:
+            continue
+        nothing = np.zeros_like(d)
+        by_d = np.broadcast_to(at.slopes.get("d", nothing), d.shape)
+        by_v = np.broadcast_to(at.slopes.get("v", nothing), d.shape) * omega[:, None]
+        slope[:, row] = (back * by_d[:, None, :]) @ there + (back * by_v[:, None, :]) @ rate
+        names = law.constant_names
+        inner = np.stack([np.broadcast_to(at.slopes.get(name, nothing), d.shape) for name in names], -1) if names else np.zeros((*d.shape, 0))
+        by_constant.append(back @ inner)
+    return Alternated(a, slope, tuple(by_constant), tuple(states))
+
+
+def _with_state(
+    law: ForceLaw, d: Real, v: Real, g: Real, omega: Real, there: Real, rate: Real, slopes: bool, start: Real | None
+) -> tuple[Real, Real, Real, Real]:
+    """(force, state (N, times), ∂force/∂q (N, times, W), ∂force/∂g (N, times, G)) when the state repeats."""
+    N, times = d.shape
+    W, G = there.shape[1], g.shape[1]
+    along = {"d": there[None], "v": omega[:, None, None] * rate}
+    if law.operator:
+        z, stays, jump = _operated(law, d, g)
+    else:
+        z, stays, jump = _rated(law, d, v, g, omega, start)
+    at = law(d, v, z, g)
+    force = np.broadcast_to(at.value, d.shape)
+    if not slopes:
+        return force, z, np.zeros((N, times, 0)), np.zeros((N, times, 0))
+    # dz at the next instant: `stays` times dz now, and what motion and constants add on the way.
+    added = np.zeros((N, times, W + G))
+    for name in ("d", "v"):
+        for factor, shift in ((jump.get(f"{name} now"), 0), (jump.get(f"{name} next"), -1)):
+            if factor is not None:
+                added[..., :W] += factor[..., None] * np.roll(along[name], shift, axis=1)
+    for j, name in enumerate(law.constant_names):
+        if name in jump:
+            added[..., W + j] += jump[name]
+    tangents = repeating(stays, added)
+    by_z = np.broadcast_to(at.slopes.get("z", np.zeros_like(d)), d.shape)
+    total = by_z[..., None] * tangents
+    for name in ("d", "v"):
+        if name in at.slopes:
+            total[..., :W] += np.broadcast_to(at.slopes[name], d.shape)[..., None] * along[name]
+    return force, z, total[..., :W], total[..., W:]
+
+
+def repeating(stays: Real, added: Real) -> Real:
+    """The periodic solution of y_{k+1} = stays_k y_k + added_k, (N, times, Q), for stays (N, times)."""
+    N, times, Q = added.shape
+    total, kept = np.zeros((N, Q)), np.ones(N)
+    for k in range(times):
+        total = stays[:, k, None] * total + added[:, k]
+        kept = kept * stays[:, k]
+    loose = np.abs(1 - kept) < 1e-12  # what never slips keeps what it began with: nothing
+    y = np.where(loose[:, None], 0.0, total / np.where(loose, 1.0, 1 - kept)[:, None])
+    solution = np.empty((N, times, Q))
+    for k in range(times):
+        solution[:, k] = y
+        y = stays[:, k, None] * y + added[:, k]
+    return solution
+
+
+Jumps = dict[str, Real]  # what the next state gains by d and v now and next, and by constants, each (N, times)
+
+
+def _operated(law: ForceLaw, d: Real, g: Real) -> tuple[Real, Real, Jumps]:
+    """Stop and play, exact where the elongation does not turn between two instants: state, its share kept, gains."""
+    N, times = d.shape
+    width, stop = g[:, 0], law.operator == "stop"
+    z, states = np.zeros(N), np.zeros((N, times))
+    following = np.roll(d, -1, axis=1)
+    for _ in range(3):  # they repeat from the second period on
+        for k in range(times):
+            states[:, k] = z
+            free, centre = (z + following[:, k] - d[:, k], 0.0) if stop else (z, following[:, k])
+            z = np.clip(free, centre - width, centre + width)
+    free, centre = (states + following - d, np.zeros_like(d)) if stop else (states, following)
+    above, below = free > centre + width[:, None], free < centre - width[:, None]
+    inside = (~(above | below)).astype(float)
+    edge = above.astype(float) - below.astype(float)
+    gains = {law.constant_names[0]: edge}
+    gains |= {"d now": -inside, "d next": inside} if stop else {"d next": 1 - inside}
+    return states, inside, gains
+
+
+def _rated(
+    law: ForceLaw, d: Real, v: Real, g: Real, omega: Real, start: Real | None
+) -> tuple[Real, Real, Jumps]:
+    """dz/dt = g(z, d, v) by the trapezoidal rule, all instants of the period at once by Newton's method."""
+    assert law.rate is not None
+    N, times = d.shape
+    half = (np.pi / (omega * times))[:, None]
+    z = _marched(law, d, v, g, 2 * half[:, 0]) if start is None or start.shape != d.shape else start
+    size = np.maximum(np.max(np.abs(d), axis=1, keepdims=True), 1e-300)
+    for turn in range(40):
+        at = law.rate(law.values(d, v, z, g))
+        value = np.broadcast_to(at.value, d.shape)
+        by_z = np.broadcast_to(at.slopes.get("z", np.zeros_like(d)), d.shape)
+        scale = 1 - half * np.roll(by_z, -1, axis=1)
+        missing = np.roll(z, -1, axis=1) - z - half * (value + np.roll(value, -1, axis=1))
+        change = repeating((1 + half * by_z) / scale, (-missing / scale)[..., None])[..., 0]
+        z = z + (change if turn < 10 else 0.5 * change)
+        if np.max(np.abs(change) / size) <= REPEATS:
+            break
+    gains = {}
+    for name, slope in at.slopes.items():
+        if name == "z":
+            continue
+        now = np.broadcast_to(slope, d.shape) * half
+        if name in ("d", "v"):
+            gains[f"{name} now"], gains[f"{name} next"] = now / scale, np.roll(now, -1, axis=1) / scale
+        else:
+            gains[name] = (now + np.roll(now, -1, axis=1)) / scale
+    return z, (1 + half * by_z) / scale, gains
+
+
+def _marched(law: ForceLaw, d: Real, v: Real, g: Real, step: Real) -> Real:
+    """A first guess of the state: followed through two periods by Heun's rule on every fourth instant."""
+    assert law.rate is not None
+    N, times = d.shape
+    coarse = np.arange(0, times, 4 if times % 4 == 0 else 1)
+    h = step * (times / len(coarse))
+    z, states = np.zeros(N), np.zeros((N, len(coarse)))
+
+    def rate(z: Real, k: int) -> Real:
+        assert law.rate is not None
+        at = law.rate(law.values(d[:, k, None], v[:, k, None], z[:, None], g))
+        return np.broadcast_to(at.value, (N, 1))[:, 0]
+
+    for _ in range(2):
+        for i, k in enumerate(coarse):
+            states[:, i] = z
+            first = rate(z, int(k))
+            second = rate(z + h * first, int(coarse[(i + 1) % len(coarse)]))
+            z = np.nan_to_num(z + h * (first + second) / 2)
+    return np.repeat(states, times // len(coarse), axis=1)

@@ -1,0 +1,213 @@
+"""Nonlinear laws: the unit force of an element as a function of its elongation d, its rate v and inner constants.
+
+Three kinds (THEORY §9): functions of (d, v); laws with a state z whose rate is an expression, dz/dt = g(z, d, v)
+(Bouc-Wen); and the two operators of dry friction and play, which depend on the order of the elongations only:
+
+    stop   z follows d but stays within ±g       a spring in series with a slider: the Jenkins element
+    play   z follows d but lags by up to g       backlash
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from types import MappingProxyType
+from typing import Literal
+
+import numpy as np
+
+from dashpot.arrays import Real
+from dashpot.errors import ModelError
+from dashpot.model.nonlinear.expression import Dual, Expression, Exponents, dimensions, parse
+
+Operator = Literal["", "stop", "play"]
+
+
+@dataclass(frozen=True)
+class NamedLaw:
+    """A usual law: its expression of d and v, or of its state z, and what its constants are."""
+
+    text: str
+    rate: str = ""
+    operator: Operator = ""
+    constants: tuple[str, ...] = ()
+
+
+_ANYWHERE: Mapping[str, NamedLaw] = {
+    "coulomb": NamedLaw("tanh(v/v0)"),
+    "stribeck": NamedLaw("tanh(v/v0)*(1 + (ratio - 1)*exp(-(v/vs)**2))"),
+    "gap": NamedLaw("max(d - gap, 0) + min(d + gap, 0)"),
+    "one-sided": NamedLaw("max(d - gap, 0)"),
+    "bilinear": NamedLaw("max(d, 0) + ratio*min(d, 0)"),
+    "jenkins": NamedLaw("z", operator="stop", constants=("slip",)),
+    "backlash": NamedLaw("z", operator="play", constants=("gap",)),
+    "bouc-wen": NamedLaw("z", rate="v - (gamma*abs(v)*sign(z) + delta*v)*abs(z)**nu"),
+}
+SPRING_LAWS: Mapping[str, NamedLaw] = MappingProxyType(
+    {
+        "square": NamedLaw("d**2"),
+        "quadratic": NamedLaw("d*abs(d)"),
+        "cubic": NamedLaw("d**3"),
+        "quintic": NamedLaw("d**5"),
+        **_ANYWHERE,
+    }
+)
+DAMPER_LAWS: Mapping[str, NamedLaw] = MappingProxyType(
+    {"quadratic": NamedLaw("v*abs(v)"), "cubic": NamedLaw("v**3"), **_ANYWHERE}
+)
+
+
+@dataclass(frozen=True)
+class Constant:
+    """An inner constant of a law; without a value it is unknown, with a value and an sd it has a prior."""
+
+    name: str
+    value: float | None = None
+    sd: float | None = None
+    guess: float | None = None
+    lower: float | None = None
+    upper: float | None = None
+
+    @property
+    def unknown(self) -> bool:
+        """Whether it is estimated."""
+        return self.value is None or self.sd is not None
+
+
+@dataclass(frozen=True)
+class ForceLaw:
+    """A nonlinear law.
+
+    text        as the rig file writes it: an expression or a name
+    expression  unit force of d, v and, where there is a state, z
+    rate        dz/dt of z, d and v, where the state follows a differential equation
+    operator    "stop" or "play", where the state follows from the order of the elongations
+    constants   in the order of their first use
+    """
+
+    text: str
+    expression: Expression
+    constants: tuple[Constant, ...] = ()
+    rate: Expression | None = None
+    operator: Operator = ""
+
+    @property
+    def has_state(self) -> bool:
+        """Whether the force depends on more than the present d and v."""
+        return self.rate is not None or bool(self.operator)
+
+    @cached_property
+    def smooth(self) -> bool:
+        """Whether the force is a polynomial of d and v, so that few harmonics tell it."""
+        return not self.has_state and not self.expression.functions
+
+    @cached_property
+    def constant_names(self) -> tuple[str, ...]:
+        """Names of the constants, in order."""
+        return tuple(constant.name for constant in self.constants)
+
+    @cached_property
+    def exponents(self) -> tuple[Exponents, Mapping[str, Exponents]]:
+        """Powers of metre and second of the unit force and of each constant."""
+        known: dict[str, Exponents] = {"d": (1.0, 0.0), "v": (1.0, -1.0)}
+        if self.operator:
+            return (1.0, 0.0), {name: (1.0, 0.0) for name in self.constant_names}
+        if self.rate is None:
+            return dimensions(self.expression, known)
+        known["z"] = (1.0, 0.0)
+        own = dimensions(self.expression, known)
+        return own[0], {**dimensions(self.rate, known)[1], **own[1]}
+
+    def __call__(self, d: Real, v: Real, z: Real, constants: Real) -> Dual:
+        """Unit force and its derivatives by name; `constants` (..., G) broadcast against d, v, z of shape (..., times)."""
+        return self.expression(self.values(d, v, z, constants))
+
+    def values(self, d: Real, v: Real, z: Real, constants: Real) -> dict[str, Real]:
+        """All that expressions of this law may name."""
+        named = {name: constants[..., j, None] for j, name in enumerate(self.constant_names)}
+        return {"d": d, "v": v, "z": z, **named}
+
+    def with_constants(self, constants: Sequence[Constant]) -> ForceLaw:
+        """The same law with other knowledge of its constants, matched by name."""
+        named = {constant.name: constant for constant in constants}
+        return replace(self, constants=tuple(named.get(c.name, c) for c in self.constants))
+
+
+def force_law(text: str, constants: Sequence[Constant] = (), *, damper: bool = False) -> ForceLaw:
+    """The law that a rig file calls `text`: a usual name or an expression; unnamed constants are unknown.
+
+    Raises ModelError where it cannot be read, names what is not given, or is not finite at rest.
+    """
+    usual = (DAMPER_LAWS if damper else SPRING_LAWS).get(text.strip().lower())
+    expression = parse(text if usual is None else usual.text)
+    rate = parse(usual.rate) if usual is not None and usual.rate else None
+    state = usual is not None and (rate is not None or bool(usual.operator))
+    names = [*expression.names, *(() if rate is None else rate.names), *(() if usual is None else usual.constants)]
+    reserved = {"d", "v", "z"} if state else {"d", "v"}
+    wanted = [name for name in dict.fromkeys(names) if name not in reserved]
+    given = {constant.name: constant for constant in constants}
+    missing = [name for name in wanted if name not in given]
+    if usual is None and missing:
+        raise ModelError(
+            f"the law {text!r} names {', '.join(missing)}",
+            cure=f'give {missing[0]} beside the law, as a number or "unknown"; d is the elongation, v its rate',
+        )
+    strangers = [name for name in given if name not in wanted]
+    if strangers:
+        raise ModelError(
+            f"the law {text!r} has no constant {', '.join(strangers)}",
+            cure=f"its constants are {', '.join(wanted)}" if wanted else "it has none: remove it",
+        )
+    if not state and not {"d", "v"} & set(expression.names):
+        raise ModelError(f"the law {text!r} depends on neither d nor v", cure='write one that does, such as "d**3"')
+    law = ForceLaw(
+        text, expression, tuple(given.get(name, Constant(name)) for name in wanted), rate,
+        "" if usual is None else usual.operator,
+    )  # fmt: skip
+    law.exponents  # noqa: B018  # raises where no units make sense
+    _require_finite_at_rest(law)
+    return law
+
+
+def _require_finite_at_rest(law: ForceLaw) -> None:
+    """Raises ModelError where the force or its slope is infinite at d = v = 0."""
+    middle = np.array([_typical(constant) for constant in law.constants])
+    zero = np.zeros(1)
+    at = law(zero, zero, zero, middle)
+    numbers = [at.value, *(slope for name, slope in at.slopes.items() if name in ("d", "v"))]
+    if not all(np.all(np.isfinite(number)) for number in numbers):
+        raise ModelError(
+            f"the law {law.text!r} divides by zero or has no finite slope at rest",
+            cure="write it so that force and slope are finite at d = 0, v = 0",
+        )
+
+
+def _typical(constant: Constant) -> float:
+    """A number to try a constant with."""
+    for number in (constant.value, constant.guess):
+        if number is not None:
+            return number
+    low = 0.0 if constant.lower is None else constant.lower
+    return low + 1.0 if constant.upper is None else (low + constant.upper) / 2
+
+
+def unit_of(exponents: Exponents, force: bool = False, angle: bool = False) -> str:
+    """SI unit of m^a s^b, or with `force` of a parameter whose law has it: N (or N·m) divided by it."""
+    length = "rad" if angle else "m"
+    metre, second = exponents
+    if not force:
+        above = [_raised(length, metre)] * (metre > 0) + [_raised("s", second)] * (second > 0)
+        below = [_raised(length, -metre)] * (metre < 0) + [_raised("s", -second)] * (second < 0)
+    else:
+        above = ["N·m" if angle else "N", *([_raised(length, -metre)] * (metre < 0)), *([_raised("s", -second)] * (second < 0))]
+        below = [_raised(length, metre)] * (metre > 0) + [_raised("s", second)] * (second > 0)
+    top = "·".join(above) if above else "1"
+    return top if not below else f"{top}/{'/'.join(below)}"
+
+
+_RAISED = str.maketrans("0123456789.-", "⁰¹²³⁴⁵⁶⁷⁸⁹·⁻")
+
+
+def _raised(letter: str, power: float) -> str:
+    return letter if power == 1 else letter + f"{power:g}".translate(_RAISED)
