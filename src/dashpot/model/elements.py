@@ -90,7 +90,16 @@ class Element:
         known = (self.value, self.sd, self.guess, self.lower, self.upper)
         return (
             Element,
-            (self.name, self.kind, dict(self.along), *known, self.same_as, self.times, self.free, self.force_law),
+            (
+                self.name,
+                self.kind,
+                dict(self.along),
+                *known,
+                self.same_as,
+                self.times,
+                self.free,
+                self.force_law,
+            ),
         )
 
     def __hash__(self) -> int:

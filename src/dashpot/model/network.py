@@ -158,7 +158,9 @@ class Model:
     @cached_property
     def _by_kind(self) -> Mapping[Kind, Ints]:
         return {
-            kind: frozen([i for i, e in enumerate(self.elements) if e.kind is kind and e.force_law is None], np.int64)
+            kind: frozen(
+                [i for i, e in enumerate(self.elements) if e.kind is kind and e.force_law is None], np.int64
+            )
             for kind in dict.fromkeys(self.kinds)
         }
 
@@ -337,7 +339,8 @@ class Model:
         """Indices of the elements that enter M, C, K and the hysteretic H."""
         return {
             letter: frozen(
-                [i for i, e in enumerate(self.elements) if e.law.matrix == letter and e.force_law is None], np.int64
+                [i for i, e in enumerate(self.elements) if e.law.matrix == letter and e.force_law is None],
+                np.int64,
             )
             for letter in MATRICES
         }

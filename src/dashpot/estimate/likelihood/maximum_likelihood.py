@@ -17,6 +17,7 @@ from dashpot.estimate.linear.least_squares import compensated
 from dashpot.estimate.method import Limits, Method, Prepared, Solution
 from dashpot.estimate.preparation.state_reconstruction import States
 from dashpot.model.observation import SPARSE_FROM, ObservationModel, is_direct, observation_model, small
+from dashpot.estimate.nonlinear.search import search
 from dashpot.model.unstructured import free_names
 from dashpot.notices import Notice
 from dashpot.numerics.levenberg_marquardt import (
@@ -102,12 +103,22 @@ class MaximumLikelihood(Method):
         lower, upper = bounds(view, self.positive)
         direct = data.states is not None and all(is_direct(data.model, c) for c in data.spectrum.channels)
         warnings: tuple[Notice, ...] = ()
-        if direct and data.states is not None:
+        if exact.nonlinear is not None:
+            found, exact = search(
+                data,
+                view,
+                exact,
+                lambda part, psi, sign, limit: self._descend(view, part, psi, sign, lower, upper, limit),
+                lambda one, softness: measured(one, view, softness),
+            )
+            sign = np.ones((repeats, len(view.channels)))
+        elif direct and data.states is not None:
             start, sign = _start(data, data.states, exact), np.ones((repeats, len(view.channels)))
             found = self._descend(view, exact, start, sign, lower, upper)
         else:
             found, sign, warnings = self._from_valleys(view, exact, self._global(data, view, 0), lower, upper)
-        found, sign = self._again(data, view, exact, found, sign, lower, upper)
+        if exact.nonlinear is None:
+            found, sign = self._again(data, view, exact, found, sign, lower, upper)
         at = predict(view, exact, found.x, sign)
         prior = prior_precision(view)
         bread = scaled_inverse(np.sum(at.information(), axis=-3) + np.diag(prior))

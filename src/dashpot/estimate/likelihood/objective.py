@@ -16,6 +16,7 @@ from scipy.sparse.csgraph import connected_components, structural_rank
 from dashpot.arrays import Bools, Complex, Ints, Real, hermitian
 from dashpot.estimate.likelihood.boundary_loads import RecordEnds, projector, record_ends, whitener
 from dashpot.estimate.method import Prepared
+from dashpot.estimate.nonlinear.objective import NonlinearPart, nonlinear_part, predict_harmonics
 from dashpot.model.observation import (
     ObservationModel,
     calibration,
@@ -45,6 +46,7 @@ class Measured:
     rows: int
     ends: RecordEnds | None = None
     root: Complex | None = None
+    nonlinear: NonlinearPart | None = None
 
     def pick(self, rows: Ints) -> Measured:
         """Some of the repeats."""
@@ -53,7 +55,8 @@ class Measured:
         W = self.W if len(self.W) == 1 else self.W[rows]
         root = self.root if self.root is None or len(self.root) == 1 else self.root[rows]
         q = None if self.q is None else self.q[rows]
-        return Measured(self.y[rows], W, q, self.rows, self.ends, root)
+        part = None if self.nonlinear is None else self.nonlinear.pick(rows)
+        return Measured(self.y[rows], W, q, self.rows, self.ends, root, part)
 
 
 def measured(data: Prepared, view: ObservationModel, softness: float = 0.0) -> Measured:
@@ -83,7 +86,8 @@ def measured(data: Prepared, view: ObservationModel, softness: float = 0.0) -> M
     W = np.where(both, (W + hermitian(W)) / 2, 0.0)
     count = int(np.sum(present)) - (0 if q is not None else int(np.sum(_inputs_seen(view, present))))
     ends = record_ends(view, spectrum, by_channel)
-    return Measured(y * present, W, q, 2 * count, ends, None if ends is None else whitener(W))
+    part = nonlinear_part(data, view, y, q) if len(model.nonlinear) else None
+    return Measured(y * present, W, q, 2 * count, ends, None if ends is None else whitener(W), part)
 
 
 def _from_exact(view: ObservationModel, exact: Bools) -> Complex | None:
@@ -160,6 +164,8 @@ def predict(view: ObservationModel, data: Measured, psi: Real, sign: Real) -> Pr
     if data.ends is not None and data.root is not None:
         return _predict_records(view, data, data.ends, data.root, psi, sign)
     model = view.model
+    if data.nonlinear is not None:
+        return Prediction(*predict_harmonics(view, data, data.nonlinear, psi, sign))
     kappa = calibration(view, psi, sign)
     rig = transfer(view, model.parameters(psi[:, : view.m]))
     G = kappa[..., None] * rig.G

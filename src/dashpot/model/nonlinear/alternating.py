@@ -43,7 +43,13 @@ def basis(orders: int, times: int) -> tuple[Real, Real, Real]:
 
 
 def alternate(
-    model: Model, constants: Real, omega: Real, q: Real, times: int, *, slopes: bool = True,
+    model: Model,
+    constants: Real,
+    omega: Real,
+    q: Real,
+    times: int,
+    *,
+    slopes: bool = True,
     start: Alternated | None = None,
 ) -> Alternated:
     """Harmonics of the unit forces of the nonlinear elements at elongations q (N, e, W), and their slopes.
@@ -80,13 +86,25 @@ def alternate(
         by_v = np.broadcast_to(at.slopes.get("v", nothing), d.shape) * omega[:, None]
         slope[:, row] = (back * by_d[:, None, :]) @ there + (back * by_v[:, None, :]) @ rate
         names = law.constant_names
-        inner = np.stack([np.broadcast_to(at.slopes.get(name, nothing), d.shape) for name in names], -1) if names else np.zeros((*d.shape, 0))
+        inner = (
+            np.stack([np.broadcast_to(at.slopes.get(name, nothing), d.shape) for name in names], -1)
+            if names
+            else np.zeros((*d.shape, 0))
+        )
         by_constant.append(back @ inner)
     return Alternated(a, slope, tuple(by_constant), tuple(states))
 
 
 def _with_state(
-    law: ForceLaw, d: Real, v: Real, g: Real, omega: Real, there: Real, rate: Real, slopes: bool, start: Real | None
+    law: ForceLaw,
+    d: Real,
+    v: Real,
+    g: Real,
+    omega: Real,
+    there: Real,
+    rate: Real,
+    slopes: bool,
+    start: Real | None,
 ) -> tuple[Real, Real, Real, Real]:
     """(force, state (N, times), ∂force/∂q (N, times, W), ∂force/∂g (N, times, G)) when the state repeats."""
     N, times = d.shape
@@ -134,7 +152,9 @@ def repeating(stays: Real, added: Real) -> Real:
     return solution
 
 
-Jumps = dict[str, Real]  # what the next state gains by d and v now and next, and by constants, each (N, times)
+Jumps = dict[
+    str, Real
+]  # what the next state gains by d and v now and next, and by constants, each (N, times)
 
 
 def _operated(law: ForceLaw, d: Real, g: Real) -> tuple[Real, Real, Jumps]:

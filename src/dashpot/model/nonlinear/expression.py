@@ -215,7 +215,9 @@ def _power(a: Dual, b: Dual) -> Dual:
 
 
 def _chosen(first: Real, a: Dual, b: Dual) -> Dual:
-    return _chain(np.where(first, a.value, b.value), (a, np.where(first, 1.0, 0.0)), (b, np.where(first, 0.0, 1.0)))
+    return _chain(
+        np.where(first, a.value, b.value), (a, np.where(first, 1.0, 0.0)), (b, np.where(first, 0.0, 1.0))
+    )
 
 
 def _where(test: Dual, a: Dual, b: Dual) -> Dual:
@@ -254,7 +256,9 @@ _RULES: Mapping[str, Callable[..., Dual]] = {
 Exponents = tuple[float, float]  # of metre and second
 
 
-def dimensions(expression: Expression, known: Mapping[str, Exponents]) -> tuple[Exponents, Mapping[str, Exponents]]:
+def dimensions(
+    expression: Expression, known: Mapping[str, Exponents]
+) -> tuple[Exponents, Mapping[str, Exponents]]:
     """Powers of metre and second of an expression's value, and of the names that are not `known`.
 
     Terms that are added or compared are alike, arguments of tanh, exp, log, sin and cos and exponents are pure

@@ -143,7 +143,11 @@ def force_law(text: str, constants: Sequence[Constant] = (), *, damper: bool = F
     expression = parse(text if usual is None else usual.text)
     rate = parse(usual.rate) if usual is not None and usual.rate else None
     state = usual is not None and (rate is not None or bool(usual.operator))
-    names = [*expression.names, *(() if rate is None else rate.names), *(() if usual is None else usual.constants)]
+    names = [
+        *expression.names,
+        *(() if rate is None else rate.names),
+        *(() if usual is None else usual.constants),
+    ]
     reserved = {"d", "v", "z"} if state else {"d", "v"}
     wanted = [name for name in dict.fromkeys(names) if name not in reserved]
     given = {constant.name: constant for constant in constants}
@@ -160,7 +164,9 @@ def force_law(text: str, constants: Sequence[Constant] = (), *, damper: bool = F
             cure=f"its constants are {', '.join(wanted)}" if wanted else "it has none: remove it",
         )
     if not state and not {"d", "v"} & set(expression.names):
-        raise ModelError(f"the law {text!r} depends on neither d nor v", cure='write one that does, such as "d**3"')
+        raise ModelError(
+            f"the law {text!r} depends on neither d nor v", cure='write one that does, such as "d**3"'
+        )
     law = ForceLaw(
         text, expression, tuple(given.get(name, Constant(name)) for name in wanted), rate,
         "" if usual is None else usual.operator,
@@ -200,7 +206,11 @@ def unit_of(exponents: Exponents, force: bool = False, angle: bool = False) -> s
         above = [_raised(length, metre)] * (metre > 0) + [_raised("s", second)] * (second > 0)
         below = [_raised(length, -metre)] * (metre < 0) + [_raised("s", -second)] * (second < 0)
     else:
-        above = ["N·m" if angle else "N", *([_raised(length, -metre)] * (metre < 0)), *([_raised("s", -second)] * (second < 0))]
+        above = [
+            "N·m" if angle else "N",
+            *([_raised(length, -metre)] * (metre < 0)),
+            *([_raised("s", -second)] * (second < 0)),
+        ]
         below = [_raised(length, metre)] * (metre > 0) + [_raised("s", second)] * (second > 0)
     top = "·".join(above) if above else "1"
     return top if not below else f"{top}/{'/'.join(below)}"

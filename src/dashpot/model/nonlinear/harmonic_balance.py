@@ -27,7 +27,16 @@ from dashpot.model.nonlinear.alternating import Alternated, alternate
 
 TOLERANCE = 1e-12  # of the elongation
 ITERATIONS = 60
-RAMP = (0.03, 0.1, 0.2, 0.35, 0.5, 0.7, 0.85, 1.0)  # shares of the drive on the way to a response far from linear
+RAMP = (
+    0.03,
+    0.1,
+    0.2,
+    0.35,
+    0.5,
+    0.7,
+    0.85,
+    1.0,
+)  # shares of the drive on the way to a response far from linear
 
 
 @dataclass(frozen=True)
@@ -153,7 +162,9 @@ def _stiffness(model: Model, p: Real, jw: Complex) -> Complex:
     """[D | −R] of the linear elements at each harmonic, (N, H + 1, n, n + r)."""
     omega = jw.imag
     factors = model.factors(omega)  # (N, H + 1, elements), 0 for nonlinear ones
-    return np.einsum("nhe,ei,ej->nhij", p[:, None, :] * factors, model.B, np.concatenate([model.B, model.D], axis=1))
+    return np.einsum(
+        "nhe,ei,ej->nhij", p[:, None, :] * factors, model.B, np.concatenate([model.B, model.D], axis=1)
+    )
 
 
 def _regular_inverse(D: Complex) -> Complex:
@@ -179,12 +190,20 @@ def _singular(D: Complex) -> Bools:
     scaled = D[:, 0] / (held[:, :, None] * held[:, None, :])
     with np.errstate(all="ignore"):
         finite = np.where(np.isfinite(scaled), scaled, 0.0)
-    loose[:, 0, 0, 0] = (np.linalg.svd(finite, compute_uv=False)[:, -1] < 1e-12 * n) | np.any(diagonal == 0, axis=-1)
+    loose[:, 0, 0, 0] = (np.linalg.svd(finite, compute_uv=False)[:, -1] < 1e-12 * n) | np.any(
+        diagonal == 0, axis=-1
+    )
     return loose
 
 
 def periodic_response(
-    model: Model, p: Real, constants: Real, drive: Drive, start: Real | None = None, *, times: int | None = None
+    model: Model,
+    p: Real,
+    constants: Real,
+    drive: Drive,
+    start: Real | None = None,
+    *,
+    times: int | None = None,
 ) -> Periodic:
     """The motion that each dwell settles to, from `start` (N, e, W) or, without one, from the linear response.
 
@@ -333,7 +352,7 @@ def slopes(
 ) -> Slopes:  # fmt: skip
     """Slopes along Q directions of the parameters, (elements, Q), the constants, (G, Q), and the inputs' harmonics.
 
-    along_U (H + 1, r, Q) and along_f (H + 1, s, Q).  One factorisation of Newton's matrix serves all of them.
+    along_U (N or 1, H + 1, r, Q) and along_f (N or 1, H + 1, s, Q).  One factorisation of Newton's matrix serves all of them.
     """
     chosen, linear = model.nonlinear, at.linear
     Bn, Dn, n = model.B[chosen], model.D[chosen], model.n
@@ -349,10 +368,10 @@ def slopes(
     if along_U is not None:
         jw = drive.omega[:, None] * _jh(orders)
         R = -_stiffness(model, p, jw)[..., n:] - np.einsum("nhe,ei,ej->nhij", linear.share, Bn, Dn)
-        load = load + np.einsum("nhij,hjq->nhiq", R, along_U)
-        stretched = stretched + np.einsum("ej,hjq->heq", Dn, along_U)
+        load = load + R @ along_U
+        stretched = stretched + Dn @ along_U
     if along_f is not None:
-        load = load + np.einsum("ij,hjq->hiq", model.S, along_f)
+        load = load + model.S @ along_f
     moved = linear.inverse @ load
     explicit = Bn @ moved + stretched  # (N, H + 1, e, Q)
     e, W = len(chosen), 2 * orders + 1
@@ -363,7 +382,7 @@ def slopes(
     omega = (drive.omega[:, None] * _jh(orders)).imag
     elongation = model.B @ dX
     if along_U is not None:
-        elongation = elongation + np.einsum("ej,hjq->heq", model.D, along_U)
+        elongation = elongation + model.D @ along_U
     d_a = model.factors(omega)[..., None] * elongation
     d_a[:, :, chosen] = complex_rows(np.einsum("nevw,newq->nevq", at.forces.slope, d_delta)) + by_constant
     return Slopes(dX, d_a)
@@ -402,8 +421,10 @@ def truncation(model: Model, p: Real, constants: Real, drive: Drive, at: Periodi
     linear = _linear_part(model, p, wider, secant_of(p[:, chosen], forces.a, q))
     S = _share_blocks(linear.share)
     rest = complex_of(p[:, chosen, None] * forces.a - np.einsum("nevw,new->nev", S, q))
-    missing = np.moveaxis(complex_of(q), -1, 1) - linear.free + np.einsum(
-        "nhef,nhf->nhe", linear.receptance, np.moveaxis(rest, -1, 1)
+    missing = (
+        np.moveaxis(complex_of(q), -1, 1)
+        - linear.free
+        + np.einsum("nhef,nhf->nhe", linear.receptance, np.moveaxis(rest, -1, 1))
     )
     size = np.max(np.abs(at.delta), axis=(1, 2))
     return np.max(np.abs(missing), axis=(1, 2)) / np.where(size > 0, size, 1.0)

@@ -1,0 +1,1 @@
+"""Estimators for rigs with nonlinear elements (THEORY §9)."""

@@ -1,0 +1,242 @@
+"""The likelihood of the harmonics of nonlinear rigs: the same Prediction as for linear ones (THEORY §9).
+
+The response at each ψ is found by harmonic balance, on the branch of the measured motion or of the last response.
+Inputs measured with noise are unknowns of each dwell, found by Gauss and Newton's steps and projected out.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from dashpot.arrays import Complex, Ints, Real, frozen, hermitian
+from dashpot.errors import DataError
+from dashpot.estimate.method import Prepared
+from dashpot.estimate.nonlinear.dwells import Dwells, WarmStart, dwells_of, measured_elongations
+from dashpot.model.network import Model
+from dashpot.model.nonlinear.harmonic_balance import (
+    Drive,
+    Periodic,
+    Slopes,
+    periodic_response,
+    slopes,
+    unit_forces,
+)
+from dashpot.model.observation import ObservationModel, calibration, calibration_slopes, channel_amplitudes
+from dashpot.numerics.small_systems import solve_small
+
+if TYPE_CHECKING:
+    from dashpot.estimate.likelihood.objective import Measured
+
+INNER = 6  # steps for the inputs of one ψ
+SETTLED = 1e-9  # standard deviations
+BLIND = 1e-12  # relative precision of "zero" for inputs that no channel of a dwell sees
+
+
+@dataclass(frozen=True)
+class NonlinearPart:
+    """What the likelihood of a nonlinear rig needs beside the amplitudes.
+
+    start (K, dwells, e, W): elongations to start from, None where they were not measured; q (K, lines, r + s): the
+    inputs to start from; repeat (K,): which repeats these are.
+    """
+
+    dwells: Dwells
+    start: Real | None
+    q: Complex
+    repeat: Ints
+    warm: WarmStart
+
+    def pick(self, rows: Ints) -> NonlinearPart:
+        """Some of the repeats."""
+        start = None if self.start is None else self.start[rows]
+        return replace(self, start=start, q=self.q[rows], repeat=self.repeat[rows])
+
+
+@dataclass(frozen=True)
+class Evaluated:
+    """The channels at one ψ and given inputs, (K, lines, channels, …): without slopes J and G are empty."""
+
+    predicted: Complex
+    J: Complex
+    G: Complex
+    at: Periodic
+
+
+def evaluate(
+    view: ObservationModel,
+    part: NonlinearPart,
+    psi: Real,
+    sign: Real,
+    q: Complex,
+    start: Real | None,
+    noisy: bool,
+) -> Evaluated:
+    """Channels, their slopes along ψ and, where the inputs are `noisy`, along the inputs' lines of the dwell."""
+    model, dwells, K, m = view.model, part.dwells, len(psi), view.m
+    R, nq, r = len(dwells.omega), q.shape[-1], view.model.D.shape[1]
+    theta = psi[:, :m]
+    p = np.repeat(model.parameters(theta), R, axis=0)
+    constants = np.repeat(model.inner_constants(theta), R, axis=0)
+    impossible = np.any(constants[:, must_be_positive(model)] <= 0, axis=-1)
+    constants = np.where(impossible[:, None], np.nan, constants)
+    drive = dwells.drive(q, r)
+    at = periodic_response(model, p, constants, drive, start)
+    a = unit_forces(model, drive, at)
+    X = dwells.lines(at.X, K)
+    forces = model.parameters(theta)[:, None, :] * dwells.lines(a, K)
+    kappa = calibration(view, psi, sign)
+    predicted = kappa * channel_amplitudes(view, X, q, forces)
+    lost = ~at.converged.reshape(K, R)[:, dwells.dwell]
+    predicted = np.where(lost[..., None], np.nan, predicted)
+    slope = _slopes(view, part, p, drive, at, noisy)
+    dX, da = dwells.lines(slope.X, K), dwells.lines(slope.unit_forces, K)
+    d_forces = p.reshape(K, R, -1)[:, dwells.dwell][..., None] * da
+    d_forces[..., :m] += dwells.lines(a, K)[..., None] * model.T
+    dY = view.rates[..., None] * (view.on_x @ dX) + view.force @ d_forces
+    if noisy:
+        along = dwells.input_directions(nq)[dwells.dwell, dwells.order]
+        dY[..., m:] += view.rates[..., None] * (view.on_q @ along)
+    dY = kappa[..., None] * dY
+    J = np.concatenate([dY[..., :m], calibration_slopes(view, psi, predicted)], axis=-1)
+    return Evaluated(predicted, J, dY[..., m:], at)
+
+
+def must_be_positive(model: Model) -> Ints:
+    """Indices of inner constants that are lengths or speeds: gaps, slips and smoothing speeds."""
+    lengths = [
+        j
+        for j, (element, constant) in enumerate(model.constants)
+        if element.force_law is not None
+        and element.force_law.exponents[1].get(constant.name, (0.0, 0.0))[0] > 0
+    ]
+    return np.array(lengths, dtype=np.int64)
+
+
+def _slopes(
+    view: ObservationModel, part: NonlinearPart, p: Real, drive: Drive, at: Periodic, noisy: bool
+) -> Slopes:
+    model = view.model
+    along_p, along_g = model.T, model.constants_map[0]
+    if not noisy:
+        return slopes(model, p, drive, at, along_p, along_g)
+    nq, r = drive.U.shape[-1] + drive.f.shape[-1], drive.U.shape[-1]
+    directions = part.dwells.input_directions(nq)
+    K, Q = len(p) // len(part.dwells.omega), directions.shape[-1]
+    along = np.concatenate([np.zeros((*directions.shape[:-1], view.m)), directions], axis=-1)
+    along = np.tile(along, (K, 1, 1, 1))
+    widen = [(0, 0), (0, Q)]
+    return slopes(
+        model, p, drive, at, np.pad(along_p, widen), np.pad(along_g, widen), along[:, :, :r], along[:, :, r:]
+    )
+
+
+def measured_part(data: Measured) -> NonlinearPart:
+    """The nonlinear part of data that have one."""
+    assert data.nonlinear is not None
+    return data.nonlinear
+
+
+Predicted = tuple[Complex, Complex, Complex, Complex, Complex, Real]
+
+
+def predict_harmonics(
+    view: ObservationModel, data: Measured, part: NonlinearPart, psi: Real, sign: Real
+) -> Predicted:
+    """What a Prediction holds, for measured harmonics at ψ (K, M): r, weighted, J, PJ, q and cost_per_line.
+
+    J is what noisy inputs leave of the slopes.
+    """
+    K, R = len(psi), len(part.dwells.omega)
+    noisy = data.q is None
+    known = len(part.repeat) == K
+    q, start = _begin(data, part, K, known)
+    now = evaluate(view, part, psi, sign, q, start, noisy)
+    for turn in range(INNER if noisy else 0):
+        residual = data.y - now.predicted
+        normal, gain = _normal(data, part, now, residual)
+        step = solve_small(normal, gain[..., None])[..., 0]
+        size = np.sqrt(np.abs(np.sum(step * gain, axis=-1)))
+        directions = part.dwells.input_directions(q.shape[-1])[part.dwells.dwell, part.dwells.order]
+        if turn == INNER - 1 or not np.nanmax(size, initial=0.0) > SETTLED:
+            break
+        change = np.einsum("lqu,klu->klq", directions, step[:, part.dwells.dwell])
+        q = q + np.nan_to_num(change)
+        now = evaluate(view, part, psi, sign, q, now.at.delta, noisy)
+    residual = data.y - now.predicted
+    J = now.J
+    if noisy:
+        normal, _ = _normal(data, part, now, residual)
+        mixed = part.dwells.by_dwell((2 * hermitian(now.G) @ (data.W @ J)).real)
+        share = solve_small(normal, mixed)
+        J = J - now.G @ share[:, part.dwells.dwell]
+    weighted = (data.W @ residual[..., None])[..., 0]
+    cost: Real = 2 * np.sum((np.conj(residual) * weighted).real, axis=-1)
+    if known:
+        _keep(part, now, q, cost, R)
+    return residual, weighted, J, data.W @ J, q, cost
+
+
+def nonlinear_part(data: Prepared, view: ObservationModel, y: Complex, q: Complex | None) -> NonlinearPart:
+    """Dwells, measured elongations and inputs of prepared data.
+
+    Raises DataError where an input is not measured, or the lines do not belong to dwells.
+    """
+    dwells = dwells_of(data.model, data.spectrum)
+    inputs = _measured_inputs(view, y) if q is None else q
+    start = None if data.states is None else measured_elongations(data.model, dwells, data.states)
+    return NonlinearPart(dwells, start, inputs, frozen(range(len(y)), np.int64), WarmStart())
+
+
+def _measured_inputs(view: ObservationModel, y: Complex) -> Complex:
+    """Inputs as the channels that show nothing else measure them, (K, lines, r + s)."""
+    alone = view.inputs_alone & (view.gain < 0) & (view.delay < 0) & ~view.flips
+    C = view.direct_q * alone[:, None]
+    if np.any(np.linalg.matrix_rank(C) < C.shape[-1]):
+        raise DataError(
+            "an input of a rig with nonlinear elements is not measured at every line",
+            cure="give its channel, with its calibration; where it was at rest, write 0",
+        )
+    q: Complex = np.einsum("lqc,klc->klq", np.linalg.pinv(C), y * alone)
+    return q
+
+
+def _begin(data: Measured, part: NonlinearPart, K: int, known: bool) -> tuple[Complex, Real | None]:
+    """Inputs and elongations to start from: the last ones of each repeat, or the measured ones."""
+    q = part.q if data.q is None else data.q
+    q = np.broadcast_to(q, (K, *q.shape[1:]))
+    start = part.start
+    W = 2 * part.dwells.orders + 1
+    if known and all(
+        int(k) in part.warm.delta and part.warm.delta[int(k)].shape[-1] == W for k in part.repeat
+    ):
+        start = np.stack([part.warm.delta[int(k)] for k in part.repeat])
+        if data.q is None:
+            q = np.stack([part.warm.inputs[int(k)] for k in part.repeat])
+    if start is None:
+        return q, None
+    start = np.broadcast_to(start, (K, *start.shape[1:]))
+    return q, start.reshape(-1, *start.shape[2:])
+
+
+def _keep(part: NonlinearPart, now: Evaluated, q: Complex, cost: Real, R: int) -> None:
+    delta = now.at.delta.reshape(-1, R, *now.at.delta.shape[1:])
+    total = np.sum(cost, axis=-1)
+    for row, repeat in enumerate(part.repeat.tolist()):
+        if total[row] < part.warm.cost.get(repeat, np.inf):
+            part.warm.cost[repeat] = float(total[row])
+            part.warm.delta[repeat], part.warm.inputs[repeat] = delta[row], q[row]
+
+
+def _normal(data: Measured, part: NonlinearPart, now: Evaluated, residual: Complex) -> tuple[Real, Real]:
+    """Normal matrix and right side for the inputs of each dwell, (K, dwells, Q, Q) and (K, dwells, Q)."""
+    WG = data.W @ now.G
+    per_line = 2 * (hermitian(now.G) @ WG).real
+    gain = 2 * (hermitian(WG) @ residual[..., None]).real[..., 0]
+    normal, right = part.dwells.by_dwell(per_line), part.dwells.by_dwell(gain)
+    diagonal = np.diagonal(normal, axis1=-2, axis2=-1)
+    largest = np.max(diagonal, axis=-1, keepdims=True)
+    soft = np.where(diagonal > 1e-14 * largest, BLIND * diagonal, np.where(largest > 0, largest, 1.0))
+    return normal + soft[..., None] * np.eye(normal.shape[-1]), right

@@ -1,0 +1,94 @@
+"""The equation of motion at measured harmonics as a regression: Yasuda and Watanabe's identification (THEORY §9).
+
+e_h = Bᵀ (p ∘ a_h) − S f_h, a_h from the measured motion: linear elements by their law, nonlinear ones by the
+alternating transform of the measured harmonics.  Linear in the parameters where inner constants are known.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from dashpot.arrays import Complex, Real, hermitian
+from dashpot.errors import UsageError
+from dashpot.estimate.linear.gram import known_side, regressors
+from dashpot.estimate.method import Prepared
+from dashpot.estimate.nonlinear.dwells import Dwells, dwells_of, measured_elongations
+from dashpot.model.dynamics import unit_forces
+from dashpot.model.network import Model
+from dashpot.model.nonlinear.alternating import alternate
+from dashpot.model.nonlinear.harmonic_balance import complex_of, samples_of
+from dashpot.numerics.small_systems import solve_scaled
+
+
+@dataclass(frozen=True)
+class MeasuredMotion:
+    """Measured elongations of K repeats in their dwells, and what the lines' unit forces need."""
+
+    model: Model
+    dwells: Dwells
+    elongations: Real
+    linear: Complex
+    f: Complex
+
+    def unit_forces(self, constants: Real) -> Complex:
+        """a of all elements at every line, (K, lines, elements), for inner constants (G,)."""
+        K, R = self.elongations.shape[:2]
+        q = self.elongations.reshape(K * R, *self.elongations.shape[2:])
+        omega = np.tile(self.dwells.omega, K)
+        times = samples_of(self.model, self.dwells.orders)
+        rows = np.broadcast_to(constants, (K * R, constants.shape[-1]))
+        forces = alternate(self.model, rows, omega, q, times, slopes=False)
+        a = self.linear.copy()
+        a[..., self.model.nonlinear] = self.dwells.lines(np.moveaxis(complex_of(forces.a), -1, 1), K)
+        return a
+
+
+def measured_motion(data: Prepared) -> MeasuredMotion:
+    """The motion that the channels show.  Raises UsageError where some coordinate is not seen."""
+    model, states = data.model, data.states
+    if states is None:
+        raise UsageError(
+            "some coordinate or input is not seen, which least squares on harmonics needs",
+            cure="use the method ml",
+        )
+    dwells = dwells_of(model, data.spectrum)
+    linear = unit_forces(model, data.spectrum.omega, states.X, states.U)
+    return MeasuredMotion(model, dwells, measured_elongations(model, dwells, states), linear, states.f)
+
+
+def scale_of_lines(motion: MeasuredMotion) -> Real:
+    """Weights of the lines that make equations of all dwells alike in size, (lines,): 1 over the dwell's power."""
+    power = np.sum(
+        np.abs(motion.linear * np.max(np.abs(motion.linear), axis=(0, 1), initial=1e-300) ** -1) ** 2, -1
+    )
+    per_dwell = motion.dwells.by_dwell(np.mean(power, axis=0)[None])[0]
+    size = per_dwell[motion.dwells.dwell]
+    weight: Real = 1 / np.where(size > 0, size, 1.0)
+    return weight
+
+
+def regression(motion: MeasuredMotion, constants: Real, weight: Real) -> tuple[Real, Real]:
+    """(parameters (K, unknown elements), relative residual (K,)) of weighted least squares at given constants."""
+    model = motion.model
+    own = np.any(model.T, axis=0)
+    a = motion.unit_forces(constants)
+    Phi = regressors_of(model, a)[..., own]
+    h = known_side(model, a, motion.f)
+    rows = Phi.shape[-3] * Phi.shape[-2]
+    scaled = (Phi * weight[:, None, None]).reshape(len(Phi), rows, -1)
+    left = hermitian(scaled)
+    N = (left @ Phi.reshape(len(Phi), rows, -1)).real + np.diag(1e-18 * model.prior_precision[own])
+    right = (left @ h.reshape(len(Phi), rows, 1)).real[..., 0]
+    p = solve_scaled(N, right)
+    e = h - np.einsum("klnu,ku->kln", Phi, p)
+    power = np.sum(np.abs(h) ** 2 * weight[:, None], axis=(1, 2))
+    power = power + np.sum(np.abs(Phi * p[:, None, None]) ** 2 * weight[:, None, None], axis=(1, 2, 3))
+    residual = np.sum(np.abs(e) ** 2 * weight[:, None], axis=(1, 2)) / np.where(power > 0, power, 1.0)
+    return p, residual
+
+
+def regressors_of(model: Model, a: Complex) -> Complex:
+    """Φ = Bᵀ diag(a) T, (K, lines, n, unknowns); 0 for inner constants."""
+    return regressors(model, a) if not len(model.constants) else (a[..., None, :] * model.B.T) @ model.T

@@ -1,0 +1,210 @@
+"""Where the search for the parameters of a nonlinear rig begins."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import product
+
+import numpy as np
+
+from dashpot.arrays import Real
+from dashpot.errors import DashpotError
+from dashpot.estimate.method import Prepared
+from dashpot.estimate.nonlinear.dwells import dwells_of
+from dashpot.estimate.nonlinear.regression import MeasuredMotion, measured_motion, regression, scale_of_lines
+from dashpot.model.elements import Element
+from dashpot.model.network import Model
+from dashpot.model.nonlinear.alternating import alternate
+from dashpot.model.nonlinear.harmonic_balance import complex_of, periodic_response, samples_of
+from dashpot.model.observation import ObservationModel
+
+SHARES = (
+    0.01,
+    0.03,
+    0.1,
+    0.2,
+    0.35,
+    0.6,
+    0.85,
+)  # of the largest elongation or speed, for constants of that unit
+PURE = (0.3, 0.8, 1.3, 2.5)  # for constants that are pure numbers
+LINEAR_MISFIT = 0.1  # relative noise at which a linear rig is fitted first
+KEPT = 4  # starts that are followed
+RATIOS = (0.0, 0.03, 0.3, -0.1)  # nonlinear force over the linear one, where nothing tells
+
+
+def starting_points(data: Prepared, view: ObservationModel) -> Real:
+    """Points ψ, (count, M), to begin from, the most promising first; one repeat.
+
+    Where all is seen: least squares on the harmonics for trial values of the inner constants.  Elsewhere: the fit of
+    a linear rig, with nonlinear elements of several strengths.
+    """
+    calibrations = np.concatenate([np.ones(view.gains), np.zeros(view.delays)])
+    if data.states is not None:
+        theta = _by_regression(data)
+    else:
+        theta, calibrations = _by_linear_rig(data, view, calibrations)
+    return np.concatenate([theta, np.broadcast_to(calibrations, (len(theta), len(calibrations)))], axis=1)
+
+
+def _by_regression(data: Prepared) -> Real:
+    model = data.model
+    motion = measured_motion(data)
+    weight = scale_of_lines(motion)
+    own = np.any(model.T, axis=0)
+    tried = []
+    for constants in constant_trials(motion):
+        p, residual = regression(motion, constants, weight)
+        theta = np.zeros(len(model.unknowns))
+        theta[own] = p[0]
+        theta = np.where(model.prior_precision > 0, model.prior_mean, theta)
+        slope, known = model.constants_map
+        theta[~own] = (constants - known) @ slope[:, ~own]
+        if np.all(np.isfinite(theta)):
+            tried.append((float(residual[0]), theta))
+    tried.sort(key=lambda pair: pair[0])
+    low, high = model.bounds
+    return np.clip(np.array([theta for _, theta in tried[:KEPT]]).reshape(-1, len(model.unknowns)), low, high)
+
+
+def constant_trials(motion: MeasuredMotion) -> list[Real]:
+    """Values of all inner constants to try, (G,) each: guesses as given, else shares of the measured motion."""
+    largest = np.sqrt(np.mean(np.sum(motion.elongations**2, axis=-1), axis=0))
+    speed = np.sqrt(
+        np.mean(np.sum(motion.elongations**2, axis=-1) * motion.dwells.omega[:, None] ** 2, axis=0)
+    )
+    return constants_to_try(motion.model, np.max(largest, axis=0), np.max(speed, axis=0))
+
+
+def constants_to_try(model: Model, elongation: Real, speed: Real) -> list[Real]:
+    """As `constant_trials`, for elements whose largest elongation and speed are given, (e,) each."""
+    choices: list[tuple[float, ...]] = []
+    rows = [row for row, own in enumerate(model.constant_slices) for _ in range(own.stop - own.start)]
+    many = sum(constant.unknown and constant.guess is None for _, constant in model.constants) > 2
+    for row, (element, constant) in zip(rows, model.constants, strict=True):
+        stated = constant.value if constant.value is not None else constant.guess
+        if stated is not None:
+            choices.append((stated,))
+            continue
+        assert element.force_law is not None
+        metre, second = element.force_law.exponents[1].get(constant.name, (0.0, 0.0))
+        scale = elongation[row] ** (metre + second) * speed[row] ** -second if metre or second else 1.0
+        shares = PURE if not metre and not second else SHARES
+        low = -np.inf if constant.lower is None else constant.lower
+        high = np.inf if constant.upper is None else constant.upper
+        trial = tuple(float(np.clip(scale * share, low, high)) for share in (shares[::3] if many else shares))
+        choices.append(trial)
+    return [np.array(values) for values in product(*choices)]
+
+
+def _by_linear_rig(data: Prepared, view: ObservationModel, calibrations: Real) -> tuple[Real, Real]:
+    """Starts around the best linear rig, its nonlinear elements of several strengths; guesses hold where given."""
+    model = data.model
+    values, gains = _linear_fit(data, calibrations)
+    theta = np.array([_known_start(u.prior, u.guess, values.get(u.name, np.nan)) for u in model.unknowns])
+    own = np.any(model.T, axis=0)
+    open_elements = [j for j in np.flatnonzero(own) if not np.isfinite(theta[j])]
+    elongation, speed = _expected_motion(data, values)
+    starts = []
+    for constants in constants_to_try(model, elongation, speed)[:40]:
+        sizes = _typical_strength(data, values, constants, elongation)
+        for ratio in RATIOS if open_elements else (0.0,):
+            trial = theta.copy()
+            for j in open_elements:
+                trial[j] = ratio * sizes[j]
+            slope, known = model.constants_map
+            trial[~own] = (constants - known) @ slope[:, ~own]
+            starts.append(np.where(np.isfinite(trial), trial, 1.0))
+    return np.array(starts), gains
+
+
+def _known_start(prior: float | None, guess: float | None, fitted: float) -> float:
+    return prior if prior is not None else guess if guess is not None else fitted
+
+
+def linear_part(model: Model, replaced: bool = False) -> Model:
+    """The rig without its nonlinear elements, or with linear ones of their kind in their place.
+
+    Raises ModelError where that is no rig.
+    """
+    kept: list[Element] = []
+    for element in model.elements:
+        if element.force_law is None:
+            kept.append(element)
+        elif replaced:
+            kept.append(
+                replace(element, force_law=None, value=None, sd=None, guess=None, lower=None, upper=None)
+            )
+    return replace(model, elements=tuple(kept))
+
+
+def _linear_fit(data: Prepared, calibrations: Real) -> tuple[dict[str, float], Real]:
+    """Unknowns of the best linear rig by name, and the calibrations with it; nothing where none can be fitted."""
+    from dashpot.estimate.likelihood.maximum_likelihood import MaximumLikelihood
+
+    dwells = dwells_of(data.model, data.spectrum)
+    fundamental = np.flatnonzero(dwells.order == 1)
+    for replaced in (False, True):
+        try:
+            model = linear_part(data.model, replaced)
+            spectrum = data.spectrum.select(fundamental)
+            y = np.nan_to_num(spectrum.amplitudes)
+            size = np.mean(np.abs(y), axis=0)
+            soft = (LINEAR_MISFIT * size)[..., None] * np.eye(y.shape[-1]) * size[:, None, :] * LINEAR_MISFIT
+            exact = np.diagonal(data.covariance, axis1=-2, axis2=-1)[:, fundamental] == 0
+            V = data.covariance[:, fundamental] + np.where(exact[..., None], 0.0, soft)
+            found = MaximumLikelihood(starts=16, candidates=600, rounds=2).solve(
+                Prepared(model, spectrum, V, None)
+            )
+        except DashpotError:
+            continue
+        theta = found.theta[0]
+        names = [u.name for u in model.unknowns]
+        fitted = dict(zip(names, theta[: len(names)].tolist(), strict=True))
+        nonlinear = {e.name for e in data.model.elements if e.force_law is not None}
+        return {k: v for k, v in fitted.items() if k not in nonlinear}, theta[len(names) :]
+    return {}, calibrations
+
+
+def _expected_motion(data: Prepared, values: dict[str, float]) -> tuple[Real, Real]:
+    """Largest elongation and speed of the nonlinear elements that the linear rig would have, (e,) each."""
+    model, e = data.model, len(data.model.nonlinear)
+    from dashpot.estimate.nonlinear.objective import nonlinear_part
+    from dashpot.model.observation import observation_model
+
+    view = observation_model(model, data.spectrum.channels, data.spectrum.omega)
+    part = nonlinear_part(data, view, np.nan_to_num(data.spectrum.amplitudes), None)
+    theta = np.array([_known_start(u.prior, u.guess, values.get(u.name, 0.0)) for u in model.unknowns])
+    p = model.parameters(theta)
+    p[model.nonlinear] = 0.0
+    drive = part.dwells.drive(part.q[:1], model.D.shape[1])
+    R = len(drive.omega)
+    at = periodic_response(
+        model,
+        np.tile(p, (R, 1)),
+        np.ones((R, len(model.constants))),
+        drive,
+        times=samples_of(model, part.dwells.orders),
+    )
+    size = np.sqrt(np.sum(np.nan_to_num(at.delta) ** 2, axis=-1))
+    if not np.any(size):
+        return np.full(e, 1e-3), np.full(e, 1e-2)
+    return np.max(size, axis=0), np.max(size * drive.omega[:, None], axis=0)
+
+
+def _typical_strength(data: Prepared, values: dict[str, float], constants: Real, elongation: Real) -> Real:
+    """Parameters at which each nonlinear element pulls as hard as inertia and springs do, (unknowns,)."""
+    model = data.model
+    omega = float(np.median(data.spectrum.omega))
+    theta = np.array([_known_start(u.prior, u.guess, values.get(u.name, 0.0)) for u in model.unknowns])
+    forces = np.abs(model.parameters(theta)) * np.abs(model.factors(np.array([omega])))[0]
+    linear = float(np.max(forces * float(np.max(elongation)), initial=0.0))
+    q = np.zeros((1, len(model.nonlinear), 3))
+    q[0, :, 1] = elongation
+    a = alternate(model, constants[None], np.array([omega]), q, 256, slopes=False).a
+    unit = np.abs(complex_of(a))[0].max(axis=-1)
+    sizes = np.ones(len(model.unknowns))
+    for row, index in enumerate(model.nonlinear):
+        for j in np.flatnonzero(model.T[index]):
+            sizes[j] = (linear if linear > 0 else 1.0) / (unit[row] if unit[row] > 0 else 1.0)
+    return sizes
