@@ -85,8 +85,8 @@ def structure(
 
 
 def is_large(model: Model) -> bool:
-    """Whether exact ranks would take minutes."""
-    return model.n**2 * len(model.unknowns) ** 2 > LARGE
+    """Whether exact ranks would take minutes, or do not exist: nonlinear laws have none in a finite field."""
+    return bool(len(model.nonlinear)) or model.n**2 * len(model.unknowns) ** 2 > LARGE
 
 
 def _draws(

@@ -10,7 +10,7 @@ from scipy.special import bdtrc
 
 from dashpot.arrays import Complex, Real
 from dashpot.data.spectrum import Moments, Spectrum
-from dashpot.errors import DataError, IdentifiabilityError, UsageError
+from dashpot.errors import DataError, IdentifiabilityError, ModelError, UsageError
 from dashpot.estimate.inference.diagnostics import (
     dead_channels,
     duplicated_lines,
@@ -69,6 +69,7 @@ def identify(
         method = named(method)
     chosen = automatic(model, spectrum) if method is None else method
     _check_records(spectrum, chosen)
+    _check_laws(model, chosen)
     batch = spectrum.batch
     flat = _flatten(with_record_noise(model, spectrum, chosen))
     repeats = flat.amplitudes.shape[0]
@@ -84,9 +85,10 @@ def identify(
 def automatic(model: Model, spectrum: Spectrum) -> Method:
     """OptimalIV where calibrated channels see every coordinate and input, else MaximumLikelihood.
 
-    Bounds of unknowns and whole records are MaximumLikelihood's as well: it alone holds them, and knows their loads.
+    Bounds of unknowns, whole records and nonlinear elements are MaximumLikelihood's as well: it alone holds the first,
+    knows the loads of the second and is efficient for the third.
     """
-    if carries_loads(spectrum):
+    if carries_loads(spectrum) or len(model.nonlinear):
         return MaximumLikelihood()
     direct = all(is_direct(model, channel) for channel in spectrum.channels)
     bounded = np.any(np.isfinite(model.bounds))
@@ -105,6 +107,14 @@ def _check_records(spectrum: Spectrum, method: Method) -> None:
         raise UsageError(
             f"the method {method.name} works on settled lines; whole records carry transients",
             cure="use the method ml, or give settled dwells with their frequencies",
+        )
+
+
+def _check_laws(model: Model, method: Method) -> None:
+    """Raises UsageError where a method knows linear elements only."""
+    if len(model.nonlinear) and not method.nonlinear:
+        raise UsageError(
+            f"the method {method.name} does not know nonlinear elements", cure="use the method ml, or hls"
         )
 
 
@@ -181,7 +191,7 @@ def _identify(model: Model, spectrum: Spectrum, method: Method) -> _Part:
     data = _prepared(model, spectrum, V)
     solution = method.solve(data)
     best = _most_likely(data, solution, method)
-    judged = judge(data, best, method.by_output)
+    judged = judge(data, best, method.by_output or bool(len(model.nonlinear)))
     value = worth(data, best, judged, known, correlate, method.weighted)
     if len(solution.theta) == 1 and known and best is not solution:
         solution = replace(
@@ -214,6 +224,8 @@ def _most_likely(data: Prepared, solution: Solution, method: Method) -> Solution
     """The solution with the most likely parameters near it."""
     if method.efficient or method.by_output:
         return solution
+    if len(data.model.nonlinear):
+        return replace(solution, theta=MaximumLikelihood().solve(data).theta)
     return replace(solution, theta=likeliest(data, solution.theta))
 
 
@@ -282,7 +294,7 @@ def _assemble(
         fit=fit,
         known=known_values(model),
         tied=tied_values(model),
-        modes=mode_values(model, theta[:m], covariance[:m, :m]) if single and model.n <= MODES_TO else None,
+        modes=_modes(model, theta[:m], covariance[:m, :m]) if single and model.n <= MODES_TO else None,
         signs={name: join([part.solution.signs[name] for part in parts]) for name in parts[0].solution.signs},
         warnings=tuple(warnings),
         notes=spectrum.notes,
@@ -343,13 +355,20 @@ def _warnings(model: Model, theta: Real, covariance: Real, fit: Fit, known_noise
     return notices
 
 
+def nonlinear_names(model: Model) -> frozenset[str]:
+    """Unknowns of nonlinear elements, whose parameters and constants may have any sign."""
+    names = {e.name for e in model.elements if e.force_law is not None}
+    return frozenset(names | {f"{e.name}.{c.name}" for e, c in model.constants})
+
+
 def wrong_signs(model: Model, theta: Real, covariance: Real) -> list[Notice]:
     """Warnings of negative parts, and of free matrices that are not definite."""
     free = free_names(model)
+    any_sign = nonlinear_names(model)
     sd = _sd(covariance)
     notices = []
     for j, (unknown, value) in enumerate(zip(model.unknowns, theta, strict=False)):
-        if value < 0 and unknown.name not in free:
+        if value < 0 and unknown.name not in free and unknown.name not in any_sign:
             within = value > -ZERO * sd[j]
             why = "0 is within its interval" if within else "the model or the data are wrong somewhere"
             text = f"{unknown.name} is negative ({value:.4g} {unknown.unit}): {why}"
@@ -407,7 +426,12 @@ def _left_out(model: Model, spectrum: Spectrum) -> list[Notice]:
 
 def known_values(model: Model) -> tuple[tuple[str, float, str], ...]:
     unknown = {u.name for u in model.unknowns}
-    return tuple(
+    inner = tuple(
+        (f"{e.name}.{c.name}", float(c.value), model.constant_unit(e, c))
+        for e, c in model.constants
+        if not c.unknown and c.value is not None
+    )
+    return inner + tuple(
         (element.name, float(model.p0[i]), model.unit(element))
         for i, element in enumerate(model.elements)
         if element.name not in unknown and not np.any(model.T[i])
@@ -420,6 +444,16 @@ def tied_values(model: Model) -> tuple[tuple[str, str, float, str], ...]:
         for element, tie, row in zip(model.elements, model.ties, model.T, strict=True)
         if element.same_as is not None and np.any(row)
     )
+
+
+def _modes(model: Model, theta: Real, covariance: Real) -> ModeValues | None:
+    """Modes of the linear elements; None where nonlinear ones hold the rig together."""
+    if not len(model.nonlinear):
+        return mode_values(model, theta, covariance)
+    try:
+        return mode_values(model, theta, covariance)
+    except ModelError:
+        return None
 
 
 def mode_values(model: Model, theta: Real, covariance: Real) -> ModeValues:

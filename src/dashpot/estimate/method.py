@@ -74,14 +74,16 @@ class Solution:
 class Method(ABC):
     """An estimator.  Subclasses are frozen dataclasses; `name` is what files and the command line call it.
 
-    `weighted`: its covariance is the inverse of the information.  `efficient`: it maximises the likelihood of the
-    amplitudes, as does every one `by_output`, which works in the channels, not in the equation of motion.
+    `nonlinear`: it knows nonlinear elements.  `weighted`: its covariance is the inverse of the information.
+    `efficient`: it maximises the likelihood of the amplitudes, as does every one `by_output`, which
+    works in the channels, not in the equation of motion.
     """
 
     name: ClassVar[str]
     weighted: ClassVar[bool] = False
     efficient: ClassVar[bool] = False
     by_output: ClassVar[bool] = False
+    nonlinear: ClassVar[bool] = False
 
     @abstractmethod
     def solve(self, data: Prepared) -> Solution:

@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
+from itertools import pairwise
 from types import MappingProxyType
 from typing import Literal
 
@@ -179,7 +180,7 @@ class Model:
         """For each nonlinear element, where its constants stand among all of them."""
         counts = [len(e.force_law.constants) for e in self.elements if e.force_law is not None]
         ends = np.cumsum([0, *counts])
-        return tuple(slice(int(a), int(b)) for a, b in zip(ends[:-1], ends[1:], strict=True))
+        return tuple(slice(int(a), int(b)) for a, b in pairwise(ends))
 
     def factors(self, omega: Real) -> Complex:
         """φ_i(ω) for `omega` of shape (lines,) in rad/s; shape (lines, elements); 0 for nonlinear elements."""

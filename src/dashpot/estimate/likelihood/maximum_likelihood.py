@@ -15,9 +15,9 @@ from dashpot.estimate.likelihood.record_start import record_starts
 from dashpot.estimate.likelihood.starting_values import candidates, neighbours
 from dashpot.estimate.linear.least_squares import compensated
 from dashpot.estimate.method import Limits, Method, Prepared, Solution
+from dashpot.estimate.nonlinear.search import search
 from dashpot.estimate.preparation.state_reconstruction import States
 from dashpot.model.observation import SPARSE_FROM, ObservationModel, is_direct, observation_model, small
-from dashpot.estimate.nonlinear.search import search
 from dashpot.model.unstructured import free_names
 from dashpot.notices import Notice
 from dashpot.numerics.levenberg_marquardt import (
@@ -94,6 +94,7 @@ class MaximumLikelihood(Method):
     name: ClassVar[str] = "ml"
     weighted: ClassVar[bool] = True
     by_output: ClassVar[bool] = True
+    nonlinear: ClassVar[bool] = True
 
     def solve(self, data: Prepared) -> Solution:
         """θ, gains and delays at the maximum of the likelihood."""

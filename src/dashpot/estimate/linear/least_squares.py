@@ -13,6 +13,7 @@ from dashpot.estimate.linear.auxiliary_model import equation_covariance
 from dashpot.estimate.linear.gram import gram, gram_force, known_side, regressors, weighted_normal
 from dashpot.estimate.linear.sample_moments import Sampled, sampled, sums_with_samples
 from dashpot.estimate.method import Method, Prepared, Solution, closed_form
+from dashpot.estimate.nonlinear.regression import harmonic_least_squares
 from dashpot.estimate.preparation.state_reconstruction import States
 from dashpot.model.dynamics import unit_forces
 from dashpot.model.network import Model
@@ -40,9 +41,12 @@ class HarmonicLeastSquares(Method):
     """Least squares on amplitudes, unweighted: a bias smaller than that of samples by about 2/N."""
 
     name: ClassVar[str] = "hls"
+    nonlinear: ClassVar[bool] = True
 
     def solve(self, data: Prepared) -> Solution:
-        """θ in closed form from the combined amplitudes."""
+        """θ in closed form from the combined amplitudes; of nonlinear rigs by Yasuda and Watanabe's way."""
+        if len(data.model.nonlinear):
+            return harmonic_least_squares(data)
         looks = combined(data)
         N, r = (
             gram(data.model, looks.a, looks.a, looks.weight),

@@ -25,7 +25,6 @@ from dashpot.model.nonlinear.harmonic_balance import (
     unit_forces,
 )
 from dashpot.model.observation import ObservationModel, calibration, calibration_slopes, channel_amplitudes
-from dashpot.numerics.small_systems import solve_small
 
 if TYPE_CHECKING:
     from dashpot.estimate.likelihood.objective import Measured
@@ -81,7 +80,7 @@ def evaluate(
     p = np.repeat(model.parameters(theta), R, axis=0)
     constants = np.repeat(model.inner_constants(theta), R, axis=0)
     impossible = np.any(constants[:, must_be_positive(model)] <= 0, axis=-1)
-    constants = np.where(impossible[:, None], np.nan, constants)
+    constants = np.where(impossible[:, None], 1.0, constants)
     drive = dwells.drive(q, r)
     at = periodic_response(model, p, constants, drive, start)
     a = unit_forces(model, drive, at)
@@ -90,7 +89,8 @@ def evaluate(
     kappa = calibration(view, psi, sign)
     predicted = kappa * channel_amplitudes(view, X, q, forces)
     lost = ~at.converged.reshape(K, R)[:, dwells.dwell]
-    predicted = np.where(lost[..., None], np.nan, predicted)
+    # A dwell without a response shows nothing: a large residual, but a finite one that leaves the others in charge.
+    predicted = np.where(lost[..., None], 0.0, predicted)
     slope = _slopes(view, part, p, drive, at, noisy)
     dX, da = dwells.lines(slope.X, K), dwells.lines(slope.unit_forces, K)
     d_forces = p.reshape(K, R, -1)[:, dwells.dwell][..., None] * da
@@ -99,7 +99,8 @@ def evaluate(
     if noisy:
         along = dwells.input_directions(nq)[dwells.dwell, dwells.order]
         dY[..., m:] += view.rates[..., None] * (view.on_q @ along)
-    dY = kappa[..., None] * dY
+    dY = np.where(lost[..., None, None], 0.0, kappa[..., None] * dY)
+    predicted = np.where(impossible.reshape(K, R)[:, :1, None], np.nan, predicted)
     J = np.concatenate([dY[..., :m], calibration_slopes(view, psi, predicted)], axis=-1)
     return Evaluated(predicted, J, dY[..., m:], at)
 
@@ -157,7 +158,7 @@ def predict_harmonics(
     for turn in range(INNER if noisy else 0):
         residual = data.y - now.predicted
         normal, gain = _normal(data, part, now, residual)
-        step = solve_small(normal, gain[..., None])[..., 0]
+        step = _solved(normal, gain[..., None])[..., 0]
         size = np.sqrt(np.abs(np.sum(step * gain, axis=-1)))
         directions = part.dwells.input_directions(q.shape[-1])[part.dwells.dwell, part.dwells.order]
         if turn == INNER - 1 or not np.nanmax(size, initial=0.0) > SETTLED:
@@ -170,7 +171,7 @@ def predict_harmonics(
     if noisy:
         normal, _ = _normal(data, part, now, residual)
         mixed = part.dwells.by_dwell((2 * hermitian(now.G) @ (data.W @ J)).real)
-        share = solve_small(normal, mixed)
+        share = _solved(normal, mixed)
         J = J - now.G @ share[:, part.dwells.dwell]
     weighted = (data.W @ residual[..., None])[..., 0]
     cost: Real = 2 * np.sum((np.conj(residual) * weighted).real, axis=-1)
@@ -240,3 +241,11 @@ def _normal(data: Measured, part: NonlinearPart, now: Evaluated, residual: Compl
     largest = np.max(diagonal, axis=-1, keepdims=True)
     soft = np.where(diagonal > 1e-14 * largest, BLIND * diagonal, np.where(largest > 0, largest, 1.0))
     return normal + soft[..., None] * np.eye(normal.shape[-1]), right
+
+
+def _solved(normal: Real, right: Real) -> Real:
+    """normal⁻¹ right, NaN where singular or not finite."""
+    finite = np.all(np.isfinite(normal), axis=(-2, -1), keepdims=True)
+    safe = np.where(finite, normal, np.eye(normal.shape[-1]))
+    solution: Real = np.linalg.solve(safe, np.where(finite, right, np.nan)).astype(np.float64)
+    return solution

@@ -13,13 +13,13 @@ import numpy as np
 from dashpot.arrays import Complex, Real, hermitian
 from dashpot.errors import UsageError
 from dashpot.estimate.linear.gram import known_side, regressors
-from dashpot.estimate.method import Prepared
+from dashpot.estimate.method import Prepared, Solution, closed_form
 from dashpot.estimate.nonlinear.dwells import Dwells, dwells_of, measured_elongations
 from dashpot.model.dynamics import unit_forces
 from dashpot.model.network import Model
 from dashpot.model.nonlinear.alternating import alternate
 from dashpot.model.nonlinear.harmonic_balance import complex_of, samples_of
-from dashpot.numerics.small_systems import solve_scaled
+from dashpot.numerics.small_systems import scaled_inverse, solve_scaled
 
 
 @dataclass(frozen=True)
@@ -92,3 +92,32 @@ def regression(motion: MeasuredMotion, constants: Real, weight: Real) -> tuple[R
 def regressors_of(model: Model, a: Complex) -> Complex:
     """Φ = Bᵀ diag(a) T, (K, lines, n, unknowns); 0 for inner constants."""
     return regressors(model, a) if not len(model.constants) else (a[..., None, :] * model.B.T) @ model.T
+
+
+def harmonic_least_squares(data: Prepared) -> Solution:
+    """θ by least squares on measured harmonics, each dwell weighted by its power; the noise's bias is in it.
+
+    The covariance is that of the scatter between dwells.  Raises UsageError where an inner constant is unknown.
+    """
+    model = data.model
+    open_constants = [f"{e.name}.{c.name}" for e, c in model.constants if c.unknown]
+    if open_constants:
+        raise UsageError(
+            f"least squares on harmonics cannot find {', '.join(open_constants)}, which is inside a law",
+            cure="give it a value, or use the method ml",
+        )
+    motion = measured_motion(data)
+    weight = scale_of_lines(motion)
+    theta, _ = regression(motion, model.constants_map[1], weight)
+    a = motion.unit_forces(model.constants_map[1])
+    Phi = regressors_of(model, a)
+    e = known_side(model, a, motion.f) - np.einsum("klnu,ku->kln", Phi, theta)
+    rows = Phi.shape[-3] * Phi.shape[-2]
+    left = hermitian((Phi * weight[:, None, None]).reshape(len(Phi), rows, -1))
+    bread = scaled_inverse((left @ Phi.reshape(len(Phi), rows, -1)).real)
+    scores = np.einsum("klnu,kln->klu", np.conj(Phi), e).real * weight[:, None]
+    by_dwell = motion.dwells.by_dwell(scores)
+    count = len(motion.dwells.omega)
+    spread = count / max(count - 1, 1)
+    meat = spread * np.einsum("kru,krv->kuv", by_dwell, by_dwell)
+    return closed_form(theta, bread @ meat @ bread)

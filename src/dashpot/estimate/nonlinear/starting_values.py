@@ -64,7 +64,8 @@ def _by_regression(data: Prepared) -> Real:
             tried.append((float(residual[0]), theta))
     tried.sort(key=lambda pair: pair[0])
     low, high = model.bounds
-    return np.clip(np.array([theta for _, theta in tried[:KEPT]]).reshape(-1, len(model.unknowns)), low, high)
+    best: Real = np.array([theta for _, theta in tried[:KEPT]]).reshape(-1, len(model.unknowns))
+    return np.clip(best, low, high)
 
 
 def constant_trials(motion: MeasuredMotion) -> list[Real]:

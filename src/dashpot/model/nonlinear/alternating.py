@@ -182,7 +182,7 @@ def _rated(
 ) -> tuple[Real, Real, Jumps]:
     """dz/dt = g(z, d, v) by the trapezoidal rule, all instants of the period at once by Newton's method."""
     assert law.rate is not None
-    N, times = d.shape
+    times = d.shape[1]
     half = (np.pi / (omega * times))[:, None]
     z = _marched(law, d, v, g, 2 * half[:, 0]) if start is None or start.shape != d.shape else start
     size = np.maximum(np.max(np.abs(d), axis=1, keepdims=True), 1e-300)

@@ -18,7 +18,7 @@ from types import MappingProxyType
 
 import numpy as np
 
-from dashpot.arrays import Real
+from dashpot.arrays import Bools, Real
 from dashpot.errors import ModelError
 
 FUNCTIONS: Mapping[str, int] = MappingProxyType(
@@ -214,7 +214,7 @@ def _power(a: Dual, b: Dual) -> Dual:
     return _chain(value, (a, along), (b, np.where(a.value > 0, value * np.log(inside), 0.0)))
 
 
-def _chosen(first: Real, a: Dual, b: Dual) -> Dual:
+def _chosen(first: Bools, a: Dual, b: Dual) -> Dual:
     return _chain(
         np.where(first, a.value, b.value), (a, np.where(first, 1.0, 0.0)), (b, np.where(first, 0.0, 1.0))
     )
@@ -339,7 +339,7 @@ class _Dimensions:
                 A[row, column] = share
             b[row] = [-constant[0], -constant[1]]
         powers = np.linalg.lstsq(A, b, rcond=None)[0] if A.size else np.zeros((self.count, 2))
-        if A.size and np.max(np.abs(A @ powers - b)) > 1e-9:
+        if len(b) and np.max(np.abs(A @ powers - b)) > 1e-9:
             raise ModelError(
                 f"no units make sense of the law {expression.text!r}",
                 cure="add and compare only what has one unit; tanh, exp, log, sin and cos take pure numbers",

@@ -19,7 +19,7 @@ import numpy as np
 
 from dashpot.arrays import Real
 from dashpot.errors import ModelError
-from dashpot.model.nonlinear.expression import Dual, Expression, Exponents, dimensions, parse
+from dashpot.model.nonlinear.expression import Dual, Exponents, Expression, dimensions, parse
 
 Operator = Literal["", "stop", "play"]
 
@@ -112,7 +112,7 @@ class ForceLaw:
         """Powers of metre and second of the unit force and of each constant."""
         known: dict[str, Exponents] = {"d": (1.0, 0.0), "v": (1.0, -1.0)}
         if self.operator:
-            return (1.0, 0.0), {name: (1.0, 0.0) for name in self.constant_names}
+            return (1.0, 0.0), dict.fromkeys(self.constant_names, (1.0, 0.0))
         if self.rate is None:
             return dimensions(self.expression, known)
         known["z"] = (1.0, 0.0)
@@ -120,7 +120,7 @@ class ForceLaw:
         return own[0], {**dimensions(self.rate, known)[1], **own[1]}
 
     def __call__(self, d: Real, v: Real, z: Real, constants: Real) -> Dual:
-        """Unit force and its derivatives by name; `constants` (..., G) broadcast against d, v, z of shape (..., times)."""
+        """Unit force and its derivatives by name; `constants` (..., G) broadcast against d, v, z ."""
         return self.expression(self.values(d, v, z, constants))
 
     def values(self, d: Real, v: Real, z: Real, constants: Real) -> dict[str, Real]:

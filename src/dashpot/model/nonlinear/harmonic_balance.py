@@ -26,7 +26,7 @@ from dashpot.model.network import Model
 from dashpot.model.nonlinear.alternating import Alternated, alternate
 
 TOLERANCE = 1e-12  # of the elongation
-ITERATIONS = 60
+ITERATIONS = 25
 RAMP = (
     0.03,
     0.1,
@@ -50,7 +50,7 @@ class Drive:
     @property
     def orders(self) -> int:
         """Highest harmonic H."""
-        return self.U.shape[1] - 1
+        return int(self.U.shape[1]) - 1
 
     def rows(self, keep: Bools) -> Drive:
         """Some of the dwells."""
@@ -125,7 +125,7 @@ def as_blocks(Z: Complex) -> Real:
 
 @lru_cache(maxsize=8)
 def _jh(orders: int) -> Complex:
-    return 1j * np.arange(orders + 1)
+    return (1j * np.arange(orders + 1)).astype(np.complex128)
 
 
 @dataclass(frozen=True)
@@ -162,9 +162,10 @@ def _stiffness(model: Model, p: Real, jw: Complex) -> Complex:
     """[D | −R] of the linear elements at each harmonic, (N, H + 1, n, n + r)."""
     omega = jw.imag
     factors = model.factors(omega)  # (N, H + 1, elements), 0 for nonlinear ones
-    return np.einsum(
+    both: Complex = np.einsum(
         "nhe,ei,ej->nhij", p[:, None, :] * factors, model.B, np.concatenate([model.B, model.D], axis=1)
     )
+    return both
 
 
 def _regular_inverse(D: Complex) -> Complex:
@@ -176,7 +177,10 @@ def _regular_inverse(D: Complex) -> Complex:
     soft[:, :1] = 1e-10 * np.where(size[:, :1] > 1e-12 * largest, size[:, :1], largest)
     try:
         with np.errstate(all="ignore"):
-            return np.linalg.inv(D + np.where(_singular(D), soft, 0.0) * np.eye(n))
+            inverse: Complex = np.linalg.inv(D + np.where(_singular(D), soft, 0.0) * np.eye(n)).astype(
+                np.complex128
+            )
+            return inverse
     except np.linalg.LinAlgError:
         return np.full_like(D, np.nan)
 
@@ -258,7 +262,8 @@ def secant_of(p: Real, a: Real, q: Real) -> Complex:
     size = np.abs(d1)
     ratio = p * a1 * np.conj(d1) / np.where(size > 0, size, 1.0) ** 2
     ratio = np.where((size > 0) & np.isfinite(ratio), ratio, 0.0)
-    return np.maximum(ratio.real, 0.0) + 1j * np.maximum(ratio.imag, 0.0)
+    positive: Complex = np.maximum(ratio.real, 0.0) + 1j * np.maximum(ratio.imag, 0.0)
+    return positive
 
 
 def _newton(
@@ -276,7 +281,8 @@ def _newton(
 
     def residual(at: Real, unit: Real) -> Real:
         rest = strength * unit - np.einsum("nevw,new->nev", S, at)
-        return at - free + np.einsum("nevfw,nfw->nev", Z, rest)
+        r: Real = at - free + np.einsum("nevfw,nfw->nev", Z, rest)
+        return r
 
     r = residual(q, forces.a)
     error = np.full(len(q), np.inf)
@@ -322,7 +328,7 @@ def _share_blocks(share: Complex) -> Real:
 def _solved(matrix: Real, right: Real) -> Real:
     try:
         with np.errstate(all="ignore"):
-            return np.linalg.solve(matrix, right)
+            return np.linalg.solve(matrix, right).astype(np.float64)
     except np.linalg.LinAlgError:
         return np.full_like(right, np.nan)
 
@@ -352,7 +358,7 @@ def slopes(
 ) -> Slopes:  # fmt: skip
     """Slopes along Q directions of the parameters, (elements, Q), the constants, (G, Q), and the inputs' harmonics.
 
-    along_U (N or 1, H + 1, r, Q) and along_f (N or 1, H + 1, s, Q).  One factorisation of Newton's matrix serves all of them.
+    along_U (N or 1, H + 1, r, Q) and along_f (N or 1, H + 1, s, Q).
     """
     chosen, linear = model.nonlinear, at.linear
     Bn, Dn, n = model.B[chosen], model.D[chosen], model.n
@@ -427,7 +433,8 @@ def truncation(model: Model, p: Real, constants: Real, drive: Drive, at: Periodi
         + np.einsum("nhef,nhf->nhe", linear.receptance, np.moveaxis(rest, -1, 1))
     )
     size = np.max(np.abs(at.delta), axis=(1, 2))
-    return np.max(np.abs(missing), axis=(1, 2)) / np.where(size > 0, size, 1.0)
+    error: Real = np.max(np.abs(missing), axis=(1, 2)) / np.where(size > 0, size, 1.0)
+    return error
 
 
 def settled_orders(

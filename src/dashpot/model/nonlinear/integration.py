@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from dashpot.arrays import Real
+from dashpot.arrays import Ints, Real
 from dashpot.errors import ModelError
 from dashpot.model.dynamics import matrices
 from dashpot.model.network import Model
@@ -75,13 +75,15 @@ def propagator(model: Model, p: Real, h: float) -> Propagator:
     n, chosen = model.n, model.nonlinear
     if np.any(parts.H):
         raise ModelError(
-            "a hysteretic damper has no motion in time", cure="use a viscous damper, or settled dwells of a linear rig"
+            "a hysteretic damper has no motion in time",
+            cure="use a viscous damper, or settled dwells of a linear rig",
         )
     if np.linalg.matrix_rank(parts.M) < n:
         raise ModelError(
-            "a coordinate has no mass, so its motion cannot be integrated", cure="give every coordinate a mass"
+            "a coordinate has no mass, so its motion cannot be integrated",
+            cure="give every coordinate a mass",
         )
-    inverse = np.linalg.inv(parts.M)
+    inverse: Real = np.linalg.inv(parts.M).astype(np.float64)
     A = np.block([[np.zeros((n, n)), np.eye(n)], [-inverse @ parts.K, -inverse @ parts.C]])
     chain = np.zeros((6 * n, 6 * n))
     chain[: 2 * n, : 2 * n] = A * h
@@ -109,14 +111,19 @@ def loads(model: Model, p: Real, drive: Forcing, substeps: int) -> tuple[Real, R
     r = model.D.shape[1]
     share = (NODES[None, :] + np.arange(substeps)[:, None]) / substeps  # (substeps, 4)
     powers = share[..., None] ** np.arange(4)
-    rates = np.where(np.arange(4) > 0, np.arange(4) * share[..., None] ** np.maximum(np.arange(4) - 1, 0), 0.0)
+    rates = np.where(
+        np.arange(4) > 0, np.arange(4) * share[..., None] ** np.maximum(np.arange(4) - 1, 0), 0.0
+    )
     bends = np.where(
-        np.arange(4) > 1, np.arange(4) * (np.arange(4) - 1) * share[..., None] ** np.maximum(np.arange(4) - 2, 0), 0.0
+        np.arange(4) > 1,
+        np.arange(4) * (np.arange(4) - 1) * share[..., None] ** np.maximum(np.arange(4) - 2, 0),
+        0.0,
     )
 
     def at(basis: Real, order: int) -> Real:
         values = np.einsum("skm,imq->iskq", basis, drive.coefficients) / drive.step_s**order
-        return values.reshape(-1, 4, drive.coefficients.shape[-1])
+        nodes: Real = values.reshape(-1, 4, drive.coefficients.shape[-1])
+        return nodes
 
     q, dq = at(powers, 0), at(rates, 1)
     force = q[..., :r] @ parts.G.T + dq[..., :r] @ parts.F.T + q[..., r:] @ model.S.T
@@ -144,7 +151,9 @@ class Integrator:
         self.p, self.constants = model.parameters(theta), model.inner_constants(theta)
         self.step = propagator(model, self.p, drive.step_s / substeps)
         self.force, self.inputs = loads(model, self.p, drive, substeps)
-        self.laws: tuple[ForceLaw, ...] = tuple(e.force_law for e in model.elements if e.force_law is not None)
+        self.laws: tuple[ForceLaw, ...] = tuple(
+            e.force_law for e in model.elements if e.force_law is not None
+        )
         self.with_state = [row for row, law in enumerate(self.laws) if law.has_state]
         self.states = 2 * model.n + len(self.with_state)
         self.offsets = model.S  # constant forces that are unknown: one direction for each force input
@@ -153,9 +162,9 @@ class Integrator:
     @property
     def directions(self) -> int:
         """Columns of slopes beyond those of the starting state: unknowns of the rig and offsets of the forces."""
-        return len(self.model.unknowns) + self.offsets.shape[1]
+        return len(self.model.unknowns) + int(self.offsets.shape[1])
 
-    def advance(self, state: Real, slope: Real, index: Real, offset: Real, with_unknowns: bool) -> Stepped:
+    def advance(self, state: Real, slope: Real, index: Ints, offset: Real, with_unknowns: bool) -> Stepped:
         """One step of the segments at the steps `index` (S,); slope (S, states, Q) may have no columns."""
         n, model, h = self.model.n, self.model, self.step.h
         force = self.force[index] + offset @ self.offsets.T
@@ -172,7 +181,10 @@ class Integrator:
         after = np.concatenate([nodes[:, 3], z[:, 3]], axis=1)
         if not slope.shape[-1]:
             return Stepped(after, slope)
-        return Stepped(after, self._slopes(slope, nodes, d, v, z, at, force, u, du, with_unknowns, reach_d, reach_v, h, model))
+        return Stepped(
+            after,
+            self._slopes(slope, nodes, d, v, z, at, force, u, du, with_unknowns, reach_d, reach_v, h, model),
+        )
 
     def _solve(
         self, free_d: Real, free_v: Real, z: Real, z0: Real, reach_d: Real, reach_v: Real
@@ -182,7 +194,10 @@ class Integrator:
         S, _, e = d.shape
         size = np.max(np.abs(d)) + self.step.h * np.max(np.abs(v)) + 1e-300
         at = self._forces(d, v, z, z0)
-        d, v = free_d + np.einsum("jkey,sky->sje", reach_d, at.a), free_v + np.einsum("jkey,sky->sje", reach_v, at.a)
+        d, v = (
+            free_d + np.einsum("jkey,sky->sje", reach_d, at.a),
+            free_v + np.einsum("jkey,sky->sje", reach_v, at.a),
+        )
         for _ in range(NEWTON):
             at = self._forces(d, v, z, z0)
             r_d = d - free_d - np.einsum("jkey,sky->sje", reach_d, at.a)
@@ -210,7 +225,8 @@ class Integrator:
             for by in (by_d, by_v)
         ]
         top, bottom = np.concatenate(blocks[:2], axis=2), np.concatenate(blocks[2:], axis=2)
-        return np.eye(6 * e) - np.concatenate([top, bottom], axis=1)
+        matrix: Real = np.eye(6 * e) - np.concatenate([top, bottom], axis=1)
+        return matrix
 
     def _forces(self, d: Real, v: Real, z: Real, z0: Real) -> _Forces:
         """Unit forces at the nodes and how they change with d and v at all nodes and with z at the start."""
@@ -229,7 +245,11 @@ class Integrator:
                 by_d[:, diagonal, diagonal, row] = at.slopes.get("d", nothing)
                 by_v[:, diagonal, diagonal, row] = at.slopes.get("v", nothing)
                 names = law.constant_names
-                by_g[row] = np.stack([np.broadcast_to(at.slopes.get(k, nothing), (S, K)) for k in names], -1) if names else by_g[row]
+                by_g[row] = (
+                    np.stack([np.broadcast_to(at.slopes.get(k, nothing), (S, K)) for k in names], -1)
+                    if names
+                    else by_g[row]
+                )
                 continue
             i = self.with_state.index(row)
             held = _held(law, d[..., row], v[..., row], z[..., i], z0[:, i], g, self.step.h)
@@ -262,12 +282,21 @@ class Integrator:
             load = self._unit_loads(nodes, at, force, u, du)  # (S, 4, n, m)
             base[..., first : first + m] += np.einsum("jkxn,sknq->sjxq", self.step.Wf, load)
             base[..., first + m :] += np.einsum("jkxn,nq->jxq", self.step.Wf, self.offsets)[None]
-        free_d, free_v = np.einsum("en,sjnq->sjeq", self.Bn, base[:, :, :n]), np.einsum("en,sjnq->sjeq", self.Bn, base[:, :, n:])
+        free_d, free_v = (
+            np.einsum("en,sjnq->sjeq", self.Bn, base[:, :, :n]),
+            np.einsum("en,sjnq->sjeq", self.Bn, base[:, :, n:]),
+        )
         # At node 0 elongation and rate are those of the state.
-        known = direct + at.by_d[:, :, 0, :, None] * free_d[:, None, 0] + at.by_v[:, :, 0, :, None] * free_v[:, None, 0]
+        known = (
+            direct
+            + at.by_d[:, :, 0, :, None] * free_d[:, None, 0]
+            + at.by_v[:, :, 0, :, None] * free_v[:, None, 0]
+        )
         right_d = free_d + np.einsum("jkey,skyq->sjeq", reach_d, known)
         right_v = free_v + np.einsum("jkey,skyq->sjeq", reach_v, known)
-        right = np.concatenate([right_d[:, 1:].reshape(S, 3 * e, Q), right_v[:, 1:].reshape(S, 3 * e, Q)], axis=1)
+        right = np.concatenate(
+            [right_d[:, 1:].reshape(S, 3 * e, Q), right_v[:, 1:].reshape(S, 3 * e, Q)], axis=1
+        )
         moved = np.linalg.solve(self._matrix(at, reach_d, reach_v), right)
         d_d, d_v = np.zeros((S, 4, e, Q)), np.zeros((S, 4, e, Q))
         d_d[:, 1:], d_v[:, 1:] = moved[:, : 3 * e].reshape(S, 3, e, Q), moved[:, 3 * e :].reshape(S, 3, e, Q)
@@ -285,7 +314,9 @@ class Integrator:
             if with_unknowns:
                 own = model.constant_slices[row]
                 first = Q - self.directions
-                after[:, 2 * n + i, first : first + len(model.unknowns)] += held.by_g[:, 3] @ model.constants_map[0][own]
+                after[:, 2 * n + i, first : first + len(model.unknowns)] += (
+                    held.by_g[:, 3] @ model.constants_map[0][own]
+                )
         return after
 
     def _unit_loads(self, nodes: Real, at: _Forces, force: Real, u: Real, du: Real) -> Real:
@@ -301,7 +332,8 @@ class Integrator:
             if element.force_law is None:
                 a[..., i] = motion[element.law.power][..., i]
         a[..., model.nonlinear] = at.a
-        return -np.einsum("en,ske,eq->sknq", model.B, a, model.T)
+        load: Real = -np.einsum("en,ske,eq->sknq", model.B, a, model.T)
+        return load
 
 
 @dataclass(frozen=True)
@@ -350,7 +382,7 @@ def _held(law: ForceLaw, d: Real, v: Real, z: Real, z0: Real, g: Real, h: float)
     by_d = inverse @ (Q[None] * np.broadcast_to(at.slopes.get("d", nothing), (S, K))[:, None, :])
     by_v = inverse @ (Q[None] * np.broadcast_to(at.slopes.get("v", nothing), (S, K))[:, None, :])
     columns = [np.broadcast_to(at.slopes.get(name, nothing), (S, K)) @ Q.T for name in law.constant_names]
-    by_g = inverse @ np.stack(columns, axis=-1) if columns else np.zeros((S, K, 0))
+    by_g: Real = (inverse @ np.stack(columns, axis=-1)).astype(np.float64) if columns else np.zeros((S, K, 0))
     return _Held(z, by_d, by_v, inverse.sum(axis=-1), by_g)
 
 
@@ -365,13 +397,17 @@ def _operated_nodes(law: ForceLaw, d: Real, z0: Real, g: Real) -> _Held:
         change[:, k] = 1.0
         if law.operator == "stop":
             change[:, k - 1] = -1.0
-            z, tangent = clipped(z + d[:, k] - d[:, k - 1], tangent + change, np.zeros(S), np.zeros_like(change), width, K + 1)
+            z, tangent = clipped(
+                z + d[:, k] - d[:, k - 1], tangent + change, np.zeros(S), np.zeros_like(change), width, K + 1
+            )
         else:
             z, tangent = clipped(z, tangent, d[:, k], change, width, K + 1)
         states.append(z)
         tangents.append(tangent)
     total = np.stack(tangents, axis=1)
-    return _Held(np.stack(states, axis=1), total[..., :K], np.zeros((S, K, K)), total[..., K], total[..., K + 1 :])
+    return _Held(
+        np.stack(states, axis=1), total[..., :K], np.zeros((S, K, K)), total[..., K], total[..., K + 1 :]
+    )
 
 
 def clipped(
@@ -399,7 +435,7 @@ class Motion:
     closed: bool
 
 
-def segments_of(intervals: int, length: int = SEGMENT) -> Real:
+def segments_of(intervals: int, length: int = SEGMENT) -> Ints:
     """First intervals of the segments, the last of which may be shorter; (S,)."""
     return np.arange(0, intervals, length)
 

@@ -10,6 +10,7 @@ from dashpot.errors import UsageError
 from dashpot.io.toml_document import Place
 from dashpot.io.words import did_you_mean, listed, quoted, written
 from dashpot.model.elements import Element
+from dashpot.model.rigfile.force_laws import read_law, split_constants
 from dashpot.model.rigfile.reading import Reading
 from dashpot.model.rigfile.rig import scale_of_points
 from dashpot.model.rigfile.schema import GROUND, SECTIONS, ElementEntry
@@ -29,8 +30,11 @@ def read_elements(reading: Reading, points: Points) -> list[Element]:
     elements = []
     for section in (key for key in reading.table if key in SECTIONS):
         for name, raw in reading.entries(section):
-            entry = reading.entry(ElementEntry, section, name, raw)
-            element = None if entry is None else _element(reading, section, name, entry, raw, points)
+            own, constants = split_constants(raw)
+            entry = reading.entry(ElementEntry, section, name, own)
+            element = (
+                None if entry is None else _element(reading, section, name, entry, raw, points, constants)
+            )
             if element is None:
                 reading.faulty.add(name)
             else:
@@ -52,12 +56,14 @@ def _check_ties(reading: Reading, elements: list[Element]) -> None:
 
 
 def _element(
-    reading: Reading, section: str, name: str, entry: ElementEntry, raw: Mapping[str, Any], points: Points
-) -> Element | None:
+    reading: Reading, section: str, name: str, entry: ElementEntry, raw: Mapping[str, Any], points: Points,
+    constants: Mapping[str, Any],
+) -> Element | None:  # fmt: skip
     place = (section, name)
+    law, good = read_law(reading, place, entry, constants)
     along = _attachment(reading, place, entry, raw, points)
     factor = _scale(reading, place, entry, along or {}, points.angles)
-    if along is None or factor is None:
+    if along is None or factor is None or not good:
         return None
 
     def si(number: float | None) -> float | None:
@@ -74,6 +80,7 @@ def _element(
         upper=si(entry.max),
         same_as=entry.same_as,
         times=entry.times,
+        force_law=law,
     )
 
 

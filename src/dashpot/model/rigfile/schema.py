@@ -182,6 +182,15 @@ class ElementEntry(Entry):
     unit: Text | None = None
     same_as: Text | None = None
     times: Number = 1.0
+    law: Text | None = None
+
+
+class ConstantEntry(Entry):
+    value: Number | None = None
+    sd: Number | None = None
+    guess: Number | None = None
+    min: Number | None = None
+    max: Number | None = None
 
 
 class ChannelEntry(Entry):

@@ -11,6 +11,7 @@ from dashpot.io.toml_document import toml_key
 from dashpot.io.words import quoted
 from dashpot.model.elements import Element, Kind
 from dashpot.model.network import Input, Model
+from dashpot.model.rigfile.force_laws import law_fields
 from dashpot.model.rigfile.rig import Rig
 from dashpot.model.rigfile.schema import GROUND
 from dashpot.model.unstructured import free_entries
@@ -89,6 +90,8 @@ def _element_fields(element: Element) -> dict[str, str]:
         "value": element.value, "sd": element.sd, "guess": element.guess, "min": element.lower, "max": element.upper,
     }  # fmt: skip
     fields |= {key: repr(float(number)) for key, number in numbers.items() if number is not None}
+    if element.force_law is not None:
+        fields |= law_fields(element.force_law)
     if element.same_as is not None:
         fields["same_as"] = quoted(element.same_as)
         if element.times != 1.0:

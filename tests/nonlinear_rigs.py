@@ -1,0 +1,109 @@
+"""Nonlinear rigs for tests, and what settled dwells of them show."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from dashpot.arrays import Real
+from dashpot.channel import Channel
+from dashpot.data.spectrum import Spectrum
+from dashpot.data.stretch import SettledDwell
+from dashpot.model.elements import Kind, between, mass
+from dashpot.model.network import Input, Model
+from dashpot.model.nonlinear.force_law import Constant, force_law
+from dashpot.model.nonlinear.harmonic_balance import Drive, settled_orders, unit_forces
+from dashpot.model.observation import channel_amplitudes, measures_input, observation_model
+
+LAWS: Mapping[str, tuple[Mapping[str, float], float]] = {
+    "cubic": ({}, 1e9),
+    "square": ({}, 4e5),
+    "quintic": ({}, 1e14),
+    "quadratic": ({}, 2e6),
+    "v*abs(v)": ({}, 400.0),
+    "v**3": ({}, 3000.0),
+    "coulomb": ({"v0": 0.03}, 5.0),
+    "stribeck": ({"v0": 0.03, "ratio": 1.4, "vs": 0.06}, 4.0),
+    "gap": ({"gap": 5e-4}, 6000.0),
+    "one-sided": ({"gap": 3e-4}, 3000.0),
+    "bilinear": ({"ratio": 0.7}, 3000.0),
+    "jenkins": ({"slip": 5e-4}, 4000.0),
+    "backlash": ({"gap": 3e-4}, 3000.0),
+    "bouc-wen": ({"gamma": 800.0, "delta": -300.0, "nu": 1.0}, 3000.0),
+    "d**3 + b*d**2": ({"b": 2e-4}, 1e9),
+}
+
+
+def two_masses(law: str, known: bool = False) -> tuple[Model, Real]:
+    """Two masses on a shaken base with a nonlinear element from the upper to the base, and its true unknowns."""
+    constants, p = LAWS[law]
+    inner = [Constant(name, value if known else None) for name, value in constants.items()]
+    element = between("q", Kind.SPRING, "x2", "u")
+    nonlinear = type(element)("q", Kind.SPRING, element.along, force_law=force_law(law, inner))
+    model = Model(
+        ("x1", "x2"),
+        (Input("u"),),
+        (
+            mass("m1", "x1"),
+            mass("m2", "x2", value=2.7),
+            between("k1", Kind.SPRING, "x1", "x2"),
+            between("k2", Kind.SPRING, "x2", "u"),
+            between("c1", Kind.DAMPER, "x1", "x2"),
+            between("c2", Kind.DAMPER, "x2", "u"),
+            nonlinear,
+        ),
+    )
+    theta = [3.0, 4600.0, 4600.0, 20.0, 20.0, p, *([] if known else constants.values())]
+    return model, np.array(theta)
+
+
+def motions(*points: str) -> tuple[Channel, ...]:
+    """Displacements of the points."""
+    return tuple(Channel(point, {point: 1.0}) for point in points)
+
+
+def settled(
+    model: Model,
+    theta: Real,
+    channels: Sequence[Channel],
+    frequency_hz: Sequence[float],
+    *,
+    amplitude: float | Sequence[float] = 1e-3,
+    orders: Sequence[int] = (1, 3),
+    noise: float = 0.0,
+    input_noise: float = 0.0,
+    rng: np.random.Generator | None = None,
+    most: int = 31,
+) -> Spectrum:
+    """Harmonics of settled dwells; noise is relative to each channel's rms fundamental."""
+    f = np.asarray(frequency_hz, dtype=float)
+    r = len(model.displacement_inputs)
+    q = np.zeros((len(f), most + 1, r + len(model.force_inputs)), dtype=complex)
+    q[:, 1] = np.broadcast_to(np.asarray(amplitude, dtype=float), (len(f),))[:, None]
+    drive = Drive(2 * np.pi * f, q[..., :r], q[..., r:])
+    p = np.tile(model.parameters(theta), (len(f), 1))
+    constants = np.tile(model.inner_constants(theta), (len(f), 1))
+    at, drive = settled_orders(model, p, constants, drive, tolerance=1e-9, most=most)
+    assert np.all(at.converged)
+    forces = p[:, None] * unit_forces(model, drive, at)
+    lines, Y = [], []
+    for row, fundamental in enumerate(f):
+        for order in orders:
+            view = observation_model(model, channels, np.array([2 * np.pi * order * fundamental]))
+            inputs = np.concatenate([drive.U[row, order], drive.f[row, order]])[None]
+            Y.append(channel_amplitudes(view, at.X[row, order][None], inputs, forces[row, order][None])[0])
+            lines.append(order * fundamental)
+    amplitudes = np.array(Y)
+    size = np.sqrt(np.mean(np.abs(amplitudes[:: len(orders)]) ** 2, axis=0))
+    level = np.array([input_noise if measures_input(model, c) else noise for c in channels])
+    sd = np.broadcast_to(level * size, amplitudes.shape)
+    if rng is not None:
+        draws = rng.standard_normal((2, *amplitudes.shape))
+        amplitudes = amplitudes + sd * (draws[0] + 1j * draws[1])
+    count = len(lines)
+    return Spectrum(
+        tuple(channels), np.array(lines), amplitudes, (2 * sd[..., None] ** 2) * np.eye(len(channels)) + 0j,
+        np.ones(count, dtype=int), np.full(count, np.inf), ("given",) * count, np.zeros(count, dtype=int),
+        stretch=np.repeat(np.arange(len(f)), len(orders)), stretches=tuple(SettledDwell(float(x)) for x in f),
+    )  # fmt: skip

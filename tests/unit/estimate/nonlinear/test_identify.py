@@ -1,0 +1,65 @@
+"""Identification of nonlinear rigs from the harmonics of dwells."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from dashpot.errors import UsageError
+from dashpot.estimate.identify import identify
+from tests.nonlinear_rigs import motions, settled, two_masses
+
+FREQUENCIES = [2, 3, 4, 5, 6, 7, 8, 9.5, 11, 12.5, 14]
+ALL = motions("x1", "x2", "u")
+
+
+@pytest.mark.parametrize("law", ["cubic", "v*abs(v)", "coulomb", "gap"])
+def test_exact_harmonics_give_all_parameters_back(law):
+    model, theta = two_masses(law)
+    estimate = identify(model, settled(model, theta, ALL, FREQUENCIES), "ml")
+    assert bool(estimate.converged)
+    assert np.max(np.abs(estimate.values / theta - 1)) < 1e-6
+
+
+def test_noisy_harmonics_give_intervals_that_hold():
+    model, theta = two_masses("cubic")
+    spectrum = settled(model, theta, ALL, FREQUENCIES, noise=0.01, rng=np.random.default_rng(3))
+    estimate = identify(model, spectrum)
+    assert estimate.method == "ml"
+    assert float(estimate.fit.p) > 0.01
+    assert np.all(np.abs(estimate.values - theta) < 4 * estimate.sd)
+    assert np.allclose(estimate.sd, estimate.bound_sd, rtol=1e-6)
+
+
+def test_a_noisy_input_widens_the_intervals_and_they_hold():
+    model, theta = two_masses("cubic")
+    rng = np.random.default_rng(5)
+    exact = identify(model, settled(model, theta, ALL, FREQUENCIES, noise=0.005, rng=rng))
+    spectrum = settled(model, theta, ALL, FREQUENCIES, noise=0.005, input_noise=0.005, rng=rng)
+    noisy = identify(model, spectrum)
+    assert float(noisy.fit.p) > 0.01
+    assert np.all(np.abs(noisy.values - theta) < 4 * noisy.sd)
+    assert np.all(noisy.sd > exact.sd)
+
+
+def test_a_linear_rig_fitted_to_nonlinear_data_does_not_fit():
+    model, theta = two_masses("cubic")
+    spectrum = settled(model, theta, ALL, FREQUENCIES, orders=(1,), noise=0.005, rng=np.random.default_rng(3))
+    linear = type(model)(model.coordinates, model.inputs, model.elements[:-1])
+    assert bool(identify(linear, spectrum, "ml").fit.rejected)
+
+
+def test_least_squares_on_harmonics_is_exact_without_noise_and_refuses_inner_constants():
+    model, theta = two_masses("cubic")
+    orders = (1, 3, 5, 7, 9, 11, 13, 15)
+    estimate = identify(model, settled(model, theta, ALL, FREQUENCIES, orders=orders), "hls")
+    assert np.max(np.abs(estimate.values / theta - 1)) < 1e-4
+    model, theta = two_masses("coulomb")
+    with pytest.raises(UsageError, match=r"q\.v0"):
+        identify(model, settled(model, theta, ALL, FREQUENCIES), "hls")
+
+
+def test_methods_that_know_linear_rigs_only_say_so():
+    model, theta = two_masses("cubic")
+    with pytest.raises(UsageError, match="nonlinear"):
+        identify(model, settled(model, theta, ALL, FREQUENCIES), "oiv")
