@@ -29,13 +29,14 @@ from dashpot.data.conditioning.lines import spectrum
 from dashpot.data.record import Record
 from dashpot.data.spectrum import Spectrum
 from dashpot.estimate.identify import identify
-from dashpot.reproduce.yamane1989 import findings as yamane1989
+from dashpot.reproduce.yamane1989.printed import printed
+from dashpot.reproduce.yamane1989.rig import paper_model, true_rig
 
-RIG, TRUTH = yamane1989.model(), dict(yamane1989.printed().values)
+RIG, TRUTH = paper_model(), dict(printed().values)
 NAMES, TRUE = tuple(TRUTH), np.array(list(TRUTH.values()))
-K1, K2 = yamane1989.printed().known.values()
-CHANNELS = yamane1989.bench().channels  # x1, x2, their velocities and u
-CASE_3 = yamane1989.printed().cases["CASE-3"]  # Hz
+K1, K2 = printed().known.values()
+CHANNELS = true_rig().channels  # x1, x2, their velocities and u
+CASE_3 = printed().cases["CASE-3"]  # Hz
 STROKE = 1e-3  # m
 RATE = 100  # samples a second
 STEPS = 5  # of MuJoCo's integrator in a sample

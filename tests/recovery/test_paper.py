@@ -10,9 +10,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from dashpot.reproduce.yamane1989.findings import printed, rms_spread, tables
+from dashpot.reproduce.yamane1989.draws import rms_spread
+from dashpot.reproduce.yamane1989.printed import printed
+from dashpot.reproduce.yamane1989.rig import tables_study
 from dashpot.study import montecarlo
-from dashpot.study.scenario import scenarios
+from dashpot.study.grid import scenarios
 
 DRAWS = 4000
 SEED = 2
@@ -25,13 +27,13 @@ SCENARIOS = [(case, basis) for case in CASES for basis in BASES]
 
 def grid():
     """That of the paper's tables with 10 % noise, and the study it belongs to."""
-    study = tables(DRAWS, SEED)
+    study = tables_study(DRAWS, SEED)
     return study, study.grids[2]
 
 
 def outcome(study, one):
     """(scenario, repeats, summaries) of a grid with one scenario."""
-    results = montecarlo.run(scenarios(replace(study, grids=(one,))), SEED)
+    results = montecarlo.run_scenarios(scenarios(replace(study, grids=(one,))), SEED)
     (only,) = results.scenarios
     return only, results.repeats(only), results.summaries(only)
 

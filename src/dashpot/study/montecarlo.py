@@ -7,188 +7,29 @@ order.  So the result is the same to the bit whoever computes which block when, 
 
 from __future__ import annotations
 
-import hashlib
-import json
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, fields, is_dataclass
-from enum import Enum
-from functools import cached_property
+from dataclasses import dataclass, field
 from importlib.metadata import version
 from pathlib import Path
-from types import MappingProxyType
-from typing import Any
 
 import numpy as np
 
-from dashpot.arrays import Bools, Real, frozen
-from dashpot.channel import Channel
+from dashpot.arrays import Bools, Real
 from dashpot.errors import DashpotError, UsageError
 from dashpot.estimate.identify import identify
-from dashpot.estimate.preparation.state_reconstruction import unseen
 from dashpot.estimate.registry import method
 from dashpot.estimate.result import Estimate
-from dashpot.model.network import Model
-from dashpot.study.simulate import Dwells, NoiseBasis, clean_spectrum, simulate_spectrum
+from dashpot.study.scenario import Scenario
+from dashpot.study.simulate import simulate_spectrum
 from dashpot.study.store import Label, State, read_block, state_of, write_block
+from dashpot.study.summary import Repeats, Summary, merged, summarise
 
 BLOCK = 500  # repeats; part of what the seed means
-LEVELS = (0.025, 0.25, 0.5, 0.75, 0.975)  # of the quantiles in a Summary
 SAMPLE_LEVEL = frozenset({"ls", "iv"})  # methods that work on second moments of the samples
 
 
-@dataclass(frozen=True)
-class Scenario:
-    """One point of a study: a rig with its true parameters, a test, its noise, and who identifies it.
-
-    factors    what the point stands for, in order: {"rig": "paper", "noise": 0.1, …}; its text names the scenario
-    theta      true unknowns, (unknowns,)
-    noise      whether the methods are given the covariance of the noise or estimate it from residuals
-    drift      degree of the trend solved for with the fundamental; None is none
-    """
-
-    factors: Mapping[str, str | float | int]
-    model: Model
-    theta: Real
-    channels: tuple[Channel, ...]
-    test: Dwells
-    methods: tuple[str, ...]
-    draws: int
-    noise: NoiseBasis = "given"
-    drift: int | None = None
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "factors", MappingProxyType(dict(self.factors)))
-        object.__setattr__(self, "theta", frozen(self.theta, np.float64))
-        object.__setattr__(self, "channels", tuple(self.channels))
-        object.__setattr__(self, "methods", tuple(self.methods))
-
-    def __getstate__(self) -> dict[str, object]:
-        own = {name: getattr(self, name) for name in self.__dataclass_fields__}
-        return own | {"factors": dict(self.factors)}
-
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        for name, value in state.items():
-            object.__setattr__(self, name, value)
-        object.__setattr__(self, "factors", MappingProxyType(dict(self.factors)))
-
-    @cached_property
-    def name(self) -> str:
-        """Its factors as text: "rig=paper noise=0.1"."""
-        return " ".join(
-            f"{key}={value:g}" if isinstance(value, float) else f"{key}={value}"
-            for key, value in self.factors.items()
-        )
-
-    @cached_property
-    def key(self) -> str:
-        """Sixteen hexadecimal digits that depend on the factors alone: the name of its files and of its randomness."""
-        return hashlib.sha256(json.dumps(dict(self.factors)).encode()).hexdigest()[:16]
-
-    @cached_property
-    def fingerprint(self) -> str:
-        """A digest of all that the repeats depend on but the names, the seed, the methods and the number of draws.
-
-        Every field counts, those that are still to come as well, but for the rig's name, and of the channels the name
-        of the unit, whose scale counts, and the rate: the test says when samples are taken.
-        """
-        model = {name: value for name, value in _fields(self.model) if name != "name"}
-        channels = [
-            {name: value for name, value in _fields(one) if name not in ("unit", "rate")}
-            for one in self.channels
-        ]
-        parts = (model, self.theta, channels, self.test, self.noise, self.drift)
-        return hashlib.sha256(json.dumps(_canonical(parts)).encode()).hexdigest()
-
-    @property
-    def p(self) -> Real:
-        """True parameters of all elements, (elements,)."""
-        return self.model.parameters(self.theta)
-
-    def bound_sd(self) -> Real:
-        """Cramér-Rao bound at the truth, (unknowns,), for the true noise.
-
-        Raises DashpotError where the test does not determine the unknowns.
-        """
-        clean = clean_spectrum(self.model, self.p, self.channels, self.test, drift=self.drift)
-        way = "ml" if unseen(self.model, clean) else "oiv"
-        return identify(self.model, clean, method(way)).bound_sd
-
-
-def _fields(value: object) -> list[tuple[str, object]]:
-    """Names and values of a dataclass's fields."""
-    assert is_dataclass(value)
-    return [(one.name, getattr(value, one.name)) for one in fields(value)]
-
-
-def _canonical(value: object) -> object:
-    """A value as JSON of which every bit counts and no order that means nothing: equal values give equal texts."""
-    if isinstance(value, Enum):
-        return _canonical(value.value)
-    if isinstance(value, np.ndarray | np.generic):
-        array = np.asarray(value)
-        return [str(array.dtype), list(array.shape), hashlib.sha256(array.tobytes()).hexdigest()]
-    if is_dataclass(value):
-        return {name: _canonical(own) for name, own in _fields(value)}
-    if isinstance(value, Mapping):
-        return {str(key): _canonical(value[key]) for key in sorted(value)}
-    if isinstance(value, frozenset | set):
-        return [_canonical(own) for own in sorted(value)]
-    if isinstance(value, tuple | list):
-        return [_canonical(own) for own in value]
-    if isinstance(value, float):
-        return value.hex()
-    if value is None or isinstance(value, str | int):
-        return value
-    raise TypeError(f"{type(value).__name__} has no canonical form")
-
-
-@dataclass(frozen=True)
-class Repeats:
-    """What one method made of the repeats of one scenario.
-
-    values     (draws, unknowns)  estimates
-    sd         (draws, unknowns)  the standard deviations that it stated
-    half       (draws, unknowns)  half widths of its 95 % intervals
-    converged  (draws,)           False where it failed
-    p          (draws,)           p-value of χ² of the fit
-    """
-
-    values: Real
-    sd: Real
-    half: Real
-    converged: Bools
-    p: Real
-
-    def __post_init__(self) -> None:
-        for name in ("values", "sd", "half", "p"):
-            object.__setattr__(self, name, frozen(getattr(self, name), np.float64))
-        object.__setattr__(self, "converged", frozen(self.converged, np.bool_))
-
-    @property
-    def good(self) -> Bools:
-        """Repeats that gave an answer, (draws,)."""
-        answered: Bools = self.converged & np.all(np.isfinite(self.values), axis=-1)
-        return answered
-
-    def errors(self, theta: Real) -> Real:
-        """Relative errors in % of the repeats that gave an answer, (good draws, unknowns); of a true 0, the values."""
-        size = np.where(theta == 0, 1.0, np.abs(theta) / 100)
-        relative: Real = (self.values[self.good] - theta) / size
-        return relative
-
-
 Block = Mapping[str, Repeats]
-
-
-def joined(parts: Sequence[Repeats]) -> Repeats:
-    """All repeats of several blocks, in their order."""
-    return Repeats(
-        *(
-            np.concatenate([getattr(part, name) for part in parts])
-            for name in ("values", "sd", "half", "converged", "p")
-        )
-    )
 
 
 # Blocks: what workers do
@@ -309,7 +150,7 @@ class Results:
                 block = {name: Repeats(**own) for name, own in columns.items()}
             for name in scenario.methods:
                 parts[name].append(block[name])
-        return {name: joined(own) for name, own in parts.items()}
+        return {name: merged(own) for name, own in parts.items()}
 
     def summaries(self, scenario: Scenario) -> dict[str, Summary]:
         """Bias, spread, coverage and efficiency of each method."""
@@ -337,7 +178,7 @@ def block_file(folder: Path, scenario: Scenario, index: int) -> Path:
 Map = Callable[[Callable[[Task], Done], Iterable[Task]], Iterable[Done]]
 
 
-def run(
+def run_scenarios(
     scenarios: Sequence[Scenario],
     seed: int,
     *,
@@ -377,93 +218,3 @@ def run(
         if progress is not None:
             progress(done, total)
     return Results(tuple(scenarios), seed, block, folder, memory, replaced)
-
-
-# What the repeats say
-
-
-@dataclass(frozen=True)
-class Summary:
-    """One method in one scenario; arrays are (unknowns,), in % of the true value where not said otherwise.
-
-    draws, failed   repeats, and those that gave no answer (they are left out of all that follows)
-    mean, mean_se   mean error (bias) and its standard error
-    spread, spread_se   standard deviation of the errors and its standard error (from their fourth moment)
-    rms             root mean square error
-    quantiles       of the errors at LEVELS, (5, unknowns)
-    stated          root mean square of the standard deviations that the method stated
-    bound           Cramér-Rao bound at the truth
-    coverage, coverage_se   share of 95 % intervals that hold the truth, in %
-    rejected        share of repeats whose χ² fails at 5 %, in %; NaN without χ²
-    """
-
-    draws: int
-    failed: int
-    mean: Real
-    mean_se: Real
-    spread: Real
-    spread_se: Real
-    rms: Real
-    quantiles: Real
-    stated: Real
-    bound: Real
-    coverage: Real
-    coverage_se: Real
-    rejected: float
-
-    @property
-    def efficiency(self) -> Real:
-        """(bound / spread)², (unknowns,)."""
-        with np.errstate(divide="ignore", invalid="ignore"):
-            return (self.bound / self.spread) ** 2
-
-    @property
-    def rms_spread(self) -> float:
-        """Root mean square of the spreads over the unknowns, %."""
-        return float(np.sqrt(np.mean(self.spread**2)))
-
-    @property
-    def rms_bound(self) -> float:
-        """Root mean square of the bounds over the unknowns, %."""
-        return float(np.sqrt(np.mean(self.bound**2)))
-
-
-def summarise(repeats: Repeats, theta: Real, bound_sd: Real) -> Summary:
-    """Sums over the repeats of one method; `theta` and `bound_sd` (unknowns,) are the truth and its bound."""
-    size = np.where(theta == 0, 1.0, np.abs(theta) / 100)
-    good = repeats.good
-    errors = repeats.errors(theta)
-    count, unknowns = errors.shape
-    bound = bound_sd / size
-    draws = len(good)
-    if count < 2:
-        lost = np.full(unknowns, np.nan)
-        return Summary(
-            draws, draws - count, lost, lost, lost, lost, lost, np.full((len(LEVELS), unknowns), np.nan), lost,
-            bound, lost, lost, np.nan,
-        )  # fmt: skip
-    mean = np.mean(errors, axis=0)
-    away = errors - mean
-    variance = np.sum(away**2, axis=0) / (count - 1)
-    spread = np.sqrt(variance)
-    fourth = np.mean(away**4, axis=0)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        spread_se = np.sqrt(np.maximum(fourth - variance**2, 0.0) / count) / (2 * spread)
-        inside = np.abs(repeats.values[good] - theta) <= repeats.half[good]
-    share = np.mean(inside, axis=0)
-    p = repeats.p[good]
-    return Summary(
-        draws,
-        draws - count,
-        mean,
-        spread / np.sqrt(count),
-        spread,
-        np.where(spread > 0, spread_se, 0.0),
-        np.sqrt(np.mean(errors**2, axis=0)),
-        np.quantile(errors, LEVELS, axis=0),
-        np.sqrt(np.mean(repeats.sd[good] ** 2, axis=0)) / size,
-        bound,
-        100 * share,
-        100 * np.sqrt(share * (1 - share) / count),
-        100 * float(np.mean(p[np.isfinite(p)] < 0.05)) if np.any(np.isfinite(p)) else np.nan,
-    )

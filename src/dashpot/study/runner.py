@@ -17,15 +17,17 @@ from dashpot.io.atomic import PART, remove_parts, write_text
 from dashpot.io.json_document import from_json, to_json
 from dashpot.io.lock import LOCK, locked
 from dashpot.notices import Notice
-from dashpot.study.montecarlo import BLOCK, LEVELS, Map, Results, Scenario, Summary, Task, run, run_task
-from dashpot.study.scenario import Study, scenarios
+from dashpot.study.grid import Study, scenarios
+from dashpot.study.montecarlo import BLOCK, Map, Results, Task, run_scenarios, run_task
+from dashpot.study.scenario import Scenario
 from dashpot.study.store import State, write_table
+from dashpot.study.summary import LEVELS, Summary
 
 FORMAT = 2
 
 
 @dataclass(frozen=True)
-class Row:
+class SummaryRow:
     """What one method did in one scenario."""
 
     scenario: Scenario
@@ -39,7 +41,7 @@ class Outcome:
 
     name: str
     seed: int
-    rows: tuple[Row, ...]
+    rows: tuple[SummaryRow, ...]
     notes: tuple[Notice, ...] = ()
 
     def columns(self) -> dict[str, list[Any]]:
@@ -90,13 +92,17 @@ def run_study(
     found = scenarios(study)
     rehearse(found)
     if folder is None:
-        return _outcome(study, run(found, study.seed, block=block, mapper=mapper, progress=progress))
+        return _outcome(
+            study, run_scenarios(found, study.seed, block=block, mapper=mapper, progress=progress)
+        )
     _make(folder)
     with locked(folder):
         _claim(study, found, folder, block)
         for place in (folder, folder / "draws", *folder.glob("draws/*")):
             remove_parts(place)
-        results = run(found, study.seed, folder=folder, block=block, mapper=mapper, progress=progress)
+        results = run_scenarios(
+            found, study.seed, folder=folder, block=block, mapper=mapper, progress=progress
+        )
         outcome = _outcome(study, results)
         write_table(folder / "summary.parquet", outcome.columns())
     return outcome
@@ -129,10 +135,10 @@ def rehearse(found: Sequence[Scenario]) -> None:
         run_task(Task(one, 0, 2, 0))
 
 
-def _rows(results: Results) -> Iterable[Row]:
+def _rows(results: Results) -> Iterable[SummaryRow]:
     for one in results.scenarios:
         for name, summary in results.summaries(one).items():
-            yield Row(one, name, summary)
+            yield SummaryRow(one, name, summary)
 
 
 def _make(folder: Path) -> None:

@@ -1,215 +1,128 @@
-"""What a study varies: grids over rigs, unknowns, frequencies, noise and samples, spread out into scenarios."""
+"""A scenario: one point of a study."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
-from itertools import product
+import hashlib
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, fields, is_dataclass
+from enum import Enum
+from functools import cached_property
 from types import MappingProxyType
-from typing import Literal
+from typing import Any
 
 import numpy as np
 
-from dashpot.arrays import Ints
+from dashpot.arrays import Real, frozen
 from dashpot.channel import Channel
-from dashpot.errors import UsageError
-from dashpot.io.words import listed
+from dashpot.estimate.identify import identify
+from dashpot.estimate.preparation.state_reconstruction import unseen
+from dashpot.estimate.registry import method
 from dashpot.model.network import Model
-from dashpot.model.observation import with_relative_noise
-from dashpot.study.montecarlo import Scenario
-from dashpot.study.simulate import Dwells, NoiseBasis, dwells, with_constant_noise
-
-NoiseKind = Literal["relative", "constant", "channels"]
-ALL = "all"  # the unknowns as the rig has them
+from dashpot.study.simulate import Dwells, NoiseBasis, clean_spectrum
 
 
 @dataclass(frozen=True)
-class Bench:
-    """A rig to simulate: its model, what its unknowns truly are, and its channels."""
+class Scenario:
+    """One point of a study: a rig with its true parameters, a test, its noise, and who identifies it.
 
-    model: Model
-    values: Mapping[str, float]
-    channels: tuple[Channel, ...]
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "values", MappingProxyType(dict(self.values)))
-        object.__setattr__(self, "channels", tuple(self.channels))
-
-
-@dataclass(frozen=True)
-class Grid:
-    """Every combination of the entries; names refer to the tables of the Study.
-
-    noise       levels, as `kind` takes them: "relative" ρ × the channel's amplitude at each frequency (paper eq. 21),
-                "constant" ρ × its rms amplitude over the frequencies `reference`, the same at all frequencies, or
-                "channels" ρ × the noise that the rig's channels state
-    samples     per frequency, or in all where `in_all`
-    covariance  "given" or "estimated" from the residuals
+    factors    what the point stands for, in order: {"rig": "paper", "noise": 0.1, …}; its text names the scenario
+    theta      true unknowns, (unknowns,)
+    noise      whether the methods are given the covariance of the noise or estimate it from residuals
+    drift      degree of the trend solved for with the fundamental; None is none
     """
 
-    rigs: tuple[str, ...]
-    frequencies: tuple[str, ...]
-    noise: tuple[float, ...]
-    samples: tuple[int, ...]
+    factors: Mapping[str, str | float | int]
+    model: Model
+    theta: Real
+    channels: tuple[Channel, ...]
+    test: Dwells
     methods: tuple[str, ...]
     draws: int
-    unknowns: tuple[str, ...] = (ALL,)
-    kind: NoiseKind = "relative"
-    reference: str | None = None
-    in_all: bool = False
-    covariance: tuple[NoiseBasis, ...] = ("given",)
-
-
-@dataclass(frozen=True)
-class Study:
-    """Tables that grids refer to, and the grids.
-
-    unknowns    sets of parameters that are to be found; all others are known exactly
-    amplitudes  of the inputs, SI units, 1 where not named;   periods  time of a dwell
-    drift       degree of the trend that the harmonic regression solves for, None for none
-    """
-
-    name: str
-    seed: int
-    rigs: Mapping[str, Bench]
-    frequencies: Mapping[str, tuple[float, ...]]
-    grids: tuple[Grid, ...]
-    unknowns: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
-    amplitudes: Mapping[str, complex] = field(default_factory=dict)
-    periods: float = 1.0
+    noise: NoiseBasis = "given"
     drift: int | None = None
 
     def __post_init__(self) -> None:
-        for name in ("rigs", "frequencies", "unknowns", "amplitudes"):
-            object.__setattr__(self, name, MappingProxyType(dict(getattr(self, name))))
+        object.__setattr__(self, "factors", MappingProxyType(dict(self.factors)))
+        object.__setattr__(self, "theta", frozen(self.theta, np.float64))
+        object.__setattr__(self, "channels", tuple(self.channels))
+        object.__setattr__(self, "methods", tuple(self.methods))
 
+    def __getstate__(self) -> dict[str, object]:
+        values = {name: getattr(self, name) for name in self.__dataclass_fields__}
+        return values | {"factors": dict(self.factors)}
 
-def scenarios(study: Study) -> tuple[Scenario, ...]:
-    """All points of all grids, each once: what two grids share has the methods of both and the larger number of draws.
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        for name, value in state.items():
+            object.__setattr__(self, name, value)
+        object.__setattr__(self, "factors", MappingProxyType(dict(self.factors)))
 
-    Raises UsageError or ModelError where a combination is none.
-    """
-    found: dict[str, Scenario] = {}
-    for grid in study.grids:
-        for one in points(study, grid):
-            other = found.get(one.name)
-            if other is not None:
-                methods = tuple(dict.fromkeys((*other.methods, *one.methods)))
-                one = replace(other, methods=methods, draws=max(one.draws, other.draws))
-            found[one.name] = one
-    return tuple(found.values())
-
-
-def points(study: Study, grid: Grid) -> list[Scenario]:
-    """The points of one grid.  Raises UsageError or ModelError where a combination is none."""
-    return list(_points(study, grid))
-
-
-def _points(study: Study, grid: Grid) -> Iterator[Scenario]:
-    ranges = (grid.rigs, grid.unknowns, grid.frequencies, grid.noise, grid.samples, grid.covariance)
-    for rig, unknowns, frequencies, level, samples, basis in product(*ranges):
-        bench = study.rigs[rig]
-        lines = study.frequencies[frequencies]
-        counts = share_out(samples, len(lines)) if grid.in_all else np.full(len(lines), samples)
-        model = bench.model
-        if unknowns != ALL:
-            model = with_unknowns(bench, study.unknowns[unknowns])
-        test = _test(study, bench, lines, counts)
-        factors: dict[str, str | float | int] = {
-            "rig": rig,
-            "unknowns": unknowns,
-            "frequencies": frequencies,
-            "kind": grid.kind,
-            "noise": float(level),
-            ("in_all" if grid.in_all else "samples"): int(samples),
-            "covariance": basis,
-        }
-        yield Scenario(
-            factors,
-            model,
-            model.theta({u.name: truth(bench, u.name) for u in model.unknowns}),
-            _channels(study, grid, bench, level),
-            test,
-            grid.methods,
-            grid.draws,
-            basis,
-            study.drift,
+    @cached_property
+    def name(self) -> str:
+        """Its factors as text: "rig=paper noise=0.1"."""
+        return " ".join(
+            f"{key}={value:g}" if isinstance(value, float) else f"{key}={value}"
+            for key, value in self.factors.items()
         )
 
+    @cached_property
+    def key(self) -> str:
+        """Sixteen hexadecimal digits that depend on the factors alone: the name of its files and of its randomness."""
+        return hashlib.sha256(json.dumps(dict(self.factors)).encode()).hexdigest()[:16]
 
-def _test(study: Study, bench: Bench, lines: Sequence[float], counts: int | Ints) -> Dwells:
-    own = {one.name for one in bench.model.inputs}
-    amplitudes = {name: size for name, size in study.amplitudes.items() if name in own}
-    return dwells(bench.model, lines, counts, amplitudes=amplitudes, periods=study.periods)
+    @cached_property
+    def fingerprint(self) -> str:
+        """A digest of all that the repeats depend on but the names, the seed, the methods and the number of draws.
 
+        Every field counts, those that are still to come as well, but for the rig's name, and of the channels the name
+        of the unit, whose scale counts, and the rate: the test says when samples are taken.
+        """
+        model = {name: value for name, value in _fields(self.model) if name != "name"}
+        channels = [
+            {name: value for name, value in _fields(channel) if name not in ("unit", "rate")}
+            for channel in self.channels
+        ]
+        parts = (model, self.theta, channels, self.test, self.noise, self.drift)
+        return hashlib.sha256(json.dumps(_canonical(parts)).encode()).hexdigest()
 
-def _channels(study: Study, grid: Grid, bench: Bench, level: float) -> tuple[Channel, ...]:
-    match grid.kind:
-        case "relative":
-            return with_relative_noise(bench.model, bench.channels, level)
-        case "channels":
-            if not any(c.noise or c.relative_noise for c in bench.channels):
-                raise UsageError(
-                    "no channel of the rig states its noise",
-                    cure="add noise or relative_noise to its [channels]",
-                )
-            return tuple(
-                replace(c, noise=level * c.noise, relative_noise=level * c.relative_noise)
-                for c in bench.channels
-            )
-        case "constant":
-            if grid.reference is None:
-                raise UsageError(
-                    "constant noise has no size", cure="name the frequencies of its reference amplitude"
-                )
-            model = bench.model
-            theta = model.theta({u.name: truth(bench, u.name) for u in model.unknowns})
-            reference = _test(study, bench, study.frequencies[grid.reference], 4)
-            return with_constant_noise(model, model.parameters(theta), bench.channels, level, reference)
+    @property
+    def p(self) -> Real:
+        """True parameters of all elements, (elements,)."""
+        return self.model.parameters(self.theta)
 
+    def bound_sd(self) -> Real:
+        """Cramér-Rao bound at the truth, (unknowns,), for the true noise.
 
-def share_out(samples: int, lines: int) -> Ints:
-    """So many samples in all over the lines, the first ones taking what is left over; (lines,).
-
-    Raises UsageError where there are fewer than two for each.
-    """
-    if samples < 2 * lines:
-        raise UsageError(
-            f"{samples} samples are too few for {lines} frequencies", cure=f"take {2 * lines} or more"
-        )
-    return np.full(lines, samples // lines) + (np.arange(lines) < samples % lines)
+        Raises DashpotError where the test does not determine the unknowns.
+        """
+        clean = clean_spectrum(self.model, self.p, self.channels, self.test, drift=self.drift)
+        way = "ml" if unseen(self.model, clean) else "oiv"
+        return identify(self.model, clean, method(way)).bound_sd
 
 
-def truth(bench: Bench, name: str) -> float:
-    """The true value of a parameter: as stated for the study, or the rig's own value or guess.
-
-    Raises UsageError where there is neither.
-    """
-    if name in bench.values:
-        return float(bench.values[name])
-    element = next(element for element in bench.model.elements if element.name == name)
-    for number in (element.value, element.guess):
-        if number is not None:
-            return float(number)
-    raise UsageError(f"the true value of {name} is not said", cure=f"add {name} to the values of the rig")
+def _fields(value: object) -> list[tuple[str, object]]:
+    """Names and values of a dataclass's fields."""
+    assert is_dataclass(value)
+    return [(field.name, getattr(value, field.name)) for field in fields(value)]
 
 
-def with_unknowns(bench: Bench, names: Sequence[str]) -> Model:
-    """The model with these parameters unknown and all others known exactly as they truly are.
-
-    Raises UsageError for a name that is no parameter of its own.
-    """
-    own = [element.name for element in bench.model.elements if element.same_as is None]
-    for name in names:
-        if name not in own:
-            raise UsageError(f"{name} is no parameter of the rig", cure=f"it has {listed(own)}")
-    elements = []
-    for element in bench.model.elements:
-        if element.same_as is not None:
-            elements.append(element)
-        elif element.name in names:
-            elements.append(replace(element, value=None, sd=None))
-        else:
-            value = truth(bench, element.name)
-            elements.append(replace(element, value=value, sd=None, guess=None, lower=None, upper=None))
-    return replace(bench.model, elements=tuple(elements))
+def _canonical(value: object) -> object:
+    """A value as JSON of which every bit counts and no order that means nothing: equal values give equal texts."""
+    if isinstance(value, Enum):
+        return _canonical(value.value)
+    if isinstance(value, np.ndarray | np.generic):
+        array = np.asarray(value)
+        return [str(array.dtype), list(array.shape), hashlib.sha256(array.tobytes()).hexdigest()]
+    if is_dataclass(value):
+        return {name: _canonical(content) for name, content in _fields(value)}
+    if isinstance(value, Mapping):
+        return {str(key): _canonical(value[key]) for key in sorted(value)}
+    if isinstance(value, frozenset | set):
+        return [_canonical(entry) for entry in sorted(value)]
+    if isinstance(value, tuple | list):
+        return [_canonical(entry) for entry in value]
+    if isinstance(value, float):
+        return value.hex()
+    if value is None or isinstance(value, str | int):
+        return value
+    raise TypeError(f"{type(value).__name__} has no canonical form")

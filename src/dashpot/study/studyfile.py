@@ -27,7 +27,7 @@ from dashpot.io.toml_document import Place, Report, TomlDocument, Wanted, parse_
 from dashpot.io.words import did_you_mean, listed, written
 from dashpot.model.rigfile import read_rig
 from dashpot.quantities import frequencies
-from dashpot.study.scenario import ALL, Bench, Grid, NoiseKind, Study, points
+from dashpot.study.grid import ALL, NoiseKind, ScenarioGrid, Study, TrueRig, points
 from dashpot.study.simulate import NoiseBasis
 
 _WANTED = Wanted("study file", "describe a study, starting with [rigs.NAME]")
@@ -191,8 +191,8 @@ class _Reader:
 
     # Tables
 
-    def _rigs(self) -> dict[str, Bench]:
-        rigs: dict[str, Bench] = {}
+    def _rigs(self) -> dict[str, TrueRig]:
+        rigs: dict[str, TrueRig] = {}
         for name, raw in self._table("rigs").items():
             place = ("rigs", name)
             if isinstance(raw, str):
@@ -218,7 +218,7 @@ class _Reader:
             self.report.add(("rigs",), "there is no rig", 'add [rigs.NAME] with file = "rig.toml"')
         return rigs
 
-    def _bench(self, place: Place, file: str, values: Mapping[str, Any]) -> Bench | None:
+    def _bench(self, place: Place, file: str, values: Mapping[str, Any]) -> TrueRig | None:
         try:
             rig = read_rig(Path(self.path).parent / file)
         except DashpotError as error:
@@ -237,7 +237,7 @@ class _Reader:
             if unknown.name not in values and unknown.prior is None and unknown.guess is None:
                 cure = f"add values = {{ {unknown.name} = … }}, in {unknown.unit}"
                 self.report.add(place, f"the true value of {unknown.name} is not said", cure)
-        return Bench(rig.model, truth, rig.channels)
+        return TrueRig(rig.model, truth, rig.channels)
 
     def _lines(self, place: Place, raw: object) -> tuple[float, ...]:
         if isinstance(raw, dict):
@@ -280,7 +280,7 @@ class _Reader:
         step = np.geomspace if spacing == "logarithmic" else np.linspace
         return tuple(step(low, high, count).tolist())
 
-    def _unknowns(self, rigs: Mapping[str, Bench]) -> dict[str, tuple[str, ...]]:
+    def _unknowns(self, rigs: Mapping[str, TrueRig]) -> dict[str, tuple[str, ...]]:
         own = {e.name for bench in rigs.values() for e in bench.model.elements if e.same_as is None}
         sets = {}
         for name, raw in self._table("unknowns").items():
@@ -291,7 +291,7 @@ class _Reader:
             sets[name] = self._names(("unknowns", name), raw, own, "parameter of the rigs")
         return sets
 
-    def _amplitudes_known(self, amplitudes: Mapping[str, float], rigs: Mapping[str, Bench]) -> None:
+    def _amplitudes_known(self, amplitudes: Mapping[str, float], rigs: Mapping[str, TrueRig]) -> None:
         inputs = {one.name for bench in rigs.values() for one in bench.model.inputs}
         for name in amplitudes:
             if rigs and name not in inputs:
@@ -308,7 +308,7 @@ class _Reader:
 
     def _grids(
         self, rigs: Collection[str], frequencies: Collection[str], unknowns: Collection[str]
-    ) -> list[Grid]:
+    ) -> list[ScenarioGrid]:
         raw = self.document.get("grid", [])
         tables = raw if isinstance(raw, list) else [raw]
         if not tables:
@@ -331,7 +331,7 @@ class _Reader:
         rigs: Collection[str],
         frequencies: Collection[str],
         unknowns: Collection[str],
-    ) -> Grid | None:
+    ) -> ScenarioGrid | None:
         before = len(self.report)
         self._keys(place, raw, GRID)
 
@@ -387,7 +387,7 @@ class _Reader:
             self.report.add(place, "constant noise has no size", cure)
         if len(self.report) > before:
             return None
-        return Grid(
+        return ScenarioGrid(
             own_rigs,
             own_lines,
             levels,

@@ -8,11 +8,13 @@ from pathlib import Path
 import dashpot
 
 SOURCES = Path(dashpot.__file__).parent
-# Files of dashpot's own: the package's, and the manifest of a study, which its folder's claim reads and writes.
+# Files of dashpot's own: the package's, and those in the folder of a study, which its claim reads and writes.
 OWN = {
     "io/atomic.py",
-    "reproduce/yamane1989/findings.py",
+    "io/lock.py",
+    "reproduce/yamane1989/printed.py",
     "study/runner.py",
+    "study/store.py",
 }
 READS = {"open", "read_bytes", "read_text", "memory_map"}
 

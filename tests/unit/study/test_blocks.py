@@ -15,8 +15,8 @@ import pytest
 from dashpot.errors import DataError, UsageError
 from dashpot.io.lock import LOCK, locked
 from dashpot.study import montecarlo
+from dashpot.study.grid import Study
 from dashpot.study.runner import run_study
-from dashpot.study.scenario import Study
 from dashpot.study.store import Label, read_block, state_of, write_block
 from dashpot.study.studyfile import parse_study
 from tests.unit.app.conftest import RIG

@@ -17,9 +17,10 @@ from dashpot.errors import DashpotError, IdentifiabilityError, UsageError
 from dashpot.model.elements import Kind, between, mass
 from dashpot.model.network import Input, Model
 from dashpot.study import montecarlo
+from dashpot.study.grid import ScenarioGrid, Study, TrueRig, scenarios, share_out, with_unknowns
 from dashpot.study.runner import rehearse, run_study
-from dashpot.study.scenario import Bench, Grid, Study, scenarios, share_out, with_unknowns
 from dashpot.study.simulate import standard_channels
+from dashpot.study.summary import Repeats, summarise
 
 MOTION = (Quantity.DISPLACEMENT, Quantity.VELOCITY)
 
@@ -32,12 +33,12 @@ def one_mass():
         between("k", Kind.SPRING, "x", "u", value=4600.0),
     )
     model = Model(("x",), (Input("u"),), elements)
-    return Bench(model, {"m": 3.0, "c": 30.0, "c0": 50.0}, standard_channels(model, MOTION))
+    return TrueRig(model, {"m": 3.0, "c": 30.0, "c0": 50.0}, standard_channels(model, MOTION))
 
 
 @pytest.fixture
 def study():
-    grid = Grid(("one",), ("few",), (0.02, 0.1), (16,), ("ls", "iv", "oiv"), 50)
+    grid = ScenarioGrid(("one",), ("few",), (0.02, 0.1), (16,), ("ls", "iv", "oiv"), 50)
     return Study(
         "small", 7, {"one": one_mass()}, {"few": (2.0, 5.0, 8.0), "many": tuple(range(1, 13))}, (grid,)
     )
@@ -60,25 +61,25 @@ def backwards(function, work):
 
 def test_any_map_gives_the_same_bits(study):
     points = scenarios(study)
-    plain = montecarlo.run(points, 7, block=20)
-    assert bits(montecarlo.run(points, 7, block=20, mapper=backwards)) == bits(plain)
+    plain = montecarlo.run_scenarios(points, 7, block=20)
+    assert bits(montecarlo.run_scenarios(points, 7, block=20, mapper=backwards)) == bits(plain)
     with ProcessPoolExecutor(2, mp_context=get_context("spawn")) as pool:
-        assert bits(montecarlo.run(points, 7, block=20, mapper=pool.map)) == bits(plain)
-    assert bits(montecarlo.run(points, 8, block=20)) != bits(plain)
+        assert bits(montecarlo.run_scenarios(points, 7, block=20, mapper=pool.map)) == bits(plain)
+    assert bits(montecarlo.run_scenarios(points, 8, block=20)) != bits(plain)
 
 
 def test_scenarios_do_not_depend_on_their_neighbours(study):
     """The draws of a point follow from its own name: alone, or in another order, it has the same."""
     points = scenarios(study)
-    alone = montecarlo.run(points[1:], 7, block=20)
-    assert bits(alone)[0] == bits(montecarlo.run(points, 7, block=20))[3]
-    first, second = (own["oiv"].values for own in map(montecarlo.run(points, 7).repeats, points))
+    alone = montecarlo.run_scenarios(points[1:], 7, block=20)
+    assert bits(alone)[0] == bits(montecarlo.run_scenarios(points, 7, block=20))[3]
+    first, second = (own["oiv"].values for own in map(montecarlo.run_scenarios(points, 7).repeats, points))
     assert abs(np.corrcoef(first[:, 0], second[:, 0])[0, 1]) < 0.5
 
 
 def test_blocks_are_different_draws(study):
     one = scenarios(study)[0]
-    values = montecarlo.run([one], 7, block=10).repeats(one)["oiv"].values
+    values = montecarlo.run_scenarios([one], 7, block=10).repeats(one)["oiv"].values
     assert len(np.unique(values[:, 0])) == 50
 
 
@@ -170,8 +171,8 @@ def test_summary_of_known_numbers():
     converged[:100] = False
     values[50:150] = np.nan
     half = np.broadcast_to(1.96 * sd, values.shape)
-    repeats = montecarlo.Repeats(values, half / 1.96, half, converged, rng.uniform(size=count))
-    s = montecarlo.summarise(repeats, theta, 0.8 * sd)
+    repeats = Repeats(values, half / 1.96, half, converged, rng.uniform(size=count))
+    s = summarise(repeats, theta, 0.8 * sd)
     size = np.abs(theta) / 100
     assert s.failed == 150
     assert np.all(np.abs(s.mean - bias / size) < 5 * s.mean_se)
@@ -182,7 +183,7 @@ def test_summary_of_known_numbers():
     assert s.coverage[0] < 95
     assert s.quantiles[2] == pytest.approx(bias / size, abs=0.2)
     assert s.rejected == pytest.approx(5.0, abs=0.8)
-    nothing = montecarlo.summarise(replace(repeats, converged=np.zeros(count, dtype=bool)), theta, sd)
+    nothing = summarise(replace(repeats, converged=np.zeros(count, dtype=bool)), theta, sd)
     assert nothing.failed == count
     assert np.all(np.isnan(nothing.spread))
 
@@ -239,8 +240,8 @@ def test_threads_of_blas_do_not_change_a_bit(study):
         "from tests.unit.study.test_montecarlo import *\n"
         "import hashlib\n"
         "s = Study('small', 7, {'one': one_mass()}, {'few': (2.0, 5.0)}, "
-        "(Grid(('one',), ('few',), (0.1,), (16,), ('ls', 'iv', 'oiv'), 300),))\n"
-        "print(hashlib.sha256(repr(bits(montecarlo.run(scenarios(s), 7))).encode()).hexdigest())\n"
+        "(ScenarioGrid(('one',), ('few',), (0.1,), (16,), ('ls', 'iv', 'oiv'), 300),))\n"
+        "print(hashlib.sha256(repr(bits(montecarlo.run_scenarios(scenarios(s), 7))).encode()).hexdigest())\n"
     )
     root = Path(__file__).parents[3]
     found = {

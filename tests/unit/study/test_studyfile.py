@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from dashpot.errors import UsageError
-from dashpot.reproduce.yamane1989 import findings as yamane1989
+from dashpot.reproduce.yamane1989 import rig as yamane1989
+from dashpot.study.grid import scenarios
 from dashpot.study.runner import run_study
-from dashpot.study.scenario import scenarios
 from dashpot.study.studyfile import parse_study, read_study
 
 EXAMPLES = Path(__file__).parents[3] / "examples" / "studies"
@@ -56,7 +56,7 @@ def parsed(folder, text):
 def test_the_papers_study_files_are_what_reproduce_computes(which):
     """Same names (so same random numbers), same physics, same methods and draws: the same bits."""
     study = read_study(EXAMPLES / f"yamane1989_{which}.toml")
-    own = getattr(yamane1989, which)()
+    own = getattr(yamane1989, f"{which}_study")()
     assert study.seed == own.seed
     for one, other in zip(scenarios(study), scenarios(own), strict=True):
         assert one.name == other.name

@@ -38,15 +38,15 @@ def command(
     """
     from dashpot.app.progress import progress
     from dashpot.app.workers import cores, mapping
-    from dashpot.present.pages.yamane1989 import show, write
+    from dashpot.present.pages.yamane1989.page import show_reproduction, write_reproduction
     from dashpot.present.tables.estimate import console
-    from dashpot.reproduce.yamane1989.findings import reproduce
+    from dashpot.reproduce.yamane1989.reproduction import reproduce
 
     count = processes if processes is not None else 1 if draws < FEW else cores()
     with mapping(count) as mapper, progress(paper, quiet) as moved:
         reproduction = reproduce(draws, seed, moved, mapper=mapper)
-    written = write(reproduction, report, figures)
+    written = write_reproduction(reproduction, report, figures)
     if not quiet:
-        show(reproduction, console())
+        show_reproduction(reproduction, console())
         for name in written:
             click.echo(name)

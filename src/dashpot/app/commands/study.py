@@ -50,8 +50,8 @@ def command(
     from dashpot.app.workers import cores, mapping
     from dashpot.present.tables.estimate import console
     from dashpot.present.tables.study import show, write
+    from dashpot.study.grid import scenarios
     from dashpot.study.runner import run_study
-    from dashpot.study.scenario import scenarios
 
     if draws is not None:
         description = replace(

@@ -19,8 +19,8 @@ from dashpot.arrays import Real
 from dashpot.errors import DataError
 from dashpot.io.atomic import write_bytes
 from dashpot.present.figures import study as draw
-from dashpot.study.montecarlo import LEVELS, Summary
-from dashpot.study.runner import Outcome, Row
+from dashpot.study.runner import Outcome, SummaryRow
+from dashpot.study.summary import LEVELS, Summary
 
 NUMERIC = {"noise": "noise level", "samples": "samples a frequency", "in_all": "samples in all"}
 NOTHING = "–"
@@ -84,7 +84,7 @@ def _text(value: object) -> str:
     return NOTHING if value is None else f"{value:g}" if isinstance(value, float) else str(value)
 
 
-def _varied(rows: Iterable[Row]) -> list[str]:
+def _varied(rows: Iterable[SummaryRow]) -> list[str]:
     """Factors that are not the same in all scenarios."""
     all_rows = list(rows)
     names = dict.fromkeys(key for row in all_rows for key in row.scenario.factors)
@@ -113,7 +113,7 @@ def groups(found: Outcome) -> list[Group]:
     made = []
     for factor in _varied(found.rows):
         least = FEWEST if factor in NUMERIC else 2
-        sets: dict[tuple[Rest, tuple[str, ...]], list[Row]] = {}
+        sets: dict[tuple[Rest, tuple[str, ...]], list[SummaryRow]] = {}
         for row in found.rows:
             factors = row.scenario.factors
             if factor in factors:
@@ -126,11 +126,11 @@ def groups(found: Outcome) -> list[Group]:
     return made
 
 
-def _names(row: Row) -> tuple[str, ...]:
+def _names(row: SummaryRow) -> tuple[str, ...]:
     return tuple(unknown.name for unknown in row.scenario.model.unknowns)
 
 
-def _group(factor: str, rest: Rest, names: tuple[str, ...], rows: Sequence[Row]) -> Group:
+def _group(factor: str, rest: Rest, names: tuple[str, ...], rows: Sequence[SummaryRow]) -> Group:
     by_method: dict[str, dict[object, Summary]] = {}
     for row in rows:
         by_method.setdefault(row.method, {})[row.scenario.factors[factor]] = row.summary

@@ -1,0 +1,1 @@
+"""The reproduction of Yamane (1989), for eyes."""

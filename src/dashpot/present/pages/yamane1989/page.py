@@ -1,0 +1,107 @@
+"""The reproduction of Yamane (1989) to look at: on a terminal, as PNG figures, as one self-contained HTML page."""
+
+from __future__ import annotations
+
+import base64
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+
+from jinja2 import Environment, FileSystemLoader, StrictUndefined
+from rich.console import Console
+
+from dashpot.errors import DataError
+from dashpot.io.atomic import write_bytes
+from dashpot.present.figures import study as draw
+from dashpot.present.pages.yamane1989.figures import images
+from dashpot.present.pages.yamane1989.findings import sentences
+from dashpot.present.pages.yamane1989.tables import LEGEND, parts, rich_table, text_tables
+from dashpot.present.text.numbers import short
+from dashpot.reproduce.yamane1989.reproduction import Reproduction
+
+TEMPLATES = Path(__file__).parents[2] / "templates"
+
+
+def show_reproduction(reproduction: Reproduction, console: Console) -> None:
+    """Tables and findings to a terminal."""
+    console.print(
+        f"[bold]Yamane (1989)[/bold], {reproduction.draws:,} draws a point, seed {reproduction.seed}",
+        markup=True,
+    )
+    console.print(LEGEND, markup=False, style="dim")
+    for table in text_tables(reproduction):
+        console.print()
+        for part in parts(table):
+            console.print(rich_table(part))
+        if table.note:
+            console.print(table.note, markup=False, style="dim")
+    console.print()
+    console.print("What it shows", style="bold")
+    for finding in sentences(reproduction):
+        console.print()
+        console.print(f"{finding.title}.", style="bold", markup=False)
+        console.print(finding.text, markup=False)
+    console.print()
+    console.print(
+        "Corrections of the print: " + "; ".join(_corrections(reproduction)) + ".", markup=False, style="dim"
+    )
+
+
+def _corrections(reproduction: Reproduction) -> Iterable[str]:
+    return (f"{row['where']}: {row['printed']} is read as {row['read']}" for row in reproduction.corrections)
+
+
+def write_reproduction(
+    reproduction: Reproduction, report: str | Path | None = None, figures: str | Path | None = None
+) -> list[str]:
+    """Write the HTML report and the PNG figures (into the folder `figures`, made if missing); what was written.
+
+    Raises DataError where a file cannot be written.
+    """
+    if report is None and figures is None:
+        return []
+    drawn = images(reproduction)
+    written = []
+    if figures is not None:
+        folder = Path(figures)
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise DataError(
+                f"the folder cannot be made ({error.strerror or error})", str(folder), "name another one"
+            ) from None
+        for name, (_, content) in drawn.items():
+            write_bytes(folder / f"{name}.png", content)
+            written.append(str(folder / f"{name}.png"))
+    if report is not None:
+        write_bytes(Path(report), page(reproduction, drawn).encode("utf-8"))
+        written.append(str(report))
+    return written
+
+
+def page(reproduction: Reproduction, drawn: Mapping[str, tuple[str, bytes]]) -> str:
+    """The HTML page with the figures in it."""
+    environment = Environment(
+        loader=FileSystemLoader(TEMPLATES),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    # A PNG file states its width at byte 16.
+    embedded = [
+        (
+            caption,
+            int.from_bytes(content[16:20], "big") * 96 // draw.DPI,
+            base64.b64encode(content).decode("ascii"),
+        )
+        for caption, content in drawn.values()
+    ]
+    return environment.get_template("yamane1989.html").render(
+        reproduction=reproduction,
+        findings=sentences(reproduction),
+        tables=text_tables(reproduction),
+        images=embedded,
+        legend=LEGEND,
+        corrections=reproduction.corrections,
+        short=short,
+    )

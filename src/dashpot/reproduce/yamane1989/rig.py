@@ -1,0 +1,86 @@
+"""The paper's rig, and its tables and figures as studies."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from dashpot.channel import Quantity
+from dashpot.model.elements import Element, Kind, between, mass
+from dashpot.model.network import Input, Model
+from dashpot.reproduce.yamane1989.printed import facts, printed
+from dashpot.study.grid import ScenarioGrid, Study, TrueRig
+from dashpot.study.simulate import standard_channels
+
+SEED = 1989
+DRAWS = 1000
+METHODS = ("ls", "iv", "oiv")
+FOUR = "four"
+FIGURE2_LEVELS = (0.01, 0.025, 0.05, 0.1, 0.15, 0.2, 0.25, 0.3, 0.35)
+FIGURE3_SAMPLES = (50, 75, 100, 150, 200, 300, 400, 600, 800, 1000, 1200, 1400, 1600)
+
+
+def paper_model() -> Model:
+    """The rig of Table 1; k1 and k2 are known, the six others unknown."""
+    raw = facts()
+    topology, known = raw["topology"], raw["rig"]["known"]
+    elements: list[Element] = [mass(name, at) for name, at in topology["masses"].items()]
+    for section, kind in (("springs", Kind.SPRING), ("dampers", Kind.DAMPER)):
+        for name, (first, second) in topology[section].items():
+            elements.append(between(name, kind, first, second, value=known.get(name)))
+    order = [*raw["unknown"], *known]
+    elements.sort(key=lambda element: order.index(element.name))
+    return Model(("x1", "x2"), (Input("u"),), tuple(elements), "Yamane's two masses")
+
+
+def true_rig() -> TrueRig:
+    """The rig with its true values and channels: x1, x2, their velocities, and u without noise."""
+    rig = paper_model()
+    motions = (Quantity.DISPLACEMENT, Quantity.VELOCITY)
+    return TrueRig(rig, printed().values, standard_channels(rig, motions))
+
+
+def tables_study(draws: int = DRAWS, seed: int = SEED) -> Study:
+    """Tables 2 to 4, and their cases under noise of constant size."""
+    paper = printed()
+    base = _grid(draws)
+    every = replace(base, frequencies=tuple(paper.cases))
+    grids = (
+        replace(base, noise=paper.levels),
+        replace(base, unknowns=(FOUR,), methods=("iv", "oiv")),
+        every,
+        replace(every, kind="constant", reference="CASE-3"),
+    )
+    return _study("Yamane 1989, Tables 2-4", grids, seed)
+
+
+def figures_study(draws: int = DRAWS, seed: int = SEED) -> Study:
+    """Figures 2 and 3."""
+    base = _grid(draws)
+    grids = (
+        replace(base, noise=FIGURE2_LEVELS),
+        replace(base, samples=FIGURE3_SAMPLES, in_all=True, methods=("iv", "oiv")),
+    )
+    return _study("Yamane 1989, Figures 2-3", grids, seed)
+
+
+def _grid(draws: int) -> ScenarioGrid:
+    """What the paper does where it does not say otherwise."""
+    return ScenarioGrid(("paper",), ("CASE-3",), (0.1,), (printed().samples,), METHODS, draws)
+
+
+def _study(name: str, grids: tuple[ScenarioGrid, ...], seed: int) -> Study:
+    """The paper does not say at which instants it sampled.
+
+    Without offset or drift all even spreads over whole half periods have the same distribution, whatever the phase of
+    the input (sin ωt in eq. 2, cos ωt here), so half a period is taken: it makes sense of two samples too.
+    """
+    paper = printed()
+    return Study(
+        name,
+        seed,
+        {"paper": true_rig()},
+        paper.cases,
+        grids,
+        unknowns={FOUR: tuple(paper.table3)},
+        periods=0.5,
+    )

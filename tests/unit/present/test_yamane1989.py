@@ -1,0 +1,67 @@
+"""The reproduction of the paper for eyes: statements that follow from the numbers, a terminal, a page, figures."""
+
+import re
+from io import StringIO
+
+import pytest
+from rich.console import Console
+
+from dashpot.errors import DataError
+from dashpot.present.pages.yamane1989.figures import images
+from dashpot.present.pages.yamane1989.findings import sentences
+from dashpot.present.pages.yamane1989.page import show_reproduction, write_reproduction
+from dashpot.reproduce.yamane1989.reproduction import reproduce
+
+
+@pytest.fixture(scope="module")
+def found():
+    return reproduce(40, seed=5)
+
+
+def test_findings_say_what_the_numbers_say(found):
+    text = {finding.title: finding.text for finding in sentences(found)}
+    assert len(text) == 9
+    column = next(c for c in found.table2 if c.title == "10 %" and c.method == "iv")
+    factor = next(t for title, t in text.items() if "factor of accuracy" in title)
+    assert f"{column.rms:.2f} % with iv" in factor
+    assert f"{column.rms / column.bound:.2f} × the bound" in factor
+    draw = text["Table 2 shows one noise draw four times"]
+    assert float(re.search(r"at least (0\.\d+)", draw)[1]) > 0.99
+    luck = text["The paper's draw was a lucky one"]
+    assert "printed maximum 2.08 %" in luck
+    for words in text.values():
+        assert words[0].isupper() or words[0].isdigit()
+        assert "nan" not in words
+
+
+def test_it_can_be_shown_and_written(found, tmp_path):
+    out = StringIO()
+    show_reproduction(found, Console(file=out, width=80))
+    text = out.getvalue()
+    assert "Table 2" in text
+    assert "What it shows" in text
+    assert max(len(line) for line in text.splitlines()) <= 80
+    assert "…" not in text
+    assert "[bold]" not in text
+    written = write_reproduction(found, tmp_path / "report.html", tmp_path / "figures")
+    assert sorted(path.name for path in (tmp_path / "figures").iterdir()) == [
+        "figure2.png", "figure3.png", "ranking.png", "table2.png", "table4.png",
+    ]  # fmt: skip
+    assert len(written) == 6
+    page = (tmp_path / "report.html").read_text(encoding="utf-8")
+    assert page.count("data:image/png;base64,") == 5
+    assert "http" not in page  # needs nothing from elsewhere
+    for finding in sentences(found):
+        assert finding.title.replace("'", "&#39;") in page
+    assert write_reproduction(found) == []
+    (tmp_path / "file").write_text("")
+    with pytest.raises(DataError, match="folder cannot be made"):
+        write_reproduction(found, figures=tmp_path / "file" / "deeper")
+
+
+def test_pictures_are_the_same_bytes_again(found):
+    first, second = images(found), images(found)
+    assert {name: content for name, (_, content) in first.items()} == {
+        name: content for name, (_, content) in second.items()
+    }
+    assert all(content.startswith(b"\x89PNG") for _, content in first.values())
