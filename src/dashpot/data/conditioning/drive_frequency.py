@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dashpot.data.conditioning.regression import check_length, duration, solve, window
+from dashpot.data.conditioning.regression import check_length, duration, solve_harmonics, window
 from dashpot.data.conditioning.settings import USUAL_DRIFT, Conditioning, Drift
 from dashpot.data.record import Record
 from dashpot.errors import DataError
@@ -95,7 +95,7 @@ def _frequency_step(record: Record, f: float, degree: int) -> tuple[float, float
     """
     _, half = window(record.time)
     free = len(record.time) - degree - 5
-    solution = solve(record, f, (1,), degree, ramps=True)
+    solution = solve_harmonics(record, f, (1,), degree, ramps=True)
     a, b = solution.coefficients[:, degree + 1], solution.coefficients[:, degree + 2]
     ramp = solution.coefficients[:, -2:]
     variance = np.diagonal(solution.squares, axis1=1, axis2=2) / max(free, 1)

@@ -16,7 +16,7 @@ from dashpot.data.conditioning.regression import (
     coefficients_of,
     duration,
     exact_channels,
-    solve,
+    solve_harmonics,
     window,
 )
 from dashpot.data.conditioning.residual_noise import (
@@ -127,7 +127,7 @@ def _fit(record: Record, f: float, orders: tuple[int, ...], degree: int, noise: 
     samples, channels = record.values.shape[-2:]
     leading, terms = record.values.shape[:-2], degree + 1 + 2 * len(orders)
     monitor = None if noise == "white" else ResidualMonitor(record, f, orders, terms)
-    solution = solve(record, f, orders, degree, monitor=monitor)
+    solution = solve_harmonics(record, f, orders, degree, monitor=monitor)
     X = solution.amplitudes(degree)
     free = samples - terms
     sigma = solution.squares / free
@@ -184,7 +184,7 @@ def _with_significant(record: Record, f: float, orders: tuple[int, ...], degree:
         return orders
     every = tuple(sorted({*orders, *candidates}))
     try:
-        solution = solve(record, f, every, degree)
+        solution = solve_harmonics(record, f, every, degree)
     except DataError:
         return orders  # the record cannot tell them apart
     free = samples - degree - 1 - 2 * len(every)

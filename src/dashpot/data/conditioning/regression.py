@@ -99,7 +99,7 @@ def chunks(samples: int) -> Iterator[slice]:
 
 
 @dataclass(frozen=True)
-class Solution:
+class HarmonicSolution:
     """Least squares over one basis: factor of the Gram AᵀA = L Lᵀ, its inverse, coefficients, residual sums."""
 
     L: Real
@@ -125,14 +125,14 @@ class Monitor(Protocol):
         """Residuals (batch, rows, channels) of the present rows."""
 
 
-def solve(
+def solve_harmonics(
     record: Record,
     f: float,
     orders: Sequence[int],
     degree: int,
     ramps: bool = False,
     monitor: Monitor | None = None,
-) -> Solution:
+) -> HarmonicSolution:
     """Two passes over the samples: normal equations, then residual (shown to `monitor`) and one refinement."""
     time, centre, half = record.time, *window(record.time)
     samples, channels = record.values.shape[-2:]
@@ -166,7 +166,7 @@ def solve(
                 monitor.see(part, e)
     coefficients += cholesky_solve(L, correction)
     identity = cholesky_solve(L, np.eye(terms)[None])[0]
-    return Solution(L, (identity + identity.T) / 2, coefficients, squares, largest)
+    return HarmonicSolution(L, (identity + identity.T) / 2, coefficients, squares, largest)
 
 
 def factor(gram: Real, record: Record, f: float) -> Real:

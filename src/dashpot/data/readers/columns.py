@@ -30,6 +30,14 @@ def bare(column: str) -> tuple[str, str | None]:
     return (match["name"], match["unit"].strip()) if match else (column, None)
 
 
+def _with_stem(column: str, written: str, new: str) -> str:
+    """A column NAME_re, OUT/IN_im … with NAME, OUT or IN renamed."""
+    stem, mark, ending = column.rpartition("_")
+    if not mark:
+        return column
+    return "/".join(new if name == written else name for name in stem.split("/")) + mark + ending
+
+
 def is_unit(text: str) -> bool:
     """Whether a text is a unit of anything that is measured."""
     if any(_factors(text, quantity) for quantity in units.QUANTITIES):
@@ -124,10 +132,17 @@ class Columns(ABC):
         return DataError(f"column {name}: {cause}", self.place(index), cure)
 
     def renamed(self, names: Mapping[str, str]) -> Self:
-        """The same under other names, {as written: new}.  Raises DataError for a name that is not there."""
+        """The same under other names, {as written: new}; also NAME in NAME_re, and OUT, IN in OUT/IN_re.
+
+        Raises DataError for a name that is not there.
+        """
         header = list(self.header)
         units: list[str | None] = list(self.units) if self.units else [None] * len(header)
         for written, new in names.items():
+            at = self.find(written)
+            if at is None and any(_with_stem(column, written, new) != column for column in self.header):
+                header = [_with_stem(column, written, new) for column in header]
+                continue
             at = self.need(written)
             units[at] = self.unit(at)
             header[at] = new

@@ -15,7 +15,7 @@ from dashpot.data.readers.columns import Columns
 from dashpot.data.readers.datafile import open_file
 from dashpot.data.readers.delimited.stepped_sine import Circumstances, read_records
 from dashpot.data.readers.interpretation import Interpreted, interpret
-from dashpot.data.readers.manifest import Group, line_numbers
+from dashpot.data.readers.manifest import FileGroup, line_numbers
 from dashpot.data.readers.registry import reader_of
 from dashpot.data.readers.sampling import FREQUENCY, TIME
 from dashpot.data.record import Record
@@ -26,7 +26,7 @@ from dashpot.notices import Notice
 NOT_CHANNELS = (TIME, FREQUENCY, "experiment")
 
 
-def read_group(group: Group, channels: Sequence[Channel], frequency_hz: float | None) -> Interpreted:
+def read_group(group: FileGroup, channels: Sequence[Channel], frequency_hz: float | None) -> Interpreted:
     """What one group of files holds.  `frequency_hz` serves where neither they nor their names say it.
 
     Raises DataError, one line, for what is missing or damaged in a file, or does not fit its entry.
@@ -47,7 +47,7 @@ def read_group(group: Group, channels: Sequence[Channel], frequency_hz: float | 
     return _averaged(found, line_numbers(group.entry.lines, group.place), group)
 
 
-def _parts(group: Group, path: Path) -> Iterator[Columns]:
+def _parts(group: FileGroup, path: Path) -> Iterator[Columns]:
     """The parts of a file that the entry means: all that have its columns, or the one it names."""
     file = open_file(path)
     reader = reader_of(file)
@@ -71,7 +71,7 @@ def _parts(group: Group, path: Path) -> Iterator[Columns]:
 
 
 def _chosen(
-    group: Group, columns: Columns, names: Mapping[str, str], channels: Sequence[Channel]
+    group: FileGroup, columns: Columns, names: Mapping[str, str], channels: Sequence[Channel]
 ) -> tuple[Columns, tuple[Channel, ...]]:
     """The columns under the names of the channels and in the units of the entry, and the channels that are meant."""
     by_name = {channel.name: channel for channel in channels}
@@ -97,7 +97,7 @@ def _only(columns: Columns, named: Sequence[Channel]) -> Columns:
 _CHOSEN = Notice("columns_chosen", "")
 
 
-def _joined(group: Group, channels: Sequence[Channel], circumstances: Circumstances) -> Interpreted:
+def _joined(group: FileGroup, channels: Sequence[Channel], circumstances: Circumstances) -> Interpreted:
     """The record of all sensors of the group."""
     sensors, notes = [], []
     for name, names in group.entry.sensors.items():
@@ -126,7 +126,7 @@ def _said(notes: Iterable[Notice]) -> list[Notice]:
     return [n for n in notes if n != _CHOSEN and not (chosen and n.code == "columns_not_read")]
 
 
-def _windowed(found: Interpreted, group: Group) -> Interpreted:
+def _windowed(found: Interpreted, group: FileGroup) -> Interpreted:
     """The records within the window of the entry, notes tidied."""
     found = replace(found, notes=tuple(_said(found.notes)))
     window = group.entry.window_s
@@ -149,7 +149,7 @@ def _cut(record: Record, window: tuple[float, float]) -> Record:
     return replace(record, time=record.time[inside], values=record.values[inside])
 
 
-def _averaged(found: Interpreted, lines: tuple[int, ...], group: Group) -> Interpreted:
+def _averaged(found: Interpreted, lines: tuple[int, ...], group: FileGroup) -> Interpreted:
     """Records of a multisine as the mean of their periods."""
     spectra = list(found.spectra)
     for record in found.records:

@@ -48,7 +48,7 @@ class _Strict(BaseModel):
     model_config = ConfigDict(extra="forbid", strict=True, frozen=True)
 
 
-class Entry(_Strict):
+class FilesEntry(_Strict):
     """One [[files]] of a manifest."""
 
     name: str | list[str]
@@ -78,17 +78,17 @@ class _Conditioning(_Strict):
 class _Manifest(_Strict):
     folder: str = "."
     conditioning: _Conditioning = _Conditioning()
-    files: Annotated[list[Entry], Field(min_length=1)]
+    files: Annotated[list[FilesEntry], Field(min_length=1)]
 
 
 @dataclass(frozen=True)
-class Group:
+class FileGroup:
     """Files that were recorded at once: one, or one for each sensor; and what their entry says of them.
 
     paths  {sensor: path}; the sensor is "" where there is one file
     """
 
-    entry: Entry
+    entry: FilesEntry
     place: str
     paths: dict[str, Path]
     frequency_hz: float | None
@@ -99,7 +99,7 @@ class Group:
 class Manifest:
     """All groups of files of a test, and how their records become amplitudes where the test says so."""
 
-    groups: tuple[Group, ...]
+    groups: tuple[FileGroup, ...]
     conditioning: Treatments
 
 
@@ -141,14 +141,14 @@ def manifest_of_pattern(pattern: str | os.PathLike[str], number: int) -> Manifes
     while len(rest) > 1 and not _PLACE.search(rest[0]):
         fixed.append(rest.pop(0))
     folder = Path("/".join(fixed) + "/") if fixed else Path(".")
-    groups = resolved(Entry(name="/".join(rest)), folder, shown(text, 200), number)
+    groups = resolved(FilesEntry(name="/".join(rest)), folder, shown(text, 200), number)
     return Manifest(tuple(groups), {})
 
 
-def resolved(entry: Entry, folder: Path, place: str, number: int) -> list[Group]:
+def resolved(entry: FilesEntry, folder: Path, place: str, number: int) -> list[FileGroup]:
     """The groups of one entry, by experiment and frequency.  Raises DataError where no file fits."""
     names = [entry.name] if isinstance(entry.name, str) else entry.name
-    groups: dict[tuple[float | None, int, str], Group] = {}
+    groups: dict[tuple[float | None, int, str], FileGroup] = {}
     for name in names:
         for path, fields in _matches(name, folder, place):
             frequency = entry.frequency_hz
@@ -167,7 +167,7 @@ def resolved(entry: Entry, folder: Path, place: str, number: int) -> list[Group]
                 path.as_posix().replace(sensor, "{sensor}") if sensor and entry.sensors else path.as_posix()
             )
             key = (frequency, experiment, rest)
-            group = groups.setdefault(key, Group(entry, place, {}, frequency, experiment))
+            group = groups.setdefault(key, FileGroup(entry, place, {}, frequency, experiment))
             group.paths[sensor] = path
     if not groups:
         raise DataError("no file of these names is left", place, "correct sensors or band_hz")
@@ -248,7 +248,7 @@ def _first_fault(error: ValidationError, document: TomlDocument) -> DataError:
     what, cure = shown(fault["msg"], 120), "correct it"
     if fault["type"] == "extra_forbidden":
         known = (
-            Entry
+            FilesEntry
             if place[:1] == ("files",)
             else _Conditioning
             if place[:1] == ("conditioning",)

@@ -14,6 +14,7 @@ from dashpot.data.readers.mdf import MdfReader
 from dashpot.data.readers.numpy_files import NumpyReader
 from dashpot.data.readers.protocol import Reader
 from dashpot.data.readers.tdms import TdmsReader
+from dashpot.data.readers.uff.reader import UffReader
 from dashpot.data.readers.wav import WavReader
 from dashpot.errors import DataError
 
@@ -27,6 +28,7 @@ READERS: tuple[Reader, ...] = (
     WavReader(),
     TdmsReader(),
     MdfReader(),
+    UffReader(),
     LabViewReader(),
     XsensReader(),
     TextReader(),

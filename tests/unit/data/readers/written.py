@@ -189,6 +189,12 @@ def _mdf(path: Path, records: list[Record]) -> None:
         file.save(path, overwrite=True)
 
 
+def _uff(path: Path, records: list[Record]) -> None:
+    from dashpot.data.readers.uff.writer import write_uff_records
+
+    write_uff_records(records, path)
+
+
 WRITERS: dict[str, tuple[str, Callable[[Path, list[Record]], None]]] = {
     "CSV": (".csv", _csv),
     "MATLAB": (".mat", _mat),
@@ -203,6 +209,7 @@ WRITERS: dict[str, tuple[str, Callable[[Path, list[Record]], None]]] = {
     "Excel": (".xlsx", _excel),
     "TDMS": (".tdms", _tdms),
     "MDF": (".mf4", _mdf),
+    "UFF": (".uff", _uff),
 }
 
 

@@ -1,0 +1,246 @@
+"""Dataset 58: a function at a node, such as samples over time or a frequency response."""
+
+from __future__ import annotations
+
+import itertools
+import struct
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from dashpot.arrays import Complex, Real, frozen
+from dashpot.data.readers.uff.numbers import from_ibm, from_vax
+from dashpot.data.readers.uff.stream import DatasetStart, UffStream, expect_end
+from dashpot.errors import DataError
+
+TIME_RESPONSE, FRF, TRANSMISSIBILITY, SPECTRUM = 1, 4, 5, 12
+DIRECTIONS = {0: "", 1: "+X", 2: "+Y", 3: "+Z", 4: "+RX", 5: "+RY", 6: "+RZ"}
+DIRECTIONS |= {-k: name.replace("+", "-") for k, name in DIRECTIONS.items() if k}
+LINES = 11  # of text in front of the numbers
+OF_TIME, OF_FREQUENCY = 17, 18  # specific data types
+EXACT = "ABSCISSA"  # word of ID line 5 in front of start and step with all their digits
+MOST_VALUES = 1 << 40
+
+
+@dataclass(frozen=True)
+class Point:
+    """Where a function is measured: entity name, node and direction; units of its axis."""
+
+    entity: str = ""
+    node: int = 0
+    direction: int = 0
+
+    @property
+    def name(self) -> str:
+        """Node and direction, such as 3+Z."""
+        return f"{self.node}{DIRECTIONS.get(self.direction, '')}"
+
+
+@dataclass(frozen=True)
+class NodalFunction:
+    """One function: kind (1 time response, 4 FRF, 12 spectrum, …), points, abscissa and ordinate.
+
+    abscissa  (values,)  s or Hz
+    ordinate  (values,)  real or complex, in `unit` (over `reference_unit`)
+    z_value   of the third axis; the drive frequency in Hz where `z_kind` is 18
+    """
+
+    kind: int
+    response: Point
+    reference: Point
+    abscissa: Real
+    ordinate: Real | Complex
+    unit: str = ""
+    reference_unit: str = ""
+    ids: tuple[str, ...] = ()
+    even: bool = True
+    z_kind: int = 0
+    z_value: float = 0.0
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "abscissa", frozen(self.abscissa, np.float64))
+        kind = np.complex128 if np.iscomplexobj(self.ordinate) else np.float64
+        object.__setattr__(self, "ordinate", frozen(self.ordinate, kind))
+
+
+@dataclass(frozen=True)
+class _Shape:
+    """How the numbers are written: double precision, complex, evenly spaced; how many; start and step."""
+
+    double: bool
+    complex: bool
+    even: bool
+    count: int
+    start: float
+    step: float
+
+    @property
+    def of_value(self) -> int:
+        """Numbers of a value, without the abscissa."""
+        return 2 if self.complex else 1
+
+
+def read_function(stream: UffStream, start: DatasetStart) -> NodalFunction:
+    """The function of a dataset 58 or 58b.  Raises DataError, with file and line, for what is damaged or cut off."""
+    lines = [stream.line() for _ in range(LINES)]
+    ids = tuple(_text(line, 0, 80) for line in lines[:5])
+    try:
+        kind, response, reference = _points(lines[5])
+        shape = _shape(lines[6], ids[4])
+        kinds = [int(line[:10]) for line in lines[7:]]
+        z_value = float(lines[6][56:69] or b"0")
+    except (ValueError, IndexError):
+        raise stream.wrong("the header of a function is damaged") from None
+    if not 0 <= shape.count <= MOST_VALUES:
+        raise stream.wrong(f"{shape.count} values cannot be")
+    if start.binary:
+        uneven, numbers = _binary(stream, start, shape)
+    else:
+        uneven, numbers = _text_numbers(stream, shape)
+    abscissa: Real = np.asarray(
+        shape.start + shape.step * np.arange(shape.count) if uneven is None else uneven, dtype=np.float64
+    )
+    ordinate = numbers[:, 0] + 1j * numbers[:, 1] if shape.complex else numbers[:, 0]
+    return NodalFunction(
+        kind, response, reference, abscissa, ordinate,
+        _label(lines[8]), _label(lines[9]), ids, shape.even, kinds[3], z_value,
+    )  # fmt: skip
+
+
+def _text(line: bytes, start: int, end: int) -> str:
+    text = line[start:end].decode("utf-8", errors="replace").strip()
+    return "" if text == "NONE" else text
+
+
+def _label(line: bytes) -> str:
+    """The units label of an axis."""
+    return _text(line, 46, 67)
+
+
+def _points(line: bytes) -> tuple[int, Point, Point]:
+    """Kind of the function, response and reference."""
+    kind = int(line[0:5])
+    response = Point(_text(line, 30, 41), int(line[41:51]), int(line[51:55]))
+    reference = Point(_text(line, 55, 66), int(line[66:76] or b"0"), int(line[76:80] or b"0"))
+    return kind, response, reference
+
+
+def _shape(line: bytes, exact: str) -> _Shape:
+    data_type, count, spacing = int(line[0:10]), int(line[10:20]), int(line[20:30])
+    if data_type not in (2, 4, 5, 6):
+        raise ValueError
+    start, step = float(line[30:43] or b"0"), float(line[43:56] or b"0")
+    words = exact.split()
+    if words[:1] == [EXACT] and len(words) == 3:
+        start, step = float(words[1]), float(words[2])
+    return _Shape(data_type in (4, 6), data_type in (5, 6), spacing == 1, count, start, step)
+
+
+def _text_numbers(stream: UffStream, shape: _Shape) -> tuple[Real | None, Real]:
+    """Abscissa (None where even) and numbers, (values, 1 or 2), of a dataset in text."""
+    widths = [20 if shape.double else 13] * shape.of_value
+    if not shape.even:
+        widths.insert(0, 13)
+    ends = np.cumsum([0, *widths]).tolist()
+    needed = shape.count * len(widths)
+    cells: list[bytes] = []
+    blocks: list[Real] = []
+    read = 0
+    while read < needed:
+        line = stream.line()
+        fields = line.split()
+        at_most = 4 * len(widths) if shape.double else 6
+        if not fields or len(fields) > at_most or any(field.count(b".") != 1 for field in fields):
+            fields = _fixed(line, ends)  # numbers that touch each other
+        if not fields or fields == [MARKER]:
+            raise stream.wrong(f"the dataset holds {read} of {needed} numbers")
+        cells += fields
+        read += len(fields)
+        if len(cells) > 1 << 16 or read >= needed:
+            try:
+                blocks.append(
+                    np.array([cell.replace(b"D", b"E").replace(b"d", b"e") for cell in cells]).astype(float)
+                )
+            except ValueError:
+                raise stream.wrong("something that is no number stands among the values") from None
+            cells = []
+    if read > needed:
+        raise stream.wrong(f"the dataset holds more than {needed} numbers")
+    expect_end(stream)
+    table = (np.concatenate(blocks) if blocks else np.zeros(0)).reshape(shape.count, len(widths))
+    return (None, table) if shape.even else (table[:, 0], table[:, 1:])
+
+
+MARKER = b"-1"
+
+
+def _fixed(line: bytes, ends: list[int]) -> list[bytes]:
+    """Numbers of a line by the columns of the format."""
+    fields, start = [], 0
+    while start < len(line.rstrip()):
+        for a, b in itertools.pairwise(ends):
+            field = line[start + a : start + b].strip()
+            if field:
+                fields.append(field)
+        start += ends[-1]
+    return fields
+
+
+def _binary(stream: UffStream, start: DatasetStart, shape: _Shape) -> tuple[Real | None, Real]:
+    """Abscissa (None where even) and numbers, (values, 1 or 2), of a dataset 58b."""
+    try:
+        order, floats = int(start.rest[:6]), int(start.rest[6:12])
+        lines, size = int(start.rest[12:24]), int(start.rest[24:36])
+    except ValueError:
+        raise stream.wrong("the first line of a dataset 58b is damaged") from None
+    if order not in (1, 2) or floats not in (1, 2, 3) or lines != LINES:
+        raise stream.wrong("the first line of a dataset 58b says what cannot be")
+    width = 8 if shape.double else 4
+    # The abscissa is in single precision by the format; some programs write it like the ordinate.
+    rows = [
+        shape.of_value * width + (0 if shape.even else x) for x in ((4, width) if not shape.even else (0,))
+    ]
+    row = next((r for r in rows if r * shape.count == size), None)
+    data = stream.block(shape.count * (rows[0] if row is None else row))
+    if row is None and len(rows) > 1 and rows[1] != rows[0]:
+        # The number of bytes is wrong, as some programs write it: the end of the dataset decides.
+        following = stream.block(min(6, shape.count * (rows[1] - rows[0])))
+        if following.strip(b"\r\n ")[:2] == MARKER:
+            return _decoded(data, rows[0], order, floats, shape)
+        data += following + stream.block(shape.count * (rows[1] - rows[0]) - len(following))
+        row = rows[1]
+    expect_end(stream)
+    return _decoded(data, row or rows[0], order, floats, shape)
+
+
+def _decoded(data: bytes, row: int, order: int, floats: int, shape: _Shape) -> tuple[Real | None, Real]:
+    """Numbers from bytes of one row for each value."""
+    mark, width = "<" if order == 1 else ">", 8 if shape.double else 4
+    of_abscissa = row - shape.of_value * width
+    fields: list[tuple[str, Any]] = [("x", f"V{of_abscissa}")] if of_abscissa else []
+    table = np.frombuffer(data, dtype=[*fields, ("y", f"V{width}", (shape.of_value,))])
+    y = _floats(np.ascontiguousarray(table["y"]), mark, width, floats).reshape(shape.count, shape.of_value)
+    if not of_abscissa:
+        return None, y
+    return _floats(np.ascontiguousarray(table["x"]), mark, of_abscissa, floats).ravel(), y
+
+
+def _floats(raw: Any, mark: str, width: int, floats: int) -> Real:
+    """Numbers of one width: IEEE, DEC VAX (1) or IBM (3)."""
+    data = raw.tobytes()
+    if floats == 2:
+        return np.frombuffer(data, dtype=f"{mark}f{width}").astype(float)
+    whole = np.frombuffer(data, dtype=f"{mark}u{width}")
+    return from_ibm(whole, width) if floats == 3 else from_vax(np.frombuffer(data, dtype="<u2"), width)
+
+
+def check_finite(function: NodalFunction, place: str) -> None:
+    """Raises DataError where the abscissa is not finite."""
+    if not np.all(np.isfinite(function.abscissa)):
+        raise DataError("the abscissa of a function is not finite", place, "export the file again")
+
+
+def packed_size(count: int, double: bool, complex_values: bool) -> int:
+    """Bytes of the values of an evenly spaced dataset 58b."""
+    return count * struct.calcsize("d" if double else "f") * (2 if complex_values else 1)

@@ -1,0 +1,187 @@
+"""Universal files written: functions at nodes (58, 58b) and modes (55)."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from dashpot.data.readers.uff.function import (
+    EXACT,
+    FRF,
+    LINES,
+    OF_FREQUENCY,
+    OF_TIME,
+    TIME_RESPONSE,
+    NodalFunction,
+    Point,
+    packed_size,
+)
+from dashpot.data.readers.uff.modes import NodalMode
+from dashpot.data.record import Record
+from dashpot.errors import DataError
+from dashpot.io.atomic import write_bytes
+
+END = b"    -1\n"
+
+
+def write_functions(
+    functions: Sequence[NodalFunction],
+    path: str | os.PathLike[str],
+    *,
+    binary: bool = True,
+    double: bool = True,
+    little: bool = True,
+) -> None:
+    """Write functions as datasets 58b (or 58).  Start and step of even abscissae keep all their digits in ID line 5.
+
+    Ordinates in binary double precision read back to the last bit.  Raises DataError where the file cannot be written.
+    """
+    write_bytes(path, _functions(functions, binary, double, little))
+
+
+def write_uff_records(records: Sequence[Record], path: str | os.PathLike[str]) -> None:
+    """Write records as time responses in the channels' own units, the drive frequency on the third axis.
+
+    Raises DataError for repeats (leading axes), and where the file cannot be written.
+    """
+    functions = []
+    for record in records:
+        if record.values.ndim != 2:
+            raise DataError("a file holds records, not repeats of them", record.source, "write one file each")
+        for i, channel in enumerate(record.channels):
+            functions.append(
+                NodalFunction(
+                    TIME_RESPONSE,
+                    Point(channel.name[:10], i + 1),
+                    Point(),
+                    record.time,
+                    record.values[:, i] / channel.scale,
+                    channel.unit,
+                    ids=(channel.name,),
+                    even=_is_even(record.time),
+                    z_kind=OF_FREQUENCY if record.frequency_hz is not None else 0,
+                    z_value=record.frequency_hz or 0.0,
+                )
+            )
+    write_functions(functions, path)
+
+
+def write_modes(modes: Sequence[NodalMode], path: str | os.PathLike[str]) -> None:
+    """Write modes as datasets 55, complex eigenvalues of the second order.  Raises DataError as `write_functions`."""
+    write_bytes(path, _modes(modes))
+
+
+def _is_even(abscissa: np.ndarray) -> bool:
+    """Whether start and step give the abscissa, to rounding."""
+    if len(abscissa) < 2:
+        return False
+    step = (abscissa[-1] - abscissa[0]) / (len(abscissa) - 1)
+    away = np.abs(abscissa[0] + step * np.arange(len(abscissa)) - abscissa)
+    return bool(np.max(away) <= 1e-9 * step)
+
+
+def _functions(
+    functions: Sequence[NodalFunction], binary: bool, double: bool, little: bool
+) -> Iterator[bytes]:
+    for function in functions:
+        is_complex = np.iscomplexobj(function.ordinate)
+        data_type = (6 if double else 5) if is_complex else (4 if double else 2)
+        count = len(function.ordinate)
+        even = function.even and _is_even(function.abscissa)
+        start = float(function.abscissa[0]) if even else 0.0
+        step = float(function.abscissa[-1] - start) / (count - 1) if even else 0.0
+        size = packed_size(count, double, is_complex) + (0 if even else count * (8 if double else 4))
+        order = 1 if little else 2
+        first = (
+            f"    58b{order:6d}{2:6d}{LINES:12d}{size:12d}{0:6d}{0:6d}{0:12d}{0:12d}" if binary else "    58"
+        )
+        ids = [*function.ids, *[""] * 5][:4]
+        ids.append(f"{EXACT} {start!r} {step!r}" if even else "")
+        lines = [
+            "    -1",
+            first,
+            *(f"{(text or 'NONE')[:80]:<80}" for text in ids),
+            _points_line(function),
+            f"{data_type:10d}{count:10d}{int(even):10d}{_short(start)}{_short(step)}{_short(function.z_value)}",
+            _axis(OF_TIME if function.kind == TIME_RESPONSE else OF_FREQUENCY, ""),
+            _axis(1, function.unit),
+            _axis(1 if function.kind == FRF else 0, function.reference_unit),
+            _axis(function.z_kind, ""),
+        ]
+        yield ("\n".join(lines) + "\n").encode("utf-8", errors="replace")
+        if binary:
+            yield _bytes(function, double, little, even)
+            yield b"\n" + END
+        else:
+            yield _rows(function, double, even) + END
+
+
+def _points_line(function: NodalFunction) -> str:
+    points = ""
+    for point in (function.response, function.reference):
+        points += f" {(point.entity or 'NONE')[:10]:<10}{point.node:10d}{point.direction:4d}"
+    return f"{function.kind:5d}{0:10d}{0:5d}{0:10d}{points}"
+
+
+def _axis(kind: int, unit: str) -> str:
+    return f"{kind:10d}{0:5d}{0:5d}{0:5d} {'NONE':<20} {(unit or 'NONE')[:20]:<20}"
+
+
+def _short(value: float) -> str:
+    """A number in 13 columns, with as many digits as fit."""
+    for digits in range(17, 4, -1):
+        text = f"{value:.{digits}g}"
+        if len(text) <= 12:
+            return f"{text:>13}"
+    return f"{value:13.5e}"
+
+
+def _columns(function: NodalFunction, even: bool) -> np.ndarray:
+    """Numbers of a value in a row: abscissa (where uneven), real part, imaginary part."""
+    y = function.ordinate
+    parts = [y.real, y.imag] if np.iscomplexobj(y) else [y]
+    return np.stack([*([] if even else [function.abscissa]), *parts], axis=-1)
+
+
+def _bytes(function: NodalFunction, double: bool, little: bool, even: bool) -> bytes:
+    kind = f"{'<' if little else '>'}f{8 if double else 4}"
+    return _columns(function, even).astype(kind).tobytes()
+
+
+def _rows(function: NodalFunction, double: bool, even: bool) -> bytes:
+    table = _columns(function, even)
+    width = "{:20.12e}" if double else "{:13.5e}"
+    formats = [width] * table.shape[1]
+    if not even:
+        formats[0] = "{:13.5e}"
+    # Values of a line: as many numbers as the format has in one.
+    per_line = (
+        6 // table.shape[1]
+        if not double
+        else (4 // table.shape[1] if even else 2 if table.shape[1] == 2 else 1)
+    )
+    out = []
+    for first in range(0, len(table), per_line):
+        rows = table[first : first + per_line].tolist()
+        out.append("".join(f.format(x) for row in rows for f, x in zip(formats, row, strict=True)))
+    return ("\n".join(out) + "\n").encode() if out else b""
+
+
+def _modes(modes: Sequence[NodalMode]) -> Iterator[bytes]:
+    for number, mode in enumerate(modes, start=1):
+        ids = [*mode.ids, *[""] * 5][:5]
+        eigenvalue = f"{mode.eigenvalue.real:13.5e}{mode.eigenvalue.imag:13.5e}"
+        lines = [
+            "    -1",
+            "    55",
+            *(f"{(text or 'NONE')[:80]:<80}" for text in ids),
+            f"{1:10d}{7:10d}{2:10d}{8:10d}{5:10d}{3:10d}",
+            f"{2:10d}{6:10d}{0:10d}{number:10d}",
+            eigenvalue + f"{0.0:13.5e}" * 4,
+        ]
+        for node, shape in zip(mode.nodes, mode.shapes, strict=True):
+            lines.append(f"{node:10d}")
+            lines.append("".join(f"{x.real:13.5e}{x.imag:13.5e}" for x in shape))
+        yield ("\n".join(lines) + "\n").encode("utf-8", errors="replace") + END

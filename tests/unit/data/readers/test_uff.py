@@ -1,0 +1,204 @@
+"""Universal files against pyuff, both ways, in all number types and byte orders; and what is damaged."""
+
+import numpy as np
+import pytest
+
+from dashpot.channel import Channel, Quantity
+from dashpot.data.readers import read
+from dashpot.data.readers.datafile import open_file
+from dashpot.data.readers.uff.function import FRF, TIME_RESPONSE, NodalFunction, Point
+from dashpot.data.readers.uff.modes import NodalMode, modes_of
+from dashpot.data.readers.uff.numbers import from_ibm, from_vax
+from dashpot.data.readers.uff.reader import functions_of
+from dashpot.data.readers.uff.writer import write_functions, write_modes, write_uff_records
+from dashpot.errors import DashpotError, DataError
+from tests.unit.data.readers.written import CHANNELS, recording
+
+pyuff = pytest.importorskip("pyuff")
+# pyuff opens files without closing them.
+pytestmark = pytest.mark.filterwarnings("ignore")
+
+
+def functions(even=True, seed=1, count=37):
+    """A response over time and an FRF, of numbers with all their digits."""
+    rng = np.random.default_rng(seed)
+    t = 0.5 + np.arange(count) / 3 if even else np.sort(rng.uniform(0, 1, count))
+    H = rng.normal(size=count) + 1j * rng.normal(size=count)
+    return [
+        NodalFunction(TIME_RESPONSE, Point("", 3, 3), Point(), t, rng.normal(size=count), "m", ids=("one",), even=even),
+        NodalFunction(FRF, Point("", 3, -1), Point("", 1, 3), t, H, "m/s2", "N", ids=("two",), even=even),
+    ]  # fmt: skip
+
+
+def same(got, wanted, rel, rel_abscissa=None):
+    assert (got.kind, got.response, got.reference) == (wanted.kind, wanted.response, wanted.reference)
+    assert (got.unit, got.reference_unit) == (wanted.unit, wanted.reference_unit)
+    assert got.abscissa == pytest.approx(wanted.abscissa, rel=rel if rel_abscissa is None else rel_abscissa)
+    assert got.ordinate == pytest.approx(wanted.ordinate, rel=rel, abs=0)
+
+
+@pytest.mark.parametrize("little", [True, False])
+@pytest.mark.parametrize("even", [True, False])
+@pytest.mark.parametrize("double", [True, False])
+@pytest.mark.parametrize("binary", [True, False])
+def test_what_is_written_reads_back_and_pyuff_reads_it(tmp_path, binary, double, even, little):
+    path, wanted = tmp_path / "a.uff", functions(even)
+    write_functions(wanted, path, binary=binary, double=double, little=little)
+    rel = 0 if binary and double else 6e-8 if binary else 1e-12 if double else 5e-6
+    for got, expected in zip(functions_of(open_file(path)), wanted, strict=True):
+        same(got, expected, rel, 1e-15 if even else 5e-6 if not binary else rel)
+    for got, expected in zip(pyuff.UFF(str(path)).read_sets(), wanted, strict=True):
+        assert got["data"] == pytest.approx(expected.ordinate, rel=max(rel, 1e-15))
+        assert got["x"] == pytest.approx(expected.abscissa, rel=5e-6)
+        assert (got["func_type"], got["rsp_node"], got["rsp_dir"]) == (
+            expected.kind,
+            expected.response.node,
+            expected.response.direction,
+        )
+        assert got["ordinate_axis_units_lab"].strip() == expected.unit
+
+
+@pytest.mark.parametrize("even", [1, 0])
+@pytest.mark.parametrize(("binary", "double"), [(1, True), (0, True), (0, False)])
+def test_what_pyuff_writes_is_read(tmp_path, binary, double, even):
+    path, wanted = tmp_path / "a.uff", functions()
+    file = pyuff.UFF(str(path))
+    for function in wanted:
+        is_complex = np.iscomplexobj(function.ordinate)
+        file.write_sets(
+            pyuff.prepare_58(
+                binary=binary, func_type=function.kind, rsp_node=function.response.node,
+                rsp_dir=function.response.direction, ref_node=function.reference.node,
+                ref_dir=function.reference.direction, ordinate_axis_units_lab=function.unit,
+                orddenom_axis_units_lab=function.reference_unit, orddenom_spec_data_type=0,
+                ord_data_type=(6 if double else 5) if is_complex else (4 if double else 2),
+                data=function.ordinate, x=function.abscissa, abscissa_spacing=even, id1=function.ids[0],
+            ),
+            mode="add", force_double=double,
+        )  # fmt: skip
+    rel = (0 if double else 6e-8) if binary else (1e-11 if double else 1e-5)
+    for got, expected in zip(functions_of(open_file(path)), wanted, strict=True):
+        same(got, expected, rel, 1e-5)
+
+
+def test_a_stepped_sine_is_read_back(tmp_path):
+    records, path = recording(), tmp_path / "test.uff"
+    write_uff_records(records, path)
+    back = read(path, CHANNELS).records
+    assert [record.frequency_hz for record in back] == [record.frequency_hz for record in records]
+    for got, wanted in zip(back, records, strict=True):
+        assert got.time == pytest.approx(wanted.time, rel=1e-15)
+        assert got.values == pytest.approx(wanted.values, rel=1e-15)
+
+
+def test_frequency_responses_are_named_by_nodes_or_entities(tmp_path):
+    rng = np.random.default_rng(3)
+    f, H = np.arange(1, 6.0), rng.normal(size=(2, 5)) + 1j * rng.normal(size=(2, 5))
+    channels = (
+        Channel("x1", {"x1": 1}, Quantity.ACCELERATION),
+        Channel("x2", {"x2": 1}, Quantity.ACCELERATION),
+        Channel("F", {"F": 1}, Quantity.FORCE),
+    )
+    named = [NodalFunction(FRF, Point(f"x{i + 1}"), Point("F"), f, H[i]) for i in range(2)]
+    write_functions(named, tmp_path / "named.uff")
+    lines = read(tmp_path / "named.uff", channels).spectrum()
+    assert lines.amplitudes[:, 0] == pytest.approx(H[0])
+    assert lines.amplitudes[:, 1] == pytest.approx(H[1])
+    assert lines.amplitudes[:, 2] == pytest.approx(np.ones(5))
+    numbered = [NodalFunction(FRF, Point("", i + 1, 3), Point("", 1, -3), f, H[i]) for i in range(2)]
+    write_functions(numbered, tmp_path / "numbered.uff")
+    (tmp_path / "test.toml").write_text(
+        '[[files]]\nname = "numbered.uff"\ncolumns = { x1 = "1+Z", x2 = "2+Z", F = "1-Z" }\n'
+    )
+    assert np.array_equal(read(tmp_path / "test.toml", channels).spectrum().amplitudes, lines.amplitudes)
+
+
+def test_numbers_of_old_machines():
+    # Figures of the manuals: IBM System/370 118.625 is C276A000 negated; VAX F_floating 1.0 is 0x00004080 in words.
+    assert from_ibm(np.array([0xC276A000], dtype=np.uint32), 4)[0] == -118.625
+    assert from_ibm(np.array([0x4110000000000000], dtype=np.uint64), 8)[0] == 1.0
+    assert from_vax(np.frombuffer(b"\x80\x40\x00\x00", dtype="<u2"), 4)[0] == 1.0
+    assert from_vax(np.frombuffer(b"\x00\xc1" + b"\x00" * 6, dtype="<u2"), 8)[0] == -2.0
+    assert from_vax(np.zeros(2, dtype="<u2"), 4)[0] == 0.0
+
+
+def test_modes_both_ways(tmp_path):
+    rng = np.random.default_rng(4)
+    shapes = np.round(rng.normal(size=(2, 3)) + 1j * rng.normal(size=(2, 3)), 3)
+    modes = [
+        NodalMode(complex(-0.5, 12.5), (1, 7), shapes, ("first",)),
+        NodalMode(-1 + 30j, (1, 7), 2 * shapes),
+    ]
+    path = tmp_path / "modes.unv"
+    write_modes(modes, path)
+    for got, wanted in zip(modes_of(open_file(path)), modes, strict=True):
+        assert got.eigenvalue == pytest.approx(wanted.eigenvalue, rel=1e-5)
+        assert got.nodes == wanted.nodes
+        assert got.shapes == pytest.approx(wanted.shapes, rel=1e-5)
+    sets = pyuff.UFF(str(path)).read_sets()
+    assert [s["eig"] for s in sets] == pytest.approx([m.eigenvalue for m in modes], rel=1e-5)
+    assert sets[0]["r3"] == pytest.approx(shapes[:, 2], rel=1e-5)
+    theirs = tmp_path / "theirs.unv"
+    pyuff.UFF(str(theirs)).write_sets(
+        pyuff.prepare_55(
+            model_type=1, analysis_type=2, data_ch=2, spec_data_type=8, data_type=2, load_case=0, mode_n=1,
+            freq=2.5, modal_m=1.0, modal_damp_vis=0.02, modal_damp_his=0.0, node_nums=np.array([1, 2]),
+            r1=np.array([1.0, 2.0]), r2=np.array([0.0, 0.5]), r3=np.array([3.0, -1.0]),
+        ),
+        mode="add",
+    )  # fmt: skip
+    (mode,) = modes_of(open_file(theirs))
+    assert mode.frequency_hz == pytest.approx(2.5)
+    assert mode.damping_ratio == pytest.approx(0.02)
+    assert mode.shapes.real.tolist() == [[1.0, 0.0, 3.0], [2.0, 0.5, -1.0]]
+
+
+@pytest.mark.parametrize("binary", [True, False])
+def test_damaged_files(tmp_path, binary):
+    whole, path = tmp_path / "whole.uff", tmp_path / "cut.uff"
+    write_functions(functions(), whole, binary=binary)
+    data = whole.read_bytes()
+    got = list(functions_of(open_file(whole)))
+    ends = [i + 7 for i in range(len(data)) if data[i : i + 7] == b"    -1\n"]
+    for length in range(1, len(data), 13):
+        path.write_bytes(data[:length])
+        try:
+            part = list(functions_of(open_file(path)))
+        except DashpotError as error:
+            said = str(error)
+        else:
+            said = ""
+            complete = max(end for end in [0, *ends] if end <= length + 1)
+            assert not data[complete:length].strip()
+            assert all(np.array_equal(a.ordinate, b.ordinate) for a, b in zip(part, got, strict=False))
+        assert "\n" not in said
+    rng = np.random.default_rng(2)
+    for _ in range(60):
+        broken = bytearray(data)
+        broken[int(rng.integers(0, 1000))] = int(rng.integers(0, 256))
+        path.write_bytes(bytes(broken))
+        said = ""
+        try:
+            read(path, CHANNELS)
+        except DashpotError as error:
+            said = str(error)
+        assert "\n" not in said
+    for lie, what in (
+        (b"        37", b"        36"),
+        (b"        37", b"        38"),
+        (b"        37", b"999999999 "),
+    ):
+        path.write_bytes(data.replace(lie, what, 1))
+        with pytest.raises(DataError, match=r"cut.uff"):
+            list(functions_of(open_file(path)))
+
+
+def test_other_datasets_are_passed_over(tmp_path):
+    path = tmp_path / "a.uff"
+    write_functions(functions(), path)
+    other = b"    -1\n   151\n" + b"text\n" * 7 + b"    -1\n    -1\n   164\n  1SI\n    -1\n"
+    path.write_bytes(other + path.read_bytes())
+    assert len(list(functions_of(open_file(path)))) == 2
+    path.write_bytes(other)
+    with pytest.raises(DataError, match="no function of these"):
+        read(path, CHANNELS)
