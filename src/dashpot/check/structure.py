@@ -21,11 +21,9 @@ from dashpot.model.laws import Law
 from dashpot.model.network import Model
 from dashpot.model.observation import (
     ObservationModel,
-    calibration,
-    calibration_slopes,
+    calibrated_transfer,
     measures_input,
     observation_model,
-    transfer,
 )
 from dashpot.model.typical_values import typical
 from dashpot.numerics import finite_field as field
@@ -318,11 +316,8 @@ def floating(
     shape = lines.driven.shape
     q = np.exp(rng.uniform(-0.5, 0.5, shape) + 2j * np.pi * rng.random(shape)) * lines.driven
     view = observation_model(model, channels, omega)
-    rig = transfer(view, model.parameters(psi[: view.m]))
-    kappa = calibration(view, psi, np.ones(len(channels)))[..., None]
-    G = kappa * rig.G
-    y = np.einsum("lcq,lq->lc", G, q)
-    J = np.concatenate([kappa * rig.slopes(q), calibration_slopes(view, psi, y)], axis=-1)
+    rig = calibrated_transfer(view, psi, np.ones(len(channels)))
+    G, y, J = rig.G, rig.amplitudes(q), rig.slopes(q)
     level = np.maximum(np.abs(y), 1e-6 * np.max(np.abs(y), axis=0, initial=0.0))
     level = np.where(lines.present, np.where(level > 0, level, 1.0), np.inf)
     G, J = G / level[..., None], J / level[..., None]

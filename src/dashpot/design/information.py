@@ -50,7 +50,7 @@ def outputs(model: Model, p: Real, channels: Sequence[Channel], omega: Real, dri
     view = observation_model(model, channels, omega)
     rig = transfer(view, p)
     q = np.broadcast_to(drive, (*np.broadcast_shapes(rig.X.shape[:-2], drive.shape[:-1]), drive.shape[-1]))
-    Y = np.einsum("...cq,...q->...c", rig.G, q)
+    Y = rig.amplitudes(q)
     nominal = np.array([*[0.0] * view.m, *[1.0] * view.gains, *[0.0] * view.delays])
     by_parameter = np.concatenate([rig.slopes(q), calibration_slopes(view, nominal, Y)], axis=-1)
     X, U, f = np.einsum("...nq,...q->...n", rig.X, q), q[..., :r], q[..., r:]

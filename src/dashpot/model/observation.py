@@ -268,11 +268,11 @@ def calibration_slopes(view: ObservationModel, psi: Real, Y: Complex) -> Complex
     return np.concatenate([by_gain, by_delay], axis=-1)
 
 
-# Amplitudes and slopes; calibrations left out
+# Amplitudes and slopes
 
 
 def channel_amplitudes(view: ObservationModel, X: Complex, q: Complex, forces: Complex) -> Complex:
-    """C_x X + C_q q + F (p ∘ a), (..., lines, channels), SI units, of any state of the rig.
+    """C_x X + C_q q + F (p ∘ a), (..., lines, channels), SI units, of any state of the rig; calibrations left out.
 
     X (..., lines, n) m, q = (U, f) (..., lines, r + s), `forces` p ∘ a of the elements (..., lines, elements) N: the
     elements' own law says what they are.
@@ -288,12 +288,19 @@ class Transfer:
     G (..., lines, channels, r + s)
     X (..., lines, n, r + s): coordinates per unit of each input
     E (..., lines, channels, elements): ∂y_c/∂p_i = E_ci a_i, the effect of an internal force in element i
+    psi (..., M): the unknowns, where G and E hold κ; None where calibrations are left out
     """
 
     view: ObservationModel
     G: Complex
     X: Complex
     E: Complex
+    psi: Real | None = None
+
+    def amplitudes(self, q: Complex) -> Complex:
+        """y = G q under inputs q (..., lines, r + s); (..., lines, channels)."""
+        y: Complex = np.einsum("...cq,...q->...c", self.G, q)
+        return y
 
     def unit_forces(self, q: Complex) -> Complex:
         """a = φ (B X + D U) under inputs q (..., lines, r + s); (..., lines, elements), N per unit of p."""
@@ -305,9 +312,13 @@ class Transfer:
         return a
 
     def slopes(self, q: Complex) -> Complex:
-        """∂y/∂θ under inputs q (..., lines, r + s); (..., lines, channels, unknowns)."""
+        """∂y/∂ψ at fixed inputs q (..., lines, r + s), ∂y/∂θ without calibrations; (..., lines, channels, M)."""
         by_theta: Complex = (self.E * self.unit_forces(q)[..., None, :]) @ self.view.model.T
-        return by_theta
+        if self.psi is None:
+            return by_theta
+        return np.concatenate(
+            [by_theta, calibration_slopes(self.view, self.psi, self.amplitudes(q))], axis=-1
+        )
 
 
 def transfer(view: ObservationModel, p: Real) -> Transfer:
@@ -317,6 +328,13 @@ def transfer(view: ObservationModel, p: Real) -> Transfer:
     E = F − (B D⁻¹ cᵀ)ᵀ.
     """
     return _transfer_dense(view, p) if small(view.model) else _transfer_sparse(view, p)
+
+
+def calibrated_transfer(view: ObservationModel, psi: Real, sign: Real) -> Transfer:
+    """The same with calibrations, at ψ (..., M) and signs (..., channels)."""
+    kappa = calibration(view, psi, sign)[..., None]
+    rig = transfer(view, view.model.parameters(psi[..., : view.m]))
+    return Transfer(view, kappa * rig.G, rig.X, kappa * rig.E, psi)
 
 
 def small(model: Model) -> bool:
@@ -371,7 +389,8 @@ def _transfer_sparse(view: ObservationModel, p: Real) -> Transfer:
             G[k, line] = C_q + C_x @ X[k, line]
             E[k, line] = view.force - (B @ solved[:, :channels]).T
     lead = p.shape[:-1]
-    return Transfer(view, *(part.reshape(*lead, *part.shape[1:]) for part in (G, X, E)))
+    G, X, E = (part.reshape(*lead, *part.shape[1:]) for part in (G, X, E))
+    return Transfer(view, G, X, E)
 
 
 def _times(rows: Complex, matrix: Real | sparse.csr_array | sparse.csc_array) -> Complex:

@@ -12,6 +12,7 @@ from dashpot.model.dynamics import response, unit_forces
 from dashpot.model.elements import Kind, between, mass
 from dashpot.model.network import Input, Model
 from dashpot.model.observation import (
+    calibrated_transfer,
     calibration,
     calibration_slopes,
     channel_amplitudes,
@@ -157,6 +158,22 @@ def test_calibrations_and_their_slopes_against_finite_differences() -> None:
         step = np.where(np.arange(len(psi)) == len(P) + k, 1e-6, 0.0)
         numeric = (calibration(view, psi + step, sign) - calibration(view, psi - step, sign)) * Y / 2e-6
         np.testing.assert_allclose(slopes[..., k], numeric, rtol=1e-6, atol=1e-6)
+
+
+def test_calibrated_slopes_against_finite_differences() -> None:
+    """Of all of ψ at fixed inputs: parameters, gains and delays."""
+    chosen = (replace(CHANNELS[0], gain=None), replace(CHANNELS[6], delay=None, sign=None), CHANNELS[7])
+    view = observation_model(MODEL, chosen, OMEGA)
+    psi, sign = np.array([*P, 1.7, 0.003]), np.array([1.0, -1.0, 1.0])
+    q = inputs(np.random.default_rng(6))
+    rig = calibrated_transfer(view, psi, sign)
+    shown = by_hand(P, q)[:, [0, 6, 7]] * calibration(view, psi, sign)
+    np.testing.assert_allclose(rig.amplitudes(q), shown, rtol=1e-9)
+    for j, step in enumerate(np.diag(1e-6 * psi)):
+        ends = [calibrated_transfer(view, psi + s * step, sign).amplitudes(q) for s in (1, -1)]
+        numeric = (ends[0] - ends[1]) / (2 * step[j])
+        scale = np.max(np.abs(shown), axis=0) / psi[j]
+        assert np.max(np.abs(rig.slopes(q)[..., j] - numeric) / scale) < 1e-6
 
 
 @pytest.mark.parametrize("seed", range(6))

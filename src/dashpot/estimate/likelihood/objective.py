@@ -19,11 +19,9 @@ from dashpot.estimate.method import Prepared
 from dashpot.estimate.nonlinear.objective import NonlinearPart, nonlinear_part, predict_harmonics
 from dashpot.model.observation import (
     ObservationModel,
-    calibration,
-    calibration_slopes,
+    calibrated_transfer,
     is_direct,
     measures_input,
-    transfer,
 )
 from dashpot.numerics.small_systems import solve_small
 
@@ -163,20 +161,15 @@ def predict(view: ObservationModel, data: Measured, psi: Real, sign: Real) -> Pr
     """Evaluate the channels at ψ (K, M) with signs (K, channels)."""
     if data.ends is not None and data.root is not None:
         return _predict_records(view, data, data.ends, data.root, psi, sign)
-    model = view.model
     if data.nonlinear is not None:
         return Prediction(*predict_harmonics(view, data, data.nonlinear, psi, sign))
-    kappa = calibration(view, psi, sign)
-    rig = transfer(view, model.parameters(psi[:, : view.m]))
-    G = kappa[..., None] * rig.G
-    q, half = _inputs(G, data)
-    predicted = np.einsum("...cq,...q->...c", G, q)
-    J = kappa[..., None] * rig.slopes(q)
-    J = np.concatenate([J, calibration_slopes(view, psi, predicted)], axis=-1)
+    rig = calibrated_transfer(view, psi, sign)
+    q, half = _inputs(rig.G, data)
+    J = rig.slopes(q)
     PJ = data.W @ J
     if half is not None:
-        PJ = PJ - half @ (hermitian(G) @ PJ)
-    return _prediction(data, data.y - predicted, J, PJ, q)
+        PJ = PJ - half @ (hermitian(rig.G) @ PJ)
+    return _prediction(data, data.y - rig.amplitudes(q), J, PJ, q)
 
 
 def _prediction(
@@ -194,9 +187,8 @@ def _predict_records(
 
     Slopes are those under the whole motion: the loads found are inputs of the larger rig.
     """
-    kappa = calibration(view, psi, sign)
-    rig = transfer(ends.view, view.model.parameters(psi[:, : view.m]))
-    G, by_load = np.split(kappa[..., None] * rig.G, [ends.inputs], axis=-1)
+    rig = calibrated_transfer(ends.view, psi, sign)
+    G, by_load = np.split(rig.G, [ends.inputs], axis=-1)
     driven, half = _inputs(G, data)
 
     def without_inputs(columns: Complex) -> Complex:
@@ -215,9 +207,7 @@ def _predict_records(
     if half is not None:
         q = q - np.einsum("...cq,...cz,...z->...q", np.conj(half), columns, found)
     motion = np.concatenate([q, load], axis=-1)
-    predicted = kappa * np.einsum("...cq,...q->...c", rig.G, motion)
-    J = kappa[..., None] * rig.slopes(motion)
-    J = without_inputs(np.concatenate([J, calibration_slopes(view, psi, predicted)], axis=-1))
+    J = without_inputs(rig.slopes(motion))
     J = J - free @ of_ends.coefficients(root @ J)
     return _prediction(data, residual, J, data.W @ J, q, int(of_ends.rank[0]))
 

@@ -22,7 +22,7 @@ from dashpot.estimate.likelihood.objective import measured, predict
 from dashpot.estimate.method import Prepared
 from dashpot.estimate.preparation.state_reconstruction import states_if_seen
 from dashpot.model.network import Model
-from dashpot.model.observation import ObservationModel, calibration, observation_model, transfer
+from dashpot.model.observation import ObservationModel, calibrated_transfer, observation_model
 from dashpot.numerics.levenberg_marquardt import minimise
 
 RESIDUAL = "residual"
@@ -108,8 +108,7 @@ def _explained(view: ObservationModel, W: Complex, fitted: bool, psi: Real, sign
     """What fitting the inputs takes out of the residual's power: diagonal of G (Gᴴ W G)⁻¹ Gᴴ, (lines, channels)."""
     if not fitted:
         return np.zeros(W.shape[:2])
-    kappa = calibration(view, psi, sign)
-    G = (kappa[..., None] * transfer(view, view.model.parameters(psi[:, : view.m])).G)[0]
+    G = calibrated_transfer(view, psi, sign).G[0]
     normal = hermitian(G) @ W @ G
     spread = np.linalg.pinv(normal, hermitian=True)
     taken: Real = np.einsum("lcq,lqp,lcp->lc", G, spread, np.conj(G)).real
