@@ -1,0 +1,85 @@
+"""Profile likelihood: ends, bounds, repeats."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from dashpot.check.profile import profile
+from dashpot.data.spectrum import Spectrum
+from dashpot.errors import UsageError
+from dashpot.estimate.identify import identify
+from dashpot.estimate.likelihood.maximum_likelihood import MaximumLikelihood
+from dashpot.estimate.linear.instrumental_variables import OptimalIV
+from tests.rigs import Rig, channels, covariance, noisy, paper_rig, perfect
+
+
+def measured(rig: Rig, noise: float = 0.03, seed: int = 1) -> Spectrum:
+    seen = channels(rig)
+    return noisy(rig, seen, covariance(rig, seen, noise), np.random.default_rng(seed))
+
+
+def test_profile_of_a_parabola_is_the_normal_interval() -> None:
+    rig = paper_rig()
+    spectrum = measured(rig, 1e-3)
+    estimate = identify(rig.model, spectrum)
+    for name in estimate.names:
+        for level in (0.68, 0.95):
+            found = profile(rig.model, spectrum, name, level, estimate)
+            assert found.difference < 0.005
+            assert not found.misleads
+    assert not found.improved
+    assert np.all(np.diff(found.points) > 0)
+    assert np.min(found.rise) == 0.0
+
+
+def test_profile_ends_are_where_a_search_with_the_value_fixed_says() -> None:
+    """χ² of the fit with the damper known at the end, against the threshold; the rig is far from linear there."""
+    rig = paper_rig([2.0, 4.0, 9.0])
+    spectrum = measured(rig, 0.15, seed=3)
+    estimate = identify(rig.model, spectrum)
+    found = profile(rig.model, spectrum, "c2", 0.95, estimate)
+    assert found.misleads
+    for end in (found.lower, found.upper):
+        if not np.isfinite(end) or end < 0:
+            continue
+        held = identify(rig.knowing({"c2": {"value": float(end)}}).model, spectrum, OptimalIV())
+        assert held.fit.chi2 - estimate.fit.chi2 == pytest.approx(float(found.threshold), rel=0.01)
+
+
+def test_profile_stops_at_a_bound() -> None:
+    rig = paper_rig([2.0, 4.0, 9.0])
+    elements = tuple(replace(e, lower=35.0) if e.name == "c2" else e for e in rig.model.elements)
+    bounded = replace(rig.model, elements=elements)
+    spectrum = measured(rig, 0.15, seed=3)
+    found = profile(bounded, spectrum, "c2", estimate=identify(bounded, spectrum, MaximumLikelihood()))
+    assert found.lower == 35.0
+
+
+def test_profiles_of_repeats_are_those_of_each() -> None:
+    rig = paper_rig([2.0, 4.0, 9.0])
+    seen = channels(rig)
+    spectrum = noisy(rig, seen, covariance(rig, seen, 0.05), np.random.default_rng(5), 3)
+    together = profile(rig.model, spectrum, "m1")
+    for k in range(3):
+        one = profile(rig.model, replace(spectrum, amplitudes=spectrum.amplitudes[k]), "m1")
+        np.testing.assert_allclose([one.lower, one.upper], [together.lower[k], together.upper[k]], rtol=1e-3)
+
+
+def test_profile_where_the_noise_is_unknown_uses_the_residuals() -> None:
+    rig = paper_rig()
+    spectrum = measured(rig, 1e-3)
+    silent = replace(
+        spectrum, covariance=np.full_like(spectrum.covariance, np.nan), noise=("unknown",) * spectrum.lines
+    )
+    estimate = identify(rig.model, silent)
+    found = profile(rig.model, silent, "m1", estimate=estimate)
+    assert found.difference < 0.005
+
+
+def test_profile_of_a_stranger() -> None:
+    rig = paper_rig()
+    with pytest.raises(UsageError, match="not among the unknowns"):
+        profile(rig.model, perfect(rig, channels(rig), covariance(rig, channels(rig), 0.01)), "k1")

@@ -1,0 +1,27 @@
+"""Budgets that hold no test, or contradict themselves."""
+
+from __future__ import annotations
+
+import pytest
+
+from dashpot.design.budget import Budget
+from dashpot.design.criteria import AOptimal
+from dashpot.design.frequency_grid import band_grid
+from dashpot.design.plan import plan
+from dashpot.errors import UsageError
+from tests.designs import BAND, paper_setup
+
+
+def test_too_small_a_budget() -> None:
+    own = paper_setup()
+    grid = band_grid(own, *BAND)
+    with pytest.raises(UsageError, match="settling alone"):
+        plan(own, AOptimal(), Budget(time=1, rate=100, settle=2), grid)
+    with pytest.raises(UsageError, match="holds no test"):
+        plan(own, AOptimal(), Budget(samples=3), grid)
+    with pytest.raises(UsageError, match="sampling rate"):
+        plan(own, AOptimal(), Budget(samples=300, rate=30), grid)
+    with pytest.raises(UsageError, match="needs the sampling rate"):
+        Budget(time=10)
+    with pytest.raises(UsageError, match="a number of samples or a time"):
+        Budget()

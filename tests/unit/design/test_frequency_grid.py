@@ -1,0 +1,64 @@
+"""Bands, steps and places where no test can dwell."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from dashpot.channel import Channel, Quantity
+from dashpot.design.allocation import optimise
+from dashpot.design.criteria import (
+    AOptimal,
+)
+from dashpot.design.frequency_grid import band_grid
+from dashpot.design.test_setup import ShakerLimits, TestSetup, drive_patterns, nominal_setup
+from dashpot.errors import UsageError
+from tests.rigs import paper_rig
+
+
+def paper_setup(relative: float = 0.1, floor: float = 0.0, floor_v: float = 0.0) -> TestSetup:
+    rig = paper_rig()
+    sensors = [
+        Channel(f"{q.value[0]}{x}", {x: 1.0}, q, noise=noise, relative_noise=relative)
+        for q, noise in ((Quantity.DISPLACEMENT, floor), (Quantity.VELOCITY, floor_v))
+        for x in ("x1", "x2")
+    ]
+    return nominal_setup(rig.model, [*sensors, Channel("u", {"u": 1.0})], rig.theta)
+
+
+def test_only_multiples_of_a_step() -> None:
+    own = paper_setup()
+    found = optimise(
+        own.information, AOptimal().terms(own, "worst"), own.prior, 1, band_grid(own, 0.25, 25, 0.25)
+    )
+    assert np.allclose(found.frequency_hz / 0.25, np.round(found.frequency_hz / 0.25))
+    assert found.gap < 1e-6
+
+
+def test_bad_bands_and_names() -> None:
+    own = paper_setup()
+    with pytest.raises(UsageError, match="no band"):
+        band_grid(own, 5, 2)
+    with pytest.raises(UsageError, match="no multiple"):
+        band_grid(own, 5.1, 5.2, 1.0)
+    with pytest.raises(UsageError, match="'k9' is not an unknown"):
+        AOptimal(("k9",)).terms(own, "worst")
+    with pytest.raises(UsageError, match="no input 'v'"):
+        drive_patterns(own.model, ["u,v"])
+    with pytest.raises(UsageError, match="stroke"):
+        ShakerLimits(stroke=-1.0)
+
+
+def test_undamped_resonances_are_no_place_to_dwell() -> None:
+    """The response there is infinite: the search must not run into it."""
+    from dashpot.model.elements import Kind, between, mass
+    from dashpot.model.network import Input, Model
+
+    elements = (mass("m", "x"), between("k", Kind.SPRING, "x", "u", value=400.0))
+    model = Model(("x",), (Input("u"),), elements)
+    own = nominal_setup(model, [Channel("x", {"x": 1.0}, noise=1e-3), Channel("u", {"u": 1.0})], {"m": 1.0})
+    resonance = 20 / 2 / np.pi
+    found = optimise(
+        own.information, AOptimal().terms(own, "worst"), own.prior, 100, band_grid(own, 1.0, 9.0)
+    )
+    assert np.all(np.abs(found.frequency_hz / resonance - 1) > 0.0099)

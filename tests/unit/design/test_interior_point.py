@@ -1,0 +1,76 @@
+"""Shares against brute force, and among equal columns."""
+
+from __future__ import annotations
+
+from itertools import product
+
+import numpy as np
+import pytest
+
+from dashpot.channel import Channel, Quantity
+from dashpot.design.allocation import optimise
+from dashpot.design.criteria import (
+    AOptimal,
+    Criterion,
+    DOptimal,
+    Minimax,
+    criterion_value,
+)
+from dashpot.design.frequency_grid import FrequencyGrid
+from dashpot.design.interior_point import optimal_shares
+from dashpot.design.test_setup import TestSetup, nominal_setup
+from tests.rigs import paper_rig
+
+
+def paper_setup(relative: float = 0.1, floor: float = 0.0, floor_v: float = 0.0) -> TestSetup:
+    rig = paper_rig()
+    sensors = [
+        Channel(f"{q.value[0]}{x}", {x: 1.0}, q, noise=noise, relative_noise=relative)
+        for q, noise in ((Quantity.DISPLACEMENT, floor), (Quantity.VELOCITY, floor_v))
+        for x in ("x1", "x2")
+    ]
+    return nominal_setup(rig.model, [*sensors, Channel("u", {"u": 1.0})], rig.theta)
+
+
+def random_problem(rng: np.random.Generator, lines: int, q: int = 3, scenarios: int = 2) -> np.ndarray:
+    F = rng.standard_normal((scenarios, lines, q, q))
+    return np.swapaxes(F, -1, -2) @ F
+
+
+def named_bench(scenarios: int) -> TestSetup:
+    """A bench with the names m1 … that goals ask for, in that many scenarios."""
+    own = paper_setup()
+    return own.with_scenarios(np.tile(own.theta, (scenarios, 1)) * np.linspace(1, 1.3, scenarios)[:, None])
+
+
+@pytest.mark.parametrize("criterion", [AOptimal(), Minimax(), DOptimal()], ids=str)
+@pytest.mark.parametrize("robustness", ["average", "worst"])
+def test_brute_force_on_small_grids(criterion: Criterion, robustness: str) -> None:
+    """No split of 20 parts over four frequencies beats the programme, and the best of them comes near."""
+    own = named_bench(2)
+    terms = criterion.terms(own, robustness)  # type: ignore[arg-type]
+    f = np.array([2.0, 4.0, 9.5, 20.0])
+    M = own.information(f, np.zeros(4, dtype=int))
+    found = optimise(
+        own.information, terms, own.prior, 1.0, FrequencyGrid(f, np.zeros(4, dtype=int), free=False)
+    )
+    parts = 20
+    splits = [s for s in product(range(parts + 1), repeat=3) if sum(s) <= parts]
+    best = min(
+        criterion_value(terms, np.einsum("i,siab->sab", np.array([*s, parts - sum(s)]) / parts, M)).F
+        for s in splits
+    )
+    slack = 1e-7 * (1 if terms.block is not None else best)
+    assert best + slack >= found.F
+    assert best - found.F < 0.03 * (1 if terms.block is not None else best)
+    assert found.gap < 1e-6
+
+
+def test_a_crowd_of_equal_columns_is_no_trouble() -> None:
+    rng = np.random.default_rng(2)
+    own = named_bench(1)
+    M = np.repeat(random_problem(rng, 8, 6, 1), 5, axis=1)
+    found = optimal_shares(AOptimal().terms(own, "worst"), np.zeros((1, 6, 6)), M)
+    alone = optimal_shares(AOptimal().terms(own, "worst"), np.zeros((1, 6, 6)), M[:, ::5])
+    assert pytest.approx(alone.F, rel=1e-7) == found.F
+    assert np.sum(found.w) == pytest.approx(1.0)

@@ -1,0 +1,45 @@
+"""Dwells that crowd around one frequency become one."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from dashpot.design.allocation import Allocation
+from dashpot.design.budget import Budget
+from dashpot.design.criteria import AOptimal
+from dashpot.design.frequency_grid import band_grid
+from dashpot.design.precision import expected_precision
+from dashpot.design.rounding import DesignProblem, DwellShares
+from dashpot.design.schedule import Schedule
+from tests.designs import BAND, paper_setup
+
+
+def test_dwells_that_crowd_are_one() -> None:
+    """The optimum is flat: neighbours are joined where that costs less than 1e-4 of the variance, and only there."""
+    own, budget = paper_setup(), Budget(samples=1400)
+    grid = band_grid(own, *BAND)
+    f = np.array([3.79, 3.795, 3.8, 3.81, 9.4, 9.6, 25.0])
+    share = np.array([0.05, 0.05, 0.05, 0.03, 0.2, 0.22, 0.4])
+    crowd = Allocation(f, np.zeros(7, dtype=int), share, 0.0, 0.0, (f, np.zeros(7, dtype=int), f))
+    terms = AOptimal().terms(own, "worst")
+    shares = DwellShares(DesignProblem(own, terms, own.prior, budget, grid), crowd)
+    shares.join()
+    assert shares.count == 3
+    assert np.sum(shares.w) == pytest.approx(1.0)
+    before = expected_precision(
+        own, AOptimal(), Schedule(f, np.zeros(7, dtype=int), 1400 * share).information(own)
+    ).figure
+    after = expected_precision(
+        own, AOptimal(), Schedule(shares.f, shares.k, 1400 * shares.w).information(own)
+    ).figure
+    assert after <= before * (1 + 5e-5)
+    # Two frequencies apart that are both needed stay two, also on a grid of fixed frequencies.
+    fixed = band_grid(own, *BAND, 0.25)
+    apart = Allocation(
+        np.array([3.75, 9.5, 25.0]), np.zeros(3, dtype=int), np.array([0.2, 0.4, 0.4]), 0.0, 0.0,
+        (f, np.zeros(7, dtype=int), f),
+    )  # fmt: skip
+    shares = DwellShares(DesignProblem(own, terms, own.prior, budget, fixed), apart)
+    shares.join()
+    assert shares.f.tolist() == [3.75, 9.5, 25.0]
