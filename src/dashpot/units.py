@@ -186,6 +186,24 @@ def scale(unit: str, quantity: str, angular: bool = False, uncalibrated: bool = 
     )
 
 
+def factor_between(unit: str, wanted: str) -> float:
+    """Factor from `unit` to `wanted`, two units of any one dimension: "N/mm^3" to "N/m³".  Raises UsageError."""
+    cure = f"use {wanted}, or a unit of its dimension"
+    try:
+        factor, dimension = _parse(unit, "stiffness")
+    except _UnreadableError as fault:
+        raise UsageError(f"{_quoted(unit)} is no unit: {fault.reason}", cure=cure) from None
+    try:
+        of_wanted, same = _parse(wanted, "stiffness")
+    except _UnreadableError:
+        raise UsageError(
+            f"{_quoted(unit)} cannot be turned into {wanted}", cure="write a number in it"
+        ) from None
+    if dimension != same:
+        raise UsageError(f"{_quoted(unit)} has not the dimension of {wanted}", cure=cure)
+    return factor / of_wanted
+
+
 @lru_cache(maxsize=1024)
 def sensitivity(text: str, unit: str, quantity: str, angular: bool = False) -> float:
     """Volts (or counts) per SI unit of `quantity`, of a sensor's sensitivity such as "100 mV/g".

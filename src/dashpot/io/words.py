@@ -26,6 +26,11 @@ def joined(names: Iterable[str]) -> str:
     return every[0] if len(every) == 1 else ", ".join(every[:-1]) + " and " + every[-1] if every else ""
 
 
+def counted(count: int, noun: str) -> str:
+    """A number of things: "1 input", "2 inputs"."""
+    return f"{count} {noun}" if count == 1 else f"{count} {noun}s"
+
+
 def quoted(text: str) -> str:
     """A text in quotes, as a TOML basic string, which JSON reads as well unless a character needs eight digits."""
     return "".join(

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 from types import MappingProxyType
 
+from dashpot.io.words import shown
 from dashpot.model.laws import Law
 from dashpot.model.nonlinear.force_law import ForceLaw, unit_of
 
@@ -73,6 +74,26 @@ class Element:
     def __post_init__(self) -> None:
         object.__setattr__(self, "kind", Kind(self.kind))
         object.__setattr__(self, "along", MappingProxyType(dict(self.along)))
+
+    def __repr__(self) -> str:
+        if self.same_as is not None:
+            known = self.same_as if self.times == 1.0 else f"{self.times:g} × {self.same_as}"
+        elif self.value is not None:
+            known = f"{self.value:g}" if self.sd is None else f"{self.value:g} ± {self.sd:g}"
+        else:
+            known = "unknown" if self.guess is None else f"unknown, guess {self.guess:g}"
+        law = "" if self.force_law is None else f", {self.force_law.text}"
+        return f"<Element {shown(self.name)}: {self.kind}{law}, {self._elongation()}, {known}>"
+
+    def _elongation(self) -> str:
+        """The elongation as text: "x1 - x2", "x1 + 0.4 pitch - u"."""
+        terms = []
+        for point, factor in self.along.items():
+            size = "" if abs(factor) == 1 else f"{abs(factor):g} "
+            sign = "-" if factor < 0 else "+"
+            terms.append(f"{sign} {size}{shown(point)}")
+        text = " ".join(terms)
+        return text.removeprefix("+ ") if not text.startswith("- ") else f"-{text[2:]}"
 
     @property
     def law(self) -> Law:

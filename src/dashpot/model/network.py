@@ -17,6 +17,7 @@ from scipy import sparse
 
 from dashpot.arrays import Complex, Ints, Real, frozen
 from dashpot.errors import ModelError, UsageError
+from dashpot.io.words import counted, shown
 from dashpot.model.elements import MATRICES, Element, Kind
 from dashpot.model.nonlinear.force_law import Constant, unit_of
 from dashpot.model.validation import problems
@@ -88,6 +89,20 @@ class Model:
         faults = list(problems(self.coordinates, self.inputs, self.elements, self.angles))
         if faults:
             raise ModelError(faults)
+
+    @property
+    def summary(self) -> str:
+        """Name and size in a few words: "Two masses: 2 coordinates, 1 input, 8 elements, 6 unknowns"."""
+        counts = (
+            counted(self.n, "coordinate"),
+            counted(len(self.inputs), "input"),
+            counted(len(self.elements), "element"),
+            counted(len(self.unknowns), "unknown"),
+        )
+        return f"{shown(self.name)}: {', '.join(counts)}" if self.name else ", ".join(counts)
+
+    def __repr__(self) -> str:
+        return f"<Model {self.summary}>"
 
     # Names and counts
 

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -13,10 +13,11 @@ from dashpot.io.toml_document import Place
 from dashpot.io.words import did_you_mean, listed, written
 from dashpot.model.elements import Element
 from dashpot.model.network import Input
+from dashpot.model.rigfile.amounts import bare, factors, in_si, is_share
 from dashpot.model.rigfile.reading import Reading
-from dashpot.model.rigfile.rig import all_angles, scale_of_points
+from dashpot.model.rigfile.rig import all_angles, is_electrical, scale_of_points
 from dashpot.model.rigfile.schema import GROUND, TABLES, ChannelEntry
-from dashpot.units import sensitivity, si_unit
+from dashpot.units import scale, sensitivity, si_unit
 
 
 @dataclass(frozen=True)
@@ -115,7 +116,10 @@ def _channel(
     reading: Reading, name: str, entry: ChannelEntry, raw: Mapping[str, Any], measurables: Measurables
 ) -> Channel | None:
     place = ("channels", name)
-    of = {point: factor for point, factor in entry.of.items() if point != GROUND}
+    given = {point: factor for point, factor in entry.of.items() if point != GROUND}
+    of = factors(reading, (*place, "of"), given, measurables.angles)
+    if of is None:
+        return None
     numbers_good = _numbers_good(reading, place, entry)
     points_good = _points_good(reading, place, of, isinstance(raw["of"], dict), measurables)
     if not (numbers_good and points_good) or reading.faulty & of.keys():
@@ -160,11 +164,13 @@ def _numbers_good(reading: Reading, place: Place, entry: ChannelEntry) -> bool:
         cure = 'write 1, -1 or "unknown"; a factor belongs into gain'
         faults.append(("sign", f"the sign is {entry.sign:g}", cure))
     for key in ("noise", "relative_noise"):
-        if getattr(entry, key) < 0:
-            faults.append((key, f"a standard deviation of {getattr(entry, key):g}", "give 0 or more"))
-    if entry.rate is not None and entry.rate <= 0:
+        if bare(getattr(entry, key)) < 0:
+            faults.append((key, f"a standard deviation of {bare(getattr(entry, key)):g}", "give 0 or more"))
+    if is_share(entry.noise) and "relative_noise" in entry.model_fields_set:
+        faults.append(("noise", "the relative noise is given twice", "leave out relative_noise, or noise"))
+    if entry.rate is not None and bare(entry.rate) <= 0:
         cure = "give a positive number of samples per second"
-        faults.append(("rate", f"a rate of {entry.rate:g} Hz", cure))
+        faults.append(("rate", f"a rate of {bare(entry.rate):g} Hz", cure))
     for key, what, cure in faults:
         reading.report.add((*place, key), what, cure)
     return not faults
@@ -193,17 +199,33 @@ def _calibrated(
     except UsageError as error:
         reading.report.add((*place, key), error.problems[0].what, error.problems[0].cure)
         return None
-    return Channel(
-        name,
-        of,
-        quantity,
-        unit,
-        scale=factor,
-        gain=gain,
-        delay=entry.delay,
-        sign=entry.sign,
-        noise=entry.noise,
-        relative_noise=entry.relative_noise,
-        rate=entry.rate,
-        same_gain_as=entry.same_gain_as,
+    channel = Channel(
+        name, of, quantity, unit, scale=factor, gain=gain, sign=entry.sign, same_gain_as=entry.same_gain_as
     )
+
+    def in_channel_units(noise_unit: str) -> float:
+        if is_electrical(noise_unit, quantity.value) != is_electrical(unit, quantity.value):
+            raise UsageError(f"noise in {noise_unit} of a channel in {unit}", cure=f"write it in {unit}")
+        return scale_of_points(noise_unit, quantity.value, arms, angles, electrical) / factor
+
+    return _with_numbers(reading, place, entry, channel, in_channel_units)
+
+
+def _with_numbers(
+    reading: Reading, place: Place, entry: ChannelEntry, channel: Channel, noise_scale: Callable[[str], float]
+) -> Channel | None:
+    """The channel with its delay, noise and rate; None, and told, where one has no such unit."""
+    delay, rate = entry.delay, entry.rate
+    numbers: dict[str, float | None] = {"relative_noise": entry.relative_noise}
+    if is_share(entry.noise):
+        numbers["relative_noise"] = bare(entry.noise) / 100
+    else:
+        numbers["noise"] = in_si(reading, (*place, "noise"), entry.noise, 1.0, noise_scale)
+    if rate is not None:
+        numbers["rate"] = in_si(reading, (*place, "rate"), rate, 1.0, lambda unit: scale(unit, "frequency"))
+    if delay is not None:
+        numbers["delay"] = in_si(reading, (*place, "delay"), delay, 1.0, lambda unit: scale(unit, "time"))
+    if None in numbers.values():
+        return None
+    changes: dict[str, Any] = {**numbers, **({"delay": None} if delay is None else {})}
+    return replace(channel, **changes)

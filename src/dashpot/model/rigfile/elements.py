@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
-from dashpot.errors import UsageError
 from dashpot.io.toml_document import Place
 from dashpot.io.words import did_you_mean, listed, quoted, written
 from dashpot.model.elements import Element
+from dashpot.model.rigfile.amounts import factors, in_si, is_share
 from dashpot.model.rigfile.force_laws import read_law, split_constants
 from dashpot.model.rigfile.reading import Reading
 from dashpot.model.rigfile.rig import scale_of_points
 from dashpot.model.rigfile.schema import GROUND, SECTIONS, ElementEntry
+from dashpot.quantities import Amount
+from dashpot.units import factor_between
 
 
 @dataclass(frozen=True)
@@ -62,26 +64,62 @@ def _element(
     place = (section, name)
     law, good = read_law(reading, place, entry, constants)
     along = _attachment(reading, place, entry, raw, points)
-    factor = _scale(reading, place, entry, along or {}, points.angles)
-    if along is None or factor is None or not good:
+    if along is None or not good:
         return None
+    element = Element(name, SECTIONS[section], along, same_as=entry.same_as, times=entry.times, force_law=law)
+    numbers = _numbers(reading, place, entry, element, points.angles)
+    return None if numbers is None else replace(element, **numbers)
 
-    def si(number: float | None) -> float | None:
-        return None if number is None else number * factor
 
-    return Element(
-        name,
-        SECTIONS[section],
-        along,
-        value=si(entry.value),
-        sd=si(entry.sd),
-        guess=si(entry.guess),
-        lower=si(entry.min),
-        upper=si(entry.max),
-        same_as=entry.same_as,
-        times=entry.times,
-        force_law=law,
+def _numbers(
+    reading: Reading, place: Place, entry: ElementEntry, element: Element, angles: Collection[str]
+) -> dict[str, Any] | None:
+    """Value, sd, guess and limits in SI units under the names of Element; None, and told, where one is faulty."""
+
+    def scale_of(unit: str) -> float:
+        if element.force_law is not None:
+            return factor_between(unit, element.unit(angles))
+        return scale_of_points(unit, element.law.quantity, element.along, angles)
+
+    plain = (
+        1.0
+        if entry.unit is None
+        else in_si(reading, (*place, "unit"), Amount(1.0, entry.unit), 1.0, scale_of)
     )
+    if plain is None:
+        return None
+    numbers: dict[str, float] = {}
+    faulty = False
+    for key, field in (
+        ("value", "value"),
+        ("sd", "sd"),
+        ("guess", "guess"),
+        ("min", "lower"),
+        ("max", "upper"),
+    ):
+        given = getattr(entry, key)
+        if given is None:
+            continue
+        if is_share(given):
+            number = _share_of_value(reading, (*place, key), given, numbers.get("value"))
+        else:
+            number = in_si(reading, (*place, key), given, plain, scale_of)
+        if number is None:
+            faulty = True
+        else:
+            numbers[field] = number
+    return None if faulty else numbers
+
+
+def _share_of_value(reading: Reading, place: Place, share: Amount, value: float | None) -> float | None:
+    """An sd in per cent of the value; None, and told, for another key or where there is no value."""
+    if place[-1] != "sd":
+        reading.report.add(place, f"{share} is a share", "only an sd may be one, of the value; write a unit")
+        return None
+    if value is None:
+        reading.report.add(place, f"an sd of {share} without a value", "give the value that it is a share of")
+        return None
+    return abs(value) * share.number / 100
 
 
 def _attachment(
@@ -94,7 +132,10 @@ def _attachment(
     if entry.between is not None:
         along = {entry.between[0]: 1.0, entry.between[1]: -1.0}
     else:
-        along = dict(entry.at or entry.along or {})
+        given = factors(reading, (*place, key), entry.at or entry.along or {}, points.angles)
+        if given is None:
+            return None
+        along = given
     for point in along:
         if point in points.forces:
             cure = f"attach it to the coordinate that {point} acts at"
@@ -134,17 +175,3 @@ def _two_points(reading: Reading, place: Place, pair: list[str]) -> bool:
         reading.report.add(place_of_pair, f"both ends are at {pair[0]}", "name two different points")
         return False
     return True
-
-
-def _scale(
-    reading: Reading, place: Place, entry: ElementEntry, along: Mapping[str, float], angles: Collection[str]
-) -> float | None:
-    """Factor of the entry's unit to SI; None where it is none of this element's."""
-    if entry.unit is None:
-        return 1.0
-    try:
-        return scale_of_points(entry.unit, SECTIONS[str(place[0])].law.quantity, along, angles)
-    except UsageError as error:
-        if along:  # else it is not known whether an angle is meant
-            reading.report.add((*place, "unit"), error.problems[0].what, error.problems[0].cure)
-        return None

@@ -10,6 +10,7 @@ from dashpot.io.toml_document import Place, TomlDocument, Wanted, parse_toml, re
 from dashpot.model import validation
 from dashpot.model.elements import Element
 from dashpot.model.network import Input, Model
+from dashpot.model.rigfile.amounts import factors
 from dashpot.model.rigfile.channels import Measurables, read_channels
 from dashpot.model.rigfile.elements import Points, read_elements
 from dashpot.model.rigfile.free import read_free
@@ -65,7 +66,10 @@ def _inputs(reading: Reading, head: Head) -> list[Input]:
         if entry is None:
             reading.faulty.add(name)
             continue
-        at = entry.at or {}
+        at = factors(reading, ("inputs", name, "at"), entry.at or {}, head.angles)
+        if at is None:
+            reading.faulty.add(name)
+            continue
         as_table = isinstance(raw.get("at"), dict)
         if entry.kind == "displacement" or reading.points_known(
             ("inputs", name, "at"), at, head.coordinates, as_table, "coordinate"

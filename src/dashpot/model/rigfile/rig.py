@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 from dashpot.channel import Channel, Quantity
 from dashpot.errors import UsageError
+from dashpot.io.words import counted, shown
 from dashpot.model.network import Model
 from dashpot.units import scale, si_unit
 
@@ -18,6 +19,10 @@ class Rig:
     model: Model
     channels: tuple[Channel, ...]
     path: str = ""
+
+    def __repr__(self) -> str:
+        source = f", from {shown(self.path)}" if self.path else ""
+        return f"<Rig {self.model.summary}, {counted(len(self.channels), 'channel')}{source}>"
 
 
 def default_channels(model: Model) -> tuple[Channel, ...]:
@@ -38,6 +43,18 @@ def all_angles(points: Iterable[str], angles: Collection[str]) -> bool:
     """Whether there are points, and all of them are angles."""
     points = list(points)
     return bool(points) and all(point in angles for point in points)
+
+
+def is_electrical(unit: str, quantity: str) -> bool:
+    """Whether a unit is none of the quantity itself but of what a sensor puts out: volts or counts."""
+    for uncalibrated in (False, True):
+        for angular in (False, True):
+            try:
+                scale(unit, quantity, angular, uncalibrated)
+            except UsageError:
+                continue
+            return uncalibrated
+    return False
 
 
 def scale_of_points(

@@ -11,8 +11,10 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
 from pydantic_core import ErrorDetails, PydanticCustomError
 
 from dashpot.channel import Quantity
+from dashpot.errors import UsageError
 from dashpot.io.words import did_you_mean, listed, quoted, shown, written
 from dashpot.model.elements import Kind
+from dashpot.quantities import Amount, amount
 
 GROUND = "ground"
 SECTIONS: Mapping[str, Kind] = {kind.section: kind for kind in Kind}
@@ -31,7 +33,7 @@ def _number(value: object) -> float:
             raise _wrong(f"{written(value)} is text", cure)
         bare = re.fullmatch(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*(\D.*)?", value)
         if bare is not None and bare[2] is not None:
-            cure = f"write {_plain(bare[1])} without quotes, and the unit in unit = {quoted(bare[2][:20].strip())}"
+            cure = f"write {_plain(bare[1])} without quotes: this number has no unit"
             raise _wrong(f"{written(value)} is text", cure)
         if bare is not None:
             raise _wrong(f"{written(value)} is text", f"write {_plain(bare[1])} without quotes")
@@ -55,6 +57,30 @@ def _plain(digits: str) -> str:
     digits = re.sub(r"^(-?)\.", r"\g<1>0.", digits)
     digits = re.sub(r"^(-?)0+(?=\d)", r"\1", digits)
     return re.sub(r"\.(?!\d)", ".0", digits)
+
+
+def _amount(value: object) -> float | Amount:
+    """A number, or a text of a number and its unit."""
+    if isinstance(value, str) and _WITH_UNIT.fullmatch(value):
+        try:
+            return amount(value)
+        except UsageError as error:
+            raise _wrong(error.problems[0].what, error.problems[0].cure) from None
+    return _number(value)
+
+
+def _amount_or_unknown(value: object) -> float | Amount | None:
+    return None if isinstance(value, str) and value.strip().lower() == "unknown" else _amount(value)
+
+
+def _share(value: object) -> float:
+    """A number, or a text in per cent."""
+    given = _amount(value)
+    if not isinstance(given, Amount):
+        return given
+    if given.unit != "%":
+        raise _wrong(f"{written(value)} is no share", "write a number or per cent, such as 0.05 or 5 %")
+    return given.number / 100
 
 
 def _number_or_unknown(value: object) -> float | None:
@@ -145,14 +171,19 @@ def _one_of(*choices: str) -> BeforeValidator:
     return BeforeValidator(chosen)
 
 
+_WITH_UNIT = re.compile(r"\s*[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?\s*[^\s\d.,:].*")
+
 Number = Annotated[float, BeforeValidator(_number)]
+GivenAmount = Annotated[float | Amount, BeforeValidator(_amount)]
+AmountOrUnknown = Annotated[float | Amount | None, BeforeValidator(_amount_or_unknown)]
+Share = Annotated[float, BeforeValidator(_share)]
 NumberOrUnknown = Annotated[float | None, BeforeValidator(_number_or_unknown)]
 Gain = Annotated[float | str | None, BeforeValidator(_gain)]
 Text = Annotated[str, BeforeValidator(_text)]
 Names = Annotated[list[Text], BeforeValidator(_texts)]
-OnePointOrTable = Annotated[dict[str, Number], BeforeValidator(_one_or_table)]
-OneOrMany = Annotated[dict[str, Number], BeforeValidator(_one_or_many)]
-PointTable = Annotated[dict[str, Number], BeforeValidator(_table)]
+OnePointOrTable = Annotated[dict[str, GivenAmount], BeforeValidator(_one_or_table)]
+OneOrMany = Annotated[dict[str, GivenAmount], BeforeValidator(_one_or_many)]
+PointTable = Annotated[dict[str, GivenAmount], BeforeValidator(_table)]
 
 
 class Entry(BaseModel):
@@ -174,14 +205,14 @@ class ElementEntry(Entry):
     at: OnePointOrTable | None = None
     between: Annotated[list[Text], BeforeValidator(_pair)] | None = None
     along: PointTable | None = None
-    value: Number | None = None
-    sd: Number | None = None
-    guess: Number | None = None
-    min: Number | None = None
-    max: Number | None = None
+    value: GivenAmount | None = None
+    sd: GivenAmount | None = None
+    guess: GivenAmount | None = None
+    min: GivenAmount | None = None
+    max: GivenAmount | None = None
     unit: Text | None = None
     same_as: Text | None = None
-    times: Number = 1.0
+    times: Share = 1.0
     law: Text | None = None
 
 
@@ -198,11 +229,11 @@ class ChannelEntry(Entry):
     quantity: Annotated[str, _one_of(*Quantity)] | None = None
     unit: Text | None = None
     gain: Gain = 1.0
-    delay: NumberOrUnknown = 0.0
+    delay: AmountOrUnknown = 0.0
     sign: NumberOrUnknown = 1.0
-    noise: Number = 0.0
-    relative_noise: Number = 0.0
-    rate: Number | None = None
+    noise: GivenAmount = 0.0
+    relative_noise: Share = 0.0
+    rate: GivenAmount | None = None
     same_gain_as: Text | None = None
 
 

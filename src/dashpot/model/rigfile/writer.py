@@ -6,16 +6,15 @@ from collections.abc import Iterable, Mapping, Sequence
 from itertools import combinations
 
 from dashpot.channel import Channel
-from dashpot.errors import ModelError, UsageError
+from dashpot.errors import ModelError
 from dashpot.io.toml_document import toml_key
 from dashpot.io.words import quoted
 from dashpot.model.elements import Element, Kind
 from dashpot.model.network import Input, Model
 from dashpot.model.rigfile.force_laws import law_fields
-from dashpot.model.rigfile.rig import Rig
+from dashpot.model.rigfile.rig import Rig, is_electrical
 from dashpot.model.rigfile.schema import GROUND
 from dashpot.model.unstructured import free_entries
-from dashpot.units import scale
 
 
 def write_rig(rig: Rig) -> str:
@@ -110,7 +109,9 @@ def _channel_fields(channel: Channel, model: Model) -> dict[str, str]:
     usual = {"gain": 1.0, "delay": 0.0, "sign": 1.0}
     for key, number in calibration.items():
         # The gain of a voltage is stated even where it is 1: else the channel would count as not calibrated.
-        stated = number != usual[key] or (key == "gain" and _is_electrical(channel))
+        stated = number != usual[key] or (
+            key == "gain" and is_electrical(channel.unit, channel.quantity.value)
+        )
         if stated:
             fields[key] = '"unknown"' if number is None else repr(float(number))
     for key, number in (("noise", channel.noise), ("relative_noise", channel.relative_noise)):
@@ -121,16 +122,6 @@ def _channel_fields(channel: Channel, model: Model) -> dict[str, str]:
     if channel.same_gain_as is not None:
         fields["same_gain_as"] = quoted(channel.same_gain_as)
     return fields
-
-
-def _is_electrical(channel: Channel) -> bool:
-    for angular in (False, True):
-        try:
-            scale(channel.unit, channel.quantity.value, angular)
-        except UsageError:
-            continue
-        return False
-    return True
 
 
 def _points_text(points: Mapping[str, float]) -> str:

@@ -1,0 +1,63 @@
+"""Amounts in a rig file: numbers in the unit of their entry, or texts with a unit of their own: "4.6 kN/m", "1 %"."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Mapping
+
+from dashpot.errors import UsageError
+from dashpot.io.toml_document import Place
+from dashpot.model.rigfile.reading import Reading
+from dashpot.quantities import Amount
+from dashpot.units import scale
+
+PER_CENT = "%"
+
+
+def in_si(
+    reading: Reading, place: Place, given: float | Amount, plain: float, scale_of: Callable[[str], float]
+) -> float | None:
+    """An amount in SI units: a number times `plain`, else by its own unit; None, and told, where that is no such unit.
+
+    `scale_of` gives the factor of a unit to SI and raises UsageError for a unit of something else.
+    """
+    if not isinstance(given, Amount):
+        return given * plain
+    try:
+        return given.number * (plain if given.unit is None else scale_of(given.unit))
+    except UsageError as error:
+        for problem in error.problems:
+            reading.report.add(place, problem.what, problem.cure)
+        return None
+
+
+def bare(given: float | Amount) -> float:
+    """The number of an amount, whatever its unit."""
+    return given.number if isinstance(given, Amount) else given
+
+
+def is_share(given: float | Amount | None) -> bool:
+    """Whether an amount is written in per cent."""
+    return isinstance(given, Amount) and given.unit == PER_CENT
+
+
+def factors(
+    reading: Reading, place: Place, given: Mapping[str, float | Amount], angles: Collection[str]
+) -> dict[str, float] | None:
+    """Factors of points: numbers, shares in per cent, and lengths for the arms of angles; None, and told, if faulty."""
+
+    def scale_of(point: str, unit: str) -> float:
+        if unit == PER_CENT:
+            return 0.01
+        if point not in angles:
+            raise UsageError(
+                f"{point} is no angle, so its factor has no unit",
+                cure="write a number or a share, such as 60 %",
+            )
+        return scale(unit, "displacement")
+
+    numbers = {
+        point: in_si(reading, (*place, point), factor, 1.0, lambda unit, point=point: scale_of(point, unit))  # type: ignore[misc]
+        for point, factor in given.items()
+    }
+    whole = {point: number for point, number in numbers.items() if number is not None}
+    return whole if len(whole) == len(numbers) else None
