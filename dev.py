@@ -7,6 +7,10 @@
     python3 dev.py bench [NAME]  the benchmarks, all or the named ones; what follows the first -option goes to them
     python3 dev.py env           only make the environment, .venv
     python3 dev.py lock [ARGS]   renew requirements/*locked.txt; --upgrade moves every pin
+    python3 dev.py lowest [ARGS] the unit tests on the wheel with the lowest versions that pyproject.toml allows;
+                                 --python VERSION takes another Python, other ARGS go to pytest
+    python3 dev.py newest [ARGS] the same with the newest versions that there are
+    python3 dev.py fuzz [ARGS]   damaged inputs of every kind; --minutes N, --inputs N, --seed S
 
 The first call makes .venv from requirements/locked.txt, every file checked against its hash. Later calls
 compare a stamp and start at once; a changed lock, another Python or a set-up cut short remakes .venv.
@@ -45,7 +49,9 @@ PEERS_LOCKED = REQUIREMENTS / "peers-locked.txt"
 EXAMPLE = ["identify", "examples/shake_table/rig.toml", "examples/shake_table/amplitudes.csv"]
 ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
 PIP_INSTALL_LOCKED = ("install", "--require-hashes", "--only-binary", ":all:", "-r")
-COMMANDS = ("run", "test", "check", "bench", "env", "lock")
+COMMANDS = ("run", "test", "check", "bench", "env", "lock", "lowest", "newest", "fuzz")
+# What the tests of `lowest` and `newest` need beside the wheel; the locked set has more than an old NumPy allows.
+TESTING = ("pytest>=9", "pytest-xdist", "hypothesis", "import-linter", "lmfit")
 
 
 class SetupError(Exception):
@@ -147,6 +153,17 @@ def split_bench(extra: Sequence[str], known: Sequence[str]) -> tuple[list[str], 
         if name not in known:
             raise UsageError(f"no benchmark {name!r}: there are {', '.join(known) if known else 'none yet'}")
     return names or list(known), list(extra[first:])
+
+
+def split_python(extra: Sequence[str]) -> tuple[str, list[str]]:
+    """The Python asked for by --python, this one unless given, and the other arguments."""
+    words = list(extra)
+    if "--python" not in words:
+        return getattr(sys, "_base_executable", None) or sys.executable, words
+    at = words.index("--python")
+    if at + 1 == len(words):
+        raise UsageError("--python needs a version or a path, such as 3.13")
+    return words[at + 1], words[:at] + words[at + 2 :]
 
 
 def child_environment(base: Mapping[str, str], extra: Mapping[str, str]) -> dict[str, str]:
@@ -373,6 +390,62 @@ def bench(extra: list[str]) -> int:
     return worst
 
 
+def fuzz(extra: list[str]) -> int:
+    return call([PYTHON, "-m", "tests.fuzz", *extra], cwd=ROOT, MPLBACKEND="Agg", **ONE_THREAD)
+
+
+def other_versions(which: str, extra: list[str]) -> int:
+    """The wheel and the tests in an environment of their own: the lowest versions declared, or the newest there are."""
+    version, extra = split_python(extra)
+    place = ROOT / f".venv-{which}"
+    with contextlib.ExitStack() as held:
+        folder = Path(held.enter_context(tempfile.TemporaryDirectory(prefix=f"dashpot-{which}-")))
+        make_venv(folder / "tools")
+        tools = folder / "tools" / BIN.name
+        pip(tools / PYTHON.name, "install", "uv", log=folder / "pip.log")
+        uv, python = tools / "uv", place / BIN.name / PYTHON.name
+        resolution = ["--resolution", "lowest-direct" if which == "lowest" else "highest"]
+        try:
+            quietly([uv, "venv", "--quiet", "--clear", "--no-python-downloads", "--python", version, place])
+            quietly([uv, "build", "--quiet", "--wheel", "--out-dir", folder, ROOT])
+            (wheel,) = folder.glob("*.whl")
+            install: list[str | Path] = [
+                uv,
+                "pip",
+                "install",
+                "--quiet",
+                "--python",
+                python,
+                "--only-binary",
+                ":all:",
+            ]
+            # From pyproject.toml, not from the wheel, whose own dependencies would not count as direct.
+            quietly([*install, *resolution, "-r", "pyproject.toml", "--all-extras"])
+            quietly([*install, "--no-deps", wheel])
+            kept = quietly([uv, "pip", "freeze", "--quiet", "--python", python, "--exclude-editable"])
+            constraints = folder / "constraints.txt"
+            constraints.write_text("".join(f"{one}\n" for one in kept.splitlines() if "==" in one))
+            quietly([*install, "--constraints", constraints, *TESTING])
+        except SetupError as failure:
+            raise SetupError(" ".join(str(failure).split())) from failure
+        shown = quietly([uv, "pip", "list", "--quiet", "--python", python])
+    print(shown, flush=True)
+    # Old versions warn of what newer ones have changed, and newest ones of what they will: here only failures count.
+    options = [
+        "-q",
+        "-n",
+        "2",
+        "--dist",
+        "worksteal",
+        "-p",
+        "no:cacheprovider",
+        "-o",
+        "filterwarnings=default",
+    ]
+    tests = extra if any(not word.startswith("-") for word in extra) else [*extra, "tests/unit"]
+    return call([python, "-m", "pytest", *options, *tests], cwd=ROOT, MPLBACKEND="Agg", **ONE_THREAD)
+
+
 def lock(extra: list[str]) -> int:
     options = (
         f"--quiet --universal --python-version {dotted(OLDEST)} --generate-hashes --no-header --no-annotate"
@@ -411,10 +484,12 @@ def main(argv: Sequence[str]) -> int:
             return 0
         if command == "lock":
             return lock(extra)
+        if command in ("lowest", "newest"):
+            return other_versions(command, extra)
         make_environment()
         if command == "env":
             return 0
-        return {"run": run, "test": test, "check": check, "bench": bench}[command](extra)
+        return {"run": run, "test": test, "check": check, "bench": bench, "fuzz": fuzz}[command](extra)
     except SetupError as failure:
         say(str(failure))
         return 2

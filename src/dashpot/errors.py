@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import unicodedata
 from collections.abc import Iterable
 from dataclasses import dataclass
+
+_UNSEEN = {"Cc", "Cf", "Cs", "Cn", "Co", "Zl", "Zp"}  # control, format, halves of characters, line separators
 
 
 @dataclass(frozen=True)
@@ -17,7 +20,14 @@ class Problem:
     def __str__(self) -> str:
         place = "" if self.where is None else f"{self.where}: "
         remedy = "" if self.cure is None else f"; {self.cure}"
-        return f"{place}{self.what}{remedy}"
+        return printable(f"{place}{self.what}{remedy}")
+
+
+def printable(text: str) -> str:
+    """The text on one line of a terminal: control characters and what turns or hides text are shown escaped (\\x1b)."""
+    if text.isprintable():
+        return text
+    return "".join(ascii(c)[1:-1] if unicodedata.category(c) in _UNSEEN else c for c in text)
 
 
 class DashpotError(Exception):

@@ -20,7 +20,7 @@ from click.shell_completion import CompletionItem
 from dashpot.app.commands import COMMANDS
 from dashpot.app.help import WIDEST
 from dashpot.app.workers import one_thread
-from dashpot.errors import DashpotError
+from dashpot.errors import DashpotError, printable
 from dashpot.io import ledger
 
 FAULT, USAGE, INTERRUPTED, BROKEN_PIPE = 1, 2, 130, 141  # 128 + signal, as shells report it
@@ -173,7 +173,7 @@ def _silence_stdout() -> None:
 def _tell(lines: Iterable[str]) -> None:
     for line in lines:
         with suppress(OSError):  # nobody listens: the exit code says it all the same
-            click.echo(f"dashpot: {line}", err=True)
+            click.echo(f"dashpot: {printable(line)}", err=True)
 
 
 def _usage(error: click.ClickException) -> int:

@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from dashpot.errors import printable
+
 if TYPE_CHECKING:
     from dashpot.data.conditioning.settings import Conditioning
     from dashpot.data.spectrum import Spectrum
@@ -65,7 +67,7 @@ def tell_notes(notes: Sequence[Notice], quiet: bool) -> None:
     if quiet:
         return
     groups: dict[str, list[str]] = {}
-    for note in dict.fromkeys(str(notice) for notice in notes):
+    for note in dict.fromkeys(printable(str(notice)) for notice in notes):
         groups.setdefault(re.sub(r"\d[\d.]*(e[-+]?\d+)?", "#", note), []).append(note)
     for first, *others in groups.values():
         more = f" (and {len(others)} more like this)" if others else ""

@@ -13,11 +13,14 @@ import numpy as np
 from dashpot.arrays import Bools, Complex, Ints, Real, frozen
 from dashpot.errors import DataError
 from dashpot.estimate.assessment import Assessment, assessment_from
+from dashpot.estimate.soundness import require_sound
 from dashpot.io.json_document import from_json, nullable, to_json
 from dashpot.io.ledger import noted
+from dashpot.io.words import shown
 from dashpot.notices import Notice
 
 FORMAT = "0.1"
+REMEDY = "write one with dashpot identify"
 
 
 @dataclass(frozen=True)
@@ -249,11 +252,14 @@ class Estimate:
     def from_json(text: str, where: str = "estimate") -> Estimate:
         """The estimate that `to_json` wrote.  Raises DataError where the text is not one."""
         try:
-            return _loaded(from_json(text))
-        except (KeyError, TypeError, ValueError, AttributeError) as error:
-            raise DataError(
-                f"this is no estimate of dashpot ({error})", where, "write it with --json"
-            ) from error
+            estimate = _loaded(from_json(text))
+        except KeyError as error:
+            raise DataError(f"this is no estimate of dashpot ({error} is missing)", where, REMEDY) from error
+        except (TypeError, ValueError, AttributeError, IndexError, OverflowError) as error:
+            cause = shown(str(error), 100)
+            raise DataError(f"this is no estimate of dashpot ({cause})", where, REMEDY) from error
+        require_sound(estimate, where)
+        return estimate
 
     @staticmethod
     def load(path: str | Path) -> Estimate:
@@ -261,7 +267,7 @@ class Estimate:
         try:
             text = Path(noted(path)).read_text(encoding="utf-8")
         except (OSError, UnicodeDecodeError) as error:
-            raise DataError("the file cannot be read", str(path), "write it with --json") from error
+            raise DataError("the file cannot be read", str(path), REMEDY) from error
         return Estimate.from_json(text, str(path))
 
 

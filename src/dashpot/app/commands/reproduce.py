@@ -7,6 +7,7 @@ import click
 from dashpot.app.help import dashpot_command, option
 from dashpot.app.options import file_option, processes_option, quiet_option, seed_option
 from dashpot.app.parameter_types import FOLDER, Count
+from dashpot.errors import printable
 
 PAPERS = ["yamane1989"]
 FEW = 200  # draws below which starting processes costs more than they save
@@ -49,4 +50,4 @@ def command(
     if not quiet:
         show_reproduction(reproduction, console())
         for name in written:
-            click.echo(name)
+            click.echo(printable(name))

@@ -18,6 +18,7 @@ from dashpot.app.parameter_types import (
     SHARE_OR_ZERO,
     Count,
 )
+from dashpot.errors import printable
 
 if TYPE_CHECKING:
     from dashpot.model.rigfile import Rig
@@ -106,7 +107,7 @@ def command(
     if not quiet:
         what = "amplitudes" if table else f"{samples} samples at each"
         many = "1 frequency" if len(frequencies) == 1 else f"{len(frequencies)} frequencies"
-        click.echo(f"{out}: {many}, {what}; channels {', '.join(c.name for c in channels)}")
+        click.echo(f"{printable(out)}: {many}, {what}; channels {', '.join(c.name for c in channels)}")
 
 
 def _require_all(rig: Rig, values: Mapping[str, float]) -> None:

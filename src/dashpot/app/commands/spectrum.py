@@ -6,6 +6,7 @@ from typing import Any
 
 from dashpot.app.help import dashpot_command
 from dashpot.app.options import conditioning_options, data_argument, out_option, quiet_option, rig_argument
+from dashpot.errors import printable
 
 
 @dashpot_command(
@@ -36,4 +37,4 @@ def command(rig: str, records: tuple[str, ...], out: str, quiet: bool, **conditi
         from dashpot.present.tables.estimate import console, show_spectrum
 
         units = [channel_unit(rig_read.model, channel) for channel in spectrum.channels]
-        show_spectrum(console(), spectrum, units, out)
+        show_spectrum(console(), spectrum, units, printable(out))

@@ -11,6 +11,7 @@ from dashpot.app.data_files import tell_notes
 from dashpot.app.help import dashpot_command, option
 from dashpot.app.options import processes_option, quiet_option
 from dashpot.app.parameter_types import FOLDER, INPUT_FILE, Count
+from dashpot.errors import printable
 
 FEW = 2000  # identifications below which starting processes costs more than they save
 
@@ -72,4 +73,4 @@ def command(
     if not quiet:
         show(outcome, console())
         for name in [str(Path(folder) / "summary.parquet"), *written]:
-            click.echo(name)
+            click.echo(printable(name))

@@ -9,6 +9,7 @@ JSON: `{"modes": [{"frequency_hz": 3.0, "frequency_sd": 0.01, "damping_ratio": 0
 
 from __future__ import annotations
 
+import json
 import math
 import os
 from collections.abc import Mapping, Sequence
@@ -20,7 +21,7 @@ import numpy as np
 
 from dashpot.arrays import Complex, Real
 from dashpot.data.modal_data import ModalData
-from dashpot.data.readers.columns import Columns, bare
+from dashpot.data.readers.columns import LARGEST, Columns, bare
 from dashpot.data.readers.delimited.opening import open_table
 from dashpot.errors import DataError
 from dashpot.io.json_document import from_json
@@ -223,6 +224,8 @@ def _shape(row: Mapping[str, Any], key: str, where: str) -> dict[str, complex]:
 
 
 def _number(value: object, key: str, where: str) -> float:
-    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
-        raise DataError(f"{key}: {shown(str(value))} is no finite number", where, "give a number")
-    return float(value)
+    """A finite number; whole numbers of any length are told apart before they become one."""
+    if isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= LARGEST:
+        return float(value)
+    text = "a number of many digits" if isinstance(value, int) and value > 1 else shown(json.dumps(value))
+    raise DataError(f"{key}: {text} is no finite number", where, "give a number")

@@ -1,0 +1,152 @@
+"""Sound inputs of every kind, small ones, from which damaged ones are made."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import json
+import os
+import tempfile
+from functools import cache
+from pathlib import Path
+
+from dashpot.app.cli import run
+
+BASE = """\
+name = "Two masses on a shaken base"
+coordinates = ["x1", "x2"]
+[inputs]
+u = { kind = "displacement" }
+[masses]
+m1 = { at = "x1" }
+m2 = { at = "x2", value = 2.7, sd = 0.01 }
+[springs]
+k1 = { between = ["x1", "x2"], value = 4600 }
+k2 = { between = ["x2", "u"], value = 4600 }
+[dampers]
+c1 = { between = ["x1", "x2"], guess = 20 }
+c2 = { between = ["x2", "u"], guess = 30 }
+[channels]
+x1 = { of = "x1", unit = "mm", noise = 0.02 }
+x2 = { of = "x2", unit = "mm", noise = 0.02 }
+u = { of = "u", unit = "mm" }
+"""
+
+FORCED = """\
+coordinates = ["x", "pitch"]
+angles = ["pitch"]
+[inputs]
+u = {}
+f = { kind = "force", at = { x = 1, pitch = -0.3 } }
+[masses]
+m = { at = "x", value = 12, unit = "lb" }
+J = { at = "pitch", value = 0.5, unit = "kg m^2" }
+tip = { along = { x = 1, pitch = 0.5 }, value = 0.1 }
+[springs]
+front = { along = { x = 1, pitch = 0.4, u = -1 }, guess = 10, unit = "N/mm" }
+rear = { along = { x = 1, pitch = -0.4, u = -1 }, same_as = "front", times = 2 }
+[dampers]
+cf = { between = ["x", "u"], unit = "kg/s", guess = 40, min = 0, max = 1e4 }
+cp = { at = "pitch", guess = 1 }
+[inerters]
+b = { between = ["x", "u"], value = 0.1 }
+[hysteretic]
+h = { at = "x", value = 2, unit = "kN/m" }
+[channels]
+x = { of = "x", quantity = "acceleration", unit = "g", noise = 0.01 }
+pitch = { of = "pitch", unit = "deg", noise = 0.01 }
+spring = { of = "front", unit = "N", noise = 0.1 }
+u = { of = "u", unit = "mm" }
+f = { of = "f", unit = "lbf" }
+"""
+
+FREE = """\
+coordinates = ["x1", "x2"]
+[inputs]
+f = { kind = "force", at = "x1" }
+[free]
+matrices = "MCK"
+[channels]
+x1 = { of = "x1" }
+x2 = { of = "x2" }
+f = { of = "f" }
+"""
+
+STUDY = """\
+name = "noise"
+seed = 5
+[rigs.two]
+file = "rig.toml"
+values = { m1 = 3.0, c1 = 20.0, c2 = 30.0 }
+[frequencies]
+few = [2, 4, 6, 8, 10, 12]
+[[grid]]
+methods = ["wls", "oiv"]
+noise = [0.01, 0.1]
+samples = 20
+draws = 4
+"""
+
+MODES_CSV = """\
+frequency_hz,frequency_sd,damping_ratio,damping_sd,x1_re,x1_im,x1_sd,x2_re,x2_im,x2_sd
+3.9,0.01,0.1,0.001,1,0,0.01,0.6,-0.01,0.02
+10.5,0.02,0.2,0.002,-0.6,0.1,0.01,1,0,0.01
+"""
+
+MODES_JSON = json.dumps(
+    {
+        "modes": [
+            {"frequency_hz": 3.9, "frequency_sd": 0.01, "damping_ratio": 0.1, "damping_sd": 0.001,
+             "shape": {"x1": [1.0, 0.0], "x2": 0.6}, "shape_sd": {"x1": 0.01, "x2": 0.02}},
+            {"frequency_hz": 10.5, "frequency_sd": 0.02, "shape": {"x1": [-0.6, 0.1], "x2": 1},
+             "shape_sd": {"x1": 0.01, "x2": 0.02}},
+        ]
+    },
+    indent=1,
+)  # fmt: skip
+
+FRF = "frequency_hz,x1/u_re,x1/u_im,x1/u_sd,x2/u_re,x2/u_im,x2/u_sd\n" + "".join(
+    f"{f},{1 + 0.1 * f},{-0.05 * f},0.01,{1 + 0.05 * f},{-0.02 * f},0.01\n"
+    for f in (1, 2, 3, 4, 6, 8, 10, 12)
+)
+
+LVM = """\
+LabVIEW Measurement\t
+Separator\tTab
+Decimal_Separator\t.
+X_Columns\tOne
+***End_of_Header***\t
+\t
+Channels\t3\t\t\t
+Delta_X\t0.01\t0.01\t0.01\t
+***End_of_Header***\t\t\t\t
+X_Value\tx1\tx2\tu\tComment
+""" + "".join(f"{k / 100:.6f}\t{0.5 + k % 7}\t{0.1 * (k % 5)}\t{k % 3}\t\n" for k in range(60))
+
+XSENS = "sep=,\nDeviceTag:,Xsens DOT\n\nPacketCounter,SampleTimeFine,Euler_X,Acc_X,Acc_Y,Acc_Z\n" + "".join(
+    f"{k},{1000 + 8333 * k},0.5,{0.1 * (k % 7):.3f},1.0,9.8\n" for k in range(40)
+)
+
+
+@cache
+def files() -> dict[str, bytes]:
+    """All sound files by their names; data are simulated from the rigs."""
+    texts = {
+        "rig.toml": BASE, "forced.toml": FORCED, "free.toml": FREE, "study.toml": STUDY, "modes.csv": MODES_CSV,
+        "modes.json": MODES_JSON, "frf.csv": FRF, "a.lvm": LVM, "xsens.csv": XSENS,
+    }  # fmt: skip
+    unknowns = "m1=3,c1=20,c2=30"
+    with tempfile.TemporaryDirectory() as folder, contextlib.chdir(folder):
+        for name, text in texts.items():
+            Path(name).write_text(text, encoding="utf-8")
+        common = ["--set", unknowns, "--amplitude", "u=0.01", "--samples", "16", "--periods", "3", "-q"]
+        for arguments in (
+            ["simulate", "rig.toml", "-o", "records.csv", "--frequencies", "1:15/6", *common],
+            ["simulate", "rig.toml", "-o", "amplitudes.csv", "--frequencies", "1:15/8", "--table", *common],
+            ["simulate", "forced.toml", "-o", "forced.csv", "--frequencies", "1:15/8", "--table", "-q"],
+            ["identify", "rig.toml", "amplitudes.csv", "--json", "estimate.json", "-q"],
+        ):
+            with contextlib.redirect_stderr(io.StringIO()) as told:
+                if run(arguments) != 0:
+                    raise RuntimeError(f"the corpus cannot be made: {arguments}: {told.getvalue()}")
+        return {name: Path(name).read_bytes() for name in sorted(os.listdir())}

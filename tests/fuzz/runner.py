@@ -1,0 +1,187 @@
+"""One case in this process, with limits; what is wrong with how it ended."""
+
+from __future__ import annotations
+
+import contextlib
+import gc
+import io
+import json
+import os
+import re
+import resource
+import shutil
+import signal
+import sys
+import tempfile
+import traceback
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from pathlib import Path
+from types import FrameType
+
+from dashpot import quantities
+from dashpot.app import cli
+from dashpot.channel import Channel
+from dashpot.data.readers import read
+from dashpot.data.readers.delimited.modes import read_modes
+from dashpot.errors import DashpotError
+from dashpot.estimate.result import Estimate
+from dashpot.io.atomic import PART
+from dashpot.model.rigfile import default_channels, parse_rig, read_rig
+from dashpot.study.grid import scenarios
+from dashpot.study.studyfile import read_study
+from tests.fuzz import corpus
+from tests.fuzz.cases import Case
+
+SECONDS = 5.0  # of processor time, after which a case hangs
+FACTORS = {
+    "compare": 6,
+    "design": 6,
+    "check": 6,
+    "study": 6,
+}  # of several estimates, or by maximum likelihood
+MEMORY = 1 << 30  # bytes beside those that this process had at its start
+CODES = {0, 2, 3, 4}
+MOST_LINES = 40  # on stderr
+_CONTROL = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f\u2028\u2029\u202a-\u202e\u2066-\u2069]")
+
+
+class Hang(BaseException):
+    """The time is up."""
+
+
+def limit_memory() -> None:
+    """Let this process have MEMORY beside what it has."""
+    now = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
+    _, hard = resource.getrlimit(resource.RLIMIT_AS)
+    resource.setrlimit(resource.RLIMIT_AS, (now + MEMORY, hard))
+
+
+def finding(case: Case) -> str | None:
+    """What is wrong with how a case ends: a signature that is the same for the same fault; None where all is well."""
+    before = os.environ.get(cli.TRACEBACK)
+    os.environ[cli.TRACEBACK] = "1"
+    folder = tempfile.mkdtemp(prefix="dashpot-fuzz-")
+    try:
+        with contextlib.chdir(folder):
+            for name, content in case.files.items():
+                Path(name).write_bytes(content)
+            return _finding(case)
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
+        if before is None:
+            os.environ.pop(cli.TRACEBACK, None)
+        else:
+            os.environ[cli.TRACEBACK] = before
+
+
+def _finding(case: Case) -> str | None:
+    out, err = io.StringIO(), io.StringIO()
+    seconds = SECONDS * FACTORS.get(case.arguments[0], 1)
+    try:
+        with (
+            contextlib.redirect_stdout(out),
+            contextlib.redirect_stderr(err),
+            _time_limit(seconds),
+        ):
+            code = _read(case.arguments) if case.arguments[0] in READERS else cli.run(case.arguments)
+    except Hang as error:
+        return f"hang in {_place(error)}"
+    except BaseException as error:
+        return f"{type(error).__name__} in {_place(error)}"
+    told = err.getvalue().splitlines()
+    if code not in CODES:
+        return f"exit code {code}"
+    if any("out of memory" in line for line in told):
+        gc.collect()
+        return "memory"
+    if code == 2 and not told:
+        return "refused without a word"
+    if len(told) > MOST_LINES:
+        return f"{len(told) // 100 * 100 or MOST_LINES} lines and more on stderr"
+    if any("Traceback" in line or "internal error" in line for line in told):
+        return "internal error"
+    for kind, text in (("stdout", out.getvalue()), ("stderr", err.getvalue())):
+        if _CONTROL.search(text):
+            return f"control character on {kind}"
+    return _wrong_files(case, code, out.getvalue())
+
+
+def _read(arguments: Sequence[str]) -> int:
+    """Only what reads the file: much faster than a command."""
+    try:
+        READERS[arguments[0]](*arguments[1:])
+    except DashpotError as error:
+        for problem in error.problems:
+            print(f"dashpot: {problem}", file=sys.stderr)
+        return 2
+    return 0
+
+
+def _channels() -> tuple[Channel, ...]:
+    return parse_rig(corpus.BASE).channels
+
+
+def _quantity(text: str) -> None:
+    for parse in (quantities.share, quantities.frequency, quantities.band, quantities.frequencies):
+        with contextlib.suppress(DashpotError):
+            parse(text)
+    for kind in ("displacement", "force", "mass"):
+        with contextlib.suppress(DashpotError):
+            quantities.quantity(text, kind)
+    quantities.amount(text)
+
+
+READERS: Mapping[str, Callable[..., object]] = {
+    "@rig": lambda path: default_channels(read_rig(path).model),
+    "@data": lambda path: read(path, _channels(), frequency_hz=2.0).spectrum(),
+    "@modes": lambda path: read_modes(path, ("x1", "x2")),
+    "@study": lambda path: scenarios(read_study(path)),
+    "@estimate": lambda path: Estimate.load(path).to_json(),
+    "@quantity": _quantity,
+}
+
+
+def _wrong_files(case: Case, code: int, out: str) -> str | None:
+    for name, content in case.files.items():
+        if Path(name).read_bytes() != content:
+            return f"{name} was changed"
+    left = [name for _, _, names in os.walk(".") for name in names if name.startswith(PART[0])]
+    if left:
+        return "a temporary file is left"
+    texts = [path.read_text(encoding="utf-8") for path in Path().glob("out*") if path.is_file()]
+    for text in [*texts, out]:
+        if text.startswith("{"):
+            try:
+                json.loads(text, parse_constant=_refused)
+            except ValueError as error:
+                return f"JSON: {type(error).__name__}"
+    return None
+
+
+def _refused(constant: str) -> None:
+    raise ValueError(constant)
+
+
+@contextlib.contextmanager
+def _time_limit(seconds: float) -> Iterator[None]:
+    def end(_: int, __: FrameType | None) -> None:
+        signal.setitimer(signal.ITIMER_PROF, 1.0)  # again, where an `except` has caught it
+        raise Hang
+
+    before = signal.signal(signal.SIGPROF, end)
+    signal.setitimer(signal.ITIMER_PROF, seconds)
+    try:
+        yield
+    finally:
+        signal.setitimer(signal.ITIMER_PROF, 0.0)
+        signal.signal(signal.SIGPROF, before)
+
+
+def _place(error: BaseException) -> str:
+    """The innermost line of dashpot that it passed, and what was called from there."""
+    frames = [one for one in traceback.extract_tb(error.__traceback__) if one.filename != __file__]
+    own = [frame for frame in frames if f"{os.sep}dashpot{os.sep}" in frame.filename]
+    if not frames:
+        return "no line of Python"
+    last = own[-1] if own else frames[-1]
+    return f"{Path(last.filename).name}:{last.name}"

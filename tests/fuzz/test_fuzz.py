@@ -1,0 +1,94 @@
+"""What the fuzzer has found stays mended, and a short run of it finds nothing; `python3 dev.py fuzz` runs for long."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from dashpot.app import cli
+from tests.fuzz.cases import Case, made
+from tests.fuzz.runner import finding
+
+HERE = Path(__file__).parent
+ROOT = HERE.parents[1]
+KEPT = sorted((HERE / "findings").glob("*.json"))
+SHORT = 400
+
+
+@pytest.mark.filterwarnings("ignore")
+@pytest.mark.parametrize("path", KEPT, ids=[path.stem for path in KEPT])
+def test_findings_stay_mended(path: Path) -> None:
+    assert finding(Case.load(path)) is None
+
+
+def test_a_short_run_finds_nothing(tmp_path: Path) -> None:
+    done = subprocess.run(
+        [
+            sys.executable, "-m", "tests.fuzz", "--inputs", str(SHORT), "--processes", "1", "--seed", "1989",
+            "--keep", str(tmp_path),
+        ],
+        cwd=ROOT, capture_output=True, text=True, timeout=600,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert f"{SHORT} inputs" in done.stdout
+
+
+def test_a_case_depends_on_its_number_alone_and_survives_its_file(tmp_path: Path) -> None:
+    for index in range(20):
+        case = made(3, index)
+        assert made(3, index) == case
+        (tmp_path / "case.json").write_text(case.to_json(), encoding="ascii")
+        assert Case.load(tmp_path / "case.json") == case
+
+
+def test_the_runner_sees_what_it_is_for(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each kind of fault, planted, is found."""
+    case = Case(("identify", "rig.toml"), {"rig.toml": b"x = 1\n"})
+
+    def planted(fault: object) -> str | None:
+        monkeypatch.setattr(cli, "run", fault)
+        return finding(case)
+
+    def raises(_: object) -> int:
+        raise ZeroDivisionError
+
+    def spins(_: object) -> int:
+        while True:
+            pass
+
+    def writes(name: str, text: str) -> object:
+        def run(_: object) -> int:
+            Path(name).write_text(text, encoding="utf-8")
+            return 0
+
+        return run
+
+    def prints(text: str, code: int = 2) -> object:
+        def run(_: object) -> int:
+            print(text, file=sys.stderr)
+            return code
+
+        return run
+
+    assert planted(lambda _: 0) is None
+    assert planted(raises) == "ZeroDivisionError in test_fuzz.py:raises"
+    assert planted(lambda _: 1) == "exit code 1"
+    assert planted(lambda _: 2) == "refused without a word"
+    assert planted(writes("rig.toml", "other")) == "rig.toml was changed"
+    assert planted(writes("out.json", '{"a": NaN}')) == "JSON: ValueError"
+    assert planted(writes(".dashpot-1.part", "")) == "a temporary file is left"
+    assert planted(prints("dashpot: \x1b[31mred")) == "control character on stderr"
+    assert planted(prints("dashpot: line\n" * 50)) == "40 lines and more on stderr"
+    assert planted(prints("dashpot: out of memory; give fewer")) == "memory"
+    monkeypatch.setattr("tests.fuzz.runner.SECONDS", 0.2)
+    assert planted(spins) == "hang in test_fuzz.py:spins"
+
+
+def test_kept_findings_are_small() -> None:
+    for path in KEPT:
+        assert path.stat().st_size < 60_000, path
+        json.loads(path.read_text(encoding="ascii"))
