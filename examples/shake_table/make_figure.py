@@ -12,7 +12,7 @@ from dashpot.data.readers import read
 from dashpot.estimate.identify import identify
 from dashpot.model.dynamics import response
 from dashpot.model.rigfile import read_rig
-from dashpot.present.figures.spectra import COLOURS, style
+from dashpot.present.figures.style import COLOURS, style
 
 HERE = Path(__file__).parent
 RIGS = {"rig.toml": "-", "rig_bending.toml": "--"}

@@ -14,7 +14,8 @@ from dashpot.data.readers.delimited.xsens import read_xsens
 from dashpot.estimate.identify import identify
 from dashpot.estimate.result import Estimate
 from dashpot.model.rigfile import read_rig
-from dashpot.present.tables.estimate import fit_in_words, parameter_table
+from dashpot.present.tables.estimate import parameter_columns
+from dashpot.present.text.estimate import fit_in_words
 
 ROOT = Path(__file__).resolve().parents[2]
 EXAMPLE = ROOT / "examples" / "shake_table"
@@ -58,9 +59,7 @@ def test_the_misfit_is_not_hidden(chain: Estimate) -> None:
     assert chain.basis == "model misfit"
     assert np.all(chain.sd > 5 * chain.noise_sd)
     assert "does not fit" in fit_in_words(chain.fit)
-    assert any(
-        "noise only" in str(column.header).replace("\n", " ") for column in parameter_table(chain).columns
-    )
+    assert any("noise only" in column.title.replace("\n", " ") for column in parameter_columns(chain))
 
 
 def test_walls_that_bend(chain: Estimate, bending: Estimate) -> None:

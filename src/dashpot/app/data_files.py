@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -20,14 +20,22 @@ if TYPE_CHECKING:
 CONDITIONING = ("orders", "harmonics", "drift", "noise", "refine", "settle")
 
 
-def read_spectrum(
+@dataclass(frozen=True)
+class MeasuredData:
+    """The amplitudes of data files, and whether any file held time records, which options can condition otherwise."""
+
+    spectrum: Spectrum
+    records: bool
+
+
+def read_data(
     rig: Rig,
     paths: Sequence[str],
     options: Mapping[str, Any],
     quiet: bool,
     *,
     moments_for: Iterable[str] = (),
-) -> Spectrum:
+) -> MeasuredData:
     """The amplitudes of data files, with the options of `conditioning_options` by name.
 
     Second moments of the samples are kept where one of the methods named by `moments_for` needs them and the files
@@ -40,10 +48,21 @@ def read_spectrum(
     moments = "ls" in moments_for and reading.amplitudes is None
     changes: dict[str, Any] = {"moments": moments}
     changes |= {name: value for name, value in reading.conditioning.items() if not _was_given(name)}
-    conditioning = replace(conditioning_from(options), **changes)
-    spectrum = reading.spectrum(conditioning)
+    spectrum = reading.spectrum(replace(conditioning_from(options), **changes))
     tell_notes(spectrum.notes, quiet)
-    return spectrum
+    return MeasuredData(spectrum, bool(reading.records))
+
+
+def read_spectrum(
+    rig: Rig,
+    paths: Sequence[str],
+    options: Mapping[str, Any],
+    quiet: bool,
+    *,
+    moments_for: Iterable[str] = (),
+) -> Spectrum:
+    """The amplitudes alone, as `read_data` reads them."""
+    return read_data(rig, paths, options, quiet, moments_for=moments_for).spectrum
 
 
 def _was_given(option: str) -> bool:

@@ -7,12 +7,13 @@ each input and output is entered in the run's ledger, whichever comes first, and
 from __future__ import annotations
 
 import os
+from collections.abc import Mapping
 from pathlib import Path
 
 import click
 from click.shell_completion import CompletionItem
 
-from dashpot.errors import UsageError
+from dashpot.errors import DataError, UsageError
 from dashpot.io import ledger
 
 STDOUT = "-"  # as the name of a file to write
@@ -120,3 +121,19 @@ def write_result(target: str | None, text: str) -> None:
         click.echo(text, nl=False)
     elif target is not None:
         write_text(target, text)
+
+
+def write_pictures(folder: str | Path, pictures: Mapping[str, bytes]) -> list[str]:
+    """Write PNG files by name into a folder, which is made if missing; their paths.  Raises DataError."""
+    from dashpot.io.atomic import write_bytes
+
+    target = Path(folder)
+    try:
+        target.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        reason = error.strerror or error
+        raise DataError(f"the folder cannot be made ({reason})", str(target), "name another one") from None
+    paths = [str(target / f"{name}.png") for name in pictures]
+    for path, content in zip(paths, pictures.values(), strict=True):
+        write_bytes(path, content)
+    return paths

@@ -93,6 +93,11 @@ class Summary:
             return (self.bound / self.spread) ** 2
 
     @property
+    def rms_bias(self) -> float:
+        """Root mean square of the mean errors over the unknowns, %."""
+        return float(np.sqrt(np.mean(self.mean**2)))
+
+    @property
     def rms_spread(self) -> float:
         """Root mean square of the spreads over the unknowns, %."""
         return float(np.sqrt(np.mean(self.spread**2)))

@@ -40,7 +40,7 @@ def test_a_deficient_rig_is_told_in_physics_and_ends_with_3(dashpot: Command, ri
 def test_with_data(dashpot: Command, data: Path) -> None:
     done = dashpot("check", "rig.toml", "data.csv", "--profile", "c1", "--known", "--json", "out.json")
     assert done.code == 0
-    assert "at these 8 lines" in " ".join(done.out.split())
+    assert "at these 8 frequencies" in " ".join(done.out.split())
     assert "c1 = " in done.out
     assert "1 % of" in done.out
     content = json.loads(Path("out.json").read_text(encoding="utf-8"))

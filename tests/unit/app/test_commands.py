@@ -300,7 +300,7 @@ def test_what_was_noticed_in_the_records_is_told_once_for_all_dwells(dashpot: Co
     Path("data.csv").write_text(text, encoding="utf-8")
     blind = dashpot("identify", "rig.toml", "data.csv")
     assert blind.err == []
-    assert "--settle and --refine" in " ".join(blind.out.split())
+    assert "--settle auto and --refine auto" in " ".join(blind.out.split())
     for command in (("identify",), ("compare", "--methods", "oiv"), ("spectrum", "--out", "table.csv")):
         name, *more = command
         done = dashpot(name, "rig.toml", "data.csv", "--refine", *more)

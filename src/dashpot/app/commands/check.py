@@ -87,8 +87,9 @@ def command(
 def _show(
     verdict: Structure, channels: Sequence[str], spectrum: Spectrum | None, parts: Sequence[Any]
 ) -> None:
-    from dashpot.present.tables.check import show_known, show_paragraphs, structure_in_words
-    from dashpot.present.tables.estimate import console
+    from dashpot.present.tables.check import show_known, show_paragraphs
+    from dashpot.present.tables.layout import console
+    from dashpot.present.text.check import structure_in_words
 
     out = console()
     show_paragraphs(out, structure_in_words(verdict, channels, None if spectrum is None else spectrum.lines))
@@ -117,7 +118,7 @@ def _with_data(
     from dashpot.estimate.identify import automatic, identify
     from dashpot.estimate.registry import method
     from dashpot.present.content.check import collinearity_content, known_content, profile_content
-    from dashpot.present.tables.check import collinearity_in_words, profile_in_words
+    from dashpot.present.text.check import collinearity_in_words, profile_in_words
 
     estimate = identify(rig.model, spectrum, method(automatic(rig.model, spectrum).name, seed=seed))
     weak = collinearity(chi2_surface(rig.model, spectrum, estimate), estimate.covariance)

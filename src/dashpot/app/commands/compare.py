@@ -87,7 +87,7 @@ def command(
     write_result(json_out, comparison.to_json())
     if not quiet and json_out != STDOUT:
         from dashpot.present.tables.comparison import show_comparison
-        from dashpot.present.tables.estimate import console
+        from dashpot.present.tables.layout import console
 
         show_comparison(console(), comparison, level)
     return _ending(comparison)
@@ -163,7 +163,7 @@ def _compared(
 def _draw(comparison: Comparison, level: float, figure: str) -> None:
     from dashpot.io.atomic import write_bytes
     from dashpot.present.figures.comparison import comparison_figure
-    from dashpot.present.figures.study import png
+    from dashpot.present.figures.style import png
 
     write_bytes(figure, png(comparison_figure(comparison, level)))
 

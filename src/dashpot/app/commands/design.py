@@ -168,7 +168,7 @@ def command(rig: str, json_out: str | None, quiet: bool, **options: Any) -> int:
     _draw(result, options["figure"], options["progress"], question)
     if not quiet and json_out != STDOUT:
         from dashpot.present.tables.design import show
-        from dashpot.present.tables.estimate import console
+        from dashpot.present.tables.layout import console
 
         show(result, console())
     return 0
@@ -343,7 +343,7 @@ def _draw(result: Answer, figure_out: str | None, progress_out: str | None, ques
     if figure_out is None and progress_out is None:
         return
     from dashpot.io.atomic import write_bytes
-    from dashpot.present.figures.study import png
+    from dashpot.present.figures.style import png
     from dashpot.present.tables.design import figure, sequential_figure
 
     if figure_out is not None and result.plan is not None:

@@ -89,13 +89,14 @@ def command(
     if chosen != "auto":
         require_scale_seen(chosen, model, rig_read.channels, rig)
 
-    from dashpot.app.data_files import read_spectrum
+    from dashpot.app.data_files import read_data
     from dashpot.app.progress import progress
     from dashpot.check.diagnosis.diagnose import examined
     from dashpot.errors import ConvergenceError, IdentifiabilityError
     from dashpot.estimate.identify import identify
 
-    spectrum = read_spectrum(rig_read, data, conditioning, quiet, moments_for=[chosen])
+    measured = read_data(rig_read, data, conditioning, quiet, moments_for=[chosen])
+    spectrum = measured.spectrum
     require_identifiable(model, spectrum.channels, rig, spectrum)
     with progress("identify", quiet) as moved:
         method = _method(chosen, rig_read, spectrum, seed, positive)
@@ -112,7 +113,7 @@ def command(
     if apply is not None:
         _apply(rig_read, estimate, apply)
     if not quiet and json_out != STDOUT:
-        _show(rig_read, estimate, level, matrices)
+        _show(rig_read, estimate, level, matrices, measured.records)
     return _ending(estimate, strict)
 
 
@@ -147,10 +148,11 @@ def _apply(rig: Rig, estimate: Estimate, path: str) -> None:
     write_text(path, write_rig(replace(rig, model=model, channels=channels)))
 
 
-def _show(rig: Rig, estimate: Estimate, level: float, matrices: bool) -> None:
-    from dashpot.present.tables.estimate import console, show_estimate
+def _show(rig: Rig, estimate: Estimate, level: float, matrices: bool, records: bool) -> None:
+    from dashpot.present.tables.estimate import show_estimate
+    from dashpot.present.tables.layout import console
 
-    show_estimate(console(), estimate, level)
+    show_estimate(console(), estimate, level, records=records)
     if matrices or _of_free_matrices(rig):
         from dashpot.estimate.linear.definite import matrices_of
         from dashpot.present.tables.matrices import show_matrices

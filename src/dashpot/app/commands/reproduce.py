@@ -40,7 +40,7 @@ def command(
     from dashpot.app.progress import progress
     from dashpot.app.workers import cores, mapping
     from dashpot.present.pages.yamane1989.page import show_reproduction, write_reproduction
-    from dashpot.present.tables.estimate import console
+    from dashpot.present.tables.layout import console
     from dashpot.reproduce.yamane1989.reproduction import reproduce
 
     count = processes if processes is not None else 1 if draws < FEW else cores()

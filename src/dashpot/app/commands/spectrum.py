@@ -34,7 +34,8 @@ def command(rig: str, records: tuple[str, ...], out: str, quiet: bool, **conditi
     write_amplitudes(spectrum, out)
     if not quiet:
         from dashpot.model.observation import channel_unit
-        from dashpot.present.tables.estimate import console, show_spectrum
+        from dashpot.present.tables.layout import console
+        from dashpot.present.tables.spectrum import show_spectrum
 
         units = [channel_unit(rig_read.model, channel) for channel in spectrum.channels]
         show_spectrum(console(), spectrum, units, printable(out))

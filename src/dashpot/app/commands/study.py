@@ -38,7 +38,7 @@ def command(
     method, and pictures.  The result depends on the file alone, to the bit: neither on the number of processes nor on
     interruptions.
     """
-    from dashpot.app.files import check_folder
+    from dashpot.app.files import check_folder, write_pictures
     from dashpot.study.studyfile import read_study
 
     description = read_study(study)
@@ -49,8 +49,9 @@ def command(
 
     from dashpot.app.progress import progress
     from dashpot.app.workers import cores, mapping
-    from dashpot.present.tables.estimate import console
-    from dashpot.present.tables.study import show, write
+    from dashpot.present.figures.study_results import study_pictures
+    from dashpot.present.tables.layout import console
+    from dashpot.present.tables.study import show_study
     from dashpot.study.grid import scenarios
     from dashpot.study.runner import run_study
 
@@ -69,8 +70,8 @@ def command(
         )
         ctx.exit(128 + cause.number if isinstance(cause, Ended) else INTERRUPTED)
     tell_notes(outcome.notes, quiet)
-    written = write(outcome, folder)
+    written = write_pictures(folder, study_pictures(outcome))
     if not quiet:
-        show(outcome, console())
+        show_study(outcome, console())
         for name in [str(Path(folder) / "summary.parquet"), *written]:
             click.echo(printable(name))

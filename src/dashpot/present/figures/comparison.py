@@ -11,7 +11,7 @@ from matplotlib.ticker import MaxNLocator
 
 from dashpot.arrays import Real
 from dashpot.estimate.comparison import Comparison
-from dashpot.present.figures.spectra import BAD, COLOURS, INK, MODEL, style
+from dashpot.present.figures.style import BAD, COLOURS, INK, MODEL, style
 
 ROW, PANEL = 0.24, 2.45  # inches a method, and a panel
 WIDE = 6.0  # times the narrowest interval: wider ones run out of the picture, for the others would be dots

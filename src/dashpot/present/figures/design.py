@@ -20,7 +20,7 @@ from matplotlib.ticker import (
 )
 
 from dashpot.arrays import Real
-from dashpot.present.figures.spectra import COLOURS, INK, MODEL, MUTED, style
+from dashpot.present.figures.style import COLOURS, INK, MODEL, MUTED, style
 from dashpot.present.text.numbers import short
 
 HEAT = LinearSegmentedColormap.from_list("heat", ["#ffffff", "#d5e6ee", "#7fb6cd", "#0b6e99", "#083d56"])

@@ -1,65 +1,16 @@
-"""Figures of an identification, from arrays alone; no pyplot, so no window and no state is left behind."""
+"""Figures of an identification, from arrays alone."""
 
 from __future__ import annotations
 
-import io
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 
-import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, MaxNLocator, NullFormatter, StrMethodFormatter
 
 from dashpot.arrays import Complex, Real
-
-INK, MUTED, GRID = "#1f2933", "#7b8794", "#e4e7eb"
-MODEL, DATA, BAD = "#0b6e99", "#1f2933", "#b5372b"
-COLOURS = ("#0b6e99", "#c4661f", "#4a7c3a", "#8a4f9e", "#b5372b", "#5c6b7a", "#b08a1e", "#2f8f83")
-
-_STYLE = {
-    "font.family": "sans-serif",
-    "font.size": 9,
-    "text.color": INK,
-    "axes.labelcolor": INK,
-    "axes.edgecolor": MUTED,
-    "axes.linewidth": 0.6,
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "axes.titlesize": 9,
-    "axes.titleweight": "bold",
-    "axes.titlelocation": "left",
-    "axes.grid": True,
-    "axes.axisbelow": True,
-    "grid.color": GRID,
-    "grid.linewidth": 0.6,
-    "xtick.color": INK,
-    "ytick.color": INK,
-    "xtick.labelsize": 8,
-    "ytick.labelsize": 8,
-    "legend.fontsize": 8,
-    "legend.frameon": False,
-    "svg.fonttype": "none",
-    "svg.hashsalt": "dashpot",
-    "figure.constrained_layout.use": True,
-}
-
-
-@contextmanager
-def style() -> Iterator[None]:
-    """The look of all figures."""
-    with mpl.rc_context(_STYLE):  # type: ignore[arg-type]  # the stub wants every key as a literal
-        yield
-
-
-def svg(figure: Figure) -> str:
-    """The figure as an SVG element for a page: no XML head, no date."""
-    out = io.StringIO()
-    with style():
-        figure.savefig(out, format="svg", metadata={"Date": None, "Creator": None}, transparent=True)
-    text = out.getvalue()
-    return text[text.index("<svg") :]
+from dashpot.present.figures.style import COLOURS, DATA, INK, MODEL, MUTED, style
 
 
 def _logarithmic(f: Real) -> bool:

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import io
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from textwrap import wrap
 from typing import Any
@@ -16,31 +15,9 @@ from matplotlib.patches import Patch
 from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
 
 from dashpot.arrays import Real
-from dashpot.present.figures.spectra import COLOURS, INK, MUTED, style
+from dashpot.present.figures.style import INK, MUTED, style
 
-METHOD_COLOURS: Mapping[str, str] = {
-    "ls": "#c4661f",
-    "iv": "#0b6e99",
-    "oiv": "#4a7c3a",
-    "hls": "#8a4f9e",
-    "wls": "#b08a1e",
-    "ml": "#2f8f83",
-}
-DPI = 180
 PANELS_A_ROW = 3
-
-
-def colour(method: str, place: int = 0) -> str:
-    """The colour of a method; of an unknown one, by its place."""
-    return METHOD_COLOURS.get(method, COLOURS[place % len(COLOURS)])
-
-
-def png(figure: Figure) -> bytes:
-    """The figure as a PNG file, the same bytes for the same figure."""
-    out = io.BytesIO()
-    with style():
-        figure.savefig(out, format="png", dpi=DPI, metadata={"Software": None})
-    return out.getvalue()
 
 
 @dataclass(frozen=True)

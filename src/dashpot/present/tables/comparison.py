@@ -1,4 +1,4 @@
-"""Estimates of several methods below each other, for a terminal."""
+"""Estimates of several methods below each other."""
 
 from __future__ import annotations
 
@@ -10,28 +10,39 @@ from rich.text import Text
 
 from dashpot.estimate.comparison import Comparison
 from dashpot.estimate.result import Estimate
+from dashpot.present.tables.layout import GAP, TableColumn, blocks_of, show_paragraph
+from dashpot.present.text.estimate import sentence
 from dashpot.present.text.notices import with_remedy
 from dashpot.present.text.numbers import aligned, percent, plain, rounded, short
 
 MISSES = "*"
-GAP = 2  # between columns; the box has one of it
 
 
 def show_comparison(console: Console, comparison: Comparison, level: float = 0.95) -> None:
     """A row for each method, a column for each unknown, in as many blocks as the width needs, and remarks."""
-    heads = _heads(comparison)
-    columns = [_column(comparison, name, level) for name in comparison.names]
-    if comparison.truth:
-        columns.append(_errors_column(comparison, len(heads)))
+    methods = len(comparison.estimates)
+    columns = comparison_columns(comparison, level)
     if comparison.model:
-        console.print(Text(comparison.model, style="bold"))
-    for k, block in enumerate(_blocks(heads, columns, console.width)):
-        if k:
+        show_paragraph(console, comparison.model, "bold")
+    for number, block in enumerate(blocks_of(columns, console.width)):
+        if number:
             console.print()
-        console.print(_table(heads, block, len(comparison.estimates)))
+        console.print(_table(block, methods))
     console.print()
     for line in _remarks(comparison, level):
-        console.print(Text(line))
+        show_paragraph(console, line)
+
+
+def comparison_columns(comparison: Comparison, level: float = 0.95) -> list[TableColumn]:
+    """What the rows are, then each unknown; the last rows are the methods, those above them name, unit, truth, bound.
+
+    With a known truth there is a column of the worst errors as well, and an interval that misses it ends in MISSES.
+    """
+    heads = _heads(comparison)
+    texts = [heads, *(_column(comparison, name, level) for name in comparison.names)]
+    if comparison.truth:
+        texts.append(_errors_column(comparison, len(heads)))
+    return [TableColumn(cells[0], tuple(cells[1:])) for cells in texts]
 
 
 def _heads(comparison: Comparison) -> list[str]:
@@ -52,8 +63,7 @@ def _column(comparison: Comparison, name: str, level: float) -> list[str]:
         v = estimate[name]
         value, sd = rounded(v.value, v.sd)
         pairs.append((value, sd + (MISSES if _missed(estimate, name, truth, level) else "")))
-    told = "" if truth is None else plain(truth)
-    values = aligned([told, *(value for value, _ in pairs)])
+    values = aligned(["" if truth is None else plain(truth), *(value for value, _ in pairs)])
     widest = max(map(cell_len, values))
     values = [value.rjust(widest) for value in values]
     unit = comparison.units[comparison.names.index(name)]
@@ -87,53 +97,37 @@ def _worst(comparison: Comparison, estimate: Estimate) -> str:
     return percent(error, true)
 
 
-def _blocks(heads: list[str], columns: list[list[str]], width: int) -> list[list[list[str]]]:
-    """Which columns stand beside each other."""
-    fixed = max(map(cell_len, heads)) + GAP
-    blocks: list[list[list[str]]] = [[]]
-    used = fixed
-    for column in columns:
-        need = max(map(cell_len, column)) + GAP
-        if blocks[-1] and used + need > width:
-            blocks.append([])
-            used = fixed
-        blocks[-1].append(column)
-        used += need
-    return blocks
-
-
-def _table(heads: list[str], columns: list[list[str]], methods: int) -> Table:
+def _table(columns: list[TableColumn], methods: int) -> Table:
     table = Table(box=box.SIMPLE_HEAD, padding=(0, GAP - 1, 0, 0), pad_edge=False, show_edge=False)
-    first = len(heads) - methods
-    for own in (heads, *columns):
-        head = Text("\n".join(own[:first]))
+    first = len(columns[0].cells) - methods
+    for column in columns:
+        head = Text("\n".join([column.title, *column.cells[:first]]))
         head.stylize("not bold")
-        head.stylize("bold", 0, len(own[0]))
-        table.add_column(head, no_wrap=True)
-    for row in range(first, len(heads)):
-        cells = [Text(own[row], style="red" if own[row].endswith(MISSES) else "") for own in columns]
-        table.add_row(heads[row], *cells)
+        head.stylize("bold", 0, len(column.title))
+        table.add_column(head, overflow="fold")
+    for row in range(first, first + methods):
+        texts = [column.cells[row] for column in columns]
+        table.add_row(*(Text(text, style="red" if text.endswith(MISSES) else "") for text in texts))
     return table
 
 
 def _remarks(comparison: Comparison, level: float) -> list[str]:
     lines = ["± is one standard deviation."]
     if any(comparison.bound_sd(name) is not None for name in comparison.names):
-        lines[0] = "± is one standard deviation; bound: the least that any can have without bias."
+        lines.append("The bound is the smallest ± that any unbiased method can reach (Cramér-Rao).")
     if any(
         _missed(estimate, name, truth, level)
         for estimate in comparison.estimates.values()
         for name, truth in comparison.truth.items()
     ):
-        lines.append(f"{MISSES} the {100 * level:g} % interval does not hold the truth.")
+        lines.append(f"{MISSES}: the {100 * level:g} % interval misses the truth.")
     lines += [
         f"{name} did not converge." for name, e in comparison.estimates.items() if not bool(e.converged)
     ]
     reasons = [(str(error), name) for name, error in comparison.refused.items()]
-    told = [
-        (with_remedy(warning), name) for name, e in comparison.estimates.items() for warning in e.warnings
-    ]
-    return [*lines, *_by_name(reasons, ()), *_by_name(told, tuple(comparison.estimates))]
+    warnings = [(with_remedy(w), name) for name, e in comparison.estimates.items() for w in e.warnings]
+    everyone = tuple(comparison.estimates)
+    return [*lines, *_by_name(reasons, ()), *_by_name(warnings, everyone)]
 
 
 def _by_name(said: list[tuple[str, str]], everyone: tuple[str, ...]) -> list[str]:
@@ -142,6 +136,6 @@ def _by_name(said: list[tuple[str, str]], everyone: tuple[str, ...]) -> list[str
     for text, name in said:
         names.setdefault(text.removeprefix("the method ").removeprefix(f"{name} "), []).append(name)
     return [
-        f"{'all' if len(own) > 1 and tuple(own) == everyone else ', '.join(own)}: {text}"
-        for text, own in names.items()
+        f"{'all' if len(group) > 1 and tuple(group) == everyone else ', '.join(group)}: {sentence(text)}"
+        for text, group in names.items()
     ]

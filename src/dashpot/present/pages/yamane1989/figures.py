@@ -9,6 +9,7 @@ from matplotlib.figure import Figure
 
 from dashpot.arrays import Real
 from dashpot.present.figures import study as draw
+from dashpot.present.figures.style import method_colour, png
 from dashpot.present.pages.yamane1989.tables import KINDS
 from dashpot.reproduce.yamane1989.figures import (
     FIGURE2_PARAMETERS,
@@ -28,23 +29,23 @@ def images(reproduction: Reproduction) -> dict[str, tuple[str, bytes]]:
     return {
         "figure2": (
             "Figure 2. Relative error against noise level (CASE-3, 1,400 samples): mean and middle 95 % of the draws.",
-            draw.png(_curves(reproduction.figure2, FIGURE2_PARAMETERS, logarithmic=False)),
+            png(_curves(reproduction.figure2, FIGURE2_PARAMETERS, logarithmic=False)),
         ),
         "figure3": (
             "Figure 3. Relative error against the number of samples (CASE-3, 10 %): mean and middle 95 % of the draws.",
-            draw.png(_curves(reproduction.figure3, FIGURE3_PARAMETERS, logarithmic=True)),
+            png(_curves(reproduction.figure3, FIGURE3_PARAMETERS, logarithmic=True)),
         ),
         "table2": (
             "Table 2 as a picture: where the paper's single draw falls among all draws.",
-            draw.png(_spreads(reproduction.table2, ("ls", "iv", "oiv"), prefix="noise level ")),
+            png(_spreads(reproduction.table2, ("ls", "iv", "oiv"), prefix="noise level ")),
         ),
         "table4": (
             "Table 4 as a picture: where the paper's single draw falls among all draws.",
-            draw.png(_spreads(reproduction.table4, ("iv", "oiv"))),
+            png(_spreads(reproduction.table4, ("iv", "oiv"))),
         ),
         "ranking": (
             "The four cases under two kinds of noise; the error bars are 95 % intervals of the Monte Carlo.",
-            draw.png(_ranking(reproduction)),
+            png(_ranking(reproduction)),
         ),
     }
 
@@ -59,7 +60,7 @@ def _curves(data: FigureData, parameters: Sequence[str], *, logarithmic: bool) -
             points = [p for p in data.points if p.parameter == parameter and p.method == method]
             if points:
                 x, y = np.array([p.x for p in points]), np.array([p.error for p in points])
-                printed.append(draw.Mark(f"{method}, printed", draw.colour(method), x, y))
+                printed.append(draw.Mark(f"{method}, printed", method_colour(method), x, y))
         marks.append(printed)
         limits.append(_limits(curves))
     return draw.band_panels(
@@ -76,7 +77,7 @@ def _curves(data: FigureData, parameters: Sequence[str], *, logarithmic: bool) -
 
 def _band(curve: ErrorCurve) -> draw.Band:
     return draw.Band(
-        curve.method, draw.colour(curve.method), curve.mean, curve.low, curve.high, curve.method == "oiv"
+        curve.method, method_colour(curve.method), curve.mean, curve.low, curve.high, curve.method == "oiv"
     )
 
 
@@ -108,7 +109,7 @@ def _spread(column: TableColumn) -> draw.Spread:
         return np.array([np.nan if value is None else value for value in values], dtype=float)
 
     return draw.Spread(
-        column.method, draw.colour(column.method), over("mean"), over("low"), over("high"), over("printed")
+        column.method, method_colour(column.method), over("mean"), over("low"), over("high"), over("printed")
     )
 
 
@@ -121,7 +122,7 @@ def _ranking(reproduction: Reproduction) -> Figure:
             [
                 draw.Series(
                     name,
-                    draw.colour(name),
+                    method_colour(name),
                     np.array([getattr(rank, name) for rank in ranks]),
                     np.array([getattr(rank, f"{name}_se") for rank in ranks]),
                 )

@@ -11,7 +11,7 @@ from rich.console import Console
 
 from dashpot.errors import DataError
 from dashpot.io.atomic import write_bytes
-from dashpot.present.figures import study as draw
+from dashpot.present.figures.style import DPI
 from dashpot.present.pages.yamane1989.figures import images
 from dashpot.present.pages.yamane1989.findings import sentences
 from dashpot.present.pages.yamane1989.tables import LEGEND, parts, rich_table, text_tables
@@ -91,7 +91,7 @@ def page(reproduction: Reproduction, drawn: Mapping[str, tuple[str, bytes]]) -> 
     embedded = [
         (
             caption,
-            int.from_bytes(content[16:20], "big") * 96 // draw.DPI,
+            int.from_bytes(content[16:20], "big") * 96 // DPI,
             base64.b64encode(content).decode("ascii"),
         )
         for caption, content in drawn.values()

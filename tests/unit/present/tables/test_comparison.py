@@ -13,8 +13,7 @@ from rich.console import Console
 from dashpot.estimate.comparison import Comparison, compare
 from dashpot.estimate.registry import method
 from dashpot.present.figures.comparison import WIDE, comparison_figure, interval_plot
-from dashpot.present.figures.spectra import BAD, COLOURS
-from dashpot.present.figures.study import png
+from dashpot.present.figures.style import BAD, COLOURS, png
 from dashpot.present.tables.comparison import show_comparison
 from tests.rigs import channels, covariance, noisy, paper_rig
 
@@ -77,7 +76,7 @@ def test_marks_are_those_of_the_level(comparison: Comparison) -> None:
     near = {"c3": oiv["c3"].value + 1.5 * oiv["c3"].sd}
     one = Comparison(comparison.model, comparison.names, comparison.units, {"oiv": oiv}, {}, near)
     assert not [line for line in printed(one, 80) if "*" in line]
-    assert "* the 50 % interval does not hold the truth." in printed(one, 80, 0.5)
+    assert "*: the 50 % interval misses the truth." in printed(one, 80, 0.5)
 
 
 def test_the_bound_is_that_of_the_test_not_of_measured_modes(comparison: Comparison) -> None:

@@ -1,0 +1,74 @@
+"""The look of all figures, and figures as files; no pyplot, so no window and no state is left behind."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+import matplotlib as mpl
+from matplotlib.figure import Figure
+
+from dashpot.estimate.registry import METHODS
+
+INK, MUTED, GRID = "#1f2933", "#7b8794", "#e4e7eb"
+MODEL, DATA, BAD = "#0b6e99", "#1f2933", "#b5372b"
+COLOURS = ("#0b6e99", "#c4661f", "#4a7c3a", "#8a4f9e", "#b5372b", "#5c6b7a", "#b08a1e", "#2f8f83")
+DPI = 180
+
+_STYLE = {
+    "font.family": "sans-serif",
+    "font.size": 9,
+    "text.color": INK,
+    "axes.labelcolor": INK,
+    "axes.edgecolor": MUTED,
+    "axes.linewidth": 0.6,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.titlesize": 9,
+    "axes.titleweight": "bold",
+    "axes.titlelocation": "left",
+    "axes.grid": True,
+    "axes.axisbelow": True,
+    "grid.color": GRID,
+    "grid.linewidth": 0.6,
+    "xtick.color": INK,
+    "ytick.color": INK,
+    "xtick.labelsize": 8,
+    "ytick.labelsize": 8,
+    "legend.fontsize": 8,
+    "legend.frameon": False,
+    "svg.fonttype": "none",
+    "svg.hashsalt": "dashpot",
+    "figure.constrained_layout.use": True,
+}
+
+
+@contextmanager
+def style() -> Iterator[None]:
+    """The look of all figures."""
+    with mpl.rc_context(_STYLE):  # type: ignore[arg-type]  # the stub wants every key as a literal
+        yield
+
+
+def svg(figure: Figure) -> str:
+    """The figure as an SVG element for a page: no XML head, no date."""
+    out = io.StringIO()
+    with style():
+        figure.savefig(out, format="svg", metadata={"Date": None, "Creator": None}, transparent=True)
+    text = out.getvalue()
+    return text[text.index("<svg") :]
+
+
+def png(figure: Figure) -> bytes:
+    """The figure as a PNG file, the same bytes for the same figure."""
+    out = io.BytesIO()
+    with style():
+        figure.savefig(out, format="png", dpi=DPI, metadata={"Software": None})
+    return out.getvalue()
+
+
+def method_colour(method: str, place: int = 0) -> str:
+    """The colour of a method, the same in every figure; of one that is not registered, by its place."""
+    names = list(METHODS)
+    return COLOURS[(names.index(method) if method in names else place) % len(COLOURS)]

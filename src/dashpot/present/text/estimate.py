@@ -1,0 +1,96 @@
+"""Sentences about an estimate: whether it converged, whether the model fits, what its intervals mean, warnings."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from dashpot.estimate.result import Estimate, Fit
+from dashpot.present.text.notices import with_remedy
+from dashpot.present.text.numbers import probability, short
+
+MISFIT = "model misfit"
+SAID_BY_THE_FIT = ("model_misfit", "unknown_noise")  # codes
+
+
+def fit_in_words(fit: Fit) -> str:
+    """What χ² says, in one sentence."""
+    if fit.dof <= 0:
+        return "There are as many unknowns as measurements: the fit cannot be tested."
+    numbers = f"χ² = {short(float(fit.chi2))}, {fit.dof} degrees of freedom"
+    if not fit.known_noise:
+        return (
+            f"The noise is not known and is estimated from the residuals ({fit.dof} degrees of freedom), "
+            "so the fit cannot be tested."
+        )
+    if not math.isfinite(float(fit.p)):
+        return f"The fit cannot be tested: {numbers}."
+    p = probability(float(fit.p))
+    p = f"p {p}" if p.startswith("<") else f"p = {p}"
+    ratio = float(fit.misfit)
+    if bool(fit.rejected):
+        return f"The model does not fit: residuals are {short(ratio, 2)} × the noise ({numbers}, {p})."
+    if float(fit.p) > 0.999:
+        return (
+            f"Residuals are only {short(ratio, 2)} × the stated noise ({numbers}): "
+            "the noise is stated too large, and so are the intervals."
+        )
+    return f"The model fits: residuals are {short(ratio, 2)} × the noise ({numbers}, {p})."
+
+
+def basis_in_words(estimate: Estimate) -> str:
+    """What ± is, and what it includes."""
+    if estimate.basis == MISFIT:
+        return (
+            "± is one standard deviation. It is widened for the misfit of the model; "
+            "'noise only' assumes a perfect model and is too small here."
+        )
+    if estimate.basis == "residuals":
+        return "± is one standard deviation, estimated from the scatter of the residuals."
+    return "± is one standard deviation from the noise of the sensors."
+
+
+def bound_in_words(estimate: Estimate) -> str:
+    """What the bound is; empty where there is none."""
+    if not np.any(np.isfinite(estimate.bound_sd)):
+        return ""
+    return "The bound is the smallest ± that any unbiased method can reach (Cramér-Rao)."
+
+
+def convergence_in_words(estimate: Estimate) -> str:
+    """Whether the iteration converged."""
+    count = int(estimate.iterations)
+    if not bool(estimate.converged):
+        return f"{estimate.method}: NOT CONVERGED after {count} iterations; these are the values of the last one."
+    how = "in closed form" if count == 0 else f"converged in {count} iteration{'' if count == 1 else 's'}"
+    return f"{estimate.method}: {how}."
+
+
+def warnings_in_words(estimate: Estimate, *, records: bool = True) -> tuple[str, ...]:
+    """Warnings beside what fit and verdict say anyway, each with what to do about it.
+
+    `records`: whether the data were time records, which options can condition otherwise; amplitudes are as they are.
+    """
+    said = set(SAID_BY_THE_FIT)
+    if estimate.assessment is not None:
+        said |= {notice.code for notice in estimate.assessment.reasons}
+        said |= {"reversed_phase"} if estimate.assessment.findings else set()
+    return tuple(
+        sentence(with_remedy(notice, records=records))
+        for notice in estimate.warnings
+        if notice.code not in said
+    )
+
+
+def sentence(text: str) -> str:
+    """A text that ends with a full stop."""
+    return text if text.endswith((".", "!", "?")) else f"{text}."
+
+
+def aperiodic_in_words(rate: float) -> str:
+    """What a mode without oscillation does, by its real eigenvalue in 1/s."""
+    if rate == 0:
+        return "moves freely, no restoring force"
+    kind = "decays" if rate < 0 else "grows"
+    return f"does not oscillate: {kind} in {short(1 / abs(rate))} s"

@@ -1,0 +1,29 @@
+"""Figures of an identification."""
+
+from __future__ import annotations
+
+import matplotlib as mpl
+import numpy as np
+
+from dashpot.present.figures import spectra as figures
+from dashpot.present.figures.style import svg
+
+
+def test_figures_leave_no_settings_behind() -> None:
+    before = dict(mpl.rcParams)
+    f = np.array([1.0, 2, 5])
+    z = np.array([[1 + 1j], [2.0], [0.0]])
+    figure = figures.amplitude_and_phase(["a"], ["m"], f, z, np.full((3, 1), 0.1), None, None, z)
+    assert svg(figure).startswith("<svg")
+    svg(figures.residual_plot(["a"], f, np.full((3, 1), np.nan + 0j)))
+    svg(figures.history_plot(["a"], np.array([[1.0], [0.0]])))
+    assert dict(mpl.rcParams) == before
+
+
+def test_phases_stay_in_the_turn_of_the_model() -> None:
+    np.testing.assert_allclose(
+        figures._beside(np.array([-179.0, 170, 10]), np.array([179.0, -175, 0])), [181, -190, 10]
+    )
+    broken = figures._unbroken(np.array([170.0, -170.0, -160.0]))
+    assert np.isnan(broken[1])
+    assert broken[2] == -160
