@@ -16,7 +16,7 @@ from dashpot.data.spectrum import Spectrum
 from dashpot.estimate.identify import identify
 from dashpot.estimate.likelihood.maximum_likelihood import MaximumLikelihood, local
 from dashpot.estimate.likelihood.objective import measured
-from dashpot.estimate.method import Prepared
+from dashpot.estimate.preparation.prepared import prepare
 from dashpot.model.elements import Kind, between, mass
 from dashpot.model.network import Input, Model
 from dashpot.model.observation import observation_model
@@ -67,7 +67,7 @@ def evaluation(model: Model, theta: np.ndarray, spectrum: Spectrum) -> float:
     """Seconds of one evaluation of cost, slope and curvature: the least of five."""
     flat = replace(spectrum, amplitudes=spectrum.amplitudes[None], covariance=spectrum.covariance[None])
     view = observation_model(model, flat.channels, flat.omega)
-    given = measured(Prepared(model, flat, flat.covariance, None), view)
+    given = measured(prepare(model, flat), view)
     times = []
     for _ in range(5):
         start = time.perf_counter()

@@ -9,11 +9,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dashpot.channel import Channel, Quantity
-from dashpot.estimate.identify import _flatten, identify
+from dashpot.estimate.identify import identify
 from dashpot.estimate.likelihood.maximum_likelihood import MaximumLikelihood, local
 from dashpot.estimate.likelihood.objective import measured
 from dashpot.estimate.linear.instrumental_variables import OptimalIV
-from dashpot.estimate.method import Prepared
+from dashpot.estimate.preparation.prepared import flattened, prepare
 from dashpot.model.observation import observation_model
 from tests.partly_seen import Bench
 from tests.rigs import channels, covariance, noisy, random_rig
@@ -73,9 +73,9 @@ def test_slopes_of_the_likelihood(seed, n, inputs):
     bench = partly_seen(rng, rig)
     # Force channels of exact inputs are seldom exact themselves.
     bench = replace(bench, noise={k: v for k, v in bench.noise.items() if not k.startswith("force ")})
-    flat = _flatten(bench.spectrum(rng, 1, 0.3))
+    flat = flattened(bench.spectrum(rng, 1, 0.3))
     view = observation_model(bench.model, flat.channels, flat.omega)
-    given_data = measured(Prepared(bench.model, flat, flat.covariance, None), view)
+    given_data = measured(prepare(bench.model, flat), view)
     sign = np.array([[bench.signs.get(channel.name, 1.0) for channel in bench.channels]])
     psi = (bench.psi * np.exp(0.01 * rng.standard_normal(len(bench.psi))))[None]
     here = local(view, given_data, psi, sign)
@@ -164,9 +164,9 @@ def test_a_valley_past_which_logarithms_lead():
     bench = partly_seen(rng, rig)
     bench = replace(bench, noise={"": 0.01, "at u1": 0.0})
     spectrum = bench.spectrum(rng)
-    flat = _flatten(spectrum)
+    flat = flattened(spectrum)
     view = observation_model(bench.model, flat.channels, flat.omega)
-    data = measured(Prepared(bench.model, flat, flat.covariance, None), view)
+    data = measured(prepare(bench.model, flat), view)
     sign = np.ones((1, len(bench.channels)))
     found = identify(bench.model, spectrum, MaximumLikelihood())
     assert found.fit.chi2 < local(view, data, bench.psi[None], sign).cost[0]

@@ -12,7 +12,7 @@ import click
 from dashpot.errors import printable
 
 if TYPE_CHECKING:
-    from dashpot.data.conditioning.settings import Conditioning
+    from dashpot.data.conditioning.settings import Conditioning, SampleMoments
     from dashpot.data.spectrum import Spectrum
     from dashpot.model.rigfile import Rig
     from dashpot.notices import Notice
@@ -45,7 +45,7 @@ def read_data(
 
     reading = read(paths, rig.channels, frequency_hz=options["frequency"])
     tell_notes(reading.notes, quiet)
-    moments = "ls" in moments_for and reading.amplitudes is None
+    moments = _moments(moments_for) if reading.amplitudes is None else False
     changes: dict[str, Any] = {"moments": moments}
     changes |= {name: value for name, value in reading.conditioning.items() if not _was_given(name)}
     spectrum = reading.spectrum(replace(conditioning_from(options), **changes))
@@ -70,6 +70,14 @@ def _was_given(option: str) -> bool:
     context = click.get_current_context(silent=True)
     source = None if context is None else context.get_parameter_source(option)
     return source is not None and source is not click.core.ParameterSource.DEFAULT
+
+
+def _moments(methods: Iterable[str]) -> SampleMoments:
+    """What the methods declare to need of second moments; a single one that cannot do without insists on them."""
+    from dashpot.estimate.registry import method_class
+
+    needs = [method_class(name).traits.moments for name in methods if name != "auto"]
+    return needs[0] if len(needs) == 1 else "auto" if any(needs) else False
 
 
 def conditioning_from(options: Mapping[str, Any]) -> Conditioning:

@@ -11,9 +11,7 @@ from dashpot.data.spectrum import Spectrum
 from dashpot.errors import DataError
 from dashpot.estimate.likelihood.maximum_likelihood import bounds, local, prior_mean, prior_precision
 from dashpot.estimate.likelihood.objective import Measured, measured, predict
-from dashpot.estimate.method import Prepared
-from dashpot.estimate.preparation.noise_quality import channels_correlate, without_correlation
-from dashpot.estimate.preparation.state_reconstruction import noise_is_known, working_covariance
+from dashpot.estimate.preparation.prepared import prepare
 from dashpot.estimate.result import Estimate
 from dashpot.model.network import Model
 from dashpot.model.observation import ObservationModel, observation_model
@@ -53,41 +51,23 @@ def chi2_surface(model: Model, spectrum: Spectrum, estimate: Estimate) -> Surfac
         raise DataError(
             "the estimate is of other unknowns than the rig and the channels have", cure="identify once more"
         )
-    flat = _flat(spectrum)
-    known = noise_is_known(flat) and bool(np.any(flat.covariance))
-    if not known:
-        flat = replace(flat, covariance=np.full_like(flat.covariance, np.nan))
-    V = working_covariance(model, flat)
-    V = V if V.ndim == 4 else V[None]
-    if known:
-        V = np.where(np.atleast_1d(channels_correlate(flat))[:, None, None, None], V, without_correlation(V))
+    data = prepare(model, spectrum)
     psi = estimate.values.reshape(-1, len(view.names))
     sign = np.ones((len(psi), len(view.channels)))
     for name, flips in estimate.signs.items():
-        sign[:, flat.index(name)] = flips.ravel()
-    data = measured(Prepared(model, flat, V, None), view)
-    if not known and np.any(model.prior_precision):
+        sign[:, spectrum.index(name)] = flips.ravel()
+    exact = measured(data, view)
+    if not data.noise_known and np.any(model.prior_precision):
         # Priors weigh against noise of the right size: that which makes χ² its degrees of freedom.
         penalty = np.sum(prior_precision(view) * (psi - prior_mean(view)) ** 2, axis=-1)
-        cost = local(view, data, psi, sign).cost - penalty
+        cost = local(view, exact, psi, sign).cost - penalty
         size = cost / np.maximum(estimate.fit.dof - penalty, 1.0)
-        data = replace(data, W=data.W / np.maximum(size, 1e-300)[:, None, None, None])
+        exact = replace(exact, W=exact.W / np.maximum(size, 1e-300)[:, None, None, None])
     lower, upper = bounds(view, False)
 
     def evaluate(at: Real, rows: Ints) -> QuadraticModel:
-        return local(view, data.pick(rows), at, sign[rows])
+        return local(view, exact.pick(rows), at, sign[rows])
 
     found = minimise(evaluate, psi, limit=100, tolerance=1e-6, lower=lower, upper=upper)
-    information = predict(view, data, found.x, sign).information()
-    return Surface(view, data, sign, found.x, found.cost, information, lower, upper)
-
-
-def _flat(spectrum: Spectrum) -> Spectrum:
-    repeats = int(np.prod(spectrum.batch, dtype=int))
-    V = spectrum.covariance
-    if V.ndim > 3:
-        V = np.broadcast_to(V, (*spectrum.batch, *V.shape[-3:])).reshape(repeats, *V.shape[-3:])
-    else:
-        V = V[None]
-    amplitudes = spectrum.amplitudes.reshape(repeats, *spectrum.amplitudes.shape[-2:])
-    return replace(spectrum, amplitudes=amplitudes, covariance=V, moments=None)
+    information = predict(view, exact, found.x, sign).information()
+    return Surface(view, exact, sign, found.x, found.cost, information, lower, upper)

@@ -15,7 +15,7 @@ import numpy as np
 from dashpot.arrays import Complex, Ints, Real, frozen, hermitian
 from dashpot.channel import Channel
 from dashpot.data.spectrum import Spectrum
-from dashpot.estimate.preparation.state_reconstruction import noise_is_known, working_covariance
+from dashpot.estimate.preparation.weighting import noise_is_known, working_covariance
 from dashpot.estimate.result import Estimate
 from dashpot.model.dynamics import no_steady_response
 from dashpot.model.network import Model
@@ -116,7 +116,7 @@ def residuals(
     Raises DataError where a channel measures what the rig has not.
     """
     p = model.parameters(np.asarray(theta, dtype=float))
-    known = noise_is_known(spectrum) and bool(np.any(spectrum.covariance))
+    known = noise_is_known(spectrum)
     G = channel_response(model, p, spectrum.channels, spectrum.omega, calibrations)
     y = spectrum.amplitudes
     V = working_covariance(model, spectrum)

@@ -10,6 +10,7 @@ from collections.abc import Sequence
 
 from dashpot.channel import Channel, Quantity
 from dashpot.errors import IdentifiabilityError, Problem
+from dashpot.estimate.method import Method
 from dashpot.io.words import listed
 from dashpot.model.network import Model
 from dashpot.model.observation import is_direct
@@ -68,17 +69,14 @@ Node = tuple[str, str]
 
 
 def require_scale_seen(
-    name: str, model: Model, channels: Sequence[Channel], where: str | None = None
+    method: type[Method], model: Model, channels: Sequence[Channel], where: str | None = None
 ) -> None:
-    """Only ml uses every channel: refuses the other methods where what they use leaves the scale of the forces free.
-
-    Raises IdentifiabilityError.
-    """
-    if name == "ml":
+    """Raises IdentifiabilityError where the channels that the method uses leave the scale of the forces free."""
+    if method.traits.by_output:
         return
     if free_scales(model, [channel for channel in channels if is_direct(model, channel)]):
         raise IdentifiabilityError(
-            f"the method {name} does not use the channel that fixes the scale of the forces",
+            f"the method {method.name} does not use the channel that fixes the scale of the forces",
             where,
             "use the method ml",
         )

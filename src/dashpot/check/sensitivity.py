@@ -71,7 +71,7 @@ def known_errors(
     ]
     known, units, values, stated = zip(*rows, strict=True)
     chosen = automatic(model, spectrum) if method is None else method
-    if chosen.efficient or chosen.by_output:
+    if chosen.traits.maximum_likelihood:
         slopes = _from_slopes(model, spectrum, estimate, known[: len(exact)], known[len(exact) :])
     else:
         slopes = np.array([_by_repetition(model, spectrum, chosen, name) for name in known])

@@ -15,14 +15,13 @@ from dashpot.estimate.result import FORMAT, Estimate
 from dashpot.io.json_document import from_json, to_json
 from dashpot.model.network import Model
 
-EFFICIENT = ("ml", "oiv", "oiv+")
-
 
 @dataclass(frozen=True)
 class Comparison:
     """Estimates by the name of the method, in the order asked for, and why others gave none.
 
-    names, units: the unknowns of the rig; truth: their true values, as far as known.
+    names, units: the unknowns of the rig; truth: their true values, as far as known; most_likely: the estimates that
+    maximise the likelihood, the one that uses the data best first.
     """
 
     model: str
@@ -31,6 +30,7 @@ class Comparison:
     estimates: Mapping[str, Estimate]
     refused: Mapping[str, DashpotError]
     truth: Mapping[str, float] = field(default_factory=dict)
+    most_likely: tuple[str, ...] = ()
 
     def bound_sd(self, name: str) -> float | None:
         """The Cramér-Rao bound of an unknown, from the best informed estimate of the test's own data."""
@@ -42,8 +42,7 @@ class Comparison:
         """The true value of an unknown, else the most likely one; None where no method gives that."""
         if name in self.truth:
             return self.truth[name]
-        likeliest = (self.estimates[which][name].value for which in EFFICIENT if which in self.estimates)
-        return next(likeliest, None)
+        return self.estimates[self.most_likely[0]][name].value if self.most_likely else None
 
     def to_json(self) -> str:
         """Every estimate as `identify --json` writes it, the reasons of the others, and the truth."""
@@ -100,4 +99,12 @@ def compare(
             progress(done + 1, len(jobs))
     if not estimates:
         raise next(iter(out.values()))
-    return Comparison(model.name, names, tuple(u.unit for u in model.unknowns), estimates, out, true)
+    units = tuple(u.unit for u in model.unknowns)
+    return Comparison(model.name, names, units, estimates, out, true, _most_likely(methods, estimates))
+
+
+def _most_likely(methods: Mapping[str, Method], estimates: Mapping[str, Estimate]) -> tuple[str, ...]:
+    """Names of the estimates that maximise the likelihood: of all channels, of the equation of motion, on a cone."""
+    traits = {name: method.traits for name, method in methods.items() if name in estimates}
+    there = [name for name in traits if traits[name].maximum_likelihood]
+    return tuple(sorted(there, key=lambda name: (not traits[name].by_output, traits[name].definite)))

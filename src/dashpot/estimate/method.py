@@ -1,47 +1,50 @@
-"""What a method is: a small frozen value that turns prepared data into a Solution."""
+"""What a method is: a small frozen value that declares what it needs and turns prepared data into a Solution."""
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
-from typing import ClassVar
+from dataclasses import dataclass, field
+from typing import ClassVar, Literal
 
 import numpy as np
 
-from dashpot.arrays import Bools, Complex, Ints, Real
-from dashpot.data.spectrum import Spectrum
-from dashpot.estimate.preparation.state_reconstruction import States
-from dashpot.model.network import Model
+from dashpot.arrays import Bools, Ints, Real
+from dashpot.errors import UsageError
+from dashpot.estimate.preparation.prepared import Prepared
 from dashpot.notices import Notice
 
 
 @dataclass(frozen=True)
-class Prepared:
-    """Data as every method gets them: one leading axis of K repeats on the amplitudes.
+class Traits:
+    """What a method needs and what its answers are: the one declaration that everyone reads.
 
-    `covariance` is the channels' V, (K or 1, lines, channels, channels); `states` combines the channels, None where
-    some coordinate is not seen.
+    by_output           works in the channels and uses every one of them; the others work on the equation of motion and
+                        need channels that show every coordinate and input
+    moments             second moments of the samples: False not used, "auto" used where the data have them, True needed
+    needs_noise         the noise of the amplitudes must be known
+    maximum_likelihood  its answer is the most likely one
+    weighted            its covariance is the inverse of the information
+    bounds              it holds the bounds of the unknowns
+    transients          it knows the loads at the ends of whole records; the others work on settled lines alone
+    nonlinear           it knows nonlinear elements
+    definite            it keeps M, C and K definite, which differs from the others only where they are free matrices
     """
 
-    model: Model
-    spectrum: Spectrum
-    covariance: Complex
-    states: States | None
-
-    def only(self, repeat: int) -> Prepared:
-        """One of the repeats."""
-        V = self.covariance if len(self.covariance) == 1 else self.covariance[repeat : repeat + 1]
-        spectrum = replace(
-            self.spectrum, amplitudes=self.spectrum.amplitudes[repeat : repeat + 1], moments=None
-        )
-        states = None if self.states is None else self.states.rows(np.array([repeat]))
-        return Prepared(self.model, spectrum, V, states)
+    by_output: bool = False
+    moments: bool | Literal["auto"] = False
+    needs_noise: bool = False
+    maximum_likelihood: bool = False
+    weighted: bool = False
+    bounds: bool = False
+    transients: bool = False
+    nonlinear: bool = False
+    definite: bool = False
 
 
 @dataclass(frozen=True)
-class Limits:
-    """Bounds of the unknowns: lower and upper (unknowns,), ±inf where there is none.
+class HeldBounds:
+    """Bounds of the unknowns that a method held: lower and upper (unknowns,), ±inf where there is none.
 
     free (K, unknowns): where the estimate would lie without them, by one Gauss-Newton step; θ itself where none holds.
     """
@@ -58,7 +61,7 @@ class Solution:
     theta (K, unknowns), followed by gains and delays where the method estimates them; covariance of the noise given
     in the spectrum, (K, unknowns, unknowns); converged and iterations (K,); history: θ after each iteration of the
     first repeat, (iterations + 1, unknowns).  `signs`: channels whose sign was found, ±1 for each repeat.
-    `limits`: bounds that were held, if any.
+    `bounds`: those that were held, if any.
     """
 
     theta: Real
@@ -68,26 +71,35 @@ class Solution:
     history: Real
     signs: Mapping[str, Real] = field(default_factory=dict)
     warnings: tuple[Notice, ...] = ()
-    limits: Limits | None = None
+    bounds: HeldBounds | None = None
 
 
 class Method(ABC):
-    """An estimator.  Subclasses are frozen dataclasses; `name` is what files and the command line call it.
+    """An estimator.  Subclasses are frozen dataclasses: their fields are the settings.
 
-    `nonlinear`: it knows nonlinear elements.  `weighted`: its covariance is the inverse of the information.
-    `efficient`: it maximises the likelihood of the amplitudes, as does every one `by_output`, which
-    works in the channels, not in the equation of motion.
+    `name` is what files and the command line call it.  A new one is such a class and one line in `registry`.
     """
 
     name: ClassVar[str]
-    weighted: ClassVar[bool] = False
-    efficient: ClassVar[bool] = False
-    by_output: ClassVar[bool] = False
-    nonlinear: ClassVar[bool] = False
+    traits: ClassVar[Traits] = Traits()
 
     @abstractmethod
     def solve(self, data: Prepared) -> Solution:
         """Estimate θ for all repeats.  Raises DataError where the data lack what the method needs."""
+
+
+def require_suited(method: Method, data: Prepared) -> None:
+    """Raises DataError or UsageError where the data lack what `method` declares to need.
+
+    Second moments of the samples are for the method to ask for: only it knows of which channels.
+    """
+    if not method.traits.by_output:
+        _ = data.seen_states
+    if method.traits.needs_noise and not data.noise_known:
+        raise UsageError(
+            f"{method.name} needs the size of the noise, and the noise of these data is not given",
+            cure="use tls, which finds its size, or give the channels their noise (a column NAME_sd)",
+        )
 
 
 def closed_form(theta: Real, covariance: Real) -> Solution:

@@ -5,9 +5,12 @@ from __future__ import annotations
 from collections.abc import Mapping
 from importlib import import_module
 from types import MappingProxyType
+from typing import TYPE_CHECKING
 
 from dashpot.errors import UsageError
-from dashpot.estimate.method import Method
+
+if TYPE_CHECKING:
+    from dashpot.estimate.method import Method
 
 METHODS: Mapping[str, tuple[str, str]] = MappingProxyType(
     {
@@ -24,24 +27,39 @@ METHODS: Mapping[str, tuple[str, str]] = MappingProxyType(
 )
 
 
+AUTOMATIC = ("oiv", "ml")  # the first that suits the data is taken where none is named
+
+
 def method_class(name: str) -> type[Method]:
     """The class of that name.  Raises UsageError where there is none."""
+    from dashpot.estimate.method import Method  # the names alone load neither NumPy nor an estimator
+
     if name not in METHODS:
         raise UsageError(f"there is no method {name}", cure=f"there are {', '.join(METHODS)}")
     module, attribute = METHODS[name]
     try:
-        found = getattr(import_module(f"dashpot.estimate.{module}"), attribute)
+        kind = getattr(import_module(f"dashpot.estimate.{module}"), attribute)
     except ModuleNotFoundError as error:
         if error.name != f"dashpot.estimate.{module}":
             raise
         raise UsageError(f"the method {name} is not part of this installation") from None
-    assert isinstance(found, type)
-    assert issubclass(found, Method)
-    return found
+    assert isinstance(kind, type)
+    assert issubclass(kind, Method)
+    return kind
 
 
-def method(name: str, **settings: object) -> Method:
-    """A method by name; of `settings` it takes what it has a field for (a seed matters to few)."""
+def method(name: str, *, seed: int | None = None, **settings: object) -> Method:
+    """A method by name with its `settings`, the fields of its class.
+
+    `seed` may be given for every method: those that draw nothing have no use for it.
+    Raises UsageError where there is no such method, or where it has no such setting.
+    """
     kind = method_class(name)
-    fields = getattr(kind, "__dataclass_fields__", {})
-    return kind(**{key: value for key, value in settings.items() if key in fields})
+    fields = tuple(getattr(kind, "__dataclass_fields__", {}))
+    for key in settings:
+        if key not in fields:
+            its = f"its settings are {', '.join(fields)}" if fields else "it has none"
+            raise UsageError(f"the method {name} has no setting {key}", cure=its)
+    if seed is not None and "seed" in fields:
+        settings["seed"] = seed
+    return kind(**settings)

@@ -18,7 +18,7 @@ import numpy as np
 from dashpot.arrays import Bools, Real
 from dashpot.errors import DashpotError, UsageError
 from dashpot.estimate.identify import identify
-from dashpot.estimate.registry import method
+from dashpot.estimate.registry import method, method_class
 from dashpot.estimate.result import Estimate
 from dashpot.study.scenario import Scenario
 from dashpot.study.simulate import simulate_spectrum
@@ -26,7 +26,6 @@ from dashpot.study.store import Label, State, read_block, state_of, write_block
 from dashpot.study.summary import Repeats, Summary, merged, summarise
 
 BLOCK = 500  # repeats; part of what the seed means
-SAMPLE_LEVEL = frozenset({"ls", "iv"})  # methods that work on second moments of the samples
 
 
 Block = Mapping[str, Repeats]
@@ -104,7 +103,7 @@ def estimates(task: Task) -> Iterable[tuple[str, Estimate]]:
         generator(task.seed, scenario.key, task.index),
         draws=task.size,
         noise=scenario.noise,
-        moments=not SAMPLE_LEVEL.isdisjoint(scenario.methods),
+        moments=any(method_class(name).traits.moments for name in scenario.methods),
         drift=scenario.drift,
     )
     for name in scenario.methods:

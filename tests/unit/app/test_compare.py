@@ -228,3 +228,34 @@ def test_bad_modes_are_said_with_row_and_column(dashpot: Command, data: Path) ->
     Path("modes.csv").write_text(MODES + "3,0.1,0.1,0.01,1,0,high,1,0,0\n", encoding="utf-8")
     done = dashpot("compare", "rig.toml", "data.csv", "--modal", "modes.csv", "--json", "out.json")
     refused(done, "modes.csv:2", "x1_sd", "high")
+
+
+def test_a_method_gives_the_same_alone_and_in_company(dashpot: Command, rig: Path) -> None:
+    """Each method gets the data it declares to need, whatever else is asked for: iv works on the samples' moments.
+
+    Velocities are measured, so that the unit forces of the dampers can be read from samples at all.
+    """
+    text = RIG + 'v1 = { of = "x1", quantity = "velocity", noise = 0.3 }\n'
+    text += 'v2 = { of = "x2", quantity = "velocity", noise = 0.3 }\n'
+    rig.write_text(text, encoding="utf-8")
+    values = [
+        "--set",
+        "m1=3",
+        "--set",
+        "c1=20",
+        "--set",
+        "c2=30",
+        "--amplitude",
+        "u=0.01",
+        "--frequencies",
+        "2,5,9",
+    ]
+    assert dashpot("simulate", "rig.toml", "--out", "v.csv", *values).code == 0
+    found = {}
+    for methods in ("iv", "ls,iv", "iv,oiv"):
+        done = dashpot("compare", "rig.toml", "v.csv", "--methods", methods, "--json", "out.json", "-q")
+        assert done.code == 0, done.err
+        found[methods] = json.loads(Path("out.json").read_text(encoding="utf-8"))["methods"]["iv"]
+    assert found["iv"] == found["ls,iv"] == found["iv,oiv"]
+    one = dashpot("identify", "rig.toml", "v.csv", "--method", "iv", "--json", "-")
+    assert json.loads(one.out)["parameters"] == found["iv"]["parameters"]

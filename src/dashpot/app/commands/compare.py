@@ -22,6 +22,7 @@ from dashpot.app.options import (
     seed_option,
 )
 from dashpot.app.parameter_types import AMOUNTS, INPUT_FILE
+from dashpot.estimate.registry import METHODS
 
 if TYPE_CHECKING:
     from dashpot.data.modal_data import ModalData
@@ -42,7 +43,7 @@ WHAT = "What to compare"
 @data_argument(DATA_HELP)
 @option(
     "--methods", metavar="A,B,…", group=WHAT,
-    help="Estimators, in the order of the rows: ls, hls, wls, tls, cls, iv, oiv, oiv+, ml.  [default: all that suit]",
+    help=f"Estimators, in the order of the rows: {', '.join(METHODS)}.  [default: all that suit]",
 )  # fmt: skip
 @option(
     "--modal", "modal_file", type=INPUT_FILE, metavar="FILE", group=WHAT,
@@ -115,10 +116,11 @@ def _chosen(methods: str | None, data: bool, modal: bool) -> list[str]:
 
 
 def _all_methods(rig: Rig) -> list[str]:
-    from dashpot.estimate.registry import METHODS
+    from dashpot.estimate.registry import METHODS, method_class
     from dashpot.model.unstructured import free_entries
 
-    return [name for name in METHODS if name != "oiv+" or free_entries(rig.model)]
+    free = bool(free_entries(rig.model))
+    return [name for name in METHODS if free or not method_class(name).traits.definite]
 
 
 def _modes(path: str, rig: Rig) -> ModalData:
@@ -145,12 +147,12 @@ def _compared(
     from dashpot.check.scale import require_scale_seen
     from dashpot.errors import DashpotError
     from dashpot.estimate.comparison import compare
-    from dashpot.estimate.registry import method
+    from dashpot.estimate.registry import method, method_class
 
     jobs, refused = {}, {}
     for name in chosen if spectrum is not None else ():
         try:
-            require_scale_seen(name, rig.model, rig.channels)
+            require_scale_seen(method_class(name), rig.model, rig.channels)
             jobs[name] = method(name, seed=seed)
         except DashpotError as error:
             refused[name] = error

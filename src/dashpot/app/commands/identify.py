@@ -21,6 +21,7 @@ from dashpot.app.options import (
     rig_argument,
     seed_option,
 )
+from dashpot.estimate.registry import METHODS
 
 if TYPE_CHECKING:
     from dashpot.data.spectrum import Spectrum
@@ -30,7 +31,7 @@ if TYPE_CHECKING:
     from dashpot.model.network import Model
     from dashpot.model.rigfile import Rig
 
-CHOICES = ["auto", "ls", "hls", "wls", "tls", "cls", "iv", "oiv", "oiv+", "ml"]
+CHOICES = ["auto", *METHODS]
 ESTIMATION = "Estimation"
 
 
@@ -76,6 +77,7 @@ def command(
     """
     from dashpot.app.files import write_result
     from dashpot.check.scale import require_scale_seen
+    from dashpot.estimate.registry import method_class
     from dashpot.io.atomic import write_text
     from dashpot.model.rigfile import read_rig
     from dashpot.present.text.identifiability import require_identifiable
@@ -83,11 +85,11 @@ def command(
     rig_read = read_rig(rig)
     model = rig_read.model
     model.require_unknowns(rig)
-    chosen = _holding(chosen, positive)
+    _check_positive(chosen, positive)
     _check_matrices(rig_read, matrices)
     require_identifiable(model, rig_read.channels, rig)
     if chosen != "auto":
-        require_scale_seen(chosen, model, rig_read.channels, rig)
+        require_scale_seen(method_class(chosen), model, rig_read.channels, rig)
 
     from dashpot.app.data_files import read_data
     from dashpot.app.progress import progress
@@ -182,23 +184,23 @@ def _check_matrices(rig: Rig, wanted: bool) -> None:
         )
 
 
-def _holding(chosen: str, positive: bool) -> str:
-    """The method: ml where unknowns are to be held at or above 0."""
+def _check_positive(chosen: str, positive: bool) -> None:
+    """Refuse --positive, before the work, with a method that holds no bounds."""
     from dashpot.errors import UsageError
+    from dashpot.estimate.registry import method_class
 
-    if positive and chosen not in ("auto", "ml"):
+    if positive and chosen != "auto" and not method_class(chosen).traits.bounds:
         raise UsageError(
             f"the method {chosen} holds no bounds", cure="leave out --positive, or use --method ml"
         )
-    return "ml" if positive else chosen
 
 
 def _method(chosen: str, rig: Rig, spectrum: Spectrum, seed: int, positive: bool) -> Method:
     from dashpot.estimate.identify import automatic
     from dashpot.estimate.registry import method
 
-    name = automatic(rig.model, spectrum).name if chosen == "auto" else chosen
-    return method(name, seed=seed, positive=positive)
+    name = automatic(rig.model, spectrum, bounded=positive).name if chosen == "auto" else chosen
+    return method(name, seed=seed, positive=True) if positive else method(name, seed=seed)
 
 
 def _ending(estimate: Estimate, strict: bool) -> int:

@@ -14,13 +14,7 @@ from dashpot.data.spectrum import Spectrum
 from dashpot.data.stretch import WholeRecord
 from dashpot.estimate.assessment import Finding
 from dashpot.estimate.likelihood.starting_values import candidates
-from dashpot.estimate.method import Prepared
-from dashpot.estimate.preparation.noise_quality import channels_correlate, without_correlation
-from dashpot.estimate.preparation.state_reconstruction import (
-    noise_is_known,
-    states_if_seen,
-    working_covariance,
-)
+from dashpot.estimate.preparation.prepared import prepare
 from dashpot.estimate.result import Estimate
 from dashpot.model.network import Model
 from dashpot.model.observation import observation_model
@@ -38,7 +32,7 @@ def diagnose(
     transients = any(isinstance(stretch, WholeRecord) and stretch.loads for stretch in spectrum.stretches)
     if model.n > LARGEST or transients:
         return ()
-    data = _prepared(model, spectrum)
+    data = prepare(model, spectrum)
     view = observation_model(model, spectrum.channels, spectrum.omega)
     middle, signs = candidates(data, view, 1, np.random.default_rng(seed))
     psi, sign = middle[0], signs[0]
@@ -48,20 +42,6 @@ def diagnose(
             sign[spectrum.index(name)] = float(turned)
     _, found = causes(Workbench(data, view, psi, sign), seed)
     return tuple(finding(model, spectrum.channels, cause) for cause in found)
-
-
-def _prepared(model: Model, spectrum: Spectrum) -> Prepared:
-    """One repeat, weighed as for an estimate; noise that is not known is taken in parts of each channel's size."""
-    known = noise_is_known(spectrum) and bool(np.any(spectrum.covariance))
-    whole = replace(spectrum, amplitudes=spectrum.amplitudes[None], moments=None)
-    if not known:
-        nothing = np.full_like(spectrum.covariance, np.nan)
-        whole = replace(whole, covariance=nothing, noise=("unknown",) * spectrum.lines)
-    V = np.atleast_3d(working_covariance(model, whole))
-    V = V if V.ndim == 4 else V[None]
-    if known:
-        V = np.where(np.atleast_1d(channels_correlate(whole))[:, None, None, None], V, without_correlation(V))
-    return Prepared(model, whole, V, states_if_seen(model, whole, V))
 
 
 def examined(model: Model, spectrum: Spectrum, estimate: Estimate, *, seed: int = 0) -> Estimate:

@@ -16,7 +16,6 @@ from dashpot.arrays import Real, hermitian
 from dashpot.check.diagnosis.search import LONG, Workbench
 from dashpot.estimate.likelihood.maximum_likelihood import local, prior_mean, prior_precision
 from dashpot.estimate.likelihood.objective import measured, predict
-from dashpot.estimate.method import Prepared
 from dashpot.model.elements import Element, Kind, between, mass
 from dashpot.model.network import Model
 from dashpot.model.observation import observation_model
@@ -109,7 +108,7 @@ def _scores(
     start = _start(bench, psi, extended, before)
     spectrum = bench.data.spectrum
     view = observation_model(extended, spectrum.channels, spectrum.omega)
-    data = measured(Prepared(extended, spectrum, bench.data.covariance, None), view)
+    data = measured(replace(bench.data, model=extended, states=None), view)
     with np.errstate(all="ignore"):
         at = predict(view, data, start[None], bench.sign[None])
     M = len(start)
@@ -142,7 +141,7 @@ def _fitted(bench: Workbench, psi: Real, kind: str, element: Element) -> Change:
     start = _start(bench, psi, extended, before)
     spectrum = bench.data.spectrum
     view = observation_model(extended, spectrum.channels, spectrum.omega)
-    data = measured(Prepared(extended, spectrum, bench.data.covariance, None), view)
+    data = measured(replace(bench.data, model=extended, states=None), view)
 
     def evaluate(at: Real, rows: object) -> QuadraticModel:
         return local(view, data, at, np.broadcast_to(bench.sign, (len(at), len(bench.sign))))

@@ -13,7 +13,7 @@ from dashpot.estimate.likelihood.maximum_likelihood import local, logarithmic
 from dashpot.estimate.likelihood.objective import Measured, directly_driven, measured, predict
 from dashpot.estimate.likelihood.starting_values import candidates
 from dashpot.estimate.linear.least_squares import compensated
-from dashpot.estimate.method import Prepared
+from dashpot.estimate.preparation.prepared import Prepared
 from dashpot.estimate.preparation.state_reconstruction import states_if_seen
 from dashpot.model.observation import ObservationModel, calibration, observation_model, transfer
 from dashpot.numerics.levenberg_marquardt import QuadraticModel, minimise

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from dashpot.arrays import Bools, Complex, Real
-from dashpot.estimate.method import Prepared
+from dashpot.estimate.preparation.prepared import Prepared
 
 
 @dataclass(frozen=True)
@@ -88,4 +88,4 @@ def prepared(data: Prepared, trial: Trial) -> Prepared:
         covariance=np.nan_to_num(trial.V)[None],
         moments=None,
     )
-    return Prepared(data.model, spectrum, trial.V[None], None)
+    return replace(data, spectrum=spectrum, covariance=trial.V[None], states=None)

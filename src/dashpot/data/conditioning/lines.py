@@ -50,9 +50,16 @@ def _lines(record: Record, settings: Conditioning) -> Spectrum:
         fit.dof[wanted],
         (fit.noise,) * len(wanted),
         np.full(len(wanted), record.experiment),
-        second_moments(record, settings.drift) if settings.moments else None,
+        second_moments(record, settings.drift) if _with_moments(record, settings) else None,
         (*notes, *fit.notes),
     )
+
+
+def _with_moments(record: Record, settings: Conditioning) -> bool:
+    """Whether second moments are asked for, and with "auto" whether they can be had."""
+    if settings.moments != "auto":
+        return settings.moments
+    return settings.orders == (1,) and not any(channel.delay for channel in record.channels)
 
 
 def _treated(record: Record, settings: Conditioning) -> tuple[Record, list[Notice]]:

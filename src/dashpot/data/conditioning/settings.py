@@ -13,6 +13,7 @@ Harmonics = Sequence[int] | Literal["auto", "none"] | None
 Drift = int | Literal["auto", "none"] | None
 Settle = bool | float | Literal["auto", "none"]
 Refine = bool | Literal["auto", "none"]
+SampleMoments = bool | Literal["auto"]
 
 USUAL_DRIFT = 1
 HIGHEST_DRIFT = 100  # beyond this Legendre polynomials cost time and no record drifts so
@@ -30,7 +31,7 @@ class FitTreatments(TypedDict, total=False):
 class Treatments(FitTreatments, total=False):
     """The fields of Conditioning as keywords."""
 
-    moments: bool
+    moments: SampleMoments
     refine: Refine
     settle: Settle
 
@@ -45,7 +46,7 @@ class Conditioning:
     drift      degree of the polynomial taken out; 0 is an offset alone, "none" (or None) not even that, "auto" is 1
     noise      "white": covariance of least squares; "blocks": the spectrum of the residual beside each harmonic;
                "auto" takes "white" unless the residual is coloured and there are enough periods
-    moments    add the second moments of the samples (order 1 alone)
+    moments    add the second moments of the samples (order 1 alone); "auto": where they can be had
     refine     "auto" (or True): the most likely frequency near the stated one; "none" (or False): the stated one
     settle     "auto" (or True): drop the transient of each record; a number: drop that many seconds; "none" (or False)
 
@@ -56,7 +57,7 @@ class Conditioning:
     harmonics: Harmonics = "auto"
     drift: Drift = USUAL_DRIFT
     noise: Noise = "auto"
-    moments: bool = False
+    moments: SampleMoments = False
     refine: Refine = "none"
     settle: Settle = "none"
 
@@ -81,7 +82,7 @@ class Conditioning:
                 object.__setattr__(self, name, "auto" if value else "none")
         if isinstance(self.settle, int | float) and not 0 <= self.settle < 1e12:
             raise DataError(f"a settling time of {self.settle:g} s", cure="give a time that is not negative")
-        if self.moments and self.orders != (1,):
+        if self.moments is True and self.orders != (1,):
             raise DataError("second moments exist for the fundamental alone", cure="ask for orders (1,)")
 
     @property

@@ -50,7 +50,7 @@ class Reading:
         """
         usual = Conditioning(**self.conditioning) if conditioning is None else conditioning
         settings = conditioning_of(usual, treatments)
-        if settings.moments and self.amplitudes is not None:
+        if settings.moments is True and self.amplitudes is not None:
             raise DataError(
                 "a table of amplitudes has no samples",
                 cure="give time records, or choose a method that works on amplitudes",

@@ -1,14 +1,31 @@
-"""What in the data or in the rig file is probably a slip: told beside the estimate, never acted upon."""
+"""Notices beside an estimate: what it lacks, and what in the data or in the rig file is probably a slip.
+
+Nothing here changes a number.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
+from scipy.special import bdtrc
 
 from dashpot.arrays import Real
 from dashpot.channel import Quantity
 from dashpot.data.spectrum import Spectrum
+from dashpot.errors import IdentifiabilityError
+from dashpot.estimate.method import HeldBounds, Method, Solution
+from dashpot.estimate.preparation.state_reconstruction import channels_present
+from dashpot.estimate.result import Fit
+from dashpot.model.dynamics import matrices
 from dashpot.model.network import Model
+from dashpot.model.observation import is_direct
+from dashpot.model.unstructured import free_entries, free_names
 from dashpot.notices import Notice
+
+ZERO = 1.96  # standard deviations within which a negative part may be none
+BIASED = 3.0  # standard deviations
+FALSE_ALARMS = 0.05  # of short records of white noise, at most, fail the test of whiteness
 
 APART = 4.0  # standard deviations beyond which two statements contradict each other
 # Share of a prior's variance in the posterior beyond which the data say too little to contradict it.
@@ -78,3 +95,157 @@ def reversed_phase(model: Model, theta: Real, noise_covariance: Real) -> list[No
         "x(t) = Re(X e^{jωt}), for data of the other convention change the sign of the imaginary parts"
     )
     return [Notice("reversed_phase", text, tuple(model.unknowns[j].name for j in dampers))]
+
+
+def of_estimate(model: Model, theta: Real, covariance: Real, noise: Real, fit: Fit) -> list[Notice]:
+    """What one estimate and its fit show; `noise` is the covariance that the sensors' noise alone gives."""
+    return [
+        *_of_fit(fit),
+        *wrong_signs(model, theta, covariance),
+        *_beyond_bounds(model, theta),
+        *reversed_phase(model, theta, noise),
+    ]
+
+
+def of_data(model: Model, spectrum: Spectrum) -> list[Notice]:
+    """What the data show, whatever was found in them."""
+    return [*_coloured(spectrum), *_inputs_left_out(model, spectrum), *duplicated_lines(spectrum)]
+
+
+def _of_fit(fit: Fit) -> list[Notice]:
+    if not fit.known_noise:
+        text = (
+            "the noise of the amplitudes is not given: equal relative noise is assumed and its size taken from the "
+            "residuals"
+        )
+        return [Notice("unknown_noise", text)]
+    if not bool(fit.rejected):
+        return []
+    text = (
+        f"the model does not fit: residuals are {float(fit.misfit):.3g} times the sensors' noise "
+        f"(χ² {float(fit.chi2):.4g} with {fit.dof} degrees of freedom); intervals are widened by that factor"
+    )
+    return [Notice("model_misfit", text)]
+
+
+def _beyond_bounds(model: Model, theta: Real) -> list[Notice]:
+    lower, upper = model.bounds
+    own = theta[: len(lower)]
+    names = [model.unknowns[j].name for j in np.flatnonzero((own < lower) | (own > upper))]
+    return [
+        Notice(
+            "beyond_bound", f"{name} lies beyond its bounds; of all methods only ml keeps to them", (name,)
+        )
+        for name in names
+    ]
+
+
+def nonlinear_names(model: Model) -> frozenset[str]:
+    """Unknowns of nonlinear elements, whose parameters and constants may have any sign."""
+    names = {e.name for e in model.elements if e.force_law is not None}
+    return frozenset(names | {f"{e.name}.{c.name}" for e, c in model.constants})
+
+
+def wrong_signs(model: Model, theta: Real, covariance: Real) -> list[Notice]:
+    """Warnings of negative parts, and of free matrices that are not definite."""
+    free, any_sign = free_names(model), nonlinear_names(model)
+    sd = standard_deviations(covariance)
+    notices = []
+    for j, (unknown, value) in enumerate(zip(model.unknowns, theta, strict=False)):
+        if value < 0 and unknown.name not in free and unknown.name not in any_sign:
+            within = value > -ZERO * sd[j]
+            why = "0 is within its interval" if within else "the model or the data are wrong somewhere"
+            text = f"{unknown.name} is negative ({value:.4g} {unknown.unit}): {why}"
+            notices.append(Notice("negative_but_zero" if within else "negative", text, (unknown.name,)))
+    if not free:
+        return notices
+    parts = matrices(model, model.parameters(theta[: len(model.unknowns)]))
+    for letter in free_entries(model):
+        values = np.linalg.eigvalsh(getattr(parts, letter))
+        if values[0] < -1e-9 * values[-1]:
+            text = (
+                f"{letter} is not positive definite (eigenvalues from {values[0]:.3g} to {values[-1]:.3g}); "
+                "the method oiv+ finds the most likely matrices that are"
+            )
+            notices.append(Notice("not_definite", text, (letter,)))
+    return notices
+
+
+def held(names: tuple[str, ...], theta: Real, bounds: HeldBounds) -> list[Notice]:
+    """Warnings of unknowns that lie at a bound; one repeat."""
+    at = (theta <= bounds.lower) | (theta >= bounds.upper)
+    return [
+        Notice(
+            "at_bound", f"{name} is at its bound; without the bound {float(free):.4g} would fit best", (name,)
+        )
+        for name, bound, free in zip(names, at, bounds.free[0], strict=True)
+        if bound
+    ]
+
+
+def bias(
+    names: tuple[str, ...], solution: Solution, best: Solution, covariance: Real, method: Method
+) -> tuple[Notice, ...]:
+    """A warning where an estimate lies further from the most likely one than its spread explains (Hausman 1978)."""
+    sd = np.sqrt(np.maximum(np.diagonal(covariance[0]), 0.0))
+    with np.errstate(invalid="ignore", divide="ignore"):
+        away = np.where(sd > 0, np.abs(solution.theta[0] - best.theta[0]) / sd, 0.0)
+    worst = int(np.argmax(np.nan_to_num(away)))
+    if not away[worst] > BIASED:
+        return ()
+    text = (
+        f"{method.name} is biased by the noise of these data: {names[worst]} lies {away[worst]:.3g} standard "
+        "deviations from the maximum-likelihood value, which oiv gives"
+    )
+    return (Notice("biased", text, (names[worst],)),)
+
+
+def _coloured(spectrum: Spectrum) -> list[Notice]:
+    """What the tests of whiteness led to, where they failed at more lines than white noise explains."""
+    coloured = sum(kind == "blocks" for kind in spectrum.noise)
+    if not coloured or bdtrc(coloured - 1, spectrum.lines, FALSE_ALARMS) > FALSE_ALARMS * (1 + 1e-9):
+        return []
+    text = f"coloured noise at {coloured} of {spectrum.lines} frequencies; the intervals include it"
+    return [Notice("coloured_noise", text)]
+
+
+def _inputs_left_out(model: Model, spectrum: Spectrum) -> list[Notice]:
+    """Inputs that some lines measure and others leave empty: there they are unknown, which costs precision."""
+    measured = channels_present(spectrum)
+    notices = []
+    for name in (*model.displacement_inputs, *model.force_inputs):
+        direct = [set(channel.of) == {name} and is_direct(model, channel) for channel in spectrum.channels]
+        at = np.any(measured[:, direct], axis=-1)
+        if np.any(at) and not np.all(at):
+            text = (
+                f"the input {name} is not measured at {np.sum(~at)} of {len(at)} lines and is unknown there, which "
+                "widens the intervals; if it was at rest, write 0"
+            )
+            notices.append(Notice("input_not_measured", text, (name,)))
+    return notices
+
+
+def require_determined(
+    names: tuple[str, ...], theta: Real, covariance: Real, dead: Sequence[str] = ()
+) -> None:
+    """Raises IdentifiabilityError, which names `dead` channels, where an unknown has no finite interval."""
+    variance = np.diagonal(covariance)
+    if np.all(np.isfinite(theta)) and np.all(np.isfinite(variance)) and np.all(variance >= 0):
+        return
+    lost = [name for name, v in zip(names, variance, strict=True) if not np.isfinite(v)]
+    if dead:
+        raise IdentifiabilityError(
+            f"the data do not determine {', '.join(lost) if lost else 'the unknowns'}, for {', '.join(dead)} "
+            f"show{'s' if len(dead) == 1 else ''} no motion at any line",
+            cure="see whether the sensor is connected, or leave the channel out of the rig file",
+        )
+    raise IdentifiabilityError(
+        f"the data do not determine {', '.join(lost) if lost else 'the unknowns'}",
+        cure="give one of them a value, add frequencies, or ask `dashpot check` which combinations can be found",
+    )
+
+
+def standard_deviations(covariance: Real) -> Real:
+    """NaN where rounding has made a variance negative: the data do not determine that unknown."""
+    variance = np.diagonal(covariance, axis1=-2, axis2=-1)
+    return np.sqrt(np.where(variance >= 0, variance, np.nan))

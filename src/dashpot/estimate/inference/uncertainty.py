@@ -1,20 +1,22 @@
-"""What an estimate is worth: information of each line, residuals, and how the noise was known (THEORY §5)."""
+"""Covariance, bound and χ² of an estimate, from the information of each line and the residuals (THEORY §5)."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from dashpot.arrays import Bools, Complex, Real, hermitian
+from dashpot.arrays import Complex, Real, hermitian
 from dashpot.data.spectrum import Spectrum
-from dashpot.errors import UsageError
-from dashpot.estimate.likelihood.maximum_likelihood import prior_mean, prior_precision
+from dashpot.estimate.inference.diagnostics import bias
+from dashpot.estimate.likelihood.maximum_likelihood import MaximumLikelihood, prior_mean, prior_precision
 from dashpot.estimate.likelihood.objective import measured, predict
 from dashpot.estimate.linear.auxiliary_model import auxiliary
 from dashpot.estimate.linear.gram import regressors
-from dashpot.estimate.method import Prepared, Solution
+from dashpot.estimate.linear.instrumental_variables import likeliest
+from dashpot.estimate.method import Method, Solution, Traits
 from dashpot.estimate.preparation.noise_quality import NoiseQuality, interval_dof, noise_quality
+from dashpot.estimate.preparation.prepared import Prepared, without_priors
 from dashpot.model.observation import observation_model
 from dashpot.numerics.small_systems import scaled_inverse, solve_scaled, solve_small
 
@@ -23,7 +25,7 @@ MISFIT_LEVEL = 1e-3  # p-value of χ² below which intervals count the misfit of
 
 
 @dataclass(frozen=True)
-class Judged:
+class Linearised:
     """Information and residuals at an estimate, line by line, for K repeats and M unknowns.
 
     information (K, lines, M, M); scores (K, lines, M), their sum is minus half the slope of the cost;
@@ -46,7 +48,7 @@ class Judged:
 
 
 @dataclass(frozen=True)
-class Worth:
+class Uncertainty:
     """Covariances and fit of K repeats; see Estimate for the names."""
 
     covariance: Real
@@ -57,85 +59,135 @@ class Worth:
     p: Real
 
 
-def judge(data: Prepared, solution: Solution, by_output: bool) -> Judged:
-    """Residuals and information in the channels (by_output) or in the equation of motion, where all is seen.
+@dataclass(frozen=True)
+class Inference:
+    """A method's solution, what the data say around it and how uncertain it is."""
 
-    Both say the same where all channels are direct; only the channels know of calibrations and of force channels.
+    solution: Solution
+    linearised: Linearised
+    uncertainty: Uncertainty
+
+
+def inference(data: Prepared, solution: Solution, method: Method) -> Inference:
+    """Uncertainty of what `method` found, with a warning where the noise has biased it.
+
+    χ² and bound are the model's, not the method's: they belong to the most likely parameters near θ.
     """
+    best = most_likely(data, solution, method.traits)
+    linearised = linearise(data, best, method.traits)
+    found = uncertainty(data, best, linearised, method.traits.weighted)
+    if len(solution.theta) == 1 and data.noise_known and best is not solution:
+        warnings = (*solution.warnings, *bias(linearised.names, solution, best, found.covariance, method))
+        solution = replace(solution, warnings=warnings)
+    return Inference(solution, linearised, found)
+
+
+def with_noise_of_residuals(data: Prepared, method: Method) -> Prepared:
+    """The noise scaled until χ² is its degrees of freedom: priors weigh against noise of the right size only."""
+    exact = without_priors(data.model)
+    for model in (exact, data.model, data.model):
+        if not model.unknowns:
+            continue
+        trial = replace(data, model=model)
+        best = most_likely(trial, method.solve(trial), method.traits)
+        around = linearise(trial, best, method.traits)
+        penalty = np.sum(around.precision * (best.theta - around.mean) ** 2, axis=-1)
+        chi2 = np.sum(around.cost, axis=-1) + penalty
+        data = data.scaled(np.maximum(chi2, ROUNDING) / max(around.dof, 1))
+    return data
+
+
+def most_likely(data: Prepared, solution: Solution, traits: Traits) -> Solution:
+    """The solution with the most likely parameters near it."""
+    if traits.maximum_likelihood:
+        return solution
+    if len(data.model.nonlinear):
+        return replace(solution, theta=MaximumLikelihood().solve(data).theta)
+    return replace(solution, theta=likeliest(data, solution.theta))
+
+
+def linearise(data: Prepared, solution: Solution, traits: Traits) -> Linearised:
+    """Residuals and information in the channels (by output) or in the equation of motion, where all is seen.
+
+    Both say the same where all channels are direct; only the channels know of calibrations, of force channels and of
+    nonlinear elements.
+    """
+    by_output = traits.by_output or len(data.model.nonlinear)
+    return _of_channels(data, solution) if by_output else _of_equation(data, solution)
+
+
+def _of_channels(data: Prepared, solution: Solution) -> Linearised:
+    view = observation_model(data.model, data.spectrum.channels, data.spectrum.omega)
+    exact = measured(data, view)
+    sign = np.ones((len(exact.y), len(view.channels)))
+    for name, signs in solution.signs.items():
+        sign[:, data.spectrum.index(name)] = signs
+    at = predict(view, exact, solution.theta, sign)
+    scores = 2 * (hermitian(at.J) @ at.weighted[..., None]).real[..., 0]
+    return Linearised(
+        view.names, view.units, at.information(), scores, at.cost_per_line, exact.rows - at.columns,
+        prior_precision(view), prior_mean(view),
+    )  # fmt: skip
+
+
+def _of_equation(data: Prepared, solution: Solution) -> Linearised:
     model = data.model
-    if by_output:
-        view = observation_model(model, data.spectrum.channels, data.spectrum.omega)
-        exact = measured(data, view)
-        sign = np.ones((len(exact.y), len(view.channels)))
-        for name, found in solution.signs.items():
-            sign[:, data.spectrum.index(name)] = found
-        at = predict(view, exact, solution.theta, sign)
-        scores = 2 * (hermitian(at.J) @ at.weighted[..., None]).real[..., 0]
-        return Judged(
-            view.names, view.units, at.information(), scores, at.cost_per_line, exact.rows - at.columns,
-            prior_precision(view), prior_mean(view),
-        )  # fmt: skip
-    if data.states is None:
-        raise UsageError("some coordinate is not seen", cure="use the method ml")
-    here = auxiliary(model, model.parameters(solution.theta), data.states)
-    Psi = regressors(model, here.w)
-    weighted: Complex = solve_small(here.Se, np.concatenate([Psi, here.e[..., None]], axis=-1))
+    at = auxiliary(model, model.parameters(solution.theta), data.seen_states)
+    Psi = regressors(model, at.w)
+    weighted: Complex = solve_small(at.Se, np.concatenate([Psi, at.e[..., None]], axis=-1))
     products = 2 * (hermitian(Psi) @ weighted).real
-    cost = 2 * np.sum((np.conj(here.e) * weighted[..., -1]).real, axis=-1)
-    return Judged(
+    cost = 2 * np.sum((np.conj(at.e) * weighted[..., -1]).real, axis=-1)
+    return Linearised(
         tuple(u.name for u in model.unknowns), tuple(u.unit for u in model.unknowns),
         products[..., :-1], -products[..., -1], cost, 2 * model.n * data.spectrum.lines,
         model.prior_precision, model.prior_mean,
     )  # fmt: skip
 
 
-def worth(
-    data: Prepared, solution: Solution, judged: Judged, known: bool, correlate: Bools, weighted: bool
-) -> Worth:
+def uncertainty(data: Prepared, solution: Solution, around: Linearised, weighted: bool) -> Uncertainty:
     """Covariance, bound and χ².
 
-    χ² and bound are the model's, not the method's: `solution` and `judged` are to be those of the most likely
-    parameters, to which one Gauss-Newton step leads, with the covariance of the method.  Where the noise is unknown,
-    χ² supplies its size; where it was estimated, weights and intervals pay for that; where the model does not fit,
-    the covariance grows by χ²/dof.  Where bounds hold unknowns, χ² is that of the values held: bounds that the data
-    contradict are no fit.
+    `solution` and `around` are to be those of the most likely parameters, to which one Gauss-Newton step leads, with
+    the covariance of the method.  Where the noise is unknown, χ² supplies its size; where it was estimated, weights and
+    intervals pay for that; where the model does not fit, the covariance grows by χ²/dof.  Where bounds hold unknowns,
+    χ² is that of the values held: bounds that the data contradict are no fit.
     """
-    prior = np.diag(judged.precision)
-    away = solution.theta - judged.mean
-    total = np.sum(judged.information, axis=-3) + prior
-    gradient = np.sum(judged.scores, axis=-2) - judged.precision * away
+    prior = np.diag(around.precision)
+    away = solution.theta - around.mean
+    total = np.sum(around.information, axis=-3) + prior
+    gradient = np.sum(around.scores, axis=-2) - around.precision * away
     excess = _excess(total, gradient, solution)
-    penalty = np.sum(judged.precision * away**2, axis=-1)
-    dof = judged.dof
+    penalty = np.sum(around.precision * away**2, axis=-1)
+    dof = around.dof
     usable = float(max(dof, 1))
-    if not known:
-        chi2 = np.maximum(np.sum(judged.cost, axis=-1) + penalty - excess, 0.0)
+    if not data.noise_known:
+        chi2 = np.maximum(np.sum(around.cost, axis=-1) + penalty - excess, 0.0)
         scale = np.maximum(chi2, ROUNDING) / usable
         covariance = solution.covariance * scale[:, None, None]
-        bound = scaled_inverse(np.sum(judged.information, axis=-3) / scale[:, None, None] + prior)
+        bound = scaled_inverse(np.sum(around.information, axis=-3) / scale[:, None, None] + prior)
         nothing = np.full(len(chi2), np.nan)
-        return Worth(
+        return Uncertainty(
             covariance, covariance, bound, np.full(away.shape, usable), np.full(len(chi2), usable), nothing
         )
-    quality = noise_quality(data.spectrum, np.atleast_1d(correlate))
+    quality = noise_quality(data.spectrum, data.correlated)
     shrink = np.mean(quality.shrink, axis=-1)
-    chi2 = np.maximum(np.sum(judged.cost * quality.shrink, axis=-1) + penalty - excess * shrink, 0.0)
-    p = _p_value(chi2, dof, judged.rows, data.spectrum)
-    bound = scaled_inverse(np.sum(judged.information * quality.shrink[..., None, None], axis=-3) + prior)
+    chi2 = np.maximum(np.sum(around.cost * quality.shrink, axis=-1) + penalty - excess * shrink, 0.0)
+    p = _p_value(chi2, dof, around.rows, data.spectrum)
+    bound = scaled_inverse(np.sum(around.information * quality.shrink[..., None, None], axis=-3) + prior)
     bread = scaled_inverse(total)
-    noise, degrees = _noise(judged, quality, bread, prior)
+    noise, degrees = _noise(around, quality, bread, prior)
     if not weighted:
         noise = solution.covariance
     misfit = (p < MISFIT_LEVEL) & (chi2 > dof)
     factor = np.where(misfit, chi2 / usable, 1.0)
     degrees = np.where(misfit[:, None], np.minimum(degrees, usable), degrees)
-    return Worth(noise * factor[:, None, None], noise, bound, degrees, chi2, p)
+    return Uncertainty(noise * factor[:, None, None], noise, bound, degrees, chi2, p)
 
 
 def _excess(total: Real, gradient: Real, solution: Solution) -> Real:
     """What χ² at θ lies above its minimum, (K,), unknowns held at a bound staying there."""
-    if solution.limits is not None:
-        held = (solution.theta <= solution.limits.lower) | (solution.theta >= solution.limits.upper)
+    if solution.bounds is not None:
+        held = (solution.theta <= solution.bounds.lower) | (solution.theta >= solution.bounds.upper)
         gradient = np.where(held, 0.0, gradient)
         apart = (held[:, :, None] | held[:, None, :]) & ~np.eye(held.shape[-1], dtype=bool)
         total = np.where(apart, 0.0, total)
@@ -143,13 +195,13 @@ def _excess(total: Real, gradient: Real, solution: Solution) -> Real:
     return excess
 
 
-def _noise(judged: Judged, quality: NoiseQuality, bread: Real, prior: Real) -> tuple[Real, Real]:
+def _noise(around: Linearised, quality: NoiseQuality, bread: Real, prior: Real) -> tuple[Real, Real]:
     """Covariance of a weighted estimate, the noise having been estimated, and the degrees of freedom behind it."""
-    around = bread[:, None]
-    shares = around @ (judged.information * quality.inflation[..., None, None]) @ around
+    by_line = bread[:, None]
+    shares = by_line @ (around.information * quality.inflation[..., None, None]) @ by_line
     stated = bread @ prior @ bread
-    own = np.diagonal(stated, axis1=-2, axis2=-1)
-    degrees = interval_dof(np.diagonal(shares, axis1=-2, axis2=-1), quality.dof, own)
+    exact = np.diagonal(stated, axis1=-2, axis2=-1)
+    degrees = interval_dof(np.diagonal(shares, axis1=-2, axis2=-1), quality.dof, exact)
     return np.sum(shares, axis=-3) + stated, degrees
 
 

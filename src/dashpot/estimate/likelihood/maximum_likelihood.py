@@ -14,8 +14,9 @@ from dashpot.estimate.likelihood.objective import Measured, directly_driven, mea
 from dashpot.estimate.likelihood.record_start import record_starts
 from dashpot.estimate.likelihood.starting_values import candidates, neighbours
 from dashpot.estimate.linear.least_squares import compensated
-from dashpot.estimate.method import Limits, Method, Prepared, Solution
+from dashpot.estimate.method import HeldBounds, Method, Solution, Traits
 from dashpot.estimate.nonlinear.search import search
+from dashpot.estimate.preparation.prepared import Prepared
 from dashpot.estimate.preparation.state_reconstruction import States
 from dashpot.model.observation import SPARSE_FROM, ObservationModel, is_direct, observation_model, small
 from dashpot.model.unstructured import free_names
@@ -92,9 +93,14 @@ class MaximumLikelihood(Method):
     tolerance: float = 1e-9
     seed: int = 0
     name: ClassVar[str] = "ml"
-    weighted: ClassVar[bool] = True
-    by_output: ClassVar[bool] = True
-    nonlinear: ClassVar[bool] = True
+    traits: ClassVar[Traits] = Traits(
+        by_output=True,
+        maximum_likelihood=True,
+        weighted=True,
+        bounds=True,
+        transients=True,
+        nonlinear=True,
+    )
 
     def solve(self, data: Prepared) -> Solution:
         """θ, gains and delays at the maximum of the likelihood."""
@@ -126,15 +132,15 @@ class MaximumLikelihood(Method):
         return Solution(
             found.x, bread, found.converged, found.iterations, found.history,
             signs={view.channels[int(c)].name: sign[:, c] for c in np.flatnonzero(view.flips)},
-            warnings=warnings, limits=self._limits(view, exact, found.x, sign, lower, upper),
+            warnings=warnings, bounds=self._held(view, exact, found.x, sign, lower, upper),
         )  # fmt: skip
 
-    def _limits(
+    def _held(
         self, view: ObservationModel, data: Measured, psi: Real, sign: Real, lower: Real, upper: Real
-    ) -> Limits | None:
+    ) -> HeldBounds | None:
         if not np.any(np.isfinite(lower) | np.isfinite(upper)):
             return None
-        return Limits(lower, upper, without_bounds(psi, local(view, data, psi, sign), lower, upper))
+        return HeldBounds(lower, upper, without_bounds(psi, local(view, data, psi, sign), lower, upper))
 
     def _descend(
         self,
@@ -310,7 +316,7 @@ def _through(
 def _reliability(one: Prepared, view: ObservationModel) -> Real:
     """Weights of the logarithms, (lines, channels): 1 where a channel stands out of its noise, down to 0 below it."""
     power = np.abs(np.nan_to_num(one.spectrum.amplitudes[0])) ** 2
-    if np.any(np.isnan(one.spectrum.covariance)):
+    if not one.noise_known:
         return np.where(power > 0, 1.0, 0.0)
     noise = np.diagonal(one.covariance[0], axis1=-2, axis2=-1).real
     reliability: Real = power / np.where(power + noise > 0, power + noise, 1.0)
@@ -372,7 +378,7 @@ def _acceptable(data: Prepared, exact: Measured, unknowns: int) -> float:
     from scipy.stats import chi2
 
     dof = exact.rows - unknowns
-    if np.any(np.isnan(data.spectrum.covariance)) or dof <= 0:
+    if not data.noise_known or dof <= 0:
         return np.inf
     doubt = np.min(data.spectrum.dof)
     return float(chi2.isf(POOR, dof)) * (1.0 if np.isinf(doubt) else 1 + 8 / max(doubt - 4, 1.0))

@@ -15,8 +15,8 @@ from scipy.sparse.csgraph import connected_components, structural_rank
 
 from dashpot.arrays import Bools, Complex, Ints, Real, hermitian
 from dashpot.estimate.likelihood.boundary_loads import RecordEnds, projector, record_ends, whitener
-from dashpot.estimate.method import Prepared
 from dashpot.estimate.nonlinear.objective import NonlinearPart, nonlinear_part, predict_harmonics
+from dashpot.estimate.preparation.prepared import Prepared
 from dashpot.model.observation import (
     ObservationModel,
     calibrated_transfer,

@@ -19,7 +19,8 @@ from dashpot.data.spectrum import Spectrum
 from dashpot.data.stretch import WholeRecord
 from dashpot.estimate.likelihood.maximum_likelihood import MaximumLikelihood, bounds, local
 from dashpot.estimate.likelihood.objective import measured, predict
-from dashpot.estimate.method import Prepared
+from dashpot.estimate.method import Method
+from dashpot.estimate.preparation.prepared import Prepared, flattened, in_chunks
 from dashpot.estimate.preparation.state_reconstruction import states_if_seen
 from dashpot.model.network import Model
 from dashpot.model.observation import ObservationModel, calibrated_transfer, observation_model
@@ -38,6 +39,21 @@ def noise_is_sought(spectrum: Spectrum) -> bool:
     return any(kind == FLOOR for kind in spectrum.noise)
 
 
+def with_record_noise(model: Model, spectrum: Spectrum, method: Method | None = None) -> Spectrum:
+    """The spectrum with the noise of its whole records as the residuals of a fit show it; itself where that is known.
+
+    What `identify` does first; the spectrum it works with, for those who judge the fit.
+    """
+    if not noise_is_sought(spectrum):
+        return spectrum
+    chosen = method if isinstance(method, MaximumLikelihood) else MaximumLikelihood()
+    repeats = [noise_from_residuals(model, repeat, chosen) for repeat in in_chunks(flattened(spectrum), 1)]
+    V = np.concatenate([repeat.covariance for repeat in repeats])
+    dof = np.min([repeat.dof for repeat in repeats], axis=0)
+    covariance = V.reshape(*spectrum.batch, *V.shape[1:])
+    return replace(spectrum, covariance=covariance, noise=repeats[0].noise, dof=dof)
+
+
 def noise_from_residuals(model: Model, spectrum: Spectrum, method: MaximumLikelihood) -> Spectrum:
     """The spectrum of one repeat, (1, lines, channels), with the noise that its residuals show.
 
@@ -50,7 +66,7 @@ def noise_from_residuals(model: Model, spectrum: Spectrum, method: MaximumLikeli
     psi = sign = None
     used, dof = 0.0, np.array(spectrum.dof)
     for _ in range(ROUNDS):
-        data = Prepared(model, spectrum, V, states_if_seen(model, spectrum, V))
+        data = Prepared(model, spectrum, V, states_if_seen(model, spectrum, V), True, np.ones(1, dtype=bool))
         exact = measured(data, view)
         if psi is None or sign is None:
             solution = method.solve(data)

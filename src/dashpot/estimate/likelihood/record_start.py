@@ -48,10 +48,12 @@ def _loads(model: Model, data: States, ends: RecordEnds, p: Real | None = None) 
     polynomials = np.zeros((*lead, model.n, len(ends.channel)), dtype=np.complex128)
     if p is not None:
         H = stiffness(model, p, data.omega)
-        read = data.looks[..., : H.shape[-1], :] @ ends.polynomials()
+        read = data.reconstruction[..., : H.shape[-1], :] @ ends.polynomials()
         polynomials = H @ read
         if model.S.shape[1]:
-            polynomials = polynomials - model.S @ (data.looks[..., H.shape[-1] :, :] @ ends.polynomials())
+            polynomials = polynomials - model.S @ (
+                data.reconstruction[..., H.shape[-1] :, :] @ ends.polynomials()
+            )
     return np.concatenate([each, ends.s[:, None, None] * each, polynomials], axis=-1)
 
 

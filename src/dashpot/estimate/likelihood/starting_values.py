@@ -7,7 +7,7 @@ import numpy as np
 from dashpot.arrays import Real
 from dashpot.channel import Quantity
 from dashpot.estimate.likelihood.objective import measured, predict
-from dashpot.estimate.method import Prepared
+from dashpot.estimate.preparation.prepared import Prepared
 from dashpot.model.elements import Kind
 from dashpot.model.observation import ObservationModel
 

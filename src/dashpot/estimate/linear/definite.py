@@ -8,10 +8,11 @@ from typing import ClassVar
 import numpy as np
 
 from dashpot.arrays import Bools, Ints, Real, frozen
-from dashpot.errors import ModelError, UsageError
+from dashpot.errors import ModelError
 from dashpot.estimate.linear.instrumental_variables import OptimalIV, objective
 from dashpot.estimate.linear.least_squares import where_finite
-from dashpot.estimate.method import Method, Prepared, Solution
+from dashpot.estimate.method import Method, Solution, Traits
+from dashpot.estimate.preparation.prepared import Prepared
 from dashpot.estimate.preparation.state_reconstruction import States
 from dashpot.estimate.result import Estimate
 from dashpot.model.network import Model
@@ -99,13 +100,10 @@ class DefiniteOptimalIV(Method):
     max_iterations: int = 100
     tolerance: float = 1e-5
     name: ClassVar[str] = "oiv+"
-    weighted: ClassVar[bool] = True
-    efficient: ClassVar[bool] = True
+    traits: ClassVar[Traits] = Traits(maximum_likelihood=True, weighted=True, definite=True)
 
     def solve(self, data: Prepared) -> Solution:
         """The free estimate, refined on the cone for the repeats that leave it."""
-        if data.states is None:
-            raise UsageError("oiv+ needs every coordinate and input", cure="use the method ml")
         free = OptimalIV().solve(data)
         theta, converged, iterations = free.theta.copy(), free.converged.copy(), free.iterations.copy()
         # What the data leave undetermined has no nearest point: the cone has no end in its direction.
@@ -123,7 +121,7 @@ class DefiniteOptimalIV(Method):
             converged[rows[~there_is]] = False
             rows, start = rows[there_is], start[there_is]
         if len(rows):
-            found = self._on_the_cone(data.model, data.states, cones, theta[rows], start, rows)
+            found = self._on_the_cone(data.model, data.seen_states, cones, theta[rows], start, rows)
             theta[rows], converged[rows] = where_finite(found.x, theta[rows]), found.converged
             iterations[rows] += found.iterations
             if rows[0] == 0:

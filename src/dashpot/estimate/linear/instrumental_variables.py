@@ -10,12 +10,12 @@ import numpy as np
 from scipy.special import chdtrc
 
 from dashpot.arrays import Bools, Complex, Ints, Real
-from dashpot.errors import UsageError
 from dashpot.estimate.linear.auxiliary_model import auxiliary, information, normal_equations
 from dashpot.estimate.linear.gram import regressors
 from dashpot.estimate.linear.least_squares import sandwich, solve_sums, starts
 from dashpot.estimate.linear.sample_moments import Sampled, least_squares_sums, sampled, sums_with_harmonics
-from dashpot.estimate.method import Method, Prepared, Solution
+from dashpot.estimate.method import Method, Solution, Traits
+from dashpot.estimate.preparation.prepared import Prepared
 from dashpot.estimate.preparation.state_reconstruction import States
 from dashpot.model.dynamics import amplitudes, unit_forces
 from dashpot.model.network import Model
@@ -36,6 +36,7 @@ class InstrumentalVariables(Method):
     max_iterations: int = 100
     tolerance: float = 1e-10
     name: ClassVar[str] = "iv"
+    traits: ClassVar[Traits] = Traits(moments="auto")
 
     def solve(self, data: Prepared) -> Solution:
         """θ from (G) with instruments from the response of the auxiliary model."""
@@ -95,14 +96,11 @@ class OptimalIV(Method):
     max_iterations: int = 200
     tolerance: float = 1e-9
     name: ClassVar[str] = "oiv"
-    weighted: ClassVar[bool] = True
-    efficient: ClassVar[bool] = True
+    traits: ClassVar[Traits] = Traits(maximum_likelihood=True, weighted=True)
 
     def solve(self, data: Prepared) -> Solution:
         """θ at the minimum of Σ eᴴ Ω(θ) e with the priors' rows."""
-        if data.states is None:
-            raise UsageError("oiv needs every coordinate and input", cure="use the method ml")
-        model, states = data.model, data.states
+        model, states = data.model, data.seen_states
         first, *others = starts(model, states)
         found = self._search(model, states, first, np.arange(len(first)))
         for start in others:

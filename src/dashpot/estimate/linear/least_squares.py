@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
 
 from dashpot.arrays import Bools, Complex, Real, hermitian
-from dashpot.errors import UsageError
 from dashpot.estimate.linear.auxiliary_model import equation_covariance
 from dashpot.estimate.linear.gram import gram, gram_force, known_side, regressors, weighted_normal
 from dashpot.estimate.linear.sample_moments import Sampled, sampled, sums_with_samples
-from dashpot.estimate.method import Method, Prepared, Solution, closed_form
+from dashpot.estimate.method import Method, Solution, Traits, closed_form
 from dashpot.estimate.nonlinear.regression import harmonic_least_squares
+from dashpot.estimate.preparation.prepared import Prepared, without_priors
 from dashpot.estimate.preparation.state_reconstruction import States
 from dashpot.model.dynamics import unit_forces
 from dashpot.model.network import Model
@@ -25,6 +25,7 @@ class LeastSquares(Method):
     """The paper's least squares on samples (eq. 17, Q = I).  Biased: the noise's power enters the normal matrix."""
 
     name: ClassVar[str] = "ls"
+    traits: ClassVar[Traits] = Traits(moments=True)
 
     def solve(self, data: Prepared) -> Solution:
         """θ in closed form; the covariance is the estimator's own spread, not its distance from the truth."""
@@ -41,7 +42,7 @@ class HarmonicLeastSquares(Method):
     """Least squares on amplitudes, unweighted: a bias smaller than that of samples by about 2/N."""
 
     name: ClassVar[str] = "hls"
-    nonlinear: ClassVar[bool] = True
+    traits: ClassVar[Traits] = Traits(nonlinear=True)
 
     def solve(self, data: Prepared) -> Solution:
         """θ in closed form from the combined amplitudes; of nonlinear rigs by Yasuda and Watanabe's way."""
@@ -62,16 +63,14 @@ class WeightedLeastSquares(Method):
     """Least squares on amplitudes, weighted by Ω = Cov(e)⁻¹ at the unweighted estimate."""
 
     name: ClassVar[str] = "wls"
-    weighted: ClassVar[bool] = True
+    traits: ClassVar[Traits] = Traits(weighted=True)
 
     def solve(self, data: Prepared) -> Solution:
         """θ in closed form, given the weight."""
         model = data.model
-        if data.states is None:
-            raise UsageError("wls needs every coordinate and input", cure="use the method ml")
         looks = combined(data)
         N, r = gram(model, looks.a, looks.a, looks.weight), gram_force(model, looks.a, looks.f, looks.weight)
-        Se = equation_covariance(model, model.parameters(solve_sums(looks, N, r)), data.states)
+        Se = equation_covariance(model, model.parameters(solve_sums(looks, N, r)), data.seen_states)
         Phi, h = regressors(model, looks.a), known_side(model, looks.a, looks.f)
         bread, right = with_priors(model, *normal_sums(Se, Phi, h))
         theta = solve_scaled(bread, right)
@@ -106,9 +105,7 @@ def with_priors(model: Model, N: Real, right: Real) -> tuple[Real, Real]:
 
 def combined(data: Prepared) -> Sampled:
     """Unit forces from the amplitudes z = (X, U, f) that all channels together give; z takes the channels' place."""
-    if data.states is None:
-        raise UsageError("hls needs every coordinate and input", cure="use the method ml")
-    model, spectrum, s = data.model, data.spectrum, data.states
+    model, spectrum, s = data.model, data.spectrum, data.seen_states
     size = s.z.shape[-1]
     span = np.zeros((len(model.elements), size))
     span[:, : s.n + s.r] = np.concatenate([model.B, model.D], axis=1)
@@ -239,7 +236,7 @@ def starts(model: Model, data: States) -> tuple[Real, Real, Real]:
     Weighting comes first: far from the truth, taking the noise out leaves a matrix that is all but singular.
     Parameters with a prior are held there in the first pass, which has no scale to weigh them by.
     """
-    fixed = _without_priors(model)
+    fixed = without_priors(model)
     free = model.prior_precision == 0
     plain = np.broadcast_to(model.prior_mean, (len(data.z), len(model.unknowns))).copy()
     Phi, h = equation(model, data)
@@ -265,13 +262,6 @@ def compensated(model: Model, data: States) -> Real:
 def where_finite(values: Real, otherwise: Real) -> Real:
     """Repeats of `values` that are finite throughout, else those of `otherwise`."""
     return np.where(np.all(np.isfinite(values), axis=-1, keepdims=True), values, otherwise)
-
-
-def _without_priors(model: Model) -> Model:
-    """The model with its uncertain known values taken as exact."""
-    if not np.any(model.prior_precision):
-        return model
-    return replace(model, elements=tuple(replace(element, sd=None) for element in model.elements))
 
 
 def equation(model: Model, data: States) -> tuple[Complex, Complex]:

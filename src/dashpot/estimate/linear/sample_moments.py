@@ -16,8 +16,8 @@ from dashpot.channel import Quantity
 from dashpot.data.spectrum import Spectrum
 from dashpot.errors import DataError, UsageError
 from dashpot.estimate.linear.gram import gram, gram_force
-from dashpot.estimate.method import Prepared
-from dashpot.estimate.preparation.state_reconstruction import looks, require_seen, unseen
+from dashpot.estimate.preparation.prepared import Prepared
+from dashpot.estimate.preparation.state_reconstruction import reconstruction, unseen
 from dashpot.model.network import Model
 from dashpot.model.observation import is_direct, measures_input
 
@@ -64,7 +64,7 @@ class Sampled:
 def sampled(data: Prepared) -> Sampled:
     """Read the unit forces from the channels.  Raises DataError where some coordinate is not seen."""
     model, spectrum, V = data.model, data.spectrum, data.covariance
-    require_seen(model, spectrum)
+    _ = data.seen_states  # raises where some of them are not seen
     y = np.nan_to_num(spectrum.amplitudes)
     drive = np.array(
         [measures_input(model, channel) and is_direct(model, channel) for channel in spectrum.channels]
@@ -73,7 +73,7 @@ def sampled(data: Prepared) -> Sampled:
         [-1 if c.quantity is Quantity.FORCE else c.quantity.derivative for c in spectrum.channels]
     )
     P = {
-        k: looks(model, spectrum, V, drive | chosen)
+        k: reconstruction(model, spectrum, V, drive | chosen)
         for k, chosen in _channels_for(model, spectrum, drive, derivative)
     }
     n, r = model.n, len(model.displacement_inputs)

@@ -15,7 +15,6 @@ from typing import ClassVar
 import numpy as np
 
 from dashpot.arrays import Bools, Complex, Ints, Real
-from dashpot.errors import UsageError
 from dashpot.estimate.linear.auxiliary_model import auxiliary, equation_covariance
 from dashpot.estimate.linear.gram import regressors
 from dashpot.estimate.linear.least_squares import (
@@ -31,7 +30,8 @@ from dashpot.estimate.linear.least_squares import (
     with_priors,
     without_noise,
 )
-from dashpot.estimate.method import Method, Prepared, Solution
+from dashpot.estimate.method import Method, Solution, Traits
+from dashpot.estimate.preparation.prepared import Prepared
 from dashpot.estimate.preparation.state_reconstruction import States
 from dashpot.model.network import Model
 from dashpot.notices import Notice
@@ -53,7 +53,7 @@ class TotalLeastSquares(Method):
 
     def solve(self, data: Prepared) -> Solution:
         """θ of the v that minimises vᵀAv / vᵀGv, by Newton's method on the Schur complement of A − λG."""
-        states = _seen(data, self.name)
+        states = data.seen_states
         model = data.model
         _, start, _ = starts(model, states)
         sums = noisy_sums(model, states, equation_covariance(model, model.parameters(start), states))
@@ -110,15 +110,11 @@ class CompensatedLeastSquares(Method):
     """
 
     name: ClassVar[str] = "cls"
+    traits: ClassVar[Traits] = Traits(needs_noise=True)
 
     def solve(self, data: Prepared) -> Solution:
-        """(N − G₁₁) θ = r − g.  Raises UsageError where the size of the noise is not known."""
-        states = _seen(data, self.name)
-        if "unknown" in data.spectrum.noise:
-            raise UsageError(
-                "cls takes the noise's moments out, and the noise of these data is not given",
-                cure="use tls, which finds its size, or give the channels their noise (a column NAME_sd)",
-            )
+        """(N − G₁₁) θ = r − g."""
+        states = data.seen_states
         model = data.model
         _, start, plain = starts(model, states)
         sums = noisy_sums(model, states, equation_covariance(model, model.parameters(start), states))
@@ -251,9 +247,3 @@ def _covariance(data: Prepared, sums: NoisySums, theta: Real, size: Real, *, tot
     half = scaled_inverse(sums.N - size[:, None, None] * sums.G)
     covariance: Real = half @ (meat + np.diag(model.prior_precision)) @ half
     return covariance
-
-
-def _seen(data: Prepared, name: str) -> States:
-    if data.states is None:
-        raise UsageError(f"{name} needs every coordinate and input", cure="use the method ml")
-    return data.states

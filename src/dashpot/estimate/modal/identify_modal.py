@@ -16,17 +16,11 @@ from scipy.special import chdtrc
 from dashpot.arrays import Bools, Complex, Ints, Real, hermitian
 from dashpot.data.modal_data import ModalData
 from dashpot.errors import DataError, IdentifiabilityError, UsageError
-from dashpot.estimate.identify import (
-    held,
-    known_values,
-    mode_values,
-    require_determined,
-    tied_values,
-    wrong_signs,
-)
+from dashpot.estimate.inference.derived import known_values, mode_values, tied_values
+from dashpot.estimate.inference.diagnostics import held, require_determined, wrong_signs
 from dashpot.estimate.inference.uncertainty import MISFIT_LEVEL
 from dashpot.estimate.likelihood.maximum_likelihood import DOUBT, TIE
-from dashpot.estimate.method import Limits
+from dashpot.estimate.method import HeldBounds
 from dashpot.estimate.result import Estimate, Fit
 from dashpot.model.elements import Kind
 from dashpot.model.modes import eigenpairs, mode_sensitivities
@@ -102,7 +96,7 @@ def identify_modal(model: Model, data: ModalData, *, starts: int = STARTS, seed:
         signs={},
         warnings=()
         if batch
-        else (*_warnings(model, theta[0], widened[0], Limits(lower, upper, free), fit), *rivals),
+        else (*_warnings(model, theta[0], widened[0], HeldBounds(lower, upper, free), fit), *rivals),
     )
 
 
@@ -126,7 +120,9 @@ def _check(model: Model, data: ModalData) -> None:
         )
 
 
-def _warnings(model: Model, theta: Real, covariance: Real, limits: Limits, fit: Fit) -> tuple[Notice, ...]:
+def _warnings(
+    model: Model, theta: Real, covariance: Real, limits: HeldBounds, fit: Fit
+) -> tuple[Notice, ...]:
     notices = []
     if bool(fit.rejected):
         text = (

@@ -13,8 +13,8 @@ import numpy as np
 
 from dashpot.arrays import Complex, Ints, Real, frozen, hermitian
 from dashpot.errors import DataError
-from dashpot.estimate.method import Prepared
 from dashpot.estimate.nonlinear.dwells import Dwells, WarmStart, dwells_of, measured_elongations
+from dashpot.estimate.preparation.prepared import Prepared
 from dashpot.model.network import Model
 from dashpot.model.nonlinear.harmonic_balance import (
     Drive,

@@ -13,8 +13,9 @@ import numpy as np
 from dashpot.arrays import Complex, Real, hermitian
 from dashpot.errors import UsageError
 from dashpot.estimate.linear.gram import known_side, regressors
-from dashpot.estimate.method import Prepared, Solution, closed_form
+from dashpot.estimate.method import Solution, closed_form
 from dashpot.estimate.nonlinear.dwells import Dwells, dwells_of, measured_elongations
+from dashpot.estimate.preparation.prepared import Prepared
 from dashpot.model.dynamics import unit_forces
 from dashpot.model.network import Model
 from dashpot.model.nonlinear.alternating import alternate

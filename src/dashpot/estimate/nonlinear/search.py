@@ -10,10 +10,10 @@ import numpy as np
 
 from dashpot.arrays import Real
 from dashpot.errors import ConvergenceError
-from dashpot.estimate.method import Prepared
 from dashpot.estimate.nonlinear.dwells import WarmStart
 from dashpot.estimate.nonlinear.objective import NonlinearPart, measured_part, predict_harmonics
 from dashpot.estimate.nonlinear.starting_values import KEPT, starting_points
+from dashpot.estimate.preparation.prepared import Prepared
 from dashpot.model.nonlinear.harmonic_balance import Drive, periodic_response, truncation
 from dashpot.model.observation import ObservationModel
 from dashpot.numerics.levenberg_marquardt import OptimizeResult

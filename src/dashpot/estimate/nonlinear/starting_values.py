@@ -9,9 +9,9 @@ import numpy as np
 
 from dashpot.arrays import Real
 from dashpot.errors import DashpotError
-from dashpot.estimate.method import Prepared
 from dashpot.estimate.nonlinear.dwells import dwells_of
 from dashpot.estimate.nonlinear.regression import MeasuredMotion, measured_motion, regression, scale_of_lines
+from dashpot.estimate.preparation.prepared import Prepared
 from dashpot.model.elements import Element
 from dashpot.model.network import Model
 from dashpot.model.nonlinear.alternating import alternate
@@ -155,7 +155,7 @@ def _linear_fit(data: Prepared, calibrations: Real) -> tuple[dict[str, float], R
             exact = np.diagonal(data.covariance, axis1=-2, axis2=-1)[:, fundamental] == 0
             V = data.covariance[:, fundamental] + np.where(exact[..., None], 0.0, soft)
             found = MaximumLikelihood(starts=16, candidates=600, rounds=2).solve(
-                Prepared(model, spectrum, V, None)
+                replace(data, model=model, spectrum=spectrum, covariance=V, states=None)
             )
         except DashpotError:
             continue

@@ -1,8 +1,8 @@
 """From channels to the amplitudes of coordinates, inputs and forces (THEORY §3, §4).
 
-The state of line l is z = (X, U, f).  A channel is a linear look at it, y = C(ω) z + noise; where the channels of a
-line see every entry of z, generalised least squares combines them by their covariances: velocity and displacement of
-one point, accelerations, differences, several sensors on one point are all looks at one amplitude.
+The state of line l is z = (X, U, f).  A channel shows a linear combination of it, y = C(ω) z + noise; where the
+channels of a line see every entry of z, generalised least squares combines them by their covariances: velocity and
+displacement of one point, accelerations, differences, several sensors on one point all measure one amplitude.
 """
 
 from __future__ import annotations
@@ -17,28 +17,28 @@ from dashpot.channel import Channel, Quantity
 from dashpot.data.spectrum import Spectrum
 from dashpot.errors import DataError
 from dashpot.model.network import Model
-from dashpot.model.observation import is_direct, measures_input, observation_model
+from dashpot.model.observation import is_direct, observation_model
 
 
 @dataclass(frozen=True)
 class States:
     """Amplitudes z = (X, U, f) = P y, (..., lines, q), q = n + r + s, and their covariance E[Δ Δᴴ], (..., lines, q, q).
 
-    `looks` is P, (..., lines, q, channels).
+    `reconstruction` is P, (..., lines, q, channels).
     """
 
     omega: Real
     z: Complex
     covariance: Complex
-    looks: Complex
+    reconstruction: Complex
     n: int
     r: int
 
     def rows(self, rows: Ints) -> States:
         """Some of the repeats; what all repeats share stays shared."""
         covariance = self.covariance if len(self.covariance) == 1 else self.covariance[rows]
-        looks = self.looks if len(self.looks) == 1 else self.looks[rows]
-        return States(self.omega, self.z[rows], covariance, looks, self.n, self.r)
+        P = self.reconstruction if len(self.reconstruction) == 1 else self.reconstruction[rows]
+        return States(self.omega, self.z[rows], covariance, P, self.n, self.r)
 
     @property
     def X(self) -> Complex:
@@ -100,28 +100,9 @@ def channels_present(spectrum: Spectrum) -> Bools:
     return present
 
 
-def noise_is_known(spectrum: Spectrum) -> bool:
-    """Whether the covariance of the amplitudes is given or was estimated from samples, at every line."""
-    return not np.any(np.isnan(spectrum.covariance))
-
-
-def working_covariance(model: Model, spectrum: Spectrum) -> Complex:
-    """Covariance of the channels to weigh with: as known, or equal parts of each channel's size where nothing is.
-
-    Unknown noise leaves the inputs exact and gives each other channel the same relative noise; what it lacks is one
-    common factor, which the residuals supply.
-    """
-    if noise_is_known(spectrum):
-        return spectrum.covariance
-    present = channels_present(spectrum)
-    X = np.where(present, spectrum.amplitudes, 0.0)
-    size = np.sqrt(np.sum(np.abs(X) ** 2, axis=-2) / np.maximum(np.sum(present, axis=0), 1))
-    free = np.array([not measures_input(model, channel) for channel in spectrum.channels])
-    variance = np.where(free, size**2, 0.0)[..., None, :] * np.ones((spectrum.lines, 1))
-    return (variance[..., :, None] * np.eye(len(spectrum.channels))).astype(np.complex128)
-
-
-def looks(model: Model, spectrum: Spectrum, covariance: Complex, channels: Bools | None = None) -> Complex:
+def reconstruction(
+    model: Model, spectrum: Spectrum, covariance: Complex, channels: Bools | None = None
+) -> Complex:
     """P with ẑ = P y, (..., lines, n + r + s, channels): generalised least squares from the direct channels.
 
     ẑ minimises (y − C z)ᴴ V⁻¹ (y − C z); exact channels are met exactly.  `channels` limits what is used.
@@ -145,16 +126,16 @@ def looks(model: Model, spectrum: Spectrum, covariance: Complex, channels: Bools
     C, y_size = C / weakest[..., None], y_size * weakest
     _require_distinct(C, exact)
     V = np.where(both, covariance / (y_size[..., :, None] * y_size[..., None, :]), np.eye(C.shape[-2]))
-    channels_count, q = C.shape[-2:]
-    system = np.zeros((*V.shape[:-2], channels_count + q, channels_count + q), dtype=np.complex128)
-    system[..., :channels_count, :channels_count] = V
-    system[..., :channels_count, channels_count:] = C
-    system[..., channels_count:, :channels_count] = hermitian(C)
-    right = np.zeros((channels_count + q, channels_count))
-    right[:channels_count] = np.eye(channels_count)
+    count, q = C.shape[-2:]
+    system = np.zeros((*V.shape[:-2], count + q, count + q), dtype=np.complex128)
+    system[..., :count, :count] = V
+    system[..., :count, count:] = C
+    system[..., count:, :count] = hermitian(C)
+    right = np.zeros((count + q, count))
+    right[:count] = np.eye(count)
     try:
         P: Complex = np.linalg.solve(system, np.broadcast_to(right, (*V.shape[:-2], *right.shape)))[
-            ..., channels_count:, :
+            ..., count:, :
         ]
     except np.linalg.LinAlgError as error:
         raise _contradiction() from error
@@ -194,7 +175,7 @@ def _sizes(spectrum: Spectrum) -> Real:
 def states(model: Model, spectrum: Spectrum, covariance: Complex) -> States:
     """The amplitudes z with their covariance, all direct channels combined.
 
-    Raises DataError where some coordinate or input is not seen by any channel.
+    Raises DataError where some coordinate or input is not seen by any channel, and as `reconstruction`.
     """
     require_seen(model, spectrum)
     return _combined(model, spectrum, covariance)
@@ -205,15 +186,6 @@ def states_if_seen(model: Model, spectrum: Spectrum, covariance: Complex) -> Sta
     return None if unseen(model, spectrum) else _combined(model, spectrum, covariance)
 
 
-def _combined(model: Model, spectrum: Spectrum, covariance: Complex) -> States:
-    P = looks(model, spectrum, covariance)
-    y = np.nan_to_num(spectrum.amplitudes)
-    z = np.einsum("...lqc,...lc->...lq", P, y)
-    return States(
-        spectrum.omega, z, P @ covariance @ hermitian(P), P, model.n, len(model.displacement_inputs)
-    )
-
-
 def require_seen(model: Model, spectrum: Spectrum) -> None:
     """Raises DataError that names what no channel sees."""
     missing = unseen(model, spectrum)
@@ -222,3 +194,12 @@ def require_seen(model: Model, spectrum: Spectrum) -> None:
             f"no channel sees {', '.join(missing)} at every line",
             cure="this method needs every coordinate and input: use the method ml, or add the channel",
         )
+
+
+def _combined(model: Model, spectrum: Spectrum, covariance: Complex) -> States:
+    P = reconstruction(model, spectrum, covariance)
+    y = np.nan_to_num(spectrum.amplitudes)
+    z = np.einsum("...lqc,...lc->...lq", P, y)
+    return States(
+        spectrum.omega, z, P @ covariance @ hermitian(P), P, model.n, len(model.displacement_inputs)
+    )

@@ -12,8 +12,7 @@ from dashpot.data.spectrum import Spectrum, concatenate
 from dashpot.data.stretch import WholeRecord
 from dashpot.estimate.likelihood.boundary_loads import record_ends
 from dashpot.estimate.likelihood.objective import measured, predict
-from dashpot.estimate.method import Prepared
-from dashpot.estimate.preparation.state_reconstruction import states_if_seen
+from dashpot.estimate.preparation.prepared import Prepared, prepare
 from dashpot.model.dynamics import dynamic_stiffness, input_stiffness
 from dashpot.model.observation import observation_model
 from tests.whole_rigs import WholeTest, chain, record_of
@@ -44,7 +43,7 @@ def flat(spectrum: Spectrum) -> Spectrum:
 
 def prepared(test: WholeTest, spectrum: Spectrum) -> Prepared:
     one = flat(spectrum)
-    return Prepared(test.model, one, one.covariance, states_if_seen(test.model, one, one.covariance))
+    return prepare(test.model, one)
 
 
 def by_one_least_squares(test: WholeTest, spectrum: Spectrum, theta: Real) -> float:
@@ -143,7 +142,7 @@ def test_repeats_are_projected_each_by_itself() -> None:
     )
     view = observation_model(test.model, spectrum.channels, spectrum.omega)
     sign = np.ones((2, len(spectrum.channels)))
-    data = Prepared(test.model, both, both.covariance, None)
+    data = prepare(test.model, both)
     together = predict(view, measured(data, view), np.stack([test.theta, 1.1 * test.theta]), sign)
     for k, (lines, factor) in enumerate(((spectrum, 1.0), (other, 1.1))):
         alone = predict(view, measured(prepared(test, lines), view), factor * test.theta[None], sign[:1])

@@ -9,10 +9,10 @@ import pytest
 from scipy.sparse.linalg import splu
 
 from dashpot.channel import Channel, Quantity
-from dashpot.estimate.identify import _flatten, identify
+from dashpot.estimate.identify import identify
 from dashpot.estimate.likelihood.maximum_likelihood import MaximumLikelihood, local, logarithmic
 from dashpot.estimate.likelihood.objective import directly_driven, measured, predict
-from dashpot.estimate.method import Prepared
+from dashpot.estimate.preparation.prepared import prepare
 from dashpot.model import observation
 from dashpot.model.elements import Kind, between, mass
 from dashpot.model.network import Input, Model
@@ -21,9 +21,8 @@ from tests.partly_seen import BENCHES, Bench, noisy_base, reaction
 
 
 def prepared(bench, correlation=0.0, draws=1, seed=1):
-    flat = _flatten(bench.spectrum(np.random.default_rng(seed), draws, correlation))
-    data = Prepared(bench.model, flat, flat.covariance, None)
-    return data, observation_model(bench.model, flat.channels, flat.omega)
+    data = prepare(bench.model, bench.spectrum(np.random.default_rng(seed), draws, correlation))
+    return data, observation_model(bench.model, data.spectrum.channels, data.spectrum.omega)
 
 
 def signs(bench):
@@ -189,10 +188,10 @@ def test_a_channel_that_was_not_measured_weighs_nothing():
     data, view = prepared(bench)
     Y = data.spectrum.amplitudes.copy()
     Y[:, 5:9, 1] = np.nan
-    holes = Prepared(data.model, replace(data.spectrum, amplitudes=Y), data.covariance, None)
+    holes = replace(data, spectrum=replace(data.spectrum, amplitudes=Y), states=None)
     V = data.covariance.copy()
     V[:, 5:9, 1, 1] *= 1e12
-    swamped = Prepared(data.model, data.spectrum, V, None)
+    swamped = replace(data, covariance=V, states=None)
     one, two = (predict(view, measured(d, view), bench.psi[None], signs(bench)) for d in (holes, swamped))
     assert np.allclose(
         one.information(), two.information(), rtol=1e-6, atol=1e-6 * np.abs(two.information()).max()
@@ -206,7 +205,7 @@ def test_inputs_that_no_channel_of_a_line_sees_are_not_driven():
     data, view = prepared(bench)
     Y = data.spectrum.amplitudes.copy()
     Y[:, 3, :] = np.nan
-    holes = Prepared(data.model, replace(data.spectrum, amplitudes=Y), data.covariance, None)
+    holes = replace(data, spectrum=replace(data.spectrum, amplitudes=Y), states=None)
     at = predict(view, measured(holes, view), bench.psi[None], signs(bench))
     assert at.q[0, 3, 0] == 0
     assert np.all(np.isfinite(at.information()))

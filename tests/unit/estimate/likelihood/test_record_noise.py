@@ -8,7 +8,8 @@ from dashpot.channel import Quantity
 from dashpot.data.conditioning.whole_record import whole_record
 from dashpot.data.record import Record
 from dashpot.errors import UsageError
-from dashpot.estimate.identify import automatic, identify, with_record_noise
+from dashpot.estimate.identify import automatic, identify
+from dashpot.estimate.likelihood.record_noise import with_record_noise
 from tests.whole_rigs import WholeTest, chain, record_of
 
 

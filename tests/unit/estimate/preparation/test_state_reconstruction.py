@@ -6,7 +6,7 @@ import numpy as np
 
 from dashpot.channel import Channel, Quantity
 from dashpot.data.spectrum import Spectrum
-from dashpot.estimate.preparation.state_reconstruction import working_covariance
+from dashpot.estimate.preparation.weighting import working_covariance
 from dashpot.model.elements import Kind, between, mass
 from dashpot.model.network import Input, Model
 

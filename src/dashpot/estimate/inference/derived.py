@@ -1,0 +1,71 @@
+"""What follows from an estimate: known and tied parameters, modes with their uncertainty."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from dashpot.arrays import Real
+from dashpot.errors import ModelError
+from dashpot.estimate.result import ModeValues
+from dashpot.model.modes import modes
+from dashpot.model.network import Model
+
+LOST = 1e-13  # of the terms of a variance: below it the sum is rounding
+
+
+def known_values(model: Model) -> tuple[tuple[str, float, str], ...]:
+    """(name, value, unit) of the parameters and constants that are exactly known."""
+    unknown = {u.name for u in model.unknowns}
+    constants = tuple(
+        (f"{e.name}.{c.name}", float(c.value), model.constant_unit(e, c))
+        for e, c in model.constants
+        if not c.unknown and c.value is not None
+    )
+    return constants + tuple(
+        (element.name, float(model.p0[i]), model.unit(element))
+        for i, element in enumerate(model.elements)
+        if element.name not in unknown and not np.any(model.T[i])
+    )
+
+
+def tied_values(model: Model) -> tuple[tuple[str, str, float, str], ...]:
+    """(name, unknown, times, unit) of the parameters that are a multiple of an unknown."""
+    return tuple(
+        (element.name, model.elements[tie.root].name, tie.times, model.unit(element))
+        for element, tie, row in zip(model.elements, model.ties, model.T, strict=True)
+        if element.same_as is not None and np.any(row)
+    )
+
+
+def linear_modes(model: Model, theta: Real, covariance: Real) -> ModeValues | None:
+    """Modes of the linear elements; None where nonlinear ones hold the rig together."""
+    if not len(model.nonlinear):
+        return mode_values(model, theta, covariance)
+    try:
+        return mode_values(model, theta, covariance)
+    except ModelError:
+        return None
+
+
+def mode_values(model: Model, theta: Real, covariance: Real) -> ModeValues:
+    """Modes at θ with standard deviations of frequency and damping propagated from its covariance.
+
+    NaN where a standard deviation is lost in the rounding of terms that are far larger.
+    """
+    found = modes(model, model.parameters(theta))
+    slope = found.sensitivity @ model.T
+    values = found.eigenvalues
+    size = np.where(np.abs(values) > 0, np.abs(values), 1.0)
+    grow = (np.conj(values)[:, None] * slope).real / size[:, None]
+    frequency = grow / (2 * np.pi)
+    damping = -slope.real / size[:, None] + values.real[:, None] * grow / size[:, None] ** 2
+
+    def sd(jacobian: Real) -> Real:
+        variance: Real = np.einsum("ki,ij,kj->k", jacobian, covariance, jacobian)
+        terms = np.einsum("ki,ij,kj->k", np.abs(jacobian), np.abs(covariance), np.abs(jacobian))
+        lost = (variance <= LOST * terms) & (terms > 0)
+        return np.sqrt(np.where(lost, np.nan, np.maximum(variance, 0.0)))
+
+    return ModeValues(
+        values, found.frequency_hz, found.damping_ratio, sd(frequency), sd(damping), found.shapes
+    )

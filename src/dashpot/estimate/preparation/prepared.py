@@ -1,0 +1,109 @@
+"""What is done to the data before any method sees them, once and in one place."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from dashpot.arrays import Bools, Complex
+from dashpot.data.spectrum import Moments, Spectrum
+from dashpot.errors import DataError
+from dashpot.estimate.preparation.noise_quality import channels_correlate, without_correlation
+from dashpot.estimate.preparation.state_reconstruction import States, require_seen, states_if_seen
+from dashpot.estimate.preparation.weighting import noise_is_known, with_unknown_noise, working_covariance
+from dashpot.model.network import Model
+
+
+@dataclass(frozen=True)
+class Prepared:
+    """Data as every method gets them: one leading axis of K repeats on the amplitudes.
+
+    covariance   the channels' V, (K or 1, lines, channels, channels)
+    states       the channels combined to coordinates and inputs; None where some of these are not seen
+    noise_known  whether V is the noise's own; else it is so up to one factor, which the residuals supply
+    correlated   (K or 1,) whether the channels' noise is correlated
+    """
+
+    model: Model
+    spectrum: Spectrum
+    covariance: Complex
+    states: States | None
+    noise_known: bool
+    correlated: Bools
+
+    def only(self, repeat: int) -> Prepared:
+        """One of the repeats."""
+        V = self.covariance if len(self.covariance) == 1 else self.covariance[repeat : repeat + 1]
+        spectrum = replace(
+            self.spectrum, amplitudes=self.spectrum.amplitudes[repeat : repeat + 1], moments=None
+        )
+        states = None if self.states is None else self.states.rows(np.array([repeat]))
+        return replace(self, spectrum=spectrum, covariance=V, states=states)
+
+    def scaled(self, factor: np.ndarray) -> Prepared:
+        """With the noise's variances times `factor` (K,)."""
+        V = self.covariance * factor[:, None, None, None]
+        return replace(self, covariance=V, states=states_if_seen(self.model, self.spectrum, V))
+
+    @property
+    def seen_states(self) -> States:
+        """`states`.  Raises DataError, which names what is not seen, where there are none."""
+        if self.states is None:
+            require_seen(self.model, self.spectrum)
+            raise DataError("the channels do not show every coordinate and input", cure="use the method ml")
+        return self.states
+
+
+def prepare(model: Model, spectrum: Spectrum, *, moments: bool = False) -> Prepared:
+    """Weigh the channels, judge what is known of their noise and combine them; batch axes become K repeats.
+
+    Second moments of the samples are kept only where `moments`.
+    Raises DataError where exact channels contradict each other, or measure what the model has not.
+    """
+    flat = flattened(spectrum)
+    if not moments and flat.moments is not None:
+        flat = replace(flat, moments=None)
+    known = noise_is_known(flat)
+    if not known:
+        flat = with_unknown_noise(flat)
+    V = working_covariance(model, flat)
+    V = V if V.ndim == 4 else V[None]
+    correlated = np.atleast_1d(channels_correlate(flat)) if known else np.ones(len(V), dtype=bool)
+    V = np.where(correlated[:, None, None, None], V, without_correlation(V))
+    return Prepared(model, flat, V, states_if_seen(model, flat, V), known, correlated)
+
+
+def without_priors(model: Model) -> Model:
+    """The model with its uncertain known values taken as exact."""
+    if not np.any(model.prior_precision):
+        return model
+    return replace(model, elements=tuple(replace(element, sd=None) for element in model.elements))
+
+
+def flattened(spectrum: Spectrum) -> Spectrum:
+    """The same spectrum with exactly one leading axis of repeats on amplitudes, covariance (or 1) and moments."""
+    repeats = int(np.prod(spectrum.batch, dtype=int))
+    V = spectrum.covariance
+    if V.ndim == 3:
+        V = V[None]
+    elif V.shape[:-3] != (1,):
+        V = np.broadcast_to(V, (*spectrum.batch, *V.shape[-3:])).reshape(repeats, *V.shape[-3:])
+    moments = None
+    if spectrum.moments is not None:
+        M = spectrum.moments.products
+        moments = Moments(
+            np.broadcast_to(M, (*spectrum.batch, *M.shape[-3:])).reshape(repeats, *M.shape[-3:])
+        )
+    amplitudes = spectrum.amplitudes.reshape(repeats, *spectrum.amplitudes.shape[-2:])
+    return replace(spectrum, amplitudes=amplitudes, covariance=V, moments=moments)
+
+
+def in_chunks(flat: Spectrum, size: int) -> Iterator[Spectrum]:
+    """The repeats of a flat spectrum, `size` at a time."""
+    for first in range(0, len(flat.amplitudes), size):
+        rows = slice(first, first + size)
+        V = flat.covariance if len(flat.covariance) == 1 else flat.covariance[rows]
+        moments = None if flat.moments is None else Moments(flat.moments.products[rows])
+        yield replace(flat, amplitudes=flat.amplitudes[rows], covariance=V, moments=moments)

@@ -1,0 +1,43 @@
+"""How the channels weigh: their covariance as it is known, or equal relative noise where nothing is known."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from dashpot.arrays import Complex
+from dashpot.data.spectrum import Spectrum
+from dashpot.estimate.preparation.state_reconstruction import channels_present
+from dashpot.model.network import Model
+from dashpot.model.observation import measures_input
+
+
+def noise_is_known(spectrum: Spectrum) -> bool:
+    """Whether the covariance of the amplitudes is given or was estimated from samples, at every line.
+
+    A covariance of 0 throughout says nothing of the size of residuals either: it counts as unknown.
+    """
+    return not np.any(np.isnan(spectrum.covariance)) and bool(np.any(spectrum.covariance))
+
+
+def with_unknown_noise(spectrum: Spectrum) -> Spectrum:
+    """The same amplitudes with unknown noise."""
+    nothing = np.full_like(spectrum.covariance, np.nan)
+    return replace(spectrum, covariance=nothing, noise=("unknown",) * spectrum.lines)
+
+
+def working_covariance(model: Model, spectrum: Spectrum) -> Complex:
+    """Covariance of the channels to weigh with, (..., lines, channels, channels).
+
+    As known; unknown noise leaves the inputs exact and gives each other channel the same relative noise: what that
+    lacks is one common factor, which the residuals supply.
+    """
+    if not np.any(np.isnan(spectrum.covariance)):
+        return spectrum.covariance
+    present = channels_present(spectrum)
+    X = np.where(present, spectrum.amplitudes, 0.0)
+    size = np.sqrt(np.sum(np.abs(X) ** 2, axis=-2) / np.maximum(np.sum(present, axis=0), 1))
+    noisy = np.array([not measures_input(model, channel) for channel in spectrum.channels])
+    variance = np.where(noisy, size**2, 0.0)[..., None, :] * np.ones((spectrum.lines, 1))
+    return (variance[..., :, None] * np.eye(len(spectrum.channels))).astype(np.complex128)
