@@ -287,3 +287,34 @@ def test_a_file_cut_short_never_passes_nor_crashes(folder, end):
 def test_frequencies_in_the_syntax_of_the_command_line(folder, text, expected):
     (one,) = scenarios(parsed(folder, STUDY.replace("[1, 2, 5]", f'"{text}"')))
     assert one.test.frequency_hz.tolist() == expected
+
+
+def test_values_levels_and_amplitudes_may_carry_units(folder):
+    """The same study in SI numbers and in units and per cent."""
+    plain = STUDY.replace("[frequencies]", "[amplitudes]\nu = 0.002\n[frequencies]").replace(
+        "m = 3", "m = 3.0"
+    )
+    dressed = (
+        plain.replace("u = 0.002", 'u = "2 mm"')
+        .replace("noise = [0.1]", 'noise = ["10 %"]')
+        .replace("m = 3.0", 'm = "3000 g"')
+    )
+    assert dressed.count('"') == plain.count('"') + 6
+    (one,), (other,) = scenarios(parsed(folder, plain)), scenarios(parsed(folder, dressed))
+    assert other.theta.tolist() == pytest.approx(one.theta.tolist(), rel=1e-15)
+    assert other.test.U[0, 0] == pytest.approx(0.002)
+    assert other.factors["noise"] == pytest.approx(0.1)
+
+
+@pytest.mark.parametrize(
+    ("wrong", "message"),
+    [
+        ('noise = ["10 mm"]', "grid[0].noise"),
+        ('noise = ["-10 %"]', "grid[0].noise: a noise of -0.1"),
+    ],
+)
+def test_what_is_no_share_is_told(folder, wrong, message):
+    with pytest.raises(UsageError) as caught:
+        parsed(folder, STUDY.replace("noise = [0.1]", wrong))
+    assert message in str(caught.value)
+    assert len(str(caught.value).splitlines()) == 1
