@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from dashpot.data.modal_data import ModalData
     from dashpot.data.readers import Reading, read, write_amplitudes, write_records
     from dashpot.data.readers.delimited.modes import read_modes
+    from dashpot.data.readers.in_memory import record, records_of
     from dashpot.data.record import Record
     from dashpot.data.spectrum import Moments, Spectrum, concatenate, merge_repeats
     from dashpot.errors import (
@@ -64,6 +65,7 @@ _NAMES = {
     "data.conditioning.steady_state": "settled",
     "data.modal_data": "ModalData",
     "data.readers": "Reading read write_amplitudes write_records",
+    "data.readers.in_memory": "record records_of",
     "data.readers.delimited.modes": "read_modes",
     "data.record": "Record",
     "data.spectrum": "Moments Spectrum concatenate merge_repeats",
@@ -152,6 +154,8 @@ __all__ = [
     "read",
     "read_modes",
     "read_rig",
+    "record",
+    "records_of",
     "refine_frequency",
     "residuals",
     "response",

@@ -15,6 +15,8 @@ COMMANDS: Mapping[str, str] = {
     "compare": "Compare several estimators on the same data.",
     "check": "Check what the channels and the data can determine, and what not.",
     "simulate": "Write the test data that a rig with given parameters would yield.",
+    "new": "Write a rig file to start from.",
+    "inspect": "Show what is in data files, and suggest channels for a rig file.",
     "spectrum": "Turn time records into a table of complex amplitudes.",
     "study": "Compare tests, noise levels and methods by Monte Carlo simulation.",
     "design": "Design the next test: the frequencies, times and sensors that tell most.",

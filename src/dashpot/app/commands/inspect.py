@@ -1,0 +1,38 @@
+"""dashpot inspect: what is in data files."""
+
+from __future__ import annotations
+
+from dashpot.app.help import dashpot_command
+from dashpot.app.options import data_argument, file_option
+
+
+@dashpot_command(
+    "inspect",
+    "dashpot inspect run.tdms",
+    "dashpot inspect *.mat --channels channels.toml",
+)
+@data_argument("Data files of any format.", name="files", required=True)
+@file_option("--channels", "FILE.toml", "Write a [channels] table to start a rig file from.")
+def command(files: tuple[str, ...], channels: str | None) -> None:
+    """Show what is in FILES: columns, units, sampling, gaps, clipping, resolution and frequency content.
+
+    A [channels] table for a rig file is suggested at the end; say in it what each column measures.
+    """
+    import click
+
+    from dashpot.data.inspection import inspect_file, suggested_channels
+    from dashpot.io.atomic import write_text
+    from dashpot.present.tables.estimate import console
+    from dashpot.present.tables.inspection import show_inspection
+
+    out, inspections = console(), []
+    for path in files:
+        inspection = inspect_file(path)
+        inspections.append(inspection)
+        show_inspection(out, inspection)
+    table = suggested_channels(inspections)
+    if channels is not None:
+        write_text(channels, table)
+    else:
+        click.echo("Suggested channels (write what each is of in the place of ?):\n")
+        click.echo(table, nl=False)

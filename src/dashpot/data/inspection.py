@@ -1,0 +1,273 @@
+"""What is in a data file, whatever its rig: columns, units, sampling, gaps, clipping, resolution, content."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+
+from dashpot import units
+from dashpot.arrays import Real, frozen
+from dashpot.channel import Quantity
+from dashpot.data.readers.columns import Columns, bare
+from dashpot.data.readers.datafile import open_file
+from dashpot.data.readers.registry import reader_of
+from dashpot.data.readers.sampling import frequency_column, read_time, time_column
+from dashpot.errors import DashpotError, DataError
+
+MOST_COLUMNS = 64
+MOST_PARTS = 200
+MOST_SAMPLES = 1 << 22  # of a column that are looked at
+BANDS = 60  # of the frequency content
+GAP = 1.5  # steps
+WORDS = {
+    Quantity.FORCE: ("force", "load", "kraft", "hammer", "torque"),
+    Quantity.ACCELERATION: ("acc", "beschl", "a_"),
+    Quantity.VELOCITY: ("vel", "gyr", "omega", "speed"),
+    Quantity.DISPLACEMENT: ("disp", "weg", "pos", "laser", "theta", "angle", "x"),
+}
+
+
+@dataclass(frozen=True)
+class InspectedColumn:
+    """One column of numbers.
+
+    missing     samples that are no finite numbers
+    clipped     samples that rest at the greatest or least value, where they are many
+    resolution  the smallest step between values that differ, in the column's unit; NaN where all are alike
+    bands_hz    (bands,) upper ends of the bands of `level_db`
+    level_db    (bands,) power in each band below the strongest, dB; empty where the sampling is not known
+    """
+
+    name: str
+    unit: str | None
+    quantity: str | None
+    mean: float
+    rms: float
+    least: float
+    greatest: float
+    missing: int
+    clipped: int
+    resolution: float
+    bands_hz: Real
+    level_db: Real
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "bands_hz", frozen(self.bands_hz, np.float64))
+        object.__setattr__(self, "level_db", frozen(self.level_db, np.float64))
+
+    @property
+    def bits(self) -> float:
+        """Bits that the range of the values takes at their resolution."""
+        span = (self.greatest - self.least) / self.resolution if self.resolution > 0 else np.nan
+        return float(np.log2(span + 1))
+
+
+@dataclass(frozen=True)
+class InspectedPart:
+    """One part of a file: a table, group, block, sheet or segment.
+
+    rate_hz      mean sampling rate; None where the samples have no time
+    uneven       largest departure of a step from the mean one, over the mean one
+    gaps         steps that are longer than usual
+    duration_s   from the first sample to the last
+    frequencies  drive frequencies that the part names, Hz
+    """
+
+    source: str
+    samples: int
+    rate_hz: float | None
+    uneven: float
+    gaps: int
+    duration_s: float
+    frequencies: tuple[float, ...]
+    columns: tuple[InspectedColumn, ...]
+    others: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Inspection:
+    """A file: its format and its parts; `more` parts are not shown."""
+
+    source: str
+    format: str
+    parts: tuple[InspectedPart, ...]
+    more: int
+
+    def channels_table(self) -> str:
+        """A [channels] table to start from: one entry for each column, in TOML."""
+        lines, seen = ["[channels]"], set()
+        for part in self.parts:
+            for column in part.columns:
+                if column.name in seen:
+                    continue
+                seen.add(column.name)
+                quantity = f', quantity = "{column.quantity}"' if column.quantity else ""
+                unit = f', unit = "{column.unit}"' if column.unit else ""
+                key = (
+                    column.name
+                    if column.name.replace("_", "").replace("-", "").isalnum()
+                    else _quoted(column.name)
+                )
+                key = key if key.isascii() else _quoted(column.name)
+                lines.append(f'{key} = {{ of = "?"{quantity}{unit} }}')
+        return "\n".join(lines) + "\n"
+
+
+def _quoted(text: str) -> str:
+    return '"' + text.replace("\\", "\\\\").replace('"', '\\"') + '"'
+
+
+def inspect_file(path: str | os.PathLike[str]) -> Inspection:
+    """What is in a file.  Raises DataError where it cannot be read at all."""
+    file = open_file(path)
+    reader = reader_of(file)
+    parts: list[InspectedPart] = []
+    more = 0
+    for columns in reader.parts(file):
+        if len(parts) < MOST_PARTS:
+            parts.append(_part(columns))
+        else:
+            more += 1
+    return Inspection(file.name, reader.format, tuple(parts), more)
+
+
+def _part(columns: Columns) -> InspectedPart:
+    time_at = _or_none(lambda: time_column(columns, (), may_lack=True))
+    f_at = _or_none(lambda: frequency_column(columns, ()))
+    time: Real = np.zeros(0)
+    if time_at is not None:
+        time = _values(partial(_time, columns, time_at))
+    driven: Real = np.zeros(0)
+    if f_at is not None:
+        driven = _values(partial(_numbers, columns, f_at))
+    rate, uneven, gaps = _sampling(time)
+    inspected: list[InspectedColumn] = []
+    others, samples = [], len(time)
+    for i, name in enumerate(columns.header):
+        if i in (time_at, f_at):
+            continue
+        values = _values(partial(_numbers, columns, i)) if len(inspected) < MOST_COLUMNS else np.zeros(0)
+        if not np.any(np.isfinite(values)):
+            if name:
+                others.append(name)
+            continue
+        samples = max(samples, len(values))
+        inspected.append(_column(name, columns.unit(i), values, rate))
+    duration = float(time[-1] - time[0]) if len(time) > 1 else 0.0
+    known = tuple(np.unique(driven[np.isfinite(driven)]).tolist()[:1000])
+    return InspectedPart(
+        columns.source, samples, rate, uneven, gaps, duration, known, tuple(inspected), tuple(others)
+    )
+
+
+def _time(columns: Columns, time_at: int) -> Real:
+    return read_time(columns, time_at, [], None)[0]
+
+
+def _numbers(columns: Columns, column: int) -> Real:
+    return columns.numbers([column], [column])[column]
+
+
+def _or_none(find: Callable[[], int | None]) -> int | None:
+    """A position, None where it cannot be told."""
+    try:
+        return find()
+    except DataError:
+        return None
+
+
+def _values(load: Callable[[], Real]) -> Real:
+    """Numbers, none where the column holds something else."""
+    try:
+        values: Real = load()
+    except DashpotError:
+        return np.zeros(0)
+    return values[:MOST_SAMPLES]
+
+
+def _sampling(time: Real) -> tuple[float | None, float, int]:
+    """Rate in Hz, unevenness and gaps; steps back are starts of other records."""
+    steps = np.diff(time)
+    steps = steps[steps > 0]
+    if not len(steps):
+        return None, 0.0, 0
+    usual = float(np.median(steps))
+    regular = steps[steps <= GAP * usual]
+    mean = float(np.mean(regular))
+    return 1 / mean, float(np.max(np.abs(regular - mean))) / mean, int(np.sum(steps > GAP * usual))
+
+
+def _column(name: str, unit: str | None, values: Real, rate: float | None) -> InspectedColumn:
+    good = values[np.isfinite(values)]
+    plain, _ = bare(name)
+    steps = np.diff(np.unique(good))
+    bands, level = _content(good, rate)
+    return InspectedColumn(
+        plain,
+        unit,
+        guessed_quantity(plain, unit),
+        float(np.mean(good)),
+        float(np.std(good)),
+        float(np.min(good)),
+        float(np.max(good)),
+        len(values) - len(good),
+        _clipped(good),
+        float(np.min(steps)) if len(steps) else np.nan,
+        bands,
+        level,
+    )
+
+
+def _clipped(values: Real) -> int:
+    """Samples at the greatest or least value, where three in a row are and they are 1 % of all."""
+    count = 0
+    if np.ptp(values) == 0:
+        return 0
+    for limit in (np.min(values), np.max(values)):
+        at = values == limit
+        if np.sum(at) >= max(3, 0.01 * len(values)) and np.any(at[2:] & at[1:-1] & at[:-2]):
+            count += int(np.sum(at))
+    return count
+
+
+def _content(values: Real, rate: float | None) -> tuple[Real, Real]:
+    """Power in bands from 0 to half the sampling rate, dB below the strongest."""
+    if rate is None or len(values) < 16 or np.ptp(values) == 0:
+        return np.zeros(0), np.zeros(0)
+    count = min(len(values), 1 << 16)
+    x = values[:count] - np.mean(values[:count])
+    power = np.abs(np.fft.rfft(x * np.hanning(count))) ** 2
+    bands = min(BANDS, len(power))
+    edges = np.linspace(0, len(power), bands + 1).astype(int)
+    sums = np.maximum(np.add.reduceat(power, edges[:-1]), 1e-300)
+    return edges[1:] / len(power) * rate / 2, 10 * np.log10(sums / np.max(sums))
+
+
+def guessed_quantity(name: str, unit: str | None) -> str | None:
+    """What a column may measure: by its unit, else by its name; None where neither says it."""
+    if unit:
+        for quantity in Quantity:
+            for angular in (False, True):
+                try:
+                    units.scale(unit, quantity.value, angular)
+                except DashpotError:
+                    continue
+                return quantity.value
+    lower = name.lower()
+    for quantity, words in WORDS.items():
+        if any(lower.startswith(word) for word in words):
+            return quantity.value
+    return None
+
+
+def suggested_channels(inspections: Sequence[Inspection]) -> str:
+    """One [channels] table of all files."""
+    lines: dict[str, str] = {}
+    for inspection in inspections:
+        for line in inspection.channels_table().splitlines()[1:]:
+            lines.setdefault(line.partition(" = ")[0], line)
+    return "\n".join(["[channels]", *lines.values()]) + "\n"

@@ -1,0 +1,68 @@
+"""A rig file to start from: a chain of masses, shaken at its base or pushed, everything unknown."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+from dashpot.errors import ModelError
+from dashpot.io.words import quoted
+
+MOST_MASSES = 50
+
+
+@dataclass(frozen=True)
+class Chain:
+    """What a few questions tell of a rig.
+
+    masses     in a row, x1 the farthest from the base
+    drive      "base": the base moves; "force": a force on the last mass, the base stands still
+    motion     what the sensors on the masses (and on the base) measure
+    unit       of their numbers
+    force_unit of the force's
+    known      kg of x1; None: nothing is known, so the force or a mass has to give the scale
+    """
+
+    name: str = "My rig"
+    masses: int = 2
+    drive: Literal["base", "force"] = "base"
+    motion: Literal["displacement", "velocity", "acceleration"] = "acceleration"
+    unit: str = "m/s²"
+    force_unit: str = "N"
+    known: float | None = None
+
+
+def starter_text(chain: Chain) -> str:
+    """The rig file, TOML, with what to do next in its comments.  Raises ModelError for numbers out of range."""
+    if not 1 <= chain.masses <= MOST_MASSES:
+        raise ModelError(f"a chain of {chain.masses} masses", cure=f"give 1 to {MOST_MASSES}")
+    if chain.known is not None and not 0 < chain.known < 1e12:
+        raise ModelError(f"a mass of {chain.known:g} kg", cure="give one above 0")
+    names = [f"x{i + 1}" for i in range(chain.masses)]
+    base = "u" if chain.drive == "base" else "ground"
+    points = [*names, base]
+    coordinates = ", ".join(f'"{name}"' for name in names)
+    lines = [f"name = {quoted(chain.name)}", f"coordinates = [{coordinates}]", "", "[inputs]"]
+    if chain.drive == "base":
+        lines.append('u = { kind = "displacement" }')
+    else:
+        lines.append(f'f = {{ kind = "force", at = "{names[-1]}" }}')
+    lines += [
+        "",
+        "# Without a value an entry is unknown; value = …, sd = … say what has been weighed.",
+        "[masses]",
+    ]
+    for i, name in enumerate(names):
+        value = f", value = {chain.known!r}" if i == 0 and chain.known is not None else ""
+        lines.append(f'm{i + 1} = {{ at = "{name}"{value} }}')
+    for section, letter in (("springs", "k"), ("dampers", "c")):
+        lines += ["", f"[{section}]"]
+        for i in range(chain.masses):
+            lines.append(f'{letter}{i + 1} = {{ between = ["{points[i]}", "{points[i + 1]}"] }}')
+    lines += ["", "# One entry for each column of the data, of its name.", "[channels]"]
+    fields = f'quantity = "{chain.motion}", unit = {quoted(chain.unit)}'
+    for name in [*names, "u"] if chain.drive == "base" else names:
+        lines.append(f'{name} = {{ of = "{name}", {fields} }}')
+    if chain.drive == "force":
+        lines.append(f'f = {{ of = "f", unit = {quoted(chain.force_unit)} }}')
+    return "\n".join(lines) + "\n"

@@ -1,0 +1,74 @@
+"""inspect, new, and commands with manifests and files of other formats."""
+
+from __future__ import annotations
+
+import tomllib
+
+import pytest
+from click.testing import CliRunner
+
+from dashpot.app.cli import cli
+from tests.unit.data.readers.written import WRITERS, recording
+
+RIG = """
+coordinates = ["x1", "x2"]
+[inputs]
+u = { kind = "displacement" }
+[masses]
+m1 = { at = "x1", value = 1.0 }
+m2 = { at = "x2" }
+[springs]
+k1 = { between = ["x1", "x2"] }
+k2 = { between = ["x2", "u"] }
+[dampers]
+c1 = { between = ["x1", "x2"] }
+c2 = { between = ["x2", "u"] }
+[channels]
+x1 = { of = "x1", unit = "mm" }
+x2 = { of = "x2", unit = "mm" }
+u = { of = "u", unit = "mm" }
+"""
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "rig.toml").write_text(RIG)
+    return tmp_path
+
+
+def run(*arguments):
+    return CliRunner().invoke(cli, list(arguments), catch_exceptions=False)
+
+
+def test_inspect_shows_and_suggests(folder):
+    WRITERS["MATLAB"][1](folder / "test.mat", recording())
+    result = run("inspect", "test.mat")
+    assert result.exit_code == 0
+    assert "test.mat: MATLAB" in result.output
+    assert "3 drive frequencies, 2 to 8 Hz" in " ".join(result.output.split())
+    assert "[channels]" in result.output
+    result = run("inspect", "test.mat", "--channels", "channels.toml")
+    assert result.exit_code == 0
+    table = tomllib.loads((folder / "channels.toml").read_text())["channels"]
+    assert set(table) == {"x1", "x2", "u"}
+
+
+def test_new_writes_a_rig_that_checks(folder):
+    result = run("new", "mine.toml", "--masses", "2", "--drive", "force", "--unit", "g")
+    assert result.exit_code == 0
+    assert run("check", "mine.toml").exit_code == 0
+    assert tomllib.loads((folder / "mine.toml").read_text())["coordinates"] == ["x1", "x2"]
+    assert not (folder / "bad.toml").exists()
+
+
+def test_identify_takes_a_manifest_and_its_conditioning(folder):
+    WRITERS["TDMS"][1](folder / "test.tdms", recording())
+    (folder / "test.toml").write_text('[conditioning]\norders = [1, 2]\n[[files]]\nname = "*.tdms"\n')
+    for data in ("test.tdms", "test.toml"):
+        result = run("identify", "rig.toml", data, "--json", f"{data}.json")
+        assert result.exit_code == 0, result.output
+    for options, rows in (([], 6), (["--orders", "1"], 3)):
+        result = run("spectrum", "rig.toml", "test.toml", "-o", f"{rows}.csv", *options)
+        assert result.exit_code == 0, result.output
+        assert len((folder / f"{rows}.csv").read_text().splitlines()) == rows + 1

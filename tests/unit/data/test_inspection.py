@@ -1,0 +1,103 @@
+"""What is told of a data file: sampling, gaps, clipping, resolution, content, and the channels it suggests."""
+
+import tomllib
+
+import numpy as np
+import pytest
+from rich.console import Console
+
+from dashpot.data.inspection import guessed_quantity, inspect_file, suggested_channels
+from dashpot.errors import DataError
+from dashpot.present.tables.inspection import part_in_words, picture, show_inspection
+from tests.unit.data.readers.written import WRITERS, recording
+
+
+@pytest.fixture
+def noisy(tmp_path):
+    """10 Hz sampling at 100 Hz, three gaps, 8-bit readings, one channel clipped, one with empty cells, one of words."""
+    rng = np.random.default_rng(3)
+    t = np.delete(np.arange(1000) / 100, [100, 300, 301, 500])
+    x = np.round(127 * np.sin(2 * np.pi * 10 * t) + rng.normal(size=len(t))) * 0.01
+    y = np.clip(2 * np.sin(2 * np.pi * 3 * t) + 0.01 * rng.normal(size=len(t)), -1.5, 1.5)
+    rows = ["time_s,acc [g],y (mm),label,z"]
+    rows += [
+        f"{a:.2f},{b:.2f},{c!r},run,{'' if i < 20 else c}"
+        for i, (a, b, c) in enumerate(zip(t.tolist(), x.tolist(), y.tolist(), strict=True))
+    ]
+    path = tmp_path / "noisy.csv"
+    path.write_text("\n".join(rows) + "\n")
+    return path
+
+
+def test_what_is_told(noisy):
+    inspection = inspect_file(noisy)
+    (part,) = inspection.parts
+    assert inspection.format == "text"
+    assert part.samples == 996
+    assert part.rate_hz == pytest.approx(100)
+    assert part.gaps == 3
+    assert part.duration_s == pytest.approx(9.99)
+    assert part.others == ("label",)
+    acc, y, z = part.columns
+    assert (acc.name, acc.unit, acc.quantity) == ("acc", "g", "acceleration")
+    assert acc.resolution == pytest.approx(0.01)
+    assert 7.9 < acc.bits < 8.2
+    assert acc.clipped == 0
+    assert y.clipped > 300
+    assert z.missing == 20
+    strongest = acc.bands_hz[int(np.argmax(acc.level_db))]
+    assert strongest == pytest.approx(10, abs=1.5)
+    assert np.max(acc.level_db) == 0
+
+
+def test_what_is_shown(noisy):
+    inspection = inspect_file(noisy)
+    out = Console(width=80, record=True, file=None, force_terminal=False)
+    with out.capture() as capture:
+        show_inspection(out, inspection)
+    text = capture.get()
+    assert "996 samples, 100 Hz over 9.99 s" in text
+    assert "3 gaps" in text
+    assert "clipped?" in text
+    assert "label" in text
+    assert max(len(line) for line in text.splitlines()) <= 80
+    assert part_in_words(inspection.parts[0], inspection.source).startswith("996 samples")
+    assert len(picture(inspection.parts[0].columns[0])) <= 20
+
+
+def test_channels_are_suggested(noisy, tmp_path):
+    text = suggested_channels([inspect_file(noisy)])
+    table = tomllib.loads(text)["channels"]
+    assert table["acc"] == {"of": "?", "quantity": "acceleration", "unit": "g"}
+    assert table["y"] == {"of": "?", "quantity": "displacement", "unit": "mm"}
+    odd = tmp_path / "odd.csv"
+    odd.write_text('time_s,"Kraft ""links"" 1"\n0,1\n1,2\n')
+    assert tomllib.loads(suggested_channels([inspect_file(odd)]))["channels"] == {
+        'Kraft "links" 1': {"of": "?", "quantity": "force"}
+    }
+
+
+def test_quantities_are_guessed_by_unit_then_by_name():
+    assert guessed_quantity("whatever", "µm") == "displacement"
+    assert guessed_quantity("whatever", "deg/s") == "velocity"
+    assert guessed_quantity("Acc_X", None) == "acceleration"
+    assert guessed_quantity("Acc_X", "V") == "acceleration"
+    assert guessed_quantity("whatever", None) is None
+
+
+@pytest.mark.parametrize("name", WRITERS)
+def test_every_format_is_inspected(tmp_path, name):
+    suffix, write = WRITERS[name]
+    path = tmp_path / f"test{suffix}"
+    write(path, recording())
+    inspection = inspect_file(path)
+    names = {column.name for part in inspection.parts for column in part.columns}
+    assert {"x1", "x2", "u"} <= names
+    assert {f for part in inspection.parts for f in part.frequencies} == {2.0, 4.0, 8.0}
+    assert any(part.rate_hz == pytest.approx(128) for part in inspection.parts)
+
+
+def test_what_cannot_be_read_is_said(tmp_path):
+    (tmp_path / "a.csv").write_bytes(b"\x00\x01\x02\x03")
+    with pytest.raises(DataError, match="no format that is known"):
+        inspect_file(tmp_path / "a.csv")
