@@ -50,3 +50,16 @@ def test_the_shaken_frame() -> None:
     assert found.modes is not None
     swinging = found.modes.frequency_hz[found.modes.frequency_hz > 1]
     assert swinging == pytest.approx([3.767, 11.20, 16.67], rel=0.02)
+
+
+def test_the_silverbox() -> None:
+    # Figures of an independent fit of the best linear approximation: m 5.371e-6, d 2.292e-4, k 1.025, f0 69.5 Hz.
+    folder = ROOT / "examples" / "silverbox"
+    rig = read_rig(folder / "rig.toml")
+    lines = read(folder / "test.toml", rig.channels).spectrum()
+    assert lines.lines == 1342
+    found = identify(rig.model, lines.select(np.arange(0, 1342, 7)))
+    assert found["m"].value == pytest.approx(5.371e-6, rel=0.01)
+    assert found["k"].value == pytest.approx(1.025, rel=0.01)
+    assert found["c"].value == pytest.approx(2.292e-4, rel=0.06)
+    assert bool(found.fit.rejected)  # the spring stiffens

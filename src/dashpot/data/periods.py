@@ -20,6 +20,64 @@ from dashpot.errors import DataError
 from dashpot.notices import Notice
 
 UNEVEN = 1e-3  # of a sampling step
+NEIGHBOURS = 10  # lines beside an excited one that show the noise there
+
+
+def samples_of_period(record: Record, period_s: float) -> int:
+    """Samples in one period.  Raises DataError where the sampling is uneven, or the period no whole number of them."""
+    time = record.time
+    step = float(time[-1] - time[0]) / (len(time) - 1)
+    if np.max(np.abs(time - time[0] - step * np.arange(len(time)))) > UNEVEN * step * len(time) ** 0.5:
+        raise DataError(
+            "the samples are not evenly spaced", record.source, "use the harmonic regression of the record"
+        )
+    each = round(period_s / step) if np.isfinite(period_s) and period_s > 0 else 0
+    if each < 2 or abs(each * step - period_s) * len(time) / each > UNEVEN * step * len(time) ** 0.5:
+        cure = "correct the period, or use the harmonic regression of the record"
+        raise DataError(f"{period_s:g} s is no whole number of samples of {step:g} s", record.source, cure)
+    return each
+
+
+def one_period(record: Record, period_s: float, orders: Sequence[int]) -> Spectrum:
+    """A line for each of `orders` from the last period of a record; noise from the lines beside that are not excited.
+
+    The nearest unexcited lines within the band of the excited ones have the noise and the distortion of even order
+    (Pintelon and Schoukens, System Identification, 2nd ed. 2012, §4.3).  Raises DataError as `average_periods`, and
+    where too few lines are unexcited.
+    """
+    each = samples_of_period(record, period_s)
+    if len(record.time) < each or record.values.ndim != 2:
+        what = f"the record is shorter than its period of {period_s:g} s"
+        raise DataError(what, record.source, "record one period at least, after the transient")
+    wanted = np.array(sorted({int(order) for order in orders}))
+    if wanted[-1] >= each / 2:
+        what = f"line {wanted[-1]} is beyond half the sampling rate"
+        raise DataError(what, record.source, "leave it out, or sample faster")
+    first = len(record.time) - each
+    phase = np.exp(-2j * np.pi * np.arange(each // 2) * record.time[first] / period_s)
+    F = np.fft.fft(record.values[first:], axis=0)[: each // 2] * (2 / each) * phase[:, None]
+    silent = np.setdiff1d(
+        np.arange(max(1, int(wanted[0]) - 2 * NEIGHBOURS), min(each // 2, int(wanted[-1]) + 1)), wanted
+    )
+    if len(silent) < NEIGHBOURS:
+        cure = f"record two periods at least, or leave {NEIGHBOURS} lines unexcited"
+        raise DataError("nothing shows the noise of a single period", record.source, cure)
+    start = np.clip(np.searchsorted(silent, wanted) - NEIGHBOURS // 2, 0, len(silent) - NEIGHBOURS)
+    J = F[silent[start[:, None] + np.arange(NEIGHBOURS)]]
+    V = np.einsum("lnc,lnd->lcd", J, np.conj(J)) / NEIGHBOURS
+    frequencies = wanted / period_s
+    h = calibration(record.channels, frequencies)
+    lines = len(wanted)
+    return Spectrum(
+        record.channels,
+        frequencies,
+        F[wanted] * h,
+        V * h[:, :, None] * np.conj(h)[:, None, :],
+        np.full(lines, each),
+        np.full(lines, 2.0 * NEIGHBOURS),
+        ("periods",) * lines,
+        np.full(lines, record.experiment),
+    )
 
 
 def average_periods(
@@ -33,15 +91,7 @@ def average_periods(
     if record.values.ndim != 2:
         raise DataError("repeats of a periodic record are not averaged", record.source, "give one at a time")
     time = record.time
-    step = float(time[-1] - time[0]) / (len(time) - 1)
-    if np.max(np.abs(time - time[0] - step * np.arange(len(time)))) > UNEVEN * step * len(time) ** 0.5:
-        raise DataError(
-            "the samples are not evenly spaced", record.source, "use the harmonic regression of the record"
-        )
-    each = round(period_s / step) if np.isfinite(period_s) and period_s > 0 else 0
-    if each < 2 or abs(each * step - period_s) * len(time) / each > UNEVEN * step * len(time) ** 0.5:
-        cure = "correct the period, or use the harmonic regression of the record"
-        raise DataError(f"{period_s:g} s is no whole number of samples of {step:g} s", record.source, cure)
+    each = samples_of_period(record, period_s)
     count = len(time) // each - skip
     if skip < 0 or count < 2:
         raise DataError(

@@ -10,7 +10,7 @@ import numpy as np
 
 from dashpot.channel import Channel
 from dashpot.data.clocks import ClockedRecords, Sensor, aligned_sensors, joined_sensors
-from dashpot.data.periods import average_periods
+from dashpot.data.periods import average_periods, one_period, samples_of_period
 from dashpot.data.readers.columns import Columns
 from dashpot.data.readers.datafile import open_file
 from dashpot.data.readers.delimited.stepped_sine import Circumstances, read_records
@@ -156,6 +156,10 @@ def _averaged(found: Interpreted, lines: tuple[int, ...], group: FileGroup) -> I
         if record.frequency_hz is None:
             cure = "give frequency_hz, the reciprocal of the period"
             raise DataError("the period of the multisine is not known", group.place, cure)
-        period = 1 / record.frequency_hz
-        spectra.append(average_periods(record, period, lines, skip=group.entry.skip_periods))
+        period, skip = 1 / record.frequency_hz, group.entry.skip_periods
+        whole = len(record.time) // samples_of_period(record, period)
+        if whole - skip > 1:
+            spectra.append(average_periods(record, period, lines, skip=skip))
+        else:
+            spectra.append(one_period(record, period, lines))
     return replace(found, records=(), spectra=tuple(spectra))
