@@ -22,8 +22,8 @@ def command(files: tuple[str, ...], channels: str | None) -> None:
 
     from dashpot.data.inspection import inspect_file, suggested_channels
     from dashpot.io.atomic import write_text
-    from dashpot.present.tables.estimate import console
     from dashpot.present.tables.inspection import show_inspection
+    from dashpot.present.tables.layout import console
 
     out, inspections = console(), []
     for path in files:

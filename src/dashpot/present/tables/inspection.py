@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import math
 
-from rich import box
 from rich.console import Console
-from rich.table import Table
 from rich.text import Text
 
 from dashpot.data.inspection import InspectedColumn, InspectedPart, Inspection
+from dashpot.present.tables.layout import TableColumn, show_table
 
 BARS = " ▁▂▃▄▅▆▇█"
 FLOOR_DB = -80.0
@@ -22,7 +21,7 @@ def show_inspection(out: Console, inspection: Inspection) -> None:
     out.print(Text(f"{inspection.source}: {inspection.format}"))
     for part in inspection.parts:
         out.print(Text(f"  {part_in_words(part, inspection.source)}"))
-        out.print(part_table(part))
+        show_table(out, part_table(part))
         if part.others:
             shown = ", ".join(part.others[:10]) + (" …" if len(part.others) > 10 else "")
             out.print(Text(f"  Not numbers, or not shown: {shown}"))
@@ -53,24 +52,21 @@ def part_in_words(part: InspectedPart, source: str) -> str:
     return (f"{name}: " if name else "") + ", ".join(words)
 
 
-def part_table(part: InspectedPart) -> Table:
+def part_table(part: InspectedPart) -> list[TableColumn]:
     """A row for each column."""
-    table = Table(box=box.SIMPLE_HEAD, pad_edge=False, padding=(0, 1, 0, 0))
-    table.add_column("column")
-    table.add_column("unit")
-    for title in ("rms", "least", "greatest", "bits"):
-        table.add_column(title, justify="right", no_wrap=True)
-    nyquist = "content" if part.rate_hz is None else f"0 to {part.rate_hz / 2:.4g} Hz"
-    table.add_column(nyquist, no_wrap=True, min_width=PICTURE)
-    remarked = any(remarks(column) for column in part.columns)
-    if remarked:
-        table.add_column("")
-    for column in part.columns:
-        bits = f"{column.bits:.0f}" if column.bits <= MOST_BITS else ""
-        numbers = (f"{x:.3g}" for x in (column.rms, column.least, column.greatest))
-        row = [column.name, column.unit or "", *numbers, bits, picture(column)]
-        table.add_row(*(Text(cell) for cell in [*row, remarks(column)][: len(table.columns)]))
-    return table
+    content = "content" if part.rate_hz is None else f"0 to {part.rate_hz / 2:.4g} Hz"
+    columns = part.columns
+    table = [
+        TableColumn("column", tuple(c.name for c in columns)),
+        TableColumn("unit", tuple(c.unit or "" for c in columns)),
+        TableColumn("rms", tuple(f"{c.rms:.3g}" for c in columns), "right"),
+        TableColumn("least", tuple(f"{c.least:.3g}" for c in columns), "right"),
+        TableColumn("greatest", tuple(f"{c.greatest:.3g}" for c in columns), "right"),
+        TableColumn("bits", tuple(f"{c.bits:.0f}" if c.bits <= MOST_BITS else "" for c in columns), "right"),
+        TableColumn(content, tuple(picture(c) for c in columns)),
+    ]
+    said = tuple(remarks(c) for c in columns)
+    return [*table, TableColumn("remarks", said)] if any(said) else table
 
 
 def picture(column: InspectedColumn) -> str:
