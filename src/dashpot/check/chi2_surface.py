@@ -68,6 +68,6 @@ def chi2_surface(model: Model, spectrum: Spectrum, estimate: Estimate) -> Surfac
     def evaluate(at: Real, rows: Ints) -> QuadraticModel:
         return local(view, exact.pick(rows), at, sign[rows])
 
-    found = minimise(evaluate, psi, limit=100, tolerance=1e-6, lower=lower, upper=upper)
-    information = predict(view, exact, found.x, sign).information()
-    return Surface(view, exact, sign, found.x, found.cost, information, lower, upper)
+    minimum = minimise(evaluate, psi, limit=100, tolerance=1e-6, lower=lower, upper=upper)
+    information = predict(view, exact, minimum.x, sign).information()
+    return Surface(view, exact, sign, minimum.x, minimum.cost, information, lower, upper)

@@ -80,7 +80,7 @@ class Deficient:
         rows, M = self.draws[0].rows, len(self.names)
         unseen = [j for j in range(M) if not np.any(rows[:, j])]
         rest = [j for j in range(M) if j not in set(unseen)]
-        found = [self._unseen(unseen)] if unseen else []
+        described = [self._unseen(unseen)] if unseen else []
         explained = np.zeros((0, M), dtype=np.int64)
         count = M - field.rank(rows) - len(unseen)
         sorts: tuple[Sort, ...] = ("sum", "scale", "series")
@@ -88,13 +88,15 @@ class Deficient:
             if len(explained) == count:
                 break
             explained, constants = self._explained(explained, rest, power)
-            found += [self._described(sort, power, block) for block in _blocks(constants)]
+            described += [self._described(sort, power, block) for block in _blocks(constants)]
         if len(explained) < count:
             _, fixed = field.echelon(explained)
             open_ones = [j for j in rest if j not in set(fixed)]
-            found += [self._described("mixed", 0, block) for block in _blocks(self._circuits(open_ones))]
-        sensors = self._sensors(found)
-        return [replace(deficiency, sensors=more) for deficiency, more in zip(found, sensors, strict=True)]
+            described += [self._described("mixed", 0, block) for block in _blocks(self._circuits(open_ones))]
+        sensors = self._sensors(described)
+        return [
+            replace(deficiency, sensors=more) for deficiency, more in zip(described, sensors, strict=True)
+        ]
 
     def _explained(self, explained: Ints, columns: list[int], power: int) -> tuple[Ints, list[Ints]]:
         """`explained` with the directions c ψ^power that it has not yet, and their constants."""

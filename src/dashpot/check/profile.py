@@ -85,12 +85,12 @@ def profile(
     that of the parabola at the ends of the estimate's own interval: it counts the noise as the estimate does.
     Raises UsageError where there is no such unknown.
     """
-    found = identify(model, spectrum) if estimate is None else estimate
-    if name not in found.names:
-        raise UsageError(f"{name} is not among the unknowns", cure=f"there are {', '.join(found.names)}")
-    j = found.names.index(name)
-    base = chi2_surface(model, spectrum, found)
-    low, high = (end[..., j] for end in found.interval(level))
+    around = identify(model, spectrum) if estimate is None else estimate
+    if name not in around.names:
+        raise UsageError(f"{name} is not among the unknowns", cure=f"there are {', '.join(around.names)}")
+    j = around.names.index(name)
+    base = chi2_surface(model, spectrum, around)
+    low, high = (end[..., j] for end in around.interval(level))
     half = (high - low).ravel() / 2
     with np.errstate(invalid="ignore", divide="ignore"):
         threshold = (half / np.sqrt(base.covariance()[:, j, j])) ** 2
@@ -99,9 +99,9 @@ def profile(
     points = np.array([*down.points, base.psi[0, j], *up.points])
     rise = np.array([*down.rises, 0.0, *up.rises])
     order = np.argsort(points)
-    batch = found.values.shape[:-1]
+    batch = around.values.shape[:-1]
     return Profile(
-        name, found.units[j], level, base.psi[:, j].reshape(batch), down.end.reshape(batch), up.end.reshape(batch),
+        name, around.units[j], level, base.psi[:, j].reshape(batch), down.end.reshape(batch), up.end.reshape(batch),
         low, high, points[order], rise[order], threshold.reshape(batch), (down.improved | up.improved).reshape(batch),
     )  # fmt: skip
 
@@ -140,15 +140,15 @@ class _Walk:
             return psi
 
         def evaluate(x: Real, which: Ints) -> QuadraticModel:
-            here = base.at(whole(x, which), rows[which])
-            matrix = here.symmetric[:, others][:, :, others]
-            return QuadraticModel(here.cost, here.gradient[:, others], matrix, matrix)
+            at = base.at(whole(x, which), rows[which])
+            matrix = at.symmetric[:, others][:, :, others]
+            return QuadraticModel(at.cost, at.gradient[:, others], matrix, matrix)
 
-        found = minimise(
+        minimum = minimise(
             evaluate, start[:, others], limit=60, tolerance=1e-4,
             lower=base.lower[others], upper=base.upper[others],
         )  # fmt: skip
-        return self._root(found.cost, rows), whole(found.x, np.arange(len(value)))
+        return self._root(minimum.cost, rows), whole(minimum.x, np.arange(len(value)))
 
     def _root(self, cost: Real, rows: Ints) -> Real:
         rise = np.where(np.isfinite(cost), cost - self.base.cost[rows], np.inf)

@@ -20,7 +20,7 @@ from dashpot.estimate.result import Estimate
 from dashpot.model.dynamics import no_steady_response
 from dashpot.model.network import Model
 from dashpot.model.observation import (
-    calibration,
+    calibration_factors,
     channel_unit,
     input_channels,
     observation_model,
@@ -97,15 +97,15 @@ def channel_response(
     G = transfer(view, p).G
     if not np.all(np.isfinite(G)):
         raise no_steady_response()
-    response: Complex = calibration(view, psi, sign)[..., None] * G
+    response: Complex = calibration_factors(view, psi, sign)[..., None] * G
     return response
 
 
 def calibrations_of(model: Model, estimate: Estimate) -> dict[str, float]:
     """What an estimate found of the channels: NAME.gain, NAME.delay (s) and NAME.sign."""
     m = len(model.unknowns)
-    found = dict(zip(estimate.names[m:], estimate.values[m:].tolist(), strict=True))
-    return found | {f"{name}.sign": float(sign) for name, sign in estimate.signs.items()}
+    values = dict(zip(estimate.names[m:], estimate.values[m:].tolist(), strict=True))
+    return values | {f"{name}.sign": float(sign) for name, sign in estimate.signs.items()}
 
 
 def residuals(
@@ -165,14 +165,14 @@ def _project(G: Complex, y: Complex, V: Complex) -> tuple[Complex, Complex, Comp
     v = np.zeros((len(y), G.shape[-1]), dtype=complex)
     for line in range(len(y)):
         there = np.isfinite(y[line])
-        g, own = G[line][there], V[line][np.ix_(there, there)]
+        g, noise = G[line][there], V[line][np.ix_(there, there)]
         size = np.sqrt(np.sum(np.abs(g) ** 2, axis=0))
         size = np.where(size > 0, size, 1.0)
-        P = _estimator(g / size, own)
+        P = _estimator(g / size, noise)
         v[line] = (P @ y[line][there]) / size
         predicted[line] = G[line] @ v[line]
         rest = np.eye(len(g)) - (g / size) @ P
-        spread[line][np.ix_(there, there)] = rest @ own @ hermitian(rest)
+        spread[line][np.ix_(there, there)] = rest @ noise @ hermitian(rest)
     return predicted, spread, v
 
 
@@ -242,8 +242,8 @@ def correlation(covariance: Real) -> Real:
     """Correlation matrix of a covariance; NaN where a variance is 0."""
     sd = np.sqrt(np.diagonal(covariance))
     with np.errstate(divide="ignore", invalid="ignore"):
-        found: Real = covariance / np.outer(sd, sd)
-    return found
+        matrix: Real = covariance / np.outer(sd, sd)
+    return matrix
 
 
 def distance_from_end(history: Real, sd: Real) -> Real:

@@ -95,15 +95,15 @@ def _parts(model: Model) -> dict[Node, int]:
 
     coordinates = set(model.coordinates)
     for element in model.elements:
-        here = ("element", element.name)
-        find(here)
+        node = ("element", element.name)
+        find(node)
         for point in element.along:
             if point in coordinates:
-                leader[find(("point", point))] = find(here)
+                leader[find(("point", point))] = find(node)
         if element.same_as is not None:
-            leader[find(("element", element.same_as))] = find(here)
-    for one in model.inputs:
-        for first, second in zip(list(one.at), list(one.at)[1:], strict=False):
+            leader[find(("element", element.same_as))] = find(node)
+    for given in model.inputs:
+        for first, second in zip(list(given.at), list(given.at)[1:], strict=False):
             leader[find(("point", first))] = find(("point", second))
     number: dict[Node, int] = {}
     return {node: number.setdefault(find(node), len(number)) for node in list(leader)}
@@ -121,8 +121,8 @@ def _measured_forces(model: Model, channels: Sequence[Channel]) -> set[str]:
 
 def _ends(model: Model, name: str) -> list[Node]:
     """What a force of that name acts on: an element, the coordinates of an applied force, the elements at an input."""
-    for one in model.inputs:
-        if one.name == name and one.kind == "force":
-            return [("point", coordinate) for coordinate in one.at]
+    for given in model.inputs:
+        if given.name == name and given.kind == "force":
+            return [("point", coordinate) for coordinate in given.at]
     touching = [element.name for element in model.elements if element.name == name or name in element.along]
-    return [("element", found) for found in touching]
+    return [("element", element) for element in touching]

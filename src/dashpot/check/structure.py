@@ -324,11 +324,11 @@ def floating(
     rows = [np.diag(np.where(psi == 0, 1.0, 1 / np.where(psi == 0, 1.0, psi)))[: len(model.unknowns)][
         model.prior_precision > 0
     ]]  # fmt: skip
-    for g, own in zip(G, J, strict=True):
+    for g, by_psi in zip(G, J, strict=True):
         size = np.linalg.norm(g, axis=0)
         g = g / np.where(size > 0, size, 1.0)
         u, s, _ = np.linalg.svd(g, full_matrices=False)
         u = u[:, s > 1e-10 * max(float(s[0]) if s.size else 0.0, 1e-300)]
-        own = own - u @ (u.conj().T @ own)
-        rows += [own.real, own.imag]
+        by_psi = by_psi - u @ (u.conj().T @ by_psi)
+        rows += [by_psi.real, by_psi.imag]
     return np.concatenate(rows)

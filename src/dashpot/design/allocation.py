@@ -95,13 +95,13 @@ class _Columns:
         try_below = 1e-5
         for turn in range(30):
             weights = optimal_shares(self.terms, self.prior, self.M)
-            found, peaks = self._certified(weights)
-            if best is None or found.gap < best.gap:
-                best = found
-            if found.gap < tolerance:
+            trial, peaks = self._certified(weights)
+            if best is None or trial.gap < best.gap:
+                best = trial
+            if trial.gap < tolerance:
                 break
-            if self.grid.free and found.gap < try_below:
-                try_below = 0.03 * found.gap
+            if self.grid.free and trial.gap < try_below:
+                try_below = 0.03 * trial.gap
                 # Columns that crowd around one frequency slow the search down: one column that moves is better.
                 columns = self.f, self.k, self.M
                 joined = self._joined(best, tolerance)
@@ -114,17 +114,17 @@ class _Columns:
         return best if joined is None else joined
 
     def _slope(self, at: CriterionValue, share: Real, f: Real, k: Ints) -> Real:
-        own: Real = share @ criterion_slopes(self.terms, at, self.samples * self.information(f, k))
-        return own
+        slope: Real = share @ criterion_slopes(self.terms, at, self.samples * self.information(f, k))
+        return slope
 
     def _certified(self, weights: Shares) -> tuple[Allocation, tuple[Real, Ints]]:
         """The design with its gap over the whole band, and the frequencies at which the derivative peaks."""
         w, share = weights.w, weights.y / np.sum(weights.y)
         at = criterion_value(self.terms, self.prior + np.einsum("i,siab->sab", w, self.M))
-        own = share @ criterion_slopes(self.terms, at, self.M)
-        mean = float(own @ w)
+        at_columns = share @ criterion_slopes(self.terms, at, self.M)
+        mean = float(at_columns @ w)
         curve = share @ criterion_slopes(self.terms, at, self.on_grid)
-        f, k, height = self._peaks(at, share, curve, np.max(own))
+        f, k, height = self._peaks(at, share, curve, np.max(at_columns))
         top = max(float(np.max(curve)), float(np.max(height, initial=0.0)))
         lost = at.F - float(share @ at.parts) + top - mean
         gap = lost if self.terms.block is not None else lost / at.F
@@ -221,11 +221,11 @@ class _Columns:
             self.M = self.samples * self.information(self.f, self.k)
             if not np.isfinite(criterion_value(self.terms, self.prior + np.mean(self.M, axis=1)).F):
                 break
-            found, (f, k) = self._certified(optimal_shares(self.terms, self.prior, self.M))
-            if best is not None and found.gap > 0.5 * best.gap:
+            trial, (f, k) = self._certified(optimal_shares(self.terms, self.prior, self.M))
+            if best is not None and trial.gap > 0.5 * best.gap:
                 break
-            best = found
-            if found.gap < 0.1 * tolerance:
+            best = trial
+            if trial.gap < 0.1 * tolerance:
                 break
             moved = self.f.copy()
             for i in range(len(moved)):
@@ -252,10 +252,14 @@ def clusters(
         x = np.log(frequency_hz[rows])
         group = np.concatenate([[0], np.cumsum(np.diff(x) > width)])
         for g in np.unique(group):
-            own = rows[group == g]
-            total = float(np.sum(share[own]))
-            mean = float(np.exp(np.sum(x[group == g] * share[own]) / total))
-            f.append(mean if between and len(own) > 1 else float(frequency_hz[own[np.argmax(share[own])]]))
+            members = rows[group == g]
+            total = float(np.sum(share[members]))
+            mean = float(np.exp(np.sum(x[group == g] * share[members]) / total))
+            f.append(
+                mean
+                if between and len(members) > 1
+                else float(frequency_hz[members[np.argmax(share[members])]])
+            )
             k.append(int(drive))
             w.append(total)
     return np.array(f), np.array(k, dtype=np.int64), np.array(w)

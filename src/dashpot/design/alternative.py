@@ -38,13 +38,13 @@ def spread_of_iv(setup: TestSetup, schedule: Schedule) -> ExpectedPrecision | No
         np.full(count, np.inf), ("given",) * count, np.zeros(count, dtype=np.int64),
     )  # fmt: skip
     try:
-        found = identify(setup.model, spectrum, InstrumentalVariables())
+        estimate = identify(setup.model, spectrum, InstrumentalVariables())
     except DashpotError:
         return None
-    size = np.abs(np.where(found.values == 0, 1.0, found.values))
-    C = found.noise_covariance
+    size = np.abs(np.where(estimate.values == 0, 1.0, estimate.values))
+    C = estimate.noise_covariance
     rms = float(np.sqrt(np.mean(np.diagonal(C) / size**2)))
-    return ExpectedPrecision(found.names, found.units, found.values, np.sqrt(np.diagonal(C)), C, rms)
+    return ExpectedPrecision(estimate.names, estimate.units, estimate.values, np.sqrt(np.diagonal(C)), C, rms)
 
 
 def _beside(setup: TestSetup, found: ExpectedPrecision, known: Real) -> ExpectedPrecision:

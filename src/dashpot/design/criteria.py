@@ -239,8 +239,8 @@ def criterion_slopes(terms: Terms, at: CriterionValue, Mi: Real) -> Real:
         # (C M C)_jj, row by row
         gain = np.sum(X * np.swapaxes(at.C, -1, -2)[:, None], axis=-1)
         K, S, q = terms.weights.shape
-        own: Real = terms.weights.reshape(K, S * q) @ np.swapaxes(gain, 1, 2).reshape(S * q, -1)
-        return own
+        by_term: Real = terms.weights.reshape(K, S * q) @ np.swapaxes(gain, 1, 2).reshape(S * q, -1)
+        return by_term
     trace = np.sum(at.C[:, None] * Mi, axis=(-1, -2)) - np.sum(at.rest[:, None] * Mi, axis=(-1, -2))
     whole: Real = terms.weights[..., 0] @ trace / len(terms.block)
     return whole

@@ -55,10 +55,10 @@ def band_grid(setup: TestSetup, low: float, high: float, step: float | None = No
         octaves = np.log(high / low)
         f = np.geomspace(low, high, int(np.clip(octaves / 0.02, 2, 400)) if high > low else 1)
         around = np.array([0, 0.3, 0.6, 1, 1.5, 2.2, 3.3, 5, 8])
-        for own, zeta in _distinct(setup.resonances()):
+        for resonance, zeta in _distinct(setup.resonances()):
             # Narrower than the grid resolves: half-widths on both sides.
             if UNDAMPED < zeta < 0.1:
-                near = own * np.exp(np.concatenate([around, -around]) * max(zeta, 1e-5))
+                near = resonance * np.exp(np.concatenate([around, -around]) * max(zeta, 1e-5))
                 f = np.concatenate([f, near[(near > low) & (near < high)]])
         f = np.unique(f)
     patterns = len(setup.drives)
@@ -79,8 +79,8 @@ def natural_band(setup: TestSetup, rate: float | None = None) -> tuple[float, fl
 
     Raises UsageError where the rig has none.
     """
-    found = [f for f, _ in setup.resonances()]
-    if not found:
+    resonances = [f for f, _ in setup.resonances()]
+    if not resonances:
         raise UsageError("the rig has no resonance to take the band from", cure="state the band")
-    high = 3 * max(found) if rate is None else min(3 * max(found), 0.4 * rate)
-    return float(f"{min(0.2 * min(found), high / 10):.3g}"), float(f"{high:.3g}")
+    high = 3 * max(resonances) if rate is None else min(3 * max(resonances), 0.4 * rate)
+    return float(f"{min(0.2 * min(resonances), high / 10):.3g}"), float(f"{high:.3g}")

@@ -80,8 +80,8 @@ def fisher(J: Complex, G: Complex, V: Complex, names: Sequence[str]) -> Real:
     if np.any(flat != flat[:1]):  # repeats that differ in what they measure: one by one
         lead = J.shape[:-3]
         whole = [np.broadcast_to(part, (*lead, *part.shape[-3:])) for part in (J, G, V)]
-        own = [fisher(whole[0][k], whole[1][k], whole[2][k], names) for k in np.ndindex(lead)]
-        return np.stack(own).reshape(*lead, *own[0].shape)
+        parts = [fisher(whole[0][k], whole[1][k], whole[2][k], names) for k in np.ndindex(lead)]
+        return np.stack(parts).reshape(*lead, *parts[0].shape)
     total = np.zeros((*J.shape[:-2], J.shape[-1], J.shape[-1]))
     for pattern in np.unique(flat[0], axis=0):
         lines = np.flatnonzero(np.all(flat[0] == pattern, axis=-1))
@@ -95,7 +95,7 @@ def fisher(J: Complex, G: Complex, V: Complex, names: Sequence[str]) -> Real:
                 int(np.argmax(np.max(np.abs(seen), axis=(*range(seen.ndim - 2), -1))))
             ]
             raise UsageError(
-                f"the channel {names[worst]} has no noise, so one sample of it would tell everything",
+                f"channel {names[worst]} has no noise, which makes its information infinite",
                 cure="state its noise (or relative_noise) in the rig file, or leave the channel out",
             )
         free = _free_inputs(G[..., lines, :, :][..., at_exact, :])

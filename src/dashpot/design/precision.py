@@ -77,7 +77,7 @@ def information_gain(
     (C M(f) C)_jj / C_jj at the nominal values, times the test's samples: 1 is what its average sample adds.
     """
     C = criterion_value(criterion.terms(setup, "worst"), prior + schedule.information(setup)).C[0]
-    own = setup.information(frequency_hz, pattern)[0]
-    gain = np.einsum("ja,iab,bj->ij", C, own, C)
+    each = setup.information(frequency_hz, pattern)[0]
+    gain = np.einsum("ja,iab,bj->ij", C, each, C)
     total: Real = float(np.sum(schedule.samples)) * gain / np.diagonal(C)
     return total

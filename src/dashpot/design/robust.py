@@ -147,16 +147,16 @@ def on_average(
     wide = setup.with_scenarios(theta)
     already = _prior(wide, known)
     grid = grid_of(wide)
-    found = (
+    advised = (
         plan(wide, criterion, budget, grid, known=already, robustness="average")
         if target is None
         else shortest(wide, criterion, target, budget, grid, known=already, robustness="average")
     )
     M = _prior(wide, known)
     at = criterion_value(
-        criterion.terms(wide, "worst"), M if found is None else M + found.schedule.information(wide)
+        criterion.terms(wide, "worst"), M if advised is None else M + advised.schedule.information(wide)
     )
-    return Robust(found, wide, criterion.figure(at.F), ())
+    return Robust(advised, wide, criterion.figure(at.F), ())
 
 
 def in_the_worst_case(
@@ -179,11 +179,13 @@ def in_the_worst_case(
         # Which scenarios matter is found on a grid of fixed frequencies: no need to place them finely yet.
         wide = setup.with_scenarios(theta)
         grid = replace(grid_of(wide), free=False)
-        found = optimise(wide.information, criterion.terms(wide, "worst"), _prior(wide, known), samples, grid)
-        lines = Schedule(found.frequency_hz, found.pattern, samples * found.share)
+        optimum = optimise(
+            wide.information, criterion.terms(wide, "worst"), _prior(wide, known), samples, grid
+        )
+        lines = Schedule(optimum.frequency_hz, optimum.pattern, samples * optimum.share)
         worst, at = worst_scenario(wide, criterion, lines, prior, known=known, seed=seed + turn)
         search.append(worst)
-        if worst**2 <= criterion.figure(found.F) ** 2 * (1 + CLOSE):
+        if worst**2 <= criterion.figure(optimum.F) ** 2 * (1 + CLOSE):
             break
         theta = np.concatenate([theta, at[None]])
     # The last scenario may be new: it counts too.
@@ -216,18 +218,18 @@ def shortest_in_the_worst_case(
     for turn in range(rounds):
         wide = setup.with_scenarios(theta)
         already = _prior(wide, known)
-        found = shortest(wide, criterion, aim, budget, grid_of(wide), known=already)
-        lines = NOTHING if found is None else found.schedule
+        advised = shortest(wide, criterion, aim, budget, grid_of(wide), known=already)
+        lines = NOTHING if advised is None else advised.schedule
         worst, at = worst_scenario(wide, criterion, lines, prior, known=known, seed=seed + turn)
         search.append(worst)
         if worst <= target:
-            return Robust(found, wide, worst, tuple(search))
-        if found is not None and worst <= target * (1 + CLOSE):
+            return Robust(advised, wide, worst, tuple(search))
+        if advised is not None and worst <= target * (1 + CLOSE):
             aim *= 0.999 * target / worst  # a scenario hardly worse than those that count already
         else:
             theta = np.concatenate([theta, at[None]])
-        if found is not None:
-            amount = found.samples if budget.samples is not None else found.time_s
+        if advised is not None:
+            amount = advised.samples if budget.samples is not None else advised.time_s
             assert amount is not None
             budget = budget.scaled(amount * (worst / target) ** 2 / (budget.samples or budget.time or 1.0))
     raise UsageError(

@@ -140,11 +140,13 @@ class DwellShares:
         best, lowest = M[:, i], criterion_value(self.terms, rest + self.w[i] * M[:, i]).F
         for _ in range(4):
             f = np.geomspace(low, high, places)
-            own = samples * self.setup.information(f, np.full(places, self.k[i]))
-            F = np.array([criterion_value(self.terms, rest + self.w[i] * own[:, j]).F for j in range(places)])
+            moved = samples * self.setup.information(f, np.full(places, self.k[i]))
+            F = np.array(
+                [criterion_value(self.terms, rest + self.w[i] * moved[:, j]).F for j in range(places)]
+            )
             top = int(np.argmin(F))
             if F[top] < lowest:
-                self.f[i], best, lowest = f[top], own[:, top], F[top]
+                self.f[i], best, lowest = f[top], moved[:, top], F[top]
             low, high, places = f[max(top - 1, 0)], f[min(top + 1, places - 1)], 9
         M = M.copy()
         M[:, i] = best

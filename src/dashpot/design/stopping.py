@@ -30,14 +30,14 @@ def known_after(setup: TestSetup, estimate: Estimate) -> Real:
     Priors of the rig were in the estimate already.  Calibrations that are unknown are taken as unknown again.
     Raises UsageError where the estimate is of other unknowns.
     """
-    own = [unknown.name for unknown in setup.model.unknowns]
-    missing = [name for name in own if name not in estimate.names]
+    names = [unknown.name for unknown in setup.model.unknowns]
+    missing = [name for name in names if name not in estimate.names]
     if missing:
         raise UsageError(
             f"the estimate says nothing of {', '.join(missing)}",
             cure="give the estimate of this rig, or its data",
         )
-    i = [estimate.names.index(name) for name in own]
+    i = [estimate.names.index(name) for name in names]
     C = estimate.covariance[np.ix_(i, i)]
     size = np.sqrt(np.diagonal(C))
     if not np.all(np.isfinite(C)) or np.any(size <= 0):
@@ -50,7 +50,7 @@ def known_after(setup: TestSetup, estimate: Estimate) -> Real:
     # Rounding may make tiny eigenvalues negative; a little less information than there is does no harm.
     values, vectors = np.linalg.eigh(C / np.outer(size, size))
     root = vectors / np.sqrt(np.maximum(values, ROUNDING * values[-1])) / size[:, None]
-    information[: len(own), : len(own)] = root @ root.T
+    information[: len(names), : len(names)] = root @ root.T
     return information
 
 
@@ -63,7 +63,7 @@ def values_after(
     there is none, the estimate's size stands, or its sd where that is larger.
     """
     given = {} if guesses is None else guesses
-    found = {}
+    values = {}
     for unknown in model.unknowns:
         if unknown.name not in estimate.names:
             continue
@@ -71,8 +71,8 @@ def values_after(
         value, sd = float(estimate.values[j]), float(estimate.sd[j])
         guess = given.get(unknown.name, unknown.guess)
         vague = not (sd < VAGUE * abs(value))
-        found[unknown.name] = value if not vague else guess if guess is not None else max(abs(value), sd)
-    return found
+        values[unknown.name] = value if not vague else guess if guess is not None else max(abs(value), sd)
+    return values
 
 
 def noise_from(channels: Sequence[Channel], spectrum: Spectrum) -> tuple[Channel, ...]:
@@ -83,11 +83,11 @@ def noise_from(channels: Sequence[Channel], spectrum: Spectrum) -> tuple[Channel
     from scipy.optimize import nnls
 
     index = {channel.name: i for i, channel in enumerate(spectrum.channels)}
-    found = []
+    noisy = []
     for channel in channels:
         i = index.get(channel.name)
         if channel.noise > 0 or channel.relative_noise > 0 or i is None:
-            found.append(channel)
+            noisy.append(channel)
             continue
         V = spectrum.covariance[..., i, i].real
         power = np.abs(spectrum.amplitudes[..., i]) ** 2
@@ -96,19 +96,19 @@ def noise_from(channels: Sequence[Channel], spectrum: Spectrum) -> tuple[Channel
         power = np.mean(power, axis=tuple(range(power.ndim - 1)))
         usable = np.isfinite(variance) & (variance > 0) & np.isfinite(power)
         if not np.any(usable):
-            found.append(channel)
+            noisy.append(channel)
             continue
         rows = np.stack([np.ones(int(np.sum(usable))), power[usable]], axis=1) / variance[usable, None]
         scale = np.max(rows, axis=0)
         (floor, relative), _ = nnls(rows / scale, np.ones(len(rows)))
-        found.append(
+        noisy.append(
             replace(
                 channel,
                 noise=float(np.sqrt(floor / scale[0])) * abs(channel.factor) / channel.scale,
                 relative_noise=float(np.sqrt(relative / scale[1])),
             )
         )
-    return tuple(found)
+    return tuple(noisy)
 
 
 def amplitude_from(model: Model, spectrum: Spectrum) -> float | None:
@@ -188,15 +188,17 @@ def sequential_estimates(
             method = MaximumLikelihood(starts=4, candidates=4, rounds=1)
     for k, count in enumerate(counts):
         try:
-            found = identify(model, spectrum.select(np.arange(count)), method)
+            estimate = identify(model, spectrum.select(np.arange(count)), method)
         except DashpotError:
             if count == spectrum.lines:
                 raise
             continue
-        if bool(found.converged):
-            own = [found.names.index(unknown.name) for unknown in model.unknowns]  # not the calibrations
-            values[k], sd[k] = found.values[own], found.sd[own]
-            low[k], high[k] = (ends[own] for ends in found.interval())
+        if bool(estimate.converged):
+            columns = [
+                estimate.names.index(unknown.name) for unknown in model.unknowns
+            ]  # not the calibrations
+            values[k], sd[k] = estimate.values[columns], estimate.sd[columns]
+            low[k], high[k] = (ends[columns] for ends in estimate.interval())
         if watch is not None:
             watch(k + 1, len(counts))
     total = np.cumsum(spectrum.samples)[counts - 1]

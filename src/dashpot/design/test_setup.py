@@ -197,13 +197,13 @@ class TestSetup:
 
     def resonances(self) -> list[tuple[float, float]]:
         """(frequency in Hz, damping ratio) of all oscillating modes of all scenarios."""
-        found = []
+        every = []
         for p in self.p:
-            own = modes(self.model, p)
-            for value, f, zeta in zip(own.eigenvalues, own.frequency_hz, own.damping_ratio, strict=True):
+            rig = modes(self.model, p)
+            for value, f, zeta in zip(rig.eigenvalues, rig.frequency_hz, rig.damping_ratio, strict=True):
                 if value.imag > 0:
-                    found.append((float(f), float(zeta)))
-        return found
+                    every.append((float(f), float(zeta)))
+        return every
 
     def settling(self) -> float:
         """Time in which the slowest transient falls to 1e-3, s, in the worst scenario.
@@ -245,7 +245,7 @@ def drive_patterns(model: Model, chosen: Sequence[str] = ()) -> Complex:
     patterns = list(np.eye(len(names), dtype=complex))
     if len(names) == 2 and len(model.force_inputs) != 1:
         patterns += [np.array([1, factor], dtype=complex) for factor in (1, -1, 1j)]
-    elif len(names) > 2 and len({one.kind for one in model.inputs}) == 1:
+    elif len(names) > 2 and len({given.kind for given in model.inputs}) == 1:
         patterns.append(np.ones(len(names), dtype=complex))
     return np.array(patterns)
 

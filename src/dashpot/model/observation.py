@@ -245,7 +245,7 @@ def _unknown_calibrations(channels: Sequence[Channel]) -> tuple[Ints, Ints]:
 # Calibrations
 
 
-def calibration(view: ObservationModel, psi: Real, sign: Real) -> Complex:
+def calibration_factors(view: ObservationModel, psi: Real, sign: Real) -> Complex:
     """κ of each channel, (..., lines, channels); ψ (..., M), signs (..., channels)."""
     shape = (*psi.shape[:-1], len(view.omega), sign.shape[-1])
     kappa = np.broadcast_to(sign[..., None, :].astype(np.complex128), shape)
@@ -314,7 +314,7 @@ class Transfer:
     def slopes(self, q: Complex) -> Complex:
         """∂y/∂ψ at fixed inputs q (..., lines, r + s), ∂y/∂θ without calibrations; (..., lines, channels, M)."""
         by_theta: Complex = (self.E * self.unit_forces(q)[..., None, :]) @ self.view.model.T
-        if self.psi is None:
+        if self.psi is None or not (self.view.gains or self.view.delays):
             return by_theta
         return np.concatenate(
             [by_theta, calibration_slopes(self.view, self.psi, self.amplitudes(q))], axis=-1
@@ -332,8 +332,10 @@ def transfer(view: ObservationModel, p: Real) -> Transfer:
 
 def calibrated_transfer(view: ObservationModel, psi: Real, sign: Real) -> Transfer:
     """The same with calibrations, at ψ (..., M) and signs (..., channels)."""
-    kappa = calibration(view, psi, sign)[..., None]
     rig = transfer(view, view.model.parameters(psi[..., : view.m]))
+    if not (view.gains or view.delays) and np.all(sign == 1):
+        return rig
+    kappa = calibration_factors(view, psi, sign)[..., None]
     return Transfer(view, kappa * rig.G, rig.X, kappa * rig.E, psi)
 
 
@@ -363,7 +365,7 @@ def _transfer_dense(view: ObservationModel, p: Real) -> Transfer:
 def _transfer_sparse(view: ObservationModel, p: Real) -> Transfer:
     model = view.model
     B, D, lines, channels = model.sparse_B, model.D, len(view.omega), len(view.channels)
-    Bt, by_force = B.T.tocsr(), sparse.csr_array(view.force)
+    Bt, forces = B.T.tocsr(), np.flatnonzero(np.any(view.force, axis=-1))
     indices, indptr, A = model.assembly
     flat = p.reshape(-1, p.shape[-1])
     r, S = D.shape[1], model.S.astype(np.complex128)
@@ -373,11 +375,11 @@ def _transfer_sparse(view: ObservationModel, p: Real) -> Transfer:
     for line, factors in enumerate(model.factors(view.omega)):
         direct_x, direct_q = (view.rates[line][:, None] * on for on in (view.on_x, view.on_q))
         for k, weight in enumerate(flat * factors):
-            C_x, C_q = direct_x, direct_q.copy()
-            if view.has_forces:
-                rows = by_force.multiply(weight).tocsr()
-                C_x = C_x + (rows @ B).toarray()
-                C_q[:, :r] += rows @ D
+            C_x, C_q = direct_x.copy(), direct_q.copy()
+            if len(forces):
+                rows = view.force[forces] * weight
+                C_x[forces] += rows @ B
+                C_q[forces, :r] += rows @ D
             D_k = sparse.csc_array((A @ weight, indices, indptr), shape=(model.n, model.n))
             right = np.concatenate([C_x.T, -(Bt @ (weight[:, None] * D)), S], axis=1)
             try:

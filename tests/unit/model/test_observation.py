@@ -13,7 +13,7 @@ from dashpot.model.elements import Kind, between, mass
 from dashpot.model.network import Input, Model
 from dashpot.model.observation import (
     calibrated_transfer,
-    calibration,
+    calibration_factors,
     calibration_slopes,
     channel_amplitudes,
     channel_unit,
@@ -148,7 +148,7 @@ def test_calibrations_and_their_slopes_against_finite_differences() -> None:
     assert view.units[-2:] == ("1", "s")
     psi = np.array([*P, 1.7, 0.003])
     sign = np.array([1.0, -1.0, 1.0, 1.0])
-    kappa = calibration(view, psi, sign)
+    kappa = calibration_factors(view, psi, sign)
     np.testing.assert_allclose(kappa[:, 0], 1.7)
     np.testing.assert_allclose(kappa[:, 1], -np.exp(-0.003j * OMEGA))
     np.testing.assert_allclose(kappa[:, 2:], [[1.7, 1.0]] * len(OMEGA))
@@ -156,7 +156,11 @@ def test_calibrations_and_their_slopes_against_finite_differences() -> None:
     slopes = calibration_slopes(view, psi, kappa * Y)
     for k in range(2):
         step = np.where(np.arange(len(psi)) == len(P) + k, 1e-6, 0.0)
-        numeric = (calibration(view, psi + step, sign) - calibration(view, psi - step, sign)) * Y / 2e-6
+        numeric = (
+            (calibration_factors(view, psi + step, sign) - calibration_factors(view, psi - step, sign))
+            * Y
+            / 2e-6
+        )
         np.testing.assert_allclose(slopes[..., k], numeric, rtol=1e-6, atol=1e-6)
 
 
@@ -167,7 +171,7 @@ def test_calibrated_slopes_against_finite_differences() -> None:
     psi, sign = np.array([*P, 1.7, 0.003]), np.array([1.0, -1.0, 1.0])
     q = inputs(np.random.default_rng(6))
     rig = calibrated_transfer(view, psi, sign)
-    shown = by_hand(P, q)[:, [0, 6, 7]] * calibration(view, psi, sign)
+    shown = by_hand(P, q)[:, [0, 6, 7]] * calibration_factors(view, psi, sign)
     np.testing.assert_allclose(rig.amplitudes(q), shown, rtol=1e-9)
     for j, step in enumerate(np.diag(1e-6 * psi)):
         ends = [calibrated_transfer(view, psi + s * step, sign).amplitudes(q) for s in (1, -1)]

@@ -15,7 +15,7 @@ from dashpot.estimate.likelihood.starting_values import candidates
 from dashpot.estimate.linear.least_squares import compensated
 from dashpot.estimate.preparation.prepared import Prepared
 from dashpot.estimate.preparation.state_reconstruction import states_if_seen
-from dashpot.model.observation import ObservationModel, calibration, observation_model, transfer
+from dashpot.model.observation import ObservationModel, calibration_factors, observation_model, transfer
 from dashpot.numerics.levenberg_marquardt import QuadraticModel, minimise
 
 DRAWS = 1500  # rigs drawn at random as starts, ranked for every trial
@@ -49,7 +49,7 @@ class Workbench:
         with np.errstate(all="ignore"):
             G = transfer(self.view, self.data.model.parameters(drawn[:, : self.view.m])).G
             signs = np.broadcast_to(self.sign, (len(drawn), len(self.sign)))
-            G = calibration(self.view, drawn, signs)[..., None] * G
+            G = calibration_factors(self.view, drawn, signs)[..., None] * G
         followed = FEW if self.data.states is not None else MANY
         best = [
             drawn[np.argsort(_distance(G, one, trial))[:followed]]

@@ -24,7 +24,12 @@ from dashpot.model.nonlinear.harmonic_balance import (
     slopes,
     unit_forces,
 )
-from dashpot.model.observation import ObservationModel, calibration, calibration_slopes, channel_amplitudes
+from dashpot.model.observation import (
+    ObservationModel,
+    calibration_factors,
+    calibration_slopes,
+    channel_amplitudes,
+)
 
 if TYPE_CHECKING:
     from dashpot.estimate.likelihood.objective import Measured
@@ -86,7 +91,7 @@ def evaluate(
     a = unit_forces(model, drive, at)
     X = dwells.lines(at.X, K)
     forces = model.parameters(theta)[:, None, :] * dwells.lines(a, K)
-    kappa = calibration(view, psi, sign)
+    kappa = calibration_factors(view, psi, sign)
     predicted = kappa * channel_amplitudes(view, X, q, forces)
     lost = ~at.converged.reshape(K, R)[:, dwells.dwell]
     # A dwell without a response shows nothing: a large residual, but a finite one that leaves the others in charge.
