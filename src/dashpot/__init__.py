@@ -1,9 +1,10 @@
 """Masses, dampers and springs of a vibrating rig from noisy test data.
 
-    from dashpot import read_rig, read, identify
+    import dashpot
 
-    rig = read_rig("rig.toml")
-    estimate = identify(rig.model, read("test.csv", rig.channels).spectrum())
+    rig = dashpot.read_rig("rig.toml")
+    estimate = rig.identify("data.csv")
+    print(estimate)
 
 Public names are loaded when they are first used, so that `import dashpot` costs nothing.
 """
@@ -15,6 +16,7 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     __version__: str
+    from dashpot.api import compare, identify, read, simulate
     from dashpot.channel import Channel, Quantity
     from dashpot.check.residuals import Residuals, residuals
     from dashpot.data.conditioning.drive_frequency import refine_frequency
@@ -23,7 +25,7 @@ if TYPE_CHECKING:
     from dashpot.data.conditioning.settings import Conditioning
     from dashpot.data.conditioning.steady_state import settled
     from dashpot.data.modal_data import ModalData
-    from dashpot.data.readers import Reading, read, write_amplitudes, write_records
+    from dashpot.data.readers import Reading, write_amplitudes, write_records
     from dashpot.data.readers.delimited.modes import read_modes
     from dashpot.data.readers.in_memory import record, records_of
     from dashpot.data.record import Record
@@ -37,8 +39,7 @@ if TYPE_CHECKING:
         Problem,
         UsageError,
     )
-    from dashpot.estimate.comparison import Comparison, compare
-    from dashpot.estimate.identify import identify
+    from dashpot.estimate.comparison import Comparison
     from dashpot.estimate.likelihood.maximum_likelihood import MaximumLikelihood
     from dashpot.estimate.linear.definite import DefiniteOptimalIV, FreeMatrices, matrices_of
     from dashpot.estimate.linear.instrumental_variables import InstrumentalVariables, OptimalIV
@@ -56,6 +57,7 @@ if TYPE_CHECKING:
     from dashpot.study.simulate import Dwells, dwells, simulate_records, simulate_spectrum
 
 _NAMES = {
+    "api": "compare identify read simulate",
     "channel": "Channel Quantity",
     "check.residuals": "Residuals residuals",
     "data.conditioning.drive_frequency": "refine_frequency",
@@ -64,16 +66,15 @@ _NAMES = {
     "data.conditioning.settings": "Conditioning",
     "data.conditioning.steady_state": "settled",
     "data.modal_data": "ModalData",
-    "data.readers": "Reading read write_amplitudes write_records",
+    "data.readers": "Reading write_amplitudes write_records",
     "data.readers.in_memory": "record records_of",
     "data.readers.delimited.modes": "read_modes",
     "data.record": "Record",
     "data.spectrum": "Moments Spectrum concatenate merge_repeats",
     "errors": "ConvergenceError DashpotError DataError IdentifiabilityError ModelError Problem UsageError",
-    "estimate.comparison": "Comparison compare",
+    "estimate.comparison": "Comparison",
     "estimate.result": "Estimate Fit ModeValues Value",
     "estimate.linear.definite": "DefiniteOptimalIV FreeMatrices matrices_of",
-    "estimate.identify": "identify",
     "estimate.linear.instrumental_variables": "InstrumentalVariables OptimalIV",
     "estimate.linear.least_squares": "HarmonicLeastSquares LeastSquares WeightedLeastSquares",
     "estimate.likelihood.maximum_likelihood": "MaximumLikelihood",
@@ -161,6 +162,7 @@ __all__ = [
     "response",
     "sensitivities",
     "settled",
+    "simulate",
     "simulate_records",
     "simulate_spectrum",
     "spectrum",

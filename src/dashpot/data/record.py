@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import cast
 
 import numpy as np
 
 from dashpot.arrays import Real, frozen
 from dashpot.channel import Channel
 from dashpot.errors import DataError
+from dashpot.shorthand import call
 
 
 @dataclass(frozen=True)
@@ -28,6 +30,15 @@ class Record:
     frequency_hz: float | None = None
     experiment: int = 0
     source: str = "record"
+
+    def __repr__(self) -> str:
+        driven = "" if self.frequency_hz is None else f", driven at {self.frequency_hz:g} Hz"
+        names = ", ".join(channel.name for channel in self.channels)
+        return f"<Record {self.source}: {len(self.time)} samples of {names}{driven}>"
+
+    def _repr_html_(self) -> str:
+        """A table of the channels, for a notebook."""
+        return cast(str, call("html", self))
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "channels", tuple(self.channels))

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from typing import cast
 
 import numpy as np
 
@@ -15,6 +16,7 @@ from dashpot.channel import Channel
 from dashpot.data.stretch import SettledDwell, Stretch, WholeRecord, joined, selected
 from dashpot.errors import DataError
 from dashpot.notices import Notice
+from dashpot.shorthand import call
 
 
 @dataclass(frozen=True)
@@ -65,6 +67,17 @@ class Spectrum:
     notes: tuple[Notice, ...] = ()
     stretch: Ints = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
     stretches: tuple[Stretch, ...] = (SettledDwell(),)
+
+    def __repr__(self) -> str:
+        f = self.frequency_hz
+        span = f" from {np.min(f):.4g} to {np.max(f):.4g} Hz" if len(f) else ""
+        repeats = f", {' × '.join(map(str, self.batch))} repeats" if self.batch else ""
+        names = ", ".join(channel.name for channel in self.channels)
+        return f"<Spectrum of {names}: {len(f)} lines{span}{repeats}>"
+
+    def _repr_html_(self) -> str:
+        """A table of the channels with their amplitudes and noise, for a notebook."""
+        return cast(str, call("html", self))
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "channels", tuple(self.channels))

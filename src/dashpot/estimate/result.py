@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
@@ -18,8 +18,10 @@ from dashpot.io.json_document import from_json, nullable, to_json
 from dashpot.io.ledger import noted
 from dashpot.io.words import shown
 from dashpot.notices import Notice
+from dashpot.shorthand import call
 
 FORMAT = "0.1"
+SHOWN = 8  # values in the one-line form
 REMEDY = "write one with dashpot identify"
 
 
@@ -126,6 +128,32 @@ class Estimate:
         fields = ("values", "covariance", "noise_covariance", "bound_sd", "dof", "history", "lower", "upper")
         for name in (*fields, "free_values"):
             object.__setattr__(self, name, frozen(getattr(self, name), np.float64))
+
+    def __repr__(self) -> str:
+        """One line: method, status and values."""
+        if self.values.ndim > 1:
+            shape = " × ".join(map(str, self.values.shape[:-1]))
+            return f"<{shape} estimates by {self.method} of {', '.join(self.names)}: {self.status}>"
+        values = ", ".join(
+            f"{name} = {value:.4g} ± {sd:.2g}{'' if unit == '1' else ' ' + unit}"
+            for name, value, sd, unit in list(
+                zip(self.names, self.values.tolist(), self.sd.tolist(), self.units, strict=True)
+            )[:SHOWN]
+        )
+        more = f", … ({len(self.names)} in all)" if len(self.names) > SHOWN else ""
+        return f"<Estimate by {self.method}, {self.status}: {values}{more}>"
+
+    def __str__(self) -> str:
+        """What the command prints."""
+        return cast(str, call("text", self))
+
+    def _repr_html_(self) -> str:
+        """The same as HTML, for a notebook."""
+        return cast(str, call("html", self))
+
+    def plot(self, level: float = 0.95) -> Any:
+        """A matplotlib Figure of the values with their intervals."""
+        return call("plot", self, level)
 
     @property
     def status(self) -> str:

@@ -4,12 +4,21 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, cast
 
 from dashpot.channel import Channel, Quantity
 from dashpot.errors import UsageError
 from dashpot.io.words import counted, shown
 from dashpot.model.network import Model
+from dashpot.shorthand import call
 from dashpot.units import scale, si_unit
+
+if TYPE_CHECKING:
+    from dashpot.check.identifiability import Structure
+    from dashpot.data.readers import Reading
+    from dashpot.data.record import Record
+    from dashpot.estimate.comparison import Comparison
+    from dashpot.estimate.result import Estimate
 
 
 @dataclass(frozen=True)
@@ -23,6 +32,30 @@ class Rig:
     def __repr__(self) -> str:
         source = f", from {shown(self.path)}" if self.path else ""
         return f"<Rig {self.model.summary}, {counted(len(self.channels), 'channel')}{source}>"
+
+    def _repr_html_(self) -> str:
+        """A table of elements and one of channels, for a notebook."""
+        return cast(str, call("html", self))
+
+    def identify(self, data: Any, method: Any = None, **options: Any) -> Estimate:
+        """Estimate the unknowns from data, such as the name of a file: `dashpot.identify(rig, data, …)`."""
+        return cast("Estimate", call("identify", self, data, method, **options))
+
+    def compare(self, data: Any, methods: Any = None, **options: Any) -> Comparison:
+        """Estimate the unknowns with several methods: `dashpot.compare(rig, data, …)`."""
+        return cast("Comparison", call("compare", self, data, methods, **options))
+
+    def read(self, paths: Any, *, frequency_hz: float | None = None) -> Reading:
+        """Read data files whose columns are the channels: `dashpot.read(paths, rig, …)`."""
+        return cast("Reading", call("read", paths, self, frequency_hz=frequency_hz))
+
+    def check(self, data: Any = None, **options: Any) -> Structure:
+        """Whether the unknowns can be found from the channels and, with data, from their frequencies."""
+        return cast("Structure", call("check", self, data, **options))
+
+    def simulate(self, values: Mapping[str, float], frequencies: Any, **options: Any) -> tuple[Record, ...]:
+        """The records that the rig would yield: `dashpot.simulate(rig, values, frequencies, …)`."""
+        return cast("tuple[Record, ...]", call("simulate", self, values, frequencies, **options))
 
 
 def default_channels(model: Model) -> tuple[Channel, ...]:

@@ -11,6 +11,7 @@ from matplotlib.ticker import MaxNLocator
 
 from dashpot.arrays import Real
 from dashpot.estimate.comparison import Comparison
+from dashpot.estimate.result import Estimate
 from dashpot.present.figures.style import BAD, COLOURS, INK, MODEL, style
 
 ROW, PANEL = 0.24, 2.45  # inches a method, and a panel
@@ -35,6 +36,17 @@ def comparison_figure(comparison: Comparison, level: float = 0.95) -> Figure:
     return interval_plot(
         comparison.names, comparison.units, methods, values, ends[0], ends[1], comparison.truth, bands, level
     )
+
+
+def estimate_figure(estimate: Estimate, level: float = 0.95) -> Figure:
+    """One panel for each unknown with its interval, and that of the bound behind it."""
+    low, high = estimate.interval(level)
+    numbers = zip(estimate.names, estimate.values.tolist(), estimate.bound_sd.tolist(), strict=True)
+    bands = {name: (value, sd) for name, value, sd in numbers if np.isfinite(sd)}
+    return interval_plot(
+        estimate.names, estimate.units, [estimate.method], estimate.values[None], low[None], high[None], {}, bands,
+        level,
+    )  # fmt: skip
 
 
 def interval_plot(

@@ -1,0 +1,222 @@
+"""The public verbs as people type them: a rig where a model is expected, a path where a spectrum is.
+
+    rig = read_rig("rig.toml")
+    estimate = identify(rig, "data.csv")        # or rig.identify("data.csv")
+
+The order of arguments is the same in all: the rig, what is known of it, the data, how.  Methods of Rig, Spectrum and
+Estimate with these names are short for them (`dashpot.shorthand`).
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from dashpot.channel import Channel
+from dashpot.check.identifiability import Structure, structure
+from dashpot.data import readers
+from dashpot.data.conditioning.lines import spectrum as spectrum_of_records
+from dashpot.data.conditioning.settings import Conditioning
+from dashpot.data.modal_data import ModalData
+from dashpot.data.readers import Reading
+from dashpot.data.record import Record
+from dashpot.data.spectrum import Spectrum
+from dashpot.errors import DashpotError, UsageError
+from dashpot.estimate import comparison as comparisons
+from dashpot.estimate import identify as identification
+from dashpot.estimate.comparison import Comparison
+from dashpot.estimate.method import Method
+from dashpot.estimate.registry import METHODS
+from dashpot.estimate.registry import method as named_method
+from dashpot.estimate.result import Estimate
+from dashpot.model.network import Model
+from dashpot.model.rigfile import Rig, default_channels
+from dashpot.model.unstructured import free_entries
+from dashpot.quantities import frequencies as frequencies_of
+from dashpot.study.simulate import dwells, simulate_records
+
+AnyPath = str | os.PathLike[str]
+Data = Spectrum | Reading | Record | AnyPath | Sequence[Record] | Sequence[AnyPath]
+Progress = Callable[[int, int], None]
+
+
+def read(
+    paths: AnyPath | Sequence[AnyPath],
+    channels: Sequence[Channel] | Rig,
+    *,
+    frequency_hz: float | None = None,
+) -> Reading:
+    """Read data files; `channels` says what their columns are: those of a rig, or a list.
+
+    `frequency_hz` is the drive frequency of time records without such a column.  Raises DataError, one problem for
+    each cause, with file, row and column.
+    """
+    listed = channels.channels if isinstance(channels, Rig) else channels
+    return readers.read(paths, listed, frequency_hz=frequency_hz)
+
+
+def identify(
+    rig: Rig | Model,
+    data: Data,
+    method: Method | str | None = None,
+    *,
+    frequency_hz: float | None = None,
+    conditioning: Conditioning | None = None,
+    progress: Progress | None = None,
+) -> Estimate:
+    """Estimate the unknowns of a rig from data.
+
+    rig     a Rig, or a Model, whose channels are then its coordinates and inputs in SI units
+    data    a Spectrum (with batch axes: repeats of one test), files by name, Records, or what `read` returned
+    method  a method or its name, such as "ml"; without one the most precise that suits the data is chosen
+    frequency_hz, conditioning  of time records: their drive frequency, and how they become amplitudes
+
+    `progress(done, all)` is called between chunks of repeats.  Raises DataError or UsageError where the data lack what
+    the method needs, IdentifiabilityError where they do not determine the unknowns.
+    """
+    chosen = named_method(method) if isinstance(method, str) else method
+    spectrum = _spectrum(rig, data, frequency_hz, conditioning, [] if chosen is None else [chosen.name])
+    if isinstance(rig, Rig):
+        from dashpot.present.text.identifiability import require_identifiable
+
+        require_identifiable(rig.model, spectrum.channels, rig.path or None, spectrum)
+    return identification.identify(_model(rig), spectrum, chosen, progress=progress)
+
+
+def compare(
+    rig: Rig | Model,
+    data: Data | None,
+    methods: Mapping[str, Method] | Iterable[str] | None = None,
+    *,
+    modal: ModalData | None = None,
+    refused: Mapping[str, DashpotError] | None = None,
+    truth: Mapping[str, float] | None = None,
+    seed: int = 0,
+    frequency_hz: float | None = None,
+    conditioning: Conditioning | None = None,
+    progress: Progress | None = None,
+) -> Comparison:
+    """Estimate the unknowns with several methods: all that suit, those named, or those given by name.
+
+    `data` as of `identify`, None where there are only measured modes (`modal`); `truth` by name in SI units;
+    `refused` are methods that were ruled out before, with the reason.  Raises as `identify` where no method gives
+    anything, and UsageError where `truth` names what is not an unknown.
+    """
+    model = _model(rig)
+    if methods is None:
+        methods = [name for name in METHODS if name != "oiv+" or free_entries(model)]
+    if not isinstance(methods, Mapping):
+        methods = {name: named_method(name, seed=seed) for name in methods}
+    spectrum = None if data is None else _spectrum(rig, data, frequency_hz, conditioning, list(methods))
+    return comparisons.compare(
+        model, spectrum, methods if spectrum is not None else {}, modal=modal, refused=refused, truth=truth, seed=seed,
+        progress=progress,
+    )  # fmt: skip
+
+
+def check(
+    rig: Rig, data: Data | None = None, *, frequency_hz: float | None = None, seed: int = 0
+) -> Structure:
+    """Whether the unknowns of a rig can be found from its channels and, with data, from their frequencies.
+
+    Raises IdentifiabilityError where the rig has no steady response, DataError where the data do not suit the rig.
+    """
+    spectrum = None if data is None else _spectrum(rig, data, frequency_hz, None, [])
+    return structure(rig.model, rig.channels if spectrum is None else spectrum.channels, spectrum, seed)
+
+
+def simulate(
+    rig: Rig,
+    values: Mapping[str, float],
+    frequencies: str | Sequence[float],
+    *,
+    samples: int = 200,
+    amplitudes: Mapping[str, complex] | None = None,
+    periods: float = 10.0,
+    rate: float | None = None,
+    seed: int = 0,
+) -> tuple[Record, ...]:
+    """The stepped-sine records that a rig would yield, with the noise that its channels state: one for each dwell.
+
+    values       of the unknowns by name, SI units; guesses of the rig file stand in for what is not given
+    frequencies  Hz: a sequence, or as the command line has them ("1:10:0.5", "1:10/25")
+    samples      of each dwell, spread over `periods`, or taken at `rate` (Hz)
+    amplitudes   of the inputs by name, SI units; 1 where not given
+
+    Raises UsageError where an unknown has no value or an input does not exist.
+    """
+    chosen = frequencies_of(frequencies) if isinstance(frequencies, str) else frequencies
+    model = rig.model
+    test = dwells(model, chosen, samples, amplitudes=amplitudes, periods=periods, rate=rate)
+    p = model.parameters(model.theta(values))
+    return tuple(simulate_records(model, p, rig.channels, test, np.random.default_rng(seed)))
+
+
+def text(value: Estimate | Comparison) -> str:
+    """What the command prints of a result."""
+    from dashpot.present.tables.comparison import show_comparison
+    from dashpot.present.tables.estimate import estimate_text
+    from dashpot.present.tables.layout import printed
+
+    if isinstance(value, Comparison):
+        return printed(lambda out: show_comparison(out, value))
+    return estimate_text(value)
+
+
+def html(value: Rig | Record | Spectrum | Estimate) -> str:
+    """A value as HTML, for a notebook."""
+    from dashpot.present.tables import spectrum as tables
+    from dashpot.present.tables.estimate import estimate_html
+
+    if isinstance(value, Estimate):
+        return estimate_html(value) if value.values.ndim == 1 else f"<p>{len(value.values)} estimates</p>"
+    if isinstance(value, Rig):
+        return tables.rig_html(value)
+    return tables.record_html(value) if isinstance(value, Record) else tables.spectrum_html(value)
+
+
+def plot(value: Estimate | Comparison, level: float = 0.95) -> Any:
+    """A matplotlib Figure of the values with their intervals."""
+    from dashpot.present.figures.comparison import comparison_figure, estimate_figure
+
+    return comparison_figure(value, level) if isinstance(value, Comparison) else estimate_figure(value, level)
+
+
+def _model(rig: Rig | Model) -> Model:
+    return rig.model if isinstance(rig, Rig) else rig
+
+
+def _spectrum(
+    rig: Rig | Model,
+    data: Data,
+    frequency_hz: float | None,
+    conditioning: Conditioning | None,
+    methods: Sequence[str],
+) -> Spectrum:
+    """Amplitudes of any data, with second moments of the samples where a method needs them and there are samples."""
+    if isinstance(data, Spectrum):
+        if frequency_hz is not None or conditioning is not None:
+            raise UsageError(
+                "a spectrum has been conditioned already", cure="leave frequency_hz and conditioning out"
+            )
+        return data
+    settings = Conditioning() if conditioning is None else conditioning
+    if isinstance(data, Record):
+        data = (data,)
+    if not isinstance(data, Reading | str | os.PathLike):
+        if data and all(isinstance(item, Record) for item in data):
+            records = [item for item in data if isinstance(item, Record)]
+            return spectrum_of_records(records, settings.changed(moments="ls" in methods))
+        data = read(
+            [item for item in data if not isinstance(item, Record)], _channels(rig), frequency_hz=frequency_hz
+        )
+    if not isinstance(data, Reading):
+        data = read(data, _channels(rig), frequency_hz=frequency_hz)
+    return data.spectrum(settings.changed(moments="ls" in methods and data.amplitudes is None))
+
+
+def _channels(rig: Rig | Model) -> Sequence[Channel]:
+    return rig.channels if isinstance(rig, Rig) else default_channels(rig)

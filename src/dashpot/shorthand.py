@@ -1,0 +1,15 @@
+"""Methods of values that are short for functions of the package: `rig.identify(data)` is `dashpot.identify(rig, data)`.
+
+A value knows none of the layers above its own.  The function is looked up in `dashpot.api` by its name when the method
+is called, as `dashpot.identify` is when it is used; nothing is imported before.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import Any
+
+
+def call(function: str, *arguments: Any, **options: Any) -> Any:
+    """Call a function of `dashpot.api` by its name."""
+    return getattr(import_module("dashpot.api"), function)(*arguments, **options)

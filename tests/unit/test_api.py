@@ -1,0 +1,152 @@
+"""The public verbs as people type them, and values as they show themselves."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from matplotlib.figure import Figure
+
+import dashpot
+from dashpot import Estimate, Rig
+from dashpot.app.cli import run
+from dashpot.data.readers import write_records
+
+RIG = """\
+name = "Two masses on a shaken base"
+coordinates = ["x1", "x2"]
+[inputs]
+u = { kind = "displacement" }
+[masses]
+m1 = { at = "x1" }
+m2 = { at = "x2", value = 2.7 }
+[springs]
+k1 = { between = ["x1", "x2"], value = 4600 }
+k2 = { between = ["x2", "u"], value = 4600 }
+[dampers]
+c1 = { between = ["x1", "x2"] }
+c2 = { between = ["x2", "u"] }
+[channels]
+x1 = { of = "x1", unit = "mm", noise = 0.02 }
+x2 = { of = "x2", unit = "mm", noise = 0.02 }
+u = { of = "u", unit = "mm" }
+"""
+VALUES = {"m1": 3.0, "c1": 20.0, "c2": 30.0}
+
+
+@pytest.fixture
+def rig(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Rig:
+    monkeypatch.chdir(tmp_path)
+    Path("rig.toml").write_text(RIG, encoding="utf-8")
+    rig = dashpot.read_rig("rig.toml")
+    write_records(list(rig.simulate(VALUES, "1:15/8log", amplitudes={"u": 0.01}, seed=1)), "data.csv")
+    return rig
+
+
+def test_every_way_to_say_it_gives_the_same(rig: Rig) -> None:
+    plain = dashpot.identify(rig.model, dashpot.read("data.csv", rig.channels).spectrum())
+    records = dashpot.read("data.csv", rig).records
+    for estimate in (
+        rig.identify("data.csv"),
+        rig.identify(Path("data.csv")),
+        rig.identify(["data.csv"]),
+        rig.identify(rig.read("data.csv")),
+        rig.identify(records),
+        rig.identify(rig.read("data.csv").spectrum()),
+        dashpot.identify(rig, "data.csv"),
+        dashpot.identify(rig, "data.csv", "oiv"),
+    ):
+        np.testing.assert_array_equal(estimate.values, plain.values)
+        np.testing.assert_array_equal(estimate.covariance, plain.covariance)
+
+
+def test_a_record_alone_is_data(rig: Rig) -> None:
+    """One dwell at 3 Hz fixes two combinations of amplitudes and phases: enough for one damper."""
+    known = dashpot.parse_rig(RIG.replace('m1 = { at = "x1" }', 'm1 = { at = "x1", value = 3 }'))
+    (record,) = known.simulate({"c1": 20.0, "c2": 30.0}, [3.0], amplitudes={"u": 0.01})
+    assert known.identify(record).names == ("c1", "c2")
+
+
+def test_a_model_reads_files_by_the_names_of_its_coordinates(rig: Rig) -> None:
+    by_model = dashpot.identify(rig.model, "data.csv", "ml")
+    # The file is in mm and the model's own channels are in m: nothing but ratios enters a rig moved at its base.
+    np.testing.assert_allclose(by_model.values, rig.identify("data.csv", "ml").values, rtol=0.02)
+
+
+def test_values_by_name(rig: Rig) -> None:
+    estimate = rig.identify("data.csv")
+    assert abs(estimate["m1"].value - 3) < 4 * estimate["m1"].sd < 0.2
+
+
+def test_what_is_printed_is_what_the_command_prints(rig: Rig, capsys: pytest.CaptureFixture[str]) -> None:
+    estimate = rig.identify("data.csv")
+    assert run(["identify", "rig.toml", "data.csv"]) == 0
+    table = capsys.readouterr().out
+    shown = str(estimate)
+    for line in shown.splitlines()[:12]:  # below, the command adds its verdict
+        assert line in table
+    assert "± is one standard deviation" in shown
+
+
+def test_one_line_each(rig: Rig) -> None:
+    estimate = rig.identify("data.csv")
+    records = rig.read("data.csv").records
+    for value in (rig, estimate, records[0], rig.read("data.csv").spectrum()):
+        text = repr(value)
+        assert "\n" not in text
+        assert len(text) < 400
+        assert "array(" not in text
+    assert "m1 = 3" in repr(estimate)
+
+
+def test_a_batch_is_one_line(rig: Rig) -> None:
+    model = rig.model
+    p = model.parameters(model.theta(VALUES))
+    test = dashpot.dwells(model, [1.0, 2, 4, 8], 200)
+    many = dashpot.simulate_spectrum(model, p, rig.channels, test, np.random.default_rng(0), draws=3)
+    estimates = rig.identify(many)
+    assert repr(estimates).startswith("<3 estimates by oiv of m1, c1, c2")
+    assert str(estimates) == repr(estimates)
+
+
+def test_notebooks_get_tables_without_scripts(rig: Rig) -> None:
+    records = rig.read("data.csv").records
+    for value in (rig, records[0], rig.read("data.csv").spectrum(), rig.identify("data.csv")):
+        html = value._repr_html_()
+        assert html.startswith(("<table>", "<p>"))
+        assert html.count("<table>") == html.count("</table>") >= 1
+
+
+def test_a_plot_has_a_panel_for_each_unknown(rig: Rig) -> None:
+    figure = rig.identify("data.csv").plot()
+    assert isinstance(figure, Figure)
+    assert [axes.get_title(loc="left") for axes in figure.axes if axes.get_visible()] == ["m1", "c1", "c2"]
+
+
+def test_compare_takes_names(rig: Rig) -> None:
+    found = rig.compare("data.csv", ["wls", "oiv"], truth=VALUES)
+    assert list(found.estimates) == ["wls", "oiv"]
+
+
+def test_check_before_and_with_data(rig: Rig) -> None:
+    assert rig.check().identifiable
+    assert rig.check("data.csv").identifiable
+
+
+def test_what_cannot_be_found_is_refused_as_by_the_command(rig: Rig) -> None:
+    parallel = dashpot.parse_rig(RIG.replace("[channels]", 'c3 = { between = ["x1", "x2"] }\n[channels]'))
+    with pytest.raises(dashpot.IdentifiabilityError, match=r"c1 \+ c3"):
+        parallel.identify("data.csv")
+
+
+def test_a_spectrum_is_not_conditioned_again(rig: Rig) -> None:
+    spectrum = rig.read("data.csv").spectrum()
+    with pytest.raises(dashpot.UsageError, match="conditioned already"):
+        rig.identify(spectrum, conditioning=dashpot.Conditioning(settle="auto"))
+
+
+def test_values_saved_before_are_shown_again(rig: Rig) -> None:
+    estimate = rig.identify("data.csv")
+    Path("e.json").write_text(estimate.to_json(), encoding="utf-8")
+    assert repr(Estimate.load("e.json")) == repr(estimate)
