@@ -6,11 +6,9 @@ p = T θ + p⁰        δ = B x + D u        Bᵀ (p ∘ a) = S f
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
-from types import MappingProxyType
-from typing import Literal
 
 import numpy as np
 from scipy import sparse
@@ -19,29 +17,11 @@ from dashpot.arrays import Complex, Ints, Real, frozen
 from dashpot.errors import ModelError, UsageError
 from dashpot.io.words import counted, shown
 from dashpot.model.elements import MATRICES, Element, Kind
+from dashpot.model.inputs import Input as Input
 from dashpot.model.nonlinear.force_law import Constant, unit_of
 from dashpot.model.validation import problems
 
-InputKind = Literal["displacement", "force"]
 DENSE = 1_000_000  # numbers up to which products of incidences are kept as full matrices
-
-
-@dataclass(frozen=True)
-class Input:
-    """A prescribed displacement, or a force that acts `at` coordinates (coordinate → factor)."""
-
-    name: str
-    kind: InputKind = "displacement"
-    at: Mapping[str, float] = field(default_factory=dict)
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "at", MappingProxyType(dict(self.at)))
-
-    def __reduce__(self) -> tuple[object, ...]:
-        return (Input, (self.name, self.kind, dict(self.at)))
-
-    def __hash__(self) -> int:
-        return hash((self.name, self.kind, frozenset(self.at.items())))
 
 
 @dataclass(frozen=True)

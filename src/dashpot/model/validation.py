@@ -4,16 +4,13 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from dashpot.errors import Problem
 from dashpot.io.words import listed
 from dashpot.model.elements import Element
-
-if TYPE_CHECKING:
-    from dashpot.model.network import Input
+from dashpot.model.inputs import Input
 
 
 def problems(
@@ -34,34 +31,33 @@ def problems(
     if complete and not elements:
         yield Problem("there are no elements", "masses", "add masses, springs or dampers")
     complete = complete and bool(coordinates) and bool(elements)
-    points = dict.fromkeys(
-        (*coordinates, *(source.name for source in inputs if source.kind == "displacement"))
-    )
-    attached = {point for element in elements for point in element.along}
+    moved = [source.name for source in inputs if source.kind == "displacement"]
+    points = dict.fromkeys((*coordinates, *moved))
     for source in inputs:
         yield from _input_problems(source, coordinates, complete)
-        if complete and source.kind == "displacement" and source.name not in attached:
-            yield Problem(
-                f"no element is attached to the input {source.name}",
-                source.name,
-                "attach one or remove the input",
-            )
-    for stranger in sorted(set(angles) - set(points)) if complete else ():
-        yield Problem(
-            f"{stranger} is neither a coordinate nor a displacement input",
-            "angles",
-            f"there are {listed(points)}",
-        )
     for element in elements:
         yield from _element_problems(element, points, complete)
     yield from _tie_problems(elements, frozenset(angles), complete)
-    for coordinate in dict.fromkeys(coordinates) if complete else ():
-        if coordinate not in attached:
-            yield Problem(
-                f"nothing is attached to the coordinate {coordinate}",
-                coordinate,
-                "attach an element or remove it",
-            )
+    if complete:
+        yield from _loose_ends(coordinates, moved, elements, set(angles) - set(points))
+
+
+def _loose_ends(
+    coordinates: Sequence[str], moved: Sequence[str], elements: Sequence[Element], strangers: Collection[str]
+) -> Iterator[Problem]:
+    """Points that nothing is attached to, and angles that are no points."""
+    attached = {point for element in elements for point in element.along}
+    for name in moved:
+        if name not in attached:
+            what = f"no element is attached to the input {name}"
+            yield Problem(what, name, "attach one or remove the input")
+    for name in sorted(strangers):
+        what = f"{name} is neither a coordinate nor a displacement input"
+        yield Problem(what, "angles", f"there are {listed((*coordinates, *moved))}")
+    for name in dict.fromkeys(coordinates):
+        if name not in attached:
+            what = f"nothing is attached to the coordinate {name}"
+            yield Problem(what, name, "attach an element or remove it")
 
 
 def _name_problems(

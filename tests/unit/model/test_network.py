@@ -233,7 +233,7 @@ def test_a_circle_is_told_at_each_of_its_members_and_not_at_what_hangs_on_it() -
 def test_a_model_tells_all_its_problems() -> None:
     with pytest.raises(ModelError) as caught:
         model(spring("k", value=-1.0), spring("q", "x1", "y"), inputs=(Input("u"),), coordinates=("x1", "x2"))
-    assert [problem.where for problem in caught.value.problems] == ["u", "k", "q", "x2"]
+    assert [problem.where for problem in caught.value.problems] == ["k", "q", "u", "x2"]
 
 
 def test_an_inerter_may_be_tied_to_a_mass() -> None:

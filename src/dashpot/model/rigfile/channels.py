@@ -13,8 +13,8 @@ from dashpot.io.toml_document import Place
 from dashpot.io.words import did_you_mean, listed, written
 from dashpot.model.elements import Element
 from dashpot.model.network import Input
-from dashpot.model.rigfile.amounts import bare, factors, in_si, is_share
-from dashpot.model.rigfile.reading import Reading
+from dashpot.model.rigfile.amounts import factors, in_si, is_share, number_of
+from dashpot.model.rigfile.reading import RigReading
 from dashpot.model.rigfile.rig import all_angles, is_electrical, scale_of_points
 from dashpot.model.rigfile.schema import GROUND, TABLES, ChannelEntry
 from dashpot.units import scale, sensitivity, si_unit
@@ -71,7 +71,7 @@ class Measurables:
         return self.inputs[first].at
 
 
-def read_channels(reading: Reading, measurables: Measurables) -> list[Channel] | None:
+def read_channels(reading: RigReading, measurables: Measurables) -> list[Channel] | None:
     """The channels; None where the file has no such section."""
     if "channels" not in reading.table:
         return None
@@ -89,7 +89,7 @@ def read_channels(reading: Reading, measurables: Measurables) -> list[Channel] |
     return channels
 
 
-def _check_shared_gains(reading: Reading, channels: Sequence[Channel]) -> None:
+def _check_shared_gains(reading: RigReading, channels: Sequence[Channel]) -> None:
     """Whoever shares a gain shares an unknown one, of a channel that has it from nobody else."""
     by_name = {channel.name: channel for channel in channels}
     table = reading.table["channels"]
@@ -113,7 +113,7 @@ def _check_shared_gains(reading: Reading, channels: Sequence[Channel]) -> None:
 
 
 def _channel(
-    reading: Reading, name: str, entry: ChannelEntry, raw: Mapping[str, Any], measurables: Measurables
+    reading: RigReading, name: str, entry: ChannelEntry, raw: Mapping[str, Any], measurables: Measurables
 ) -> Channel | None:
     place = ("channels", name)
     given = {point: factor for point, factor in entry.of.items() if point != GROUND}
@@ -133,7 +133,7 @@ def _channel(
 
 
 def _points_good(
-    reading: Reading, place: Place, of: Mapping[str, float], as_table: bool, measurables: Measurables
+    reading: RigReading, place: Place, of: Mapping[str, float], as_table: bool, measurables: Measurables
 ) -> bool:
     if not of:
         reading.report.add((*place, "of"), "the ground does not move", "name what the channel measures")
@@ -153,7 +153,7 @@ def _points_good(
     return good
 
 
-def _numbers_good(reading: Reading, place: Place, entry: ChannelEntry) -> bool:
+def _numbers_good(reading: RigReading, place: Place, entry: ChannelEntry) -> bool:
     faults: list[tuple[str, str, str]] = []
     if entry.same_gain_as is not None and "gain" in entry.model_fields_set and entry.gain is not None:
         cure = 'write gain = "unknown", or leave it out'
@@ -164,20 +164,22 @@ def _numbers_good(reading: Reading, place: Place, entry: ChannelEntry) -> bool:
         cure = 'write 1, -1 or "unknown"; a factor belongs into gain'
         faults.append(("sign", f"the sign is {entry.sign:g}", cure))
     for key in ("noise", "relative_noise"):
-        if bare(getattr(entry, key)) < 0:
-            faults.append((key, f"a standard deviation of {bare(getattr(entry, key)):g}", "give 0 or more"))
+        if number_of(getattr(entry, key)) < 0:
+            faults.append(
+                (key, f"a standard deviation of {number_of(getattr(entry, key)):g}", "give 0 or more")
+            )
     if is_share(entry.noise) and "relative_noise" in entry.model_fields_set:
         faults.append(("noise", "the relative noise is given twice", "leave out relative_noise, or noise"))
-    if entry.rate is not None and bare(entry.rate) <= 0:
+    if entry.rate is not None and number_of(entry.rate) <= 0:
         cure = "give a positive number of samples per second"
-        faults.append(("rate", f"a rate of {bare(entry.rate):g} Hz", cure))
+        faults.append(("rate", f"a rate of {number_of(entry.rate):g} Hz", cure))
     for key, what, cure in faults:
         reading.report.add((*place, key), what, cure)
     return not faults
 
 
 def _calibrated(
-    reading: Reading,
+    reading: RigReading,
     name: str,
     entry: ChannelEntry,
     of: Mapping[str, float],
@@ -212,13 +214,17 @@ def _calibrated(
 
 
 def _with_numbers(
-    reading: Reading, place: Place, entry: ChannelEntry, channel: Channel, noise_scale: Callable[[str], float]
+    reading: RigReading,
+    place: Place,
+    entry: ChannelEntry,
+    channel: Channel,
+    noise_scale: Callable[[str], float],
 ) -> Channel | None:
     """The channel with its delay, noise and rate; None, and told, where one has no such unit."""
     delay, rate = entry.delay, entry.rate
     numbers: dict[str, float | None] = {"relative_noise": entry.relative_noise}
     if is_share(entry.noise):
-        numbers["relative_noise"] = bare(entry.noise) / 100
+        numbers["relative_noise"] = number_of(entry.noise) / 100
     else:
         numbers["noise"] = in_si(reading, (*place, "noise"), entry.noise, 1.0, noise_scale)
     if rate is not None:

@@ -9,9 +9,9 @@ from typing import Any
 from dashpot.io.toml_document import Place
 from dashpot.io.words import did_you_mean, listed, quoted, written
 from dashpot.model.elements import Element
-from dashpot.model.rigfile.amounts import factors, in_si, is_share
+from dashpot.model.rigfile.amounts import factors, in_si, read_numbers
 from dashpot.model.rigfile.force_laws import read_law, split_constants
-from dashpot.model.rigfile.reading import Reading
+from dashpot.model.rigfile.reading import RigReading
 from dashpot.model.rigfile.rig import scale_of_points
 from dashpot.model.rigfile.schema import GROUND, SECTIONS, ElementEntry
 from dashpot.quantities import Amount
@@ -27,7 +27,7 @@ class Points:
     angles: frozenset[str]
 
 
-def read_elements(reading: Reading, points: Points) -> list[Element]:
+def read_elements(reading: RigReading, points: Points) -> list[Element]:
     """The elements of all sections, in the order of the file."""
     elements = []
     for section in (key for key in reading.table if key in SECTIONS):
@@ -45,7 +45,7 @@ def read_elements(reading: Reading, points: Points) -> list[Element]:
     return elements
 
 
-def _check_ties(reading: Reading, elements: list[Element]) -> None:
+def _check_ties(reading: RigReading, elements: list[Element]) -> None:
     tables = (reading.table.get(section) for section in SECTIONS)
     names = {name: None for table in tables if isinstance(table, dict) for name in table}
     for element in elements:
@@ -58,7 +58,7 @@ def _check_ties(reading: Reading, elements: list[Element]) -> None:
 
 
 def _element(
-    reading: Reading, section: str, name: str, entry: ElementEntry, raw: Mapping[str, Any], points: Points,
+    reading: RigReading, section: str, name: str, entry: ElementEntry, raw: Mapping[str, Any], points: Points,
     constants: Mapping[str, Any],
 ) -> Element | None:  # fmt: skip
     place = (section, name)
@@ -72,7 +72,7 @@ def _element(
 
 
 def _numbers(
-    reading: Reading, place: Place, entry: ElementEntry, element: Element, angles: Collection[str]
+    reading: RigReading, place: Place, entry: ElementEntry, element: Element, angles: Collection[str]
 ) -> dict[str, Any] | None:
     """Value, sd, guess and limits in SI units under the names of Element; None, and told, where one is faulty."""
 
@@ -88,42 +88,11 @@ def _numbers(
     )
     if plain is None:
         return None
-    numbers: dict[str, float] = {}
-    faulty = False
-    for key, field in (
-        ("value", "value"),
-        ("sd", "sd"),
-        ("guess", "guess"),
-        ("min", "lower"),
-        ("max", "upper"),
-    ):
-        given = getattr(entry, key)
-        if given is None:
-            continue
-        if is_share(given):
-            number = _share_of_value(reading, (*place, key), given, numbers.get("value"))
-        else:
-            number = in_si(reading, (*place, key), given, plain, scale_of)
-        if number is None:
-            faulty = True
-        else:
-            numbers[field] = number
-    return None if faulty else numbers
-
-
-def _share_of_value(reading: Reading, place: Place, share: Amount, value: float | None) -> float | None:
-    """An sd in per cent of the value; None, and told, for another key or where there is no value."""
-    if place[-1] != "sd":
-        reading.report.add(place, f"{share} is a share", "only an sd may be one, of the value; write a unit")
-        return None
-    if value is None:
-        reading.report.add(place, f"an sd of {share} without a value", "give the value that it is a share of")
-        return None
-    return abs(value) * share.number / 100
+    return read_numbers(reading, place, entry, plain, scale_of)
 
 
 def _attachment(
-    reading: Reading, place: Place, entry: ElementEntry, raw: Mapping[str, Any], points: Points
+    reading: RigReading, place: Place, entry: ElementEntry, raw: Mapping[str, Any], points: Points
 ) -> dict[str, float] | None:
     """Points and factors of the elongation; None, and the problem reported, where they are not said."""
     key = _way_of_attachment(reading, place, entry)
@@ -151,7 +120,7 @@ def _attachment(
     return attached
 
 
-def _way_of_attachment(reading: Reading, place: Place, entry: ElementEntry) -> str | None:
+def _way_of_attachment(reading: RigReading, place: Place, entry: ElementEntry) -> str | None:
     given = [key for key in ("at", "between", "along") if getattr(entry, key) is not None]
     if len(given) == 1:
         return given[0]
@@ -164,7 +133,7 @@ def _way_of_attachment(reading: Reading, place: Place, entry: ElementEntry) -> s
     return None
 
 
-def _two_points(reading: Reading, place: Place, pair: list[str]) -> bool:
+def _two_points(reading: RigReading, place: Place, pair: list[str]) -> bool:
     place_of_pair = (*place, "between")
     if place[0] == "masses":
         first = next((point for point in pair if point != GROUND), "x1")

@@ -5,12 +5,14 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from dashpot.errors import ModelError
+from dashpot.errors import ModelError, UsageError
 from dashpot.io.toml_document import Place
 from dashpot.io.words import quoted
-from dashpot.model.nonlinear.force_law import Constant, ForceLaw, force_law
-from dashpot.model.rigfile.reading import Reading
+from dashpot.model.nonlinear.force_law import Constant, ForceLaw, force_law, unit_of
+from dashpot.model.rigfile.amounts import read_numbers
+from dashpot.model.rigfile.reading import RigReading
 from dashpot.model.rigfile.schema import ConstantEntry, ElementEntry
+from dashpot.units import factor_between
 
 
 def split_constants(raw: object) -> tuple[object, dict[str, Any]]:
@@ -22,7 +24,7 @@ def split_constants(raw: object) -> tuple[object, dict[str, Any]]:
 
 
 def read_law(
-    reading: Reading, place: Place, entry: ElementEntry, constants: Mapping[str, Any]
+    reading: RigReading, place: Place, entry: ElementEntry, constants: Mapping[str, Any]
 ) -> tuple[ForceLaw | None, bool]:
     """(the law that an entry gives, None where it gives none; whether it can be read)."""
     if entry.law is None:
@@ -36,41 +38,67 @@ def read_law(
             (*place, "unit"), "the unit follows from the law", "leave it out; numbers are in SI units"
         )
         return None, False
-    inner = [_constant(reading, (*place, name), name, raw) for name, raw in constants.items()]
-    if any(constant is None for constant in inner):
-        return None, False
+    entries = {name: _constant_entry(reading, (*place, name), name, raw) for name, raw in constants.items()}
+    damper = place[0] == "dampers"
     try:
-        return force_law(entry.law, [c for c in inner if c is not None], damper=place[0] == "dampers"), True
+        law = force_law(entry.law, [Constant(name) for name in entries], damper=damper)
+        inner = [
+            None if given is None else _constant(reading, (*place, name), name, given, law)
+            for name, given in entries.items()
+        ]
+        whole = [constant for constant in inner if constant is not None]
+        if len(whole) < len(inner):
+            return None, False
+        return force_law(entry.law, whole, damper=damper), True
     except ModelError as error:
         for problem in error.problems:
             reading.report.add((*place, "law"), problem.what, problem.cure)
         return None, False
 
 
-def _constant(reading: Reading, place: Place, name: str, raw: object) -> Constant | None:
-    """A number, "unknown", or a table with value, sd, guess, min and max; None where it cannot be read."""
+def _constant_entry(reading: RigReading, place: Place, name: str, raw: object) -> ConstantEntry | None:
+    """What is said of a constant: an amount, "unknown", or a table; None, and told, where it cannot be read."""
     if raw == "unknown":
-        return Constant(name)
-    if isinstance(raw, int | float) and not isinstance(raw, bool):
-        raw = {"value": float(raw)}
+        return ConstantEntry()
+    if isinstance(raw, str | int | float) and not isinstance(raw, bool):
+        raw = {"value": raw}
     if not isinstance(raw, dict):
         cure = f'write a number, {name} = "unknown", or {name} = {{ guess = 0.1 }}'
         reading.report.add(place, f"{name} is neither a key of elements nor a constant of the law", cure)
         return None
-    entry = reading.validated(ConstantEntry, raw, place)
-    if entry is None:
+    return reading.validated(ConstantEntry, raw, place)
+
+
+def _constant(
+    reading: RigReading, place: Place, name: str, entry: ConstantEntry, law: ForceLaw
+) -> Constant | None:
+    """A constant in SI units; None, and told, where its numbers make no sense."""
+    exponents = law.exponents[1].get(name, (0.0, 0.0))
+
+    def scale_of(unit: str) -> float:
+        try:
+            return factor_between(unit, unit_of(exponents))
+        except UsageError:
+            # Between angles what counts in metres elsewhere counts in radians.
+            try:
+                return factor_between(unit, unit_of(exponents, angle=True))
+            except UsageError:
+                pass
+            raise
+
+    numbers = read_numbers(reading, place, entry, 1.0, scale_of)
+    if numbers is None:
         return None
-    if entry.sd is not None and (entry.value is None or entry.sd <= 0):
-        reading.report.add(
-            place, "sd without a value, or not positive", "give the value that a positive sd belongs to"
-        )
+    constant = Constant(name, **numbers)
+    if constant.sd is not None and (constant.value is None or constant.sd <= 0):
+        cure = "give the value that a positive sd belongs to"
+        reading.report.add(place, "sd without a value, or not positive", cure)
         return None
-    if entry.min is not None and entry.max is not None and entry.min >= entry.max:
-        reading.report.add(
-            place, f"min {entry.min:g} is not below max {entry.max:g}", "exchange or change them"
-        )
+    if constant.lower is not None and constant.upper is not None and constant.lower >= constant.upper:
+        what = f"min {constant.lower:g} is not below max {constant.upper:g}"
+        reading.report.add(place, what, "exchange or change them")
         return None
-    return Constant(name, entry.value, entry.sd, entry.guess, entry.min, entry.max)
+    return constant
 
 
 def law_fields(law: ForceLaw) -> dict[str, str]:

@@ -8,12 +8,12 @@ from typing import Any
 
 from dashpot.io.words import listed, shown, written
 from dashpot.model.elements import Element
-from dashpot.model.rigfile.reading import Reading
+from dashpot.model.rigfile.reading import RigReading
 from dashpot.model.rigfile.schema import FREE_EXAMPLE, Head
 from dashpot.model.unstructured import LETTERS, Letter, Pairs, free_elements
 
 
-def read_free(reading: Reading, head: Head) -> tuple[Element, ...]:
+def read_free(reading: RigReading, head: Head) -> tuple[Element, ...]:
     """Elements of the free matrices, none where there are none."""
     if "free" not in reading.table:
         return ()
@@ -49,7 +49,7 @@ def _entries(raw: object) -> dict[str, Any] | None:
     return raw if isinstance(raw, dict) else None
 
 
-def _pairs(reading: Reading, letter: Letter, entries: object, coordinates: Sequence[str]) -> Pairs | None:
+def _pairs(reading: RigReading, letter: Letter, entries: object, coordinates: Sequence[str]) -> Pairs | None:
     """The off-diagonal entries of a free matrix; None where they are misnamed."""
     if entries == "full":
         return list(combinations(coordinates, 2))

@@ -14,7 +14,7 @@ from dashpot.model.rigfile.amounts import factors
 from dashpot.model.rigfile.channels import Measurables, read_channels
 from dashpot.model.rigfile.elements import Points, read_elements
 from dashpot.model.rigfile.free import read_free
-from dashpot.model.rigfile.reading import Reading
+from dashpot.model.rigfile.reading import RigReading
 from dashpot.model.rigfile.rig import Rig, default_channels
 from dashpot.model.rigfile.schema import SECTIONS, Head, InputEntry
 
@@ -38,7 +38,7 @@ def parse_rig(text: str, path: str = "rig.toml") -> Rig:
 
 
 def _rig(document: TomlDocument) -> Rig:
-    reading = Reading(document)
+    reading = RigReading(document)
     head = reading.head()
     inputs = _inputs(reading, head)
     points = _points(reading, head, inputs)
@@ -59,7 +59,7 @@ def _rig(document: TomlDocument) -> Rig:
     return Rig(model, default_channels(model) if channels is None else tuple(channels), document.path)
 
 
-def _inputs(reading: Reading, head: Head) -> list[Input]:
+def _inputs(reading: RigReading, head: Head) -> list[Input]:
     inputs = []
     for name, raw in reading.entries("inputs"):
         entry = reading.entry(InputEntry, "inputs", name, raw)
@@ -80,7 +80,7 @@ def _inputs(reading: Reading, head: Head) -> list[Input]:
     return inputs
 
 
-def _points(reading: Reading, head: Head, inputs: Sequence[Input]) -> dict[str, None]:
+def _points(reading: RigReading, head: Head, inputs: Sequence[Input]) -> dict[str, None]:
     """All points there are, those of faulty inputs too: they exist, whatever is wrong with them."""
     moved = [entry.name for entry in inputs if entry.kind == "displacement"]
     table = reading.table.get("inputs")
@@ -88,14 +88,16 @@ def _points(reading: Reading, head: Head, inputs: Sequence[Input]) -> dict[str, 
     return dict.fromkeys((*head.coordinates, *moved, *broken))
 
 
-def _check_model(reading: Reading, head: Head, inputs: Sequence[Input], elements: Sequence[Element]) -> None:
+def _check_model(
+    reading: RigReading, head: Head, inputs: Sequence[Input], elements: Sequence[Element]
+) -> None:
     whole = [element for element in elements if element.name not in reading.faulty]
     complete = not reading.faulty
     for problem in validation.problems(head.coordinates, inputs, whole, head.angles, complete=complete):
         reading.report.add(_place_of(reading, problem.where), problem.what, problem.cure)
 
 
-def _place_of(reading: Reading, name: str | None) -> Place:
+def _place_of(reading: RigReading, name: str | None) -> Place:
     """The last place in the file where `name`, of a coordinate, input or element, is given."""
     if name is None:
         return ()

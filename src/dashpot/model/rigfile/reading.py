@@ -23,7 +23,7 @@ from dashpot.model.rigfile.schema import (
 )
 
 
-class Reading:
+class RigReading:
     """A document, the report of its problems, and the names of inputs and elements that could not be read whole."""
 
     def __init__(self, document: TomlDocument) -> None:

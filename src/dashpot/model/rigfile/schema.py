@@ -217,11 +217,11 @@ class ElementEntry(Entry):
 
 
 class ConstantEntry(Entry):
-    value: Number | None = None
-    sd: Number | None = None
-    guess: Number | None = None
-    min: Number | None = None
-    max: Number | None = None
+    value: GivenAmount | None = None
+    sd: GivenAmount | None = None
+    guess: GivenAmount | None = None
+    min: GivenAmount | None = None
+    max: GivenAmount | None = None
 
 
 class ChannelEntry(Entry):

@@ -130,3 +130,23 @@ def test_what_python_shows_of_a_rig_is_one_short_line(rig: Rig) -> None:
     assert repr(element(rig, "k3")) == "<Element k3: spring, x2 - u, 0.5 × k1>"
     assert repr(element(rig, "m2")) == "<Element m2: mass, x2, unknown, guess 3>"
     assert repr(Element("q", Kind.DAMPER, {"a": -1.0, "b": 1.0})) == "<Element q: damper, -a + b, unknown>"
+
+
+def test_inner_constants_of_laws_take_units() -> None:
+    text = 'coordinates = ["x"]\n[masses]\nm = { at = "x" }\n[dampers]\n'
+    law = 'fc = { at = "x", law = "tanh(v/v0)", value = "2 kN", v0 = '
+    for constant, expected in (
+        ('"2 mm/s"', (0.002, None, None)),
+        ('{ value = "2 mm/s", sd = "10 %" }', (0.002, 0.0002, None)),
+        ('{ guess = "3 mm/s", min = "1 mm/s", max = 1 }', (None, None, 0.003)),
+    ):
+        fc = element(parse_rig(f"{text}{law}{constant} }}\n"), "fc")
+        assert fc.value == 2000.0
+        assert fc.force_law is not None
+        (v0,) = fc.force_law.constants
+        for number, wanted in zip((v0.value, v0.sd, v0.guess), expected, strict=True):
+            assert number == (None if wanted is None else pytest.approx(wanted))
+    with pytest.raises(
+        ModelError, match=r'rig.toml:5: dampers.fc.v0.value: "mm" has not the dimension of m/s'
+    ):
+        parse_rig(f'{text}{law}"2 mm" }}\n')
