@@ -13,6 +13,7 @@ from dashpot.errors import printable
 
 if TYPE_CHECKING:
     from dashpot.data.conditioning.settings import Conditioning, SampleMoments
+    from dashpot.data.readers import Reading
     from dashpot.data.spectrum import Spectrum
     from dashpot.model.rigfile import Rig
     from dashpot.notices import Notice
@@ -35,20 +36,34 @@ def read_data(
     quiet: bool,
     *,
     moments_for: Iterable[str] = (),
+    part: tuple[float, float] = (0.0, 1.0),
 ) -> MeasuredData:
     """The amplitudes of data files, with the options of `conditioning_options` by name.
 
     Second moments of the samples are kept where one of the methods named by `moments_for` needs them and the files
-    hold samples.  Raises DataError.
+    hold samples; dwells count as settled where one of them knows no transients.  `part` is the share of every record's
+    samples that is used, from where to where.  Raises DataError.
     """
     from dashpot.data.readers import read
 
     reading = read(paths, rig.channels, frequency_hz=options["frequency"])
     tell_notes(reading.notes, quiet)
-    moments = _moments(moments_for) if reading.amplitudes is None else False
+    methods = tuple(moments_for)
+    moments = _moments(methods) if reading.amplitudes is None else False
     changes: dict[str, Any] = {"moments": moments}
     changes |= {name: value for name, value in reading.conditioning.items() if not _was_given(name)}
-    spectrum = reading.spectrum(replace(conditioning_from(options), **changes))
+    conditioning = replace(conditioning_from(options), **changes)
+    if conditioning.transients == "auto" and (len(rig.model.nonlinear) or not _with_transients(methods)):
+        conditioning = conditioning.changed(transients="none")
+    if options.get("noise_record"):
+        from dashpot.data.conditioning.still import noise_at_rest
+
+        still = read(options["noise_record"], rig.channels)
+        tell_notes(still.notes, quiet)
+        conditioning = conditioning.changed(still=noise_at_rest(still.records))
+    if part != (0.0, 1.0):
+        reading = _part_of(reading, part)
+    spectrum = reading.spectrum(conditioning)
     tell_notes(spectrum.notes, quiet)
     return MeasuredData(spectrum, bool(reading.records))
 
@@ -60,9 +75,29 @@ def read_spectrum(
     quiet: bool,
     *,
     moments_for: Iterable[str] = (),
+    part: tuple[float, float] = (0.0, 1.0),
 ) -> Spectrum:
     """The amplitudes alone, as `read_data` reads them."""
-    return read_data(rig, paths, options, quiet, moments_for=moments_for).spectrum
+    return read_data(rig, paths, options, quiet, moments_for=moments_for, part=part).spectrum
+
+
+def _with_transients(methods: Iterable[str]) -> bool:
+    """Whether all the methods know the transients of whole records."""
+    from dashpot.estimate.registry import method_class
+
+    return all(name == "auto" or method_class(name).traits.transients for name in methods)
+
+
+def _part_of(reading: Reading, part: tuple[float, float]) -> Reading:
+    """The same records with some of their samples.  Raises DataError where there are none to choose from."""
+    from dashpot.data.conditioning.clock import cut
+    from dashpot.data.conditioning.transients import continuous
+    from dashpot.errors import DataError
+
+    if reading.amplitudes is not None:
+        raise DataError("a table of amplitudes has no samples to hold out", cure="give the records")
+    records = tuple(cut(record, *part) for record in continuous(reading.records))
+    return replace(reading, records=records)
 
 
 def _was_given(option: str) -> bool:
@@ -86,6 +121,8 @@ def conditioning_from(options: Mapping[str, Any]) -> Conditioning:
 
     drift = options["drift"]
     treatments = {name: options[name] for name in CONDITIONING}
+    treatments["transients"] = options.get("transients", "auto")
+    treatments["band_hz"] = options.get("record_band") or "auto"
     return Conditioning(**{**treatments, "drift": int(drift) if drift.isdecimal() else drift})
 
 

@@ -10,6 +10,7 @@ import click
 from dashpot.app.files import OutputFile
 from dashpot.app.help import option
 from dashpot.app.parameter_types import (
+    BAND,
     FREQUENCY,
     HARMONICS,
     INPUT_FILE,
@@ -86,6 +87,29 @@ def seed_option(of_what: str, default: int = 0) -> Callable[[Function], Function
 processes_option = option(
     "--processes", type=Count(1, 1024), metavar="N", help="Worker processes.  [default: one per processor]"
 )
+
+
+def whole_record_options(function: Function) -> Function:
+    """How records with transients are used: --band, --transients and --noise-record."""
+    options = [
+        option(
+            "--band", "record_band", type=BAND, metavar="LOWER:UPPER", group=RECORDS,
+            help="Frequencies of a whole record that are used, Hz.  [default: as far as something moves]",
+        ),
+        option(
+            "--transients", type=click.Choice(["auto", "estimate", "none"]), default="auto", show_default=True,
+            group=RECORDS,
+            help="Use records whole and estimate their transients: records of any excitation always, dwells where a "
+            "test finds them unsettled (auto), always (estimate) or never (none).",
+        ),
+        option(
+            "--noise-record", type=INPUT_FILE, multiple=True, metavar="FILE", group=RECORDS,
+            help="A record with nothing driven, which shows the noise of every channel; may be repeated.",
+        ),
+    ]  # fmt: skip
+    for decorate in reversed(options):
+        function = decorate(function)
+    return function
 
 
 def conditioning_options(function: Function) -> Function:

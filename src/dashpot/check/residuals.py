@@ -8,18 +8,22 @@ projection that maximum likelihood makes; ŷ = G v̂.  With exact inputs ŷ is t
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from dashpot.arrays import Complex, Ints, Real, frozen, hermitian
 from dashpot.channel import Channel
 from dashpot.data.spectrum import Spectrum
+from dashpot.estimate.likelihood.boundary_loads import carries_loads
+from dashpot.estimate.likelihood.objective import measured, predict
+from dashpot.estimate.preparation.prepared import Prepared
 from dashpot.estimate.preparation.weighting import noise_is_known, working_covariance
 from dashpot.estimate.result import Estimate
 from dashpot.model.dynamics import no_steady_response
 from dashpot.model.network import Model
 from dashpot.model.observation import (
+    ObservationModel,
     calibration_factors,
     channel_unit,
     input_channels,
@@ -89,11 +93,7 @@ def channel_response(
     what the rig has not.
     """
     view = observation_model(model, channels, omega)
-    given = {} if calibrations is None else calibrations
-    typical = [1.0] * view.gains + [0.0] * view.delays
-    values = [given.get(name, value) for name, value in zip(view.names[view.m :], typical, strict=True)]
-    psi = np.concatenate([np.zeros(view.m), values])
-    sign = np.array([given.get(f"{channel.name}.sign", 1.0) for channel in channels])
+    psi, sign = _of_channels(view, np.zeros(view.m), calibrations)
     G = transfer(view, p).G
     if not np.all(np.isfinite(G)):
         raise no_steady_response()
@@ -122,7 +122,9 @@ def residuals(
     V = working_covariance(model, spectrum)
     if not known:
         V = _relative(y, V)
-    predicted, spread, v = _project(G, y, V)
+    transients = _transients(model, theta, spectrum, V, calibrations)
+    predicted, spread, v = _project(G, y - transients, V)
+    predicted = predicted + transients
     difference = y - predicted
     size = np.diagonal(V, axis1=-2, axis2=-1).real
     variance = np.diagonal(spread, axis1=-2, axis2=-1).real
@@ -148,6 +150,33 @@ def residuals(
         v,
         not known,
     )
+
+
+def _transients(
+    model: Model, theta: Real, spectrum: Spectrum, V: Complex, calibrations: Calibrations | None
+) -> Complex:
+    """What the two ends of whole records add to the channels, (lines, channels); 0 at settled lines."""
+    if not carries_loads(spectrum):
+        return np.zeros(spectrum.amplitudes.shape, dtype=np.complex128)
+    view = observation_model(model, spectrum.channels, spectrum.omega)
+    psi, sign = _of_channels(view, np.asarray(theta, dtype=float), calibrations)
+    one = replace(spectrum, amplitudes=spectrum.amplitudes[None], covariance=V[None], moments=None)
+    at = predict(
+        view,
+        measured(Prepared(model, one, V[None], None, True, np.ones(1, dtype=bool)), view),
+        psi[None],
+        sign[None],
+    )
+    return np.zeros(spectrum.amplitudes.shape, dtype=np.complex128) if at.at_ends is None else at.at_ends[0]
+
+
+def _of_channels(view: ObservationModel, theta: Real, calibrations: Calibrations | None) -> tuple[Real, Real]:
+    """ψ and the signs of the channels; what of a calibration is not estimated is 1, 1 and 0."""
+    given = {} if calibrations is None else calibrations
+    typical = [1.0] * view.gains + [0.0] * view.delays
+    values = [given.get(name, value) for name, value in zip(view.names[view.m :], typical, strict=True)]
+    sign = np.array([given.get(f"{channel.name}.sign", 1.0) for channel in view.channels])
+    return np.concatenate([theta, values]), sign
 
 
 def _relative(y: Complex, V: Complex) -> Complex:

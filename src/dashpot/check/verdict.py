@@ -10,6 +10,7 @@ from dashpot.arrays import Bools, Complex, Real
 from dashpot.check.residuals import Residuals, calibrations_of, residuals
 from dashpot.data.spectrum import Spectrum
 from dashpot.estimate.assessment import Assessment, Judgement, Misfit
+from dashpot.estimate.likelihood.record_noise import RESIDUAL
 from dashpot.estimate.result import Estimate
 from dashpot.io.words import joined
 from dashpot.model.network import Model
@@ -35,9 +36,9 @@ def assess(model: Model, spectrum: Spectrum, estimate: Estimate) -> Assessment:
         *_unphysical(model, estimate),
         *_unstable(estimate),
         *_rejected(estimate),
-        *_smooth(left, motions),
+        *_smooth(left, motions, least=0.5 if RESIDUAL in spectrum.noise else 1.0),
     ]
-    doubts = [*_powerless(estimate), *_unheard(left, motions)]
+    doubts = [*_powerless(estimate, spectrum), *([] if spectrum.records else _unheard(left, motions))]
     verdict: Judgement = "does not fit" if against else "cannot tell" if doubts else "fits"
     return Assessment(verdict, (*against, *doubts), _relative(left, motions), _worst(left))
 
@@ -49,10 +50,13 @@ def _rejected(estimate: Estimate) -> list[Notice]:
     return [Notice("chi2", f"the residuals are {float(fit.misfit):.2g} × the noise")]
 
 
-def _powerless(estimate: Estimate) -> list[Notice]:
+def _powerless(estimate: Estimate, spectrum: Spectrum) -> list[Notice]:
     fit = estimate.fit
     if not fit.known_noise:
         return [Notice("no_noise", "the noise is not known, so that nothing says how large residuals may be")]
+    if RESIDUAL in spectrum.noise:
+        text = "the noise is read from the residuals themselves; a record at rest would make the fit testable"
+        return [Notice("noise_from_residuals", text)]
     if fit.dof < FEWEST:
         return [Notice("few_degrees", f"{fit.dof} degrees of freedom are too few to test the fit")]
     return []
@@ -107,14 +111,14 @@ def _unheard(left: Residuals, motions: Bools) -> list[Notice]:
     ]
 
 
-def _smooth(left: Residuals, motions: Bools) -> list[Notice]:
+def _smooth(left: Residuals, motions: Bools, least: float) -> list[Notice]:
     """Channels whose residuals run smoothly over frequency: noise does not."""
     order = np.argsort(left.frequency_hz, kind="stable")
     names = []
     for c in np.flatnonzero(motions):
         r = left.normalised[order, c] / np.sqrt(2)
         r = r[np.isfinite(r)]
-        if len(r) < 8 or np.mean(np.abs(r) ** 2) < 1.0:
+        if len(r) < 8 or np.mean(np.abs(r) ** 2) < least:
             continue
         size = float(np.sum(np.abs(r) ** 2))
         z = float(np.sum((r[1:] * np.conj(r[:-1])).real)) / size * np.sqrt(2 * len(r))

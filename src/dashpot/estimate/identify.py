@@ -54,12 +54,18 @@ def identify(
         raise UsageError(
             f"the method {chosen.name} does not know nonlinear elements", cure="use the method ml, or hls"
         )
+    if carries_loads(spectrum) and len(model.nonlinear):
+        raise UsageError(
+            "the transients of whole records are known of linear rigs only",
+            cure="give settled dwells with their frequencies, or leave the nonlinear elements out",
+        )
     if carries_loads(spectrum) and not chosen.traits.transients:
         raise UsageError(
             f"the method {chosen.name} works on settled lines; whole records carry transients",
             cure="use the method ml, or give settled dwells with their frequencies",
         )
-    flat = flattened(with_record_noise(model, spectrum, chosen))
+    spectrum, chosen = with_record_noise(model, spectrum, chosen)
+    flat = flattened(spectrum)
     repeats = len(flat.amplitudes)
     size = max(1, CHUNK // (flat.lines * (model.n + 1) * (len(model.elements) + len(flat.channels))))
     parts: list[Inference] = []
@@ -121,6 +127,7 @@ def _estimate(
     if not batch:
         diagnostics.require_determined(around.names, theta, noise, diagnostics.dead_channels(model, spectrum))
         warnings += _notices(model, method, theta, covariance, noise, fit)
+        warnings += diagnostics.short_records(model, theta, spectrum)
         warnings += [] if bounds is None else diagnostics.held(around.names, theta, bounds)
     misfit = bool(np.any(fit.rejected))
     return Estimate(

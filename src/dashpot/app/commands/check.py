@@ -16,6 +16,7 @@ from dashpot.app.options import (
     quiet_option,
     rig_argument,
     seed_option,
+    whole_record_options,
 )
 from dashpot.app.parameter_types import names
 
@@ -45,6 +46,7 @@ WITH_DATA = "With DATA"
 @json_option("the findings")
 @level_option
 @conditioning_options
+@whole_record_options
 @seed_option("the random numbers")
 @quiet_option
 def command(

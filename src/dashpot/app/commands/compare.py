@@ -20,6 +20,7 @@ from dashpot.app.options import (
     quiet_option,
     rig_argument,
     seed_option,
+    whole_record_options,
 )
 from dashpot.app.parameter_types import AMOUNTS, INPUT_FILE
 from dashpot.estimate.registry import METHODS
@@ -58,6 +59,7 @@ WHAT = "What to compare"
 @json_option("all estimates")
 @level_option
 @conditioning_options
+@whole_record_options
 @seed_option("the starting values that ml and the fit to modes draw")
 @quiet_option
 def command(

@@ -20,6 +20,7 @@ from dashpot.app.options import (
     quiet_option,
     rig_argument,
     seed_option,
+    whole_record_options,
 )
 from dashpot.estimate.registry import METHODS
 
@@ -61,6 +62,7 @@ ESTIMATION = "Estimation"
 @option("--matrices", is_flag=True, group="Output", help="Print M, C and K as well.")
 @level_option
 @conditioning_options
+@whole_record_options
 @seed_option("the starting values that ml draws")
 @quiet_option
 def command(
@@ -96,6 +98,7 @@ def command(
     from dashpot.check.diagnosis.diagnose import examined
     from dashpot.errors import ConvergenceError, IdentifiabilityError
     from dashpot.estimate.identify import identify
+    from dashpot.estimate.likelihood.record_noise import with_record_noise
 
     measured = read_data(rig_read, data, conditioning, quiet, moments_for=[chosen])
     spectrum = measured.spectrum
@@ -103,6 +106,7 @@ def command(
     with progress("identify", quiet) as moved:
         method = _method(chosen, rig_read, spectrum, seed, positive)
         try:
+            spectrum, method = with_record_noise(model, spectrum, method)
             estimate = identify(model, spectrum, method, progress=moved)
         except (IdentifiabilityError, ConvergenceError) as error:
             raise _explained(error, model, spectrum, seed) from error

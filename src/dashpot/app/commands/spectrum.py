@@ -5,7 +5,14 @@ from __future__ import annotations
 from typing import Any
 
 from dashpot.app.help import dashpot_command
-from dashpot.app.options import conditioning_options, data_argument, out_option, quiet_option, rig_argument
+from dashpot.app.options import (
+    conditioning_options,
+    data_argument,
+    out_option,
+    quiet_option,
+    rig_argument,
+    whole_record_options,
+)
 from dashpot.errors import printable
 
 
@@ -18,6 +25,7 @@ from dashpot.errors import printable
 @data_argument("CSV files of time records.", name="records", required=True)
 @out_option("FILE.csv", "The table of amplitudes to write.")
 @conditioning_options
+@whole_record_options
 @quiet_option
 def command(rig: str, records: tuple[str, ...], out: str, quiet: bool, **conditioning: Any) -> None:
     """Turn time RECORDS of the channels that RIG lists into a table of complex amplitudes with their noise.

@@ -9,11 +9,14 @@ from typing import Unpack
 import numpy as np
 
 from dashpot.data.calibration import calibration
+from dashpot.data.conditioning.clock import FEWEST
 from dashpot.data.conditioning.drive_frequency import refine_frequency
 from dashpot.data.conditioning.harmonic_fit import fit_harmonics
 from dashpot.data.conditioning.sample_moments import second_moments
 from dashpot.data.conditioning.settings import Conditioning, Treatments, conditioning_of
 from dashpot.data.conditioning.steady_state import settled, without_start
+from dashpot.data.conditioning.transients import LEVEL, continuous, dwells_with_transients, transients_show
+from dashpot.data.conditioning.whole_record import whole_records
 from dashpot.data.record import Record
 from dashpot.data.spectrum import Spectrum, concatenate
 from dashpot.errors import DataError
@@ -23,15 +26,35 @@ from dashpot.notices import Notice
 def spectrum(
     records: Sequence[Record], conditioning: Conditioning | None = None, **treatments: Unpack[Treatments]
 ) -> Spectrum:
-    """One line for each record and order, with the known sign, gain and delay of every channel taken out.
+    """The lines of all records, with the known sign, gain and delay of every channel taken out.
 
-    `conditioning`, or its fields as keywords, says how.  spectrum(a + b) == spectrum(a) + spectrum(b).
-    Raises DataError as Conditioning and `fit_harmonics`.
+    A settled dwell gives a line for each order; records without a frequency, dwells that follow each other in time, and
+    dwells that have not settled give all their lines, with boundary loads for their transients.  `conditioning`, or its
+    fields as keywords, says how.  Settled dwells add: spectrum(a + b) == spectrum(a) + spectrum(b).
+    Raises DataError as Conditioning, `fit_harmonics` and `whole_record`.
     """
     settings = conditioning_of(conditioning, treatments)
     if not records:
         raise DataError("there are no records", cure="give one record at least")
-    return concatenate([_lines(record, settings) for record in records])
+    joined = continuous(records) if settings.dwells_may_be_whole else list(records)
+    whole = [record for record in joined if record.frequency_hz is None]
+    dwells = [record for record in joined if record.frequency_hz is not None]
+    parts = []
+    if dwells and settings.dwells_may_be_whole and _unsettled(dwells, settings):
+        parts.append(dwells_with_transients(dwells, settings.band, settings.still))
+    else:
+        parts += [_lines(record, settings) for record in dwells]
+    if whole:
+        parts.append(whole_records(whole, band_hz=settings.band, still=settings.still))
+    return concatenate(parts)
+
+
+def _unsettled(dwells: Sequence[Record], settings: Conditioning) -> bool:
+    """Whether dwells are to be used with their transients: asked for, or seen in a test of all of them together."""
+    if settings.transients == "estimate":
+        return True
+    usable = all(record.values.ndim == 2 and len(record.time) >= FEWEST for record in dwells)
+    return usable and transients_show(dwells) < LEVEL
 
 
 def _lines(record: Record, settings: Conditioning) -> Spectrum:

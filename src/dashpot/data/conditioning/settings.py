@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Literal, TypedDict, Unpack
 
+from dashpot.data.conditioning.still import Still
 from dashpot.errors import DataError
 
 Noise = Literal["auto", "white", "blocks"]
@@ -14,6 +15,8 @@ Drift = int | Literal["auto", "none"] | None
 Settle = bool | float | Literal["auto", "none"]
 Refine = bool | Literal["auto", "none"]
 SampleMoments = bool | Literal["auto"]
+Transients = Literal["auto", "estimate", "none"]
+Band = tuple[float, float] | Literal["auto"]
 
 USUAL_DRIFT = 1
 HIGHEST_DRIFT = 100  # beyond this Legendre polynomials cost time and no record drifts so
@@ -34,6 +37,9 @@ class Treatments(FitTreatments, total=False):
     moments: SampleMoments
     refine: Refine
     settle: Settle
+    transients: Transients
+    band_hz: Band
+    still: Still | None
 
 
 @dataclass(frozen=True)
@@ -49,6 +55,10 @@ class Conditioning:
     moments    add the second moments of the samples (order 1 alone); "auto": where they can be had
     refine     "auto" (or True): the most likely frequency near the stated one; "none" (or False): the stated one
     settle     "auto" (or True): drop the transient of each record; a number: drop that many seconds; "none" (or False)
+    transients "auto": records without a frequency and dwells that follow each other in time are whole records, and so
+               are dwells that have not settled; "estimate": every dwell is; "none": every dwell counts as settled
+    band_hz    lowest and highest frequency of the lines of whole records, "auto": as far as something moves
+    still      the noise that a record at rest shows, for whole records
 
     Raises DataError for orders that are no multiples, and for a drift or a time out of range.
     """
@@ -60,6 +70,9 @@ class Conditioning:
     moments: SampleMoments = False
     refine: Refine = "none"
     settle: Settle = "none"
+    transients: Transients = "auto"
+    band_hz: Band = "auto"
+    still: Still | None = None
 
     def __post_init__(self) -> None:
         orders = _multiples(self.orders, "orders")
@@ -82,6 +95,11 @@ class Conditioning:
                 object.__setattr__(self, name, "auto" if value else "none")
         if isinstance(self.settle, int | float) and not 0 <= self.settle < 1e12:
             raise DataError(f"a settling time of {self.settle:g} s", cure="give a time that is not negative")
+        if self.band_hz != "auto" and not 0 <= self.band_hz[0] < self.band_hz[1] < 1e12:
+            raise DataError(
+                f"a band from {self.band_hz[0]:g} to {self.band_hz[1]:g} Hz",
+                cure="give the lower end first, in Hz",
+            )
         if self.moments is True and self.orders != (1,):
             raise DataError("second moments exist for the fundamental alone", cure="ask for orders (1,)")
 
@@ -98,6 +116,17 @@ class Conditioning:
         if self.harmonics is None or self.harmonics == "auto":
             return None
         return tuple(int(order) for order in self.harmonics if not isinstance(order, str))
+
+    @property
+    def band(self) -> tuple[float, float] | None:
+        """The band of whole records; None: as far as something moves."""
+        return None if self.band_hz == "auto" else self.band_hz
+
+    @property
+    def dwells_may_be_whole(self) -> bool:
+        """Whether dwells may count as whole records: nothing is asked of them that is a steady state's."""
+        plain = self.orders == (1,) and self.settle == "none" and self.refine == "none"
+        return plain and not self.moments and self.transients != "none"
 
     @property
     def nominal_frequency(self) -> bool:

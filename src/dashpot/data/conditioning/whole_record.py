@@ -8,85 +8,32 @@ solves for it.  Here the samples are checked, put through one FFT, and limited t
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
 from scipy import fft
 
-from dashpot.arrays import Complex, Ints, Real
+from dashpot.arrays import Complex, Ints
 from dashpot.channel import Channel
 from dashpot.data.calibration import calibration
+from dashpot.data.conditioning.clock import FEWEST, even_step
+from dashpot.data.conditioning.still import Still
 from dashpot.data.record import Record
 from dashpot.data.spectrum import Spectrum, concatenate
 from dashpot.data.stretch import WholeRecord
 from dashpot.errors import DataError
 from dashpot.notices import Notice
 
-UNEVEN = 0.02  # of a sampling step: stamps may be rounded by that much
 GAP = 1.5  # sampling steps: where the next sample is later than this, another record begins
-FEWEST = 16  # samples of a record
 HIGHEST = 0.9  # of half the sampling rate: above it the input between the samples is not known well enough
 BIN = 30  # lines, at least, whose mean power says whether something moves there
 BINS = 200  # at most
 STANDS_OUT = 4.0  # standard deviations of a bin's mean power above the floor: a signal
 POLYNOMIAL = 4  # columns 1, jω, (jω)², … of each output channel: the fourth takes the error down by twenty
-HALF_WINDOW = 30  # lines on either side over which the noise of a record at rest is smoothed
 FLOOR = "floor"  # kind of noise: white, as the top of the spectrum shows it, until residuals show more
 TOP = (0.6, 0.98)  # of half the sampling rate: where that floor is read
 FAR_BELOW = 0.1  # of the mean power of the lines: a floor is noise, not motion
-
-
-@dataclass(frozen=True)
-class Still:
-    """The noise of all channels as a record at rest shows it: periodogram of its samples.
-
-    frequency_hz (lines,); power (lines, channels, channels): 2/N of Σ Y Yᴴ smoothed over neighbouring lines, which is
-    E[Δ Δᴴ] of peak amplitudes times the number of samples; dof: real degrees of freedom behind each line.
-    """
-
-    frequency_hz: Real
-    power: Complex
-    dof: float
-
-    def covariance(self, frequency_hz: Real, samples: int) -> Complex:
-        """V of peak amplitudes of a record of so many samples, (lines, channels, channels)."""
-        at = np.searchsorted((self.frequency_hz[1:] + self.frequency_hz[:-1]) / 2, frequency_hz)
-        V: Complex = self.power[at] / samples
-        return V
-
-
-def even_step(record: Record) -> float:
-    """The sampling step, s.  Raises DataError where the samples are not evenly spaced."""
-    time = record.time
-    if len(time) < FEWEST:
-        raise DataError(
-            f"a record of {len(time)} samples",
-            record.source,
-            f"{FEWEST} samples are the least that can be used",
-        )
-    index = np.arange(len(time)) - (len(time) - 1) / 2
-    step = float(index @ (time - time[0]) / (index @ index))
-    away = np.abs(time - np.mean(time) - step * index)
-    # Rounded stamps stay within a digit of the line through all of them, however long the record is.
-    if np.max(away) > max(UNEVEN * step, 1.01 * _digit(time)):
-        row = int(np.argmax(away)) + 1
-        raise DataError(
-            f"the samples are not evenly spaced: row {row} is {np.max(away) / step:.3g} steps of {step:.4g} s off",
-            record.source,
-            "record with a steady clock; a resampled record would have errors that nobody can tell from motion",
-        )
-    return step
-
-
-def _digit(time: Real) -> float:
-    """The last digit that the stamps are written with, s; at most a quarter of the step."""
-    steps = np.diff(time[: min(len(time), 1000)])
-    usual = float(np.median(steps))
-    for digits in range(13):
-        if np.all(np.abs(steps - np.round(steps, digits)) < 1e-4 * usual):
-            return min(10.0**-digits, usual / 4)
-    return 0.0
 
 
 def without_gaps(record: Record) -> tuple[list[Record], tuple[Notice, ...]]:
@@ -186,12 +133,12 @@ def whole_records(
     records: Sequence[Record],
     *,
     band_hz: tuple[float, float] | None = None,
-    still: Sequence[Record] = (),
+    still: Still | None = None,
     polynomial: int = POLYNOMIAL,
 ) -> Spectrum:
     """Lines of several records, each with boundary loads of its own; records are cut where samples are missing.
 
-    `still`: records of the same channels with nothing driven, which give the noise.  Raises as `whole_record`.
+    Raises as `whole_record`.
     """
     notes: list[Notice] = []
     pieces: list[Record] = []
@@ -199,8 +146,7 @@ def whole_records(
         parts, told = without_gaps(record)
         pieces += parts
         notes += told
-    noise = noise_at_rest(still) if still else None
-    spectra = [whole_record(piece, band_hz=band_hz, still=noise, polynomial=polynomial) for piece in pieces]
+    spectra = [whole_record(piece, band_hz=band_hz, still=still, polynomial=polynomial) for piece in pieces]
     joined = concatenate(spectra)
     used = sum(len(piece.time) for piece in pieces)
     low, high = float(np.min(joined.frequency_hz)), float(np.max(joined.frequency_hz))
@@ -210,49 +156,6 @@ def whole_records(
     )
     notes.append(Notice("whole_records", text))
     return replace(joined, notes=(*joined.notes, *notes))
-
-
-def noise_at_rest(records: Sequence[Record], half_window: int = HALF_WINDOW) -> Still:
-    """The noise that records with nothing driven show, smoothed over 2·half_window + 1 lines and over the records.
-
-    The longest record gives the lines; raises DataError for uneven samples and records too short.
-    """
-    longest = max(records, key=lambda record: len(record.time))
-    parts = [_periodogram(record, half_window) for record in records]
-    grid = parts[[record is longest for record in records].index(True)].frequency_hz
-    total = np.zeros((len(grid), len(longest.channels), len(longest.channels)), dtype=np.complex128)
-    dof = 0.0
-    for part in parts:
-        if part.power.shape[1:] != total.shape[1:]:
-            raise DataError("the records at rest have other channels than each other", longest.source)
-        total += part.dof * part.covariance(grid, 1)
-        dof += part.dof
-    return Still(grid, total / dof, dof)
-
-
-def _periodogram(record: Record, half_window: int) -> Still:
-    step = even_step(record)
-    samples = len(record.time)
-    lines = (samples - 1) // 2
-    if lines < 2 * half_window + 1:
-        raise DataError(
-            f"the record at rest has {samples} samples", record.source, f"{4 * half_window + 4} are the least"
-        )
-    centred = record.values - record.values.mean(axis=0)
-    Y = fft.rfft(centred, axis=0)[1 : lines + 1] * (2 / samples)
-    frequency = np.arange(1, lines + 1) / (samples * step)
-    power = smoothed(np.einsum("lc,ld->lcd", Y, np.conj(Y)), half_window) * samples
-    return Still(frequency, power, 2.0 * (2 * half_window + 1))
-
-
-def smoothed(values: Complex, half_window: int) -> Complex:
-    """Mean over the nearest 2·half_window + 1 lines (axis 0), fewer lines on one side taken from the other."""
-    lines = len(values)
-    width = min(2 * half_window + 1, lines)
-    sums = np.concatenate([np.zeros((1, *values.shape[1:]), dtype=values.dtype), np.cumsum(values, axis=0)])
-    first = np.clip(np.arange(lines) - width // 2, 0, lines - width)
-    mean: Complex = (sums[first + width] - sums[first]) / width
-    return mean
 
 
 def _aligned(record: Record, step: float) -> tuple[Record, tuple[Channel, ...]]:

@@ -13,11 +13,13 @@ from scipy.special import bdtrc
 from dashpot.arrays import Real
 from dashpot.channel import Quantity
 from dashpot.data.spectrum import Spectrum
+from dashpot.data.stretch import WholeRecord
 from dashpot.errors import IdentifiabilityError
 from dashpot.estimate.method import HeldBounds, Method, Solution
 from dashpot.estimate.preparation.state_reconstruction import channels_present
 from dashpot.estimate.result import Fit
 from dashpot.model.dynamics import matrices
+from dashpot.model.modes import modes
 from dashpot.model.network import Model
 from dashpot.model.observation import is_direct
 from dashpot.model.unstructured import free_entries, free_names
@@ -43,6 +45,22 @@ def dead_channels(model: Model, spectrum: Spectrum) -> list[str]:
         if moves and largest <= SILENT * np.max(size[alike]):
             found.append(channel.name)
     return found
+
+
+def short_records(model: Model, theta: Real, spectrum: Spectrum) -> list[Notice]:
+    """A warning where no whole record lasts for one period of the slowest mode found."""
+    durations = [value.duration_s for value in spectrum.stretches if isinstance(value, WholeRecord)]
+    if not durations or len(durations) < len(spectrum.stretches):
+        return []
+    frequency = modes(model, model.parameters(theta[: len(model.unknowns)])).frequency_hz
+    slowest = float(np.min(frequency[frequency > 0], initial=np.inf))
+    if max(durations) * slowest >= 1:
+        return []
+    text = (
+        f"the longest record, {max(durations):.4g} s, is shorter than one period of the slowest mode, "
+        f"{1 / slowest:.4g} s: its transient and its motion are hardly told apart"
+    )
+    return [Notice("short_record", text)]
 
 
 def duplicated_lines(spectrum: Spectrum) -> list[Notice]:

@@ -19,6 +19,7 @@ import numpy as np
 from dashpot.arrays import Bools, Complex, Ints, Real, frozen
 from dashpot.data.spectrum import Spectrum
 from dashpot.data.stretch import WholeRecord
+from dashpot.errors import DataError
 from dashpot.model.network import Input
 from dashpot.model.observation import ObservationModel, observation_model
 from dashpot.numerics.projection import orthonormal, real_rows
@@ -124,6 +125,7 @@ def record_ends(
         s[lines] = 1j * spectrum.omega[lines] / np.max(spectrum.omega[lines])
         there = np.any(measured[lines], axis=0)
         terms_used[number] = (height < np.where(outputs[of], value.polynomial, height + 1)) & there[of]
+    _require_lines(records, view, loads=2 * view.model.n, terms=terms_used)
     by_input = np.zeros((spectrum.lines, view.on_q.shape[1], len(of)), dtype=np.complex128)
     if exact is not None:
         by_input = -exact[:, :, of] * (s[:, None] ** height)[:, None, :]
@@ -137,6 +139,26 @@ def record_ends(
         of,
         height,
         by_input,
+    )
+
+
+def _require_lines(
+    records: list[tuple[WholeRecord, Ints]], view: ObservationModel, loads: int, terms: Bools
+) -> None:
+    """Raises DataError where the records have no more equations than loads and polynomials."""
+    outputs = int(np.sum(~view.inputs_alone))
+    equations = [2 * len(lines) * outputs for _, lines in records]
+    columns = [
+        loads * value.loads + int(np.sum(used)) for (value, _), used in zip(records, terms, strict=True)
+    ]
+    if any(e > c for e, c in zip(equations, columns, strict=True)):
+        return
+    worst = int(np.argmax(equations))
+    value, lines = records[worst]
+    raise DataError(
+        f"a record of {value.duration_s:.4g} s has {len(lines)} lines in the band, {equations[worst]} real equations "
+        f"for {columns[worst]} boundary loads and polynomials of its two ends",
+        cure="widen the band, or record for longer",
     )
 
 

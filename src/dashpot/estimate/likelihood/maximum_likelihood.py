@@ -13,6 +13,7 @@ from dashpot.errors import ConvergenceError
 from dashpot.estimate.likelihood.objective import Measured, directly_driven, measured, predict
 from dashpot.estimate.likelihood.record_start import record_starts
 from dashpot.estimate.likelihood.starting_values import candidates, neighbours
+from dashpot.estimate.likelihood.thinning import thinned
 from dashpot.estimate.linear.least_squares import compensated
 from dashpot.estimate.method import HeldBounds, Method, Solution, Traits
 from dashpot.estimate.nonlinear.search import search
@@ -82,7 +83,8 @@ class MaximumLikelihood(Method):
     rigs of sensible size are ranked by the logarithms of their responses, and the best `starts` of them searched, first
     in logarithms, then with weights that harden step by step, for at most `rounds` rounds.  Repeats share the valleys
     that the first one finds, and look for their own where these do not lead to a fit.  `positive` holds the parts of
-    the rig at or above 0, not what belongs to a free matrix; bounds of the model hold always.
+    the rig at or above 0, not what belongs to a free matrix; bounds of the model hold always.  With
+    a `start`, values of all unknowns, and signs of the channels, one descent from there takes the search's place.
     """
 
     starts: int = 64
@@ -92,6 +94,8 @@ class MaximumLikelihood(Method):
     max_iterations: int = 200
     tolerance: float = 1e-9
     seed: int = 0
+    start: tuple[float, ...] = ()
+    start_sign: tuple[float, ...] = ()
     name: ClassVar[str] = "ml"
     traits: ClassVar[Traits] = Traits(
         by_output=True,
@@ -119,12 +123,15 @@ class MaximumLikelihood(Method):
                 lambda one, softness: measured(one, view, softness),
             )
             sign = np.ones((repeats, len(view.channels)))
+        elif self.start and repeats == 1:
+            start, sign = np.array([self.start]), np.array([self.start_sign])
+            found = self._descend(view, exact, start, sign, lower, upper)
         elif direct and data.states is not None:
             start, sign = _start(data, data.states, exact), np.ones((repeats, len(view.channels)))
             found = self._descend(view, exact, start, sign, lower, upper)
         else:
             found, sign, warnings = self._from_valleys(view, exact, self._global(data, view, 0), lower, upper)
-        if exact.nonlinear is None:
+        if exact.nonlinear is None and not self.start:
             found, sign = self._again(data, view, exact, found, sign, lower, upper)
         at = predict(view, exact, found.x, sign)
         prior = prior_precision(view)
@@ -141,6 +148,19 @@ class MaximumLikelihood(Method):
         if not np.any(np.isfinite(lower) | np.isfinite(upper)):
             return None
         return HeldBounds(lower, upper, without_bounds(psi, local(view, data, psi, sign), lower, upper))
+
+    def rough(self, data: Prepared, view: ObservationModel, exact: Measured) -> tuple[Real, Real]:
+        """ψ and signs of one repeat by one descent where all is seen, without a doubt of where it ends; (1, …) each."""
+        lower, upper = bounds(view, self.positive)
+        if data.states is not None and all(is_direct(data.model, c) for c in data.spectrum.channels):
+            sign = np.ones((1, len(view.channels)))
+            found = self._descend(
+                view, exact, _start(data, data.states, exact), sign, lower, upper, limit=ROUGH
+            )
+            if np.all(np.isfinite(found.cost)):
+                return found.x, sign
+        found, sign, _ = self._from_valleys(view, exact, self._global(data, view, 0), lower, upper)
+        return found.x, sign
 
     def _descend(
         self,
@@ -210,7 +230,8 @@ class MaximumLikelihood(Method):
         end when a tenth of the first starts led to the deepest one and it fits (known noise), or half of them, or when
         two rounds in a row find nothing deeper.  Raises ConvergenceError where no start ends at a finite cost.
         """
-        one = data.only(repeat)
+        one = thinned(data.only(repeat))
+        view = observation_model(one.model, one.spectrum.channels, one.spectrum.omega)
         rng = np.random.default_rng([self.seed, repeat])
         lower, upper = bounds(view, self.positive)
         exact = measured(one, view)

@@ -7,7 +7,7 @@ line (variable projection).
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import sparse
@@ -141,7 +141,8 @@ class Prediction:
 
     r (K, lines, channels) residual y − κ G q̂; weighted (…) Π y = W r; J (…, M) slope of κ G q at fixed q;
     PJ = Π J with Π = W − W G (Gᴴ W G)⁻¹ Gᴴ W; q̂ (K, lines, r + s); cost_per_line (K, lines).  Of whole records the
-    boundary loads and polynomials are taken out of r, and out of J; `columns` counts those that are not dependent.
+    boundary loads and polynomials are taken out of r, and out of J; `columns` counts those that are not dependent, and
+    `at_ends` (K, lines, channels) is what they add to the channels.
     """
 
     r: Complex
@@ -151,6 +152,7 @@ class Prediction:
     q: Complex
     cost_per_line: Real
     columns: int = 0
+    at_ends: Complex | None = None
 
     def information(self) -> Real:
         """2 Re Jᴴ Π J of each line, (K, lines, M, M)."""
@@ -209,7 +211,9 @@ def _predict_records(
     motion = np.concatenate([q, load], axis=-1)
     J = without_inputs(rig.slopes(motion))
     J = J - free @ of_ends.coefficients(root @ J)
-    return _prediction(data, residual, J, data.W @ J, q, int(of_ends.rank[0]))
+    at_ends = np.einsum("...cz,...z->...c", columns, found)
+    prediction = _prediction(data, residual, J, data.W @ J, q, int(of_ends.rank[0]))
+    return replace(prediction, at_ends=at_ends)
 
 
 def _inputs(G: Complex, data: Measured) -> tuple[Complex, Complex | None]:

@@ -14,7 +14,8 @@ import numpy as np
 from scipy.special import chdtri
 
 from dashpot.arrays import Bools, Complex, Ints, Real, hermitian
-from dashpot.data.conditioning.whole_record import FLOOR, HALF_WINDOW, smoothed
+from dashpot.data.conditioning.still import HALF_WINDOW, smoothed
+from dashpot.data.conditioning.whole_record import FLOOR
 from dashpot.data.spectrum import Spectrum
 from dashpot.data.stretch import WholeRecord
 from dashpot.estimate.likelihood.maximum_likelihood import MaximumLikelihood, bounds, local
@@ -32,6 +33,7 @@ SETTLED = 3e-3  # change of a standard deviation at which the rounds end
 FIRST = 1e-2  # of a channel's size: its noise before the first fit, where nothing else is known
 SMALLEST = 1e-7  # of a channel's size: below it noise is rounding
 WHITE_LEVEL = 0.01  # of the test for coloured noise
+POOL_LEVEL = 1e-3  # of the test whether short records share the size of their noise
 
 
 def noise_is_sought(spectrum: Spectrum) -> bool:
@@ -39,23 +41,29 @@ def noise_is_sought(spectrum: Spectrum) -> bool:
     return any(kind == FLOOR for kind in spectrum.noise)
 
 
-def with_record_noise(model: Model, spectrum: Spectrum, method: Method | None = None) -> Spectrum:
-    """The spectrum with the noise of its whole records as the residuals of a fit show it; itself where that is known.
+def with_record_noise(model: Model, spectrum: Spectrum, method: Method) -> tuple[Spectrum, Method]:
+    """The spectrum with the noise that the residuals of its whole records show, and a method that begins at their fit.
 
-    What `identify` does first; the spectrum it works with, for those who judge the fit.
+    Both as they are where that noise is known.  `identify` does it first; what judges a fit wants the same spectrum.
     """
-    if not noise_is_sought(spectrum):
-        return spectrum
-    chosen = method if isinstance(method, MaximumLikelihood) else MaximumLikelihood()
-    repeats = [noise_from_residuals(model, repeat, chosen) for repeat in in_chunks(flattened(spectrum), 1)]
+    if not noise_is_sought(spectrum) or not isinstance(method, MaximumLikelihood):
+        return spectrum, method
+    found = [noise_from_residuals(model, repeat, method) for repeat in in_chunks(flattened(spectrum), 1)]
+    repeats = [each[0] for each in found]
     V = np.concatenate([repeat.covariance for repeat in repeats])
     dof = np.min([repeat.dof for repeat in repeats], axis=0)
     covariance = V.reshape(*spectrum.batch, *V.shape[1:])
-    return replace(spectrum, covariance=covariance, noise=repeats[0].noise, dof=dof)
+    known = replace(spectrum, covariance=covariance, noise=repeats[0].noise, dof=dof)
+    if spectrum.batch:
+        return known, method
+    _, psi, sign = found[0]
+    return known, replace(method, start=tuple(psi[0].tolist()), start_sign=tuple(sign[0].tolist()))
 
 
-def noise_from_residuals(model: Model, spectrum: Spectrum, method: MaximumLikelihood) -> Spectrum:
-    """The spectrum of one repeat, (1, lines, channels), with the noise that its residuals show.
+def noise_from_residuals(
+    model: Model, spectrum: Spectrum, method: MaximumLikelihood
+) -> tuple[Spectrum, Real, Real]:
+    """The spectrum of one repeat, (1, lines, channels), with the noise that its residuals show; ψ and signs with it.
 
     The channels that measure inputs alone keep the noise they have (none, where it could not be told from motion).
     """
@@ -63,14 +71,14 @@ def noise_from_residuals(model: Model, spectrum: Spectrum, method: MaximumLikeli
     sought = np.array([kind == FLOOR for kind in spectrum.noise])
     outputs = ~view.inputs_alone
     V = _first(spectrum, sought, outputs)
-    psi = sign = None
+    psi: Real | None = None
+    sign: Real = np.ones((1, len(spectrum.channels)))
     used, dof = 0.0, np.array(spectrum.dof)
     for _ in range(ROUNDS):
         data = Prepared(model, spectrum, V, states_if_seen(model, spectrum, V), True, np.ones(1, dtype=bool))
         exact = measured(data, view)
-        if psi is None or sign is None:
-            solution = method.solve(data)
-            psi, sign = solution.theta, _signs(spectrum, solution.signs)
+        if psi is None:
+            psi, sign = method.rough(data, view, exact)
         else:
             psi = _descended(view, exact, psi, sign, method)
         at = predict(view, exact, psi, sign)
@@ -85,14 +93,8 @@ def noise_from_residuals(model: Model, spectrum: Spectrum, method: MaximumLikeli
         if np.all(np.abs(after - before) <= 2 * SETTLED * after):
             break
     kinds = tuple(RESIDUAL if s else kind for s, kind in zip(sought.tolist(), spectrum.noise, strict=True))
-    return replace(spectrum, covariance=V, noise=kinds, dof=dof * (1 - used))
-
-
-def _signs(spectrum: Spectrum, signs: object) -> Real:
-    sign = np.ones((1, len(spectrum.channels)))
-    for name, value in dict(signs).items():  # type: ignore[call-overload]
-        sign[:, spectrum.index(name)] = value
-    return sign
+    found = replace(spectrum, covariance=V, noise=kinds, dof=dof * (1 - used))
+    return found, np.zeros((1, 0)) if psi is None else psi, sign
 
 
 def _first(spectrum: Spectrum, sought: Bools, outputs: Bools) -> Complex:
@@ -100,8 +102,14 @@ def _first(spectrum: Spectrum, sought: Bools, outputs: Bools) -> Complex:
     variance = np.diagonal(spectrum.covariance[0], axis1=-2, axis2=-1).real
     size = np.nan_to_num(np.abs(spectrum.amplitudes[0])) ** 2
     unknown = sought[:, None] & outputs & ~(variance > 0)
-    first = FIRST**2 * np.mean(size, axis=0)
-    return _diagonal(np.where(unknown, first, variance))
+    variance = np.where(unknown, FIRST**2 * np.mean(size, axis=0), variance)
+    # A rig that is not quite this one must not hold the first fit to the loudest lines.
+    for number, value in enumerate(spectrum.stretches):
+        lines = np.flatnonzero((spectrum.stretch == number) & sought)
+        if isinstance(value, WholeRecord) and len(lines):
+            around = smoothed(size[lines].astype(np.complex128), HALF_WINDOW).real
+            variance[lines] += np.where(outputs, FIRST**2 * around, 0.0)
+    return _diagonal(variance)
 
 
 def _diagonal(variance: Real) -> Complex:
@@ -136,7 +144,8 @@ def _smoothed(
 ) -> tuple[Real, Real]:
     """Variances (lines, channels) from the power of residuals, and their degrees of freedom (lines,).
 
-    Over 2·HALF_WINDOW + 1 lines of a record, over all lines of all records where they are white.
+    Over 2·HALF_WINDOW + 1 lines of a record, over all its lines where they are white; records with fewer lines than
+    that are taken together.
     """
     variance, dof = np.array(power), np.array(spectrum.dof)
     records = [
@@ -144,16 +153,50 @@ def _smoothed(
         for number, value in enumerate(spectrum.stretches)
         if isinstance(value, WholeRecord)
     ]
-    records = [lines for lines in records if len(lines)]
     width = 2 * HALF_WINDOW + 1
+    short = [lines for lines in records if 0 < len(lines) < width]
     for lines in records:
+        if len(lines) < width:
+            continue
         local_mean = smoothed(power[lines].astype(np.complex128), HALF_WINDOW).real
         mean = np.mean(power[lines], axis=0)
         white = np.array([_is_white(power[lines, c], width) for c in range(power.shape[1])])
         variance[lines] = np.where(white, mean, local_mean)
-        dof[lines] = 2.0 * (len(lines) if np.all(white[outputs]) else min(width, len(lines)))
-    size = np.mean(np.nan_to_num(np.abs(spectrum.amplitudes[0])) ** 2, axis=0)
-    return np.maximum(variance, SMALLEST**2 * size), dof
+        dof[lines] = 2.0 * (len(lines) if np.all(white[outputs]) else width)
+    size = np.nan_to_num(np.abs(spectrum.amplitudes[0])) ** 2
+    if short:
+        _pooled(short, power, size, spectrum.samples, outputs, variance, dof)
+    return np.maximum(variance, SMALLEST**2 * np.mean(size, axis=0)), dof
+
+
+def _pooled(
+    records: list[Ints], power: Real, size: Real, samples: Ints, outputs: Bools, variance: Real, dof: Real
+) -> None:
+    """Noise of short records, white each: of one size per sample, or in proportion to each channel's own size.
+
+    Whichever of the two explains the scatter between the records better; where neither does, each record by itself.
+    Writes into `variance` and `dof`.
+    """
+    count = np.array([len(lines) for lines in records], dtype=float)
+    mean = np.stack([np.mean(power[lines], axis=0) for lines in records])
+    per_sample = np.stack([np.full(power.shape[1], 1 / samples[lines[0]]) for lines in records])
+    relative = np.stack([np.mean(size[lines], axis=0) for lines in records])
+    limit = float(chdtri(max(len(records) - 1, 1), POOL_LEVEL))
+    together = True
+    for c in np.flatnonzero(outputs):
+        choices = []
+        for scale in (per_sample[:, c], relative[:, c]):
+            level = np.sum(count * mean[:, c] / scale) / np.sum(count)
+            with np.errstate(divide="ignore"):
+                scatter = 2 * float(np.sum(count * np.log(level * scale / mean[:, c])))
+            choices.append((scatter, level * scale))
+        scatter, common = min(choices, key=lambda choice: choice[0])
+        alike = scatter < limit
+        together &= alike
+        for lines, value in zip(records, common if alike else mean[:, c], strict=True):
+            variance[lines, c] = value
+    for lines, each in zip(records, count, strict=True):
+        dof[lines] = 2.0 * (np.sum(count) if together else each)
 
 
 def _is_white(power: Real, width: int) -> bool:

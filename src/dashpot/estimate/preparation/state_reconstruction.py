@@ -40,6 +40,17 @@ class States:
         P = self.reconstruction if len(self.reconstruction) == 1 else self.reconstruction[rows]
         return States(self.omega, self.z[rows], covariance, P, self.n, self.r)
 
+    def lines(self, lines: Ints) -> States:
+        """Some of the lines."""
+        return States(
+            self.omega[lines],
+            self.z[:, lines],
+            self.covariance[:, lines],
+            self.reconstruction[:, lines],
+            self.n,
+            self.r,
+        )
+
     @property
     def X(self) -> Complex:
         """Coordinates, (..., lines, n), m."""

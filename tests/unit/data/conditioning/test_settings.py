@@ -29,7 +29,9 @@ def test_words_and_values_mean_the_same():
 def test_keywords_are_the_fields():
     fields = {field.name for field in dataclasses.fields(Conditioning)}
     assert set(Treatments.__annotations__) == fields
-    assert set(FitTreatments.__annotations__) == fields - {"moments", "refine", "settle"}
+    assert set(FitTreatments.__annotations__) == fields - {
+        "moments", "refine", "settle", "transients", "band_hz", "still",
+    }  # fmt: skip
 
 
 def test_keywords_change_what_is_given():
@@ -51,6 +53,7 @@ def test_keywords_change_what_is_given():
         ({"settle": -1.0}, "settling time"),
         ({"settle": float("nan")}, "settling time"),
         ({"moments": True, "orders": (1, 3)}, "fundamental alone"),
+        ({"band_hz": (5.0, 2.0)}, "a band from 5 to 2 Hz"),
     ],
 )
 def test_what_makes_no_sense_is_refused(treatments, match):

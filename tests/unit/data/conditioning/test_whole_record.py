@@ -7,15 +7,9 @@ import pytest
 
 from dashpot.arrays import Real
 from dashpot.channel import Channel
-from dashpot.data.conditioning.whole_record import (
-    FLOOR,
-    even_step,
-    noise_at_rest,
-    smoothed,
-    whole_record,
-    whole_records,
-    without_gaps,
-)
+from dashpot.data.conditioning.clock import even_step
+from dashpot.data.conditioning.still import noise_at_rest, smoothed
+from dashpot.data.conditioning.whole_record import FLOOR, whole_record, whole_records, without_gaps
 from dashpot.data.record import Record
 from dashpot.data.stretch import WholeRecord
 from dashpot.errors import DataError

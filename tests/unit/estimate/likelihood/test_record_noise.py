@@ -9,6 +9,7 @@ from dashpot.data.conditioning.whole_record import whole_record
 from dashpot.data.record import Record
 from dashpot.errors import UsageError
 from dashpot.estimate.identify import automatic, identify
+from dashpot.estimate.likelihood.maximum_likelihood import MaximumLikelihood
 from dashpot.estimate.likelihood.record_noise import with_record_noise
 from tests.whole_rigs import WholeTest, chain, record_of
 
@@ -29,7 +30,7 @@ def test_white_noise_is_found_by_its_size() -> None:
     test = swept()
     sd = 0.05 * test.size * np.array([1, 2, 1, 0.5, 0])
     record = test.noisy(np.random.default_rng(2), sd)
-    found = with_record_noise(test.model, whole_record(record))
+    found, _ = with_record_noise(test.model, whole_record(record), MaximumLikelihood())
     assert set(found.noise) == {"residual"}
     size = np.sqrt(np.diagonal(found.covariance, axis1=1, axis2=2).real * len(record.time) / 4)
     np.testing.assert_allclose(size[0], size[-1])  # white: one size for all lines
@@ -43,7 +44,7 @@ def test_coloured_noise_is_followed() -> None:
     noise = lfilter([0.3], [1, -0.95], rng.normal(size=(len(test.record.time) + 500, 5)), axis=0)[500:]
     noise *= 0.05 * test.size * np.array([1, 1, 1, 1, 0])
     record = Record(test.record.channels, test.record.time, test.record.values + noise)
-    found = with_record_noise(test.model, whole_record(record))
+    found, _ = with_record_noise(test.model, whole_record(record), MaximumLikelihood())
     step = record.time[1]
     expected = 4 / len(record.time) * 0.09 / np.abs(1 - 0.95 * np.exp(-1j * found.omega * step)) ** 2
     ratio = np.diagonal(found.covariance, axis1=1, axis2=2).real[:, 0] / (0.05 * test.size[0]) ** 2 / expected
@@ -56,7 +57,7 @@ def test_noise_of_the_base_is_read_where_nothing_moves() -> None:
     test = swept()
     sd = 0.05 * test.size
     record = test.noisy(np.random.default_rng(4), sd)
-    found = with_record_noise(test.model, whole_record(record))
+    found, _ = with_record_noise(test.model, whole_record(record), MaximumLikelihood())
     size = np.sqrt(np.diagonal(found.covariance, axis1=1, axis2=2).real * len(record.time) / 4).mean(axis=0)
     np.testing.assert_allclose(size, sd, rtol=0.1)
 

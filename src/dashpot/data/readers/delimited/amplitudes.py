@@ -32,7 +32,7 @@ from dashpot.notices import Notice
 SAMPLES, DOF, NOISE = "samples", "dof", "noise"
 RECORD, FUNDAMENTAL = "record", "fundamental_hz"
 OF_RECORDS = ("record_duration_s", "record_samples", "record_loads", "record_polynomial")
-KINDS = ("given", "white", "blocks", "periods", "unknown")
+KINDS = ("given", "white", "blocks", "periods", "rest", "floor", "residual", "unknown")
 
 
 def is_amplitudes(columns: Columns) -> bool:

@@ -1,0 +1,52 @@
+"""Fewer lines for a search from many starts: the loudest of each part of the band.
+
+A whole record has thousands of lines, and a valley of the likelihood is as wide in a few hundred of them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from dashpot.arrays import Ints, Real
+from dashpot.estimate.preparation.prepared import Prepared
+
+MANY = 200  # lines from which a search takes fewer
+PARTS = 30  # of the band, equal in the logarithm of frequency
+EACH = 3  # lines of a part
+
+
+def thinned(data: Prepared) -> Prepared:
+    """The same data with some of its lines where there are many; itself where there are few or all are settled."""
+    spectrum = data.spectrum
+    if spectrum.lines <= MANY or not spectrum.records:
+        return data
+    lines = loudest(spectrum.frequency_hz, _loudness(data))
+    fewer = replace(
+        spectrum.select(lines),
+        amplitudes=spectrum.amplitudes[:, lines],
+        covariance=spectrum.covariance[:, lines],
+    )
+    states = None if data.states is None else data.states.lines(lines)
+    return replace(data, spectrum=fewer, covariance=data.covariance[:, lines], states=states)
+
+
+def loudest(frequency_hz: Real, loudness: Real) -> Ints:
+    """Indices of the loudest lines in each part of the band, ascending."""
+    position = np.log(frequency_hz / np.min(frequency_hz))
+    part = np.minimum((PARTS * position / max(float(np.max(position)), 1e-12)).astype(int), PARTS - 1)
+    chosen: list[int] = []
+    for k in range(PARTS):
+        there = np.flatnonzero(part == k)
+        chosen += there[np.argsort(-loudness[there])[:EACH]].tolist()
+    return np.array(sorted(chosen), dtype=np.int64)
+
+
+def _loudness(data: Prepared) -> Real:
+    """Power of all channels over their noise, mean over repeats; (lines,)."""
+    power = np.abs(np.nan_to_num(data.spectrum.amplitudes)) ** 2
+    noise = np.diagonal(data.covariance, axis1=-2, axis2=-1).real
+    least = 1e-6 * np.mean(power, axis=-2, keepdims=True)
+    ratio: Real = np.mean(np.sum(power / np.maximum(np.maximum(noise, least), 1e-300), axis=-1), axis=0)
+    return ratio

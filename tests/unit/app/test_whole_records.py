@@ -1,0 +1,151 @@
+"""Records of any excitation from the command line: whole by default, several, with noise from a record at rest."""
+
+from __future__ import annotations
+
+import csv
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from dashpot.data.readers import write_records
+from dashpot.data.record import Record
+from dashpot.model.motion import channel_samples, integrator
+from dashpot.model.observation import observation_model
+from dashpot.model.rigfile import read_rig
+from tests.unit.app.conftest import Command
+
+RIG = """
+name = "Two masses on a base"
+coordinates = ["x1", "x2"]
+[inputs]
+u = { kind = "displacement" }
+[masses]
+m1 = { at = "x1" }
+m2 = { at = "x2", value = 2.7 }
+[springs]
+k1 = { between = ["x1", "x2"] }
+k2 = { between = ["x2", "u"] }
+[dampers]
+c1 = { between = ["x1", "x2"] }
+c2 = { between = ["x2", "u"] }
+[channels]
+x1 = { of = "x1", unit = "mm" }
+x2 = { of = "x2", unit = "mm" }
+u = { of = "u", unit = "mm" }
+"""
+TRUE = {"m1": 3.0, "k1": 4600.0, "k2": 4600.0, "c1": 20.0, "c2": 30.0}
+NOISE = 3e-5  # m, of x1 and x2: a twentieth of their motion
+
+
+def recorded(
+    path: str, *, seed: int = 0, seconds: float = 20.0, driven: bool = True, skip: slice | None = None
+) -> None:
+    """A record at 100 Hz of a base in aperiodic motion, the rig moving when it starts."""
+    rng = np.random.default_rng(seed)
+    rig = read_rig("rig.toml")
+    p = rig.model.parameters(np.array([TRUE[unknown.name] for unknown in rig.model.unknowns]))
+    fine = np.arange(int(seconds * 100) * 8) / 800
+    f = rng.uniform(0.3, 15, 80)
+    base = 2e-4 * np.sum(np.cos(2 * np.pi * f[:, None] * fine + rng.uniform(0, 6, 80)[:, None]), axis=0)
+    motion = integrator(rig.model, p, 1 / 800).motion(
+        base[:, None], rng.normal(size=4) * [1e-3, 1e-3, 0.02, 0.02]
+    )
+    values = channel_samples(observation_model(rig.model, rig.channels, np.ones(1)), p, motion)[::8]
+    noise = rng.normal(size=values.shape) * NOISE * [1, 1, 1e-3]
+    values = values * driven + noise
+    record = Record(rig.channels, fine[::8], values)
+    if skip is not None:
+        keep = np.delete(np.arange(len(values)), skip)
+        record = Record(rig.channels, record.time[keep], values[keep])
+    write_records([record], path)
+
+
+@pytest.fixture
+def rig(dashpot: Command) -> str:
+    Path("rig.toml").write_text(RIG, encoding="utf-8")
+    return "rig.toml"
+
+
+def away(path: str = "e.json") -> float:
+    """The largest distance from the truth in standard deviations."""
+    found = json.loads(Path(path).read_text(encoding="utf-8"))["parameters"]
+    return max(abs(found[name]["value"] - true) / found[name]["sd"] for name, true in TRUE.items())
+
+
+def test_a_record_is_used_whole(dashpot: Command, rig: str) -> None:
+    recorded("run.csv", seed=1)
+    done = dashpot("identify", rig, "run.csv", "--json", "e.json", "--report", "e.html")
+    assert done.code == 0
+    assert len(done.err) == 1
+    assert "1 whole record of 2000 samples" in done.err[0]
+    assert away() < 3.7  # one in a thousand for five unknowns
+    assert json.loads(Path("e.json").read_text(encoding="utf-8"))["fit"]["verdict"] == "cannot tell"
+
+
+def test_several_records_and_one_with_a_gap(dashpot: Command, rig: str) -> None:
+    recorded("a.csv", seed=2, seconds=10)
+    recorded("b.csv", seed=3, seconds=20, skip=slice(900, 950))
+    done = dashpot("identify", rig, "a.csv", "b.csv", "--json", "e.json", "--band", "0.3:20")
+    assert done.code == 0
+    assert any("samples are missing before 9.5 s" in line for line in done.err)
+    assert any("3 whole records of 2950 samples" in line for line in done.err)
+    assert away() < 3.7
+
+
+def test_the_noise_of_a_record_at_rest_tests_the_fit(dashpot: Command, rig: str) -> None:
+    recorded("run.csv", seed=4)
+    recorded("still.csv", seed=5, driven=False)
+    done = dashpot("identify", rig, "run.csv", "--noise-record", "still.csv", "--json", "e.json")
+    assert done.code == 0
+    assert "The model fits" in " ".join(done.out.split())
+    assert away() < 3.7
+
+
+def test_a_table_of_lines_carries_the_loads(dashpot: Command, rig: str) -> None:
+    recorded("run.csv", seed=6)
+    assert dashpot("spectrum", rig, "run.csv", "-o", "lines.csv").code == 0
+    with Path("lines.csv").open(encoding="utf-8") as file:
+        first = next(csv.DictReader(file))
+    assert first["record_duration_s"] == "20.0"
+    assert first["record_loads"] == "1"
+    for source, target in (("run.csv", "e.json"), ("lines.csv", "again.json")):
+        assert dashpot("identify", rig, source, "--json", target).code == 0
+    values = [
+        json.loads(Path(name).read_text(encoding="utf-8"))["parameters"] for name in ("e.json", "again.json")
+    ]
+    for name in TRUE:
+        assert values[1][name]["value"] == pytest.approx(
+            values[0][name]["value"], abs=0.03 * values[0][name]["sd"]
+        )
+
+
+def bad(dashpot: Command, rig: str, *arguments: str) -> str:
+    done = dashpot("identify", rig, *arguments)
+    assert done.code == 2
+    assert done.out == ""
+    assert sum(not line.startswith("note: ") for line in done.err) == 1
+    return done.err[-1]
+
+
+def test_what_cannot_be_used_is_named(dashpot: Command, rig: str) -> None:
+    recorded("run.csv", seed=7)
+    assert "no line of the record lies between" in bad(dashpot, rig, "run.csv", "--band", "60:70")
+    assert "the method oiv works on settled lines" in bad(dashpot, rig, "run.csv", "--method", "oiv")
+    rows = Path("run.csv").read_text(encoding="utf-8").splitlines()
+    slipped = [rows[0]]
+    for k, row in enumerate(rows[1:]):
+        time, rest = row.split(",", 1)
+        slipped.append(f"{float(time) + 0.003 * (k > 700) + 0.002 * np.sin(k / 300):.6f},{rest}")
+    Path("slipped.csv").write_text("\n".join(slipped) + "\n", encoding="utf-8")
+    assert "not evenly spaced" in bad(dashpot, rig, "slipped.csv")
+    still = [rows[0], *(row.rsplit(",", 1)[0] + ",0" for row in rows[1:])]
+    Path("still_base.csv").write_text("\n".join(still) + "\n", encoding="utf-8")
+    assert "u stays at 0 throughout" in bad(dashpot, rig, "still_base.csv")
+    Path("short.csv").write_text("\n".join(rows[:12]) + "\n", encoding="utf-8")
+    assert "a record of 11 samples" in bad(dashpot, rig, "short.csv")
+    Path("brief.csv").write_text("\n".join(rows[:25]) + "\n", encoding="utf-8")
+    assert "2 lines in the band, 8 real equations for 12 boundary loads" in bad(
+        dashpot, rig, "brief.csv", "--band", "4:9"
+    )

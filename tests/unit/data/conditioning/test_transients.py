@@ -1,0 +1,85 @@
+"""Which dwells are records with transients, and which blocks belong to one record."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from dashpot.arrays import Real
+from dashpot.data.conditioning.lines import spectrum
+from dashpot.data.conditioning.transients import continuous, transients_show
+from dashpot.data.record import Record
+from dashpot.data.stretch import SettledDwell, WholeRecord
+from dashpot.model.motion import channel_samples, integrator
+from dashpot.model.observation import observation_model
+from tests.whole_rigs import chain, record_of
+
+MODEL, THETA = chain(2, 0.08, seed=1)
+CHANNELS = record_of(MODEL, THETA, "random", decay_times=0.1).record.channels
+FREQUENCIES = (4.0, 6.0, 9.0, 13.0, 18.0)
+
+
+def stepped(noise: float, *, periods: float = 5, settle: float = 0.0, seed: int = 0) -> list[Record]:
+    """Dwells of 20 samples a period, each from the state that the last one left, clocks restarted."""
+    rng = np.random.default_rng(seed)
+    p = MODEL.parameters(THETA)
+    view = observation_model(MODEL, CHANNELS, np.ones(1))
+    state: Real = np.zeros(2 * MODEL.n)
+    records = []
+    for f in FREQUENCIES:
+        step = 1 / (20 * f)
+        wait = int(settle * 20 * f)
+        count = wait + int(20 * periods)
+        fine = np.arange(8 * count + 1) * step / 8
+        motion = integrator(MODEL, p, step / 8).motion(np.sin(2 * np.pi * f * fine)[:, None] * 1e-3, state)
+        state = np.concatenate([motion.x[-1], motion.v[-1]])
+        values = channel_samples(view, p, motion)[:-1:8][wait:]
+        values = values + noise * np.std(values, axis=0) * rng.normal(size=values.shape) * [1, 1, 0]
+        records.append(Record(CHANNELS, step * np.arange(len(values)), values, f))
+    return records
+
+
+def test_transients_are_found_and_nothing_where_none_are() -> None:
+    assert transients_show(stepped(0.01)) < 1e-6
+    assert transients_show(stepped(0.05)) < 1e-3
+    p = [transients_show(stepped(0.05, settle=4.0, seed=k)) for k in range(40)]
+    assert min(p) > 1e-3
+    assert np.mean(p) == pytest.approx(0.5, abs=0.19)  # 4 sd of 40 uniform numbers
+
+
+def test_unsettled_dwells_become_records() -> None:
+    lines = spectrum(stepped(0.01))
+    assert len(lines.records) == len(FREQUENCIES)
+    assert all(isinstance(value, WholeRecord) and value.polynomial == 2 for value in lines.stretches)
+    assert "5 dwells are not settled" in lines.notes[-1].text
+    settled = spectrum(stepped(0.05, settle=4.0))
+    assert settled.stretches == (SettledDwell(),)
+    assert settled.lines == len(FREQUENCIES)
+    assert spectrum(stepped(0.01), transients="none").lines == len(FREQUENCIES)
+    assert len(spectrum(stepped(0.05, settle=4.0), transients="estimate").records) == len(FREQUENCIES)
+
+
+def test_what_is_asked_of_a_steady_state_keeps_dwells() -> None:
+    records = stepped(0.01)
+    for how in ({"settle": "auto"}, {"refine": "auto"}, {"moments": True}, {"orders": (1, 3)}):
+        assert not spectrum(records, **how).records  # type: ignore[arg-type]
+
+
+def test_blocks_that_follow_in_time_are_one_record() -> None:
+    step = 0.01
+    blocks = [
+        Record(
+            CHANNELS,
+            step * np.arange(k * 100, (k + 1) * 100),
+            np.random.default_rng(k).normal(size=(100, 3)),
+            f,
+        )
+        for k, f in enumerate((4.0, 5.0, 6.0))
+    ]
+    (one,) = continuous(blocks)
+    assert one.frequency_hz is None
+    assert len(one.time) == 300
+    late = replace(blocks[2], time=blocks[2].time + 0.006)
+    assert [len(record.time) for record in continuous([*blocks[:2], late])] == [200, 100]
+    other = replace(blocks[1], experiment=1)
+    assert len(continuous([blocks[0], other])) == 2
