@@ -93,7 +93,7 @@ def channel_response(
     what the rig has not.
     """
     view = observation_model(model, channels, omega)
-    psi, sign = _of_channels(view, np.zeros(view.m), calibrations)
+    psi, sign = of_channels(view, np.zeros(view.m), calibrations)
     G = transfer(view, p).G
     if not np.all(np.isfinite(G)):
         raise no_steady_response()
@@ -159,7 +159,7 @@ def _transients(
     if not carries_loads(spectrum):
         return np.zeros(spectrum.amplitudes.shape, dtype=np.complex128)
     view = observation_model(model, spectrum.channels, spectrum.omega)
-    psi, sign = _of_channels(view, np.asarray(theta, dtype=float), calibrations)
+    psi, sign = of_channels(view, np.asarray(theta, dtype=float), calibrations)
     one = replace(spectrum, amplitudes=spectrum.amplitudes[None], covariance=V[None], moments=None)
     at = predict(
         view,
@@ -170,8 +170,11 @@ def _transients(
     return np.zeros(spectrum.amplitudes.shape, dtype=np.complex128) if at.at_ends is None else at.at_ends[0]
 
 
-def _of_channels(view: ObservationModel, theta: Real, calibrations: Calibrations | None) -> tuple[Real, Real]:
-    """ψ and the signs of the channels; what of a calibration is not estimated is 1, 1 and 0."""
+def of_channels(view: ObservationModel, theta: Real, calibrations: Calibrations | None) -> tuple[Real, Real]:
+    """ψ (unknowns and calibrations) and the signs of the channels, from θ and what an estimate found of the channels.
+
+    What of a calibration is not estimated is 1, 1 and 0.
+    """
     given = {} if calibrations is None else calibrations
     typical = [1.0] * view.gains + [0.0] * view.delays
     values = [given.get(name, value) for name, value in zip(view.names[view.m :], typical, strict=True)]

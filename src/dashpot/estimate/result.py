@@ -97,6 +97,7 @@ class Estimate:
     signs               ±1 of the channels whose sign was found
     warnings, notes     notices of the estimate, and of the data it was made from
     assessment          verdict and diagnosis, where they were made
+    rig                 name of the rig file, where it came from one
     """
 
     model: str
@@ -123,6 +124,7 @@ class Estimate:
     warnings: tuple[Notice, ...]
     notes: tuple[Notice, ...] = ()
     assessment: Assessment | None = None
+    rig: str | None = None
 
     def __post_init__(self) -> None:
         fields = ("values", "covariance", "noise_covariance", "bound_sd", "dof", "history", "lower", "upper")
@@ -249,6 +251,7 @@ class Estimate:
         content = {
             "dashpot": FORMAT,
             "model": self.model,
+            **({} if self.rig is None else {"rig": self.rig}),
             "method": self.method,
             "status": self.status,
             "iterations": int(self.iterations),
@@ -360,6 +363,7 @@ def _loaded(content: Mapping[str, Any]) -> Estimate:
         iterations=np.asarray(content["iterations"], dtype=np.int64),
         history=np.array([[nullable(v) for v in row] for row in content["history"]]),
         assessment=assessment_from(fit, content.get("diagnosis", [])),
+        rig=content.get("rig"),
         fit=Fit(
             np.asarray(nullable(fit["chi2"])),
             int(fit["dof"]),

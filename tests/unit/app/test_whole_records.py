@@ -149,3 +149,63 @@ def test_what_cannot_be_used_is_named(dashpot: Command, rig: str) -> None:
     assert "2 lines in the band, 8 real equations for 12 boundary loads" in bad(
         dashpot, rig, "brief.csv", "--band", "4:9"
     )
+
+
+def test_an_estimate_predicts_another_record(dashpot: Command, rig: str) -> None:
+    recorded("run.csv", seed=8)
+    recorded("other.csv", seed=9)
+    assert dashpot("identify", rig, "run.csv", "--json", "e.json").code == 0
+    recorded("still.csv", seed=13, driven=False)
+    sent = ["--noise-record", "still.csv", "--json", "v.json", "--picture", "v.svg"]
+    done = dashpot("validate", "e.json", "other.csv", *sent)
+    assert done.code == 0
+    assert "FIT, %" in done.out
+    assert Path("v.svg").read_text(encoding="utf-8").startswith("<svg")
+    (record,) = json.loads(Path("v.json").read_text(encoding="utf-8"))["records"]
+    values = np.loadtxt("other.csv", delimiter=",", skiprows=1)
+    for c, name in enumerate(("x1", "x2"), start=1):
+        # The noise of all samples is more than that of the lines in the band; no estimate predicts either.
+        noise = NOISE * 1e3 / np.std(values[:, c])
+        assert 100 * (1 - noise) < record["channels"][name]["fit_percent"] < 100 * (1 - 0.4 * noise)
+        assert record["channels"][name]["chi2"] / record["channels"][name]["dof"] == pytest.approx(
+            1, abs=0.25
+        )
+
+
+def test_a_wrong_rig_predicts_badly(dashpot: Command, rig: str) -> None:
+    recorded("run.csv", seed=10)
+    assert dashpot("identify", rig, "run.csv", "--json", "e.json").code == 0
+    found = json.loads(Path("e.json").read_text(encoding="utf-8"))
+    found["parameters"]["k1"]["value"] *= 1.05
+    Path("wrong.json").write_text(json.dumps(found), encoding="utf-8")
+    fits = []
+    for name in ("e.json", "wrong.json"):
+        assert dashpot("validate", name, "run.csv", "--json", "v.json").code == 0
+        (record,) = json.loads(Path("v.json").read_text(encoding="utf-8"))["records"]
+        fits.append(record["channels"]["x1"]["fit_percent"])
+    assert fits[1] < fits[0] - 3
+
+
+def test_the_end_of_a_record_is_held_out(dashpot: Command, rig: str) -> None:
+    recorded("run.csv", seed=11)
+    done = dashpot("identify", rig, "run.csv", "--hold-out", "25%", "--json", "e.json")
+    assert done.code == 0
+    assert "1 whole record of 1500 samples" in done.err[0]
+    assert "1 (5 s)" in done.out
+    assert away() < 3.7
+
+
+def test_what_validate_refuses(dashpot: Command, rig: str) -> None:
+    recorded("run.csv", seed=12)
+    assert dashpot("identify", rig, "run.csv", "--json", "e.json").code == 0
+    alone = dashpot("validate", "e.json")
+    assert alone.code == 2
+    assert "there is no record to predict" in alone.err[-1]
+    Path("other.toml").write_text(RIG.replace("k2", "k3"), encoding="utf-8")
+    other = dashpot("validate", "e.json", "run.csv", "--rig", "other.toml")
+    assert other.code == 2
+    assert "the estimate is of another rig" in other.err[-1]
+    Path(rig).rename("moved.toml")
+    lost = dashpot("validate", "e.json", "run.csv")
+    assert lost.code == 2
+    assert "is not there" in lost.err[-1]

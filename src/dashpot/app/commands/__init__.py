@@ -12,6 +12,7 @@ from collections.abc import Mapping
 # Name → what `dashpot --help` says of it, in the order of a day's work.
 COMMANDS: Mapping[str, str] = {
     "identify": "Estimate the unknown masses, dampers and springs of a rig from test data.",
+    "validate": "Predict records with an estimate that was made of others.",
     "compare": "Compare several estimators on the same data.",
     "check": "Check what the channels and the data can determine, and what not.",
     "simulate": "Write the test data that a rig with given parameters would yield.",

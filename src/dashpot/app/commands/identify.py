@@ -12,6 +12,7 @@ from dashpot.app.options import (
     DATA_HELP,
     DOES_NOT_FIT,
     NOT_CONVERGED,
+    RECORDS,
     conditioning_options,
     data_argument,
     file_option,
@@ -22,6 +23,7 @@ from dashpot.app.options import (
     seed_option,
     whole_record_options,
 )
+from dashpot.app.parameter_types import SHARE
 from dashpot.estimate.registry import METHODS
 
 if TYPE_CHECKING:
@@ -56,6 +58,10 @@ ESTIMATION = "Estimation"
     "--strict", is_flag=True, group=ESTIMATION,
     help="Exit with code 4 where the model does not fit.",
 )  # fmt: skip
+@option(
+    "--hold-out", type=SHARE, metavar="25%", group=RECORDS,
+    help="Leave that share of every record, its end, out of the fit and predict it.",
+)  # fmt: skip
 @json_option("the estimate")
 @file_option("--apply", "NEW.toml", "Write the rig file as the likeliest cause of a misfit would have it.")
 @file_option("--report", "FILE.html", "Write a report with figures as one HTML file.")
@@ -67,7 +73,8 @@ ESTIMATION = "Estimation"
 @quiet_option
 def command(
     rig: str, data: tuple[str, ...], chosen: str, positive: bool, json_out: str | None, report: str | None,
-    strict: bool, apply: str | None, matrices: bool, level: float, seed: int, quiet: bool, **conditioning: Any,
+    strict: bool, hold_out: float | None, apply: str | None, matrices: bool, level: float, seed: int, quiet: bool,
+    **conditioning: Any,
 ) -> int:  # fmt: skip
     """Estimate the unknown masses, dampers and springs of RIG (a rig file, TOML) from DATA.
 
@@ -93,6 +100,8 @@ def command(
     if chosen != "auto":
         require_scale_seen(method_class(chosen), model, rig_read.channels, rig)
 
+    from dataclasses import replace
+
     from dashpot.app.data_files import read_data
     from dashpot.app.progress import progress
     from dashpot.check.diagnosis.diagnose import examined
@@ -100,7 +109,8 @@ def command(
     from dashpot.estimate.identify import identify
     from dashpot.estimate.likelihood.record_noise import with_record_noise
 
-    measured = read_data(rig_read, data, conditioning, quiet, moments_for=[chosen])
+    used = (0.0, 1.0 if hold_out is None else 1.0 - hold_out)
+    measured = read_data(rig_read, data, conditioning, quiet, moments_for=[chosen], part=used)
     spectrum = measured.spectrum
     require_identifiable(model, spectrum.channels, rig, spectrum)
     with progress("identify", quiet) as moved:
@@ -110,7 +120,7 @@ def command(
             estimate = identify(model, spectrum, method, progress=moved)
         except (IdentifiabilityError, ConvergenceError) as error:
             raise _explained(error, model, spectrum, seed) from error
-        estimate = examined(model, spectrum, estimate, seed=seed)
+        estimate = replace(examined(model, spectrum, estimate, seed=seed), rig=rig)
     if report is not None:
         from dashpot.present.pages.report import identification_report
 
@@ -120,7 +130,22 @@ def command(
         _apply(rig_read, estimate, apply)
     if not quiet and json_out != STDOUT:
         _show(rig_read, estimate, level, matrices, measured.records)
+        if hold_out is not None:
+            _show_held_out(rig_read, estimate, data, conditioning, used[1])
     return _ending(estimate, strict)
+
+
+def _show_held_out(
+    rig: Rig, estimate: Estimate, data: tuple[str, ...], conditioning: dict[str, Any], since: float
+) -> None:
+    """How well the end of each record is predicted, which the fit has not seen."""
+    from dashpot.app.data_files import read_spectrum
+    from dashpot.check.validation import validate
+    from dashpot.present.tables.layout import console
+    from dashpot.present.tables.validation import show_validation
+
+    held = read_spectrum(rig, data, conditioning, True, part=(since, 1.0))
+    show_validation(console(), validate(rig.model, estimate, held))
 
 
 def _explained(

@@ -1,0 +1,66 @@
+"""dashpot validate: how well an estimate predicts records that it was not made of."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from dashpot.app.files import STDOUT
+from dashpot.app.help import dashpot_command, option
+from dashpot.app.options import (
+    RECORDS,
+    conditioning_options,
+    data_argument,
+    file_option,
+    json_option,
+    quiet_option,
+    whole_record_options,
+)
+from dashpot.app.parameter_types import INPUT_FILE
+
+
+@dashpot_command(
+    "validate",
+    "dashpot validate estimate.json other_run.csv",
+    "dashpot validate estimate.json run3.csv --rig rig.toml --picture prediction.svg",
+)
+@data_argument(
+    "The estimate (JSON of identify), then data files as for identify.", name="files", required=True
+)
+@option(
+    "--rig", type=INPUT_FILE, metavar="RIG.toml", group=RECORDS,
+    help="The rig file of the estimate.  [default: the one that the estimate names]",
+)  # fmt: skip
+@json_option("the figures")
+@file_option(
+    "--picture", "FILE.svg", "Draw measured and predicted histories and spectra of the first record."
+)
+@conditioning_options
+@whole_record_options
+@quiet_option
+def command(
+    files: tuple[str, ...], rig: str | None, json_out: str | None, picture: str | None, quiet: bool,
+    **conditioning: Any,
+) -> None:  # fmt: skip
+    """Predict records from their inputs with an estimate made of others: FIT and χ² of every channel.
+
+    FILES are the estimate, as identify writes it with --json, and the records.
+    """
+    from dashpot.app.data_files import read_spectrum
+    from dashpot.app.files import write_result
+    from dashpot.app.validating import estimate_and_rig, figures_of, write_picture
+    from dashpot.check.validation import validate
+    from dashpot.errors import UsageError
+
+    if len(files) < 2:
+        raise UsageError("there is no record to predict", cure="name data files after the estimate")
+    estimate, rig_read = estimate_and_rig(files[0], rig)
+    spectrum = read_spectrum(rig_read, files[1:], conditioning, quiet)
+    predictions = validate(rig_read.model, estimate, spectrum)
+    if picture is not None:
+        write_picture(predictions, picture)
+    write_result(json_out, figures_of(predictions))
+    if not quiet and json_out != STDOUT:
+        from dashpot.present.tables.layout import console
+        from dashpot.present.tables.validation import show_validation
+
+        show_validation(console(), predictions)

@@ -1,0 +1,71 @@
+"""What validate and identify share where records are held out."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from dashpot.check.validation import Prediction
+    from dashpot.estimate.result import Estimate
+    from dashpot.model.rigfile import Rig
+
+
+def estimate_and_rig(path: str, rig: str | None) -> tuple[Estimate, Rig]:
+    """An estimate with the rig it was made of: the one given, else the file that the estimate names.
+
+    Raises DataError or UsageError.
+    """
+    from dashpot.errors import UsageError
+    from dashpot.estimate.result import Estimate
+    from dashpot.model.rigfile import read_rig
+
+    estimate = Estimate.load(path)
+    if rig is not None:
+        return estimate, read_rig(rig)
+    if estimate.rig is None:
+        raise UsageError(f"{path} does not name its rig file", cure="give it with --rig")
+    for candidate in (Path(estimate.rig), Path(path).parent / estimate.rig):
+        if candidate.is_file():
+            return estimate, read_rig(str(candidate))
+    raise UsageError(f"the rig file {estimate.rig} that {path} names is not there", cure="give it with --rig")
+
+
+def figures_of(predictions: Sequence[Prediction]) -> str:
+    """FIT, χ² and degrees of freedom of every channel as JSON."""
+    rows = [
+        {
+            "duration_s": part.duration_s,
+            "samples": part.samples,
+            "channels": {
+                name: {
+                    "fit_percent": 100 * float(part.fit[c]),
+                    "chi2": None if part.chi2[c] != part.chi2[c] else float(part.chi2[c]),
+                    "dof": int(part.dof[c]),
+                }
+                for c, name in enumerate(part.channels)
+            },
+        }
+        for part in predictions
+    ]
+    return json.dumps({"records": rows}, indent=1, ensure_ascii=False) + "\n"
+
+
+def write_picture(predictions: Sequence[Prediction], path: str) -> None:
+    """Histories and spectra of the first whole record as SVG.  Raises UsageError where there is none."""
+    from dashpot.errors import UsageError
+    from dashpot.io.atomic import write_text
+    from dashpot.present.figures.style import svg
+    from dashpot.present.figures.validation import histories_and_spectra
+
+    records = [part for part in predictions if part.samples]
+    if not records:
+        raise UsageError("settled lines have no history to draw", cure="leave --picture out")
+    part = records[0]
+    time, measured, predicted = part.histories()
+    figure = histories_and_spectra(
+        part.channels, part.units, time, measured, predicted, part.frequency_hz, part.measured, part.predicted
+    )
+    write_text(path, svg(figure))

@@ -1,0 +1,147 @@
+"""How well an estimate predicts what it was not made of: records or lines, from their inputs alone.
+
+ŷ = G v + transients, v being the inputs as their own channels show them; the unknown start and end of a whole record is
+all that is fitted to it.  FIT = 1 − ‖y − ŷ‖ / ‖y − ȳ‖ over the lines used, which is that of the samples in the band.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from dashpot.arrays import Bools, Complex, Ints, Real, frozen
+from dashpot.check.residuals import calibrations_of, of_channels
+from dashpot.data.conditioning.whole_record import FLOOR
+from dashpot.data.spectrum import Spectrum
+from dashpot.data.stretch import Stretch, WholeRecord
+from dashpot.errors import DataError
+from dashpot.estimate.likelihood.objective import measured, predict
+from dashpot.estimate.preparation.prepared import Prepared
+from dashpot.estimate.result import Estimate
+from dashpot.model.network import Model
+from dashpot.model.observation import channel_unit, observation_model
+
+WEIGHT = 1e-2  # of a channel's size: its weight in the fit of the transients where its noise is not known
+
+
+@dataclass(frozen=True)
+class Prediction:
+    """One record (or all settled lines) against what was predicted of it; outputs only.
+
+    channels, units  names and SI units
+    frequency_hz     (lines,)
+    measured, predicted  (lines, channels)
+    fit              (channels,) 1 − ‖y − ŷ‖ / ‖y‖
+    chi2             (channels,) NaN where the noise is not known
+    dof              (channels,) real lines of each channel
+    duration_s, samples  of a whole record, 0 of settled lines
+    """
+
+    channels: tuple[str, ...]
+    units: tuple[str, ...]
+    frequency_hz: Real
+    measured: Complex
+    predicted: Complex
+    fit: Real
+    chi2: Real
+    dof: Real
+    duration_s: float
+    samples: int
+
+    def __post_init__(self) -> None:
+        for name in ("measured", "predicted"):
+            object.__setattr__(self, name, frozen(getattr(self, name), np.complex128))
+        for name in ("frequency_hz", "fit", "chi2", "dof"):
+            object.__setattr__(self, name, frozen(getattr(self, name), np.float64))
+
+    def histories(self) -> tuple[Real, Real, Real]:
+        """Time (samples,) s, and measured and predicted histories (samples, channels) of the lines in the band."""
+        lines = np.rint(self.frequency_hz * self.duration_s).astype(int)
+        both = []
+        for values in (self.measured, self.predicted):
+            spectrum = np.zeros((self.samples // 2 + 1, values.shape[1]), dtype=np.complex128)
+            spectrum[lines] = values * self.samples / 2
+            both.append(np.fft.irfft(spectrum, self.samples, axis=0))
+        time = np.arange(self.samples, dtype=np.float64) * (self.duration_s / self.samples)
+        return time, both[0], both[1]
+
+
+def validate(model: Model, estimate: Estimate, spectrum: Spectrum) -> tuple[Prediction, ...]:
+    """What the estimate predicts of each whole record of `spectrum` (no batch axes), and of its settled lines.
+
+    Raises DataError where the channels do not give the inputs, or do not match the estimate's rig.
+    """
+    view = observation_model(model, spectrum.channels, spectrum.omega)
+    if len(estimate.names) != len(view.names) or tuple(estimate.names) != tuple(view.names):
+        raise DataError(
+            "the estimate is of another rig: its unknowns are "
+            f"{', '.join(estimate.names)}, those of the rig file {', '.join(view.names)}",
+            cure="give the rig file that the estimate was made with",
+        )
+    theta = estimate.values[: len(model.unknowns)]
+    psi, sign = of_channels(view, theta, calibrations_of(model, estimate))
+    outputs = ~view.inputs_alone
+    V, known = _weights(spectrum, outputs)
+    one = replace(spectrum, amplitudes=spectrum.amplitudes[None], covariance=V[None], moments=None)
+    data = measured(Prepared(model, one, V[None], None, True, np.ones(1, dtype=bool)), view)
+    if data.q is None:
+        raise DataError(
+            "the channels do not show every input, so that nothing can be predicted",
+            cure="record the inputs as well",
+        )
+    at = predict(view, data, psi[None], sign[None])
+    predicted = spectrum.amplitudes - at.r[0]
+    variance = np.diagonal(V, axis1=-2, axis2=-1).real
+    parts = []
+    for number, value in enumerate(spectrum.stretches):
+        lines = np.flatnonzero(spectrum.stretch == number)
+        if len(lines):
+            parts.append(_part(model, spectrum, predicted, variance, known, lines, outputs, value))
+    return tuple(parts)
+
+
+def _weights(spectrum: Spectrum, outputs: Bools) -> tuple[Complex, bool]:
+    """Variances with the inputs taken as exact, (lines, channels, channels), and whether they are the sensors'."""
+    variance = np.diagonal(spectrum.covariance, axis1=-2, axis2=-1).real
+    usable = np.isfinite(variance) & (variance > 0)
+    # The quiet end of a band is no measure of the noise elsewhere.
+    known = bool(np.all(usable[:, outputs])) and FLOOR not in spectrum.noise
+    size = np.nanmean(np.abs(spectrum.amplitudes) ** 2, axis=0)
+    chosen = np.where(usable & known, variance, WEIGHT**2 * size) * outputs
+    V: Complex = (chosen[..., None] * np.eye(len(spectrum.channels))).astype(np.complex128)
+    return V, known
+
+
+def _part(
+    model: Model,
+    spectrum: Spectrum,
+    predicted: Complex,
+    variance: Real,
+    known: bool,
+    lines: Ints,
+    outputs: Bools,
+    value: Stretch,
+) -> Prediction:
+    at = np.flatnonzero(outputs)
+    y, shown = spectrum.amplitudes[lines][:, at], predicted[lines][:, at]
+    there = np.isfinite(y)
+    away = np.sum(np.where(there, np.abs(y - shown) ** 2, 0.0), axis=0)
+    size = np.sum(np.where(there, np.abs(y) ** 2, 0.0), axis=0)
+    noise = variance[lines][:, at]
+    with np.errstate(invalid="ignore", divide="ignore"):
+        fit = np.where(size > 0, 1 - np.sqrt(away / size), np.nan)
+        chi2 = 2 * np.sum(np.where(there, np.abs(y - shown) ** 2 / noise, 0.0), axis=0)
+    record = value if isinstance(value, WholeRecord) else None
+    return Prediction(
+        tuple(spectrum.channels[c].name for c in at),
+        tuple(channel_unit(model, spectrum.channels[c]) for c in at),
+        spectrum.frequency_hz[lines],
+        y,
+        shown,
+        fit,
+        chi2 if known else np.full(len(at), np.nan),
+        2.0 * np.sum(there, axis=0),
+        0.0 if record is None else record.duration_s,
+        0 if record is None else record.samples,
+    )

@@ -1,0 +1,46 @@
+"""Measured and predicted histories and spectra, from arrays alone."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from dashpot.arrays import Complex, Real
+from dashpot.present.figures.style import BAD, DATA, MODEL, style
+
+
+def histories_and_spectra(
+    names: Sequence[str],
+    units: Sequence[str],
+    time: Real,
+    measured: Real,
+    predicted: Real,
+    frequency_hz: Real,
+    shown: Complex,
+    expected: Complex,
+) -> Figure:
+    """A row for each channel: the history with its prediction left, the spectra with their difference right.
+
+    measured, predicted (samples, channels); shown, expected (lines, channels) complex amplitudes.
+    """
+    with style():
+        figure = Figure(figsize=(9, 2.1 * len(names) + 0.4))
+        rows = figure.subplots(len(names), 2, squeeze=False)
+        for row, (name, unit) in enumerate(zip(names, units, strict=True)):
+            left, right = rows[row]
+            left.plot(time, measured[:, row], color=DATA, linewidth=0.8, label="measured")
+            left.plot(time, predicted[:, row], color=MODEL, linewidth=0.7, label="predicted")
+            left.plot(
+                time, measured[:, row] - predicted[:, row], color=BAD, linewidth=0.6, label="difference"
+            )
+            left.set_ylabel(f"{name}, {unit}")
+            right.semilogy(frequency_hz, np.abs(shown[:, row]), color=DATA, linewidth=0.7)
+            right.semilogy(frequency_hz, np.abs(expected[:, row]), color=MODEL, linewidth=0.7)
+            right.semilogy(frequency_hz, np.abs(shown[:, row] - expected[:, row]), color=BAD, linewidth=0.5)
+            right.set_title(name)
+        rows[0][0].legend(ncols=3, loc="upper right")
+        rows[-1][0].set_xlabel("time, s")
+        rows[-1][1].set_xlabel("frequency, Hz")
+    return figure

@@ -1,0 +1,41 @@
+"""Predictions of records that an estimate was not made of, for a terminal."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from rich.console import Console
+
+from dashpot.check.validation import Prediction
+from dashpot.present.tables.layout import TableColumn, show_paragraph, show_table
+from dashpot.present.text.numbers import short
+
+
+def show_validation(out: Console, predictions: Sequence[Prediction]) -> None:
+    """A row for each channel of each record: FIT and χ² over its degrees of freedom."""
+    rows: list[tuple[str, ...]] = []
+    for number, part in enumerate(predictions, start=1):
+        for c, channel in enumerate(part.channels):
+            name = f"{number} ({part.duration_s:.4g} s)" if part.samples else "settled lines"
+            ratio = float(part.chi2[c]) / max(float(part.dof[c]), 1.0)
+            test = short(ratio) if np.isfinite(ratio) else "–"
+            rows.append((name, channel, str(len(part.frequency_hz)), f"{100 * part.fit[c]:.2f}", test))
+    names, channels, lines, fits, tests = (tuple(cells) for cells in zip(*rows, strict=True))
+    out.print()
+    show_table(
+        out,
+        [
+            TableColumn("record", names),
+            TableColumn("channel", channels),
+            TableColumn("lines", lines, "right"),
+            TableColumn("FIT, %", fits, "right"),
+            TableColumn("χ² / dof", tests, "right"),
+        ],
+    )
+    out.print()
+    show_paragraph(
+        out,
+        "FIT = 1 − ‖measured − predicted‖ / ‖measured − mean‖ within the band used, from the inputs alone; only the "
+        "state in which a record starts and ends is fitted to it.",
+    )
