@@ -8,7 +8,7 @@ from typing import Any, TypeVar
 import click
 
 Function = TypeVar("Function", bound=Callable[..., Any])
-ARGUMENTS, GENERAL = "Arguments", "General"
+GENERAL = "General"
 WIDEST = 100  # columns of help text
 
 
@@ -37,13 +37,12 @@ class GroupedCommand(click.Command):
         return super().parse_args(ctx, args)
 
     def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
-        """Arguments, then options by group: in the order of their first option, the general ones last."""
+        """Options by group: in the order of their first option, the general ones last."""
         groups: dict[str, list[tuple[str, str]]] = {}
         for parameter in self.get_params(ctx):
-            record = parameter.get_help_record(ctx)
+            record = parameter.get_help_record(ctx) if isinstance(parameter, click.Option) else None
             if record is not None:
-                group = ARGUMENTS if isinstance(parameter, click.Argument) else GENERAL
-                groups.setdefault(getattr(parameter, "group", group), []).append(record)
+                groups.setdefault(getattr(parameter, "group", GENERAL), []).append(record)
         groups[GENERAL] = groups.pop(GENERAL, [])
         for title, records in groups.items():
             with formatter.section(title):

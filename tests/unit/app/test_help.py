@@ -18,7 +18,7 @@ from tests.unit.app.conftest import Command
 def test_help_groups_every_option_and_ends_with_examples(dashpot: Command, name: str) -> None:
     out = dashpot(name, "--help").out
     assert "\nExamples:\n" in out
-    assert out.index("Arguments:") < out.index("General:") < out.index("Examples:")
+    assert out.index("Positional arguments:") < out.index("General:") < out.index("Examples:")
     assert all(len(line) <= 80 for line in out[: out.index("Examples:")].splitlines())
 
 
