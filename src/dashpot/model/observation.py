@@ -307,18 +307,16 @@ class Transfer:
         model = self.view.model
         X = np.einsum("...nq,...q->...n", self.X, q)
         B = model.B if small(model) else model.sparse_B
-        elongation = _times(X, B.T) + q[..., : model.D.shape[1]] @ model.D.T
-        a: Complex = model.factors(self.view.omega) * elongation
-        return a
+        U = q[..., : model.D.shape[1]]
+        return model.factors(self.view.omega) * (_times(X, B.T) + U @ model.D.T)
 
     def slopes(self, q: Complex) -> Complex:
         """∂y/∂ψ at fixed inputs q (..., lines, r + s), ∂y/∂θ without calibrations; (..., lines, channels, M)."""
         by_theta: Complex = (self.E * self.unit_forces(q)[..., None, :]) @ self.view.model.T
         if self.psi is None or not (self.view.gains or self.view.delays):
             return by_theta
-        return np.concatenate(
-            [by_theta, calibration_slopes(self.view, self.psi, self.amplitudes(q))], axis=-1
-        )
+        by_calibration = calibration_slopes(self.view, self.psi, self.amplitudes(q))
+        return np.concatenate([by_theta, by_calibration], axis=-1)
 
 
 def transfer(view: ObservationModel, p: Real) -> Transfer:
