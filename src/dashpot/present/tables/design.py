@@ -133,8 +133,8 @@ def _words(found: Answer, plan: Plan) -> list[str]:
     p = plan.predicted
     over = "" if found.robust is None else f", {_DOUBT[found.robustness]} {found.setup.scenarios} scenarios"
     first = f"{plan.criterion.name[0].upper()}{plan.criterion.name[1:]}{over}: {_figure(plan.criterion, p.figure)}. "
-    first += f"No test with as much measuring in this band can be better than {_figure(plan.criterion, plan.ideal)}, "
-    first += f"less a duality gap of {plan.gap:.1e}; "
+    first += f"Optimal: no test of {_grouped(plan.samples)} samples in this band is better than "
+    first += f"{_figure(plan.criterion, plan.ideal)} by more than the duality gap of {plan.gap:.1e}; "
     cost = 100 * max(plan.loss, 0.0)
     first += f"whole periods and limits cost {f'{short(cost, 2)} %' if cost >= 0.01 else 'less than 0.01 %'}."
     words = [first]
