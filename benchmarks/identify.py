@@ -20,11 +20,11 @@ from dashpot.estimate.linear.instrumental_variables import OptimalIV
 from dashpot.model.dynamics import response
 from dashpot.model.elements import Element, Kind, between, mass
 from dashpot.model.network import Input, Model
-from dashpot.reproduce.yamane1989.printed import printed
+from dashpot.reproduce.yamane1989.printed import paper_prints
 from dashpot.reproduce.yamane1989.rig import paper_model
 
-PAPER, TRUTH = paper_model(), dict(printed().values)
-CASE_3 = np.array(printed().cases["CASE-3"])  # Hz
+PAPER, TRUTH = paper_model(), dict(paper_prints().values)
+CASE_3 = np.array(paper_prints().cases["CASE-3"])  # Hz
 START = 1.5  # what the peers are told of the truth: they cannot start without
 
 

@@ -29,14 +29,14 @@ from dashpot.data.conditioning.lines import spectrum
 from dashpot.data.record import Record
 from dashpot.data.spectrum import Spectrum
 from dashpot.estimate.identify import identify
-from dashpot.reproduce.yamane1989.printed import printed
+from dashpot.reproduce.yamane1989.printed import paper_prints
 from dashpot.reproduce.yamane1989.rig import paper_model, true_rig
 
-RIG, TRUTH = paper_model(), dict(printed().values)
+RIG, TRUTH = paper_model(), dict(paper_prints().values)
 NAMES, TRUE = tuple(TRUTH), np.array(list(TRUTH.values()))
-K1, K2 = printed().known.values()
+K1, K2 = paper_prints().known.values()
 CHANNELS = true_rig().channels  # x1, x2, their velocities and u
-CASE_3 = printed().cases["CASE-3"]  # Hz
+CASE_3 = paper_prints().cases["CASE-3"]  # Hz
 STROKE = 1e-3  # m
 RATE = 100  # samples a second
 STEPS = 5  # of MuJoCo's integrator in a sample

@@ -11,14 +11,14 @@ import numpy as np
 import pytest
 
 from dashpot.reproduce.yamane1989.draws import rms_spread
-from dashpot.reproduce.yamane1989.printed import printed
+from dashpot.reproduce.yamane1989.printed import paper_prints
 from dashpot.reproduce.yamane1989.rig import tables_study
 from dashpot.study import montecarlo
 from dashpot.study.grid import scenarios
 
 DRAWS = 4000
 SEED = 2
-CASES = tuple(printed().cases)
+CASES = tuple(paper_prints().cases)
 BASES = ("given", "estimated")
 
 
@@ -57,7 +57,7 @@ def test_least_squares_is_off_by_the_bias_that_theory_predicts(level):
     study, one = grid()
     least = replace(one, frequencies=("CASE-3",), noise=(level,), methods=("ls",), covariance=("given",))
     _, _, summary = outcome(study, least)
-    expected = printed().ls_expected[f"{100 * level:g}"]
+    expected = paper_prints().ls_expected[f"{100 * level:g}"]
     assert np.max(summary["ls"].mean_se) < 0.1
     assert np.allclose(summary["ls"].mean, expected, atol=0.5)
 
@@ -65,7 +65,9 @@ def test_least_squares_is_off_by_the_bias_that_theory_predicts(level):
 @in_scenarios(SCENARIOS)
 def test_the_bound_is_that_of_the_facts(found):
     one, _, summary = found
-    assert np.allclose(summary["oiv"].bound, printed().bound[one.factors["frequencies"]], rtol=0, atol=6e-4)
+    assert np.allclose(
+        summary["oiv"].bound, paper_prints().bound[one.factors["frequencies"]], rtol=0, atol=6e-4
+    )
     assert np.allclose(100 * one.bound_sd() / one.theta, summary["iv"].bound)
 
 

@@ -13,7 +13,7 @@ import numpy as np
 
 from dashpot.arrays import Complex, Ints, Real, frozen
 from dashpot.channel import Channel
-from dashpot.data.stretch import SettledDwell, Stretch, WholeRecord, joined, selected
+from dashpot.data.stretch import SettledDwell, Stretch, WholeRecord, joined_stretches, selected
 from dashpot.errors import DataError
 from dashpot.notices import Notice
 from dashpot.shorthand import call
@@ -239,7 +239,7 @@ def concatenate(spectra: Sequence[Spectrum]) -> Spectrum:
         np.concatenate([spectrum.experiment for spectrum in spectra]),
         _moments(spectra, list(channels), batch),
         tuple(dict.fromkeys(note for spectrum in spectra for note in spectrum.notes)),
-        *joined([(spectrum.stretch, spectrum.stretches) for spectrum in spectra]),
+        *joined_stretches([(spectrum.stretch, spectrum.stretches) for spectrum in spectra]),
     )
 
 

@@ -61,7 +61,7 @@ class WholeRecord:
 Stretch = SettledDwell | WholeRecord
 
 
-def joined(
+def joined_stretches(
     parts: Sequence[tuple[Ints, tuple[Stretch, ...]]],
 ) -> tuple[Ints, tuple[Stretch, ...]]:
     """Stretches of several spectra put one after another, (lines of all,).

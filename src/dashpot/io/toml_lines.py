@@ -41,17 +41,17 @@ class Lines:
     def of(self, path: Sequence[str | int]) -> int | None:
         """Line of the last definition of `path`, or of the nearest table around it; None where there is none."""
         for length in range(len(path), 0, -1):
-            found = self._where.get(tuple(path[:length]))
-            if found is not None:
-                return found[-1]
+            lines = self._where.get(tuple(path[:length]))
+            if lines is not None:
+                return lines[-1]
         return None
 
     def twice(self) -> tuple[Path, int, int] | None:
         """The first key that is defined again, with the lines of its first and second definition."""
-        found = [(lines[1], path, lines[0]) for path, lines in self._where.items() if len(lines) > 1]
-        if not found:
+        again = [(lines[1], path, lines[0]) for path, lines in self._where.items() if len(lines) > 1]
+        if not again:
             return None
-        second, path, first = min(found, key=lambda one: one[0])
+        second, path, first = min(again, key=lambda entry: entry[0])
         return path, first, second
 
 

@@ -36,12 +36,12 @@ class Matrices:
 
 def _assemble(model: Model, p: Real, letter: str) -> Real:
     """Σ p_i b_iᵀ [b_i | d_i] over the elements of M, C, K or H, flattened; (..., n (n + r))."""
-    products, own = model.products[letter], p[..., model.by_matrix[letter]]
-    if not own.shape[-1]:
+    products, parameters = model.products[letter], p[..., model.by_matrix[letter]]
+    if not parameters.shape[-1]:
         return np.zeros((*p.shape[:-1], products.shape[1]))
     if isinstance(products, np.ndarray):
-        return own @ products
-    flat: Real = own.reshape(-1, own.shape[-1]) @ products
+        return parameters @ products
+    flat: Real = parameters.reshape(-1, parameters.shape[-1]) @ products
     return flat.reshape(*p.shape[:-1], products.shape[1])
 
 
@@ -49,9 +49,17 @@ def matrices(model: Model, p: Real) -> Matrices:
     """Matrices of the rig with parameters p of shape (..., elements).  Paper eq. 1 and 6."""
     n, r = model.n, model.D.shape[1]
     both = {letter: _assemble(model, p, letter).reshape(*p.shape[:-1], n, n + r) for letter in MATRICES}
-    own = {letter: part[..., :n] for letter, part in both.items()}
+    inner = {letter: part[..., :n] for letter, part in both.items()}
     driven = {letter: -part[..., n:] for letter, part in both.items()}
-    return Matrices(own["M"], own["C"], own["K"], own["H"], driven["C"], driven["K"], driven["M"])
+    return Matrices(
+        inner["M"],
+        inner["C"],
+        inner["K"],
+        inner["H"],
+        driven["C"],
+        driven["K"],
+        driven["M"],
+    )
 
 
 def stiffness(model: Model, p: Real, omega: Real) -> Complex:

@@ -89,12 +89,12 @@ class Model:
     @property
     def displacement_inputs(self) -> tuple[str, ...]:
         """Names of the r displacement inputs, in order."""
-        return tuple(one.name for one in self.inputs if one.kind == "displacement")
+        return tuple(source.name for source in self.inputs if source.kind == "displacement")
 
     @property
     def force_inputs(self) -> tuple[str, ...]:
         """Names of the s force inputs, in order."""
-        return tuple(one.name for one in self.inputs if one.kind == "force")
+        return tuple(source.name for source in self.inputs if source.kind == "force")
 
     @property
     def n(self) -> int:
@@ -139,8 +139,8 @@ class Model:
     def S(self) -> Real:
         """Where the force inputs act, (n, s).  THEORY (E)."""
         S = np.zeros((self.n, len(self.force_inputs)))
-        for column, one in enumerate(one for one in self.inputs if one.kind == "force"):
-            for coordinate, factor in one.at.items():
+        for column, source in enumerate(source for source in self.inputs if source.kind == "force"):
+            for coordinate, factor in source.at.items():
                 S[self.coordinates.index(coordinate), column] = factor
         return frozen(S, np.float64)
 
@@ -283,13 +283,13 @@ class Model:
         theta = np.empty(len(self.unknowns))
         for j, unknown in enumerate(self.unknowns):
             choices = (values.get(unknown.name), unknown.prior, unknown.guess)
-            found = next((value for value in choices if value is not None), None)
-            if found is None:
+            value = next((choice for choice in choices if choice is not None), None)
+            if value is None:
                 raise ModelError(
                     f"{unknown.name} has no value",
                     cure=f"give it one, such as {unknown.name}=1.0, or a guess",
                 )
-            theta[j] = found
+            theta[j] = value
         strangers = set(values) - {unknown.name for unknown in self.unknowns}
         if strangers:
             raise ModelError(

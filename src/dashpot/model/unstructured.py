@@ -85,10 +85,10 @@ def free_names(model: Model) -> set[str]:
 
 def free_entries(model: Model) -> dict[Letter, list[tuple[str, str]]]:
     """The free matrices of a model, each with the pairs of coordinates whose entries may differ from 0."""
-    found: dict[Letter, list[tuple[str, str]]] = {}
+    entries: dict[Letter, list[tuple[str, str]]] = {}
     for letter in LETTERS:
-        own = [e for e in model.elements if e.free and e.kind in _KINDS[letter]]
-        if own:
-            pairs = (tuple(element.along) for element in own)
-            found[letter] = [(pair[0], pair[1]) for pair in pairs if len(pair) == 2]
-    return found
+        elements = [e for e in model.elements if e.free and e.kind in _KINDS[letter]]
+        if elements:
+            pairs = (tuple(element.along) for element in elements)
+            entries[letter] = [(pair[0], pair[1]) for pair in pairs if len(pair) == 2]
+    return entries

@@ -138,8 +138,8 @@ def _points(study: Study, grid: ScenarioGrid) -> Iterator[Scenario]:
 
 
 def _test(study: Study, rig: TrueRig, lines: Sequence[float], counts: int | Ints) -> Dwells:
-    own = {one.name for one in rig.model.inputs}
-    amplitudes = {name: size for name, size in study.amplitudes.items() if name in own}
+    inputs = {source.name for source in rig.model.inputs}
+    amplitudes = {name: size for name, size in study.amplitudes.items() if name in inputs}
     return dwells(rig.model, lines, counts, amplitudes=amplitudes, periods=study.periods)
 
 
@@ -199,10 +199,10 @@ def with_unknowns(rig: TrueRig, names: Sequence[str]) -> Model:
 
     Raises UsageError for a name that is no parameter of its own.
     """
-    own = [element.name for element in rig.model.elements if element.same_as is None]
+    parameters = [element.name for element in rig.model.elements if element.same_as is None]
     for name in names:
-        if name not in own:
-            raise UsageError(f"{name} is no parameter of the rig", cure=f"it has {listed(own)}")
+        if name not in parameters:
+            raise UsageError(f"{name} is no parameter of the rig", cure=f"it has {listed(parameters)}")
     elements = []
     for element in rig.model.elements:
         if element.same_as is not None:

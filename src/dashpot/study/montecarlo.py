@@ -23,7 +23,7 @@ from dashpot.estimate.result import Estimate
 from dashpot.study.scenario import Scenario
 from dashpot.study.simulate import simulate_spectrum
 from dashpot.study.store import Label, State, read_block, state_of, write_block
-from dashpot.study.summary import Repeats, Summary, merged, summarise
+from dashpot.study.summary import Repeats, Summary, all_repeats, summarise
 
 BLOCK = 500  # repeats; part of what the seed means
 
@@ -88,7 +88,7 @@ def run_task(task: Task) -> Done:
         raise UsageError(first.what, f"{scenario.name}", first.cure) from error
     if task.file is None:
         return Done(scenario.key, task.index, task.identifications, block)
-    write_block(Path(task.file), {name: _columns(one) for name, one in block.items()}, task.label)
+    write_block(Path(task.file), {name: _columns(repeats) for name, repeats in block.items()}, task.label)
     return Done(scenario.key, task.index, task.identifications)
 
 
@@ -146,27 +146,30 @@ class Results:
                 block = self.memory[scenario.key, task.index]
             else:
                 columns = read_block(Path(task.file), task.label)
-                block = {name: Repeats(**own) for name, own in columns.items()}
+                block = {name: Repeats(**values) for name, values in columns.items()}
             for name in scenario.methods:
                 parts[name].append(block[name])
-        return {name: merged(own) for name, own in parts.items()}
+        return {name: all_repeats(blocks) for name, blocks in parts.items()}
 
     def summaries(self, scenario: Scenario) -> dict[str, Summary]:
         """Bias, spread, coverage and efficiency of each method."""
         bound = scenario.bound_sd()
-        return {name: summarise(own, scenario.theta, bound) for name, own in self.repeats(scenario).items()}
+        return {
+            name: summarise(repeats, scenario.theta, bound)
+            for name, repeats in self.repeats(scenario).items()
+        }
 
 
 def tasks(
     scenarios: Iterable[Scenario], seed: int, block: int = BLOCK, folder: Path | None = None
 ) -> list[Task]:
     """The blocks of the scenarios, in order; the last of each scenario may be smaller."""
-    found = []
+    work = []
     for scenario in scenarios:
         for index, first in enumerate(range(0, scenario.draws, block)):
             file = None if folder is None else str(block_file(folder, scenario, index))
-            found.append(Task(scenario, index, min(block, scenario.draws - first), seed, file))
-    return found
+            work.append(Task(scenario, index, min(block, scenario.draws - first), seed, file))
+    return work
 
 
 def block_file(folder: Path, scenario: Scenario, index: int) -> Path:

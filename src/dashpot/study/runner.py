@@ -36,7 +36,7 @@ class SummaryRow:
 
 
 @dataclass(frozen=True)
-class Outcome:
+class StudyOutcome:
     """A finished study: a row for each scenario and method, in the order of the study."""
 
     name: str
@@ -47,7 +47,7 @@ class Outcome:
     def columns(self) -> dict[str, list[Any]]:
         """The summary as a table: one row for each scenario, method and parameter; errors in % of the true value."""
         factors = list(dict.fromkeys(key for row in self.rows for key in row.scenario.factors))
-        found: dict[str, list[Any]] = {key: [] for key in factors}
+        columns: dict[str, list[Any]] = {key: [] for key in factors}
         for row in self.rows:
             s = row.summary
             for j, unknown in enumerate(row.scenario.model.unknowns):
@@ -69,8 +69,8 @@ class Outcome:
                 for k, level in enumerate(LEVELS):
                     numbers[f"quantile_{level:g}"] = float(s.quantiles[k, j])
                 for key, number in numbers.items():
-                    found.setdefault(key, []).append(number)
-        return found
+                    columns.setdefault(key, []).append(number)
+        return columns
 
 
 def run_study(
@@ -80,7 +80,7 @@ def run_study(
     mapper: Map = map,
     progress: Callable[[int, int], None] | None = None,
     block: int = BLOCK,
-) -> Outcome:
+) -> StudyOutcome:
     """Compute what is not in `folder` yet, by any `mapper`, and summarise; without a folder all stays in memory.
 
     The result depends on the study alone: not on the mapper, nor on interruptions.  A study that has grown (more
@@ -89,26 +89,26 @@ def run_study(
     Raises UsageError where the folder holds something else, another process works in it, or a method cannot do what is
     asked of it; IdentifiabilityError where a test does not determine the unknowns.
     """
-    found = scenarios(study)
-    rehearse(found)
+    points = scenarios(study)
+    rehearse(points)
     if folder is None:
         return _outcome(
-            study, run_scenarios(found, study.seed, block=block, mapper=mapper, progress=progress)
+            study, run_scenarios(points, study.seed, block=block, mapper=mapper, progress=progress)
         )
     _make(folder)
     with locked(folder):
-        _claim(study, found, folder, block)
+        _claim(study, points, folder, block)
         for place in (folder, folder / "draws", *folder.glob("draws/*")):
             remove_parts(place)
         results = run_scenarios(
-            found, study.seed, folder=folder, block=block, mapper=mapper, progress=progress
+            points, study.seed, folder=folder, block=block, mapper=mapper, progress=progress
         )
         outcome = _outcome(study, results)
         write_table(folder / "summary.parquet", outcome.columns())
     return outcome
 
 
-def _outcome(study: Study, results: Results) -> Outcome:
+def _outcome(study: Study, results: Results) -> StudyOutcome:
     texts: Mapping[State, str] = {
         "damaged": "{} of the study's blocks computed again: damaged, or not in its place",
         "outdated": "{} of the study's blocks computed again: another version of dashpot had computed it",
@@ -118,62 +118,64 @@ def _outcome(study: Study, results: Results) -> Outcome:
         for state, text in texts.items()
         if results.replaced.get(state)
     ]
-    return Outcome(study.name, study.seed, tuple(_rows(results)), tuple(notes))
+    return StudyOutcome(study.name, study.seed, tuple(_rows(results)), tuple(notes))
 
 
-def rehearse(found: Sequence[Scenario]) -> None:
+def rehearse(points: Sequence[Scenario]) -> None:
     """Two draws of every scenario by every method, and its bound: what cannot work fails now, not hours later.
 
     Raises the DashpotError, placed at the scenario.
     """
-    for one in found:
+    for point in points:
         try:
-            one.bound_sd()
+            point.bound_sd()
         except DashpotError as error:
             first = error.problems[0]
-            raise type(error)(first.what, one.name, first.cure) from error
-        run_task(Task(one, 0, 2, 0))
+            raise type(error)(first.what, point.name, first.cure) from error
+        run_task(Task(point, 0, 2, 0))
 
 
 def _rows(results: Results) -> Iterable[SummaryRow]:
-    for one in results.scenarios:
-        for name, summary in results.summaries(one).items():
-            yield SummaryRow(one, name, summary)
+    for scenario in results.scenarios:
+        for name, summary in results.summaries(scenario).items():
+            yield SummaryRow(scenario, name, summary)
 
 
 def _make(folder: Path) -> None:
     """Make the folder, or see that what lies in it is a study.  Raises UsageError."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        strangers = [one for one in folder.iterdir() if one.name != LOCK and not one.name.startswith(PART[0])]
+        others = [
+            path for path in folder.iterdir() if path.name != LOCK and not path.name.startswith(PART[0])
+        ]
     except OSError as error:
         raise UsageError(
             f"the folder cannot be used ({error.strerror or error})", str(folder), "name another one"
         ) from None
-    if strangers and not (folder / "study.json").exists():
+    if others and not (folder / "study.json").exists():
         raise UsageError(
             "the folder holds other files, and no study", str(folder), "name a new folder for the study"
         )
 
 
-def _claim(study: Study, found: Sequence[Scenario], folder: Path, block: int) -> None:
+def _claim(study: Study, points: Sequence[Scenario], folder: Path, block: int) -> None:
     """Write down whose folder it is, or see that it is this study's.  Raises UsageError."""
-    own: dict[str, Any] = {
+    content: dict[str, Any] = {
         "format": FORMAT,
         "name": study.name,
         "seed": study.seed,
         "block": block,
         "scenarios": {
-            one.key: {"factors": dict(one.factors), "fingerprint": one.fingerprint} for one in found
+            point.key: {"factors": dict(point.factors), "fingerprint": point.fingerprint} for point in points
         },
     }
     manifest = folder / "study.json"
     if manifest.exists():
-        own["scenarios"] = _earlier(manifest, own) | own["scenarios"]
-    write_text(manifest, to_json(own))
+        content["scenarios"] = _earlier(manifest, content) | content["scenarios"]
+    write_text(manifest, to_json(content))
 
 
-def _earlier(manifest: Path, own: dict[str, Any]) -> dict[str, Any]:
+def _earlier(manifest: Path, content: dict[str, Any]) -> dict[str, Any]:
     """Scenarios of the study that lies there already.  Raises UsageError where the two do not go together."""
     another = "name another folder, or delete this one"
     try:
@@ -183,13 +185,13 @@ def _earlier(manifest: Path, own: dict[str, Any]) -> dict[str, Any]:
     except (OSError, ValueError, KeyError, TypeError):
         raise UsageError("this is no study of dashpot", str(manifest), another) from None
     for key in ("format", "seed", "block"):
-        if other.get(key) != own[key]:
+        if other.get(key) != content[key]:
             raise UsageError(
-                f"the folder holds a study with {key} {other.get(key)}, not {own[key]}",
+                f"the folder holds a study with {key} {other.get(key)}, not {content[key]}",
                 str(manifest),
                 another,
             )
-    for key, entry in own["scenarios"].items():
+    for key, entry in content["scenarios"].items():
         if key in prints and prints[key] != entry["fingerprint"]:
             named = " ".join(f"{name}={value}" for name, value in entry["factors"].items())
             raise UsageError(

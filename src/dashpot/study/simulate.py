@@ -95,7 +95,7 @@ def dwells(
     frequencies = np.atleast_1d(np.asarray(frequency_hz, dtype=float))
     lines = len(frequencies)
     given: Mapping[str, complex] = {} if amplitudes is None else amplitudes
-    names = [one.name for one in model.inputs]
+    names = [source.name for source in model.inputs]
     for name in given:
         if name not in names:
             raise UsageError(f"the rig has no input {name}", cure=f"it has {', '.join(names)}")
@@ -245,24 +245,15 @@ def simulate_spectrum(
         _require_free(test, free)
         V = ((spread / free)[:, None, None] * residual).astype(np.complex128)
         dof, basis = free.astype(float), "white"
-    products = None
-    if moments and residual is not None:
-        products = _moments(A, gram, residual)
+    products = _moments(A, gram, residual) if moments and residual is not None else None
     if draws is None:
         A = A[0]
         V = V[0] if V.ndim == 4 else V
         products = None if products is None else products[0]
+    kept, experiment = None if products is None else Moments(products), np.zeros(lines, dtype=np.int64)
     return Spectrum(
-        channels,
-        test.frequency_hz,
-        A,
-        V,
-        test.samples,
-        dof,
-        (basis,) * lines,
-        np.zeros(lines, dtype=np.int64),
-        None if products is None else Moments(products),
-    )
+        channels, test.frequency_hz, A, V, test.samples, dof, (basis,) * lines, experiment, kept
+    )  # fmt: skip
 
 
 def clean_spectrum(
@@ -346,8 +337,8 @@ def _wishart(rng: np.random.Generator, draws: int, dof: Ints, sd: Real) -> Real:
 def _moments(A: Complex, gram: Real, residual: Real) -> Real:
     """Σ q qᵀ with q = (channels, cos, sin), (draws, lines, channels + 2, channels + 2)."""
     beta = np.stack([A.real, -A.imag], axis=-2)
-    own = np.concatenate([beta, np.broadcast_to(np.eye(2), (*beta.shape[:-1], 2))], axis=-1)
-    products: Real = np.swapaxes(own, -1, -2) @ gram @ own
+    rows = np.concatenate([beta, np.broadcast_to(np.eye(2), (*beta.shape[:-1], 2))], axis=-1)
+    products: Real = np.swapaxes(rows, -1, -2) @ gram @ rows
     channels = A.shape[-1]
     products[..., :channels, :channels] += residual
     return products

@@ -47,7 +47,7 @@ class Repeats:
         return relative
 
 
-def merged(parts: Sequence[Repeats]) -> Repeats:
+def all_repeats(parts: Sequence[Repeats]) -> Repeats:
     """All repeats of several blocks, in their order."""
     return Repeats(
         *(

@@ -8,7 +8,7 @@ import pytest
 from dashpot.errors import UsageError
 from dashpot.model.modes import modes
 from dashpot.reproduce.yamane1989.draws import farther, rms_spread
-from dashpot.reproduce.yamane1989.printed import printed
+from dashpot.reproduce.yamane1989.printed import paper_prints
 from dashpot.reproduce.yamane1989.reproduction import reproduce
 from dashpot.reproduce.yamane1989.rig import paper_model, tables_study
 from dashpot.reproduce.yamane1989.tables import eigenvalues
@@ -25,7 +25,7 @@ def found():
 
 def test_table_1():
     """Printed to four decimals, but for its last digit."""
-    rig, paper = paper_model(), printed()
+    rig, paper = paper_model(), paper_prints()
     values = modes(rig, rig.parameters(rig.theta(dict(paper.values)))).eigenvalues
     assert np.allclose(values, paper.eigenvalues, rtol=0, atol=6e-5)
     assert np.allclose(np.abs(values.imag) / (2 * np.pi), [2.96, 9.60], atol=5e-3)
@@ -68,7 +68,7 @@ def test_percentile_and_distance_are_of_the_draws():
 
 
 def test_eigenvalues_of_many_rigs_are_those_of_each():
-    rig, paper = paper_model(), printed()
+    rig, paper = paper_model(), paper_prints()
     theta = rig.theta(dict(paper.values)) * np.random.default_rng(2).uniform(0.8, 1.2, (5, 6))
     many = eigenvalues(rig, theta)
     for own, row in zip(theta, many, strict=True):

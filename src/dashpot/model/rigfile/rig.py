@@ -65,9 +65,14 @@ def default_channels(model: Model) -> tuple[Channel, ...]:
         for point in (*model.coordinates, *model.displacement_inputs)
     ]
     forces = [
-        Channel(one.name, {one.name: 1.0}, Quantity.FORCE, si_unit("force", all_angles(one.at, model.angles)))
-        for one in model.inputs
-        if one.kind == "force"
+        Channel(
+            source.name,
+            {source.name: 1.0},
+            Quantity.FORCE,
+            si_unit("force", all_angles(source.at, model.angles)),
+        )
+        for source in model.inputs
+        if source.kind == "force"
     ]
     return (*motions, *forces)
 

@@ -13,7 +13,7 @@ from dashpot.arrays import Real
 from dashpot.present.figures import study as draw
 from dashpot.present.figures.style import method_colour, png
 from dashpot.present.text.study import COUNTED_FACTORS, factor_text, varied_factors
-from dashpot.study.runner import Outcome, SummaryRow
+from dashpot.study.runner import StudyOutcome, SummaryRow
 from dashpot.study.summary import LEVELS, Summary
 
 FEWEST = 3  # points that make a curve
@@ -34,7 +34,7 @@ class FactorGroup:
     summaries: dict[str, list[Summary]]
 
 
-def groups(outcome: Outcome) -> list[FactorGroup]:
+def groups(outcome: StudyOutcome) -> list[FactorGroup]:
     """All sets of scenarios that differ in one factor alone and are worth a picture."""
     made = []
     for factor in varied_factors(outcome.rows):
@@ -71,7 +71,7 @@ def _group(factor: str, rest: Rest, names: tuple[str, ...], rows: Sequence[Summa
     return FactorGroup(factor, rest, tuple(values) if complete else (), names, complete)
 
 
-def study_pictures(outcome: Outcome) -> dict[str, bytes]:
+def study_pictures(outcome: StudyOutcome) -> dict[str, bytes]:
     """PNG files by name: for each numeric factor errors and accuracy over it, for each other factor bars."""
     made: dict[str, bytes] = {}
     for group in groups(outcome):
@@ -86,13 +86,13 @@ def study_pictures(outcome: Outcome) -> dict[str, bytes]:
     return made
 
 
-def _slug(group: FactorGroup, outcome: Outcome) -> str:
+def _slug(group: FactorGroup, outcome: StudyOutcome) -> str:
     """What distinguishes a group from others of its factor, as part of a file name."""
     parts = [factor_text(value) for key, value in group.rest if key in varied_factors(outcome.rows)]
     return re.sub(r"[^A-Za-z0-9._]+", "-", "_".join(parts)).strip("-")[:80]
 
 
-def _title(group: FactorGroup, outcome: Outcome) -> str:
+def _title(group: FactorGroup, outcome: StudyOutcome) -> str:
     """The same in words."""
     varied = varied_factors(outcome.rows)
     parts = [f"{key.replace('_', ' ')} {factor_text(value)}" for key, value in group.rest if key in varied]

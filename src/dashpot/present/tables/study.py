@@ -9,7 +9,7 @@ from rich.console import Console
 
 from dashpot.present.tables.layout import TableColumn, show_paragraph, show_table
 from dashpot.present.text.study import COUNTED_FACTORS, LEGEND, NOTHING, factor_text, varied_factors
-from dashpot.study.runner import Outcome, SummaryRow
+from dashpot.study.runner import StudyOutcome, SummaryRow
 from dashpot.study.summary import Summary
 
 RESULTS = ("bias", "spread", "bound", "ratio", "coverage", "failed")
@@ -17,7 +17,7 @@ MOST_COLUMNS = 3  # of factors; more are put into one
 LABEL = 21  # characters of that one on a line: 80 columns hold the rest beside it
 
 
-def show_study(outcome: Outcome, console: Console) -> None:
+def show_study(outcome: StudyOutcome, console: Console) -> None:
     """Print what varies, and how each method did."""
     varied = varied_factors(outcome.rows)
     factors = outcome.rows[0].scenario.factors

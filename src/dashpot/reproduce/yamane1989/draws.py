@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from dashpot.arrays import Real
-from dashpot.reproduce.yamane1989.printed import printed
+from dashpot.reproduce.yamane1989.printed import paper_prints
 from dashpot.study.montecarlo import Results
 from dashpot.study.scenario import Scenario
 from dashpot.study.summary import Repeats, Summary
@@ -16,7 +16,7 @@ class Draws:
 
     def __init__(self, results: Results) -> None:
         self.results = results
-        self.paper = printed()
+        self.paper = paper_prints()
         self._repeats: dict[str, dict[str, Repeats]] = {}
         self._summaries: dict[str, dict[str, Summary]] = {}
 
@@ -65,10 +65,10 @@ def rms_spread(errors: Real) -> tuple[float, float]:
     return rms, float(np.std(squares) / (2 * rms * np.sqrt(count)))
 
 
-def farther(errors: Real, own: Real) -> float:
-    """Share of the draws (draws, parameters) that lie farther from their mean than `own`, by Mahalanobis' distance."""
+def farther(errors: Real, given: Real) -> float:
+    """Share of the draws (draws, parameters) farther from their mean than `given`, by Mahalanobis' distance."""
     away = errors - np.mean(errors, axis=0)
     L = np.linalg.cholesky(np.cov(away.T))
     distance = np.sum(np.linalg.solve(L, away.T) ** 2, axis=0)
-    mine = float(np.sum(np.linalg.solve(L, own - np.mean(errors, axis=0)) ** 2))
-    return float((1 + np.sum(distance >= mine)) / (1 + len(distance)))
+    distance_of_given = float(np.sum(np.linalg.solve(L, given - np.mean(errors, axis=0)) ** 2))
+    return float((1 + np.sum(distance >= distance_of_given)) / (1 + len(distance)))

@@ -45,7 +45,7 @@ def facts() -> Mapping[str, Any]:
 
 
 @cache
-def printed() -> Printed:
+def paper_prints() -> Printed:
     """The figures of the paper, from the file that comes with this module."""
     raw = facts()
 

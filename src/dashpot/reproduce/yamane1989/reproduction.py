@@ -17,8 +17,8 @@ from dashpot.reproduce.yamane1989.findings import Findings, findings
 from dashpot.reproduce.yamane1989.rig import DRAWS, SEED, figures_study, tables_study
 from dashpot.reproduce.yamane1989.tables import (
     EigenvalueEntry,
+    PrintedColumn,
     Rank,
-    TableColumn,
     identified_eigenvalues,
     ranking,
     table_1,
@@ -41,9 +41,9 @@ class Reproduction:
     source: str
     unknown: tuple[str, ...]
     eigenvalues: tuple[EigenvalueEntry, ...]
-    table2: tuple[TableColumn, ...]
-    table3: tuple[TableColumn, ...]
-    table4: tuple[TableColumn, ...]
+    table2: tuple[PrintedColumn, ...]
+    table3: tuple[PrintedColumn, ...]
+    table4: tuple[PrintedColumn, ...]
     identified_eigenvalues: tuple[EigenvalueEntry, ...]
     ranking: tuple[Rank, ...]
     figure2: FigureData

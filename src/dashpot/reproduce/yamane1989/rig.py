@@ -7,7 +7,7 @@ from dataclasses import replace
 from dashpot.channel import Quantity
 from dashpot.model.elements import Element, Kind, between, mass
 from dashpot.model.network import Input, Model
-from dashpot.reproduce.yamane1989.printed import facts, printed
+from dashpot.reproduce.yamane1989.printed import facts, paper_prints
 from dashpot.study.grid import ScenarioGrid, Study, TrueRig
 from dashpot.study.simulate import standard_channels
 
@@ -36,12 +36,12 @@ def true_rig() -> TrueRig:
     """The rig with its true values and channels: x1, x2, their velocities, and u without noise."""
     rig = paper_model()
     motions = (Quantity.DISPLACEMENT, Quantity.VELOCITY)
-    return TrueRig(rig, printed().values, standard_channels(rig, motions))
+    return TrueRig(rig, paper_prints().values, standard_channels(rig, motions))
 
 
 def tables_study(draws: int = DRAWS, seed: int = SEED) -> Study:
     """Tables 2 to 4, and their cases under noise of constant size."""
-    paper = printed()
+    paper = paper_prints()
     base = _grid(draws)
     every = replace(base, frequencies=tuple(paper.cases))
     grids = (
@@ -65,7 +65,7 @@ def figures_study(draws: int = DRAWS, seed: int = SEED) -> Study:
 
 def _grid(draws: int) -> ScenarioGrid:
     """What the paper does where it does not say otherwise."""
-    return ScenarioGrid(("paper",), ("CASE-3",), (0.1,), (printed().samples,), METHODS, draws)
+    return ScenarioGrid(("paper",), ("CASE-3",), (0.1,), (paper_prints().samples,), METHODS, draws)
 
 
 def _study(name: str, grids: tuple[ScenarioGrid, ...], seed: int) -> Study:
@@ -74,7 +74,7 @@ def _study(name: str, grids: tuple[ScenarioGrid, ...], seed: int) -> Study:
     Without offset or drift all even spreads over whole half periods have the same distribution, whatever the phase of
     the input (sin ωt in eq. 2, cos ωt here), so half a period is taken: it makes sense of two samples too.
     """
-    paper = printed()
+    paper = paper_prints()
     return Study(
         name,
         seed,

@@ -10,7 +10,7 @@ from dashpot.arrays import Complex, Real
 from dashpot.model.modes import eigenpairs, modes
 from dashpot.model.network import Model
 from dashpot.reproduce.yamane1989.draws import Draws, farther, rms_spread
-from dashpot.reproduce.yamane1989.printed import printed
+from dashpot.reproduce.yamane1989.printed import paper_prints
 from dashpot.reproduce.yamane1989.rig import FOUR, METHODS, paper_model
 from dashpot.study.scenario import Scenario
 
@@ -38,7 +38,7 @@ class TableEntry:
 
 
 @dataclass(frozen=True)
-class TableColumn:
+class PrintedColumn:
     """One method in one column of a table.
 
     rms          root mean square spread over the parameters, %, and its standard error
@@ -99,15 +99,15 @@ def eigenvalues(rig: Model, theta: Real) -> Complex:
     values, _ = eigenpairs(rig, rig.parameters(theta))
     upper = values.imag > 1e-9 * np.abs(values)
     order = np.argsort(np.where(upper, np.abs(values), np.inf), axis=-1)[:, : rig.n]
-    found: Complex = np.where(
+    by_size: Complex = np.where(
         np.take_along_axis(upper, order, axis=-1), np.take_along_axis(values, order, axis=-1), np.nan
     )
-    return found
+    return by_size
 
 
 def table_1() -> tuple[EigenvalueEntry, ...]:
     """Eigenvalues of the rig as modelled here beside the printed ones."""
-    paper, rig = printed(), paper_model()
+    paper, rig = paper_prints(), paper_model()
     modelled = modes(rig, rig.parameters(rig.theta(dict(paper.values)))).eigenvalues
     return tuple(
         EigenvalueEntry("Table 1", "model", "–", complex(value), complex(ours), 0j)
@@ -115,7 +115,7 @@ def table_1() -> tuple[EigenvalueEntry, ...]:
     )
 
 
-def table_2(draws: Draws) -> tuple[TableColumn, ...]:
+def table_2(draws: Draws) -> tuple[PrintedColumn, ...]:
     """Noise levels: every method at every level."""
     columns = []
     for row, level in enumerate(draws.paper.levels):
@@ -128,7 +128,7 @@ def table_2(draws: Draws) -> tuple[TableColumn, ...]:
     return tuple(columns)
 
 
-def table_3(draws: Draws) -> tuple[TableColumn, ...]:
+def table_3(draws: Draws) -> tuple[PrintedColumn, ...]:
     """Six unknowns and four."""
     six, four = draws.at(), draws.at(unknowns=FOUR)
     values = np.array(list(draws.paper.table3.values()))
@@ -140,7 +140,7 @@ def table_3(draws: Draws) -> tuple[TableColumn, ...]:
     )
 
 
-def table_4(draws: Draws) -> tuple[TableColumn, ...]:
+def table_4(draws: Draws) -> tuple[PrintedColumn, ...]:
     """Input frequencies: every method in every case."""
     paper = draws.paper
     return tuple(
@@ -159,13 +159,13 @@ def table_4(draws: Draws) -> tuple[TableColumn, ...]:
 
 def table_column(
     draws: Draws, table: str, title: str, scenario: Scenario, method: str, given: Real | None
-) -> TableColumn:
+) -> PrintedColumn:
     """One column; `given` (unknowns,) are the printed errors, %, None where the paper has none."""
     summary, errors = draws.summary(scenario, method), draws.errors(scenario, method)
     rms, rms_se = rms_spread(errors)
     size = np.sqrt(np.mean(errors**2, axis=-1))
     printed_rms = None if given is None else float(np.sqrt(np.mean(given**2)))
-    return TableColumn(
+    return PrintedColumn(
         table,
         title,
         method,

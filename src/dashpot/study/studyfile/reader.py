@@ -9,7 +9,7 @@ from dashpot.errors import DashpotError, UsageError
 from dashpot.io.toml_document import TomlDocument, Wanted, parse_toml, read_toml
 from dashpot.study.grid import Study, points
 from dashpot.study.studyfile.grids import Tables, read_grids
-from dashpot.study.studyfile.tables import read_amplitudes, read_frequencies, read_rigs, read_unknowns
+from dashpot.study.studyfile.tables import read_frequencies, read_input_amplitudes, read_rigs, read_unknowns
 from dashpot.study.studyfile.values import StudyValues
 
 HEAD = (
@@ -44,7 +44,7 @@ def _study(document: TomlDocument) -> Study:
     rigs = read_rigs(values)
     lines = read_frequencies(values)
     unknowns = read_unknowns(values, rigs)
-    amplitudes = read_amplitudes(values, rigs)
+    amplitudes = read_input_amplitudes(values, rigs)
     grids = read_grids(values, Tables(*(values.names_in(key) for key in ("rigs", "frequencies", "unknowns"))))
     values.report.raise_any()
     study = Study(name, seed, rigs, lines, tuple(grids), unknowns, amplitudes, periods, drift)

@@ -134,7 +134,7 @@ def read_unknowns(values: StudyValues, rigs: Mapping[str, TrueRig]) -> dict[str,
     return sets
 
 
-def read_amplitudes(values: StudyValues, rigs: Mapping[str, TrueRig]) -> dict[str, complex]:
+def read_input_amplitudes(values: StudyValues, rigs: Mapping[str, TrueRig]) -> dict[str, complex]:
     """Amplitudes of the inputs, SI units."""
     quantities = {
         source.name: ("displacement" if source.kind == "displacement" else "force", _turns(rig, source.name))

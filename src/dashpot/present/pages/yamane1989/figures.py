@@ -18,7 +18,7 @@ from dashpot.reproduce.yamane1989.figures import (
     FigureData,
 )
 from dashpot.reproduce.yamane1989.reproduction import Reproduction
-from dashpot.reproduce.yamane1989.tables import TableColumn
+from dashpot.reproduce.yamane1989.tables import PrintedColumn
 
 ERROR = "relative error, %"
 X_LABELS = {"noise": "noise level ρ, %", "samples": "samples in all"}
@@ -88,7 +88,7 @@ def _limits(curves: Sequence[ErrorCurve]) -> tuple[float, float]:
     return low - room, high + room
 
 
-def _spreads(columns: Sequence[TableColumn], methods: Sequence[str], prefix: str = "") -> Figure:
+def _spreads(columns: Sequence[PrintedColumn], methods: Sequence[str], prefix: str = "") -> Figure:
     titles = list(dict.fromkeys(column.title for column in columns))
     rows = [entry.parameter for entry in columns[0].entries]
     panels = [
@@ -103,7 +103,7 @@ def _spreads(columns: Sequence[TableColumn], methods: Sequence[str], prefix: str
     return draw.spread_panels([prefix + title for title in titles], rows, panels, ERROR)
 
 
-def _spread(column: TableColumn) -> draw.Spread:
+def _spread(column: PrintedColumn) -> draw.Spread:
     def over(name: str) -> Real:
         values = [getattr(entry, name) for entry in column.entries]
         return np.array([np.nan if value is None else value for value in values], dtype=float)

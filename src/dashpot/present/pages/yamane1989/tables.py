@@ -11,7 +11,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from dashpot.reproduce.yamane1989.reproduction import Reproduction
-from dashpot.reproduce.yamane1989.tables import EigenvalueEntry, TableColumn, TableEntry
+from dashpot.reproduce.yamane1989.tables import EigenvalueEntry, PrintedColumn, TableEntry
 
 KINDS = {"relative": "noise in proportion to the amplitude", "constant": "noise of constant size"}
 NARROW = 10  # headings up to this width stand beside the first row of their group
@@ -62,7 +62,7 @@ LEGEND = (
 
 
 def _printed_table(
-    columns: Sequence[TableColumn], title: str, note: str, methods: Sequence[str]
+    columns: Sequence[PrintedColumn], title: str, note: str, methods: Sequence[str]
 ) -> TextTable:
     header = ["", ""]
     for name in methods:
