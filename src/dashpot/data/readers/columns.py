@@ -157,6 +157,8 @@ class Columns(ABC):
         unit = self.unit(column)
         if unit is None or unit in ("", channel.unit):
             return channel.scale
+        if _uncalibrated(unit, channel.quantity.value) is not None:
+            return self._scale_of_raw(unit, channel)
         factors = _factors(unit, channel.quantity.value)
         if any(np.isclose(factor, channel.scale, rtol=1e-9, atol=0) for factor in factors):
             return channel.scale
@@ -175,6 +177,33 @@ class Columns(ABC):
                 "correct the unit in the file, or the quantity in the rig file",
             )
         return channel.scale
+
+    def _scale_of_raw(self, unit: str, channel: Channel) -> float:
+        """Factor of a column in volts or counts: the rig file has to say the same, and the sensitivity.
+
+        Raises DataError where it does not.
+        """
+        quantity = channel.quantity.value
+        wanted = _uncalibrated(channel.unit, quantity) if channel.unit else None
+        if wanted is not None and np.isclose(_uncalibrated(unit, quantity) or 0.0, wanted, rtol=1e-9, atol=0):
+            return channel.scale
+        if wanted is None and channel.gain is None:
+            return channel.scale  # an unknown gain takes every unit
+        raise DataError(
+            f"column {shown(channel.name)}: in {shown(unit)}, the rig file says {channel.unit or 'SI units'}",
+            self.heading,
+            f'set unit = "{shown(unit)}" and gain = the sensitivity of the sensor, such as "100 {shown(unit)}/g", '
+            "for this channel in the rig file",
+        )
+
+
+def _uncalibrated(unit: str, quantity: str) -> float | None:
+    """Volts or counts per unit, None for what is a unit of the quantity, or no unit."""
+    if _factors(unit, quantity):
+        return None
+    with suppress(DashpotError):
+        return units.scale(unit, quantity, uncalibrated=True)
+    return None
 
 
 def _factors(unit: str, quantity: str) -> list[float]:

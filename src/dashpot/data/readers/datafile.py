@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gzip
 import io
+import mmap
 import os
 import stat
 import tempfile
@@ -22,6 +23,7 @@ from dashpot.io.words import shown
 
 HEAD = 1 << 16  # bytes by which formats are told apart
 PIECE = 1 << 24
+LARGE = 1 << 28  # bytes from which a file is not held in memory
 
 
 @dataclass(frozen=True)
@@ -48,6 +50,14 @@ class DataFile:
         """All bytes, unpacked.  Raises DataError where they cannot be read or are damaged."""
         with self.reading() as stream:
             return stream.read()
+
+    @cached_property
+    def mapped(self) -> mmap.mmap | None:
+        """The bytes of a file that is too large to be held; None for every other."""
+        if self.packed or not self.path.is_file() or self.path.stat().st_size < LARGE:
+            return None
+        with _said(self.name), Path(noted(self.path)).open("rb") as raw:
+            return mmap.mmap(raw.fileno(), 0, access=mmap.ACCESS_READ)
 
     @contextmanager
     def reading(self) -> Iterator[BinaryIO]:

@@ -74,7 +74,9 @@ def read_time(
             raise columns.error(wrong, time_at, "is no moment", "write it as 2025-03-06 12:21:16.125")
         return time, numbers
     numbers = columns.numbers(list(dict.fromkeys([time_at, *others])))
-    time = numbers[time_at] * _time_scale(columns, time_at)
+    scale = _time_scale(columns, time_at)
+    time = numbers[time_at] if time_at in others else numbers.pop(time_at)
+    time = time if scale == 1.0 else time * scale
     check_range(columns, time_at, time, LONGEST, "s")
     return time, numbers
 

@@ -66,6 +66,36 @@ def test_the_same_samples(tmp_path, shape, packed):
     assert record.values == pytest.approx(1e-3 * np.array([X1, U]).T, rel=1e-14)
 
 
+@pytest.mark.parametrize(
+    "shape", [shape for shape in SHAPES if shape not in ("old line ends", "UTF-16", "a mark")]
+)
+def test_large_files_are_read_as_they_come(tmp_path, shape, monkeypatch):
+    monkeypatch.setattr("dashpot.data.readers.datafile.LARGE", 1)
+    path = tmp_path / "test.txt"
+    path.write_text(SHAPES[shape])
+    (record,) = read(path, MM, frequency_hz=2.0).records
+    assert record.values == pytest.approx(1e-3 * np.array([X1, U]).T, rel=1e-14)
+    path.write_text(PLAIN.replace("-0.75", "bad"))
+    with pytest.raises(DataError, match=r"test.txt:4: column u: .bad. is not a number"):
+        read(path, MM)
+
+
+def test_volts_need_a_sensitivity(tmp_path):
+    path = tmp_path / "test.csv"
+    path.write_text("time_s,acc [mV]\n0,1\n1,2\n")
+    sensor = Channel("acc", {"x1": 1}, Quantity.ACCELERATION, "mV", 1e-3, gain=0.0102)
+    assert read(path, (sensor,)).records[0].values[:, 0] == pytest.approx([1e-3, 2e-3])
+    free = Channel("acc", {"x1": 1}, Quantity.ACCELERATION, gain=None)
+    assert read(path, (free,)).records[0].values[:, 0] == pytest.approx([1, 2])
+    for channel in (
+        Channel("acc", {"x1": 1}, Quantity.ACCELERATION),
+        Channel("acc", {"x1": 1}, Quantity.ACCELERATION, "V", 1.0, gain=0.0102),
+        Channel("acc", {"x1": 1}, Quantity.ACCELERATION, "g", 9.80665),
+    ):
+        with pytest.raises(DataError, match=r"column acc: in mV, the rig file says .*sensitivity"):
+            read(path, (channel,))
+
+
 def test_units_of_the_file_count_where_the_rig_says_none(tmp_path):
     path = tmp_path / "test.csv"
     path.write_text(PLAIN.replace("x1,u\n", "x1,u [in]\ns,mm,\n"))

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import csv
+import mmap
 import os
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from dashpot.data.readers.columns import MOST_COLUMNS, is_unit
 from dashpot.data.readers.datafile import DataFile, open_file
@@ -18,6 +19,7 @@ from dashpot.errors import DataError
 HEAD = 1 << 20  # bytes in which the header row must end
 MOST_LEADING = 400  # rows in front of the data that are looked through
 _DELIMITERS = (",", ";", "\t", "|")
+Text = bytes | mmap.mmap
 _BLANKS = " "  # as a delimiter: any number of blanks and tabs
 
 
@@ -38,12 +40,15 @@ def open_table(path: str | os.PathLike[str] | DataFile, first_column: str | None
     Raises DataError where the file cannot be read, is not text, is empty, or has a header and no rows.
     """
     file = path if isinstance(path, DataFile) else open_file(path)
+    if file.mapped is not None and file.head[:2] not in (b"\xff\xfe", b"\xfe\xff") and b"\n" in file.head:
+        table = table_of(file.mapped, file.name, first_column)
+        return replace(table, file=file) if isinstance(table.body.obj, mmap.mmap) else table
     return table_of(file.contents, file.name, first_column)
 
 
-def table_of(data: bytes, source: str, first_column: str | None = None) -> Table:
+def table_of(data: Text, source: str, first_column: str | None = None) -> Table:
     """The table in the bytes of a file; as `open_table`."""
-    data = _as_utf8(data, source)
+    data = _as_utf8(data, source) if isinstance(data, bytes) else data
     rows, delimiter = _leading_rows(data, source, first_column)
     header_at = len(rows) - 1
     if first_column is None:
@@ -65,10 +70,10 @@ def table_of(data: bytes, source: str, first_column: str | None = None) -> Table
         if len(cells) == len(header):
             units = tuple(_unit(cell) for cell in cells)
             start, first_row = following.end, following.number + 1
-    if not data[start:].strip():
-        raise DataError("the file has a header and no rows", place, "give a file with data")
     first_data = _next_row(data, start, first_row - 1)
-    width = 0 if first_data is None else len(_cells(first_data.text, delimiter))
+    if first_data is None:
+        raise DataError("the file has a header and no rows", place, "give a file with data")
+    width = len(_cells(first_data.text, delimiter))
     if width == len(header) - 1 and not header[-1]:  # a delimiter at the end of the header alone
         header, units = header[:-1], units[:width]
     sample = data[start : start + 4096].decode("utf-8", errors="replace")
@@ -94,7 +99,7 @@ def _as_utf8(data: bytes, source: str) -> bytes:
     return data
 
 
-def _leading_rows(data: bytes, source: str, first_column: str | None) -> tuple[list[_Row], str | None]:
+def _leading_rows(data: Text, source: str, first_column: str | None) -> tuple[list[_Row], str | None]:
     """Rows up to the first that may be the header, the last of them, and the delimiter where `sep=` says it."""
     position, number, delimiter = 0, 0, None
     while True:
@@ -105,7 +110,7 @@ def _leading_rows(data: bytes, source: str, first_column: str | None) -> tuple[l
             raise DataError("the header row is over 1 MB long", f"{source}:{number}", cure)
         end = len(data) if end < 0 else end
         try:
-            text = data[position:end].decode("utf-8").strip("\r\n ")
+            text = data[position:end].decode("utf-8").removeprefix("\ufeff").strip("\r\n ")
         except UnicodeDecodeError as error:
             what = f"byte {error.start + 1} of the row is not UTF-8"
             raise DataError(what, f"{source}:{number}", "save the file as UTF-8") from None
@@ -120,7 +125,7 @@ def _leading_rows(data: bytes, source: str, first_column: str | None) -> tuple[l
             raise DataError("the file has no header row", source, cure)
 
 
-def _next_row(data: bytes, position: int, number: int) -> _Row | None:
+def _next_row(data: Text, position: int, number: int) -> _Row | None:
     """The next row that is not blank, behind row `number` that ends at `position`."""
     while position < len(data):
         end = data.find(b"\n", position, position + HEAD)
@@ -132,7 +137,7 @@ def _next_row(data: bytes, position: int, number: int) -> _Row | None:
     return None
 
 
-def _with_header(data: bytes, rows: list[_Row], delimiter: str | None) -> tuple[list[_Row], int]:
+def _with_header(data: Text, rows: list[_Row], delimiter: str | None) -> tuple[list[_Row], int]:
     """Rows from the first candidate on, and which of them is the header row.
 
     The first candidate is, where numbers or units follow it.  Otherwise the last row of text in front of two rows of

@@ -8,7 +8,7 @@ from __future__ import annotations
 import itertools
 import os
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -73,13 +73,17 @@ def read_records(
         if frequency_hz is not None:
             text = f"{columns.source}: the drive frequency {frequency_hz:g} Hz is taken from the file's name"
             notes.append(Notice("frequency_from_name", text, (columns.source,)))
-    experiments = np.full(len(time), circumstances.experiment, dtype=np.int64)
+    experiments: Ints = np.broadcast_to(np.int64(circumstances.experiment), len(time))
     if experiment_at is not None:
         experiments = whole_numbers(columns, experiment_at, numbers[experiment_at])
     values = _in_si(columns, at, scales, numbers, len(time))
     starts = _blocks(columns, at[0] if time_at is None else time_at, time, frequency, experiments)
+    names = [columns.source if len(starts) == 1 else columns.part_from(start) for start in starts]
+    if len(starts) == 1:  # shared by the record, not copied
+        time.setflags(write=False)
+        values.setflags(write=False)
     records = []
-    for start, end in zip(starts, [*starts[1:], len(time)], strict=True):
+    for name, start, end in zip(names, starts, [*starts[1:], len(time)], strict=True):
         if end - start < 2:
             raise columns.error(
                 start,
@@ -87,13 +91,14 @@ def read_records(
                 "the block has one sample",
                 "record more, or look for rows that are out of order",
             )
+        whole = len(starts) == 1
         record = Record(
             tuple(channels),
-            time[start:end],
-            values[start:end],
+            time if whole else time[start:end],
+            values if whole else values[start:end],
             frequency_hz if frequency is None else float(frequency[start]),
             int(experiments[start]),
-            columns.source if len(starts) == 1 else columns.part_from(start),
+            name,
         )
         notes.extend(_clipped(record))
         records.append(record)
@@ -101,12 +106,12 @@ def read_records(
 
 
 def _in_si(
-    columns: Columns, at: Sequence[int], scales: Sequence[float], numbers: Mapping[int, Real], rows: int
+    columns: Columns, at: Sequence[int], scales: Sequence[float], numbers: dict[int, Real], rows: int
 ) -> Real:
-    """The channels in SI units, (samples, channels)."""
+    """The channels in SI units, (samples, channels); their numbers are let go."""
     values = np.empty((rows, len(at)))
     for i, (column, scale) in enumerate(zip(at, scales, strict=True)):
-        np.multiply(numbers[column], scale, out=values[:, i])
+        np.multiply(numbers.pop(column), scale, out=values[:, i])
         check_range(columns, column, values[:, i], LARGEST, "(SI)")
     return values
 

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import csv
+import mmap
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import pyarrow as pa
@@ -12,6 +14,7 @@ import pyarrow.csv as pacsv
 
 from dashpot.arrays import Bools, Real
 from dashpot.data.readers.columns import LARGEST, Columns, bare
+from dashpot.data.readers.datafile import DataFile
 from dashpot.errors import DataError
 from dashpot.io.words import shown
 
@@ -28,6 +31,7 @@ class Table(Columns):
     first_row: int
     delimiter: str
     decimal: str
+    file: DataFile | None = None  # of which the body is the end, where it is too large to be held
 
     @property
     def heading(self) -> str:
@@ -56,30 +60,29 @@ class Table(Columns):
 
         Raises DataError at the first row with too few or too many cells, a gap, text, NaN or infinity.
         """
-        read = self._parse(columns, pa.float64())
-        if read is None:
-            raise self._diagnosis(columns, optional, infinite)
-        values = {}
-        for column, array in zip(columns, read.columns, strict=True):
-            numbers = np.array(array.to_numpy(), dtype=float)
-            empty: Bools = np.asarray(array.is_null().to_numpy(), dtype=bool)
-            wrong = ~np.isfinite(numbers) | (np.abs(np.where(np.isfinite(numbers), numbers, 0)) > LARGEST)
-            wrong &= ~empty
-            if column in infinite:
-                wrong &= numbers != np.inf
-            if column not in optional:
-                wrong |= empty
-            if np.any(wrong):
-                raise self._diagnosis(columns, optional, infinite)
-            values[column] = numbers
-        return values
+        pieces: dict[int, list[Real]] = {column: [] for column in columns}
+        for batch in self._batches(columns, pa.float64(), optional, infinite):
+            for column, array in zip(columns, batch.columns, strict=True):
+                numbers = np.array(array.to_numpy(zero_copy_only=False), dtype=float)
+                empty: Bools = np.asarray(array.is_null().to_numpy(zero_copy_only=False), dtype=bool)
+                wrong = ~(np.abs(numbers) <= LARGEST) & ~empty
+                if column in infinite:
+                    wrong &= numbers != np.inf
+                if column not in optional:
+                    wrong |= empty
+                if np.any(wrong):
+                    raise self._diagnosis(columns, optional, infinite)
+                pieces[column].append(numbers)
+        pa.default_memory_pool().release_unused()
+        return {column: np.concatenate([*pieces.pop(column), np.zeros(0)]) for column in list(pieces)}
 
     def texts(self, column: int) -> list[str]:
         """A column as text."""
-        read = self._parse([column], pa.string())
-        if read is None:
-            raise self._diagnosis([], [], [])
-        return [text or "" for text in read.columns[0].to_pylist()]
+        return [
+            text or ""
+            for batch in self._batches([column], pa.string(), [], [])
+            for text in batch.column(0).to_pylist()
+        ]
 
     def row(self, index: int) -> int:
         """File row of a data row, both for messages: blank rows are skipped when data rows are counted."""
@@ -88,31 +91,43 @@ class Table(Columns):
                 return row
         return self.first_row + index
 
-    def _parse(self, columns: Sequence[int], kind: pa.DataType) -> pa.Table | None:
-        """The columns by pyarrow; None where it finds something wrong (it does not say where in a way to rely on)."""
+    def _batches(
+        self, columns: Sequence[int], kind: pa.DataType, optional: Sequence[int], infinite: Sequence[int]
+    ) -> Iterator[pa.RecordBatch]:
+        """The columns by pyarrow, in pieces.
+
+        Raises DataError: what pyarrow finds wrong is looked for again, as it does not say where in a way to rely on.
+        """
         names = [f"c{i}" for i in range(len(self.header))]
         wanted = [names[i] for i in columns]
+        options = {
+            "read_options": pacsv.ReadOptions(column_names=names, block_size=8 << 20),
+            "parse_options": pacsv.ParseOptions(delimiter=self.delimiter),
+            "convert_options": pacsv.ConvertOptions(
+                column_types=dict.fromkeys(wanted, kind),
+                include_columns=wanted,
+                null_values=[""],
+                strings_can_be_null=True,
+                quoted_strings_can_be_null=True,
+                decimal_point=self.decimal,
+            ),
+        }
         try:
-            return pacsv.read_csv(
-                pa.BufferReader(pa.py_buffer(self.body)),
-                read_options=pacsv.ReadOptions(column_names=names, block_size=8 << 20),
-                parse_options=pacsv.ParseOptions(delimiter=self.delimiter),
-                convert_options=pacsv.ConvertOptions(
-                    column_types=dict.fromkeys(wanted, kind),
-                    include_columns=wanted,
-                    null_values=[""],
-                    strings_can_be_null=True,
-                    quoted_strings_can_be_null=True,
-                    decimal_point=self.decimal,
-                ),
-            )
+            if self.file is None:
+                yield from pacsv.read_csv(pa.BufferReader(pa.py_buffer(self.body)), **options).to_batches()
+                return
+            with self.file.reading() as stream:
+                held: Any = self.body.obj
+                stream.seek(len(held) - len(self.body))
+                yield from pacsv.open_csv(stream, **options)
         except (pa.ArrowException, UnicodeDecodeError):
-            return None
+            raise self._diagnosis(columns if kind == pa.float64() else [], optional, infinite) from None
 
     def rows(self) -> Iterator[tuple[int, str]]:
         """(file row, text) of the rows that are not blank."""
         start, row = 0, self.first_row
-        body = self.body.obj if isinstance(self.body.obj, bytes) else bytes(self.body)
+        held: Any = self.body.obj
+        body = held if isinstance(held, bytes | mmap.mmap) else bytes(self.body)
         start = len(body) - len(self.body)
         while start < len(body):
             end = body.find(b"\n", start)
