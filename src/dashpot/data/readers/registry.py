@@ -8,6 +8,7 @@ from dashpot.data.readers.delimited.lvm import LabViewReader
 from dashpot.data.readers.delimited.reader import TextReader
 from dashpot.data.readers.delimited.xsens import XsensReader
 from dashpot.data.readers.excel import ExcelReader
+from dashpot.data.readers.famos import FamosReader
 from dashpot.data.readers.hdf5 import Hdf5Reader
 from dashpot.data.readers.matlab import MatlabReader
 from dashpot.data.readers.mdf import MdfReader
@@ -28,6 +29,7 @@ READERS: tuple[Reader, ...] = (
     WavReader(),
     TdmsReader(),
     MdfReader(),
+    FamosReader(),
     UffReader(),
     LabViewReader(),
     XsensReader(),
