@@ -127,7 +127,7 @@ class MaximumLikelihood(Method):
             start, sign = np.array([self.start]), np.array([self.start_sign])
             found = self._descend(view, exact, start, sign, lower, upper)
         elif direct and data.states is not None:
-            start, sign = _start(data, data.states, exact), np.ones((repeats, len(view.channels)))
+            start, sign = _start(view, data, data.states, exact), np.ones((repeats, len(view.channels)))
             found = self._descend(view, exact, start, sign, lower, upper)
         else:
             found, sign, warnings = self._from_valleys(view, exact, self._global(data, view, 0), lower, upper)
@@ -155,7 +155,7 @@ class MaximumLikelihood(Method):
         if data.states is not None and all(is_direct(data.model, c) for c in data.spectrum.channels):
             sign = np.ones((1, len(view.channels)))
             found = self._descend(
-                view, exact, _start(data, data.states, exact), sign, lower, upper, limit=ROUGH
+                view, exact, _start(view, data, data.states, exact), sign, lower, upper, limit=ROUGH
             )
             if np.all(np.isfinite(found.cost)):
                 return found.x, sign
@@ -305,10 +305,16 @@ class MaximumLikelihood(Method):
         return OptimizeResult(x, cost, converged, iterations, found.history), sign
 
 
-def _start(data: Prepared, states: States, exact: Measured) -> Real:
+def _start(view: ObservationModel, data: Prepared, states: States, exact: Measured) -> Real:
     """Where all is seen: least squares less its noise, (K, unknowns), boundary loads of whole records solved for."""
     if exact.ends is not None:
-        return record_starts(data.model, states, exact.ends)
+        starts = record_starts(data.model, states, exact.ends)
+        sign = np.ones((len(exact.y), len(view.channels)))
+        with np.errstate(all="ignore"):
+            costs = np.stack([local(view, exact, start, sign).cost for start in starts])
+        costs = np.where(np.isfinite(costs), costs, np.inf)
+        best: Real = starts[np.argmin(costs, axis=0), np.arange(len(exact.y))]
+        return best
     return compensated(data.model, states)
 
 

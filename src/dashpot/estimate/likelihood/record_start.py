@@ -21,7 +21,11 @@ PASSES = 4
 
 
 def record_starts(model: Model, data: States, ends: RecordEnds) -> Real:
-    """Values of the unknowns to begin with, (K, unknowns)."""
+    """Values of the unknowns to begin with, (starts, K, unknowns): after each pass, with the noise in and taken out.
+
+    Where little but transients moves, taking the noise out may lead astray, and leaving it in is biased: what they fit
+    decides.
+    """
     Phi, h = equation(model, data)
     even = np.broadcast_to(np.eye(model.n, dtype=complex), (*Phi.shape[:2], model.n, model.n))
     prior = np.diag(model.prior_precision)
@@ -30,6 +34,7 @@ def record_starts(model: Model, data: States, ends: RecordEnds) -> Real:
     # Without weights the sums have no unit noise: stated values count as much as the data do.
     scale = np.diagonal(N, axis1=-2, axis2=-1) * (model.prior_precision > 0)
     theta = solve_scaled(N + scale[..., None] * np.eye(len(prior)), right + scale * model.prior_mean)
+    starts = [theta]
     for _ in range(PASSES):
         p = model.parameters(theta)
         Se = equation_covariance(model, p, data)
@@ -37,8 +42,10 @@ def record_starts(model: Model, data: States, ends: RecordEnds) -> Real:
         N, right = _sums(Phi, h, Se, columns, ends)
         theta = where_finite(solve_scaled(N + prior, right + stated), theta)
         clean, usable = without_noise(model, data, Se, N, right)
+        starts.append(theta)
         theta = np.where(usable[..., None], where_finite(clean, theta), theta)
-    return theta
+        starts.append(theta)
+    return np.stack(starts)
 
 
 def _loads(model: Model, data: States, ends: RecordEnds, p: Real | None = None) -> Complex:
