@@ -167,10 +167,10 @@ def command(rig: str, json_out: str | None, quiet: bool, **options: Any) -> int:
         write_text(options["csv"], plan_to_csv(result.plan, drive_units(rig_read.model)))
     _draw(result, options["figure"], options["progress"], question)
     if not quiet and json_out != STDOUT:
-        from dashpot.present.tables.design import show
+        from dashpot.present.tables.design import show_answer
         from dashpot.present.tables.layout import console
 
-        show(result, console())
+        show_answer(result, console())
     return 0
 
 
@@ -343,11 +343,11 @@ def _draw(result: Answer, figure_out: str | None, progress_out: str | None, ques
     if figure_out is None and progress_out is None:
         return
     from dashpot.io.atomic import write_bytes
+    from dashpot.present.figures.planned_test import planned_test_figure, sequential_figure
     from dashpot.present.figures.style import png
-    from dashpot.present.tables.design import figure, sequential_figure
 
     if figure_out is not None and result.plan is not None:
-        write_bytes(figure_out, png(figure(result)))
+        write_bytes(figure_out, png(planned_test_figure(result)))
     if progress_out is not None:
         aim = question.target
         targets = {} if aim is None else question.criterion.targets_for(question.model, aim)
