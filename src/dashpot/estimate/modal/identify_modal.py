@@ -7,13 +7,12 @@ are paired with those of the model by the modal assurance criterion and by frequ
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
-from scipy.optimize import linear_sum_assignment
 from scipy.special import chdtrc
 
-from dashpot.arrays import Bools, Complex, Ints, Real, hermitian
+from dashpot.arrays import Complex, Ints, Real, hermitian
 from dashpot.data.modal_data import ModalData
 from dashpot.errors import DataError, IdentifiabilityError, UsageError
 from dashpot.estimate.inference.derived import known_values, mode_values, tied_values
@@ -21,16 +20,16 @@ from dashpot.estimate.inference.diagnostics import held, require_determined, wro
 from dashpot.estimate.inference.uncertainty import MISFIT_LEVEL
 from dashpot.estimate.likelihood.maximum_likelihood import DOUBT, TIE
 from dashpot.estimate.method import HeldBounds
+from dashpot.estimate.modal.pairing import MeasuredModes, flattened, measured_modes, pair
+from dashpot.estimate.modal.starting_values import guessed, linear_start, random_rigs
 from dashpot.estimate.result import Estimate, Fit
-from dashpot.model.elements import Kind
 from dashpot.model.modes import eigenpairs, mode_sensitivities
 from dashpot.model.network import Model
 from dashpot.notices import Notice
 from dashpot.numerics.levenberg_marquardt import OptimizeResult, QuadraticModel, minimise, without_bounds
-from dashpot.numerics.small_systems import scaled_inverse, solve_scaled
+from dashpot.numerics.small_systems import scaled_inverse
 
 NAME = "modal"
-EXACT = 1e-6  # sd of exact points of a shape, relative to the largest of the others
 ASTRAY = 1e-4  # χ² so unlikely may mean a local minimum: other starts are tried
 STARTS = 32
 FOLLOWED = 10  # of the starts that have not settled after a few steps
@@ -51,8 +50,8 @@ def identify_modal(model: Model, data: ModalData, *, starts: int = STARTS, seed:
     """
     _check(model, data)
     batch = data.frequency_hz.shape[:-1]
-    flat = _flatten(data)
-    view = _view(model, flat)
+    flat = flattened(data)
+    view = measured_modes(model, flat)
     found, ends = _found(model, flat, view, starts, seed)
     m = len(model.unknowns)
     theta = found.x
@@ -150,108 +149,10 @@ def _require_regular(symmetric: Real, model: Model) -> None:
     )
 
 
-# What is measured
-
-
-@dataclass(frozen=True)
-class _View:
-    """The data as the search needs them: what is there, and the roots that whiten it.
-
-    frequency, damping: (modes,) whether measured; eigen (modes, 2, 2): whitens (frequency, damping);
-    shape (modes, points, points): whitens a shape, rows and columns of absent points 0; look (points, n) picks them.
-    """
-
-    damping: Bools
-    eigen: Real
-    present: Bools
-    shape: Complex
-    look: Real
-    rows: int
-
-
-def _flatten(data: ModalData) -> ModalData:
-    repeats = int(np.prod(data.frequency_hz.shape[:-1], dtype=int))
-    return replace(
-        data,
-        frequency_hz=data.frequency_hz.reshape(repeats, data.modes),
-        damping_ratio=data.damping_ratio.reshape(repeats, data.modes),
-        shapes=data.shapes.reshape(repeats, data.modes, len(data.points)),
-    )
-
-
-def _view(model: Model, data: ModalData) -> _View:
-    """Raises DataError where some uncertainty is missing."""
-    damping = np.all(np.isfinite(data.damping_ratio), axis=0)
-    present = np.all(np.isfinite(data.shapes), axis=0)
-    eigen = np.zeros((data.modes, 2, 2))
-    shape = np.zeros((data.modes, len(data.points), len(data.points)), dtype=complex)
-    rows = 0
-    for k in range(data.modes):
-        count = 2 if damping[k] else 1
-        eigen[k, :count, :count] = _whitening(
-            data.covariance[k, :count, :count], f"frequency of mode {k + 1}"
-        ).real
-        at = np.flatnonzero(present[k])
-        if len(at) > 1:
-            V = data.shape_covariance[k][np.ix_(at, at)]
-            variance = np.diagonal(V).real
-            floor = np.where(variance == 0, EXACT**2 * np.max(variance), 0.0)
-            shape[k][np.ix_(at, at)] = _whitening(V + np.diag(floor), f"shape of mode {k + 1}")
-            rows += 2 * len(at) - 2
-        rows += count
-    look = np.array([[float(name == x) for x in model.coordinates] for name in data.points])
-    return _View(damping, eigen, present, shape, look.reshape(len(data.points), model.n), rows)
-
-
-def _whitening(V: Complex | Real, what: str) -> Complex:
-    """L⁻¹ of V = L Lᴴ, measured in its standard deviations."""
-    sd = np.sqrt(np.maximum(np.diagonal(V).real, 0.0))
-    if np.all(np.isfinite(V)) and np.all(sd > 0):
-        try:
-            L = np.linalg.cholesky(V / np.outer(sd, sd))
-            white: Complex = np.linalg.solve(L, np.diag(1 / sd)).astype(complex)
-            return white
-        except np.linalg.LinAlgError:
-            pass
-    raise DataError(
-        f"the covariance of the {what} is not positive definite", cure="give its standard deviations"
-    )
-
-
-# Pairing
-
-
-def pair(data: ModalData, view: _View, values: Complex, shapes: Complex) -> Ints:
-    """Which of the model's modes each measured one is, (K, modes); −1 where there is none.
-
-    The pairs that make Σ (1 − MAC) + |ln (f / f_measured)| least, each mode used once (Hungarian method).
-    """
-    swings = np.isfinite(values) & (values.imag > 1e-9 * np.abs(np.nan_to_num(values)))
-    f = np.where(swings, np.abs(np.nan_to_num(values)), 1.0) / (2 * np.pi)
-    cost = np.abs(np.log(f[:, None, :] / data.frequency_hz[:, :, None]))
-    several = np.sum(view.present, axis=-1) > 1
-    if np.any(several):
-        seen = np.nan_to_num(shapes) @ view.look.T
-        measured = np.where(view.present, np.nan_to_num(data.shapes), 0.0)
-        there = view.present.astype(float)
-        across = np.abs(np.einsum("kmp,kjp->kmj", np.conj(measured), seen)) ** 2
-        own = np.sum(np.abs(measured) ** 2, axis=-1)
-        theirs = np.einsum("mp,kjp->kmj", there, np.abs(seen) ** 2)
-        with np.errstate(invalid="ignore", divide="ignore"):
-            mac = across / (own[:, :, None] * theirs)
-        cost = cost + np.where(several[:, None], 1 - np.nan_to_num(mac), 0.0)
-    cost = np.where(swings[:, None, :], cost, 1e6)
-    chosen = np.empty(cost.shape[:2], dtype=np.int64)
-    for k, table in enumerate(cost):
-        rows, columns = linear_sum_assignment(table)
-        chosen[k, rows] = np.where(table[rows, columns] < 1e6, columns, -1)
-    return chosen
-
-
 # The search
 
 
-def _evaluate(model: Model, data: ModalData, view: _View, theta: Real, rows: Ints) -> QuadraticModel:
+def _evaluate(model: Model, data: ModalData, view: MeasuredModes, theta: Real, rows: Ints) -> QuadraticModel:
     """χ² with the priors, its slope and its curvature for `theta` (k, unknowns) of the repeats `rows`."""
     part = replace(
         data,
@@ -281,7 +182,9 @@ def _evaluate(model: Model, data: ModalData, view: _View, theta: Real, rows: Int
     return QuadraticModel(cost, gradient - precision * away, symmetric, symmetric)
 
 
-def _eigen_rows(model: Model, data: ModalData, view: _View, lam: Complex, dlam: Complex) -> tuple[Real, Real]:
+def _eigen_rows(
+    model: Model, data: ModalData, view: MeasuredModes, lam: Complex, dlam: Complex
+) -> tuple[Real, Real]:
     """Whitened slopes (K, modes, 2, unknowns) and residuals (K, modes, 2) of frequency and damping ratio."""
     size = np.abs(lam)
     grow = (np.conj(lam)[..., None] * dlam).real / size[..., None]
@@ -298,7 +201,7 @@ def _eigen_rows(model: Model, data: ModalData, view: _View, lam: Complex, dlam: 
     return view.eigen @ slope, (view.eigen @ r[..., None])[..., 0]
 
 
-def _shape_rows(data: ModalData, view: _View, phi: Complex, dphi: Complex) -> tuple[Complex, Complex]:
+def _shape_rows(data: ModalData, view: MeasuredModes, phi: Complex, dphi: Complex) -> tuple[Complex, Complex]:
     """Whitened slopes (K, modes, points, unknowns) and residuals (K, modes, points), what the scale can do taken out.
 
     a = φ at the measured points; the scale s = aᴴV⁻¹φ_m / aᴴV⁻¹a leaves the residual orthogonal to a.
@@ -315,7 +218,7 @@ def _shape_rows(data: ModalData, view: _View, phi: Complex, dphi: Complex) -> tu
 
 
 def _found(
-    model: Model, data: ModalData, view: _View, starts: int, seed: int
+    model: Model, data: ModalData, view: MeasuredModes, starts: int, seed: int
 ) -> tuple[OptimizeResult, OptimizeResult | None]:
     """The deepest minima found, and for one repeat without a start of its own where all of its starts ended."""
     repeats = len(data.frequency_hz)
@@ -329,7 +232,7 @@ def _found(
         )  # fmt: skip
 
     found, ends = None, None
-    for first in (_linear(model, data, view), _guessed(model, repeats)):
+    for first in (linear_start(model, data, view), guessed(model, repeats)):
         if first is None:
             continue
         own = search(first, everyone, 100)
@@ -344,7 +247,7 @@ def _found(
             astray = np.flatnonzero(~found.converged | ~np.isfinite(found.cost) | (tail < ASTRAY))
         if not len(astray) or not starts:
             break
-        drawn = _random(model, data, starts, np.random.default_rng([seed, attempt]))
+        drawn = random_rigs(model, data, starts, np.random.default_rng([seed, attempt]))
         if lonely:
             ends = search(drawn, np.zeros(starts, dtype=np.int64), 25)
             open_ends = np.flatnonzero(~ends.converged & np.isfinite(ends.cost))
@@ -412,57 +315,3 @@ def _rivals(model: Model, found: OptimizeResult, ends: OptimizeResult, sd: Real)
         "of every unknown"
     )
     return (Notice("not_unique", text, tuple(model.unknowns[j].name for j in largest)),)
-
-
-def _guessed(model: Model, repeats: int) -> Real | None:
-    choices = [u.prior if u.guess is None else u.guess for u in model.unknowns]
-    if any(choice is None for choice in choices):
-        return None
-    return np.tile(np.array(choices, dtype=float), (repeats, 1))
-
-
-def _linear(model: Model, data: ModalData, view: _View) -> Real | None:
-    """Least squares on (λ²M + λC + K + jH) φ = 0 at the measured λ and φ; None where some coordinate is not seen."""
-    if not np.all(view.present) or set(data.points) != set(model.coordinates):
-        return None
-    lam = data.eigenvalues
-    phi = data.shapes @ view.look
-    phi = phi / np.linalg.norm(phi, axis=-1, keepdims=True)
-    a = model.pole_factors(lam) * (phi @ model.B.T) / np.abs(lam)[..., None] ** 2
-    Phi = np.einsum("kli,in,iu->klnu", a, model.B, model.T, optimize=True)
-    h = -np.einsum("kli,in,i->kln", a, model.B, model.p0, optimize=True)
-    flat, side = Phi.reshape(len(a), -1, len(model.unknowns)), h.reshape(len(a), -1)
-    N, r = (hermitian(flat) @ flat).real, (hermitian(flat) @ side[..., None])[..., 0].real
-    # A weak prior, in the units of the fit, keeps what the equation alone does not fix near what is known of it.
-    weak = 1e-6 * np.diagonal(N, axis1=-2, axis2=-1) * (model.prior_precision > 0)
-    theta = solve_scaled(N + weak[..., None] * np.eye(N.shape[-1]), r + weak * model.prior_mean)
-    return theta if np.all(np.isfinite(theta)) else None
-
-
-def _random(model: Model, data: ModalData, count: int, rng: np.random.Generator) -> Real:
-    """`count` rigs of like parts whose frequencies are those of the data, (count, unknowns)."""
-    rate = 2 * np.pi * float(np.exp(np.mean(np.log(data.frequency_hz))))
-    ratio = float(np.nanmean(np.abs(data.damping_ratio))) if np.any(np.isfinite(data.damping_ratio)) else 0.01
-    per_mass = {kind: kind.law.typical_size(1.0, rate, ratio) for kind in Kind}
-    known = [
-        np.log(value / per_mass[element.kind])
-        for element, value in zip(model.elements, model.p0, strict=True)
-        if value > 0 and element.kind is not Kind.DAMPER
-    ]
-    known += [
-        np.log(u.prior) for u in model.unknowns if u.prior is not None and u.prior > 0 and u.unit == "kg"
-    ]
-    mass = float(np.exp(np.mean(known))) if known else 1.0
-    kinds = {element.name: element.kind for element in model.elements}
-    spread = np.repeat([0.3, 1.0, 2.0], -(-count // 3))[:count, None]
-    theta = np.empty((count, len(model.unknowns)))
-    scatter = np.exp(spread * rng.standard_normal(theta.shape))
-    masses = mass * np.exp(0.7 * rng.standard_normal(count))
-    for j, unknown in enumerate(model.unknowns):
-        if unknown.prior is not None and unknown.sd is not None:
-            theta[:, j] = unknown.prior
-        elif unknown.guess is not None:
-            theta[:, j] = unknown.guess * scatter[:, j] ** 0.3
-        else:
-            theta[:, j] = masses * per_mass[kinds[unknown.name]] * scatter[:, j]
-    return theta
