@@ -44,6 +44,7 @@ def read_data(
     hold samples; dwells count as settled where one of them knows no transients.  `part` is the share of every record's
     samples that is used, from where to where.  Raises DataError.
     """
+    from dashpot.app.nonlinear_records import usual_orders
     from dashpot.data.readers import read
 
     reading = read(paths, rig.channels, frequency_hz=options["frequency"])
@@ -51,6 +52,8 @@ def read_data(
     methods = tuple(moments_for)
     moments = _moments(methods) if reading.amplitudes is None else False
     changes: dict[str, Any] = {"moments": moments}
+    if len(rig.model.nonlinear) and not _was_given("orders"):
+        changes["orders"] = usual_orders(rig, reading)
     changes |= {name: value for name, value in reading.conditioning.items() if not _was_given(name)}
     conditioning = replace(conditioning_from(options), **changes)
     if conditioning.transients == "auto" and (len(rig.model.nonlinear) or not _with_transients(methods)):

@@ -16,7 +16,8 @@ from dashpot.arrays import Complex, Ints, Real, frozen, hermitian
 from dashpot.channel import Channel
 from dashpot.data.spectrum import Spectrum
 from dashpot.estimate.likelihood.boundary_loads import carries_loads
-from dashpot.estimate.likelihood.objective import measured, predict
+from dashpot.estimate.likelihood.objective import FLOOR, measured, predict
+from dashpot.estimate.nonlinear.prediction import predicted_lines
 from dashpot.estimate.preparation.prepared import Prepared
 from dashpot.estimate.preparation.weighting import noise_is_known, working_covariance
 from dashpot.estimate.result import Estimate
@@ -117,14 +118,21 @@ def residuals(
     """
     p = model.parameters(np.asarray(theta, dtype=float))
     known = noise_is_known(spectrum)
-    G = channel_response(model, p, spectrum.channels, spectrum.omega, calibrations)
     y = spectrum.amplitudes
     V = working_covariance(model, spectrum)
     if not known:
         V = _relative(y, V)
-    transients = _transients(model, theta, spectrum, V, calibrations)
-    predicted, spread, v = _project(G, y - transients, V)
-    predicted = predicted + transients
+    if len(model.nonlinear):
+        found = {} if calibrations is None else calibrations
+        predicted, v = predicted_lines(model, np.asarray(theta, dtype=float), spectrum, V, found)
+        # Inputs that are all but exact are met to the floor that the likelihood gives them.
+        floor = FLOOR * np.max(np.abs(np.nan_to_num(y)), axis=0, initial=0.0)
+        spread = V + np.diag(floor**2)
+    else:
+        G = channel_response(model, p, spectrum.channels, spectrum.omega, calibrations)
+        transients = _transients(model, theta, spectrum, V, calibrations)
+        predicted, spread, v = _project(G, y - transients, V)
+        predicted = predicted + transients
     difference = y - predicted
     size = np.diagonal(V, axis1=-2, axis2=-1).real
     variance = np.diagonal(spread, axis1=-2, axis2=-1).real

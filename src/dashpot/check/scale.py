@@ -31,7 +31,10 @@ def free_scales(model: Model, channels: Sequence[Channel]) -> tuple[tuple[str, .
     for point in _measured_forces(model, channels):
         fixed |= {parts[end] for end in _ends(model, point)}
     groups: dict[int, list[str]] = {}
+    inner = {f"{element.name}.{constant.name}" for element, constant in model.constants}
     for unknown in model.unknowns:
+        if unknown.name in inner:
+            continue  # constants of a law do not scale its force
         part = parts[("element", unknown.name)]
         if part not in fixed:
             groups.setdefault(part, []).append(unknown.name)

@@ -9,7 +9,9 @@ import numpy as np
 from dashpot.arrays import Bools, Complex, Real
 from dashpot.check.residuals import Residuals, calibrations_of, residuals
 from dashpot.data.spectrum import Spectrum
+from dashpot.data.stretch import SettledDwell
 from dashpot.estimate.assessment import Assessment, Judgement, Misfit
+from dashpot.estimate.inference.diagnostics import nonlinear_names
 from dashpot.estimate.likelihood.record_noise import RESIDUAL
 from dashpot.estimate.result import Estimate
 from dashpot.io.words import joined
@@ -38,7 +40,8 @@ def assess(model: Model, spectrum: Spectrum, estimate: Estimate) -> Assessment:
         *_rejected(estimate),
         *_smooth(left, motions, least=0.5 if RESIDUAL in spectrum.noise else 1.0),
     ]
-    doubts = [*_powerless(estimate, spectrum), *([] if spectrum.records else _unheard(left, motions))]
+    unheard = [] if spectrum.records else _unheard(left, motions, _fundamentals(spectrum))
+    doubts = [*_powerless(estimate, spectrum), *unheard]
     verdict: Judgement = "does not fit" if against else "cannot tell" if doubts else "fits"
     return Assessment(verdict, (*against, *doubts), _relative(left, motions), _worst(left))
 
@@ -64,12 +67,12 @@ def _powerless(estimate: Estimate, spectrum: Spectrum) -> list[Notice]:
 
 def _unphysical(model: Model, estimate: Estimate) -> list[Notice]:
     """Parts of the rig that are negative beyond doubt by the sensors' noise; entries of free matrices may be."""
-    free = free_names(model)
+    free, any_sign = free_names(model), nonlinear_names(model)
     unknowns = [unknown.name for unknown in model.unknowns]
     names = tuple(
         name
         for name, value, sd in zip(unknowns, estimate.values, estimate.noise_sd, strict=False)
-        if name not in free and value < -BEYOND * sd
+        if name not in free and name not in any_sign and value < -BEYOND * sd
     )
     if not names:
         return []
@@ -92,11 +95,23 @@ def _unstable(estimate: Estimate) -> list[Notice]:
     return [Notice("unstable", text)]
 
 
-def _unheard(left: Residuals, motions: Bools) -> list[Notice]:
-    """Channels that are little else than noise: they fit anything."""
+def _fundamentals(spectrum: Spectrum) -> Bools:
+    """Lines at the frequency of the drive, (lines,): harmonics may well be noise."""
+    orders = [
+        shared.orders(np.array(f)) if isinstance(shared, SettledDwell) else 1
+        for f, shared in zip(
+            spectrum.frequency_hz, (spectrum.stretches[int(k)] for k in spectrum.stretch), strict=True
+        )
+    ]
+    fundamental: Bools = np.array(orders) == 1
+    return fundamental
+
+
+def _unheard(left: Residuals, motions: Bools, lines: Bools) -> list[Notice]:
+    """Channels that are little else than noise at the given lines: they fit anything."""
     with np.errstate(invalid="ignore", divide="ignore"):
         heard = np.abs(left.measured) > HEARD * left.sd * np.sqrt(2)
-    present = np.isfinite(left.measured)
+    present = np.isfinite(left.measured) & lines[:, None]
     share = np.sum(heard & present, axis=0) / np.maximum(np.sum(present, axis=0), 1)
     quiet = [
         name

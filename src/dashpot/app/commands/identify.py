@@ -109,6 +109,16 @@ def command(
     from dashpot.estimate.identify import identify
     from dashpot.estimate.likelihood.record_noise import with_record_noise
 
+    if len(model.nonlinear):
+        from dashpot.app.nonlinear_records import whole_record_estimate
+
+        whole = whole_record_estimate(rig_read, data, conditioning, chosen, quiet)
+        if whole is not None:
+            _check_report(report)
+            write_result(json_out, whole.to_json())
+            if not quiet and json_out != STDOUT:
+                _show(rig_read, whole, level, False, True)
+            return _ending(whole, strict)
     used = (0.0, 1.0 if hold_out is None else 1.0 - hold_out)
     measured = read_data(rig_read, data, conditioning, quiet, moments_for=[chosen], part=used)
     spectrum = measured.spectrum
@@ -146,6 +156,15 @@ def _show_held_out(
 
     held = read_spectrum(rig, data, conditioning, True, part=(since, 1.0))
     show_validation(console(), validate(rig.model, estimate, held))
+
+
+def _check_report(report: str | None) -> None:
+    from dashpot.errors import UsageError
+
+    if report is not None:
+        raise UsageError(
+            "there is no report of whole records of nonlinear rigs yet", "--report", "leave the option out"
+        )
 
 
 def _explained(

@@ -219,7 +219,8 @@ def _dwells(bench: Workbench, base: Trial, pool: Sequence[Real]) -> list[Cause]:
     found = [_of_outcome(outcome) for outcome in outcomes]
     if outcomes:
         best = min(outcomes, key=lambda outcome: outcome.reduced)
-        line = sorted(worst.tolist())[outcomes.index(best)]
+        # Outcomes hold arrays, so they are told apart by what they are, not by comparison.
+        line = sorted(worst.tolist())[next(i for i, outcome in enumerate(outcomes) if outcome is best)]
         number, left = bench.other_frequency(best.psi, base, line)
         if left < RELABELLED * base.y.shape[1] * 2:
             found.append(Cause("frequency", best.trial.of, best.reduced, number))

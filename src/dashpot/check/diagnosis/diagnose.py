@@ -49,6 +49,7 @@ def examined(model: Model, spectrum: Spectrum, estimate: Estimate, *, seed: int 
     if estimate.values.ndim != 1:
         return estimate
     assessment = assess(model, spectrum, estimate)
-    if assessment.verdict == "does not fit" or not bool(estimate.converged):
+    linear = not len(model.nonlinear)  # the remedies are tried on linear rigs
+    if linear and (assessment.verdict == "does not fit" or not bool(estimate.converged)):
         assessment = replace(assessment, findings=diagnose(model, spectrum, estimate, seed=seed))
     return replace(estimate, assessment=assessment)

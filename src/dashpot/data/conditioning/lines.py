@@ -19,6 +19,7 @@ from dashpot.data.conditioning.transients import LEVEL, continuous, dwells_with_
 from dashpot.data.conditioning.whole_record import whole_records
 from dashpot.data.record import Record
 from dashpot.data.spectrum import Spectrum, concatenate
+from dashpot.data.stretch import SettledDwell
 from dashpot.errors import DataError
 from dashpot.notices import Notice
 
@@ -75,6 +76,7 @@ def _lines(record: Record, settings: Conditioning) -> Spectrum:
         np.full(len(wanted), record.experiment),
         second_moments(record, settings.drift) if _with_moments(record, settings) else None,
         (*notes, *fit.notes),
+        stretches=(SettledDwell(fit.frequency_hz if len(wanted) > 1 else None),),
     )
 
 

@@ -207,7 +207,9 @@ def _power(a: Dual, b: Dual) -> Dual:
     value = a.value**b.value
     along = b.value * a.value ** (b.value - 1)
     # At 0 the slope of a constant exponent of 0, and that along the exponent, is 0, not 0 times infinity.
-    along = np.where(np.broadcast_to(b.value == 0, np.shape(along)), 0.0, along)
+    # So does that of a root, where it is infinite: a state such as Bouc and Wen's passes through 0 all the time.
+    flat = (b.value == 0) | ((a.value == 0) & (b.value > 0) & (b.value < 1))
+    along = np.where(np.broadcast_to(flat, np.shape(along)), 0.0, along)
     if not b.slopes:
         return _chain(value, (a, along))
     inside = np.where(a.value > 0, a.value, 1.0)

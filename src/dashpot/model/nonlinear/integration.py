@@ -11,7 +11,7 @@ Numerica 19, 209 (exponential collocation); Bock and Plitt (1984) (multiple shoo
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.interpolate import CubicSpline
@@ -26,6 +26,7 @@ NODES = np.array([0.0, (1 - 1 / np.sqrt(5)) / 2, (1 + 1 / np.sqrt(5)) / 2, 1.0])
 LAGRANGE = np.linalg.inv(np.vander(NODES, increasing=True))  # (power, node): ℓ_k(c) = Σ_m LAGRANGE[m, k] c^m
 WITHIN = np.array([[NODES[j] ** (m + 1) / (m + 1) for m in range(4)] for j in range(4)]) @ LAGRANGE
 NEWTON = 12
+SETTLED = 1e-13  # of the forces of a step
 CLOSED = 1e-10  # jumps between segments over the size of the motion
 SWEEPS = 30
 SEGMENT = 32  # samples of a segment, about
@@ -146,11 +147,15 @@ class Stepped:
 class Integrator:
     """Steps of one rig at one set of parameters.  Columns of slopes: all states, then `directions` of ψ."""
 
-    def __init__(self, model: Model, theta: Real, drive: Forcing, substeps: int) -> None:
+    def __init__(
+        self, model: Model, theta: Real, drive: Forcing, substeps: int, offset: Real | None = None
+    ) -> None:
         self.model, self.substeps, self.drive = model, substeps, drive
         self.p, self.constants = model.parameters(theta), model.inner_constants(theta)
         self.step = propagator(model, self.p, drive.step_s / substeps)
-        self.force, self.inputs = loads(model, self.p, drive, substeps)
+        force, self.inputs = loads(model, self.p, drive, substeps)
+        constant = np.zeros(model.S.shape[1]) if offset is None else offset
+        self.force = force + model.S @ constant
         self.laws: tuple[ForceLaw, ...] = tuple(
             e.force_law for e in model.elements if e.force_law is not None
         )
@@ -158,152 +163,180 @@ class Integrator:
         self.states = 2 * model.n + len(self.with_state)
         self.offsets = model.S  # constant forces that are unknown: one direction for each force input
         self.Bn, self.Dn = model.B[model.nonlinear], model.D[model.nonlinear]
+        n, e = model.n, len(self.laws)
+        # Nodes come before points: rows (node, point), columns likewise.
+        self.grown = np.moveaxis(self.step.E, 2, 0).reshape(2 * n, 8 * n)
+        self.driven = np.moveaxis(self.step.Wf, 1, 2).reshape(8 * n, 4 * n)
+        self.pulled = np.moveaxis(self.step.Wn, 1, 2).reshape(4, 2 * n, 4 * e)
+        self.forced = (self.force.reshape(-1, 4 * n) @ self.driven.T).reshape(-1, 4, 2 * n)
+        self.moved_d, self.moved_v = self.inputs[:, :, 0] @ self.Dn.T, self.inputs[:, :, 1] @ self.Dn.T
+        self.reach_d = (self.Bn @ self.pulled[:, :n]).reshape(4 * e, 4 * e)
+        self.reach_v = (self.Bn @ self.pulled[:, n:]).reshape(4 * e, 4 * e)
+        self.offset_moved = np.einsum("jkxn,nq->jxq", self.step.Wf, self.offsets)
 
     @property
     def directions(self) -> int:
         """Columns of slopes beyond those of the starting state: unknowns of the rig and offsets of the forces."""
         return len(self.model.unknowns) + int(self.offsets.shape[1])
 
-    def advance(self, state: Real, slope: Real, index: Ints, offset: Real, with_unknowns: bool) -> Stepped:
+    def advance(self, state: Real, slope: Real, index: Ints, with_unknowns: bool) -> Stepped:
         """One step of the segments at the steps `index` (S,); slope (S, states, Q) may have no columns."""
-        n, model, h = self.model.n, self.model, self.step.h
-        force = self.force[index] + offset @ self.offsets.T
-        base = np.einsum("jxy,sy->sjx", self.step.E, state[:, : 2 * n])
-        base = base + np.einsum("jkxn,skn->sjx", self.step.Wf, force)
-        u, du = self.inputs[index, :, 0], self.inputs[index, :, 1]
-        add_d, add_v = u @ self.Dn.T, du @ self.Dn.T  # (S, 4, e)
-        d, v = base[..., :n] @ self.Bn.T + add_d, base[..., n:] @ self.Bn.T + add_v
-        z = np.repeat(state[:, None, 2 * n :], 4, axis=1)
-        reach_d = np.einsum("en,jkny->jkey", self.Bn, self.step.Wn[:, :, :n])
-        reach_v = np.einsum("en,jkny->jkey", self.Bn, self.step.Wn[:, :, n:])
-        d, v, z, at = self._solve(d, v, z, state[:, 2 * n :], reach_d, reach_v)
-        nodes = base + np.einsum("jkxe,ske->sjx", self.step.Wn, at.a)
-        after = np.concatenate([nodes[:, 3], z[:, 3]], axis=1)
+        n, S = self.model.n, len(state)
+        base = (state[:, : 2 * n] @ self.grown).reshape(S, 4, 2 * n) + self.forced[index]
+        free_d = base[..., :n] @ self.Bn.T + self.moved_d[index]
+        free_v = base[..., n:] @ self.Bn.T + self.moved_v[index]
+        at = self._solve(free_d, free_v, state[:, 2 * n :])
+        flat = at.a.reshape(S, -1)
         if not slope.shape[-1]:
-            return Stepped(after, slope)
-        return Stepped(
-            after,
-            self._slopes(slope, nodes, d, v, z, at, force, u, du, with_unknowns, reach_d, reach_v, h, model),
-        )
+            end = base[:, 3] + flat @ self.pulled[3].T
+            return Stepped(np.concatenate([end, at.z[:, 3]], axis=1), slope)
+        nodes = base + (flat @ self.pulled.reshape(-1, flat.shape[1]).T).reshape(base.shape)
+        after = np.concatenate([nodes[:, 3], at.z[:, 3]], axis=1)
+        return Stepped(after, self._slopes(slope, nodes, at, index, with_unknowns))
 
-    def _solve(
-        self, free_d: Real, free_v: Real, z: Real, z0: Real, reach_d: Real, reach_v: Real
-    ) -> tuple[Real, Real, Real, _Forces]:
-        """Elongations, rates and states of laws at the nodes of a step, by Newton's method."""
-        d, v = free_d.copy(), free_v.copy()
-        S, _, e = d.shape
-        size = np.max(np.abs(d)) + self.step.h * np.max(np.abs(v)) + 1e-300
-        at = self._forces(d, v, z, z0)
-        d, v = (
-            free_d + np.einsum("jkey,sky->sje", reach_d, at.a),
-            free_v + np.einsum("jkey,sky->sje", reach_v, at.a),
-        )
-        for _ in range(NEWTON):
-            at = self._forces(d, v, z, z0)
-            r_d = d - free_d - np.einsum("jkey,sky->sje", reach_d, at.a)
-            r_v = v - free_v - np.einsum("jkey,sky->sje", reach_v, at.a)
-            matrix = self._matrix(at, reach_d, reach_v)
-            right = np.concatenate([r_d[:, 1:].reshape(S, -1), r_v[:, 1:].reshape(S, -1)], axis=1)
-            change = np.linalg.solve(matrix, right[..., None])[..., 0]
-            d[:, 1:] -= change[:, : 3 * e].reshape(S, 3, e)
-            v[:, 1:] -= change[:, 3 * e :].reshape(S, 3, e)
-            z = at.z
-            moved = np.max(np.abs(change[:, : 3 * e])) + self.step.h * np.max(np.abs(change[:, 3 * e :]))
-            if not moved > 1e-13 * size:
-                break
-        at = self._forces(d, v, z, z0)
-        return d, v, at.z, at
+    def input_rates(self) -> list[Real]:
+        """Rates and accelerations of the displacement inputs at the samples, (samples, r) each."""
+        c, h = self.drive.coefficients[..., : self.model.D.shape[1]], self.drive.step_s
+        ends = c[-1]
+        rate = np.concatenate([c[:, 1], (ends[1] + 2 * ends[2] + 3 * ends[3])[None]]) / h
+        bend = np.concatenate([2 * c[:, 2], (2 * ends[2] + 6 * ends[3])[None]]) / h**2
+        return [rate, bend]
 
-    def _matrix(self, at: _Forces, reach_d: Real, reach_v: Real) -> Real:
-        """I − ∂(reach · a)/∂(d, v) over the nodes 1 to 3, (S, 6 e, 6 e)."""
-        S, e = at.a.shape[0], at.a.shape[2]
-        # d and v at node l change the forces at node k: through the law, and through its state.
-        by_d, by_v = at.by_d[:, 1:, 1:], at.by_v[:, 1:, 1:]  # (S, k, l, e)
-        blocks = [
-            np.einsum("jkfe,skle->sjfle", reach[1:, 1:], by).reshape(S, 3 * e, 3 * e)
-            for reach in (reach_d, reach_v)
-            for by in (by_d, by_v)
-        ]
-        top, bottom = np.concatenate(blocks[:2], axis=2), np.concatenate(blocks[2:], axis=2)
-        matrix: Real = np.eye(6 * e) - np.concatenate([top, bottom], axis=1)
-        return matrix
+    def acceleration(self, motion: Motion) -> tuple[Real, Real | None]:
+        """Accelerations at the samples, (samples, n), and their slopes like those of the motion."""
+        n, first = self.model.n, self.substeps * np.arange(self.drive.intervals)
+        force = np.concatenate([self.force[first, 0], self.force[-1:, 3]])
+        inputs = np.concatenate([self.inputs[first, 0], self.inputs[-1:, 3]])
+        x, v = motion.state[:, None, :n], motion.state[:, None, n : 2 * n]
+        u, du = inputs[:, None, 0], inputs[:, None, 1]
+        d, rate = x @ self.Bn.T + u @ self.Dn.T, v @ self.Bn.T + du @ self.Dn.T
+        z = motion.state[:, None, 2 * n :]
+        at = self._instant(d, rate, z)
+        K, C, _ = self.step.both
+        pull = force[:, None] - x @ K.T - v @ C.T - (at.a * self.p[self.model.nonlinear]) @ self.Bn
+        acceleration = (pull @ self.step.inertia.T)[:, 0]
+        if motion.slope is None:
+            return acceleration, None
+        d_x, d_v = motion.slope[:, :n], motion.slope[:, n : 2 * n]
+        d_a = at.times((self.Bn @ d_x)[:, None], (self.Bn @ d_v)[:, None])[:, 0]
+        for i, row in enumerate(self.with_state):
+            d_a[:, row] += at.by_z0[:, 0, row, None] * motion.slope[:, 2 * n + i]
+        m, start = len(self.model.unknowns), self.states
+        for row, own in enumerate(self.model.constant_slices):
+            d_a[:, row, start : start + m] += at.by_g[row][:, 0] @ self.model.constants_map[0][own]
+        load = -(K @ d_x) - C @ d_v - (self.Bn.T * self.p[self.model.nonlinear]) @ d_a
+        nodes = np.concatenate([x, v], axis=-1)
+        load[..., start : start + m] += self._unit_loads(nodes, at, force[:, None], u, du)[:, 0]
+        load[..., start + m :] += self.offsets
+        return acceleration, self.step.inertia @ load
 
-    def _forces(self, d: Real, v: Real, z: Real, z0: Real) -> _Forces:
-        """Unit forces at the nodes and how they change with d and v at all nodes and with z at the start."""
+    def _instant(self, d: Real, v: Real, z: Real) -> _Forces:
+        """Unit forces and slopes at single instants, (S, 1, e), the states z of the laws being given."""
         S, K, e = d.shape
-        a = np.zeros((S, K, e))
-        by_d, by_v = np.zeros((S, K, K, e)), np.zeros((S, K, K, e))
-        by_z0, by_g = np.zeros((S, K, e)), [np.zeros((S, K, 0))] * e
-        z_new, z_slopes = z.copy(), []
-        diagonal = np.arange(K)
+        a, by_z0 = np.zeros((S, K, e)), np.zeros((S, K, e))
+        by_d, by_v, by_g = np.zeros((S, K, e)), np.zeros((S, K, e)), []
+        nothing = np.zeros((S, K))
         for row, (law, own) in enumerate(zip(self.laws, self.model.constant_slices, strict=True)):
             g = np.broadcast_to(self.constants[own], (S, own.stop - own.start))
-            nothing = np.zeros((S, K))
-            if not law.has_state:
-                at = law(d[..., row], v[..., row], nothing, g)
-                a[..., row] = at.value
-                by_d[:, diagonal, diagonal, row] = at.slopes.get("d", nothing)
-                by_v[:, diagonal, diagonal, row] = at.slopes.get("v", nothing)
-                names = law.constant_names
-                by_g[row] = (
-                    np.stack([np.broadcast_to(at.slopes.get(k, nothing), (S, K)) for k in names], -1)
-                    if names
-                    else by_g[row]
-                )
-                continue
-            i = self.with_state.index(row)
-            held = _held(law, d[..., row], v[..., row], z[..., i], z0[:, i], g, self.step.h)
-            z_new[..., i] = held.z
-            z_slopes.append(held)
-            at = law(d[..., row], v[..., row], held.z, g)
+            held = z[..., self.with_state.index(row)] if law.has_state else nothing
+            at = law(d[..., row], v[..., row], held, g)
             a[..., row] = at.value
-            by_z = np.broadcast_to(at.slopes.get("z", nothing), (S, K))
-            by_d[..., row] = by_z[..., None] * held.by_d
-            by_v[..., row] = by_z[..., None] * held.by_v
-            by_z0[..., row] = by_z * held.by_z0
-            by_g[row] = by_z[..., None] * held.by_g
-        return _Forces(a, by_d, by_v, by_z0, tuple(by_g), z_new, tuple(z_slopes))
+            by_d[..., row], by_v[..., row] = at.slopes.get("d", nothing), at.slopes.get("v", nothing)
+            by_z0[..., row] = at.slopes.get("z", nothing)
+            columns = [np.broadcast_to(at.slopes.get(name, nothing), (S, K)) for name in law.constant_names]
+            by_g.append(np.stack(columns, axis=-1) if columns else np.zeros((S, K, 0)))
+        return _Forces(a, by_d.reshape(S, -1), by_v.reshape(S, -1), by_z0, tuple(by_g), z, (), False)
 
-    def _slopes(
-        self, slope: Real, nodes: Real, d: Real, v: Real, z: Real, at: _Forces, force: Real, u: Real, du: Real,
-        with_unknowns: bool, reach_d: Real, reach_v: Real, h: float, model: Model,
-    ) -> Real:  # fmt: skip
+    def _solve(self, free_d: Real, free_v: Real, z0: Real) -> _Forces:
+        """Forces at the nodes of a step, from elongations and rates without them, by Newton's method on the forces."""
+        S = len(free_d)
+        z = np.repeat(z0[:, None], 4, axis=1)
+        at = self._forces(free_d, free_v, z, z0)
+        a = at.a.reshape(S, -1)
+        for _ in range(NEWTON):
+            d = free_d + (a @ self.reach_d.T).reshape(free_d.shape)
+            v = free_v + (a @ self.reach_v.T).reshape(free_v.shape)
+            at = self._forces(d, v, at.z, z0)
+            change = np.linalg.solve(self._matrix(at), (at.a.reshape(S, -1) - a)[..., None])[..., 0]
+            a = a + change
+            if not np.max(np.abs(change)) > SETTLED * (np.max(np.abs(a)) + 1e-300):
+                break
+        return replace(at, a=a.reshape(at.a.shape))
+
+    def _matrix(self, at: _Forces) -> Real:
+        """I − ∂φ/∂d · reach_d − ∂φ/∂v · reach_v over the nodes, (S, 4 e, 4 e)."""
+        if at.full:
+            return np.eye(len(self.reach_d)) - at.by_d @ self.reach_d - at.by_v @ self.reach_v
+        return (
+            np.eye(len(self.reach_d)) - at.by_d[..., None] * self.reach_d - at.by_v[..., None] * self.reach_v
+        )
+
+    def _forces(self, d: Real, v: Real, z: Real, z0: Real) -> _Forces:
+        """Unit forces at the nodes and how they change with d and v at the nodes and with z at the start."""
+        S, K, e = d.shape
+        full = bool(self.with_state)
+        a, by_z0 = np.zeros((S, K, e)), np.zeros((S, K, e))
+        size = (S, K, e, K, e) if full else (S, K, e)
+        by_d, by_v, by_g = np.zeros(size), np.zeros(size), []
+        z_new, states = z.copy(), []
+        nothing, nodes = np.zeros((S, K)), np.arange(K)
+        for row, (law, own) in enumerate(zip(self.laws, self.model.constant_slices, strict=True)):
+            g = np.broadcast_to(self.constants[own], (S, own.stop - own.start))
+            inside = nothing
+            held = None
+            if law.has_state:
+                i = self.with_state.index(row)
+                held = _held(law, d[..., row], v[..., row], z[..., i], z0[:, i], g, self.step.h)
+                inside = z_new[..., i] = held.z
+                states.append(held)
+            at = law(d[..., row], v[..., row], inside, g)
+            a[..., row] = at.value
+            slope_d, slope_v = at.slopes.get("d", nothing), at.slopes.get("v", nothing)
+            if not full:
+                by_d[..., row], by_v[..., row] = slope_d, slope_v
+            else:
+                by_d[:, nodes, row, nodes, row] = slope_d
+                by_v[:, nodes, row, nodes, row] = slope_v
+            columns = [np.broadcast_to(at.slopes.get(name, nothing), (S, K)) for name in law.constant_names]
+            inner = np.stack(columns, axis=-1) if columns else np.zeros((S, K, 0))
+            if held is not None:
+                by_z = np.broadcast_to(at.slopes.get("z", nothing), (S, K))
+                by_d[:, :, row, :, row] += by_z[..., None] * held.by_d
+                by_v[:, :, row, :, row] += by_z[..., None] * held.by_v
+                by_z0[..., row] = by_z * held.by_z0
+                inner = inner + by_z[..., None] * held.by_g
+            by_g.append(inner)
+        wide = (S, K * e, K * e) if full else (S, K * e)
+        return _Forces(
+            a, by_d.reshape(wide), by_v.reshape(wide), by_z0, tuple(by_g), z_new, tuple(states), full
+        )
+
+    def _slopes(self, slope: Real, nodes: Real, at: _Forces, index: Ints, with_unknowns: bool) -> Real:
         """Slopes of the state behind the step: the linearised step, with the loads that unknowns bring."""
-        n, S, e, Q = model.n, len(slope), len(self.laws), slope.shape[-1]
-        base = np.einsum("jxy,syq->sjxq", self.step.E, slope[:, : 2 * n])
+        model, n, S, e, Q = self.model, self.model.n, len(slope), len(self.laws), slope.shape[-1]
+        base = (self.grown.T @ slope[:, : 2 * n]).reshape(S, 4, 2 * n, Q)
         direct = np.zeros((S, 4, e, Q))  # of the unit forces at fixed d and v
         for i, row in enumerate(self.with_state):
             direct[:, :, row] += at.by_z0[:, :, row, None] * slope[:, None, 2 * n + i]
+        m, first = len(model.unknowns), Q - self.directions
         if with_unknowns:
-            m, G = len(model.unknowns), model.constants_map[0]
-            first = Q - self.directions
+            G = model.constants_map[0]
             for row, own in enumerate(model.constant_slices):
-                direct[:, :, row, first : first + m] += at.by_g[row] @ G[own]
-            load = self._unit_loads(nodes, at, force, u, du)  # (S, 4, n, m)
-            base[..., first : first + m] += np.einsum("jkxn,sknq->sjxq", self.step.Wf, load)
-            base[..., first + m :] += np.einsum("jkxn,nq->jxq", self.step.Wf, self.offsets)[None]
-        free_d, free_v = (
-            np.einsum("en,sjnq->sjeq", self.Bn, base[:, :, :n]),
-            np.einsum("en,sjnq->sjeq", self.Bn, base[:, :, n:]),
-        )
-        # At node 0 elongation and rate are those of the state.
-        known = (
-            direct
-            + at.by_d[:, :, 0, :, None] * free_d[:, None, 0]
-            + at.by_v[:, :, 0, :, None] * free_v[:, None, 0]
-        )
-        right_d = free_d + np.einsum("jkey,skyq->sjeq", reach_d, known)
-        right_v = free_v + np.einsum("jkey,skyq->sjeq", reach_v, known)
-        right = np.concatenate(
-            [right_d[:, 1:].reshape(S, 3 * e, Q), right_v[:, 1:].reshape(S, 3 * e, Q)], axis=1
-        )
-        moved = np.linalg.solve(self._matrix(at, reach_d, reach_v), right)
-        d_d, d_v = np.zeros((S, 4, e, Q)), np.zeros((S, 4, e, Q))
-        d_d[:, 1:], d_v[:, 1:] = moved[:, : 3 * e].reshape(S, 3, e, Q), moved[:, 3 * e :].reshape(S, 3, e, Q)
-        d_d[:, 0], d_v[:, 0] = free_d[:, 0], free_v[:, 0]
-        d_a = direct + np.einsum("skle,sleq->skeq", at.by_d, d_d) + np.einsum("skle,sleq->skeq", at.by_v, d_v)
+                if own.stop > own.start:
+                    direct[:, :, row, first : first + m] += at.by_g[row] @ G[own]
+            load = self._unit_loads(
+                nodes, at, self.force[index], self.inputs[index, :, 0], self.inputs[index, :, 1]
+            )
+            base[..., first : first + m] += (self.driven @ load.reshape(S, 4 * n, m)).reshape(S, 4, 2 * n, m)
+            base[..., first + m :] += self.offset_moved
+        free_d, free_v = self.Bn @ base[:, :, :n], self.Bn @ base[:, :, n:]  # (S, 4, e, Q)
+        right = direct + at.times(free_d, free_v)
+        d_a = np.linalg.solve(self._matrix(at), right.reshape(S, 4 * e, Q))
         after = np.empty_like(slope)
-        after[:, : 2 * n] = base[:, 3] + np.einsum("kxe,skeq->sxq", self.step.Wn[3], d_a)
+        after[:, : 2 * n] = base[:, 3] + self.pulled[3] @ d_a
+        if self.with_state:
+            d_d = free_d + (self.reach_d @ d_a).reshape(free_d.shape)
+            d_v = free_v + (self.reach_v @ d_a).reshape(free_v.shape)
         for i, row in enumerate(self.with_state):
             held = at.held[i]
             after[:, 2 * n + i] = (
@@ -313,10 +346,7 @@ class Integrator:
             )
             if with_unknowns:
                 own = model.constant_slices[row]
-                first = Q - self.directions
-                after[:, 2 * n + i, first : first + len(model.unknowns)] += (
-                    held.by_g[:, 3] @ model.constants_map[0][own]
-                )
+                after[:, 2 * n + i, first : first + m] += held.by_g[:, 3] @ model.constants_map[0][own]
         return after
 
     def _unit_loads(self, nodes: Real, at: _Forces, force: Real, u: Real, du: Real) -> Real:
@@ -349,6 +379,10 @@ class _Held:
 
 @dataclass(frozen=True)
 class _Forces:
+    """Unit forces at the nodes (S, 4, e) and their slopes: along d and v at the same node (S, 4 e), or, `full`, at all
+    nodes (S, 4 e, 4 e); along the states z0 at the start and the constants; z (S, 4, laws with a state).
+    """
+
     a: Real
     by_d: Real
     by_v: Real
@@ -356,6 +390,16 @@ class _Forces:
     by_g: tuple[Real, ...]
     z: Real
     held: tuple[_Held, ...]
+    full: bool
+
+    def times(self, d: Real, v: Real) -> Real:
+        """What changes of d and v at the nodes, (S, 4, e, Q), do to the unit forces."""
+        if not self.full:
+            shape = (*d.shape[:3], 1)
+            return self.by_d.reshape(shape) * d + self.by_v.reshape(shape) * v
+        wide = (len(d), -1, d.shape[-1])
+        change: Real = self.by_d @ d.reshape(wide) + self.by_v @ v.reshape(wide)
+        return change.reshape(d.shape)
 
 
 def _held(law: ForceLaw, d: Real, v: Real, z: Real, z0: Real, g: Real, h: float) -> _Held:
@@ -441,9 +485,9 @@ def segments_of(intervals: int, length: int = SEGMENT) -> Ints:
 
 
 def integrate(
-    machine: Integrator, start: Real, offset: Real, starts: Real | None = None, *, slopes: bool = False
+    machine: Integrator, start: Real, starts: Real | None = None, *, slopes: bool = False
 ) -> Motion:
-    """The motion from `start` (states,) under the forcing and constant extra forces `offset` (s,).
+    """The motion from `start` (states,).
 
     `starts` (S, states): states of the segments to begin with, such as those of a motion nearby.
     """
@@ -451,34 +495,55 @@ def integrate(
     first = segments_of(machine.drive.intervals, length)
     begun = np.zeros((len(first), machine.states)) if starts is None else starts.copy()
     begun[0] = start
-    closed = False
-    best = np.inf
-    for _ in range(SWEEPS):
-        states, slope = _pass(machine, begun, offset, length, "states")
-        jumps = states[-1][:-1] - begun[1:]
-        size = np.max(np.abs(begun), axis=0) + 1e-300
-        gap = float(np.max(np.abs(jumps) / np.maximum(size, 1e-6 * np.max(size)), initial=0.0))
-        if not np.isfinite(gap):
-            break
-        if gap <= CLOSED:
-            closed = True
-            break
-        change = np.zeros(machine.states)
-        factor = 1.0 if gap < best * 2 else 0.5
-        best = min(best, gap)
-        for k in range(len(first) - 1):
-            change = slope[k] @ change + jumps[k]
-            begun[k + 1] += factor * change
+    with np.errstate(all="ignore"):
+        states, closed = _close(machine, begun, length)
+        if not closed:
+            begun = _marched(machine, start, length)
+            states, closed = _close(machine, begun, length)
     if not slopes:
         return Motion(_in_order(states, machine.drive.intervals, length), None, begun, closed)
-    states, along = _pass(machine, begun, offset, length, "all")
+    states, along = _pass(machine, begun, length, "all")
     return Motion(
         _in_order(states, machine.drive.intervals, length),
         _chained(along, machine, length), begun, closed,
     )  # fmt: skip
 
 
-def _pass(machine: Integrator, begun: Real, offset: Real, length: int, what: str) -> tuple[Real, Real]:
+def _close(machine: Integrator, begun: Real, length: int) -> tuple[Real, bool]:
+    """Newton's method on the jumps between segments, whose starts `begun` are changed; states, and whether it ends."""
+    best, states = np.inf, begun[None]
+    for _ in range(SWEEPS):
+        states, slope = _pass(machine, begun, length, "states")
+        jumps = states[-1][:-1] - begun[1:]
+        size = np.max(np.abs(begun), axis=0) + 1e-300
+        gap = float(np.max(np.abs(jumps) / np.maximum(size, 1e-6 * np.max(size)), initial=0.0))
+        if gap <= CLOSED:
+            return states, True
+        if not np.isfinite(gap) or gap > 1e3 * max(best, 1.0):
+            break
+        factor = 1.0 if gap < best * 2 else 0.5
+        best = min(best, gap)
+        change = np.zeros(machine.states)
+        for k in range(len(begun) - 1):
+            change = slope[k] @ change + jumps[k]
+            begun[k + 1] += factor * change
+    return states, False
+
+
+def _marched(machine: Integrator, start: Real, length: int) -> Real:
+    """States at the starts of the segments by one integration after another: slow, and never astray."""
+    state, begun, nothing = start[None], [], np.zeros((1, machine.states, 0))
+    for interval in range(machine.drive.intervals):
+        if interval % length == 0:
+            begun.append(state[0])
+        for sub in range(machine.substeps):
+            state = machine.advance(
+                state, nothing, np.array([interval * machine.substeps + sub]), False
+            ).state
+    return np.array(begun)
+
+
+def _pass(machine: Integrator, begun: Real, length: int, what: str) -> tuple[Real, Real]:
     """All segments from their own states: states (length + 1, S, states), slopes of the ends or of all samples."""
     S, x = begun.shape
     first = segments_of(machine.drive.intervals, length)
@@ -490,7 +555,7 @@ def _pass(machine: Integrator, begun: Real, offset: Real, length: int, what: str
     for sample in range(length):
         for sub in range(machine.substeps):
             index = np.minimum((first + sample) * machine.substeps + sub, steps - 1)
-            stepped = machine.advance(state, slope, index, offset, what == "all")
+            stepped = machine.advance(state, slope, index, what == "all")
             state, slope = stepped.state, stepped.slope
         states.append(state)
         if what == "all":

@@ -1,0 +1,133 @@
+"""Whole records of a nonlinear rig: the measured channels, and what a motion shows of them (THEORY §9)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from dashpot.arrays import Real
+from dashpot.channel import Quantity
+from dashpot.data.record import Record
+from dashpot.errors import DataError
+from dashpot.model.network import Model
+from dashpot.model.nonlinear.integration import Integrator, Motion
+from dashpot.model.observation import measures_input, observation_model
+
+UNIFORM = 1e-3  # of the step: how far sample times may lie off
+
+
+@dataclass(frozen=True)
+class RecordData:
+    """One record, arranged: inputs (samples, r + s) and outputs (samples, channels) in SI units on one uniform clock.
+
+    on_x (channels, n), on_q (channels, r + s), derivative (channels,): what the outputs show; gain (channels,): index
+    of an unknown gain, −1 where known; drift (channels,): whether the sensor's zero is unknown.
+    """
+
+    source: str
+    step_s: float
+    names: tuple[str, ...]
+    inputs: Real
+    outputs: Real
+    on_x: Real
+    on_q: Real
+    derivative: tuple[int, ...]
+    gain: tuple[int, ...]
+    drift: tuple[bool, ...]
+
+    @property
+    def samples(self) -> int:
+        """Number of samples."""
+        return len(self.outputs)
+
+
+def arranged(model: Model, record: Record) -> RecordData:
+    """Raises DataError where an input is not measured, a channel cannot be compared with a motion, or times slip."""
+    step = (record.time[-1] - record.time[0]) / (len(record.time) - 1)
+    slip = np.max(np.abs(record.time - record.time[0] - step * np.arange(len(record.time))))
+    if slip > UNIFORM * step * max(1.0, 0.01 * len(record.time)) and slip > 0.5 * step:
+        raise DataError(
+            "the samples are not evenly spaced",
+            record.source,
+            "resample the record, or cut it where the clock slips",
+        )
+    view = observation_model(model, record.channels, np.ones(1))
+    known = np.array([c.gain if c.gain is not None else 1.0 for c in record.channels])
+    sign = np.array([c.sign if c.sign is not None else 1.0 for c in record.channels])
+    values = record.values / (known * sign)
+    for channel in record.channels:
+        if channel.delay is None or channel.delay != 0 or (channel.sign is None and channel.gain is not None):
+            raise DataError(
+                f"channel {channel.name} has a delay or an unknown sign, which whole records of nonlinear rigs do not "
+                "know",
+                record.source,
+                'shift the record, or write gain = "unknown" for the sign',
+            )
+    drives = [i for i, c in enumerate(record.channels) if measures_input(model, c)]
+    usable = [i for i in drives if view.derivative[i] == 0 and view.gain[i] < 0]
+    C = view.on_q[usable]
+    if np.linalg.matrix_rank(C) < C.shape[1] if C.size else len(model.inputs):
+        raise DataError(
+            "an input of a rig with nonlinear elements is not measured",
+            record.source,
+            "give every input a channel of displacement or force with a known gain",
+        )
+    outputs = [i for i in range(len(record.channels)) if i not in drives]
+    wrong = [record.channels[i].name for i in outputs if record.channels[i].quantity is Quantity.FORCE]
+    if wrong:
+        raise DataError(
+            f"channel {wrong[0]} measures the force in elements, which whole records of nonlinear rigs do not use",
+            record.source,
+            "leave it out of the rig file",
+        )
+    if not outputs:
+        raise DataError("no channel shows the motion", record.source, "measure a coordinate")
+    by_force = bool(len(model.force_inputs))
+    return RecordData(
+        record.source, float(step), tuple(record.channels[i].name for i in outputs),
+        values[:, usable] @ np.linalg.pinv(C).T, values[:, outputs], view.on_x[outputs], view.on_q[outputs],
+        tuple(int(view.derivative[i]) for i in outputs), tuple(int(view.gain[i]) for i in outputs),
+        tuple(int(view.derivative[i]) > 0 or not by_force for i in outputs),
+    )  # fmt: skip
+
+
+def measured_coordinates(model: Model, data: RecordData) -> Real | None:
+    """Displacements of all coordinates as the channels show them, (samples, n); None where some are not seen."""
+    chosen = [c for c in range(len(data.names)) if data.derivative[c] == 0 and data.gain[c] < 0]
+    C = data.on_x[chosen]
+    if np.linalg.matrix_rank(C) < model.n if C.size else True:
+        return None
+    seen = data.outputs[:, chosen] - data.inputs @ data.on_q[chosen].T
+    x: Real = seen @ np.linalg.pinv(C).T
+    return x
+
+
+def shown(machine: Integrator, data: RecordData, motion: Motion) -> tuple[Real, Real | None]:
+    """Outputs of a motion before gains, (samples, channels), and slopes along states, unknowns and offsets."""
+    model = machine.model
+    n = model.n
+    rates = [motion.state[:, :n], motion.state[:, n : 2 * n]]
+    slopes = None if motion.slope is None else [motion.slope[:, :n], motion.slope[:, n : 2 * n]]
+    if max(data.derivative) == 2:
+        acceleration, slope = machine.acceleration(motion)
+        rates.append(acceleration)
+        if slopes is not None and slope is not None:
+            slopes.append(slope)
+    base = [data.inputs[:, : model.D.shape[1]]]
+    if max(data.derivative) > 0:
+        base += machine.input_rates()
+    y = np.empty((data.samples, len(data.names)))
+    J = None if slopes is None else np.empty((data.samples, len(data.names), slopes[0].shape[-1]))
+    r = model.D.shape[1]
+    for c, power in enumerate(data.derivative):
+        y[:, c] = rates[power] @ data.on_x[c] + base[power] @ data.on_q[c, :r]
+        if J is not None and slopes is not None:
+            J[:, c] = np.einsum("n,tnq->tq", data.on_x[c], slopes[power])
+    return y, J
+
+
+def total_samples(records: Sequence[RecordData]) -> int:
+    """Numbers measured in all records."""
+    return sum(record.outputs.size for record in records)

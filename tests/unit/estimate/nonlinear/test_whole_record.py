@@ -1,0 +1,81 @@
+"""Nonlinear rigs from whole records."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from dashpot.channel import Channel, Quantity
+from dashpot.data.record import Record
+from dashpot.errors import DataError
+from dashpot.estimate.nonlinear.whole_record import identify_records, predict_record
+from dashpot.model.nonlinear.integration import Integrator, forcing, integrate
+from tests.nonlinear_rigs import motions, two_masses
+
+STEP = 1 / 200
+
+
+def with_guesses(model, theta, factor):
+    elements = []
+    for element in model.elements:
+        for unknown, value in zip(model.unknowns, theta, strict=True):
+            if unknown.name == element.name:
+                element = replace(element, guess=factor * value)
+        elements.append(element)
+    return replace(model, elements=tuple(elements))
+
+
+def record(law, channels, *, noise=0.0, samples=800, seed=0, start=None):
+    model, theta = two_masses(law)
+    rng = np.random.default_rng(seed)
+    time = STEP * np.arange(samples)
+    tones = rng.uniform(1, 15, 30)
+    u = 3e-4 * np.sum(
+        np.cos(2 * np.pi * tones * time[:, None] + rng.uniform(0, 6.3, 30)), axis=1, keepdims=True
+    )
+    machine = Integrator(model, theta, forcing(STEP, u), 4)
+    motion = integrate(machine, np.zeros(machine.states) if start is None else start)
+    columns = {"x1": motion.state[:, 0], "x2": motion.state[:, 1], "u": u[:, 0]}
+    columns["a1"] = machine.acceleration(motion)[0][:, 0]
+    values = np.column_stack([columns[channel.name] for channel in channels])
+    sd = np.array([0.0 if channel.name == "u" else noise for channel in channels]) * np.std(values, axis=0)
+    return model, theta, Record(channels, time, values + sd * rng.standard_normal(values.shape))
+
+
+ALL = motions("x1", "x2", "u")
+
+
+@pytest.mark.parametrize("law", ["cubic", "v*abs(v)"])
+def test_exact_records_give_all_parameters_back_without_guesses(law):
+    model, theta, data = record(law, ALL, start=np.array([1e-3, 0.0, 0.0, 0.02]))
+    estimate = identify_records(model, [data])
+    assert bool(estimate.converged)
+    assert np.max(np.abs(estimate.values / theta - 1)) < (1e-5 if law == "cubic" else 1e-3)
+
+
+def test_intervals_hold_and_unused_records_are_predicted_to_the_noise():
+    model, theta, data = record("cubic", ALL, noise=0.02)
+    estimate = identify_records(model, [data])
+    assert np.all(np.abs(estimate.values - theta) < 4 * estimate.sd)
+    _, _, fresh = record("cubic", ALL, noise=0.02, seed=5)
+    prediction = predict_record(model, estimate, fresh)
+    assert prediction.names == ("x1", "x2")
+    assert np.all(prediction.relative < 0.03)
+
+
+def test_acceleration_of_one_point_is_enough_with_guesses():
+    channels = (Channel("a1", {"x1": 1.0}, Quantity.ACCELERATION), Channel("u", {"u": 1.0}))
+    model, theta, data = record("cubic", channels, noise=0.01)
+    with pytest.raises(DataError, match="guess"):
+        identify_records(model, [data])
+    estimate = identify_records(with_guesses(model, theta, 1.05), [data])
+    assert np.all(np.abs(estimate.values - theta) < 4 * estimate.sd)
+
+
+def test_an_input_that_is_not_measured_is_named():
+    model, _, data = record("cubic", ALL)
+    blind = Record(data.channels[:2], data.time, data.values[:, :2])
+    with pytest.raises(DataError, match="input"):
+        identify_records(model, [blind])

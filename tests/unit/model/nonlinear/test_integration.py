@@ -1,0 +1,144 @@
+"""Integration in time against scipy, against harmonic balance, and slopes against differences."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+from scipy.interpolate import CubicSpline
+
+from dashpot.model.dynamics import matrices
+from dashpot.model.network import Model
+from dashpot.model.nonlinear.harmonic_balance import Drive, periodic_response
+from dashpot.model.nonlinear.integration import Integrator, forcing, integrate
+from tests.nonlinear_rigs import LAWS, two_masses
+
+STEP = 1 / 200
+
+
+def sweep(samples=301):
+    time = STEP * np.arange(samples)
+    return time, (1e-3 * np.sin(2 * np.pi * (2 + 2 * time) * time) + 3e-4 * np.cos(9 * time))[:, None]
+
+
+def by_scipy(model, theta, time, u):
+    """The motion by an explicit Runge-Kutta method of order 8, of the matrices, with the same spline of the input."""
+    p, constants = model.parameters(theta), model.inner_constants(theta)
+    parts = matrices(model, p)
+    law = model.elements[-1].force_law
+    spline = CubicSpline(time, u, axis=0)
+    b, d = model.B[-1], model.D[-1]
+
+    def rates(t, s):
+        x, v = s[:2], s[2:]
+        drive, rate = spline(t), spline(t, 1)
+        elongation, speed = b @ x + d @ drive, b @ v + d @ rate
+        at = law(np.array([elongation]), np.array([speed]), np.zeros(1), constants)
+        force = (
+            parts.G @ drive
+            + parts.F @ rate
+            - parts.K @ x
+            - parts.C @ v
+            - b * p[-1] * float(np.ravel(at.value)[0])
+        )
+        return np.concatenate([v, np.linalg.solve(parts.M, force)])
+
+    return solve_ivp(
+        rates, (0, time[-1]), np.zeros(4), "DOP853", time, rtol=1e-11, atol=1e-14, max_step=STEP / 2
+    ).y.T
+
+
+@pytest.mark.parametrize(
+    ("law", "substeps", "tolerance"),
+    [
+        ("cubic", 1, 1e-6),
+        ("v**3", 1, 1e-6),
+        ("d**3 + b*d**2", 1, 1e-6),
+        ("gap", 8, 1e-5),
+        ("coulomb", 4, 1e-4),
+    ],
+)
+def test_the_motion_is_that_of_another_integrator(law, substeps, tolerance):
+    model, theta = two_masses(law)
+    time, u = sweep()
+    machine = Integrator(model, theta, forcing(STEP, u), substeps)
+    motion = integrate(machine, np.zeros(4))
+    reference = by_scipy(model, theta, time, u)
+    assert motion.closed
+    error = np.max(np.abs(motion.state - reference), axis=0) / np.max(np.abs(reference), axis=0)
+    assert np.max(error) < tolerance
+
+
+def test_a_linear_rig_is_integrated_exactly():
+    model, theta = two_masses("cubic")
+    theta[5] = 0.0
+    _, u = sweep()
+    machine = Integrator(model, theta, forcing(STEP, u), 1)
+    motion = integrate(machine, np.array([1e-3, 0, 0, 0.01]))
+    fine = Integrator(model, theta, forcing(STEP, u), 5)
+    again = integrate(fine, np.array([1e-3, 0, 0, 0.01]))
+    assert np.max(np.abs(motion.state - again.state) / np.max(np.abs(again.state), axis=0)) < 1e-10
+
+
+@pytest.mark.parametrize(
+    ("law", "tolerance"),
+    [("cubic", 1e-6), ("v**3", 1e-6), ("jenkins", 1e-3), ("bouc-wen", 1e-4), ("backlash", 1e-3)],
+)
+def test_a_motion_that_starts_on_the_settled_one_stays_on_it(law, tolerance):
+    model, theta = two_masses(law)
+    frequency, period, cycles = 5.0, 96, 4
+    U = np.zeros((1, 44, 1), dtype=complex)
+    U[0, 1, 0] = 1e-3
+    at = periodic_response(
+        model, model.parameters(theta)[None], model.inner_constants(theta)[None],
+        Drive(np.array([2 * np.pi * frequency]), U, np.zeros((1, 44, 0))), times=2048,
+    )  # fmt: skip
+    rates = 2j * np.pi * frequency * np.arange(44)[:, None]
+    states = [state[0, 0] for state in at.forces.states if state.size]
+    start = np.concatenate([np.sum(at.X[0], axis=0).real, np.sum(rates * at.X[0], axis=0).real, states])
+    time = np.arange(period * cycles + 1) / (period * frequency)
+    u = 1e-3 * np.cos(2 * np.pi * frequency * time)[:, None]
+    motion = integrate(Integrator(model, theta, forcing(1 / (period * frequency), u), 2), start)
+    turns = np.exp(2j * np.pi * frequency * np.outer(time, np.arange(44)))
+    settled = (turns @ at.X[0]).real
+    assert motion.closed
+    assert np.max(np.abs(motion.state[:, :2] - settled)) < tolerance * np.max(np.abs(settled))
+
+
+@pytest.mark.parametrize("law", ["cubic", "bouc-wen"])
+def test_slopes_are_differences(law):
+    assert law in LAWS
+    model, theta = two_masses(law)
+    _, u = sweep(61)
+    machine = Integrator(model, theta, forcing(STEP, u), 2)
+    start = np.zeros(machine.states)
+    start[:2] = 2e-4
+    motion = integrate(machine, start, slopes=True)
+    for j in range(len(theta)):
+        step = 1e-6 * theta[j]
+        ends = []
+        for sign in (1, -1):
+            moved = theta.copy()
+            moved[j] += sign * step
+            ends.append(integrate(Integrator(model, moved, forcing(STEP, u), 2), start, motion.starts).state)
+        difference = (ends[0] - ends[1])[:, :2] / (2 * step)
+        own = motion.slope[:, :2, machine.states + j]
+        # Loads of linear elements are interpolated, so slopes are those of the motion, not of its discretisation.
+        assert np.max(np.abs(difference - own)) < (1e-5 if law == "cubic" else 5e-3) * np.max(np.abs(own))
+    for j in range(4):
+        ends = []
+        for sign in (1, -1):
+            moved = start.copy()
+            moved[j] += sign * 1e-9
+            ends.append(integrate(machine, moved, motion.starts).state[:, :2])
+        own = motion.slope[:, :2, j]
+        assert np.max(np.abs((ends[0] - ends[1]) / 2e-9 - own)) < 1e-3 * np.max(np.abs(own))
+
+
+def test_a_rig_without_mass_is_refused():
+    from dashpot.errors import ModelError
+
+    model, theta = two_masses("cubic")
+    light = Model(model.coordinates, model.inputs, model.elements[1:])
+    with pytest.raises(ModelError, match="no mass"):
+        Integrator(light, theta[1:], forcing(STEP, sweep()[1]), 1)
