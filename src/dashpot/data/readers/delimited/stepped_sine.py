@@ -8,8 +8,8 @@ from __future__ import annotations
 import itertools
 import os
 import re
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -63,46 +63,56 @@ def read_records(
         text = f"{columns.source}: not read, because the rig file does not list them: {listed(extra)}"
         notes.append(Notice("columns_not_read", text, tuple(extra)))
     time, numbers = read_time(columns, time_at, wanted, circumstances.rate_hz)
-    frequency: Real | None = None
-    frequency_hz = circumstances.frequency_hz
-    if f_at is not None:
-        frequency = numbers[f_at] * frequency_scale(columns, f_at)
-        check_frequency(columns, f_at, frequency)
-    elif frequency_hz is None:
-        frequency_hz = _frequency_in_name(columns.source)
-        if frequency_hz is not None:
-            text = f"{columns.source}: the drive frequency {frequency_hz:g} Hz is taken from the file's name"
-            notes.append(Notice("frequency_from_name", text, (columns.source,)))
+    frequency, frequency_hz, said = _drive(columns, f_at, numbers, circumstances)
+    notes += said
     experiments: Ints = np.broadcast_to(np.int64(circumstances.experiment), len(time))
     if experiment_at is not None:
         experiments = whole_numbers(columns, experiment_at, numbers[experiment_at])
     values = _in_si(columns, at, scales, numbers, len(time))
     starts = _blocks(columns, at[0] if time_at is None else time_at, time, frequency, experiments)
-    names = [columns.source if len(starts) == 1 else columns.part_from(start) for start in starts]
-    if len(starts) == 1:  # shared by the record, not copied
+    records = [
+        _record(
+            columns, tuple(channels), time, values, start, end, columns.source if len(starts) == 1 else ""
+        )
+        for start, end in zip(starts, [*starts[1:], len(time)], strict=True)
+    ]
+    for i, start in enumerate(starts):
+        driven = frequency_hz if frequency is None else float(frequency[start])
+        records[i] = replace(records[i], frequency_hz=driven, experiment=int(experiments[start]))
+        notes += _clipped(records[i])
+    return records, notes
+
+
+def _drive(
+    columns: Columns, f_at: int | None, numbers: Mapping[int, Real], circumstances: Circumstances
+) -> tuple[Real | None, float | None, list[Notice]]:
+    """The drive frequency of every sample, or of the whole file (None: not known), and notes."""
+    if f_at is not None:
+        frequency = numbers[f_at] * frequency_scale(columns, f_at)
+        check_frequency(columns, f_at, frequency)
+        return frequency, None, []
+    if circumstances.frequency_hz is not None:
+        return None, circumstances.frequency_hz, []
+    frequency_hz = _frequency_in_name(columns.source)
+    if frequency_hz is None:
+        return None, None, []
+    text = f"{columns.source}: the drive frequency {frequency_hz:g} Hz is taken from the file's name"
+    return None, frequency_hz, [Notice("frequency_from_name", text, (columns.source,))]
+
+
+def _record(
+    columns: Columns, channels: tuple[Channel, ...], time: Real, values: Real, start: int, end: int, name: str
+) -> Record:
+    """The samples of one block; a block that is the whole file is shared, not copied.  Raises DataError."""
+    if end - start < 2:
+        at = columns.find(TIME)
+        cure = "record more, or look for rows that are out of order"
+        raise columns.error(start, 0 if at is None else at, "the block has one sample", cure)
+    if end - start == len(time):
         time.setflags(write=False)
         values.setflags(write=False)
-    records = []
-    for name, start, end in zip(names, starts, [*starts[1:], len(time)], strict=True):
-        if end - start < 2:
-            raise columns.error(
-                start,
-                at[0] if time_at is None else time_at,
-                "the block has one sample",
-                "record more, or look for rows that are out of order",
-            )
-        whole = len(starts) == 1
-        record = Record(
-            tuple(channels),
-            time if whole else time[start:end],
-            values if whole else values[start:end],
-            frequency_hz if frequency is None else float(frequency[start]),
-            int(experiments[start]),
-            name,
-        )
-        notes.extend(_clipped(record))
-        records.append(record)
-    return records, notes
+        return Record(channels, time, values, source=name or columns.part_from(start))
+    return Record(channels, time[start:end], values[start:end], source=name or columns.part_from(start))
 
 
 def _in_si(
@@ -193,6 +203,27 @@ def write_records(records: Sequence[Record], path: str | os.PathLike[str]) -> No
 
     Raises DataError for repeats (leading axes), records of different channels, and records that would run together.
     """
+    _check_writable(records)
+    channels = records[0].channels
+    header, columns = [TIME], [np.concatenate([record.time for record in records])]
+    lengths = [len(record.time) for record in records]
+    driven = [record.frequency_hz for record in records if record.frequency_hz is not None]
+    if driven and len(driven) < len(records):
+        raise DataError("some of the records have no frequency", cure="write them to a file of their own")
+    if driven:
+        header.insert(0, FREQUENCY)
+        columns.insert(0, np.repeat(np.array(driven, dtype=float), lengths))
+    if any(record.experiment for record in records):
+        header.append(EXPERIMENT)
+        columns.append(np.repeat(np.array([record.experiment for record in records]), lengths))
+    for i, channel in enumerate(channels):
+        header.append(channel.name)
+        columns.append(np.concatenate([record.values[:, i] for record in records]) / channel.scale)
+    write_rows(path, [shown(name, 1000) for name in header], columns)
+
+
+def _check_writable(records: Sequence[Record]) -> None:
+    """Raises DataError for what does not fit into one file of stepped sine."""
     if not records:
         raise DataError("there are no records", cure="give one record at least")
     channels = records[0].channels
@@ -211,18 +242,3 @@ def write_records(records: Sequence[Record], path: str | os.PathLike[str]) -> No
                 after.source,
                 "give them experiment numbers",
             )
-    header, columns = [TIME], [np.concatenate([record.time for record in records])]
-    lengths = [len(record.time) for record in records]
-    driven = [record.frequency_hz for record in records if record.frequency_hz is not None]
-    if driven and len(driven) < len(records):
-        raise DataError("some of the records have no frequency", cure="write them to a file of their own")
-    if driven:
-        header.insert(0, FREQUENCY)
-        columns.insert(0, np.repeat(np.array(driven, dtype=float), lengths))
-    if any(record.experiment for record in records):
-        header.append(EXPERIMENT)
-        columns.append(np.repeat(np.array([record.experiment for record in records]), lengths))
-    for i, channel in enumerate(channels):
-        header.append(channel.name)
-        columns.append(np.concatenate([record.values[:, i] for record in records]) / channel.scale)
-    write_rows(path, [shown(name, 1000) for name in header], columns)

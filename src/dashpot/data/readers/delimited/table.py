@@ -16,6 +16,7 @@ from dashpot.arrays import Bools, Real
 from dashpot.data.readers.columns import LARGEST, Columns, bare
 from dashpot.data.readers.datafile import DataFile
 from dashpot.errors import DataError
+from dashpot.io.ledger import noted
 from dashpot.io.words import shown
 
 
@@ -116,10 +117,12 @@ class Table(Columns):
             if self.file is None:
                 yield from pacsv.read_csv(pa.BufferReader(pa.py_buffer(self.body)), **options).to_batches()
                 return
-            with self.file.reading() as stream:
+            # A file of pyarrow's own: its threads may still read ahead when it is closed.
+            with pa.OSFile(str(noted(self.file.path))) as stream:
                 held: Any = self.body.obj
                 stream.seek(len(held) - len(self.body))
-                yield from pacsv.open_csv(stream, **options)
+                with pacsv.open_csv(stream, **options) as reader:
+                    yield from reader
         except (pa.ArrowException, UnicodeDecodeError):
             raise self._diagnosis(columns if kind == pa.float64() else [], optional, infinite) from None
 
