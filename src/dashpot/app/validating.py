@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from dashpot.check.validation import Prediction
+    from dashpot.check.validation import RecordPrediction
     from dashpot.estimate.result import Estimate
     from dashpot.model.rigfile import Rig
 
@@ -33,7 +33,7 @@ def estimate_and_rig(path: str, rig: str | None) -> tuple[Estimate, Rig]:
     raise UsageError(f"the rig file {estimate.rig} that {path} names is not there", cure="give it with --rig")
 
 
-def figures_of(predictions: Sequence[Prediction]) -> str:
+def figures_of(predictions: Sequence[RecordPrediction]) -> str:
     """FIT, χ² and degrees of freedom of every channel as JSON."""
     rows = [
         {
@@ -53,7 +53,7 @@ def figures_of(predictions: Sequence[Prediction]) -> str:
     return json.dumps({"records": rows}, indent=1, ensure_ascii=False) + "\n"
 
 
-def write_picture(predictions: Sequence[Prediction], path: str) -> None:
+def write_picture(predictions: Sequence[RecordPrediction], path: str) -> None:
     """Histories and spectra of the first whole record as SVG.  Raises UsageError where there is none."""
     from dashpot.errors import UsageError
     from dashpot.io.atomic import write_text

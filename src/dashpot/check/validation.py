@@ -26,7 +26,7 @@ WEIGHT = 1e-2  # of a channel's size: its weight in the fit of the transients wh
 
 
 @dataclass(frozen=True)
-class Prediction:
+class RecordPrediction:
     """One record (or all settled lines) against what was predicted of it; outputs only.
 
     channels, units  names and SI units
@@ -67,7 +67,7 @@ class Prediction:
         return time, both[0], both[1]
 
 
-def validate(model: Model, estimate: Estimate, spectrum: Spectrum) -> tuple[Prediction, ...]:
+def validate(model: Model, estimate: Estimate, spectrum: Spectrum) -> tuple[RecordPrediction, ...]:
     """What the estimate predicts of each whole record of `spectrum` (no batch axes), and of its settled lines.
 
     Raises DataError where the channels do not give the inputs, or do not match the estimate's rig.
@@ -122,7 +122,7 @@ def _part(
     lines: Ints,
     outputs: Bools,
     value: Stretch,
-) -> Prediction:
+) -> RecordPrediction:
     at = np.flatnonzero(outputs)
     y, shown = spectrum.amplitudes[lines][:, at], predicted[lines][:, at]
     there = np.isfinite(y)
@@ -133,7 +133,7 @@ def _part(
         fit = np.where(size > 0, 1 - np.sqrt(away / size), np.nan)
         chi2 = 2 * np.sum(np.where(there, np.abs(y - shown) ** 2 / noise, 0.0), axis=0)
     record = value if isinstance(value, WholeRecord) else None
-    return Prediction(
+    return RecordPrediction(
         tuple(spectrum.channels[c].name for c in at),
         tuple(channel_unit(model, spectrum.channels[c]) for c in at),
         spectrum.frequency_hz[lines],

@@ -1,4 +1,4 @@
-"""Motion in time under any sampled input, exact for an input that is a cubic spline through its samples.
+"""LinearMotion in time under any sampled input, exact for an input that is a cubic spline through its samples.
 
 Between two samples the inputs are cubic polynomials, and state and polynomial together obey one linear equation with
 constant coefficients: its matrix exponential carries them exactly from sample to sample.  Holding the input instead
@@ -21,7 +21,7 @@ DEFECTIVE = 1e8  # condition of the eigenvectors from which samples are carried 
 
 
 @dataclass(frozen=True)
-class Motion:
+class LinearMotion:
     """Samples of a motion: x, v, a (samples, n) and inputs with their derivatives, w (3, samples, r + s)."""
 
     x: Real
@@ -31,7 +31,7 @@ class Motion:
 
 
 @dataclass(frozen=True)
-class Integrator:
+class LinearIntegrator:
     """One step of state (x, ẋ) and inputs: z⁺ = Φ z + Σ_d Γ_d w^(d).
 
     step_s; phi (2n, 2n); gamma (4, 2n, r + s); acceleration (n, 2n) and by_input (3, n, r + s): ẍ = α z + Σ_d β_d w^(d)
@@ -48,14 +48,14 @@ class Integrator:
         """Coordinates."""
         return len(self.acceleration)
 
-    def motion(self, inputs: Real, start: Real | None = None) -> Motion:
+    def motion(self, inputs: Real, start: Real | None = None) -> LinearMotion:
         """The motion under samples of the inputs (samples, r + s) from the state `start` (2n,), at rest without one."""
         w = spline_derivatives(inputs, self.step_s)
         driven = np.einsum("dzq,dsq->sz", self.gamma, w)
         first = np.zeros(2 * self.n) if start is None else np.asarray(start, dtype=float)
         z = carried(self.phi, driven, first)
         a = z @ self.acceleration.T + np.einsum("dnq,dsq->sn", self.by_input, w[:3])
-        return Motion(z[:, : self.n], z[:, self.n :], a, w[:3])
+        return LinearMotion(z[:, : self.n], z[:, self.n :], a, w[:3])
 
     def free_motions(self, samples: int) -> Real:
         """States that each unit of a starting state leads to without inputs, (2n, samples, 2n)."""
@@ -63,7 +63,7 @@ class Integrator:
         return np.stack([carried(self.phi, nothing, each) for each in np.eye(2 * self.n)])
 
 
-def integrator(model: Model, p: Real, step_s: float) -> Integrator:
+def integrator(model: Model, p: Real, step_s: float) -> LinearIntegrator:
     """How a rig with parameters p (elements,) goes on by one step.
 
     Raises ModelError where it has hysteretic dampers, which no motion in time belongs to, or a coordinate without mass.
@@ -98,7 +98,7 @@ def integrator(model: Model, p: Real, step_s: float) -> Integrator:
     step = expm(whole * step_s)
     gamma = step[: 2 * n, 2 * n :].reshape(2 * n, 4, count).transpose(1, 0, 2)
     phi: Real = step[: 2 * n, : 2 * n]
-    return Integrator(step_s, phi, gamma, acceleration, by_input)
+    return LinearIntegrator(step_s, phi, gamma, acceleration, by_input)
 
 
 def spline_derivatives(inputs: Real, step_s: float) -> Real:
@@ -134,7 +134,7 @@ def carried(phi: Real, driven: Real, start: Real) -> Real:
     return states
 
 
-def channel_samples(view: ObservationModel, p: Real, motion: Motion) -> Real:
+def channel_samples(view: ObservationModel, p: Real, motion: LinearMotion) -> Real:
     """What the channels show of a motion, (samples, channels), SI units; calibrations left out."""
     model = view.model
     states = (motion.x, motion.v, motion.a)

@@ -7,12 +7,12 @@ from collections.abc import Sequence
 import numpy as np
 from rich.console import Console
 
-from dashpot.check.validation import Prediction
+from dashpot.check.validation import RecordPrediction
 from dashpot.present.tables.layout import TableColumn, show_paragraph, show_table
 from dashpot.present.text.numbers import short
 
 
-def show_validation(out: Console, predictions: Sequence[Prediction]) -> None:
+def show_validation(out: Console, predictions: Sequence[RecordPrediction]) -> None:
     """A row for each channel of each record: FIT and χ² over its degrees of freedom."""
     rows: list[tuple[str, ...]] = []
     for number, part in enumerate(predictions, start=1):
