@@ -25,6 +25,7 @@ from dashpot.io import ledger
 
 FAULT, USAGE, INTERRUPTED, BROKEN_PIPE = 1, 2, 130, 141  # 128 + signal, as shells report it
 TRACEBACK = "DASHPOT_TRACEBACK"
+MOST_PROBLEMS = 20  # that are told one by one
 COMPLETION = "_DASHPOT_COMPLETE"  # set by the script that `dashpot completion` prints
 
 
@@ -124,7 +125,9 @@ def run(args: Sequence[str] | None = None) -> int:
     except click.ClickException as error:
         return _usage(error)
     except DashpotError as error:
-        _tell(str(problem) for problem in error.problems)
+        _tell(str(problem) for problem in error.problems[:MOST_PROBLEMS])
+        if len(error.problems) > MOST_PROBLEMS:
+            _tell([f"{len(error.problems) - MOST_PROBLEMS} more problems; mend these first"])
         return error.exit_code
     except (KeyboardInterrupt, click.Abort):
         _tell(["interrupted; no file is left half-written"])

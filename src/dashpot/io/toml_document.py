@@ -99,18 +99,25 @@ def read_toml(path: str | os.PathLike[str], error: type[DashpotError], wanted: W
     return parse_toml(_decoded(raw, name, error), name, error, wanted)
 
 
+_PART = r"""(?:[A-Za-z0-9_-]+|"[^"\n]*"|'[^'\n]*')"""
+_DEEP_KEY = re.compile(rf"(?:^|[\[{{,])[ \t]*(?:{_PART}[ \t]*\.[ \t]*){{32}}", re.MULTILINE)
+
+
 def parse_toml(text: str, path: str, error: type[DashpotError], wanted: Wanted) -> TomlDocument:
     """The document of a text; `path` is named in messages.  Raises `error` where it is no TOML."""
     if not text.strip():
         raise error("the file is empty", path, wanted.start)
+    deep = _DEEP_KEY.search(text)
+    if deep is not None:  # of such a key tomllib keeps every beginning
+        line = text.count("\n", 0, deep.start()) + 1
+        raise error("a key of more than 32 parts", f"{path}:{line}", f"a {wanted.kind} needs three levels")
     try:
         return TomlDocument(tomllib.loads(text), text, path)
     except tomllib.TOMLDecodeError as cause:
         raise error([_syntax_problem(str(cause), text, path)]) from None
     except RecursionError:
-        raise error(
-            "lists or tables are nested too deep", path, f"a {wanted.kind} needs three levels"
-        ) from None
+        cure = f"a {wanted.kind} needs three levels"
+        raise error("lists or tables are nested too deep", path, cure) from None
     except ValueError:  # Python reads no integers of more than some thousand digits
         raise error("a number has too many digits", path, "write it as 1.5e10") from None
 

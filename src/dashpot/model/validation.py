@@ -13,6 +13,9 @@ from dashpot.model.elements import Element
 from dashpot.model.inputs import Input
 
 
+MOST_TOLD = 20  # links of a circle of ties
+
+
 def problems(
     coordinates: Sequence[str],
     inputs: Sequence[Input],
@@ -164,36 +167,68 @@ def _numbers(element: Element) -> dict[str, float]:
 
 def _tie_problems(elements: Sequence[Element], angles: frozenset[str], complete: bool) -> Iterator[Problem]:
     by_name = {element.name: element for element in elements}
+    ends = _tie_ends(by_name)
     for element in elements:
         if element.same_as is not None:
-            yield from _tied_problems(element, by_name, angles, complete)
+            yield from _tied_problems(element, by_name, ends, angles, complete)
         elif element.times != 1.0:
             cure = "say which element it is a multiple of"
             yield Problem("`times` without `same_as`", element.name, cure)
 
 
 def _tied_problems(
-    element: Element, by_name: Mapping[str, Element], angles: frozenset[str], complete: bool
+    element: Element,
+    by_name: Mapping[str, Element],
+    ends: Mapping[str, str | None],
+    angles: frozenset[str],
+    complete: bool,
 ) -> Iterator[Problem]:
     if element.times == 0:
         yield Problem("times is 0", element.name, "remove the element instead")
     if _numbers(element).keys() - {"times"}:
         cure = "keep same_as or the numbers, not both"
         yield Problem("a tied parameter has a value, guess or limit of its own", element.name, cure)
-    chain = [element.name]
-    target = element.same_as
-    while target is not None and target in by_name and target not in chain:
-        chain.append(target)
-        target = by_name[target].same_as
-    if target is None:
-        root = by_name[chain[-1]]
+    end = ends[element.name]
+    if end is None:
+        circle = _circle(element, by_name)
+        if circle is not None:
+            yield Problem(f"a tie in a circle: {circle}", element.name, "let one of them stand alone")
+    elif end in by_name:
+        root = by_name[end]
         unit, root_unit = element.unit(angles), root.unit(angles)
         if unit != root_unit:
             what = f"a {element.kind} ({unit}) cannot be tied to the {root.kind} {root.name} ({root_unit})"
             yield Problem(what, element.name, "tie parameters of one unit")
-    elif target == element.name:
-        circle = " → ".join([*chain, target])
-        yield Problem(f"a tie in a circle: {circle}", element.name, "let one of them stand alone")
-    elif target not in by_name and complete and len(chain) == 1:
+    elif end == element.same_as and complete:
         cure = f"there are {listed(by_name)}"
-        yield Problem(f"same_as names {target}, which is no element", element.name, cure)
+        yield Problem(f"same_as names {end}, which is no element", element.name, cure)
+
+
+def _tie_ends(by_name: Mapping[str, Element]) -> dict[str, str | None]:
+    """Where the chain of ties of each element ends, None where it runs into a circle; each tie is followed once."""
+    ends: dict[str, str | None] = {}
+    for name in by_name:
+        chain: dict[str, None] = {}
+        at: str = name
+        while at in by_name and at not in ends and at not in chain:
+            chain[at] = None
+            target = by_name[at].same_as
+            if target is None:
+                break
+            at = target
+        end = None if at in chain and by_name[at].same_as is not None else ends.get(at, at)
+        ends.update(dict.fromkeys(chain, end))
+    return ends
+
+
+def _circle(element: Element, by_name: Mapping[str, Element]) -> str | None:
+    """The circle that a tie is part of, None where it only leads into one; of a long one its beginning."""
+    chain = [element.name]
+    while len(chain) <= MOST_TOLD:
+        target = by_name[chain[-1]].same_as
+        if target == element.name:
+            return " → ".join([*chain, target])
+        if target is None or target in chain:
+            return None
+        chain.append(target)
+    return " → ".join([*chain, "…"])

@@ -292,3 +292,12 @@ def test_outputs_are_checked_before_the_work(dashpot: Command, data: Path, targe
 
 def test_two_outputs_of_one_name(dashpot: Command, data: Path) -> None:
     refused(dashpot("identify", "rig.toml", "data.csv", "--json", "o", "--report", "./o"), "two outputs")
+
+
+def test_many_problems_are_summed_up(dashpot: Command, rig: Path) -> None:
+    wrong = "".join(f'q{i} = {{ at = "z" }}\n' for i in range(10_000))
+    rig.write_text(RIG.replace("[springs]", wrong + "[springs]"), encoding="utf-8")
+    ran = dashpot("check", "rig.toml")
+    assert ran.code == 2
+    assert len(ran.err) == 21
+    assert ran.err[-1] == "dashpot: 9980 more problems; mend these first"

@@ -155,10 +155,9 @@ def _blocks(
         change = change | (frequency[1:] != frequency[:-1])
     starts = [0, *(np.flatnonzero(change) + 1).tolist()]
     back = set((np.flatnonzero(time[1:] <= time[:-1]) + 1).tolist()) - set(starts)
-    begun = np.array(starts)
+    begun, latest = np.array(starts), 0
     for i in sorted(back):
-        start = int(begun[np.searchsorted(begun, i, side="right") - 1])
-        start = max([start, *(k for k in starts[len(begun) :] if k < i)])
+        start = max(int(begun[np.searchsorted(begun, i, side="right") - 1]), latest)
         if time[i] > time[start] + 0.02 * (time[i - 1] - time[start]):
             raise columns.error(
                 i,
@@ -167,6 +166,7 @@ def _blocks(
                 "sort the rows; records that follow each other need their own experiment number",
             )
         starts.append(i)
+        latest = i
     return sorted(starts)
 
 

@@ -1,0 +1,81 @@
+"""Large and odd inputs take time and memory in proportion: each of these took twenty seconds or a gigabyte."""
+
+from __future__ import annotations
+
+import itertools
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from dashpot.data.readers import read
+from dashpot.errors import DataError, ModelError
+from dashpot.model.rigfile import parse_rig
+from tests.unit.app.conftest import RIG
+
+SECONDS = 4.0  # of processor time
+CHANNELS = parse_rig(RIG).channels
+
+
+def _timed(function: Callable[[], object]) -> object:
+    begin = time.process_time()
+    try:
+        return function()
+    finally:
+        assert time.process_time() - begin < SECONDS
+
+
+def _records(path: Path, stamps: list[float]) -> Path:
+    rows = [f"1,{stamp!r},{i % 7},1,{i % 3}" for i, stamp in enumerate(stamps)]
+    path.write_text("\n".join(["frequency_hz,time_s,x1,x2,u", *rows]) + "\n", encoding="utf-8")
+    return path
+
+
+@pytest.mark.parametrize(
+    "stamps",
+    [[0.5] * 40_000, [0.001 * (i % 4) for i in range(40_000)], [0.001 * (i // 2) for i in range(40_000)]],
+    ids=["equal", "restarts", "pairs"],
+)
+def test_time_stamps_that_stand_still_or_start_again(tmp_path: Path, stamps: list[float]) -> None:
+    path = _records(tmp_path / "records.csv", stamps)
+
+    def attempt() -> None:
+        with pytest.raises(DataError):
+            read(path, CHANNELS).spectrum()
+
+    _timed(attempt)
+
+
+def _ties(count: int, last: str) -> str:
+    names = [*(f"d{i}" for i in range(count)), last]
+    lines = [
+        f'{one} = {{ between = ["x2", "u"], same_as = "{other}" }}'
+        for one, other in itertools.pairwise(names)
+    ]
+    return RIG.replace("[channels]", "\n".join(lines) + "\n[channels]")
+
+
+def test_a_chain_of_ties() -> None:
+    rig = _timed(lambda: parse_rig(_ties(2000, "c2")))
+    assert rig is not None
+
+
+def test_a_circle_of_ties_is_told_in_short() -> None:
+    def attempt() -> None:
+        with pytest.raises(ModelError, match="a tie in a circle") as error:
+            parse_rig(_ties(2000, "d0"))
+        assert max(len(str(problem)) for problem in error.value.problems) < 400
+
+    _timed(attempt)
+
+
+@pytest.mark.parametrize("form", ["[{}]\n", "{} = 1\n", "x = {{ {} = 1 }}\n"])
+def test_a_key_of_many_parts(form: str) -> None:
+    text = form.format(".".join(["a", '"b"'] * 10_000))
+
+    def attempt() -> None:
+        with pytest.raises(ModelError, match=r"rig\.toml:\d+: a key of more than 32 parts"):
+            parse_rig(RIG + text)
+
+    _timed(attempt)
