@@ -12,7 +12,6 @@ from dashpot.io.words import listed
 from dashpot.model.elements import Element
 from dashpot.model.inputs import Input
 
-
 MOST_TOLD = 20  # links of a circle of ties
 
 
