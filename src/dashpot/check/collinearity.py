@@ -12,7 +12,9 @@ import numpy as np
 
 from dashpot.arrays import Ints, Real, frozen
 from dashpot.check.chi2_surface import Surface
+from dashpot.errors import IdentifiabilityError
 from dashpot.estimate.likelihood.maximum_likelihood import prior_precision
+from dashpot.io.words import listed
 
 WEAK = 10.0  # times the interval is wider, from which a combination is told
 PART = 0.5  # of a variance that a combination must make up for an unknown to be named with it
@@ -62,8 +64,16 @@ def collinearity(base: Surface, covariance: Real) -> Collinearity:
     """What the first repeat of a surface determines badly; `covariance` (M, M) is the estimate's.
 
     Combinations count that inflate an interval tenfold or more over what it were with all other unknowns known.
+    Raises IdentifiabilityError where nothing is known of an unknown, or the information is no finite number.
     """
     total = np.sum(base.information[0], axis=0) + np.diag(prior_precision(base.view))
+    known = np.all(np.isfinite(total), axis=-1) & (np.diagonal(total) > 0)
+    if not np.all(known):
+        lost = [name for name, fine in zip(base.view.names, known, strict=True) if not fine]
+        raise IdentifiabilityError(
+            f"at the values of the estimate the data say nothing of {listed(lost)}",
+            cure="check units and signs of the channels, or give values",
+        )
     sd = np.sqrt(np.diagonal(total))
     values, vectors = np.linalg.eigh(total / np.outer(sd, sd))
     values = np.maximum(values, 1e-15)

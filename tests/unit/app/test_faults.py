@@ -1,0 +1,165 @@
+"""A disk that fails, fills or lies at any operation under a command: the old file or the complete one, and one line."""
+
+from __future__ import annotations
+
+import os
+import random
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from dashpot.io import atomic
+from tests.unit.app.conftest import RIG, Command
+from tests.unit.app.test_study import STUDY
+from tests.unit.io.test_atomic import FaultySystem
+
+KINDS = ("fails", "full", "short", "lies")
+COMMANDS = {
+    "identify": ("identify", "rig.toml", "data.csv", "--json", "out", "-q"),
+    "simulate": (
+        "simulate", "rig.toml", "--out", "out", "--frequencies", "1,2", "--set", "m1=3,c1=20,c2=30", "--samples", "8",
+        "-q",
+    ),
+    "design": (
+        "design", "rig.toml", "--set", "m1=3,c1=20,c2=30", "--samples", "500", "--rate", "100", "--csv", "out", "-q",
+    ),
+    "check": ("check", "rig.toml", "--json", "out", "-q"),
+    "spectrum": ("spectrum", "rig.toml", "data.csv", "--out", "out", "-q"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("name", COMMANDS)
+def test_old_or_complete(
+    dashpot: Command, data: Path, monkeypatch: pytest.MonkeyPatch, name: str, kind: str
+) -> None:
+    out = Path("out")
+    ran = dashpot(*COMMANDS[name])
+    assert ran.code == 0, ran.err
+    complete = out.read_bytes()
+    before = set(os.listdir())
+    failures = 0
+    for k in range(1, 40):
+        out.write_bytes(b"old")
+        system = FaultySystem(k, kind)
+        with monkeypatch.context() as patched:
+            patched.setattr(atomic, "os", system)
+            ran = dashpot(*COMMANDS[name])
+        assert set(os.listdir()) == before, k
+        if ran.code == 0:
+            assert out.read_bytes() == complete, k
+        else:
+            failures += 1
+            assert ran.code == 2, k
+            assert len(ran.err) == 1, ran.err
+            assert "out: cannot be written" in ran.err[0]
+            assert out.read_bytes() in (b"old", complete), k
+        if system.count < k:
+            break
+    else:
+        pytest.fail("40 operations for one file")
+    assert failures or kind == "short"
+
+
+def _files(folder: Path) -> dict[str, bytes]:
+    return {
+        str(path.relative_to(folder)): path.read_bytes()
+        for path in sorted(folder.rglob("*"))
+        if path.is_file()
+    }
+
+
+def _study_with_faults(
+    dashpot: Command, monkeypatch: pytest.MonkeyPatch, whole: dict[str, bytes], k: int, kind: str
+) -> bool:
+    """Whether the k-th operation is still one of the run's; what was begun goes on to the same bits."""
+    folder = Path(f"s{k}{kind}")
+    system = FaultySystem(k, kind)
+    with monkeypatch.context() as patched:
+        patched.setattr(atomic, "os", system)
+        ran = dashpot("study", "noise.toml", "--out", str(folder), "--processes", "1", "-q")
+    assert ran.code in (0, 2), (k, ran.err)
+    left = _files(folder)
+    assert all(whole[name] == content for name, content in left.items()), k  # each is absent or complete
+    again = dashpot("study", "noise.toml", "--out", str(folder), "--processes", "1", "-q")
+    assert again.code == 0, (k, again.err)
+    assert _files(folder) == whole, k
+    return system.count >= k
+
+
+@pytest.fixture
+def whole_study(dashpot: Command, tmp_path: Path) -> dict[str, bytes]:
+    """All files of the study noise.toml, which is small."""
+    (tmp_path / "rig.toml").write_text(RIG, encoding="utf-8")
+    small = STUDY.replace("draws = 30", "draws = 2").replace("[0.01, 0.05, 0.1]", "[0.01, 0.1]")
+    (tmp_path / "noise.toml").write_text(small, encoding="utf-8")
+    assert dashpot("study", "noise.toml", "--out", "whole", "--processes", "1", "-q").code == 0
+    return _files(Path("whole"))
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_study_goes_on_after_a_fault(
+    dashpot: Command, monkeypatch: pytest.MonkeyPatch, whole_study: dict[str, bytes], kind: str
+) -> None:
+    for k in random.Random(kind).sample(range(1, 40), 3):
+        _study_with_faults(dashpot, monkeypatch, whole_study, k, kind)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_study_goes_on_after_a_fault_at_any_operation(
+    dashpot: Command, monkeypatch: pytest.MonkeyPatch, whole_study: dict[str, bytes], kind: str
+) -> None:
+    k = 1
+    while _study_with_faults(dashpot, monkeypatch, whole_study, k, kind):
+        k += 1
+    assert k > 20
+
+
+def _killed_at_random(tmp_path: Path, count: int, seed: int) -> None:
+    """Kill a study again and again at random moments; it ends as one that was left in peace."""
+    (tmp_path / "rig.toml").write_text(RIG, encoding="utf-8")
+    text = STUDY.replace("draws = 30", "draws = 4000")
+    (tmp_path / "noise.toml").write_text(text, encoding="utf-8")
+    rng = random.Random(seed)
+
+    def started(folder: str) -> subprocess.Popen[bytes]:
+        command = [
+            sys.executable,
+            "-m",
+            "dashpot",
+            "study",
+            "noise.toml",
+            "--processes",
+            "2",
+            "--out",
+            folder,
+            "-q",
+        ]
+        return subprocess.Popen(command, cwd=tmp_path, stderr=subprocess.PIPE)
+
+    peace = started("peace")
+    assert peace.communicate(timeout=600)[1] == b""
+    for _ in range(count):
+        process = started("killed")
+        time.sleep(rng.uniform(0.2, 4.0))
+        process.send_signal(rng.choice((signal.SIGKILL, signal.SIGTERM, signal.SIGHUP)))
+        told = process.communicate(timeout=60)[1]
+        assert b"Traceback" not in told
+        assert b"internal error" not in told
+    last = started("killed")
+    assert last.communicate(timeout=600)[1] == b""
+    assert _files(tmp_path / "killed") == _files(tmp_path / "peace")
+
+
+def test_a_study_killed_at_random_ends_the_same(tmp_path: Path) -> None:
+    _killed_at_random(tmp_path, 4, 1)
+
+
+@pytest.mark.long
+def test_a_study_killed_two_hundred_times_ends_the_same(tmp_path: Path) -> None:
+    _killed_at_random(tmp_path, 200, 2)
