@@ -150,7 +150,7 @@ def _wrong_files(case: Case, code: int, out: str) -> str | None:
         return "a temporary file is left"
     texts = [path.read_text(encoding="utf-8") for path in Path().glob("out*") if path.is_file()]
     for text in [*texts, out]:
-        if text.startswith("{"):
+        if text.startswith(("{\n", "[")):
             try:
                 json.loads(text, parse_constant=_refused)
             except ValueError as error:

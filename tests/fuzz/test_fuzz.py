@@ -79,7 +79,7 @@ def test_the_runner_sees_what_it_is_for(monkeypatch: pytest.MonkeyPatch) -> None
     assert planted(lambda _: 1) == "exit code 1"
     assert planted(lambda _: 2) == "refused without a word"
     assert planted(writes("rig.toml", "other")) == "rig.toml was changed"
-    assert planted(writes("out.json", '{"a": NaN}')) == "JSON: ValueError"
+    assert planted(writes("out.json", '{\n"a": NaN}')) == "JSON: ValueError"
     assert planted(writes(".dashpot-1.part", "")) == "a temporary file is left"
     assert planted(prints("dashpot: \x1b[31mred")) == "control character on stderr"
     assert planted(prints("dashpot: line\n" * 50)) == "40 lines and more on stderr"

@@ -15,7 +15,7 @@ import numpy as np
 from dashpot.arrays import Bools, Ints, Real
 from dashpot.channel import Channel
 from dashpot.data.spectrum import Spectrum
-from dashpot.errors import IdentifiabilityError
+from dashpot.errors import IdentifiabilityError, ModelError
 from dashpot.io.words import listed
 from dashpot.model.laws import Law
 from dashpot.model.network import Model
@@ -327,6 +327,11 @@ def floating(
     for g, by_psi in zip(G, J, strict=True):
         size = np.linalg.norm(g, axis=0)
         g = g / np.where(size > 0, size, 1.0)
+        if not np.all(np.isfinite(g)):
+            raise ModelError(
+                "the rig's numbers are too far apart for floating point",
+                cure="check units and sizes of the values",
+            )
         u, s, _ = np.linalg.svd(g, full_matrices=False)
         u = u[:, s > 1e-10 * max(float(s[0]) if s.size else 0.0, 1e-300)]
         by_psi = by_psi - u @ (u.conj().T @ by_psi)

@@ -32,6 +32,9 @@ def _faults(estimate: Estimate) -> Iterator[str]:
         return
     if len(set(names)) < count:
         yield f"order: {next(name for name in names if names.count(name) > 1)} is named twice"
+    if np.ndim(estimate.iterations) or np.ndim(estimate.converged):
+        yield "iterations: not one number"
+        return
     for name in ("covariance", "noise_covariance"):
         matrix = getattr(estimate, name)
         if matrix.shape != (count, count):
