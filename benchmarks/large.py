@@ -14,8 +14,8 @@ import numpy as np
 from dashpot.channel import Channel, Quantity
 from dashpot.data.spectrum import Spectrum
 from dashpot.estimate.identify import identify
-from dashpot.estimate.likelihood.maximum_likelihood import MaximumLikelihood, local
-from dashpot.estimate.likelihood.objective import measured
+from dashpot.estimate.likelihood.maximum_likelihood import MaximumLikelihood
+from dashpot.estimate.likelihood.objective import local, measured
 from dashpot.estimate.preparation.prepared import prepare
 from dashpot.model.elements import Kind, between, mass
 from dashpot.model.network import Input, Model

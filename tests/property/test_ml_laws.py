@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 
 from dashpot.channel import Channel, Quantity
 from dashpot.estimate.identify import identify
-from dashpot.estimate.likelihood.maximum_likelihood import MaximumLikelihood, local
-from dashpot.estimate.likelihood.objective import measured
+from dashpot.estimate.likelihood.maximum_likelihood import MaximumLikelihood
+from dashpot.estimate.likelihood.objective import local, measured
 from dashpot.estimate.linear.instrumental_variables import OptimalIV
 from dashpot.estimate.preparation.prepared import flattened, prepare
 from dashpot.model.observation import observation_model

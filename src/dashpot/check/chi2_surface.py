@@ -9,8 +9,15 @@ import numpy as np
 from dashpot.arrays import Ints, Real
 from dashpot.data.spectrum import Spectrum
 from dashpot.errors import DataError
-from dashpot.estimate.likelihood.maximum_likelihood import bounds, local, prior_mean, prior_precision
-from dashpot.estimate.likelihood.objective import Measured, measured, predict
+from dashpot.estimate.likelihood.chunks import Measured
+from dashpot.estimate.likelihood.objective import (
+    bounds,
+    local,
+    measured,
+    per_line,
+    prior_mean,
+    prior_precision,
+)
 from dashpot.estimate.preparation.prepared import prepare
 from dashpot.estimate.result import Estimate
 from dashpot.model.network import Model
@@ -69,5 +76,5 @@ def chi2_surface(model: Model, spectrum: Spectrum, estimate: Estimate) -> Surfac
         return local(view, exact.pick(rows), at, sign[rows])
 
     minimum = minimise(evaluate, psi, limit=100, tolerance=1e-6, lower=lower, upper=upper)
-    information = predict(view, exact, minimum.x, sign).information()
+    information, _, _ = per_line(view, exact, minimum.x, sign)
     return Surface(view, exact, sign, minimum.x, minimum.cost, information, lower, upper)

@@ -13,7 +13,7 @@ import numpy as np
 from dashpot.arrays import Ints, Real, frozen
 from dashpot.check.chi2_surface import Surface
 from dashpot.errors import IdentifiabilityError
-from dashpot.estimate.likelihood.maximum_likelihood import prior_precision
+from dashpot.estimate.likelihood.objective import prior_precision
 from dashpot.io.words import listed
 
 WEAK = 10.0  # times the interval is wider, from which a combination is told

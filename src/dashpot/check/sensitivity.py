@@ -15,7 +15,7 @@ from dashpot.check.chi2_surface import chi2_surface
 from dashpot.data.spectrum import Spectrum
 from dashpot.errors import UsageError
 from dashpot.estimate.identify import automatic, identify
-from dashpot.estimate.likelihood.maximum_likelihood import local
+from dashpot.estimate.likelihood.objective import local
 from dashpot.estimate.method import Method
 from dashpot.estimate.result import Estimate
 from dashpot.model.network import Model

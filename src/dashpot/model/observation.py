@@ -151,6 +151,17 @@ class ObservationModel:
         alone: Bools = np.any(self.on_q, axis=-1) & ~np.any(self.on_x, axis=-1) & ~np.any(self.force, axis=-1)
         return alone
 
+    def at_lines(self, lines: slice) -> ObservationModel:
+        """The same channels at some of the frequencies; made once for each."""
+        key = (lines.start, lines.stop)
+        if key not in self._parts:
+            self._parts[key] = replace(self, omega=self.omega[lines])
+        return self._parts[key]
+
+    @cached_property
+    def _parts(self) -> dict[tuple[int, int], ObservationModel]:
+        return {}
+
     @cached_property
     def rates(self) -> Complex:
         """(jω)^derivative of each channel, (lines, channels)."""

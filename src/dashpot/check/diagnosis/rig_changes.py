@@ -14,8 +14,7 @@ import numpy as np
 
 from dashpot.arrays import Real, hermitian
 from dashpot.check.diagnosis.search import LONG, Workbench
-from dashpot.estimate.likelihood.maximum_likelihood import local, prior_mean, prior_precision
-from dashpot.estimate.likelihood.objective import measured, predict
+from dashpot.estimate.likelihood.objective import local, measured, predict, prior_mean, prior_precision
 from dashpot.model.elements import Element, Kind, between, mass
 from dashpot.model.network import Model
 from dashpot.model.observation import observation_model

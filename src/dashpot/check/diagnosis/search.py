@@ -9,8 +9,8 @@ import numpy as np
 
 from dashpot.arrays import Complex, Ints, Real
 from dashpot.check.diagnosis.trials import Outcome, Trial, prepared
-from dashpot.estimate.likelihood.maximum_likelihood import local, logarithmic
-from dashpot.estimate.likelihood.objective import Measured, directly_driven, measured, predict
+from dashpot.estimate.likelihood.chunks import Measured
+from dashpot.estimate.likelihood.objective import directly_driven, local, logarithmic, measured, predict
 from dashpot.estimate.likelihood.starting_values import candidates
 from dashpot.estimate.linear.least_squares import compensated
 from dashpot.estimate.preparation.prepared import Prepared

@@ -9,8 +9,14 @@ import numpy as np
 from dashpot.arrays import Complex, Real, hermitian
 from dashpot.data.spectrum import Spectrum
 from dashpot.estimate.inference.diagnostics import bias
-from dashpot.estimate.likelihood.maximum_likelihood import MaximumLikelihood, prior_mean, prior_precision
-from dashpot.estimate.likelihood.objective import measured, predict
+from dashpot.estimate.likelihood.maximum_likelihood import MaximumLikelihood
+from dashpot.estimate.likelihood.objective import (
+    measured,
+    nuisance_columns,
+    per_line,
+    prior_mean,
+    prior_precision,
+)
 from dashpot.estimate.linear.auxiliary_model import auxiliary
 from dashpot.estimate.linear.gram import regressors
 from dashpot.estimate.linear.instrumental_variables import likeliest
@@ -122,12 +128,11 @@ def _of_channels(data: Prepared, solution: Solution) -> Linearised:
     sign = np.ones((len(exact.y), len(view.channels)))
     for name, signs in solution.signs.items():
         sign[:, data.spectrum.index(name)] = signs
-    at = predict(view, exact, solution.theta, sign)
-    scores = 2 * (hermitian(at.J) @ at.weighted[..., None]).real[..., 0]
+    information, scores, cost = per_line(view, exact, solution.theta, sign)
+    rows = exact.rows - nuisance_columns(view, exact, solution.theta, sign)
     return Linearised(
-        view.names, view.units, at.information(), scores, at.cost_per_line, exact.rows - at.columns,
-        prior_precision(view), prior_mean(view),
-    )  # fmt: skip
+        view.names, view.units, information, scores, cost, rows, prior_precision(view), prior_mean(view)
+    )
 
 
 def _of_equation(data: Prepared, solution: Solution) -> Linearised:

@@ -10,12 +10,12 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy import sparse
-from scipy.sparse.csgraph import connected_components, structural_rank
 
-from dashpot.arrays import Bools, Complex, Ints, Real, hermitian
+from dashpot.arrays import Complex, Real, hermitian
 from dashpot.estimate.likelihood.boundary_loads import RecordEnds, projector, record_ends, whitener
-from dashpot.estimate.nonlinear.objective import NonlinearPart, nonlinear_part, predict_harmonics
+from dashpot.estimate.likelihood.chunks import Measured, Piece, by_line, summed
+from dashpot.estimate.likelihood.nuisance import estimated_inputs, inputs_by_channel, inputs_seen
+from dashpot.estimate.nonlinear.objective import nonlinear_part, predict_harmonics
 from dashpot.estimate.preparation.prepared import Prepared
 from dashpot.model.observation import (
     ObservationModel,
@@ -23,38 +23,11 @@ from dashpot.model.observation import (
     is_direct,
     measures_input,
 )
-from dashpot.numerics.small_systems import solve_small
+from dashpot.model.unstructured import free_names
+from dashpot.numerics.levenberg_marquardt import QuadraticModel
 
 FLOOR = 1e-6  # relative noise that exact channels of coordinates are given, so that weights stay finite
-BLIND = 1e-12  # relative precision of "zero" for inputs that no channel of a line sees
-
-
-@dataclass(frozen=True)
-class Measured:
-    """Amplitudes of K repeats, arranged for the likelihood.
-
-    y (K, lines, channels), 0 where not measured; W (K or 1, lines, channels, channels) the inverse covariance, 0
-    where not measured; q (K, lines, r + s) where exact channels give the inputs, else None; `rows` real equations.
-    `ends`: the columns that whole records bring, and `root` with rootᴴ root = W, where there are whole records.
-    """
-
-    y: Complex
-    W: Complex
-    q: Complex | None
-    rows: int
-    ends: RecordEnds | None = None
-    root: Complex | None = None
-    nonlinear: NonlinearPart | None = None
-
-    def pick(self, rows: Ints) -> Measured:
-        """Some of the repeats."""
-        if len(self.y) == 1:
-            return self  # many starts of one repeat
-        W = self.W if len(self.W) == 1 else self.W[rows]
-        root = self.root if self.root is None or len(self.root) == 1 else self.root[rows]
-        q = None if self.q is None else self.q[rows]
-        part = None if self.nonlinear is None else self.nonlinear.pick(rows)
-        return Measured(self.y[rows], W, q, self.rows, self.ends, root, part)
+LOG_RESIDUAL = 0.5  # nepers beyond which a residual of logarithms counts no longer by its square
 
 
 def measured(data: Prepared, view: ObservationModel, softness: float = 0.0) -> Measured:
@@ -67,7 +40,7 @@ def measured(data: Prepared, view: ObservationModel, softness: float = 0.0) -> M
     silent = np.all(diagonal == 0, axis=0)
     drive = np.array([measures_input(model, c) and is_direct(model, c) for c in spectrum.channels])
     exact = present & silent & drive
-    by_channel = _from_exact(view, exact)
+    by_channel = inputs_by_channel(view, exact)
     q = None if by_channel is None else np.einsum("lqc,...lc->...lq", by_channel, y)
     if q is not None:
         present = present & ~exact
@@ -82,24 +55,10 @@ def measured(data: Prepared, view: ObservationModel, softness: float = 0.0) -> M
     # The weight is used as such, over and over.
     W = np.linalg.inv(scaled) / (size[:, :, None] * size[:, None, :])
     W = np.where(both, (W + hermitian(W)) / 2, 0.0)
-    count = int(np.sum(present)) - (0 if q is not None else int(np.sum(_inputs_seen(view, present))))
+    count = int(np.sum(present)) - (0 if q is not None else int(np.sum(inputs_seen(view, present))))
     ends = record_ends(view, spectrum, by_channel)
     part = nonlinear_part(data, view, y, q) if len(model.nonlinear) else None
     return Measured(y * present, W, q, 2 * count, ends, None if ends is None else whitener(W), part)
-
-
-def _from_exact(view: ObservationModel, exact: Bools) -> Complex | None:
-    """Inputs by the exact channels, (lines, r + s, channels); None where they do not give them at every line."""
-    C = view.direct_q * exact[..., None]
-    count = C.shape[-1]
-    scale = np.max(np.abs(C), axis=-1, keepdims=True, initial=0.0)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        C = np.where(scale > 0, C / scale, 0.0)
-        unit = np.where(scale > 0, 1 / np.where(scale > 0, scale, 1.0), 0.0)[..., 0] * exact
-    if np.any(np.linalg.matrix_rank(C) < count):
-        return None
-    by_channel: Complex = np.linalg.pinv(C) * unit[:, None, :]
-    return by_channel
 
 
 def directly_driven(view: ObservationModel, data: Measured) -> Measured | None:
@@ -108,31 +67,11 @@ def directly_driven(view: ObservationModel, data: Measured) -> Measured | None:
         return data
     alone = view.inputs_alone & np.any(view.direct_q, axis=-1) & np.all(data.y != 0, axis=0)
     calibrated = (view.gain < 0) & (view.delay < 0) & ~view.flips
-    by_channel = _from_exact(view, alone & calibrated)
+    by_channel = inputs_by_channel(view, alone & calibrated)
     if by_channel is None:
         return None
     q = np.einsum("lqc,...lc->...lq", by_channel, data.y)
     return Measured(data.y, data.W, q, data.rows)
-
-
-def _inputs_seen(view: ObservationModel, present: Bools) -> Ints:
-    """How many inputs each line's channels can tell apart: the generic rank of G there.
-
-    A channel sees an input that reaches its coordinates through elements; a force on another rig of the same model,
-    or on a part that is connected only to moved inputs, it does not.
-    """
-    model, B = view.model, abs(view.model.sparse_B)
-    count, part = connected_components(B.T @ B, directed=False)
-    member = sparse.csr_array((np.ones(model.n), (np.arange(model.n), part)), shape=(model.n, count))
-    driven = np.concatenate([B.T @ abs(model.D), abs(model.S)], axis=1)
-    looking = np.abs(view.on_x) + abs(view.force) @ B
-    direct = np.abs(view.on_q)
-    direct[:, : model.D.shape[1]] += abs(view.force) @ abs(model.D)
-    sees = ((looking @ member > 0).astype(float) @ (member.T @ driven > 0) > 0) | (direct > 0)
-    patterns, which = np.unique(present, axis=0, return_inverse=True)
-    ranks = [int(structural_rank(sparse.csr_array(sees & pattern[:, None]))) for pattern in patterns]
-    found: Ints = np.array(ranks, dtype=np.int64)[which.ravel()]
-    return found
 
 
 @dataclass(frozen=True)
@@ -217,18 +156,100 @@ def _predict_records(
 
 
 def _inputs(G: Complex, data: Measured) -> tuple[Complex, Complex | None]:
-    """(q̂, W G (Gᴴ W G)⁻¹) where the inputs are estimated, (exact q, None) where they are known.
+    """(q̂, W G (Gᴴ W G)⁻¹) where the inputs are estimated, (exact q, None) where they are known."""
+    return (data.q, None) if data.q is not None else estimated_inputs(G, data.W, data.y)
 
-    An input that no channel of a line sees is 0 there (it was not driven): the smallest precision is added to it.
+
+def bounds(view: ObservationModel, positive: bool) -> tuple[Real, Real]:
+    """Lower and upper bounds of ψ, each (M,), from the model, and 0 for its parts where `positive`."""
+    model, endless = view.model, np.full(view.gains + view.delays, np.inf)
+    low, high = model.bounds
+    if positive:
+        free = free_names(model)
+        parts = np.array([unknown.name not in free for unknown in model.unknowns])
+        low = np.where(parts, np.maximum(low, 0.0), low)
+    return np.concatenate([low, -endless]), np.concatenate([high, endless])
+
+
+def prior_precision(view: ObservationModel) -> Real:
+    """Precision of the priors over ψ: the model's, and 0 for calibrations; (M,)."""
+    return np.concatenate([view.model.prior_precision, np.zeros(view.gains + view.delays)])
+
+
+def prior_mean(view: ObservationModel) -> Real:
+    """Means of the priors over ψ, 0 where there is none; (M,)."""
+    return np.concatenate([view.model.prior_mean, np.zeros(view.gains + view.delays)])
+
+
+def local(view: ObservationModel, data: Measured, psi: Real, sign: Real) -> QuadraticModel:
+    """Cost, slope and curvature of −2 ln(likelihood) at ψ, (K, M)."""
+    return _with_priors(view, psi, *summed(view, data, psi, sign, _sums))
+
+
+def _sums(piece: Piece, psi: Real, sign: Real) -> tuple[Real, Real, Real]:
+    """Cost, minus half its slope, and information of the lines of a piece."""
+    at = predict(piece.view, piece.data, psi, sign)
+    M = psi.shape[-1]
+    rows = at.J.shape[-3] * at.J.shape[-2]
+    J = hermitian(at.J.reshape(*at.J.shape[:-3], rows, M))
+    information = 2 * (J @ at.PJ.reshape(*at.PJ.shape[:-3], rows, M)).real
+    gradient = 2 * (J @ at.weighted.reshape(*at.weighted.shape[:-2], rows, 1)).real[..., 0]
+    return np.sum(at.cost_per_line, axis=-1), gradient, information
+
+
+def _with_priors(
+    view: ObservationModel, psi: Real, cost: Real, gradient: Real, information: Real
+) -> QuadraticModel:
+    precision = prior_precision(view)
+    away = psi - prior_mean(view)
+    information = information + np.diag(precision)
+    cost = cost + np.sum(precision * away**2, axis=-1)
+    return QuadraticModel(cost, gradient - precision * away, information, information)
+
+
+def per_line(view: ObservationModel, data: Measured, psi: Real, sign: Real) -> tuple[Real, Real, Real]:
+    """Information (K, lines, M, M), minus half the slope (K, lines, M) and cost (K, lines) of each line at ψ."""
+    information, scores, cost = by_line(view, data, psi, sign, _of_lines)
+    return information, scores, cost
+
+
+def _of_lines(piece: Piece, psi: Real, sign: Real) -> tuple[Real, Real, Real]:
+    at = predict(piece.view, piece.data, psi, sign)
+    return at.information(), 2 * (hermitian(at.J) @ at.weighted[..., None]).real[..., 0], at.cost_per_line
+
+
+def nuisance_columns(view: ObservationModel, data: Measured, psi: Real, sign: Real) -> int:
+    """How many independent columns the ends of whole records take out of the data."""
+    return 0 if data.ends is None else predict(view, data.pick(slice(0, 1)), psi[:1], sign[:1]).columns
+
+
+def logarithmic(
+    view: ObservationModel, data: Measured, weight: Real, psi: Real, sign: Real
+) -> QuadraticModel:
+    """Cost of the residuals ρ = ln y − ln ŷ, with slope and curvature, at ψ, (K, M).
+
+    Amplitude in nepers and phase in radians weigh alike at resonances and between them, so that the cost of a wrong
+    resonance grows with its distance and has no minimum of its own: Sidman, DeAngelis and Verghese (1991), IEEE
+    Transactions on Automatic Control 36, 1065.  Large residuals count by their size (pseudo-Huber).  `data` must give
+    the inputs.
     """
-    if data.q is not None:
-        return data.q, None
-    WG = data.W @ G
-    normal = hermitian(G) @ WG
-    diagonal = np.diagonal(normal, axis1=-2, axis2=-1).real
-    scale = np.sqrt(np.where(diagonal > 0, diagonal, 1.0))
-    outer = scale[..., :, None] * scale[..., None, :]
-    regular = normal / outer + BLIND * np.eye(normal.shape[-1])
-    half = hermitian(solve_small(regular, hermitian(WG / scale[..., None, :]))) / scale[..., None, :]
-    q: Complex = np.einsum("...cq,...c->...q", np.conj(half), data.y)
-    return q, half
+
+    def sums(piece: Piece, psi: Real, sign: Real) -> tuple[Real, Real, Real]:
+        return _logarithmic_sums(piece, weight[piece.lines], psi, sign)
+
+    return _with_priors(view, psi, *summed(view, data, psi, sign, sums))
+
+
+def _logarithmic_sums(piece: Piece, weight: Real, psi: Real, sign: Real) -> tuple[Real, Real, Real]:
+    data, at = piece.data, predict(piece.view, piece.data, psi, sign)
+    rows, M = at.J.shape[-3] * at.J.shape[-2], psi.shape[-1]
+    shown = data.y - at.r
+    seen = (data.y != 0) & (weight > 0)
+    with np.errstate(all="ignore"):
+        rho = np.where(seen, np.log(np.where(seen, data.y, 1.0) / shown), 0.0)
+        J = np.where(seen[..., None], at.J / shown[..., None], 0.0).reshape(len(psi), rows, M)
+    stretch = np.sqrt(1 + np.abs(rho) ** 2 / LOG_RESIDUAL**2)
+    cost = 4 * LOG_RESIDUAL**2 * np.sum(weight * (stretch - 1), axis=(-2, -1))
+    weighted = hermitian(J) * (weight / stretch).reshape(len(psi), 1, rows)
+    gradient = 2 * (weighted @ rho.reshape(len(psi), rows, 1)).real[..., 0]
+    return cost, gradient, 2 * (weighted @ J).real

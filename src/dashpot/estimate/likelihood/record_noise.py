@@ -18,8 +18,8 @@ from dashpot.data.conditioning.still import HALF_WINDOW, smoothed
 from dashpot.data.conditioning.whole_record import FLOOR
 from dashpot.data.spectrum import Spectrum
 from dashpot.data.stretch import WholeRecord
-from dashpot.estimate.likelihood.maximum_likelihood import MaximumLikelihood, bounds, local
-from dashpot.estimate.likelihood.objective import measured, predict
+from dashpot.estimate.likelihood.maximum_likelihood import MaximumLikelihood
+from dashpot.estimate.likelihood.objective import bounds, local, measured, predict
 from dashpot.estimate.method import Method
 from dashpot.estimate.preparation.prepared import Prepared, flattened, in_chunks
 from dashpot.estimate.preparation.state_reconstruction import states_if_seen
@@ -78,7 +78,7 @@ def noise_from_residuals(
         data = Prepared(model, spectrum, V, states_if_seen(model, spectrum, V), True, np.ones(1, dtype=bool))
         exact = measured(data, view)
         if psi is None:
-            psi, sign = method.rough(data, view, exact)
+            psi, sign = method.rough(data)
         else:
             psi = _descended(view, exact, psi, sign, method)
         at = predict(view, exact, psi, sign)

@@ -6,6 +6,7 @@ import numpy as np
 
 from dashpot.arrays import Real
 from dashpot.channel import Quantity
+from dashpot.estimate.likelihood.chunks import Piece, summed
 from dashpot.estimate.likelihood.objective import measured, predict
 from dashpot.estimate.preparation.prepared import Prepared
 from dashpot.model.elements import Kind
@@ -51,7 +52,7 @@ def candidates(
 def neighbours(
     psi: Real, sign: Real, view: ObservationModel, count: int, rng: np.random.Generator
 ) -> tuple[Real, Real]:
-    """`count` draws around the rigs already found, which a wrong valley may separate from the right one.
+    """`count` draws around the rigs already found, near which the right minimum may lie.
 
     Some scatter all parameters, some exchange two of a kind (chains seen at few points are nearly the same with two
     of their parts exchanged), some change two parameters by much.
@@ -119,16 +120,23 @@ def _calibrated(
             psi[:, view.m : view.m + view.gains] *= rng.choice([-1.0, 1.0], size=(len(psi), view.gains))
         return psi, sign
     with np.errstate(all="ignore"):
-        at = predict(view, soft, psi, sign)
-    predicted = soft.y - at.r
-    weight = 1.0 / np.maximum(np.abs(soft.y) ** 2, 1e-300) * (np.abs(soft.y) > 0)
-    along = np.sum((np.conj(predicted) * soft.y).real * weight, axis=-2)
-    power = np.sum(np.abs(predicted) ** 2 * weight, axis=-2)
+        along, power = summed(view, soft, psi, sign, _likeness)
     flip = view.flips & (along < 0)
     sign = np.where(flip, -sign, sign)
     for k in range(view.gains):
-        own = view.gain == k
-        ratio = np.sum(along[:, own], axis=-1) / np.maximum(np.sum(power[:, own], axis=-1), 1e-300)
+        with_gain = view.gain == k
+        ratio = np.sum(along[:, with_gain], axis=-1) / np.maximum(
+            np.sum(power[:, with_gain], axis=-1), 1e-300
+        )
         usable = np.isfinite(ratio) & (ratio != 0)
         psi[:, view.m + k] *= np.where(usable, ratio, 1.0)
     return psi, sign
+
+
+def _likeness(piece: Piece, psi: Real, sign: Real) -> tuple[Real, Real]:
+    """Products of prediction and data, and of the prediction with itself, in units of the data; (K, channels) each."""
+    y = piece.data.y
+    predicted = y - predict(piece.view, piece.data, psi, sign).r
+    weight = 1.0 / np.maximum(np.abs(y) ** 2, 1e-300) * (np.abs(y) > 0)
+    along = np.sum((np.conj(predicted) * y).real * weight, axis=-2)
+    return along, np.sum(np.abs(predicted) ** 2 * weight, axis=-2)

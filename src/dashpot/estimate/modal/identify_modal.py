@@ -18,7 +18,7 @@ from dashpot.errors import DataError, IdentifiabilityError, UsageError
 from dashpot.estimate.inference.derived import known_values, mode_values, tied_values
 from dashpot.estimate.inference.diagnostics import held, require_determined, wrong_signs
 from dashpot.estimate.inference.uncertainty import MISFIT_LEVEL
-from dashpot.estimate.likelihood.maximum_likelihood import DOUBT, TIE
+from dashpot.estimate.likelihood.global_search import DOUBT, TIE
 from dashpot.estimate.method import HeldBounds
 from dashpot.estimate.modal.pairing import MeasuredModes, flattened, measured_modes, pair
 from dashpot.estimate.modal.starting_values import guessed, linear_start, random_rigs

@@ -32,7 +32,7 @@ from dashpot.model.observation import (
 )
 
 if TYPE_CHECKING:
-    from dashpot.estimate.likelihood.objective import Measured
+    from dashpot.estimate.likelihood.chunks import Measured
 
 INNER = 6  # steps for the inputs of one ψ
 SETTLED = 1e-9  # standard deviations

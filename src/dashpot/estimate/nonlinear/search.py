@@ -19,7 +19,7 @@ from dashpot.model.observation import ObservationModel
 from dashpot.numerics.levenberg_marquardt import OptimizeResult
 
 if TYPE_CHECKING:
-    from dashpot.estimate.likelihood.objective import Measured
+    from dashpot.estimate.likelihood.chunks import Measured
 
 Descent = Callable[
     ["Measured", Real, Real, int | None], OptimizeResult

@@ -3,7 +3,7 @@
 import numpy as np
 
 from dashpot.channel import Channel, Quantity
-from dashpot.estimate.likelihood.objective import _inputs_seen
+from dashpot.estimate.likelihood.nuisance import inputs_seen
 from dashpot.model.elements import Element, Kind
 from dashpot.model.network import Input, Model
 from dashpot.model.observation import observation_model
@@ -11,7 +11,7 @@ from dashpot.model.observation import observation_model
 
 def seen(model, channels, present):
     omega = np.linspace(1.0, 2.0, len(present))
-    return _inputs_seen(observation_model(model, channels, omega), np.array(present, dtype=bool)).tolist()
+    return inputs_seen(observation_model(model, channels, omega), np.array(present, dtype=bool)).tolist()
 
 
 def test_rigs_side_by_side_in_one_model():

@@ -10,8 +10,8 @@ from scipy.sparse.linalg import splu
 
 from dashpot.channel import Channel, Quantity
 from dashpot.estimate.identify import identify
-from dashpot.estimate.likelihood.maximum_likelihood import MaximumLikelihood, local, logarithmic
-from dashpot.estimate.likelihood.objective import directly_driven, measured, predict
+from dashpot.estimate.likelihood.maximum_likelihood import MaximumLikelihood
+from dashpot.estimate.likelihood.objective import directly_driven, local, logarithmic, measured, predict
 from dashpot.estimate.preparation.prepared import prepare
 from dashpot.model import observation
 from dashpot.model.elements import Kind, between, mass

@@ -1,0 +1,132 @@
+"""Chunks of starts, repeats and lines: what is summed over lines is summed piece by piece, so that memory is bounded.
+
+A search from many starts evaluates many rigs at many lines at once; its arrays would grow with both.  Pieces of a few
+megabytes stay in the processor's cache as well.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from dashpot.arrays import Complex, Ints, Real
+from dashpot.estimate.likelihood.boundary_loads import RecordEnds
+from dashpot.model.observation import ObservationModel, small
+
+if TYPE_CHECKING:
+    from dashpot.estimate.nonlinear.objective import NonlinearPart
+
+PIECE = 500_000  # complex numbers that a piece works on at once, 8 MB
+
+
+@dataclass(frozen=True)
+class Measured:
+    """Amplitudes of K repeats, arranged for the likelihood.
+
+    y (K, lines, channels), 0 where not measured; W (K or 1, lines, channels, channels) the inverse covariance, 0
+    where not measured; q (K, lines, r + s) where exact channels give the inputs, else None; `rows` real equations.
+    `ends`: the columns that whole records bring, and `root` with rootᴴ root = W, where there are whole records.
+    """
+
+    y: Complex
+    W: Complex
+    q: Complex | None
+    rows: int
+    ends: RecordEnds | None = None
+    root: Complex | None = None
+    nonlinear: NonlinearPart | None = None
+
+    def pick(self, rows: Ints | slice) -> Measured:
+        """Some of the repeats; the only one serves many starts."""
+        if len(self.y) == 1:
+            return self
+        W = self.W if len(self.W) == 1 else self.W[rows]
+        root = self.root if self.root is None or len(self.root) == 1 else self.root[rows]
+        q = None if self.q is None else self.q[rows]
+        part = None if self.nonlinear is None else self.nonlinear.pick(np.arange(len(self.y))[rows])
+        return Measured(self.y[rows], W, q, self.rows, self.ends, root, part)
+
+    def at_lines(self, lines: slice) -> Measured:
+        """Some of the lines; not of whole records and of nonlinear rigs, whose lines belong together."""
+        q = None if self.q is None else self.q[:, lines]
+        return replace(self, y=self.y[:, lines], W=self.W[:, lines], q=q)
+
+
+@dataclass(frozen=True)
+class Piece:
+    """Some rows (starts or repeats) at some lines."""
+
+    rows: slice
+    lines: slice
+    view: ObservationModel
+    data: Measured
+
+
+Evaluate = Callable[[Piece, Real, Real], tuple[Real, ...]]  # of the piece, its ψ and its signs
+
+
+def pieces(view: ObservationModel, data: Measured, count: int) -> Iterator[Piece]:
+    """`count` rows at all lines in pieces of at most PIECE numbers .
+
+    Rows are shared out first: the sum over the lines of one row stays in one piece as long as that fits.
+    """
+    total = len(view.omega)
+    if data.nonlinear is not None:  # its dwells are computed one after the other anyway
+        yield Piece(slice(0, count), slice(0, total), view, data)
+        return
+    each = _numbers(view)
+    together = total if data.ends is not None else max(1, min(total, PIECE // each))
+    rows = max(1, PIECE // (each * together))
+    for row in range(0, count, rows):
+        part = data if count <= rows else data.pick(slice(row, row + rows))
+        for line in range(0, total, together):
+            lines = slice(line, min(line + together, total))
+            whole = together == total
+            yield Piece(
+                slice(row, min(row + rows, count)), lines, view if whole else view.at_lines(lines),
+                part if whole else part.at_lines(lines),
+            )  # fmt: skip
+
+
+def summed(
+    view: ObservationModel, data: Measured, psi: Real, sign: Real, evaluate: Evaluate
+) -> tuple[Real, ...]:
+    """Sums over all lines of what `evaluate` gives for the lines of a piece, (K, …) each, at ψ (K, M)."""
+    totals: tuple[Real, ...] | None = None
+    for piece in pieces(view, data, len(psi)):
+        terms = evaluate(piece, psi[piece.rows], sign[piece.rows])
+        if len(terms[0]) == len(psi) and totals is None:
+            totals = terms
+            continue
+        if totals is None:
+            totals = tuple(np.zeros((len(psi), *term.shape[1:])) for term in terms)
+        for total, term in zip(totals, terms, strict=True):
+            total[piece.rows] += term
+    assert totals is not None
+    return totals
+
+
+def by_line(
+    view: ObservationModel, data: Measured, psi: Real, sign: Real, evaluate: Evaluate
+) -> tuple[Real, ...]:
+    """What `evaluate` gives for each line, (K, lines, …) each, at ψ (K, M)."""
+    totals: tuple[Real, ...] | None = None
+    for piece in pieces(view, data, len(psi)):
+        terms = evaluate(piece, psi[piece.rows], sign[piece.rows])
+        if totals is None:
+            totals = tuple(np.empty((len(psi), len(view.omega), *term.shape[2:])) for term in terms)
+        for total, term in zip(totals, terms, strict=True):
+            total[piece.rows, piece.lines] = term
+    assert totals is not None
+    return totals
+
+
+def _numbers(view: ObservationModel) -> int:
+    """Complex numbers that one row at one line takes on the way to its slopes."""
+    model, channels, elements = view.model, len(view.channels), len(view.model.elements)
+    sides = channels + int(model.D.shape[1] + model.S.shape[1])
+    system = 3 * model.n * (model.n + sides) if small(model) else 2 * model.n * sides
+    return system + 2 * elements * sides + channels * (elements + 4 * len(view.names))
