@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,9 +11,11 @@ import numpy as np
 
 from dashpot.arrays import Bools, Complex, Ints, Real, frozen
 from dashpot.errors import DataError
-from dashpot.estimate.assessment import Assessment, assessment_from
+from dashpot.estimate.assessment import Assessment
+from dashpot.estimate.exports import correlated_numbers, dataframe, dataset
+from dashpot.estimate.inference.intervals import bounded_interval
 from dashpot.estimate.soundness import require_sound
-from dashpot.io.json_document import from_json, nullable, to_json
+from dashpot.io.json_document import from_json, to_json
 from dashpot.io.ledger import noted
 from dashpot.io.words import shown
 from dashpot.notices import Notice
@@ -175,25 +176,10 @@ class Estimate:
         return np.sqrt(np.diagonal(self.noise_covariance, axis1=-2, axis2=-1))
 
     def interval(self, level: float = 0.95) -> tuple[Real, Real]:
-        """Lower and upper ends of the intervals, each (..., m).
-
-        Where an unknown has bounds, the interval is that of the free estimate, cut off at them: what it holds of the
-        allowed values it held before, so its coverage is kept.  Where the free estimate lies beyond a bound, the cut
-        interval would shrink to nothing; there its far end is that of the distribution truncated at the bound, which
-        passes into the other one smoothly.  The interval always holds the value.
-        """
-        from scipy.special import stdtrit  # scipy.stats costs half a second of start-up
-
-        half = stdtrit(self.dof, 0.5 + level / 2) * self.sd
-        low, high = self.free_values - half, self.free_values + half
-        if np.any(np.isfinite(self.lower) | np.isfinite(self.upper)):
-            reach = self.sd * _truncated_reach((self.lower - self.free_values) / self.sd, self.dof, level)
-            high = np.where(self.free_values < self.lower, self.free_values + reach, high)
-            reach = self.sd * _truncated_reach((self.free_values - self.upper) / self.sd, self.dof, level)
-            low = np.where(self.free_values > self.upper, self.free_values - reach, low)
-            low, high = np.clip(low, self.lower, self.upper), np.clip(high, self.lower, self.upper)
-            low, high = np.minimum(low, self.values), np.maximum(high, self.values)
-        return low, high
+        """Lower and upper ends of the intervals at `level`, each (..., m); cut off at bounds (`bounded_interval`)."""
+        return bounded_interval(
+            self.values, self.free_values, self.sd, self.dof, self.lower, self.upper, level
+        )
 
     def __iter__(self) -> Iterator[Value]:
         """The unknowns one by one (no batch axes)."""
@@ -228,62 +214,29 @@ class Estimate:
         """The estimate as JSON (no batch axes); `from_json` loads it again."""
         if self.values.ndim != 1:
             raise DataError("a batch of estimates is not written as JSON", cure="save its arrays instead")
-        noise = dict(zip(self.names, self.noise_sd.tolist(), strict=True))
-        dof = dict(zip(self.names, self.dof.tolist(), strict=True))
-        limits = {
-            name: {"min": float(low), "max": float(high), "without_limits": float(free)}
-            for name, value, low, high, free in zip(
-                self.names, self.values, self.lower, self.upper, self.free_values, strict=True
-            )
-            if np.isfinite(low) or np.isfinite(high) or free != value
-        }
-        parameters = {}
-        for name, v in self.parameters().items():
-            entry: dict[str, Any] = {
-                "value": v.value, "sd": v.sd, "interval95": list(v.interval95), "unit": v.unit, "known": v.known,
-                "bound_sd": v.bound_sd,
-            }  # fmt: skip
-            if name in noise:
-                entry |= {"noise_sd": noise[name], "interval_dof": dof[name]}
-            if name in limits:
-                entry |= limits[name]
-            parameters[name] = entry
-        content = {
-            "dashpot": FORMAT,
-            "model": self.model,
-            **({} if self.rig is None else {"rig": self.rig}),
-            "method": self.method,
-            "status": self.status,
-            "iterations": int(self.iterations),
-            "parameters": parameters,
-            "order": list(self.names),
-            "covariance": self.covariance.tolist(),
-            "noise_covariance": self.noise_covariance.tolist(),
-            "intervals_count": self.basis,
-            "tied": [list(tie) for tie in self.tied],
-            "signs": {name: float(sign) for name, sign in self.signs.items()},
-            "modes": [] if self.modes is None else _mode_rows(self.modes),
-            "fit": {
-                "chi2": float(self.fit.chi2), "dof": self.fit.dof, "p": float(self.fit.p),
-                "known_noise": self.fit.known_noise,
-                **({} if self.assessment is None else self.assessment.fit_content()),
-            },
-            "diagnosis": [] if self.assessment is None else [f.content() for f in self.assessment.findings],
-            "history": self.history.tolist(),
-            "warnings": [str(notice) for notice in self.warnings],
-            "codes": [notice.code for notice in self.warnings],
-            "concerns": [list(notice.of) for notice in self.warnings],
-            "notes": [str(notice) for notice in self.notes],
-            "note_codes": [notice.code for notice in self.notes],
-            "note_concerns": [list(notice.of) for notice in self.notes],
-        }  # fmt: skip
-        return to_json(content)
+        from dashpot.estimate.estimate_json import content_of
+
+        return to_json(content_of(self))
+
+    def to_dataframe(self, level: float = 0.95) -> Any:
+        """A pandas DataFrame with a row for each parameter of the rig; needs pandas (extra "analysis")."""
+        return dataframe(self, level)
+
+    def to_uncertainties(self) -> dict[str, Any]:
+        """Numbers of the package uncertainties by name, correlations kept; needs it (extra "analysis")."""
+        return correlated_numbers(self)
+
+    def to_xarray(self) -> Any:
+        """An xarray Dataset of values and covariance, batch axes kept; needs xarray (extra "analysis")."""
+        return dataset(self)
 
     @staticmethod
     def from_json(text: str, where: str = "estimate") -> Estimate:
         """The estimate that `to_json` wrote.  Raises DataError where the text is not one."""
+        from dashpot.estimate.estimate_json import estimate_from
+
         try:
-            estimate = _loaded(from_json(text))
+            estimate = estimate_from(from_json(text))
         except KeyError as error:
             raise DataError(f"this is no estimate of dashpot ({error} is missing)", where, REMEDY) from error
         except (TypeError, ValueError, AttributeError, IndexError, OverflowError) as error:
@@ -300,94 +253,3 @@ class Estimate:
         except (OSError, UnicodeDecodeError) as error:
             raise DataError("the file cannot be read", str(path), REMEDY) from error
         return Estimate.from_json(text, str(path))
-
-
-def _truncated_reach(beyond: Real, dof: Real, level: float) -> Real:
-    """How far from its centre a standard t distribution cut off at `beyond` > 0 holds `level` of what is left."""
-    from scipy.special import stdtr, stdtrit
-
-    beyond = np.where(np.isfinite(beyond), np.maximum(beyond, 0.0), 0.0)
-    left = (1 - level) * stdtr(dof, -beyond)
-    with np.errstate(all="ignore"):
-        reach = -stdtrit(dof, left)
-    return np.where(np.isfinite(reach), np.maximum(reach, beyond), beyond)
-
-
-def _mode_rows(modes: ModeValues) -> list[dict[str, Any]]:
-    rows = []
-    for k in range(len(modes.eigenvalues)):
-        rows.append(
-            {
-                "frequency_hz": float(modes.frequency_hz[k]),
-                "damping_ratio": float(modes.damping_ratio[k]),
-                "eigenvalue": [float(modes.eigenvalues[k].real), float(modes.eigenvalues[k].imag)],
-                "frequency_sd": float(modes.frequency_sd[k]),
-                "damping_sd": float(modes.damping_sd[k]),
-                "shape": [[float(z.real), float(z.imag)] for z in modes.shapes[k]],
-            }
-        )
-    return rows
-
-
-def _loaded(content: Mapping[str, Any]) -> Estimate:
-    order = tuple(content["order"])
-    parameters = content["parameters"]
-    rows = content["modes"]
-    tied = tuple((str(a), str(b), float(c), str(d)) for a, b, c, d in content["tied"])
-    modes = ModeValues(
-        np.array([complex(*row["eigenvalue"]) for row in rows]),
-        np.array([row["frequency_hz"] for row in rows], dtype=float),
-        np.array([row["damping_ratio"] for row in rows], dtype=float),
-        np.array([nullable(row["frequency_sd"]) for row in rows]),
-        np.array([nullable(row["damping_sd"]) for row in rows]),
-        np.array([[complex(*z) for z in row["shape"]] for row in rows]),
-    )
-    fit = content["fit"]
-    return Estimate(
-        model=content["model"],
-        method=content["method"],
-        names=order,
-        units=tuple(parameters[name]["unit"] for name in order),
-        values=np.array([nullable(parameters[name]["value"]) for name in order]),
-        covariance=np.array([[nullable(v) for v in row] for row in content["covariance"]]),
-        noise_covariance=np.array([[nullable(v) for v in row] for row in content["noise_covariance"]]),
-        bound_sd=np.array([nullable(parameters[name]["bound_sd"]) for name in order]),
-        dof=np.array([nullable(parameters[name]["interval_dof"], math.inf) for name in order]),
-        lower=np.array([nullable(parameters[name].get("min"), -math.inf) for name in order]),
-        upper=np.array([nullable(parameters[name].get("max"), math.inf) for name in order]),
-        free_values=np.array(
-            [nullable(parameters[name].get("without_limits", parameters[name]["value"])) for name in order]
-        ),
-        basis=content["intervals_count"],
-        converged=np.asarray(content["status"] == "converged"),
-        iterations=np.asarray(content["iterations"], dtype=np.int64),
-        history=np.array([[nullable(v) for v in row] for row in content["history"]]),
-        assessment=assessment_from(fit, content.get("diagnosis", [])),
-        rig=content.get("rig"),
-        fit=Fit(
-            np.asarray(nullable(fit["chi2"])),
-            int(fit["dof"]),
-            np.asarray(nullable(fit["p"])),
-            bool(fit["known_noise"]),
-        ),
-        known=tuple((n, float(e["value"]), str(e["unit"])) for n, e in parameters.items() if e["known"]),
-        tied=tied,
-        modes=modes if rows else None,
-        signs={name: np.asarray(float(sign)) for name, sign in content["signs"].items()},
-        warnings=_notices(content, "warnings", "codes", "concerns"),
-        notes=_notices(content, "notes", "note_codes", "note_concerns"),
-    )
-
-
-def _notices(content: Mapping[str, Any], texts: str, codes: str, concerns: str) -> tuple[Notice, ...]:
-    """Notices of a file; those of older files have texts alone, and no code."""
-    sentences = content.get(texts, [])
-    return tuple(
-        Notice(str(code), str(text), tuple(str(name) for name in of))
-        for text, code, of in zip(
-            sentences,
-            content.get(codes, [""] * len(sentences)),
-            content.get(concerns, [()] * len(sentences)),
-            strict=True,
-        )
-    )

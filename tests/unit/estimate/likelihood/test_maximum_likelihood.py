@@ -300,16 +300,16 @@ def test_intervals_keep_to_the_bounds_and_hold_the_value(limits):
 
 def test_the_far_end_of_a_cut_interval_is_continuous():
     """Where the free estimate passes the bound: P(T > reach | T > 0) = 5 % is the two-sided 95 % of the whole."""
-    from dashpot.estimate.result import _truncated_reach
+    from dashpot.estimate.inference.intervals import truncated_reach
 
     dof = np.array([np.inf, 10.0, 3.0])
     from scipy.stats import t
 
-    assert np.allclose(_truncated_reach(np.zeros(3), dof, 0.95), t.isf(0.025, dof), rtol=1e-9)
+    assert np.allclose(truncated_reach(np.zeros(3), dof, 0.95), t.isf(0.025, dof), rtol=1e-9)
     for beyond in (0.5, 2.0, 6.0):
-        reach = _truncated_reach(np.full(3, beyond), dof, 0.95)
+        reach = truncated_reach(np.full(3, beyond), dof, 0.95)
         assert np.allclose(t.sf(reach, dof) / t.sf(beyond, dof), 0.05, rtol=1e-9)
-    assert np.isfinite(_truncated_reach(np.array([50.0]), np.array([np.inf]), 0.95)[0])
+    assert np.isfinite(truncated_reach(np.array([50.0]), np.array([np.inf]), 0.95)[0])
 
 
 def test_data_without_a_finite_cost_anywhere_are_refused():
