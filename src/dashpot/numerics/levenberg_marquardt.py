@@ -68,10 +68,10 @@ class OptimizeResult:
         return OptimizeResult(x, cost, converged, iterations, history)
 
 
-def without_bounds(x: Real, here: QuadraticModel, lower: Real, upper: Real) -> Real:
+def without_bounds(x: Real, around: QuadraticModel, lower: Real, upper: Real) -> Real:
     """Where the minima x, (k, m), would lie without bounds: one full step on where a bound holds, else x itself."""
     held = np.any((x <= lower) | (x >= upper), axis=-1, keepdims=True)
-    free: Real = np.where(held, x + solve_scaled(here.symmetric, here.gradient), x)
+    free: Real = np.where(held, x + solve_scaled(around.symmetric, around.gradient), x)
     return free
 
 
@@ -95,58 +95,82 @@ def minimise(
     iterations goes on with Newton's own matrix, and with every such number of iterations more may stop ten times
     farther off, up to ROUNDING: unknowns that the data hardly tell apart come no nearer.
     """
-    repeats, m = start.shape
+    m = start.shape[-1]
     low = np.full(m, -np.inf) if lower is None else lower
     high = np.full(m, np.inf) if upper is None else upper
-    x_all = np.clip(start, low, high)
-    cost_all = np.full(repeats, np.inf)
-    converged = np.zeros(repeats, dtype=bool)
-    iterations = np.zeros(repeats, dtype=np.int64)
-    history = [x_all[0].copy()]
-    active = np.flatnonzero(np.all(np.isfinite(x_all), axis=-1))
-    if not len(active):
-        return OptimizeResult(x_all, cost_all, converged, iterations, np.array(history))
-    x = x_all[active]
-    with np.errstate(all="ignore"):
-        here = _finite(evaluate(x, active))
-    damping = np.zeros(len(active))
-    for turn in range(limit):
-        if turn >= patience:
-            here, convex = _curved(evaluate, x, active, here)
-            damping = np.where(convex & (turn == patience), 0.0, damping)
-        else:
-            convex = np.zeros(len(active), dtype=bool)
-        step, spread = _step(x, here, damping, convex, low, high)
-        trial = np.clip(x + np.clip(np.nan_to_num(step), -longest, longest), low, high)
+    search = _Search(evaluate, np.clip(start, low, high), low, high, longest, tolerance, patience)
+    for turn in range(limit if len(search.active) else 0):
+        search.step(turn)
+        if not len(search.active):
+            break
+    return OptimizeResult(
+        search.ends, search.costs, search.converged, search.iterations, np.array(search.history)
+    )
+
+
+class _Search:
+    """Where the repeats are, and which of them still move: `x`, `around`, `damping` are of the `active` ones."""
+
+    def __init__(
+        self, evaluate: Callable[[Real, Ints], QuadraticModel], start: Real, low: Real, high: Real,
+        longest: Real | float, tolerance: float, patience: int,
+    ) -> None:  # fmt: skip
+        repeats = len(start)
+        self.evaluate, self.low, self.high, self.longest = evaluate, low, high, longest
+        self.tolerance, self.patience = tolerance, patience
+        self.ends, self.costs = start, np.full(repeats, np.inf)
+        self.converged = np.zeros(repeats, dtype=bool)
+        self.iterations = np.zeros(repeats, dtype=np.int64)
+        self.history = [start[0].copy()]
+        self.active: Ints = np.flatnonzero(np.all(np.isfinite(start), axis=-1))
+        self.damping = np.zeros(len(self.active))
+        if len(self.active):
+            self.x = start[self.active]
+            self.around = self._evaluated(self.x)
+
+    def _evaluated(self, x: Real) -> QuadraticModel:
         with np.errstate(all="ignore"):
-            there = _finite(evaluate(trial, active))
+            return _finite(self.evaluate(x, self.active))
+
+    def step(self, turn: int) -> None:
+        """One iteration of all that still move."""
+        convex = np.zeros(len(self.active), dtype=bool)
+        if turn >= self.patience:
+            self.around, convex = _curved(self.evaluate, self.x, self.active, self.around)
+            self.damping = np.where(convex & (turn == self.patience), 0.0, self.damping)
+        x, around, damping = self.x, self.around, self.damping
+        step, spread = _step(x, around, damping, convex, self.low, self.high)
+        trial = np.clip(x + np.clip(np.nan_to_num(step), -self.longest, self.longest), self.low, self.high)
+        there = self._evaluated(trial)
         usable = np.all(np.isfinite(step), axis=-1)
-        better = usable & (there.cost <= here.cost * (1 + 1e-12) + 1e-12)
-        moved = np.abs(trial - x)
-        near = max(tolerance, min(tolerance * 10.0 ** (turn // patience - 1), ROUNDING))
-        small = np.all(moved <= np.maximum(near * spread, 1e-13 * np.abs(x)), axis=-1)
+        better = usable & (there.cost <= around.cost * (1 + 1e-12) + 1e-12)
+        near = max(self.tolerance, min(self.tolerance * 10.0 ** (turn // self.patience - 1), ROUNDING))
+        small = np.all(np.abs(trial - x) <= np.maximum(near * spread, 1e-13 * np.abs(x)), axis=-1)
         with np.errstate(all="ignore"):  # steps from where there is no cost yet, or into the infinite
-            calm = _calmer(damping, here.cost - there.cost, _promised(here, trial - x))
-        x = np.where(better[:, None], trial, x)
-        here = there.where(better, here)
-        iterations[active] += 1
-        x_all[active], cost_all[active] = x, here.cost
-        if active[0] == 0:
-            history.append(x[0].copy())
+            calm = _calmer(damping, around.cost - there.cost, _promised(around, trial - x))
+        self.x = np.where(better[:, None], trial, x)
+        self.around = there.where(better, around)
         # A tiny full step ends the search.  So does a tiny rejected one: nothing lower is left within rounding.
         done = small & usable & ((damping == 0) | ~better)
-        converged[active[done]] = True
-        damping = np.where(better, np.where(small, 0.0, calm), np.maximum(damping * 3, 1e-5))
-        keep = ~(done | (damping > 1e14))
-        if not np.any(keep):
-            break
+        self.damping = np.where(better, np.where(small, 0.0, calm), np.maximum(damping * 3, 1e-5))
+        self._record(done)
+
+    def _record(self, done: Bools) -> None:
+        """Write down where the repeats are, and go on with those that are not done or out of damping."""
+        active = self.active
+        self.iterations[active] += 1
+        self.ends[active], self.costs[active] = self.x, self.around.cost
+        if active[0] == 0:
+            self.history.append(self.x[0].copy())
+        self.converged[active[done]] = True
+        keep = ~(done | (self.damping > 1e14))
         if not np.all(keep):
-            active, x, damping, here = active[keep], x[keep], damping[keep], here.rows(keep)
-    return OptimizeResult(x_all, cost_all, converged, iterations, np.array(history))
+            self.active, self.x, self.damping = active[keep], self.x[keep], self.damping[keep]
+            self.around = self.around.rows(keep)
 
 
 def _curved(
-    evaluate: Callable[[Real, Ints], QuadraticModel], x: Real, rows: Ints, here: QuadraticModel
+    evaluate: Callable[[Real, Ints], QuadraticModel], x: Real, rows: Ints, around: QuadraticModel
 ) -> tuple[QuadraticModel, Bools]:
     """Newton's matrix as `free`, by differences of the slope, where it is positive definite; and where it is.
 
@@ -155,10 +179,10 @@ def _curved(
     """
     m = x.shape[-1]
     with np.errstate(all="ignore"):
-        spread = 1 / np.sqrt(np.diagonal(here.symmetric, axis1=-2, axis2=-1))
+        spread = 1 / np.sqrt(np.diagonal(around.symmetric, axis1=-2, axis2=-1))
         width = 1e-4 * np.where(np.isfinite(spread), spread, 1.0)
         columns = [
-            (here.gradient - evaluate(x + width[:, j, None] * np.eye(m)[j], rows).gradient)
+            (around.gradient - evaluate(x + width[:, j, None] * np.eye(m)[j], rows).gradient)
             / width[:, j, None]
             for j in range(m)
         ]
@@ -166,14 +190,14 @@ def _curved(
         curvature = (curvature + np.swapaxes(curvature, -1, -2)) / 2
         scaled = np.nan_to_num(curvature * spread[:, :, None] * spread[:, None, :])
         convex = np.linalg.eigvalsh(scaled)[:, 0] > 1e-6
-    free = np.where(convex[:, None, None], curvature, here.free)
-    return QuadraticModel(here.cost, here.gradient, here.symmetric, free), convex
+    free = np.where(convex[:, None, None], curvature, around.free)
+    return QuadraticModel(around.cost, around.gradient, around.symmetric, free), convex
 
 
-def _promised(here: QuadraticModel, step: Real) -> Real:
+def _promised(around: QuadraticModel, step: Real) -> Real:
     """By how much a step would lower the cost were it the parabola that Gauss and Newton take it for."""
-    bent = np.einsum("ki,kij,kj->k", step, here.symmetric, step)
-    fall: Real = 2 * np.sum(here.gradient * step, axis=-1) - bent
+    bent = np.einsum("ki,kij,kj->k", step, around.symmetric, step)
+    fall: Real = 2 * np.sum(around.gradient * step, axis=-1) - bent
     return fall
 
 
@@ -191,18 +215,18 @@ def _finite(local: QuadraticModel) -> QuadraticModel:
 
 
 def _step(
-    x: Real, here: QuadraticModel, damping: Real, newton: Bools, low: Real, high: Real
+    x: Real, around: QuadraticModel, damping: Real, newton: Bools, low: Real, high: Real
 ) -> tuple[Real, Real]:
     """The next step of each repeat, and the standard deviations that steps are measured in.
 
     `newton`: where `free` is Newton's matrix, which may be damped; an instrumental one gives full steps only.
     """
     m = x.shape[-1]
-    diagonal = np.diagonal(here.symmetric, axis1=-2, axis2=-1)
+    diagonal = np.diagonal(around.symmetric, axis1=-2, axis2=-1)
     full = newton | (damping == 0)
-    matrix = np.where(full[:, None, None], here.free, here.symmetric)
+    matrix = np.where(full[:, None, None], around.free, around.symmetric)
     matrix = matrix + (damping[:, None] * diagonal)[..., None] * np.eye(m)
-    gradient = here.gradient
+    gradient = around.gradient
     held = ((x <= low) & (gradient < 0)) | ((x >= high) & (gradient > 0))
     if np.any(held):
         free = ~held
@@ -211,5 +235,5 @@ def _step(
         gradient = np.where(held, 0.0, gradient)
     # A direction that is not seen makes these overflow: such a step is refused or damped, not reported.
     with np.errstate(all="ignore"):
-        spread = np.sqrt(np.maximum(np.diagonal(scaled_inverse(here.symmetric), axis1=-2, axis2=-1), 0.0))
+        spread = np.sqrt(np.maximum(np.diagonal(scaled_inverse(around.symmetric), axis1=-2, axis2=-1), 0.0))
         return solve_scaled(matrix, gradient), np.nan_to_num(spread)
