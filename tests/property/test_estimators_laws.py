@@ -336,7 +336,7 @@ def test_lines_at_an_undamped_resonance() -> None:
             continue
         estimate = identify(rig.model, perfect(rig, seen), method)
         # Unweighted, that one line holds all but 1e-12 of the sums.
-        limit = 1e-6 if method.weighted else 1e-4
+        limit = 1e-6 if method.traits.weighted else 1e-4
         np.testing.assert_allclose(estimate.values, rig.theta, rtol=limit)
 
 
