@@ -331,3 +331,16 @@ def test_a_wrong_sign_or_unit_shows_in_an_unknown_gain(dashpot: Command, data: P
     assert abs(found["x2.gain"].value - gain) < 4 * found["x2.gain"].sd < 0.1 * abs(gain)
     assert abs(found["x1.gain"].value - 1) < 4 * found["x1.gain"].sd < 0.1
     assert "The model fits" in done.out
+
+
+def test_names_with_dollar_signs_in_figures(dashpot: Command, rig: Path, data: Path) -> None:
+    """What matplotlib would take for broken mathematics is a name as any other."""
+    rig.write_text(
+        RIG.replace("x1 = { of", '"$x_{1$" = { of').replace("m1 = ", '"$\\\\frac{$" = '), encoding="utf-8"
+    )
+    data.write_text(data.read_text(encoding="utf-8").replace("x1", "$x_{1$", 1), encoding="utf-8")
+    ran = dashpot("identify", "rig.toml", "data.csv", "--report", "r.html", "-q")
+    assert ran.code == 0, ran.err
+    assert "$x_{1$" in Path("r.html").read_text(encoding="utf-8")
+    ran = dashpot("compare", "rig.toml", "data.csv", "--methods", "wls,oiv", "--figure", "f.png", "-q")
+    assert ran.code == 0, ran.err

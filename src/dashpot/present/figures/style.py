@@ -8,6 +8,7 @@ from contextlib import contextmanager
 
 import matplotlib as mpl
 from matplotlib.figure import Figure
+from matplotlib.text import Text
 
 from dashpot.estimate.registry import METHODS
 
@@ -51,10 +52,19 @@ def style() -> Iterator[None]:
         yield
 
 
+def _as_written(figure: Figure) -> None:
+    """Texts are names and words, in which $ is a letter; only the ticks of logarithmic axes are math."""
+    for text in figure.findobj(Text):
+        assert isinstance(text, Text)
+        if "$" in text.get_text() and not text.get_text().startswith("$\\mathdefault{"):
+            text.set_parse_math(False)
+
+
 def svg(figure: Figure) -> str:
     """The figure as an SVG element for a page: no XML head, no date."""
     out = io.StringIO()
     with style():
+        _as_written(figure)
         figure.savefig(out, format="svg", metadata={"Date": None, "Creator": None}, transparent=True)
     text = out.getvalue()
     return text[text.index("<svg") :]
@@ -64,6 +74,7 @@ def png(figure: Figure) -> bytes:
     """The figure as a PNG file, the same bytes for the same figure."""
     out = io.BytesIO()
     with style():
+        _as_written(figure)
         figure.savefig(out, format="png", dpi=DPI, metadata={"Software": None})
     return out.getvalue()
 
