@@ -48,6 +48,7 @@ def test_table_picture_and_json(dashpot: Command, data: Path) -> None:
     one = dashpot("identify", "rig.toml", "data.csv", "--method", "oiv", "--json", "-")
     alone, beside = json.loads(one.out), content["methods"]["oiv"]
     assert alone.pop("fit").items() >= beside.pop("fit").items()  # identify adds the verdict
+    assert alone.pop("rig") == "rig.toml"
     assert alone == beside
 
 
