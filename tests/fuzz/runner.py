@@ -34,6 +34,7 @@ from tests.fuzz.cases import Case
 
 SECONDS = 5.0  # of processor time, after which a case hangs
 FACTORS = {
+    "identify": 6,  # a search without guesses on a rig that does not fit
     "compare": 6,
     "design": 6,
     "check": 6,

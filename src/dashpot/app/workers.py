@@ -55,6 +55,7 @@ def mapping(processes: int) -> Iterator[Map]:
     try:
         yield pool.map
     except BaseException:
+        _hush_cancelled_futures()
         workers = list((pool._processes or {}).values())  # Python 3.14 has a public name for this
         for process in workers:
             process.terminate()
@@ -69,6 +70,20 @@ def mapping(processes: int) -> Iterator[Map]:
                 os.environ.pop(name, None)
             else:
                 os.environ[name] = value
+
+
+def _hush_cancelled_futures() -> None:
+    """Keep the pool's own thread from printing a traceback where it meets futures that were cancelled under it."""
+    import threading
+    from concurrent.futures import InvalidStateError
+
+    usual = threading.excepthook
+
+    def hook(failure: threading.ExceptHookArgs) -> None:
+        if not issubclass(failure.exc_type, InvalidStateError):
+            usual(failure)
+
+    threading.excepthook = hook
 
 
 def _begin_worker() -> None:

@@ -55,7 +55,7 @@ def test_inspect_shows_and_suggests(folder):
 
 
 def test_new_writes_a_rig_that_checks(folder):
-    result = run("new", "mine.toml", "--masses", "2", "--drive", "force", "--unit", "g")
+    result = run("new", "mine.toml", "--masses", "2", "--driven-by", "force", "--unit", "g")
     assert result.exit_code == 0
     assert run("check", "mine.toml").exit_code == 0
     assert tomllib.loads((folder / "mine.toml").read_text())["coordinates"] == ["x1", "x2"]

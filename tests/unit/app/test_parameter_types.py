@@ -39,11 +39,13 @@ def numeric_options() -> list[tuple[str, str]]:
 def test_extreme_numbers_are_refused_in_one_line(
     dashpot: Command, data: Path, command: str, option: str
 ) -> None:
+    Path("estimate.json").write_text("{}", encoding="utf-8")
     before = sorted(os.listdir())
     needed = {
         "identify": ["rig.toml", "data.csv"], "compare": ["rig.toml", "data.csv"], "check": ["rig.toml", "data.csv"],
         "simulate": ["rig.toml", "--out", "o.csv", "--frequencies", "3"], "design": ["rig.toml", "--samples", "100"],
         "spectrum": ["rig.toml", "data.csv", "--out", "o.csv"], "study": ["study.toml"], "reproduce": ["yamane1989"],
+        "new": ["new.toml"], "validate": ["estimate.json", "data.csv"],
     }  # fmt: skip
     for extreme in EXTREMES:
         values = [extreme]

@@ -6,24 +6,38 @@ import click
 
 from dashpot.app.files import OutputFile
 from dashpot.app.help import dashpot_command, option
+from dashpot.app.parameter_types import NUMBER, Count
+from dashpot.errors import UsageError
 
+HEAVIEST = 1e9  # kg
 MOTIONS = ("displacement", "velocity", "acceleration")
 
 
 @dashpot_command(
     "new",
     "dashpot new rig.toml",
-    "dashpot new rig.toml --masses 3 --drive base --motion acceleration --unit g --known 1.25",
+    "dashpot new rig.toml --masses 3 --driven-by base --motion acceleration --unit g --first-mass 1.25",
 )
 @click.argument("rig", type=OutputFile(), help="Rig file to write.")
 @option("--name", default=None, metavar="TEXT", help="Name of the rig.")
-@option("--masses", type=click.IntRange(1, 50), default=None, metavar="N", help="Masses in a row.")
+@option("--masses", type=Count(1, 50), default=None, metavar="N", help="Masses in a row.")
 @option(
-    "--drive", type=click.Choice(["base", "force"]), default=None, help="The base moves, or a force acts."
+    "--driven-by",
+    "drive",
+    type=click.Choice(["base", "force"]),
+    default=None,
+    help="The base moves, or a force acts.",
 )
 @option("--motion", type=click.Choice(MOTIONS), default=None, help="What the sensors measure.")
 @option("--unit", default=None, metavar="UNIT", help="Unit of the sensors, such as mm, m/s or g.")
-@option("--known", type=float, default=None, metavar="KG", help="The first mass, where it has been weighed.")
+@option(
+    "--first-mass",
+    "known",
+    type=NUMBER,
+    default=None,
+    metavar="KG",
+    help="The first mass, where it has been weighed.",
+)
 def command(
     rig: str,
     name: str | None,
@@ -37,6 +51,8 @@ def command(
 
     What no option says is asked.
     """
+    if known is not None and not 0 < known < HEAVIEST:
+        raise UsageError(f"a mass of {known:g} kg", "--first-mass", "give a positive number of kilograms")
     import sys
     from typing import Any, cast
 

@@ -23,6 +23,8 @@ from dashpot.errors import DataError
 from dashpot.notices import Notice
 
 LEVEL = 1e-3  # of the test for transients
+EXACT = 1e-9  # of a channel's size: what scatters less is rounding, and says nothing of transients
+MANY_PERIODS = 8  # from which on the scatter of the later ones is a better measure of the noise
 FEWEST_A_PERIOD = 6  # samples, for amplitudes of single periods with a residual
 SHORT = 200  # lines: below it two polynomial columns serve
 WITHIN = 0.5  # of a step: a block that follows after one step belongs to the same record
@@ -71,7 +73,8 @@ def transients_show(records: Sequence[Record]) -> float:
         if pair is None:
             continue
         difference, variance, dof = pair
-        noisy = variance > 0
+        size = np.max(np.abs(record.values), axis=0)
+        noisy = variance > (EXACT * size) ** 2
         apart += 2 * float(np.sum(np.abs(difference[noisy]) ** 2 / variance[noisy]))
         spread += 2 * int(np.sum(noisy))
         freedom += dof * int(np.sum(noisy))
@@ -89,15 +92,25 @@ def _first_and_last(record: Record) -> tuple[Real, Real, int] | None:
     each = round(period / step)
     if each < FEWEST_A_PERIOD or len(record.time) < 2 * each:
         return None
+    count = len(record.time) // each
+    later = count - count // 2 if count >= MANY_PERIODS else 0
+    starts = [0, *(len(record.time) - each * k for k in range(max(later, 1), 0, -1))]
     fits = []
-    for rows in (slice(0, each), slice(len(record.time) - each, len(record.time))):
+    for start in starts:
+        rows = slice(start, start + each)
         part = replace(record, time=record.time[rows], values=record.values[rows])
         try:
             fits.append(fit_harmonics(part, orders=(1,), harmonics="none", drift=0, noise="white"))
         except DataError:
             return None
+    difference = fits[0].amplitudes[0] - fits[-1].amplitudes[0]
+    if later:
+        # The scatter of the later periods knows the colour of the noise.
+        later_amplitudes = np.stack([fit.amplitudes[0] for fit in fits[1:]])
+        variance = 2 * np.var(later_amplitudes, axis=0, ddof=1)
+        return difference, np.asarray(variance), 2 * (later - 1)
     variance = sum(np.diagonal(fit.covariance[0]).real for fit in fits)
-    return fits[0].amplitudes[0] - fits[1].amplitudes[0], np.asarray(variance), 2 * (each - 3)
+    return difference, np.asarray(variance), 2 * (each - 3)
 
 
 def dwells_with_transients(
