@@ -84,4 +84,5 @@ def test_the_twin_in_time_agrees(kind: str) -> None:
         away.append((found.values - slow.theta) / spread)
         # The polynomials of the ends cost a free decay most, whose information is where they are.
         np.testing.assert_allclose(found.sd, spread, rtol=0.05 if kind == "none" else 0.02)
-    assert np.sqrt(np.mean(np.square(away))) < 0.15
+    # An estimate whose variance is larger by a part r differs from the best one by √r standard deviations.
+    assert np.sqrt(np.mean(np.square(away))) < (0.4 if kind == "none" else 0.15)
