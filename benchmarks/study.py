@@ -18,8 +18,8 @@ import tempfile
 import time
 from pathlib import Path
 
-RIG = Path(__file__).parents[1] / "examples" / "studies" / "two_masses.toml"
-CASES = Path(__file__).parents[1] / "examples" / "studies" / "yamane1989_tables.toml"
+RIG = Path(__file__).parents[1] / "examples" / "07_studies" / "two_masses.toml"
+CASES = Path(__file__).parents[1] / "examples" / "07_studies" / "yamane1989_tables.toml"
 COMMAND = [
     sys.executable,
     "-c",

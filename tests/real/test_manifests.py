@@ -19,7 +19,7 @@ QUICK = MaximumLikelihood(starts=4, candidates=100, rounds=1)
 
 
 def test_the_beam() -> None:
-    folder = ROOT / "examples" / "tip_mass_beam"
+    folder = ROOT / "examples" / "03_tip_mass"
     rig = read_rig(folder / "rig.toml")
     lines = read(folder / "test.toml", rig.channels).spectrum()
     table = read(folder / "amplitudes.csv", rig.channels).spectrum()
@@ -30,7 +30,7 @@ def test_the_beam() -> None:
 
 
 def test_the_motor_bench() -> None:
-    folder = ROOT / "examples" / "two_inertia_bench"
+    folder = ROOT / "examples" / "04_motor_bench"
     rig = read_rig(folder / "rig.toml")
     lines = read(folder / "test.toml", rig.channels).spectrum()
     table = read(folder / "amplitudes.csv", rig.channels).spectrum()
@@ -41,7 +41,7 @@ def test_the_motor_bench() -> None:
 
 
 def test_the_shaken_frame() -> None:
-    folder = ROOT / "examples" / "shake_table"
+    folder = ROOT / "examples" / "02_shake_table"
     rig = read_rig(folder / "rig_bending.toml")
     lines = read(folder / "test.toml", rig.channels).spectrum()
     found = identify(rig.model, lines, QUICK)
@@ -54,7 +54,7 @@ def test_the_shaken_frame() -> None:
 
 def test_the_silverbox() -> None:
     # Figures of an independent fit of the best linear approximation: m 5.371e-6, d 2.292e-4, k 1.025, f0 69.5 Hz.
-    folder = ROOT / "examples" / "silverbox"
+    folder = ROOT / "examples" / "11_silverbox"
     rig = read_rig(folder / "rig.toml")
     lines = read(folder / "test.toml", rig.channels).spectrum()
     assert lines.lines == 1342

@@ -18,7 +18,7 @@ from dashpot.present.tables.estimate import parameter_columns
 from dashpot.present.text.estimate import fit_in_words
 
 ROOT = Path(__file__).resolve().parents[2]
-EXAMPLE = ROOT / "examples" / "shake_table"
+EXAMPLE = ROOT / "examples" / "02_shake_table"
 RAW = ROOT.parent / "shared" / "data" / "shake_table_3storey"
 FREE_HZ = np.array(
     [3.767, 11.20, 16.67]

@@ -30,7 +30,7 @@ def part(rig, samples, first, last):
 
 
 def test_five_parameters_predict_what_was_not_used(samples):
-    rig = read_rig(ROOT / "examples" / "silverbox_duffing" / "rig.toml")
+    rig = read_rig(ROOT / "examples" / "12_duffing" / "rig.toml")
     estimate = identify_records(rig.model, [part(rig, samples, 45_000, 50_000)])
     assert bool(estimate.converged)
     for name, low, high in (

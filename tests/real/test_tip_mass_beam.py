@@ -14,7 +14,7 @@ from dashpot.estimate.result import Estimate
 from dashpot.model.rigfile import read_rig
 
 ROOT = Path(__file__).resolve().parents[2]
-EXAMPLE = ROOT / "examples" / "tip_mass_beam"
+EXAMPLE = ROOT / "examples" / "03_tip_mass"
 RAW = ROOT.parent / "shared" / "data" / "tip_mass_beam"
 HANDBOOK = 6610.0  # N/m, 3EI/L³
 

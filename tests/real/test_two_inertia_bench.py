@@ -15,7 +15,7 @@ from dashpot.estimate.result import Estimate
 from dashpot.model.rigfile import read_rig
 
 ROOT = Path(__file__).resolve().parents[2]
-EXAMPLE = ROOT / "examples" / "two_inertia_bench"
+EXAMPLE = ROOT / "examples" / "04_motor_bench"
 RAW = ROOT.parent / "shared" / "data" / "two_inertia_bench" / "MultisineTypeA.mat"
 
 

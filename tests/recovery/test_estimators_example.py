@@ -9,7 +9,7 @@ import pytest
 
 from dashpot.app.cli import run
 
-EXAMPLE = Path(__file__).parents[2] / "examples" / "estimators"
+EXAMPLE = Path(__file__).parents[2] / "examples" / "05_methods"
 TRUTH = {
     "m1": 2.0,
     "m2": 1.5,

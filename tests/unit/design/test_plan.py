@@ -63,7 +63,7 @@ def test_long_settling_and_few_dwells() -> None:
     [("m1", 0.534), ("m2", 0.579), ("c1", 0.950), ("c2", 0.902), ("c3", 0.421), ("c4", 1.161)],
 )
 def test_the_best_test_for_each_parameter(name: str, percent: float) -> None:
-    """What examples/design says; no test of three dwells drawn at random does better."""
+    """What examples/06_design says; no test of three dwells drawn at random does better."""
     own = paper_setup()
     found = plan(own, AOptimal((name,)), Budget(samples=1400), band_grid(own, *BAND))
     assert found.gap < 1e-6

@@ -11,7 +11,7 @@ from dashpot.study.grid import scenarios
 from dashpot.study.runner import run_study
 from dashpot.study.studyfile import parse_study, read_study
 
-EXAMPLES = Path(__file__).parents[3] / "examples" / "studies"
+EXAMPLES = Path(__file__).parents[3] / "examples" / "07_studies"
 
 RIG = """\
 coordinates = ["x"]
