@@ -119,44 +119,52 @@ def run(args: Sequence[str] | None = None) -> int:
     try:
         result = cli.main(None if args is None else list(args), prog_name="dashpot", standalone_mode=False)
         sys.stdout.flush()
+    except Ended as asked:
+        _tell([f"ended by {signal.Signals(asked.number).name}; no file is left half-written"])
+        return 128 + asked.number
+    except (KeyboardInterrupt, click.Abort):
+        _tell(["interrupted; no file is left half-written"])
+        return INTERRUPTED
+    except (BrokenPipeError, SystemExit):
+        # Whoever read the output has had enough (| head): click and rich answer that with SystemExit, and nothing
+        # else here does.  What is still buffered must not complain at exit.
+        _silence_stdout()
+        return BROKEN_PIPE
     except click.exceptions.NoArgsIsHelpError as asked:
         click.echo(asked.format_message())
         return USAGE
     except click.ClickException as error:
         return _usage(error)
     except DashpotError as error:
-        _tell(str(problem) for problem in error.problems[:MOST_PROBLEMS])
-        if len(error.problems) > MOST_PROBLEMS:
-            _tell([f"{len(error.problems) - MOST_PROBLEMS} more problems; mend these first"])
-        return error.exit_code
-    except (KeyboardInterrupt, click.Abort):
-        _tell(["interrupted; no file is left half-written"])
-        return INTERRUPTED
-    except Ended as asked:
-        _tell([f"ended by {signal.Signals(asked.number).name}; no file is left half-written"])
-        return 128 + asked.number
-    except (BrokenPipeError, SystemExit):
-        # Whoever read the output has had enough (| head): click and rich answer that with SystemExit, and nothing
-        # else here does.  What is still buffered must not complain at exit.
-        _silence_stdout()
-        return BROKEN_PIPE
-    except OSError as error:
-        if os.environ.get(TRACEBACK):
+        return _refused(error)
+    except Exception as error:
+        if os.environ.get(TRACEBACK) and not isinstance(error, MemoryError):
             raise
+        return _failed(error)
+    return result if isinstance(result, int) else 0
+
+
+def _refused(error: DashpotError) -> int:
+    """One line for each of the first problems."""
+    _tell(str(problem) for problem in error.problems[:MOST_PROBLEMS])
+    if len(error.problems) > MOST_PROBLEMS:
+        _tell([f"{len(error.problems) - MOST_PROBLEMS} more problems; mend these first"])
+    return error.exit_code
+
+
+def _failed(error: Exception) -> int:
+    """What the system refuses is the user's to mend; anything else is a fault of the program."""
+    if isinstance(error, OSError):
         place = "standard output" if error.filename is None else str(error.filename)
         _silence_stdout()
         _tell([f"{place}: cannot be used ({error.strerror or error}); check the path and the space left"])
         return USAGE
-    except MemoryError:
+    if isinstance(error, MemoryError):
         _tell(["out of memory; give fewer frequencies, draws or samples at a time"])
         return USAGE
-    except Exception as error:
-        if os.environ.get(TRACEBACK):
-            raise
-        cause = " ".join(f"{type(error).__name__}: {error}".split())[:300]
-        _tell([f"internal error, please report ({cause}); {TRACEBACK}=1 shows where"])
-        return FAULT
-    return result if isinstance(result, int) else 0
+    cause = " ".join(f"{type(error).__name__}: {error}".split())[:300]
+    _tell([f"internal error, please report ({cause}); {TRACEBACK}=1 shows where"])
+    return FAULT
 
 
 def _complete() -> int:

@@ -18,6 +18,17 @@ from dashpot.errors import DataError
 from dashpot.notices import Notice
 from dashpot.shorthand import call
 
+# The arrays of a Spectrum and what their numbers are.
+ARRAYS: dict[str, type[np.generic]] = {
+    "frequency_hz": np.float64,
+    "amplitudes": np.complex128,
+    "covariance": np.complex128,
+    "samples": np.int64,
+    "dof": np.float64,
+    "experiment": np.int64,
+    "stretch": np.int64,
+}
+
 
 @dataclass(frozen=True)
 class Moments:
@@ -80,19 +91,17 @@ class Spectrum:
         return cast(str, call("html", self))
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "channels", tuple(self.channels))
-        object.__setattr__(self, "noise", tuple(self.noise))
-        object.__setattr__(self, "notes", tuple(self.notes))
-        object.__setattr__(self, "frequency_hz", frozen(self.frequency_hz, np.float64))
-        object.__setattr__(self, "amplitudes", frozen(self.amplitudes, np.complex128))
-        object.__setattr__(self, "covariance", frozen(self.covariance, np.complex128))
-        object.__setattr__(self, "samples", frozen(self.samples, np.int64))
-        object.__setattr__(self, "dof", frozen(self.dof, np.float64))
-        object.__setattr__(self, "experiment", frozen(self.experiment, np.int64))
+        for name in ("channels", "noise", "notes", "stretches"):
+            object.__setattr__(self, name, tuple(getattr(self, name)))
+        if not np.size(self.stretch):
+            object.__setattr__(self, "stretch", np.zeros(len(self.frequency_hz), dtype=np.int64))
+        for name, kind in ARRAYS.items():
+            object.__setattr__(self, name, frozen(getattr(self, name), kind))
+        self._require_shapes()
+        self._require_numbers()
+
+    def _require_shapes(self) -> None:
         lines, channels = len(self.frequency_hz), len(self.channels)
-        object.__setattr__(self, "stretches", tuple(self.stretches))
-        stretch = np.zeros(lines, dtype=np.int64) if not np.size(self.stretch) else self.stretch
-        object.__setattr__(self, "stretch", frozen(stretch, np.int64))
         expected = {
             "amplitudes": (self.amplitudes.shape[-2:], (lines, channels)),
             "covariance": (self.covariance.shape[-3:], (lines, channels, channels)),
@@ -102,14 +111,16 @@ class Spectrum:
             "experiment": (self.experiment.shape, (lines,)),
             "stretch": (self.stretch.shape, (lines,)),
         }
-        for name, (found, wanted) in expected.items():
-            if found != wanted:
-                raise DataError(f"{name} has shape {found}, its last axes must be {wanted}")
+        for name, (shape, wanted) in expected.items():
+            if shape != wanted:
+                raise DataError(f"{name} has shape {shape}, its last axes must be {wanted}")
         if lines and not (self.stretch.min() >= 0 and self.stretch.max() < len(self.stretches)):
             raise DataError(
                 f"a line belongs to stretch {self.stretch.max()} of {len(self.stretches)}",
                 cure="stretch counts from 0 through stretches",
             )
+
+    def _require_numbers(self) -> None:
         names = [channel.name for channel in self.channels]
         if len(set(names)) != len(names):
             raise DataError("a channel is named twice", cure="every channel needs its own name")
@@ -201,6 +212,27 @@ def concatenate(spectra: Sequence[Spectrum]) -> Spectrum:
 
     Raises DataError where channels of one name are described differently, or the batches do not match.
     """
+    channels = _channels_of_all(spectra)
+    batch = np.broadcast_shapes(*(spectrum.batch for spectrum in spectra))
+    shared = all(spectrum.covariance.ndim == 3 for spectrum in spectra)
+    widened = [_widened(spectrum, channels, batch, () if shared else batch) for spectrum in spectra]
+    return Spectrum(
+        channels,
+        np.concatenate([spectrum.frequency_hz for spectrum in spectra]),
+        np.concatenate([amplitudes for amplitudes, _ in widened], axis=-2),
+        np.concatenate([covariance for _, covariance in widened], axis=-3),
+        np.concatenate([spectrum.samples for spectrum in spectra]),
+        np.concatenate([spectrum.dof for spectrum in spectra]),
+        tuple(kind for spectrum in spectra for kind in spectrum.noise),
+        np.concatenate([spectrum.experiment for spectrum in spectra]),
+        _moments(spectra, [channel.name for channel in channels], batch),
+        tuple(dict.fromkeys(note for spectrum in spectra for note in spectrum.notes)),
+        *joined_stretches([(spectrum.stretch, spectrum.stretches) for spectrum in spectra]),
+    )
+
+
+def _channels_of_all(spectra: Sequence[Spectrum]) -> tuple[Channel, ...]:
+    """Every channel once, in the order of first mention."""
     channels: dict[str, Channel] = {}
     for spectrum in spectra:
         for channel in spectrum.channels:
@@ -209,48 +241,36 @@ def concatenate(spectra: Sequence[Spectrum]) -> Spectrum:
                     f"channel {channel.name} is described differently in the spectra that are put together",
                     cure="describe it once, or name one of them differently",
                 )
-    batch = np.broadcast_shapes(*(spectrum.batch for spectrum in spectra))
-    shared = all(spectrum.covariance.ndim == 3 for spectrum in spectra)
-    amplitudes, covariances = [], []
-    for spectrum in spectra:
-        own = {channel.name: i for i, channel in enumerate(spectrum.channels)}
-        where = [i for i, name in enumerate(channels) if name in own]
-        source = [own[name] for name in channels if name in own]
-        X = np.full((*batch, spectrum.lines, len(channels)), np.nan + 0j)
-        X[..., where] = np.broadcast_to(
-            spectrum.amplitudes[..., source], (*batch, spectrum.lines, len(where))
-        )
-        V = np.zeros(
-            (*(() if shared else batch), spectrum.lines, len(channels), len(channels)), dtype=complex
-        )
-        V[..., np.ix_(where, where)[0], np.ix_(where, where)[1]] = spectrum.covariance[..., source, :][
-            ..., source
-        ]
-        amplitudes.append(X)
-        covariances.append(V)
-    return Spectrum(
-        tuple(channels.values()),
-        np.concatenate([spectrum.frequency_hz for spectrum in spectra]),
-        np.concatenate(amplitudes, axis=-2),
-        np.concatenate(covariances, axis=-3),
-        np.concatenate([spectrum.samples for spectrum in spectra]),
-        np.concatenate([spectrum.dof for spectrum in spectra]),
-        tuple(kind for spectrum in spectra for kind in spectrum.noise),
-        np.concatenate([spectrum.experiment for spectrum in spectra]),
-        _moments(spectra, list(channels), batch),
-        tuple(dict.fromkeys(note for spectrum in spectra for note in spectrum.notes)),
-        *joined_stretches([(spectrum.stretch, spectrum.stretches) for spectrum in spectra]),
-    )
+    return tuple(channels.values())
+
+
+def _widened(
+    spectrum: Spectrum,
+    channels: tuple[Channel, ...],
+    batch: tuple[int, ...],
+    covariance_batch: tuple[int, ...],
+) -> tuple[Complex, Complex]:
+    """Amplitudes and covariance over all `channels`; NaN (and covariance 0) where the spectrum has not measured."""
+    place = {channel.name: i for i, channel in enumerate(spectrum.channels)}
+    where = [i for i, channel in enumerate(channels) if channel.name in place]
+    source = [place[channel.name] for channel in channels if channel.name in place]
+    lines, count = spectrum.lines, len(channels)
+    amplitudes = np.full((*batch, lines, count), np.nan + 0j)
+    amplitudes[..., where] = np.broadcast_to(spectrum.amplitudes[..., source], (*batch, lines, len(where)))
+    covariance = np.zeros((*covariance_batch, lines, count, count), dtype=complex)
+    rows, columns = np.ix_(where, where)
+    covariance[..., rows, columns] = spectrum.covariance[..., source, :][..., source]
+    return amplitudes, covariance
 
 
 def _moments(spectra: Sequence[Spectrum], names: list[str], batch: tuple[int, ...]) -> Moments | None:
     """Moments of all lines, kept only where every spectrum has all the channels and the moments."""
     parts = []
     for spectrum in spectra:
-        own = {channel.name: i for i, channel in enumerate(spectrum.channels)}
-        if spectrum.moments is None or set(own) != set(names):
+        place = {channel.name: i for i, channel in enumerate(spectrum.channels)}
+        if spectrum.moments is None or set(place) != set(names):
             return None
-        order = [*(own[name] for name in names), len(names), len(names) + 1]
+        order = [*(place[name] for name in names), len(names), len(names) + 1]
         products = spectrum.moments.products[..., order, :][..., order]
         parts.append(np.broadcast_to(products, (*batch, *products.shape[-3:])))
     return Moments(np.concatenate(parts, axis=-3))

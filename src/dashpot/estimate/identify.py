@@ -50,20 +50,7 @@ def identify(
     if isinstance(method, str):
         method = method_named(method)
     chosen = automatic(model, spectrum) if method is None else method
-    if len(model.nonlinear) and not chosen.traits.nonlinear:
-        raise UsageError(
-            f"the method {chosen.name} does not know nonlinear elements", cure="use the method ml, or hls"
-        )
-    if carries_loads(spectrum) and len(model.nonlinear):
-        raise UsageError(
-            "the transients of whole records are known of linear rigs only",
-            cure="give settled dwells with their frequencies, or leave the nonlinear elements out",
-        )
-    if carries_loads(spectrum) and not chosen.traits.transients:
-        raise UsageError(
-            f"the method {chosen.name} works on settled lines; whole records carry transients",
-            cure="use the method ml, or give settled dwells with their frequencies",
-        )
+    _require_able(model, spectrum, chosen)
     spectrum, chosen = with_record_noise(model, spectrum, chosen)
     flat = flattened(spectrum)
     repeats = len(flat.amplitudes)
@@ -97,6 +84,24 @@ def automatic(model: Model, spectrum: Spectrum, *, bounded: bool = False) -> Met
     return method_named(name)
 
 
+def _require_able(model: Model, spectrum: Spectrum, method: Method) -> None:
+    """Raises UsageError where the method does not know the rig's elements or the data's transients."""
+    if len(model.nonlinear) and not method.traits.nonlinear:
+        raise UsageError(
+            f"the method {method.name} does not know nonlinear elements", cure="use the method ml, or hls"
+        )
+    if carries_loads(spectrum) and len(model.nonlinear):
+        raise UsageError(
+            "the transients of whole records are known of linear rigs only",
+            cure="give settled dwells with their frequencies, or leave the nonlinear elements out",
+        )
+    if carries_loads(spectrum) and not method.traits.transients:
+        raise UsageError(
+            f"the method {method.name} works on settled lines; whole records carry transients",
+            cure="use the method ml, or give settled dwells with their frequencies",
+        )
+
+
 def _identified(model: Model, spectrum: Spectrum, method: Method) -> Inference:
     """Prepare, solve, infer: one chunk of repeats."""
     data = prepare(model, spectrum, moments=bool(method.traits.moments))
@@ -116,20 +121,22 @@ def _estimate(
         return whole.reshape((*batch, *whole.shape[1:]))
 
     around = parts[0].linearised
-    solutions, found = [part.solution for part in parts], [part.uncertainty for part in parts]
-    theta, covariance = join([s.theta for s in solutions]), join([u.covariance for u in found])
-    noise, bound = join([u.noise for u in found]), join([u.bound for u in found])
+    solutions, uncertainties = [part.solution for part in parts], [part.uncertainty for part in parts]
+    theta, covariance = join([s.theta for s in solutions]), join([u.covariance for u in uncertainties])
+    noise, bound = join([u.noise for u in uncertainties]), join([u.bound for u in uncertainties])
     known_noise = noise_is_known(spectrum)
-    fit = Fit(join([u.chi2 for u in found]), around.dof, join([u.p for u in found]), known_noise)
+    fit = Fit(
+        join([u.chi2 for u in uncertainties]), around.dof, join([u.p for u in uncertainties]), known_noise
+    )
     bounds = solutions[0].bounds
-    m = len(model.unknowns)
+    lower, upper = (-np.inf, np.inf) if bounds is None else (bounds.lower, bounds.upper)
+    m, unknowns = len(model.unknowns), len(around.names)
     warnings = list(dict.fromkeys(notice for s in solutions for notice in s.warnings))
     if not batch:
         diagnostics.require_determined(around.names, theta, noise, diagnostics.dead_channels(model, spectrum))
         warnings += _notices(model, method, theta, covariance, noise, fit)
         warnings += diagnostics.short_records(model, theta, spectrum)
         warnings += [] if bounds is None else diagnostics.held(around.names, theta, bounds)
-    misfit = bool(np.any(fit.rejected))
     return Estimate(
         model=model.name,
         method=method.name,
@@ -139,11 +146,11 @@ def _estimate(
         covariance=covariance,
         noise_covariance=noise,
         bound_sd=diagnostics.standard_deviations(bound),
-        dof=join([u.dof for u in found]),
-        lower=np.full(len(around.names), -np.inf) if bounds is None else bounds.lower,
-        upper=np.full(len(around.names), np.inf) if bounds is None else bounds.upper,
+        dof=join([u.dof for u in uncertainties]),
+        lower=np.broadcast_to(lower, unknowns),
+        upper=np.broadcast_to(upper, unknowns),
         free_values=join([s.theta if s.bounds is None else s.bounds.free for s in solutions]),
-        basis="model misfit" if misfit else "sensor noise" if known_noise else "residuals",
+        basis=_basis(fit),
         converged=np.concatenate([s.converged for s in solutions]).reshape(batch),
         iterations=np.concatenate([s.iterations for s in solutions]).reshape(batch),
         history=solutions[0].history,
@@ -155,6 +162,13 @@ def _estimate(
         warnings=(*warnings, *diagnostics.of_data(model, spectrum)),
         notes=spectrum.notes,
     )
+
+
+def _basis(fit: Fit) -> str:
+    """What the intervals rest on."""
+    if np.any(fit.rejected):
+        return "model misfit"
+    return "sensor noise" if fit.known_noise else "residuals"
 
 
 def _notices(

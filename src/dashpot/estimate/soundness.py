@@ -41,25 +41,36 @@ def _faults(estimate: Estimate) -> Iterator[str]:
             yield f"{name}: {matrix.shape} numbers, and {count} unknowns"
             return
         yield from _matrix_faults(name, matrix, names)
+    yield from _value_faults(estimate)
+    yield from _reference_faults(estimate)
+
+
+def _value_faults(estimate: Estimate) -> Iterator[str]:
+    """Values that are lost, sizes below 0 and bounds that leave no room."""
+    names = estimate.names
     if bool(estimate.converged):
-        lost = [one for one, value in zip(names, estimate.values, strict=True) if not np.isfinite(value)]
+        lost = [name for name, value in zip(names, estimate.values, strict=True) if not np.isfinite(value)]
         if lost:
             yield f"{listed(lost)}: no value"
     for label, array in (("bound_sd", estimate.bound_sd), ("interval_dof", estimate.dof)):
-        wrong = [one for one, value in zip(names, array, strict=True) if value < 0]
+        wrong = [name for name, value in zip(names, array, strict=True) if value < 0]
         if wrong:
             yield f"{listed(wrong)}: {label} is negative"
-    for one, low, high in zip(names, estimate.lower, estimate.upper, strict=True):
+    for name, low, high in zip(names, estimate.lower, estimate.upper, strict=True):
         if not low <= high:
-            yield f"{one}: min is above max"
+            yield f"{name}: min is above max"
+
+
+def _reference_faults(estimate: Estimate) -> Iterator[str]:
+    """Tied and known elements that refer to nothing or have no value."""
     for _, root, times, _ in estimate.tied:
-        if root not in names:
+        if root not in estimate.names:
             yield f"tied: {root} is not among the unknowns"
         if not np.isfinite(times):
             yield f"tied: {times} is no finite number"
-    for one, value, _ in estimate.known:
+    for name, value, _ in estimate.known:
         if not np.isfinite(value):
-            yield f"{one}: no value"
+            yield f"{name}: no value"
 
 
 def _matrix_faults(label: str, matrix: np.ndarray, names: tuple[str, ...]) -> Iterator[str]:
