@@ -13,7 +13,8 @@ from dashpot.data.stretch import SettledDwell
 from dashpot.model.elements import Kind, between, mass
 from dashpot.model.network import Input, Model
 from dashpot.model.nonlinear.force_law import Constant, force_law
-from dashpot.model.nonlinear.harmonic_balance import Drive, settled_orders, unit_forces
+from dashpot.model.nonlinear.harmonic_balance import harmonic_unit_forces, settled_orders
+from dashpot.model.nonlinear.harmonics import Drive
 from dashpot.model.observation import channel_amplitudes, measures_input, observation_model
 
 LAWS: Mapping[str, tuple[Mapping[str, float], float]] = {
@@ -86,7 +87,7 @@ def settled(
     constants = np.tile(model.inner_constants(theta), (len(f), 1))
     at, drive = settled_orders(model, p, constants, drive, tolerance=1e-9, most=most)
     assert np.all(at.converged)
-    forces = p[:, None] * unit_forces(model, drive, at)
+    forces = p[:, None] * harmonic_unit_forces(model, drive, at)
     lines, Y = [], []
     for row, fundamental in enumerate(f):
         for order in orders:

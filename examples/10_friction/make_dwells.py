@@ -12,7 +12,9 @@ from pathlib import Path
 
 import numpy as np
 
-from dashpot.model.nonlinear.integration import Integrator, forcing, integrate
+from dashpot.model.nonlinear.integration import Integrator
+from dashpot.model.nonlinear.propagation import forcing
+from dashpot.model.nonlinear.shooting import integrate
 from dashpot.model.rigfile import read_rig
 
 HERE = Path(__file__).parent

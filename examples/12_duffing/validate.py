@@ -9,7 +9,7 @@ import sys
 
 from dashpot import Estimate
 from dashpot.data.readers import read
-from dashpot.estimate.nonlinear.whole_record import predict_record
+from dashpot.estimate.nonlinear.record_prediction import predict_record
 from dashpot.model.rigfile import read_rig
 
 

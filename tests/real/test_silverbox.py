@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from dashpot.data.record import Record
-from dashpot.estimate.nonlinear.whole_record import identify_records, predict_record
+from dashpot.estimate.nonlinear.record_prediction import predict_record
+from dashpot.estimate.nonlinear.whole_record import identify_records
 from dashpot.model.rigfile import read_rig
 
 ROOT = Path(__file__).parents[2]

@@ -14,7 +14,7 @@ from dashpot.estimate.likelihood.objective import measured
 from dashpot.estimate.likelihood.record_start import record_starts
 from dashpot.estimate.linear.least_squares import compensated
 from dashpot.estimate.method import HeldBounds, Method, Solution, Traits
-from dashpot.estimate.nonlinear.search import search
+from dashpot.estimate.nonlinear.search import search_harmonics
 from dashpot.estimate.preparation.prepared import Prepared
 from dashpot.estimate.preparation.state_reconstruction import States
 from dashpot.model.observation import is_direct
@@ -54,7 +54,7 @@ class MaximumLikelihood(Method):
         likelihood = Likelihood.of(data, self.effort)
         view, warnings = likelihood.view, tuple[Notice, ...]()
         if likelihood.exact.nonlinear is not None:
-            found, exact = search(
+            found, exact = search_harmonics(
                 data,
                 view,
                 likelihood.exact,

@@ -12,13 +12,13 @@ from dashpot.data.stretch import SettledDwell, WholeRecord
 from dashpot.errors import DataError
 from dashpot.estimate.preparation.state_reconstruction import States
 from dashpot.model.network import Model
-from dashpot.model.nonlinear.harmonic_balance import Drive, real_of
+from dashpot.model.nonlinear.harmonics import Drive, real_of
 
 FEWEST = {True: 7, False: 21}  # harmonics to begin with, of laws that are smooth and that are not
 
 
 @dataclass(frozen=True)
-class Dwells:
+class DwellLines:
     """How lines belong to dwells.
 
     omega (dwells,) fundamentals, rad/s; dwell, order, slot (lines,): the dwell of a line, the multiple of its
@@ -33,7 +33,7 @@ class Dwells:
     slots: int
     orders: int
 
-    def with_orders(self, orders: int) -> Dwells:
+    def with_orders(self, orders: int) -> DwellLines:
         """The same lines with another number of harmonics in the response."""
         return replace(self, orders=orders)
 
@@ -69,7 +69,7 @@ class Dwells:
         return total
 
 
-def dwells_of(model: Model, spectrum: Spectrum) -> Dwells:
+def dwells_of(model: Model, spectrum: Spectrum) -> DwellLines:
     """The dwells that the lines of a spectrum belong to.
 
     Raises DataError where lines are of a whole record, or a line is no multiple of its dwell's fundamental.
@@ -104,13 +104,13 @@ def dwells_of(model: Model, spectrum: Spectrum) -> Dwells:
         taken[group] = slot[-1] + 1
     smooth = all(e.force_law is None or e.force_law.smooth for e in model.elements)
     highest = max(order, default=1)
-    return Dwells(
+    return DwellLines(
         frozen(2 * np.pi * np.array(fundamental), np.float64), frozen(dwell, np.int64), frozen(order, np.int64),
         frozen(slot, np.int64), max(taken.values(), default=1), max(FEWEST[smooth], 2 * highest + 1),
     )  # fmt: skip
 
 
-def measured_elongations(model: Model, dwells: Dwells, states: States) -> Real:
+def measured_elongations(model: Model, dwells: DwellLines, states: States) -> Real:
     """Elongations of the nonlinear elements as measured, (K, dwells, e, W); 0 at harmonics that were not measured."""
     chosen = model.nonlinear
     lines = states.X @ model.B[chosen].T + states.U @ model.D[chosen].T

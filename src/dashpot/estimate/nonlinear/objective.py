@@ -13,17 +13,17 @@ import numpy as np
 
 from dashpot.arrays import Complex, Ints, Real, frozen, hermitian
 from dashpot.errors import DataError
-from dashpot.estimate.nonlinear.dwells import Dwells, WarmStart, dwells_of, measured_elongations
+from dashpot.estimate.nonlinear.dwells import DwellLines, WarmStart, dwells_of, measured_elongations
 from dashpot.estimate.preparation.prepared import Prepared
 from dashpot.model.network import Model
 from dashpot.model.nonlinear.harmonic_balance import (
-    Drive,
     Periodic,
     Slopes,
+    harmonic_unit_forces,
     periodic_response,
     slopes,
-    unit_forces,
 )
+from dashpot.model.nonlinear.harmonics import Drive
 from dashpot.model.observation import (
     ObservationModel,
     calibration_factors,
@@ -47,7 +47,7 @@ class NonlinearPart:
     inputs to start from; repeat (K,): which repeats these are.
     """
 
-    dwells: Dwells
+    dwells: DwellLines
     start: Real | None
     q: Complex
     repeat: Ints
@@ -88,7 +88,7 @@ def evaluate(
     constants = np.where(impossible[:, None], 1.0, constants)
     drive = dwells.drive(q, r)
     at = periodic_response(model, p, constants, drive, start)
-    a = unit_forces(model, drive, at)
+    a = harmonic_unit_forces(model, drive, at)
     X = dwells.lines(at.X, K)
     forces = model.parameters(theta)[:, None, :] * dwells.lines(a, K)
     kappa = calibration_factors(view, psi, sign)

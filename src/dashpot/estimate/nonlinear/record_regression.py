@@ -6,12 +6,16 @@ and dampers are moved to w, so the measured motion is not differentiated but for
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from scipy.interpolate import CubicSpline
 
 from dashpot.arrays import Ints, Real
+from dashpot.errors import DataError
+from dashpot.estimate.nonlinear.records import RecordData, measured_coordinates
+from dashpot.estimate.nonlinear.starting_values import constants_to_try
 from dashpot.model.network import Model
 from dashpot.numerics.small_systems import solve_scaled
 
@@ -84,3 +88,47 @@ def fitted(form: WeakForm, unit: Real) -> tuple[Real, float]:
     left = b_all - A_all @ theta
     size = float(b_all @ b_all) + float(np.sum((A_all * theta) ** 2))
     return theta[: int(np.sum(free))], float(left @ left) / size if size > 0 else np.inf
+
+
+def first_record_values(model: Model, records: tuple[RecordData, ...]) -> Real:
+    """Guesses where all are given; else the weak form of the equation where all coordinates are measured."""
+    given = [u.prior if u.prior is not None else u.guess for u in model.unknowns]
+    open_names = [u.name for u, value in zip(model.unknowns, given, strict=True) if value is None]
+    if not open_names:
+        return np.array(given, dtype=float)
+    x = _measured_motion(model, records[0], open_names)
+    record, r = records[0], model.D.shape[1]
+    form = weak_form(model, record.step_s, x, record.inputs[:, :r], record.inputs[:, r:])
+    chosen = model.nonlinear
+    d, v = form.elongation[:, chosen], form.rate[:, chosen]
+    best: tuple[float, Real] | None = None
+    for constants in constants_to_try(model, np.max(np.abs(d), axis=0), np.max(np.abs(v), axis=0)):
+        unit = np.empty_like(d)
+        for row, (index, own) in enumerate(zip(chosen, model.constant_slices, strict=True)):
+            law = model.elements[int(index)].force_law
+            assert law is not None
+            unit[:, row] = law(d[:, row], v[:, row], d[:, row], constants[own]).value
+        p, residual = fitted(form, unit)
+        slope, known = model.constants_map
+        theta = (constants - known) @ slope
+        theta[np.any(model.T, axis=0)] = p
+        if np.all(np.isfinite(theta)) and (best is None or residual < best[0]):
+            best = residual, theta
+    if best is None:
+        raise DataError(
+            "the motion does not determine the unknowns", record.source, "give guesses in the rig file"
+        )
+    low, high = model.bounds
+    return np.clip(np.where(model.prior_precision > 0, model.prior_mean, best[1]), low, high)
+
+
+def _measured_motion(model: Model, record: RecordData, open_names: Sequence[str]) -> Real:
+    """The coordinates, (samples, n).  Raises DataError where these do not give first values of the unknowns."""
+    x = measured_coordinates(model, record)
+    if x is None or any(e.force_law is not None and e.force_law.has_state for e in model.elements):
+        why = "not all coordinates are measured as displacements" if x is None else "a law has a state"
+        raise DataError(
+            f"{', '.join(open_names)} {'has' if len(open_names) == 1 else 'have'} no guess, and {why}",
+            cure="write guess = … for the unknowns in the rig file",
+        )
+    return x

@@ -45,26 +45,9 @@ class RecordData:
 
 def arranged(model: Model, record: Record) -> RecordData:
     """Raises DataError where an input is not measured, a channel cannot be compared with a motion, or times slip."""
-    step = (record.time[-1] - record.time[0]) / (len(record.time) - 1)
-    slip = np.max(np.abs(record.time - record.time[0] - step * np.arange(len(record.time))))
-    if slip > UNIFORM * step * max(1.0, 0.01 * len(record.time)) and slip > 0.5 * step:
-        raise DataError(
-            "the samples are not evenly spaced",
-            record.source,
-            "resample the record, or cut it where the clock slips",
-        )
+    step = _uniform_step(record)
     view = observation_model(model, record.channels, np.ones(1))
-    known = np.array([c.gain if c.gain is not None else 1.0 for c in record.channels])
-    sign = np.array([c.sign if c.sign is not None else 1.0 for c in record.channels])
-    values = record.values / (known * sign)
-    for channel in record.channels:
-        if channel.delay is None or channel.delay != 0 or (channel.sign is None and channel.gain is not None):
-            raise DataError(
-                f"channel {channel.name} has a delay or an unknown sign, which whole records of nonlinear rigs do not "
-                "know",
-                record.source,
-                'shift the record, or write gain = "unknown" for the sign',
-            )
+    values = record.values / _calibration(record)
     drives = [i for i, c in enumerate(record.channels) if measures_input(model, c)]
     usable = [i for i in drives if view.derivative[i] == 0 and view.gain[i] < 0]
     C = view.on_q[usable]
@@ -75,15 +58,7 @@ def arranged(model: Model, record: Record) -> RecordData:
             "give every input a channel of displacement or force with a known gain",
         )
     outputs = [i for i in range(len(record.channels)) if i not in drives]
-    wrong = [record.channels[i].name for i in outputs if record.channels[i].quantity is Quantity.FORCE]
-    if wrong:
-        raise DataError(
-            f"channel {wrong[0]} measures the force in elements, which whole records of nonlinear rigs do not use",
-            record.source,
-            "leave it out of the rig file",
-        )
-    if not outputs:
-        raise DataError("no channel shows the motion", record.source, "measure a coordinate")
+    _require_motion(record, outputs)
     by_force = bool(len(model.force_inputs))
     return RecordData(
         record.source, float(step), tuple(record.channels[i].name for i in outputs),
@@ -91,6 +66,51 @@ def arranged(model: Model, record: Record) -> RecordData:
         tuple(int(view.derivative[i]) for i in outputs), tuple(int(view.gain[i]) for i in outputs),
         tuple(int(view.derivative[i]) > 0 or not by_force for i in outputs),
     )  # fmt: skip
+
+
+def _uniform_step(record: Record) -> float:
+    """The sampling step, s.  Raises DataError where samples are not evenly spaced."""
+    step = float((record.time[-1] - record.time[0]) / (len(record.time) - 1))
+    slip = np.max(np.abs(record.time - record.time[0] - step * np.arange(len(record.time))))
+    if slip > UNIFORM * step * max(1.0, 0.01 * len(record.time)) and slip > 0.5 * step:
+        raise DataError(
+            "the samples are not evenly spaced",
+            record.source,
+            "resample the record, or cut it where the clock slips",
+        )
+    return step
+
+
+def _calibration(record: Record) -> Real:
+    """Known gains and signs of the channels, 1 where they are unknown; (channels,).
+
+    Raises DataError where a channel has a delay or an unknown sign.
+    """
+    for channel in record.channels:
+        if channel.delay is None or channel.delay != 0 or (channel.sign is None and channel.gain is not None):
+            raise DataError(
+                f"channel {channel.name} has a delay or an unknown sign, which whole records of nonlinear rigs do not "
+                "know",
+                record.source,
+                'shift the record, or write gain = "unknown" for the sign',
+            )
+    known = np.array([c.gain if c.gain is not None else 1.0 for c in record.channels])
+    sign = np.array([c.sign if c.sign is not None else 1.0 for c in record.channels])
+    factors: Real = known * sign
+    return factors
+
+
+def _require_motion(record: Record, outputs: Sequence[int]) -> None:
+    """Raises DataError where no channel shows the motion, or one shows a force in elements."""
+    if not outputs:
+        raise DataError("no channel shows the motion", record.source, "measure a coordinate")
+    forces = [record.channels[i].name for i in outputs if record.channels[i].quantity is Quantity.FORCE]
+    if forces:
+        raise DataError(
+            f"channel {forces[0]} measures the force in elements, which whole records of nonlinear rigs do not use",
+            record.source,
+            "leave it out of the rig file",
+        )
 
 
 def measured_coordinates(model: Model, data: RecordData) -> Real | None:
@@ -104,7 +124,7 @@ def measured_coordinates(model: Model, data: RecordData) -> Real | None:
     return x
 
 
-def shown(machine: Integrator, data: RecordData, motion: Motion) -> tuple[Real, Real | None]:
+def shown_outputs(machine: Integrator, data: RecordData, motion: Motion) -> tuple[Real, Real | None]:
     """Outputs of a motion before gains, (samples, channels), and slopes along states, unknowns and offsets."""
     model = machine.model
     n = model.n

@@ -14,12 +14,13 @@ from dashpot.arrays import Complex, Real, hermitian
 from dashpot.errors import UsageError
 from dashpot.estimate.linear.gram import known_side, regressors
 from dashpot.estimate.method import Solution, closed_form
-from dashpot.estimate.nonlinear.dwells import Dwells, dwells_of, measured_elongations
+from dashpot.estimate.nonlinear.dwells import DwellLines, dwells_of, measured_elongations
 from dashpot.estimate.preparation.prepared import Prepared
 from dashpot.model.dynamics import unit_forces
 from dashpot.model.network import Model
 from dashpot.model.nonlinear.alternating import alternate
-from dashpot.model.nonlinear.harmonic_balance import complex_of, samples_of
+from dashpot.model.nonlinear.harmonic_balance import samples_of
+from dashpot.model.nonlinear.harmonics import complex_of
 from dashpot.numerics.small_systems import scaled_inverse, solve_scaled
 
 
@@ -28,7 +29,7 @@ class MeasuredMotion:
     """Measured elongations of K repeats in their dwells, and what the lines' unit forces need."""
 
     model: Model
-    dwells: Dwells
+    dwells: DwellLines
     elongations: Real
     linear: Complex
     f: Complex

@@ -14,7 +14,8 @@ from dashpot.estimate.nonlinear.dwells import WarmStart
 from dashpot.estimate.nonlinear.objective import NonlinearPart, measured_part, predict_harmonics
 from dashpot.estimate.nonlinear.starting_values import KEPT, starting_points
 from dashpot.estimate.preparation.prepared import Prepared
-from dashpot.model.nonlinear.harmonic_balance import Drive, periodic_response, truncation
+from dashpot.model.nonlinear.harmonic_balance import periodic_response, truncation
+from dashpot.model.nonlinear.harmonics import Drive
 from dashpot.model.observation import ObservationModel
 from dashpot.numerics.levenberg_marquardt import OptimizeResult
 
@@ -34,7 +35,7 @@ SHARE = 0.1  # of the relative noise
 MOST = 63  # harmonics
 
 
-def search(
+def search_harmonics(
     data: Prepared, view: ObservationModel, exact: Measured, descend: Descent, soften: Soften
 ) -> tuple[OptimizeResult, Measured]:
     """The best end of all repeats, and the data with as many harmonics as it needs.

@@ -15,7 +15,9 @@ from dashpot.estimate.preparation.prepared import Prepared
 from dashpot.model.elements import Element
 from dashpot.model.network import Model
 from dashpot.model.nonlinear.alternating import alternate
-from dashpot.model.nonlinear.harmonic_balance import complex_of, periodic_response, samples_of
+from dashpot.model.nonlinear.force_law import Constant
+from dashpot.model.nonlinear.harmonic_balance import periodic_response, samples_of
+from dashpot.model.nonlinear.harmonics import complex_of
 from dashpot.model.observation import ObservationModel
 
 SHARES = (
@@ -87,15 +89,21 @@ def constants_to_try(model: Model, elongation: Real, speed: Real) -> list[Real]:
         if stated is not None:
             choices.append((stated,))
             continue
-        assert element.force_law is not None
-        metre, second = element.force_law.exponents[1].get(constant.name, (0.0, 0.0))
-        scale = elongation[row] ** (metre + second) * speed[row] ** -second if metre or second else 1.0
-        shares = PURE if not metre and not second else SHARES
-        low = -np.inf if constant.lower is None else constant.lower
-        high = np.inf if constant.upper is None else constant.upper
-        trial = tuple(float(np.clip(scale * share, low, high)) for share in (shares[::3] if many else shares))
-        choices.append(trial)
+        choices.append(_trials(element, constant, float(elongation[row]), float(speed[row]), many))
     return [np.array(values) for values in product(*choices)]
+
+
+def _trials(
+    element: Element, constant: Constant, elongation: float, speed: float, few: bool
+) -> tuple[float, ...]:
+    """Shares of the motion, in the constant's unit and within its bounds."""
+    assert element.force_law is not None
+    metre, second = element.force_law.exponents[1].get(constant.name, (0.0, 0.0))
+    scale = elongation ** (metre + second) * speed**-second if metre or second else 1.0
+    shares = PURE if not metre and not second else SHARES
+    low = -np.inf if constant.lower is None else constant.lower
+    high = np.inf if constant.upper is None else constant.upper
+    return tuple(float(np.clip(scale * share, low, high)) for share in (shares[::3] if few else shares))
 
 
 def _by_linear_rig(data: Prepared, view: ObservationModel, calibrations: Real) -> tuple[Real, Real]:
@@ -123,7 +131,7 @@ def _known_start(prior: float | None, guess: float | None, fitted: float) -> flo
     return prior if prior is not None else guess if guess is not None else fitted
 
 
-def linear_part(model: Model, replaced: bool = False) -> Model:
+def linear_rig(model: Model, replaced: bool = False) -> Model:
     """The rig without its nonlinear elements, or with linear ones of their kind in their place.
 
     Raises ModelError where that is no rig.
@@ -147,7 +155,7 @@ def _linear_fit(data: Prepared, calibrations: Real) -> tuple[dict[str, float], R
     fundamental = np.flatnonzero(dwells.order == 1)
     for replaced in (False, True):
         try:
-            model = linear_part(data.model, replaced)
+            model = linear_rig(data.model, replaced)
             spectrum = data.spectrum.select(fundamental)
             y = np.nan_to_num(spectrum.amplitudes)
             size = np.mean(np.abs(y), axis=0)

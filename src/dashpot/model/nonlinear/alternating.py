@@ -13,6 +13,7 @@ import numpy as np
 
 from dashpot.arrays import Real, frozen
 from dashpot.model.network import Model
+from dashpot.model.nonlinear.expression import Dual
 from dashpot.model.nonlinear.force_law import ForceLaw
 
 REPEATS = 1e-11  # of the elongation
@@ -30,7 +31,7 @@ class Alternated:
 
 
 @lru_cache(maxsize=32)
-def basis(orders: int, times: int) -> tuple[Real, Real, Real]:
+def period_basis(orders: int, times: int) -> tuple[Real, Real, Real]:
     """(Γ, Γ̇ at ω = 1, Γ⁺): period from harmonics (times, W), its rate, and harmonics from a period (W, times)."""
     angle = 2 * np.pi * np.outer(np.arange(times), np.arange(1, orders + 1)) / times
     h = np.arange(1, orders + 1)
@@ -58,7 +59,7 @@ def alternate(
     elongations nearby, whose states are a first guess.
     """
     N, e, W = q.shape
-    there, rate, back = basis((W - 1) // 2, times)
+    there, rate, back = period_basis((W - 1) // 2, times)
     a = np.empty_like(q)
     slope = np.empty((N, e, W, W) if slopes else (0, e, W, W))
     by_constant, states = [], []
@@ -79,20 +80,21 @@ def alternate(
         states.append(np.zeros((N, 0)))
         at = law(d, v, d, g)
         a[:, row] = np.broadcast_to(at.value, d.shape) @ back.T
-        if not slopes:
-            continue
-        nothing = np.zeros_like(d)
-        by_d = np.broadcast_to(at.slopes.get("d", nothing), d.shape)
-        by_v = np.broadcast_to(at.slopes.get("v", nothing), d.shape) * omega[:, None]
-        slope[:, row] = (back * by_d[:, None, :]) @ there + (back * by_v[:, None, :]) @ rate
-        names = law.constant_names
-        inner = (
-            np.stack([np.broadcast_to(at.slopes.get(name, nothing), d.shape) for name in names], -1)
-            if names
-            else np.zeros((*d.shape, 0))
-        )
-        by_constant.append(back @ inner)
+        if slopes:
+            by_d, by_v, inner = _partials(at, law.constant_names, d)
+            by_v = by_v * omega[:, None]
+            slope[:, row] = (back * by_d[:, None, :]) @ there + (back * by_v[:, None, :]) @ rate
+            by_constant.append(back @ inner)
     return Alternated(a, slope, tuple(by_constant), tuple(states))
+
+
+def _partials(at: Dual, names: tuple[str, ...], d: Real) -> tuple[Real, Real, Real]:
+    """∂φ/∂d, ∂φ/∂v (N, times) and ∂φ/∂g (N, times, G) of a law without a state."""
+    nothing = np.zeros_like(d)
+    by_d = np.broadcast_to(at.slopes.get("d", nothing), d.shape)
+    by_v = np.broadcast_to(at.slopes.get("v", nothing), d.shape)
+    columns = [np.broadcast_to(at.slopes.get(name, nothing), d.shape) for name in names]
+    return by_d, by_v, np.stack(columns, -1) if columns else np.zeros((*d.shape, 0))
 
 
 def _with_state(

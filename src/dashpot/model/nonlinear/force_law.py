@@ -151,18 +151,7 @@ def force_law(text: str, constants: Sequence[Constant] = (), *, damper: bool = F
     reserved = {"d", "v", "z"} if state else {"d", "v"}
     wanted = [name for name in dict.fromkeys(names) if name not in reserved]
     given = {constant.name: constant for constant in constants}
-    missing = [name for name in wanted if name not in given]
-    if usual is None and missing:
-        raise ModelError(
-            f"the law {text!r} names {', '.join(missing)}",
-            cure=f'give {missing[0]} beside the law, as a number or "unknown"; d is the elongation, v its rate',
-        )
-    strangers = [name for name in given if name not in wanted]
-    if strangers:
-        raise ModelError(
-            f"the law {text!r} has no constant {', '.join(strangers)}",
-            cure=f"its constants are {', '.join(wanted)}" if wanted else "it has none: remove it",
-        )
+    _require_named(text, wanted, list(given), complete=usual is None)
     if not state and not {"d", "v"} & set(expression.names):
         raise ModelError(
             f"the law {text!r} depends on neither d nor v", cure='write one that does, such as "d**3"'
@@ -174,6 +163,22 @@ def force_law(text: str, constants: Sequence[Constant] = (), *, damper: bool = F
     law.exponents  # noqa: B018  # raises where no units make sense
     _require_finite_at_rest(law)
     return law
+
+
+def _require_named(text: str, wanted: Sequence[str], given: Sequence[str], *, complete: bool) -> None:
+    """Raises ModelError where constants are given that the law lacks or, if `complete`, where one is not given."""
+    missing = [name for name in wanted if name not in given]
+    if complete and missing:
+        raise ModelError(
+            f"the law {text!r} names {', '.join(missing)}",
+            cure=f'give {missing[0]} beside the law, as a number or "unknown"; d is the elongation, v its rate',
+        )
+    excess = [name for name in given if name not in wanted]
+    if excess:
+        raise ModelError(
+            f"the law {text!r} has no constant {', '.join(excess)}",
+            cure=f"its constants are {', '.join(wanted)}" if wanted else "it has none: remove it",
+        )
 
 
 def _require_finite_at_rest(law: ForceLaw) -> None:

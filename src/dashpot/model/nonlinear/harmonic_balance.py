@@ -10,20 +10,29 @@ frequency-time transform.  Unknown are the elongations δ of the nonlinear eleme
 A linear share s of each nonlinear element (its secant at the start) is kept in D and taken from a, so that D is regular
 where the rig holds together by nonlinear elements only; the result does not depend on s.
 
-Rows N are dwells: any mixture of frequencies, inputs and parameters.  Harmonics as real numbers come in the order
-X_0, Re X_1, Im X_1, Re X_2, …, that is W = 2 H + 1 numbers.
+Rows N are dwells: any mixture of frequencies, inputs and parameters.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from functools import lru_cache
+from dataclasses import dataclass
 
 import numpy as np
 
 from dashpot.arrays import Bools, Complex, Real
 from dashpot.model.network import Model
 from dashpot.model.nonlinear.alternating import Alternated, alternate
+from dashpot.model.nonlinear.harmonics import (
+    Drive,
+    as_blocks,
+    complex_of,
+    complex_rows,
+    rates_of_orders,
+    real_of,
+    rows_of,
+    share_blocks,
+)
+from dashpot.model.nonlinear.linear_part import LinearPart, linear_part, linear_stiffness
 
 TOLERANCE = 1e-12  # of the elongation
 ITERATIONS = 25
@@ -40,41 +49,6 @@ RAMP = (
 
 
 @dataclass(frozen=True)
-class Drive:
-    """What drives N dwells: omega (N,) rad/s, U (N, H + 1, r) m and f (N, H + 1, s) N, order 0 being a constant."""
-
-    omega: Real
-    U: Complex
-    f: Complex
-
-    @property
-    def orders(self) -> int:
-        """Highest harmonic H."""
-        return int(self.U.shape[1]) - 1
-
-    def rows(self, keep: Bools) -> Drive:
-        """Some of the dwells."""
-        return Drive(self.omega[keep], self.U[keep], self.f[keep])
-
-    def scaled(self, share: float) -> Drive:
-        """All amplitudes multiplied."""
-        return Drive(self.omega, share * self.U, share * self.f)
-
-    def with_orders(self, orders: int) -> Drive:
-        """The same drive with as many harmonics, cut off or zero."""
-        return Drive(self.omega, with_orders(self.U, orders), with_orders(self.f, orders))
-
-
-def with_orders(X: Complex, orders: int) -> Complex:
-    """Harmonics (N, H + 1, …) cut off or filled with zeros to `orders`."""
-    kept = X[:, : orders + 1]
-    if kept.shape[1] == orders + 1:
-        return kept
-    missing = np.zeros((len(X), orders + 1 - kept.shape[1], *X.shape[2:]), dtype=X.dtype)
-    return np.concatenate([kept, missing], axis=1)
-
-
-@dataclass(frozen=True)
 class Periodic:
     """The periodic response of N dwells and what slopes need.
 
@@ -87,117 +61,8 @@ class Periodic:
     forces: Alternated
     error: Real
     converged: Bools
-    linear: _LinearPart
+    linear: LinearPart
     newton: Real
-
-
-def complex_of(q: Real) -> Complex:
-    """(..., W) real numbers as harmonics (..., H + 1)."""
-    X = np.empty((*q.shape[:-1], (q.shape[-1] + 1) // 2), dtype=np.complex128)
-    X[..., 0] = q[..., 0]
-    X[..., 1:] = q[..., 1::2] + 1j * q[..., 2::2]
-    return X
-
-
-def real_of(X: Complex) -> Real:
-    """Harmonics (..., H + 1) as (..., W) real numbers; the imaginary part of order 0 is left out."""
-    q = np.empty((*X.shape[:-1], 2 * X.shape[-1] - 1))
-    q[..., 0] = X[..., 0].real
-    q[..., 1::2], q[..., 2::2] = X[..., 1:].real, X[..., 1:].imag
-    return q
-
-
-def as_blocks(Z: Complex) -> Real:
-    """Complex factors of each harmonic, (..., H + 1, i, j), as one real matrix (..., i, W, j, W)."""
-    orders, i, j = Z.shape[-3] - 1, *Z.shape[-2:]
-    W = 2 * orders + 1
-    blocks = np.zeros((*Z.shape[:-3], i, W, j, W))
-    blocks[..., :, 0, :, 0] = Z[..., 0, :, :].real
-    h = np.arange(orders)
-    part = np.moveaxis(Z[..., 1:, :, :], -3, 0)
-    # Advanced indices apart from each other come first.
-    blocks[..., :, 2 * h + 1, :, 2 * h + 1] = part.real
-    blocks[..., :, 2 * h + 2, :, 2 * h + 2] = part.real
-    blocks[..., :, 2 * h + 1, :, 2 * h + 2] = -part.imag
-    blocks[..., :, 2 * h + 2, :, 2 * h + 1] = part.imag
-    return blocks
-
-
-@lru_cache(maxsize=8)
-def _jh(orders: int) -> Complex:
-    return (1j * np.arange(orders + 1)).astype(np.complex128)
-
-
-@dataclass(frozen=True)
-class _LinearPart:
-    """The linear elements and the share s of the nonlinear ones at each harmonic.
-
-    inverse (N, H + 1, n, n): D⁻¹; receptance (N, H + 1, e, e): Z; share (N, H + 1, e): s; driven (N, H + 1, n):
-    R U + S f less the share that inputs stretch; free (N, H + 1, e): elongation without nonlinear forces.
-    """
-
-    inverse: Complex
-    receptance: Complex
-    share: Complex
-    driven: Complex
-    free: Complex
-
-
-def _linear_part(model: Model, p: Real, drive: Drive, secant: Complex) -> _LinearPart:
-    """`secant` (N, e): force per elongation that is kept in the linear part, N/m at the fundamental."""
-    chosen = model.nonlinear
-    B, D = model.B[chosen], model.D[chosen]
-    jw = drive.omega[:, None] * _jh(drive.orders)
-    share = secant.real[:, None, :] + jw[..., None] * (secant.imag / drive.omega[:, None])[:, None, :]
-    both = _stiffness(model, p, jw)
-    both = both + np.einsum("nhe,ei,ej->nhij", share, B, np.concatenate([B, D], axis=1))
-    n = model.n
-    driven = -np.einsum("nhij,nhj->nhi", both[..., n:], drive.U) + np.einsum("ij,nhj->nhi", model.S, drive.f)
-    inverse = _regular_inverse(both[..., :n])
-    X = np.einsum("nhij,nhj->nhi", inverse, driven)
-    return _LinearPart(inverse, B @ inverse @ B.T, share, driven, X @ B.T + drive.U @ D.T)
-
-
-def _stiffness(model: Model, p: Real, jw: Complex) -> Complex:
-    """[D | −R] of the linear elements at each harmonic, (N, H + 1, n, n + r)."""
-    omega = jw.imag
-    factors = model.factors(omega)  # (N, H + 1, elements), 0 for nonlinear ones
-    both: Complex = np.einsum(
-        "nhe,ei,ej->nhij", p[:, None, :] * factors, model.B, np.concatenate([model.B, model.D], axis=1)
-    )
-    return both
-
-
-def _regular_inverse(D: Complex) -> Complex:
-    """D⁻¹; what nothing holds (a floating rig at order 0) is held by a spring too soft to matter."""
-    n = D.shape[-1]
-    size = np.max(np.abs(D), axis=(-2, -1), keepdims=True)
-    largest = np.max(size, axis=1, keepdims=True)
-    soft = np.zeros_like(size)
-    soft[:, :1] = 1e-10 * np.where(size[:, :1] > 1e-12 * largest, size[:, :1], largest)
-    try:
-        with np.errstate(all="ignore"):
-            inverse: Complex = np.linalg.inv(D + np.where(_singular(D), soft, 0.0) * np.eye(n)).astype(
-                np.complex128
-            )
-            return inverse
-    except np.linalg.LinAlgError:
-        return np.full_like(D, np.nan)
-
-
-def _singular(D: Complex) -> Bools:
-    """Whether the constant term of the response is not held, (N, H + 1, 1, 1)."""
-    n = D.shape[-1]
-    loose = np.zeros((*D.shape[:2], 1, 1), dtype=bool)
-    diagonal = np.sqrt(np.abs(np.diagonal(D[:, 0], axis1=-2, axis2=-1)))
-    held = np.where(diagonal > 0, diagonal, 1.0)
-    scaled = D[:, 0] / (held[:, :, None] * held[:, None, :])
-    with np.errstate(all="ignore"):
-        finite = np.where(np.isfinite(scaled), scaled, 0.0)
-    loose[:, 0, 0, 0] = (np.linalg.svd(finite, compute_uv=False)[:, -1] < 1e-12 * n) | np.any(
-        diagonal == 0, axis=-1
-    )
-    return loose
 
 
 def periodic_response(
@@ -245,7 +110,7 @@ def _linear_start(model: Model, p: Real, constants: Real, drive: Drive, times: i
     secant = np.zeros((len(p), e), dtype=np.complex128)
     q = np.zeros((len(p), e, 2 * drive.orders + 1))
     for _ in range(6):
-        linear = _linear_part(model, p, drive, secant)
+        linear = linear_part(model, p, drive, secant)
         free = np.where(np.isfinite(linear.free), linear.free, 0.0)
         q = real_of(np.moveaxis(free, 1, -1))
         if not np.any(free):
@@ -273,10 +138,10 @@ def _newton(
     chosen = model.nonlinear
     e, W = q.shape[1:]
     forces = alternate(model, constants, drive.omega, q, times)
-    linear = _linear_part(model, p, drive, secant_of(p[:, chosen], forces.a, q))
+    linear = linear_part(model, p, drive, secant_of(p[:, chosen], forces.a, q))
     Z = as_blocks(linear.receptance)
     free = real_of(np.moveaxis(linear.free, 1, -1))
-    S = _share_blocks(linear.share)
+    S = share_blocks(linear.share)
     strength = p[:, chosen, None]
 
     def residual(at: Real, unit: Real) -> Real:
@@ -318,13 +183,6 @@ def _newton(
     return Periodic(X, q, forces, error, converged, linear, matrix)
 
 
-def _share_blocks(share: Complex) -> Real:
-    """The linear share of each element, (N, H + 1, e), as real matrices (N, e, W, W)."""
-    per_element = np.moveaxis(share, -1, 1)[..., None, None]
-    blocks = as_blocks(per_element)
-    return blocks[..., 0, :, 0, :]
-
-
 def _solved(matrix: Real, right: Real) -> Real:
     try:
         with np.errstate(all="ignore"):
@@ -344,9 +202,9 @@ class Slopes:
     unit_forces: Complex
 
 
-def unit_forces(model: Model, drive: Drive, at: Periodic) -> Complex:
+def harmonic_unit_forces(model: Model, drive: Drive, at: Periodic) -> Complex:
     """a of all elements at every harmonic, (N, H + 1, elements); N per unit of the parameter."""
-    omega = (drive.omega[:, None] * _jh(drive.orders)).imag
+    omega = (drive.omega[:, None] * rates_of_orders(drive.orders)).imag
     a = model.factors(omega) * (at.X @ model.B.T + drive.U @ model.D.T)
     a[..., model.nonlinear] = np.moveaxis(complex_of(at.forces.a), -1, 1)
     return a
@@ -362,18 +220,18 @@ def slopes(
     """
     chosen, linear = model.nonlinear, at.linear
     Bn, Dn, n = model.B[chosen], model.D[chosen], model.n
-    a = unit_forces(model, drive, at)
+    a = harmonic_unit_forces(model, drive, at)
     N, orders, Q = len(p), drive.orders, along_p.shape[1]
     strength = p[:, chosen]
     # Explicit load: −Bᵀ (a ∘ dp) − Bᵀ p ∂a/∂g dg + R dU + S df
     load = -np.einsum("ei,nhe,eq->nhiq", model.B, a, along_p)
     by_constant = _by_constants(model, at, along_constants)  # (N, H + 1, e, Q)
     load = load - np.einsum("ei,ne,nheq->nhiq", Bn, strength, by_constant)
-    inner = strength[:, :, None, None] * at.forces.slope - _share_blocks(linear.share)
+    inner = strength[:, :, None, None] * at.forces.slope - share_blocks(linear.share)
     stretched = np.zeros((N, orders + 1, len(chosen), Q), dtype=np.complex128)
     if along_U is not None:
-        jw = drive.omega[:, None] * _jh(orders)
-        R = -_stiffness(model, p, jw)[..., n:] - np.einsum("nhe,ei,ej->nhij", linear.share, Bn, Dn)
+        jw = drive.omega[:, None] * rates_of_orders(orders)
+        R = -linear_stiffness(model, p, jw)[..., n:] - np.einsum("nhe,ei,ej->nhij", linear.share, Bn, Dn)
         load = load + R @ along_U
         stretched = stretched + Dn @ along_U
     if along_f is not None:
@@ -381,11 +239,11 @@ def slopes(
     moved = linear.inverse @ load
     explicit = Bn @ moved + stretched  # (N, H + 1, e, Q)
     e, W = len(chosen), 2 * orders + 1
-    right = _to_rows(explicit).reshape(N, e * W, Q)
+    right = rows_of(explicit).reshape(N, e * W, Q)
     d_delta = _solved(at.newton, right).reshape(N, e, W, Q)
     d_rest = complex_rows(np.einsum("nevw,newq->nevq", inner, d_delta))
     dX = moved - linear.inverse @ np.einsum("ei,nheq->nhiq", Bn, d_rest)
-    omega = (drive.omega[:, None] * _jh(orders)).imag
+    omega = (drive.omega[:, None] * rates_of_orders(orders)).imag
     elongation = model.B @ dX
     if along_U is not None:
         elongation = elongation + model.D @ along_U
@@ -405,16 +263,6 @@ def _by_constants(model: Model, at: Periodic, along: Real) -> Complex:
     return complex_rows(real)
 
 
-def _to_rows(X: Complex) -> Real:
-    """(N, H + 1, e, Q) complex as (N, e, W, Q) real."""
-    return np.moveaxis(real_of(np.moveaxis(X, 1, -1)), -1, -2)
-
-
-def complex_rows(q: Real) -> Complex:
-    """(N, e, W, Q) real as (N, H + 1, e, Q) complex."""
-    return np.moveaxis(complex_of(np.moveaxis(q, -2, -1)), -1, 1)
-
-
 def truncation(model: Model, p: Real, constants: Real, drive: Drive, at: Periodic) -> Real:
     """Error of the elongations for harmonics left out, over their size: the force at twice the orders, (N,)."""
     wider = drive.with_orders(2 * drive.orders + 1)
@@ -424,8 +272,8 @@ def truncation(model: Model, p: Real, constants: Real, drive: Drive, at: Periodi
     times = 2 * samples_of(model, wider.orders)
     forces = alternate(model, constants, drive.omega, q, times, slopes=False)
     chosen = model.nonlinear
-    linear = _linear_part(model, p, wider, secant_of(p[:, chosen], forces.a, q))
-    S = _share_blocks(linear.share)
+    linear = linear_part(model, p, wider, secant_of(p[:, chosen], forces.a, q))
+    S = share_blocks(linear.share)
     rest = complex_of(p[:, chosen, None] * forces.a - np.einsum("nevw,new->nev", S, q))
     missing = (
         np.moveaxis(complex_of(q), -1, 1)
@@ -451,9 +299,3 @@ def settled_orders(
         drive = drive.with_orders(min(2 * drive.orders + 1, most))
         start = np.zeros((*at.delta.shape[:2], 2 * drive.orders + 1))
         start[..., : at.delta.shape[-1]] = at.delta
-
-
-__all__ = [
-    "Drive", "Periodic", "Slopes", "complex_of", "periodic_response", "real_of", "replace", "settled_orders",
-    "slopes", "truncation", "unit_forces", "with_orders",
-]  # fmt: skip

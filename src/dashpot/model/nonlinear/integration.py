@@ -1,12 +1,7 @@
-"""Motion of rigs with nonlinear elements under any input, by integration with slopes (THEORY §9).
+"""Motion of rigs with nonlinear elements under any input, step by step, with slopes (THEORY §9).
 
 The linear part is exact: matrix exponentials, the input a cubic spline between samples.  The nonlinear forces are
 polynomials through four Lobatto points of each step, found by Newton's method (exponential collocation, order 6).
-
-A record is cut into segments that are integrated side by side from states of their own; the jumps between them are
-closed by Newton's method over the chain of segments (multiple shooting).  That is the same motion as one long
-integration, in as many array operations as one segment has samples.  Sources: Hochbruck and Ostermann (2010), Acta
-Numerica 19, 209 (exponential collocation); Bock and Plitt (1984) (multiple shooting).
 """
 
 from __future__ import annotations
@@ -14,123 +9,14 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.interpolate import CubicSpline
 
 from dashpot.arrays import Ints, Real
-from dashpot.errors import ModelError
-from dashpot.model.dynamics import matrices
 from dashpot.model.network import Model
 from dashpot.model.nonlinear.force_law import ForceLaw
+from dashpot.model.nonlinear.propagation import Forcing, loads, propagator
+from dashpot.model.nonlinear.step_forces import NEWTON, StepForces, held_states
 
-NODES = np.array([0.0, (1 - 1 / np.sqrt(5)) / 2, (1 + 1 / np.sqrt(5)) / 2, 1.0])  # Lobatto
-LAGRANGE = np.linalg.inv(np.vander(NODES, increasing=True))  # (power, node): ℓ_k(c) = Σ_m LAGRANGE[m, k] c^m
-WITHIN = np.array([[NODES[j] ** (m + 1) / (m + 1) for m in range(4)] for j in range(4)]) @ LAGRANGE
-NEWTON = 12
 SETTLED = 1e-13  # of the forces of a step
-CLOSED = 1e-10  # jumps between segments over the size of the motion
-SWEEPS = 30
-SEGMENT = 32  # samples of a segment, about
-
-
-@dataclass(frozen=True)
-class Forcing:
-    """Inputs of one record as cubics between samples: (samples − 1, 4, r + s), powers of the share of the interval."""
-
-    step_s: float
-    coefficients: Real
-
-    @property
-    def intervals(self) -> int:
-        """Number of intervals between samples."""
-        return len(self.coefficients)
-
-
-def forcing(step_s: float, inputs: Real) -> Forcing:
-    """Cubic splines through the samples (samples, r + s) of the inputs, `step_s` apart."""
-    time = np.arange(len(inputs), dtype=float)
-    spline = CubicSpline(time, inputs, axis=0)
-    return Forcing(step_s, np.moveaxis(np.asarray(spline.c)[::-1], 0, 1))
-
-
-@dataclass(frozen=True)
-class Propagator:
-    """One step of the linear part, in steps of h: states after the share c_j of it.
-
-    E (4, 2 n, 2 n) of the state, I (4, 2 n, 4, n) of forces growing as the power m of the share.  Wf (4, 4, 2 n, n) of
-    forces given at the nodes; Wn (4, 4, 2 n, e) the same of unit forces of the nonlinear elements.
-    """
-
-    h: float
-    E: Real
-    Wf: Real
-    Wn: Real
-    inertia: Real
-    both: tuple[Real, Real, Real]
-
-
-def propagator(model: Model, p: Real, h: float) -> Propagator:
-    """Raises ModelError where a coordinate has no mass or an element is hysteretic."""
-    from scipy.linalg import expm
-
-    parts = matrices(model, p)
-    n, chosen = model.n, model.nonlinear
-    if np.any(parts.H):
-        raise ModelError(
-            "a hysteretic damper has no motion in time",
-            cure="use a viscous damper, or settled dwells of a linear rig",
-        )
-    if np.linalg.matrix_rank(parts.M) < n:
-        raise ModelError(
-            "a coordinate has no mass, so its motion cannot be integrated",
-            cure="give every coordinate a mass",
-        )
-    inverse: Real = np.linalg.inv(parts.M).astype(np.float64)
-    A = np.block([[np.zeros((n, n)), np.eye(n)], [-inverse @ parts.K, -inverse @ parts.C]])
-    chain = np.zeros((6 * n, 6 * n))
-    chain[: 2 * n, : 2 * n] = A * h
-    chain[n : 2 * n, 2 * n : 3 * n] = inverse * h
-    for m in range(3):  # d/dc of c^m/m! is the one before it
-        chain[2 * n + m * n : 3 * n + m * n, 3 * n + m * n : 4 * n + m * n] = np.eye(n)
-    E, moments = np.zeros((4, 2 * n, 2 * n)), np.zeros((4, 2 * n, 4, n))
-    for j, share in enumerate(NODES):
-        grown = expm(chain * share)
-        E[j] = grown[: 2 * n, : 2 * n]
-        for m, factorial in enumerate((1, 1, 2, 6)):
-            block = grown[: 2 * n, 2 * n + m * n : 3 * n + m * n]
-            moments[j, :, m] = block * factorial
-    Wf = np.einsum("jxmn,mk->jkxn", moments, LAGRANGE)
-    Wn = -np.einsum("jkxn,en,e->jkxe", Wf, model.B[chosen], p[chosen])
-    return Propagator(h, E, Wf, Wn, inverse, (parts.K, parts.C, parts.M))
-
-
-def loads(model: Model, p: Real, drive: Forcing, substeps: int) -> tuple[Real, Real]:
-    """(force of the inputs on the coordinates at the nodes of each step (steps, 4, n), inputs (steps, 4, 2, r)).
-
-    The inputs come with their rates; forces of masses between base and rig count the acceleration of the spline.
-    """
-    parts = matrices(model, p)
-    r = model.D.shape[1]
-    share = (NODES[None, :] + np.arange(substeps)[:, None]) / substeps  # (substeps, 4)
-    powers = share[..., None] ** np.arange(4)
-    rates = np.where(
-        np.arange(4) > 0, np.arange(4) * share[..., None] ** np.maximum(np.arange(4) - 1, 0), 0.0
-    )
-    bends = np.where(
-        np.arange(4) > 1,
-        np.arange(4) * (np.arange(4) - 1) * share[..., None] ** np.maximum(np.arange(4) - 2, 0),
-        0.0,
-    )
-
-    def at(basis: Real, order: int) -> Real:
-        values = np.einsum("skm,imq->iskq", basis, drive.coefficients) / drive.step_s**order
-        nodes: Real = values.reshape(-1, 4, drive.coefficients.shape[-1])
-        return nodes
-
-    q, dq = at(powers, 0), at(rates, 1)
-    force = q[..., :r] @ parts.G.T + dq[..., :r] @ parts.F.T + q[..., r:] @ model.S.T
-    if np.any(parts.J):
-        force = force + at(bends, 2)[..., :r] @ parts.J.T
-    return force, np.stack([q[..., :r], dq[..., :r]], axis=2)
 
 
 @dataclass(frozen=True)
@@ -142,6 +28,20 @@ class Stepped:
 
     state: Real
     slope: Real
+
+
+@dataclass(frozen=True)
+class Motion:
+    """States at all samples, (samples, states), with slopes along the start's states, unknowns and force offsets.
+
+    slope (samples, states, states + directions), None where it was not asked for; starts (S, states) of the segments;
+    closed: whether the jumps between segments vanished.  `forces` (samples, e): unit forces are found from states.
+    """
+
+    state: Real
+    slope: Real | None
+    starts: Real
+    closed: bool
 
 
 class Integrator:
@@ -230,7 +130,7 @@ class Integrator:
         load[..., start + m :] += self.offsets
         return acceleration, self.step.inertia @ load
 
-    def _instant(self, d: Real, v: Real, z: Real) -> _Forces:
+    def _instant(self, d: Real, v: Real, z: Real) -> StepForces:
         """Unit forces and slopes at single instants, (S, 1, e), the states z of the laws being given."""
         S, K, e = d.shape
         a, by_z0 = np.zeros((S, K, e)), np.zeros((S, K, e))
@@ -245,9 +145,9 @@ class Integrator:
             by_z0[..., row] = at.slopes.get("z", nothing)
             columns = [np.broadcast_to(at.slopes.get(name, nothing), (S, K)) for name in law.constant_names]
             by_g.append(np.stack(columns, axis=-1) if columns else np.zeros((S, K, 0)))
-        return _Forces(a, by_d.reshape(S, -1), by_v.reshape(S, -1), by_z0, tuple(by_g), z, (), False)
+        return StepForces(a, by_d.reshape(S, -1), by_v.reshape(S, -1), by_z0, tuple(by_g), z, (), False)
 
-    def _solve(self, free_d: Real, free_v: Real, z0: Real) -> _Forces:
+    def _solve(self, free_d: Real, free_v: Real, z0: Real) -> StepForces:
         """Forces at the nodes of a step, from elongations and rates without them, by Newton's method on the forces."""
         S = len(free_d)
         z = np.repeat(z0[:, None], 4, axis=1)
@@ -263,7 +163,7 @@ class Integrator:
                 break
         return replace(at, a=a.reshape(at.a.shape))
 
-    def _matrix(self, at: _Forces) -> Real:
+    def _matrix(self, at: StepForces) -> Real:
         """I − ∂φ/∂d · reach_d − ∂φ/∂v · reach_v over the nodes, (S, 4 e, 4 e)."""
         if at.full:
             return np.eye(len(self.reach_d)) - at.by_d @ self.reach_d - at.by_v @ self.reach_v
@@ -271,7 +171,7 @@ class Integrator:
             np.eye(len(self.reach_d)) - at.by_d[..., None] * self.reach_d - at.by_v[..., None] * self.reach_v
         )
 
-    def _forces(self, d: Real, v: Real, z: Real, z0: Real) -> _Forces:
+    def _forces(self, d: Real, v: Real, z: Real, z0: Real) -> StepForces:
         """Unit forces at the nodes and how they change with d and v at the nodes and with z at the start."""
         S, K, e = d.shape
         full = bool(self.with_state)
@@ -286,7 +186,7 @@ class Integrator:
             held = None
             if law.has_state:
                 i = self.with_state.index(row)
-                held = _held(law, d[..., row], v[..., row], z[..., i], z0[:, i], g, self.step.h)
+                held = held_states(law, d[..., row], v[..., row], z[..., i], z0[:, i], g, self.step.h)
                 inside = z_new[..., i] = held.z
                 states.append(held)
             at = law(d[..., row], v[..., row], inside, g)
@@ -307,11 +207,11 @@ class Integrator:
                 inner = inner + by_z[..., None] * held.by_g
             by_g.append(inner)
         wide = (S, K * e, K * e) if full else (S, K * e)
-        return _Forces(
+        return StepForces(
             a, by_d.reshape(wide), by_v.reshape(wide), by_z0, tuple(by_g), z_new, tuple(states), full
         )
 
-    def _slopes(self, slope: Real, nodes: Real, at: _Forces, index: Ints, with_unknowns: bool) -> Real:
+    def _slopes(self, slope: Real, nodes: Real, at: StepForces, index: Ints, with_unknowns: bool) -> Real:
         """Slopes of the state behind the step: the linearised step, with the loads that unknowns bring."""
         model, n, S, e, Q = self.model, self.model.n, len(slope), len(self.laws), slope.shape[-1]
         base = (self.grown.T @ slope[:, : 2 * n]).reshape(S, 4, 2 * n, Q)
@@ -349,7 +249,7 @@ class Integrator:
                 after[:, 2 * n + i, first : first + m] += held.by_g[:, 3] @ model.constants_map[0][own]
         return after
 
-    def _unit_loads(self, nodes: Real, at: _Forces, force: Real, u: Real, du: Real) -> Real:
+    def _unit_loads(self, nodes: Real, at: StepForces, force: Real, u: Real, du: Real) -> Real:
         """−Bᵀ (a ∘ ∂p/∂θ) at the nodes, (S, 4, n, unknowns)."""
         model, n = self.model, self.model.n
         K, C, _ = self.step.both
@@ -364,224 +264,3 @@ class Integrator:
         a[..., model.nonlinear] = at.a
         load: Real = -np.einsum("en,ske,eq->sknq", model.B, a, model.T)
         return load
-
-
-@dataclass(frozen=True)
-class _Held:
-    """States of a law at the nodes, (S, 4), and their slopes along d and v at all nodes (S, 4, 4), z0 and constants."""
-
-    z: Real
-    by_d: Real
-    by_v: Real
-    by_z0: Real
-    by_g: Real
-
-
-@dataclass(frozen=True)
-class _Forces:
-    """Unit forces at the nodes (S, 4, e) and their slopes: along d and v at the same node (S, 4 e), or, `full`, at all
-    nodes (S, 4 e, 4 e); along the states z0 at the start and the constants; z (S, 4, laws with a state).
-    """
-
-    a: Real
-    by_d: Real
-    by_v: Real
-    by_z0: Real
-    by_g: tuple[Real, ...]
-    z: Real
-    held: tuple[_Held, ...]
-    full: bool
-
-    def times(self, d: Real, v: Real) -> Real:
-        """What changes of d and v at the nodes, (S, 4, e, Q), do to the unit forces."""
-        if not self.full:
-            shape = (*d.shape[:3], 1)
-            return self.by_d.reshape(shape) * d + self.by_v.reshape(shape) * v
-        wide = (len(d), -1, d.shape[-1])
-        change: Real = self.by_d @ d.reshape(wide) + self.by_v @ v.reshape(wide)
-        return change.reshape(d.shape)
-
-
-def _held(law: ForceLaw, d: Real, v: Real, z: Real, z0: Real, g: Real, h: float) -> _Held:
-    """The state of a law over one step, from z0: collocation of its rate, or the operator from node to node."""
-    S, K = d.shape
-    if law.operator:
-        return _operated_nodes(law, d, z0, g)
-    assert law.rate is not None
-    Q = h * WITHIN
-    for _ in range(NEWTON):
-        at = law.rate(law.values(d, v, z, g))
-        rate = np.broadcast_to(at.value, (S, K))
-        by_z = np.broadcast_to(at.slopes.get("z", np.zeros((S, K))), (S, K))
-        missing = z - z0[:, None] - rate @ Q.T
-        matrix = np.eye(K) - Q[None] * by_z[:, None, :]
-        change = np.linalg.solve(matrix, missing[..., None])[..., 0]
-        z = z - change
-        if not np.max(np.abs(change)) > 1e-14 * (np.max(np.abs(z)) + 1e-300):
-            break
-    at = law.rate(law.values(d, v, z, g))
-    nothing = np.zeros((S, K))
-    by_z = np.broadcast_to(at.slopes.get("z", nothing), (S, K))
-    inverse = np.linalg.inv(np.eye(K) - Q[None] * by_z[:, None, :])
-    by_d = inverse @ (Q[None] * np.broadcast_to(at.slopes.get("d", nothing), (S, K))[:, None, :])
-    by_v = inverse @ (Q[None] * np.broadcast_to(at.slopes.get("v", nothing), (S, K))[:, None, :])
-    columns = [np.broadcast_to(at.slopes.get(name, nothing), (S, K)) @ Q.T for name in law.constant_names]
-    by_g: Real = (inverse @ np.stack(columns, axis=-1)).astype(np.float64) if columns else np.zeros((S, K, 0))
-    return _Held(z, by_d, by_v, inverse.sum(axis=-1), by_g)
-
-
-def _operated_nodes(law: ForceLaw, d: Real, z0: Real, g: Real) -> _Held:
-    S, K = d.shape
-    tangent = np.zeros((S, K + 2))  # along d at the nodes, z0 and the width
-    tangent[:, K] = 1.0
-    z, states, tangents = z0, [z0], [tangent]
-    width = g[:, 0]
-    for k in range(1, K):
-        change = np.zeros((S, K + 2))
-        change[:, k] = 1.0
-        if law.operator == "stop":
-            change[:, k - 1] = -1.0
-            z, tangent = clipped(
-                z + d[:, k] - d[:, k - 1], tangent + change, np.zeros(S), np.zeros_like(change), width, K + 1
-            )
-        else:
-            z, tangent = clipped(z, tangent, d[:, k], change, width, K + 1)
-        states.append(z)
-        tangents.append(tangent)
-    total = np.stack(tangents, axis=1)
-    return _Held(
-        np.stack(states, axis=1), total[..., :K], np.zeros((S, K, K)), total[..., K], total[..., K + 1 :]
-    )
-
-
-def clipped(
-    free: Real, tangent: Real, centre: Real, tangent_centre: Real, width: Real, column: int
-) -> tuple[Real, Real]:
-    """`free` held within centre ± width, and its tangent; the width is the unknown of `column`."""
-    above, below = free > centre + width, free < centre - width
-    z = np.where(above, centre + width, np.where(below, centre - width, free))
-    edge = np.broadcast_to(tangent_centre, tangent.shape).copy()
-    edge[:, column] += np.where(above, 1.0, -1.0)
-    return z, np.where((above | below)[:, None], edge, tangent)
-
-
-@dataclass(frozen=True)
-class Motion:
-    """States at all samples, (samples, states), with slopes along the start's states, unknowns and force offsets.
-
-    slope (samples, states, states + directions), None where it was not asked for; starts (S, states) of the segments;
-    closed: whether the jumps between segments vanished.  `forces` (samples, e): unit forces are found from states.
-    """
-
-    state: Real
-    slope: Real | None
-    starts: Real
-    closed: bool
-
-
-def segments_of(intervals: int, length: int = SEGMENT) -> Ints:
-    """First intervals of the segments, the last of which may be shorter; (S,)."""
-    return np.arange(0, intervals, length)
-
-
-def integrate(
-    machine: Integrator, start: Real, starts: Real | None = None, *, slopes: bool = False
-) -> Motion:
-    """The motion from `start` (states,).
-
-    `starts` (S, states): states of the segments to begin with, such as those of a motion nearby.
-    """
-    length = SEGMENT
-    first = segments_of(machine.drive.intervals, length)
-    begun = np.zeros((len(first), machine.states)) if starts is None else starts.copy()
-    begun[0] = start
-    with np.errstate(all="ignore"):
-        states, closed = _close(machine, begun, length)
-        if not closed:
-            begun = _marched(machine, start, length)
-            states, closed = _close(machine, begun, length)
-    if not slopes:
-        return Motion(_in_order(states, machine.drive.intervals, length), None, begun, closed)
-    states, along = _pass(machine, begun, length, "all")
-    return Motion(
-        _in_order(states, machine.drive.intervals, length),
-        _chained(along, machine, length), begun, closed,
-    )  # fmt: skip
-
-
-def _close(machine: Integrator, begun: Real, length: int) -> tuple[Real, bool]:
-    """Newton's method on the jumps between segments, whose starts `begun` are changed; states, and whether it ends."""
-    best, states = np.inf, begun[None]
-    for _ in range(SWEEPS):
-        states, slope = _pass(machine, begun, length, "states")
-        jumps = states[-1][:-1] - begun[1:]
-        size = np.max(np.abs(begun), axis=0) + 1e-300
-        gap = float(np.max(np.abs(jumps) / np.maximum(size, 1e-6 * np.max(size)), initial=0.0))
-        if gap <= CLOSED:
-            return states, True
-        if not np.isfinite(gap) or gap > 1e3 * max(best, 1.0):
-            break
-        factor = 1.0 if gap < best * 2 else 0.5
-        best = min(best, gap)
-        change = np.zeros(machine.states)
-        for k in range(len(begun) - 1):
-            change = slope[k] @ change + jumps[k]
-            begun[k + 1] += factor * change
-    return states, False
-
-
-def _marched(machine: Integrator, start: Real, length: int) -> Real:
-    """States at the starts of the segments by one integration after another: slow, and never astray."""
-    state, begun, nothing = start[None], [], np.zeros((1, machine.states, 0))
-    for interval in range(machine.drive.intervals):
-        if interval % length == 0:
-            begun.append(state[0])
-        for sub in range(machine.substeps):
-            state = machine.advance(
-                state, nothing, np.array([interval * machine.substeps + sub]), False
-            ).state
-    return np.array(begun)
-
-
-def _pass(machine: Integrator, begun: Real, length: int, what: str) -> tuple[Real, Real]:
-    """All segments from their own states: states (length + 1, S, states), slopes of the ends or of all samples."""
-    S, x = begun.shape
-    first = segments_of(machine.drive.intervals, length)
-    Q = x + (machine.directions if what == "all" else 0)
-    state, slope = begun, np.zeros((S, x, Q))
-    slope[:, range(x), range(x)] = 1.0
-    states, kept = [state], [slope]
-    steps = machine.drive.intervals * machine.substeps
-    for sample in range(length):
-        for sub in range(machine.substeps):
-            index = np.minimum((first + sample) * machine.substeps + sub, steps - 1)
-            stepped = machine.advance(state, slope, index, what == "all")
-            state, slope = stepped.state, stepped.slope
-        states.append(state)
-        if what == "all":
-            kept.append(slope)
-    return np.array(states), np.array(kept) if what == "all" else slope
-
-
-def _in_order(states: Real, intervals: int, length: int) -> Real:
-    """(length + 1, S, states) of segments as (samples, states)."""
-    body = np.moveaxis(states[:-1], 1, 0).reshape(-1, states.shape[-1])[:intervals]
-    last = intervals - (states.shape[1] - 1) * length
-    return np.concatenate([body, states[last, -1][None]])
-
-
-def _chained(along: Real, machine: Integrator, length: int) -> Real:
-    """Slopes of all samples with respect to the record's start, unknowns and offsets, from those within segments."""
-    x, intervals = machine.states, machine.drive.intervals
-    S, Q = along.shape[1], along.shape[-1]
-    start = np.zeros((x, Q))
-    start[:, :x] = np.eye(x)
-    total = np.empty((S, length + 1, x, Q))
-    for k in range(S):
-        within = along[:, k]
-        total[k] = within[..., :x] @ start
-        total[k, ..., x:] += within[..., x:]
-        start = total[k, -1]
-    body = total[:, :-1].reshape(-1, x, Q)[:intervals]
-    last = intervals - (S - 1) * length
-    return np.concatenate([body, total[-1, last][None]])

@@ -10,8 +10,11 @@ import pytest
 from dashpot.channel import Channel, Quantity
 from dashpot.data.record import Record
 from dashpot.errors import DataError
-from dashpot.estimate.nonlinear.whole_record import identify_records, predict_record
-from dashpot.model.nonlinear.integration import Integrator, forcing, integrate
+from dashpot.estimate.nonlinear.record_prediction import predict_record
+from dashpot.estimate.nonlinear.whole_record import identify_records
+from dashpot.model.nonlinear.integration import Integrator
+from dashpot.model.nonlinear.propagation import forcing
+from dashpot.model.nonlinear.shooting import integrate
 from tests.nonlinear_rigs import motions, two_masses
 
 STEP = 1 / 200

@@ -8,9 +8,15 @@ import pytest
 from dashpot.model.dynamics import response
 from dashpot.model.elements import Kind, between, mass
 from dashpot.model.network import Input, Model
-from dashpot.model.nonlinear.alternating import basis
+from dashpot.model.nonlinear.alternating import period_basis
 from dashpot.model.nonlinear.force_law import force_law
-from dashpot.model.nonlinear.harmonic_balance import Drive, periodic_response, slopes, truncation, unit_forces
+from dashpot.model.nonlinear.harmonic_balance import (
+    harmonic_unit_forces,
+    periodic_response,
+    slopes,
+    truncation,
+)
+from dashpot.model.nonlinear.harmonics import Drive
 from tests.nonlinear_rigs import LAWS, two_masses
 
 FREQUENCIES = np.array([2.0, 4.0, 6.5, 9.0, 14.0])
@@ -40,7 +46,7 @@ def test_slopes_are_differences(law):
         difference = (ends[0].X - ends[1].X) / (2 * np.sum(step))
         size = np.max(np.abs(own.X[..., j]))
         assert np.max(np.abs(difference - own.X[..., j])) <= 1e-6 * size, model.unknowns[j].name
-        forces = [unit_forces(model, drive, end) for end in ends]
+        forces = [harmonic_unit_forces(model, drive, end) for end in ends]
         difference = (forces[0] - forces[1]) / (2 * np.sum(step))
         size = np.max(np.abs(own.unit_forces[..., j]), axis=(0, 1))
         away = np.max(np.abs(difference - own.unit_forces[..., j]), axis=(0, 1))
@@ -74,8 +80,8 @@ def test_the_motion_satisfies_its_equation_at_every_instant(law):
     p, constants = rows(model, theta)
     at = periodic_response(model, p, constants, drive)
     assert np.max(truncation(model, p, constants, drive, at)) < 1e-9
-    there, _, _ = basis(31, 256)
-    forces = p[:, None] * unit_forces(model, drive, at)
+    there, _, _ = period_basis(31, 256)
+    forces = p[:, None] * harmonic_unit_forces(model, drive, at)
     net = forces @ model.B  # (N, H + 1, n): what is left over of all forces
     real = np.concatenate(
         [net[:, :1].real, np.stack([net[:, 1:].real, net[:, 1:].imag], 2).reshape(5, -1, 2)], 1

@@ -9,8 +9,11 @@ from scipy.interpolate import CubicSpline
 
 from dashpot.model.dynamics import matrices
 from dashpot.model.network import Model
-from dashpot.model.nonlinear.harmonic_balance import Drive, periodic_response
-from dashpot.model.nonlinear.integration import Integrator, forcing, integrate
+from dashpot.model.nonlinear.harmonic_balance import periodic_response
+from dashpot.model.nonlinear.harmonics import Drive
+from dashpot.model.nonlinear.integration import Integrator
+from dashpot.model.nonlinear.propagation import forcing
+from dashpot.model.nonlinear.shooting import integrate
 from tests.nonlinear_rigs import LAWS, two_masses
 
 STEP = 1 / 200

@@ -1,0 +1,119 @@
+"""What estimates from whole records of nonlinear rigs are worth: intervals that count the colour of the residuals."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from dashpot.arrays import Real
+from dashpot.errors import DataError
+from dashpot.estimate.inference.derived import known_values, tied_values
+from dashpot.estimate.inference.diagnostics import require_determined
+from dashpot.estimate.nonlinear.record_problem import RecordProblem
+from dashpot.estimate.nonlinear.records import total_samples
+from dashpot.estimate.result import Estimate, Fit
+from dashpot.notices import Notice
+from dashpot.numerics.small_systems import scaled_inverse
+
+HALF_BAND = 30  # lines on each side over which the residuals' spectrum is smoothed
+COLOURED = 1.5  # ratio of intervals with and without the residuals' colour that is told
+
+
+def record_estimate(
+    problem: RecordProblem,
+    psi: Real,
+    converged: bool,
+    iterations: int,
+    history: Real,
+    limits: tuple[Real, Real],
+) -> Estimate:
+    """Values, and intervals that count the colour of the residuals."""
+    model, inner = problem.model, problem.inner
+    white, coloured, dof = record_covariances(problem, psi)
+    names, units = record_unknowns(problem)
+    values, covariance = psi[:inner], coloured[:inner, :inner]
+    require_determined(names, values, white[:inner, :inner])
+    plain = np.sqrt(np.diagonal(white)[:inner])
+    lower, upper = limits[0][:inner], limits[1][:inner]
+    warnings = _coloured_notice(np.sqrt(np.diagonal(covariance)) / plain)
+    held = (values <= lower) | (values >= upper)
+    warnings += [
+        Notice("at_bound", f"{name} is at its bound", (name,))
+        for name, at in zip(names, held, strict=True)
+        if at
+    ]
+    rms = ", ".join(f"{n} {s:.3g}" for n, s in zip(problem.records[0].names, problem.sd, strict=True))
+    notes = (Notice("record_residuals", f"residuals of the whole records, rms in SI units: {rms}"),)
+    return Estimate(
+        model=model.name, method="ml", names=names, units=units, values=values, covariance=covariance,
+        noise_covariance=covariance, bound_sd=plain, dof=np.full(inner, float(dof)), lower=lower, upper=upper,
+        free_values=values, basis="residuals", converged=np.asarray(converged),
+        iterations=np.asarray(iterations, dtype=np.int64), history=history,
+        fit=Fit(np.asarray(float(dof)), dof, np.asarray(np.nan), known_noise=False), known=known_values(model),
+        tied=tied_values(model), modes=None, signs={}, warnings=tuple(warnings), notes=notes,
+    )  # fmt: skip
+
+
+def record_covariances(problem: RecordProblem, psi: Real) -> tuple[Real, Real, int]:
+    """Covariance of all of ψ, (M, M), were the residuals white, the same for their colour, and degrees of freedom.
+
+    Raises DataError where no motion follows.
+    """
+    M = len(psi)
+    matrix, meat, squares = np.zeros((M, M)), np.zeros((M, M)), 0.0
+    for residual, J in problem.residuals(psi):
+        if J is None:
+            raise DataError(
+                "no motion follows from the start", cure="give guesses of the unknowns nearer to the truth"
+            )
+        flat = J.reshape(-1, M)
+        matrix += flat.T @ flat
+        squares += float(np.sum(residual**2))
+        for c in range(residual.shape[1]):
+            meat += coloured_scores(residual[:, c], J[:, c])
+    dof = max(total_samples(problem.records) - M, 1)
+    prior = np.zeros(M)
+    prior[: len(problem.model.unknowns)] = problem.model.prior_precision
+    bread = scaled_inverse(matrix + np.diag(prior))
+    coloured = bread @ (meat + np.diag(prior)) @ bread * total_samples(problem.records) / dof
+    return bread * squares / dof, coloured, dof
+
+
+def _coloured_notice(ratio: Real) -> list[Notice]:
+    """A warning where intervals are far wider than white residuals would make them, by the `ratio` of both."""
+    wider = float(np.median(ratio))
+    if wider <= COLOURED:
+        return []
+    text = (
+        f"the residuals are coloured: intervals are {wider:.2g} times those of white noise; "
+        "the model or the measured input lacks something"
+    )
+    return [Notice("coloured_residuals", text)]
+
+
+def record_unknowns(problem: RecordProblem) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Names and SI units of what is reported: θ, gains, offsets."""
+    model, first = problem.model, problem.records[0]
+    gains = [
+        next(n for n, g in zip(first.names, first.gain, strict=True) if g == k) for k in range(problem.gains)
+    ]
+    names = [u.name for u in model.unknowns] + [f"{name}.gain" for name in gains]
+    units = [u.unit for u in model.unknowns] + ["1"] * problem.gains
+    offsets = [f"{name}.offset" for name in model.force_inputs]
+    return (*names, *offsets), (*units, *["N"] * len(offsets))
+
+
+def coloured_scores(residual: Real, J: Real) -> Real:
+    """Σ_tτ J_t R(t − τ) J_τᵀ with the autocovariance R of the residuals, by their smoothed spectrum."""
+    N = len(residual)
+    spectrum = np.abs(np.fft.rfft(residual)) ** 2 / N
+    width = min(2 * HALF_BAND + 1, len(spectrum))
+    kernel = np.ones(width) / width
+    padded = np.pad(spectrum, width // 2, mode="reflect") if len(spectrum) > width // 2 else spectrum
+    smooth = np.convolve(padded, kernel, mode="valid")[: len(spectrum)]
+    lines = np.fft.rfft(J, axis=0)
+    weight = np.full(len(spectrum), 2.0)
+    weight[0] = 1.0
+    if N % 2 == 0:
+        weight[-1] = 1.0
+    meat: Real = ((np.conj(lines) * (weight * smooth)[:, None]).T @ lines).real / N
+    return meat

@@ -1,0 +1,67 @@
+"""Records that were not used, predicted from an estimate of a nonlinear rig."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from dashpot.arrays import Real
+from dashpot.data.record import Record
+from dashpot.errors import DataError
+from dashpot.estimate.nonlinear.record_problem import RecordProblem, enough_substeps
+from dashpot.estimate.nonlinear.records import arranged, measured_coordinates
+from dashpot.estimate.result import Estimate
+from dashpot.model.network import Model
+from dashpot.model.nonlinear.integration import Integrator
+from dashpot.model.nonlinear.propagation import forcing
+
+
+@dataclass(frozen=True)
+class PredictedMotion:
+    """A record that was not used: time (samples,), measured and predicted (samples, channels), rms error of each.
+
+    relative: rms error over the rms of what was measured, less its mean.
+    """
+
+    names: tuple[str, ...]
+    time: Real
+    measured: Real
+    predicted: Real
+    rms: Real
+    relative: Real
+
+
+def predict_record(model: Model, estimate: Estimate, record: Record) -> PredictedMotion:
+    """What an estimate predicts of a record; only the state at its start is taken from it.
+
+    Raises DataError where the record does not suit the rig, or the motion cannot be followed.
+    """
+    data = arranged(model, record)
+    values = dict(zip(estimate.names, estimate.values.tolist(), strict=True))
+    theta = np.array([values[u.name] for u in model.unknowns])
+    gains = [values[f"{n}.gain"] for n, g in zip(data.names, data.gain, strict=True) if g >= 0]
+    offset = np.array([values.get(f"{name}.offset", 0.0) for name in model.force_inputs])
+    sd = np.ones(len(data.names))
+    problem = RecordProblem(model, (data,), len(gains), sd, (enough_substeps(model, theta, data.step_s),))
+    machine = Integrator(model, theta, forcing(data.step_s, data.inputs[:8]), 1)
+    problem.states = machine.states
+    fixed = np.concatenate([theta, gains, offset])
+    start = np.zeros(machine.states)
+    x = measured_coordinates(model, data)
+    if x is not None:
+        start[: model.n] = x[0]
+    for _ in range(2):
+        residual, J = problem.residuals(np.concatenate([fixed, start]))[0]
+        if J is None:
+            raise DataError("the motion cannot be followed", record.source, "see whether it is of this rig")
+        own = J[..., problem.inner :].reshape(-1, machine.states)
+        seen = 2 * machine.model.n  # states of laws keep what they began with
+        start[:seen] += np.linalg.lstsq(own[:, :seen], residual.ravel(), rcond=1e-8)[0]
+    residual = problem.residuals(np.concatenate([fixed, start]), slopes=False)[0][0]
+    spread = np.sqrt(np.mean((data.outputs - np.mean(data.outputs, axis=0)) ** 2, axis=0))
+    rms = np.sqrt(np.mean(residual**2, axis=0))
+    time: Real = data.step_s * np.arange(data.samples, dtype=np.float64)
+    return PredictedMotion(
+        data.names, time, data.outputs, data.outputs - residual, rms, rms / np.where(spread > 0, spread, 1)
+    )

@@ -1,0 +1,115 @@
+"""Misfit of whole records of a nonlinear rig: measured against the motion that follows by integration (THEORY §9).
+
+Unknown are θ, gains, a constant offset of every force input and the state at the start of each record.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from dashpot.arrays import Real
+from dashpot.estimate.nonlinear.records import RecordData, shown_outputs
+from dashpot.model.dynamics import matrices
+from dashpot.model.network import Model
+from dashpot.model.nonlinear.integration import Integrator
+from dashpot.model.nonlinear.propagation import forcing
+from dashpot.model.nonlinear.shooting import integrate
+from dashpot.numerics.levenberg_marquardt import QuadraticModel
+
+STEP = 0.8  # of a step times the fastest rate of the linear rig
+ROUGH = 2  # more steps where laws are not smooth
+
+
+@dataclass
+class RecordProblem:
+    """All that one evaluation needs; `starts` holds the last motion of each record, from which the next is found."""
+
+    model: Model
+    records: tuple[RecordData, ...]
+    gains: int
+    sd: Real
+    substeps: tuple[int, ...]
+    starts: dict[int, Real] = field(default_factory=dict)
+    states: int = 0
+
+    @property
+    def inner(self) -> int:
+        """Unknowns before the starts of the records: θ, gains, offsets."""
+        return len(self.model.unknowns) + self.gains + int(self.model.S.shape[1])
+
+    def residuals(self, psi: Real, slopes: bool = True) -> list[tuple[Real, Real | None]]:
+        """For each record: measured less shown, in standard deviations, and slopes of what is shown, (…, unknowns)."""
+        m, s = len(self.model.unknowns), self.model.S.shape[1]
+        theta, gain = psi[:m], psi[m : m + self.gains]
+        offset = psi[m + self.gains : self.inner]
+        results: list[tuple[Real, Real | None]] = []
+        for k, data in enumerate(self.records):
+            machine = Integrator(
+                self.model, theta, forcing(data.step_s, data.inputs), self.substeps[k], offset
+            )
+            first = self.inner + k * self.states
+            start = psi[first : first + self.states]
+            motion = integrate(machine, start, self.starts.get(k), slopes=slopes)
+            if not motion.closed:
+                results.append((np.full_like(data.outputs, np.inf), None))
+                continue
+            y, J = shown_outputs(machine, data, motion)
+            factor = np.array([1.0 if g < 0 else gain[g] for g in data.gain])
+            residual = data.outputs - factor * y
+            zero = np.array(data.drift)
+            residual = residual - np.where(zero, np.mean(residual, axis=0), 0.0)
+            if J is None:
+                results.append((residual / self.sd, None))
+                continue
+            total = np.zeros((*J.shape[:2], len(psi)))
+            total[..., :m] = J[..., self.states : self.states + m]
+            total[..., m + self.gains : self.inner] = J[..., self.states + m : self.states + m + s]
+            total[..., first : first + self.states] = J[..., : self.states]
+            total *= factor[:, None]
+            for c, g in enumerate(data.gain):
+                if g >= 0:
+                    total[:, c, m + g] = y[:, c]
+            total = total - np.where(zero[:, None], np.mean(total, axis=0), 0.0)
+            self.starts[k] = motion.starts
+            results.append((residual / self.sd, total / self.sd[:, None]))
+        return results
+
+    def quadratic(self, psi: Real) -> QuadraticModel:
+        """Cost with priors, slope and curvature at ψ (1, M)."""
+        M = psi.shape[-1]
+        cost, gradient, matrix = 0.0, np.zeros(M), np.zeros((M, M))
+        impossible = not np.all(np.isfinite(psi))
+        for residual, J in [] if impossible else self.residuals(psi[0]):
+            if J is None:
+                impossible = True
+                break
+            flat = J.reshape(-1, M)
+            cost += float(np.sum(residual**2))
+            gradient += flat.T @ residual.ravel()
+            matrix += flat.T @ flat
+        if impossible:
+            nothing = np.full((1, M, M), np.nan)
+            return QuadraticModel(np.array([np.inf]), nothing[..., 0], nothing, nothing)
+        prior, mean = np.zeros(M), np.zeros(M)
+        m = len(self.model.unknowns)
+        prior[:m], mean[:m] = self.model.prior_precision, self.model.prior_mean
+        away = psi[0] - mean
+        matrix += np.diag(prior)
+        total = cost + float(np.sum(prior * away**2))
+        return QuadraticModel(np.array([total]), (gradient - prior * away)[None], matrix[None], matrix[None])
+
+
+def enough_substeps(model: Model, theta: Real, step_s: float) -> int:
+    """Steps between samples: enough for the fastest mode of the linear part, and for kinks of the laws."""
+    parts = matrices(model, model.parameters(theta))
+    n = model.n
+    try:
+        inverse = np.linalg.inv(parts.M)
+    except np.linalg.LinAlgError:
+        return 1
+    A = np.block([[np.zeros((n, n)), np.eye(n)], [-inverse @ parts.K, -inverse @ parts.C]])
+    fastest = float(np.max(np.abs(np.linalg.eigvals(A)), initial=0.0))
+    rough = any(e.force_law is not None and not e.force_law.smooth for e in model.elements)
+    return max(1, int(np.ceil(fastest * step_s / STEP))) * (ROUGH if rough else 1)

@@ -1,0 +1,103 @@
+"""Harmonics of periodic motions as complex and as real numbers, and what drives dwells (THEORY §9).
+
+x(t) = Σ_h Re(X_h e^{jhωt}), h = 0 … H.  As real numbers they come in the order X_0, Re X_1, Im X_1, Re X_2, …, that is
+W = 2 H + 1 numbers.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+
+from dashpot.arrays import Bools, Complex, Real
+
+
+@dataclass(frozen=True)
+class Drive:
+    """What drives N dwells: omega (N,) rad/s, U (N, H + 1, r) m and f (N, H + 1, s) N, order 0 being a constant."""
+
+    omega: Real
+    U: Complex
+    f: Complex
+
+    @property
+    def orders(self) -> int:
+        """Highest harmonic H."""
+        return int(self.U.shape[1]) - 1
+
+    def rows(self, keep: Bools) -> Drive:
+        """Some of the dwells."""
+        return Drive(self.omega[keep], self.U[keep], self.f[keep])
+
+    def scaled(self, share: float) -> Drive:
+        """All amplitudes multiplied."""
+        return Drive(self.omega, share * self.U, share * self.f)
+
+    def with_orders(self, orders: int) -> Drive:
+        """The same drive with as many harmonics, cut off or zero."""
+        return Drive(self.omega, with_orders(self.U, orders), with_orders(self.f, orders))
+
+
+def with_orders(X: Complex, orders: int) -> Complex:
+    """Harmonics (N, H + 1, …) cut off or filled with zeros to `orders`."""
+    kept = X[:, : orders + 1]
+    if kept.shape[1] == orders + 1:
+        return kept
+    missing = np.zeros((len(X), orders + 1 - kept.shape[1], *X.shape[2:]), dtype=X.dtype)
+    return np.concatenate([kept, missing], axis=1)
+
+
+def complex_of(q: Real) -> Complex:
+    """(..., W) real numbers as harmonics (..., H + 1)."""
+    X = np.empty((*q.shape[:-1], (q.shape[-1] + 1) // 2), dtype=np.complex128)
+    X[..., 0] = q[..., 0]
+    X[..., 1:] = q[..., 1::2] + 1j * q[..., 2::2]
+    return X
+
+
+def real_of(X: Complex) -> Real:
+    """Harmonics (..., H + 1) as (..., W) real numbers; the imaginary part of order 0 is left out."""
+    q = np.empty((*X.shape[:-1], 2 * X.shape[-1] - 1))
+    q[..., 0] = X[..., 0].real
+    q[..., 1::2], q[..., 2::2] = X[..., 1:].real, X[..., 1:].imag
+    return q
+
+
+def as_blocks(Z: Complex) -> Real:
+    """Complex factors of each harmonic, (..., H + 1, i, j), as one real matrix (..., i, W, j, W)."""
+    orders, i, j = Z.shape[-3] - 1, *Z.shape[-2:]
+    W = 2 * orders + 1
+    blocks = np.zeros((*Z.shape[:-3], i, W, j, W))
+    blocks[..., :, 0, :, 0] = Z[..., 0, :, :].real
+    h = np.arange(orders)
+    part = np.moveaxis(Z[..., 1:, :, :], -3, 0)
+    # Advanced indices apart from each other come first.
+    blocks[..., :, 2 * h + 1, :, 2 * h + 1] = part.real
+    blocks[..., :, 2 * h + 2, :, 2 * h + 2] = part.real
+    blocks[..., :, 2 * h + 1, :, 2 * h + 2] = -part.imag
+    blocks[..., :, 2 * h + 2, :, 2 * h + 1] = part.imag
+    return blocks
+
+
+@lru_cache(maxsize=8)
+def rates_of_orders(orders: int) -> Complex:
+    return (1j * np.arange(orders + 1)).astype(np.complex128)
+
+
+def share_blocks(share: Complex) -> Real:
+    """The linear share of each element, (N, H + 1, e), as real matrices (N, e, W, W)."""
+    per_element = np.moveaxis(share, -1, 1)[..., None, None]
+    blocks = as_blocks(per_element)
+    return blocks[..., 0, :, 0, :]
+
+
+def rows_of(X: Complex) -> Real:
+    """(N, H + 1, e, Q) complex as (N, e, W, Q) real."""
+    return np.moveaxis(real_of(np.moveaxis(X, 1, -1)), -1, -2)
+
+
+def complex_rows(q: Real) -> Complex:
+    """(N, e, W, Q) real as (N, H + 1, e, Q) complex."""
+    return np.moveaxis(complex_of(np.moveaxis(q, -2, -1)), -1, 1)

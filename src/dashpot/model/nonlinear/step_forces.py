@@ -1,0 +1,112 @@
+"""Unit forces of nonlinear laws at the Lobatto points of a step, with their slopes and the states that laws carry."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from dashpot.arrays import Real
+from dashpot.model.nonlinear.force_law import ForceLaw
+from dashpot.model.nonlinear.propagation import WITHIN
+
+NEWTON = 12
+
+
+@dataclass(frozen=True)
+class HeldStates:
+    """States of a law at the nodes, (S, 4), and their slopes along d and v at all nodes (S, 4, 4), z0 and constants."""
+
+    z: Real
+    by_d: Real
+    by_v: Real
+    by_z0: Real
+    by_g: Real
+
+
+@dataclass(frozen=True)
+class StepForces:
+    """Unit forces at the nodes (S, 4, e) and their slopes: along d and v at the same node (S, 4 e), or, `full`, at all
+    nodes (S, 4 e, 4 e); along the states z0 at the start and the constants; z (S, 4, laws with a state).
+    """
+
+    a: Real
+    by_d: Real
+    by_v: Real
+    by_z0: Real
+    by_g: tuple[Real, ...]
+    z: Real
+    held: tuple[HeldStates, ...]
+    full: bool
+
+    def times(self, d: Real, v: Real) -> Real:
+        """What changes of d and v at the nodes, (S, 4, e, Q), do to the unit forces."""
+        if not self.full:
+            shape = (*d.shape[:3], 1)
+            return self.by_d.reshape(shape) * d + self.by_v.reshape(shape) * v
+        wide = (len(d), -1, d.shape[-1])
+        change: Real = self.by_d @ d.reshape(wide) + self.by_v @ v.reshape(wide)
+        return change.reshape(d.shape)
+
+
+def held_states(law: ForceLaw, d: Real, v: Real, z: Real, z0: Real, g: Real, h: float) -> HeldStates:
+    """The state of a law over one step, from z0: collocation of its rate, or the operator from node to node."""
+    S, K = d.shape
+    if law.operator:
+        return _operated_nodes(law, d, z0, g)
+    assert law.rate is not None
+    Q = h * WITHIN
+    for _ in range(NEWTON):
+        at = law.rate(law.values(d, v, z, g))
+        rate = np.broadcast_to(at.value, (S, K))
+        by_z = np.broadcast_to(at.slopes.get("z", np.zeros((S, K))), (S, K))
+        missing = z - z0[:, None] - rate @ Q.T
+        matrix = np.eye(K) - Q[None] * by_z[:, None, :]
+        change = np.linalg.solve(matrix, missing[..., None])[..., 0]
+        z = z - change
+        if not np.max(np.abs(change)) > 1e-14 * (np.max(np.abs(z)) + 1e-300):
+            break
+    at = law.rate(law.values(d, v, z, g))
+    nothing = np.zeros((S, K))
+    by_z = np.broadcast_to(at.slopes.get("z", nothing), (S, K))
+    inverse = np.linalg.inv(np.eye(K) - Q[None] * by_z[:, None, :])
+    by_d = inverse @ (Q[None] * np.broadcast_to(at.slopes.get("d", nothing), (S, K))[:, None, :])
+    by_v = inverse @ (Q[None] * np.broadcast_to(at.slopes.get("v", nothing), (S, K))[:, None, :])
+    columns = [np.broadcast_to(at.slopes.get(name, nothing), (S, K)) @ Q.T for name in law.constant_names]
+    by_g: Real = (inverse @ np.stack(columns, axis=-1)).astype(np.float64) if columns else np.zeros((S, K, 0))
+    return HeldStates(z, by_d, by_v, inverse.sum(axis=-1), by_g)
+
+
+def _operated_nodes(law: ForceLaw, d: Real, z0: Real, g: Real) -> HeldStates:
+    S, K = d.shape
+    tangent = np.zeros((S, K + 2))  # along d at the nodes, z0 and the width
+    tangent[:, K] = 1.0
+    z, states, tangents = z0, [z0], [tangent]
+    width = g[:, 0]
+    for k in range(1, K):
+        change = np.zeros((S, K + 2))
+        change[:, k] = 1.0
+        if law.operator == "stop":
+            change[:, k - 1] = -1.0
+            z, tangent = clipped(
+                z + d[:, k] - d[:, k - 1], tangent + change, np.zeros(S), np.zeros_like(change), width, K + 1
+            )
+        else:
+            z, tangent = clipped(z, tangent, d[:, k], change, width, K + 1)
+        states.append(z)
+        tangents.append(tangent)
+    total = np.stack(tangents, axis=1)
+    return HeldStates(
+        np.stack(states, axis=1), total[..., :K], np.zeros((S, K, K)), total[..., K], total[..., K + 1 :]
+    )
+
+
+def clipped(
+    free: Real, tangent: Real, centre: Real, tangent_centre: Real, width: Real, column: int
+) -> tuple[Real, Real]:
+    """`free` held within centre ± width, and its tangent; the width is the unknown of `column`."""
+    above, below = free > centre + width, free < centre - width
+    z = np.where(above, centre + width, np.where(below, centre - width, free))
+    edge = np.broadcast_to(tangent_centre, tangent.shape).copy()
+    edge[:, column] += np.where(above, 1.0, -1.0)
+    return z, np.where((above | below)[:, None], edge, tangent)
