@@ -119,12 +119,8 @@ def run(args: Sequence[str] | None = None) -> int:
     try:
         result = cli.main(None if args is None else list(args), prog_name="dashpot", standalone_mode=False)
         sys.stdout.flush()
-    except Ended as asked:
-        _tell([f"ended by {signal.Signals(asked.number).name}; no file is left half-written"])
-        return 128 + asked.number
-    except (KeyboardInterrupt, click.Abort):
-        _tell(["interrupted; no file is left half-written"])
-        return INTERRUPTED
+    except (Ended, KeyboardInterrupt, click.Abort) as asked:
+        return _stopped(asked)
     except (BrokenPipeError, SystemExit):
         # Whoever read the output has had enough (| head): click and rich answer that with SystemExit, and nothing
         # else here does.  What is still buffered must not complain at exit.
@@ -138,10 +134,33 @@ def run(args: Sequence[str] | None = None) -> int:
     except DashpotError as error:
         return _refused(error)
     except Exception as error:
+        asked_by = _stop_behind(error)
+        if asked_by is not None:
+            return _stopped(asked_by)
         if os.environ.get(TRACEBACK) and not isinstance(error, MemoryError):
             raise
         return _failed(error)
     return result if isinstance(result, int) else 0
+
+
+def _stopped(asked: BaseException) -> int:
+    """What a run that was asked to end says, and the exit code that shells expect of it."""
+    if isinstance(asked, Ended):
+        _tell([f"ended by {signal.Signals(asked.number).name}; no file is left half-written"])
+        return 128 + asked.number
+    _tell(["interrupted; no file is left half-written"])
+    return INTERRUPTED
+
+
+def _stop_behind(error: BaseException) -> BaseException | None:
+    """The request to end that an error was raised from.
+
+    One that comes while a module makes a class is wrapped in a RuntimeError by Python 3.11, and libraries may do alike.
+    """
+    behind = error.__cause__ or error.__context__
+    while behind is not None and not isinstance(behind, Ended | KeyboardInterrupt):
+        behind = behind.__cause__ or behind.__context__
+    return behind
 
 
 def _refused(error: DashpotError) -> int:

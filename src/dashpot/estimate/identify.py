@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 
@@ -14,7 +15,7 @@ from dashpot.estimate.inference.derived import known_values, linear_modes, tied_
 from dashpot.estimate.inference.uncertainty import Inference, inference, with_noise_of_residuals
 from dashpot.estimate.likelihood.boundary_loads import carries_loads
 from dashpot.estimate.likelihood.record_noise import with_record_noise
-from dashpot.estimate.method import Method, require_suited
+from dashpot.estimate.method import Method, Solution, require_suited
 from dashpot.estimate.preparation.prepared import flattened, in_chunks, prepare
 from dashpot.estimate.preparation.state_reconstruction import unseen
 from dashpot.estimate.preparation.weighting import noise_is_known
@@ -116,27 +117,23 @@ def _estimate(
 ) -> Estimate:
     """The Estimate of all chunks together."""
 
-    def join(pieces: list[Real]) -> Real:
-        whole = np.concatenate(pieces)
+    def join(piece: Callable[[Inference], Any]) -> Any:
+        whole = np.concatenate([piece(part) for part in parts])
         return whole.reshape((*batch, *whole.shape[1:]))
 
-    around = parts[0].linearised
-    solutions, uncertainties = [part.solution for part in parts], [part.uncertainty for part in parts]
-    theta, covariance = join([s.theta for s in solutions]), join([u.covariance for u in uncertainties])
-    noise, bound = join([u.noise for u in uncertainties]), join([u.bound for u in uncertainties])
-    known_noise = noise_is_known(spectrum)
-    fit = Fit(
-        join([u.chi2 for u in uncertainties]), around.dof, join([u.p for u in uncertainties]), known_noise
-    )
-    bounds = solutions[0].bounds
-    lower, upper = (-np.inf, np.inf) if bounds is None else (bounds.lower, bounds.upper)
+    around, first = parts[0].linearised, parts[0].solution
+    theta, covariance = join(lambda part: part.solution.theta), join(lambda part: part.uncertainty.covariance)
+    noise = join(lambda part: part.uncertainty.noise)
+    chi2, p = join(lambda part: part.uncertainty.chi2), join(lambda part: part.uncertainty.p)
+    fit = Fit(chi2, around.dof, p, noise_is_known(spectrum))
+    lower, upper = (-np.inf, np.inf) if first.bounds is None else (first.bounds.lower, first.bounds.upper)
     m, unknowns = len(model.unknowns), len(around.names)
-    warnings = list(dict.fromkeys(notice for s in solutions for notice in s.warnings))
+    warnings = list(dict.fromkeys(notice for part in parts for notice in part.solution.warnings))
     if not batch:
         diagnostics.require_determined(around.names, theta, noise, diagnostics.dead_channels(model, spectrum))
         warnings += _notices(model, method, theta, covariance, noise, fit)
         warnings += diagnostics.short_records(model, theta, spectrum)
-        warnings += [] if bounds is None else diagnostics.held(around.names, theta, bounds)
+        warnings += [] if first.bounds is None else diagnostics.held(around.names, theta, first.bounds)
     return Estimate(
         model=model.name,
         method=method.name,
@@ -145,23 +142,33 @@ def _estimate(
         values=theta,
         covariance=covariance,
         noise_covariance=noise,
-        bound_sd=diagnostics.standard_deviations(bound),
-        dof=join([u.dof for u in uncertainties]),
+        bound_sd=diagnostics.standard_deviations(join(lambda part: part.uncertainty.bound)),
+        dof=join(lambda part: part.uncertainty.dof),
         lower=np.broadcast_to(lower, unknowns),
         upper=np.broadcast_to(upper, unknowns),
-        free_values=join([s.theta if s.bounds is None else s.bounds.free for s in solutions]),
+        free_values=join(lambda part: _free_values(part.solution)),
         basis=_basis(fit),
-        converged=np.concatenate([s.converged for s in solutions]).reshape(batch),
-        iterations=np.concatenate([s.iterations for s in solutions]).reshape(batch),
-        history=solutions[0].history,
+        converged=join(lambda part: part.solution.converged),
+        iterations=join(lambda part: part.solution.iterations),
+        history=first.history,
         fit=fit,
         known=known_values(model),
         tied=tied_values(model),
         modes=None if batch or model.n > MODES_TO else linear_modes(model, theta[:m], covariance[:m, :m]),
-        signs={name: join([s.signs[name] for s in solutions]) for name in solutions[0].signs},
+        signs={name: join(_sign_of(name)) for name in first.signs},
         warnings=(*warnings, *diagnostics.of_data(model, spectrum)),
         notes=spectrum.notes,
     )
+
+
+def _sign_of(channel: str) -> Callable[[Inference], Real]:
+    """The sign that a chunk has for the channel."""
+    return lambda part: part.solution.signs[channel]
+
+
+def _free_values(solution: Solution) -> Real:
+    """The estimates as they would be without bounds."""
+    return solution.theta if solution.bounds is None else solution.bounds.free
 
 
 def _basis(fit: Fit) -> str:

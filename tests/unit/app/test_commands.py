@@ -237,6 +237,23 @@ def test_a_fault_is_one_line_and_raised_on_request(
         cli.run(["identify", "rig.toml", "data.csv"])
 
 
+@pytest.mark.parametrize(("stop", "code"), [(cli.Ended(15), 143), (KeyboardInterrupt(), 130)])
+def test_a_stop_while_a_module_makes_a_class(
+    dashpot: Command, data: Path, monkeypatch: pytest.MonkeyPatch, stop: BaseException, code: int
+) -> None:
+    """Python 3.11 wraps what is raised in __set_name__ in a RuntimeError."""
+    import dashpot.model.rigfile as modelfile
+
+    def imported(path: str) -> None:
+        raise RuntimeError("Error calling __set_name__ on '_axis_method_wrapper'") from stop
+
+    monkeypatch.setattr(modelfile, "read_rig", imported)
+    done = dashpot("identify", "rig.toml", "data.csv")
+    assert done.code == code
+    assert len(done.err) == 1
+    assert "no file is left half-written" in done.err[0]
+
+
 def test_interruption_leaves_no_file(dashpot: Command, data: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     before = sorted(os.listdir())
 

@@ -7,6 +7,7 @@ are paired with those of the model by the modal assurance criterion and by frequ
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -20,7 +21,7 @@ from dashpot.estimate.inference.diagnostics import held, require_determined, wro
 from dashpot.estimate.inference.uncertainty import MISFIT_LEVEL
 from dashpot.estimate.likelihood.global_search import DOUBT, TIE
 from dashpot.estimate.method import HeldBounds
-from dashpot.estimate.modal.pairing import MeasuredModes, flattened, measured_modes, pair
+from dashpot.estimate.modal.pairing import MeasuredModes, measured_modes, pair, with_one_axis
 from dashpot.estimate.modal.starting_values import guessed, linear_start, random_rigs
 from dashpot.estimate.result import Estimate, Fit
 from dashpot.model.modes import eigenpairs, mode_sensitivities
@@ -33,6 +34,8 @@ NAME = "modal"
 ASTRAY = 1e-4  # χ² so unlikely may mean a local minimum: other starts are tried
 STARTS = 32
 FOLLOWED = 10  # of the starts that have not settled after a few steps
+
+Search = Callable[[Real, Ints, int], OptimizeResult]  # starts, the repeats they belong to, most steps
 
 
 def identify_modal(model: Model, data: ModalData, *, starts: int = STARTS, seed: int = 0) -> Estimate:
@@ -50,7 +53,7 @@ def identify_modal(model: Model, data: ModalData, *, starts: int = STARTS, seed:
     """
     _check(model, data)
     batch = data.frequency_hz.shape[:-1]
-    flat = flattened(data)
+    flat = with_one_axis(data)
     view = measured_modes(model, flat)
     found, ends = _found(model, flat, view, starts, seed)
     m = len(model.unknowns)
@@ -69,7 +72,7 @@ def identify_modal(model: Model, data: ModalData, *, starts: int = STARTS, seed:
         _require_regular(at.symmetric[0], model)
         require_determined(names, theta[0], covariance[0])
     rivals = () if ends is None else _rivals(model, found, ends, np.sqrt(np.diagonal(covariance[0])))
-    fit = Fit(chi2.reshape(batch), dof, p.reshape(batch))
+    fit, at_bounds = Fit(chi2.reshape(batch), dof, p.reshape(batch)), HeldBounds(lower, upper, free)
     widened = covariance * factor
     return Estimate(
         model=model.name,
@@ -93,9 +96,7 @@ def identify_modal(model: Model, data: ModalData, *, starts: int = STARTS, seed:
         tied=tied_values(model),
         modes=None if batch else mode_values(model, theta[0], widened[0]),
         signs={},
-        warnings=()
-        if batch
-        else (*_warnings(model, theta[0], widened[0], HeldBounds(lower, upper, free), fit), *rivals),
+        warnings=() if batch else (*_warnings(model, theta[0], widened[0], at_bounds, fit), *rivals),
     )
 
 
@@ -235,40 +236,51 @@ def _found(
     for first in (linear_start(model, data, view), guessed(model, repeats)):
         if first is None:
             continue
-        own = search(first, everyone, 100)
-        found = own if found is None else found.improved(everyone, own)
+        reached = search(first, everyone, 100)
+        found = reached if found is None else found.improved(everyone, reached)
     lonely = found is None and repeats == 1
-    dof = max(view.rows - len(model.unknowns), 1)
     for attempt in range(2):
-        if found is None:
-            astray = everyone
-        else:
-            tail = np.asarray(chdtrc(float(dof), np.where(np.isfinite(found.cost), found.cost, np.inf)))
-            astray = np.flatnonzero(~found.converged | ~np.isfinite(found.cost) | (tail < ASTRAY))
+        astray = everyone if found is None else _astray(found, view.rows - len(model.unknowns))
         if not len(astray) or not starts:
             break
         drawn = random_rigs(model, data, starts, np.random.default_rng([seed, attempt]))
         if lonely:
-            ends = search(drawn, np.zeros(starts, dtype=np.int64), 25)
-            open_ends = np.flatnonzero(~ends.converged & np.isfinite(ends.cost))
-            deepest = open_ends[np.argsort(ends.cost[open_ends])[:FOLLOWED]]
-            if len(deepest):
-                ends = ends.improved(deepest, search(ends.x[deepest], np.zeros_like(deepest), 100))
-            own = _one_of(model, ends)
+            ends = _ends(search, drawn)
+            reached = _one_of(model, ends)
         else:
-            # A few steps tell the valleys apart; the deepest is followed to its end.
-            short = search(np.tile(drawn, (len(astray), 1)), np.repeat(astray, starts), 25)
-            best = np.argmin(
-                np.where(np.isfinite(short.cost), short.cost, np.inf).reshape(len(astray), starts), axis=1
-            )
-            start = short.x.reshape(len(astray), starts, -1)[np.arange(len(astray)), best]
-            own = search(start, astray, 100)
-        found = own if found is None else found.improved(astray, own)
+            reached = _deepest(search, drawn, astray)
+        found = reached if found is None else found.improved(astray, reached)
     if found is None:
         raise UsageError(
             "there is no start for the search", cure="give the unknowns a guess, or allow starts"
         )
     return found, ends
+
+
+def _astray(found: OptimizeResult, dof: int) -> Ints:
+    """The repeats that have not settled, or settled where χ² is unlikely."""
+    cost = np.where(np.isfinite(found.cost), found.cost, np.inf)
+    tail = np.asarray(chdtrc(float(max(dof, 1)), cost))
+    return np.flatnonzero(~found.converged | ~np.isfinite(found.cost) | (tail < ASTRAY))
+
+
+def _ends(search: Search, drawn: Real) -> OptimizeResult:
+    """Where all starts of the one repeat end; the deepest of those that are still on their way are followed."""
+    ends = search(drawn, np.zeros(len(drawn), dtype=np.int64), 25)
+    on_the_way = np.flatnonzero(~ends.converged & np.isfinite(ends.cost))
+    deepest = on_the_way[np.argsort(ends.cost[on_the_way])[:FOLLOWED]]
+    if not len(deepest):
+        return ends
+    return ends.improved(deepest, search(ends.x[deepest], np.zeros_like(deepest), 100))
+
+
+def _deepest(search: Search, drawn: Real, rows: Ints) -> OptimizeResult:
+    """For each of the rows, all starts for a few steps, which tell the valleys apart; the deepest to its end."""
+    starts = len(drawn)
+    short = search(np.tile(drawn, (len(rows), 1)), np.repeat(rows, starts), 25)
+    cost = np.where(np.isfinite(short.cost), short.cost, np.inf).reshape(len(rows), starts)
+    best = np.argmin(cost, axis=1)
+    return search(short.x.reshape(len(rows), starts, -1)[np.arange(len(rows)), best], rows, 100)
 
 
 def _one_of(model: Model, ends: OptimizeResult) -> OptimizeResult:

@@ -31,7 +31,7 @@ class MeasuredModes:
     rows: int
 
 
-def flattened(data: ModalData) -> ModalData:
+def with_one_axis(data: ModalData) -> ModalData:
     """The data with one leading axis of repeats."""
     repeats = int(np.prod(data.frequency_hz.shape[:-1], dtype=int))
     return replace(

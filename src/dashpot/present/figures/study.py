@@ -141,48 +141,47 @@ def spread_panels(
             if place >= len(titles):
                 axes.set_visible(False)
                 continue
-            own = panels[place]
-            axes.axvline(0.0, color=MUTED, lw=0.8, zorder=1)
-            step = 0.62 / max(len(own), 1)
-            for k, spread in enumerate(own):
-                y = np.arange(len(rows)) + (k - (len(own) - 1) / 2) * step
-                axes.barh(
-                    y, spread.high - spread.low, left=spread.low, height=0.78 * step, color=spread.colour,
-                    alpha=0.28, lw=0, zorder=2,
-                )  # fmt: skip
-                axes.plot(spread.mean, y, ls="", marker="|", ms=7, mew=1.6, color=spread.colour, zorder=3)
-                axes.plot(
-                    spread.printed,
-                    y,
-                    ls="",
-                    marker="D",
-                    ms=4.6,
-                    mfc=spread.colour,
-                    mec="white",
-                    mew=0.8,
-                    zorder=4,
-                )
-            axes.set_yticks(range(len(rows)), rows)
-            axes.set_ylim(len(rows) - 0.45, -0.55)
-            axes.use_sticky_edges = False
-            axes.margins(x=0.04)
-            axes.grid(visible=False, axis="y")
-            axes.tick_params(axis="y", length=0)
+            _spread_panel(axes, rows, panels[place])
             axes.set_title(titles[place])
         for axes in grid[-1]:
             axes.set_xlabel(x_label)
-        handles: list[Patch | Line2D] = []
-        kinds = {spread.label: spread for own in panels for spread in own}
-        for spread in kinds.values():
-            handles.append(
-                Patch(color=spread.colour, alpha=0.28, lw=0, label=f"{spread.label}, 95 % of draws")
-            )
-        handles.append(Line2D([], [], ls="", marker="|", ms=7, mew=1.6, color=INK, label="mean of the draws"))
-        handles.append(
-            Line2D([], [], ls="", marker="D", ms=4.6, mfc=INK, mec="white", label="printed in the paper")
-        )
+        handles = _spread_legend(panels)
         figure.legend(handles=handles, loc="outside upper left", ncols=len(handles), handlelength=1.4)
     return figure
+
+
+def _spread_panel(axes: Axes, rows: Sequence[str], spreads: Sequence[Spread]) -> None:
+    """One row for each name; in it the spreads side by side."""
+    axes.axvline(0.0, color=MUTED, lw=0.8, zorder=1)
+    step = 0.62 / max(len(spreads), 1)
+    for k, spread in enumerate(spreads):
+        y = np.arange(len(rows)) + (k - (len(spreads) - 1) / 2) * step
+        axes.barh(
+            y, spread.high - spread.low, left=spread.low, height=0.78 * step, color=spread.colour,
+            alpha=0.28, lw=0, zorder=2,
+        )  # fmt: skip
+        axes.plot(spread.mean, y, ls="", marker="|", ms=7, mew=1.6, color=spread.colour, zorder=3)
+        axes.plot(
+            spread.printed, y, ls="", marker="D", ms=4.6, mfc=spread.colour, mec="white", mew=0.8, zorder=4
+        )
+    axes.set_yticks(range(len(rows)), rows)
+    axes.set_ylim(len(rows) - 0.45, -0.55)
+    axes.use_sticky_edges = False
+    axes.margins(x=0.04)
+    axes.grid(visible=False, axis="y")
+    axes.tick_params(axis="y", length=0)
+
+
+def _spread_legend(panels: Sequence[Sequence[Spread]]) -> list[Patch | Line2D]:
+    colours = {spread.label: spread.colour for spreads in panels for spread in spreads}
+    return [
+        *(
+            Patch(color=colour, alpha=0.28, lw=0, label=f"{label}, 95 % of draws")
+            for label, colour in colours.items()
+        ),
+        Line2D([], [], ls="", marker="|", ms=7, mew=1.6, color=INK, label="mean of the draws"),
+        Line2D([], [], ls="", marker="D", ms=4.6, mfc=INK, mec="white", label="printed in the paper"),
+    ]
 
 
 @dataclass(frozen=True)

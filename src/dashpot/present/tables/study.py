@@ -38,28 +38,32 @@ def study_columns(rows: Sequence[SummaryRow]) -> list[TableColumn]:
 
     Factors stand where the scenario changes.  The method comes first: it names the rows where columns are stacked.
     """
-    varied = varied_factors(rows)
-    first = [k == 0 or rows[k - 1].scenario is not row.scenario for k, row in enumerate(rows)]
-    columns = []
-    if len(varied) <= MOST_COLUMNS:
-        for name in varied:
-            texts = (factor_text(row.scenario.factors.get(name)) for row in rows)
-            cells = tuple(text if shown else "" for text, shown in zip(texts, first, strict=True))
-            columns.append(
-                TableColumn(name.replace("_", " "), cells, "right" if name in COUNTED_FACTORS else "left")
-            )
-    elif varied:
-        labels = [[factor_text(row.scenario.factors.get(name)) for name in varied] for row in rows]
-        cells = tuple(
-            fill(", ".join(text for text in scenario if text != NOTHING), LABEL) if shown else ""
-            for scenario, shown in zip(labels, first, strict=True)
-        )
-        columns.append(TableColumn(fill(", ".join(varied), LABEL), cells))
+    columns = _factor_columns(rows)
     columns.append(TableColumn("method", tuple(row.method for row in rows)))
     results = [_results(row.summary) for row in rows]
     for place, title in enumerate(RESULTS):
         columns.append(TableColumn(title, tuple(texts[place] for texts in results), "right"))
     return columns
+
+
+def _factor_columns(rows: Sequence[SummaryRow]) -> list[TableColumn]:
+    """A column for each factor that varies, or all of them in one where they are many."""
+    varied = varied_factors(rows)
+    changes = [k == 0 or rows[k - 1].scenario is not row.scenario for k, row in enumerate(rows)]
+    if len(varied) <= MOST_COLUMNS:
+        return [_factor_column(rows, name, changes) for name in varied]
+    labels = [[factor_text(row.scenario.factors.get(name)) for name in varied] for row in rows]
+    cells = tuple(
+        fill(", ".join(text for text in scenario if text != NOTHING), LABEL) if changed else ""
+        for scenario, changed in zip(labels, changes, strict=True)
+    )
+    return [TableColumn(fill(", ".join(varied), LABEL), cells)]
+
+
+def _factor_column(rows: Sequence[SummaryRow], name: str, changes: Sequence[bool]) -> TableColumn:
+    texts = (factor_text(row.scenario.factors.get(name)) for row in rows)
+    cells = tuple(text if changed else "" for text, changed in zip(texts, changes, strict=True))
+    return TableColumn(name.replace("_", " "), cells, "right" if name in COUNTED_FACTORS else "left")
 
 
 def _results(summary: Summary) -> tuple[str, ...]:
