@@ -216,15 +216,19 @@ def concatenate(spectra: Sequence[Spectrum]) -> Spectrum:
     batch = np.broadcast_shapes(*(spectrum.batch for spectrum in spectra))
     shared = all(spectrum.covariance.ndim == 3 for spectrum in spectra)
     widened = [_widened(spectrum, channels, batch, () if shared else batch) for spectrum in spectra]
+
+    def joined(name: str) -> np.ndarray:
+        return np.concatenate([getattr(spectrum, name) for spectrum in spectra])
+
     return Spectrum(
         channels,
-        np.concatenate([spectrum.frequency_hz for spectrum in spectra]),
+        joined("frequency_hz"),
         np.concatenate([amplitudes for amplitudes, _ in widened], axis=-2),
         np.concatenate([covariance for _, covariance in widened], axis=-3),
-        np.concatenate([spectrum.samples for spectrum in spectra]),
-        np.concatenate([spectrum.dof for spectrum in spectra]),
+        joined("samples"),
+        joined("dof"),
         tuple(kind for spectrum in spectra for kind in spectrum.noise),
-        np.concatenate([spectrum.experiment for spectrum in spectra]),
+        joined("experiment"),
         _moments(spectra, [channel.name for channel in channels], batch),
         tuple(dict.fromkeys(note for spectrum in spectra for note in spectrum.notes)),
         *joined_stretches([(spectrum.stretch, spectrum.stretches) for spectrum in spectra]),

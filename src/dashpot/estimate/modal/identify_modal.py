@@ -56,9 +56,21 @@ def identify_modal(model: Model, data: ModalData, *, starts: int = STARTS, seed:
     flat = with_one_axis(data)
     view = measured_modes(model, flat)
     found, ends = _found(model, flat, view, starts, seed)
+    return _estimate(model, flat, view, found, ends, batch)
+
+
+def _estimate(
+    model: Model,
+    data: ModalData,
+    view: MeasuredModes,
+    found: OptimizeResult,
+    ends: OptimizeResult | None,
+    batch: tuple[int, ...],
+) -> Estimate:
+    """The deepest minima with their covariance and χ²; `ends` are those of all starts, where rivals are looked for."""
     m = len(model.unknowns)
     theta = found.x
-    at = _evaluate(model, flat, view, theta, np.arange(len(theta)))
+    at = _evaluate(model, data, view, theta, np.arange(len(theta)))
     lower, upper = model.bounds
     free = without_bounds(theta, at, lower, upper)
     covariance = scaled_inverse(at.symmetric)
@@ -68,12 +80,14 @@ def identify_modal(model: Model, data: ModalData, *, starts: int = STARTS, seed:
     misfit = (p < MISFIT_LEVEL) & (chi2 > dof)
     factor = np.where(misfit, chi2 / max(dof, 1), 1.0)[:, None, None]
     names = tuple(unknown.name for unknown in model.unknowns)
+    fit, at_bounds = Fit(chi2.reshape(batch), dof, p.reshape(batch)), HeldBounds(lower, upper, free)
+    widened = covariance * factor
+    warnings: list[Notice] = []
     if not batch:
         _require_regular(at.symmetric[0], model)
         require_determined(names, theta[0], covariance[0])
-    rivals = () if ends is None else _rivals(model, found, ends, np.sqrt(np.diagonal(covariance[0])))
-    fit, at_bounds = Fit(chi2.reshape(batch), dof, p.reshape(batch)), HeldBounds(lower, upper, free)
-    widened = covariance * factor
+        warnings += _warnings(model, theta[0], widened[0], at_bounds, fit)
+        warnings += () if ends is None else _rivals(model, found, ends, np.sqrt(np.diagonal(covariance[0])))
     return Estimate(
         model=model.name,
         method=NAME,
@@ -96,7 +110,7 @@ def identify_modal(model: Model, data: ModalData, *, starts: int = STARTS, seed:
         tied=tied_values(model),
         modes=None if batch else mode_values(model, theta[0], widened[0]),
         signs={},
-        warnings=() if batch else (*_warnings(model, theta[0], widened[0], at_bounds, fit), *rivals),
+        warnings=tuple(warnings),
     )
 
 

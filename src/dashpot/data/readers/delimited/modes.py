@@ -158,35 +158,15 @@ def _assembled(
 
 
 def _from_json(path: str | os.PathLike[str], source: str, coordinates: Sequence[str]) -> ModalData:
-    try:
-        content = from_json(Path(noted(path)).read_text(encoding="utf-8"))
-    except OSError as error:
-        raise DataError(f"cannot be read ({error.strerror or error})", source, "check the path") from None
-    except (ValueError, RecursionError):
-        raise DataError("this is no JSON", source, "correct it, or give a CSV file") from None
-    rows = content.get("modes") if isinstance(content, dict) else None
-    if not isinstance(rows, list) or not rows or not all(isinstance(row, dict) for row in rows):
-        raise DataError('there is no list "modes"', source, 'write {"modes": [{"frequency_hz": …}, …]}')
-    named = [_shape(row, "shape", f"{source}: mode {k + 1}") for k, row in enumerate(rows)]
+    rows = _rows_of_json(path, source)
+    places = [f"{source}: mode {k + 1}" for k in range(len(rows))]
+    named = [_shape(row, "shape", where) for row, where in zip(rows, places, strict=True)]
     points = [name for name in coordinates if any(name in shape for shape in named)]
-    count = len(rows)
-    numbers = np.full((4, count), np.nan)
-    shape = np.full((count, len(points)), np.nan + 0j)
-    sd = np.full((count, len(points)), np.nan)
-    for k, row in enumerate(rows):
-        where = f"{source}: mode {k + 1}"
-        strangers = [key for key in row if key not in (*PLAIN, "shape", "shape_sd")]
-        if strangers:
-            known = f"there are {', '.join(PLAIN)}, shape, shape_sd"
-            raise DataError(f"{shown(str(strangers[0]))}: unknown key", where, known)
-        for i, key in enumerate(PLAIN):
-            if key in row:
-                numbers[i, k] = _number(row[key], key, where)
-        f, f_sd, zeta, zeta_sd = numbers[:, k]
-        _require(f > 0, f"{FREQUENCY}: missing or not positive", where)
-        _require(f_sd > 0, f"{FREQUENCY_SD}: missing or not positive", where)
-        _require(math.isnan(zeta) or abs(zeta) < 1, f"{DAMPING}: not between −1 and 1", where)
-        _require(math.isnan(zeta) or zeta_sd > 0, f"{DAMPING_SD}: missing or not positive", where)
+    numbers = np.full((len(PLAIN), len(rows)), np.nan)
+    shape = np.full((len(rows), len(points)), np.nan + 0j)
+    sd = np.full((len(rows), len(points)), np.nan)
+    for k, (row, where) in enumerate(zip(rows, places, strict=True)):
+        numbers[:, k] = _plain_numbers(row, where)
         spread = _shape(row, "shape_sd", where)
         for name, value in named[k].items():
             if name not in points:
@@ -199,12 +179,37 @@ def _from_json(path: str | os.PathLike[str], source: str, coordinates: Sequence[
             _require(spread[name].real >= 0, f"shape_sd: {shown(name)} is negative", where)
             shape[k, points.index(name)], sd[k, points.index(name)] = value, spread[name].real
         uncertain = sd[k][~np.isnan(sd[k])]
-        _require(
-            len(uncertain) < 2 or bool(np.any(uncertain > 0)),
-            "shape_sd: no point of the shape has one above 0",
-            where,
-        )
+        scaled = len(uncertain) < 2 or bool(np.any(uncertain > 0))
+        _require(scaled, "shape_sd: no point of the shape has one above 0", where)
     return _assembled(points, numbers[0], numbers[1], numbers[2], numbers[3], shape, sd)
+
+
+def _rows_of_json(path: str | os.PathLike[str], source: str) -> list[dict[str, Any]]:
+    """One table for each mode."""
+    try:
+        content = from_json(Path(noted(path)).read_text(encoding="utf-8"))
+    except OSError as error:
+        raise DataError(f"cannot be read ({error.strerror or error})", source, "check the path") from None
+    except (ValueError, RecursionError):
+        raise DataError("this is no JSON", source, "correct it, or give a CSV file") from None
+    rows = content.get("modes") if isinstance(content, dict) else None
+    if not isinstance(rows, list) or not rows or not all(isinstance(row, dict) for row in rows):
+        raise DataError('there is no list "modes"', source, 'write {"modes": [{"frequency_hz": …}, …]}')
+    return rows
+
+
+def _plain_numbers(row: Mapping[str, Any], where: str) -> list[float]:
+    """Frequency and damping with their standard deviations, in the order of PLAIN; NaN where not given."""
+    unknown = [key for key in row if key not in (*PLAIN, "shape", "shape_sd")]
+    if unknown:
+        known = f"there are {', '.join(PLAIN)}, shape, shape_sd"
+        raise DataError(f"{shown(str(unknown[0]))}: unknown key", where, known)
+    f, f_sd, zeta, zeta_sd = (_number(row[key], key, where) if key in row else math.nan for key in PLAIN)
+    _require(f > 0, f"{FREQUENCY}: missing or not positive", where)
+    _require(f_sd > 0, f"{FREQUENCY_SD}: missing or not positive", where)
+    _require(math.isnan(zeta) or abs(zeta) < 1, f"{DAMPING}: not between −1 and 1", where)
+    _require(math.isnan(zeta) or zeta_sd > 0, f"{DAMPING_SD}: missing or not positive", where)
+    return [f, f_sd, zeta, zeta_sd]
 
 
 def _require(fulfilled: bool, what: str, where: str) -> None:
