@@ -14,128 +14,49 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 from dashpot.errors import UsageError
-
-STANDARD_GRAVITY = 9.80665
-_INCH = 0.0254
-_POUND = 0.45359237
-_POUND_FORCE = _POUND * STANDARD_GRAVITY
-
-# Powers of metre, kilogram, second, radian, volt, count
-_Dimension = tuple[int, int, int, int, int, int]
-_NONE: _Dimension = (0, 0, 0, 0, 0, 0)
-_LENGTH: _Dimension = (1, 0, 0, 0, 0, 0)
-_MASS: _Dimension = (0, 1, 0, 0, 0, 0)
-_TIME: _Dimension = (0, 0, 1, 0, 0, 0)
-_ANGLE: _Dimension = (0, 0, 0, 1, 0, 0)
-_FORCE: _Dimension = (1, 1, -2, 0, 0, 0)
-_ACCELERATION: _Dimension = (1, 0, -2, 0, 0, 0)
-_TURNING: _Dimension = (0, 0, -1, 1, 0, 0)
-_VOLTAGE: _Dimension = (0, 0, 0, 0, 1, 0)
-_COUNT: _Dimension = (0, 0, 0, 0, 0, 1)
-
-
-@dataclass(frozen=True)
-class _Symbol:
-    factor: float
-    dimension: _Dimension
-    prefixes: str = ""
-    only: frozenset[str] | None = None  # the quantities in which the symbol has this meaning; None: all
-
-
-_PREFIXES = {
-    "p": 1e-12, "n": 1e-9, "µ": 1e-6, "m": 1e-3, "c": 1e-2, "d": 1e-1, "h": 1e2, "k": 1e3, "M": 1e6, "G": 1e9,
-}  # fmt: skip
-_PREFIX_WORDS = {"pico": "p", "nano": "n", "micro": "µ", "milli": "m", "centi": "c", "kilo": "k", "mega": "M"}
-
-_GRAVITY_IN = frozenset({"acceleration"})
-_POUND_FORCE_IN = frozenset({"force", "damping", "stiffness"})
-_POUND_IN = frozenset({"mass"})
-
-# Each line: names, then what they mean.  A later meaning with `only` comes before an earlier one without.
-_TABLE: tuple[tuple[str, _Symbol], ...] = (
-    ("m", _Symbol(1.0, _LENGTH, "pnµmcdk")),
-    ("micron microns", _Symbol(1e-6, _LENGTH)),
-    ("in inch inches", _Symbol(_INCH, _LENGTH, "µ")),
-    ("mil mils thou", _Symbol(1e-3 * _INCH, _LENGTH)),
-    ("ft foot feet", _Symbol(12 * _INCH, _LENGTH)),
-    ("yd", _Symbol(36 * _INCH, _LENGTH)),
-    ("g", _Symbol(1e-3, _MASS, "µmkM")),
-    ("t tonne tonnes", _Symbol(1e3, _MASS)),
-    ("lbm", _Symbol(_POUND, _MASS)),
-    ("lb lbs", _Symbol(_POUND, _MASS, only=_POUND_IN)),
-    ("oz", _Symbol(_POUND / 16, _MASS, only=_POUND_IN)),
-    ("slug slugs", _Symbol(_POUND_FORCE / (12 * _INCH), _MASS)),
-    ("slinch slinches blob", _Symbol(_POUND_FORCE / _INCH, _MASS)),
-    ("s sec secs", _Symbol(1.0, _TIME, "pnµm")),
-    ("min minute minutes", _Symbol(60.0, _TIME)),
-    ("h hr hour hours", _Symbol(3600.0, _TIME)),
-    ("rad rads", _Symbol(1.0, _ANGLE, "nµmk")),
-    ("deg degs °", _Symbol(math.pi / 180, _ANGLE, "m")),
-    ("arcmin", _Symbol(math.pi / 180 / 60, _ANGLE)),
-    ("arcsec", _Symbol(math.pi / 180 / 3600, _ANGLE)),
-    ("rev revs turn turns", _Symbol(2 * math.pi, _ANGLE)),
-    ("rpm", _Symbol(2 * math.pi / 60, _TURNING, "k")),
-    ("Hz", _Symbol(2 * math.pi, _TURNING, "µmkMG", frozenset({"frequency"}))),
-    ("cpm", _Symbol(2 * math.pi / 60, _TURNING, "k", frozenset({"frequency"}))),
-    ("N", _Symbol(1.0, _FORCE, "nµmcdkMG")),
-    # Written without a sign of multiplication, though SI asks for one
-    ("Nm", _Symbol(1.0, (2, 1, -2, 0, 0, 0), "nµmckM")),
-    ("Nmm", _Symbol(1e-3, (2, 1, -2, 0, 0, 0))),
-    ("Ns", _Symbol(1.0, (1, 1, -1, 0, 0, 0), "µmk")),
-    ("Nms", _Symbol(1.0, (2, 1, -1, 0, 0, 0), "µmk")),
-    ("dyn dyne dynes", _Symbol(1e-5, _FORCE)),
-    ("kgf kp", _Symbol(STANDARD_GRAVITY, _FORCE)),
-    ("gf", _Symbol(1e-3 * STANDARD_GRAVITY, _FORCE, "m")),
-    ("tf", _Symbol(1e3 * STANDARD_GRAVITY, _FORCE)),
-    ("lbf", _Symbol(_POUND_FORCE, _FORCE)),
-    ("lb lbs", _Symbol(_POUND_FORCE, _FORCE, only=_POUND_FORCE_IN)),
-    ("ozf", _Symbol(_POUND_FORCE / 16, _FORCE)),
-    ("kip kips", _Symbol(1e3 * _POUND_FORCE, _FORCE)),
-    ("gn g0 g_n gee gees", _Symbol(STANDARD_GRAVITY, _ACCELERATION, "µm")),
-    ("g", _Symbol(STANDARD_GRAVITY, _ACCELERATION, "nµm", _GRAVITY_IN)),
-    ("G gs", _Symbol(STANDARD_GRAVITY, _ACCELERATION, only=_GRAVITY_IN)),
-    ("Gal", _Symbol(1e-2, _ACCELERATION, "µm")),
-    ("ips", _Symbol(_INCH, (1, 0, -1, 0, 0, 0))),
-    ("V", _Symbol(1.0, _VOLTAGE, "nµmk")),
-    ("count counts ct cts lsb LSB", _Symbol(1.0, _COUNT)),
+from dashpot.unit_symbols import (
+    ACCELERATION,
+    ANGLE,
+    COUNT,
+    FORCE,
+    LENGTH,
+    MASS,
+    NONE,
+    PREFIX_WORDS,
+    PREFIXES,
+    SYMBOLS,
+    TIME,
+    TURNING,
+    VOLTAGE,
+    WORDS,
+    Dimension,
 )
-_WORDS = {
-    "metre": "m", "meter": "m", "gram": "g", "second": "s", "radian": "rad", "degree": "deg", "hertz": "Hz",
-    "newton": "N", "volt": "V", "pound": "lb",
-}  # fmt: skip
-
-_SYMBOLS: dict[str, list[_Symbol]] = {}
-for _names, _meaning in _TABLE:
-    for _name in _names.split():
-        _SYMBOLS.setdefault(_name, []).insert(
-            0 if _meaning.only is not None else len(_SYMBOLS.get(_name, [])), _meaning
-        )
 
 
 @dataclass(frozen=True)
 class _Quantity:
-    dimension: _Dimension
+    dimension: Dimension
     si: str
     accepted: str
 
 
 _QUANTITIES: dict[tuple[str, bool], _Quantity] = {
-    ("displacement", False): _Quantity(_LENGTH, "m", "m, cm, mm, µm, in, ft, mil"),
+    ("displacement", False): _Quantity(LENGTH, "m", "m, cm, mm, µm, in, ft, mil"),
     ("velocity", False): _Quantity((1, 0, -1, 0, 0, 0), "m/s", "m/s, mm/s, in/s, ft/s"),
-    ("acceleration", False): _Quantity(_ACCELERATION, "m/s²", "m/s², mm/s², g, gn, mg, in/s², ft/s², Gal"),
-    ("force", False): _Quantity(_FORCE, "N", "N, mN, kN, lbf, kgf"),
-    ("mass", False): _Quantity(_MASS, "kg", "kg, g, t, lb, slug, N·s²/m"),
+    ("acceleration", False): _Quantity(ACCELERATION, "m/s²", "m/s², mm/s², g, gn, mg, in/s², ft/s², Gal"),
+    ("force", False): _Quantity(FORCE, "N", "N, mN, kN, lbf, kgf"),
+    ("mass", False): _Quantity(MASS, "kg", "kg, g, t, lb, slug, N·s²/m"),
     ("damping", False): _Quantity((0, 1, -1, 0, 0, 0), "N·s/m", "N·s/m, kg/s, N·s/mm, lbf·s/in"),
     ("stiffness", False): _Quantity((0, 1, -2, 0, 0, 0), "N/m", "N/m, N/mm, kN/m, lbf/in"),
-    ("displacement", True): _Quantity(_ANGLE, "rad", "rad, mrad, deg, rev"),
-    ("velocity", True): _Quantity(_TURNING, "rad/s", "rad/s, deg/s, rpm"),
+    ("displacement", True): _Quantity(ANGLE, "rad", "rad, mrad, deg, rev"),
+    ("velocity", True): _Quantity(TURNING, "rad/s", "rad/s, deg/s, rpm"),
     ("acceleration", True): _Quantity((0, 0, -2, 1, 0, 0), "rad/s²", "rad/s², deg/s²"),
     ("force", True): _Quantity((2, 1, -2, 0, 0, 0), "N·m", "N·m, N·mm, lbf·in, lbf·ft"),
     ("mass", True): _Quantity((2, 1, 0, 0, 0, 0), "kg·m²", "kg·m², kg·cm², g·mm², lb·in², N·m·s²/rad"),
     ("damping", True): _Quantity((2, 1, -1, -1, 0, 0), "N·m·s/rad", "N·m·s/rad, N·m·s/deg, lbf·in·s/rad"),
     ("stiffness", True): _Quantity((2, 1, -2, -1, 0, 0), "N·m/rad", "N·m/rad, N·m/deg, lbf·in/rad"),
-    ("frequency", False): _Quantity(_TURNING, "Hz", "Hz, kHz, rad/s, rpm"),
-    ("time", False): _Quantity(_TIME, "s", "s, ms, µs, min, h"),
+    ("frequency", False): _Quantity(TURNING, "Hz", "Hz, kHz, rad/s, rpm"),
+    ("time", False): _Quantity(TIME, "s", "s, ms, µs, min, h"),
 }
 _PER_TURN = {"frequency": 1 / (2 * math.pi)}
 # The radian is no unit in strict SI, and what is divided by it is often written without: N·m for N·m/rad.
@@ -175,7 +96,7 @@ def scale(unit: str, quantity: str, angular: bool = False, uncalibrated: bool = 
         raise UsageError(
             f"{_quoted(unit)} is no unit: {fault.reason}", cure=f"{hint}use {wanted.accepted}"
         ) from None
-    if uncalibrated and dimension in (_VOLTAGE, _COUNT):
+    if uncalibrated and dimension in (VOLTAGE, COUNT):
         return factor
     if _fits(dimension, wanted.dimension, quantity):
         # A frequency in 1/s is in Hz: nothing has been turned into radians.
@@ -215,8 +136,8 @@ def sensitivity(text: str, unit: str, quantity: str, angular: bool = False) -> f
     try:
         recorded = _parse(unit, quantity)[1]
     except _UnreadableError:
-        recorded = _NONE
-    if recorded not in (_VOLTAGE, _COUNT):
+        recorded = NONE
+    if recorded not in (VOLTAGE, COUNT):
         raise UsageError(
             f"a sensitivity of {_quoted(text)} for a channel in {unit}",
             cure='say unit = "V", or leave the gain out',
@@ -254,10 +175,10 @@ def _described(quantity: str, angular: bool) -> str:
     return {**turned, **torsional}.get(quantity, quantity) if angular else quantity
 
 
-def _example(quantity: str, angular: bool, recorded: _Dimension) -> str:
+def _example(quantity: str, angular: bool, recorded: Dimension) -> str:
     unit = "g" if (quantity, angular) == ("acceleration", False) else si_unit(quantity, angular)
     below = f"({unit})" if "/" in unit or "·" in unit else unit
-    return f'"100 {"mV" if recorded == _VOLTAGE else "counts"}/{below}"'
+    return f'"100 {"mV" if recorded == VOLTAGE else "counts"}/{below}"'
 
 
 def _quoted(text: str) -> str:
@@ -265,7 +186,7 @@ def _quoted(text: str) -> str:
     return '"' + "".join(c if c.isprintable() else repr(c)[1:-1] for c in short) + '"'
 
 
-def _fits(dimension: _Dimension, wanted: _Dimension, quantity: str) -> bool:
+def _fits(dimension: Dimension, wanted: Dimension, quantity: str) -> bool:
     plain = (*wanted[:3], 0, *wanted[4:])
     squared = (*wanted[:3], -2, *wanted[4:])  # N·m·s²/rad is kg·m²; kg·m²/rad² occurs too
     if dimension == wanted:
@@ -275,9 +196,9 @@ def _fits(dimension: _Dimension, wanted: _Dimension, quantity: str) -> bool:
     return quantity in _RADIAN_MAY_LACK and dimension == plain
 
 
-def _remedy(dimension: _Dimension, wanted: _Quantity) -> str:
+def _remedy(dimension: Dimension, wanted: _Quantity) -> str:
     if dimension[4] or dimension[5]:
-        if dimension in (_VOLTAGE, _COUNT):
+        if dimension in (VOLTAGE, COUNT):
             return f'say gain = "unknown" to estimate it, or a sensitivity, or use {wanted.accepted}'
         return f'a sensitivity belongs into gain, with unit = "V"; or use {wanted.accepted}'
     return f"use {wanted.accepted}"
@@ -320,7 +241,7 @@ def _tokens(text: str) -> Iterator[tuple[str, str]]:
 
 
 @lru_cache(maxsize=4096)
-def _parse(text: str, quantity: str) -> tuple[float, _Dimension]:
+def _parse(text: str, quantity: str) -> tuple[float, Dimension]:
     """Factor and dimension of a unit text.  Products and quotients are taken from left to right."""
     tokens = [*_tokens(text)]
     if not tokens:
@@ -335,8 +256,8 @@ def _parse(text: str, quantity: str) -> tuple[float, _Dimension]:
 
 def _product(
     tokens: list[tuple[str, str]], at: int, quantity: str, depth: int
-) -> tuple[tuple[float, _Dimension], int]:
-    factor, dimension = 1.0, _NONE
+) -> tuple[tuple[float, Dimension], int]:
+    factor, dimension = 1.0, NONE
     sign, operand_due = 1, True
     while at < len(tokens):
         kind, text = tokens[at]
@@ -368,10 +289,10 @@ def _product(
 
 def _operand(
     tokens: list[tuple[str, str]], at: int, quantity: str, depth: int
-) -> tuple[tuple[float, _Dimension], int]:
+) -> tuple[tuple[float, Dimension], int]:
     kind, text = tokens[at]
     if kind == "one":
-        return (1.0, _NONE), at + 1
+        return (1.0, NONE), at + 1
     if kind == "symbol":
         return _symbol(text, quantity), at + 1
     if depth > 8:
@@ -382,12 +303,12 @@ def _operand(
     return inner, at + 1
 
 
-def _times(dimension: _Dimension, other: _Dimension, power: int) -> _Dimension:
+def _times(dimension: Dimension, other: Dimension, power: int) -> Dimension:
     a, b, c, d, e, f = (x + power * y for x, y in zip(dimension, other, strict=True))
     return a, b, c, d, e, f
 
 
-def _symbol(text: str, quantity: str) -> tuple[float, _Dimension]:
+def _symbol(text: str, quantity: str) -> tuple[float, Dimension]:
     text = text.replace("μ", "µ")
     found = _meaning_of(text, quantity)
     if found is not None:
@@ -395,24 +316,24 @@ def _symbol(text: str, quantity: str) -> tuple[float, _Dimension]:
     raise _UnreadableError(f"{_quoted(text)} is not known", _suggestion(text, quantity))
 
 
-def _meaning_of(text: str, quantity: str) -> tuple[float, _Dimension] | None:
-    for symbol in _SYMBOLS.get(text, ()):
+def _meaning_of(text: str, quantity: str) -> tuple[float, Dimension] | None:
+    for symbol in SYMBOLS.get(text, ()):
         if symbol.only is None or quantity in symbol.only:
             return symbol.factor, symbol.dimension
     for length in (1, 2):
         prefix = text[:length] if text[:length] != "u" else "µ"
-        for symbol in _SYMBOLS.get(text[length:], ()):
+        for symbol in SYMBOLS.get(text[length:], ()):
             if prefix in symbol.prefixes and prefix and (symbol.only is None or quantity in symbol.only):
-                return _PREFIXES[prefix] * symbol.factor, symbol.dimension
+                return PREFIXES[prefix] * symbol.factor, symbol.dimension
     return _word(text, quantity)
 
 
-def _word(text: str, quantity: str) -> tuple[float, _Dimension] | None:
+def _word(text: str, quantity: str) -> tuple[float, Dimension] | None:
     word = text.lower()
-    for prefix_word, prefix in (("", ""), *_PREFIX_WORDS.items()):
+    for prefix_word, prefix in (("", ""), *PREFIX_WORDS.items()):
         if word.startswith(prefix_word):
             stem = word.removeprefix(prefix_word)
-            symbol = _WORDS.get(stem) or _WORDS.get(stem.removesuffix("s"))
+            symbol = WORDS.get(stem) or WORDS.get(stem.removesuffix("s"))
             if symbol is not None:
                 return _meaning_of(prefix + symbol, quantity)
     return None
@@ -422,7 +343,7 @@ def _suggestion(text: str, quantity: str) -> str | None:
     """A known symbol that differs in case or in a letter."""
     known: list[str] = [
         prefix + name
-        for name, symbols in _SYMBOLS.items()
+        for name, symbols in SYMBOLS.items()
         for symbol in symbols
         if symbol.only is None or quantity in symbol.only
         for prefix in ("", *symbol.prefixes)

@@ -44,8 +44,9 @@ from dashpot.design.test_setup import ShakerLimits, TestSetup, drive_units, nomi
 from dashpot.errors import IdentifiabilityError, UsageError
 from dashpot.estimate.identify import identify
 from dashpot.estimate.result import Estimate
+from dashpot.model.channel_noise import with_relative_noise
 from dashpot.model.network import Model
-from dashpot.model.observation import measures_input, with_relative_noise
+from dashpot.model.observation import measures_input
 
 ASSUMED = 0.01  # relative noise where no channel states any
 FIRST_SAMPLES, FIRST_TIME = 1000.0, 60.0  # where the search for the shortest test starts

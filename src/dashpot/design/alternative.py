@@ -18,7 +18,8 @@ from dashpot.design.test_setup import TestSetup
 from dashpot.errors import DashpotError
 from dashpot.estimate.identify import identify
 from dashpot.estimate.linear.instrumental_variables import InstrumentalVariables
-from dashpot.model.observation import calibration_names, noise_sd
+from dashpot.model.channel_noise import noise_sd
+from dashpot.model.observation import calibration_names
 
 
 def spread_of_iv(setup: TestSetup, schedule: Schedule) -> ExpectedPrecision | None:

@@ -17,8 +17,9 @@ from dashpot.arrays import Bools, Complex, Real, hermitian
 from dashpot.channel import Channel
 from dashpot.data.spectrum import Spectrum
 from dashpot.errors import DataError, UsageError
+from dashpot.model.channel_noise import noise_sd
 from dashpot.model.network import Model
-from dashpot.model.observation import calibration_slopes, noise_sd, observation_model, transfer
+from dashpot.model.observation import calibration_slopes, observation_model, transfer
 
 NONE = 1e-9  # of a channel's largest sensitivity: below it, a channel does not see the parameters
 

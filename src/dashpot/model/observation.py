@@ -8,7 +8,7 @@ channel's calibration; what is known of it has been taken out when raw numbers b
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -58,32 +58,6 @@ def channel_unit(model: Model, channel: Channel) -> str:
     along |= {given.name: given.at for given in model.inputs if given.kind == "force"}
     points = {point for name in channel.of for point in along.get(name, {name: 1.0})}
     return si_unit(channel.quantity.value, bool(points) and points <= set(model.angles))
-
-
-def noise_sd(channels: Sequence[Channel], Y: Complex) -> Real:
-    """Standard deviation of one sample's noise, SI units of the quantity; `Y` (..., lines, channels) amplitudes.
-
-    Absolute and relative part are independent: √((noise · scale / |sign · gain|)² + (relative_noise |Y|)²).
-    """
-    floor = np.array([channel.noise * channel.scale / abs(channel.factor) for channel in channels])
-    relative = np.array([channel.relative_noise for channel in channels])
-    sd: Real = np.hypot(floor, relative * np.abs(Y))
-    return sd
-
-
-def with_relative_noise(
-    model: Model, channels: Iterable[Channel], level: float, *, drives: bool = False
-) -> tuple[Channel, ...]:
-    """Channels with noise of sd = level × amplitude of that channel at that frequency and no other (paper eq. 21).
-
-    Channels of the inputs stay as they are unless `drives`.
-    """
-    return tuple(
-        channel
-        if measures_input(model, channel) and not drives
-        else replace(channel, noise=0.0, relative_noise=level)
-        for channel in channels
-    )
 
 
 # The map

@@ -21,15 +21,10 @@ from dashpot.channel import Channel, Quantity
 from dashpot.data.record import Record
 from dashpot.data.spectrum import Moments, Spectrum
 from dashpot.errors import DataError, UsageError
+from dashpot.model.channel_noise import noise_sd
 from dashpot.model.dynamics import response, unit_forces
 from dashpot.model.network import Model
-from dashpot.model.observation import (
-    channel_amplitudes,
-    input_channels,
-    measures_input,
-    noise_sd,
-    observation_model,
-)
+from dashpot.model.observation import channel_amplitudes, input_channels, measures_input, observation_model
 
 NoiseBasis = Literal["given", "estimated"]
 

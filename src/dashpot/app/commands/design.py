@@ -221,7 +221,7 @@ def _question(rig: Rig, options: Mapping[str, Any], quiet: bool) -> Question:
 def _channels(rig: Rig, relative_noise: float | None) -> tuple[Channel, ...]:
     if relative_noise is None:
         return rig.channels
-    from dashpot.model.observation import with_relative_noise
+    from dashpot.model.channel_noise import with_relative_noise
 
     return with_relative_noise(rig.model, rig.channels, relative_noise)
 

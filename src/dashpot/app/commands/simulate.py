@@ -92,7 +92,7 @@ def command(
     import numpy as np
 
     from dashpot.data.readers import write_amplitudes, write_records
-    from dashpot.model.observation import with_relative_noise
+    from dashpot.model.channel_noise import with_relative_noise
     from dashpot.study import simulate as study
 
     channels = rig_read.channels

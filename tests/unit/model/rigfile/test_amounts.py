@@ -7,7 +7,7 @@ import pytest
 from dashpot.errors import ModelError
 from dashpot.model.elements import Element, Kind
 from dashpot.model.rigfile import Rig, parse_rig, write_rig
-from dashpot.units import STANDARD_GRAVITY
+from dashpot.unit_symbols import STANDARD_GRAVITY
 
 RIG = """
 coordinates = ["x1", "x2", "pitch"]
