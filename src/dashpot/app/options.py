@@ -88,6 +88,16 @@ processes_option = option(
     "--processes", type=Count(1, 1024), metavar="N", help="Worker processes.  [default: one per processor]"
 )
 
+workers_option = option(
+    "--workers", type=Count(1, 1024), metavar="N", help="Worker processes.  [default: one per processor]"
+)
+
+dask_option = option(
+    "--dask", metavar="local|ADDRESS",
+    help="Compute on a cluster of Dask: its scheduler's address, such as tcp://host:8786, or local for one on this "
+    "machine. Needs the extra dashpot[scale].",
+)  # fmt: skip
+
 
 def whole_record_options(function: Function) -> Function:
     """How records with transients are used: --band, --transients and --noise-record."""

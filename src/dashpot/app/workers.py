@@ -9,11 +9,18 @@ from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from threading import Thread
 from types import FrameType
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
+from dashpot.errors import UsageError
 from dashpot.io.atomic import clear_away
 
+if TYPE_CHECKING:
+    from concurrent.futures import Future, ProcessPoolExecutor
+
 PATIENCE = 3.0  # s, for a process that was told to end
+AHEAD = 3  # tasks that wait for each process
+MOST_KILLED = 3  # times in a row that processes may be killed before anything is finished
+_NOTHING = object()
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 Map = Callable[[Callable[[Any], Any], Iterable[Any]], Iterable[Any]]
 
@@ -41,35 +48,93 @@ def mapping(processes: int) -> Iterator[Map]:
     Processes are spawned, not forked, for forking a process with threads of BLAS in it may hang; each computes on one
     thread.  After an interruption or an error the processes are ended at once: what they compute is there whole or not
     at all, and waiting for them would leave a second Ctrl-C to hang in the interpreter's last breath.  They end by
-    themselves when this process dies, however it does.
+    themselves when this process dies, however it does.  A process that is killed costs what it was computing, which
+    others compute again.  Results come as they are finished; work is taken up only a little ahead of the processes.
     """
     if processes <= 1:
         yield map
         return
-    from concurrent.futures import ProcessPoolExecutor
-    from multiprocessing import get_context
-
     before = {name: os.environ.get(name) for name in THREADS}
     os.environ.update(dict.fromkeys(THREADS, "1"))  # spawned processes inherit it
-    pool = ProcessPoolExecutor(processes, mp_context=get_context("spawn"), initializer=_begin_worker)
+    pool = _Pool(processes)
     try:
         yield pool.map
     except BaseException:
-        _hush_cancelled_futures()
-        workers = list((pool._processes or {}).values())  # Python 3.14 has a public name for this
-        for process in workers:
-            process.terminate()
-        for process in workers:
-            process.join(PATIENCE)
-            process.kill()
+        pool.end()
         raise
     finally:
-        pool.shutdown(wait=False, cancel_futures=True)
+        pool.executor.shutdown(wait=False, cancel_futures=True)
         for name, value in before.items():
             if value is None:
                 os.environ.pop(name, None)
             else:
                 os.environ[name] = value
+
+
+class _Pool:
+    """Processes that share out work, and are replaced when one of them is killed."""
+
+    def __init__(self, processes: int) -> None:
+        self.processes = processes
+        self.executor = self._begun()
+
+    def _begun(self) -> ProcessPoolExecutor:
+        from concurrent.futures import ProcessPoolExecutor
+        from multiprocessing import get_context
+
+        return ProcessPoolExecutor(self.processes, mp_context=get_context("spawn"), initializer=_begin_worker)
+
+    def map(self, function: Callable[[Any], Any], tasks: Iterable[Any]) -> Iterator[Any]:
+        """What the function makes of each task, in the order in which that is finished.
+
+        Raises UsageError where processes are killed again and again before anything is finished.
+        """
+        from concurrent.futures import FIRST_COMPLETED, wait
+        from concurrent.futures.process import BrokenProcessPool
+
+        waiting = iter(tasks)
+        pending: dict[Future[Any], Any] = {}
+        lost: list[Any] = []
+        killed = 0
+        while True:
+            while lost or len(pending) < AHEAD * self.processes:
+                task = lost.pop() if lost else next(waiting, _NOTHING)
+                if task is _NOTHING:
+                    break
+                pending[self.executor.submit(function, task)] = task
+            if not pending:
+                return
+            finished, _ = wait(pending, return_when=FIRST_COMPLETED)
+            for future in finished:
+                task = pending.pop(future)
+                try:
+                    result = future.result()
+                except BrokenProcessPool:
+                    lost.append(task)
+                    continue
+                killed = 0
+                yield result
+            if lost:
+                killed += 1
+                if killed > MOST_KILLED:
+                    raise UsageError(
+                        f"worker processes were killed {killed} times in a row, before they had finished anything",
+                        cure="the memory may be too small: give fewer processes",
+                    )
+                lost += pending.values()  # they break with the rest
+                pending.clear()
+                self.executor.shutdown(wait=False, cancel_futures=True)
+                self.executor = self._begun()
+
+    def end(self) -> None:
+        """End the processes at once."""
+        _hush_cancelled_futures()
+        workers = list((self.executor._processes or {}).values())  # Python 3.14 has a public name for this
+        for process in workers:
+            process.terminate()
+        for process in workers:
+            process.join(PATIENCE)
+            process.kill()
 
 
 def _hush_cancelled_futures() -> None:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from importlib.metadata import version
 from pathlib import Path
 
@@ -88,8 +88,13 @@ def run_task(task: Task) -> Done:
         raise UsageError(first.what, f"{scenario.name}", first.cure) from error
     if task.file is None:
         return Done(scenario.key, task.index, task.identifications, block)
-    write_block(Path(task.file), {name: _columns(repeats) for name, repeats in block.items()}, task.label)
+    _write(task, block)
     return Done(scenario.key, task.index, task.identifications)
+
+
+def _write(task: Task, block: Block) -> None:
+    assert task.file is not None
+    write_block(Path(task.file), {name: _columns(repeats) for name, repeats in block.items()}, task.label)
 
 
 def estimates(task: Task) -> Iterable[tuple[str, Estimate]]:
@@ -188,11 +193,13 @@ def run_scenarios(
     block: int = BLOCK,
     mapper: Map = map,
     progress: Callable[[int, int], None] | None = None,
+    remote: bool = False,
 ) -> Results:
     """Compute all blocks that are not there yet, by any `mapper`; order and number of its workers do not matter.
 
     With a `folder` each block is written when it is done, whole or not at all, and what lies there is not computed
-    again (the caller sees to it that it is the same study's).  `progress(done, all)` counts identifications.
+    again (the caller sees to it that it is the same study's).  `progress(done, all)` counts identifications.  With
+    `remote`, workers hand their blocks back instead of writing them.
 
     Raises UsageError where two scenarios have the same factors, or where a method cannot do what is asked.
     """
@@ -213,8 +220,11 @@ def run_scenarios(
     if progress is not None:
         progress(done, total)
     memory: dict[tuple[str, int], Block] = {}
-    for finished in mapper(run_task, left):
-        if finished.block is not None:
+    places = {(task.scenario.key, task.index): task for task in left}
+    for finished in mapper(run_task, [replace(task, file=None) for task in left] if remote else left):
+        if finished.block is not None and folder is not None:
+            _write(places[finished.key, finished.index], finished.block)
+        elif finished.block is not None:
             memory[finished.key, finished.index] = finished.block
         done += finished.identifications
         if progress is not None:

@@ -80,11 +80,13 @@ def run_study(
     mapper: Map = map,
     progress: Callable[[int, int], None] | None = None,
     block: int = BLOCK,
+    remote: bool = False,
 ) -> StudyOutcome:
     """Compute what is not in `folder` yet, by any `mapper`, and summarise; without a folder all stays in memory.
 
     The result depends on the study alone: not on the mapper, nor on interruptions.  A study that has grown (more
-    draws, levels, methods …) uses what an earlier one left.  `progress(done, all)` counts identifications.
+    draws, levels, methods …) uses what an earlier one left.  `progress(done, all)` counts identifications.  With
+    `remote` the mapper's processes do not see the folder, and blocks come back to be written here.
 
     Raises UsageError where the folder holds something else, another process works in it, or a method cannot do what is
     asked of it; IdentifiabilityError where a test does not determine the unknowns.
@@ -101,7 +103,7 @@ def run_study(
         for place in (folder, folder / "draws", *folder.glob("draws/*")):
             remove_parts(place)
         results = run_scenarios(
-            points, study.seed, folder=folder, block=block, mapper=mapper, progress=progress
+            points, study.seed, folder=folder, block=block, mapper=mapper, progress=progress, remote=remote
         )
         outcome = _outcome(study, results)
         write_table(folder / "summary.parquet", outcome.columns())

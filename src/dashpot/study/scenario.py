@@ -5,8 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass, fields, is_dataclass
-from enum import Enum
+from dataclasses import dataclass
 from functools import cached_property
 from types import MappingProxyType
 from typing import Any
@@ -19,6 +18,7 @@ from dashpot.estimate.identify import identify
 from dashpot.estimate.preparation.state_reconstruction import unseen
 from dashpot.estimate.registry import method
 from dashpot.model.network import Model
+from dashpot.study.fingerprint import fields_of, fingerprint_of
 from dashpot.study.simulate import Dwells, NoiseBasis, clean_spectrum
 
 
@@ -77,13 +77,13 @@ class Scenario:
         Every field counts, those that are still to come as well, but for the rig's name, and of the channels the name
         of the unit, whose scale counts, and the rate: the test says when samples are taken.
         """
-        model = {name: value for name, value in _fields(self.model) if name != "name"}
+        model = {name: value for name, value in fields_of(self.model) if name != "name"}
         channels = [
-            {name: value for name, value in _fields(channel) if name not in ("unit", "rate")}
+            {name: value for name, value in fields_of(channel) if name not in ("unit", "rate")}
             for channel in self.channels
         ]
         parts = (model, self.theta, channels, self.test, self.noise, self.drift)
-        return hashlib.sha256(json.dumps(_canonical(parts)).encode()).hexdigest()
+        return fingerprint_of(parts)
 
     @property
     def p(self) -> Real:
@@ -98,31 +98,3 @@ class Scenario:
         clean = clean_spectrum(self.model, self.p, self.channels, self.test, drift=self.drift)
         way = "ml" if unseen(self.model, clean) else "oiv"
         return identify(self.model, clean, method(way)).bound_sd
-
-
-def _fields(value: object) -> list[tuple[str, object]]:
-    """Names and values of a dataclass's fields."""
-    assert is_dataclass(value)
-    return [(field.name, getattr(value, field.name)) for field in fields(value)]
-
-
-def _canonical(value: object) -> object:
-    """A value as JSON of which every bit counts and no order that means nothing: equal values give equal texts."""
-    if isinstance(value, Enum):
-        return _canonical(value.value)
-    if isinstance(value, np.ndarray | np.generic):
-        array = np.asarray(value)
-        return [str(array.dtype), list(array.shape), hashlib.sha256(array.tobytes()).hexdigest()]
-    if is_dataclass(value):
-        return {name: _canonical(content) for name, content in _fields(value)}
-    if isinstance(value, Mapping):
-        return {str(key): _canonical(value[key]) for key in sorted(value)}
-    if isinstance(value, frozenset | set):
-        return [_canonical(entry) for entry in sorted(value)]
-    if isinstance(value, tuple | list):
-        return [_canonical(entry) for entry in value]
-    if isinstance(value, float):
-        return value.hex()
-    if value is None or isinstance(value, str | int):
-        return value
-    raise TypeError(f"{type(value).__name__} has no canonical form")

@@ -19,7 +19,7 @@ from dashpot.errors import DataError
 from dashpot.io.atomic import write_bytes
 
 WIDE = ("values", "sd", "half")  # one column an unknown
-META = b"dashpot"  # the key in the file's metadata
+METADATA = b"dashpot"  # the key in the file's metadata
 State = Literal["absent", "whole", "damaged", "outdated", "other"]
 Block = dict[str, dict[str, np.ndarray]]
 
@@ -81,21 +81,13 @@ def state_of(path: Path, label: Label) -> State:
 
 
 def _read(path: Path, label: Label) -> tuple[Block | None, State]:
-    import pyarrow as pa
-    import pyarrow.parquet as parquet
-
     try:
-        raw = path.read_bytes()
-    except FileNotFoundError:
-        return None, "absent"
-    except OSError:
-        return None, "damaged"
-    try:
-        table = parquet.read_table(pa.BufferReader(raw), use_threads=False, page_checksum_verification=True)
-        meta = json.loads(table.schema.metadata[META])
+        columns, metadata = read_table(path)
+        meta = json.loads(metadata[METADATA])
         own = Label(**{**meta["label"], "methods": tuple(meta["label"]["methods"])})
-        columns = {name: table[name].to_numpy() for name in table.column_names}
-        if meta["sha256"] != _digest(columns) or len(columns["method"]) != own.size * len(own.methods):
+        if meta["sha256"] != digest_of_columns(columns) or len(columns["method"]) != own.size * len(
+            own.methods
+        ):
             return None, "damaged"
         if replace(own, size=label.size, methods=label.methods, version=label.version) != label:
             return None, "damaged"
@@ -104,6 +96,8 @@ def _read(path: Path, label: Label) -> tuple[Block | None, State]:
         if own != label:
             return None, "other"
         return _by_method(columns, label), "whole"
+    except FileNotFoundError:
+        return None, "absent"
     except Exception:  # damage may show anywhere between the file's first byte and the last key
         return None, "damaged"
 
@@ -125,10 +119,10 @@ def _by_method(columns: Mapping[str, np.ndarray], label: Label) -> Block:
 
 
 def _meta(label: Label, columns: Mapping[str, np.ndarray]) -> bytes:
-    return json.dumps({"label": asdict(label), "sha256": _digest(columns)}).encode()
+    return json.dumps({"label": asdict(label), "sha256": digest_of_columns(columns)}).encode()
 
 
-def _digest(columns: Mapping[str, np.ndarray]) -> str:
+def digest_of_columns(columns: Mapping[str, np.ndarray]) -> str:
     """Of the names and numbers of all columns, to the bit."""
     digest = hashlib.sha256()
     for name, column in columns.items():
@@ -147,7 +141,20 @@ def write_table(
 
     table = pa.table(dict(columns))
     if meta is not None:
-        table = table.replace_schema_metadata({META: meta})
+        table = table.replace_schema_metadata({METADATA: meta})
     sink = pa.BufferOutputStream()
     parquet.write_table(table, sink, compression="zstd", write_statistics=False, write_page_checksum=True)
     write_bytes(path, sink.getvalue().to_pybytes())
+
+
+def read_table(path: Path) -> tuple[dict[str, np.ndarray], Mapping[bytes, bytes]]:
+    """Columns and metadata of such a file, page checksums verified.
+
+    Raises whatever Python and pyarrow raise where it is damaged, FileNotFoundError where there is none.
+    """
+    import pyarrow as pa
+    import pyarrow.parquet as parquet
+
+    source = pa.BufferReader(path.read_bytes())
+    table = parquet.read_table(source, use_threads=False, page_checksum_verification=True)
+    return {name: table[name].to_numpy() for name in table.column_names}, table.schema.metadata or {}

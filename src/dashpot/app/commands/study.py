@@ -9,7 +9,7 @@ import click
 from dashpot.app.cli import INTERRUPTED, Ended
 from dashpot.app.data_files import tell_notes
 from dashpot.app.help import dashpot_command, option
-from dashpot.app.options import processes_option, quiet_option
+from dashpot.app.options import dask_option, processes_option, quiet_option
 from dashpot.app.parameter_types import FOLDER, INPUT_FILE, Count
 from dashpot.errors import printable
 
@@ -27,11 +27,13 @@ FEW = 2000  # identifications below which starting processes costs more than the
     help="Draws of each scenario, in place of those in the file.",
 )  # fmt: skip
 @processes_option
+@dask_option
 @quiet_option
 @click.pass_context
 def command(
-    ctx: click.Context, study: str, out: str | None, draws: int | None, processes: int | None, quiet: bool
-) -> None:
+    ctx: click.Context, study: str, out: str | None, draws: int | None, processes: int | None, dask: str | None,
+    quiet: bool,
+) -> None:  # fmt: skip
     """Run the Monte Carlo study that the file STUDY describes, or continue one that was interrupted.
 
     The folder gets every draw (draws/…, Parquet), summary.parquet with bias, spread, coverage and bound of each
@@ -47,8 +49,9 @@ def command(
 
     from dataclasses import replace
 
+    from dashpot.app.cluster import shared_out
     from dashpot.app.progress import progress
-    from dashpot.app.workers import cores, mapping
+    from dashpot.app.workers import cores
     from dashpot.present.figures.study_results import study_pictures
     from dashpot.present.tables.layout import console
     from dashpot.present.tables.study import show_study
@@ -60,10 +63,13 @@ def command(
             description, grids=tuple(replace(grid, draws=draws) for grid in description.grids)
         )
     work = sum(point.draws * len(point.methods) for point in scenarios(description))
-    count = processes if processes is not None else 1 if work < FEW else cores()
+    few = dask is None and work < FEW
+    count = processes if processes is not None else 1 if few else cores()
     try:
-        with mapping(count) as mapper, progress(description.name, quiet) as moved:
-            outcome = run_study(description, Path(folder), mapper=mapper, progress=moved)
+        with shared_out(dask, count) as mapper, progress(description.name, quiet) as moved:
+            outcome = run_study(
+                description, Path(folder), mapper=mapper, progress=moved, remote=dask is not None
+            )
     except (KeyboardInterrupt, Ended) as cause:
         click.echo(
             f"dashpot: interrupted; finished draws are kept in {folder}: run it again to continue", err=True

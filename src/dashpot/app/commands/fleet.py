@@ -1,0 +1,169 @@
+"""dashpot fleet: one rig, very many data sets."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from dashpot.app.cli import INTERRUPTED, Ended
+from dashpot.app.help import dashpot_command, option
+from dashpot.app.options import (
+    conditioning_options,
+    dask_option,
+    json_option,
+    out_option,
+    quiet_option,
+    rig_argument,
+    seed_option,
+    whole_record_options,
+    workers_option,
+)
+from dashpot.app.parameter_types import INPUT_FILE_OR
+from dashpot.errors import printable
+from dashpot.estimate.registry import METHODS
+
+if TYPE_CHECKING:
+    from dashpot.fleet.data_sets import Source
+    from dashpot.fleet.identification import Treatment
+    from dashpot.fleet.runner import FleetOutcome
+    from dashpot.model.rigfile import Rig
+
+FLEET = "The fleet"
+FEW = 40  # data sets below which starting processes costs more than they save
+ENDING = ".blocks"  # of the folder in which finished blocks are kept
+
+
+@dashpot_command(
+    "fleet",
+    "dashpot fleet rig.toml 'data/*.parquet' --out fleet.parquet",
+    "dashpot fleet rig.toml all.parquet --rig-column serial --out fleet.parquet --pool",
+)
+@rig_argument
+@click.argument(
+    "data", type=INPUT_FILE_OR, nargs=-1, required=True,
+    help="Data files, one for each rig, or patterns in quotes such as 'data/**/*.csv'.",
+)  # fmt: skip
+@out_option(
+    "FILE.parquet", "Write a row for each data set; finished blocks are kept beside it, in FILE.blocks."
+)
+@option(
+    "--rig-column", metavar="NAME", group=FLEET,
+    help="The files are tables (Parquet, CSV) of many rigs, and this column names them.",
+)  # fmt: skip
+@option(
+    "--order", type=click.Choice(["name", "time", "given"]), default="name", show_default=True, group=FLEET,
+    help="Order of the files, along which drift is looked for: by name, by time of change, or as given.",
+)  # fmt: skip
+@option(
+    "--pool", is_flag=True, group=FLEET,
+    help="Estimate the population that the rigs come from, and draw each rig's estimate towards it.",
+)  # fmt: skip
+@option(
+    "--method", "chosen", type=click.Choice(["auto", *METHODS]), default="auto", show_default=True, group=FLEET,
+    help="Estimator, as for identify.",
+)  # fmt: skip
+@option("--positive", is_flag=True, group=FLEET, help="Hold every unknown at or above 0; uses ml.")
+@json_option("the summary of the fleet")
+@workers_option
+@dask_option
+@conditioning_options
+@whole_record_options
+@seed_option("the starting values that ml draws")
+@quiet_option
+@click.pass_context
+def command(
+    ctx: click.Context, /, rig: str, data: tuple[str, ...], out: str, rig_column: str | None, order: Any, pool: bool,
+    chosen: str, positive: bool, json_out: str | None, workers: int | None, dask: str | None, seed: int, quiet: bool,
+    **conditioning: Any,
+) -> None:  # fmt: skip
+    """Identify very many data sets of rigs that are built alike: all of them have the rig file RIG.
+
+    The result has one row for each data set: every unknown with its standard deviation and 95 % interval, χ², and how
+    far the rig is from the others. A data set that fails has its reason there and does not stop the rest. Rigs unlike
+    the others, and drift along the fleet, are named.
+
+    Run again, only data sets that are new or have changed are computed. The result is the same to the bit with any
+    number of workers.
+    """
+    from dashpot.fleet.data_sets import expanded, of_files, of_tables
+    from dashpot.io.ledger import noted
+    from dashpot.model.rigfile import read_rig
+    from dashpot.present.text.identifiability import require_identifiable
+
+    rig_read = read_rig(rig)
+    rig_read.model.require_unknowns(rig)
+    require_identifiable(rig_read.model, rig_read.channels, rig)
+    paths = [noted(path) for path in expanded(data, order)]
+    source = of_files(paths) if rig_column is None else of_tables(paths, rig_column)
+    treatment = _treatment(rig_read, chosen, positive, seed, conditioning, quiet)
+    try:
+        outcome = _run(rig_read, source, out, treatment, pool, workers, dask, quiet)
+    except (KeyboardInterrupt, Ended) as cause:
+        click.echo(
+            f"dashpot: interrupted; finished data sets are kept in {out}{ENDING}: run it again to continue",
+            err=True,
+        )
+        ctx.exit(128 + cause.number if isinstance(cause, Ended) else INTERRUPTED)
+    _write(outcome, out, json_out, quiet)
+
+
+def _run(
+    rig: Rig, source: Source, out: str, treatment: Treatment, pool: bool, workers: int | None, dask: str | None,
+    quiet: bool,
+) -> FleetOutcome:  # fmt: skip
+    from pathlib import Path
+
+    from dashpot.app.cluster import shared_out
+    from dashpot.app.progress import progress
+    from dashpot.app.workers import cores
+    from dashpot.fleet.runner import run_fleet
+
+    few = dask is None and source.count < FEW
+    count = workers if workers is not None else 1 if few else cores()
+    with shared_out(dask, count) as mapper, progress("fleet", quiet) as moved:
+        return run_fleet(
+            rig, source, Path(f"{out}{ENDING}"), treatment, pool=pool, mapper=mapper, progress=moved
+        )
+
+
+def _treatment(
+    rig: Rig, chosen: str, positive: bool, seed: int, conditioning: dict[str, Any], quiet: bool
+) -> Treatment:
+    from dashpot.app.data_files import conditioning_from, tell_notes
+    from dashpot.errors import UsageError
+    from dashpot.estimate.registry import method_class
+    from dashpot.fleet.identification import Treatment
+
+    if positive and chosen != "auto" and not method_class(chosen).traits.bounds:
+        raise UsageError(
+            f"the method {chosen} holds no bounds", cure="leave out --positive, or use --method ml"
+        )
+    settings = conditioning_from(conditioning)
+    if conditioning.get("noise_record"):
+        from dashpot.data.conditioning.still import noise_at_rest
+        from dashpot.data.readers import read
+
+        still = read(conditioning["noise_record"], rig.channels)
+        tell_notes(still.notes, quiet)
+        settings = settings.changed(still=noise_at_rest(still.records))
+    method = None if chosen == "auto" else chosen
+    return Treatment(method, settings, conditioning["frequency"], positive, seed)
+
+
+def _write(outcome: FleetOutcome, out: str, json_out: str | None, quiet: bool) -> None:
+    import json
+    from pathlib import Path
+
+    from dashpot.app.files import STDOUT, write_result
+    from dashpot.io.json_document import to_json
+    from dashpot.present.tables.fleet import show_fleet
+    from dashpot.present.tables.layout import console
+    from dashpot.study.store import write_table
+
+    summary = outcome.summary()
+    write_table(Path(out), outcome.table(), json.dumps(summary).encode())
+    write_result(json_out, to_json(summary))
+    if not quiet and json_out != STDOUT:
+        show_fleet(outcome, console())
+        click.echo(printable(out))

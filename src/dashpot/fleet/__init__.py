@@ -1,0 +1,1 @@
+"""Fleets: one rig, very many data sets."""

@@ -1,0 +1,289 @@
+"""A fleet in blocks of data sets: what is there already is kept, the rest computed by any map, then looked at whole.
+
+A block's key says what it follows from: rig, treatment, names and checksums of its data sets, version, machine.  It
+names the block's file, so that no block is ever taken for another, and data that have changed are computed again.
+"""
+
+from __future__ import annotations
+
+import json
+import platform
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from dashpot.arrays import Real
+from dashpot.errors import UsageError
+from dashpot.fleet.data_sets import DataSet, Source
+from dashpot.fleet.identification import (
+    WIDE,
+    Columns,
+    FleetBlock,
+    FleetTask,
+    Treatment,
+    identify_block,
+    unknown_names,
+)
+from dashpot.fleet.pooling import Population, pooled
+from dashpot.fleet.survey import LEVEL, Usual, survey
+from dashpot.io.atomic import remove_parts
+from dashpot.io.lock import locked
+from dashpot.model.observation import observation_model
+from dashpot.model.rigfile import Rig
+from dashpot.study.fingerprint import fields_of, fingerprint_of
+from dashpot.study.store import METADATA, digest_of_columns, read_table, write_table
+
+FORMAT = 1
+SIZES = (
+    (20, 1),
+    (500, 10),
+)  # data sets up to which blocks have that size; of the seed's kind: part of the result
+LARGEST = 100  # data sets in a block of the largest fleets
+
+Map = Callable[[Callable[[FleetTask], FleetBlock], Iterable[FleetTask]], Iterable[FleetBlock]]
+
+
+@dataclass(frozen=True)
+class FleetOutcome:
+    """A finished fleet: a row for each data set, what is usual of each parameter, and the population where asked for.
+
+    columns     as `identification.columns`, in the order of the fleet
+    kept        how many data sets were taken from an earlier run
+    """
+
+    rig: str
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+    columns: Columns
+    usual: tuple[Usual, ...]
+    populations: tuple[Population, ...] | None = None
+    kept: int = 0
+
+    @property
+    def count(self) -> int:
+        """Number of data sets."""
+        return len(self.columns["name"])
+
+    @property
+    def failed(self) -> list[int]:
+        """Rows without an estimate."""
+        return [int(k) for k in np.flatnonzero(self.columns["status"] == "failed")]
+
+    @property
+    def misfits(self) -> list[int]:
+        """Rows whose residuals are larger than the noise allows, at LEVEL for the whole fleet (Bonferroni)."""
+        return [int(k) for k in np.flatnonzero(self.columns["p"] < LEVEL / self.count)]
+
+    @property
+    def outliers(self) -> list[int]:
+        """Rows in which some parameter is unlike the rest of the fleet."""
+        if not self.usual:
+            return []
+        return [int(k) for k in np.flatnonzero(np.any([one.outlier for one in self.usual], axis=0))]
+
+    def table(self) -> dict[str, Any]:
+        """The columns of the result file: rows as they are, z and outliers, pooled values where there are any."""
+        table: dict[str, Any] = {}
+        for name, values in self.columns.items():
+            parameter, _, kind = name.rpartition(":")
+            table[name if not parameter else parameter if kind == "value" else f"{parameter}_{kind}"] = values
+        for one in self.usual:
+            table[f"{one.name}_z"] = one.z
+        marked = np.zeros(self.count, dtype=bool)
+        marked[self.outliers] = True
+        table["outlier"] = marked
+        for population in self.populations or ():
+            for key in ("values", "sd", "lower", "upper"):
+                ending = "" if key == "values" else f"_{key}"
+                table[f"{population.name}_pooled{ending}"] = getattr(population, key)
+        return table
+
+    def summary(self) -> dict[str, Any]:
+        """What is said of the fleet as a whole, for other programs."""
+        populations = {one.name: one for one in self.populations or ()}
+        parameters: dict[str, Any] = {}
+        for one in self.usual:
+            parameters[one.name] = {
+                "unit": one.unit, "count": one.count, "median": one.median, "spread": one.spread, "noise": one.noise,
+                "drift": one.slope, "drift_sd": one.slope_sd, "drift_p": one.drift_p,
+                "outliers": [str(self.columns["name"][k]) for k in np.flatnonzero(one.outlier)],
+            }  # fmt: skip
+            if (of := populations.get(one.name)) is not None:
+                parameters[one.name]["population"] = {
+                    "mean": of.mean, "mean_sd": of.mean_sd, "spread": of.spread,
+                    "spread_interval95": list(of.spread_interval),
+                }  # fmt: skip
+        return {
+            "dashpot": version("dashpot"), "rig": self.rig, "data_sets": self.count, "failed": len(self.failed),
+            "misfits": len(self.misfits), "parameters": parameters,
+        }  # fmt: skip
+
+
+def run_fleet(
+    rig: Rig,
+    source: Source,
+    folder: Path | None = None,
+    treatment: Treatment | None = None,
+    *,
+    pool: bool = False,
+    mapper: Map = map,
+    progress: Callable[[int, int], None] | None = None,
+) -> FleetOutcome:
+    """Identify every data set, by any `mapper`, keeping finished blocks in `folder`; what is there is not computed.
+
+    The result depends on rig, data and treatment alone.  `progress(done, all)` counts data sets.  Raises UsageError
+    where the folder cannot be used or holds something else, DataError where a table of data sets is damaged.
+    """
+    rig.model.require_unknowns()
+    settings = Treatment() if treatment is None else treatment
+    if folder is None:
+        blocks, kept = _run(rig, source, settings, None, mapper, progress)
+    else:
+        _make(folder)
+        with locked(folder):
+            remove_parts(folder)
+            blocks, kept = _run(rig, source, settings, folder, mapper, progress)
+    return outcome_of(rig, blocks, pool, kept)
+
+
+def outcome_of(rig: Rig, blocks: Sequence[Columns], pool: bool, kept: int = 0) -> FleetOutcome:
+    """The blocks put together, with what stands out and, where asked for, the populations."""
+    if not blocks:
+        raise UsageError("there are no data sets", cure="name one file at least")
+    columns = {name: np.concatenate([block[name] for block in blocks]) for name in blocks[0]}
+    view = observation_model(rig.model, rig.channels, np.ones(1))
+    names = unknown_names(rig)
+    values = {name: _of_answers(columns, f"{name}:value") for name in names}
+    sds = {name: _of_answers(columns, f"{name}:sd") for name in names}
+    usual = survey(names, view.units, values, sds)
+    populations = None
+    if pool:
+        found = (pooled(one.name, one.unit, values[one.name], sds[one.name], ~one.outlier) for one in usual)
+        populations = tuple(population for population in found if population is not None)
+    return FleetOutcome(rig.model.name, names, view.units, columns, usual, populations, kept)
+
+
+def _of_answers(columns: Columns, name: str) -> Real:
+    """A column with NaN where the iteration has not converged."""
+    answered: Real = np.where(columns["status"] == "converged", columns[name], np.nan)
+    return answered
+
+
+def machine() -> str:
+    """What the last bits of results depend on beside the data: version, libraries, instruction set."""
+    import scipy
+
+    core = getattr(np, "_core", None)
+    features = getattr(getattr(core, "_multiarray_umath", None), "__cpu_features__", {})
+    chosen = ",".join(sorted(name for name, there in features.items() if there))
+    parts = (version("dashpot"), np.__version__, scipy.__version__, platform.machine(), chosen)
+    return " ".join(parts)
+
+
+# Blocks
+
+
+def block_size(count: int) -> int:
+    """Data sets in a block: few in small fleets, so that there is work for several processes."""
+    return next((size for most, size in SIZES if count <= most), LARGEST)
+
+
+def _run(
+    rig: Rig, source: Source, treatment: Treatment, folder: Path | None, mapper: Map,
+    progress: Callable[[int, int], None] | None,
+) -> tuple[list[Columns], int]:  # fmt: skip
+    """All blocks in order, and how many data sets were there already."""
+    order: list[str] = []
+    finished: dict[str, Columns] = {}
+    kept = 0
+    basis = fingerprint_of((_rig_parts(rig), treatment, unknown_names(rig), machine(), FORMAT))
+
+    def work() -> Iterator[FleetTask]:
+        nonlocal kept
+        for data_sets in _blocks(source):
+            key = _key(basis, data_sets)
+            order.append(key)
+            whole = None if folder is None else _read(folder, key, unknown_names(rig))
+            if whole is None:
+                yield FleetTask(key, rig, treatment, data_sets)
+                continue
+            finished[key] = whole
+            kept += len(data_sets)
+
+    def tell() -> None:
+        if progress is not None:
+            progress(sum(len(block["name"]) for block in finished.values()), source.count)
+
+    tell()
+    for block in mapper(identify_block, work()):
+        if folder is not None:
+            _write(folder, block)
+        finished[block.key] = block.columns
+        tell()
+    return [finished[key] for key in order], kept
+
+
+def _blocks(source: Source) -> Iterator[tuple[DataSet, ...]]:
+    size = block_size(source.count)
+    held: list[DataSet] = []
+    for data_set in source.read():
+        held.append(data_set)
+        if len(held) == size:
+            yield tuple(held)
+            held = []
+    if held:
+        yield tuple(held)
+
+
+def _rig_parts(rig: Rig) -> object:
+    """All of a rig that an estimate depends on."""
+    model = {name: value for name, value in fields_of(rig.model) if name != "name"}
+    return (model, rig.channels)
+
+
+def _key(basis: str, data_sets: Sequence[DataSet]) -> str:
+    return fingerprint_of((basis, [(one.name, one.source, one.checksum) for one in data_sets]))[:32]
+
+
+def _write(folder: Path, block: FleetBlock) -> None:
+    label = {"key": block.key, "sha256": digest_of_columns(block.columns)}
+    write_table(folder / f"{block.key}.parquet", block.columns, json.dumps(label).encode())
+
+
+def _read(folder: Path, key: str, names: Sequence[str]) -> Columns | None:
+    """The columns of a block; None where it is absent, damaged or another's."""
+    try:
+        columns, metadata = read_table(folder / f"{key}.parquet")
+        label: Mapping[str, Any] = json.loads(metadata[METADATA])
+        if label["key"] != key or label["sha256"] != digest_of_columns(columns):
+            return None
+        if any(f"{name}:{kind}" not in columns for name in names for kind in WIDE):
+            return None
+    except Exception:  # damage may show anywhere between the file's first byte and the last key
+        return None
+    return columns
+
+
+def _make(folder: Path) -> None:
+    """Make the folder, or see that nothing else lies in it.  Raises UsageError."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        strangers = [
+            path for path in folder.iterdir() if path.suffix != ".parquet" and not path.name.startswith(".")
+        ]
+    except OSError as error:
+        raise UsageError(
+            f"the folder cannot be used ({error.strerror or error})",
+            str(folder),
+            "name another file for the result",
+        ) from None
+    if strangers:
+        raise UsageError(
+            f"the folder for finished blocks holds {strangers[0].name}",
+            str(folder),
+            "name another file for the result",
+        )

@@ -1,0 +1,118 @@
+"""A fleet as tables: what is usual of each parameter, and which rigs are unlike the others."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from rich.console import Console
+
+from dashpot.fleet.pooling import Population
+from dashpot.fleet.runner import FleetOutcome
+from dashpot.fleet.survey import Usual
+from dashpot.io.words import counted, shown
+from dashpot.present.tables.layout import TableColumn, show_paragraph, show_table
+from dashpot.present.text.numbers import short
+
+MOST = 10  # rigs that are named one by one
+NOTHING = "–"
+
+
+def show_fleet(outcome: FleetOutcome, out: Console) -> None:
+    """Print the summary, and what stands out."""
+    title = shown(outcome.rig) if outcome.rig else "Fleet"
+    answered = outcome.count - len(outcome.failed)
+    show_paragraph(out, f"{title}: {counted(outcome.count, 'data set')}, {answered} identified", "bold")
+    out.print()
+    show_table(out, usual_columns(outcome.usual))
+    out.print()
+    show_paragraph(out, LEGEND, "dim")
+    if outcome.populations:
+        out.print()
+        show_table(out, population_columns(outcome.populations))
+        out.print()
+        show_paragraph(out, POPULATION_LEGEND, "dim")
+    for line in fleet_remarks(outcome):
+        out.print()
+        show_paragraph(out, line)
+
+
+LEGEND = (
+    "Spread: of the rigs themselves, by median absolute deviations, the noise taken out. Noise: rms standard deviation "
+    "of the estimates. Drift: change from the first to the last data set, where it is more than chance."
+)
+POPULATION_LEGEND = (
+    "Population by restricted maximum likelihood, outliers left out: its mean, and the standard deviation of the rigs "
+    "around it with its 95 % interval."
+)
+
+
+def usual_columns(parameters: Sequence[Usual]) -> list[TableColumn]:
+    """Median, spread, noise, drift and the number of outliers of every parameter."""
+    return [
+        TableColumn("parameter", tuple(shown(one.name) for one in parameters)),
+        TableColumn("unit", tuple("" if one.unit == "1" else one.unit for one in parameters)),
+        TableColumn("median", tuple(short(one.median, 4) for one in parameters), "right"),
+        TableColumn("spread", tuple(short(one.spread, 2) for one in parameters), "right"),
+        TableColumn("noise", tuple(short(one.noise, 2) for one in parameters), "right"),
+        TableColumn("drift", tuple(_drift(one) for one in parameters), "right"),
+        TableColumn("outliers", tuple(_count(one) for one in parameters), "right"),
+    ]
+
+
+def population_columns(populations: Sequence[Population]) -> list[TableColumn]:
+    """Mean and spread of every parameter's population."""
+    spans = [one.spread_interval for one in populations]
+    return [
+        TableColumn("parameter", tuple(shown(one.name) for one in populations)),
+        TableColumn("unit", tuple("" if one.unit == "1" else one.unit for one in populations)),
+        TableColumn("mean", tuple(short(one.mean, 4) for one in populations), "right"),
+        TableColumn("±", tuple(short(one.mean_sd, 2) for one in populations), "right"),
+        TableColumn("spread", tuple(short(one.spread, 2) for one in populations), "right"),
+        TableColumn("95 %", tuple(f"{short(a, 2)} – {short(b, 2)}" for a, b in spans), "right"),
+    ]
+
+
+def fleet_remarks(outcome: FleetOutcome) -> list[str]:
+    """Outliers with what is unusual of them, failed data sets with their reasons, misfits, drift."""
+    columns = outcome.columns
+    lines = []
+    order = sorted(
+        outcome.outliers, key=lambda k: -max(float(np.nan_to_num(abs(u.z[k]))) for u in outcome.usual)
+    )
+    unlike = [f"{shown(str(columns['name'][k]))} ({_why(outcome.usual, k)})" for k in order]
+    if unlike:
+        lines.append(f"Unlike the others: {_first(unlike, ', ')}.")
+    drifting = [
+        f"{shown(one.name)} by {_drift(one)} (p = {one.drift_p:.1g})" for one in outcome.usual if one.drifts
+    ]
+    if drifting:
+        lines.append(f"Drift over the fleet: {', '.join(drifting)}.")
+    misfits = [shown(str(columns["name"][k])) for k in outcome.misfits]
+    if misfits:
+        lines.append(f"The model does not fit {counted(len(misfits), 'data set')}: {_first(misfits, ', ')}.")
+    failed = [f"{shown(str(columns['name'][k]))}: {columns['reason'][k]}" for k in outcome.failed]
+    if failed:
+        lines.append(f"Failed: {counted(len(failed), 'data set')}. {_first(failed, '; ')}")
+    stalled = [shown(str(name)) for name in columns["name"][columns["status"] == "not converged"]]
+    if stalled:
+        lines.append(f"Not converged: {_first(stalled, ', ')}.")
+    return lines
+
+
+def _why(usual: Sequence[Usual], k: int) -> str:
+    return ", ".join(f"{shown(one.name)} {one.z[k]:+.1f} sd" for one in usual if one.outlier[k])
+
+
+def _first(texts: Sequence[str], between: str) -> str:
+    more = len(texts) - MOST
+    return between.join(texts[:MOST]) + (f" and {more} more" if more > 0 else "")
+
+
+def _count(one: Usual) -> str:
+    count = int(np.sum(one.outlier))
+    return str(count) if count else NOTHING
+
+
+def _drift(one: Usual) -> str:
+    return short(one.slope, 2) if one.drifts else NOTHING

@@ -1,0 +1,193 @@
+"""dashpot fleet: many data sets in, one table out; and the processes that share the work."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import sys
+from dataclasses import replace
+from pathlib import Path
+from types import ModuleType
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.csv as text
+import pyarrow.parquet as parquet
+import pytest
+
+from dashpot.app.workers import mapping
+from dashpot.data.readers import write_amplitudes
+from dashpot.errors import UsageError
+from dashpot.model.channel_noise import with_relative_noise
+from dashpot.model.rigfile import parse_rig
+from dashpot.study.simulate import dwells, simulate_spectrum
+from tests.unit.app.conftest import RIG, VALUES, Command
+
+COUNT = 8
+
+
+@pytest.fixture
+def data(tmp_path: Path) -> Path:
+    """A rig file, a folder of data sets of rigs alike, and the same as one table."""
+    rig = parse_rig(RIG)
+    model, rng = rig.model, np.random.default_rng(0)
+    channels = with_relative_noise(model, rig.channels, 0.02)
+    (tmp_path / "rig.toml").write_text(RIG)
+    (tmp_path / "data").mkdir()
+    for k in range(COUNT):
+        theta = model.theta(VALUES) * (1 + 0.03 * rng.standard_normal(len(model.unknowns)))
+        theta = theta * (1.7 if k == 5 else 1.0)
+        spectrum = simulate_spectrum(
+            model, model.parameters(theta), channels, dwells(model, np.linspace(2, 12, 10), 40), rng
+        )
+        write_amplitudes(replace(spectrum, channels=rig.channels), tmp_path / "data" / f"rig{k + 3}.csv")
+    tables = [text.read_csv(tmp_path / "data" / f"rig{k + 3}.csv") for k in range(COUNT)]
+    named = [
+        table.append_column("serial", pa.array([f"{k + 3}"] * len(table))) for k, table in enumerate(tables)
+    ]
+    parquet.write_table(pa.concat_tables(named), tmp_path / "all.parquet")
+    return tmp_path
+
+
+def test_a_row_for_each_file_and_the_odd_one_named(dashpot: Command, data: Path) -> None:
+    ran = dashpot(
+        "fleet", "rig.toml", "data/*.csv", "--out", "fleet.parquet", "--pool", "--json", "fleet.json"
+    )
+    assert ran.code == 0, ran.err
+    rows = parquet.read_table(data / "fleet.parquet").to_pylist()
+    assert [row["name"] for row in rows] == [f"data/rig{k + 3}.csv" for k in range(COUNT)]
+    assert [row["outlier"] for row in rows] == [k == 5 for k in range(COUNT)]
+    assert all(row["m1_lower"] < row["m1"] < row["m1_upper"] for row in rows)
+    assert all(row["m1_pooled_sd"] <= row["m1_sd"] * 1.001 for k, row in enumerate(rows) if k != 5)
+    assert "Unlike the others: data/rig8.csv" in " ".join(ran.out.split())
+    assert max(len(line) for line in ran.out.splitlines()) <= 80
+    summary = json.loads((data / "fleet.json").read_text())
+    assert summary["data_sets"] == COUNT
+    assert summary["parameters"]["m1"]["outliers"] == ["data/rig8.csv"]
+    again = dashpot("fleet", "rig.toml", "data/*.csv", "--out", "fleet.parquet", "-q")
+    assert (again.code, again.out) == (0, "")
+
+
+def test_a_table_of_many_rigs_gives_the_same(dashpot: Command, data: Path) -> None:
+    assert dashpot("fleet", "rig.toml", "data/*.csv", "--out", "a.parquet", "-q").code == 0
+    ran = dashpot("fleet", "rig.toml", "all.parquet", "--rig-column", "serial", "--out", "b.parquet", "-q")
+    assert ran.code == 0, ran.err
+    files, table = (parquet.read_table(data / f"{name}.parquet").to_pydict() for name in "ab")
+    assert table["name"] == [str(k + 3) for k in range(COUNT)]
+    assert table["k1" if "k1" in table else "m1"] == files["m1"]
+
+
+def test_a_failed_data_set_has_its_reason(dashpot: Command, data: Path) -> None:
+    (data / "data" / "rig5.csv").write_text("frequency_hz,u_re\n1,2\n")
+    ran = dashpot("fleet", "rig.toml", "data/*.csv", "--out", "fleet.parquet")
+    assert ran.code == 0
+    rows = parquet.read_table(data / "fleet.parquet").to_pylist()
+    assert rows[2]["status"] == "failed"
+    assert "missing" in rows[2]["reason"]
+    assert "Failed: 1 data set. data/rig5.csv: " in " ".join(ran.out.split())
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("none/*.csv", "--out", "f.parquet"), "none/*.csv: no file has a name of this pattern"),
+        (("all.parquet", "--rig-column", "number", "--out", "f.parquet"), "column number: missing"),
+        (("data/*.csv", "--out", "data/rig4.csv"), "data/rig4.csv: this would overwrite a file that is read"),
+        (
+            ("data/*.csv", "--out", "f.parquet", "--method", "oiv", "--positive"),
+            "the method oiv holds no bounds",
+        ),
+    ],
+)
+def test_bad_usage_ends_with_2_and_leaves_nothing(
+    dashpot: Command, data: Path, arguments: tuple[str, ...], message: str
+) -> None:
+    before = {path.name for path in data.iterdir()}
+    ran = dashpot("fleet", "rig.toml", *arguments)
+    assert ran.code == 2
+    assert len(ran.err) == 1
+    assert message in ran.err[0]
+    assert {path.name for path in data.iterdir()} == before
+
+
+def test_without_dask_the_extra_is_named_when_it_is_asked_for(
+    dashpot: Command, data: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "distributed", None)
+    ran = dashpot("fleet", "rig.toml", "data/*.csv", "--out", "f.parquet", "--dask", "local")
+    assert ran.code == 2
+    assert len(ran.err) == 1
+    assert "needs distributed, which is not installed; install it: pip install 'dashpot[scale]'" in ran.err[0]
+
+
+# Workers that are killed
+
+
+def squared(task: tuple[int, str]) -> int:
+    """The square; the process dies over 3 when it meets it first."""
+    number, folder = task
+    if number == 3 and not os.path.exists(f"{folder}/killed"):
+        Path(folder, "killed").write_text("")
+        os.kill(os.getpid(), signal.SIGKILL)
+    return number**2
+
+
+def deadly(_: int) -> int:
+    """Nothing: the process dies."""
+    os.kill(os.getpid(), signal.SIGKILL)
+    return 0
+
+
+def test_a_killed_worker_costs_what_it_was_computing_alone(tmp_path: Path) -> None:
+    with mapping(2) as mapper:
+        results = list(mapper(squared, ((k, str(tmp_path)) for k in range(12))))
+    assert sorted(results) == [k**2 for k in range(12)]
+    assert (tmp_path / "killed").exists()
+
+
+@pytest.mark.long
+def test_work_that_kills_every_worker_ends_with_a_line() -> None:
+    with pytest.raises(UsageError, match="killed 4 times in a row"), mapping(2) as mapper:
+        list(mapper(deadly, range(3)))
+
+
+@pytest.mark.long
+def test_a_cluster_gives_the_same_bits_and_survives_a_killed_worker(dashpot: Command, data: Path) -> None:
+    distributed: ModuleType = pytest.importorskip("distributed")
+    assert distributed
+    assert dashpot("fleet", "rig.toml", "data/*.csv", "--out", "a.parquet", "-q").code == 0
+    ran = dashpot(
+        "fleet", "rig.toml", "data/*.csv", "--out", "b.parquet", "-q", "--dask", "local", "--workers", "2"
+    )
+    assert ran.code == 0, ran.err
+    assert (data / "a.parquet").read_bytes() == (data / "b.parquet").read_bytes()
+    from dashpot.app.cluster import cluster_mapping
+
+    with cluster_mapping("local", 2) as mapper:
+        assert sorted(mapper(squared, ((k, str(data)) for k in range(12)))) == [k**2 for k in range(12)]
+    assert (data / "killed").exists()
+
+
+@pytest.mark.long
+def test_a_study_on_a_cluster_is_the_same_to_the_bit(dashpot: Command, tmp_path: Path) -> None:
+    pytest.importorskip("distributed")
+    from tests.unit.app.test_study import STUDY
+
+    (tmp_path / "rig.toml").write_text(RIG)
+    (tmp_path / "noise.toml").write_text(STUDY)
+    assert dashpot("study", "noise.toml", "-q", "--out", "one", "--processes", "1").code == 0
+    ran = dashpot("study", "noise.toml", "-q", "--out", "many", "--processes", "2", "--dask", "local")
+    assert ran.code == 0, ran.err
+    for path in (tmp_path / "one").rglob("*.parquet"):
+        assert path.read_bytes() == (tmp_path / "many" / path.relative_to(tmp_path / "one")).read_bytes()
+
+
+@pytest.mark.long
+def test_a_scheduler_that_is_not_there(dashpot: Command, data: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("distributed")
+    monkeypatch.setattr("dashpot.app.cluster.PATIENCE", 1.0)
+    ran = dashpot("fleet", "rig.toml", "data/*.csv", "--out", "b.parquet", "--dask", "tcp://127.0.0.1:9")
+    assert ran.code == 2
+    assert len(ran.err) == 1
+    assert "no scheduler of Dask answers" in ran.err[0]
