@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     __version__: str
-    from dashpot.api import compare, identify, read, simulate
+    from dashpot.api import compare, draw, identify, read, simulate
     from dashpot.channel import Channel, Quantity
     from dashpot.check.residuals import Residuals, residuals
     from dashpot.data.conditioning.drive_frequency import refine_frequency
@@ -57,7 +57,7 @@ if TYPE_CHECKING:
     from dashpot.study.simulate import Dwells, dwells, simulate_records, simulate_spectrum
 
 _NAMES = {
-    "api": "compare identify read simulate",
+    "api": "compare draw identify read simulate",
     "channel": "Channel Quantity",
     "check.residuals": "Residuals residuals",
     "data.conditioning.drive_frequency": "refine_frequency",
@@ -140,6 +140,7 @@ __all__ = [
     "compare",
     "concatenate",
     "default_channels",
+    "draw",
     "dwells",
     "fit_harmonics",
     "free_model",

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -37,6 +37,10 @@ from dashpot.model.rigfile import Rig, default_channels
 from dashpot.model.unstructured import free_entries
 from dashpot.quantities import frequencies as frequencies_of
 from dashpot.study.simulate import dwells, simulate_records
+
+if TYPE_CHECKING:
+    from dashpot.present.schematic.drawing import Drawing
+    from dashpot.present.schematic.moving import ModeDrawing
 
 AnyPath = str | os.PathLike[str]
 Data = Spectrum | Reading | Record | AnyPath | Sequence[Record] | Sequence[AnyPath]
@@ -153,6 +157,29 @@ def simulate(
     test = dwells(model, chosen, samples, amplitudes=amplitudes, periods=periods, rate=rate)
     p = model.parameters(model.theta(values))
     return tuple(simulate_records(model, p, rig.channels, test, np.random.default_rng(seed)))
+
+
+def draw(
+    rig: Rig | Model, estimate: Estimate | None = None, *, mode: int | None = None, level: float = 0.95
+) -> Drawing | ModeDrawing:
+    """The rig as a schematic: a value that notebooks show and `save("rig.svg")` writes (.svg, .png or .pdf).
+
+    estimate  whose values and intervals at `level` stand beside the elements
+    mode      the number of a mode that is drawn in their place, 1 the slowest: of the estimate, or of the values and
+              guesses that the rig states
+
+    Raises UsageError where the rig has too many bodies for a drawing, or no such mode.
+    """
+    from dashpot.check.doubt import doubtful, undetermined
+    from dashpot.present.schematic.drawing import schematic
+    from dashpot.present.schematic.moving import mode_drawing, numbered_mode
+
+    model, channels = _model(rig), _channels(rig)
+    if mode is not None:
+        title, shape = numbered_mode(model, estimate, mode)
+        return mode_drawing(model, shape, title)
+    marks = undetermined(model, channels) if estimate is None else doubtful(estimate, level)
+    return schematic(model, channels, estimate, marks, level)
 
 
 def text(value: Estimate | Comparison) -> str:

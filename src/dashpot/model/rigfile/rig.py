@@ -57,6 +57,10 @@ class Rig:
         """The records that the rig would yield: `dashpot.simulate(rig, values, frequencies, …)`."""
         return cast("tuple[Record, ...]", call("simulate", self, values, frequencies, **options))
 
+    def draw(self, estimate: Estimate | None = None, *, mode: int | None = None) -> Any:
+        """The rig as a schematic, which notebooks show and `.save("rig.svg")` writes: `dashpot.draw(rig, …)`."""
+        return call("draw", self, estimate, mode=mode)
+
 
 def default_channels(model: Model) -> tuple[Channel, ...]:
     """A channel for every coordinate and input, of its own name, in SI units."""

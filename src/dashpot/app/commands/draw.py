@@ -1,0 +1,61 @@
+"""dashpot draw: the rig as a schematic, with the values of an estimate, or one of its modes."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from dashpot.app.help import dashpot_command, option
+from dashpot.app.options import level_option, out_option, rig_argument
+from dashpot.app.parameter_types import INPUT_FILE, Count
+
+if TYPE_CHECKING:
+    from dashpot.estimate.result import Estimate
+    from dashpot.model.rigfile import Rig
+
+WHAT = "What to draw"
+
+
+@dashpot_command(
+    "draw",
+    "dashpot draw rig.toml -o rig.svg",
+    "dashpot draw rig.toml --estimate estimate.json -o rig.pdf",
+    "dashpot draw rig.toml --estimate estimate.json --mode 2 -o mode2.svg",
+)
+@rig_argument
+@option(
+    "--estimate", "estimate_file", type=INPUT_FILE, metavar="FILE.json", group=WHAT,
+    help="An estimate (JSON of identify), whose values and intervals are written beside the elements.",
+)  # fmt: skip
+@option(
+    "--mode", type=Count(1, 10_000), metavar="N", group=WHAT,
+    help="Draw mode N: of the estimate, or of a rig file that gives every value or guess.  SVG moves.",
+)  # fmt: skip
+@out_option("FILE.svg", "The drawing, as .svg, .png or .pdf.")
+@level_option
+def command(rig: str, estimate_file: str | None, mode: int | None, out: str, level: float) -> None:
+    """Draw RIG: springs, dampers, masses, what shakes it, where its sensors sit.
+
+    Heavy lines are unknown (or found, with an estimate), thin ones known; broken ones are in doubt: the interval is
+    wider than half the value or, without an estimate, the channels cannot determine them.
+    """
+    from dashpot.check.doubt import doubtful, undetermined
+    from dashpot.estimate.result import Estimate
+    from dashpot.model.rigfile import read_rig
+    from dashpot.present.schematic.drawing import file_format, schematic
+
+    file_format(out)
+    rig_read = read_rig(rig)
+    estimate = None if estimate_file is None else Estimate.load(estimate_file)
+    if mode is not None:
+        _draw_mode(rig_read, estimate, mode, out)
+        return
+    model, channels = rig_read.model, rig_read.channels
+    marks = undetermined(model, channels) if estimate is None else doubtful(estimate, level)
+    schematic(model, channels, estimate, marks, level).save(out)
+
+
+def _draw_mode(rig: Rig, estimate: Estimate | None, mode: int, out: str) -> None:
+    from dashpot.present.schematic.moving import mode_drawing, numbered_mode
+
+    title, shape = numbered_mode(rig.model, estimate, mode)
+    mode_drawing(rig.model, shape, title).save(out)

@@ -1,0 +1,115 @@
+"""The drawing of a rig, with the values of an estimate and its modes."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+from dashpot.channel import Channel
+from dashpot.errors import UsageError
+from dashpot.estimate.result import Estimate
+from dashpot.io.atomic import write_bytes
+from dashpot.model.network import Model
+from dashpot.present.schematic.connections import Connections, connections
+from dashpot.present.schematic.frame import framed
+from dashpot.present.schematic.labels import Labels, labels
+from dashpot.present.schematic.layout import Placer
+from dashpot.present.schematic.placed import Layout
+from dashpot.present.schematic.raster import raster
+from dashpot.present.schematic.scene import Part, scene_parts
+from dashpot.present.schematic.svg import svg_document
+from dashpot.present.schematic.tree import forest
+from dashpot.present.text.estimate import sentence
+
+MOST_ELEMENTS, MOST_BODIES = 60, 40
+FORMATS = ("svg", "png", "pdf")
+
+
+@dataclass(frozen=True)
+class Drawing:
+    """A drawing of a rig: plain geometry, and what is drawn of it (title and legend included)."""
+
+    title: str
+    model: Model
+    labels: Labels
+    connections: Connections
+    layout: Layout
+    parts: tuple[Part, ...]
+    width: float
+    height: float
+
+    def svg(self) -> str:
+        """As SVG, whose texts can be searched."""
+        return svg_document(self.parts, self.width, self.height, self.title, description(self))
+
+    def _repr_svg_(self) -> str:
+        """The same, for a notebook."""
+        return self.svg()
+
+    def raster(self, kind: Literal["png", "pdf"]) -> bytes:
+        """As PNG or PDF."""
+        return raster(self.parts, self.width, self.height, self.title, kind)
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write it; the end of the name says how: .svg, .png or .pdf.  Raises UsageError, DataError."""
+        kind = file_format(path)
+        content = self.svg().encode() if kind == "svg" else self.raster("png" if kind == "png" else "pdf")
+        write_bytes(path, content)
+
+
+def file_format(path: str | os.PathLike[str]) -> str:
+    """ "svg", "png" or "pdf" by the end of a name.  Raises UsageError."""
+    kind = Path(path).suffix.lower().removeprefix(".")
+    if kind not in FORMATS:
+        raise UsageError(
+            "a drawing is written as SVG, PNG or PDF", str(path), "end the name in .svg, .png or .pdf"
+        )
+    return kind
+
+
+def schematic(
+    model: Model,
+    channels: Sequence[Channel] = (),
+    estimate: Estimate | None = None,
+    doubtful: Collection[str] = (),
+    level: float = 0.95,
+) -> Drawing:
+    """The rig in the field's symbols; with values and intervals of an estimate where there is one.
+
+    `doubtful` names parameters that are marked as such.  Of more than MOST_ELEMENTS elements only the kinds and names
+    are drawn.  Raises UsageError where there are too many bodies for a drawing.
+    """
+    found = connections(model, channels)
+    if len(found.bodies) > MOST_BODIES:
+        raise UsageError(
+            f"{len(found.bodies)} bodies are too many for a drawing (at most {MOST_BODIES})",
+            cure="draw a part of the rig",
+        )
+    small = len(model.elements) <= MOST_ELEMENTS
+    between = [link.item for link in found.links if link.kind == "sensor"]
+    said = labels(model, channels if small else (), estimate, doubtful, between, level, numbers=small)
+    layout = Placer(model, channels, forest(model, found), found.pushes, said).layout()
+    note = "" if small else f"{len(model.elements)} elements: values are left out."
+    if found.free:
+        note = sentence("Entries of free matrices are not elements and are not drawn")
+    drawn, width, height = framed(
+        layout, scene_parts(layout, model, said), model, said, estimate is not None, level, note
+    )
+    return Drawing(model.name or "Rig", model, said, found, layout, tuple(drawn), width, height)
+
+
+def description(drawing: Drawing) -> str:
+    """The drawing in words: every element with what it joins and its value."""
+    model, said = drawing.model, drawing.labels
+    texts = []
+    for element in model.elements:
+        if element.free:
+            continue
+        points = [*element.along, *(["ground"] if len(element.along) == 1 and element.kind != "mass" else [])]
+        known, value, interval = said.values[element.name]
+        of = f"{element.name}, {element.kind} of {' and '.join(points)}: {known}"
+        texts.append(of + (f", {value}" if value != "?" else "") + (f" ({interval})" if interval else ""))
+    return "; ".join(texts)
