@@ -72,6 +72,16 @@ def stiffness(model: Model, p: Real, omega: Real) -> Complex:
     return total.reshape(*total.shape[:-1], n, n + r)
 
 
+def stiffness_over_lines(model: Model, p: Real, omega: Real) -> Complex:
+    """As `stiffness` with the lines last, (..., n, n + r, lines): for sums over many lines."""
+    n, r = model.n, model.D.shape[1]
+    total = np.zeros((*p.shape[:-1], n * (n + r), len(omega)), dtype=np.complex128)
+    for letter, members in model.by_matrix.items():
+        if len(members):
+            total += _assemble(model, p, letter)[..., :, None] * MATRICES[letter].factor(omega)
+    return total.reshape(*total.shape[:-2], n, n + r, len(omega))
+
+
 def dynamic_stiffness(model: Model, p: Real, omega: Real) -> Complex:
     """Bᵀ diag(p φ) B, shape (..., lines, n, n), N/m."""
     return stiffness(model, p, omega)[..., : model.n]

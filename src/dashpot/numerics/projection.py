@@ -36,3 +36,19 @@ def orthonormal(A: Real) -> tuple[Real, Real, Ints]:
         step = vectors * np.where(kept, 1 / np.sqrt(np.where(kept, values, 1.0)), 0.0)[:, None, :]
         Q, B = Q @ step, B @ step
     return Q, B, np.sum(kept, axis=-1)
+
+
+def independent(products: Real, squares: Real | None = None) -> tuple[Real, Ints]:
+    """(B, rank) with Bᵀ N B = 1 on the independent directions of columns whose products are N, and 0 beyond.
+
+    N (..., columns, columns).  Columns are scaled alike first, by `squares` (..., columns) where N is what others have
+    left of them; what depends on others to DEPENDENT is left out.
+    """
+    products = np.where(np.isfinite(products), products, 0.0)
+    size = np.diagonal(products, axis1=-2, axis2=-1) if squares is None else np.nan_to_num(squares)
+    unit = np.where(size > 0, 1 / np.sqrt(np.where(size > 0, size, 1.0)), 0.0)
+    values, vectors = np.linalg.eigh(products * unit[..., :, None] * unit[..., None, :])
+    least = np.maximum(DEPENDENT * values[..., -1:], DEPENDENT if squares is not None else 1e-300)
+    kept: Bools = values > least
+    scale = np.where(kept, 1 / np.sqrt(np.where(kept, values, 1.0)), 0.0)
+    return unit[..., :, None] * vectors * scale[..., None, :], np.sum(kept, axis=-1)

@@ -29,6 +29,7 @@ from dashpot.numerics.projection import orthonormal, real_rows
 class RecordEnds:
     """The columns that the ends of each record bring; constants of one search.
 
+    rig      the channels of the rig itself
     view     the rig with a force input at every coordinate, behind its own inputs
     lines    of each record
     s        (lines,) jω over the highest ω of the record
@@ -39,6 +40,7 @@ class RecordEnds:
              where the channel is one of the data
     """
 
+    rig: ObservationModel
     view: ObservationModel
     inputs: int
     lines: tuple[Ints, ...]
@@ -130,6 +132,7 @@ def record_ends(
     if exact is not None:
         by_input = -exact[:, :, of] * (s[:, None] ** height)[:, None, :]
     return RecordEnds(
+        view,
         with_loads(view),
         view.on_q.shape[1],
         tuple(lines for _, lines in records),

@@ -8,12 +8,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from dashpot.arrays import Complex, Ints, Real
 from dashpot.estimate.likelihood.boundary_loads import RecordEnds
+from dashpot.estimate.likelihood.record_pieces import RecordPieces
 from dashpot.model.observation import ObservationModel, small
 
 if TYPE_CHECKING:
@@ -28,7 +30,8 @@ class Measured:
 
     y (K, lines, channels), 0 where not measured; W (K or 1, lines, channels, channels) the inverse covariance, 0
     where not measured; q (K, lines, r + s) where exact channels give the inputs, else None; `rows` real equations.
-    `ends`: the columns that whole records bring, and `root` with rootᴴ root = W, where there are whole records.
+    `ends`: the columns that whole records bring; `root` with rootᴴ root = W where there are whole records and W is not
+    diagonal.
     """
 
     y: Complex
@@ -38,6 +41,12 @@ class Measured:
     ends: RecordEnds | None = None
     root: Complex | None = None
     nonlinear: NonlinearPart | None = None
+
+    @cached_property
+    def record_pieces(self) -> RecordPieces:
+        """The lines of whole records as their sums go through them; there must be some."""
+        assert self.ends is not None
+        return RecordPieces(self.ends, self.y, self.W, self.root, self.q)
 
     def pick(self, rows: Ints | slice) -> Measured:
         """Some of the repeats; the only one serves many starts."""
@@ -78,6 +87,7 @@ def pieces(view: ObservationModel, data: Measured, count: int) -> Iterator[Piece
         yield Piece(slice(0, count), slice(0, total), view, data)
         return
     each = _numbers(view)
+    # Lines of whole records belong together: what sums them cuts them itself.
     together = total if data.ends is not None else max(1, min(total, PIECE // each))
     rows = max(1, PIECE // (each * together))
     for row in range(0, count, rows):

@@ -15,6 +15,7 @@ from dashpot.arrays import Complex, Real, hermitian
 from dashpot.estimate.likelihood.boundary_loads import RecordEnds, projector, record_ends, whitener
 from dashpot.estimate.likelihood.chunks import Measured, Piece, by_line, summed
 from dashpot.estimate.likelihood.nuisance import estimated_inputs, inputs_by_channel, inputs_seen
+from dashpot.estimate.likelihood.record_sums import by_record_line, record_sums
 from dashpot.estimate.nonlinear.objective import nonlinear_part, predict_harmonics
 from dashpot.estimate.preparation.prepared import Prepared
 from dashpot.model.observation import (
@@ -22,6 +23,7 @@ from dashpot.model.observation import (
     calibrated_transfer,
     is_direct,
     measures_input,
+    small,
 )
 from dashpot.model.unstructured import free_names
 from dashpot.numerics.levenberg_marquardt import QuadraticModel
@@ -58,7 +60,12 @@ def measured(data: Prepared, view: ObservationModel, softness: float = 0.0) -> M
     count = int(np.sum(present)) - (0 if q is not None else int(np.sum(inputs_seen(view, present))))
     ends = record_ends(view, spectrum, by_channel)
     part = nonlinear_part(data, view, y, q) if len(model.nonlinear) else None
-    return Measured(y * present, W, q, 2 * count, ends, None if ends is None else whitener(W), part)
+    root = None if ends is None or _is_diagonal(W) else whitener(W)
+    return Measured(y * present, W, q, 2 * count, ends, root, part)
+
+
+def _is_diagonal(W: Complex) -> bool:
+    return not np.any(W[..., ~np.eye(W.shape[-1], dtype=bool)])
 
 
 def directly_driven(view: ObservationModel, data: Measured) -> Measured | None:
@@ -100,8 +107,9 @@ class Prediction:
 
 def predict(view: ObservationModel, data: Measured, psi: Real, sign: Real) -> Prediction:
     """Evaluate the channels at ψ (K, M) with signs (K, channels)."""
-    if data.ends is not None and data.root is not None:
-        return _predict_records(view, data, data.ends, data.root, psi, sign)
+    if data.ends is not None:
+        root = np.sqrt(data.W) if data.root is None else data.root
+        return _predict_records(view, data, data.ends, root, psi, sign)
     if data.nonlinear is not None:
         return Prediction(*predict_harmonics(view, data, data.nonlinear, psi, sign))
     rig = calibrated_transfer(view, psi, sign)
@@ -188,6 +196,9 @@ def local(view: ObservationModel, data: Measured, psi: Real, sign: Real) -> Quad
 
 def _sums(piece: Piece, psi: Real, sign: Real) -> tuple[Real, Real, Real]:
     """Cost, minus half its slope, and information of the lines of a piece."""
+    if piece.data.ends is not None and small(piece.view.model):
+        sums = record_sums(piece.data.record_pieces, psi, sign)
+        return sums.cost, sums.gradient, sums.information
     at = predict(piece.view, piece.data, psi, sign)
     M = psi.shape[-1]
     rows = at.J.shape[-3] * at.J.shape[-2]
@@ -214,6 +225,8 @@ def per_line(view: ObservationModel, data: Measured, psi: Real, sign: Real) -> t
 
 
 def _of_lines(piece: Piece, psi: Real, sign: Real) -> tuple[Real, Real, Real]:
+    if piece.data.ends is not None and small(piece.view.model):
+        return by_record_line(piece.data.record_pieces, psi, sign)
     at = predict(piece.view, piece.data, psi, sign)
     return at.information(), 2 * (hermitian(at.J) @ at.weighted[..., None]).real[..., 0], at.cost_per_line
 

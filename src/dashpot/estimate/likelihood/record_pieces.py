@@ -1,0 +1,258 @@
+"""Lines of whole records in pieces: what stays the same while a search moves through the unknowns.
+
+Lines stand on the last axis throughout, so that every product runs over long rows, and a row of complex numbers read as
+twice as many real ones is a row of the real least squares that boundary loads and polynomials are.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from dashpot.arrays import Bools, Complex, Ints, Real
+from dashpot.estimate.likelihood.boundary_loads import RecordEnds
+from dashpot.model.observation import ObservationModel
+from dashpot.numerics.projection import independent
+
+NUMBERS = 250_000  # complex numbers of a piece, 4 MB: what a processor's cache holds
+KEPT = 8_000_000  # complex numbers of all pieces, 128 MB, up to which they are kept from one step to the next
+NO_RECORD = -1
+
+
+@dataclass(frozen=True)
+class Weights:
+    """W = Rᴴ R of the channels' noise: `sd` (K or 1, channels, lines), 1/σ, where it is diagonal, else `root` R,
+    (K or 1, channels, channels, lines)."""
+
+    sd: Real | None
+    root: Complex | None
+
+    @staticmethod
+    def of(W: Complex, root: Complex | None, lines: slice | Ints) -> Weights:
+        """Those of some lines; W and root (K or 1, lines, channels, channels)."""
+        if root is None:
+            variance = np.diagonal(W[:, lines], axis1=-2, axis2=-1).real
+            return Weights(np.ascontiguousarray(np.swapaxes(np.sqrt(variance), -1, -2)), None)
+        return Weights(None, np.ascontiguousarray(np.moveaxis(root[:, lines], 1, -1)))
+
+    def whitened(self, values: Complex) -> Complex:
+        """R values, of (K, channels, columns, lines)."""
+        if self.sd is not None:
+            return values * self.sd[:, :, None, :]
+        assert self.root is not None
+        out = self.root[:, :, 0, None, :] * values[:, None, 0]
+        for c in range(1, values.shape[1]):
+            out = out + self.root[:, :, c, None, :] * values[:, None, c]
+        return out
+
+
+@dataclass(frozen=True)
+class RecordPiece:
+    """Some lines of a spectrum with whole records, whatever the unknowns are.
+
+    view      the channels of the rig at these lines
+    segments  (record, lines of the piece): which of the lines are whose; NO_RECORD of settled ones
+    s         (lines,) jω over the record's highest ω
+    rates     (channels, lines); factors (elements, lines)
+    y         (K or 1, channels, lines), whitened
+    q         (K or 1, r + s, lines) where exact channels give the inputs, else None
+    loaded    (lines,) whether the line's record has boundary loads
+    by_input  (r + s, polynomials, lines) of exact inputs that follow from a channel's polynomial, else None
+    columns   (K or 1, channels, polynomials, lines): polynomials that are fitted with the loads, whitened
+    basis     (K or 1, channels, terms, lines): orthonormal polynomials of each channel in each record, taken out first
+    """
+
+    view: ObservationModel
+    lines: slice | Ints
+    segments: tuple[tuple[int, slice], ...]
+    s: Complex
+    rates: Complex
+    factors: Complex
+    weights: Weights
+    y: Complex
+    q: Complex | None
+    loaded: Bools
+    by_input: Complex | None
+    columns: Complex | None
+    basis: Complex | None
+
+
+@dataclass(frozen=True)
+class RecordPieces:
+    """All lines of a spectrum with whole records, in pieces.
+
+    y (K, lines, channels), W (K or 1, lines, channels, channels), root with rootᴴ root = W where W is not diagonal,
+    q (K, lines, r + s) or None: as Measured has them.
+    """
+
+    ends: RecordEnds
+    y: Complex
+    W: Complex
+    root: Complex | None
+    q: Complex | None
+
+    @cached_property
+    def apart(self) -> bool:
+        """Whether each channel's polynomials can be taken out of it alone: no noise and no input joins channels."""
+        return self.root is None and self.q is not None
+
+    @cached_property
+    def of_inputs(self) -> Ints:
+        """The polynomials of channels that give exact inputs."""
+        return np.flatnonzero(np.any(self.ends.by_input != 0, axis=(0, 1)))
+
+    @cached_property
+    def fitted(self) -> Ints:
+        """The polynomials that are fitted with the loads: of those that each channel has alone none."""
+        if self.apart:
+            return np.zeros(0, dtype=np.int64)
+        silent = set(self.of_inputs.tolist())
+        return np.array([k for k in range(len(self.ends.channel)) if k not in silent], dtype=np.int64)
+
+    @property
+    def count(self) -> int:
+        """Columns that are fitted together: two loads for each coordinate, and polynomials."""
+        return 2 * self.ends.rig.model.n + len(self.of_inputs) + len(self.fitted)
+
+    @cached_property
+    def terms(self) -> int:
+        """Polynomials of a channel that are taken out of it alone."""
+        return int(np.max(self.ends.power, initial=-1)) + 1 if self.apart else 0
+
+    @cached_property
+    def used(self) -> Bools:
+        """Which columns each record has, (records, columns)."""
+        n, ends = self.ends.rig.model.n, self.ends
+        loads = np.repeat(ends.loads[:, None], 2 * n, axis=1)
+        return np.concatenate([loads, ends.terms[:, self.of_inputs], ends.terms[:, self.fitted]], axis=1)
+
+    @cached_property
+    def apart_used(self) -> Bools:
+        """Which polynomials each channel has in each record, taken out of it alone: (records, channels, terms)."""
+        ends, channels = self.ends, len(self.ends.rig.channels)
+        used = np.zeros((len(ends.lines), channels, self.terms), dtype=bool)
+        if self.apart:
+            index = np.setdiff1d(np.arange(len(ends.channel)), self.of_inputs)
+            used[:, ends.channel[index], ends.power[index]] = ends.terms[:, index]
+        return used
+
+    def __iter__(self) -> Iterator[RecordPiece]:
+        for number in range(len(self._parts)):
+            yield self._kept[number] if self.numbers <= KEPT else self._piece(number)
+
+    @property
+    def numbers(self) -> int:
+        """Complex numbers that all lines take on the way to their slopes."""
+        return len(self.ends.rig.omega) * self._each
+
+    @property
+    def apart_rank(self) -> Ints:
+        """How many polynomials are taken out of single channels, (K or 1,)."""
+        return self._orthogonal[1] if self.terms else np.zeros(1, dtype=np.int64)
+
+    @cached_property
+    def _kept(self) -> list[RecordPiece]:
+        return [self._piece(number) for number in range(len(self._parts))]
+
+    @cached_property
+    def _each(self) -> int:
+        view = self.ends.rig
+        elements, channels = len(view.model.elements), len(view.channels)
+        return channels * (2 * elements + 2 * self.count + self.terms + len(view.names)) + 4 * view.model.n**2
+
+    @cached_property
+    def _parts(self) -> list[tuple[slice | Ints, tuple[tuple[int, slice], ...]]]:
+        """Lines and segments of each piece: records one after another, long ones cut."""
+        most = max(1, NUMBERS // self._each)
+        ends, total = self.ends, len(self.ends.rig.omega)
+        outside = np.ones(total, dtype=bool)
+        for lines in ends.lines:
+            outside[lines] = False
+        owners = [*enumerate(ends.lines), (NO_RECORD, np.flatnonzero(outside))]
+        parts: list[tuple[slice | Ints, tuple[tuple[int, slice], ...]]] = []
+        chosen: list[Ints] = []
+        segments: list[tuple[int, slice]] = []
+        filled = 0
+        for record, lines in owners:
+            for first in range(0, len(lines), most):
+                few = lines[first : first + most]
+                if filled + len(few) > most:
+                    parts.append((_compact(np.concatenate(chosen)), tuple(segments)))
+                    chosen, segments, filled = [], [], 0
+                chosen.append(few)
+                segments.append((record, slice(filled, filled + len(few))))
+                filled += len(few)
+        parts.append((_compact(np.concatenate(chosen)), tuple(segments)))
+        return parts
+
+    def _piece(self, number: int) -> RecordPiece:
+        lines, segments = self._parts[number]
+        ends = self.ends
+        view = ends.rig.at_lines(lines) if isinstance(lines, slice) else replace(ends.rig, omega=ends.rig.omega[lines])
+        weights = Weights.of(self.W, self.root, lines)
+        y = np.ascontiguousarray(np.swapaxes(self.y[:, lines], -1, -2))
+        loaded = np.zeros(len(view.omega), dtype=bool)
+        for record, part in segments:
+            loaded[part] = record != NO_RECORD and bool(ends.loads[record])
+        by_input = ends.by_input[lines][:, :, self.of_inputs] if len(self.of_inputs) else None
+        s = ends.s[lines]
+        return RecordPiece(
+            view, lines, segments, s,
+            np.ascontiguousarray(view.rates.T), np.ascontiguousarray(view.model.factors(view.omega).T), weights,
+            weights.whitened(y[:, :, None, :])[:, :, 0],
+            None if self.q is None else np.ascontiguousarray(np.swapaxes(self.q[:, lines], -1, -2)),
+            loaded,
+            None if by_input is None else np.moveaxis(by_input, 0, -1),
+            self._columns(s, weights) if len(self.fitted) else None,
+            self._basis(s, weights, segments) if self.terms else None,
+        )  # fmt: skip
+
+    def _columns(self, s: Complex, weights: Weights) -> Complex:
+        """Polynomials that are fitted with the loads, whitened."""
+        channel, power = self.ends.channel[self.fitted], self.ends.power[self.fitted]
+        columns = np.zeros((1, len(self.ends.rig.channels), len(self.fitted), len(s)), dtype=np.complex128)
+        columns[0, channel, np.arange(len(self.fitted))] = s ** power[:, None]
+        return weights.whitened(columns)
+
+    def _basis(self, s: Complex, weights: Weights, segments: tuple[tuple[int, slice], ...]) -> Complex:
+        """Orthonormal polynomials of each channel in each record."""
+        assert weights.sd is not None
+        powers = _powers(s, self.terms) * weights.sd[:, :, None, :]
+        basis = np.zeros_like(powers)
+        for record, part in segments:
+            if record != NO_RECORD:
+                basis[..., part] = np.swapaxes(self._orthogonal[0][:, record], -1, -2) @ powers[..., part]
+        return basis
+
+    @cached_property
+    def _orthogonal(self) -> tuple[Real, Ints]:
+        """What makes the polynomials orthonormal over the lines of each record, (K or 1, records, channels, terms,
+        terms), and how many there are, (K or 1,)."""
+        ends, channels = self.ends, len(self.ends.rig.channels)
+        products = np.zeros((len(self.W), len(ends.lines), channels, self.terms, self.terms))
+        for record, lines in enumerate(ends.lines):
+            for first in range(0, len(lines), NUMBERS // 10):
+                few = lines[first : first + NUMBERS // 10]
+                weight = np.diagonal(self.W[:, few], axis1=-2, axis2=-1).real
+                powers = _powers(ends.s[few], self.terms).view(np.float64)
+                weighted = np.repeat(np.swapaxes(weight, -1, -2), 2, axis=-1)[:, :, None, :] * powers
+                products[:, record] += weighted @ powers.T
+        used = self.apart_used[None]
+        products = np.where(used[..., :, None] & used[..., None, :], products, 0.0)
+        B, rank = independent(products)
+        return B, np.sum(rank, axis=(1, 2))
+
+
+def _powers(s: Complex, terms: int) -> Complex:
+    """s⁰, s¹, …, (terms, lines)."""
+    powers: Complex = s ** np.arange(terms)[:, None]
+    return np.ascontiguousarray(powers)
+
+
+def _compact(lines: Ints) -> slice | Ints:
+    """Lines that follow each other as a slice, which copies nothing."""
+    first, last = int(lines[0]), int(lines[-1])
+    return slice(first, last + 1) if np.array_equal(lines, np.arange(first, last + 1)) else lines
