@@ -14,6 +14,7 @@ from dashpot.estimate.inference import diagnostics
 from dashpot.estimate.inference.derived import known_values, linear_modes, tied_values
 from dashpot.estimate.inference.uncertainty import Inference, inference, with_noise_of_residuals
 from dashpot.estimate.likelihood.boundary_loads import carries_loads
+from dashpot.estimate.likelihood.maximum_likelihood import MaximumLikelihood
 from dashpot.estimate.likelihood.record_noise import with_record_noise
 from dashpot.estimate.method import Method, Solution, require_suited
 from dashpot.estimate.preparation.prepared import flattened, in_chunks, prepare
@@ -105,7 +106,9 @@ def _require_able(model: Model, spectrum: Spectrum, method: Method) -> None:
 
 def _identified(model: Model, spectrum: Spectrum, method: Method) -> Inference:
     """Prepare, solve, infer: one chunk of repeats."""
-    data = prepare(model, spectrum, moments=bool(method.traits.moments))
+    # A search that has its start needs no look at all coordinates together, which costs more than the search.
+    begun = isinstance(method, MaximumLikelihood) and bool(method.start)
+    data = prepare(model, spectrum, moments=bool(method.traits.moments), states=not begun)
     require_suited(method, data)
     if not data.noise_known and np.any(model.prior_precision):
         data = with_noise_of_residuals(data, method)

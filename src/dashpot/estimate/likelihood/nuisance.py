@@ -24,6 +24,11 @@ def inputs_by_channel(view: ObservationModel, exact: Bools) -> Complex | None:
     with np.errstate(invalid="ignore", divide="ignore"):
         C = np.where(scale > 0, C / scale, 0.0)
         unit = np.where(scale > 0, 1 / np.where(scale > 0, scale, 1.0), 0.0)[..., 0] * exact
+    if count == 1:
+        power = np.sum(np.abs(C) ** 2, axis=-2, keepdims=True)
+        if np.any(power == 0):
+            return None
+        return np.asarray(hermitian(C) / power * unit[:, None, :])
     if np.any(np.linalg.matrix_rank(C) < count):
         return None
     by_channel: Complex = np.linalg.pinv(C) * unit[:, None, :]

@@ -11,11 +11,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from dashpot.arrays import Complex, Real, hermitian
+from dashpot.arrays import Bools, Complex, Real, hermitian
 from dashpot.estimate.likelihood.boundary_loads import RecordEnds, projector, record_ends, whitener
 from dashpot.estimate.likelihood.chunks import Measured, Piece, by_line, summed
 from dashpot.estimate.likelihood.nuisance import estimated_inputs, inputs_by_channel, inputs_seen
-from dashpot.estimate.likelihood.record_sums import by_record_line, record_sums
+from dashpot.estimate.likelihood.record_sums import by_record_line, record_residuals, record_sums
 from dashpot.estimate.nonlinear.objective import nonlinear_part, predict_harmonics
 from dashpot.estimate.preparation.prepared import Prepared
 from dashpot.model.observation import (
@@ -51,12 +51,7 @@ def measured(data: Prepared, view: ObservationModel, softness: float = 0.0) -> M
     size = np.where(size > 0, size, 1.0)
     extra = (FLOOR**2 + softness**2) * size**2
     kept = np.where(diagonal > FLOOR**2 * size**2, softness**2 * size**2, extra)
-    both = present[:, :, None] & present[:, None, :]
-    scaled = (V + kept[..., None] * np.eye(V.shape[-1])) / (size[:, :, None] * size[:, None, :])
-    scaled = np.where(both, scaled, np.eye(V.shape[-1]))
-    # The weight is used as such, over and over.
-    W = np.linalg.inv(scaled) / (size[:, :, None] * size[:, None, :])
-    W = np.where(both, (W + hermitian(W)) / 2, 0.0)
+    W = _weights(V, diagonal + kept, kept, size, present)
     count = int(np.sum(present)) - (0 if q is not None else int(np.sum(inputs_seen(view, present))))
     ends = record_ends(view, spectrum, by_channel)
     part = nonlinear_part(data, view, y, q) if len(model.nonlinear) else None
@@ -64,8 +59,26 @@ def measured(data: Prepared, view: ObservationModel, softness: float = 0.0) -> M
     return Measured(y * present, W, q, 2 * count, ends, root, part)
 
 
-def _is_diagonal(W: Complex) -> bool:
-    return not np.any(W[..., ~np.eye(W.shape[-1], dtype=bool)])
+def _weights(V: Complex, variance: Real, kept: Real, size: Real, present: Bools) -> Complex:
+    """(V + kept)⁻¹ (K or 1, lines, channels, channels), 0 where not measured; `variance` is the diagonal of the sum."""
+    C = V.shape[-1]
+    if _is_diagonal(V):
+        W = np.zeros((*variance.shape, C), dtype=np.complex128)
+        # What is too large for numbers has no weight, not the weight 0.
+        finite = np.where(np.isfinite(variance), variance, np.nan)
+        W[..., np.arange(C), np.arange(C)] = np.where(present, 1 / np.where(present, finite, 1.0), 0.0)
+        return W
+    both = present[:, :, None] & present[:, None, :]
+    scaled = (V + kept[..., None] * np.eye(C)) / (size[:, :, None] * size[:, None, :])
+    scaled = np.where(both, scaled, np.eye(C))
+    # The weight is used as such, over and over.
+    W = np.linalg.inv(scaled) / (size[:, :, None] * size[:, None, :])
+    return np.where(both, (W + hermitian(W)) / 2, 0.0)
+
+
+def _is_diagonal(matrices: Complex) -> bool:
+    C = matrices.shape[-1]
+    return not any(np.any(matrices[..., i, j]) for i in range(C) for j in range(C) if i != j)
 
 
 def directly_driven(view: ObservationModel, data: Measured) -> Measured | None:
@@ -233,7 +246,12 @@ def _of_lines(piece: Piece, psi: Real, sign: Real) -> tuple[Real, Real, Real]:
 
 def nuisance_columns(view: ObservationModel, data: Measured, psi: Real, sign: Real) -> int:
     """How many independent columns the ends of whole records take out of the data."""
-    return 0 if data.ends is None else predict(view, data.pick(slice(0, 1)), psi[:1], sign[:1]).columns
+    if data.ends is None:
+        return 0
+    one = data.pick(slice(0, 1))
+    if small(view.model):
+        return int(record_residuals(one.record_pieces, psi[:1], sign[:1])[1][0])
+    return predict(view, one, psi[:1], sign[:1]).columns
 
 
 def logarithmic(

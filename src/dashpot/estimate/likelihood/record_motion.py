@@ -52,10 +52,12 @@ class EstimatedInputs:
         """What the inputs leave of values (K, channels, columns, lines)."""
         return values - times(self.basis, adjoint_times(self.basis, values))
 
-    def amplitudes(self, z: Complex) -> Complex:
+    def amplitudes(self, z: Real) -> Complex:
         """The inputs (K, q, lines) beside columns with the coefficients z (K, columns, lines)."""
-        right = self.coefficients[:, :, -1] - np.sum(self.coefficients[:, :, :-1] * z[:, None], axis=2)
-        q = np.zeros_like(right)
+        right: Complex = self.coefficients[:, :, -1] - np.sum(
+            self.coefficients[:, :, :-1] * z[:, None], axis=2
+        )
+        q: Complex = np.zeros_like(right)
         for j in reversed(range(right.shape[1])):
             rest = right[:, j] - np.sum(self.triangle[:, j, j + 1 :] * q[:, j + 1 :], axis=1)
             own = self.triangle[:, j, j]
@@ -83,7 +85,7 @@ class PieceAt:
     columns: Complex
     residual: Complex
 
-    def slopes(self, z: Complex) -> Complex:
+    def slopes(self, z: Real) -> Complex:
         """∂y/∂ψ under the whole motion with coefficients z (K, f, lines) of the columns: (K, channels, M, lines)."""
         piece, n = self.piece, self.Z.shape[1]
         view = piece.view
@@ -126,7 +128,7 @@ def _piece_at(pieces: RecordPieces, piece: RecordPiece, psi: Real, sign: Real) -
     view, K = piece.view, len(psi)
     model = view.model
     p = model.parameters(psi[:, : view.m])
-    n, r = model.n, model.D.shape[1]
+    n = model.n
     both = stiffness_over_lines(model, p, view.omega)
     Z = _inverse(both[:, :, :n])
     by_load, effect, G = _observed(piece, p, Z)
@@ -199,12 +201,12 @@ def _inverse(D: Complex) -> Complex:
             inverse[:, 0, 0], inverse[:, 0, 1] = D[:, 1, 1] * scale, -D[:, 0, 1] * scale
             inverse[:, 1, 0], inverse[:, 1, 1] = -D[:, 1, 0] * scale, D[:, 0, 0] * scale
             return inverse
-    stacked = np.ascontiguousarray(np.moveaxis(D, -1, 1))
+    stacked: Complex = np.ascontiguousarray(np.moveaxis(D, -1, 1))
     try:
-        solved = np.linalg.inv(stacked)
+        solved: Complex = np.linalg.inv(stacked).astype(np.complex128)
     except np.linalg.LinAlgError:
         regular = np.linalg.slogdet(stacked)[0] != 0
-        solved = np.linalg.inv(np.where(regular[..., None, None], stacked, np.nan))
+        solved = np.linalg.inv(np.where(regular[..., None, None], stacked, np.nan)).astype(np.complex128)
     return np.ascontiguousarray(np.moveaxis(solved, 1, -1))
 
 
@@ -213,8 +215,8 @@ def _inverse(D: Complex) -> Complex:
 
 def over_rows(matrix: Real, values: Complex) -> Complex:
     """matrix (a, b) times values (..., b, lines), as one product of real numbers."""
-    out: Real = matrix @ np.ascontiguousarray(values).view(np.float64)
-    return out.view(np.complex128)
+    product: Complex = (matrix @ np.ascontiguousarray(values).view(np.float64)).view(np.complex128)
+    return product
 
 
 def times(columns: Complex, coefficients: Complex) -> Complex:

@@ -18,13 +18,16 @@ from dashpot.data.conditioning.still import HALF_WINDOW, smoothed
 from dashpot.data.conditioning.whole_record import FLOOR
 from dashpot.data.spectrum import Spectrum
 from dashpot.data.stretch import WholeRecord
+from dashpot.estimate.likelihood.chunks import Measured
 from dashpot.estimate.likelihood.maximum_likelihood import MaximumLikelihood
 from dashpot.estimate.likelihood.objective import bounds, local, measured, predict
+from dashpot.estimate.likelihood.record_sums import record_residuals
+from dashpot.estimate.likelihood.thinning import thinned
 from dashpot.estimate.method import Method
 from dashpot.estimate.preparation.prepared import Prepared, flattened, in_chunks
 from dashpot.estimate.preparation.state_reconstruction import states_if_seen
 from dashpot.model.network import Model
-from dashpot.model.observation import ObservationModel, calibrated_transfer, observation_model
+from dashpot.model.observation import ObservationModel, calibrated_transfer, observation_model, small
 from dashpot.numerics.levenberg_marquardt import minimise
 
 RESIDUAL = "residual"
@@ -33,6 +36,10 @@ SETTLED = 3e-3  # change of a standard deviation at which the rounds end
 FIRST = 1e-2  # of a channel's size: its noise before the first fit, where nothing else is known
 SMALLEST = 1e-7  # of a channel's size: below it noise is rounding
 WHITE_LEVEL = 0.01  # of the test for coloured noise
+EACH_TO_START = 12  # lines of each part of the band that a first fit is made from
+EACH_IN_DOUBT = 80  # and where that fit may be a wrong valley
+LITTLE = 4.0  # χ² over its degrees of freedom up to which it is none
+UNEXPLAINED = 0.2  # of a channel's power: what may be left over by a fit whose noise is not known yet
 POOL_LEVEL = 1e-3  # of the test whether short records share the size of their noise
 
 
@@ -75,15 +82,15 @@ def noise_from_residuals(
     sign: Real = np.ones((1, len(spectrum.channels)))
     used, dof = 0.0, np.array(spectrum.dof)
     for _ in range(ROUNDS):
-        data = Prepared(model, spectrum, V, states_if_seen(model, spectrum, V), True, np.ones(1, dtype=bool))
+        data = Prepared(model, spectrum, V, None, True, np.ones(1, dtype=bool))
         exact = measured(data, view)
         if psi is None:
-            psi, sign = method.rough(data)
+            psi, sign = _begun(data, view, exact, method)
         else:
             psi = _descended(view, exact, psi, sign, method)
-        at = predict(view, exact, psi, sign)
-        used = (at.columns + len(view.names)) / (2 * np.sum(sought) * max(np.sum(outputs), 1))
-        power = np.abs(at.r[0]) ** 2 + _explained(view, exact.W[0], exact.q is None, psi, sign)
+        residual, columns = _residuals(view, exact, psi, sign)
+        used = (columns + len(view.names)) / (2 * np.sum(sought) * max(np.sum(outputs), 1))
+        power = np.abs(residual) ** 2 + _explained(view, exact.W[0], exact.q is None, psi, sign)
         variance, dof = _smoothed(spectrum, power / max(1 - used, 0.1), V[0], sought, outputs)
         before = np.diagonal(V[0], axis1=-2, axis2=-1).real[sought][:, outputs]
         after = variance[sought][:, outputs]
@@ -95,6 +102,44 @@ def noise_from_residuals(
     kinds = tuple(RESIDUAL if s else kind for s, kind in zip(sought.tolist(), spectrum.noise, strict=True))
     found = replace(spectrum, covariance=V, noise=kinds, dof=dof * (1 - used))
     return found, np.zeros((1, 0)) if psi is None else psi, sign
+
+
+def _begun(
+    data: Prepared, view: ObservationModel, exact: Measured, method: MaximumLikelihood
+) -> tuple[Real, Real]:
+    """A first fit: from some of the lines, and where that leaves much over from many of them."""
+    few = thinned(data, EACH_TO_START)
+    psi, sign = method.rough(_with_states(few))
+    if few is data:
+        return psi, sign
+    psi = _descended(view, exact, psi, sign, method)
+    cost = local(view, exact, psi, sign).cost[0]
+    if cost <= LITTLE * exact.rows or _explains(view, exact, psi, sign):
+        return psi, sign
+    again, flips = method.rough(_with_states(thinned(data, EACH_IN_DOUBT)))
+    better = local(view, exact, again, flips).cost[0] < cost or not np.isfinite(cost)
+    return (again, flips) if better else (psi, sign)
+
+
+def _with_states(data: Prepared) -> Prepared:
+    return replace(data, states=states_if_seen(data.model, data.spectrum, data.covariance))
+
+
+def _explains(view: ObservationModel, data: Measured, psi: Real, sign: Real) -> bool:
+    """Whether a fit leaves little of what each channel shows."""
+    residual, _ = _residuals(view, data, psi, sign)
+    left = np.sum(np.abs(residual) ** 2, axis=0)
+    return bool(np.all(left <= UNEXPLAINED * np.sum(np.abs(data.y[0]) ** 2, axis=0)))
+
+
+def _residuals(view: ObservationModel, data: Measured, psi: Real, sign: Real) -> tuple[Complex, int]:
+    """Residuals of one repeat, (lines, channels), and how many columns the ends of its records take out."""
+    if not small(view.model):
+        at = predict(view, data, psi, sign)
+        return at.r[0], at.columns
+    white, rank = record_residuals(data.record_pieces, psi, sign)
+    weight = np.sqrt(np.diagonal(data.W[0], axis1=-2, axis2=-1).real)
+    return white[0] / np.where(weight > 0, weight, 1.0), int(rank[0])
 
 
 def _first(spectrum: Spectrum, sought: Bools, outputs: Bools) -> Complex:
@@ -118,11 +163,11 @@ def _diagonal(variance: Real) -> Complex:
 
 
 def _descended(
-    view: ObservationModel, data: object, psi: Real, sign: Real, method: MaximumLikelihood
+    view: ObservationModel, data: Measured, psi: Real, sign: Real, method: MaximumLikelihood
 ) -> Real:
     lower, upper = bounds(view, method.positive)
     found = minimise(
-        lambda x, rows: local(view, data, x, sign[rows]),  # type: ignore[arg-type]
+        lambda x, rows: local(view, data, x, sign[rows]),
         psi, limit=method.max_iterations, tolerance=1e-3, lower=lower, upper=upper,
     )  # fmt: skip
     return found.x
@@ -202,7 +247,7 @@ def _pooled(
 def _is_white(power: Real, width: int) -> bool:
     """Whether the mean powers of groups of lines differ by no more than chance: Bartlett's test on exponentials."""
     groups = len(power) // width
-    if groups < 2:
+    if groups < 2 or not np.any(power):
         return True
     edges: Ints = np.arange(groups) * width
     mean = np.add.reduceat(power[: groups * width], edges) / width

@@ -18,7 +18,9 @@ from dashpot.model.observation import ObservationModel
 from dashpot.numerics.projection import independent
 
 NUMBERS = 250_000  # complex numbers of a piece, 4 MB: what a processor's cache holds
-KEPT = 8_000_000  # complex numbers of all pieces, 128 MB, up to which they are kept from one step to the next
+KEPT = (
+    16_000_000  # complex numbers of all pieces, 256 MB, up to which they are kept from one step to the next
+)
 NO_RECORD = -1
 
 
@@ -141,7 +143,7 @@ class RecordPieces:
 
     def __iter__(self) -> Iterator[RecordPiece]:
         for number in range(len(self._parts)):
-            yield self._kept[number] if self.numbers <= KEPT else self._piece(number)
+            yield self._kept[number] if self._constant <= KEPT else self._piece(number)
 
     @property
     def numbers(self) -> int:
@@ -156,6 +158,13 @@ class RecordPieces:
     @cached_property
     def _kept(self) -> list[RecordPiece]:
         return [self._piece(number) for number in range(len(self._parts))]
+
+    @cached_property
+    def _constant(self) -> int:
+        """Complex numbers of all pieces."""
+        view = self.ends.rig
+        each = len(view.channels) * (2 + self.terms + len(self.fitted)) + len(view.model.elements) + 4
+        return len(view.omega) * each * len(self.W)
 
     @cached_property
     def _each(self) -> int:
@@ -191,7 +200,11 @@ class RecordPieces:
     def _piece(self, number: int) -> RecordPiece:
         lines, segments = self._parts[number]
         ends = self.ends
-        view = ends.rig.at_lines(lines) if isinstance(lines, slice) else replace(ends.rig, omega=ends.rig.omega[lines])
+        view = (
+            ends.rig.at_lines(lines)
+            if isinstance(lines, slice)
+            else replace(ends.rig, omega=ends.rig.omega[lines])
+        )
         weights = Weights.of(self.W, self.root, lines)
         y = np.ascontiguousarray(np.swapaxes(self.y[:, lines], -1, -2))
         loaded = np.zeros(len(view.omega), dtype=bool)

@@ -77,7 +77,8 @@ class _Products:
 
     def left(self, shared: Real) -> Real:
         """Products with what the channels' own polynomials leave of the columns, (K, records, f, w)."""
-        return self.columns - np.sum(np.swapaxes(shared, -1, -2) @ self.basis, axis=2)
+        left: Real = self.columns - np.sum(np.swapaxes(shared, -1, -2) @ self.basis, axis=2)
+        return left
 
     def explained(self, fit: EndsFitted) -> Real:
         """What the columns of all records explain of the products of the rows with each other, (K, w, w)."""
@@ -141,7 +142,7 @@ def record_residuals(pieces: RecordPieces, psi: Real, sign: Real) -> tuple[Compl
 
 def _kept(pieces: RecordPieces, psi: Real, sign: Real) -> list[PieceAt]:
     """The pieces at ψ where they are few enough to be kept from pass to pass, else none."""
-    return list(evaluated(pieces, psi, sign)) if len(psi) * pieces.numbers <= KEPT else []
+    return list(evaluated(pieces, psi, sign)) if len(psi) * pieces.numbers <= KEPT / 2 else []
 
 
 def _fitted(pieces: RecordPieces, psi: Real, sign: Real, kept: list[PieceAt]) -> EndsFitted:

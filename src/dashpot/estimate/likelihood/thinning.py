@@ -17,12 +17,13 @@ PARTS = 30  # of the band, equal in the logarithm of frequency
 EACH = 3  # lines of a part
 
 
-def thinned(data: Prepared) -> Prepared:
-    """The same data with some of its lines where there are many; itself where there are few or all are settled."""
+def thinned(data: Prepared, each: int = EACH) -> Prepared:
+    """The same data with `each` lines of every part of the band where there are many; itself where there are few or all
+    are settled."""
     spectrum = data.spectrum
-    if spectrum.lines <= MANY or not spectrum.records:
+    if spectrum.lines <= MANY * each / EACH or not spectrum.records:
         return data
-    lines = loudest(spectrum.frequency_hz, _loudness(data))
+    lines = loudest(spectrum.frequency_hz, _loudness(data), each)
     fewer = replace(
         spectrum.select(lines),
         amplitudes=spectrum.amplitudes[:, lines],
@@ -32,14 +33,14 @@ def thinned(data: Prepared) -> Prepared:
     return replace(data, spectrum=fewer, covariance=data.covariance[:, lines], states=states)
 
 
-def loudest(frequency_hz: Real, loudness: Real) -> Ints:
+def loudest(frequency_hz: Real, loudness: Real, each: int = EACH) -> Ints:
     """Indices of the loudest lines in each part of the band, ascending."""
     position = np.log(frequency_hz / np.min(frequency_hz))
     part = np.minimum((PARTS * position / max(float(np.max(position)), 1e-12)).astype(int), PARTS - 1)
     chosen: list[int] = []
     for k in range(PARTS):
         there = np.flatnonzero(part == k)
-        chosen += there[np.argsort(-loudness[there])[:EACH]].tolist()
+        chosen += there[np.argsort(-loudness[there])[:each]].tolist()
     return np.array(sorted(chosen), dtype=np.int64)
 
 

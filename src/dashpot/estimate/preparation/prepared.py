@@ -56,10 +56,10 @@ class Prepared:
         return self.states
 
 
-def prepare(model: Model, spectrum: Spectrum, *, moments: bool = False) -> Prepared:
+def prepare(model: Model, spectrum: Spectrum, *, moments: bool = False, states: bool = True) -> Prepared:
     """Weigh the channels, judge what is known of their noise and combine them; batch axes become K repeats.
 
-    Second moments of the samples are kept only where `moments`.
+    Second moments of the samples are kept only where `moments`; without `states` the channels are not combined.
     Raises DataError where exact channels contradict each other, or measure what the model has not.
     """
     flat = flattened(spectrum)
@@ -72,7 +72,7 @@ def prepare(model: Model, spectrum: Spectrum, *, moments: bool = False) -> Prepa
     V = V if V.ndim == 4 else V[None]
     correlated = np.atleast_1d(channels_correlate(flat)) if known else np.ones(len(V), dtype=bool)
     V = np.where(correlated[:, None, None, None], V, without_correlation(V))
-    return Prepared(model, flat, V, states_if_seen(model, flat, V), known, correlated)
+    return Prepared(model, flat, V, states_if_seen(model, flat, V) if states else None, known, correlated)
 
 
 def without_priors(model: Model) -> Model:
