@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     __version__: str
-    from dashpot.api import compare, draw, identify, read, simulate
+    from dashpot.api import compare, draw, identify, read, simulate, state_space, transfer_functions
     from dashpot.channel import Channel, Quantity
     from dashpot.check.residuals import Residuals, residuals
     from dashpot.data.conditioning.drive_frequency import refine_frequency
@@ -48,6 +48,8 @@ if TYPE_CHECKING:
     from dashpot.estimate.modal.identify_modal import identify_modal
     from dashpot.estimate.registry import method
     from dashpot.estimate.result import Estimate, Fit, ModeValues, Value
+    from dashpot.export.state_space import StateSpace
+    from dashpot.export.transfer_functions import TransferFunctions
     from dashpot.model.dynamics import Matrices, matrices, response, sensitivities
     from dashpot.model.elements import Element, Kind, between, mass
     from dashpot.model.modes import Modes, modes
@@ -57,7 +59,7 @@ if TYPE_CHECKING:
     from dashpot.study.simulate import Dwells, dwells, simulate_records, simulate_spectrum
 
 _NAMES = {
-    "api": "compare draw identify read simulate",
+    "api": "compare draw identify read simulate state_space transfer_functions",
     "channel": "Channel Quantity",
     "check.residuals": "Residuals residuals",
     "data.conditioning.drive_frequency": "refine_frequency",
@@ -81,6 +83,8 @@ _NAMES = {
     "estimate.registry": "method",
     "estimate.modal.identify_modal": "identify_modal",
     "estimate.linear.total_least_squares": "CompensatedLeastSquares TotalLeastSquares",
+    "export.state_space": "StateSpace",
+    "export.transfer_functions": "TransferFunctions",
     "model.dynamics": "Matrices matrices response sensitivities",
     "model.modes": "Modes modes",
     "model.elements": "Element Kind between mass",
@@ -130,7 +134,9 @@ __all__ = [
     "Residuals",
     "Rig",
     "Spectrum",
+    "StateSpace",
     "TotalLeastSquares",
+    "TransferFunctions",
     "Unknown",
     "UsageError",
     "Value",
@@ -167,6 +173,8 @@ __all__ = [
     "simulate_records",
     "simulate_spectrum",
     "spectrum",
+    "state_space",
+    "transfer_functions",
     "write_amplitudes",
     "write_records",
     "write_rig",

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -32,8 +33,11 @@ from dashpot.estimate.method import Method
 from dashpot.estimate.registry import METHODS
 from dashpot.estimate.registry import method as named_method
 from dashpot.estimate.result import Estimate
+from dashpot.export.identified_rig import IdentifiedRig, identified_rig
+from dashpot.export.state_space import StateSpace, state_space_of
+from dashpot.export.transfer_functions import TransferFunctions, transfer_functions_of
 from dashpot.model.network import Model
-from dashpot.model.rigfile import Rig, default_channels
+from dashpot.model.rigfile import Rig, default_channels, read_rig
 from dashpot.model.unstructured import free_entries
 from dashpot.quantities import frequencies as frequencies_of
 from dashpot.study.simulate import dwells, simulate_records
@@ -87,7 +91,8 @@ def identify(
         from dashpot.present.text.identifiability import require_identifiable
 
         require_identifiable(rig.model, spectrum.channels, rig.path or None, spectrum)
-    return identification.identify(_model(rig), spectrum, chosen, progress=progress)
+    estimate = identification.identify(_model(rig), spectrum, chosen, progress=progress)
+    return replace(estimate, rig=rig.path) if isinstance(rig, Rig) and rig.path else estimate
 
 
 def compare(
@@ -180,6 +185,78 @@ def draw(
         return mode_drawing(model, shape, title)
     marks = undetermined(model, channels) if estimate is None else doubtful(estimate, level)
     return schematic(model, channels, estimate, marks, level)
+
+
+def state_space(
+    rig: Rig | Estimate,
+    source: Estimate | Rig | Mapping[str, float] | None = None,
+    *,
+    given: str | Mapping[str, str] | None = None,
+) -> StateSpace:
+    """The state space of a rig from its inputs to its channels, SI units, calibrations left out.
+
+    rig, source  a rig and its estimate, or values of the unknowns by name; an estimate alone stands for the rig file
+                 that it names
+    given        as what displacement inputs are given, "displacement", "velocity" or "acceleration", of all or by
+                 name; else as they are measured, differentiated as often as it takes to make all channels proper
+
+    Raises ModelError for nonlinear and hysteretic elements and coordinates without mass.
+    """
+    return state_space_of(_identified(rig, source), given)
+
+
+def transfer_functions(
+    rig: Rig | Estimate,
+    source: Estimate | Rig | Mapping[str, float] | None = None,
+    *,
+    given: str | Mapping[str, str] | None = None,
+) -> TransferFunctions:
+    """Poles, zeros, gains and polynomials from each input to each channel; arguments as of `state_space`."""
+    return transfer_functions_of(state_space(rig, source, given=given))
+
+
+def export(
+    rig: Rig | Estimate,
+    path: AnyPath,
+    source: Estimate | Rig | Mapping[str, float] | None = None,
+    *,
+    content: str | None = None,
+    frequencies: str | Sequence[float] | None = None,
+    data: Data | None = None,
+    given: str | Mapping[str, str] | None = None,
+) -> tuple[str, ...]:
+    """Write a rig for another program, by the end of the file's name; the names of the files.
+
+    content      such as "transfer-functions", where an ending may mean several
+    frequencies  Hz, of frequency responses; those of `data` without it
+    data         measured data as of `identify`, of which frequency responses are written (.uff)
+
+    Other arguments as of `state_space`.  Raises UsageError for an unknown ending, ModelError where the format cannot
+    hold the rig.
+    """
+    from dashpot.export.formats import ExportOptions, export_rig
+
+    of_rig = _identified(rig, source)
+    chosen = frequencies_of(frequencies) if isinstance(frequencies, str) else frequencies
+    whole = Rig(of_rig.model, of_rig.channels)
+    options = ExportOptions(
+        given=given,
+        frequency_hz=None if chosen is None else np.asarray(chosen, dtype=float),
+        data=None if data is None else _spectrum(whole, data, None, None, []),
+    )
+    return export_rig(of_rig, path, content, options).paths
+
+
+def _identified(rig: Rig | Estimate, source: Estimate | Rig | Mapping[str, float] | None) -> IdentifiedRig:
+    """A rig with values, whichever way round they are given."""
+    estimate = rig if isinstance(rig, Estimate) else source if isinstance(source, Estimate) else None
+    whole = rig if isinstance(rig, Rig) else source if isinstance(source, Rig) else None
+    if whole is None:
+        if estimate is None or estimate.rig is None:
+            raise UsageError("the estimate does not name its rig file", cure="give the rig as well")
+        whole = read_rig(estimate.rig)
+    values = source if isinstance(source, Mapping) else None
+    return identified_rig(whole, estimate, values)
 
 
 def text(value: Estimate | Comparison) -> str:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, cast
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
@@ -20,6 +20,10 @@ from dashpot.io.ledger import noted
 from dashpot.io.words import shown
 from dashpot.notices import Notice
 from dashpot.shorthand import call
+
+if TYPE_CHECKING:
+    from dashpot.export.state_space import StateSpace
+    from dashpot.export.transfer_functions import TransferFunctions
 
 FORMAT = "0.1"
 SHOWN = 8  # values in the one-line form
@@ -229,6 +233,18 @@ class Estimate:
     def to_xarray(self) -> Any:
         """An xarray Dataset of values and covariance, batch axes kept; needs xarray (extra "analysis")."""
         return dataset(self)
+
+    def to_state_space(self, rig: Any = None, **options: Any) -> StateSpace:
+        """The state space of its rig, the one given or that of the rig file it names: `dashpot.state_space`."""
+        return cast("StateSpace", call("state_space", self, rig, **options))
+
+    def to_transfer_functions(self, rig: Any = None, **options: Any) -> TransferFunctions:
+        """The transfer functions of its rig: `dashpot.transfer_functions`."""
+        return cast("TransferFunctions", call("transfer_functions", self, rig, **options))
+
+    def export(self, path: Any, rig: Any = None, **options: Any) -> tuple[str, ...]:
+        """Write it with its rig for another program, by the end of the file's name; the names of the files."""
+        return cast("tuple[str, ...]", call("export", self, path, rig, **options))
 
     @staticmethod
     def from_json(text: str, where: str = "estimate") -> Estimate:

@@ -19,6 +19,8 @@ if TYPE_CHECKING:
     from dashpot.data.record import Record
     from dashpot.estimate.comparison import Comparison
     from dashpot.estimate.result import Estimate
+    from dashpot.export.state_space import StateSpace
+    from dashpot.export.transfer_functions import TransferFunctions
 
 
 @dataclass(frozen=True)
@@ -60,6 +62,18 @@ class Rig:
     def draw(self, estimate: Estimate | None = None, *, mode: int | None = None) -> Any:
         """The rig as a schematic, which notebooks show and `.save("rig.svg")` writes: `dashpot.draw(rig, …)`."""
         return call("draw", self, estimate, mode=mode)
+
+    def to_state_space(self, source: Any = None, **options: Any) -> StateSpace:
+        """The state space with an estimate or values by name: `dashpot.state_space(rig, source, …)`."""
+        return cast("StateSpace", call("state_space", self, source, **options))
+
+    def to_transfer_functions(self, source: Any = None, **options: Any) -> TransferFunctions:
+        """The transfer functions with an estimate or values: `dashpot.transfer_functions(rig, source, …)`."""
+        return cast("TransferFunctions", call("transfer_functions", self, source, **options))
+
+    def export(self, path: Any, source: Any = None, **options: Any) -> tuple[str, ...]:
+        """Write the rig for another program, with an estimate or values, by the end of the file's name."""
+        return cast("tuple[str, ...]", call("export", self, path, source, **options))
 
 
 def default_channels(model: Model) -> tuple[Channel, ...]:

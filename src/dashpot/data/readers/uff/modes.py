@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dashpot.arrays import Complex, frozen
+from dashpot.arrays import Complex, Real, frozen
 from dashpot.data.readers.datafile import DataFile
 from dashpot.data.readers.uff.stream import MARK, DatasetStart, UffStream, dataset_starts, skip_dataset
 
@@ -64,16 +64,27 @@ def _mode(stream: UffStream, start: DatasetStart) -> NodalMode | None:
         skip_dataset(stream)
         return None
     stream.line()
+    eigenvalue = _eigenvalue(stream, analysis)
+    nodes, table = _at_nodes(stream, per_node * (2 if data_type == COMPLEX else 1))
+    shape = table[:, 0::2] + 1j * table[:, 1::2] if data_type == COMPLEX else table.astype(complex)
+    return NodalMode(eigenvalue, nodes, shape, tuple("" if i == "NONE" else i for i in ids))
+
+
+def _eigenvalue(stream: UffStream, analysis: int) -> complex:
+    """The eigenvalue in rad/s; of a normal mode from its frequency in Hz and its damping ratio."""
     values = _numbers(stream, stream.line())
     if len(values) < 2:
         raise stream.wrong("the eigenvalue is missing")
-    eigenvalue = complex(values[0], values[1])
-    if analysis == NORMAL:
-        damping = values[2] if len(values) > 2 else 0.0
-        omega = 2 * np.pi * values[0]
-        eigenvalue = complex(-damping * omega, omega * np.sqrt(max(0.0, 1 - damping**2)))
-    nodes, shapes = [], []
-    size = per_node * (2 if data_type == COMPLEX else 1)
+    if analysis != NORMAL:
+        return complex(values[0], values[1])
+    damping = values[2] if len(values) > 2 else 0.0
+    omega = 2 * np.pi * values[0]
+    return complex(-damping * omega, omega * np.sqrt(max(0.0, 1 - damping**2)))
+
+
+def _at_nodes(stream: UffStream, size: int) -> tuple[tuple[int, ...], Real]:
+    """Nodes and the numbers at each, (nodes, size), to the end of the dataset."""
+    nodes, rows = [], []
     while (line := stream.line()).strip() != MARK:
         try:
             nodes.append(int(line[:10]))
@@ -87,10 +98,8 @@ def _mode(stream: UffStream, start: DatasetStart) -> NodalMode | None:
             numbers += more
         if len(numbers) != size:
             raise stream.wrong(f"{size} numbers should stand here, not {len(numbers)}")
-        shapes.append(numbers)
-    table = np.array(shapes, dtype=float).reshape(len(nodes), size)
-    shape = table[:, 0::2] + 1j * table[:, 1::2] if data_type == COMPLEX else table.astype(complex)
-    return NodalMode(eigenvalue, tuple(nodes), shape, tuple("" if i == "NONE" else i for i in ids))
+        rows.append(numbers)
+    return tuple(nodes), np.array(rows, dtype=float).reshape(len(nodes), size)
 
 
 def _fields(line: bytes, width: int) -> list[bytes]:

@@ -98,23 +98,14 @@ def _measured(function: NodalFunction) -> tuple[Point, Point, tuple[str, ...]]:
 def _part(source: str, number: int, functions: Sequence[NodalFunction]) -> ArrayColumns:
     """Functions over one abscissa as columns."""
     place = source if number == 1 else f"{source} (part {number})"
-    columns: dict[str, Any] = {}
-    units: dict[str, str | None] = {}
     first = functions[0]
+    columns: dict[str, Any] = {FREQUENCY: first.abscissa}
+    units: dict[str, str | None] = {}
     if first.kind == TIME_RESPONSE:
-        columns[TIME] = first.abscissa
+        columns = {TIME: first.abscissa}
         if first.z_kind == OF_FREQUENCY and first.z_value > 0:
             columns[FREQUENCY] = np.full(len(first.abscissa), first.z_value)
-    else:
-        columns[FREQUENCY] = first.abscissa
-    responses = _names([f.response for f in functions])
-    references = _names([f.reference for f in functions])
-    titles = [f.ids[0] if f.ids else "" for f in functions]
-    titled = len(set(titles)) == len(titles) and all(titles)
-    for function, response, reference, title in zip(functions, responses, references, titles, strict=True):
-        name = title if titled else response
-        if function.kind in (FRF, TRANSMISSIBILITY):
-            name = title if titled and title.count("/") == 1 else f"{response}/{reference}"
+    for function, name in zip(functions, _column_names(functions), strict=True):
         values = {name: function.ordinate}
         if function.kind != TIME_RESPONSE:
             values = {f"{name}_re": function.ordinate.real, f"{name}_im": np.imag(function.ordinate)}
@@ -124,6 +115,21 @@ def _part(source: str, number: int, functions: Sequence[NodalFunction]) -> Array
             columns[column] = numbers
             units[column] = function.unit or None
     return array_columns(place, columns, units)
+
+
+def _column_names(functions: Sequence[NodalFunction]) -> list[str]:
+    """ID line 1 where it tells the functions apart, else the response; of FRFs OUT/IN."""
+    responses = _names([f.response for f in functions])
+    references = _names([f.reference for f in functions])
+    titles = [f.ids[0] if f.ids else "" for f in functions]
+    titled = len(set(titles)) == len(titles) and all(titles)
+    names = []
+    for function, response, reference, title in zip(functions, responses, references, titles, strict=True):
+        name = title if titled else response
+        if function.kind in (FRF, TRANSMISSIBILITY):
+            name = title if titled and title.count("/") == 1 else f"{response}/{reference}"
+        names.append(name)
+    return names
 
 
 def _names(points: Sequence[Point]) -> list[str]:

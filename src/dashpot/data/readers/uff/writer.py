@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import os
 from collections.abc import Iterator, Sequence
 
@@ -39,6 +40,13 @@ def write_functions(
     Ordinates in binary double precision read back to the last bit.  Raises DataError where the file cannot be written.
     """
     write_bytes(path, _functions(functions, binary, double, little))
+
+
+def write_universal_file(
+    path: str | os.PathLike[str], functions: Sequence[NodalFunction] = (), modes: Sequence[NodalMode] = ()
+) -> None:
+    """Write functions (58b, double precision) and then modes (55) into one file.  Raises as `write_functions`."""
+    write_bytes(path, itertools.chain(_functions(functions, True, True, True), _modes(modes)))
 
 
 def write_uff_records(records: Sequence[Record], path: str | os.PathLike[str]) -> None:
@@ -86,36 +94,44 @@ def _functions(
     functions: Sequence[NodalFunction], binary: bool, double: bool, little: bool
 ) -> Iterator[bytes]:
     for function in functions:
-        is_complex = np.iscomplexobj(function.ordinate)
-        data_type = (6 if double else 5) if is_complex else (4 if double else 2)
-        count = len(function.ordinate)
         even = function.even and _is_even(function.abscissa)
-        start = float(function.abscissa[0]) if even else 0.0
-        step = float(function.abscissa[-1] - start) / (count - 1) if even else 0.0
-        size = packed_size(count, double, is_complex) + (0 if even else count * (8 if double else 4))
-        order = 1 if little else 2
-        first = (
-            f"    58b{order:6d}{2:6d}{LINES:12d}{size:12d}{0:6d}{0:6d}{0:12d}{0:12d}" if binary else "    58"
-        )
-        ids = [*function.ids, *[""] * 5][:4]
-        ids.append(f"{EXACT} {start!r} {step!r}" if even else "")
-        lines = [
-            "    -1",
-            first,
-            *(f"{(text or 'NONE')[:80]:<80}" for text in ids),
-            _points_line(function),
-            f"{data_type:10d}{count:10d}{int(even):10d}{_short(start)}{_short(step)}{_short(function.z_value)}",
-            _axis(OF_TIME if function.kind == TIME_RESPONSE else OF_FREQUENCY, ""),
-            _axis(1, function.unit),
-            _axis(1 if function.kind == FRF else 0, function.reference_unit),
-            _axis(function.z_kind, ""),
-        ]
+        lines = _header(function, double, even)
+        lines[1] = _first_line(function, double, little, even) if binary else "    58"
         yield ("\n".join(lines) + "\n").encode("utf-8", errors="replace")
         if binary:
             yield _bytes(function, double, little, even)
             yield b"\n" + END
         else:
             yield _rows(function, double, even) + END
+
+
+def _first_line(function: NodalFunction, double: bool, little: bool, even: bool) -> str:
+    """The first line of a dataset 58b: order of bytes, IEEE numbers, how many lines and bytes follow."""
+    count = len(function.ordinate)
+    size = packed_size(count, double, np.iscomplexobj(function.ordinate))
+    size += 0 if even else count * (8 if double else 4)
+    return f"    58b{1 if little else 2:6d}{2:6d}{LINES:12d}{size:12d}{0:6d}{0:6d}{0:12d}{0:12d}"
+
+
+def _header(function: NodalFunction, double: bool, even: bool) -> list[str]:
+    """All lines in front of the numbers; the second, of the dataset's number, is left empty."""
+    data_type = (6 if double else 5) if np.iscomplexobj(function.ordinate) else (4 if double else 2)
+    count = len(function.ordinate)
+    start = float(function.abscissa[0]) if even else 0.0
+    step = float(function.abscissa[-1] - start) / (count - 1) if even else 0.0
+    ids = [*function.ids, *[""] * 5][:4]
+    ids.append(f"{EXACT} {start!r} {step!r}" if even else "")
+    return [
+        "    -1",
+        "",
+        *(f"{(text or 'NONE')[:80]:<80}" for text in ids),
+        _points_line(function),
+        f"{data_type:10d}{count:10d}{int(even):10d}{_short(start)}{_short(step)}{_short(function.z_value)}",
+        _axis(OF_TIME if function.kind == TIME_RESPONSE else OF_FREQUENCY, ""),
+        _axis(1, function.unit),
+        _axis(1 if function.kind == FRF else 0, function.reference_unit),
+        _axis(function.z_kind, ""),
+    ]
 
 
 def _points_line(function: NodalFunction) -> str:
@@ -172,16 +188,18 @@ def _rows(function: NodalFunction, double: bool, even: bool) -> bytes:
 def _modes(modes: Sequence[NodalMode]) -> Iterator[bytes]:
     for number, mode in enumerate(modes, start=1):
         ids = [*mode.ids, *[""] * 5][:5]
+        width = mode.shapes.shape[-1]
         eigenvalue = f"{mode.eigenvalue.real:13.5e}{mode.eigenvalue.imag:13.5e}"
         lines = [
             "    -1",
             "    55",
             *(f"{(text or 'NONE')[:80]:<80}" for text in ids),
-            f"{1:10d}{7:10d}{2:10d}{8:10d}{5:10d}{3:10d}",
+            f"{1:10d}{7:10d}{2 if width == 3 else 3:10d}{8:10d}{5:10d}{width:10d}",
             f"{2:10d}{6:10d}{0:10d}{number:10d}",
             eigenvalue + f"{0.0:13.5e}" * 4,
         ]
         for node, shape in zip(mode.nodes, mode.shapes, strict=True):
             lines.append(f"{node:10d}")
-            lines.append("".join(f"{x.real:13.5e}{x.imag:13.5e}" for x in shape))
+            cells = [f"{x.real:13.5e}{x.imag:13.5e}" for x in shape]
+            lines += ["".join(cells[k : k + 3]) for k in range(0, width, 3)]
         yield ("\n".join(lines) + "\n").encode("utf-8", errors="replace") + END

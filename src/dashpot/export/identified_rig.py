@@ -1,0 +1,96 @@
+"""A rig with values for all its unknowns and their covariance: what every export starts from."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from dashpot.arrays import Real, frozen
+from dashpot.channel import Channel
+from dashpot.errors import DataError, ModelError
+from dashpot.estimate.result import Estimate
+from dashpot.model.network import Model
+from dashpot.model.observation import calibration_names, observation_model
+from dashpot.model.rigfile import Rig
+
+INSTEAD = "export its parameters (.csv, .parquet or .m)"
+
+
+@dataclass(frozen=True)
+class IdentifiedRig:
+    """A model with its channels, values θ (unknowns,) and their covariance (unknowns, unknowns), SI units.
+
+    `estimate` is what they come from, where they come from one.
+    """
+
+    model: Model
+    channels: tuple[Channel, ...]
+    theta: Real
+    covariance: Real
+    estimate: Estimate | None = None
+
+    def __post_init__(self) -> None:
+        for name in ("theta", "covariance"):
+            object.__setattr__(self, name, frozen(getattr(self, name), np.float64))
+
+    @property
+    def p(self) -> Real:
+        """Parameters of the elements, (elements,)."""
+        return self.model.parameters(self.theta)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of θ."""
+        return tuple(unknown.name for unknown in self.model.unknowns)
+
+    @property
+    def outputs(self) -> tuple[Channel, ...]:
+        """Channels that show more than inputs."""
+        alone = observation_model(self.model, self.channels, np.zeros(1)).inputs_alone
+        return tuple(
+            channel for channel, of_inputs in zip(self.channels, alone, strict=True) if not of_inputs
+        )
+
+    def require_linear(self, what: str) -> None:
+        """Raises ModelError where an element has a nonlinear law, which `what` cannot hold."""
+        if len(self.model.nonlinear):
+            names = ", ".join(self.model.elements[i].name for i in self.model.nonlinear)
+            raise ModelError(f"{what} cannot hold the nonlinear law of {names}", cure=INSTEAD)
+
+    def require_viscous(self, what: str) -> None:
+        """Raises ModelError where a motion in time is not determined: hysteretic dampers, and as `require_linear`."""
+        self.require_linear(what)
+        hysteretic = self.model.by_matrix["H"]
+        if len(hysteretic):
+            names = ", ".join(self.model.elements[i].name for i in hysteretic)
+            cause = (
+                f"{what} cannot hold the hysteretic damping of {names}, which is a law of steady vibration"
+            )
+            raise ModelError(cause, cure="use viscous dampers, or export frequency responses")
+
+
+def identified_rig(
+    rig: Rig, estimate: Estimate | None = None, values: Mapping[str, float] | None = None
+) -> IdentifiedRig:
+    """A rig with the values of an estimate; without one, with `values` by name (SI units), known values and guesses.
+
+    Raises DataError where the estimate is of another rig or a batch, ModelError where an unknown has no value.
+    """
+    model, unknowns = rig.model, tuple(unknown.name for unknown in rig.model.unknowns)
+    if estimate is None:
+        sd = [0.0 if unknown.sd is None else unknown.sd for unknown in model.unknowns]
+        theta = model.theta({} if values is None else values)
+        return IdentifiedRig(model, rig.channels, theta, np.diag(np.square(sd)))
+    if estimate.values.ndim != 1:
+        raise DataError("a batch of estimates cannot be exported", cure="take one of them")
+    m = len(unknowns)
+    calibrations = set(calibration_names(rig.channels))
+    if estimate.names[:m] != unknowns or not set(estimate.names[m:]) <= calibrations:
+        raise DataError(
+            f"the estimate is of another rig: its unknowns are {', '.join(estimate.names)}, "
+            f"those of the rig file {', '.join(unknowns)}",
+            cure="give the rig file that the estimate was made with",
+        )
+    return IdentifiedRig(model, rig.channels, estimate.values[:m], estimate.covariance[:m, :m], estimate)

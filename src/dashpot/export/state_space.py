@@ -1,0 +1,240 @@
+"""State spaces of identified rigs, with what the uncertainty of the parameters makes of them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, cast
+
+import numpy as np
+
+from dashpot.arrays import Complex, Ints, Real, frozen
+from dashpot.channel import Quantity
+from dashpot.errors import UsageError
+from dashpot.export.identified_rig import IdentifiedRig
+from dashpot.export.realisation import Realisation, Signals, channel_signals, proper_orders, realisation
+from dashpot.io.json_document import to_json
+from dashpot.io.optional import optional_library
+from dashpot.model.network import Model
+from dashpot.model.observation import channel_unit, observation_model
+from dashpot.units import si_unit
+
+MOTIONS = (Quantity.DISPLACEMENT, Quantity.VELOCITY, Quantity.ACCELERATION)
+SUFFIXES = ("", "_rate", "_acceleration")  # of an input's name, by what is given of it
+STEP = 1e-25  # of complex steps, relative
+
+
+@dataclass(frozen=True)
+class Port:
+    """An input or output: its name, what it is ("displacement" … "force"), and its SI unit."""
+
+    name: str
+    quantity: str
+    unit: str
+
+
+@dataclass(frozen=True)
+class StateSpace:
+    """ż = A z + B w, y = C z + D w; SI units.
+
+    inputs      displacement inputs (u, u_rate or u_acceleration: what makes all outputs proper), then forces
+    outputs     the channels that show more than inputs, as a faultless sensor would see them
+    states      displacements and velocities of the coordinates (less a share of w where `shifts` is not 0), then
+                what is not given of the moved points: u, or u and its rate
+    parameters, values (m,), covariance (m, m)   the unknowns
+    slopes      ∂A, ∂B, ∂C, ∂D by each of them, (m, …)
+    shifts      (β₀, β₁): x = z₁ + β₀ w, ẋ = z₂ + β₁ w + β₀ ẇ
+    """
+
+    name: str
+    A: Real
+    B: Real
+    C: Real
+    D: Real
+    states: tuple[str, ...]
+    inputs: tuple[Port, ...]
+    outputs: tuple[Port, ...]
+    parameters: tuple[str, ...]
+    values: Real
+    covariance: Real
+    slopes: tuple[Real, Real, Real, Real]
+    shifts: tuple[Real, Real]
+
+    def __post_init__(self) -> None:
+        for name in ("A", "B", "C", "D", "values", "covariance"):
+            object.__setattr__(self, name, frozen(getattr(self, name), np.float64))
+
+    def __repr__(self) -> str:
+        names = ", ".join(f"{port.name} ({port.quantity})" for port in self.inputs)
+        seen = ", ".join(port.name for port in self.outputs)
+        return f"<StateSpace {len(self.states)} states, from {names} to {seen}>"
+
+    def response(self, omega: Real) -> Complex:
+        """C (jω − A)⁻¹ B + D at ω (lines,), rad/s; (lines, outputs, inputs)."""
+        system = 1j * np.asarray(omega)[:, None, None] * np.eye(len(self.A)) - self.A
+        response: Complex = self.C @ np.linalg.solve(
+            system, np.broadcast_to(self.B, (len(system), *self.B.shape))
+        )
+        return response + self.D
+
+    def content(self) -> dict[str, Any]:
+        """What the JSON file holds."""
+        letters = "ABCD"
+        return {
+            "dashpot": "state space",
+            "model": self.name,
+            **{letter: getattr(self, letter).tolist() for letter in letters},
+            "states": list(self.states),
+            "inputs": [_row(port) for port in self.inputs],
+            "outputs": [_row(port) for port in self.outputs],
+            "parameters": dict(zip(self.parameters, self.values.tolist(), strict=True)),
+            "order": list(self.parameters),
+            "covariance": self.covariance.tolist(),
+            "slopes": {
+                f"d{letter}": part.tolist() for letter, part in zip(letters, self.slopes, strict=True)
+            },
+            "shifts": [part.tolist() for part in self.shifts],
+        }
+
+    def to_json(self) -> str:
+        """The matrices, names and units, values and covariance of the parameters, and slopes by them as JSON."""
+        return to_json(self.content())
+
+    def to_mat(self) -> bytes:
+        """The same as a MATLAB file (version 5): A, B, C, D, names as cell arrays, dA … as (…, …, parameters)."""
+        from io import BytesIO
+
+        from scipy.io import savemat
+
+        def cells(texts: list[str]) -> np.ndarray[Any, Any]:
+            out = np.empty((len(texts), 1), dtype=object)
+            out[:, 0] = texts
+            return out
+
+        content: dict[str, Any] = {letter: getattr(self, letter) for letter in "ABCD"}
+        for what, ports in (("input", self.inputs), ("output", self.outputs)):
+            for field in ("name", "quantity", "unit"):
+                content[f"{what}_{field}"] = cells([getattr(port, field) for port in ports])
+        content |= {"state_name": cells(list(self.states)), "parameter_name": cells(list(self.parameters))}
+        content |= {"parameter_value": self.values[:, None], "parameter_covariance": self.covariance}
+        content |= {f"d{a}": np.moveaxis(part, 0, -1) for a, part in zip("ABCD", self.slopes, strict=True)}
+        content |= {"beta0": self.shifts[0], "beta1": self.shifts[1], "model": self.name}
+        out = BytesIO()
+        savemat(cast("Any", out), content, do_compression=True)
+        return out.getvalue()
+
+    def to_control(self) -> Any:
+        """A StateSpace of python-control; needs it (extra "control")."""
+        control = optional_library("control", "control", "to_control")
+        names = {"states": list(self.states), "name": "rig"}
+        names |= {
+            "inputs": [port.name for port in self.inputs],
+            "outputs": [port.name for port in self.outputs],
+        }
+        return control.ss(self.A, self.B, self.C, self.D, **names)
+
+
+def _row(port: Port) -> dict[str, str]:
+    return {"name": port.name, "quantity": port.quantity, "unit": port.unit}
+
+
+def state_space_of(rig: IdentifiedRig, given: str | Mapping[str, str] | None = None) -> StateSpace:
+    """The state space of a rig from its inputs to its channels, which are SI quantities; calibrations are left out.
+
+    given  as what displacement inputs are given, "displacement", "velocity" or "acceleration", of all or by name.
+           Without it as they are measured, differentiated as often as it takes to make all channels proper.
+
+    Raises ModelError for nonlinear and hysteretic elements and for coordinates without mass, UsageError where a channel
+    would depend on derivatives of what is given, or there is no channel that shows more than inputs.
+    """
+    rig.require_viscous("a state space")
+    model, channels = rig.model, rig.outputs
+    if not channels:
+        raise UsageError(
+            "no channel shows more than inputs, so that there is no output",
+            cure="list channels of the coordinates",
+        )
+    view = observation_model(model, channels, np.zeros(1))
+    asked = _asked(model, given)
+    measured = _measured_orders(rig)
+    least = [
+        measured[name] if asked.get(name) is None else MOTIONS.index(Quantity(asked[name]))
+        for name in model.displacement_inputs
+    ]
+    orders = proper_orders(view, rig.p, least)
+    for name, order, start in zip(model.displacement_inputs, orders.tolist(), least, strict=True):
+        if order != start and asked.get(name) is not None:
+            raise UsageError(
+                f"some channel depends on the {MOTIONS[order]} of {name}",
+                cure=f"give {name} as {MOTIONS[order]}",
+            )
+    found = realisation(model, rig.p, orders)
+    seen = channel_signals(view, rig.p, found)
+    return StateSpace(
+        model.name, found.A, found.B, seen.Z, seen.direct, _state_names(model, orders), _inputs(model, orders),
+        tuple(Port(c.name, c.quantity.value, channel_unit(model, c)) for c in channels),
+        rig.names, rig.theta, rig.covariance, _slopes(rig, found, seen, orders), found.shifts,
+    )  # fmt: skip
+
+
+def _asked(model: Model, given: str | Mapping[str, str] | None) -> Mapping[str, str]:
+    """The quantity that is asked for, by input.  Raises UsageError for what is none, or no displacement input."""
+    named = dict.fromkeys(model.displacement_inputs, given) if isinstance(given, str) else dict(given or {})
+    for name, quantity in named.items():
+        if name not in model.displacement_inputs:
+            cure = f"there are {', '.join(model.displacement_inputs) or 'none'}"
+            raise UsageError(f"{name} is no displacement input of the rig", cure=cure)
+        if quantity not in [motion.value for motion in MOTIONS]:
+            cure = f"give {', '.join(motion.value for motion in MOTIONS)}"
+            raise UsageError(f"an input cannot be given as {quantity}", cure=cure)
+    return named
+
+
+def _measured_orders(rig: IdentifiedRig) -> dict[str, int]:
+    """How often each displacement input is differentiated in its own channel; 0 where it has none."""
+    orders: dict[str, int] = {}
+    for channel in rig.channels:
+        if channel.quantity is not Quantity.FORCE and len(channel.of) == 1:
+            (name,) = channel.of
+            orders[name] = min(channel.quantity.derivative, orders.get(name, 2))
+    return {name: orders.get(name, 0) for name in rig.model.displacement_inputs}
+
+
+def _state_names(model: Model, orders: Ints) -> tuple[str, ...]:
+    names = [*model.coordinates, *(f"{name}_rate" for name in model.coordinates)]
+    for name, order in zip(model.displacement_inputs, orders.tolist(), strict=True):
+        names += [name, f"{name}_rate"][:order]
+    return tuple(names)
+
+
+def _inputs(model: Model, orders: Ints) -> tuple[Port, ...]:
+    ports = []
+    for name, order in zip(model.displacement_inputs, orders.tolist(), strict=True):
+        quantity = MOTIONS[order].value
+        ports.append(Port(f"{name}{SUFFIXES[order]}", quantity, si_unit(quantity, name in model.angles)))
+    for source in model.inputs:
+        if source.kind == "force":
+            angular = bool(source.at) and set(source.at) <= set(model.angles)
+            ports.append(Port(source.name, "force", si_unit("force", angular)))
+    return tuple(ports)
+
+
+def _slopes(
+    rig: IdentifiedRig, found: Realisation, seen: Signals, orders: Ints
+) -> tuple[Real, Real, Real, Real]:
+    """∂A, ∂B, ∂C and ∂D by the unknowns, (m, …), by complex steps: exact to rounding."""
+    model, m = rig.model, len(rig.theta)
+    if not m:
+        empty = [np.zeros((0, *part.shape)) for part in (found.A, found.B, seen.Z, seen.direct)]
+        return empty[0], empty[1], empty[2], empty[3]
+    step = STEP * np.where(rig.theta == 0, 1.0, np.abs(rig.theta))
+    p = rig.p + 1j * (model.T * step).T
+    view = observation_model(model, rig.outputs, np.zeros(1))
+    moved = realisation(model, p, orders)
+    shown = channel_signals(view, p, moved)
+    parts = []
+    for part, shape in (
+        (moved.A, found.A.shape), (moved.B, found.B.shape), (shown.Z, seen.Z.shape), (shown.direct, seen.direct.shape),
+    ):  # fmt: skip
+        parts.append(np.broadcast_to(part, (m, *shape)).imag / step[:, None, None])
+    return parts[0], parts[1], parts[2], parts[3]

@@ -1,0 +1,168 @@
+"""Universal files of a rig: frequency responses, measured and fitted (dataset 58b), and modes (dataset 55)."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator, Mapping
+
+import numpy as np
+
+from dashpot.arrays import Complex, Real
+from dashpot.channel import Channel, Quantity
+from dashpot.check.residuals import calibrations_of, residuals
+from dashpot.data.readers.uff.function import FRF, NodalFunction, Point
+from dashpot.data.readers.uff.modes import NodalMode
+from dashpot.data.readers.uff.writer import write_universal_file
+from dashpot.data.spectrum import Spectrum
+from dashpot.errors import DataError
+from dashpot.export.identified_rig import IdentifiedRig
+from dashpot.export.transfer_functions import frequency_responses, input_units, unit_of_channel
+from dashpot.model.modes import modes
+from dashpot.model.observation import input_channels
+
+SIGNIFICANT = 1e-6  # relative: an input below it does not act
+ALONG, AROUND = 1, 4  # directions +X and +RX
+
+
+def write_rig_universal_file(
+    rig: IdentifiedRig,
+    path: str | os.PathLike[str],
+    frequency_hz: Real | None = None,
+    data: Spectrum | None = None,
+) -> None:
+    """Write modes, fitted frequency responses at `frequency_hz` and, of `data`, measured and fitted ones.
+
+    Coordinate k is node k + 1, displacement inputs follow, then channels that are no single point.  ID line 1 of a
+    function is OUT/IN, line 2 says measured or fitted; of modes, lines 3 to 5 list nodes and names.  Raises as
+    `measured_responses` and `frequency_responses`.
+    """
+    functions: list[NodalFunction] = []
+    if data is not None:
+        functions += measured_responses(rig, data)
+        frequency_hz = np.unique(data.frequency_hz) if frequency_hz is None else frequency_hz
+    if frequency_hz is not None:
+        functions += fitted_responses(rig, np.asarray(frequency_hz, dtype=float))
+    write_universal_file(path, functions, nodal_modes(rig))
+
+
+def nodal_modes(rig: IdentifiedRig) -> list[NodalMode]:
+    """Modes at the coordinates' nodes: X, Y, Z (and rotations about them); eigenvalues in rad/s.  Raises ModelError."""
+    rig.require_linear("a mode")
+    model = rig.model
+    found = modes(model, rig.p)
+    swinging = found.eigenvalues.imag > 0
+    width = 6 if model.angles else 3
+    nodes = tuple(range(1, model.n + 1))
+    names = _lines_of_names(model.coordinates)
+    out = []
+    for eigenvalue, shape in zip(found.eigenvalues[swinging], found.shapes[swinging], strict=True):
+        table = np.zeros((model.n, width), dtype=complex)
+        for k, name in enumerate(model.coordinates):
+            table[k, (_direction(rig, name) - 1)] = shape[k]
+        frequency = abs(eigenvalue) / (2 * np.pi)
+        ids = (model.name[:80], f"Mode at {frequency:.6g} Hz by dashpot", *names)
+        out.append(NodalMode(complex(eigenvalue), nodes, table, ids))
+    return out
+
+
+def _lines_of_names(names: tuple[str, ...]) -> list[str]:
+    """Names of the nodes on three ID lines, as many as there is room for."""
+    lines = [""]
+    for k, name in enumerate(names):
+        text = f"{k + 1} = {name}"
+        longer = f"{lines[-1]}, {text}" if lines[-1] else text
+        if len(longer) <= 80:
+            lines[-1] = longer
+        elif len(lines) < 3 and len(text) <= 80:
+            lines.append(text)
+        else:
+            break
+    return lines
+
+
+def fitted_responses(rig: IdentifiedRig, frequency_hz: Real) -> list[NodalFunction]:
+    """The rig's own frequency responses in the channels' units."""
+    H, _ = frequency_responses(rig, frequency_hz)
+    return [
+        _function(rig, channel, j, frequency_hz, H[:, i, j], "fitted")
+        for i, channel in enumerate(rig.outputs)
+        for j in range(H.shape[2])
+    ]
+
+
+def measured_responses(rig: IdentifiedRig, data: Spectrum) -> list[NodalFunction]:
+    """Measured amplitudes over the input that acts alone at their lines, its estimate from all channels of the line.
+
+    Calibrations that were estimated are taken out.  Raises DataError for a batch, and where no line has one input only.
+    """
+    if data.batch:
+        raise DataError("repeats cannot be exported", cure="take one of them")
+    calibrations = {} if rig.estimate is None else calibrations_of(rig.model, rig.estimate)
+    compared = residuals(rig.model, rig.theta, data, calibrations)
+    size = np.abs(compared.inputs)
+    scale = np.max(size, axis=0, initial=0.0)
+    acting = size > SIGNIFICANT * np.where(scale > 0, scale, np.inf)
+    alone = np.sum(acting, axis=1) == 1
+    outputs = {channel.name: channel for channel in rig.outputs}
+    functions = []
+    for j in range(acting.shape[1]):
+        lines = np.flatnonzero(alone & acting[:, j])
+        lines = lines[np.unique(data.frequency_hz[lines], return_index=True)[1]]
+        for c, name in enumerate(compared.channels):
+            there = lines[np.isfinite(compared.measured[lines, c])]
+            if name not in outputs or not len(there):
+                continue
+            frequency = data.frequency_hz[there]
+            ratio = compared.measured[there, c] / compared.inputs[there, j]
+            ratio = ratio / _calibration(name, calibrations, frequency)
+            functions.append(_function(rig, outputs[name], j, frequency, ratio, "measured"))
+    if not functions:
+        raise DataError(
+            "the data have no frequency response: several inputs act at once at every frequency",
+            cure="leave the data out, and give frequencies",
+        )
+    return functions
+
+
+def _calibration(name: str, calibrations: dict[str, float], frequency_hz: Real) -> Complex:
+    gain = calibrations.get(f"{name}.gain", 1.0) * calibrations.get(f"{name}.sign", 1.0)
+    late = calibrations.get(f"{name}.delay", 0.0)
+    factor: Complex = gain * np.exp(-2j * np.pi * frequency_hz * late)
+    return factor
+
+
+def _function(
+    rig: IdentifiedRig, channel: Channel, source: int, frequency_hz: Real, values: Complex, origin: str
+) -> NodalFunction:
+    name, scale, unit = input_units(rig)[source]
+    of_channel, channel_unit = unit_of_channel(rig, channel)
+    drive = input_channels(rig.model)[source]
+    return NodalFunction(
+        FRF, _point(rig, channel), _point(rig, drive), frequency_hz, values * (scale / of_channel),
+        channel_unit, unit, (f"{channel.name}/{name}", origin, rig.model.name[:80]),
+    )  # fmt: skip
+
+
+def _point(rig: IdentifiedRig, channel: Channel) -> Point:
+    """Node and direction of what a channel measures or an input moves."""
+    model = rig.model
+    moved = [*model.coordinates, *model.displacement_inputs]
+    forces = {source.name: source.at for source in model.inputs if source.kind == "force"}
+    places = list(_places(channel, forces))
+    if len(places) == 1 and places[0] in moved:
+        return Point(channel.name[:10], moved.index(places[0]) + 1, _direction(rig, places[0]))
+    names = [known.name for known in rig.channels] + list(forces)
+    number = names.index(channel.name) if channel.name in names else len(names)
+    return Point(channel.name[:10], len(moved) + 1 + number, ALONG)
+
+
+def _places(channel: Channel, forces: Mapping[str, Mapping[str, float]]) -> Iterator[str]:
+    for name in channel.of:
+        if channel.quantity is Quantity.FORCE and name in forces:
+            yield from forces[name]
+        else:
+            yield name
+
+
+def _direction(rig: IdentifiedRig, point: str) -> int:
+    return AROUND if point in rig.model.angles else ALONG
