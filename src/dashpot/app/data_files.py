@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -45,9 +46,11 @@ def read_data(
     samples that is used, from where to where.  Raises DataError.
     """
     from dashpot.app.nonlinear_records import usual_orders
+    from dashpot.app.progress import progress
     from dashpot.data.readers import read
 
-    reading = read(paths, rig.channels, frequency_hz=options["frequency"])
+    with progress(reading_of(paths), quiet):
+        reading = read(paths, rig.channels, frequency_hz=options["frequency"])
     tell_notes(reading.notes, quiet)
     methods = tuple(moments_for)
     moments = _moments(methods) if reading.amplitudes is None else False
@@ -66,7 +69,8 @@ def read_data(
         conditioning = conditioning.changed(still=noise_at_rest(still.records))
     if part != (0.0, 1.0):
         reading = _part_of(reading, part)
-    spectrum = reading.spectrum(conditioning)
+    with progress("amplitudes", quiet):
+        spectrum = reading.spectrum(conditioning)
     tell_notes(spectrum.notes, quiet)
     return MeasuredData(spectrum, bool(reading.records))
 
@@ -82,6 +86,12 @@ def read_spectrum(
 ) -> Spectrum:
     """The amplitudes alone, as `read_data` reads them."""
     return read_data(rig, paths, options, quiet, moments_for=moments_for, part=part).spectrum
+
+
+def reading_of(paths: Sequence[str]) -> str:
+    """What is being read, in a few words."""
+    name = printable(os.path.basename(paths[0]))
+    return f"reading {name[:40]}" + (f" and {len(paths) - 1} more" if len(paths) > 1 else "")
 
 
 def _with_transients(methods: Iterable[str]) -> bool:

@@ -60,6 +60,7 @@ def command(
     """
     from dashpot.app.data_files import read_spectrum
     from dashpot.app.files import write_result
+    from dashpot.app.progress import progress
     from dashpot.check.identifiability import structure
     from dashpot.errors import UsageError
     from dashpot.io.json_document import to_json
@@ -73,12 +74,14 @@ def command(
     rig_read.model.require_unknowns(rig)
     spectrum = read_spectrum(rig_read, data, conditioning, quiet) if data else None
     channels = rig_read.channels if spectrum is None else spectrum.channels
-    verdict = structure(rig_read.model, channels, spectrum, seed)
+    with progress("check", quiet):
+        verdict = structure(rig_read.model, channels, spectrum, seed)
     content = structure_content(rig_read.model, channels, verdict)
     parts: list[Any] = []
     if verdict.identifiable and spectrum is not None:
         wanted = [name for text in profiled for name in names(text)]
-        parts = _with_data(rig_read, spectrum, content, wanted, known, level, seed)
+        with progress("check", quiet):
+            parts = _with_data(rig_read, spectrum, content, wanted, known, level, seed)
     write_result(json_out, to_json(content))
     require_full_rank(verdict, rig_read.model, channels, rig)
     if not quiet and json_out != STDOUT:

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from dashpot.app.files import STDOUT
+from dashpot.app.files import STDOUT, write_result
 from dashpot.app.help import dashpot_command, option
 from dashpot.app.options import (
     DATA_HELP,
@@ -84,65 +84,91 @@ def command(
     Exit codes: 0 done, whatever the verdict; 2 bad usage, model or data; 3 the data do not determine the unknowns, or
     the iteration did not converge; 4 with --strict, the model does not fit.
     """
-    from dashpot.app.files import write_result
+    rig_read = _rig(rig, chosen, positive, matrices)
+    estimate, spectrum = None, None
+    if len(rig_read.model.nonlinear):
+        estimate = _of_nonlinear_records(rig_read, data, conditioning, chosen, report, quiet)
+    records, used = True, (0.0, 1.0 if hold_out is None else 1.0 - hold_out)
+    if estimate is None:
+        from dashpot.app.data_files import read_data
+
+        measured = read_data(rig_read, data, conditioning, quiet, moments_for=[chosen], part=used)
+        method = _method(chosen, rig_read, measured.spectrum, seed, positive)
+        estimate, spectrum = _estimated(rig, rig_read, measured.spectrum, method, seed, quiet)
+        records = measured.records
+    if report is not None and spectrum is not None:
+        from dashpot.io.atomic import write_text
+        from dashpot.present.pages.report import identification_report
+
+        write_text(report, identification_report(rig_read.model, spectrum, estimate, level, [rig, *data]))
+    write_result(json_out, estimate.to_json())
+    if apply is not None:
+        _apply(rig_read, estimate, apply)
+    if not quiet and json_out != STDOUT:
+        _show(rig_read, estimate, level, matrices, records)
+        if hold_out is not None:
+            _show_held_out(rig_read, estimate, data, conditioning, used[1])
+    return _ending(estimate, strict)
+
+
+def _rig(path: str, chosen: str, positive: bool, matrices: bool) -> Rig:
+    """The rig, with all that can be refused before data are read."""
     from dashpot.check.scale import require_scale_seen
     from dashpot.estimate.registry import method_class
-    from dashpot.io.atomic import write_text
     from dashpot.model.rigfile import read_rig
     from dashpot.present.text.identifiability import require_identifiable
 
-    rig_read = read_rig(rig)
-    model = rig_read.model
-    model.require_unknowns(rig)
+    rig = read_rig(path)
+    rig.model.require_unknowns(path)
     _check_positive(chosen, positive)
-    _check_matrices(rig_read, matrices)
-    require_identifiable(model, rig_read.channels, rig)
+    _check_matrices(rig, matrices)
+    require_identifiable(rig.model, rig.channels, path)
     if chosen != "auto":
-        require_scale_seen(method_class(chosen), model, rig_read.channels, rig)
+        require_scale_seen(method_class(chosen), rig.model, rig.channels, path)
+    return rig
 
+
+def _estimated(
+    path: str, rig: Rig, spectrum: Spectrum, method: Method, seed: int, quiet: bool
+) -> tuple[Estimate, Spectrum]:
+    """The estimate, examined, and the amplitudes with the noise that it rests on."""
     from dataclasses import replace
 
-    from dashpot.app.data_files import read_data
     from dashpot.app.progress import progress
     from dashpot.check.diagnosis.diagnose import examined
     from dashpot.errors import ConvergenceError, IdentifiabilityError
     from dashpot.estimate.identify import identify
     from dashpot.estimate.likelihood.record_noise import with_record_noise
+    from dashpot.present.text.identifiability import require_identifiable
 
-    if len(model.nonlinear):
-        from dashpot.app.nonlinear_records import whole_record_estimate
-
-        whole = whole_record_estimate(rig_read, data, conditioning, chosen, quiet)
-        if whole is not None:
-            _check_report(report)
-            write_result(json_out, whole.to_json())
-            if not quiet and json_out != STDOUT:
-                _show(rig_read, whole, level, False, True)
-            return _ending(whole, strict)
-    used = (0.0, 1.0 if hold_out is None else 1.0 - hold_out)
-    measured = read_data(rig_read, data, conditioning, quiet, moments_for=[chosen], part=used)
-    spectrum = measured.spectrum
-    require_identifiable(model, spectrum.channels, rig, spectrum)
+    require_identifiable(rig.model, spectrum.channels, path, spectrum)
     with progress("identify", quiet) as moved:
-        method = _method(chosen, rig_read, spectrum, seed, positive)
         try:
-            spectrum, method = with_record_noise(model, spectrum, method)
-            estimate = identify(model, spectrum, method, progress=moved)
+            spectrum, method = with_record_noise(rig.model, spectrum, method)
+            estimate = identify(rig.model, spectrum, method, progress=moved)
         except (IdentifiabilityError, ConvergenceError) as error:
-            raise _explained(error, model, spectrum, seed) from error
-        estimate = replace(examined(model, spectrum, estimate, seed=seed), rig=rig)
-    if report is not None:
-        from dashpot.present.pages.report import identification_report
+            raise _explained(error, rig.model, spectrum, seed) from error
+        return replace(examined(rig.model, spectrum, estimate, seed=seed), rig=path), spectrum
 
-        write_text(report, identification_report(model, spectrum, estimate, level, [rig, *data]))
-    write_result(json_out, estimate.to_json())
-    if apply is not None:
-        _apply(rig_read, estimate, apply)
-    if not quiet and json_out != STDOUT:
-        _show(rig_read, estimate, level, matrices, measured.records)
-        if hold_out is not None:
-            _show_held_out(rig_read, estimate, data, conditioning, used[1])
-    return _ending(estimate, strict)
+
+def _of_nonlinear_records(
+    rig: Rig,
+    data: tuple[str, ...],
+    conditioning: dict[str, Any],
+    chosen: str,
+    report: str | None,
+    quiet: bool,
+) -> Estimate | None:
+    """The estimate from whole records of a nonlinear rig; None where the data are dwells or amplitudes."""
+    from dashpot.app.nonlinear_records import whole_record_estimate
+    from dashpot.errors import UsageError
+
+    estimate = whole_record_estimate(rig, data, conditioning, chosen, quiet)
+    if estimate is not None and report is not None:
+        raise UsageError(
+            "there is no report of whole records of nonlinear rigs yet", "--report", "leave the option out"
+        )
+    return estimate
 
 
 def _show_held_out(
@@ -156,15 +182,6 @@ def _show_held_out(
 
     held = read_spectrum(rig, data, conditioning, True, part=(since, 1.0))
     show_validation(console(), validate(rig.model, estimate, held))
-
-
-def _check_report(report: str | None) -> None:
-    from dashpot.errors import UsageError
-
-    if report is not None:
-        raise UsageError(
-            "there is no report of whole records of nonlinear rigs yet", "--report", "leave the option out"
-        )
 
 
 def _explained(
