@@ -361,3 +361,66 @@ def test_names_with_dollar_signs_in_figures(dashpot: Command, rig: Path, data: P
     assert "$x_{1$" in Path("r.html").read_text(encoding="utf-8")
     ran = dashpot("compare", "rig.toml", "data.csv", "--methods", "wls,oiv", "--figure", "f.png", "-q")
     assert ran.code == 0, ran.err
+
+
+NONLINEAR = """
+coordinates = ["x"]
+[inputs]
+u = { kind = "displacement" }
+[masses]
+m = { at = "x", value = 1.2 }
+[springs]
+k = { between = ["x", "u"], guess = 1900 }
+k3 = { between = ["x", "u"], law = "cubic", guess = 4e8 }
+[dampers]
+c = { between = ["x", "u"], guess = 6 }
+[channels]
+x = { of = "x", unit = "mm" }
+u = { of = "u", unit = "mm" }
+"""
+
+
+def test_nonlinear_rigs_are_simulated_and_their_curves_drawn(dashpot: Command) -> None:
+    Path("n.toml").write_text(NONLINEAR)
+    drive = ["--frequencies", "3:9:1", "--amplitude", "1mm"]
+    assert dashpot("simulate", "n.toml", "--out", "n.csv", *drive).code == 0
+    assert dashpot("identify", "n.toml", "n.csv").code == 0
+    Path("in.csv").write_text("time_s,u\n" + "".join(f"{k / 200},{0.1 * (k % 37)}\n" for k in range(400)))
+    assert dashpot("simulate", "n.toml", "--input", "in.csv", "--out", "r.csv").code == 0
+    assert Path("r.csv").read_text().startswith("time_s,x,u")
+    drawn = dashpot(
+        "response",
+        "n.toml",
+        "--band",
+        "7:9",
+        "--amplitude",
+        "0.5mm",
+        "-o",
+        "c.csv",
+        "--figure",
+        "c.png",
+        "--backbone",
+        "1",
+    )
+    assert drawn.code == 0, drawn.err
+    assert "0.5 mm: 7 to 9 Hz" in drawn.out
+    assert Path("c.csv").read_text().startswith("curve,frequency_hz,drive,stable,x_swing,u_swing")
+    assert Path("c.png").read_bytes().startswith(b"\x89PNG")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "named"),
+    [
+        (["simulate", "n.toml", "--out", "o.csv"], "--input"),
+        (["simulate", "n.toml", "--out", "o.csv", "--input", "n.toml", "--frequencies", "3"], "two ways"),
+        (["response", "n.toml"], "--band"),
+        (["response", "rig.toml", "--band", "1:3", "--set", "m1=1,c1=1,c2=1"], "nonlinear"),
+    ],
+)
+def test_what_drives_a_nonlinear_rig_must_be_said_once(
+    dashpot: Command, rig: Path, arguments: list[str], named: str
+):
+    Path("n.toml").write_text(NONLINEAR)
+    result = dashpot(*arguments)
+    assert result.code == 2
+    assert named in str(result.err)

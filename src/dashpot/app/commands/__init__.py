@@ -18,6 +18,7 @@ COMMANDS: Mapping[str, str] = {
     "simulate": "Write the test data that a rig with given parameters would yield.",
     "draw": "Draw a rig as a schematic, with the values of an estimate, or one of its modes.",
     "export": "Write a rig with its estimate for another program: MATLAB, FMU, MuJoCo and more.",
+    "response": "Follow the settled motion of a nonlinear rig through folds, and draw it.",
     "new": "Write a rig file to start from.",
     "inspect": "Show what is in data files, and suggest channels for a rig file.",
     "spectrum": "Turn time records into a table of complex amplitudes.",

@@ -14,6 +14,7 @@ from dashpot.app.parameter_types import (
     AMPLITUDE,
     FREQUENCIES,
     FREQUENCY,
+    INPUT_FILE,
     NUMBER,
     SHARE_OR_ZERO,
     Count,
@@ -21,8 +22,15 @@ from dashpot.app.parameter_types import (
 from dashpot.errors import printable
 
 if TYPE_CHECKING:
+    from numpy.random import Generator
+
+    from dashpot.arrays import Real
+    from dashpot.channel import Channel
+    from dashpot.data.record import Record
+    from dashpot.model.network import Model
     from dashpot.model.rigfile import Rig
     from dashpot.quantities import Amount
+    from dashpot.study.simulate import Dwells
 
 TEST = "The test"
 NOISE = "Noise"
@@ -32,6 +40,7 @@ NOISE = "Noise"
     "simulate",
     "dashpot simulate rig.toml --set m1=3,c1=20,c2=30 --frequencies 1:10:0.5 --out data.csv",
     "dashpot simulate rig.toml --frequencies 0.5:25/40log --amplitude u=2mm --table -o amplitudes.csv",
+    "dashpot simulate rig.toml --input shaker.csv --out record.csv",
 )
 @rig_argument
 @option(
@@ -40,9 +49,13 @@ NOISE = "Noise"
     "that are not set take the guess or value of the rig file.",
 )  # fmt: skip
 @option(
-    "--frequencies", type=FREQUENCIES, required=True, metavar="LIST|RANGE", group=TEST,
+    "--frequencies", type=FREQUENCIES, metavar="LIST|RANGE", group=TEST,
     help="Frequencies in Hz: a list 1,2,5, start:stop:step, or start:stop/points (start:stop/pointslog on a "
     "logarithmic scale).",
+)  # fmt: skip
+@option(
+    "--input", "input_file", type=INPUT_FILE, metavar="FILE", group=TEST,
+    help="In place of --frequencies: a record whose input channels drive the rig from rest, of any excitation.",
 )  # fmt: skip
 @option(
     "--samples", type=Count(4, 100_000_000), default=200, show_default=True, metavar="N", group=TEST,
@@ -71,11 +84,14 @@ NOISE = "Noise"
 )
 @quiet_option
 def command(
-    rig: str, out: str, values: Sequence[Mapping[str, Amount]], frequencies: tuple[float, ...], samples: int,
-    rate: float | None, periods: float, amplitudes: Sequence[Amount | Mapping[str, Amount]],
+    rig: str, out: str, values: Sequence[Mapping[str, Amount]], frequencies: tuple[float, ...] | None,
+    input_file: str | None, samples: int, rate: float | None, periods: float,
+    amplitudes: Sequence[Amount | Mapping[str, Amount]],
     relative_noise: float | None, table: bool, seed: int, quiet: bool,
 ) -> None:  # fmt: skip
-    """Write the stepped-sine test data that RIG would yield, with the noise that its channels state.
+    """Write the test data that RIG would yield: stepped sine, or its motion under a record of its inputs.
+
+    Noise is what the channels of the rig file state.
 
     Every unknown needs a value: from --set, or the value or guess of the rig file.  The noise of a channel is its
     `noise` (in its unit) and its `relative_noise` in the rig file.
@@ -83,34 +99,95 @@ def command(
     from dashpot.app.parameters import input_amplitudes, merged, parameter_values
     from dashpot.model.rigfile import read_rig
 
+    _check_test(frequencies, input_file, table)
     rig_read = read_rig(rig)
     model = rig_read.model
     values_si = parameter_values(rig_read, merged(values, "--set"))
-    _require_all(rig_read, values_si)
+    require_values(rig_read, values_si)
     drive = input_amplitudes(model, amplitudes)
 
     import numpy as np
 
-    from dashpot.data.readers import write_amplitudes, write_records
+    from dashpot.data.readers import write_records
     from dashpot.model.channel_noise import with_relative_noise
     from dashpot.study import simulate as study
 
     channels = rig_read.channels
     if relative_noise is not None:
         channels = with_relative_noise(model, channels, relative_noise)
-    test = study.dwells(model, frequencies, samples, amplitudes=drive, periods=periods, rate=rate)
-    p, rng = model.parameters(model.theta(values_si)), np.random.default_rng(seed)
+    theta, rng = model.theta(values_si), np.random.default_rng(seed)
+    if frequencies is None:
+        from dashpot.study.nonlinear_motion import driven_record
+
+        record = driven_record(model, theta, channels, _input_record(rig_read, str(input_file)), rng)
+        write_records([record], out)
+        what = f"{len(record.time)} samples"
+    else:
+        test = study.dwells(model, frequencies, samples, amplitudes=drive, periods=periods, rate=rate)
+        _write_dwells(model, theta, channels, test, rng, table, out)
+        many = "1 frequency" if len(frequencies) == 1 else f"{len(frequencies)} frequencies"
+        what = f"{many}, {'amplitudes' if table else f'{samples} samples at each'}"
+    if not quiet:
+        click.echo(f"{printable(out)}: {what}; channels {', '.join(c.name for c in channels)}")
+
+
+def _check_test(frequencies: tuple[float, ...] | None, input_file: str | None, table: bool) -> None:
+    """One of --frequencies and --input.  Raises UsageError."""
+    from dashpot.errors import UsageError
+
+    if (frequencies is None) == (input_file is None):
+        what = "nothing drives the rig" if frequencies is None else "the rig is driven in two ways"
+        raise UsageError(what, cure="give --frequencies, or --input with a record of the inputs")
+    if table and frequencies is None:
+        raise UsageError("--table is of stepped sine", cure="leave it out, or give --frequencies")
+
+
+def _input_record(rig: Rig, path: str) -> Record:
+    """The record of the inputs.  Raises DataError where the file holds dwells, amplitudes or several records."""
+    from dashpot.data.readers import read
+    from dashpot.errors import DataError
+    from dashpot.model.observation import measures_input
+
+    reading = read([path], [c for c in rig.channels if measures_input(rig.model, c)])
+    if len(reading.records) != 1 or reading.records[0].frequency_hz is not None:
+        raise DataError(
+            "the inputs are not one continuous record",
+            path,
+            "give a table with time_s and the input channels",
+        )
+    return reading.records[0]
+
+
+def _write_dwells(
+    model: Model,
+    theta: Real,
+    channels: Sequence[Channel],
+    test: Dwells,
+    rng: Generator,
+    table: bool,
+    out: str,
+) -> None:
+    """Settled dwells, sample by sample or as a table; those of a nonlinear rig with their harmonics."""
+    from dashpot.data.readers import write_amplitudes, write_records
+    from dashpot.study import simulate as study
+
+    if len(model.nonlinear):
+        from dashpot.study.nonlinear_motion import settled_motion, settled_records, settled_spectrum
+
+        motion = settled_motion(model, theta, channels, test)
+        if table:
+            write_amplitudes(settled_spectrum(motion, test, rng), out)
+        else:
+            write_records(settled_records(motion, test, rng), out)
+        return
+    p = model.parameters(theta)
     if table:
         write_amplitudes(study.simulate_spectrum(model, p, channels, test, rng, drift=1), out)
     else:
         write_records(study.simulate_records(model, p, channels, test, rng), out)
-    if not quiet:
-        what = "amplitudes" if table else f"{samples} samples at each"
-        many = "1 frequency" if len(frequencies) == 1 else f"{len(frequencies)} frequencies"
-        click.echo(f"{printable(out)}: {many}, {what}; channels {', '.join(c.name for c in channels)}")
 
 
-def _require_all(rig: Rig, values: Mapping[str, float]) -> None:
+def require_values(rig: Rig, values: Mapping[str, float]) -> None:
     """Every unknown needs a value.  Raises UsageError with all that have none."""
     from dashpot.errors import Problem, UsageError
 

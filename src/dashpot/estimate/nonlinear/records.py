@@ -45,30 +45,41 @@ class RecordData:
 
 def arranged(model: Model, record: Record) -> RecordData:
     """Raises DataError where an input is not measured, a channel cannot be compared with a motion, or times slip."""
-    step = _uniform_step(record)
+    step = uniform_step(record)
     view = observation_model(model, record.channels, np.ones(1))
+    inputs = measured_inputs(model, record)
     values = record.values / _calibration(record)
-    drives = [i for i, c in enumerate(record.channels) if measures_input(model, c)]
-    usable = [i for i in drives if view.derivative[i] == 0 and view.gain[i] < 0]
-    C = view.on_q[usable]
-    if np.linalg.matrix_rank(C) < C.shape[1] if C.size else len(model.inputs):
-        raise DataError(
-            "an input of a rig with nonlinear elements is not measured",
-            record.source,
-            "give every input a channel of displacement or force with a known gain",
-        )
-    outputs = [i for i in range(len(record.channels)) if i not in drives]
+    outputs = [i for i, channel in enumerate(record.channels) if not measures_input(model, channel)]
     _require_motion(record, outputs)
     by_force = bool(len(model.force_inputs))
     return RecordData(
-        record.source, float(step), tuple(record.channels[i].name for i in outputs),
-        values[:, usable] @ np.linalg.pinv(C).T, values[:, outputs], view.on_x[outputs], view.on_q[outputs],
-        tuple(int(view.derivative[i]) for i in outputs), tuple(int(view.gain[i]) for i in outputs),
+        record.source, step, tuple(record.channels[i].name for i in outputs), inputs, values[:, outputs],
+        view.on_x[outputs], view.on_q[outputs], tuple(int(view.derivative[i]) for i in outputs),
+        tuple(int(view.gain[i]) for i in outputs),
         tuple(int(view.derivative[i]) > 0 or not by_force for i in outputs),
     )  # fmt: skip
 
 
-def _uniform_step(record: Record) -> float:
+def measured_inputs(model: Model, record: Record) -> Real:
+    """The inputs as their channels show them, (samples, r + s), SI units.  Raises DataError where one is missing."""
+    view = observation_model(model, record.channels, np.ones(1))
+    usable = [
+        i
+        for i, channel in enumerate(record.channels)
+        if measures_input(model, channel) and view.derivative[i] == 0 and view.gain[i] < 0
+    ]
+    C = view.on_q[usable]
+    if np.linalg.matrix_rank(C) < C.shape[1] if C.size else len(model.inputs):
+        raise DataError(
+            "an input of the rig is not measured",
+            record.source,
+            "give every input a channel of displacement or force with a known gain",
+        )
+    inputs: Real = (record.values / _calibration(record))[:, usable] @ np.linalg.pinv(C).T
+    return inputs
+
+
+def uniform_step(record: Record) -> float:
     """The sampling step, s.  Raises DataError where samples are not evenly spaced."""
     step = float((record.time[-1] - record.time[0]) / (len(record.time) - 1))
     slip = np.max(np.abs(record.time - record.time[0] - step * np.arange(len(record.time))))

@@ -131,32 +131,64 @@ def secant_of(p: Real, a: Real, q: Real) -> Complex:
     return positive
 
 
+@dataclass(frozen=True)
+class Balance:
+    """The equations of N dwells in the elongations of the nonlinear elements, δ − free + Z (p a − s δ) = 0.
+
+    Z (N, e, W, e, W), free (N, e, W), share (N, e, W, W) as real numbers; strength (N, e, 1): p.
+    """
+
+    linear: LinearPart
+    Z: Real
+    free: Real
+    share: Real
+    strength: Real
+
+    @property
+    def scale(self) -> Real:
+        """Largest elongation without nonlinear forces, (N,)."""
+        size: Real = np.max(np.abs(self.free), axis=(1, 2))
+        return size
+
+    def rest(self, q: Real, unit: Real) -> Real:
+        """p a − s δ, (N, e, W)."""
+        rest: Real = self.strength * unit - np.einsum("nevw,new->nev", self.share, q)
+        return rest
+
+    def residual(self, q: Real, unit: Real) -> Real:
+        """What is left over at elongations q with the harmonics `unit` of the unit forces, (N, e, W)."""
+        r: Real = q - self.free + np.einsum("nevfw,nfw->nev", self.Z, self.rest(q, unit))
+        return r
+
+    def matrix(self, slope: Real) -> Real:
+        """∂residual/∂q, (N, e W, e W), for slopes ∂a/∂q (N, e, W, W)."""
+        N, e, W = slope.shape[:3]
+        inner = self.strength[..., None] * slope - self.share
+        both = np.einsum("nevfu,nfuw->nevfw", self.Z, inner).reshape(N, e * W, e * W)
+        matrix: Real = both + np.eye(e * W)
+        return matrix
+
+
+def balance(model: Model, p: Real, drive: Drive, secant: Complex) -> Balance:
+    """The equations with `secant` (N, e) as the share of the nonlinear elements that the linear part keeps."""
+    linear = linear_part(model, p, drive, secant)
+    free = real_of(np.moveaxis(linear.free, 1, -1))
+    strength = p[:, model.nonlinear, None]
+    return Balance(linear, as_blocks(linear.receptance), free, share_blocks(linear.share), strength)
+
+
 def _newton(
     model: Model, p: Real, constants: Real, drive: Drive, q: Real, times: int, limit: int = ITERATIONS
 ) -> Periodic:
     """Newton's method with halved steps on the elongations of the nonlinear elements."""
     chosen = model.nonlinear
-    e, W = q.shape[1:]
     forces = alternate(model, constants, drive.omega, q, times)
-    linear = linear_part(model, p, drive, secant_of(p[:, chosen], forces.a, q))
-    Z = as_blocks(linear.receptance)
-    free = real_of(np.moveaxis(linear.free, 1, -1))
-    S = share_blocks(linear.share)
-    strength = p[:, chosen, None]
-
-    def residual(at: Real, unit: Real) -> Real:
-        rest = strength * unit - np.einsum("nevw,new->nev", S, at)
-        r: Real = at - free + np.einsum("nevfw,nfw->nev", Z, rest)
-        return r
-
-    r = residual(q, forces.a)
+    equations = balance(model, p, drive, secant_of(p[:, chosen], forces.a, q))
+    r = equations.residual(q, forces.a)
     error = np.full(len(q), np.inf)
-    matrix = np.empty((len(q), e * W, e * W))
     for _ in range(limit):
-        inner = strength[..., None] * forces.slope - S
-        matrix = (np.einsum("nevfu,nfuw->nevfw", Z, inner)).reshape(len(q), e * W, e * W) + np.eye(e * W)
-        step = _solved(matrix, r.reshape(len(q), e * W, 1)).reshape(q.shape)
-        size = np.maximum(np.max(np.abs(q), axis=(1, 2)), np.max(np.abs(free), axis=(1, 2)))
+        step = _solved(equations.matrix(forces.slope), r.reshape(len(q), -1, 1)).reshape(q.shape)
+        size = np.maximum(np.max(np.abs(q), axis=(1, 2)), equations.scale)
         size = np.where(size > 0, size, 1.0)
         with np.errstate(all="ignore"):
             error = np.max(np.abs(step), axis=(1, 2)) / size
@@ -169,18 +201,22 @@ def _newton(
         for _ in range(6):
             trial = q - factor[:, None, None] * np.nan_to_num(step)
             there = alternate(model, constants, drive.omega, trial, times, start=forces)
-            r_trial = residual(trial, there.a)
+            r_trial = equations.residual(trial, there.a)
             worse = ~(np.linalg.norm(r_trial, axis=(1, 2)) <= norm * (1 + 1e-9) + 1e-14 * size) & (factor > 0)
             if not np.any(worse & (error > 1e-9)):
                 break
             factor = np.where(worse & (error > 1e-9), factor / 2, factor)
         q, forces, r = trial, there, r_trial
-    converged = error <= 1e-8
-    inner = strength[..., None] * forces.slope - S
-    matrix = (np.einsum("nevfu,nfuw->nevfw", Z, inner)).reshape(len(q), e * W, e * W) + np.eye(e * W)
-    rest = complex_of(strength * forces.a - np.einsum("nevw,new->nev", S, q))
-    X = np.einsum("nhij,nhj->nhi", linear.inverse, linear.driven - np.moveaxis(rest, -1, 1) @ model.B[chosen])
-    return Periodic(X, q, forces, error, converged, linear, matrix)
+    return periodic_at(model, equations, q, forces, error)
+
+
+def periodic_at(model: Model, equations: Balance, q: Real, forces: Alternated, error: Real) -> Periodic:
+    """The whole motion for elongations q that satisfy the `equations` up to `error` (N,)."""
+    rest = complex_of(equations.rest(q, forces.a))
+    linear = equations.linear
+    load = linear.driven - np.moveaxis(rest, -1, 1) @ model.B[model.nonlinear]
+    X = np.einsum("nhij,nhj->nhi", linear.inverse, load)
+    return Periodic(X, q, forces, error, error <= 1e-8, linear, equations.matrix(forces.slope))
 
 
 def _solved(matrix: Real, right: Real) -> Real:

@@ -6,6 +6,7 @@ W = 2 H + 1 numbers.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -38,6 +39,15 @@ class Drive:
     def with_orders(self, orders: int) -> Drive:
         """The same drive with as many harmonics, cut off or zero."""
         return Drive(self.omega, with_orders(self.U, orders), with_orders(self.f, orders))
+
+
+def joined_drives(drives: Sequence[Drive]) -> Drive:
+    """The dwells of several drives with the same harmonics, one after another."""
+    return Drive(
+        np.concatenate([drive.omega for drive in drives]),
+        np.concatenate([drive.U for drive in drives]),
+        np.concatenate([drive.f for drive in drives]),
+    )
 
 
 def with_orders(X: Complex, orders: int) -> Complex:

@@ -90,7 +90,7 @@ class Integrator:
         if not slope.shape[-1]:
             end = base[:, 3] + flat @ self.pulled[3].T
             return Stepped(np.concatenate([end, at.z[:, 3]], axis=1), slope)
-        nodes = base + (flat @ self.pulled.reshape(-1, flat.shape[1]).T).reshape(base.shape)
+        nodes = base + (flat @ self.pulled.reshape(8 * n, flat.shape[1]).T).reshape(base.shape)
         after = np.concatenate([nodes[:, 3], at.z[:, 3]], axis=1)
         return Stepped(after, self._slopes(slope, nodes, at, index, with_unknowns))
 
@@ -159,7 +159,7 @@ class Integrator:
             at = self._forces(d, v, at.z, z0)
             change = np.linalg.solve(self._matrix(at), (at.a.reshape(S, -1) - a)[..., None])[..., 0]
             a = a + change
-            if not np.max(np.abs(change)) > SETTLED * (np.max(np.abs(a)) + 1e-300):
+            if not np.max(np.abs(change), initial=0.0) > SETTLED * (np.max(np.abs(a), initial=0.0) + 1e-300):
                 break
         return replace(at, a=a.reshape(at.a.shape))
 

@@ -1,0 +1,233 @@
+"""Periodic motions followed along the frequency or the size of the drive, through folds (THEORY §9).
+
+Pseudo-arclength continuation in (δ, λ), λ the share of the way from the first to the last frequency or amplitude: the
+predictor goes along the tangent, Newton's method returns to the curve on the plane across it (Keller 1977; Seydel 2010,
+Practical Bifurcation and Stability Analysis, chapter 4).  A fold is where λ turns.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from dashpot.arrays import Bools, Complex, Ints, Real, frozen
+from dashpot.errors import ConvergenceError
+from dashpot.model.network import Model
+from dashpot.model.nonlinear.alternating import alternate
+from dashpot.model.nonlinear.harmonic_balance import (
+    Balance,
+    Periodic,
+    balance,
+    periodic_at,
+    periodic_response,
+    samples_of,
+    secant_of,
+)
+from dashpot.model.nonlinear.harmonics import Drive, joined_drives
+from dashpot.model.nonlinear.stability import stable_motions
+
+FIRST, SMALLEST, LARGEST = 0.01, 1e-6, 0.05  # steps, of the way
+POINTS = 3000  # on one curve at most
+NEWTON = 10
+SETTLED = 1e-8  # of the elongation
+TURN = 0.9  # cosine between tangents below which a step is halved
+WEAKEST = 0.01  # of the drive, from which a first point is followed where nothing else leads to it
+DIFFERENCE = 1e-6  # step of λ for slopes along it
+
+
+@dataclass(frozen=True)
+class Branch:
+    """A curve of periodic motions, P points in the order in which they were found.
+
+    drive and motion of the points; along (P,): λ; stable (P,), None where the motion cannot be integrated; folds (…,):
+    the points at which λ turns.
+    """
+
+    drive: Drive
+    motion: Periodic
+    along: Real
+    stable: Bools | None
+    folds: Ints
+
+
+DriveAt = Callable[[float], Drive]  # the drive of one dwell at a share λ of the way
+
+
+def frequency_sweep(drive: Drive, last: float) -> DriveAt:
+    """From the frequency of `drive`, one dwell, to `last` (rad/s), evenly in its logarithm."""
+    ratio = last / float(drive.omega[0])
+    return lambda share: Drive(drive.omega * ratio**share, drive.U, drive.f)
+
+
+def amplitude_sweep(drive: Drive, last: float) -> DriveAt:
+    """From the amplitudes of `drive`, one dwell, to `last` times them."""
+    return lambda share: drive.scaled(1 + share * (last - 1))
+
+
+def followed(
+    model: Model, theta: Real, drive_at: DriveAt, start: Real | None = None, *, points: int = POINTS
+) -> Branch:
+    """The motions from λ = 0 to λ = 1, through every fold on the way; from `start` (e, W) or the linear response.
+
+    Raises ConvergenceError where there is no response at λ = 0, or the curve cannot be followed to its end.
+    """
+    tracer = _Tracer(model, theta, drive_at)
+    q = tracer.first(start)
+    found = tracer.trace(q, points)
+    drives = [drive_at(share) for _, share in found]
+    drive = joined_drives(drives)
+    delta = np.array([point for point, _ in found])
+    along = np.array([share for _, share in found])
+    at = tracer.whole(drive, delta)
+    turns = np.diff(np.sign(np.diff(along)))
+    folds = frozen(np.flatnonzero(turns) + 1, np.int64)
+    stable = stable_motions(model, theta, drive, at)
+    return Branch(drive, at, frozen(along, np.float64), stable, folds)
+
+
+class _Tracer:
+    """Residual, its slopes and steps along one curve of one rig."""
+
+    def __init__(self, model: Model, theta: Real, drive_at: DriveAt) -> None:
+        self.model, self.theta, self.drive_at = model, theta, drive_at
+        self.p, self.constants = model.parameters(theta)[None], model.inner_constants(theta)[None]
+        self.times = samples_of(model, drive_at(0.0).orders)
+
+    def first(self, start: Real | None) -> Real:
+        """Elongations at λ = 0, (e, W), followed from a weak drive where Newton's method misses them.
+
+        Raises ConvergenceError.
+        """
+        begun, drive = None if start is None else start[None], self.drive_at(0.0)
+        at = periodic_response(self.model, self.p, self.constants, drive, begun)
+        first: Real = at.delta[0]
+        if not at.converged[0]:
+            grown = _Tracer(self.model, self.theta, amplitude_sweep(drive.scaled(WEAKEST), 1 / WEAKEST))
+            weak = periodic_response(self.model, self.p, self.constants, drive.scaled(WEAKEST))
+            if not weak.converged[0]:
+                raise ConvergenceError(
+                    "harmonic balance finds no response at the first point",
+                    cure="begin elsewhere, or drive less",
+                )
+            first = grown.trace(weak.delta[0], POINTS)[-1][0]
+        return first
+
+    def equations(self, share: float, secant: Complex) -> Balance:
+        """The equations at λ."""
+        return balance(self.model, self.p, self.drive_at(share), secant)
+
+    def state(self, q: Real, share: float) -> tuple[Real, Real, Complex]:
+        """(residual (eW,), ∂/∂q (eW, eW), the share of the laws in the linear part) at one point."""
+        forces = alternate(self.model, self.constants, self.drive_at(share).omega, q[None], self.times)
+        secant = secant_of(self.p[:, self.model.nonlinear], forces.a, q[None])
+        here = self.equations(share, secant)
+        return here.residual(q[None], forces.a).ravel(), here.matrix(forces.slope)[0], secant
+
+    def along(self, q: Real, share: float, secant: Complex) -> Real:
+        """∂residual/∂λ, (eW,)."""
+        sides = []
+        for step in (DIFFERENCE, -DIFFERENCE):
+            omega = self.drive_at(share + step).omega
+            unit = alternate(self.model, self.constants, omega, q[None], self.times, slopes=False).a
+            sides.append(self.equations(share + step, secant).residual(q[None], unit).ravel())
+        slope: Real = (sides[0] - sides[1]) / (2 * DIFFERENCE)
+        return slope
+
+    def corrected(self, guess: Real, plane: Real, size: float, by_share: Real) -> _Corrected | None:
+        """The point of the curve on the plane across `plane` through `guess`, (eW + 1,), in (q / size, λ).
+
+        The slope along λ is renewed once, which costs a step at most.  None where steps do not shrink.
+        """
+        point = guess.copy()
+        for turn in range(NEWTON):
+            r, by_q, secant = self.state(size * point[:-1].reshape(self.shape), float(point[-1]))
+            if turn == 1:
+                by_share = self.along(size * point[:-1].reshape(self.shape), float(point[-1]), secant)
+            matrix = np.concatenate([by_q * size, by_share[:, None]], axis=1)
+            step = _solved(np.concatenate([matrix, plane[None]]), np.append(-r, -plane @ (point - guess)))
+            if step is None or np.linalg.norm(step) > 1.0:
+                return None
+            point = point + step
+            if np.max(np.abs(step)) <= SETTLED:
+                return _Corrected(point, turn + 1, by_q, secant)
+        return None
+
+    def trace(self, q: Real, points: int) -> list[tuple[Real, float]]:
+        """Points (δ, λ) from λ = 0 to λ = 1.  Raises ConvergenceError where the curve cannot be followed."""
+        self.shape = q.shape
+        size = self._size(q)
+        point = np.append(q.ravel() / size, 0.0)
+        _, by_q, secant = self.state(q, 0.0)
+        by_share = self.along(q, 0.0, secant)
+        direction = _tangent(by_q * size, by_share, np.eye(len(point))[-1])
+        step, found = FIRST, [(q, 0.0)]
+        while len(found) < points and direction is not None and step >= SMALLEST:
+            target, plane = point + step * direction, direction
+            ending = target[-1] >= 1.0
+            if ending:  # the last point lies on λ = 1 itself
+                target, plane = point + direction * (1.0 - point[-1]) / direction[-1], np.eye(len(point))[-1]
+            end = self.corrected(target, plane, size, by_share)
+            ahead = None
+            if end is not None:
+                q = size * end.point[:-1].reshape(self.shape)
+                slope = self.along(q, float(end.point[-1]), end.secant)
+                ahead = _tangent(end.by_q * size, slope, direction)
+            if end is None or ahead is None or float(ahead @ direction) < TURN:
+                step /= 2
+                continue
+            found.append((q, float(end.point[-1])))
+            if ending:
+                return found
+            if end.point[-1] < 0:
+                break
+            larger = self._size(q) / size
+            size *= larger
+            point, by_share = np.append(end.point[:-1] / larger, end.point[-1]), slope
+            direction = _tangent(end.by_q * size, by_share, ahead)
+            step = min(step * (1.5 if end.turns <= 4 else 1.0), LARGEST)
+        raise ConvergenceError(
+            f"the curve of responses cannot be followed beyond {100 * found[-1][1]:.3g} % of the way",
+            cure="take a shorter way, more harmonics or a smaller drive",
+        )
+
+    @staticmethod
+    def _size(q: Real) -> float:
+        """What elongations count in: a step of 1 is as far as the whole way of λ."""
+        size = float(np.linalg.norm(q))
+        return size if size > 0 else 1.0
+
+    def whole(self, drive: Drive, delta: Real) -> Periodic:
+        """The motions at points of the curve."""
+        count = len(delta)
+        p, constants = np.repeat(self.p, count, axis=0), np.repeat(self.constants, count, axis=0)
+        forces = alternate(self.model, constants, drive.omega, delta, self.times)
+        equations = balance(self.model, p, drive, secant_of(p[:, self.model.nonlinear], forces.a, delta))
+        return periodic_at(self.model, equations, delta, forces, np.zeros(count))
+
+
+@dataclass(frozen=True)
+class _Corrected:
+    """A point of the curve, (eW + 1,), the Newton steps it took, and the slopes with which the last was made."""
+
+    point: Real
+    turns: int
+    by_q: Real
+    secant: Complex
+
+
+def _tangent(by_q: Real, by_share: Real, before: Real) -> Real | None:
+    """Unit direction of the curve, (eW + 1,), on from `before`; None where it has none."""
+    matrix = np.concatenate([np.concatenate([by_q, by_share[:, None]], axis=1), before[None]])
+    direction = _solved(matrix, np.eye(len(before))[-1])
+    return None if direction is None else direction / np.linalg.norm(direction)
+
+
+def _solved(matrix: Real, right: Real) -> Real | None:
+    """matrix⁻¹ right, None where it is singular or not finite."""
+    try:
+        solution: Real = np.linalg.solve(matrix, right).astype(np.float64)
+    except np.linalg.LinAlgError:
+        return None
+    return solution if np.all(np.isfinite(solution)) else None

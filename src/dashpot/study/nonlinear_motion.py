@@ -1,0 +1,172 @@
+"""Simulated tests of rigs with nonlinear elements: settled dwells by harmonic balance, records by integration."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from dashpot.arrays import Complex, Real
+from dashpot.channel import Channel, Quantity
+from dashpot.data.record import Record
+from dashpot.data.spectrum import Spectrum
+from dashpot.data.stretch import SettledDwell
+from dashpot.errors import ConvergenceError, DataError
+from dashpot.estimate.nonlinear.record_problem import enough_substeps
+from dashpot.estimate.nonlinear.records import RecordData, measured_inputs, shown_outputs, uniform_step
+from dashpot.model.channel_noise import noise_sd
+from dashpot.model.network import Model
+from dashpot.model.nonlinear.channel_motion import channel_harmonics
+from dashpot.model.nonlinear.continuation import amplitude_sweep, followed
+from dashpot.model.nonlinear.harmonic_balance import Periodic, periodic_response, settled_orders
+from dashpot.model.nonlinear.harmonics import Drive
+from dashpot.model.nonlinear.integration import Integrator
+from dashpot.model.nonlinear.propagation import forcing
+from dashpot.model.nonlinear.shooting import integrate
+from dashpot.model.observation import measures_input, observation_model
+from dashpot.study.simulate import Dwells
+
+ORDERS = 7  # harmonics to begin with
+FINEST = 1e-6  # truncation error of the elongations
+WEAKEST = 0.01  # of the drive, from which a motion is followed to all of it
+SEEN = 5  # harmonics in tables of amplitudes
+
+
+@dataclass(frozen=True)
+class SettledMotion:
+    """Harmonics of the channels in every dwell, (dwells, H + 1, channels), SI units, of unknown calibrations 1."""
+
+    channels: tuple[Channel, ...]
+    harmonics: Complex
+
+
+def settled_motion(model: Model, theta: Real, channels: Sequence[Channel], test: Dwells) -> SettledMotion:
+    """The motion that each dwell of a test settles to, with as many harmonics as it needs; theta (unknowns,).
+
+    Where several motions are possible it is that which a drive raised slowly from rest leads to.
+    Raises ConvergenceError, which names the frequency, where none is found.
+    """
+    rows = len(test.frequency_hz)
+    U, f = (np.zeros((rows, ORDERS + 1, part.shape[1]), dtype=np.complex128) for part in (test.U, test.f))
+    U[:, 1], f[:, 1] = test.U, test.f
+    p, constants = (
+        np.tile(model.parameters(theta), (rows, 1)),
+        np.tile(model.inner_constants(theta), (rows, 1)),
+    )
+    at, drive = settled_orders(model, p, constants, Drive(test.omega, U, f), tolerance=FINEST)
+    if not np.all(at.converged):
+        at = _followed(model, theta, drive, at)
+    return SettledMotion(tuple(channels), channel_harmonics(model, p, channels, drive, at))
+
+
+def _followed(model: Model, theta: Real, drive: Drive, at: Periodic) -> Periodic:
+    """The motions with those that Newton's method missed found by following the drive's growth, through folds.
+
+    Raises ConvergenceError, which names the frequency, where that fails as well.
+    """
+    delta = at.delta.copy()
+    for row in np.flatnonzero(~at.converged):
+        one = np.arange(len(drive.omega)) == row
+        try:
+            sweep = amplitude_sweep(drive.rows(one).scaled(WEAKEST), 1 / WEAKEST)
+            delta[row] = followed(model, theta, sweep).motion.delta[-1]
+        except ConvergenceError as error:
+            raise ConvergenceError(
+                f"harmonic balance finds no response at {drive.omega[row] / (2 * np.pi):g} Hz",
+                cure="drive less there, or leave it out",
+            ) from error
+    rows = len(delta)
+    p, constants = (
+        np.tile(model.parameters(theta), (rows, 1)),
+        np.tile(model.inner_constants(theta), (rows, 1)),
+    )
+    return periodic_response(model, p, constants, drive, delta)
+
+
+def settled_records(motion: SettledMotion, test: Dwells, rng: np.random.Generator) -> list[Record]:
+    """One steady record for each dwell, noise and known calibrations of the channels included."""
+    channels = motion.channels
+    sd = noise_sd(channels, motion.harmonics[:, 1])
+    factor = np.array([channel.factor for channel in channels])
+    delay = np.array([0.0 if channel.delay is None else channel.delay for channel in channels])
+    orders = np.arange(motion.harmonics.shape[1])
+    records = []
+    for line, omega in enumerate(test.omega):
+        time = test.time(line)
+        turns = np.exp(
+            1j * omega * orders[:, None] * (time[:, None, None] - delay)
+        )  # (samples, H + 1, channels)
+        values = np.sum((turns * motion.harmonics[line]).real, axis=1)
+        values = values + sd[line] * rng.standard_normal(values.shape)
+        frequency = float(test.frequency_hz[line])
+        source = f"simulation at {frequency:g} Hz"
+        records.append(Record(channels, time, factor * values, frequency, source=source))
+    return records
+
+
+def settled_spectrum(motion: SettledMotion, test: Dwells, rng: np.random.Generator) -> Spectrum:
+    """Amplitudes of the first harmonics of each dwell, as white noise on the samples of whole periods leaves them."""
+    channels, dwells = motion.channels, len(test.frequency_hz)
+    count = min(SEEN, motion.harmonics.shape[1] - 1)
+    sd = noise_sd(channels, motion.harmonics[:, 1]) * np.sqrt(2 / test.samples)[:, None]  # of Re and Im, each
+    Y = motion.harmonics[:, 1 : count + 1].reshape(dwells * count, -1)
+    spread = np.repeat(sd, count, axis=0)
+    draws = rng.standard_normal((2, *Y.shape))
+    return Spectrum(
+        channels,
+        np.outer(test.frequency_hz, np.arange(1, count + 1)).ravel(),
+        Y + spread * (draws[0] + 1j * draws[1]),
+        ((2 * spread[..., None] ** 2) * np.eye(len(channels))).astype(np.complex128),
+        np.repeat(test.samples, count),
+        np.full(len(Y), np.inf),
+        ("given",) * len(Y),
+        np.zeros(len(Y), dtype=np.int64),
+        stretch=np.repeat(np.arange(dwells), count),
+        stretches=tuple(SettledDwell(float(f)) for f in test.frequency_hz),
+    )
+
+
+def driven_record(
+    model: Model, theta: Real, channels: Sequence[Channel], drive: Record, rng: np.random.Generator
+) -> Record:
+    """What the channels show while the inputs do what `drive` measured, from rest; noise included.
+
+    Noise is that of each channel's `noise`, and its `relative_noise` of the channel's largest value.  Raises DataError
+    where an input is not in `drive`, a channel measures forces in elements, or the motion cannot be followed.
+    """
+    channels = tuple(channels)
+    step = uniform_step(drive)
+    inputs = measured_inputs(model, drive)
+    forces = [c.name for c in channels if c.quantity is Quantity.FORCE and not measures_input(model, c)]
+    if forces:
+        raise DataError(
+            f"channel {forces[0]} measures the force in elements, which records in time do not show",
+            cure="leave it out of the rig file",
+        )
+    machine = Integrator(model, theta, forcing(step, inputs), 2 * enough_substeps(model, theta, step))
+    motion = integrate(machine, np.zeros(machine.states))
+    if not motion.closed:
+        raise ConvergenceError("the motion cannot be followed", cure="sample the input faster, or drive less")
+    view = observation_model(model, channels, np.ones(1))
+    moves = [not measures_input(model, channel) for channel in channels]
+    values = np.empty((len(inputs), len(channels)))
+    outputs = np.flatnonzero(moves)
+    if len(outputs):
+        derivative = tuple(int(view.derivative[c]) for c in outputs)
+        data = RecordData(
+            drive.source, step, tuple(channels[int(c)].name for c in outputs), inputs,
+            np.zeros((len(inputs), len(outputs))), view.on_x[outputs], view.on_q[outputs], derivative,
+            (-1,) * len(outputs), (False,) * len(outputs),
+        )  # fmt: skip
+        values[:, outputs] = shown_outputs(machine, data, motion)[0]
+    rates = [inputs[:, : model.D.shape[1]], *machine.input_rates()]
+    for c in np.flatnonzero(np.logical_not(moves)):
+        if channels[int(c)].quantity is Quantity.FORCE:
+            values[:, c] = inputs @ view.on_q[c]
+        else:
+            values[:, c] = rates[int(view.derivative[c])] @ view.on_q[c, : model.D.shape[1]]
+    sd = noise_sd(channels, np.max(np.abs(values), axis=0)[None].astype(complex))[0]
+    factor = np.array([channel.factor for channel in channels])
+    values = values + sd * rng.standard_normal(values.shape)
+    return Record(channels, drive.time, factor * values, source="simulation")

@@ -1,0 +1,143 @@
+"""Amplitude-frequency curves and backbones of nonlinear rigs: what each channel swings, and where it is stable."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from dashpot.arrays import Bools, Complex, Ints, Real, frozen
+from dashpot.channel import Channel
+from dashpot.errors import UsageError
+from dashpot.model.network import Model
+from dashpot.model.nonlinear.backbone import backbone
+from dashpot.model.nonlinear.channel_motion import channel_harmonics, swing
+from dashpot.model.nonlinear.continuation import Branch, amplitude_sweep, followed, frequency_sweep
+from dashpot.model.nonlinear.harmonic_balance import periodic_response, samples_of, truncation
+from dashpot.model.nonlinear.harmonics import Drive, complex_of
+
+ORDERS = {True: 7, False: 21}  # harmonics to begin with, of laws that are smooth and that are not
+MOST = 63
+FINEST = 1e-4  # truncation error of the elongations on a curve
+
+
+@dataclass(frozen=True)
+class MotionCurve:
+    """Points of one curve in the order along it.
+
+    label: what is the same at all of them; frequency_hz and share (P,): frequency and size of the drive over that of
+    the test; swing (P, channels): half of what each channel moves from lowest to highest, SI units; fundamental (P,
+    channels): amplitudes at the drive's frequency; stable (P,), None where nothing tells; folds (…,): points where the
+    curve turns; stretch: largest fundamental of a nonlinear element's elongation, m.
+    """
+
+    label: str
+    channels: tuple[str, ...]
+    frequency_hz: Real
+    share: Real
+    swing: Real
+    fundamental: Complex
+    stable: Bools | None
+    folds: Ints
+    stretch: float = 0.0
+
+
+def drive_of(model: Model, amplitudes: Mapping[str, float], frequency_hz: float, orders: int) -> Drive:
+    """All inputs at one frequency, amplitudes by name in SI units, 1 where not named."""
+    U = np.zeros((1, orders + 1, len(model.displacement_inputs)), dtype=np.complex128)
+    f = np.zeros((1, orders + 1, len(model.force_inputs)), dtype=np.complex128)
+    U[0, 1] = [amplitudes.get(name, 1.0) for name in model.displacement_inputs]
+    f[0, 1] = [amplitudes.get(name, 1.0) for name in model.force_inputs]
+    return Drive(np.array([2 * np.pi * frequency_hz]), U, f)
+
+
+def frequency_curve(
+    model: Model, theta: Real, channels: Sequence[Channel], amplitudes: Mapping[str, float],
+    band_hz: tuple[float, float], *, label: str = "", orders: int | None = None,
+) -> MotionCurve:  # fmt: skip
+    """The motion at one size of the drive from the first frequency to the last, through folds.
+
+    Raises ConvergenceError where the curve cannot be followed, UsageError where the rig is linear.
+    """
+    require_nonlinear(model)
+    count = enough_orders(model, theta, amplitudes, band_hz) if orders is None else orders
+    sweep = frequency_sweep(drive_of(model, amplitudes, band_hz[0], count), 2 * np.pi * band_hz[1])
+    return _curve(model, theta, channels, followed(model, theta, sweep), label)
+
+
+def amplitude_curve(
+    model: Model, theta: Real, channels: Sequence[Channel], amplitudes: Mapping[str, float], frequency_hz: float,
+    shares: tuple[float, float] = (0.01, 1.0), *, label: str = "", orders: int | None = None,
+) -> MotionCurve:  # fmt: skip
+    """The motion at one frequency while the drive grows from the first share of its amplitudes to the last."""
+    require_nonlinear(model)
+    band = (frequency_hz, frequency_hz)
+    count = enough_orders(model, theta, amplitudes, band) if orders is None else orders
+    drive = drive_of(model, amplitudes, frequency_hz, count).scaled(shares[0])
+    found = followed(model, theta, amplitude_sweep(drive, shares[1] / shares[0]))
+    share = shares[0] + found.along * (shares[1] - shares[0])
+    return _curve(model, theta, channels, found, label, share)
+
+
+def backbone_curve(
+    model: Model, theta: Real, channels: Sequence[Channel], mode: int, largest: float, *, label: str = ""
+) -> MotionCurve:
+    """The free undamped motions that start from a mode (0 the lowest); see `backbone`."""
+    found = backbone(model, theta, mode, largest)
+    harmonics = channel_harmonics(model, model.parameters(theta), channels, found.drive, found.motion)
+    count = len(found.drive.omega)
+    return MotionCurve(
+        label, tuple(c.name for c in channels), found.drive.omega / (2 * np.pi), np.zeros(count), swing(harmonics),
+        harmonics[:, 1], None, frozen([], np.int64),
+    )  # fmt: skip
+
+
+def enough_orders(
+    model: Model, theta: Real, amplitudes: Mapping[str, float], band_hz: tuple[float, float]
+) -> int:
+    """Harmonics that bring the truncation error of the responses in the band below FINEST, at most MOST."""
+    smooth = all(e.force_law is None or e.force_law.smooth for e in model.elements)
+    orders = ORDERS[smooth]
+    p, constants = model.parameters(theta)[None], model.inner_constants(theta)[None]
+    while orders < MOST:
+        worst = 0.0
+        for frequency in np.geomspace(*band_hz, 5):
+            drive = drive_of(model, amplitudes, float(frequency), orders)
+            at = periodic_response(model, p, constants, drive, times=samples_of(model, orders))
+            if at.converged[0]:
+                worst = max(worst, float(truncation(model, p, constants, drive, at)[0]))
+        if worst <= FINEST:
+            break
+        orders = min(2 * orders + 1, MOST)
+    return orders
+
+
+def require_nonlinear(model: Model) -> None:
+    """Raises UsageError where the rig has no nonlinear element."""
+    if not len(model.nonlinear):
+        raise UsageError(
+            "the rig has no nonlinear element: its curves do not depend on the amplitude",
+            cure="simulate its amplitudes at the frequencies instead",
+        )
+
+
+def _curve(
+    model: Model,
+    theta: Real,
+    channels: Sequence[Channel],
+    branch: Branch,
+    label: str,
+    share: Real | None = None,
+) -> MotionCurve:
+    harmonics = channel_harmonics(model, model.parameters(theta), channels, branch.drive, branch.motion)
+    return MotionCurve(
+        label, tuple(c.name for c in channels), branch.drive.omega / (2 * np.pi),
+        np.ones(len(branch.along)) if share is None else share, swing(harmonics), harmonics[:, 1], branch.stable,
+        branch.folds, float(np.max(np.abs(complex_of(branch.motion.delta)[..., 1]))),
+    )  # fmt: skip
+
+
+def largest_stretch(curves: Sequence[MotionCurve]) -> float:
+    """How far backbones are worth following: the largest elongation of a nonlinear element on the curves, m."""
+    return max(curve.stretch for curve in curves)
