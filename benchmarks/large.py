@@ -27,17 +27,17 @@ LINES = (12, 96)
 
 
 def chain(n: int) -> tuple[Model, np.ndarray]:
-    """The rig and its true unknowns (k1, the odd spring, c1)."""
+    """A rod of two halves, ever more finely divided: the rig and its true unknowns (k1, the other half's k, c1)."""
     points = ["u", *(f"x{i}" for i in range(1, n + 1))]
     elements = [mass(f"m{i}", f"x{i}", value=1.0) for i in range(1, n + 1)]
-    truth = {"k1": 4000.0 * n, f"k{n // 2}": 2000.0 * n, "c1": 8.0 * np.sqrt(n)}
+    other = n // 2 + 1
+    truth = {"k1": 400.0 * n**2, f"k{other}": 250.0 * n**2, "c1": 0.25 * n**2}
     for letter, kind in (("k", Kind.SPRING), ("c", Kind.DAMPER)):
         for i in range(1, n + 1):
             name = f"{letter}{i}"
-            if name in truth:
-                elements.append(between(name, kind, points[i - 1], points[i], guess=0.75 * truth[name]))
-            else:
-                elements.append(between(name, kind, points[i - 1], points[i], same_as=f"{letter}1"))
+            root = f"k{other}" if letter == "k" and i >= other else f"{letter}1"
+            known = {"guess": 0.75 * truth[name]} if name in truth else {"same_as": root}
+            elements.append(between(name, kind, points[i - 1], points[i], **known))
     model = Model(tuple(points[1:]), (Input("u"),), tuple(elements))
     return model, model.theta(truth)
 

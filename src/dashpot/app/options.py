@@ -15,7 +15,6 @@ from dashpot.app.parameter_types import (
     HARMONICS,
     INPUT_FILE,
     LEVEL,
-    MODAL_SD,
     ORDERS,
     SETTLING,
     Count,
@@ -85,16 +84,6 @@ def seed_option(of_what: str, default: int = 0) -> Callable[[Function], Function
     )  # fmt: skip
 
 
-def modal_sd_option(group: str) -> Callable[[Function], Function]:
-    """--modal-sd: standard deviations of modes in files that have none."""
-    return option(
-        "--modal-sd", type=MODAL_SD, default="1%,20%,5%", show_default=True, metavar="FREQUENCY,DAMPING,SHAPE",
-        group=group,
-        help="Standard deviations of modes in universal files, which have none: of frequencies, of damping ratios, of "
-        "shapes against their largest entry.",
-    )  # fmt: skip
-
-
 processes_option = option(
     "--processes", type=Count(1, 1024), metavar="N", help="Worker processes.  [default: one per processor]"
 )
@@ -151,20 +140,17 @@ def conditioning_options(function: Function) -> Function:
         option(
             "--drift", type=click.Choice(["auto", "none", "0", "1", "2", "3"]), default="auto", show_default=True,
             group=RECORDS,
-            help="Degree of the polynomial removed from each dwell: 0 removes the mean, 1 a straight line; auto is 1, "
-            "and 0 where short dwells show no slope.",
+            help="Degree of the polynomial removed from each dwell: 0 removes the mean, auto (1) a straight line.",
         ),
         option(
-            "--noise", type=click.Choice(["auto", "own", "white", "blocks"]), default="auto", show_default=True,
-            group=RECORDS,
+            "--noise", type=click.Choice(["auto", "white", "blocks"]), default="auto", show_default=True, group=RECORDS,
             help="How the noise of the amplitudes is estimated from the residuals: as white, or from blocks of "
-            "neighbouring frequencies; own tests for whiteness; auto too, and short dwells lean on the others.",
+            "neighbouring frequencies; auto tests for whiteness.",
         ),
         option(
-            "--refine", type=click.Choice(["auto", "always", "none"]), alone="always", default="auto",
+            "--refine", type=click.Choice(["auto", "none"]), alone="auto", default="none",
             show_default=True, group=RECORDS,
-            help="Estimate the true drive frequency near the stated one: where all dwells together show that it is off "
-            "(auto; refused where a record moves elsewhere), always, or never; --refine alone is always.",
+            help="Estimate the true drive frequency near the stated one; --refine alone is auto.",
         ),
         option(
             "--settle", type=SETTLING, alone="auto", default="none", show_default=True,

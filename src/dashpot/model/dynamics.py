@@ -14,6 +14,7 @@ from dashpot.arrays import Complex, Real
 from dashpot.errors import ModelError
 from dashpot.model.elements import MATRICES
 from dashpot.model.network import Model
+from dashpot.model.sparse_dynamics import FROM, sparse_amplitudes
 from dashpot.numerics.small_systems import solve_small
 
 
@@ -102,6 +103,8 @@ def no_steady_response() -> ModelError:
 
 def amplitudes(model: Model, p: Real, omega: Real, U: Complex, f: Complex | None = None) -> Complex:
     """As `response`, with NaN where the rig has no steady response: for searches, which may pass through anything."""
+    if model.n >= FROM:
+        return sparse_amplitudes(model, p, omega, U, f)
     both = stiffness(model, p, omega)
     force = -np.einsum("...ij,...j->...i", both[..., model.n :], U)
     if f is not None:
@@ -123,7 +126,11 @@ def response(model: Model, p: Real, omega: Real, U: Complex, f: Complex | None =
 
 def elongations(model: Model, X: Complex, U: Complex) -> Complex:
     """δ_i = b_i·X + d_i·U, shape (..., lines, elements)."""
-    return X @ model.B.T + U @ model.D.T
+    if model.n < FROM:
+        return X @ model.B.T + U @ model.D.T
+    flat: Complex = np.asarray(X.reshape(-1, model.n) @ model.sparse_B.T)
+    moved: Complex = flat.reshape(*X.shape[:-1], len(model.elements)) + U @ model.D.T
+    return moved
 
 
 def unit_forces(model: Model, omega: Real, X: Complex, U: Complex) -> Complex:

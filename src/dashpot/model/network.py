@@ -17,6 +17,7 @@ from dashpot.arrays import Complex, Ints, Real, frozen
 from dashpot.errors import ModelError, UsageError
 from dashpot.io.words import counted, shown
 from dashpot.model.elements import MATRICES, Element, Kind
+from dashpot.model.incidence import row_products
 from dashpot.model.inputs import Input as Input
 from dashpot.model.nonlinear.force_law import Constant, unit_of
 from dashpot.model.validation import problems
@@ -139,9 +140,10 @@ class Model:
     def S(self) -> Real:
         """Where the force inputs act, (n, s).  THEORY (E)."""
         S = np.zeros((self.n, len(self.force_inputs)))
+        index = {name: i for i, name in enumerate(self.coordinates)}
         for column, source in enumerate(source for source in self.inputs if source.kind == "force"):
             for coordinate, factor in source.at.items():
-                S[self.coordinates.index(coordinate), column] = factor
+                S[index[coordinate], column] = factor
         return frozen(S, np.float64)
 
     # Laws
@@ -230,28 +232,36 @@ class Model:
         return (*parts, *inner)
 
     @cached_property
+    def sparse_T(self) -> sparse.csr_array:
+        """∂p/∂θ, sparse, (elements, unknowns): every element has one unknown at most."""
+        column = {root: j for j, root in enumerate(self._unknown_roots)}
+        entries = [(i, column[tie.root], tie.times) for i, tie in enumerate(self.ties) if tie.root in column]
+        rows, columns, times = zip(*entries, strict=True) if entries else ((), (), ())
+        shape = (len(self.elements), len(self.unknowns))
+        return sparse.csr_array((np.array(times, dtype=float), (rows, columns)), shape=shape)
+
+    @cached_property
     def T(self) -> Real:
         """∂p/∂θ, (elements, unknowns).  THEORY §1."""
-        T = np.zeros((len(self.elements), len(self.unknowns)))
-        column = {root: j for j, root in enumerate(self._unknown_roots)}
-        for i, tie in enumerate(self.ties):
-            if tie.root in column:
-                T[i, column[tie.root]] = tie.times
-        return frozen(T, np.float64)
+        return frozen(self.sparse_T.toarray(), np.float64)
 
     @cached_property
     def p0(self) -> Real:
         """p⁰, the known part of the parameters, (elements,); zero where unknown."""
         p0 = np.zeros(len(self.elements))
+        unknown = set(self._unknown_roots)
         for i, tie in enumerate(self.ties):
             value = self.elements[tie.root].value
-            if value is not None and tie.root not in self._unknown_roots:
+            if value is not None and tie.root not in unknown:
                 p0[i] = tie.times * value
         return frozen(p0, np.float64)
 
     def parameters(self, theta: Real) -> Real:
         """p = T θ + p⁰ for θ of shape (..., unknowns); shape (..., elements)."""
-        return theta @ self.T.T + self.p0
+        if len(self.elements) * len(self.unknowns) <= DENSE:
+            return theta @ self.T.T + self.p0
+        flat: Real = theta.reshape(-1, theta.shape[-1]) @ self.sparse_T.T
+        return flat.reshape(*theta.shape[:-1], len(self.elements)) + self.p0
 
     @cached_property
     def constants_map(self) -> tuple[Real, Real]:
@@ -348,7 +358,7 @@ class Model:
         Sparse where the rig is large: an element joins few points.
         """
         span = sparse.csr_array(sparse.hstack([self.sparse_B, self.sparse_D]))
-        flat = {letter: _row_products(self.sparse_B[i], span[i]) for letter, i in self.by_matrix.items()}
+        flat = {letter: row_products(self.sparse_B[i], span[i]) for letter, i in self.by_matrix.items()}
         small = len(self.elements) * self.n * span.shape[1] <= DENSE
         return {
             letter: frozen(part.toarray(), np.float64) if small else part for letter, part in flat.items()
@@ -357,7 +367,7 @@ class Model:
     @cached_property
     def assembly(self) -> tuple[Ints, Ints, sparse.csr_array]:
         """(indices, indptr, A) of the sparse dynamic stiffness by columns: its entries are A (p φ)."""
-        flat = _row_products(self.sparse_B, self.sparse_B).tocoo()
+        flat = row_products(self.sparse_B, self.sparse_B).tocoo()
         # A cell is row · n + column; as the matrix is symmetric, its rows serve as columns.
         cells, place = np.unique(flat.col, return_inverse=True)
         A = sparse.csr_array((flat.data, (place, flat.row)), shape=(len(cells), len(self.elements)))
@@ -371,21 +381,3 @@ class Model:
 
     def __hash__(self) -> int:
         return hash((self.coordinates, self.name, len(self.elements)))
-
-
-def _row_products(left: sparse.csr_array, right: sparse.csr_array) -> sparse.csr_array:
-    """Row i: the outer product of row i of both, flattened; (rows, columns of left · columns of right)."""
-    rows, columns, values = [], [], []
-    width = right.shape[1]
-    for i in range(left.shape[0]):
-        a, b = slice(*left.indptr[i : i + 2]), slice(*right.indptr[i : i + 2])
-        cells = left.indices[a].astype(np.int64)[:, None] * width + right.indices[b]
-        columns.append(cells.ravel())
-        values.append(np.outer(left.data[a], right.data[b]).ravel())
-        rows.append(np.full(cells.size, i))
-    shape = (left.shape[0], left.shape[1] * width)
-    if not rows:
-        return sparse.csr_array(shape)
-    return sparse.csr_array(
-        (np.concatenate(values), (np.concatenate(rows), np.concatenate(columns))), shape=shape
-    )

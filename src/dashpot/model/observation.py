@@ -14,13 +14,14 @@ from functools import cached_property
 
 import numpy as np
 from scipy import sparse
-from scipy.sparse.linalg import splu
 
 from dashpot.arrays import Bools, Complex, Ints, Real, frozen
 from dashpot.channel import Channel, Quantity
 from dashpot.errors import DataError
+from dashpot.model.channel_transfer import ChannelTransfer, Reduced
 from dashpot.model.dynamics import stiffness
 from dashpot.model.network import Model
+from dashpot.model.sparse_dynamics import solve_stiffness
 from dashpot.numerics.small_systems import solve_small
 from dashpot.units import si_unit
 
@@ -72,6 +73,7 @@ class ObservationModel:
     force (channels, elements): factors of p_i a_i in channels that measure element forces or reactions
     gain, delay (channels,): index into the gains and delays that are estimated, −1 where known
     flips (channels,): whether the sign is to be found
+    reduced: a large rig on the span of few motions, in place of itself (`model.reduced`)
 
     ψ = (θ, gains, delays) are the unknowns.
     """
@@ -86,6 +88,7 @@ class ObservationModel:
     gain: Ints
     delay: Ints
     flips: Bools
+    reduced: Reduced | None = None
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -282,6 +285,10 @@ class Transfer:
     E: Complex
     psi: Real | None = None
 
+    def calibrated(self, kappa: Complex, psi: Real) -> Transfer:
+        """The same with calibrations κ (..., lines, channels, 1) at ψ."""
+        return Transfer(self.view, kappa * self.G, self.X, kappa * self.E, psi)
+
     def amplitudes(self, q: Complex) -> Complex:
         """y = G q under inputs q (..., lines, r + s); (..., lines, channels)."""
         y: Complex = np.einsum("...cq,...q->...c", self.G, q)
@@ -313,13 +320,22 @@ def transfer(view: ObservationModel, p: Real) -> Transfer:
     return _transfer_dense(view, p) if small(view.model) else _transfer_sparse(view, p)
 
 
-def calibrated_transfer(view: ObservationModel, psi: Real, sign: Real) -> Transfer:
-    """The same with calibrations, at ψ (..., M) and signs (..., channels)."""
+def calibrated_transfer(view: ObservationModel, psi: Real, sign: Real) -> ChannelTransfer:
+    """The same with calibrations, at ψ (..., M) and signs (..., channels); of the reduced rig where there is one."""
+    if view.reduced is not None:
+        return _calibrated_reduced(view, view.reduced, psi, sign)
     rig = transfer(view, view.model.parameters(psi[..., : view.m]))
     if not (view.gains or view.delays) and np.all(sign == 1):
         return rig
+    return rig.calibrated(calibration_factors(view, psi, sign)[..., None], psi)
+
+
+def _calibrated_reduced(view: ObservationModel, rig: Reduced, psi: Real, sign: Real) -> ChannelTransfer:
+    found = rig.transfer(view, psi[..., : view.m])
+    if not (view.gains or view.delays) and np.all(sign == 1):
+        return found
     kappa = calibration_factors(view, psi, sign)[..., None]
-    return Transfer(view, kappa * rig.G, rig.X, kappa * rig.E, psi)
+    return found.calibrated(kappa, psi)
 
 
 def small(model: Model) -> bool:
@@ -349,7 +365,6 @@ def _transfer_sparse(view: ObservationModel, p: Real) -> Transfer:
     model = view.model
     B, D, lines, channels = model.sparse_B, model.D, len(view.omega), len(view.channels)
     Bt, forces = B.T.tocsr(), np.flatnonzero(np.any(view.force, axis=-1))
-    indices, indptr, A = model.assembly
     flat = p.reshape(-1, p.shape[-1])
     r, S = D.shape[1], model.S.astype(np.complex128)
     G = np.empty((len(flat), lines, channels, r + S.shape[1]), dtype=np.complex128)
@@ -363,13 +378,8 @@ def _transfer_sparse(view: ObservationModel, p: Real) -> Transfer:
                 rows = view.force[forces] * weight
                 C_x[forces] += rows @ B
                 C_q[forces, :r] += rows @ D
-            D_k = sparse.csc_array((A @ weight, indices, indptr), shape=(model.n, model.n))
             right = np.concatenate([C_x.T, -(Bt @ (weight[:, None] * D)), S], axis=1)
-            try:
-                factorised = splu(D_k, permc_spec="MMD_AT_PLUS_A", options={"SymmetricMode": True})
-                solved = factorised.solve(right)
-            except RuntimeError:  # exactly singular
-                solved = np.full_like(right, np.nan)
+            solved = solve_stiffness(model, weight, right)
             X[k, line] = solved[:, channels:]
             G[k, line] = C_q + C_x @ X[k, line]
             E[k, line] = view.force - (B @ solved[:, :channels]).T

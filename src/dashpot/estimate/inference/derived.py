@@ -23,8 +23,8 @@ def known_values(model: Model) -> tuple[tuple[str, float, str], ...]:
     )
     return constants + tuple(
         (element.name, float(model.p0[i]), model.unit(element))
-        for i, element in enumerate(model.elements)
-        if element.name not in unknown and not np.any(model.T[i])
+        for i, (element, known) in enumerate(zip(model.elements, _of_no_unknown(model), strict=True))
+        if element.name not in unknown and known
     )
 
 
@@ -32,9 +32,15 @@ def tied_values(model: Model) -> tuple[tuple[str, str, float, str], ...]:
     """(name, unknown, times, unit) of the parameters that are a multiple of an unknown."""
     return tuple(
         (element.name, model.elements[tie.root].name, tie.times, model.unit(element))
-        for element, tie, row in zip(model.elements, model.ties, model.T, strict=True)
-        if element.same_as is not None and np.any(row)
+        for element, tie, known in zip(model.elements, model.ties, _of_no_unknown(model), strict=True)
+        if element.same_as is not None and not known
     )
+
+
+def _of_no_unknown(model: Model) -> list[bool]:
+    """Whether an element's parameter follows from known ones alone, (elements,)."""
+    known: list[bool] = (np.diff(model.sparse_T.indptr) == 0).tolist()
+    return known
 
 
 def linear_modes(model: Model, theta: Real, covariance: Real) -> ModeValues | None:

@@ -138,5 +138,8 @@ def _numbers(view: ObservationModel) -> int:
     """Complex numbers that one row at one line takes on the way to its slopes."""
     model, channels, elements = view.model, len(view.channels), len(view.model.elements)
     sides = channels + int(model.D.shape[1] + model.S.shape[1])
+    if view.reduced is not None:
+        k = view.reduced.size
+        return 3 * k * (k + sides) + channels * 4 * len(view.names)
     system = 3 * model.n * (model.n + sides) if small(model) else 2 * model.n * sides
     return system + 2 * elements * sides + channels * (elements + 4 * len(view.names))

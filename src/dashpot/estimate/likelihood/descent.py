@@ -11,6 +11,7 @@ from dashpot.arrays import Ints, Real
 from dashpot.estimate.likelihood.chunks import Measured
 from dashpot.estimate.likelihood.objective import bounds, local, measured
 from dashpot.estimate.preparation.prepared import Prepared
+from dashpot.model.channel_transfer import Reduced
 from dashpot.model.observation import ObservationModel, observation_model
 from dashpot.numerics.levenberg_marquardt import OptimizeResult, QuadraticModel, minimise
 
@@ -45,9 +46,13 @@ class Likelihood:
     effort: Effort
 
     @staticmethod
-    def of(data: Prepared, effort: Effort) -> Likelihood:
-        """That of prepared data.  Raises DataError where a channel measures what the model has not."""
+    def of(data: Prepared, effort: Effort, on_basis: Reduced | None = None) -> Likelihood:
+        """That of prepared data, of the reduced rig where there is one.
+
+        Raises DataError where a channel measures what the model has not.
+        """
         view = observation_model(data.model, data.spectrum.channels, data.spectrum.omega)
+        view = view if on_basis is None else replace(view, reduced=on_basis)
         return Likelihood(data, view, measured(data, view), *bounds(view, effort.positive), effort)
 
     @property

@@ -154,12 +154,13 @@ def global_minima(likelihood: Likelihood, repeat: int) -> LocalMinima:
     rounds in a row find nothing lower.  Raises ConvergenceError where no start ends at a finite cost.
     """
     effort = likelihood.effort
-    one = Likelihood.of(thinned(likelihood.data.only(repeat)), effort)
+    on_basis = likelihood.view.reduced
+    one = Likelihood.of(thinned(likelihood.data.only(repeat)), effort, on_basis)
     rng = np.random.default_rng([effort.seed, repeat])
     stages = _stages(one)
     acceptable = _acceptable(one.data, one.exact, len(one.view.names))
     # Large rigs: fewer starts, and none where a guess leads to a fit.
-    ease = min(1.0, SPARSE_FROM / one.view.model.n)
+    ease = min(1.0, SPARSE_FROM / (one.view.model.n if on_basis is None else on_basis.size))
     starts = max(int(effort.starts * ease), min(effort.starts, LEAST))
     minima = _from_guesses(one, stages, rng)
     if np.any(minima.cost <= acceptable):

@@ -12,6 +12,7 @@ from dashpot.estimate.likelihood.descent import ROUGH, Effort, Likelihood
 from dashpot.estimate.likelihood.global_search import from_minima, global_minima, searched_again
 from dashpot.estimate.likelihood.objective import measured
 from dashpot.estimate.likelihood.record_start import record_starts
+from dashpot.estimate.likelihood.reduced_search import is_reducible, reduced_search
 from dashpot.estimate.linear.least_squares import compensated
 from dashpot.estimate.method import HeldBounds, Method, Solution, Traits
 from dashpot.estimate.nonlinear.search import search_harmonics
@@ -70,6 +71,8 @@ class MaximumLikelihood(Method):
             start = _start(likelihood, data.states)
             sign = np.ones((likelihood.repeats, len(view.channels)))
             found = likelihood.descend(start, sign)
+        elif is_reducible(likelihood):
+            likelihood, found, sign, warnings = reduced_search(likelihood)
         else:
             found, sign, warnings = from_minima(likelihood, global_minima(likelihood, 0))
         if likelihood.exact.nonlinear is None and not self.start:

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from dashpot.arrays import Bools, Complex, Ints, Real, hermitian
-from dashpot.channel import Channel, Quantity
+from dashpot.channel import Channel
 from dashpot.data.spectrum import Spectrum
 from dashpot.errors import DataError
 from dashpot.model.network import Model
@@ -87,20 +87,20 @@ def measurement(model: Model, channels: Sequence[Channel], omega: Real) -> Compl
 
 def unseen(model: Model, spectrum: Spectrum, channels: Bools | None = None) -> tuple[str, ...]:
     """Names of coordinates and inputs that the direct channels (or some of them) do not determine at some line."""
-    C = measurement(model, spectrum.channels, spectrum.omega)
-    rates = np.where(spectrum.omega > 0, spectrum.omega, 1.0)
+    C = measurement(model, spectrum.channels, np.ones(1))[
+        0
+    ]  # rates scale rows, and do not change what they show
     present = channels_present(spectrum) if channels is None else channels_present(spectrum) & channels
-    power = np.array(
-        [0 if c.quantity is Quantity.FORCE else c.quantity.derivative for c in spectrum.channels]
-    )
-    C = C / rates[:, None, None] ** power[None, :, None] * present[..., None]
     names = state_names(model)
     missing = np.zeros(len(names), dtype=bool)
     for pattern in present[:1] if np.all(present == present[0]) else np.unique(present, axis=0):
-        line = int(np.argmax(np.all(present == pattern, axis=-1)))
-        _, s, Vh = np.linalg.svd(C[line], full_matrices=True)
+        rows = C[pattern]
+        shown = np.flatnonzero(np.any(rows != 0, axis=0))  # of a large rig few coordinates
+        _, s, Vh = np.linalg.svd(rows[:, shown], full_matrices=True)
         rank = int(np.sum(s > 1e-9 * max(1.0, float(s[0]) if s.size else 0.0)))
-        missing |= np.linalg.norm(Vh[rank:], axis=0) > 1e-9
+        determined = np.zeros(len(names), dtype=bool)
+        determined[shown] = np.linalg.norm(Vh[rank:], axis=0) <= 1e-9
+        missing |= ~determined
     return tuple(name for name, lost in zip(names, missing, strict=True) if lost)
 
 

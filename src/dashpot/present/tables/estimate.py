@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
 from rich.console import Console
@@ -28,6 +29,11 @@ from dashpot.present.text.estimate import (
     warnings_in_words,
 )
 from dashpot.present.text.numbers import aligned, alike, percent, plain, rounded, short
+
+MOST_ROWS = 200  # of tied or of known parameters; of more the table shows the first few
+FIRST_ROWS = 10
+
+Entry = TypeVar("Entry")
 
 
 @dataclass(frozen=True)
@@ -63,14 +69,29 @@ def parameter_rows(estimate: Estimate, level: float = 0.95) -> list[ParameterRow
                 short(noise[name], 2), v.unit, False,
             )
         )  # fmt: skip
-    for name, root, times, unit in estimate.tied:
+    for name, root, times, unit in shown_of(estimate.tied):
         v = everything[name]
         value, sd = rounded(v.value, v.sd)
         tie = f"= {root}" if times == 1 else f"= {times:g} × {root}"
         rows.append(ParameterRow(name, value, sd, "", "", "", "", "", unit, False, tie))
-    for name, number, unit in estimate.known:
+    for name, number, unit in shown_of(estimate.known):
         rows.append(ParameterRow(name, plain(number), "known", "", "", "", "", "", unit, True))
     return rows
+
+
+def shown_of(entries: Sequence[Entry]) -> Sequence[Entry]:
+    """What a table shows of tied or known parameters: all of some, the first of the many that a large rig has."""
+    return entries if len(entries) <= MOST_ROWS else entries[:FIRST_ROWS]
+
+
+def left_out_in_words(estimate: Estimate) -> str:
+    """How many parameters the table does not show; empty where it shows all."""
+    parts = [
+        f"{len(entries) - FIRST_ROWS:,} more that are {what}"
+        for entries, what in ((estimate.tied, "tied"), (estimate.known, "known"))
+        if len(entries) > MOST_ROWS
+    ]
+    return f"Not shown: {' and '.join(parts)}." if parts else ""
 
 
 def parameter_columns(estimate: Estimate, level: float = 0.95) -> list[TableColumn]:
@@ -121,6 +142,8 @@ def show_estimate(out: Console, estimate: Estimate, level: float = 0.95, *, reco
     out.print()
     known = ["dim" if row.known else "" for row in parameter_rows(estimate, level)]
     show_table(out, parameter_columns(estimate, level), known)
+    if left_out_in_words(estimate):
+        show_paragraph(out, left_out_in_words(estimate), "dim")
     if estimate.signs:
         out.print()
         show_paragraph(out, signs_in_words(estimate))

@@ -13,7 +13,7 @@ from dashpot.estimate.identify import identify
 from dashpot.estimate.likelihood.maximum_likelihood import MaximumLikelihood
 from dashpot.estimate.likelihood.objective import directly_driven, local, logarithmic, measured, predict
 from dashpot.estimate.preparation.prepared import prepare
-from dashpot.model import observation
+from dashpot.model import observation, sparse_dynamics
 from dashpot.model.elements import Kind, between, mass
 from dashpot.model.network import Input, Model
 from dashpot.model.observation import observation_model
@@ -135,7 +135,7 @@ def test_sparse_rigs_are_those_of_dense_matrices(monkeypatch):
 def test_a_large_rig_costs_one_sparse_factorisation_a_line(monkeypatch):
     """And gives the same many starts at once; time itself is measured in benchmarks/large.py."""
     calls = []
-    monkeypatch.setattr(observation, "splu", lambda *args, **how: calls.append(1) or splu(*args, **how))
+    monkeypatch.setattr(sparse_dynamics, "splu", lambda *args, **how: calls.append(1) or splu(*args, **how))
     bench = chain(60, 7)
     data, view = prepared(bench)
     given = measured(data, view)
