@@ -7,6 +7,8 @@ from dataclasses import dataclass
 from enum import StrEnum
 from types import MappingProxyType
 
+RESERVED_NAMES = ("time_s", "frequency_hz", "experiment")  # columns of data files that no channel can be
+
 
 class Quantity(StrEnum):
     """What is measured.  Displacement, velocity and acceleration are derivatives 0, 1, 2 of the same motion."""

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from dashpot.channel import Channel
+from dashpot.channel import RESERVED_NAMES, Channel
 from dashpot.data.clocks import ClockedRecords, Sensor, aligned_sensors, joined_sensors
 from dashpot.data.periods import average_periods, one_period, samples_of_period
 from dashpot.data.readers.columns import Columns
@@ -17,13 +17,10 @@ from dashpot.data.readers.delimited.stepped_sine import Circumstances, read_reco
 from dashpot.data.readers.interpretation import Interpreted, interpret
 from dashpot.data.readers.manifest import FileGroup, line_numbers
 from dashpot.data.readers.registry import reader_of
-from dashpot.data.readers.sampling import FREQUENCY, TIME
 from dashpot.data.record import Record
 from dashpot.errors import DataError
 from dashpot.io.words import listed, shown
 from dashpot.notices import Notice
-
-NOT_CHANNELS = (TIME, FREQUENCY, "experiment")
 
 
 def read_group(group: FileGroup, channels: Sequence[Channel], frequency_hz: float | None) -> Interpreted:
@@ -76,7 +73,7 @@ def _chosen(
     """The columns under the names of the channels and in the units of the entry, and the channels that are meant."""
     by_name = {channel.name: channel for channel in channels}
     for name in (*names, *group.entry.units):
-        if name not in by_name and name not in NOT_CHANNELS:
+        if name not in by_name and name not in RESERVED_NAMES:
             cure = f"the rig file lists {listed(by_name)}"
             raise DataError(f"{shown(name)} is no channel of the rig", group.place, cure)
     chosen = columns.renamed({column: name for name, column in names.items()})

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
-from dashpot.channel import Channel, Quantity
+from dashpot.channel import RESERVED_NAMES, Channel, Quantity
 from dashpot.errors import UsageError
 from dashpot.io.toml_document import Place
 from dashpot.io.words import did_you_mean, listed, written
@@ -81,12 +81,21 @@ def read_channels(reading: RigReading, measurables: Measurables) -> list[Channel
             cure = "use the name of the column, without line breaks, tabs or spaces at its ends"
             reading.report.add(("channels", name), f"{written(name)} is no usable name", cure)
             continue
+        if name in RESERVED_NAMES:
+            reading.report.add(("channels", name), *reserved(name))
+            continue
         entry = reading.entry(ChannelEntry, "channels", name, raw)
         channel = None if entry is None else _channel(reading, name, entry, raw, measurables)
         if channel is not None:
             channels.append(channel)
     _check_shared_gains(reading, channels)
     return channels
+
+
+def reserved(name: str) -> tuple[str, str]:
+    """What is wrong with a channel of a name that data files use themselves, and the cure."""
+    cause = f"{written(name)} is the column of that name in every data file, and no channel"
+    return cause, "name the channel differently, in the data too"
 
 
 def _check_shared_gains(reading: RigReading, channels: Sequence[Channel]) -> None:

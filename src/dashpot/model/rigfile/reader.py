@@ -5,13 +5,14 @@ from __future__ import annotations
 import os
 from collections.abc import Sequence
 
+from dashpot.channel import RESERVED_NAMES
 from dashpot.errors import ModelError
 from dashpot.io.toml_document import Place, TomlDocument, Wanted, parse_toml, read_toml
 from dashpot.model import validation
 from dashpot.model.elements import Element
 from dashpot.model.network import Input, Model
 from dashpot.model.rigfile.amounts import factors
-from dashpot.model.rigfile.channels import Measurables, read_channels
+from dashpot.model.rigfile.channels import Measurables, read_channels, reserved
 from dashpot.model.rigfile.elements import Points, read_elements
 from dashpot.model.rigfile.free import read_free
 from dashpot.model.rigfile.reading import RigReading
@@ -54,6 +55,8 @@ def _rig(document: TomlDocument) -> Rig:
         frozenset(reading.faulty),
     )
     channels = read_channels(reading, measurables)
+    if channels is None:
+        _check_names_of_columns(reading, head.coordinates, inputs)
     reading.report.raise_any()
     model = Model(tuple(head.coordinates), tuple(inputs), tuple(elements), head.name, angles)
     return Rig(model, default_channels(model) if channels is None else tuple(channels), document.path)
@@ -95,6 +98,15 @@ def _check_model(
     complete = not reading.faulty
     for problem in validation.problems(head.coordinates, inputs, whole, head.angles, complete=complete):
         reading.report.add(_place_of(reading, problem.where), problem.what, problem.cure)
+
+
+def _check_names_of_columns(reading: RigReading, coordinates: Sequence[str], inputs: Sequence[Input]) -> None:
+    """Without a section of channels every coordinate and input is one, of its own name."""
+    for section, names in (("coordinates", coordinates), ("inputs", [source.name for source in inputs])):
+        for name in names:
+            if name in RESERVED_NAMES:
+                place = ("coordinates",) if section == "coordinates" else (section, name)
+                reading.report.add(place, *reserved(name))
 
 
 def _place_of(reading: RigReading, name: str | None) -> Place:

@@ -199,3 +199,24 @@ def test_an_accelerometer_alone(tmp_path):
     assert record.values[:, 0] == pytest.approx(np.arange(1, 40))
     with pytest.raises(DataError, match="deg/s is no unit of acceleration"):
         read(path, (Channel("Gyr_X", {"x1": 1}, Quantity.ACCELERATION),))
+
+
+@pytest.mark.parametrize(
+    ("cell", "noted"),
+    [("1,000", True), ("12,345", True), ("0,125", False), ("1,5", False), ("1,0000", False)],
+)
+def test_commas_that_may_part_thousands_are_noted(tmp_path, cell, noted):
+    path = tmp_path / "test.csv"
+    path.write_text(f"time_s;x1\n0;{cell}\n1;{cell}\n2;{cell}\n")
+    reading = read(path, MM[:1])
+    assert reading.records[0].values[0, 0] == pytest.approx(1e-3 * float(cell.replace(",", ".")))
+    assert [note.code for note in reading.notes].count("decimal_comma") == noted
+
+
+def test_a_stray_quote_is_placed(tmp_path):
+    path = tmp_path / "test.csv"
+    rows = [f"{k / 10},0.5" for k in range(20)]
+    rows[7] = '0.7,"0.5'
+    path.write_text("time_s,x1\n" + "\n".join(rows) + "\n")
+    with pytest.raises(DataError, match=r"test\.csv:9: .*quote"):
+        read(path, MM[:1])

@@ -676,3 +676,16 @@ def test_a_gain_that_cannot_be_shared(change: tuple[str, str], what: str) -> Non
     assert change[0] in SHARED
     found = problems(SHARED.replace(*change))
     assert any(what in one and "same_gain_as" in one for one in found)
+
+
+@pytest.mark.parametrize("name", ["time_s", "frequency_hz", "experiment"])
+def test_columns_of_every_data_file_are_no_channels(name: str) -> None:
+    head = f'coordinates = ["{name}"]\n[inputs]\nu = {{}}\n[masses]\nm = {{ at = "{name}", value = 1 }}\n'
+    head += f'[springs]\nk = {{ between = ["u", "{name}"] }}\n'
+    channels = f'[channels]\nu = {{ of = "u" }}\n"{name}" = {{ of = "{name}" }}\n'
+    for text, place in ((head, "coordinates"), (head + channels, f"channels.{name}")):
+        with pytest.raises(
+            ModelError, match=rf"{place}: \"{name}\" is the column of that name in every data file"
+        ):
+            parse_rig(text)
+    parse_rig(head + f'[channels]\nu = {{ of = "u" }}\nx = {{ of = "{name}" }}\n')

@@ -15,6 +15,7 @@ from dashpot.data.readers.delimited.table import Table
 from dashpot.data.readers.delimited.timestamps import is_timestamp
 from dashpot.data.readers.delimited.truncation import with_checked_end
 from dashpot.errors import DataError
+from dashpot.notices import Notice
 
 HEAD = 1 << 20  # bytes in which the header row must end
 MOST_LEADING = 400  # rows in front of the data that are looked through
@@ -78,8 +79,20 @@ def table_of(data: Text, source: str, first_column: str | None = None) -> Table:
         header, units = header[:-1], units[:width]
     sample = data[start : start + 4096].decode("utf-8", errors="replace")
     decimal = "," if delimiter != "," and "," in sample and "." not in sample else "."
+    notes = (_thousands_note(source),) if decimal == "," and _may_be_thousands(sample, delimiter) else ()
     body = memoryview(data)[start:]
-    return with_checked_end(Table(source, header, units, (), body, first_row, delimiter, decimal))
+    return with_checked_end(Table(source, header, units, notes, body, first_row, delimiter, decimal))
+
+
+def _may_be_thousands(sample: str, delimiter: str) -> bool:
+    """Whether each comma could part thousands: three digits behind it, one to three and no zero alone before it."""
+    cells = [cell.strip().strip('"') for line in sample.splitlines() for cell in line.split(delimiter)]
+    return all(re.fullmatch(r"[-+]?[1-9]\d{0,2}(,\d{3})+", cell) for cell in cells if "," in cell)
+
+
+def _thousands_note(source: str) -> Notice:
+    text = f"{source}: commas are read as decimal points, 1,000 as 1.000; write numbers without thousands separators"
+    return Notice("decimal_comma", text, (source,))
 
 
 def _as_utf8(data: bytes, source: str) -> bytes:

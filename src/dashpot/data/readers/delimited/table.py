@@ -163,6 +163,9 @@ class Table(Columns):
                 if cause is not None:
                     name = shown(bare(self.header[column])[0])
                     return DataError(f"column {name}: {cause[0]}", place, cause[1])
+        stray = next((row for row, text in self.rows() if text.count('"') % 2), None)
+        if stray is not None:
+            return DataError("a quote is not closed", f"{self.source}:{stray}", "close it, or take it out")
         return DataError(
             "the file cannot be read as a table of numbers", self.source, "save it as plain CSV in UTF-8"
         )
