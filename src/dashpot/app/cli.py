@@ -19,6 +19,7 @@ from click.shell_completion import CompletionItem
 
 from dashpot.app.commands import COMMANDS
 from dashpot.app.help import WIDEST
+from dashpot.app.report_files import ARGUMENTS
 from dashpot.app.workers import one_thread
 from dashpot.errors import DashpotError, printable
 from dashpot.io import ledger
@@ -51,6 +52,11 @@ class Commands(click.Group):
         command = import_module(f"dashpot.app.commands.{cmd_name}").command
         assert isinstance(command, click.Command)
         return command
+
+    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
+        """As click does; reports name the command by what was typed."""
+        ctx.meta[ARGUMENTS] = tuple(args)
+        return super().parse_args(ctx, args)
 
     def resolve_command(
         self, ctx: click.Context, args: list[str]

@@ -135,3 +135,16 @@ def _best(covariance: Real, members: Ints) -> tuple[int, float]:
         if mean < least:
             best, least = int(i), mean
     return best, least
+
+
+def shares_by_band(found: Collinearity, frequency_hz: Real, most: int = 120) -> tuple[Real, Real]:
+    """Middles (bands,), Hz, and shares (bands, M) in the order of frequency; lines of one frequency are one band.
+
+    Neighbouring frequencies are added up where there are more than `most`.
+    """
+    unique, place = np.unique(frequency_hz, return_inverse=True)
+    each = max(1, -(-len(unique) // most))
+    bands = np.zeros((-(-len(unique) // each), len(found.names)))
+    np.add.at(bands, place // each, found.shares)
+    middles = np.array([float(np.median(unique[k * each : (k + 1) * each])) for k in range(len(bands))])
+    return middles, bands

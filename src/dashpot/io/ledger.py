@@ -26,6 +26,7 @@ class Ledger:
     """Inputs and outputs of a run, by the places and the inodes that their paths lead to."""
 
     read: set[Key] = field(default_factory=set)
+    inputs: dict[str, None] = field(default_factory=dict)  # names of the files read, in order
     claimed: dict[Key, object] = field(default_factory=dict)
     written: set[Key] = field(default_factory=set)
 
@@ -35,6 +36,7 @@ class Ledger:
         if any(key in self.claimed or key in self.written for key in keys):
             raise _overwrites(path)
         self.read.update(keys)
+        self.inputs[os.fspath(path)] = None
 
     def claim(self, path: AnyPath, by: object) -> None:
         """An output to come, of the option `by`.  Raises UsageError where it is an input or another's output."""

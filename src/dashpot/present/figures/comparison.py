@@ -12,6 +12,7 @@ from matplotlib.ticker import MaxNLocator
 from dashpot.arrays import Real
 from dashpot.estimate.comparison import Comparison
 from dashpot.estimate.result import Estimate
+from dashpot.model.network import Model
 from dashpot.present.figures.style import BAD, COLOURS, INK, MODEL, style
 
 ROW, PANEL = 0.24, 2.45  # inches a method, and a panel
@@ -38,15 +39,33 @@ def comparison_figure(comparison: Comparison, level: float = 0.95) -> Figure:
     )
 
 
-def estimate_figure(estimate: Estimate, level: float = 0.95) -> Figure:
-    """One panel for each unknown with its interval, and that of the bound behind it."""
+def estimate_figure(estimate: Estimate, level: float = 0.95, model: Model | None = None) -> Figure:
+    """One panel for each unknown with its interval, and that of the bound behind it.
+
+    With `model`, what the rig states of an unknown, with an sd, stands below as a row of its own.
+    """
     low, high = estimate.interval(level)
     numbers = zip(estimate.names, estimate.values.tolist(), estimate.bound_sd.tolist(), strict=True)
     bands = {name: (value, sd) for name, value, sd in numbers if np.isfinite(sd)}
+    rows, values, lows, highs = [estimate.method], [estimate.values], [low], [high]
+    stated = {} if model is None else {u.name: (u.prior, u.sd) for u in model.unknowns if u.sd is not None}
+    if stated:
+        nothing = (np.nan, np.nan)
+        prior, sd = np.array([stated.get(name, nothing) for name in estimate.names], dtype=float).T
+        reach = _reach(level)
+        rows, values = [*rows, "stated"], [*values, prior]
+        lows, highs = [*lows, prior - reach * sd], [*highs, prior + reach * sd]
     return interval_plot(
-        estimate.names, estimate.units, [estimate.method], estimate.values[None], low[None], high[None], {}, bands,
+        estimate.names,
+        estimate.units,
+        rows,
+        np.stack(values),
+        np.stack(lows),
+        np.stack(highs),
+        {},
+        bands,
         level,
-    )  # fmt: skip
+    )
 
 
 def interval_plot(
@@ -66,11 +85,9 @@ def interval_plot(
 
     bands: name → (centre, standard deviation) at the Cramér-Rao bound, drawn as wide as an interval.
     """
-    from scipy.special import ndtri
-
     columns = min(len(names), 3)
     rows = -(-len(names) // columns)
-    reach, wider = float(ndtri(0.5 + level / 2)), False
+    reach, wider = _reach(level), False
     with style():
         figure = Figure(figsize=(0.6 + PANEL * columns, rows * (0.75 + ROW * len(methods)) + 0.35))
         grid = np.atleast_2d(figure.subplots(rows, columns, sharey=True, squeeze=False))
@@ -89,6 +106,13 @@ def interval_plot(
             axes.set_xlabel(unit, labelpad=1)
         _legend(figure, bool(truth), bool(bands), wider, level, 5 if columns == 3 else columns)
     return figure
+
+
+def _reach(level: float) -> float:
+    """Standard deviations to either end of an interval."""
+    from scipy.special import ndtri
+
+    return float(ndtri(0.5 + level / 2))
 
 
 def _panel(
@@ -135,7 +159,7 @@ def _view(value: Real, low: Real, high: Real, truth: float | None) -> tuple[floa
     width = high - low
     finite = np.isfinite(width) & (width > 0)
     if not np.any(finite):
-        middle = float(np.mean(value))
+        middle = float(np.nanmean(value))
         return middle - max(abs(middle), 1.0), middle + max(abs(middle), 1.0)
     shown = finite & (width <= WIDE * np.min(width[finite]))
     ends = [float(np.min(low[shown])), float(np.max(high[shown]))]

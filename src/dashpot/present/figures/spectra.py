@@ -3,21 +3,26 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import LogLocator, MaxNLocator, NullFormatter, StrMethodFormatter
+from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
 
 from dashpot.arrays import Complex, Real
-from dashpot.present.figures.style import COLOURS, DATA, INK, MODEL, MUTED, style
+from dashpot.present.figures.style import COLOURS, DATA, INK, MODEL, style
+
+MANY = 300  # lines from which dots are small and drawn as a picture within the picture
+RAYLEIGH_95 = 1.73  # of an amplitude's size over its standard deviation, √(−ln 0.05)
 
 
 def _logarithmic(f: Real) -> bool:
     return bool(len(f)) and float(np.max(f)) > 3 * float(np.min(f))
 
 
-def _frequency_axis(axes: Axes, f: Real) -> None:
+def frequency_axis(axes: Axes, f: Real) -> None:
+    """Logarithmic where it spans much, with plain numbers."""
     if not _logarithmic(f):
         return
     axes.set_xscale("log")
@@ -47,9 +52,9 @@ def amplitude_and_phase(
     measured, sd, predicted (lines, channels); curve (points, channels) between the lines, or None: then `predicted`
     stands as crosses at the lines.
     """
-    rows = len(names)
+    rows, many = len(names), len(lines_hz) > MANY
     with style():
-        figure = Figure(figsize=(7.6, max(1.8 * rows, 2.2) + 0.4))
+        figure = Figure(figsize=(8.6, max(1.8 * rows, 2.2) + 0.4))
         grid = figure.subplots(rows, 2, squeeze=False, sharex=True, gridspec_kw={"width_ratios": [3, 2]})
         for row, (name, unit) in enumerate(zip(names, units, strict=True)):
             left, right = grid[row]
@@ -60,18 +65,21 @@ def amplitude_and_phase(
             low = np.minimum(2 * spread, 0.999 * size)
             shown = degrees(y) if predicted is None else _beside(degrees(y), degrees(predicted[:, row]))
             left.errorbar(
-                lines_hz, size, yerr=[np.nan_to_num(low), np.nan_to_num(2 * spread)], fmt="o", color=DATA, ms=3.2,
-                elinewidth=0.8, label="measured, ±2 sd", zorder=3,
+                lines_hz, size, yerr=[np.nan_to_num(low), np.nan_to_num(2 * spread)], fmt="o", color=DATA,
+                ms=1.6 if many else 3.2, elinewidth=0.4 if many else 0.8, label="measured, ±2 sd", zorder=3,
+                rasterized=many,
             )  # fmt: skip
             right.errorbar(
-                lines_hz, shown, yerr=np.nan_to_num(np.minimum(2 * angle, 180)), fmt="o", color=DATA, ms=3.2,
-                elinewidth=0.8, zorder=3,
+                lines_hz, shown, yerr=np.nan_to_num(np.minimum(2 * angle, 180)), fmt="o", color=DATA,
+                ms=1.6 if many else 3.2, elinewidth=0.4 if many else 0.8, zorder=3, rasterized=many,
             )  # fmt: skip
             if curve is not None and curve_hz is not None:
                 left.plot(curve_hz, np.abs(curve[:, row]), color=MODEL, lw=1.3, label="model", zorder=2)
                 right.plot(curve_hz, _unbroken(degrees(curve[:, row])), color=MODEL, lw=1.3, zorder=2)
             elif predicted is not None:
-                marks = {"marker": "x", "ls": "", "color": MODEL, "ms": 6, "zorder": 2}
+                marks: dict[str, Any] = {"marker": "x", "ls": "", "color": MODEL, "ms": 6, "zorder": 2}
+                if len(lines_hz) > MANY:
+                    marks |= {"marker": ".", "ms": 2, "rasterized": True, "zorder": 4}
                 left.plot(lines_hz, np.abs(predicted[:, row]), label="model", **marks)
                 right.plot(lines_hz, degrees(predicted[:, row]), **marks)
             _amplitude_axis(left, size, None if curve is None else np.abs(curve[:, row]))
@@ -81,7 +89,7 @@ def amplitude_and_phase(
             right.set_ylim(-200, 200)
             right.set_yticks([-180, -90, 0, 90, 180])
             for axes in (left, right):
-                _frequency_axis(axes, lines_hz)
+                frequency_axis(axes, lines_hz)
         for axes in grid[-1]:
             axes.set_xlabel("frequency, Hz")
         grid[0][0].legend(loc="best")
@@ -111,48 +119,42 @@ def _unbroken(phase: Real) -> Real:
     return out
 
 
-def residual_plot(names: Sequence[str], lines_hz: Real, normalised: Complex) -> Figure:
-    """Normalised residuals over frequency, real parts as dots and imaginary parts as rings, with the ±2 band."""
+def residual_plot(
+    names: Sequence[str], lines_hz: Real, size: Real, worst: Sequence[tuple[str, float, float]] = ()
+) -> Figure:
+    """Residuals over frequency, |measured − predicted| / sd of the amplitude, (lines, channels), the worst named.
+
+    worst: (channel, Hz, size).  Where the model fits, 95 % lie in the band.
+    """
+    marks = "os^Dv<>P"
     with style():
-        figure = Figure(figsize=(7.6, 2.5))
+        figure = Figure(figsize=(8.6, 2.9))
         axes = figure.subplots()
-        axes.axhspan(-2, 2, color=MODEL, alpha=0.08, lw=0)
-        axes.axhline(0, color=MUTED, lw=0.6)
+        axes.axhspan(0, RAYLEIGH_95, color=MODEL, alpha=0.08, lw=0)
         for k, name in enumerate(names):
-            z, colour = normalised[:, k], COLOURS[k % len(COLOURS)]
-            if not np.any(np.isfinite(z)):
-                continue
-            axes.plot(lines_hz, z.real, "o", color=colour, ms=3.5, label=name)
-            axes.plot(lines_hz, z.imag, "o", color=colour, ms=3.5, mfc="none")
-        worst = float(np.nanmax(np.abs(np.append(np.abs(normalised).ravel(), 3.0))))
-        if worst > 30:
+            there = np.isfinite(size[:, k])
+            if np.any(there):
+                many = int(np.sum(there)) > MANY
+                axes.plot(
+                    lines_hz[there], size[there, k], marks[k % len(marks)], color=COLOURS[k % len(COLOURS)],
+                    ms=2 if many else 4, label=name, rasterized=many,
+                )  # fmt: skip
+        largest = float(np.nanmax(size, initial=RAYLEIGH_95))
+        if largest > 12:
             axes.set_yscale("symlog", linthresh=2)
+        axes.set_ylim(0, (1.25 if largest <= 12 else 2.0) * largest)
+        for name, f, value in worst:
+            right = f > float(np.sqrt(np.max(lines_hz) * max(np.min(lines_hz), 1e-12)))
+            axes.annotate(
+                f"{name}, {f:.4g} Hz: {value:.2g}", (f, value), textcoords="offset points",
+                xytext=(-6 if right else 6, 4), ha="right" if right else "left", fontsize=8, color=INK,
+            )  # fmt: skip
         axes.set_ylabel("residual / sd")
-        axes.set_xlabel("frequency, Hz   (● real, ○ imaginary part)")
-        _frequency_axis(axes, lines_hz)
+        axes.set_xlabel("frequency, Hz")
+        frequency_axis(axes, lines_hz)
         handles, labels = axes.get_legend_handles_labels()
         if handles and len(labels) <= 12:
             axes.legend(handles, labels, loc="upper left", bbox_to_anchor=(1.0, 1.0))
-    return figure
-
-
-def history_plot(names: Sequence[str], distance: Real) -> Figure:
-    """Distance of each unknown from where it ended, in standard deviations, over the iterations."""
-    with style():
-        figure = Figure(figsize=(7.6, 2.4))
-        axes = figure.subplots()
-        steps = np.arange(len(distance))
-        for k, name in enumerate(names):
-            shown = np.where(distance[:, k] > 0, distance[:, k], np.nan)
-            axes.plot(steps, shown, "o-", color=COLOURS[k % len(COLOURS)], ms=3, lw=1, label=name)
-        if np.any(distance > 0):
-            axes.set_yscale("log")
-        axes.axhline(1, color=MUTED, lw=0.8, ls=":")
-        axes.set_xlabel("iteration")
-        axes.set_ylabel("distance from\nthe end / sd")
-        axes.xaxis.set_major_locator(MaxNLocator(integer=True))
-        if len(names) <= 12:
-            axes.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0))
     return figure
 
 

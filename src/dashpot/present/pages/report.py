@@ -1,99 +1,227 @@
-"""The report of an identification: one HTML file that needs nothing else."""
+"""The report of an identification."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from pathlib import Path
+from dataclasses import dataclass
 
-import numpy as np
-from jinja2 import Environment, FileSystemLoader, StrictUndefined
-from markupsafe import Markup
-
+from dashpot.channel import Channel
+from dashpot.check.chi2_surface import chi2_surface
+from dashpot.check.collinearity import Collinearity, collinearity
+from dashpot.check.doubt import doubtful, undetermined
 from dashpot.check.residuals import Residuals, calibrations_of, residuals
+from dashpot.check.validation import RecordPrediction
 from dashpot.data.spectrum import Spectrum
+from dashpot.errors import DashpotError, UsageError
 from dashpot.estimate.result import Estimate
+from dashpot.io.words import joined
 from dashpot.model.network import Model
-from dashpot.present.figures.identification import identification_figures
-from dashpot.present.figures.style import svg
-from dashpot.present.tables.estimate import parameter_rows
+from dashpot.present.pages.evidence import evidence_blocks, prediction_block
+from dashpot.present.pages.page import Block, Page, Picture, Provenance, Verdict, html
+from dashpot.present.schematic.drawing import schematic
+from dashpot.present.schematic.moving import mode_drawing, numbered_mode
+from dashpot.present.tables.estimate import (
+    fit_paragraphs,
+    has_modes,
+    mode_columns,
+    parameter_columns,
+    remarks,
+    signs_in_words,
+)
+from dashpot.present.text.assessment import VERDICTS, diagnosis_in_words
 from dashpot.present.text.estimate import (
-    MISFIT,
-    basis_in_words,
     convergence_in_words,
     fit_in_words,
+    sentence,
     warnings_in_words,
 )
-from dashpot.present.text.numbers import rounded, short
+from dashpot.present.text.next_steps import next_steps
+from dashpot.present.text.numbers import short
 
-TEMPLATES = Path(__file__).parents[1] / "templates"
+MOST_MODES = 4
+TERMS = (
+    "±",
+    "interval",
+    "bound",
+    "χ²",
+    "residual",
+    "difference of the motion",
+    "band",
+    "correlation",
+    "share",
+)
+
+
+@dataclass(frozen=True)
+class Findings:
+    """What the data say of an estimate beside its values; None where it cannot be said."""
+
+    residuals: Residuals | None
+    collinearity: Collinearity | None
 
 
 def identification_report(
-    model: Model, spectrum: Spectrum, estimate: Estimate, level: float = 0.95, sources: Sequence[str] = ()
+    model: Model,
+    spectrum: Spectrum | None,
+    estimate: Estimate,
+    level: float = 0.95,
+    provenance: Provenance | None = None,
+    *,
+    channels: Sequence[Channel] = (),
+    held_out: Sequence[RecordPrediction] = (),
+    records: bool = False,
 ) -> str:
-    """HTML page of an estimate and the spectrum it came from (no batch axes); `sources` are the files it names."""
-    found = residuals(
-        model, estimate.values[: len(model.unknowns)], spectrum, calibrations_of(model, estimate)
+    """HTML page of an estimate and the spectrum it came from, if it came from one (no batch axes).
+
+    `channels` are drawn where there is no spectrum; `held_out` are predictions of what was not used; `records`:
+    whether the data were time records.
+    """
+    shown = channels if spectrum is None else spectrum.channels
+    found = _findings(model, spectrum, estimate)
+    unsure = doubtful(estimate, level)
+    page = Page(
+        estimate.model or "Identification",
+        _subtitle(estimate, spectrum),
+        _verdict(estimate),
+        headline(estimate, unsure),
+        tuple(_statements(estimate)),
+        tuple(warnings_in_words(estimate, records=records)),
+        Block("Parameters", tuple(_below_parameters(estimate)), (tuple(parameter_columns(estimate, level)),)),
+        rig_picture(model, shown, estimate, unsure, level),
+        tuple(next_steps(estimate, unsure, found.collinearity)),
+        tuple(_evidence(model, spectrum, estimate, found, held_out)),
+        (*TERMS, *(("damping ratio",) if has_modes(estimate) else ()), *(("FIT",) if held_out else ())),
+        provenance,
     )
-    environment = Environment(
-        loader=FileSystemLoader(TEMPLATES),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    return environment.get_template("identification.html").render(
-        title=estimate.model or "Identification",
-        sources=list(sources),
-        level=f"{100 * level:g}",
-        convergence=convergence_in_words(estimate),
-        converged=bool(estimate.converged),
-        fit=fit_in_words(estimate.fit),
-        verdict=_verdict(estimate),
-        basis=basis_in_words(estimate),
-        misfit=estimate.basis == MISFIT,
-        rows=parameter_rows(estimate, level),
-        signs={name: "+" if float(sign) > 0 else "−" for name, sign in estimate.signs.items()},
-        modes=_modes(estimate),
-        coordinates=model.coordinates,
-        warnings=warnings_in_words(estimate),
-        worst=found.worst(),
-        channels=_channels(found),
-        lines=spectrum.lines,
-        pictures=[
-            {"title": shown.title, "text": shown.text, "svg": Markup(svg(shown.figure))}
-            for shown in identification_figures(model, spectrum, estimate)
-        ],
-        short=short,
-    )
+    return html(page)
 
 
-def _verdict(estimate: Estimate) -> str:
+def failure_report(
+    model: Model,
+    channels: Sequence[Channel],
+    error: DashpotError,
+    headline_text: str,
+    provenance: Provenance | None = None,
+) -> str:
+    """HTML page of an identification that gave nothing: why, what would help, and the rig."""
+    problems = [sentence(problem.what[:1].upper() + problem.what[1:]) for problem in error.problems]
+    cures = [
+        sentence(problem.cure[:1].upper() + problem.cure[1:]) for problem in error.problems if problem.cure
+    ]
+    page = Page(
+        model.name or "Identification",
+        "No parameters were estimated.",
+        "bad",
+        headline_text,
+        tuple(problems),
+        drawing=rig_picture(model, channels, None, undetermined(model, channels), 0.95),
+        steps=tuple(dict.fromkeys(cures)),
+        provenance=provenance,
+    )
+    return html(page)
+
+
+def rig_picture(
+    model: Model, channels: Sequence[Channel], estimate: Estimate | None, unsure: Sequence[str], level: float
+) -> Picture | None:
+    """The drawing of the rig; None where it is too large for one."""
+    try:
+        drawing = schematic(model, channels, estimate, unsure, level)
+    except UsageError:
+        return None
+    return Picture(drawing.svg(), drawing.title, wide=False)
+
+
+def headline(estimate: Estimate, unsure: Sequence[str]) -> str:
+    """Whether to trust the answer, in one sentence."""
+    if not bool(estimate.converged):
+        return "No answer: the iteration did not converge. The values below are those of the last step."
+    poor = [name for name in unsure if "." not in name]
+    names = joined(poor[:4]) + (" and others" if len(poor) > 4 else "")
+    rest = f" {names} {'is' if len(poor) == 1 else 'are'} hardly determined." if poor else ""
+    if estimate.assessment is None:
+        return fit_in_words(estimate.fit) + rest
+    verdict = estimate.assessment.verdict
+    if verdict == "does not fit":
+        cause = estimate.assessment.findings[0].text if estimate.assessment.findings else ""
+        why = f" Likely cause: {sentence(cause)}" if cause else ""
+        return f"The model does not fit the data: do not sign these values as they are.{why}{rest}"
+    return sentence(VERDICTS[verdict]) + rest
+
+
+def _subtitle(estimate: Estimate, spectrum: Spectrum | None) -> str:
+    text = convergence_in_words(estimate)
+    if spectrum is None:
+        return text
+    low, high = float(spectrum.frequency_hz.min()), float(spectrum.frequency_hz.max())
+    return f"{text} {spectrum.lines} lines from {short(low, 4)} to {short(high, 4)} Hz."
+
+
+def _verdict(estimate: Estimate) -> Verdict:
+    if not bool(estimate.converged):
+        return "bad"
+    if estimate.assessment is not None:
+        verdicts: dict[str, Verdict] = {"fits": "good", "does not fit": "bad", "cannot tell": "open"}
+        return verdicts[estimate.assessment.verdict]
     if not estimate.fit.known_noise or estimate.fit.dof <= 0:
         return "open"
     return "bad" if bool(estimate.fit.rejected) else "good"
 
 
-def _modes(estimate: Estimate) -> list[dict[str, object]]:
-    modes = estimate.modes
-    if modes is None:
-        return []
-    rows = []
-    for k, eigenvalue in enumerate(modes.eigenvalues.tolist()):
-        swings = eigenvalue.imag != 0
-        frequency = rounded(float(modes.frequency_hz[k]), float(modes.frequency_sd[k]))
-        damping = rounded(float(modes.damping_ratio[k]), float(modes.damping_sd[k]))
-        shape = [
-            f"{abs(z):.2f} ∠ {round(float(np.degrees(np.angle(z)))):d}°" for z in modes.shapes[k].tolist()
-        ]
-        time = short(1 / abs(eigenvalue.real)) if eigenvalue.real != 0 else "∞"
-        rows.append(
-            {"swings": swings, "frequency": frequency, "damping": damping, "shape": shape, "time": time}
-        )
-    return rows
+def _statements(estimate: Estimate) -> list[str]:
+    """The verdict with its numbers and the motion that is left over."""
+    causes = set() if estimate.assessment is None else set(diagnosis_in_words(estimate.assessment.findings))
+    texts = [text for text, _ in fit_paragraphs(estimate) if text not in causes]
+    return texts
 
 
-def _channels(found: Residuals) -> list[tuple[str, str]]:
-    """Channels with the rms of their normalised residuals."""
-    pairs = zip(found.channels, found.rms().tolist(), strict=True)
-    return [(name, short(rms, 2)) for name, rms in pairs if np.isfinite(rms)]
+def _below_parameters(estimate: Estimate) -> list[str]:
+    texts = list(remarks(estimate))
+    if estimate.signs:
+        texts.append(signs_in_words(estimate))
+    return texts
+
+
+def _findings(model: Model, spectrum: Spectrum | None, estimate: Estimate) -> Findings:
+    if spectrum is None:
+        return Findings(None, None)
+    left = residuals(
+        model, estimate.values[: len(model.unknowns)], spectrum, calibrations_of(model, estimate)
+    )
+    try:
+        weak = collinearity(chi2_surface(model, spectrum, estimate), estimate.covariance)
+    except DashpotError:
+        weak = None  # of such a rig nothing is said of single lines
+    return Findings(left, weak)
+
+
+def _evidence(
+    model: Model,
+    spectrum: Spectrum | None,
+    estimate: Estimate,
+    found: Findings,
+    held_out: Sequence[RecordPrediction],
+) -> list[Block]:
+    blocks = []
+    if estimate.assessment is not None and estimate.assessment.findings:
+        causes = tuple(diagnosis_in_words(estimate.assessment.findings))
+        blocks.append(Block("Why it does not fit", items=causes))
+    blocks += evidence_blocks(model, spectrum, estimate, found.residuals, found.collinearity)
+    if held_out:
+        blocks.append(prediction_block("Predicted, not used", held_out))
+    if has_modes(estimate):
+        blocks.insert(1 if blocks and blocks[0].title.startswith("Why") else 0, _modes(model, estimate))
+    return blocks
+
+
+def _modes(model: Model, estimate: Estimate) -> Block:
+    """Natural frequencies and damping ratios, and the first shapes, moving."""
+    assert estimate.modes is not None
+    pictures = []
+    for number in range(1, min(len(estimate.modes.eigenvalues), MOST_MODES) + 1):
+        title, shape = numbered_mode(model, estimate, number)
+        try:
+            pictures.append(Picture(mode_drawing(model, shape, title).svg(), title, wide=False))
+        except UsageError:
+            break
+    return Block("Modes", (), (tuple(mode_columns(estimate.modes)),), tuple(pictures))

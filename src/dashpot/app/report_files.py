@@ -1,0 +1,160 @@
+"""Reports as files: how a result was computed, and HTML or PDF."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeVar
+
+import click
+
+from dashpot.app.files import OutputFile
+from dashpot.app.help import option
+from dashpot.app.options import OUTPUT
+from dashpot.errors import UsageError
+
+if TYPE_CHECKING:
+    from dashpot.present.pages.page import Provenance, SourceFile
+
+ARGUMENTS = "dashpot.arguments"  # what was typed, in the context's meta
+BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome", "msedge")
+QUIET = (
+    "--headless", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run",
+    "--disable-background-networking", "--disable-component-update", "--disable-sync", "--no-pdf-header-footer",
+)  # fmt: skip
+PRINTING_S = 120.0
+LIBRARIES = ("numpy", "scipy")
+
+Function = TypeVar("Function", bound=Callable[..., Any])
+
+
+class ReportFile(OutputFile):
+    """A report to write: .html, or .pdf where there is a browser that prints it."""
+
+    def convert(self, value: object, param: click.Parameter | None, ctx: click.Context | None) -> str:
+        """The path.  Raises UsageError where it could not be written after the work."""
+        target = super().convert(value, param, ctx)
+        if is_pdf(target):
+            browser()
+        return target
+
+
+report_option = option(
+    "--report", type=ReportFile(), metavar="FILE.html|pdf", group=OUTPUT,
+    help="Write a report with figures as one HTML file, or as PDF (needs Chromium or Chrome).",
+)  # fmt: skip
+
+
+def is_pdf(target: str) -> bool:
+    """Whether a report of that name is to be a PDF file."""
+    return Path(target).suffix.lower() == ".pdf"
+
+
+def browser() -> str:
+    """The program that prints PDF.  Raises UsageError where there is none."""
+    import shutil
+
+    for name in BROWSERS:
+        found = shutil.which(name)
+        if found is not None:
+            return found
+    raise UsageError(
+        "a PDF report is printed by Chromium or Chrome, and neither is installed",
+        "--report",
+        "install one, or name the report .html and print that",
+    )
+
+
+def write_report(target: str, html: str) -> None:
+    """Write the page as HTML or, by the end of the name, as PDF.  Raises DataError."""
+    from dashpot.io.atomic import write_bytes, write_text
+
+    if is_pdf(target):
+        write_bytes(target, _printed(html))
+    else:
+        write_text(target, html)
+
+
+def _printed(html: str) -> bytes:
+    """The page as PDF."""
+    import subprocess
+    import tempfile
+
+    from dashpot.errors import DataError
+
+    with tempfile.TemporaryDirectory(prefix="dashpot-") as folder:
+        page, printed = Path(folder) / "report.html", Path(folder) / "report.pdf"
+        page.write_bytes(html.encode("utf-8", errors="backslashreplace"))
+        command = [browser(), *QUIET, f"--user-data-dir={folder}/profile", f"--print-to-pdf={printed}", page.as_uri()]
+        try:
+            subprocess.run(command, capture_output=True, timeout=PRINTING_S, check=True)
+            return printed.read_bytes()
+        except (OSError, subprocess.SubprocessError) as error:
+            raise DataError(
+                f"the browser did not print the report ({type(error).__name__})",
+                command[0],
+                "name the report .html and print that",
+            ) from error
+
+
+def provenance() -> Provenance:
+    """How the running command computes its result; files are those read so far."""
+    import platform
+    import shlex
+    from datetime import datetime
+    from importlib.metadata import version
+
+    from dashpot import __version__
+    from dashpot.present.pages.page import Provenance
+
+    context = click.get_current_context()
+    arguments = context.meta.get(ARGUMENTS, ())
+    versions = [("dashpot", __version__), ("Python", platform.python_version())]
+    versions += [(name, version(name)) for name in LIBRARIES]
+    return Provenance(
+        datetime.now().astimezone().strftime("%Y-%m-%d %H:%M %z"),
+        tuple(versions),
+        shlex.join(["dashpot", *arguments]),
+        os.getcwd(),
+        tuple(_settings(context)),
+        tuple(_files()),
+    )
+
+
+def _settings(context: click.Context) -> list[tuple[str, str, bool]]:
+    """Options with their values, and whether they were given; what is not set is left out."""
+    settings = []
+    for parameter in context.command.params:
+        value = context.params.get(parameter.name or "")
+        if not isinstance(parameter, click.Option) or value is None or value == () or value is False:
+            continue
+        source = context.get_parameter_source(parameter.name or "")
+        given = source is not click.core.ParameterSource.DEFAULT
+        name = max(parameter.opts, key=len)
+        settings.append((name, "" if value is True else _shown(value), given))
+    return settings
+
+
+def _shown(value: Any) -> str:
+    if isinstance(value, tuple | list):
+        return ",".join(_shown(part) for part in value)
+    return f"{value:g}" if isinstance(value, float) else str(value)[:200]
+
+
+def _files() -> list[SourceFile]:
+    """The files that were read, with their checksums."""
+    import hashlib
+
+    from dashpot.io import ledger
+    from dashpot.present.pages.page import SourceFile
+
+    entries = ledger.current()
+    found = []
+    for name in () if entries is None else entries.inputs:
+        path = Path(name)
+        if path.is_file():
+            with path.open("rb") as stream:
+                digest = hashlib.file_digest(stream, "sha256").hexdigest()
+            found.append(SourceFile(name, path.stat().st_size, digest))
+    return found

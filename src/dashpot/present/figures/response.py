@@ -1,0 +1,106 @@
+"""Measured and estimated frequency responses: amplitude and phase, and in the complex plane."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator, MultipleLocator
+
+from dashpot.check.frequency_response import FrequencyResponse
+from dashpot.present.figures.spectra import MANY, frequency_axis
+from dashpot.present.figures.style import DATA, MODEL, MUTED, style
+
+REACH = 1.96  # standard deviations of a 95 % band
+MOST_PLANES = 6
+
+
+def response_figure(responses: Sequence[FrequencyResponse]) -> Figure:
+    """A row for each response, amplitude left and phase right: dots with ±2 sd, the model with its 95 % band."""
+    rows = len(responses)
+    with style():
+        figure = Figure(figsize=(8.6, max(1.75 * rows, 2.4) + 0.5))
+        grid = figure.subplots(rows, 2, squeeze=False, sharex=True, gridspec_kw={"width_ratios": [3, 2]})
+        for (left, right), shown in zip(grid, responses, strict=True):
+            _amplitude(left, shown)
+            _phase(right, shown)
+            left.set_title(f"{shown.channel} over {shown.reference}")
+            left.set_ylabel(shown.unit or "ratio")
+            for axes in (left, right):
+                frequency_axis(axes, shown.lines_hz)
+        for axes in grid[-1]:
+            axes.set_xlabel("frequency, Hz")
+        handles, labels = grid[0][0].get_legend_handles_labels()
+        figure.legend(handles, labels, loc="outside upper right", ncols=3)
+    return figure
+
+
+def _amplitude(axes: Axes, shown: FrequencyResponse) -> None:
+    size = np.abs(shown.measured)
+    low = np.minimum(2 * shown.sd, 0.999 * size)
+    many = len(size) > MANY
+    axes.errorbar(
+        shown.lines_hz, size, yerr=[np.nan_to_num(low), np.nan_to_num(2 * shown.sd)], fmt="o", color=DATA,
+        ms=1.6 if many else 3.2, elinewidth=0.4 if many else 0.8, label="measured, ±2 sd", zorder=2, rasterized=many,
+    )  # fmt: skip
+    curve = np.abs(shown.response)
+    if np.any(np.isfinite(shown.log_sd)):
+        width = np.exp(np.minimum(REACH * np.nan_to_num(shown.log_sd), 20.0))
+        axes.fill_between(
+            shown.frequency_hz, curve / width, curve * width, color=MODEL, alpha=0.25, lw=0, zorder=3,
+            label="95 % band of the model",
+        )  # fmt: skip
+    axes.plot(shown.frequency_hz, curve, color=MODEL, lw=1.2, label="model", zorder=4)
+    axes.set_yscale("log")
+    everything = np.concatenate([size, curve])
+    positive = everything[np.isfinite(everything) & (everything > 0)]
+    if len(positive):
+        axes.set_ylim(float(np.min(positive)) / 1.6, float(np.max(positive)) * 1.6)
+
+
+def _phase(axes: Axes, shown: FrequencyResponse) -> None:
+    size, many = np.abs(shown.measured), len(shown.lines_hz) > MANY
+    with np.errstate(invalid="ignore", divide="ignore"):
+        angle = np.degrees(np.where(size > 0, shown.sd / size, 0.0))
+    axes.errorbar(
+        shown.lines_hz, shown.phase_deg, yerr=np.nan_to_num(np.minimum(2 * angle, 180)), fmt="o", color=DATA,
+        ms=1.6 if many else 3.2, elinewidth=0.4 if many else 0.8, zorder=2, rasterized=many,
+    )  # fmt: skip
+    if np.any(np.isfinite(shown.phase_sd_deg)):
+        width = np.minimum(REACH * np.nan_to_num(shown.phase_sd_deg), 180.0)
+        axes.fill_between(
+            shown.frequency_hz, shown.curve_deg - width, shown.curve_deg + width, color=MODEL, alpha=0.25,
+            lw=0, zorder=3,
+        )  # fmt: skip
+    axes.plot(shown.frequency_hz, shown.curve_deg, color=MODEL, lw=1.2, zorder=4)
+    low, high = float(np.min(shown.curve_deg)), float(np.max(shown.curve_deg))
+    axes.set_ylim(np.floor((low - 30) / 90) * 90, np.ceil((high + 30) / 90) * 90)
+    axes.yaxis.set_major_locator(MultipleLocator(90 if high - low < 400 else 180))
+    axes.set_ylabel("phase, °")
+
+
+def nyquist_figure(responses: Sequence[FrequencyResponse]) -> Figure:
+    """The first responses in the complex plane: each resonance is a circle; lines join measured and model."""
+    shown = responses[:MOST_PLANES]
+    columns = min(len(shown), 3)
+    rows = -(-len(shown) // columns)
+    with style():
+        figure = Figure(figsize=(0.5 + 2.8 * columns, 0.5 + 2.7 * rows))
+        grid = np.atleast_2d(figure.subplots(rows, columns, squeeze=False))
+        for axes, response in zip(grid.flat, shown, strict=False):
+            H, curve, many = response.measured, response.response, len(response.measured) > MANY
+            axes.axhline(0, color=MUTED, lw=0.5)
+            axes.axvline(0, color=MUTED, lw=0.5)
+            axes.plot(curve.real, curve.imag, color=MODEL, lw=1.2, zorder=3)
+            axes.plot(H.real, H.imag, "o", color=DATA, ms=1.6 if many else 3.2, zorder=4, rasterized=many)
+            axes.set_aspect("equal", adjustable="datalim")
+            axes.set_title(f"{response.channel} over {response.reference}")
+            axes.set_xlabel(f"real part{', ' + response.unit if response.unit else ''}")
+            axes.set_ylabel("imaginary part")
+            axes.xaxis.set_major_locator(MaxNLocator(4))
+            axes.yaxis.set_major_locator(MaxNLocator(4))
+        for axes in list(grid.flat)[len(shown) :]:
+            axes.set_visible(False)
+    return figure

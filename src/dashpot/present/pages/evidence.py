@@ -1,0 +1,170 @@
+"""The evidence of an identification: from model, data and estimate to arrays to figures with what they show."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from dashpot.check.collinearity import Collinearity, shares_by_band
+from dashpot.check.frequency_response import frequency_responses
+from dashpot.check.residuals import Residuals, correlation
+from dashpot.check.validation import RecordPrediction, validate
+from dashpot.data.spectrum import Spectrum
+from dashpot.errors import DataError
+from dashpot.estimate.result import Estimate
+from dashpot.io.words import joined
+from dashpot.model.network import Model
+from dashpot.present.figures import spectra as figures
+from dashpot.present.figures.comparison import estimate_figure
+from dashpot.present.figures.findings import shares_figure
+from dashpot.present.figures.response import MOST_PLANES, nyquist_figure, response_figure
+from dashpot.present.figures.validation import histories_and_spectra
+from dashpot.present.pages.page import Block, figure_picture
+from dashpot.present.text.numbers import short
+
+MOST_PANELS = 16  # channels drawn with amplitude and phase
+MOST_NAMES = 40  # unknowns in one picture
+
+
+def evidence_blocks(
+    model: Model,
+    spectrum: Spectrum | None,
+    estimate: Estimate,
+    found: Residuals | None,
+    weak: Collinearity | None,
+) -> list[Block]:
+    """Measured and estimated responses, residuals, intervals, correlations, what each line tells (no batch axes)."""
+    blocks = []
+    if spectrum is not None and found is not None:
+        blocks += _responses(model, spectrum, estimate, found)
+        blocks += _histories(model, spectrum, estimate)
+        blocks += _residuals(estimate, found)
+    if len(estimate.names) <= MOST_NAMES:
+        text = "Each unknown with its 95 % interval; shaded, the interval at the Cramér-Rao bound."
+        if any(unknown.sd is not None for unknown in model.unknowns):
+            text += " 'stated' is what the rig file says of it."
+        picture = figure_picture(estimate_figure(estimate, model=model), "Parameters with their intervals")
+        blocks.append(Block("Intervals", (text,), pictures=(picture,)))
+        if len(estimate.names) > 1:
+            blocks.append(_correlations(estimate))
+    if weak is not None and spectrum is not None and len(weak.names) <= MOST_NAMES:
+        blocks.append(_shares(weak, spectrum))
+    return blocks
+
+
+def prediction_block(title: str, predictions: Sequence[RecordPrediction]) -> Block:
+    """FIT of each record and channel, and histories of the first record."""
+    texts = []
+    for k, part in enumerate(predictions):
+        fits = [
+            f"{name} {short(100 * float(fit), 3)} %"
+            for name, fit in zip(part.channels, part.fit, strict=True)
+        ]
+        texts.append(f"{'Record ' + str(k + 1) if len(predictions) > 1 else 'FIT'}: {joined(fits)}.")
+    records = [part for part in predictions if part.samples]
+    pictures = []
+    if records:
+        time, measured, predicted = records[0].histories()
+        figure = histories_and_spectra(
+            records[0].channels, records[0].units, time, measured, predicted, records[0].frequency_hz,
+            records[0].measured, records[0].predicted,
+        )  # fmt: skip
+        pictures.append(figure_picture(figure, f"Histories and spectra: {' '.join(texts)}"))
+    return Block(title, tuple(texts), pictures=tuple(pictures))
+
+
+def _responses(model: Model, spectrum: Spectrum, estimate: Estimate, found: Residuals) -> list[Block]:
+    responses = frequency_responses(model, estimate, spectrum, found)[:MOST_PANELS]
+    if responses:
+        channels = joined([shown.channel for shown in responses])
+        text = "Output over input, as measured and as the estimated rig answers."
+        panels = figure_picture(
+            response_figure(responses), f"Amplitude and phase of {channels}, measured and model"
+        )
+        plane = figure_picture(
+            nyquist_figure(responses),
+            f"{joined([r.channel for r in responses[:MOST_PLANES]])} in the complex plane",
+        )
+        return [
+            Block("Measured and model", (text,), pictures=(panels,)),
+            Block("In the complex plane", ("Each resonance is a circle.",), pictures=(plane,)),
+        ]
+    driven = [i for i, name in enumerate(found.channels) if np.any(np.isfinite(found.normalised[:, i]))]
+    chosen = driven[:MOST_PANELS]
+    if not chosen:
+        return []
+    # Of another experiment's channel there is nothing to compare a prediction with.
+    predicted = np.where(np.isfinite(found.measured), found.predicted, np.nan)[:, chosen]
+    names = [found.channels[i] for i in chosen]
+    figure = figures.amplitude_and_phase(
+        names, [found.units[i] for i in chosen], found.frequency_hz, found.measured[:, chosen],
+        found.sd[:, chosen], None, None, predicted,
+    )  # fmt: skip
+    more = f" The first {MOST_PANELS} of {len(driven)} channels." if len(driven) > MOST_PANELS else ""
+    text = f"Amplitude and phase of each channel, as measured and as predicted from the inputs.{more}"
+    return [
+        Block(
+            "Measured and model", (text,),
+            pictures=(figure_picture(figure, f"Amplitude and phase of {joined(names)}, measured and predicted"),),
+        )
+    ]  # fmt: skip
+
+
+def _histories(model: Model, spectrum: Spectrum, estimate: Estimate) -> list[Block]:
+    """The first whole record in time, where there is one."""
+    if len(model.nonlinear) or not any(getattr(stretch, "samples", 0) for stretch in spectrum.stretches):
+        return []
+    try:
+        predictions = validate(model, estimate, spectrum)
+    except DataError:
+        return []
+    records = [part for part in predictions if part.samples]
+    return [prediction_block("In time, as used", records[:1])] if records else []
+
+
+def _residuals(estimate: Estimate, found: Residuals) -> list[Block]:
+    size = np.abs(found.normalised) / np.sqrt(2)
+    if not np.any(np.isfinite(size)):
+        return []
+    unit = "their rms (the noise is unknown)" if found.scaled else "the standard deviation of the noise"
+    texts = [
+        f"Size of measured minus predicted amplitude over {unit}; where the model fits, 95 % lie in the band."
+    ]
+    assessed = () if estimate.assessment is None else estimate.assessment.worst
+    worst = [(one.channel, one.frequency_hz, one.sd) for one in assessed]
+    largest = found.worst()
+    if not worst and largest is not None:
+        worst = [largest]
+    rms = [
+        f"{name} {short(value, 2)}"
+        for name, value in zip(found.channels, found.rms().tolist(), strict=True)
+        if np.isfinite(value)
+    ]
+    texts.append(f"Rms of each channel: {joined(rms)}.")
+    if worst:
+        name, f, value = worst[0]
+        texts.append(f"The largest is {short(value, 2)}: {name} at {short(f, 4)} Hz.")
+    figure = figures.residual_plot(found.channels, found.frequency_hz, size, worst[:1])
+    picture = figure_picture(figure, f"Residuals by frequency and channel. {texts[-1]}")
+    return [Block("Residuals", tuple(texts), pictures=(picture,))]
+
+
+def _correlations(estimate: Estimate) -> Block:
+    figure = figures.correlation_plot(estimate.names, correlation(estimate.covariance))
+    text = "Near ±1, two unknowns are hard to separate: their sum or difference is known better than either."
+    return Block(
+        "Correlation",
+        (text,),
+        pictures=(figure_picture(figure, "Correlation matrix of the estimates", wide=False),),
+    )
+
+
+def _shares(weak: Collinearity, spectrum: Spectrum) -> Block:
+    middles, shares = shares_by_band(weak, spectrum.frequency_hz)
+    figure = shares_figure(weak.names, middles, shares)
+    text = "Where the knowledge of each unknown comes from, per cent of what is known of it."
+    if weak.idle:
+        text += f" {len(weak.idle)} of {spectrum.lines} lines tell nothing of any unknown."
+    picture = figure_picture(figure, "Share of the information on each unknown by frequency")
+    return Block("What each line tells", (text,), pictures=(picture,))

@@ -1,0 +1,121 @@
+"""A report page: what it says, as plain content, and its HTML, one file that needs nothing else."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+from jinja2 import Environment, FileSystemLoader, StrictUndefined
+from markupsafe import Markup
+from matplotlib.figure import Figure
+
+from dashpot.present.figures.style import svg
+from dashpot.present.tables.layout import TableColumn
+from dashpot.present.text.glossary import EXPLANATIONS
+
+TEMPLATES = Path(__file__).parents[1] / "templates"
+Verdict = Literal["good", "bad", "open"]
+
+
+@dataclass(frozen=True)
+class Picture:
+    """A picture with what it shows in words, for who cannot see it; `wide` takes the whole width."""
+
+    svg: str
+    alternative: str
+    wide: bool = True
+
+
+@dataclass(frozen=True)
+class Block:
+    """A heading with paragraphs, tables and pictures."""
+
+    title: str
+    paragraphs: tuple[str, ...] = ()
+    tables: tuple[tuple[TableColumn, ...], ...] = ()
+    pictures: tuple[Picture, ...] = ()
+    items: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class SourceFile:
+    """A file that went into a result."""
+
+    name: str
+    size: int
+    sha256: str
+
+
+@dataclass(frozen=True)
+class Provenance:
+    """How a result was computed: when, with what, from what, and the command that repeats it.
+
+    settings: name → (value, whether it was given).
+    """
+
+    date: str
+    versions: tuple[tuple[str, str], ...]
+    command: str
+    folder: str
+    settings: tuple[tuple[str, str, bool], ...]
+    files: tuple[SourceFile, ...]
+
+
+@dataclass(frozen=True)
+class Page:
+    """A report: the answer, what to do next, the evidence, and how it was computed.
+
+    headline says in one sentence whether to trust the answer; `terms` are keys of EXPLANATIONS.
+    """
+
+    title: str
+    subtitle: str
+    verdict: Verdict
+    headline: str
+    statements: tuple[str, ...] = ()
+    cautions: tuple[str, ...] = ()
+    answer: Block | None = None
+    drawing: Picture | None = None
+    steps: tuple[str, ...] = ()
+    evidence: tuple[Block, ...] = ()
+    terms: tuple[str, ...] = ()
+    provenance: Provenance | None = None
+
+
+def figure_picture(figure: Figure, alternative: str, *, wide: bool = True) -> Picture:
+    """A figure as a picture of a page."""
+    return Picture(svg(figure), alternative, wide)
+
+
+def html(page: Page) -> str:
+    """The page as one HTML file."""
+    environment = Environment(
+        loader=FileSystemLoader(TEMPLATES), autoescape=True, undefined=StrictUndefined, trim_blocks=True,
+        lstrip_blocks=True,
+    )  # fmt: skip
+    explanations = [(term, EXPLANATIONS[term]) for term in page.terms]
+    return environment.get_template("report.html").render(
+        page=page, explanations=explanations, inline=_inline, rows=_rows, size=_size
+    )
+
+
+def _inline(picture: Picture) -> Markup:
+    """The SVG element with its alternative text."""
+    label = Markup.escape(picture.alternative)
+    text = picture.svg
+    if "role=" not in text[: text.index(">")]:
+        text = text.replace("<svg ", f'<svg role="img" aria-label="{label}" ', 1)
+    return Markup(text)
+
+
+def _rows(columns: Sequence[TableColumn]) -> list[list[tuple[str, str]]]:
+    """Rows of a table: (text, alignment) of each cell."""
+    texts = zip(*(column.cells for column in columns), strict=True)
+    return [[(cell, column.justify) for cell, column in zip(row, columns, strict=True)] for row in texts]
+
+
+def _size(number: int) -> str:
+    """Bytes in words."""
+    return f"{number / 1e6:.1f} MB" if number >= 1e6 else f"{number / 1e3:.1f} kB"

@@ -1,0 +1,92 @@
+"""What to do next with an estimate, in sentences; commands are named with the files they would take."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from dashpot.check.collinearity import Collinearity
+from dashpot.estimate.result import Estimate
+from dashpot.io.words import joined
+from dashpot.present.text.numbers import percent, short
+
+MOST_NAMES = 4
+NOISE = (
+    "Give the noise of the sensors, so that the fit can be tested: columns NAME_sd, longer dwells or repeated tests, "
+    "or a record at rest (--noise-record)."
+)
+LOOK = (
+    "Look at where the residuals are largest: an element, a motion or a wrong value is missing there, and none of the "
+    "usual slips explains it."
+)
+UNTIL = (
+    "Until the model fits, take the values as those of the best such model, with intervals widened for the misfit, and "
+    "not outside the frequencies of this test."
+)
+
+
+def next_steps(estimate: Estimate, doubtful: Sequence[str], weak: Collinearity | None) -> list[str]:
+    """The most useful things to do, the first first."""
+    if not bool(estimate.converged):
+        return [
+            "Do not use these values.",
+            'Check the signs and units of the channels: gain = "unknown" for all but one shows a wrong one.',
+            "Give the unknowns guesses, or try another method (dashpot compare shows several).",
+        ]
+    steps = _on_fit(estimate)
+    parameters = [name for name in doubtful if "." not in name]
+    rig = estimate.rig or "rig.toml"
+    if parameters:
+        shown = joined(parameters[:MOST_NAMES]) + (" and others" if len(parameters) > MOST_NAMES else "")
+        steps.append(
+            f"{shown} {'is' if len(parameters) == 1 else 'are'} hardly determined: the interval reaches further than "
+            f"half the value. Design the next test for {'it' if len(parameters) == 1 else 'them'}: dashpot design "
+            f"{rig} --after estimate.json --for {','.join(parameters[:MOST_NAMES])} --samples N."
+        )
+    elif (least := _least_known(estimate)) is not None:
+        steps.append(
+            f"The least known is {least[0]} (± {least[1]} %). A test for it: "
+            f"dashpot design {rig} --after estimate.json --for {least[0]} --samples N."
+        )
+    if weak is not None and weak.combinations:
+        worst = weak.combinations[0]
+        steps.append(
+            f"{joined(worst.names[:MOST_NAMES])} are seen almost only together: "
+            f"with {worst.best} known from elsewhere, their intervals would shrink to {percent(worst.narrowing, 1.0)} %."
+        )
+    if estimate.assessment is not None and estimate.assessment.verdict == "fits":
+        steps.append(
+            "Before relying on it, predict a test that was not used: dashpot validate estimate.json OTHER.csv."
+        )
+    return steps
+
+
+def _on_fit(estimate: Estimate) -> list[str]:
+    """What the verdict asks for."""
+    assessment = estimate.assessment
+    if assessment is None or assessment.verdict == "fits":
+        return []
+    if assessment.verdict == "cannot tell":
+        if not estimate.fit.known_noise:
+            return [NOISE]
+        return ["Measure where the rig moves more, or longer: what is there cannot confirm the model."]
+    if assessment.findings:
+        best = assessment.findings[0]
+        left = short(max(best.remaining, 0.0) ** 0.5, 2)
+        step = f"Try the likeliest cause: {best.change}. Residuals would fall to {left} × the noise."
+        if best.channels or best.elements:
+            step += " identify with --apply NEW.toml writes the rig file that way."
+        return [step]
+    return [LOOK, UNTIL]
+
+
+def _least_known(estimate: Estimate) -> tuple[str, str] | None:
+    """The parameter with the largest relative standard deviation, with it in per cent; None where there is none."""
+    pairs = [
+        (float(sd / abs(value)), name, float(sd), float(value))
+        for name, sd, value in zip(estimate.names, estimate.sd, estimate.values, strict=True)
+        if value != 0 and "." not in name
+    ]
+    if not pairs:
+        return None
+    _, name, sd, value = max(pairs)
+    return name, percent(sd, value)
