@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -76,6 +77,23 @@ def write_report(target: str, html: str) -> None:
         write_text(target, html)
 
 
+@contextmanager
+def failure_reported(target: str | None, rig: str) -> Iterator[None]:
+    """Where the work inside gives no answer, the report says so, with the rig, before the error goes on."""
+    from dashpot.errors import ConvergenceError, IdentifiabilityError
+
+    try:
+        yield
+    except (IdentifiabilityError, ConvergenceError) as error:
+        if target is not None:
+            from dashpot.model.rigfile import read_rig
+            from dashpot.present.pages.report import failure_report
+
+            read = read_rig(rig)
+            write_report(target, failure_report(read.model, read.channels, error, provenance()))
+        raise
+
+
 def _printed(html: str) -> bytes:
     """The page as PDF."""
     import subprocess
@@ -86,7 +104,13 @@ def _printed(html: str) -> bytes:
     with tempfile.TemporaryDirectory(prefix="dashpot-") as folder:
         page, printed = Path(folder) / "report.html", Path(folder) / "report.pdf"
         page.write_bytes(html.encode("utf-8", errors="backslashreplace"))
-        command = [browser(), *QUIET, f"--user-data-dir={folder}/profile", f"--print-to-pdf={printed}", page.as_uri()]
+        command = [
+            browser(),
+            *QUIET,
+            f"--user-data-dir={folder}/profile",
+            f"--print-to-pdf={printed}",
+            page.as_uri(),
+        ]
         try:
             subprocess.run(command, capture_output=True, timeout=PRINTING_S, check=True)
             return printed.read_bytes()

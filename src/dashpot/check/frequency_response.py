@@ -20,7 +20,9 @@ from dashpot.estimate.result import Estimate
 from dashpot.model.network import Model
 
 POINTS = 400
-NEAR = np.linspace(-8, 8, 33)  # half-power half-widths around a mode that are looked at besides
+NEAR = np.tan(
+    np.linspace(-1.5, 1.5, 61)
+)  # half-widths around a mode: evenly on its circle in the complex plane
 MOST_UNKNOWNS = 60  # with a band
 STEP = 0.1  # standard deviations, of the differences
 

@@ -24,9 +24,11 @@ from dashpot.app.options import (
     whole_record_options,
 )
 from dashpot.app.parameter_types import SHARE
+from dashpot.app.report_files import failure_reported, report_option
 from dashpot.estimate.registry import METHODS
 
 if TYPE_CHECKING:
+    from dashpot.check.validation import RecordPrediction
     from dashpot.data.spectrum import Spectrum
     from dashpot.errors import ConvergenceError, DashpotError, IdentifiabilityError
     from dashpot.estimate.method import Method
@@ -64,7 +66,7 @@ ESTIMATION = "Estimation"
 )  # fmt: skip
 @json_option("the estimate")
 @file_option("--apply", "NEW.toml", "Write the rig file as the likeliest cause of a misfit would have it.")
-@file_option("--report", "FILE.html", "Write a report with figures as one HTML file.")
+@report_option
 @option("--matrices", is_flag=True, group="Output", help="Print M, C and K as well.")
 @level_option
 @conditioning_options
@@ -84,30 +86,41 @@ def command(
     Exit codes: 0 done, whatever the verdict; 2 bad usage, model or data; 3 the data do not determine the unknowns, or
     the iteration did not converge; 4 with --strict, the model does not fit.
     """
-    rig_read = _rig(rig, chosen, positive, matrices)
-    estimate, spectrum = None, None
-    if len(rig_read.model.nonlinear):
-        estimate = _of_nonlinear_records(rig_read, data, conditioning, chosen, report, quiet)
-    records, used = True, (0.0, 1.0 if hold_out is None else 1.0 - hold_out)
-    if estimate is None:
-        from dashpot.app.data_files import read_data
+    with failure_reported(report, rig):
+        rig_read = _rig(rig, chosen, positive, matrices)
+        estimate, spectrum = None, None
+        if len(rig_read.model.nonlinear):
+            from dashpot.app.nonlinear_records import whole_record_estimate
 
-        measured = read_data(rig_read, data, conditioning, quiet, moments_for=[chosen], part=used)
-        method = _method(chosen, rig_read, measured.spectrum, seed, positive)
-        estimate, spectrum = _estimated(rig, rig_read, measured.spectrum, method, seed, quiet)
-        records = measured.records
-    if report is not None and spectrum is not None:
-        from dashpot.io.atomic import write_text
+            estimate = whole_record_estimate(rig_read, data, conditioning, chosen, quiet)
+        records, used = True, (0.0, 1.0 if hold_out is None else 1.0 - hold_out)
+        if estimate is None:
+            from dashpot.app.data_files import read_data
+
+            measured = read_data(rig_read, data, conditioning, quiet, moments_for=[chosen], part=used)
+            method = _method(chosen, rig_read, measured.spectrum, seed, positive)
+            estimate, spectrum = _estimated(rig, rig_read, measured.spectrum, method, seed, quiet)
+            records = measured.records
+    held = () if hold_out is None else _held_out(rig_read, estimate, data, conditioning, used[1])
+    if report is not None:
+        from dashpot.app.report_files import provenance, write_report
         from dashpot.present.pages.report import identification_report
 
-        write_text(report, identification_report(rig_read.model, spectrum, estimate, level, [rig, *data]))
+        page = identification_report(
+            rig_read.model, spectrum, estimate, level, provenance(), channels=rig_read.channels, held_out=held,
+            records=records,
+        )  # fmt: skip
+        write_report(report, page)
     write_result(json_out, estimate.to_json())
     if apply is not None:
         _apply(rig_read, estimate, apply)
     if not quiet and json_out != STDOUT:
         _show(rig_read, estimate, level, matrices, records)
-        if hold_out is not None:
-            _show_held_out(rig_read, estimate, data, conditioning, used[1])
+        if held:
+            from dashpot.present.tables.layout import console
+            from dashpot.present.tables.validation import show_validation
+
+            show_validation(console(), held)
     return _ending(estimate, strict)
 
 
@@ -151,37 +164,14 @@ def _estimated(
         return replace(examined(rig.model, spectrum, estimate, seed=seed), rig=path), spectrum
 
 
-def _of_nonlinear_records(
-    rig: Rig,
-    data: tuple[str, ...],
-    conditioning: dict[str, Any],
-    chosen: str,
-    report: str | None,
-    quiet: bool,
-) -> Estimate | None:
-    """The estimate from whole records of a nonlinear rig; None where the data are dwells or amplitudes."""
-    from dashpot.app.nonlinear_records import whole_record_estimate
-    from dashpot.errors import UsageError
-
-    estimate = whole_record_estimate(rig, data, conditioning, chosen, quiet)
-    if estimate is not None and report is not None:
-        raise UsageError(
-            "there is no report of whole records of nonlinear rigs yet", "--report", "leave the option out"
-        )
-    return estimate
-
-
-def _show_held_out(
+def _held_out(
     rig: Rig, estimate: Estimate, data: tuple[str, ...], conditioning: dict[str, Any], since: float
-) -> None:
+) -> tuple[RecordPrediction, ...]:
     """How well the end of each record is predicted, which the fit has not seen."""
     from dashpot.app.data_files import read_spectrum
     from dashpot.check.validation import validate
-    from dashpot.present.tables.layout import console
-    from dashpot.present.tables.validation import show_validation
 
-    held = read_spectrum(rig, data, conditioning, True, part=(since, 1.0))
-    show_validation(console(), validate(rig.model, estimate, held))
+    return validate(rig.model, estimate, read_spectrum(rig, data, conditioning, True, part=(since, 1.0)))
 
 
 def _explained(

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import MaxNLocator, MultipleLocator
+from matplotlib.ticker import LogLocator, MaxNLocator, MultipleLocator, NullFormatter, StrMethodFormatter
 
 from dashpot.check.frequency_response import FrequencyResponse
 from dashpot.present.figures.spectra import MANY, frequency_axis
@@ -39,10 +39,10 @@ def response_figure(responses: Sequence[FrequencyResponse]) -> Figure:
 
 def _amplitude(axes: Axes, shown: FrequencyResponse) -> None:
     size = np.abs(shown.measured)
-    low = np.minimum(2 * shown.sd, 0.999 * size)
+    below = np.minimum(2 * shown.sd, 0.999 * size)
     many = len(size) > MANY
     axes.errorbar(
-        shown.lines_hz, size, yerr=[np.nan_to_num(low), np.nan_to_num(2 * shown.sd)], fmt="o", color=DATA,
+        shown.lines_hz, size, yerr=[np.nan_to_num(below), np.nan_to_num(2 * shown.sd)], fmt="o", color=DATA,
         ms=1.6 if many else 3.2, elinewidth=0.4 if many else 0.8, label="measured, ±2 sd", zorder=2, rasterized=many,
     )  # fmt: skip
     curve = np.abs(shown.response)
@@ -57,7 +57,12 @@ def _amplitude(axes: Axes, shown: FrequencyResponse) -> None:
     everything = np.concatenate([size, curve])
     positive = everything[np.isfinite(everything) & (everything > 0)]
     if len(positive):
-        axes.set_ylim(float(np.min(positive)) / 1.6, float(np.max(positive)) * 1.6)
+        low, high = float(np.min(positive)) / 1.6, float(np.max(positive)) * 1.6
+        axes.set_ylim(low, high)
+        if high < 300 * low:
+            axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0), numticks=12))
+            axes.yaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
+            axes.yaxis.set_minor_formatter(NullFormatter())
 
 
 def _phase(axes: Axes, shown: FrequencyResponse) -> None:

@@ -71,7 +71,7 @@ def prediction_block(title: str, predictions: Sequence[RecordPrediction]) -> Blo
             records[0].measured, records[0].predicted,
         )  # fmt: skip
         pictures.append(figure_picture(figure, f"Histories and spectra: {' '.join(texts)}"))
-    return Block(title, tuple(texts), pictures=tuple(pictures))
+    return Block(title, tuple(texts), pictures=tuple(pictures), whole=True)
 
 
 def _responses(model: Model, spectrum: Spectrum, estimate: Estimate, found: Residuals) -> list[Block]:
@@ -87,7 +87,7 @@ def _responses(model: Model, spectrum: Spectrum, estimate: Estimate, found: Resi
             f"{joined([r.channel for r in responses[:MOST_PLANES]])} in the complex plane",
         )
         return [
-            Block("Measured and model", (text,), pictures=(panels,)),
+            Block("Measured and model", (text,), pictures=(panels,), whole=True),
             Block("In the complex plane", ("Each resonance is a circle.",), pictures=(plane,)),
         ]
     driven = [i for i, name in enumerate(found.channels) if np.any(np.isfinite(found.normalised[:, i]))]
@@ -107,6 +107,7 @@ def _responses(model: Model, spectrum: Spectrum, estimate: Estimate, found: Resi
         Block(
             "Measured and model", (text,),
             pictures=(figure_picture(figure, f"Amplitude and phase of {joined(names)}, measured and predicted"),),
+            whole=True,
         )
     ]  # fmt: skip
 

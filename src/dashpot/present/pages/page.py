@@ -30,13 +30,14 @@ class Picture:
 
 @dataclass(frozen=True)
 class Block:
-    """A heading with paragraphs, tables and pictures."""
+    """A heading with paragraphs, tables and pictures; `whole` takes the whole width of a wide screen."""
 
     title: str
     paragraphs: tuple[str, ...] = ()
     tables: tuple[tuple[TableColumn, ...], ...] = ()
     pictures: tuple[Picture, ...] = ()
     items: tuple[str, ...] = ()
+    whole: bool = False
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,7 @@ from dashpot.check.doubt import doubtful, undetermined
 from dashpot.check.residuals import Residuals, calibrations_of, residuals
 from dashpot.check.validation import RecordPrediction
 from dashpot.data.spectrum import Spectrum
-from dashpot.errors import DashpotError, UsageError
+from dashpot.errors import DashpotError, IdentifiabilityError, UsageError
 from dashpot.estimate.result import Estimate
 from dashpot.io.words import joined
 from dashpot.model.network import Model
@@ -39,6 +39,11 @@ from dashpot.present.text.next_steps import next_steps
 from dashpot.present.text.numbers import short
 
 MOST_MODES = 4
+HALF = 760.0  # px of a drawing that still has room beside the parameters
+NO_ANSWER = {
+    "identifiable": "No answer: the channels and data do not determine the unknowns.",
+    "converged": "No answer: the iteration did not converge.",
+}
 TERMS = (
     "±",
     "interval",
@@ -85,7 +90,7 @@ def identification_report(
         _verdict(estimate),
         headline(estimate, unsure),
         tuple(_statements(estimate)),
-        tuple(warnings_in_words(estimate, records=records)),
+        tuple(capitalised(text) for text in warnings_in_words(estimate, records=records)),
         Block("Parameters", tuple(_below_parameters(estimate)), (tuple(parameter_columns(estimate, level)),)),
         rig_picture(model, shown, estimate, unsure, level),
         tuple(next_steps(estimate, unsure, found.collinearity)),
@@ -100,19 +105,16 @@ def failure_report(
     model: Model,
     channels: Sequence[Channel],
     error: DashpotError,
-    headline_text: str,
     provenance: Provenance | None = None,
 ) -> str:
     """HTML page of an identification that gave nothing: why, what would help, and the rig."""
     problems = [sentence(problem.what[:1].upper() + problem.what[1:]) for problem in error.problems]
-    cures = [
-        sentence(problem.cure[:1].upper() + problem.cure[1:]) for problem in error.problems if problem.cure
-    ]
+    cures = [sentence(capitalised(problem.cure)) for problem in error.problems if problem.cure]
     page = Page(
         model.name or "Identification",
         "No parameters were estimated.",
         "bad",
-        headline_text,
+        NO_ANSWER["identifiable" if isinstance(error, IdentifiabilityError) else "converged"],
         tuple(problems),
         drawing=rig_picture(model, channels, None, undetermined(model, channels), 0.95),
         steps=tuple(dict.fromkeys(cures)),
@@ -129,7 +131,7 @@ def rig_picture(
         drawing = schematic(model, channels, estimate, unsure, level)
     except UsageError:
         return None
-    return Picture(drawing.svg(), drawing.title, wide=False)
+    return Picture(drawing.svg(), drawing.title, wide=drawing.width > HALF)
 
 
 def headline(estimate: Estimate, unsure: Sequence[str]) -> str:
@@ -147,6 +149,11 @@ def headline(estimate: Estimate, unsure: Sequence[str]) -> str:
         why = f" Likely cause: {sentence(cause)}" if cause else ""
         return f"The model does not fit the data: do not sign these values as they are.{why}{rest}"
     return sentence(VERDICTS[verdict]) + rest
+
+
+def capitalised(text: str) -> str:
+    """The text with a capital letter first."""
+    return text[:1].upper() + text[1:]
 
 
 def _subtitle(estimate: Estimate, spectrum: Spectrum | None) -> str:
@@ -170,9 +177,13 @@ def _verdict(estimate: Estimate) -> Verdict:
 
 def _statements(estimate: Estimate) -> list[str]:
     """The verdict with its numbers and the motion that is left over."""
-    causes = set() if estimate.assessment is None else set(diagnosis_in_words(estimate.assessment.findings))
+    assessment = estimate.assessment
+    if assessment is None:
+        return [text for text, _ in fit_paragraphs(estimate)[1:]]
+    causes = set(diagnosis_in_words(assessment.findings))
     texts = [text for text, _ in fit_paragraphs(estimate) if text not in causes]
-    return texts
+    # The headline has said the verdict.
+    return [capitalised(text.removeprefix(f"{VERDICTS[assessment.verdict]}: ")) for text in texts]
 
 
 def _below_parameters(estimate: Estimate) -> list[str]:
@@ -205,7 +216,7 @@ def _evidence(
     blocks = []
     if estimate.assessment is not None and estimate.assessment.findings:
         causes = tuple(diagnosis_in_words(estimate.assessment.findings))
-        blocks.append(Block("Why it does not fit", items=causes))
+        blocks.append(Block("Why it does not fit", items=causes, whole=True))
     blocks += evidence_blocks(model, spectrum, estimate, found.residuals, found.collinearity)
     if held_out:
         blocks.append(prediction_block("Predicted, not used", held_out))
@@ -224,4 +235,4 @@ def _modes(model: Model, estimate: Estimate) -> Block:
             pictures.append(Picture(mode_drawing(model, shape, title).svg(), title, wide=False))
         except UsageError:
             break
-    return Block("Modes", (), (tuple(mode_columns(estimate.modes)),), tuple(pictures))
+    return Block("Modes", (), (tuple(mode_columns(estimate.modes)),), tuple(pictures), whole=True)

@@ -51,7 +51,7 @@ def next_steps(estimate: Estimate, doubtful: Sequence[str], weak: Collinearity |
         worst = weak.combinations[0]
         steps.append(
             f"{joined(worst.names[:MOST_NAMES])} are seen almost only together: "
-            f"with {worst.best} known from elsewhere, their intervals would shrink to {percent(worst.narrowing, 1.0)} %."
+            f"with {worst.best} known from elsewhere, their intervals shrink to {percent(worst.narrowing, 1.0)} %."
         )
     if estimate.assessment is not None and estimate.assessment.verdict == "fits":
         steps.append(

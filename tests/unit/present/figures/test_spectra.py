@@ -15,8 +15,8 @@ def test_figures_leave_no_settings_behind() -> None:
     z = np.array([[1 + 1j], [2.0], [0.0]])
     figure = figures.amplitude_and_phase(["a"], ["m"], f, z, np.full((3, 1), 0.1), None, None, z)
     assert svg(figure).startswith("<svg")
-    svg(figures.residual_plot(["a"], f, np.full((3, 1), np.nan + 0j)))
-    svg(figures.history_plot(["a"], np.array([[1.0], [0.0]])))
+    svg(figures.residual_plot(["a"], f, np.full((3, 1), np.nan)))
+    svg(figures.residual_plot(["a"], f, np.array([[1.0], [2.0], [40.0]]), [("a", 5.0, 40.0)]))
     assert dict(mpl.rcParams) == before
 
 

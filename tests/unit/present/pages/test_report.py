@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 from html.parser import HTMLParser
 
 import numpy as np
 
-from dashpot import Estimate
-from dashpot.present.pages.report import identification_report
+from dashpot import Estimate, IdentifiabilityError, identify
+from dashpot.check.diagnosis.diagnose import examined
+from dashpot.check.residuals import residuals
+from dashpot.present.pages.page import Provenance, SourceFile
+from dashpot.present.pages.report import failure_report, identification_report
 from dashpot.present.tables.estimate import parameter_rows
 from tests.unit.present.conftest import RIG, measured
 
@@ -16,7 +20,7 @@ from tests.unit.present.conftest import RIG, measured
 class Page(HTMLParser):
     """Tags that are open at the end, and addresses outside the page."""
 
-    VOID = frozenset({"meta", "br", "path", "use", "rect"})
+    VOID = frozenset({"meta", "br", "path", "use", "rect", "circle", "animate", "image"})
 
     def __init__(self) -> None:
         super().__init__()
@@ -47,28 +51,98 @@ class Page(HTMLParser):
         assert self.open.pop() == tag
 
 
-def test_the_report_stands_alone(good: Estimate) -> None:
-    html = identification_report(RIG.model, measured(), good, 0.95, ["rig.toml", "a&b.csv"])
+PROVENANCE = Provenance(
+    "2031-02-03 04:05 +0000",
+    (("dashpot", "9.9"),),
+    "dashpot identify rig.toml 'a&b.csv'",
+    "/home/me",
+    (("--level", "0.95", False), ("--seed", "7", True)),
+    (SourceFile("a&b.csv", 1234, "0123abcd"),),
+)
+
+
+def page_of(html: str) -> Page:
+    """The page, whose tags must be closed and which must ask for nothing outside."""
     page = Page()
     page.feed(html)
     assert page.open == []
     assert page.outside == []
-    assert page.seen.count("svg") == 4
     assert "script" not in page.seen
+    return page
+
+
+def test_the_report_stands_alone(good: Estimate) -> None:
+    html = identification_report(RIG.model, measured(), good, 0.95, PROVENANCE)
+    assert html == identification_report(RIG.model, measured(), good, 0.95, PROVENANCE)
+    page_of(html)
     assert "&lt;script&gt;" in html
-    assert "a&amp;b.csv" in html
-    for title in ("Parameters", "Modes", "Measured and predicted", "Residuals", "Convergence", "Correlation"):
+    assert "<script>" not in html
+    for title in (
+        "Parameters",
+        "What next",
+        "Modes",
+        "Measured and model",
+        "Residuals",
+        "Correlation",
+        "What each line",
+    ):
         assert f"<h2>{title}" in html
     for row in parameter_rows(good):
         assert row.value in html
+    for text in (
+        "2031-02-03",
+        "dashpot 9.9",
+        "identify rig.toml",
+        "/home/me",
+        "<b>--seed 7</b>",
+        "0123abcd",
+        "a&amp;b.csv",
+    ):
+        assert text in html
+    assert html.index("Parameters") < html.index("What next") < html.index("<h2>Modes")
 
 
-def test_the_report_is_the_same_every_time(good: Estimate) -> None:
-    assert identification_report(RIG.model, measured(), good) == identification_report(
-        RIG.model, measured(), good
-    )
+def test_numbers_are_those_of_the_json_and_of_the_pictures() -> None:
+    estimate = examined(RIG.model, measured(), identify(RIG.model, measured()))
+    html = identification_report(RIG.model, measured(), estimate)
+    content = json.loads(estimate.to_json())
+    assert estimate.assessment is not None
+    worst = content["fit"]["worst"][0]
+    label = f"{worst['channel']}, {worst['frequency_hz']:.4g} Hz: {worst['sd']:.2g}"
+    assert label in html  # in the picture
+    assert f"The largest is {worst['sd']:.2g}: {worst['channel']} at" in html
+    found = residuals(RIG.model, estimate.values, measured())
+    assert np.nanmax(np.abs(found.normalised)) / np.sqrt(2) == worst["sd"]
+    for name, part in content["fit"]["relative_residual"].items():
+        assert f"{100 * part:.2g} % at {name}" in html
+    for name, value in content["parameters"].items():
+        shown = next(row for row in parameter_rows(estimate) if row.name == name)
+        assert abs(float(shown.value) - value["value"]) <= max(0.06 * value["sd"], 1e-9 * abs(value["value"]))
 
 
 def test_not_converged_is_loud(good: Estimate) -> None:
     stuck = replace(good, converged=np.asarray(False))
-    assert "did not converge" in identification_report(RIG.model, measured(), stuck)
+    html = identification_report(RIG.model, None, stuck)
+    assert html.index("No answer: the iteration did not converge") < html.index("<h2>Parameters")
+    assert "Do not use these values" in html
+
+
+def test_a_misfit_is_said_first(bad: Estimate) -> None:
+    estimate = examined(RIG.model, measured(extra=0.2), bad)
+    html = identification_report(RIG.model, measured(extra=0.2), estimate)
+    assert html.index("The model does not fit") < html.index("<h2>Parameters")
+
+
+def test_where_nothing_is_determined_the_report_says_so() -> None:
+    error = IdentifiabilityError("the data fix only k1 + k2", cure="give one of them a value")
+    html = failure_report(RIG.model, RIG.channels, error, PROVENANCE)
+    page_of(html)
+    for text in ("do not determine", "The data fix only k1 + k2.", "Give one of them a value.", "<svg"):
+        assert text in html
+
+
+def test_nonlinear_rigs_and_whole_records_need_no_spectrum(good: Estimate) -> None:
+    html = identification_report(RIG.model, None, good, channels=RIG.channels)
+    page_of(html)
+    assert "<h2>Intervals" in html
+    assert "<h2>Residuals" not in html
