@@ -352,6 +352,14 @@ class Model:
         }
 
     @cached_property
+    def letters(self) -> Ints:
+        """Index in MATRICES of the matrix that each element enters, −1 for nonlinear elements; (elements,)."""
+        letters = np.full(len(self.elements), -1)
+        for index, members in enumerate(self.by_matrix.values()):
+            letters[members] = index
+        return frozen(letters, np.int64)
+
+    @cached_property
     def products(self) -> Mapping[str, Real | sparse.csr_array]:
         """b_iᵀ [b_i | d_i] of the elements of M, C, K and H, flattened: (elements of it, n (n + r)).
 

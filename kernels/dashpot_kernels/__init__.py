@@ -1,0 +1,15 @@
+"""The hot loops of dashpot in C++; `dashpot.numerics.kernel` chooses between them and their NumPy twins."""
+
+from dashpot_kernels._core import (
+    Equation,
+    Output,
+    Rig,
+    harmonic_sums,
+    instruction_set,
+    instruction_sets,
+    line_shares,
+    set_instructions,
+)
+
+__all__ = ["Equation", "Output", "Rig", "harmonic_sums", "instruction_set", "instruction_sets", "line_shares", "set_instructions"]
+__version__ = "0.1.0"

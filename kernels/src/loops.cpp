@@ -1,0 +1,18 @@
+// All loops of one instruction set, named by DASHPOT_SET.
+#include "equation.hpp"
+#include "harmonics.hpp"
+#include "output.hpp"
+
+#define TEXT_OF(x) #x
+#define TEXT(x) TEXT_OF(x)
+
+namespace DASHPOT_SET {
+
+extern const dashpot::Loops LOOPS;
+const dashpot::Loops LOOPS = {
+    TEXT(DASHPOT_SET), equation_workspace, equation_evaluate, equation_lines, equation_starts, equation_descend,
+    output_workspace,  output_evaluate,    output_lines,      output_descend, line_shares,
+    harmonic_sums,
+};
+
+}  // namespace DASHPOT_SET

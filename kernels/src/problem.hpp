@@ -1,0 +1,108 @@
+// What the loops work on: plain pointers, so that code of several instruction sets may share them.
+#pragma once
+
+namespace dashpot {
+
+// A rig at its lines.  Arrays over lines have a stride of `stride`, a multiple of 8, and repeat the last line.
+struct Rig {
+    int n, r, s, elements, unknowns, lines, stride;
+    const double *T, *p0;  // p = T theta + p0
+    // Entries of the letter matrices: += value * p[element] at place = row (n + r) + column.
+    int cells;
+    const int *cell_element, *cell_letter, *cell_place;
+    const double *cell_value;
+    // phi of the letters M, C, K, H, real or imaginary; (4, stride)
+    const double *factor;
+    bool imaginary[4], used[4];
+    const int *letter;  // of each element
+    // Points (coordinates, then displacement inputs) that each element joins.
+    const int *join_start, *join_point;
+    const double *join_value;
+    // Elements with an unknown part, and the elements of each unknown.
+    int active;
+    const int *active_element;
+    const int *tie_start, *tie_active;
+    const double *tie_value;
+    // Entries of B^T diag(a) T: rows of each unknown's column, and the terms of each entry.
+    const int *column_start, *entry_row, *term_start, *term_active;
+    const double *term_value;
+    // Elements with a known part.
+    int known;
+    const int *known_element;
+    const double *S;                   // (n, s)
+    const double *precision, *mean;    // priors, (unknowns,)
+};
+
+// Measured states of K repeats: z (K, lines, q) and its covariance (K or 1, lines, q, q), complex.
+struct Equation {
+    const Rig *rig;
+    int repeats, q;
+    const double *z, *covariance;
+    bool shared;  // one covariance for all repeats
+    // Places of the covariance that are not 0 throughout.
+    int places;
+    const int *place_row, *place_column;
+    const unsigned char *row_noisy;  // (q,)
+};
+
+// Channels of K repeats: y (K, lines, channels), W (K or 1, lines, channels, channels), inputs (K, lines, r + s).
+struct Output {
+    const Rig *rig;
+    int repeats, channels, gains, delays, all;  // all: unknowns with gains and delays
+    const double *y, *W, *inputs;               // inputs may be null: estimated line by line
+    bool shared, diagonal;
+    const double *rate;             // (channels, stride), (j omega)^derivative
+    const unsigned char *turned;    // (channels,), whether that is imaginary
+    const double *omega;            // (stride,)
+    const double *on_x, *on_q, *force;  // (channels, n), (channels, r + s), (channels, elements)
+    const unsigned char *sees;      // (channels,), whether it shows more than inputs
+    const unsigned char *has_force; // (channels,)
+    const int *gain, *delay;        // (channels,)
+    bool calibrated;                // some gain, delay or sign is to be found
+    const double *precision, *mean; // (all,)
+};
+
+struct Limits {
+    const double *lower, *upper, *longest;  // (unknowns,)
+    int limit, patience;
+    double tolerance;
+    const unsigned char *logarithmic;  // (unknowns,), null: none
+};
+
+struct Ends {
+    double *x, *cost;
+    unsigned char *converged;
+    long long *iterations;
+    double *history;     // of the first row, (limit + 1, unknowns); may be null
+    int *history_rows;
+};
+
+enum Kind { SQUARES = 0, LOGARITHMS = 1 };
+
+// One set of loops; each works on rows `from` to `to` with a workspace of the size it names.
+struct Loops {
+    const char *name;
+    unsigned long (*equation_workspace)(const Equation &);
+    void (*equation_evaluate)(const Equation &, const double *theta, const long long *rows, long from, long to,
+                              double *cost, double *gradient, double *symmetric, double *mixed, char *work);
+    void (*equation_lines)(const Equation &, const double *theta, long from, long to, double *information,
+                           double *scores, double *cost, char *work);
+    void (*equation_starts)(const Equation &, long from, long to, double *clean, double *weighted, double *plain,
+                            char *work);
+    void (*equation_descend)(const Equation &, const double *start, const long long *rows, long from, long to,
+                             const Limits &, const Ends &, char *work);
+    unsigned long (*output_workspace)(const Output &);
+    void (*output_evaluate)(const Output &, const double *psi, const double *sign, const long long *rows, long from,
+                            long to, int kind, const double *weight, bool slopes, double *cost, double *gradient,
+                            double *information, char *work);
+    void (*output_lines)(const Output &, const double *psi, const double *sign, long from, long to,
+                         double *information, double *scores, double *cost, char *work);
+    void (*output_descend)(const Output &, const double *start, const double *sign, const long long *rows, long from,
+                           long to, int kind, const double *weight, const Limits &, const Ends &, char *work);
+    void (*line_shares)(const double *information, const double *inflation, const double *bread, long lines, int m,
+                        double *shares, double *diagonals);
+    void (*harmonic_sums)(const double *values, long from, long to, int channels, const double *turns,
+                          int frequencies, double origin, double *sums, double *plain, double *largest);
+};
+
+}  // namespace dashpot

@@ -1,0 +1,75 @@
+"""Which arithmetic does the work: the compiled kernel of the package dashpot-kernels, or its twins in NumPy.
+
+The environment variable DASHPOT_KERNEL says: "auto" (the default: compiled where it is installed), "compiled" (or an
+error), "numpy".  `using` says it for a piece of a program.  Both give the same results to rounding.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
+from functools import cache
+from types import ModuleType
+from typing import Any
+
+from dashpot.errors import UsageError
+
+VARIABLE = "DASHPOT_KERNEL"
+THREADS = "DASHPOT_KERNEL_THREADS"
+CHOICES = ("auto", "compiled", "numpy")
+
+_choice: ContextVar[str | None] = ContextVar("kernel", default=None)
+
+
+def kernel() -> Any | None:
+    """The compiled module, None where NumPy is to do the work.
+
+    Raises UsageError where the compiled kernel is asked for and not installed, or the choice is none.
+    """
+    choice = _choice.get() or os.environ.get(VARIABLE) or "auto"
+    if choice == "numpy":
+        return None
+    if choice not in CHOICES:
+        raise UsageError(f"{VARIABLE} is {choice!r}", cure=f"it may be {', '.join(CHOICES)}")
+    module = _compiled()
+    if module is None and choice == "compiled":
+        raise UsageError(
+            "the compiled kernel is not installed", cure="pip install 'dashpot[fast]', or let the choice be auto"
+        )
+    return module
+
+
+@contextmanager
+def using(choice: str) -> Iterator[None]:
+    """Let `kernel` answer as `choice` says for as long as this context lasts."""
+    if choice not in CHOICES:
+        raise UsageError(f"no kernel {choice!r}", cure=f"there are {', '.join(CHOICES)}")
+    token = _choice.set(choice)
+    try:
+        yield
+    finally:
+        _choice.reset(token)
+
+
+def threads() -> int:
+    """Threads of one call of the kernel: DASHPOT_KERNEL_THREADS, else one, since commands work in processes."""
+    given = os.environ.get(THREADS, "1")
+    return max(1, int(given)) if given.isdigit() else 1
+
+
+def description() -> str:
+    """What does the work, for records of a run: "numpy" or the kernel's version and instruction set."""
+    module = kernel()
+    return "numpy" if module is None else f"compiled {module.__version__} {module.instruction_set()}"
+
+
+@cache
+def _compiled() -> ModuleType | None:
+    try:
+        import dashpot_kernels
+    except ImportError:
+        return None
+    module: ModuleType = dashpot_kernels
+    return module
