@@ -5,7 +5,7 @@
     python3 dev.py test [ARGS]   the tests, a few minutes; --long: those that take longer; other ARGS go to pytest
     python3 dev.py check         ruff, mypy and the import contracts
     python3 dev.py bench [NAME]  the benchmarks, all or the named ones; what follows the first -option goes to them
-    python3 dev.py env           only make the environment, .venv
+    python3 dev.py env           only make the environment, .venv, with the compiled kernel where it can be built
     python3 dev.py lock [ARGS]   renew requirements/*locked.txt; --upgrade moves every pin
     python3 dev.py lowest [ARGS] the unit tests on the wheel with the lowest versions that pyproject.toml allows;
                                  --python VERSION takes another Python, other ARGS go to pytest
@@ -42,6 +42,9 @@ BIN = VENV / ("Scripts" if os.name == "nt" else "bin")
 PYTHON = BIN / ("python.exe" if os.name == "nt" else "python")
 STAMP = VENV / "stamp.json"
 PEERS_STAMP = VENV / "stamp-peers.json"
+KERNELS = ROOT / "kernels"
+KERNEL_STAMP = VENV / "stamp-kernel.json"
+KERNEL_SECONDS = 300  # after which a build is given up
 PIP_LOG = VENV / "pip.log"
 REQUIREMENTS = ROOT / "requirements"
 LOCKED = REQUIREMENTS / "locked.txt"
@@ -113,6 +116,14 @@ def project_stamp(pyproject: str) -> str:
     table = tomllib.loads(pyproject)
     used = [table.get("project"), table.get("build-system"), table.get("tool", {}).get("hatch")]
     return digest(json.dumps(used, sort_keys=True))
+
+
+def extras_of(pyproject: str) -> list[str]:
+    """Names of the optional dependencies that come from a registry; the compiled kernel is built from its sources."""
+    import tomllib
+
+    extras = tomllib.loads(pyproject)["project"]["optional-dependencies"]
+    return [name for name in extras if name != "fast"]
 
 
 def pip_complaint(output: str) -> str:
@@ -198,19 +209,23 @@ def call(command: Sequence[str | Path], cwd: Path | None = None, **variables: st
             process.terminate()
 
 
-def quietly(command: Sequence[str | Path]) -> str:
-    """Run, return the output; SetupError carries it when the command fails."""
-    done = subprocess.run(
-        [str(word) for word in command],
-        cwd=ROOT,
-        env=child_environment(os.environ, {}),
-        stdin=subprocess.DEVNULL,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.STDOUT,
-        close_fds=False,  # the child shares the lock of only_one, which so outlives a killed dev.py
-        text=True,
-        errors="replace",
-    )
+def quietly(command: Sequence[str | Path], seconds: float | None = None) -> str:
+    """Run, return the output; SetupError carries it when the command fails, or takes longer than `seconds`."""
+    try:
+        done = subprocess.run(
+            [str(word) for word in command],
+            cwd=ROOT,
+            env=child_environment(os.environ, {}),
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            close_fds=False,  # the child shares the lock of only_one, which so outlives a killed dev.py
+            text=True,
+            errors="replace",
+            timeout=seconds,
+        )
+    except subprocess.TimeoutExpired as slow:
+        raise SetupError(f"ERROR: not done after {slow.timeout:g} s") from slow
     if done.returncode:
         raise SetupError(done.stdout)
     return done.stdout
@@ -326,6 +341,58 @@ def make_environment() -> None:
         write_stamp(STAMP, wanted)
 
 
+def kernel_stamp(sources: Iterable[Path], compiler: str, packages: str) -> str:
+    """What the compiled kernel follows from: its sources, the compiler, the environment it is built in."""
+    parts = [part for path in sorted(sources) for part in (path.name, path.read_bytes())]
+    return digest(*parts, compiler, packages)
+
+
+def kernel_sources() -> list[Path]:
+    """Every file that the kernel is built from."""
+    kept = (".toml", ".txt", ".hpp", ".cpp", ".py")
+    return [path for path in KERNELS.rglob("*") if path.is_file() and path.suffix in kept]
+
+
+def find_compiler() -> str | None:
+    """The C++ compiler of this machine: CXX, or what is on the path."""
+    asked = os.environ.get("CXX")
+    names = [asked] if asked else ["c++", "g++", "clang++"]
+    return next((place for name in names if (place := shutil.which(name))), None)
+
+
+def install_kernel() -> None:
+    """Build and install the compiled kernel; whatever stands in the way is told in one line, and all works without."""
+    compiler = find_compiler()
+    packages = read_stamp(STAMP).get("packages", "")
+    wanted = {"kernel": kernel_stamp(kernel_sources(), str(compiler), packages)}
+    if read_stamp(KERNEL_STAMP) == wanted:
+        return
+    with only_one(ROOT / ".venv.lock"):
+        if read_stamp(KERNEL_STAMP) == wanted:
+            return
+        KERNEL_STAMP.unlink(missing_ok=True)
+        if compiler is None:
+            say("going on without the compiled kernel: there is no C++ compiler (NumPy does its work, more slowly)")
+        else:
+            build_kernel()
+        write_stamp(KERNEL_STAMP, wanted)  # a build that failed would fail again
+
+
+def build_kernel() -> None:
+    say("building the compiled kernel, about half a minute")
+    command = [
+        PYTHON, "-m", "pip", "--log", PIP_LOG, "install", "--no-deps", "--no-build-isolation", "--no-index",
+        "--force-reinstall", KERNELS,
+    ]  # fmt: skip
+    try:
+        quietly(command, seconds=KERNEL_SECONDS)
+    except SetupError as failure:
+        with contextlib.suppress(SetupError):  # nor one of other sources
+            quietly([PYTHON, "-m", "pip", "uninstall", "--yes", "dashpot-kernels"])
+        reason = pip_complaint(str(failure))
+        say(f"going on without the compiled kernel: it could not be built: {reason} (pip's own words: {PIP_LOG})")
+
+
 def install_peers() -> None:
     """Peers of the benchmarks that not every machine can have; without them their benchmarks say so."""
     wanted = {"packages": digest(PEERS_LOCKED.read_bytes())}
@@ -420,7 +487,9 @@ def other_versions(which: str, extra: list[str]) -> int:
                 ":all:",
             ]
             # From pyproject.toml, not from the wheel, whose own dependencies would not count as direct.
-            quietly([*install, *resolution, "-r", "pyproject.toml", "--all-extras"])
+            # But for the extra of the compiled kernel, which is built from this clone.
+            extras = [word for name in extras_of((ROOT / "pyproject.toml").read_text()) for word in ("--extra", name)]
+            quietly([*install, *resolution, "-r", "pyproject.toml", *extras])
             quietly([*install, "--no-deps", wheel])
             kept = quietly([uv, "pip", "freeze", "--quiet", "--python", python, "--exclude-editable"])
             constraints = folder / "constraints.txt"
@@ -487,6 +556,7 @@ def main(argv: Sequence[str]) -> int:
         if command in ("lowest", "newest"):
             return other_versions(command, extra)
         make_environment()
+        install_kernel()
         if command == "env":
             return 0
         return {"run": run, "test": test, "check": check, "bench": bench, "fuzz": fuzz}[command](extra)

@@ -108,7 +108,7 @@ struct Rig {
     dashpot::Rig rig{};
     std::vector<double> T, p0, cell_value, join_value, tie_value, term_value, S, precision, mean;
     std::vector<int> cell_element, cell_letter, cell_place, letter, join_start, join_point, active_element, tie_start,
-        tie_active, column_start, entry_row, term_start, term_active, known_element;
+        tie_active, column_start, entry_row, term_start, term_active, known_element, row_start, row_column;
     Memory<double> factor, omega;
 
     Rig(Reals B, Reals D, Reals T_, Reals p0_, Reals S_, Integers letters, Reals factors, Flags imaginary,
@@ -175,6 +175,15 @@ struct Rig {
             }
             column_start.push_back(static_cast<int>(entry_row.size()));
         }
+        std::vector<unsigned char> present(n * (n + r));
+        for (int place : cell_place) present[place] = 1;
+        row_start.push_back(0);
+        for (int i = 0; i < n; ++i) {
+            for (int c = 0; c < n + r; ++c)
+                if (present[i * (n + r) + c]) row_column.push_back(c);
+            row_start.push_back(static_cast<int>(row_column.size()));
+        }
+        rig.row_start = row_start.data(), rig.row_column = row_column.data();
         rig.n = n, rig.r = r, rig.s = static_cast<int>(S_.shape(1)), rig.elements = elements, rig.unknowns = m;
         rig.lines = lines, rig.stride = stride, rig.T = T.data(), rig.p0 = p0.data(), rig.S = S.data();
         rig.cells = static_cast<int>(cell_value.size()), rig.cell_element = cell_element.data();

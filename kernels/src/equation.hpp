@@ -22,7 +22,7 @@ static void assemble(const dashpot::Rig &rig, const double *theta, double *p, do
         A[rig.cell_letter[k] * size + rig.cell_place[k]] += rig.cell_value[k] * p[rig.cell_element[k]];
 }
 
-// Dynamic stiffness and input stiffness at some lines, (n, n + r).
+// Dynamic stiffness and input stiffness at some lines, (n, n + r); entries that are 0 throughout are left as they are.
 static inline void stiffness(const dashpot::Rig &rig, const double *A, int line, C *both) {
     const int size = rig.n * (rig.n + rig.r);
     V phi[4];
@@ -32,12 +32,14 @@ static inline void stiffness(const dashpot::Rig &rig, const double *A, int line,
             phi[l] = load(rig.factor + l * rig.stride + line);
             if (rig.imaginary[l]) turned[turneds++] = l; else real[reals++] = l;
         }
-    for (int k = 0; k < size; ++k) {
-        C sum = zero();
-        for (int i = 0; i < reals; ++i) sum.re += phi[real[i]] * A[real[i] * size + k];
-        for (int i = 0; i < turneds; ++i) sum.im += phi[turned[i]] * A[turned[i] * size + k];
-        both[k] = sum;
-    }
+    for (int row = 0; row < rig.n; ++row)
+        for (int place = rig.row_start[row]; place < rig.row_start[row + 1]; ++place) {
+            const int k = row * (rig.n + rig.r) + rig.row_column[place];
+            C sum = zero();
+            for (int i = 0; i < reals; ++i) sum.re += phi[real[i]] * A[real[i] * size + k];
+            for (int i = 0; i < turneds; ++i) sum.im += phi[turned[i]] * A[turned[i] * size + k];
+            both[k] = sum;
+        }
 }
 
 INLINE C times_phi(const dashpot::Rig &rig, int element, int line, C x) {
@@ -58,6 +60,7 @@ struct EquationWork {
     V *gradient, *symmetric, *mixed;
     double *numbers;
     long packed_z, packed_sigma;
+    unsigned char *present;  // (n, n + r), of both
 
     void lay(Arena &arena, const dashpot::Equation &equation) {
         problem = &equation;
@@ -86,6 +89,12 @@ struct EquationWork {
         mixed = arena.take<V>(m * m);
         numbers = arena.take<double>(6 * m * m + 8 * m);
         packed_z = packed_sigma = -1;
+        present = arena.take<unsigned char>(n * (n + rig.r));
+        if (!arena.base) return;
+        for (int k = 0; k < n * (n + rig.r); ++k) present[k] = 0, both[k] = zero();
+        for (int i = 0; i < n; ++i)
+            for (int place = rig.row_start[i]; place < rig.row_start[i + 1]; ++place)
+                present[i * (n + rig.r) + rig.row_column[place]] = 1;
     }
 
     // Copies of one repeat's data with lines side by side.
@@ -152,23 +161,22 @@ struct EquationWork {
             const int row = equation.place_row[k], column = equation.place_column[k];
             const C here = {load(sigma + 2 * k * stride + at), load(sigma + (2 * k + 1) * stride + at)};
             for (int i = 0; i < n; ++i) {
-                if (column < points)
-                    add_conj(spread[row * n + i], both[i * points + column], here);
-                else
+                if (column >= points)
                     spread[row * n + i] = spread[row * n + i] - here * rig.S[i * rig.s + column - points];
+                else if (present[i * points + column])
+                    add_conj(spread[row * n + i], both[i * points + column], here);
             }
         }
         V most = V{};
         for (int i = 0; i < n; ++i)
             for (int k = 0; k <= i; ++k) {
                 C sum = zero();
-                for (int c = 0; c < q; ++c) {
-                    if (!equation.row_noisy[c]) continue;
-                    if (c < points)
-                        add(sum, both[i * points + c], spread[c * n + k]);
-                    else
-                        sum = sum - spread[c * n + k] * rig.S[i * rig.s + c - points];
+                for (int place = rig.row_start[i]; place < rig.row_start[i + 1]; ++place) {
+                    const int c = rig.row_column[place];
+                    if (equation.row_noisy[c]) add(sum, both[i * points + c], spread[c * n + k]);
                 }
+                for (int c = points; c < q; ++c)
+                    if (equation.row_noisy[c]) sum = sum - spread[c * n + k] * rig.S[i * rig.s + c - points];
                 if (i == k) {
                     sum.im = V{};
                     most = larger(most, sum.re);
@@ -197,9 +205,9 @@ struct EquationWork {
         }
     }
 
-    INLINE void forward(const C *L, C *x, int n) {
-        for (int i = 1; i < n; ++i)
-            for (int k = 0; k < i; ++k) subtract(x[i], L[i * n + k], x[k]);
+    INLINE void forward(const C *L, C *x, int n, int first = 0) {
+        for (int i = first + 1; i < n; ++i)
+            for (int k = first; k < i; ++k) subtract(x[i], L[i * n + k], x[k]);
     }
     INLINE void backward(const C *L, const V *pivot, C *x, int n) {
         for (int i = n - 1; i >= 0; --i) {
@@ -219,7 +227,8 @@ struct EquationWork {
                 entry[k] = regressor(k, force);
                 here[rig.entry_row[k]] = entry[k];
             }
-            forward(Se, here, n);
+            if (rig.column_start[j] == rig.column_start[j + 1]) continue;
+            forward(Se, here, n, rig.entry_row[rig.column_start[j]]);
             backward(Se, pivot, here, n);
         }
     }
@@ -242,7 +251,8 @@ struct EquationWork {
         for (int c = 0; c < q; ++c) zhat[c] = state(c, at);
         for (int i = 0; i < n; ++i) {
             C sum = zero();
-            for (int c = 0; c < points; ++c) add(sum, both[i * points + c], zhat[c]);
+            for (int place = rig.row_start[i]; place < rig.row_start[i + 1]; ++place)
+                add(sum, both[i * points + rig.row_column[place]], zhat[rig.row_column[place]]);
             for (int c = 0; c < rig.s; ++c) sum = sum - zhat[points + c] * rig.S[i * rig.s + c];
             e[i] = u[i] = sum;
         }

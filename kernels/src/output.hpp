@@ -49,6 +49,7 @@ struct OutputWork {
         packed_y = packed_W = -1;
         slope_channels = seeing = 0;
         if (!arena.base) return;
+        for (int k = 0; k < n * (n + rig.r); ++k) both[k] = zero();
         for (int c = 0; c < Cs; ++c) {
             if (output.sees[c]) seen[seeing++] = c;
             if (output.sees[c] || output.gain[c] >= 0 || output.delay[c] >= 0) slopes_of[slope_channels++] = c;

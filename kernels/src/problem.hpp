@@ -11,6 +11,8 @@ struct Rig {
     int cells;
     const int *cell_element, *cell_letter, *cell_place;
     const double *cell_value;
+    // Places of [D | -R] that can differ from 0, row by row.
+    const int *row_start, *row_column;
     // phi of the letters M, C, K, H, real or imaginary; (4, stride)
     const double *factor;
     bool imaginary[4], used[4];

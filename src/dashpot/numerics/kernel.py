@@ -36,7 +36,8 @@ def kernel() -> Any | None:
     module = _compiled()
     if module is None and choice == "compiled":
         raise UsageError(
-            "the compiled kernel is not installed", cure="pip install 'dashpot[fast]', or let the choice be auto"
+            "the compiled kernel is not installed",
+            cure="pip install 'dashpot[fast]', or let the choice be auto",
         )
     return module
 

@@ -67,6 +67,10 @@ def duplicated_lines(spectrum: Spectrum) -> list[Notice]:
     """A warning of lines whose noisy amplitudes are those of another line to the last digit."""
     if not np.any(spectrum.covariance):
         return []
+    # Lines of a batch that repeat each other do so in its first repeat.
+    first = np.nan_to_num(spectrum.amplitudes[(0,) * len(spectrum.batch)])
+    if len(np.unique(np.concatenate([spectrum.omega[:, None], first], axis=1), axis=0)) == spectrum.lines:
+        return []
     Y = np.moveaxis(np.nan_to_num(spectrum.amplitudes), -2, 0).reshape(spectrum.lines, -1)
     rows = np.concatenate([np.asarray(spectrum.omega)[:, None], Y.real, Y.imag], axis=1)
     rows = rows[np.any(Y != 0, axis=1)]

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from dashpot.arrays import Complex, Real, hermitian
+from dashpot.arrays import Real
 from dashpot.data.spectrum import Spectrum
 from dashpot.estimate.inference.diagnostics import bias
 from dashpot.estimate.likelihood.maximum_likelihood import MaximumLikelihood
@@ -17,14 +17,13 @@ from dashpot.estimate.likelihood.objective import (
     prior_mean,
     prior_precision,
 )
-from dashpot.estimate.linear.auxiliary_model import auxiliary
-from dashpot.estimate.linear.gram import regressors
+from dashpot.estimate.linear.auxiliary_model import by_line
 from dashpot.estimate.linear.instrumental_variables import likeliest
 from dashpot.estimate.method import Method, Solution, Traits
 from dashpot.estimate.preparation.noise_quality import NoiseQuality, interval_dof, noise_quality
 from dashpot.estimate.preparation.prepared import Prepared, without_priors
 from dashpot.model.observation import observation_model
-from dashpot.numerics.small_systems import scaled_inverse, solve_scaled, solve_small
+from dashpot.numerics.small_systems import scaled_inverse, solve_scaled
 
 ROUNDING = 1e-30  # χ² of exact data against noise of the data's own size
 MISFIT_LEVEL = 1e-3  # p-value of χ² below which intervals count the misfit of the model
@@ -137,15 +136,10 @@ def _of_channels(data: Prepared, solution: Solution) -> Linearised:
 
 def _of_equation(data: Prepared, solution: Solution) -> Linearised:
     model = data.model
-    at = auxiliary(model, model.parameters(solution.theta), data.seen_states)
-    Psi = regressors(model, at.w)
-    weighted: Complex = solve_small(at.Se, np.concatenate([Psi, at.e[..., None]], axis=-1))
-    products = 2 * (hermitian(Psi) @ weighted).real
-    cost = 2 * np.sum((np.conj(at.e) * weighted[..., -1]).real, axis=-1)
+    information, scores, cost = by_line(model, data.seen_states, solution.theta)
     return Linearised(
-        tuple(u.name for u in model.unknowns), tuple(u.unit for u in model.unknowns),
-        products[..., :-1], -products[..., -1], cost, 2 * model.n * data.spectrum.lines,
-        model.prior_precision, model.prior_mean,
+        tuple(u.name for u in model.unknowns), tuple(u.unit for u in model.unknowns), information, scores, cost,
+        2 * model.n * data.spectrum.lines, model.prior_precision, model.prior_mean,
     )  # fmt: skip
 
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -48,6 +48,11 @@ class Measured:
         assert self.ends is not None
         return RecordPieces(self.ends, self.y, self.W, self.root, self.q)
 
+    @cached_property
+    def compiled(self) -> dict[object, tuple[Any, object]]:
+        """What the compiled kernel has made of these data, by kernel and view."""
+        return {}
+
     def pick(self, rows: Ints | slice) -> Measured:
         """Some of the repeats; the only one serves many starts."""
         if len(self.y) == 1:
@@ -57,6 +62,10 @@ class Measured:
         q = None if self.q is None else self.q[rows]
         part = None if self.nonlinear is None else self.nonlinear.pick(np.arange(len(self.y))[rows])
         return Measured(self.y[rows], W, q, self.rows, self.ends, root, part)
+
+    def rows_of(self, count: int) -> Ints:
+        """Which repeat each of `count` parameter sets belongs to: its own, or the only one."""
+        return np.arange(count) if len(self.y) > 1 else np.zeros(count, dtype=np.int64)
 
     def at_lines(self, lines: slice) -> Measured:
         """Some of the lines; not of whole records and of nonlinear rigs, whose lines belong together."""

@@ -10,8 +10,8 @@ import numpy as np
 from dashpot.arrays import Real
 from dashpot.errors import ConvergenceError
 from dashpot.estimate.likelihood.chunks import Measured
-from dashpot.estimate.likelihood.descent import ROUGH, Cost, Likelihood, descend_all
-from dashpot.estimate.likelihood.objective import directly_driven, local, logarithmic, measured
+from dashpot.estimate.likelihood.descent import ROUGH, Likelihood, Stage, descend_all
+from dashpot.estimate.likelihood.objective import directly_driven, measured
 from dashpot.estimate.likelihood.starting_values import candidates, neighbours
 from dashpot.estimate.likelihood.thinning import thinned
 from dashpot.estimate.preparation.prepared import Prepared
@@ -169,7 +169,7 @@ def global_minima(likelihood: Likelihood, repeat: int) -> LocalMinima:
     for turn in range(effort.rounds):
         psi, sign = _starts_of_round(one, stages, minima, int(effort.candidates * ease), starts, turn, rng)
         psi, sign = _through(one, stages, psi, sign, straight=turn == 0)
-        costs = _cost(stages[-1], psi, sign)
+        costs = stages[-1].cost(psi, sign)
         deep = np.argsort(costs)[:DEEPEST]
         end = one.descend(psi[deep], sign[deep], limit=POLISH)
         psi[deep], costs[deep] = end.x, end.cost
@@ -185,7 +185,7 @@ def global_minima(likelihood: Likelihood, repeat: int) -> LocalMinima:
     return minima
 
 
-def _from_guesses(one: Likelihood, stages: Sequence[Cost], rng: np.random.Generator) -> LocalMinima:
+def _from_guesses(one: Likelihood, stages: Sequence[Stage], rng: np.random.Generator) -> LocalMinima:
     """Where guesses lead, of large rigs that have one for every unknown; none of others."""
     minima = LocalMinima.none(len(one.view.names), len(one.view.channels))
     if small(one.view.model) or any(u.guess is None and u.sd is None for u in one.data.model.unknowns):
@@ -197,12 +197,12 @@ def _from_guesses(one: Likelihood, stages: Sequence[Cost], rng: np.random.Genera
 
 
 def _starts_of_round(
-    one: Likelihood, stages: Sequence[Cost], minima: LocalMinima, many: int, starts: int, turn: int,
+    one: Likelihood, stages: Sequence[Stage], minima: LocalMinima, many: int, starts: int, turn: int,
     rng: np.random.Generator,
 ) -> tuple[Real, Real]:  # fmt: skip
     """The best of many candidates, ranked by the first stage; after the first round neighbours of minima as well."""
     psi, sign = candidates(one.data, one.view, many + starts, rng)
-    order = np.argsort(_cost(stages[0], psi, sign))
+    order = np.argsort(stages[0].cost(psi, sign))
     chosen = np.concatenate([[0], order[:starts]]) if turn == 0 else order[: starts // 4]
     psi, sign = psi[chosen], sign[chosen]
     if turn > 0:
@@ -211,23 +211,20 @@ def _starts_of_round(
     return psi, sign
 
 
-def _stages(one: Likelihood) -> tuple[Cost, ...]:
+def _stages(one: Likelihood) -> tuple[Stage, ...]:
     """What is minimised one after the other from afar: logarithms, softened weights, and the likelihood itself."""
     view = one.view
 
-    def weighted(data: Measured) -> Cost:
-        return lambda psi, sign: local(view, data, psi, sign)
-
     by_channels = directly_driven(view, one.exact)
-    first = weighted(measured(one.data, view, SOFTER))
-    if by_channels is not None:
-        reliability = _reliability(one.data, view)
-        first = lambda psi, sign: logarithmic(view, by_channels, reliability, psi, sign)  # noqa: E731
-    return first, weighted(measured(one.data, view, SOFTNESS)), weighted(one.exact)
+    if by_channels is None:
+        first = Stage(view, measured(one.data, view, SOFTER))
+    else:
+        first = Stage(view, by_channels, _reliability(one.data, view))
+    return first, Stage(view, measured(one.data, view, SOFTNESS)), Stage(view, one.exact)
 
 
 def _through(
-    one: Likelihood, stages: Sequence[Cost], psi: Real, sign: Real, *, straight: bool
+    one: Likelihood, stages: Sequence[Stage], psi: Real, sign: Real, *, straight: bool
 ) -> tuple[Real, Real]:
     """Where starts end that go through all stages; with `straight`, where the first half ends without the first.
 
@@ -240,13 +237,6 @@ def _through(
     for stage in stages[1:] if half else ():
         past = descend_all(one, stage, past, signs)
     return np.concatenate([psi, past]), np.concatenate([sign, signs])
-
-
-def _cost(cost: Cost, psi: Real, sign: Real) -> Real:
-    """The cost at many ψ of one repeat, inf where there is none."""
-    with np.errstate(all="ignore"):
-        total = cost(psi, sign).cost
-    return np.where(np.isfinite(total), total, np.inf)
 
 
 def _reliability(one: Prepared, view: ObservationModel) -> Real:

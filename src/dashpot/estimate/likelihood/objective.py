@@ -14,6 +14,7 @@ import numpy as np
 from dashpot.arrays import Bools, Complex, Real, hermitian
 from dashpot.estimate.likelihood.boundary_loads import RecordEnds, projector, record_ends, whitener
 from dashpot.estimate.likelihood.chunks import Measured, Piece, by_line, summed
+from dashpot.estimate.likelihood.compiled import compiled_local, compiled_output
 from dashpot.estimate.likelihood.nuisance import estimated_inputs, inputs_by_channel, inputs_seen
 from dashpot.estimate.likelihood.record_sums import by_record_line, record_residuals, record_sums
 from dashpot.estimate.nonlinear.objective import nonlinear_part, predict_harmonics
@@ -26,6 +27,7 @@ from dashpot.model.observation import (
     small,
 )
 from dashpot.model.unstructured import free_names
+from dashpot.numerics.kernel import threads
 from dashpot.numerics.levenberg_marquardt import QuadraticModel
 
 FLOOR = 1e-6  # relative noise that exact channels of coordinates are given, so that weights stay finite
@@ -204,6 +206,9 @@ def prior_mean(view: ObservationModel) -> Real:
 
 def local(view: ObservationModel, data: Measured, psi: Real, sign: Real) -> QuadraticModel:
     """Cost, slope and curvature of −2 ln(likelihood) at ψ, (K, M)."""
+    output = compiled_output(view, data)
+    if output is not None:
+        return compiled_local(output, psi, sign, data.rows_of(len(psi)))
     return _with_priors(view, psi, *summed(view, data, psi, sign, _sums))
 
 
@@ -233,6 +238,12 @@ def _with_priors(
 
 def per_line(view: ObservationModel, data: Measured, psi: Real, sign: Real) -> tuple[Real, Real, Real]:
     """Information (K, lines, M, M), minus half the slope (K, lines, M) and cost (K, lines) of each line at ψ."""
+    output = compiled_output(view, data)
+    if output is not None and len(psi) == len(data.y):
+        information, scores, cost = output.lines(
+            np.ascontiguousarray(psi), np.ascontiguousarray(sign), threads()
+        )
+        return information, scores, cost
     information, scores, cost = by_line(view, data, psi, sign, _of_lines)
     return information, scores, cost
 
@@ -264,6 +275,10 @@ def logarithmic(
     Transactions on Automatic Control 36, 1065.  Large residuals count by their size (pseudo-Huber).  `data` must give
     the inputs; `weight` is (lines, q), or (K, lines, q) where each row has its own.
     """
+
+    output = compiled_output(view, data) if weight.ndim == 2 else None
+    if output is not None:
+        return compiled_local(output, psi, sign, data.rows_of(len(psi)), weight)
 
     def sums(piece: Piece, psi: Real, sign: Real) -> tuple[Real, Real, Real]:
         own = weight if weight.ndim == 2 else weight[piece.rows]

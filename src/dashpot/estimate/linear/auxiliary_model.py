@@ -7,10 +7,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from dashpot.arrays import Complex, Real, hermitian
+from dashpot.estimate.linear.compiled import compiled_equation
 from dashpot.estimate.linear.gram import regressors, weighted_normal
 from dashpot.estimate.preparation.state_reconstruction import States
 from dashpot.model.dynamics import stiffness, unit_forces
 from dashpot.model.network import Model
+from dashpot.numerics.kernel import threads
 from dashpot.numerics.small_systems import solve_small
 
 SINGULAR = 1e-13
@@ -79,6 +81,23 @@ def information(model: Model, at: Auxiliary) -> Real:
     """Fisher information of each line, 2 Re Ψᴴ Ω Ψ with Ψ from the auxiliary model; (..., lines, m, m)."""
     Psi = regressors(model, at.w)
     return 2 * (hermitian(Psi) @ solve_small(at.Se, Psi)).real
+
+
+def by_line(model: Model, data: States, theta: Real) -> tuple[Real, Real, Real]:
+    """Information (K, lines, m, m), minus half the slope (K, lines, m) and cost (K, lines) of each line at θ (K, m)."""
+    equation = compiled_equation(model, data)
+    if equation is not None:
+        around, scores, cost = equation.lines(np.ascontiguousarray(theta), threads())
+        return around, scores, cost
+    at = auxiliary(model, model.parameters(theta), data)
+    Psi = regressors(model, at.w)
+    weighted: Complex = solve_small(at.Se, np.concatenate([Psi, at.e[..., None]], axis=-1))
+    products = 2 * (hermitian(Psi) @ weighted).real
+    return (
+        products[..., :-1],
+        -products[..., -1],
+        2 * np.sum((np.conj(at.e) * weighted[..., -1]).real, axis=-1),
+    )
 
 
 def normal_equations(model: Model, at: Auxiliary, Phi: Complex) -> tuple[Real, Real, Real]:

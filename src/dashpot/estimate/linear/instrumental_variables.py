@@ -10,7 +10,8 @@ import numpy as np
 from scipy.special import chdtrc
 
 from dashpot.arrays import Bools, Complex, Ints, Real
-from dashpot.estimate.linear.auxiliary_model import auxiliary, information, normal_equations
+from dashpot.estimate.linear.auxiliary_model import auxiliary, by_line, normal_equations
+from dashpot.estimate.linear.compiled import compiled_equation, compiled_search
 from dashpot.estimate.linear.gram import regressors
 from dashpot.estimate.linear.least_squares import sandwich, solve_sums, starts
 from dashpot.estimate.linear.sample_moments import Sampled, least_squares_sums, sampled, sums_with_harmonics
@@ -108,8 +109,8 @@ class OptimalIV(Method):
             if not len(astray):
                 break
             found = found.improved(astray, self._search(model, states, start, astray))
-        at = auxiliary(model, model.parameters(found.x), states)
-        bread = scaled_inverse(np.sum(information(model, at), axis=-3) + np.diag(model.prior_precision))
+        around, _, _ = by_line(model, states, found.x)
+        bread = scaled_inverse(np.sum(around, axis=-3) + np.diag(model.prior_precision))
         return Solution(found.x, bread, found.converged, found.iterations, found.history)
 
     def _search(self, model: Model, states: States, start: Real, repeats: Ints) -> OptimizeResult:
@@ -120,11 +121,17 @@ def search(
     model: Model, states: States, start: Real, repeats: Ints, *, limit: int, tolerance: float
 ) -> OptimizeResult:
     """Minimise Σ eᴴ Ω(θ) e with the priors' rows, for some of the repeats; `start` is (K, unknowns) of all."""
-    evaluate = objective(model, states, repeats)
     # With noise as large as the signal the likelihood may rise towards infinity: such a repeat has no answer.
     reach = FAR * np.max(np.abs(np.nan_to_num(start)), axis=0, initial=0.0)
     reach = np.where(reach > 0, reach, np.inf)
-    found = minimise(evaluate, start[repeats], limit=limit, tolerance=tolerance, lower=-reach, upper=reach)
+    equation = compiled_equation(model, states)
+    if equation is None:
+        evaluate = objective(model, states, repeats)
+        found = minimise(
+            evaluate, start[repeats], limit=limit, tolerance=tolerance, lower=-reach, upper=reach
+        )
+    else:
+        found = compiled_search(equation, start[repeats], repeats, limit, tolerance, -reach, reach)
     return replace(found, converged=found.converged & np.all(np.abs(found.x) < reach, axis=-1))
 
 

@@ -9,6 +9,7 @@ import numpy as np
 
 from dashpot.arrays import Bools, Complex, Real, hermitian
 from dashpot.estimate.linear.auxiliary_model import equation_covariance
+from dashpot.estimate.linear.compiled import compiled_equation
 from dashpot.estimate.linear.gram import gram, gram_force, known_side, regressors, weighted_normal
 from dashpot.estimate.linear.sample_moments import Sampled, sampled, sums_with_samples
 from dashpot.estimate.method import Method, Solution, Traits, closed_form
@@ -17,6 +18,7 @@ from dashpot.estimate.preparation.prepared import Prepared, without_priors
 from dashpot.estimate.preparation.state_reconstruction import States
 from dashpot.model.dynamics import unit_forces
 from dashpot.model.network import Model
+from dashpot.numerics.kernel import threads
 from dashpot.numerics.small_systems import scaled_inverse, solve_scaled, solve_small
 
 
@@ -236,6 +238,10 @@ def starts(model: Model, data: States) -> tuple[Real, Real, Real]:
     Weighting comes first: far from the truth, taking the noise out leaves a matrix that is all but singular.
     Parameters with a prior are held there in the first pass, which has no scale to weigh them by.
     """
+    equation_sums = compiled_equation(model, data)
+    if equation_sums is not None:
+        clean, weighted, plain = equation_sums.starts(threads())
+        return clean, weighted, plain
     fixed = without_priors(model)
     free = model.prior_precision == 0
     plain = np.broadcast_to(model.prior_mean, (len(data.z), len(model.unknowns))).copy()

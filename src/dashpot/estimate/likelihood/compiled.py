@@ -1,0 +1,78 @@
+"""The likelihood in the compiled kernel: twins of `local`, `logarithmic` and `per_line`, and their searches."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from dashpot.arrays import Bools, Ints, Real
+from dashpot.estimate.likelihood.chunks import Measured
+from dashpot.estimate.linear.compiled import compiled_result
+from dashpot.model.kernel_rig import kernel_rig
+from dashpot.model.observation import ObservationModel, small
+from dashpot.numerics.kernel import kernel, threads
+from dashpot.numerics.levenberg_marquardt import OptimizeResult, QuadraticModel
+
+
+def compiled_output(view: ObservationModel, data: Measured) -> Any | None:
+    """The kernel's view of the channels, made once for each `data`; None where NumPy is to do the work or must.
+
+    The kernel knows small linear rigs and settled lines; whole records' loads and nonlinear laws are NumPy's.
+    """
+    core = kernel()
+    if core is None or data.ends is not None or data.nonlinear is not None or not small(view.model):
+        return None
+    cache = data.compiled
+    key = (id(core), id(view))
+    if key not in cache:
+        cache.clear()
+        cache[key] = (_output(core, view, data), view)
+    return cache[key][0]
+
+
+def _output(core: Any, view: ObservationModel, data: Measured) -> Any | None:
+    rig = kernel_rig(core, view.model, view.omega) if view.model.n and len(view.omega) else None
+    if rig is None:
+        return None
+    extra = np.zeros(view.gains + view.delays)
+    return core.Output(
+        rig, np.ascontiguousarray(data.y), np.ascontiguousarray(data.W),
+        None if data.q is None else np.ascontiguousarray(data.q), view.derivative, view.on_x, view.on_q, view.force,
+        view.gain, view.delay, bool(np.any(view.flips)),
+        np.concatenate([view.model.prior_precision, extra]), np.concatenate([view.model.prior_mean, extra]),
+    )  # fmt: skip
+
+
+def compiled_local(
+    output: Any, psi: Real, sign: Real, rows: Ints, weight: Real | None = None
+) -> QuadraticModel:
+    """Cost, slope and curvature at ψ (K, M) in the data of `rows`; of logarithms where they have a `weight`."""
+    cost, gradient, information = output.evaluate(
+        _numbers(psi), _numbers(sign), rows, weight, True, threads()
+    )
+    return QuadraticModel(cost, gradient, information, information)
+
+
+def compiled_cost(output: Any, psi: Real, sign: Real, rows: Ints, weight: Real | None = None) -> Real:
+    """The cost alone, (K,)."""
+    cost: Real = output.evaluate(_numbers(psi), _numbers(sign), rows, weight, False, threads())[0]
+    return cost
+
+
+def compiled_descent(
+    output: Any, start: Real, sign: Real, rows: Ints, *, lower: Real, upper: Real, limit: int, tolerance: float,
+    patience: int, longest: Real | None = None, logarithmic: Bools | None = None, weight: Real | None = None,
+) -> OptimizeResult:  # fmt: skip
+    """Minimise from `start` (k, M); unknowns that are `logarithmic` move, and are bound, in their logarithms."""
+    longest = np.full(start.shape[-1], np.inf) if longest is None else longest
+    return compiled_result(
+        output.descend(
+            _numbers(start), _numbers(sign), rows, weight, lower, upper, longest, logarithmic, limit, tolerance,
+            patience, threads(),
+        )
+    )  # fmt: skip
+
+
+def _numbers(values: Real) -> Real:
+    return np.ascontiguousarray(values, dtype=np.float64)
