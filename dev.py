@@ -372,7 +372,9 @@ def install_kernel() -> None:
             return
         KERNEL_STAMP.unlink(missing_ok=True)
         if compiler is None:
-            say("going on without the compiled kernel: there is no C++ compiler (NumPy does its work, more slowly)")
+            say(
+                "going on without the compiled kernel: there is no C++ compiler (NumPy does its work, more slowly)"
+            )
         else:
             build_kernel()
         write_stamp(KERNEL_STAMP, wanted)  # a build that failed would fail again
@@ -380,7 +382,7 @@ def install_kernel() -> None:
 
 def build_kernel() -> None:
     say("building the compiled kernel, about half a minute")
-    command = [
+    command: list[str | Path] = [
         PYTHON, "-m", "pip", "--log", PIP_LOG, "install", "--no-deps", "--no-build-isolation", "--no-index",
         "--force-reinstall", KERNELS,
     ]  # fmt: skip
@@ -390,7 +392,9 @@ def build_kernel() -> None:
         with contextlib.suppress(SetupError):  # nor one of other sources
             quietly([PYTHON, "-m", "pip", "uninstall", "--yes", "dashpot-kernels"])
         reason = pip_complaint(str(failure))
-        say(f"going on without the compiled kernel: it could not be built: {reason} (pip's own words: {PIP_LOG})")
+        say(
+            f"going on without the compiled kernel: it could not be built: {reason} (pip's own words: {PIP_LOG})"
+        )
 
 
 def install_peers() -> None:
@@ -488,7 +492,11 @@ def other_versions(which: str, extra: list[str]) -> int:
             ]
             # From pyproject.toml, not from the wheel, whose own dependencies would not count as direct.
             # But for the extra of the compiled kernel, which is built from this clone.
-            extras = [word for name in extras_of((ROOT / "pyproject.toml").read_text()) for word in ("--extra", name)]
+            extras = [
+                word
+                for name in extras_of((ROOT / "pyproject.toml").read_text())
+                for word in ("--extra", name)
+            ]
             quietly([*install, *resolution, "-r", "pyproject.toml", *extras])
             quietly([*install, "--no-deps", wheel])
             kept = quietly([uv, "pip", "freeze", "--quiet", "--python", python, "--exclude-editable"])

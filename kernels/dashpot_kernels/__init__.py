@@ -11,5 +11,14 @@ from dashpot_kernels._core import (
     set_instructions,
 )
 
-__all__ = ["Equation", "Output", "Rig", "harmonic_sums", "instruction_set", "instruction_sets", "line_shares", "set_instructions"]
+__all__ = [
+    "Equation",
+    "Output",
+    "Rig",
+    "harmonic_sums",
+    "instruction_set",
+    "instruction_sets",
+    "line_shares",
+    "set_instructions",
+]
 __version__ = "0.1.0"

@@ -1,0 +1,46 @@
+"""What tests of the compiled kernel share: the module, skipped where it is absent, and distances between twins."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
+import numpy as np
+import pytest
+
+from dashpot.arrays import Real
+
+
+def compiled() -> Any:
+    """The module dashpot_kernels; skips where it is not installed."""
+    return pytest.importorskip("dashpot_kernels", reason="the compiled kernel is not installed (dev.py env)")
+
+
+def instruction_sets() -> list[str]:
+    """Those of this machine; one that is skipped where there is no kernel."""
+    try:
+        import dashpot_kernels
+    except ImportError:
+        return ["none"]
+    names: list[str] = dashpot_kernels.instruction_sets()
+    return names
+
+
+@contextmanager
+def instructions(name: str) -> Iterator[Any]:
+    """The kernel with one instruction set, the best one again afterwards."""
+    module = compiled()
+    before = module.instruction_set()
+    module.set_instructions(name)
+    try:
+        yield module
+    finally:
+        module.set_instructions(before)
+
+
+def apart(values: Real, twin: Real, size: Real | float = 1.0) -> float:
+    """Largest difference of K rows over the largest entry of each, entries in units of `size`."""
+    difference, scale = np.abs(values - twin) * size, np.abs(twin) * size
+    rows = range(len(twin))
+    return max(float(np.max(difference[k])) / max(float(np.max(scale[k])), 1e-300) for k in rows)
