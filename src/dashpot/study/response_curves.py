@@ -13,7 +13,7 @@ from dashpot.errors import UsageError
 from dashpot.model.network import Model
 from dashpot.model.nonlinear.backbone import backbone
 from dashpot.model.nonlinear.channel_motion import channel_harmonics, swing
-from dashpot.model.nonlinear.continuation import Branch, amplitude_sweep, followed, frequency_sweep
+from dashpot.model.nonlinear.continuation import ResponseBranch, amplitude_sweep, followed, frequency_sweep
 from dashpot.model.nonlinear.harmonic_balance import periodic_response, samples_of, truncation
 from dashpot.model.nonlinear.harmonics import Drive, complex_of
 
@@ -126,7 +126,7 @@ def _curve(
     model: Model,
     theta: Real,
     channels: Sequence[Channel],
-    branch: Branch,
+    branch: ResponseBranch,
     label: str,
     share: Real | None = None,
 ) -> MotionCurve:

@@ -10,6 +10,7 @@ import numpy as np
 from dashpot.arrays import Bools, Ints, Real
 from dashpot.channel import Quantity
 from dashpot.check.diagnosis.likeness import RATIOS, Likeness, likeness
+from dashpot.check.diagnosis.nonlinear_elements import ENOUGH, called_for
 from dashpot.check.diagnosis.rig_changes import changes
 from dashpot.check.diagnosis.search import Workbench
 from dashpot.check.diagnosis.trials import (
@@ -30,7 +31,7 @@ DELAYS = (-0.4, -0.2, -0.1, -0.05, -0.02, 0.02, 0.05, 0.1, 0.2, 0.4)  # periods 
 # What explains as much and is more particular is named first.
 ORDER = (
     "sign", "unit", "swap", "conjugate", "quantity", "frequency", "dwell", "delay", "gain", "value", "element",
-    "channel",
+    "nonlinear", "channel",
 )  # fmt: skip
 HELPS = 0.5  # χ² per degree of freedom must fall below this part of what it was
 ALIKE = 1.6  # ratio of what is left within which two causes explain alike
@@ -84,6 +85,8 @@ def causes(bench: Workbench, seed: int = 0) -> tuple[float, list[Cause]]:
     ]
     found += _rates(bench, base, seed)
     found += _phases(bench, as_is, found)
+    if not any(cause.remaining < ENOUGH and cause.kind not in ("channel", "dwell") for cause in found):
+        found += _nonlinear(bench, as_is)
     return as_is.reduced, ranked(found, as_is.reduced)
 
 
@@ -94,6 +97,19 @@ def _phases(bench: Workbench, as_is: Outcome, found: Sequence[Cause]) -> list[Ca
     if not len(damping) or not turned or np.any(as_is.psi[damping] > 0):
         return []
     return [replace(cause, remaining=min(cause.remaining, HELPS * as_is.reduced * 0.99)) for cause in turned]
+
+
+def _nonlinear(bench: Workbench, as_is: Outcome) -> list[Cause]:
+    """Nonlinear elements that the dwells call for."""
+    if not np.all(np.isfinite(as_is.psi)):
+        return []
+    return [
+        Cause(
+            "nonlinear", _points(scored.element, bench.data.model), (scored.chi2 - scored.fall) / scored.dof,
+            scored.value, element=scored.element,
+        )
+        for scored in called_for(bench.data, as_is.psi, bench.sign)
+    ]  # fmt: skip
 
 
 def _dampers(model: Model) -> Ints:

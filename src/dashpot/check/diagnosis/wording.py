@@ -8,6 +8,7 @@ from dashpot import units
 from dashpot.channel import Channel, Quantity
 from dashpot.check.diagnosis.causes import Cause
 from dashpot.check.diagnosis.likeness import CLOSE, Likeness
+from dashpot.check.diagnosis.nonlinear_elements import with_open_constants
 from dashpot.errors import DashpotError
 from dashpot.estimate.assessment import Finding
 from dashpot.model.elements import Element, Kind
@@ -35,6 +36,8 @@ def finding(model: Model, channels: tuple[Channel, ...], cause: Cause) -> Findin
         return _swap(model, by_name[cause.of[0]], by_name[cause.of[1]], cause)
     if cause.kind in ("element", "value") and cause.element is not None:
         return _of_rig(model, cause, cause.element)
+    if cause.kind == "nonlinear" and cause.element is not None:
+        return nonlinear_finding(model, cause.of, cause.element, cause.number, cause.remaining)
     text, change = _of_data(cause)
     return Finding(cause.kind, cause.of, text, change, cause.remaining, cause.number)
 
@@ -172,3 +175,49 @@ def _rate(number: float) -> tuple[str, str]:
 def _number(value: float) -> str:
     text = f"{value:.4g}"
     return text.replace("-", "−")
+
+
+CHARACTER = {
+    ("spring", "cubic"): "odd", ("spring", "quintic"): "odd", ("spring", "quadratic"): "odd",
+    ("spring", "square"): "even", ("spring", "gap"): "odd, with a clearance",
+    ("damper", "quadratic"): "damping that grows with speed", ("damper", "cubic"): "damping that grows with speed",
+    ("damper", "coulomb"): "friction",
+}  # fmt: skip
+
+
+def nonlinear_finding(
+    model: Model, points: tuple[str, ...], element: Element, number: float | None, remaining: float
+) -> Finding:
+    """A nonlinear element that the data call for, in words; the p-value is below that of CERTAIN."""
+    assert element.force_law is not None
+    value = 0.0 if number is None else number
+    character = CHARACTER[element.kind.value, element.force_law.text]
+    if element.kind is Kind.SPRING and element.force_law.text != "square":
+        character += ", stiffening" if value > 0 else ", softening"
+    if element.kind is Kind.DAMPER and value < 0:
+        character = "damping that falls with speed"
+    text = f"the data call for a nonlinear element between {' and '.join(points)}, {character} (p < 1e-6)"
+    named = replace(
+        with_open_constants(element), name=_free_name(model, element), guess=float(f"{value:.4g}")
+    )
+    change = f"[{named.kind.section}] {element_line(named)}"
+    return Finding("nonlinear", points, text, change, remaining, number, elements=(named,))
+
+
+def _free_name(model: Model, element: Element) -> str:
+    """A name that the rig has not: what the law is usually called."""
+    assert element.force_law is not None
+    usual = {
+        "cubic": "k3",
+        "square": "k2",
+        "quintic": "k5",
+        "quadratic": "kq",
+        "gap": "kgap",
+        "coulomb": "fc",
+    }
+    word = usual[element.force_law.text]
+    if element.kind is Kind.DAMPER and word.startswith("k"):
+        word = "c" + word[1:]
+    taken = {other.name for other in model.elements} | {*model.coordinates, *(i.name for i in model.inputs)}
+    candidates = (word, *(f"{word}_{'_'.join(element.along)}{suffix}" for suffix in ("", "_2", "_3")))
+    return next(name for name in candidates if name not in taken)

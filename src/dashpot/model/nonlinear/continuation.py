@@ -38,7 +38,7 @@ DIFFERENCE = 1e-6  # step of λ for slopes along it
 
 
 @dataclass(frozen=True)
-class Branch:
+class ResponseBranch:
     """A curve of periodic motions, P points in the order in which they were found.
 
     drive and motion of the points; along (P,): λ; stable (P,), None where the motion cannot be integrated; folds (…,):
@@ -68,7 +68,7 @@ def amplitude_sweep(drive: Drive, last: float) -> DriveAt:
 
 def followed(
     model: Model, theta: Real, drive_at: DriveAt, start: Real | None = None, *, points: int = POINTS
-) -> Branch:
+) -> ResponseBranch:
     """The motions from λ = 0 to λ = 1, through every fold on the way; from `start` (e, W) or the linear response.
 
     Raises ConvergenceError where there is no response at λ = 0, or the curve cannot be followed to its end.
@@ -84,7 +84,7 @@ def followed(
     turns = np.diff(np.sign(np.diff(along)))
     folds = frozen(np.flatnonzero(turns) + 1, np.int64)
     stable = stable_motions(model, theta, drive, at)
-    return Branch(drive, at, frozen(along, np.float64), stable, folds)
+    return ResponseBranch(drive, at, frozen(along, np.float64), stable, folds)
 
 
 class _Tracer:

@@ -152,10 +152,8 @@ def force_law(text: str, constants: Sequence[Constant] = (), *, damper: bool = F
     wanted = [name for name in dict.fromkeys(names) if name not in reserved]
     given = {constant.name: constant for constant in constants}
     _require_named(text, wanted, list(given), complete=usual is None)
-    if not state and not {"d", "v"} & set(expression.names):
-        raise ModelError(
-            f"the law {text!r} depends on neither d nor v", cure='write one that does, such as "d**3"'
-        )
+    if not state:
+        _require_motion(text, expression)
     law = ForceLaw(
         text, expression, tuple(given.get(name, Constant(name)) for name in wanted), rate,
         "" if usual is None else usual.operator,
@@ -178,6 +176,14 @@ def _require_named(text: str, wanted: Sequence[str], given: Sequence[str], *, co
         raise ModelError(
             f"the law {text!r} has no constant {', '.join(excess)}",
             cure=f"its constants are {', '.join(wanted)}" if wanted else "it has none: remove it",
+        )
+
+
+def _require_motion(text: str, expression: Expression) -> None:
+    """Raises ModelError where a law does not depend on the motion."""
+    if not {"d", "v"} & set(expression.names):
+        raise ModelError(
+            f"the law {text!r} depends on neither d nor v", cure='write one that does, such as "d**3"'
         )
 
 

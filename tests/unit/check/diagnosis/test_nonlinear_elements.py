@@ -1,0 +1,58 @@
+"""Linear rigs fitted to data of nonlinear ones: what the data call for, and nothing where they call for nothing."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from dashpot.check.diagnosis.diagnose import examined
+from dashpot.check.diagnosis.nonlinear_elements import called_for
+from dashpot.estimate.assessment import applied
+from dashpot.estimate.identify import identify
+from dashpot.estimate.preparation.prepared import prepare
+from tests.nonlinear_rigs import motions, settled, two_masses
+
+ALL = motions("x1", "x2", "u")
+FREQUENCIES = [2, 3, 4, 5, 6, 7, 8, 9.5, 11, 12.5, 14]
+
+
+def linear_fit(law, orders=(1, 3), amplitude=1e-3):
+    model, theta = two_masses(law)
+    rng = np.random.default_rng(1)
+    spectrum = settled(
+        model, theta, ALL, FREQUENCIES, orders=orders, amplitude=amplitude, noise=0.005, rng=rng
+    )
+    linear = replace(model, elements=model.elements[:-1])
+    return linear, theta, spectrum, identify(linear, spectrum)
+
+
+@pytest.mark.parametrize(
+    ("law", "orders", "words", "name"),
+    [
+        ("cubic", (1, 3), "odd, stiffening", "k3"),
+        pytest.param("v*abs(v)", (1,), "damping that grows with speed", "cq", marks=pytest.mark.long),
+        pytest.param("coulomb", (1,), "friction", "fc", marks=pytest.mark.long),
+    ],
+)
+def test_the_element_that_the_data_call_for_is_named_and_mends_the_fit(law, orders, words, name):
+    linear, theta, spectrum, estimate = linear_fit(law, orders)
+    assessment = examined(linear, spectrum, estimate).assessment
+    assert assessment.verdict == "does not fit"
+    first = assessment.findings[0]
+    assert (first.kind, first.of) == ("nonlinear", ("x2", "u"))
+    assert first.text == f"the data call for a nonlinear element between x2 and u, {words} (p < 1e-6)"
+    assert first.number == pytest.approx(theta[5], rel=0.1)
+    mended = applied(linear, spectrum.channels, first)[0]
+    assert mended.elements[-1].name == name
+    assert float(identify(mended, spectrum).fit.p) > 0.01
+
+
+def test_data_of_a_linear_rig_call_for_no_nonlinear_element():
+    """At most one of 40 candidates in a million by chance."""
+    linear, theta, spectrum, estimate = linear_fit("cubic", amplitude=1e-7)
+    data = prepare(linear, spectrum)
+    assert bool(estimate.converged)
+    assert np.allclose(estimate.values, theta[:5], rtol=0.05)
+    assert called_for(data, estimate.values, np.ones(3)) == []
