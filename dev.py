@@ -11,6 +11,7 @@
                                  --python VERSION takes another Python, other ARGS go to pytest
     python3 dev.py newest [ARGS] the same with the newest versions that there are
     python3 dev.py fuzz [ARGS]   damaged inputs of every kind; --minutes N, --inputs N, --seed S
+    python3 dev.py docs [--serve] the manual as a site, docs/_build/html; --serve shows it on this machine until Ctrl-C
 
 The first call makes .venv from requirements/locked.txt, every file checked against its hash. Later calls
 compare a stamp and start at once; a changed lock, another Python or a set-up cut short remakes .venv.
@@ -41,7 +42,6 @@ VENV = ROOT / ".venv"
 BIN = VENV / ("Scripts" if os.name == "nt" else "bin")
 PYTHON = BIN / ("python.exe" if os.name == "nt" else "python")
 STAMP = VENV / "stamp.json"
-PEERS_STAMP = VENV / "stamp-peers.json"
 KERNELS = ROOT / "kernels"
 KERNEL_STAMP = VENV / "stamp-kernel.json"
 KERNEL_SECONDS = 300  # after which a build is given up
@@ -49,10 +49,12 @@ PIP_LOG = VENV / "pip.log"
 REQUIREMENTS = ROOT / "requirements"
 LOCKED = REQUIREMENTS / "locked.txt"
 PEERS_LOCKED = REQUIREMENTS / "peers-locked.txt"
+DOCS_LOCKED = REQUIREMENTS / "docs-locked.txt"
+SITE = ROOT / "docs" / "_build" / "html"
 EXAMPLE = ["identify", "examples/02_shake_table/rig.toml", "examples/02_shake_table/amplitudes.csv"]
 ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
 PIP_INSTALL_LOCKED = ("install", "--require-hashes", "--only-binary", ":all:", "-r")
-COMMANDS = ("run", "test", "check", "bench", "env", "lock", "lowest", "newest", "fuzz")
+COMMANDS = ("run", "test", "check", "bench", "env", "lock", "lowest", "newest", "fuzz", "docs")
 # What the tests of `lowest` and `newest` need beside the wheel; the locked set has more than an old NumPy allows.
 TESTING = ("pytest>=9", "pytest-xdist", "hypothesis", "import-linter", "lmfit")
 
@@ -397,19 +399,27 @@ def build_kernel() -> None:
         )
 
 
+def install_beside(locked: Path, what: str) -> str:
+    """Add the packages of another lock to .venv; why not, where that fails, and else nothing."""
+    stamp = VENV / f"stamp-{locked.stem.partition('-')[0]}.json"
+    wanted = {"packages": digest(locked.read_bytes())}
+    if read_stamp(stamp) == wanted:
+        return ""
+    with only_one(ROOT / ".venv.lock"):
+        say(f"installing {what}, requirements/{locked.name}")
+        try:
+            pip(PYTHON, *PIP_INSTALL_LOCKED, locked, log=PIP_LOG)
+        except SetupError as failure:
+            return str(failure)
+        write_stamp(stamp, wanted)
+    return ""
+
+
 def install_peers() -> None:
     """Peers of the benchmarks that not every machine can have; without them their benchmarks say so."""
-    wanted = {"packages": digest(PEERS_LOCKED.read_bytes())}
-    if read_stamp(PEERS_STAMP) == wanted:
-        return
-    with only_one(ROOT / ".venv.lock"):
-        say("installing the peers of requirements/peers-locked.txt")
-        try:
-            pip(PYTHON, *PIP_INSTALL_LOCKED, PEERS_LOCKED, log=PIP_LOG)
-        except SetupError as failure:
-            say(f"going on without the peers of requirements/peers.in: {failure}")
-        else:
-            write_stamp(PEERS_STAMP, wanted)
+    failure = install_beside(PEERS_LOCKED, "the peers of the benchmarks")
+    if failure:
+        say(f"going on without the peers of requirements/peers.in: {failure}")
 
 
 # ---------------------------------------------------------------- the commands
@@ -422,6 +432,10 @@ def run(extra: list[str]) -> int:
 
 
 def test(extra: list[str]) -> int:
+    if "--long" in extra:
+        failure = install_beside(DOCS_LOCKED, "what builds the manual")
+        if failure:
+            say(f"going on without the tests of the manual: {failure}")
     # One BLAS thread in each worker: two workers with two threads each fight over two cores.
     # worksteal keeps neighbouring tests together, so fixtures of a module are mostly made once.
     return call(
@@ -463,6 +477,20 @@ def bench(extra: list[str]) -> int:
 
 def fuzz(extra: list[str]) -> int:
     return call([PYTHON, "-m", "tests.fuzz", *extra], cwd=ROOT, MPLBACKEND="Agg", **ONE_THREAD)
+
+
+def docs(extra: list[str]) -> int:
+    if [word for word in extra if word != "--serve"]:
+        raise UsageError(f"docs takes --serve only, got {' '.join(extra)}")
+    failure = install_beside(DOCS_LOCKED, "what builds the manual")
+    if failure:
+        raise SetupError(failure)
+    code = call([PYTHON, "-m", "sphinx", "-W", "--keep-going", "-q", "-b", "html", "docs", SITE], cwd=ROOT)
+    if code == 0:
+        say(f"the manual is {(SITE / 'index.html').relative_to(ROOT)}")
+    if code or "--serve" not in extra:
+        return code
+    return call([PYTHON, "-m", "http.server", "--bind", "127.0.0.1", "--directory", SITE, "8000"])
 
 
 def other_versions(which: str, extra: list[str]) -> int:
@@ -535,6 +563,7 @@ def lock(extra: list[str]) -> int:
         for output, inputs in (
             (LOCKED, ["pyproject.toml", "requirements/dev.in"]),
             (PEERS_LOCKED, ["requirements/peers.in", "--constraints", "requirements/locked.txt"]),
+            (DOCS_LOCKED, ["requirements/docs.in", "--constraints", "requirements/locked.txt"]),
         ):
             target = output.relative_to(ROOT)
             code = call(
@@ -567,7 +596,8 @@ def main(argv: Sequence[str]) -> int:
         install_kernel()
         if command == "env":
             return 0
-        return {"run": run, "test": test, "check": check, "bench": bench, "fuzz": fuzz}[command](extra)
+        commands = {"run": run, "test": test, "check": check, "bench": bench, "fuzz": fuzz, "docs": docs}
+        return commands[command](extra)
     except SetupError as failure:
         say(str(failure))
         return 2

@@ -36,8 +36,8 @@ def main() -> None:
         rng.standard_normal((2000, *sd.shape)) + 1j * rng.standard_normal((2000, *sd.shape))
     )
     free = [j for j, unknown in enumerate(model.unknowns) if unknown.sd is None]
-    print("method  typical error  intervals that hold the truth")
-    for name in ("hls", "iv", "wls", "tls", "cls", "oiv"):
+    print("method  median error   intervals that hold the truth")
+    for name in ("hls", "iv", "wls", "tls", "cls", "oiv", "ml"):
         found = identify(model, replace(spectrum, amplitudes=draws), method(name))
         error = np.abs(found.values / theta - 1)[:, free]
         low, high = found.interval()

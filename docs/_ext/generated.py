@@ -1,0 +1,209 @@
+"""Pages that follow from the code: options of every command, notices, units, and the gallery, made by running it."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import re
+import shlex
+import shutil
+import subprocess
+import sys
+import tempfile
+from concurrent.futures import ThreadPoolExecutor
+from functools import cache
+from importlib import import_module
+from pathlib import Path
+
+import click
+from sphinx.application import Sphinx
+
+DOCS = Path(__file__).parents[1]
+ROOT = DOCS.parent
+FRAGMENTS, GALLERY = DOCS / "_generated", DOCS / "gallery"
+WIDTH = "80"
+LONG = "<!-- long -->"  # of README files: its commands run in the long tests
+
+
+def setup(app: Sphinx) -> dict[str, bool]:
+    """Called by Sphinx."""
+    app.connect("config-inited", lambda *_: generate())
+    return {"parallel_read_safe": True, "parallel_write_safe": True}
+
+
+def generate() -> None:
+    """Write what the pages include, and the pages of the gallery; files whose text stays are left alone."""
+    _write(FRAGMENTS / "options.md", options())
+    _write(FRAGMENTS / "notices.md", notices())
+    _write(FRAGMENTS / "units.md", units())
+    folders = sorted((ROOT / "examples").glob("[0-9]*"))
+    with ThreadPoolExecutor(max_workers=2) as pool:  # each waits for the commands that it runs
+        for _ in pool.map(_example, folders):
+            pass
+
+
+def _write(path: Path, text: str) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    if not path.exists() or path.read_text(encoding="utf-8") != text:
+        path.write_text(text, encoding="utf-8")
+
+
+def _cell(text: str) -> str:
+    """Prose in a cell of a table; placeholders and stars are no mark-up."""
+    return re.sub(r"([|*<>\[\]{}$_])", r"\\\1", " ".join(text.split()))
+
+
+# ---------------------------------------------------------------- options
+
+
+def options() -> str:
+    """A section for every command: synopsis, what it does, arguments and options by group, examples."""
+    from dashpot.app.cli import cli
+    from dashpot.app.commands import COMMANDS
+
+    parent = click.Context(cli, info_name="dashpot")
+    sections = []
+    for name in COMMANDS:
+        command = import_module(f"dashpot.app.commands.{name}").command
+        context = click.Context(command, info_name=name, parent=parent)
+        sections.append(_command(command, context))
+    return "\n".join(sections)
+
+
+def _command(command: click.Command, context: click.Context) -> str:
+    usage = " ".join([context.command_path, *command.collect_usage_pieces(context)])
+    lines = [f"## {context.info_name}", "", f"```text\n{usage}\n```", ""]
+    for paragraph in (command.help or "").replace("\b", "").split("\n\n"):
+        lines += [_cell(paragraph), ""]
+    arguments = [p for p in command.get_params(context) if isinstance(p, click.Argument)]
+    if arguments:
+        rows = [(p.make_metavar(context), getattr(p, "help", None) or "") for p in arguments]
+        lines += _table("argument", rows)
+    groups: dict[str, list[tuple[str, str]]] = {}
+    for parameter in command.get_params(context):
+        record = parameter.get_help_record(context) if isinstance(parameter, click.Option) else None
+        if record is not None:
+            groups.setdefault(getattr(parameter, "group", "General"), []).append(record)
+    groups["General"] = groups.pop("General", [])
+    for title, rows in groups.items():
+        lines += [f"**{title}**", "", *_table("option", rows)]
+    examples = getattr(command, "examples", ())
+    if examples:
+        lines += ["```text", *examples, "```", ""]
+    return "\n".join(lines)
+
+
+def _table(head: str, rows: list[tuple[str, str]]) -> list[str]:
+    body = [f"| `{name.replace('|', chr(92) + '|')}` | {_cell(text)} |" for name, text in rows]
+    return [f"| {head} | |", "|---|---|", *body, ""]
+
+
+# ---------------------------------------------------------------- notices and units
+
+
+def notices() -> str:
+    """A section for each place where notices arise: code, what it says, what to do."""
+    from dashpot.present.text.notice_guide import GUIDE
+
+    lines = []
+    for place in dict.fromkeys(entry.place for entry in GUIDE.values()):
+        lines += [f"## {place}", ""]
+        for code, entry in GUIDE.items():
+            if entry.place == place:
+                lines += [f"### `{code}`", "", entry.meaning, "", f"*What to do:* {entry.cure}", ""]
+    return "\n".join(lines)
+
+
+def units() -> str:
+    """What is accepted for each quantity, and every symbol with its factor."""
+    from dashpot import units as of
+
+    lines = ["| quantity | SI | accepted, for instance |", "|---|---|---|"]
+    for (quantity, angular), entry in of._QUANTITIES.items():
+        name = f"{quantity} (angular)" if angular else quantity
+        lines.append(f"| {name} | {entry.si} | {_cell(entry.accepted)} |")
+    lines += ["", "| symbol | factor to SI | prefixes | only in |", "|---|---|---|---|"]
+    for names, symbol in of._TABLE:
+        only = ", ".join(sorted(symbol.only)) if symbol.only else ""
+        listed = ", ".join(f"`{name}`" for name in names.split())
+        lines.append(f"| {listed} | {symbol.factor:.10g} | {' '.join(symbol.prefixes)} | {only} |")
+    return "\n".join([*lines, ""])
+
+
+# ---------------------------------------------------------------- the gallery
+
+
+def _example(folder: Path) -> None:
+    """The page of one example: its README, what its commands print, its pictures and its rig files.
+
+    It is made again where the example or the program has changed.
+    """
+    readme = (folder / "README.md").read_text(encoding="utf-8")
+    target = GALLERY / folder.name
+    target.mkdir(parents=True, exist_ok=True)
+    stamp, state = target / "made-from", _digest([folder, Path(__file__)]) + _digest_of_program()
+    if stamp.exists() and (target / "index.md").exists() and stamp.read_text(encoding="utf-8") == state:
+        return
+    with tempfile.TemporaryDirectory() as place:
+        work = Path(place) / "examples" / folder.name
+        shutil.copytree(ROOT / "examples", work.parent)
+        text = _with_output(readme, work)
+        for picture in re.findall(r"!\[[^]]*\]\(([^)]+)\)", readme):
+            shutil.copyfile(work / picture, target / Path(picture).name)
+    text = re.sub(r"\]\(\.\./(\d\d_\w+)/README\.md\)", r"](../\1/index.md)", text)
+    text = text.replace("](../../docs/", "](../../").replace(LONG, "")
+    files = []
+    for path in sorted(folder.glob("*.toml")):
+        files += [f"### {path.name}", "", f"```toml\n{path.read_text(encoding='utf-8').rstrip()}\n```", ""]
+    _write(target / "index.md", text.rstrip() + "\n\n## The files\n\n" + "\n".join(files))
+    stamp.write_text(state, encoding="utf-8")
+
+
+def _digest(places: list[Path]) -> str:
+    """Of the content of files and of all files in folders."""
+    total = hashlib.sha256()
+    for place in places:
+        for path in sorted(place.rglob("*")) if place.is_dir() else [place]:
+            if path.is_file() and "__pycache__" not in path.parts:
+                total.update(f"{path.relative_to(ROOT)} {path.stat().st_size}".encode() + path.read_bytes())
+    return total.hexdigest()
+
+
+@cache
+def _digest_of_program() -> str:
+    return _digest([ROOT / "src"])
+
+
+def _with_output(readme: str, work: Path) -> str:
+    """The text with the output of each block of commands below it, where the README does not print it itself."""
+    parts = re.split(r"(^```sh\n.*?^```\n)", readme, flags=re.MULTILINE | re.DOTALL)
+    for k in range(1, len(parts), 2):
+        printed = run_block(parts[k].removeprefix("```sh\n").removesuffix("```\n"), work)
+        shown = re.match(r"\s*```text\n", parts[k + 1])
+        if printed.strip() and shown is None:
+            parts[k] += f"\n```text\n{printed.rstrip()}\n```\n"
+    return "".join(parts)
+
+
+def run_block(block: str, work: Path) -> str:
+    """What the commands of a block print, run one after the other in the folder of the example."""
+    environment = {
+        **os.environ,
+        "COLUMNS": WIDTH,
+        "MPLBACKEND": "Agg",
+        "OPENBLAS_NUM_THREADS": "1",
+        "PYTHONPATH": os.pathsep.join([str(ROOT / "src"), os.environ.get("PYTHONPATH", "")]),
+    }
+    printed = []
+    for line in block.replace("\\\n", " ").splitlines():
+        words = shlex.split(line, comments=True)
+        if not words or words[0] == "cd":  # the README says where to stand; here that is `work`
+            continue
+        start = [sys.executable] if words[0] == "python" else [sys.executable, "-m", words[0]]
+        done = subprocess.run(
+            [*start, *words[1:]], cwd=work, env=environment, capture_output=True, text=True, check=False
+        )
+        if done.returncode not in (0, 3, 4):
+            raise RuntimeError(f"{work.name}: {line}: {done.stderr or done.stdout}")
+        printed.append(done.stdout + done.stderr)
+    return "\n".join(text for text in printed if text)

@@ -1,0 +1,154 @@
+"""What README, manual and examples print, run as printed.
+
+Blocks of a page are taken in order, in a folder of their own that holds a copy of the examples:
+
+    ```sh       commands, one after the other: dashpot and cd in this process, python as another one;
+                a comment "exits with 3" beside a command says with which code it ends
+    ```python   one program a page, run where the commands are run
+    ```text     directly below one of these: every line of it is printed by it; a line "…" stands for any
+    ```toml     whose first line is "# name.toml": a file of that name
+
+Everything else (```console among it) is not run.  A page that takes long says so by <!-- long -->.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import os
+import re
+import runpy
+import shlex
+import shutil
+import sys
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from dashpot.app.cli import run
+
+ROOT = Path(__file__).parents[1]
+LONG = "<!-- long -->"
+_BLOCK = re.compile(r"^(?P<fence>`{3,})(?P<language>\w*)\n(?P<text>.*?)^(?P=fence)$", re.MULTILINE | re.DOTALL)
+_EXIT = re.compile(r"exits with (\d+)")
+
+
+@dataclass(frozen=True)
+class Block:
+    """One fenced block: its language, its text, its first line in the page, whether it follows the one before."""
+
+    language: str
+    text: str
+    line: int
+    follows: bool
+
+
+def pages() -> list[Path]:
+    """README, the manual, the examples in order."""
+    manual = sorted((ROOT / "docs").rglob("*.md"))
+    made = {"_build", "_generated"}
+    written = [p for p in manual if not made & set(p.parts) and p.parent.parent.name != "gallery"]
+    return [ROOT / "README.md", *written, *sorted((ROOT / "examples").glob("*/README.md"))]
+
+
+def name_of(page: Path) -> str:
+    """How tests call a page."""
+    return page.relative_to(ROOT).as_posix()
+
+
+def blocks(page: Path) -> list[Block]:
+    """All fenced blocks of a page."""
+    text = page.read_text(encoding="utf-8")
+    found = []
+    end = 0
+    for match in _BLOCK.finditer(text):
+        follows = not text[end : match.start()].strip()
+        found.append(Block(match["language"], match["text"], text[: match.start()].count("\n") + 2, follows))
+        end = match.end()
+    return found
+
+
+def is_long(page: Path) -> bool:
+    """Whether a page says that it takes long."""
+    return LONG in page.read_text(encoding="utf-8")
+
+
+def is_run(page: Path) -> bool:
+    """Whether a page has something to run."""
+    return any(block.language in ("sh", "python") for block in blocks(page))
+
+
+def run_page(page: Path, folder: Path) -> None:
+    """Run the blocks of a page in `folder`; AssertionError where a command fails or prints something else."""
+    shutil.copytree(ROOT / "examples", folder / "examples")
+    start = folder / page.relative_to(ROOT).parent if page.is_relative_to(ROOT / "examples") else folder
+    namespace: dict[str, Any] = {"__name__": "documentation"}
+    printed = ""
+    with contextlib.chdir(start):
+        for block in blocks(page):
+            place = f"{name_of(page)}:{block.line}"
+            if block.language == "sh":
+                printed = "".join(_command(line, place) for line in _lines(block.text))
+            elif block.language == "python":
+                with _captured() as stream:
+                    exec(compile("\n" * block.line + block.text, str(page), "exec"), namespace)
+                printed = stream.getvalue()
+            elif block.language == "toml" and (named := re.match(r"# ([\w.-]+\.toml)\s*\n", block.text)):
+                Path(named[1]).write_text(block.text, encoding="utf-8")
+            elif block.language == "text" and block.follows and printed:
+                _compare(block.text, printed, place)
+            if block.language not in ("sh", "python"):
+                printed = ""
+
+
+def _lines(text: str) -> Iterator[str]:
+    for line in text.replace("\\\n", " ").splitlines():
+        if line.split("#")[0].strip():
+            yield line
+
+
+def _command(line: str, place: str) -> str:
+    """What one command prints."""
+    words = shlex.split(line, comments=True)
+    expected = int(match[1]) if (match := _EXIT.search(line.partition("#")[2])) else 0
+    with _captured() as stream:
+        match words[0]:
+            case "cd":
+                os.chdir(words[1])
+                code = 0
+            case "dashpot":
+                code = run(words[1:])
+            case "python":
+                code = _script(words[1:])
+            case other:
+                raise AssertionError(f"{place}: {other} is none of the commands that are run; use ```console")
+    assert code == expected, f"{place}: {line}: exit code {code}\n{stream.getvalue()}"
+    return stream.getvalue()
+
+
+def _script(words: list[str]) -> int:
+    """A script of an example, as `python SCRIPT ARGS` runs it."""
+    before, path = sys.argv, list(sys.path)
+    sys.argv, sys.path[:] = words, [str(Path(words[0]).resolve().parent), *path]
+    try:
+        runpy.run_path(words[0], run_name="__main__")
+    finally:
+        sys.argv, sys.path[:] = before, path
+    return 0
+
+
+@contextlib.contextmanager
+def _captured() -> Iterator[io.StringIO]:
+    stream = io.StringIO()
+    with contextlib.redirect_stdout(stream), contextlib.redirect_stderr(stream):
+        yield stream
+
+
+def _compare(expected: str, printed: str, place: str) -> None:
+    lines = {line.rstrip() for line in printed.splitlines()}
+    for k, line in enumerate(expected.splitlines()):
+        wanted = line.rstrip()
+        assert not wanted or wanted == "…" or wanted in lines, (
+            f"{place}: line {k + 1} of the output is not printed:\n{wanted}\n--- printed:\n{printed}"
+        )

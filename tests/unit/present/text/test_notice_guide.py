@@ -1,0 +1,46 @@
+"""Every code that the package gives is explained, and nothing else is."""
+
+from __future__ import annotations
+
+import ast
+from pathlib import Path
+
+from dashpot.present.text.notice_guide import GUIDE
+from dashpot.present.text.notices import RECORD_REMEDIES
+
+SOURCE = Path(__file__).parents[4] / "src" / "dashpot"
+# Codes that are composed when they are given, and places that pass on the codes of others.
+COMPOSED = {"study/runner.py": {"damaged_blocks", "outdated_blocks"}}
+PASSED_ON = {"estimate/assessment.py", "estimate/estimate_json.py"}
+
+
+def given_codes() -> dict[str, set[str]]:
+    """Codes in calls of Notice, by module."""
+    codes: dict[str, set[str]] = {}
+    for path in SOURCE.rglob("*.py"):
+        place = path.relative_to(SOURCE).as_posix()
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if not isinstance(node, ast.Call) or getattr(node.func, "id", None) != "Notice":
+                continue
+            first = node.args[0] if node.args else next(k.value for k in node.keywords if k.arg == "code")
+            texts = {leaf.value for leaf in ast.walk(first) if isinstance(leaf, ast.Constant)}
+            if place in COMPOSED:
+                texts = set(COMPOSED[place])
+            assert texts or place in PASSED_ON, f"{place}:{node.lineno}: a code that no test can read"
+            codes.setdefault(place, set()).update(str(text) for text in texts)
+    return codes
+
+
+def test_every_code_is_explained_and_every_explanation_is_of_a_code() -> None:
+    given = set().union(*given_codes().values())
+    assert len(given) > 40
+    assert given - set(GUIDE) == set()
+    assert set(GUIDE) - given == set()
+
+
+def test_explanations_are_sentences() -> None:
+    for code, entry in GUIDE.items():
+        for text in (entry.meaning, entry.cure):
+            assert text[0].isupper() or text[0] == "`", code
+            assert text.endswith("."), code
+    assert set(RECORD_REMEDIES) <= set(GUIDE)
