@@ -30,7 +30,9 @@ from dashpot.app.cli import run
 
 ROOT = Path(__file__).parents[1]
 LONG = "<!-- long -->"
-_BLOCK = re.compile(r"^(?P<fence>`{3,})(?P<language>\w*)\n(?P<text>.*?)^(?P=fence)$", re.MULTILINE | re.DOTALL)
+_BLOCK = re.compile(
+    r"^(?P<fence>`{3,})(?P<language>\w*)\n(?P<text>.*?)^(?P=fence)$", re.MULTILINE | re.DOTALL
+)
 _EXIT = re.compile(r"exits with (\d+)")
 
 

@@ -30,8 +30,11 @@ def doubtful(estimate: Estimate, level: float = 0.95) -> tuple[str, ...]:
 
 
 def undetermined(model: Model, channels: Sequence[Channel]) -> tuple[str, ...]:
-    """Names of the unknowns that no data of these channels can determine; none where the rig has no steady response."""
-    if not model.unknowns or not channels:
+    """Names of the unknowns that no data of these channels can determine.
+
+    None where the rig has no steady response, or is nonlinear: ranks say nothing of those.
+    """
+    if not model.unknowns or not channels or len(model.nonlinear):
         return ()
     try:
         found = structure(model, channels)

@@ -28,6 +28,7 @@ from dashpot.check.structure import (
     view_of,
 )
 from dashpot.data.spectrum import Spectrum
+from dashpot.errors import UsageError
 from dashpot.model.network import Model
 from dashpot.numerics import finite_field as field
 
@@ -66,8 +67,13 @@ def structure(
     """What the channels can tell of the unknowns; with `spectrum`, also whether its lines are enough.
 
     Inputs that no channel measures are unknown at every line.  Raises IdentifiabilityError where the rig has no
-    steady response, DataError where a channel measures what the rig has not.
+    steady response, DataError where a channel measures what the rig has not, UsageError for nonlinear rigs.
     """
+    if len(model.nonlinear):
+        raise UsageError(
+            "a rig with nonlinear elements cannot be checked before it is identified",
+            cure="identify it: its intervals say what the data determine",
+        )
     rng = np.random.default_rng(seed)
     view = view_of(model, channels)
     names = view.names

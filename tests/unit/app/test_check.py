@@ -73,3 +73,22 @@ def test_bad_usage(dashpot: Command, rig: Path, data: Path) -> None:
     assert done.code == 2
     assert "k1 is not among the unknowns" in done.err[-1]
     assert dashpot("check", "nowhere.toml").code == 2
+
+
+def test_a_nonlinear_rig_is_told_that_it_cannot_be_checked(dashpot: Command, tmp_path: Path) -> None:
+    rig = tmp_path / "rig.toml"
+    rig.write_text(
+        'coordinates = ["x"]\n[inputs]\nf = { kind = "force", at = "x" }\n[masses]\nm = { at = "x" }\n'
+        '[springs]\nk = { between = ["x", "ground"] }\n'
+        'k3 = { between = ["x", "ground"], law = "cubic" }\n[dampers]\nc = { between = ["x", "ground"] }\n',
+        encoding="utf-8",
+    )
+    done = dashpot("check", str(rig))
+    assert done.code == 2
+    assert done.err == [
+        (
+            "dashpot: a rig with nonlinear elements cannot be checked before it is identified; identify it: its "
+            "intervals say what the data determine"
+        )
+    ]
+    assert dashpot("draw", str(rig), "-o", str(tmp_path / "rig.svg")).code == 0

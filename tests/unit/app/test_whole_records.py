@@ -209,3 +209,27 @@ def test_what_validate_refuses(dashpot: Command, rig: str) -> None:
     lost = dashpot("validate", "e.json", "run.csv")
     assert lost.code == 2
     assert "is not there" in lost.err[-1]
+
+
+def test_free_decay_of_a_rig_that_nothing_drives(dashpot: Command, tmp_path: Path) -> None:
+    """All motion is that at the start; one known part fixes the scale, and without it that is said."""
+    rig = tmp_path / "decay.toml"
+    text = (
+        'coordinates = ["x"]\n[masses]\nm = { at = "x", value = 2 }\n'
+        '[springs]\nk = { between = ["x", "ground"] }\n[dampers]\nc = { between = ["x", "ground"] }\n'
+    )
+    rig.write_text(text, encoding="utf-8")
+    t = np.arange(0, 6, 0.01)
+    rate = np.sqrt(2000 / 2 - 0.75**2)
+    x = 0.01 * np.exp(-0.75 * t) * np.cos(rate * t) + 2e-5 * np.random.default_rng(1).standard_normal(t.size)
+    rows = "\n".join(f"{a:.6g},{b:.8g}" for a, b in zip(t, x, strict=True))
+    (tmp_path / "decay.csv").write_text(f"time_s,x\n{rows}\n", encoding="utf-8")
+    done = dashpot("identify", str(rig), str(tmp_path / "decay.csv"), "--json", str(tmp_path / "e.json"))
+    assert done.code == 0
+    found = json.loads((tmp_path / "e.json").read_text(encoding="utf-8"))["parameters"]
+    for name, truth in {"k": 2000, "c": 3}.items():
+        assert abs(found[name]["value"] - truth) < 4 * found[name]["sd"] < 0.02 * truth
+    rig.write_text(text.replace(", value = 2", ""), encoding="utf-8")
+    done = dashpot("identify", str(rig), str(tmp_path / "decay.csv"))
+    assert done.code == 3
+    assert "scale together" in done.err[0]

@@ -26,9 +26,11 @@ def require_identifiable(
 ) -> None:
     """Raises IdentifiabilityError with one problem for each thing that cannot be found, placed at the file `where`.
 
-    Of large rigs only the scale of the forces is checked.
+    Of large rigs only the scale of the forces is checked, and of rigs that nothing drives: ranks know of no motion
+    but that of inputs, while records of free decay tell by the motion that they start with.
     """
-    if is_large(model):
+    decays = not model.inputs and (spectrum is None or bool(spectrum.records))
+    if decays or is_large(model):
         require_scale(model, channels, where)
     else:
         require_full_rank(structure(model, channels, spectrum), model, channels, where)

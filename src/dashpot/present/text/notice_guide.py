@@ -35,10 +35,10 @@ _ALL: tuple[tuple[str, str, str, str], ...] = (
     ),
     (
         "negative", _VERDICT,
-        "A mass, damper or spring is negative beyond doubt. No passive part is; something is missing, reversed or "
-        "stated wrongly. It is a reason of the verdict and a warning of the estimate.",
-        "Check signs and units of the channels and the elements that join this point. A negative spring to the storey "
-        "after next stands for bending.",
+        ("A mass, damper or spring is negative beyond doubt. No passive part is; something is missing, reversed or "
+        "stated wrongly. It is a reason of the verdict and a warning of the estimate."),
+        ("Check signs and units of the channels and the elements that join this point. A negative spring to the storey "
+        "after next stands for bending."),
     ),
     (
         "unstable", _VERDICT,
@@ -73,9 +73,9 @@ _ALL: tuple[tuple[str, str, str, str], ...] = (
     # ------------------------------------------------------------ estimate
     (
         "model_misfit", _ESTIMATE,
-        "The model does not fit; ± and intervals are widened by the ratio of residuals to noise. Widened intervals "
+        ("The model does not fit; ± and intervals are widened by the ratio of residuals to noise. Widened intervals "
         "are no promise: they do not hold a parameter's true value when what the model lacks looks like that "
-        "parameter.",
+        "parameter."),
         "Mend the model first ([When the model does not fit](../explain/misfit.md)).",
     ),
     (
@@ -85,14 +85,14 @@ _ALL: tuple[tuple[str, str, str, str], ...] = (
     ),
     (
         "unknown_noise", _ESTIMATE,
-        "No noise is given: it is taken as the same share of every amplitude, with a size read from the residuals. "
-        "Intervals may then be too small or too large.",
+        ("No noise is given: it is taken as the same share of every amplitude, with a size read from the residuals. "
+        "Intervals may then be too small or too large."),
         "Give `NAME_sd` in the table, or the records.",
     ),
     (
         "coloured_noise", _ESTIMATE,
-        "The noise beside the drive frequency is not white; its size was measured there and the intervals include it. "
-        "A transient or a slightly wrong drive frequency looks the same.",
+        ("The noise beside the drive frequency is not white; its size was measured there and the intervals include it. "
+        "A transient or a slightly wrong drive frequency looks the same."),
         "Of time records: try `--settle auto` and `--refine auto`. Of tables of amplitudes: nothing.",
     ),
     (
@@ -122,8 +122,8 @@ _ALL: tuple[tuple[str, str, str, str], ...] = (
     ),
     (
         "biased", _ESTIMATE,
-        "This method's estimate lies more than 3 standard deviations from the most likely value: noise in the measured "
-        "motion biases it.",
+        ("This method's estimate lies more than 3 standard deviations from the most likely value: noise in the measured "
+        "motion biases it."),
         "Use `oiv` or `ml` (`auto` does).",
     ),
     (
@@ -134,8 +134,8 @@ _ALL: tuple[tuple[str, str, str, str], ...] = (
     (
         "prior_conflict", _ESTIMATE,
         "A value stated with an `sd` is contradicted by the data.",
-        "Weigh or measure that part again, widen its `sd`, or look for the model's fault; free the value (remove it) "
-        "to see what the data say alone.",
+        ("Weigh or measure that part again, widen its `sd`, or look for the model's fault; free the value (remove it) "
+        "to see what the data say alone."),
     ),
     (
         "reversed_phase", _ESTIMATE,
@@ -154,8 +154,8 @@ _ALL: tuple[tuple[str, str, str, str], ...] = (
     ),
     (
         "short_record", _ESTIMATE,
-        "The record is shorter than one period of the slowest mode: its transient and its motion are hardly told "
-        "apart.",
+        ("The record is shorter than one period of the slowest mode: its transient and its motion are hardly told "
+        "apart."),
         "Record for several periods of the slowest mode.",
     ),
     (
@@ -176,8 +176,8 @@ _ALL: tuple[tuple[str, str, str, str], ...] = (
     # ------------------------------------------------------------ records
     (
         "colour_unresolved", _RECORDS,
-        "The residual of a dwell is not white, but there are too few periods to measure its colour: intervals treat "
-        "it as white and may be too small.",
+        ("The residual of a dwell is not white, but there are too few periods to measure its colour: intervals treat "
+        "it as white and may be too small."),
         "Longer dwells; `--settle auto` if it is the transient.",
     ),
     (
