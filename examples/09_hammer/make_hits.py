@@ -1,7 +1,7 @@
 """hit1.csv, hit2.csv, hit3.csv and still.csv, simulated in time by SciPy:  python make_hits.py
 
-Masses 4 and 1.5 kg; springs 60 and 25 kN/m; dampers 12 and 6 N·s/m.  Each hit is a pulse of 8 ms, as of a soft tip; force cell with
-noise of 0.5 N, accelerometers with 2 mg.  Hits follow each other before the rig has come to rest.
+Masses 4 and 1.5 kg; springs 60 and 25 kN/m; dampers 12 and 6 N·s/m.  Each hit is a pulse of 8 ms, as of a soft tip.
+The force cell has noise of 0.5 N, the accelerometers 2 mg.  Hits follow each other before the rig has come to rest.
 """
 
 from __future__ import annotations

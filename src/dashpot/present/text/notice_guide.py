@@ -122,7 +122,7 @@ _ALL: tuple[tuple[str, str, str, str], ...] = (
     ),
     (
         "biased", _ESTIMATE,
-        ("This method's estimate lies more than 3 standard deviations from the most likely value: noise in the measured "
+        ("The estimate lies more than 3 standard deviations from the most likely value: noise in the measured "
         "motion biases it."),
         "Use `oiv` or `ml` (`auto` does).",
     ),
