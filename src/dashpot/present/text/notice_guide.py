@@ -232,6 +232,11 @@ _ALL: tuple[tuple[str, str, str, str], ...] = (
         "Nothing, unless one should be a channel: then its name in `[channels]` is spelt differently.",
     ),
     (
+        "decimal_comma", _FILES,
+        "Commas in numbers were read as decimal commas although they could part thousands.",
+        "If they part thousands, export the file without such commas.",
+    ),
+    (
         "columns_chosen", _FILES,
         "A manifest chooses columns; the others are left out without a note. This code is not shown.",
         "Nothing.",
