@@ -30,15 +30,14 @@ from dashpot.estimate import comparison as comparisons
 from dashpot.estimate import identify as identification
 from dashpot.estimate.comparison import Comparison
 from dashpot.estimate.method import Method
-from dashpot.estimate.registry import METHODS
 from dashpot.estimate.registry import method as named_method
+from dashpot.estimate.registry import methods_for
 from dashpot.estimate.result import Estimate
 from dashpot.export.identified_rig import IdentifiedRig, identified_rig
 from dashpot.export.state_space import StateSpace, state_space_of
 from dashpot.export.transfer_functions import TransferFunctions, transfer_functions_of
 from dashpot.model.network import Model
 from dashpot.model.rigfile import Rig, default_channels, read_rig
-from dashpot.model.unstructured import free_entries
 from dashpot.quantities import frequencies as frequencies_of
 from dashpot.study.simulate import dwells, simulate_records
 
@@ -116,7 +115,7 @@ def compare(
     """
     model = _model(rig)
     if methods is None:
-        methods = [name for name in METHODS if name != "oiv+" or free_entries(model)]
+        methods = methods_for(model)
     if not isinstance(methods, Mapping):
         methods = {name: named_method(name, seed=seed) for name in methods}
     spectrum = None if data is None else _spectrum(rig, data, frequency_hz, conditioning, list(methods))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from functools import partial
 
 from dashpot.data.modal_data import ModalData
 from dashpot.data.spectrum import Spectrum
@@ -45,7 +46,7 @@ class Comparison:
         return self.estimates[self.most_likely[0]][name].value if self.most_likely else None
 
     def to_json(self) -> str:
-        """Every estimate as `identify --json` writes it, the reasons of the others, and the truth."""
+        """Every estimate as its own JSON has it, the reasons of the others, and the truth."""
         content = {
             "dashpot": FORMAT,
             "model": self.model,
@@ -78,29 +79,36 @@ def compare(
     for name in true:
         if name not in names:
             raise UsageError(f"{name} is no unknown of this rig", cure=f"its unknowns are {', '.join(names)}")
-    estimates: dict[str, Estimate] = {}
-    out: dict[str, DashpotError] = {} if refused is None else dict(refused)
     jobs: dict[str, Callable[[], Estimate]] = {}
     if spectrum is not None:
-        given = spectrum
-        for name, method in methods.items():
-            jobs[name] = lambda method=method: identify(model, given, method)  # type: ignore[misc]
+        jobs |= {name: partial(identify, model, spectrum, method) for name, method in methods.items()}
     if modal is not None:
-        shapes = modal
-        jobs[NAME] = lambda: identify_modal(model, shapes, seed=seed)
-    if not jobs and not out:
+        jobs[NAME] = partial(identify_modal, model, modal, seed=seed)
+    ruled_out = {} if refused is None else dict(refused)
+    if not jobs and not ruled_out:
         raise UsageError("there is nothing to compare", cure="give data, measured modes, or both")
+    estimates, out = _answers(jobs, ruled_out, progress)
+    units = tuple(u.unit for u in model.unknowns)
+    return Comparison(model.name, names, units, estimates, out, true, _most_likely(methods, estimates))
+
+
+def _answers(
+    jobs: Mapping[str, Callable[[], Estimate]],
+    refused: dict[str, DashpotError],
+    progress: Callable[[int, int], None] | None,
+) -> tuple[dict[str, Estimate], dict[str, DashpotError]]:
+    """What the methods give, and the errors of those that give nothing.  Raises the first where none does."""
+    estimates: dict[str, Estimate] = {}
     for done, (name, job) in enumerate(jobs.items()):
         try:
             estimates[name] = job()
         except DashpotError as error:
-            out[name] = error
+            refused[name] = error
         if progress is not None:
             progress(done + 1, len(jobs))
     if not estimates:
-        raise next(iter(out.values()))
-    units = tuple(u.unit for u in model.unknowns)
-    return Comparison(model.name, names, units, estimates, out, true, _most_likely(methods, estimates))
+        raise next(iter(refused.values()))
+    return estimates, refused
 
 
 def _most_likely(methods: Mapping[str, Method], estimates: Mapping[str, Estimate]) -> tuple[str, ...]:

@@ -11,6 +11,7 @@ from dashpot.errors import UsageError
 
 if TYPE_CHECKING:
     from dashpot.estimate.method import Method
+    from dashpot.model.network import Model
 
 METHODS: Mapping[str, tuple[str, str]] = MappingProxyType(
     {
@@ -46,6 +47,14 @@ def method_class(name: str) -> type[Method]:
     assert isinstance(kind, type)
     assert issubclass(kind, Method)
     return kind
+
+
+def methods_for(model: Model) -> list[str]:
+    """All methods that may differ for the rig: definite matrices count only where entries of matrices are free."""
+    from dashpot.model.unstructured import free_entries
+
+    free = bool(free_entries(model))
+    return [name for name in METHODS if free or not method_class(name).traits.definite]
 
 
 def method(name: str, *, seed: int | None = None, **settings: object) -> Method:

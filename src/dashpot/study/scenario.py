@@ -14,9 +14,7 @@ import numpy as np
 
 from dashpot.arrays import Real, frozen
 from dashpot.channel import Channel
-from dashpot.estimate.identify import identify
-from dashpot.estimate.preparation.state_reconstruction import unseen
-from dashpot.estimate.registry import method
+from dashpot.estimate.identify import automatic, identify
 from dashpot.model.network import Model
 from dashpot.study.fingerprint import fields_of, fingerprint_of
 from dashpot.study.simulate import Dwells, NoiseBasis, clean_spectrum
@@ -96,5 +94,4 @@ class Scenario:
         Raises DashpotError where the test does not determine the unknowns.
         """
         clean = clean_spectrum(self.model, self.p, self.channels, self.test, drift=self.drift)
-        way = "ml" if unseen(self.model, clean) else "oiv"
-        return identify(self.model, clean, method(way)).bound_sd
+        return identify(self.model, clean, automatic(self.model, clean)).bound_sd

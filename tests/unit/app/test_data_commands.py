@@ -8,26 +8,7 @@ import pytest
 from click.testing import CliRunner
 
 from dashpot.app.cli import cli
-from tests.unit.data.readers.written import WRITERS, recording
-
-RIG = """
-coordinates = ["x1", "x2"]
-[inputs]
-u = { kind = "displacement" }
-[masses]
-m1 = { at = "x1", value = 1.0 }
-m2 = { at = "x2" }
-[springs]
-k1 = { between = ["x1", "x2"] }
-k2 = { between = ["x2", "u"] }
-[dampers]
-c1 = { between = ["x1", "x2"] }
-c2 = { between = ["x2", "u"] }
-[channels]
-x1 = { of = "x1", unit = "mm" }
-x2 = { of = "x2", unit = "mm" }
-u = { of = "u", unit = "mm" }
-"""
+from tests.unit.data.readers.written import RIG, WRITERS, recording
 
 
 @pytest.fixture

@@ -23,7 +23,7 @@ from dashpot.app.options import (
     whole_record_options,
 )
 from dashpot.app.parameter_types import AMOUNTS, INPUT_FILE
-from dashpot.estimate.registry import METHODS
+from dashpot.estimate.registry import METHODS, methods_for
 
 if TYPE_CHECKING:
     from dashpot.data.modal_data import ModalData
@@ -80,7 +80,7 @@ def command(
     chosen = _chosen(methods, bool(data), modal_file is not None)
     rig_read = read_rig(rig)
     rig_read.model.require_unknowns(rig)
-    chosen = chosen or _all_methods(rig_read)
+    chosen = chosen or methods_for(rig_read.model)
     true = None if truth is None else true_values(rig_read, truth)
     modal = None if modal_file is None else _modes(modal_file, rig_read)
     spectrum = _spectrum(data, rig_read, chosen, conditioning, quiet) if data else None
@@ -115,14 +115,6 @@ def _chosen(methods: str | None, data: bool, modal: bool) -> list[str]:
         if chosen.count(name) > 1:
             raise UsageError(f"{name} is named twice", "--methods", "name each method once")
     return chosen
-
-
-def _all_methods(rig: Rig) -> list[str]:
-    from dashpot.estimate.registry import METHODS, method_class
-    from dashpot.model.unstructured import free_entries
-
-    free = bool(free_entries(rig.model))
-    return [name for name in METHODS if free or not method_class(name).traits.definite]
 
 
 def _modes(path: str, rig: Rig) -> ModalData:

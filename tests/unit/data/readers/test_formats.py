@@ -15,31 +15,13 @@ from dashpot.estimate.identify import identify
 from dashpot.model.rigfile import parse_rig
 from tests.unit.data.readers.written import (
     CHANNELS,
+    RIG,
     WRITERS,
     as_read,
     packed,
     recording,
     wav,
 )
-
-RIG = """
-coordinates = ["x1", "x2"]
-[inputs]
-u = { kind = "displacement" }
-[masses]
-m1 = { at = "x1", value = 1.0 }
-m2 = { at = "x2" }
-[springs]
-k1 = { between = ["x1", "x2"] }
-k2 = { between = ["x2", "u"] }
-[dampers]
-c1 = { between = ["x1", "x2"] }
-c2 = { between = ["x2", "u"] }
-[channels]
-x1 = { of = "x1", unit = "mm" }
-x2 = { of = "x2", unit = "mm" }
-u = { of = "u", unit = "mm" }
-"""
 
 
 def same(records, expected, one_clock=False):

@@ -13,6 +13,24 @@ from dashpot.channel import Channel
 from dashpot.data.readers import read, write_records
 from dashpot.data.record import Record
 
+RIG = """
+coordinates = ["x1", "x2"]
+[inputs]
+u = { kind = "displacement" }
+[masses]
+m1 = { at = "x1", value = 1.0 }
+m2 = { at = "x2" }
+[springs]
+k1 = { between = ["x1", "x2"] }
+k2 = { between = ["x2", "u"] }
+[dampers]
+c1 = { between = ["x1", "x2"] }
+c2 = { between = ["x2", "u"] }
+[channels]
+x1 = { of = "x1", unit = "mm" }
+x2 = { of = "x2", unit = "mm" }
+u = { of = "u", unit = "mm" }
+"""
 CHANNELS = (
     Channel("x1", {"x1": 1}, unit="mm", scale=1e-3),
     Channel("x2", {"x2": 1}, unit="mm", scale=1e-3),

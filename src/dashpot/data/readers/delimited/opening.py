@@ -63,25 +63,38 @@ def table_of(data: Text, source: str, first_column: str | None = None) -> Table:
         row = _Row(row.number, row.end, "\t".join(row.text.split()))
         delimiter = "\t"
     header = _names(row.text, delimiter, place)
-    start, first_row = row.end, row.number + 1
     units: tuple[str | None, ...] = ()
-    following = _next_row(data, start, row.number)
-    if first_column is None and following is not None and _is_unit_row(_cells(following.text, delimiter)):
-        cells = _cells(following.text, delimiter)
-        if len(cells) == len(header):
-            units = tuple(_unit(cell) for cell in cells)
-            start, first_row = following.end, following.number + 1
+    start, first_row = row.end, row.number + 1
+    if first_column is None:
+        start, first_row, units = _behind_units(data, row, delimiter, len(header))
     first_data = _next_row(data, start, first_row - 1)
     if first_data is None:
         raise DataError("the file has a header and no rows", place, "give a file with data")
     width = len(_cells(first_data.text, delimiter))
     if width == len(header) - 1 and not header[-1]:  # a delimiter at the end of the header alone
         header, units = header[:-1], units[:width]
-    sample = data[start : start + 4096].decode("utf-8", errors="replace")
-    decimal = "," if delimiter != "," and "," in sample and "." not in sample else "."
-    notes = (_thousands_note(source),) if decimal == "," and _may_be_thousands(sample, delimiter) else ()
+    decimal, notes = _decimal(data[start : start + 4096].decode("utf-8", errors="replace"), delimiter, source)
     body = memoryview(data)[start:]
     return with_checked_end(Table(source, header, units, notes, body, first_row, delimiter, decimal))
+
+
+def _behind_units(
+    data: Text, header: _Row, delimiter: str, columns: int
+) -> tuple[int, int, tuple[str | None, ...]]:
+    """Where the rows begin behind the header, and behind a row of units where there is one; the units."""
+    following = _next_row(data, header.end, header.number)
+    if following is not None:
+        cells = _cells(following.text, delimiter)
+        if len(cells) == columns and _is_unit_row(cells):
+            return following.end, following.number + 1, tuple(_unit(cell) for cell in cells)
+    return header.end, header.number + 1, ()
+
+
+def _decimal(sample: str, delimiter: str, source: str) -> tuple[str, tuple[Notice, ...]]:
+    """The decimal mark, and a note where a comma may be meant to part thousands."""
+    if delimiter == "," or "," not in sample or "." in sample:
+        return ".", ()
+    return ",", (_thousands_note(source),) if _may_be_thousands(sample, delimiter) else ()
 
 
 def _may_be_thousands(sample: str, delimiter: str) -> bool:
