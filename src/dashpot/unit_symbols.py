@@ -88,6 +88,7 @@ _TABLE: tuple[tuple[str, Symbol], ...] = (
     ("ips", Symbol(_INCH, (1, 0, -1, 0, 0, 0))),
     ("V", Symbol(1.0, VOLTAGE, "nµmk")),
     ("count counts ct cts lsb LSB", Symbol(1.0, COUNT)),
+    ("FS", Symbol(1.0, COUNT)),  # of the full scale: a number without unit, as counts are
 )
 WORDS = {
     "metre": "m", "meter": "m", "gram": "g", "second": "s", "radian": "rad", "degree": "deg", "hertz": "Hz",

@@ -14,6 +14,7 @@ from dashpot.io.words import did_you_mean, listed, written
 from dashpot.model.elements import Element
 from dashpot.model.network import Input
 from dashpot.model.rigfile.amounts import factors, in_si, is_share, number_of
+from dashpot.model.rigfile.full_scale import full_scale_gain, raw_unit
 from dashpot.model.rigfile.reading import RigReading
 from dashpot.model.rigfile.rig import all_angles, is_electrical, scale_of_points
 from dashpot.model.rigfile.schema import GROUND, TABLES, ChannelEntry
@@ -172,6 +173,8 @@ def _numbers_good(reading: RigReading, place: Place, entry: ChannelEntry) -> boo
     if entry.sign is not None and entry.sign not in (1.0, -1.0):
         cure = 'write 1, -1 or "unknown"; a factor belongs into gain'
         faults.append(("sign", f"the sign is {entry.sign:g}", cure))
+    if entry.bits is not None and entry.full_scale is None:
+        faults.append(("bits", "bits without a full scale", 'add full_scale, such as "50 g"'))
     for key in ("noise", "relative_noise"):
         if number_of(getattr(entry, key)) < 0:
             faults.append(
@@ -199,13 +202,15 @@ def _calibrated(
     key = "unit"
     try:
         arms, angles = measurables.arms(of, quantity), measurables.angles
-        unit = entry.unit if entry.unit is not None else si_unit(quantity.value, all_angles(arms, angles))
+        unit = raw_unit(entry) or si_unit(quantity.value, all_angles(arms, angles))
         # A voltage with a stated gain is in V per SI unit; with the default gain of 1 nobody has calibrated it.
         gain = None if entry.same_gain_as is not None else entry.gain
-        electrical = gain is None or "gain" in entry.model_fields_set
+        electrical = gain is None or bool({"gain", "full_scale"} & entry.model_fields_set)
         factor = scale_of_points(unit, quantity.value, arms, angles, electrical)
-        key = "gain"
-        if isinstance(gain, str):
+        key = "gain" if entry.full_scale is None else "full_scale"
+        if entry.full_scale is not None:
+            gain = full_scale_gain(entry, unit, quantity.value, arms, angles)
+        elif isinstance(gain, str):
             gain = sensitivity(gain, unit, quantity.value, all_angles(arms, angles))
     except UsageError as error:
         reading.report.add((*place, key), error.problems[0].what, error.problems[0].cure)

@@ -235,6 +235,8 @@ class ChannelEntry(Entry):
     relative_noise: Share = 0.0
     rate: GivenAmount | None = None
     same_gain_as: Text | None = None
+    full_scale: GivenAmount | None = None
+    bits: Number | None = None
 
 
 FREE_EXAMPLE = 'free = "MCK", or [free] and below it K = "full", M = "diagonal"'
