@@ -50,20 +50,25 @@ class Record:
                 f"of {len(self.channels)} channels",
                 self.source,
             )
-        if not np.all(np.isfinite(self.time)):
+        if not _all_finite(self.time):
             raise DataError(
                 f"the time is not finite at row {int(np.argmin(np.isfinite(self.time))) + 1}", self.source
             )
-        if np.any(np.diff(self.time) <= 0):
-            row = int(np.argmax(np.diff(self.time) <= 0)) + 2
+        back = self.time[1:] <= self.time[:-1]
+        if np.any(back):
+            row = int(np.argmax(back)) + 2
             raise DataError(
                 f"the time does not increase at row {row}", self.source, "sort the rows or split the record"
             )
-        bad = ~np.isfinite(self.values)
-        if np.any(bad):
-            row, column = (int(k) for k in np.argwhere(bad)[0][-2:])
+        if not _all_finite(self.values):
+            row, column = (int(k) for k in np.argwhere(~np.isfinite(self.values))[0][-2:])
             raise DataError(
                 f"{self.channels[column].name} is not finite at row {row + 1}",
                 self.source,
                 "cut the gap out or fill it",
             )
+
+
+def _all_finite(values: Real) -> bool:
+    """Whether all are finite, without an array as large as they are."""
+    return not values.size or bool(np.isfinite(np.min(values)) and np.isfinite(np.max(values)))

@@ -21,6 +21,7 @@ from dashpot.notices import Notice
 
 LARGEST = 1e100  # beyond this squares overflow, and no measurement is meant
 MOST_COLUMNS = 10_000
+LARGE = 1 << 23  # numbers from which columns are put where they stay
 _UNIT = re.compile(r"^(?P<name>.*?)\s*[\[(](?P<unit>[^\[\]()]*)[\])]$")
 
 
@@ -78,10 +79,15 @@ class Columns(ABC):
 
     @abstractmethod
     def numbers(
-        self, columns: Sequence[int], optional: Sequence[int] = (), infinite: Sequence[int] = ()
+        self,
+        columns: Sequence[int],
+        optional: Sequence[int] = (),
+        infinite: Sequence[int] = (),
+        together: Sequence[int] = (),
     ) -> dict[int, Real]:
         """The columns as float64.  Gaps in `optional` ones give NaN; those of `infinite` may be inf.
 
+        Of a large file, those of `together` are the columns of one new array, which may be taken (`whole_block`).
         Raises DataError at the first row with a gap, text, NaN or infinity.
         """
 
@@ -215,6 +221,26 @@ def _factors(unit: str, quantity: str) -> list[float]:
     return factors
 
 
+def columns_of_block(columns: Sequence[int], together: Sequence[int], rows: int) -> dict[int, Real]:
+    """Arrays to be filled: those of `together` are the columns of one array, which need not be copied to stand so."""
+    block = np.empty((rows, len(together)), order="F")
+    at = {column: block[:, i] for i, column in enumerate(together)}
+    return {column: at[column] if column in at else np.empty(rows) for column in columns}
+
+
+def whole_block(arrays: Sequence[Real]) -> Real | None:
+    """The array, (rows, columns), whose columns these are, all and in order, as `columns_of_block` makes it."""
+    block = arrays[0].base if arrays else None
+    if not isinstance(block, np.ndarray) or block.shape != (len(arrays[0]), len(arrays)):
+        return None
+    if not (
+        block.flags.f_contiguous and block.flags.owndata and block.flags.writeable and block.dtype == float
+    ):
+        return None
+    same = all(array.ctypes.data == block[:, i].ctypes.data for i, array in enumerate(arrays))
+    return block if same else None
+
+
 Load = Callable[[], Any]  # of a variable: a one-dimensional array
 
 
@@ -238,10 +264,14 @@ class ArrayColumns(Columns):
         return f"{self.source}: sample {index + 1}"
 
     def numbers(
-        self, columns: Sequence[int], optional: Sequence[int] = (), infinite: Sequence[int] = ()
+        self,
+        columns: Sequence[int],
+        optional: Sequence[int] = (),
+        infinite: Sequence[int] = (),
+        together: Sequence[int] = (),
     ) -> dict[int, Real]:
         """As of Columns."""
-        values = {}
+        values = columns_of_block(columns, together, self.rows) if self.rows * len(together) >= LARGE else {}
         for column in columns:
             numbers = self._number(column)
             wrong = ~np.isfinite(numbers)
@@ -254,7 +284,10 @@ class ArrayColumns(Columns):
                 at = int(np.argmax(wrong))
                 cause = "is too large" if np.isfinite(numbers[at]) else "is not a finite number"
                 raise self.error(at, column, f"{numbers[at]:g} {cause}", "fill the gap, or cut it out")
-            values[column] = numbers
+            if column in values:
+                values[column][:] = numbers
+            else:
+                values[column] = numbers
         return values
 
     def _number(self, column: int) -> Real:

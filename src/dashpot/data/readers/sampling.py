@@ -57,23 +57,27 @@ def time_column(columns: Columns, channels: Sequence[Channel], may_lack: bool = 
 
 
 def read_time(
-    columns: Columns, time_at: int | None, others: Sequence[int], rate_hz: float | None
+    columns: Columns,
+    time_at: int | None,
+    others: Sequence[int],
+    rate_hz: float | None,
+    together: Sequence[int] = (),
 ) -> tuple[Real, dict[int, Real]]:
     """Time in s, and the other columns.
 
-    Without a column of time the samples are 1/rate_hz apart.  Raises DataError as Columns.numbers.
+    Without a column of time the samples are 1/rate_hz apart; `together` as of Columns.numbers, and so are errors.
     """
     if time_at is None or rate_hz is not None:
-        numbers = columns.numbers(others)
+        numbers = columns.numbers(others, together=together)
         rows = len(next(iter(numbers.values()))) if numbers else 0
         return np.arange(rows) / (1.0 if rate_hz is None else rate_hz), numbers
     if is_timestamp(columns.first(time_at)):
-        numbers = columns.numbers(others)
+        numbers = columns.numbers(others, together=together)
         time, wrong = seconds_of(columns.texts(time_at))
         if wrong is not None:
             raise columns.error(wrong, time_at, "is no moment", "write it as 2025-03-06 12:21:16.125")
         return time, numbers
-    numbers = columns.numbers(list(dict.fromkeys([time_at, *others])))
+    numbers = columns.numbers(list(dict.fromkeys([time_at, *others])), together=together)
     scale = _time_scale(columns, time_at)
     time = numbers[time_at] if time_at in others else numbers.pop(time_at)
     time = time if scale == 1.0 else time * scale
@@ -83,17 +87,19 @@ def read_time(
 
 def _time_scale(columns: Columns, column: int) -> float:
     """Seconds per unit of the column.  Raises DataError where the unit is none of time."""
+    return _unit_scale(columns, column, "time", "give the time in s, ms, µs, min or h")
+
+
+def _unit_scale(columns: Columns, column: int, quantity: str, cure: str) -> float:
+    """Factor of the column's unit, 1 where it has none.  Raises DataError where it is none of the quantity."""
     unit = columns.unit(column)
     if not unit:
         return 1.0
     try:
-        return units.scale(unit, "time")
+        return units.scale(unit, quantity)
     except DashpotError:
-        raise DataError(
-            f"column {shown(columns.header[column])}: {shown(unit)} is no unit of time",
-            columns.heading,
-            "give the time in s, ms, µs, min or h",
-        ) from None
+        what = f"column {shown(columns.header[column])}: {shown(unit)} is no unit of {quantity}"
+        raise DataError(what, columns.heading, cure) from None
 
 
 def frequency_column(columns: Columns, channels: Sequence[Channel]) -> int | None:
@@ -112,21 +118,13 @@ def frequency_column(columns: Columns, channels: Sequence[Channel]) -> int | Non
 
 def frequency_scale(columns: Columns, column: int) -> float:
     """Hz per unit of the column.  Raises DataError where the unit is none of frequency."""
-    unit = columns.unit(column)
-    if not unit:
-        return 1.0
-    try:
-        return units.scale(unit, "frequency")
-    except DashpotError:
-        raise DataError(
-            f"column {shown(columns.header[column])}: {shown(unit)} is no unit of frequency",
-            columns.heading,
-            "give the frequency in Hz, kHz, rad/s or rpm",
-        ) from None
+    return _unit_scale(columns, column, "frequency", "give the frequency in Hz, kHz, rad/s or rpm")
 
 
 def check_range(columns: Columns, column: int, values: Real, most: float, unit: str) -> None:
     """Raises DataError at the first value that overflows sums of squares."""
+    if not len(values) or (np.min(values) >= -most and np.max(values) <= most):
+        return
     wrong = ~(np.abs(values) <= most)
     if np.any(wrong):
         i = int(np.argmax(wrong))

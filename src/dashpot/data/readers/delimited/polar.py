@@ -51,9 +51,14 @@ class RectangularColumns(Columns):
         return self.base.part_from(index)
 
     def numbers(
-        self, columns: Sequence[int], optional: Sequence[int] = (), infinite: Sequence[int] = ()
+        self,
+        columns: Sequence[int],
+        optional: Sequence[int] = (),
+        infinite: Sequence[int] = (),
+        together: Sequence[int] = (),
     ) -> dict[int, Real]:
         """As of Columns."""
+        del together  # what is computed is new
         plain = len(self.base.header)
         computed = [column for column in columns if column >= plain]
         sources = {at for column in computed for at in self._sources(column)}

@@ -16,7 +16,7 @@ import numpy as np
 
 from dashpot.arrays import Ints, Real
 from dashpot.channel import Channel
-from dashpot.data.readers.columns import LARGEST, Columns, bare
+from dashpot.data.readers.columns import LARGEST, Columns, bare, whole_block
 from dashpot.data.readers.delimited.writing import write_rows
 from dashpot.data.readers.sampling import (
     FREQUENCY,
@@ -62,7 +62,8 @@ def read_records(
     if extra:
         text = f"{columns.source}: not read, because the rig file does not list them: {listed(extra)}"
         notes.append(Notice("columns_not_read", text, tuple(extra)))
-    time, numbers = read_time(columns, time_at, wanted, circumstances.rate_hz)
+    apart = set(at).isdisjoint({time_at, f_at, experiment_at})
+    time, numbers = read_time(columns, time_at, wanted, circumstances.rate_hz, at if apart else ())
     frequency, frequency_hz, said = _drive(columns, f_at, numbers, circumstances)
     notes += said
     experiments: Ints = np.broadcast_to(np.int64(circumstances.experiment), len(time))
@@ -118,8 +119,9 @@ def _record(
 def _in_si(
     columns: Columns, at: Sequence[int], scales: Sequence[float], numbers: dict[int, Real], rows: int
 ) -> Real:
-    """The channels in SI units, (samples, channels); their numbers are let go."""
-    values = np.empty((rows, len(at)))
+    """The channels in SI units, (samples, channels); their numbers are let go, or changed where they stand together."""
+    block = whole_block([numbers[column] for column in at])
+    values = np.empty((rows, len(at))) if block is None else block
     for i, (column, scale) in enumerate(zip(at, scales, strict=True)):
         np.multiply(numbers.pop(column), scale, out=values[:, i])
         check_range(columns, column, values[:, i], LARGEST, "(SI)")
@@ -175,12 +177,13 @@ def _clipped(record: Record) -> list[Notice]:
     eight times as many as at the value next to it."""
     notes: list[Notice] = []
     for channel, x in zip(record.channels, record.values.T, strict=True):
-        for limit, side in ((np.max(x), x < np.max(x)), (np.min(x), x > np.min(x))):
+        greatest, least = np.max(x), np.min(x)
+        for limit, other in ((greatest, least), (least, greatest)):
             at = x == limit
-            count = int(np.sum(at))
-            if count < max(3, 0.01 * len(x)) or not np.any(side) or not np.any(at[2:] & at[1:-1] & at[:-2]):
+            count = int(np.count_nonzero(at))
+            if count < max(3, 0.01 * len(x)) or other == limit or not np.any(at[2:] & at[1:-1] & at[:-2]):
                 continue
-            following = np.max(x[side]) if np.max(x) == limit else np.min(x[side])
+            following = (np.max if limit == greatest else np.min)(x, where=~at, initial=other)
             if count >= 8 * np.sum(x == following):
                 text = (
                     f"{record.source}: {channel.name} rests at its limit in {count} of {len(x)} samples: "

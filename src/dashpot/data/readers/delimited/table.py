@@ -13,11 +13,17 @@ import pyarrow as pa
 import pyarrow.csv as pacsv
 
 from dashpot.arrays import Bools, Real
-from dashpot.data.readers.columns import LARGEST, Columns, bare
+from dashpot.data.readers.columns import LARGEST, Columns, bare, columns_of_block
 from dashpot.data.readers.datafile import DataFile
 from dashpot.errors import DataError
 from dashpot.io.ledger import noted
 from dashpot.io.words import shown
+
+HELD, STREAMED = (
+    1 << 23,
+    1 << 21,
+)  # bytes that are parsed at a time; of a file, some such blocks are read ahead
+COUNTED = 1 << 24  # bytes whose line ends are counted at a time
 
 
 @dataclass(frozen=True)
@@ -55,14 +61,33 @@ class Table(Columns):
         return ""
 
     def numbers(
-        self, columns: Sequence[int], optional: Sequence[int] = (), infinite: Sequence[int] = ()
+        self,
+        columns: Sequence[int],
+        optional: Sequence[int] = (),
+        infinite: Sequence[int] = (),
+        together: Sequence[int] = (),
     ) -> dict[int, Real]:
         """The columns as float64.  Empty cells of `optional` ones give NaN; those of `infinite` may be inf.
 
+        Of a file that is not held, those of `together` are the columns of one new array.
         Raises DataError at the first row with too few or too many cells, a gap, text, NaN or infinity.
         """
-        pieces: dict[int, list[Real]] = {column: [] for column in columns}
+        pieces = self._pieces(columns, optional, infinite)
+        if self.file is not None:
+            return _filled(columns_of_block(columns, together, self._row_count()), pieces)
+        parts: dict[int, list[Real]] = {column: [] for column in columns}
+        for piece in pieces:
+            for column, numbers in piece.items():
+                parts[column].append(numbers)
+        pa.default_memory_pool().release_unused()
+        return {column: np.concatenate([*parts.pop(column), np.zeros(0)]) for column in list(parts)}
+
+    def _pieces(
+        self, columns: Sequence[int], optional: Sequence[int], infinite: Sequence[int]
+    ) -> Iterator[dict[int, Real]]:
+        """The columns some rows at a time, checked."""
         for batch in self._batches(columns, pa.float64(), optional, infinite):
+            piece: dict[int, Real] = {}
             for column, array in zip(columns, batch.columns, strict=True):
                 numbers = np.array(array.to_numpy(zero_copy_only=False), dtype=float)
                 empty: Bools = np.asarray(array.is_null().to_numpy(zero_copy_only=False), dtype=bool)
@@ -73,9 +98,17 @@ class Table(Columns):
                     wrong |= empty
                 if np.any(wrong):
                     raise self._diagnosis(columns, optional, infinite)
-                pieces[column].append(numbers)
-        pa.default_memory_pool().release_unused()
-        return {column: np.concatenate([*pieces.pop(column), np.zeros(0)]) for column in list(pieces)}
+                piece[column] = numbers
+            yield piece
+
+    def _row_count(self) -> int:
+        """How many rows there are if none is blank, but for a guess that `_filled` puts right."""
+        held: Any = self.body.obj
+        count, start = 0, len(held) - len(self.body)
+        for at in range(start, len(held), COUNTED):
+            ends = np.frombuffer(held[at : at + COUNTED], dtype=np.uint8) == ord("\n")
+            count += int(np.count_nonzero(ends))
+        return count + int(held[-1:] != b"\n")
 
     def texts(self, column: int) -> list[str]:
         """A column as text."""
@@ -102,7 +135,9 @@ class Table(Columns):
         names = [f"c{i}" for i in range(len(self.header))]
         wanted = [names[i] for i in columns]
         options = {
-            "read_options": pacsv.ReadOptions(column_names=names, block_size=8 << 20),
+            "read_options": pacsv.ReadOptions(
+                column_names=names, block_size=HELD if self.file is None else STREAMED
+            ),
             "parse_options": pacsv.ParseOptions(delimiter=self.delimiter),
             "convert_options": pacsv.ConvertOptions(
                 column_types=dict.fromkeys(wanted, kind),
@@ -185,3 +220,18 @@ class Table(Columns):
         if np.isfinite(value) and abs(value) > LARGEST:
             return f'"{shown(cell)}" is too large', "correct it, or cut the rows out"
         return None
+
+
+def _filled(arrays: dict[int, Real], pieces: Iterator[dict[int, Real]]) -> dict[int, Real]:
+    """The arrays with the numbers of the pieces; shorter, or new ones, where blank rows or quotes misled the count."""
+    rows, room = 0, min((len(array) for array in arrays.values()), default=0)
+    for piece in pieces:
+        more = len(next(iter(piece.values()), ()))
+        if rows + more > room:
+            room = max(rows + more, 2 * room)
+            arrays = {column: np.resize(array[:rows], room) for column, array in arrays.items()}
+        for column, numbers in piece.items():
+            arrays[column][rows : rows + more] = numbers
+        rows += more
+    pa.default_memory_pool().release_unused()
+    return arrays if rows == room else {column: array[:rows] for column, array in arrays.items()}
