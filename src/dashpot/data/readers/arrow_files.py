@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
-from dashpot.data.readers.columns import ArrayColumns
+from dashpot.data.readers.columns import LONG, PIECE, ArrayColumns, Streamed
 from dashpot.data.readers.datafile import DataFile
 from dashpot.data.readers.optional import damaged
 from dashpot.io.ledger import noted
@@ -74,12 +74,25 @@ def _columns(file: DataFile, schema: Any, rows: int, loads: tuple[Any, ...]) -> 
 
 def _parquet_column(content: Any, name: str, source: str) -> Any:
     with damaged(source, "Parquet"):
+        kind = content.schema_arrow.field(name).type
+        if content.metadata.num_rows >= LONG and (pa.types.is_floating(kind) or pa.types.is_integer(kind)):
+            return Streamed(content.metadata.num_rows, partial(_batches, content, name, source))
         return _numpy(content.read([name]).column(0))
+
+
+def _batches(content: Any, name: str, source: str) -> Iterator[Any]:
+    with damaged(source, "Parquet"):
+        for batch in content.iter_batches(batch_size=PIECE, columns=[name]):
+            yield _numpy(pa.chunked_array([batch.column(0)]))
 
 
 def _array(table: Any, index: int, source: str) -> Any:
     with damaged(source, "Feather"):
-        return _numpy(table.column(index))
+        column = table.column(index)
+        if len(column) >= LONG and (pa.types.is_floating(column.type) or pa.types.is_integer(column.type)):
+            starts = range(0, len(column), PIECE)
+            return Streamed(len(column), lambda: (_numpy(column.slice(at, PIECE)) for at in starts))
+        return _numpy(column)
 
 
 def _numpy(column: Any) -> Any:

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from dashpot.data.readers.columns import ArrayColumns
+from dashpot.data.readers.columns import LONG, PIECE, ArrayColumns, Streamed
 from dashpot.data.readers.datafile import DataFile
 from dashpot.data.readers.optional import damaged, library
 from dashpot.data.readers.variables import parts_of_variables
@@ -88,7 +88,22 @@ def _variable(name: str, item: Any) -> dict[str, Any]:
         return {}
     if item.attrs.get("MATLAB_class", b"double") in (b"char", b"cell"):
         return {}
+    if item.dtype.kind in "fiub" and max(item.shape, default=0) == item.size >= LONG:
+        return {name: _streamed_dataset(item)}
     return {name: item[()]}
+
+
+def _streamed_dataset(item: Any) -> Streamed:
+    """A dataset with one long axis."""
+    axis = item.shape.index(item.size)
+
+    def pieces() -> Iterator[Any]:
+        for start in range(0, item.size, PIECE):
+            at = [slice(None)] * item.ndim
+            at[axis] = slice(start, start + PIECE)
+            yield item[tuple(at)].ravel()
+
+    return Streamed(item.size, pieces)
 
 
 def _scalars(item: Any) -> dict[str, Any]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import warnings
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -35,11 +34,11 @@ class MatlabReader:
         """The variables; elements of an array of structures are parts of their own."""
         from scipy.io import loadmat
 
-        check_layout(file.contents, file.name)
-        with damaged(file.name, self.format), warnings.catch_warnings():
+        check_layout(file.contents if file.mapped is None else file.mapped, file.name)
+        with damaged(file.name, self.format), warnings.catch_warnings(), file.reading() as stream:
             warnings.simplefilter("ignore")  # of objects that only MATLAB can read
             content: dict[str, Any] = loadmat(
-                cast(Any, io.BytesIO(file.contents)),
+                cast(Any, stream),
                 squeeze_me=False,
                 struct_as_record=False,
                 verify_compressed_data_integrity=True,

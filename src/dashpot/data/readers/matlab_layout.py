@@ -5,6 +5,7 @@ An array of n elements needs n bytes at least, and every element of the file lie
 
 from __future__ import annotations
 
+import mmap
 import struct
 import zlib
 from math import prod
@@ -19,7 +20,7 @@ DEEPEST = 20
 HEAD = 1 << 16  # bytes of a compressed element that are looked at
 
 
-def check_layout(data: bytes, source: str) -> None:
+def check_layout(data: bytes | mmap.mmap, source: str) -> None:
     """Raises DataError where an element reaches beyond its end or claims more than it can hold."""
     if len(data) < HEADER:
         raise _lie(source)
@@ -52,7 +53,7 @@ def _check_compressed(packed: bytes, order: str, source: str) -> None:
         _check_matrix(head, 8, 8 + size, order, source, 0)
 
 
-def _check_matrix(data: bytes, start: int, end: int, order: str, source: str, depth: int) -> None:
+def _check_matrix(data: bytes | mmap.mmap, start: int, end: int, order: str, source: str, depth: int) -> None:
     """An array: what it claims to hold, and the arrays inside it as far as the bytes go."""
     if start == end:
         return
@@ -75,7 +76,7 @@ def _check_matrix(data: bytes, start: int, end: int, order: str, source: str, de
         position, number = following, number + 1
 
 
-def _tag(data: bytes, position: int, order: str) -> tuple[int, int, int, int]:
+def _tag(data: bytes | mmap.mmap, position: int, order: str) -> tuple[int, int, int, int]:
     """Kind, size, place of the content and of the next element."""
     kind, size = struct.unpack_from(f"{order}II", data, position)
     if kind >> 16:  # small: size and kind in one word, the content in the other

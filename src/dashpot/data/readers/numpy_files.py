@@ -6,11 +6,11 @@ import io
 import zipfile
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
-from dashpot.data.readers.columns import ArrayColumns
+from dashpot.data.readers.columns import LONG, PIECE, ArrayColumns, Streamed
 from dashpot.data.readers.datafile import DataFile
 from dashpot.data.readers.optional import damaged
 from dashpot.data.readers.variables import parts_of_variables
@@ -41,10 +41,13 @@ class NumpyReader:
                 variables = _fields(np.load(io.BytesIO(file.contents), allow_pickle=False))
             else:
                 _check_sizes(file)
-                with np.load(io.BytesIO(file.contents), allow_pickle=False) as archive:
+                with file.reading() as stream, np.load(cast(Any, stream), allow_pickle=False) as archive:
                     for name in archive.files:
-                        array = archive[name]
-                        if array.dtype.kind == "U" and array.ndim == 0 and name.endswith("_unit"):
+                        array = _streamed_member(file, archive.zip, name)
+                        array = archive[name] if array is None else array
+                        if isinstance(array, Streamed):
+                            variables[name] = array
+                        elif array.dtype.kind == "U" and array.ndim == 0 and name.endswith("_unit"):
                             units[name.removesuffix("_unit")] = str(array)
                         elif array.dtype.names:
                             variables |= _fields(array)
@@ -59,9 +62,41 @@ def _fields(array: Any) -> dict[str, Any]:
     return {name: array[name] for name in array.dtype.names or ()}
 
 
+def _streamed_member(file: DataFile, archive: zipfile.ZipFile, name: str) -> Streamed | None:
+    """A long column of numbers in an archive that is not packed once more; None for everything else."""
+    member = f"{name}.npy"
+    if file.packed or member not in archive.namelist() or archive.getinfo(member).file_size < 8 * LONG:
+        return None
+    with archive.open(member) as raw:
+        shape, kind = _header(raw)
+    if len(shape) != 1 or shape[0] < LONG or kind.kind not in "fiub":
+        return None
+
+    def pieces() -> Iterator[Any]:
+        with (
+            damaged(file.name, "NumPy"), file.reading() as stream, zipfile.ZipFile(stream) as whole,
+            whole.open(member) as raw,
+        ):  # fmt: skip
+            _header(raw)
+            for at in range(0, shape[0], PIECE):
+                count = min(PIECE, shape[0] - at)
+                yield np.frombuffer(raw.read(count * kind.itemsize), dtype=kind, count=count)
+
+    return Streamed(shape[0], pieces)
+
+
+def _header(raw: Any) -> tuple[tuple[int, ...], Any]:
+    """Shape and kind of a saved array; what follows are its numbers."""
+    version = np.lib.format.read_magic(raw)
+    read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
+    shape, _, kind = read(raw)
+    return shape, kind
+
+
 def _check_sizes(file: DataFile) -> None:
     """Raises DataError for an archive that unpacks to more than its bytes can hold."""
-    with zipfile.ZipFile(io.BytesIO(file.contents)) as archive:
+    with file.reading() as stream, zipfile.ZipFile(stream) as archive:
         size = sum(item.file_size for item in archive.infolist())
-    if size > LARGEST_RATIO * len(file.contents):
+        packed = stream.seek(0, io.SEEK_END)
+    if size > LARGEST_RATIO * packed:
         raise DataError("the archive claims to be far larger than it is", file.name, "it may be damaged")

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from dashpot.data.readers.columns import ArrayColumns, array_columns, constant, steps
+from dashpot.data.readers.columns import LONG, PIECE, ArrayColumns, Streamed, array_columns, constant, steps
 from dashpot.data.readers.datafile import DataFile
 from dashpot.data.readers.optional import damaged, library
 from dashpot.data.readers.sampling import TIME, TIME_NAMES
@@ -74,8 +74,16 @@ def _part(source: str, channels: list[Any], rows: int, scalars: dict[str, Any]) 
     return ArrayColumns(source, columns.header, columns.units, (), rows, columns.loads)
 
 
+def _slices(channel: Any, source: str) -> Iterator[Any]:
+    with damaged(source, "TDMS"):
+        for at in range(0, len(channel), PIECE):
+            yield channel[at : at + PIECE]
+
+
 def _samples(channel: Any, source: str) -> Any:
     with damaged(source, "TDMS"):
+        if len(channel) >= LONG:
+            return Streamed(len(channel), partial(_slices, channel, source))
         samples = channel[:]
         if len(samples) != len(channel):
             raise DataError(f"channel {channel.name} is cut off", source, "copy the file again")

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from dashpot.data.readers.columns import ArrayColumns, array_columns
+from dashpot.data.readers.columns import ArrayColumns, Streamed, array_columns
 from dashpot.data.readers.sampling import FREQUENCY, TIME, TIME_NAMES
 
 RATES = {
@@ -39,6 +39,9 @@ def parts_of_variables(
     scalars: dict[str, Any] = {}
     arrays: dict[str, Any] = {}
     for name, value in variables.items():
+        if isinstance(value, Streamed):
+            arrays[name] = value
+            continue
         array = np.asarray(value)
         array = array.reshape([n for n in array.shape if n != 1]) if array.ndim else array
         if array.dtype.kind == "c":

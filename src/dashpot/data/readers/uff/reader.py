@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -70,13 +70,21 @@ def functions_of(file: DataFile) -> Iterator[NodalFunction]:
     """All functions of a universal file (datasets 58 and 58b); other datasets are passed over.  Raises DataError."""
     with file.reading() as raw:
         stream = UffStream(raw, file.name)
+        before = None
         for start in dataset_starts(stream):
             if start.number == 58:
-                function = read_function(stream, start)
+                before = function = _sharing(read_function(stream, start), before)
                 check_finite(function, stream.place)
                 yield function
             else:
                 skip_dataset(stream)
+
+
+def _sharing(function: NodalFunction, before: NodalFunction | None) -> NodalFunction:
+    """The function with the abscissa of the one before it, where it has the same."""
+    if before is None or not np.array_equal(before.abscissa, function.abscissa):
+        return function
+    return replace(function, abscissa=before.abscissa)
 
 
 def _together(held: Sequence[NodalFunction], function: NodalFunction) -> bool:

@@ -1,0 +1,70 @@
+"""Files above the sizes from which they are streamed: the same samples, by thresholds that are lowered for the test."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from dashpot.data.readers import arrow_files, columns, datafile, hdf5, numpy_files, tdms
+from dashpot.data.readers.delimited import table
+from dashpot.errors import DataError
+from tests.unit.data.readers.written import CHANNELS, WRITERS, as_read, recording
+
+
+@pytest.fixture
+def _small(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Everything is large: pieces of 100 numbers, text in blocks of 4 kB."""
+    for module in (columns, arrow_files, hdf5, numpy_files, tdms):
+        monkeypatch.setattr(module, "PIECE", 100)
+        if hasattr(module, "LONG"):
+            monkeypatch.setattr(module, "LONG", 200)
+    monkeypatch.setattr(columns, "LARGE", 1)
+    monkeypatch.setattr(datafile, "LARGE", 1)
+    monkeypatch.setattr(table, "STREAMED", 4096)
+    monkeypatch.setattr(table, "COUNTED", 1000)
+
+
+@pytest.mark.usefixtures("_small")
+@pytest.mark.parametrize("name", WRITERS)
+def test_streamed_files_hold_the_same(tmp_path: Path, name: str) -> None:
+    suffix, write = WRITERS[name]
+    expected = recording()
+    write(tmp_path / f"a{suffix}", expected)
+    records = as_read(tmp_path / f"a{suffix}")
+    assert len(records) == len(expected)
+    for record, wanted in zip(records, expected, strict=True):
+        assert record.values == pytest.approx(wanted.values, rel=1e-15)
+        assert record.time - record.time[0] == pytest.approx(wanted.time, abs=1e-12)
+
+
+@pytest.mark.usefixtures("_small")
+@pytest.mark.parametrize("blanks", ["", "\n", "\r\n", "\n\n\n"])
+def test_text_with_blank_rows_and_without_a_last_line_end(tmp_path: Path, blanks: str) -> None:
+    path = tmp_path / "a.csv"
+    rows = [f"{k / 10},{k % 7},{k % 5},{k % 3}" for k in range(1000)]
+    path.write_text("time_s,x1,x2,u\n" + blanks + f"\n{blanks}".join(rows))
+    (record,) = as_read(path)
+    assert record.values.shape == (1000, 3)
+    assert record.values[:, 1] == pytest.approx(1e-3 * (np.arange(1000) % 5))
+    path.write_text("time_s,x1,x2,u\n" + "\n".join([*rows[:700], "70,1,2", *rows[700:]]) + "\n")
+    with pytest.raises(DataError, match=r"a\.csv:702: the row has 3 cells, the header 4"):
+        as_read(path)
+    path.write_text("time_s,x1,x2,u\n" + "\n".join([*rows[:700], "70,1,,2", *rows[701:]]) + "\n")
+    with pytest.raises(DataError, match=r"a\.csv:702: column x2: the cell is empty"):
+        as_read(path)
+
+
+@pytest.mark.usefixtures("_small")
+def test_channels_that_are_read_twice_are_not_changed_in_place(tmp_path: Path) -> None:
+    """A column that is a channel and the frequency as well keeps its numbers."""
+    from dashpot.channel import Channel
+    from dashpot.data.readers import read
+
+    path = tmp_path / "a.csv"
+    path.write_text("time_s,frequency_hz,x1\n" + "".join(f"{k / 10},2,{k % 7}\n" for k in range(500)))
+    twice = (Channel("frequency_hz", {"u": 1}, unit="mm", scale=1e-3), CHANNELS[0])
+    (record,) = read(path, twice).records
+    assert record.frequency_hz == 2.0
+    assert record.values[3] == pytest.approx([2e-3, 3e-3])
