@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import cast
+from typing import Any, cast
 
 import numpy as np
 
@@ -180,6 +180,12 @@ class Spectrum:
     def records(self) -> tuple[int, ...]:
         """Indices of the stretches that are whole records."""
         return tuple(i for i, value in enumerate(self.stretches) if isinstance(value, WholeRecord))
+
+    def derived(self, **changes: Any) -> Spectrum:
+        """The same with other arrays, read-only and of the right shapes, taken from one that has been checked."""
+        other = object.__new__(Spectrum)
+        other.__dict__.update(self.__dict__, **changes)
+        return other
 
     def select(self, lines: Sequence[int] | Ints) -> Spectrum:
         """The same spectrum with only some lines, in the order given."""

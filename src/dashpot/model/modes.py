@@ -12,6 +12,8 @@ from dashpot.model.dynamics import Matrices, matrices
 from dashpot.model.network import Model
 from dashpot.numerics.small_systems import solve_small
 
+REGULAR = 1e-3  # least eigenvalue of the inertia, its diagonal scaled to 1, up to which its inverse is as good as QZ
+
 
 @dataclass(frozen=True)
 class Modes:
@@ -57,33 +59,50 @@ def modes(model: Model, p: Real) -> Modes:
 
 
 def _upper_half(parts: Matrices) -> tuple[Complex, Complex]:
-    """Eigenvalues with Im ≥ 0 of one rig in units of its typical rate, (modes,), and shapes (modes, n), by QZ.
+    """Eigenvalues with Im ≥ 0 of one rig in units of its typical rate, (modes,), and shapes (modes, n).
 
     Time is scaled to make stiffness and inertia alike in size: the pencil's rank decisions depend on it.
     """
     n = parts.M.shape[-1]
     rate = _typical_rate(parts)
     K = parts.K + 1j * parts.H if np.any(parts.H) else parts.K
-    zero, unit = np.zeros((n, n)), np.eye(n)
     scale = np.max(np.abs(K)) + rate * np.max(np.abs(parts.C)) + rate**2 * np.max(np.abs(parts.M))
     if scale == 0:
         raise ModelError(
             "the rig has no modes: all its parameters are zero", cure="give it mass and stiffness"
         )
-    A = np.block([[zero, unit], [-K / scale, -rate * parts.C / scale]])
-    E = np.block([[unit, zero], [zero, rate**2 * parts.M / scale]])
-    from scipy.linalg import eig  # scipy.linalg costs 50 ms of start-up, and few callers want modes
-
-    (alpha, beta), vectors = eig(A, E, homogeneous_eigvals=True)
-    finite = np.abs(beta) > 1e-10 * np.abs(alpha)
-    with np.errstate(all="ignore"):
-        poles = np.where(finite, alpha / np.where(finite, beta, 1.0), np.inf)
+    A = np.zeros((2 * n, 2 * n), dtype=K.dtype)
+    A[:n, n:] = np.eye(n)
+    A[n:, :n], A[n:, n:] = -K / scale, -rate * parts.C / scale
+    poles, vectors, finite = _pencil(A, rate**2 * parts.M / scale)
     if _floats(K):
         # Rounding splits a double zero into a pair of the size √ε.
         poles = np.where(np.abs(poles) < 1e-6, 0.0, poles)
     keep: Bools = finite & (poles.imag >= -1e-9 * np.abs(poles))
     poles, shapes = poles[keep], vectors[:n, keep].T
     return np.where(np.abs(poles.imag) <= 1e-9 * np.abs(poles), poles.real + 0j, poles), shapes
+
+
+def _pencil(A: Complex | Real, M: Real) -> tuple[Complex, Complex, Bools]:
+    """Eigenvalues and vectors of A − λ diag(1, M), and which are finite; by M⁻¹ where M is well conditioned, else QZ."""
+    n = len(M)
+    size = np.sqrt(np.abs(np.diagonal(M)))
+    if np.all(size > 0):
+        scaled = M / np.outer(size, size)
+        if n == 1 or np.linalg.eigvalsh(scaled)[0] > REGULAR:
+            A = A.copy()
+            A[n:] = np.linalg.solve(scaled, A[n:] / size[:, None]) / size[:, None]
+            poles, vectors = np.linalg.eig(A)
+            return poles.astype(np.complex128), vectors, np.isfinite(poles)
+    from scipy.linalg import eig  # scipy.linalg costs 50 ms of start-up, and few callers need this
+
+    E = np.eye(2 * n)
+    E[n:, n:] = M
+    (alpha, beta), vectors = eig(A, E, homogeneous_eigvals=True)
+    finite = np.abs(beta) > 1e-10 * np.abs(alpha)
+    with np.errstate(all="ignore"):
+        poles = np.where(finite, alpha / np.where(finite, beta, 1.0), np.inf)
+    return poles, vectors, finite
 
 
 def _floats(K: Complex | Real) -> bool:

@@ -69,7 +69,9 @@ def duplicated_lines(spectrum: Spectrum) -> list[Notice]:
         return []
     # Lines of a batch that repeat each other do so in its first repeat.
     first = np.nan_to_num(spectrum.amplitudes[(0,) * len(spectrum.batch)])
-    if len(np.unique(np.concatenate([spectrum.omega[:, None], first], axis=1), axis=0)) == spectrum.lines:
+    if len({(f, *row) for f, row in zip(spectrum.frequency_hz.tolist(), first.tolist(), strict=True)}) == len(
+        first
+    ):
         return []
     Y = np.moveaxis(np.nan_to_num(spectrum.amplitudes), -2, 0).reshape(spectrum.lines, -1)
     rows = np.concatenate([np.asarray(spectrum.omega)[:, None], Y.real, Y.imag], axis=1)

@@ -23,6 +23,7 @@ from dashpot.estimate.method import Method, Solution, Traits
 from dashpot.estimate.preparation.noise_quality import NoiseQuality, interval_dof, noise_quality
 from dashpot.estimate.preparation.prepared import Prepared, without_priors
 from dashpot.model.observation import observation_model
+from dashpot.numerics.kernel import kernel, threads
 from dashpot.numerics.small_systems import scaled_inverse, solve_scaled
 
 ROUNDING = 1e-30  # χ² of exact data against noise of the data's own size
@@ -172,9 +173,10 @@ def uncertainty(data: Prepared, solution: Solution, around: Linearised, weighted
     shrink = np.mean(quality.shrink, axis=-1)
     chi2 = np.maximum(np.sum(around.cost * quality.shrink, axis=-1) + penalty - excess * shrink, 0.0)
     p = _p_value(chi2, dof, around.rows, data.spectrum)
-    bound = scaled_inverse(np.sum(around.information * quality.shrink[..., None, None], axis=-3) + prior)
-    bread = scaled_inverse(total)
-    noise, degrees = _noise(around, quality, bread, prior)
+    bread = bound = scaled_inverse(total)
+    if not np.all(quality.shrink == 1):
+        bound = scaled_inverse(np.sum(around.information * quality.shrink[..., None, None], axis=-3) + prior)
+    noise, degrees = _noise(around, quality, bread, prior, total - prior)
     if not weighted:
         noise = solution.covariance
     misfit = (p < MISFIT_LEVEL) & (chi2 > dof)
@@ -194,11 +196,23 @@ def _excess(total: Real, gradient: Real, solution: Solution) -> Real:
     return excess
 
 
-def _noise(around: Linearised, quality: NoiseQuality, bread: Real, prior: Real) -> tuple[Real, Real]:
+def _noise(
+    around: Linearised, quality: NoiseQuality, bread: Real, prior: Real, information: Real
+) -> tuple[Real, Real]:
     """Covariance of a weighted estimate, the noise having been estimated, and the degrees of freedom behind it."""
-    by_line = bread[:, None]
-    shares = by_line @ (around.information * quality.inflation[..., None, None]) @ by_line
     stated = bread @ prior @ bread
+    if np.all(np.isinf(quality.dof)):  # the noise is given
+        return bread @ information @ bread + stated, np.full(bread.shape[:-1], np.inf)
+    core = kernel()
+    if core is not None:
+        summed, shared = core.line_shares(
+            np.ascontiguousarray(around.information),
+            np.ascontiguousarray(np.atleast_2d(quality.inflation)), bread, threads(),
+        )  # fmt: skip
+        degrees = interval_dof(shared, quality.dof, np.diagonal(stated, axis1=-2, axis2=-1))
+        return bread @ summed @ bread + stated, degrees
+    each = bread[:, None]
+    shares = each @ (around.information * quality.inflation[..., None, None]) @ each
     exact = np.diagonal(stated, axis1=-2, axis2=-1)
     degrees = interval_dof(np.diagonal(shares, axis1=-2, axis2=-1), quality.dof, exact)
     return np.sum(shares, axis=-3) + stated, degrees

@@ -7,12 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from dashpot.arrays import Complex, Real, hermitian
-from dashpot.estimate.linear.compiled import compiled_equation
+from dashpot.estimate.linear.compiled import compiled_equation, compiled_lines
 from dashpot.estimate.linear.gram import regressors, weighted_normal
 from dashpot.estimate.preparation.state_reconstruction import States
 from dashpot.model.dynamics import stiffness, unit_forces
 from dashpot.model.network import Model
-from dashpot.numerics.kernel import threads
 from dashpot.numerics.small_systems import solve_small
 
 SINGULAR = 1e-13
@@ -87,8 +86,7 @@ def by_line(model: Model, data: States, theta: Real) -> tuple[Real, Real, Real]:
     """Information (K, lines, m, m), minus half the slope (K, lines, m) and cost (K, lines) of each line at θ (K, m)."""
     equation = compiled_equation(model, data)
     if equation is not None:
-        around, scores, cost = equation.lines(np.ascontiguousarray(theta), threads())
-        return around, scores, cost
+        return compiled_lines(equation, data, theta)
     at = auxiliary(model, model.parameters(theta), data)
     Psi = regressors(model, at.w)
     weighted: Complex = solve_small(at.Se, np.concatenate([Psi, at.e[..., None]], axis=-1))

@@ -20,10 +20,26 @@ def compiled_equation(model: Model, states: States) -> Any | None:
     core = kernel()
     if core is None or not small(model) or not model.n or not len(states.omega):
         return None
-    rig = kernel_rig(core, model, states.omega)
-    if rig is None:
-        return None
-    return core.Equation(rig, np.ascontiguousarray(states.z), np.ascontiguousarray(states.covariance))
+    key = (id(core), id(model))
+    if key not in states.compiled:
+        rig = kernel_rig(core, model, states.omega)
+        equation = None
+        if rig is not None:
+            z, V = np.ascontiguousarray(states.z), np.ascontiguousarray(states.covariance)
+            equation = core.Equation(rig, z, V)
+        states.compiled.clear()
+        states.compiled[key] = (equation, model)  # the model is kept, so that its id stays its own
+    return states.compiled[key][0]
+
+
+def compiled_lines(equation: Any, states: States, theta: Real) -> tuple[Real, Real, Real]:
+    """Information, scores and cost of each line at θ (K, unknowns); those of the last θ are kept."""
+    kept = states.compiled.get("lines")
+    if kept is None or kept[0] is not equation or not np.array_equal(kept[1], theta):
+        kept = equation, theta.copy(), equation.lines(np.ascontiguousarray(theta), threads())
+        states.compiled["lines"] = kept
+    information, scores, cost = kept[2]
+    return information, scores, cost
 
 
 def compiled_search(

@@ -84,6 +84,8 @@ def without_priors(model: Model) -> Model:
 
 def flattened(spectrum: Spectrum) -> Spectrum:
     """The same spectrum with exactly one leading axis of repeats on amplitudes, covariance (or 1) and moments."""
+    if len(spectrum.batch) == 1 and spectrum.covariance.ndim == 4 and spectrum.moments is None:
+        return spectrum
     repeats = int(np.prod(spectrum.batch, dtype=int))
     V = spectrum.covariance
     if V.ndim == 3:
@@ -97,13 +99,16 @@ def flattened(spectrum: Spectrum) -> Spectrum:
             np.broadcast_to(M, (*spectrum.batch, *M.shape[-3:])).reshape(repeats, *M.shape[-3:])
         )
     amplitudes = spectrum.amplitudes.reshape(repeats, *spectrum.amplitudes.shape[-2:])
-    return replace(spectrum, amplitudes=amplitudes, covariance=V, moments=moments)
+    return spectrum.derived(amplitudes=amplitudes, covariance=V, moments=moments)
 
 
 def in_chunks(flat: Spectrum, size: int) -> Iterator[Spectrum]:
     """The repeats of a flat spectrum, `size` at a time."""
+    if len(flat.amplitudes) <= size:
+        yield flat
+        return
     for first in range(0, len(flat.amplitudes), size):
         rows = slice(first, first + size)
         V = flat.covariance if len(flat.covariance) == 1 else flat.covariance[rows]
         moments = None if flat.moments is None else Moments(flat.moments.products[rows])
-        yield replace(flat, amplitudes=flat.amplitudes[rows], covariance=V, moments=moments)
+        yield flat.derived(amplitudes=flat.amplitudes[rows], covariance=V, moments=moments)

@@ -9,6 +9,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -16,6 +18,7 @@ from dashpot.arrays import Bools, Complex, Ints, Real, hermitian
 from dashpot.channel import Channel
 from dashpot.data.spectrum import Spectrum
 from dashpot.errors import DataError
+from dashpot.estimate.preparation.point_states import combined_by_point
 from dashpot.model.network import Model
 from dashpot.model.observation import is_direct, observation_model
 
@@ -33,6 +36,11 @@ class States:
     reconstruction: Complex
     n: int
     r: int
+
+    @cached_property
+    def compiled(self) -> dict[object, Any]:
+        """What the compiled kernel has made of these states, by kernel and model."""
+        return {}
 
     def rows(self, rows: Ints) -> States:
         """Some of the repeats; what all repeats share stays shared."""
@@ -79,10 +87,15 @@ def measurement(model: Model, channels: Sequence[Channel], omega: Real) -> Compl
     """
     direct = np.array([is_direct(model, channel) for channel in channels], dtype=bool)
     view = observation_model(
-        model, [replace(c, gain=1.0, delay=0.0, same_gain_as=None) for c in channels], omega
+        model, [c if known else _calibrated(c) for c, known in zip(channels, direct, strict=True)], omega
     )
     C: Complex = np.concatenate([view.direct_x, view.direct_q], axis=-1) * direct[:, None]
     return C
+
+
+def _calibrated(channel: Channel) -> Channel:
+    """The same with calibrations taken as known."""
+    return replace(channel, gain=1.0, delay=0.0, same_gain_as=None)
 
 
 def unseen(model: Model, spectrum: Spectrum, channels: Bools | None = None) -> tuple[str, ...]:
@@ -119,8 +132,7 @@ def reconstruction(
     ẑ minimises (y − C z)ᴴ V⁻¹ (y − C z); exact channels are met exactly.  `channels` limits what is used.
     Raises DataError where some entry of z is not seen.
     """
-    C = measurement(model, spectrum.channels, spectrum.omega)
-    used = channels_present(spectrum) & np.array([is_direct(model, channel) for channel in spectrum.channels])
+    C, used = _usable(model, spectrum)
     if channels is not None:
         used = used & channels
     both = used[:, :, None] & used[:, None, :]
@@ -208,9 +220,18 @@ def require_seen(model: Model, spectrum: Spectrum) -> None:
 
 
 def _combined(model: Model, spectrum: Spectrum, covariance: Complex) -> States:
-    P = reconstruction(model, spectrum, covariance)
-    y = np.nan_to_num(spectrum.amplitudes)
-    z = np.einsum("...lqc,...lc->...lq", P, y)
-    return States(
-        spectrum.omega, z, P @ covariance @ hermitian(P), P, model.n, len(model.displacement_inputs)
-    )
+    simple = combined_by_point(*_usable(model, spectrum), covariance)
+    if simple is None:
+        P = reconstruction(model, spectrum, covariance)
+        spread = P @ covariance @ hermitian(P)
+    else:
+        P, spread = simple
+    y = np.where(np.isnan(spectrum.amplitudes), 0.0, spectrum.amplitudes)
+    z = (P @ y[..., None])[..., 0]
+    return States(spectrum.omega, z, spread, P, model.n, len(model.displacement_inputs))
+
+
+def _usable(model: Model, spectrum: Spectrum) -> tuple[Complex, Bools]:
+    """C(ω) of the direct channels, (lines, channels, n + r + s), and which of them each line has."""
+    direct = np.array([is_direct(model, channel) for channel in spectrum.channels])
+    return measurement(model, spectrum.channels, spectrum.omega), channels_present(spectrum) & direct
