@@ -121,7 +121,7 @@ def _estimate(
     """The Estimate of all chunks together."""
 
     def join(piece: Callable[[Inference], Any]) -> Any:
-        whole = np.concatenate([piece(part) for part in parts])
+        whole = piece(parts[0]) if len(parts) == 1 else np.concatenate([piece(part) for part in parts])
         return whole.reshape((*batch, *whole.shape[1:]))
 
     around, first = parts[0].linearised, parts[0].solution

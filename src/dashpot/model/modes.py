@@ -84,7 +84,7 @@ def _upper_half(parts: Matrices) -> tuple[Complex, Complex]:
 
 
 def _pencil(A: Complex | Real, M: Real) -> tuple[Complex, Complex, Bools]:
-    """Eigenvalues and vectors of A − λ diag(1, M), and which are finite; by M⁻¹ where M is well conditioned, else QZ."""
+    """Eigenvalues and vectors of A − λ diag(1, M), and which are finite; by M⁻¹ where M is regular, else by QZ."""
     n = len(M)
     size = np.sqrt(np.abs(np.diagonal(M)))
     if np.all(size > 0):

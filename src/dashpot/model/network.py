@@ -383,6 +383,11 @@ class Model:
         indptr = np.concatenate([[0], np.cumsum(counts)])
         return frozen(cells % self.n, np.int64), frozen(indptr, np.int64), A
 
+    @cached_property
+    def views(self) -> dict[tuple[object, ...], object]:
+        """What `model.observation` has made of this model for channels and frequencies, the last ones."""
+        return {}
+
     def __getstate__(self) -> dict[str, object]:
         names = ("coordinates", "inputs", "elements", "name", "angles")
         return {name: getattr(self, name) for name in names}

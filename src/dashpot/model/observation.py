@@ -11,13 +11,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import cast
 
 import numpy as np
 from scipy import sparse
 
 from dashpot.arrays import Bools, Complex, Ints, Real, frozen
 from dashpot.channel import Channel, Quantity
-from dashpot.errors import DataError
+from dashpot.model.channel_incidence import channel_incidence, unknown_calibrations
 from dashpot.model.channel_transfer import ChannelTransfer, Reduced
 from dashpot.model.dynamics import stiffness
 from dashpot.model.network import Model
@@ -25,6 +26,7 @@ from dashpot.model.sparse_dynamics import solve_stiffness
 from dashpot.numerics.small_systems import solve_small
 from dashpot.units import si_unit
 
+KEPT_VIEWS = 8  # of one model
 SPARSE_FROM = 48  # coordinates: above it a factorisation of the sparse pattern beats dense stacks
 
 
@@ -140,6 +142,18 @@ class ObservationModel:
         return {}
 
     @cached_property
+    def direct(self) -> Complex:
+        """[C_x | C_q] of the channels that are direct, 0 of the others; (lines, channels, n + r + s)."""
+        direct = np.array([is_direct(self.model, channel) for channel in self.channels], dtype=bool)
+        both = np.concatenate([self.direct_x, self.direct_q], axis=-1)
+        return frozen(both * direct[:, None], np.complex128)
+
+    @cached_property
+    def undetermined(self) -> dict[bytes, Bools]:
+        """Entries of z = (X, U, f) that the channels of a line leave undetermined, by which of them are there."""
+        return {}
+
+    @cached_property
     def rates(self) -> Complex:
         """(jω)^derivative of each channel, (lines, channels)."""
         powers = np.stack([np.ones_like(self.omega), 1j * self.omega, -(self.omega**2)], axis=-1)
@@ -168,66 +182,28 @@ def calibration_names(channels: Sequence[Channel]) -> tuple[str, ...]:
 def observation_model(model: Model, channels: Sequence[Channel], omega: Real) -> ObservationModel:
     """What `channels` show of `model` at `omega` (lines,), rad/s.
 
+    The last views of a model are kept, for an identification asks for the same ones over and over.
     Raises DataError where a channel measures what the rig has not, or shares a gain that is not unknown.
     """
-    on_x, on_q, force = _incidence(model, channels)
+    kept, key = model.views, (*map(id, channels), omega.tobytes())
+    view = kept.get(key)
+    if view is None:
+        view = _observation_model(model, tuple(channels), omega)
+        if len(kept) >= KEPT_VIEWS:
+            kept.pop(next(iter(kept)))
+        kept[key] = view  # holds its channels, so that their ids stay theirs
+    return cast(ObservationModel, view)
+
+
+def _observation_model(model: Model, channels: tuple[Channel, ...], omega: Real) -> ObservationModel:
+    on_x, on_q, force = channel_incidence(model, channels)
     derivative = [0 if c.quantity is Quantity.FORCE else c.quantity.derivative for c in channels]
-    gain, delay = _unknown_calibrations(channels)
+    gain, delay = unknown_calibrations(channels)
     flips = [channel.sign is None and channel.gain is not None for channel in channels]
     return ObservationModel(
-        model, tuple(channels), frozen(omega, np.float64), on_x, on_q, frozen(derivative, np.int64), force, gain,
+        model, channels, frozen(omega, np.float64), on_x, on_q, frozen(derivative, np.int64), force, gain,
         delay, frozen(flips, np.bool_),
     )  # fmt: skip
-
-
-def _incidence(model: Model, channels: Sequence[Channel]) -> tuple[Real, Real, Real]:
-    """Factors of the channels on coordinates, on inputs and on element forces; each (channels, …)."""
-    r, s = len(model.displacement_inputs), len(model.force_inputs)
-    on_x, on_q, force = parts = tuple(
-        np.zeros((len(channels), size)) for size in (model.n, r + s, len(model.elements))
-    )
-    moved = {name: j for j, name in enumerate(model.displacement_inputs)}
-    points = {name: (on_x, i) for i, name in enumerate(model.coordinates)}
-    points |= {name: (on_q, j) for name, j in moved.items()}
-    forces = {name: (on_q, r + j) for j, name in enumerate(model.force_inputs)}
-    forces |= {element.name: (force, i) for i, element in enumerate(model.elements)}
-    for c, channel in enumerate(channels):
-        is_force = channel.quantity is Quantity.FORCE
-        for name, factor in channel.of.items():
-            part, column = (forces if is_force else points).get(name, (None, 0))
-            if part is not None:
-                part[c, column] += factor
-            elif is_force and name in moved:
-                force[c] += factor * model.D[:, moved[name]]
-            else:
-                what, names = ("the force of ", [*moved, *forces]) if is_force else ("", list(points))
-                raise DataError(
-                    f"channel {channel.name} measures {what}{name}, which the rig has not",
-                    cure=f"it has {', '.join(names)}",
-                )
-    on_x, on_q, force = (frozen(part, np.float64) for part in parts)
-    return on_x, on_q, force
-
-
-def _unknown_calibrations(channels: Sequence[Channel]) -> tuple[Ints, Ints]:
-    """Index of each channel's unknown gain and delay, −1 where known; (channels,) each."""
-    names = {channel.name: c for c, channel in enumerate(channels)}
-    gain, delay = np.full(len(channels), -1), np.full(len(channels), -1)
-    for c, channel in enumerate(channels):
-        if channel.gain is None and channel.same_gain_as is None:
-            gain[c] = int(np.max(gain)) + 1
-        if channel.delay is None:
-            delay[c] = int(np.max(delay)) + 1
-    for c, channel in enumerate(channels):
-        if channel.same_gain_as is not None:
-            owner = names.get(channel.same_gain_as)
-            if owner is None or gain[owner] < 0:
-                raise DataError(
-                    f"channel {channel.name} shares the gain of {channel.same_gain_as}, which has no unknown gain",
-                    cure='name a channel with gain = "unknown"',
-                )
-            gain[c] = gain[owner]
-    return frozen(gain, np.int64), frozen(delay, np.int64)
 
 
 # Calibrations

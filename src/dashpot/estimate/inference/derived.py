@@ -66,9 +66,11 @@ def mode_values(model: Model, theta: Real, covariance: Real) -> ModeValues:
     frequency = grow / (2 * np.pi)
     damping = -slope.real / size[:, None] + values.real[:, None] * grow / size[:, None] ** 2
 
+    size_of_covariance = np.abs(covariance)
+
     def sd(jacobian: Real) -> Real:
-        variance: Real = np.einsum("ki,ij,kj->k", jacobian, covariance, jacobian)
-        terms = np.einsum("ki,ij,kj->k", np.abs(jacobian), np.abs(covariance), np.abs(jacobian))
+        variance: Real = np.sum((jacobian @ covariance) * jacobian, axis=-1)
+        terms = np.sum((np.abs(jacobian) @ size_of_covariance) * np.abs(jacobian), axis=-1)
         lost = (variance <= LOST * terms) & (terms > 0)
         return np.sqrt(np.where(lost, np.nan, np.maximum(variance, 0.0)))
 

@@ -37,14 +37,17 @@ SILENT = 1e-12  # of the largest amplitude of the same quantity: rounding
 
 def dead_channels(model: Model, spectrum: Spectrum) -> list[str]:
     """Channels of a moving point that show nothing at any line, though others of their quantity do."""
-    size = np.nan_to_num(np.abs(spectrum.amplitudes)).max(axis=tuple(range(spectrum.amplitudes.ndim - 1)))
-    found = []
-    for channel, largest in zip(spectrum.channels, size, strict=True):
-        alike = [other.quantity is channel.quantity for other in spectrum.channels]
-        moves = channel.quantity is not Quantity.FORCE and not set(channel.of).isdisjoint(model.coordinates)
-        if moves and largest <= SILENT * np.max(size[alike]):
-            found.append(channel.name)
-    return found
+    sizes = np.nan_to_num(np.abs(spectrum.amplitudes)).max(axis=tuple(range(spectrum.amplitudes.ndim - 1)))
+    largest: dict[Quantity, float] = {}
+    for channel, size in zip(spectrum.channels, sizes.tolist(), strict=True):
+        largest[channel.quantity] = max(largest.get(channel.quantity, 0.0), size)
+    return [
+        channel.name
+        for channel, size in zip(spectrum.channels, sizes.tolist(), strict=True)
+        if size <= SILENT * largest[channel.quantity]
+        and channel.quantity is not Quantity.FORCE
+        and not set(channel.of).isdisjoint(model.coordinates)
+    ]
 
 
 def short_records(model: Model, theta: Real, spectrum: Spectrum) -> list[Notice]:

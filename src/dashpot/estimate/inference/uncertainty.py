@@ -228,6 +228,8 @@ def _p_value(chi2: Real, dof: int, rows: int, spectrum: Spectrum) -> Real:
 
     if dof <= 0 or "residual" in spectrum.noise:  # noise sized by these very residuals tests nothing
         return np.full(len(chi2), np.nan)
+    if np.all(np.isinf(spectrum.dof)):
+        return np.asarray(chdtrc(float(dof), chi2), dtype=float)
     nu, n = spectrum.dof, rows / (2 * spectrum.lines)
     with np.errstate(invalid="ignore"):
         wide = (nu - 1) * (nu - n + 1) / ((nu - n) * (nu - n - 3))

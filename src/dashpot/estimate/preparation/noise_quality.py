@@ -31,11 +31,14 @@ def noise_quality(spectrum: Spectrum, correlated: Bools) -> NoiseQuality:
     E[S⁻²] = (ν−1) / ((ν−q)(ν−q−1)(ν−q−3)); blocks and periods give a complex one with ν/2 (Muirhead 1982, §3.2; Maiwald
     and Kraus 2000).  q is the number of noisy channels, 1 where they are taken as uncorrelated.
     """
+    nu = spectrum.dof
+    if np.all(np.isinf(nu)):  # given
+        ones = np.ones((len(correlated), len(nu)))
+        return NoiseQuality(ones, ones, nu)
     variance = np.diagonal(spectrum.covariance, axis1=-2, axis2=-1).real
     variance = np.max(variance.reshape(-1, *variance.shape[-2:]), axis=0)
     q = np.where(correlated[:, None], np.sum(variance > 0, axis=-1), 1)
     blocks = _of_complex(spectrum)
-    nu = spectrum.dof
     K = nu / 2
     with np.errstate(invalid="ignore", divide="ignore"):
         white_inflation = nu * (nu - 1) / ((nu - q) * (nu - q - 3))

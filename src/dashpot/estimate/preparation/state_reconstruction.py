@@ -20,7 +20,7 @@ from dashpot.data.spectrum import Spectrum
 from dashpot.errors import DataError
 from dashpot.estimate.preparation.point_states import combined_by_point
 from dashpot.model.network import Model
-from dashpot.model.observation import is_direct, observation_model
+from dashpot.model.observation import ObservationModel, is_direct, observation_model
 
 
 @dataclass(frozen=True)
@@ -85,12 +85,14 @@ def measurement(model: Model, channels: Sequence[Channel], omega: Real) -> Compl
 
     Raises DataError where a channel measures a point that the model has not.
     """
-    direct = np.array([is_direct(model, channel) for channel in channels], dtype=bool)
-    view = observation_model(
-        model, [c if known else _calibrated(c) for c, known in zip(channels, direct, strict=True)], omega
+    return _view(model, channels, omega).direct
+
+
+def _view(model: Model, channels: Sequence[Channel], omega: Real) -> ObservationModel:
+    """The view of channels, those that are not direct taken as calibrated."""
+    return observation_model(
+        model, [c if None not in (c.gain, c.delay) else _calibrated(c) for c in channels], omega
     )
-    C: Complex = np.concatenate([view.direct_x, view.direct_q], axis=-1) * direct[:, None]
-    return C
 
 
 def _calibrated(channel: Channel) -> Channel:
@@ -100,21 +102,29 @@ def _calibrated(channel: Channel) -> Channel:
 
 def unseen(model: Model, spectrum: Spectrum, channels: Bools | None = None) -> tuple[str, ...]:
     """Names of coordinates and inputs that the direct channels (or some of them) do not determine at some line."""
-    C = measurement(model, spectrum.channels, np.ones(1))[
-        0
-    ]  # rates scale rows, and do not change what they show
-    present = channels_present(spectrum) if channels is None else channels_present(spectrum) & channels
-    names = state_names(model)
-    missing = np.zeros(len(names), dtype=bool)
+    # Rates scale rows, and do not change what they show.
+    view = _view(model, spectrum.channels, np.ones(1))
+    direct = np.array([is_direct(model, channel) for channel in spectrum.channels], dtype=bool)
+    present = channels_present(spectrum) & direct
+    if channels is not None:
+        present = present & channels
+    missing = np.zeros(view.direct.shape[-1], dtype=bool)
     for pattern in present[:1] if np.all(present == present[0]) else np.unique(present, axis=0):
-        rows = C[pattern]
-        shown = np.flatnonzero(np.any(rows != 0, axis=0))  # of a large rig few coordinates
-        _, s, Vh = np.linalg.svd(rows[:, shown], full_matrices=True)
-        rank = int(np.sum(s > 1e-9 * max(1.0, float(s[0]) if s.size else 0.0)))
-        determined = np.zeros(len(names), dtype=bool)
-        determined[shown] = np.linalg.norm(Vh[rank:], axis=0) <= 1e-9
-        missing |= ~determined
-    return tuple(name for name, lost in zip(names, missing, strict=True) if lost)
+        key = pattern.tobytes()
+        if key not in view.undetermined:
+            view.undetermined[key] = _undetermined(view.direct[0, pattern])
+        missing |= view.undetermined[key]
+    return tuple(name for name, lost in zip(state_names(model), missing, strict=True) if lost)
+
+
+def _undetermined(C: Complex) -> Bools:
+    """Which entries of z the rows of C, (channels, q), leave undetermined."""
+    shown = np.flatnonzero(np.any(C != 0, axis=0))  # of a large rig few coordinates
+    _, s, Vh = np.linalg.svd(C[:, shown], full_matrices=True)
+    rank = int(np.sum(s > 1e-9 * max(1.0, float(s[0]) if s.size else 0.0)))
+    undetermined = np.ones(C.shape[1], dtype=bool)
+    undetermined[shown] = ~(np.linalg.norm(Vh[rank:], axis=0) <= 1e-9)
+    return undetermined
 
 
 def channels_present(spectrum: Spectrum) -> Bools:
