@@ -11,6 +11,7 @@ from dashpot.arrays import Bools, Ints, Real
 from dashpot.numerics.small_systems import scaled_inverse, solve_scaled
 
 ROUNDING = 1e-5  # standard deviations
+FEW = 16  # repeats whose curvature is evaluated in one call
 PATIENCE = 12  # iterations after which Newton's own matrix is worth its evaluations
 
 
@@ -181,12 +182,16 @@ def _curved(
     with np.errstate(all="ignore"):
         spread = 1 / np.sqrt(np.diagonal(around.symmetric, axis1=-2, axis2=-1))
         width = 1e-4 * np.where(np.isfinite(spread), spread, 1.0)
-        columns = [
-            (around.gradient - evaluate(x + width[:, j, None] * np.eye(m)[j], rows).gradient)
-            / width[:, j, None]
-            for j in range(m)
-        ]
-        curvature = np.stack(columns, axis=-1)
+        # All unknowns of one repeat at once, for a call costs more than its few numbers; many repeats one by one.
+        together = m if len(x) <= FEW else 1
+        columns = []
+        for first in range(0, m, together):
+            moved = [x + width[:, j, None] * np.eye(m)[j] for j in range(first, min(first + together, m))]
+            slopes = evaluate(np.concatenate(moved), np.tile(rows, len(moved))).gradient
+            columns += np.split(slopes, len(moved))
+        curvature = np.stack(
+            [(around.gradient - there) / width[:, j, None] for j, there in enumerate(columns)], axis=-1
+        )
         curvature = (curvature + np.swapaxes(curvature, -1, -2)) / 2
         scaled = np.nan_to_num(curvature * spread[:, :, None] * spread[:, None, :])
         convex = np.linalg.eigvalsh(scaled)[:, 0] > 1e-6

@@ -26,6 +26,8 @@ SOFTER = 0.3  # and in the first one, where logarithms cannot be had
 POLISH = 25  # iterations for the deepest ends of a round
 ENOUGH = 0.1  # share of the first starts that end in one minimum that fits: enough to end the search
 ENOUGH_MISFIT = 0.5  # and in one that does not fit
+FAR = 20.0  # times the χ² of a fit: no rig of this kind comes near the data
+ANOTHER = 0.1  # of χ², by which another minimum is lower there
 LEAST = 16  # starts of the largest rigs
 DEEPEST = 8  # minima that are followed to the bottom
 COMPETING = (
@@ -98,7 +100,9 @@ def _followed(likelihood: Likelihood, minima: LocalMinima, margin: float) -> Loc
     """The minima within `margin` of the lowest one, followed further down in the first repeat."""
     first = np.array([0])
     followed = LocalMinima(minima.psi[:0], minima.sign[:0], minima.cost[:0])
-    for k in np.flatnonzero(minima.cost <= minima.cost[0] + margin)[: 2 * DEEPEST]:
+    acceptable = _acceptable(likelihood.data, likelihood.exact, minima.psi.shape[-1])
+    most = 2 * DEEPEST if minima.cost[0] <= FAR * acceptable else DEEPEST // 2
+    for k in np.flatnonzero(minima.cost <= minima.cost[0] + margin)[:most]:
         end = likelihood.descend(minima.psi[k : k + 1], minima.sign[k : k + 1], repeats=first, limit=ROUGH)
         if end.converged[0] or k == 0:
             followed = followed.with_ends(end.x, minima.sign[k : k + 1], end.cost)
@@ -178,7 +182,9 @@ def global_minima(likelihood: Likelihood, repeat: int) -> LocalMinima:
         if not len(minima.cost):
             raise ConvergenceError("no start leads to a minimum", cure="give guesses of the unknowns")
         lowest = minima.cost[0]
-        idle = idle + 1 if lowest > before - 1e-3 * max(1.0, lowest / one.exact.rows) else 0
+        # Far from any fit a lower end counts only where it is another one, not the same creeping on.
+        least = ANOTHER * lowest if lowest > FAR * acceptable else 1e-3 * max(1.0, lowest / one.exact.rows)
+        idle = idle + 1 if lowest > before - least else 0
         share = np.mean(costs <= lowest * 1.01 + 1) if turn == 0 else 0.0
         if share >= (ENOUGH if lowest <= acceptable else ENOUGH_MISFIT) or idle > 1:
             break
