@@ -11,6 +11,7 @@ from dashpot.check.residuals import Residuals, calibrations_of, residuals
 from dashpot.data.spectrum import Spectrum
 from dashpot.data.stretch import SettledDwell
 from dashpot.estimate.assessment import Assessment, Judgement, Misfit
+from dashpot.estimate.inference.band_stability import DISAGREE
 from dashpot.estimate.inference.diagnostics import nonlinear_names
 from dashpot.estimate.likelihood.record_noise import RESIDUAL
 from dashpot.estimate.result import Estimate
@@ -38,6 +39,7 @@ def assess(model: Model, spectrum: Spectrum, estimate: Estimate) -> Assessment:
         *_unphysical(model, estimate),
         *_unstable(estimate),
         *_rejected(estimate),
+        *(notice for notice in estimate.warnings if notice.code == DISAGREE),
         *_smooth(left, motions, least=0.5 if RESIDUAL in spectrum.noise else 1.0),
     ]
     unheard = [] if spectrum.records else _unheard(left, motions, _fundamentals(spectrum))

@@ -132,7 +132,9 @@ def _estimate(
     lower, upper = (-np.inf, np.inf) if first.bounds is None else (first.bounds.lower, first.bounds.upper)
     m, unknowns = len(model.unknowns), len(around.names)
     warnings = list(dict.fromkeys(notice for part in parts for notice in part.solution.warnings))
+    bands = [part.uncertainty.bands for part in parts if part.uncertainty.bands is not None]
     if not batch:
+        warnings += [notice for each in bands for notice in each.notices(around.names)]
         diagnostics.require_determined(around.names, theta, noise, diagnostics.dead_channels(model, spectrum))
         warnings += _notices(model, method, theta, covariance, noise, fit)
         warnings += diagnostics.short_records(model, theta, spectrum)
@@ -150,7 +152,7 @@ def _estimate(
         lower=np.broadcast_to(lower, unknowns),
         upper=np.broadcast_to(upper, unknowns),
         free_values=join(lambda part: _free_values(part.solution)),
-        basis=_basis(fit),
+        basis=_basis(fit, any(np.any(each.disagree) for each in bands)),
         converged=join(lambda part: part.solution.converged),
         iterations=join(lambda part: part.solution.iterations),
         history=first.history,
@@ -174,9 +176,9 @@ def _free_values(solution: Solution) -> Real:
     return solution.theta if solution.bounds is None else solution.bounds.free
 
 
-def _basis(fit: Fit) -> str:
+def _basis(fit: Fit, bands_disagree: bool) -> str:
     """What the intervals rest on."""
-    if np.any(fit.rejected):
+    if np.any(fit.rejected) or bands_disagree:
         return "model misfit"
     return "sensor noise" if fit.known_noise else "residuals"
 

@@ -8,6 +8,7 @@ import numpy as np
 
 from dashpot.arrays import Real
 from dashpot.data.spectrum import Spectrum
+from dashpot.estimate.inference.band_stability import BandStability, band_stability
 from dashpot.estimate.inference.diagnostics import bias
 from dashpot.estimate.likelihood.maximum_likelihood import MaximumLikelihood
 from dashpot.estimate.likelihood.objective import (
@@ -55,7 +56,10 @@ class Linearised:
 
 @dataclass(frozen=True)
 class Uncertainty:
-    """Covariances and fit of K repeats; see Estimate for the names."""
+    """Covariances and fit of K repeats; see Estimate for the names.
+
+    bands: how parts of the band agree, where the noise is that of the residuals of whole records, else None
+    """
 
     covariance: Real
     noise: Real
@@ -63,6 +67,7 @@ class Uncertainty:
     dof: Real
     chi2: Real
     p: Real
+    bands: BandStability | None = None
 
 
 @dataclass(frozen=True)
@@ -149,7 +154,8 @@ def uncertainty(data: Prepared, solution: Solution, around: Linearised, weighted
 
     `solution` and `around` are to be those of the most likely parameters, to which one Gauss-Newton step leads, with
     the covariance of the method.  Where the noise is unknown, χ² supplies its size; where it was estimated, weights and
-    intervals pay for that; where the model does not fit, the covariance grows by χ²/dof.  Where bounds hold unknowns,
+    intervals pay for that; where the model does not fit, the covariance grows by χ²/dof.  Where the residuals of whole
+    records are all that tells the noise, it counts by how much parts of the band disagree.  Where bounds hold unknowns,
     χ² is that of the values held: bounds that the data contradict are no fit.
     """
     prior = np.diag(around.precision)
@@ -182,7 +188,12 @@ def uncertainty(data: Prepared, solution: Solution, around: Linearised, weighted
     misfit = (p < MISFIT_LEVEL) & (chi2 > dof)
     factor = np.where(misfit, chi2 / usable, 1.0)
     degrees = np.where(misfit[:, None], np.minimum(degrees, usable), degrees)
-    return Uncertainty(noise * factor[:, None, None], noise, bound, degrees, chi2, p)
+    covariance = noise * factor[:, None, None]
+    if "residual" not in data.spectrum.noise or not weighted:
+        return Uncertainty(covariance, noise, bound, degrees, chi2, p)
+    bands = band_stability(data.spectrum.frequency_hz, around.information, around.scores, prior)
+    degrees = np.where(bands.disagree[:, None], np.minimum(degrees, bands.dof), degrees)
+    return Uncertainty(bands.widened(covariance), noise, bound, degrees, chi2, p, bands)
 
 
 def _excess(total: Real, gradient: Real, solution: Solution) -> Real:
