@@ -126,11 +126,9 @@ def _note(key: bytes, content: bytes, groups: list[_Group]) -> None:
         return
     group = groups[-1]
     if key == b"CD":
-        step, start = float(fields[0]), float(fields[7]) if len(fields) > 7 and fields[7] else 0.0
-        if group.components:
-            group.components[-1].step, group.components[-1].start = step, start
-        else:
-            group.step, group.start = step, start
+        holder = group.components[-1] if group.components else group
+        holder.step = float(fields[0])
+        holder.start = float(fields[7]) if len(fields) > 7 and fields[7] else 0.0
         return
     if key == b"CC" or not group.components:
         group.components.append(_Component())

@@ -24,7 +24,7 @@ from __future__ import annotations
 import glob
 import os
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal, cast
@@ -151,21 +151,15 @@ def resolved(entry: FilesEntry, folder: Path, place: str, number: int) -> list[F
     groups: dict[tuple[float | None, int, str], FileGroup] = {}
     for name in names:
         for path, fields in _matches(name, folder, place):
-            frequency = entry.frequency_hz
-            if "frequency" in fields:
-                frequency = float(re.sub("[,p]", ".", fields["frequency"]))
-            if entry.band_hz is not None and not (
-                frequency is not None and entry.band_hz[0] <= frequency <= entry.band_hz[1]
-            ):
+            frequency, sensor = _frequency(entry, fields), fields.get("sensor", "")
+            if not _in_band(entry, frequency) or (entry.sensors and sensor not in entry.sensors):
                 continue
-            experiment = number if entry.experiment is None else entry.experiment
-            experiment = int(fields.get("experiment", experiment))
-            sensor = fields.get("sensor", "")
-            if entry.sensors and sensor not in entry.sensors:
-                continue
-            rest = (
-                path.as_posix().replace(sensor, "{sensor}") if sensor and entry.sensors else path.as_posix()
+            experiment = int(
+                fields.get("experiment", number if entry.experiment is None else entry.experiment)
             )
+            rest = path.as_posix()
+            if sensor and entry.sensors:
+                rest = rest.replace(sensor, "{sensor}")
             key = (frequency, experiment, rest)
             group = groups.setdefault(key, FileGroup(entry, place, {}, frequency, experiment))
             group.paths[sensor] = path
@@ -179,6 +173,19 @@ def resolved(entry: FilesEntry, folder: Path, place: str, number: int) -> list[F
             )
             raise DataError(shown(what, 300), place, "add it, or take the sensor out")
     return sorted(groups.values(), key=lambda g: (g.experiment, g.frequency_hz or 0.0))
+
+
+def _frequency(entry: FilesEntry, fields: Mapping[str, str]) -> float | None:
+    """The drive frequency that a file's name says, else the entry's."""
+    if "frequency" not in fields:
+        return entry.frequency_hz
+    return float(re.sub("[,p]", ".", fields["frequency"]))
+
+
+def _in_band(entry: FilesEntry, frequency: float | None) -> bool:
+    if entry.band_hz is None:
+        return True
+    return frequency is not None and entry.band_hz[0] <= frequency <= entry.band_hz[1]
 
 
 def _matches(name: str, folder: Path, place: str) -> Iterator[tuple[Path, dict[str, str]]]:

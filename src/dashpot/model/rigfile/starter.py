@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -40,7 +41,6 @@ def starter_text(chain: Chain) -> str:
         raise ModelError(f"a mass of {chain.known:g} kg", cure="give one above 0")
     names = [f"x{i + 1}" for i in range(chain.masses)]
     base = "u" if chain.drive == "base" else "ground"
-    points = [*names, base]
     coordinates = ", ".join(f'"{name}"' for name in names)
     lines = [f"name = {quoted(chain.name)}", f"coordinates = [{coordinates}]", "", "[inputs]"]
     if chain.drive == "base":
@@ -50,19 +50,31 @@ def starter_text(chain: Chain) -> str:
     lines += [
         "",
         "# Without a value an entry is unknown; value = …, sd = … say what has been weighed.",
-        "[masses]",
+        *_elements(chain, names, [*names, base]),
+        "",
+        "# One entry for each column of the data, of its name.",
+        *_channels(chain, names),
     ]
+    return "\n".join(lines) + "\n"
+
+
+def _elements(chain: Chain, names: Sequence[str], points: Sequence[str]) -> Iterator[str]:
+    """Sections of masses, springs and dampers; each spring and damper joins a point to the next."""
+    yield "[masses]"
     for i, name in enumerate(names):
         value = f", value = {chain.known!r}" if i == 0 and chain.known is not None else ""
-        lines.append(f'm{i + 1} = {{ at = "{name}"{value} }}')
+        yield f'm{i + 1} = {{ at = "{name}"{value} }}'
     for section, letter in (("springs", "k"), ("dampers", "c")):
-        lines += ["", f"[{section}]"]
+        yield from ("", f"[{section}]")
         for i in range(chain.masses):
-            lines.append(f'{letter}{i + 1} = {{ between = ["{points[i]}", "{points[i + 1]}"] }}')
-    lines += ["", "# One entry for each column of the data, of its name.", "[channels]"]
+            yield f'{letter}{i + 1} = {{ between = ["{points[i]}", "{points[i + 1]}"] }}'
+
+
+def _channels(chain: Chain, names: Sequence[str]) -> Iterator[str]:
+    """The section of channels: every coordinate, and the base or the force."""
+    yield "[channels]"
     fields = f'quantity = "{chain.motion}", unit = {quoted(chain.unit)}'
     for name in [*names, "u"] if chain.drive == "base" else names:
-        lines.append(f'{name} = {{ of = "{name}", {fields} }}')
+        yield f'{name} = {{ of = "{name}", {fields} }}'
     if chain.drive == "force":
-        lines.append(f'f = {{ of = "f", unit = {quoted(chain.force_unit)} }}')
-    return "\n".join(lines) + "\n"
+        yield f'f = {{ of = "f", unit = {quoted(chain.force_unit)} }}'
