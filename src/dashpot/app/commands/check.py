@@ -62,6 +62,7 @@ def command(
     from dashpot.app.files import write_result
     from dashpot.app.progress import progress
     from dashpot.check.identifiability import structure
+    from dashpot.check.nonlinear_structure import nonlinear_structure
     from dashpot.errors import UsageError
     from dashpot.io.json_document import to_json
     from dashpot.model.rigfile import read_rig
@@ -75,7 +76,10 @@ def command(
     spectrum = read_spectrum(rig_read, data, conditioning, quiet) if data else None
     channels = rig_read.channels if spectrum is None else spectrum.channels
     with progress("check", quiet):
-        verdict = structure(rig_read.model, channels, spectrum, seed)
+        if len(rig_read.model.nonlinear):
+            verdict = nonlinear_structure(rig_read.model, channels, spectrum)
+        else:
+            verdict = structure(rig_read.model, channels, spectrum, seed)
     content = structure_content(rig_read.model, channels, verdict)
     parts: list[Any] = []
     if verdict.identifiable and spectrum is not None:

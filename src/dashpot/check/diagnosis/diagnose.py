@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from dashpot.check.branches import several_motions
 from dashpot.check.diagnosis.causes import causes
 from dashpot.check.diagnosis.search import Workbench
 from dashpot.check.diagnosis.wording import finding
@@ -52,4 +53,8 @@ def examined(model: Model, spectrum: Spectrum, estimate: Estimate, *, seed: int 
     linear = not len(model.nonlinear)  # the remedies are tried on linear rigs
     if linear and (assessment.verdict == "does not fit" or not bool(estimate.converged)):
         assessment = replace(assessment, findings=diagnose(model, spectrum, estimate, seed=seed))
+    if not linear:
+        estimate = replace(
+            estimate, warnings=(*estimate.warnings, *several_motions(model, spectrum, estimate))
+        )
     return replace(estimate, assessment=assessment)

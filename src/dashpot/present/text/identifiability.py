@@ -11,6 +11,7 @@ from dashpot.arrays import Real
 from dashpot.channel import Channel, Quantity
 from dashpot.check.directions import Deficiency
 from dashpot.check.identifiability import Structure, is_large, structure
+from dashpot.check.nonlinear_structure import blind_laws
 from dashpot.check.scale import require_scale
 from dashpot.data.spectrum import Spectrum
 from dashpot.errors import IdentifiabilityError, Problem
@@ -32,6 +33,9 @@ def require_identifiable(
     decays = not model.inputs and (spectrum is None or bool(spectrum.records))
     if decays or is_large(model):
         require_scale(model, channels, where)
+        blind = blind_laws(model, spectrum) if spectrum is not None and len(model.nonlinear) else None
+        if blind is not None:
+            raise IdentifiabilityError(problems_in_words(blind, model, channels, where))
     else:
         require_full_rank(structure(model, channels, spectrum), model, channels, where)
 
@@ -72,6 +76,11 @@ def _said(one: Deficiency, found: Structure, model: Model, channels: Sequence[Ch
         return _unseen(one, found, model, channels)
     if one.sort == "lines":
         return _lines(one, found)
+    if one.sort == "mixed" and len(names) == 1:
+        return (
+            f"{names[0]} leaves no trace: its element never moves far enough for its law to show",
+            "drive the rig further, or give it a value",
+        )
     if one.sort == "mixed":
         return _moves(one, found), give
     if one.sort == "scale":
