@@ -19,8 +19,10 @@ from dashpot.app.options import (
     whole_record_options,
 )
 from dashpot.app.parameter_types import names
+from dashpot.app.report_files import failure_reported, report_option
 
 if TYPE_CHECKING:
+    from dashpot.check.data_findings import DataFindings
     from dashpot.check.identifiability import Structure
     from dashpot.data.spectrum import Spectrum
     from dashpot.model.rigfile import Rig
@@ -44,14 +46,15 @@ WITH_DATA = "With DATA"
     help="How much an error of each known parameter moves each estimate.",
 )  # fmt: skip
 @json_option("the findings")
+@report_option
 @level_option
 @conditioning_options
 @whole_record_options
 @seed_option("the random numbers")
 @quiet_option
 def command(
-    rig: str, data: tuple[str, ...], profiled: tuple[str, ...], known: bool, json_out: str | None, level: float,
-    seed: int, quiet: bool, **conditioning: Any,
+    rig: str, data: tuple[str, ...], profiled: tuple[str, ...], known: bool, json_out: str | None, report: str | None,
+    level: float, seed: int, quiet: bool, **conditioning: Any,
 ) -> int:  # fmt: skip
     """Check whether the unknowns of RIG can be found from its channels and, with DATA, which ones only poorly.
 
@@ -66,7 +69,7 @@ def command(
     from dashpot.errors import UsageError
     from dashpot.io.json_document import to_json
     from dashpot.model.rigfile import read_rig
-    from dashpot.present.content.check import structure_content
+    from dashpot.present.content.check import findings_content, structure_content
     from dashpot.present.text.identifiability import require_full_rank
 
     if (profiled or known) and not data:
@@ -81,65 +84,55 @@ def command(
         else:
             verdict = structure(rig_read.model, channels, spectrum, seed)
     content = structure_content(rig_read.model, channels, verdict)
-    parts: list[Any] = []
+    found = None
     if verdict.identifiable and spectrum is not None:
         wanted = [name for text in profiled for name in names(text)]
         with progress("check", quiet):
-            parts = _with_data(rig_read, spectrum, content, wanted, known, level, seed)
+            found = _with_data(rig_read, spectrum, wanted, known, level, seed)
+        content |= findings_content(found, spectrum)
     write_result(json_out, to_json(content))
-    require_full_rank(verdict, rig_read.model, channels, rig)
+    with failure_reported(report, rig):
+        require_full_rank(verdict, rig_read.model, channels, rig)
+    if report is not None:
+        from dashpot.app.report_files import provenance, write_report
+        from dashpot.present.pages.check import check_report
+
+        page = check_report(rig_read.model, channels, verdict, spectrum, found, level, provenance())
+        write_report(report, page)
     if not quiet and json_out != STDOUT:
-        _show(verdict, [channel.name for channel in channels], spectrum, parts)
+        _show(verdict, [channel.name for channel in channels], spectrum, found)
     return 0
 
 
 def _show(
-    verdict: Structure, channels: Sequence[str], spectrum: Spectrum | None, parts: Sequence[Any]
+    verdict: Structure, channels: Sequence[str], spectrum: Spectrum | None, found: DataFindings | None
 ) -> None:
     from dashpot.present.tables.check import show_known, show_paragraphs
     from dashpot.present.tables.layout import console
-    from dashpot.present.text.check import structure_in_words
+    from dashpot.present.text.check import collinearity_in_words, profile_in_words, structure_in_words
 
     out = console()
     show_paragraphs(out, structure_in_words(verdict, channels, None if spectrum is None else spectrum.lines))
-    for part in parts:
+    if found is None or spectrum is None:
+        return
+    units = dict(zip(found.estimate.names, found.estimate.units, strict=True))
+    out.print()
+    show_paragraphs(out, collinearity_in_words(found.collinearity, spectrum, units))
+    if found.profiles:
         out.print()
-        if isinstance(part, list):
-            show_paragraphs(out, part)
-        else:
-            show_known(out, part)
+        show_paragraphs(out, [profile_in_words(one) for one in found.profiles])
+    if found.known_errors is not None:
+        out.print()
+        show_known(out, found.known_errors)
 
 
 def _with_data(
-    rig: Rig,
-    spectrum: Spectrum,
-    content: dict[str, Any],
-    profiled: Sequence[str],
-    known: bool,
-    level: float,
-    seed: int,
-) -> list[Any]:
-    """What the data say: paragraphs and tables to print; the same goes into `content`."""
-    from dashpot.check.chi2_surface import chi2_surface
-    from dashpot.check.collinearity import collinearity
-    from dashpot.check.profile import profile
-    from dashpot.check.sensitivity import known_errors
+    rig: Rig, spectrum: Spectrum, profiled: Sequence[str], known: bool, level: float, seed: int
+) -> DataFindings:
+    """What the data say."""
+    from dashpot.check.data_findings import data_findings
     from dashpot.estimate.identify import automatic, identify
     from dashpot.estimate.registry import method
-    from dashpot.present.content.check import collinearity_content, known_content, profile_content
-    from dashpot.present.text.check import collinearity_in_words, profile_in_words
 
     estimate = identify(rig.model, spectrum, method(automatic(rig.model, spectrum).name, seed=seed))
-    weak = collinearity(chi2_surface(rig.model, spectrum, estimate), estimate.covariance)
-    content["data"] = collinearity_content(weak, spectrum)
-    units = dict(zip(estimate.names, estimate.units, strict=True))
-    parts: list[Any] = [collinearity_in_words(weak, spectrum, units)]
-    if profiled:
-        profiles = [profile(rig.model, spectrum, name, level, estimate) for name in profiled]
-        content["profiles"] = [profile_content(one) for one in profiles]
-        parts.append([profile_in_words(one) for one in profiles])
-    if known:
-        errors = known_errors(rig.model, spectrum, estimate)
-        content["known_errors"] = known_content(errors)
-        parts.append(errors)
-    return parts
+    return data_findings(rig.model, spectrum, estimate, profiled, level, known)

@@ -23,6 +23,7 @@ from dashpot.app.options import (
     whole_record_options,
 )
 from dashpot.app.parameter_types import AMOUNTS, INPUT_FILE
+from dashpot.app.report_files import report_option
 from dashpot.estimate.registry import METHODS, methods_for
 
 if TYPE_CHECKING:
@@ -56,6 +57,7 @@ WHAT = "What to compare"
     help="True values where they are known; intervals that miss them are marked.  A bare number is in SI units.",
 )  # fmt: skip
 @file_option("--figure", "FILE.png", "Draw the intervals.")
+@report_option
 @json_option("all estimates")
 @level_option
 @conditioning_options
@@ -64,7 +66,8 @@ WHAT = "What to compare"
 @quiet_option
 def command(
     rig: str, data: tuple[str, ...], methods: str | None, modal_file: str | None, truth: dict[str, Amount] | None,
-    figure: str | None, json_out: str | None, seed: int, level: float, quiet: bool, **conditioning: Any,
+    figure: str | None, report: str | None, json_out: str | None, seed: int, level: float, quiet: bool,
+    **conditioning: Any,
 ) -> int:  # fmt: skip
     """Estimate the unknowns of RIG from DATA with several methods, side by side.
 
@@ -87,6 +90,12 @@ def command(
     comparison = _compared(rig_read, spectrum, modal, chosen, true, seed, quiet)
     if figure is not None:
         _draw(comparison, level, figure)
+    if report is not None:
+        from dashpot.app.report_files import provenance, write_report
+        from dashpot.present.pages.others import comparison_report
+
+        channels = rig_read.channels if spectrum is None else spectrum.channels
+        write_report(report, comparison_report(rig_read.model, channels, comparison, level, provenance()))
     write_result(json_out, comparison.to_json())
     if not quiet and json_out != STDOUT:
         from dashpot.present.tables.comparison import show_comparison

@@ -34,6 +34,7 @@ from dashpot.app.parameter_types import (
     Count,
     names,
 )
+from dashpot.app.report_files import report_option
 
 if TYPE_CHECKING:
     from dashpot.channel import Channel
@@ -139,9 +140,10 @@ TEST, SHAKER, ROBUST = "The test", "The shaker", "Robustness"
 @file_option("--csv", "FILE.csv", "Write the dwells for the shaker's controller.")
 @file_option("--figure", "FILE.png", "Draw dwells, information and the intervals to expect.")
 @file_option("--progress", "FILE.png", "Draw how the intervals shrank as the data of --after came in.")
+@report_option
 @conditioning_options
 @quiet_option
-def command(rig: str, json_out: str | None, quiet: bool, **options: Any) -> int:
+def command(rig: str, json_out: str | None, report: str | None, quiet: bool, **options: Any) -> int:
     """Design the next test of RIG: at which frequencies to dwell, for how long, with which sensors.
 
     The values to design for are those of the rig file (value, guess), of --set, or of an estimate.  Standard
@@ -165,6 +167,11 @@ def command(rig: str, json_out: str | None, quiet: bool, **options: Any) -> int:
     write_result(json_out, answer_to_json(result))
     if options["csv"] is not None and result.plan is not None:
         write_text(options["csv"], plan_to_csv(result.plan, drive_units(rig_read.model)))
+    if report is not None:
+        from dashpot.app.report_files import provenance, write_report
+        from dashpot.present.pages.others import design_report
+
+        write_report(report, design_report(result, provenance()))
     _draw(result, options["figure"], options["progress"], question)
     if not quiet and json_out != STDOUT:
         from dashpot.present.tables.design import show_answer

@@ -5,8 +5,9 @@ from __future__ import annotations
 import click
 
 from dashpot.app.help import dashpot_command, option
-from dashpot.app.options import file_option, processes_option, quiet_option, seed_option
+from dashpot.app.options import processes_option, quiet_option, seed_option
 from dashpot.app.parameter_types import FOLDER, Count
+from dashpot.app.report_files import report_option
 from dashpot.errors import printable
 
 PAPERS = ["yamane1989"]
@@ -19,7 +20,7 @@ FEW = 200  # draws below which starting processes costs more than they save
     "--draws", type=Count(2, 1_000_000), default=1000, show_default=True, metavar="N", group="Monte Carlo",
     help="Draws of the noise in each scenario.",
 )  # fmt: skip
-@file_option("--report", "FILE.html", "Write tables, figures and findings as one HTML file.")
+@report_option
 @option("--figures", type=FOLDER, metavar="FOLDER", group="Output", help="Write the figures there, as PNG.")
 @seed_option("the noise", 1989)
 @processes_option
@@ -38,6 +39,7 @@ def command(
     The same seed gives the same numbers, whatever the number of processes.
     """
     from dashpot.app.progress import progress
+    from dashpot.app.report_files import provenance, write_report
     from dashpot.app.workers import cores, mapping
     from dashpot.present.pages.yamane1989.page import show_reproduction, write_reproduction
     from dashpot.present.tables.layout import console
@@ -46,7 +48,8 @@ def command(
     count = processes if processes is not None else 1 if draws < FEW else cores()
     with mapping(count) as mapper, progress(paper, quiet) as moved:
         reproduction = reproduce(draws, seed, moved, mapper=mapper)
-    written = write_reproduction(reproduction, report, figures)
+    how = None if report is None else provenance()
+    written = write_reproduction(reproduction, report, figures, provenance=how, write=write_report)
     if not quiet:
         show_reproduction(reproduction, console())
         for name in written:

@@ -11,6 +11,7 @@ from dashpot.app.data_files import tell_notes
 from dashpot.app.help import dashpot_command, option
 from dashpot.app.options import dask_option, processes_option, quiet_option
 from dashpot.app.parameter_types import FOLDER, INPUT_FILE, Count
+from dashpot.app.report_files import report_option
 from dashpot.errors import printable
 
 FEW = 2000  # identifications below which starting processes costs more than they save
@@ -26,13 +27,14 @@ FEW = 2000  # identifications below which starting processes costs more than the
     "--draws", type=Count(2), metavar="N", group="The study",
     help="Draws of each scenario, in place of those in the file.",
 )  # fmt: skip
+@report_option
 @processes_option
 @dask_option
 @quiet_option
 @click.pass_context
 def command(
-    ctx: click.Context, study: str, out: str | None, draws: int | None, processes: int | None, dask: str | None,
-    quiet: bool,
+    ctx: click.Context, study: str, out: str | None, draws: int | None, report: str | None, processes: int | None,
+    dask: str | None, quiet: bool,
 ) -> None:  # fmt: skip
     """Run the Monte Carlo study that the file STUDY describes, or continue one that was interrupted.
 
@@ -76,7 +78,14 @@ def command(
         )
         ctx.exit(128 + cause.number if isinstance(cause, Ended) else INTERRUPTED)
     tell_notes(outcome.notes, quiet)
-    written = write_pictures(folder, study_pictures(outcome))
+    pictures = study_pictures(outcome)
+    written = write_pictures(folder, pictures)
+    if report is not None:
+        from dashpot.app.report_files import provenance, write_report
+        from dashpot.present.pages.others import study_report
+
+        write_report(report, study_report(outcome, pictures, provenance()))
+        written.append(report)
     if not quiet:
         show_study(outcome, console())
         for name in [str(Path(folder) / "summary.parquet"), *written]:

@@ -16,6 +16,7 @@ from dashpot.app.options import (
     whole_record_options,
 )
 from dashpot.app.parameter_types import INPUT_FILE
+from dashpot.app.report_files import report_option
 
 
 @dashpot_command(
@@ -34,11 +35,12 @@ from dashpot.app.parameter_types import INPUT_FILE
 @file_option(
     "--picture", "FILE.svg", "Draw measured and predicted histories and spectra of the first record."
 )
+@report_option
 @conditioning_options
 @whole_record_options
 @quiet_option
 def command(
-    files: tuple[str, ...], rig: str | None, json_out: str | None, picture: str | None, quiet: bool,
+    files: tuple[str, ...], rig: str | None, json_out: str | None, picture: str | None, report: str | None, quiet: bool,
     **conditioning: Any,
 ) -> None:  # fmt: skip
     """Predict records from their inputs with an estimate made of others: FIT and χ² of every channel.
@@ -58,6 +60,12 @@ def command(
     predictions = validate(rig_read.model, estimate, spectrum)
     if picture is not None:
         write_picture(predictions, picture)
+    if report is not None:
+        from dashpot.app.report_files import provenance, write_report
+        from dashpot.present.pages.others import validation_report
+
+        page = validation_report(rig_read.model, spectrum.channels, estimate, predictions, provenance())
+        write_report(report, page)
     write_result(json_out, figures_of(predictions))
     if not quiet and json_out != STDOUT:
         from dashpot.present.tables.layout import console

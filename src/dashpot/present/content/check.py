@@ -7,6 +7,7 @@ from typing import Any
 
 from dashpot.channel import Channel
 from dashpot.check.collinearity import Collinearity
+from dashpot.check.data_findings import DataFindings
 from dashpot.check.directions import Deficiency
 from dashpot.check.identifiability import Structure
 from dashpot.check.profile import Profile
@@ -48,6 +49,16 @@ def _deficiency(
             for row in one.directions.tolist()
         ],
     }
+
+
+def findings_content(found: DataFindings, spectrum: Spectrum) -> dict[str, Any]:
+    """What data say, each part that was asked for."""
+    content: dict[str, Any] = {"data": collinearity_content(found.collinearity, spectrum)}
+    if found.profiles:
+        content["profiles"] = [profile_content(one) for one in found.profiles]
+    if found.known_errors is not None:
+        content["known_errors"] = known_content(found.known_errors)
+    return content
 
 
 def collinearity_content(found: Collinearity, spectrum: Spectrum) -> dict[str, Any]:

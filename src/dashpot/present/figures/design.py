@@ -24,7 +24,7 @@ from dashpot.present.figures.style import COLOURS, INK, MODEL, MUTED, style
 from dashpot.present.text.numbers import short
 
 HEAT = LinearSegmentedColormap.from_list("heat", ["#ffffff", "#d5e6ee", "#7fb6cd", "#0b6e99", "#083d56"])
-OTHER, EARLIER = "#c4661f", "#7b8794"
+OTHER, EARLIER = "#b0531a", "#7b8794"
 FRAME: dict[str, Any] = {"frameon": True, "framealpha": 0.85, "edgecolor": "none"}  # over bars and curves
 
 

@@ -158,6 +158,12 @@ def residual_plot(
     return figure
 
 
+def _luminance(colour: Sequence[float]) -> float:
+    """Relative luminance of a colour (red, green, blue, …), WCAG 2: text on less than 0.18 is best white."""
+    linear = [c / 12.92 if c <= 0.04045 else ((c + 0.055) / 1.055) ** 2.4 for c in colour[:3]]
+    return 0.2126 * linear[0] + 0.7152 * linear[1] + 0.0722 * linear[2]
+
+
 def correlation_plot(names: Sequence[str], matrix: Real) -> Figure:
     """Correlation matrix of the estimates, blue for + and red for −, with numbers where there is room."""
     count = len(names)
@@ -172,7 +178,7 @@ def correlation_plot(names: Sequence[str], matrix: Real) -> Figure:
                 for j in range(count):
                     value = float(matrix[i, j])
                     if np.isfinite(value):
-                        ink = "white" if abs(value) > 0.5 else INK
+                        ink = "white" if _luminance(image.cmap(image.norm(value))) < 0.18 else INK
                         text = f"{value:.2f}".replace("0.", ".").replace("-", "−") if i != j else "1"
                         axes.text(j, i, text, ha="center", va="center", color=ink, fontsize=7.5)
         if count <= 40:

@@ -49,7 +49,7 @@ def evidence_blocks(
         if len(estimate.names) > 1:
             blocks.append(_correlations(estimate))
     if weak is not None and spectrum is not None and len(weak.names) <= MOST_NAMES:
-        blocks.append(_shares(weak, spectrum))
+        blocks.append(shares_block(weak, spectrum))
     return blocks
 
 
@@ -161,7 +161,8 @@ def _correlations(estimate: Estimate) -> Block:
     )
 
 
-def _shares(weak: Collinearity, spectrum: Spectrum) -> Block:
+def shares_block(weak: Collinearity, spectrum: Spectrum) -> Block:
+    """What each line tells of each unknown."""
     middles, shares = shares_by_band(weak, spectrum.frequency_hz)
     figure = shares_figure(weak.names, middles, shares)
     text = "Where the knowledge of each unknown comes from, per cent of what is known of it."

@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
+import base64
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
-from markupsafe import Markup
+from markupsafe import Markup, escape
 from matplotlib.figure import Figure
 
-from dashpot.present.figures.style import svg
+from dashpot.present.figures.style import DPI, svg
 from dashpot.present.tables.layout import TableColumn
 from dashpot.present.text.glossary import EXPLANATIONS
 
@@ -90,6 +91,14 @@ def figure_picture(figure: Figure, alternative: str, *, wide: bool = True) -> Pi
     return Picture(svg(figure), alternative, wide)
 
 
+def image_picture(png: bytes, alternative: str) -> Picture:
+    """A PNG file as a picture of a page, as wide as it is meant to be printed."""
+    width = int.from_bytes(png[16:20], "big") * 96 // DPI  # a PNG file states its width at byte 16
+    content = base64.b64encode(png).decode("ascii")
+    image = f'<img alt="{escape(alternative)}" width="{width}" src="data:image/png;base64,{content}">'
+    return Picture(image, alternative, wide=False)
+
+
 def html(page: Page) -> str:
     """The page as one HTML file."""
     environment = Environment(
@@ -98,7 +107,7 @@ def html(page: Page) -> str:
     )  # fmt: skip
     explanations = [(term, EXPLANATIONS[term]) for term in page.terms]
     return environment.get_template("report.html").render(
-        page=page, explanations=explanations, inline=_inline, rows=_rows, size=_size
+        page=page, explanations=explanations, inline=_inline, rows=_rows
     )
 
 
@@ -106,7 +115,7 @@ def _inline(picture: Picture) -> Markup:
     """The SVG element with its alternative text."""
     label = Markup.escape(picture.alternative)
     text = picture.svg
-    if "role=" not in text[: text.index(">")]:
+    if text.startswith("<svg") and "role=" not in text[: text.index(">")]:
         text = text.replace("<svg ", f'<svg role="img" aria-label="{label}" ', 1)
     return Markup(text)
 
@@ -115,8 +124,3 @@ def _rows(columns: Sequence[TableColumn]) -> list[list[tuple[str, str]]]:
     """Rows of a table: (text, alignment) of each cell."""
     texts = zip(*(column.cells for column in columns), strict=True)
     return [[(cell, column.justify) for cell, column in zip(row, columns, strict=True)] for row in texts]
-
-
-def _size(number: int) -> str:
-    """Bytes in words."""
-    return f"{number / 1e6:.1f} MB" if number >= 1e6 else f"{number / 1e3:.1f} kB"

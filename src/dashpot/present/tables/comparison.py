@@ -29,7 +29,7 @@ def show_comparison(console: Console, comparison: Comparison, level: float = 0.9
             console.print()
         console.print(_table(block, methods))
     console.print()
-    for line in _remarks(comparison, level):
+    for line in comparison_remarks(comparison, level):
         show_paragraph(console, line)
 
 
@@ -111,7 +111,8 @@ def _table(columns: list[TableColumn], methods: int) -> Table:
     return table
 
 
-def _remarks(comparison: Comparison, level: float) -> list[str]:
+def comparison_remarks(comparison: Comparison, level: float = 0.95) -> list[str]:
+    """What ± and marks mean, and what was noticed, by the methods it concerns."""
     lines = ["± is one standard deviation."]
     if any(comparison.bound_sd(name) is not None for name in comparison.names):
         lines.append("The bound is the smallest ± that any unbiased method can reach (Cramér-Rao).")

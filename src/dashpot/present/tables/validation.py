@@ -11,8 +11,21 @@ from dashpot.check.validation import RecordPrediction
 from dashpot.present.tables.layout import TableColumn, show_paragraph, show_table
 from dashpot.present.text.numbers import short
 
+EXPLANATION = (
+    "FIT = 1 − ‖measured − predicted‖ / ‖measured − mean‖ within the band used, from the inputs alone; only the "
+    "state in which a record starts and ends is fitted to it."
+)
+
 
 def show_validation(out: Console, predictions: Sequence[RecordPrediction]) -> None:
+    """Print a row for each channel of each record, and what FIT is."""
+    out.print()
+    show_table(out, validation_columns(predictions))
+    out.print()
+    show_paragraph(out, EXPLANATION)
+
+
+def validation_columns(predictions: Sequence[RecordPrediction]) -> list[TableColumn]:
     """A row for each channel of each record: FIT and χ² over its degrees of freedom."""
     rows: list[tuple[str, ...]] = []
     for number, part in enumerate(predictions, start=1):
@@ -22,20 +35,10 @@ def show_validation(out: Console, predictions: Sequence[RecordPrediction]) -> No
             test = short(ratio) if np.isfinite(ratio) else "–"
             rows.append((name, channel, str(len(part.frequency_hz)), f"{100 * part.fit[c]:.2f}", test))
     names, channels, lines, fits, tests = (tuple(cells) for cells in zip(*rows, strict=True))
-    out.print()
-    show_table(
-        out,
-        [
-            TableColumn("record", names),
-            TableColumn("channel", channels),
-            TableColumn("lines", lines, "right"),
-            TableColumn("FIT, %", fits, "right"),
-            TableColumn("χ² / dof", tests, "right"),
-        ],
-    )
-    out.print()
-    show_paragraph(
-        out,
-        "FIT = 1 − ‖measured − predicted‖ / ‖measured − mean‖ within the band used, from the inputs alone; only the "
-        "state in which a record starts and ends is fitted to it.",
-    )
+    return [
+        TableColumn("record", names),
+        TableColumn("channel", channels),
+        TableColumn("lines", lines, "right"),
+        TableColumn("FIT, %", fits, "right"),
+        TableColumn("χ² / dof", tests, "right"),
+    ]

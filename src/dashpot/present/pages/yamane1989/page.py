@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import base64
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from rich.console import Console
 
 from dashpot.errors import DataError
-from dashpot.io.atomic import write_bytes
+from dashpot.io.atomic import write_bytes, write_text
 from dashpot.present.figures.style import DPI
+from dashpot.present.pages.page import Provenance
 from dashpot.present.pages.yamane1989.figures import images
 from dashpot.present.pages.yamane1989.findings import sentences
 from dashpot.present.pages.yamane1989.tables import LEGEND, parts, rich_table, text_tables
@@ -51,9 +52,16 @@ def _corrections(reproduction: Reproduction) -> Iterable[str]:
 
 
 def write_reproduction(
-    reproduction: Reproduction, report: str | Path | None = None, figures: str | Path | None = None
+    reproduction: Reproduction,
+    report: str | Path | None = None,
+    figures: str | Path | None = None,
+    *,
+    provenance: Provenance | None = None,
+    write: Callable[[str, str], None] = write_text,
 ) -> list[str]:
     """Write the HTML report and the PNG figures (into the folder `figures`, made if missing); what was written.
+
+    `write` takes the name and the HTML of the report.
 
     Raises DataError where a file cannot be written.
     """
@@ -73,12 +81,14 @@ def write_reproduction(
             write_bytes(folder / f"{name}.png", content)
             written.append(str(folder / f"{name}.png"))
     if report is not None:
-        write_bytes(Path(report), page(reproduction, drawn).encode("utf-8"))
+        write(str(report), page(reproduction, drawn, provenance))
         written.append(str(report))
     return written
 
 
-def page(reproduction: Reproduction, drawn: Mapping[str, tuple[str, bytes]]) -> str:
+def page(
+    reproduction: Reproduction, drawn: Mapping[str, tuple[str, bytes]], provenance: Provenance | None = None
+) -> str:
     """The HTML page with the figures in it."""
     environment = Environment(
         loader=FileSystemLoader(TEMPLATES),
@@ -104,4 +114,5 @@ def page(reproduction: Reproduction, drawn: Mapping[str, tuple[str, bytes]]) -> 
         legend=LEGEND,
         corrections=reproduction.corrections,
         short=short,
+        how=provenance,
     )

@@ -1,0 +1,212 @@
+"""Reports of comparisons, planned tests, predictions and studies."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from dashpot.channel import Channel
+from dashpot.check.doubt import doubtful
+from dashpot.check.validation import RecordPrediction
+from dashpot.design.advise import Answer
+from dashpot.design.test_setup import drive_units
+from dashpot.estimate.comparison import Comparison
+from dashpot.estimate.result import Estimate
+from dashpot.io.words import counted, joined
+from dashpot.model.network import Model
+from dashpot.present.figures.comparison import comparison_figure
+from dashpot.present.figures.planned_test import planned_test_figure
+from dashpot.present.pages.evidence import prediction_block
+from dashpot.present.pages.page import Block, Page, Provenance, Verdict, figure_picture, html, image_picture
+from dashpot.present.pages.report import capitalised, rig_picture
+from dashpot.present.tables.comparison import comparison_columns, comparison_remarks
+from dashpot.present.tables.design import dwell_columns, expected_columns
+from dashpot.present.tables.study import study_columns
+from dashpot.present.tables.validation import EXPLANATION, validation_columns
+from dashpot.present.text.design import plan_in_words, sensors_in_words, stopping_in_words
+from dashpot.present.text.estimate import sentence
+from dashpot.present.text.numbers import short
+from dashpot.present.text.study import LEGEND, factor_text, varied_factors
+from dashpot.study.runner import StudyOutcome
+
+POOR = 0.5  # FIT below which a prediction is of no use
+MOST_PICTURES = 12
+MOST_BYTES = 1_300_000  # of pictures in one page; base64 adds a third
+
+
+def comparison_report(
+    model: Model,
+    channels: Sequence[Channel],
+    comparison: Comparison,
+    level: float = 0.95,
+    provenance: Provenance | None = None,
+) -> str:
+    """HTML page of several methods side by side."""
+    best = comparison.most_likely[0] if comparison.most_likely else None
+    estimate = None if best is None else comparison.estimates[best]
+    wrong = [name for name, each in comparison.estimates.items() if not bool(each.converged)]
+    headline = (
+        f"Take the values of {best}: of these methods it uses the data best."
+        if best is not None and best not in wrong
+        else "None of these methods is the most likely one: compare the intervals."
+    )
+    cautions = [f"{joined(wrong)} did not converge: do not use those values."] if wrong else []
+    page = Page(
+        model.name or "Comparison",
+        f"{len(comparison.estimates)} methods on the same data.",
+        "bad" if wrong and best in (None, *wrong) else "open",
+        headline,
+        cautions=tuple(cautions),
+        answer=Block(
+            "Values by method",
+            tuple(comparison_remarks(comparison, level)),
+            (tuple(comparison_columns(comparison, level)),),
+        ),
+        drawing=rig_picture(
+            model, channels, estimate, () if estimate is None else doubtful(estimate, level), level
+        ),
+        steps=(f"Judge the fit: dashpot identify RIG DATA --method {best} --report report.html.",)
+        if best
+        else (),
+        evidence=(
+            Block(
+                "Intervals",
+                (
+                    "Where intervals of different methods do not overlap, the noise or the model is not as assumed.",
+                ),
+                pictures=(figure_picture(comparison_figure(comparison, level), "Intervals of every method"),),
+                whole=True,
+            ),
+        ),
+        terms=("±", "interval", "bound"),
+        provenance=provenance,
+    )
+    return html(page)
+
+
+def design_report(answer: Answer, provenance: Provenance | None = None) -> str:
+    """HTML page of a planned test."""
+    model, plan, estimate = answer.setup.model, answer.plan, answer.estimate
+    statements = list(sensors_in_words(answer)) if answer.choice is not None else []
+    verdict: Verdict = "open"
+    if answer.verdict is not None:
+        verdict = "good" if answer.verdict.reached else "open"
+        statements.insert(0, stopping_in_words(answer))
+    answers: Block | None = None
+    evidence: tuple[Block, ...] = ()
+    if plan is None:
+        headline = "No test is needed: what is known reaches the target already."
+    else:
+        said = plan_in_words(answer, plan)
+        headline = f"{counted(len(plan.dwells), 'dwell')}, {plan.samples} samples. {said[0]}"
+        statements += said[1:]
+        answers = Block("Dwells", (), (tuple(dwell_columns(plan, drive_units(model))),))
+        figure = figure_picture(
+            planned_test_figure(answer), "Dwells, what each frequency tells, and the intervals to expect"
+        )
+        evidence = (
+            Block("Intervals to expect", (), (tuple(expected_columns(answer)),)),
+            Block("Why these frequencies", pictures=(figure,)),
+        )
+    page = Page(
+        model.name or "The next test",
+        "The next test.",
+        verdict,
+        headline,
+        tuple(statements),
+        tuple(sentence(capitalised(note)) for note in answer.notes),
+        answers,
+        rig_picture(
+            model, answer.setup.channels, estimate, () if estimate is None else doubtful(estimate), 0.95
+        ),
+        (
+            "Write the dwells for the shaker's controller with --csv.",
+            "After the test: dashpot identify RIG DATA.",
+        ),
+        evidence,
+        ("±", "bound", "duality gap"),
+        provenance,
+    )
+    return html(page)
+
+
+def validation_report(
+    model: Model,
+    channels: Sequence[Channel],
+    estimate: Estimate,
+    predictions: Sequence[RecordPrediction],
+    provenance: Provenance | None = None,
+) -> str:
+    """HTML page of predictions of what was not used."""
+    fits = [
+        (float(fit), name) for part in predictions for name, fit in zip(part.channels, part.fit, strict=True)
+    ]
+    fits = [pair for pair in fits if np.isfinite(pair[0])]
+    worst, best = (min(fits), max(fits)) if fits else ((float("nan"), ""), (float("nan"), ""))
+    headline = "Nothing could be predicted."
+    if fits:
+        headline = f"The worst prediction is that of {worst[1]}, FIT {short(100 * worst[0], 3)} %"
+        headline += "." if worst == best else f"; the best {best[1]}, {short(100 * best[0], 3)} %."
+    columns = tuple(validation_columns(predictions))
+    page = Page(
+        model.name or "Validation",
+        "Records that the estimate was not made of, predicted from their inputs.",
+        "bad" if not fits or worst[0] < POOR else "open",
+        headline,
+        (EXPLANATION,),
+        answer=Block("FIT of every channel", (), (columns,)),
+        drawing=rig_picture(model, channels, estimate, doubtful(estimate), 0.95),
+        steps=_validation_steps(worst[0]),
+        evidence=(prediction_block("Measured and predicted", predictions),),
+        terms=("FIT", "χ²"),
+        provenance=provenance,
+    )
+    return html(page)
+
+
+def _validation_steps(worst: float) -> tuple[str, ...]:
+    if worst >= POOR:
+        return ("Where χ² / dof is near 1, the prediction is as good as the sensors can tell.",)
+    return (
+        "Look for what differs between the tests: amplitude (a nonlinear element), mounting, sensors, temperature.",
+        "Identify from these records as well: dashpot identify RIG DATA --report report.html.",
+    )
+
+
+def study_report(
+    outcome: StudyOutcome, pictures: Mapping[str, bytes], provenance: Provenance | None = None
+) -> str:
+    """HTML page of a Monte Carlo study with its PNG pictures by name, as many as a page holds."""
+    varied = varied_factors(outcome.rows)
+    fixed = [
+        f"{key} {factor_text(value)}"
+        for key, value in outcome.rows[0].scenario.factors.items()
+        if key not in varied
+    ]
+    failed = sum(row.summary.failed for row in outcome.rows)
+    scenarios = len({id(row.scenario) for row in outcome.rows})
+    methods = joined(dict.fromkeys(row.method for row in outcome.rows))
+    shown, used = [], 0
+    for name, content in list(pictures.items())[:MOST_PICTURES]:
+        used += len(content)
+        if used > MOST_BYTES:
+            break
+        shown.append(image_picture(content, name.replace("_", " ")))
+    rest = len(pictures) - len(shown)
+    more = (f"{rest} more pictures are in the folder of the study.",) if rest else ()
+    page = Page(
+        outcome.name,
+        f"Monte Carlo study, seed {outcome.seed}.",
+        "open",
+        f"{counted(scenarios, 'scenario')} by {methods}.",
+        (f"In all scenarios: {', '.join(fixed)}.",) if fixed else (),
+        (f"{failed} identifications failed; they are left out of bias and spread.",) if failed else (),
+        evidence=(
+            Block("Errors of the methods", LEGEND, (tuple(study_columns(outcome.rows)),), whole=True),
+            Block("Pictures", more, pictures=tuple(shown), whole=True),
+        ),
+        terms=("spread", "bound", "coverage"),
+        provenance=provenance,
+    )
+    return html(page)

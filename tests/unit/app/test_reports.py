@@ -1,0 +1,113 @@
+"""--report of every command that has one."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import re
+from pathlib import Path
+
+import pytest
+
+from dashpot.app import report_files
+from tests.unit.app.conftest import RIG, Command
+from tests.unit.app.test_study import STUDY
+
+UNDETERMINED = """
+coordinates = ["x"]
+[inputs]
+u = {}
+[masses]
+m = { at = "x", value = 1.0 }
+[springs]
+k1 = { between = ["x", "ground"] }
+k2 = { between = ["x", "ground"] }
+k3 = { between = ["x", "u"] }
+[channels]
+x = { of = "x" }
+u = { of = "u" }
+"""
+
+
+def words(path: str) -> str:
+    """The text of a page, which must ask for nothing from elsewhere."""
+    html = Path(path).read_text(encoding="utf-8")
+    assert not re.findall(r'(?:src|href)="(?!data:|#)', html)
+    assert len(html) < 2 * 2**20
+    return re.sub(r"\s+", " ", re.sub(r"<style>.*?</style>|<[^>]+>", " ", html, flags=re.DOTALL))
+
+
+def test_identify(dashpot: Command, data: Path) -> None:
+    done = dashpot(
+        "identify", "rig.toml", "data.csv", "--report", "r.html", "--json", "e.json", "--seed", "3", "-q"
+    )
+    assert done.code == 0
+    text = words("r.html")
+    assert "dashpot identify rig.toml data.csv --report r.html --json e.json --seed 3 -q" in text
+    assert hashlib.sha256(Path("data.csv").read_bytes()).hexdigest() in text
+    assert hashlib.sha256(Path("rig.toml").read_bytes()).hexdigest() in text
+    content = json.loads(Path("e.json").read_text(encoding="utf-8"))
+    assert f"χ² = {content['fit']['chi2']:.3g}" in text
+    assert f"{content['fit']['dof']} degrees of freedom" in text
+    assert "--seed 3" in text
+
+
+def test_what_is_not_determined_is_reported_and_still_an_error(dashpot: Command, data: Path) -> None:
+    Path("u.toml").write_text(UNDETERMINED, encoding="utf-8")
+    for command in ("identify", "check"):
+        arguments = ("u.toml", "data.csv") if command == "identify" else ("u.toml",)
+        done = dashpot(command, *arguments, "--report", f"{command}.html")
+        assert done.code == 3
+        text = words(f"{command}.html")
+        assert "do not determine the unknowns" in text
+        assert "k1 + k2" in text
+        assert "k3 = ?" in text  # drawn
+
+
+def test_compare_check_design_validate(dashpot: Command, data: Path) -> None:
+    assert dashpot("identify", "rig.toml", "data.csv", "--json", "e.json", "-q").code == 0
+    for line in (
+        "compare rig.toml data.csv --methods oiv,wls",
+        "check rig.toml data.csv --known --profile m1",
+        "design rig.toml --after e.json --samples 500 --rate 100 --relative-noise 5%",
+        "validate e.json data.csv",
+    ):
+        command = line.split()[0]
+        done = dashpot(*line.split(), "--report", f"{command}.html", "-q")
+        assert (done.code, done.err) == (0, []), line
+        text = words(f"{command}.html")
+        assert f"dashpot {line} --report" in text
+        assert "What next" in text
+    assert "Take the values of oiv" in words("compare.html")
+    assert "All unknowns can be found" in words("check.html")
+    assert re.search(r"\d+ dwells?, \d+ samples", words("design.html"))
+    assert "FIT of every channel" in words("validate.html")
+
+
+def test_study(dashpot: Command, tmp_path: Path) -> None:
+    (tmp_path / "rig.toml").write_text(RIG, encoding="utf-8")
+    small = STUDY.replace("draws = 30", "draws = 4").replace("[0.01, 0.05, 0.1]", "[0.01, 0.1]")
+    (tmp_path / "noise.toml").write_text(small, encoding="utf-8")
+    assert dashpot("study", "noise.toml", "--processes", "1", "--report", "s.html", "-q").code == 0
+    assert "Errors of the methods" in words("s.html")
+
+
+def test_without_a_browser_pdf_is_refused_before_the_work(
+    dashpot: Command, data: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(report_files, "BROWSERS", ("no-such-browser",))
+    done = dashpot("identify", "rig.toml", "data.csv", "--report", "r.pdf")
+    assert done.code == 2
+    assert len(done.err) == 1
+    assert "name the report .html" in done.err[0]
+    assert done.out == ""
+
+
+def test_a_browser_that_fails_leaves_no_file(
+    dashpot: Command, data: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(report_files, "BROWSERS", ("false",))
+    done = dashpot("check", "rig.toml", "--report", "r.pdf")
+    assert done.code == 2
+    assert "did not print the report" in done.err[0]
+    assert not Path("r.pdf").exists()

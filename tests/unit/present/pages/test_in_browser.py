@@ -1,0 +1,99 @@
+"""Reports as a browser shows them: nothing asked for, no error, no overflow, alternatives, contrast; and in print."""
+
+from __future__ import annotations
+
+import re
+import shutil
+from pathlib import Path
+
+import pytest
+
+from dashpot.app.cli import run
+from tests.unit.present.pages.browser import CHROMIUM, probed
+
+ROOT = Path(__file__).parents[4]
+EXAMPLES = {path.name.partition("_")[2]: path for path in (ROOT / "examples").glob("[0-9]*")}
+pytestmark = [
+    pytest.mark.long,
+    pytest.mark.skipif(CHROMIUM is None, reason="no Chromium or Chrome to open pages with"),
+]
+LEAST_CONTRAST = 4.5  # WCAG 2, level AA
+MISFIT = str(EXAMPLES["shake_table"] / "rig.toml"), str(EXAMPLES["shake_table"] / "amplitudes.csv")
+METHODS = str(EXAMPLES["methods"] / "rig.toml"), str(EXAMPLES["methods"] / "amplitudes.csv")
+UNDETERMINED = """
+coordinates = ["x"]
+inputs = { u = {} }
+channels = { x = { of = "x" }, u = { of = "u" } }
+[springs]
+k1 = { between = ["x", "ground"] }
+k2 = { between = ["x", "ground"] }
+k3 = { between = ["x", "u"] }
+[masses]
+m = { at = "x", value = 1.0 }
+"""
+REPORTS = {
+    "misfit": (0, "identify", *MISFIT),
+    "fits": (0, "identify", *METHODS, "--json", "estimate.json"),
+    "compare": (0, "compare", *METHODS),
+    "check": (0, "check", *METHODS, "--profile", "k1,c1", "--known"),
+    "undetermined": (3, "check", "undetermined.toml"),
+    "design": (0, "design", METHODS[0], "--after", "estimate.json", "--samples", "2000"),
+    "validate": (0, "validate", "estimate.json", METHODS[1], "--rig", METHODS[0]),
+    "reproduce": (0, "reproduce", "yamane1989", "--draws", "20", "--processes", "1"),
+}
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """All reports as NAME.html."""
+    made = tmp_path_factory.mktemp("reports")
+    (made / "undetermined.toml").write_text(UNDETERMINED, encoding="utf-8")
+    with pytest.MonkeyPatch.context() as patched:
+        patched.chdir(made)
+        for name, (code, *words) in REPORTS.items():
+            assert (
+                run([*words, "--report", f"{name}.html", *(("-q",) if words[0] != "check" else ())]) == code
+            ), name
+    return made
+
+
+@pytest.mark.parametrize("width", [1400, 390])
+@pytest.mark.parametrize("name", REPORTS)
+def test_pages_ask_for_nothing_and_can_be_read(folder: Path, name: str, width: int) -> None:
+    found = probed(folder / f"{name}.html", width)
+    assert found["wrong"] == []
+    assert found["requests"] == []
+    assert found["width"] == width
+    assert found["needed"] <= width, "the page is wider than the window"
+    assert found["pictures"] > 0
+    assert found["unnamed"] == 0
+    assert found["least"] >= LEAST_CONTRAST, found["where"]
+    assert (folder / f"{name}.html").stat().st_size < 2 * 2**20
+
+
+def test_the_probe_sees_what_is_wrong(tmp_path: Path) -> None:
+    bad = tmp_path / "bad.html"
+    bad.write_text(
+        '<!DOCTYPE html><html><head></head><body><img src="https://example.org/x.png"><p style="color:#999">pale</p>'
+        '<div style="width:3000px">wide</div><script>console.error("told"); nothing.here();</script></body></html>',
+        encoding="utf-8",
+    )
+    found = probed(bad, 1400)
+    assert {word.partition(":")[0] for word in found["wrong"]} >= {"error", "request", "console"}
+    assert found["needed"] > 1400
+    assert found["unnamed"] == 1
+    assert found["least"] < LEAST_CONTRAST
+
+
+def test_print_has_numbered_pages(folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert run(["identify", *METHODS, "--report", "report.pdf", "-q"]) == 0
+    content = Path("report.pdf").read_bytes()
+    assert content.startswith(b"%PDF")
+    assert len(re.findall(rb"/Type\s*/Page\b", content)) >= 2
+    tool = shutil.which("pdftotext")
+    if tool is not None:
+        import subprocess
+
+        text = subprocess.run([tool, "report.pdf", "-"], capture_output=True, check=True).stdout.decode()
+        assert re.search(r"\b1 / \d", text)
