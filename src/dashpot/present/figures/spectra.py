@@ -158,9 +158,9 @@ def residual_plot(
     return figure
 
 
-def _luminance(colour: Sequence[float]) -> float:
+def _luminance(colour: Real) -> float:
     """Relative luminance of a colour (red, green, blue, …), WCAG 2: text on less than 0.18 is best white."""
-    linear = [c / 12.92 if c <= 0.04045 else ((c + 0.055) / 1.055) ** 2.4 for c in colour[:3]]
+    linear = [c / 12.92 if c <= 0.04045 else ((c + 0.055) / 1.055) ** 2.4 for c in colour[:3].tolist()]
     return 0.2126 * linear[0] + 0.7152 * linear[1] + 0.0722 * linear[2]
 
 
@@ -174,11 +174,12 @@ def correlation_plot(names: Sequence[str], matrix: Real) -> Figure:
         axes.grid(visible=False)
         image = axes.imshow(matrix, cmap="RdBu", vmin=-1, vmax=1)
         if count <= 12:
+            colours = image.to_rgba(np.nan_to_num(matrix))
             for i in range(count):
                 for j in range(count):
                     value = float(matrix[i, j])
                     if np.isfinite(value):
-                        ink = "white" if _luminance(image.cmap(image.norm(value))) < 0.18 else INK
+                        ink = "white" if _luminance(colours[i, j]) < 0.18 else INK
                         text = f"{value:.2f}".replace("0.", ".").replace("-", "−") if i != j else "1"
                         axes.text(j, i, text, ha="center", va="center", color=ink, fontsize=7.5)
         if count <= 40:
