@@ -161,7 +161,7 @@ def residual_plot(
 def _luminance(colour: Real) -> float:
     """Relative luminance of a colour (red, green, blue, …), WCAG 2: text on less than 0.18 is best white."""
     linear = [c / 12.92 if c <= 0.04045 else ((c + 0.055) / 1.055) ** 2.4 for c in colour[:3].tolist()]
-    return 0.2126 * linear[0] + 0.7152 * linear[1] + 0.0722 * linear[2]
+    return float(0.2126 * linear[0] + 0.7152 * linear[1] + 0.0722 * linear[2])
 
 
 def correlation_plot(names: Sequence[str], matrix: Real) -> Figure:
