@@ -1,12 +1,19 @@
-"""What one evaluation of the likelihood costs on long chains, and an identification from rough guesses.
+"""Large rigs: identified, in seconds and memory, against their size.
 
-`python3 dev.py bench large`: a chain of unit masses on a shaken base, springs alike but one, dampers alike, three
-unknowns, seen at both ends and by the force at the base.
+`python3 dev.py bench large`, or `--kind chain|plate|seen|evaluation` for one of the groups.  A rod of two halves on a
+shaken base, ever more finely divided: unit masses, three unknowns tied along it (stiffness of either half, damping),
+guesses 25 % off, accelerometers at both ends and the force at the base, 20 lines, 1 % noise.  The plate is the same in
+two directions.  "Seen" is a chain of which every motion is measured, three unknowns for each coordinate.
 """
 
 from __future__ import annotations
 
+import argparse
+import resource
+import subprocess
+import sys
 import time
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -16,18 +23,23 @@ from dashpot.data.spectrum import Spectrum
 from dashpot.estimate.identify import identify
 from dashpot.estimate.likelihood.maximum_likelihood import MaximumLikelihood
 from dashpot.estimate.likelihood.objective import local, measured
+from dashpot.estimate.linear.sparse_gram import SeenMotion, identify_seen
 from dashpot.estimate.preparation.prepared import prepare
-from dashpot.model.elements import Kind, between, mass
+from dashpot.model.elements import Element, Kind, between, mass
 from dashpot.model.network import Input, Model
 from dashpot.model.observation import observation_model
+from dashpot.model.sparse_dynamics import sparse_amplitudes
 from dashpot.study.simulate import dwells, simulate_spectrum
 
-SIZES = (10, 30, 100, 300, 1000)
-LINES = (12, 96)
+SIZES = {"chain": (1000, 10_000, 100_000), "plate": (32, 100, 316), "seen": (1000, 10_000, 100_000)}
+EVALUATIONS = (10, 30, 100, 300, 1000)
+LINES = 20
+A, F = Quantity.ACCELERATION, Quantity.FORCE
+NOISE = {"relative_noise": 0.01}
 
 
 def chain(n: int) -> tuple[Model, np.ndarray]:
-    """A rod of two halves, ever more finely divided: the rig and its true unknowns (k1, the other half's k, c1)."""
+    """The rig and its true unknowns (k1, the other half's k, c1)."""
     points = ["u", *(f"x{i}" for i in range(1, n + 1))]
     elements = [mass(f"m{i}", f"x{i}", value=1.0) for i in range(1, n + 1)]
     other = n // 2 + 1
@@ -42,29 +54,46 @@ def chain(n: int) -> tuple[Model, np.ndarray]:
     return model, model.theta(truth)
 
 
-def channels(n: int) -> tuple[Channel, ...]:
-    """Accelerometers at both ends, the exact base, the force at the base."""
-    A, F = Quantity.ACCELERATION, Quantity.FORCE
-    noise = {"relative_noise": 0.01}
-    return (
-        Channel("first", {"x1": 1.0}, A, **noise), Channel("last", {f"x{n}": 1.0}, A, **noise),
-        Channel("base", {"u": 1.0}), Channel("force", {"u": 1.0}, F, **noise),
+def plate(n: int) -> tuple[Model, np.ndarray]:
+    """n × n masses, springs and dampers to the neighbours in both directions; one edge on the base."""
+    truth = {"k": 400.0 * n**2, "kb": 250.0 * n**2, "c": 0.25 * n**2}
+    elements: list[Element] = []
+
+    def join(name: str, kind: Kind, first: str, second: str, tag: str) -> None:
+        taken = name in named
+        known = {"same_as": name} if taken else {"guess": 0.75 * truth[name]}
+        named.add(name)
+        elements.append(between(f"{name}_{tag}" if taken else name, kind, first, second, **known))
+
+    named: set[str] = set()
+    for i in range(n):
+        for j in range(n):
+            here, half = f"x{i}_{j}", "k" if i < n // 2 else "kb"
+            elements.append(mass(f"m{i}_{j}", here, value=1.0))
+            for before, tag in (
+                ("u" if i == 0 else f"x{i - 1}_{j}", "a"),
+                (f"x{i}_{j - 1}" if j else "", "b"),
+            ):
+                if before:
+                    join(half, Kind.SPRING, before, here, f"{tag}{i}_{j}")
+                    join("c", Kind.DAMPER, before, here, f"{tag}{i}_{j}")
+    model = Model(tuple(f"x{i}_{j}" for i in range(n) for j in range(n)), (Input("u"),), tuple(elements))
+    return model, model.theta(truth)
+
+
+def data(model: Model, theta: np.ndarray, lines: int = LINES) -> Spectrum:
+    """Noisy amplitudes on a base moved by 10 mm: accelerometers at both ends, the exact base, the force at it."""
+    first, last = model.coordinates[0], model.coordinates[-1]
+    channels = (
+        Channel("first", {first: 1.0}, A, **NOISE), Channel("last", {last: 1.0}, A, **NOISE),
+        Channel("base", {"u": 1.0}), Channel("force", {"u": 1.0}, F, **NOISE),
     )  # fmt: skip
-
-
-def data(n: int, lines: int) -> tuple[Model, np.ndarray, Spectrum]:
-    """Rig, true unknowns and noisy amplitudes of a base moved by 10 mm."""
-    model, theta = chain(n)
     test = dwells(model, np.geomspace(0.5, 10, lines), amplitudes={"u": 0.01})
-    return (
-        model,
-        theta,
-        simulate_spectrum(model, model.parameters(theta), channels(n), test, np.random.default_rng(1)),
-    )
+    return simulate_spectrum(model, model.parameters(theta), channels, test, np.random.default_rng(1))
 
 
 def evaluation(model: Model, theta: np.ndarray, spectrum: Spectrum) -> float:
-    """Seconds of one evaluation of cost, slope and curvature: the least of five."""
+    """Seconds of one evaluation of cost, slope and curvature of the full rig: the least of five."""
     flat = replace(spectrum, amplitudes=spectrum.amplitudes[None], covariance=spectrum.covariance[None])
     view = observation_model(model, flat.channels, flat.omega)
     given = measured(prepare(model, flat), view)
@@ -76,23 +105,87 @@ def evaluation(model: Model, theta: np.ndarray, spectrum: Spectrum) -> float:
     return min(times)
 
 
-def main() -> None:
+def identified(build: Callable[[int], tuple[Model, np.ndarray]], n: int) -> str:
+    """One line: processor and wall seconds of `identify`, memory of everything, and how far it is off."""
+    model, theta = build(n)
+    spectrum = data(model, theta)
+    start, cpu = time.perf_counter(), time.process_time()
+    found = identify(model, spectrum, MaximumLikelihood())
+    seconds, cpu = time.perf_counter() - start, time.process_time() - cpu
+    worst = np.max(np.abs(found.values - theta) / found.sd)
+    return f"{model.n} {cpu:.1f} {seconds:.1f} {_memory():.2f} {worst:.1f} {bool(found.converged)}"
+
+
+def all_seen(n: int) -> str:
+    """The same line for a chain of which everything is seen: 3 n unknowns, 60 of them with standard deviations."""
+    rng = np.random.default_rng(0)
+    numbers = range(1, n + 1)
+    elements = [mass(f"m{i}", f"x{i}") for i in numbers]
+    elements += [between(f"k{i}", Kind.SPRING, f"x{i}", f"x{i + 1}" if i < n else "ground") for i in numbers]
+    elements += [between(f"c{i}", Kind.DAMPER, f"x{i}", "u") for i in numbers]
+    elements += [between(f"f{i}", Kind.SPRING, f"x{i}", "u", value=3000.0) for i in numbers]
+    model = Model(tuple(f"x{i}" for i in numbers), (Input("u"),), tuple(elements))
+    theta = np.repeat([1.0, 4000.0, 30.0], n) * np.exp(rng.uniform(-0.5, 0.5, 3 * n))
+    omega = 2 * np.pi * np.linspace(4, 22, 12)
+    U, f = np.full((12, 1), 0.01 + 0j), np.zeros((12, 0), dtype=complex)
+    X = sparse_amplitudes(model, model.parameters(theta), omega, U, f)
+    variance = (0.01 * np.abs(X)) ** 2
+    X = X + np.sqrt(variance / 2) * (rng.standard_normal(X.shape) + 1j * rng.standard_normal(X.shape))
+    motion = SeenMotion(omega, X, U, f, variance, np.zeros(U.shape), np.zeros(f.shape))
+    chosen = [f"{letter}{i}" for letter in "mkc" for i in np.linspace(1, n, 20, dtype=int)]
+    start, cpu = time.perf_counter(), time.process_time()
+    found = identify_seen(model, motion, chosen)
+    seconds, cpu = time.perf_counter() - start, time.process_time() - cpu
+    z = ((found.values - theta) / found.sd)[np.isfinite(found.sd)]
+    return f"{n} {cpu:.1f} {seconds:.1f} {_memory():.2f} {np.max(np.abs(z)):.1f} {found.converged}"
+
+
+def _memory() -> float:
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024**2
+
+
+ONE: dict[str, Callable[[int], str]] = {
+    "chain": lambda n: identified(chain, n), "plate": lambda n: identified(plate, n), "seen": all_seen,
+}  # fmt: skip
+
+
+def evaluations() -> None:
+    """What an evaluation of the full rig costs, and 8 times the lines."""
     first = None
-    for n in SIZES:
-        few, many = (evaluation(*data(n, lines)) for lines in LINES)
+    for n in EVALUATIONS:
+        model, theta = chain(n)
+        few, many = (evaluation(model, theta, data(model, theta, lines)) for lines in (12, 96))
         first = first or few
         print(
-            f"{n:5d} coordinates: an evaluation {few / first:6.1f} of the first ({few * 1e3:.1f} ms); "
-            f"{LINES[1] // LINES[0]} times the lines cost {many / few:.1f} times as much",
-            flush=True,
+            f"{n:5d} coordinates: {few / first:6.1f} of the first ({few * 1e3:.1f} ms); 8 × the lines {many / few:.1f}"
         )
-        model, theta, spectrum = data(n, LINES[0])
-        start = time.perf_counter()
-        found = identify(model, spectrum, MaximumLikelihood())
-        worst = np.max(np.abs(found.values - theta) / found.sd)
-        print(
-            f"      identified in {time.perf_counter() - start:.1f} s, {worst:.1f} sd off at most", flush=True
-        )
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser()
+    parser.add_argument("--kind", choices=[*SIZES, "evaluation"])
+    parser.add_argument("--one", type=int, help="a single size, in this process")
+    asked = parser.parse_args()
+    if asked.one:
+        print(ONE[asked.kind](asked.one))
+        return
+    if asked.kind in (None, "evaluation"):
+        evaluations()
+    for kind, sizes in SIZES.items():
+        if asked.kind not in (None, kind):
+            continue
+        rows = []
+        for size in sizes:  # each in a process of its own, whose memory it is
+            command = [sys.executable, __file__, "--kind", kind, "--one", str(size)]
+            words = subprocess.run(command, capture_output=True, text=True, check=True).stdout.split()
+            rows.append((float(words[0]), float(words[1])))
+            print(
+                f"{kind} of {words[0]} coordinates: {words[1]} s of a processor ({words[2]} s on the wall), "
+                f"{words[3]} GiB; at most {words[4]} sd off, converged: {words[5]}",
+                flush=True,
+            )
+        (small, quick), (large, slow) = rows[0], rows[-1]
+        print(f"exponent of growth: {np.log(slow / quick) / np.log(large / small):.2f}", flush=True)
 
 
 if __name__ == "__main__":

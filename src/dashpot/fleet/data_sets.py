@@ -166,12 +166,51 @@ def _runs(values: np.ndarray) -> tuple[list[str], list[int]]:
 def _data_set(
     path: str, name: str, parts: Sequence[Mapping[str, np.ndarray]], units: Mapping[str, str | None]
 ) -> DataSet:
-    columns = {key: np.concatenate([part[key] for part in parts]) for key in parts[0]}
+    columns = dict(parts[0])
+    if len(parts) > 1:
+        columns = {key: np.concatenate([part[key] for part in parts]) for key in columns}
     digest = hashlib.sha256(repr(sorted((key, unit) for key, unit in units.items() if unit)).encode())
+    numbers = [key for key, values in columns.items() if values.dtype == np.float64]
+    digest.update(repr((list(columns), numbers)).encode())
+    digest.update(np.array([columns[key] for key in numbers]).tobytes())
     for key, values in columns.items():
-        data = values.tobytes() if values.dtype.kind in "fib" else repr(values.tolist()).encode()
-        digest.update(f"{key}:{values.dtype.kind}:{len(data)}:".encode() + data)
+        if values.dtype != np.float64:
+            data = values.tobytes() if values.dtype.kind in "ib" else repr(values.tolist()).encode()
+            digest.update(f"{key}:{values.dtype.kind}:{len(data)}:".encode() + data)
     return DataSet(name, path, digest.hexdigest(), columns, units)
+
+
+@dataclass(frozen=True)
+class PackedRows:
+    """Rows of many data sets as one table: thousands of small arrays would cost more to send than to identify."""
+
+    heads: tuple[tuple[str, str, str], ...]
+    ends: tuple[int, ...]
+    columns: Mapping[str, np.ndarray]
+    units: Mapping[str, str | None]
+
+    def unpacked(self) -> tuple[DataSet, ...]:
+        """The data sets again; their columns are views."""
+        starts = (0, *self.ends[:-1])
+        return tuple(
+            DataSet(*head, {key: values[a:b] for key, values in self.columns.items()}, self.units)
+            for head, a, b in zip(self.heads, starts, self.ends, strict=True)
+        )
+
+
+def packed(data_sets: Sequence[DataSet]) -> PackedRows | tuple[DataSet, ...]:
+    """Data sets for sending: as one table where they are rows with the same columns and units."""
+    first = data_sets[0]
+    alike = all(list(one.columns) == list(first.columns) and one.units == first.units for one in data_sets)
+    if not first.columns or not alike:
+        return tuple(data_sets)
+    counts = [len(next(iter(one.columns.values()))) for one in data_sets]
+    return PackedRows(
+        tuple((one.name, one.source, one.checksum) for one in data_sets),
+        tuple(int(end) for end in np.cumsum(counts)),
+        {key: np.concatenate([one.columns[key] for one in data_sets]) for key in first.columns},
+        dict(first.units),
+    )
 
 
 def _parts(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 
@@ -19,7 +20,7 @@ from dashpot.estimate.identify import automatic, identify
 from dashpot.estimate.method import Method
 from dashpot.estimate.registry import method, method_class
 from dashpot.estimate.result import Estimate
-from dashpot.fleet.data_sets import DataSet
+from dashpot.fleet.data_sets import DataSet, PackedRows, packed
 from dashpot.model.observation import calibration_names
 from dashpot.model.rigfile import Rig
 
@@ -62,6 +63,15 @@ class FleetTask:
     treatment: Treatment
     data_sets: tuple[DataSet, ...]
 
+    def __getstate__(self) -> dict[str, Any]:
+        return {**self.__dict__, "data_sets": packed(self.data_sets)}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        content = state["data_sets"]
+        whole = content.unpacked() if isinstance(content, PackedRows) else content
+        for name, value in {**state, "data_sets": whole}.items():
+            object.__setattr__(self, name, value)
+
 
 @dataclass(frozen=True)
 class FleetBlock:
@@ -102,7 +112,9 @@ def spectrum_of(rig: Rig, data_set: DataSet, treatment: Treatment) -> Spectrum:
     if data_set.columns:
         columns = array_columns(data_set.source, dict(data_set.columns), dict(data_set.units))
         content = interpret(columns, rig.channels, Circumstances(treatment.frequency_hz, 0))
-        lines = concatenate(content.spectra) if content.spectra else None
+        lines = None
+        if content.spectra:
+            lines = content.spectra[0] if len(content.spectra) == 1 else concatenate(content.spectra)
         reading = Reading(content.records, lines, content.notes, content.joint)
     else:
         reading = read(data_set.source, rig.channels, frequency_hz=treatment.frequency_hz)

@@ -38,11 +38,9 @@ from dashpot.study.fingerprint import fields_of, fingerprint_of
 from dashpot.study.store import METADATA, digest_of_columns, read_table, write_table
 
 FORMAT = 1
-SIZES = (
-    (20, 1),
-    (500, 10),
-)  # data sets up to which blocks have that size; of the seed's kind: part of the result
-LARGEST = 100  # data sets in a block of the largest fleets
+# Data sets up to which blocks have that size, which is part of what the last bits depend on.
+SIZES = ((20, 1), (500, 10), (50_000, 100))
+LARGEST = 1000  # data sets in a block of the largest fleets
 
 Map = Callable[[Callable[[FleetTask], FleetBlock], Iterable[FleetTask]], Iterable[FleetBlock]]
 

@@ -12,7 +12,7 @@ import pytest
 
 from dashpot.errors import DataError, UsageError
 from dashpot.fleet import data_sets
-from dashpot.fleet.data_sets import expanded, of_files, of_tables
+from dashpot.fleet.data_sets import PackedRows, expanded, of_files, of_tables, packed
 
 
 def test_patterns_in_natural_order(tmp_path: Path) -> None:
@@ -90,3 +90,18 @@ def test_what_is_wrong_with_a_table_is_said(tmp_path: Path) -> None:
     (tmp_path / "bad.parquet").write_bytes(path.read_bytes()[:200])
     with pytest.raises(DataError, match="the table cannot be read"):
         of_tables([str(tmp_path / "bad.parquet")], "rig")
+
+
+def test_rows_are_sent_as_one_table_and_are_the_same_again(tmp_path: Path) -> None:
+    path = tmp_path / "all.parquet"
+    table_of(path, ["a", "b", "c"])
+    sets = tuple(of_tables([str(path)], "rig").read())
+    table = packed(sets)
+    assert isinstance(table, PackedRows)
+    for one, again in zip(sets, table.unpacked(), strict=True):
+        assert (one.name, one.source, one.checksum, one.units) == (
+            again.name, again.source, again.checksum, again.units,
+        )  # fmt: skip
+        assert all(np.array_equal(values, again.columns[key]) for key, values in one.columns.items())
+    files = tuple(of_files([str(path)]).read())
+    assert packed(files) == files

@@ -142,7 +142,7 @@ def test_failures_are_told_and_stop_nothing(rig: Rig, files: list[str], tmp_path
 
 
 def test_blocks_depend_on_the_number_of_data_sets_alone() -> None:
-    assert [block_size(count) for count in (1, 20, 21, 500, 501, 10**6)] == [1, 1, 10, 10, 100, 100]
+    assert [block_size(count) for count in (1, 20, 21, 501, 10**6)] == [1, 1, 10, 100, 1000]
 
 
 def test_a_folder_of_other_files_is_refused(rig: Rig, files: list[str], tmp_path: Path) -> None:

@@ -8,6 +8,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import Any, Self
 
 import numpy as np
@@ -27,6 +28,7 @@ LARGE = 1 << 23  # numbers from which columns are put where they stay
 _UNIT = re.compile(r"^(?P<name>.*?)\s*[\[(](?P<unit>[^\[\]()]*)[\])]$")
 
 
+@lru_cache(maxsize=4096)
 def bare(column: str) -> tuple[str, str | None]:
     """A column's name without the unit in brackets, and the unit."""
     match = _UNIT.match(column)
