@@ -117,16 +117,21 @@ def notices() -> str:
 def units() -> str:
     """What is accepted for each quantity, and every symbol with its factor."""
     from dashpot import units as of
+    from dashpot.unit_symbols import SYMBOLS
 
     lines = ["| quantity | SI | accepted, for instance |", "|---|---|---|"]
     for (quantity, angular), entry in of._QUANTITIES.items():
         name = f"{quantity} (angular)" if angular else quantity
         lines.append(f"| {name} | {entry.si} | {_cell(entry.accepted)} |")
     lines += ["", "| symbol | factor to SI | prefixes | only in |", "|---|---|---|---|"]
-    for names, symbol in of._TABLE:
-        only = ", ".join(sorted(symbol.only)) if symbol.only else ""
-        listed = ", ".join(f"`{name}`" for name in names.split())
-        lines.append(f"| {listed} | {symbol.factor:.10g} | {' '.join(symbol.prefixes)} | {only} |")
+    alike: dict[tuple[str, ...], list[str]] = {}
+    for name, meanings in SYMBOLS.items():
+        for symbol in meanings:
+            only = ", ".join(sorted(symbol.only)) if symbol.only else ""
+            key = (str(symbol.dimension), f"{symbol.factor:.10g}", " ".join(symbol.prefixes), only)
+            alike.setdefault(key, []).append(f"`{name}`")
+    for (_, factor, prefixes, only), names in alike.items():
+        lines.append(f"| {', '.join(names)} | {factor} | {prefixes} | {only} |")
     return "\n".join([*lines, ""])
 
 

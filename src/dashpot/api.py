@@ -210,7 +210,10 @@ def transfer_functions(
     *,
     given: str | Mapping[str, str] | None = None,
 ) -> TransferFunctions:
-    """Poles, zeros, gains and polynomials from each input to each channel; arguments as of `state_space`."""
+    """Poles, zeros, gains and polynomials from each input to each channel.
+
+    Arguments, and what is raised, as of `state_space`.
+    """
     return transfer_functions_of(state_space(rig, source, given=given))
 
 

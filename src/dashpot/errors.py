@@ -11,7 +11,12 @@ _UNSEEN = {"Cc", "Cf", "Cs", "Cn", "Co", "Zl", "Zp"}  # control, format, halves 
 
 @dataclass(frozen=True)
 class Problem:
-    """One thing that is wrong: a place (file:line, column, row), a cause and a remedy."""
+    """One thing that is wrong.
+
+    what   the cause
+    where  the place: file:line, column, row
+    cure   the remedy
+    """
 
     what: str
     where: str | None = None

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+import dashpot
 from dashpot.app.commands import COMMANDS
 from dashpot.model.nonlinear.force_law import DAMPER_LAWS, SPRING_LAWS
 from dashpot.model.rigfile import schema
@@ -80,3 +81,9 @@ def test_the_manual_has_a_section_for_every_command() -> None:
     text = (ROOT / "docs" / "reference" / "commands.md").read_text(encoding="utf-8")
     for name in COMMANDS:
         assert f"`{name}`" in text, name
+
+
+def test_every_public_name_is_in_the_reference_of_the_api() -> None:
+    pages = "".join(page.read_text(encoding="utf-8") for page in (ROOT / "docs" / "api").glob("*.md"))
+    listed = re.findall(r"auto(?:class|function):: dashpot\.(\w+)", pages)
+    assert sorted(listed) == sorted(name for name in dashpot.__all__ if name != "__version__")

@@ -291,6 +291,7 @@ def merge_repeats(spectrum: Spectrum) -> Spectrum:
 
     The repeats must have been driven alike.  Lines whose noise is unknown or singular are averaged evenly.  Lines of
     whole records stay, for every record has a transient of its own; so do equal lines of different fundamentals.
+    Raises DataError as `concatenate` where lines do not go together.
     """
     groups: dict[tuple[float, int, int | float | None], list[int]] = {}
     for line, (f, experiment, number) in enumerate(

@@ -32,7 +32,14 @@ REMEDY = "write one with dashpot identify"
 
 @dataclass(frozen=True)
 class Value:
-    """One parameter: its value, standard deviation, 95 % interval and Cramér-Rao bound, in `unit`."""
+    """One parameter, SI units.
+
+    name, unit   of the parameter
+    value, sd    estimate and standard deviation; 0 for what is exactly known
+    interval95   ends of the 95 % interval
+    bound_sd     standard deviation at the Cramér-Rao bound
+    known        whether it was stated exactly
+    """
 
     name: str
     value: float
@@ -45,7 +52,14 @@ class Value:
 
 @dataclass(frozen=True)
 class ModeValues:
-    """Modes of the estimated rig, in order of |λ|: eigenvalues in 1/s, shapes (modes, n) with largest entry 1."""
+    """Modes of the estimated rig, in order of |λ|.
+
+    eigenvalues     λ, 1/s, (modes,)
+    frequency_hz    natural frequencies |λ|/2π, (modes,)
+    damping_ratio   −Re λ/|λ|, (modes,)
+    frequency_sd, damping_sd  standard deviations of both, (modes,)
+    shapes          complex, (modes, n), largest entry 1
+    """
 
     eigenvalues: Complex
     frequency_hz: Real

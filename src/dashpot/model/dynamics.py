@@ -47,7 +47,11 @@ def _assemble(model: Model, p: Real, letter: str) -> Real:
 
 
 def matrices(model: Model, p: Real) -> Matrices:
-    """Matrices of the rig with parameters p of shape (..., elements).  Paper eq. 1 and 6."""
+    """Matrices of the rig with parameters p of shape (..., elements), SI units.  Paper eq. 1 and 6.
+
+    p is what `model.parameters(theta)` gives, which raises ModelError where values are missing; NumPy raises
+    ValueError where p has another number of elements.
+    """
     n, r = model.n, model.D.shape[1]
     both = {letter: _assemble(model, p, letter).reshape(*p.shape[:-1], n, n + r) for letter in MATRICES}
     inner = {letter: part[..., :n] for letter, part in both.items()}
@@ -139,6 +143,10 @@ def unit_forces(model: Model, omega: Real, X: Complex, U: Complex) -> Complex:
 
 
 def sensitivities(model: Model, p: Real, omega: Real, X: Complex, U: Complex) -> Complex:
-    """∂X/∂p_i = −D⁻¹ b_iᵀ a_i, shape (..., lines, n, elements).  THEORY §4."""
+    """∂X/∂p_i = −D⁻¹ b_iᵀ a_i, shape (..., lines, n, elements), m per unit of p_i.  THEORY §4.
+
+    X (..., lines, n) is the response to U (..., lines, r) at omega (lines,), rad/s.  NaN, and no error, where the rig
+    has no steady response.
+    """
     forces = model.B.T * unit_forces(model, omega, X, U)[..., None, :]
     return -solve_small(dynamic_stiffness(model, p, omega), forces)

@@ -130,11 +130,11 @@ class Element:
 
 
 def mass(name: str, at: str, **known: float | str | None) -> Element:
-    """A mass at one coordinate, kg."""
+    """A mass at one coordinate, kg.  A Model raises ModelError where it has no such coordinate."""
     return Element(name, Kind.MASS, {at: 1.0}, **known)  # type: ignore[arg-type]
 
 
 def between(name: str, kind: Kind, first: str, second: str, **known: float | str | None) -> Element:
-    """A two-point element; either point may be "ground"."""
+    """A two-point element; either point may be "ground".  A Model raises ModelError where it has no such point."""
     along = {point: factor for point, factor in ((first, 1.0), (second, -1.0)) if point != "ground"}
     return Element(name, kind, along, **known)  # type: ignore[arg-type]

@@ -12,7 +12,12 @@ InputKind = Literal["displacement", "force"]
 
 @dataclass(frozen=True)
 class Input:
-    """A prescribed displacement, or a force that acts `at` coordinates (coordinate → factor)."""
+    """A prescribed displacement, or a force.
+
+    name  of the input
+    kind  "displacement" or "force"
+    at    of a force: coordinates and their factors
+    """
 
     name: str
     kind: InputKind = "displacement"

@@ -27,7 +27,13 @@ DENSE = 1_000_000  # numbers up to which products of incidences are kept as full
 
 @dataclass(frozen=True)
 class Unknown:
-    """One unknown of θ.  `prior` and `sd` are given where the value is known with a standard deviation."""
+    """One unknown of θ.
+
+    name, unit    of the parameter, SI
+    prior, sd     the stated value and its standard deviation, where it is known with one
+    guess         where iterations start
+    lower, upper  bounds, None where there are none
+    """
 
     name: str
     unit: str

@@ -32,7 +32,10 @@ def free_model(
     letters: str = "MCK",
     name: str = "free matrices",
 ) -> Model:
-    """A model of nothing but `free_elements`."""
+    """A model of nothing but `free_elements`: symmetric M, C, K of which every entry, or some, are unknown.
+
+    Raises ModelError for what is no pair of coordinates or no letter.
+    """
     elements = free_elements(coordinates, pairs=pairs, letters=letters)
     return Model(tuple(coordinates), tuple(inputs), elements, name)
 

@@ -173,7 +173,8 @@ def simulate_records(
     """One steady record for each dwell, noise and calibrations of the channels included.
 
     p (elements,); `draws` repeats make a leading axis of the values; `offset` (channels,) is added, SI units.
-    Unknown gains, delays and signs are simulated as 1, 0 and 1.
+    Unknown gains, delays and signs are simulated as 1, 0 and 1.  Raises ModelError where the rig has no steady
+    response, DataError where a channel measures what the rig has not.
     """
     channels = tuple(channels)
     Y = clean_amplitudes(model, p, channels, test)

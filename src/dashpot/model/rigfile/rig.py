@@ -77,7 +77,7 @@ class Rig:
 
 
 def default_channels(model: Model) -> tuple[Channel, ...]:
-    """A channel for every coordinate and input, of its own name, in SI units."""
+    """A channel for every coordinate and input, of its own name, in SI units (rad and N·m for angles)."""
     motions = [
         Channel(point, {point: 1.0}, Quantity.DISPLACEMENT, si_unit("displacement", point in model.angles))
         for point in (*model.coordinates, *model.displacement_inputs)
