@@ -21,15 +21,14 @@ _VISIT = """<!DOCTYPE html><meta charset="utf-8"><title>visit</title><pre id="fo
 const pages = PAGES, widths = WIDTHS, found = [];
 function visit(page, width) {
   return new Promise(resolve => {
-    const frame = document.createElement("iframe"), errors = [];
+    const frame = document.createElement("iframe");
     frame.style.cssText = `width:${width}px;height:900px;border:0`;
-    const start = performance.now();
     frame.onload = () => setTimeout(() => {
       const inside = frame.contentWindow, root = inside.document.documentElement;
       const asked = inside.performance.getEntriesByType("resource").map(entry => entry.name);
       const images = [...inside.document.images];
       found.push({
-        page, width, errors, scroll: root.scrollWidth, shown: root.clientWidth,
+        page, width, scroll: root.scrollWidth, shown: root.clientWidth,
         milliseconds: inside.performance.timing.domContentLoadedEventEnd - inside.performance.timing.navigationStart,
         outside: asked.filter(name => !name.startsWith(location.origin) && !name.startsWith("data:")),
         nameless: images.filter(image => !image.alt.trim() && image.getAttribute("role") !== "presentation")
@@ -41,9 +40,8 @@ function visit(page, width) {
       frame.remove();
       resolve();
     }, 100);
-    document.body.appendChild(frame);
-    frame.contentWindow.addEventListener("error", event => errors.push(String(event.message)));
     frame.src = page;
+    document.body.appendChild(frame);
   });
 }
 (async () => {
@@ -66,8 +64,12 @@ def served(folder: Path) -> Iterator[str]:
         def log_message(self, format: str, *args: Any) -> None:
             return
 
+    class Server(http.server.ThreadingHTTPServer):
+        def handle_error(self, request: Any, client_address: Any) -> None:
+            return  # a page that is left before it is read to its end
+
     handler = functools.partial(Quiet, directory=str(folder))
-    with http.server.ThreadingHTTPServer(("127.0.0.1", 0), handler) as server:
+    with Server(("127.0.0.1", 0), handler) as server:
         thread = threading.Thread(target=server.serve_forever, daemon=True)
         thread.start()
         try:

@@ -141,13 +141,15 @@ def units() -> str:
 def _example(folder: Path) -> None:
     """The page of one example: its README, what its commands print, its pictures and its rig files.
 
-    It is made again where the example or the program has changed.
+    It is made again where the example or the program has changed; DASHPOT_GALLERY=keep in the environment, for those
+    who write pages, keeps what is there.
     """
     readme = (folder / "README.md").read_text(encoding="utf-8")
     target = GALLERY / folder.name
     target.mkdir(parents=True, exist_ok=True)
     stamp, state = target / "made-from", _digest([folder, Path(__file__)]) + _digest_of_program()
-    if stamp.exists() and (target / "index.md").exists() and stamp.read_text(encoding="utf-8") == state:
+    made = stamp.exists() and (target / "index.md").exists()
+    if made and (stamp.read_text(encoding="utf-8") == state or os.environ.get("DASHPOT_GALLERY") == "keep"):
         return
     with tempfile.TemporaryDirectory() as place:
         work = Path(place) / "examples" / folder.name
