@@ -132,6 +132,25 @@ _ALL: tuple[tuple[str, str, str, str], ...] = (
         "Add a sensor at another point, fix a parameter or give a guess of every unknown.",
     ),
     (
+        "bands_disagree",
+        _ESTIMATE,
+        (
+            "The band was divided into six parts; leaving one out moves the values by more than noise explains, even "
+            "where χ² finds nothing. Intervals are widened to the scatter of the parts. It is a reason of the verdict, "
+            "too."
+        ),
+        "Something in the model depends on frequency: look for a missing part, a delay or a nonlinearity.",
+    ),
+    (
+        "several_motions",
+        _ESTIMATE,
+        (
+            "A nonlinear rig has several settled motions at the frequencies named, near a fold; the measured one was "
+            "used."
+        ),
+        "Nothing, if the measured motion is the settled one; `dashpot response` draws the branches.",
+    ),
+    (
         "prior_conflict", _ESTIMATE,
         "A value stated with an `sd` is contradicted by the data.",
         ("Weigh or measure that part again, widen its `sd`, or look for the model's fault; free the value (remove it) "

@@ -19,11 +19,21 @@ def given_codes() -> dict[str, set[str]]:
     codes: dict[str, set[str]] = {}
     for path in SOURCE.rglob("*.py"):
         place = path.relative_to(SOURCE).as_posix()
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        tree = ast.parse(path.read_text(encoding="utf-8"))
+        constants = {
+            target.id: node.value.value
+            for node in tree.body
+            if isinstance(node, ast.Assign) and isinstance(node.value, ast.Constant)
+            for target in node.targets
+            if isinstance(target, ast.Name)
+        }
+        for node in ast.walk(tree):
             if not isinstance(node, ast.Call) or getattr(node.func, "id", None) != "Notice":
                 continue
             first = node.args[0] if node.args else next(k.value for k in node.keywords if k.arg == "code")
             texts = {leaf.value for leaf in ast.walk(first) if isinstance(leaf, ast.Constant)}
+            if isinstance(first, ast.Name) and first.id in constants:
+                texts = {constants[first.id]}
             if place in COMPOSED:
                 texts = set(COMPOSED[place])
             assert texts or place in PASSED_ON, f"{place}:{node.lineno}: a code that no test can read"
