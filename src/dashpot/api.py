@@ -72,6 +72,7 @@ def identify(
     *,
     frequency_hz: float | None = None,
     conditioning: Conditioning | None = None,
+    diagnose: bool = False,
     progress: Progress | None = None,
 ) -> Estimate:
     """Estimate the unknowns of a rig from data.
@@ -80,6 +81,7 @@ def identify(
     data    a Spectrum (with batch axes: repeats of one test), files by name, Records, or what `read` returned
     method  a method or its name, such as "ml"; without one the most precise that suits the data is chosen
     frequency_hz, conditioning  of time records: their drive frequency, and how they become amplitudes
+    diagnose  judge the fit and, where it fails, look for causes, as the command does (no batch axes): `print` tells
 
     `progress(done, all)` is called between chunks of repeats.  Raises DataError or UsageError where the data lack what
     the method needs, IdentifiabilityError where they do not determine the unknowns.
@@ -91,6 +93,10 @@ def identify(
 
         require_identifiable(rig.model, spectrum.channels, rig.path or None, spectrum)
     estimate = identification.identify(_model(rig), spectrum, chosen, progress=progress)
+    if diagnose:
+        from dashpot.check.diagnosis.diagnose import examined
+
+        estimate = examined(_model(rig), spectrum, estimate)
     return replace(estimate, rig=rig.path) if isinstance(rig, Rig) and rig.path else estimate
 
 
@@ -272,13 +278,16 @@ def text(value: Estimate | Comparison) -> str:
     return estimate_text(value)
 
 
-def html(value: Rig | Record | Spectrum | Estimate) -> str:
+def html(value: Rig | Record | Spectrum | Estimate | Comparison) -> str:
     """A value as HTML, for a notebook."""
     from dashpot.present.tables import spectrum as tables
+    from dashpot.present.tables.comparison import comparison_html
     from dashpot.present.tables.estimate import estimate_html
 
     if isinstance(value, Estimate):
         return estimate_html(value) if value.values.ndim == 1 else f"<p>{len(value.values)} estimates</p>"
+    if isinstance(value, Comparison):
+        return comparison_html(value)
     if isinstance(value, Rig):
         return tables.rig_html(value)
     return tables.record_html(value) if isinstance(value, Record) else tables.spectrum_html(value)

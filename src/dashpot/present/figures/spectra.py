@@ -12,6 +12,7 @@ from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
 
 from dashpot.arrays import Complex, Real
 from dashpot.present.figures.style import COLOURS, DATA, INK, MODEL, style
+from dashpot.present.text.numbers import short
 
 MANY = 300  # lines from which dots are small and drawn as a picture within the picture
 RAYLEIGH_95 = 1.73  # of an amplitude's size over its standard deviation, √(−ln 0.05)
@@ -146,7 +147,7 @@ def residual_plot(
         for name, f, value in worst:
             right = f > float(np.sqrt(np.max(lines_hz) * max(np.min(lines_hz), 1e-12)))
             axes.annotate(
-                f"{name}, {f:.4g} Hz: {value:.2g}", (f, value), textcoords="offset points",
+                f"{name}, {f:.4g} Hz: {short(value, 2)}", (f, value), textcoords="offset points",
                 xytext=(-6 if right else 6, 4), ha="right" if right else "left", fontsize=8, color=INK,
             )  # fmt: skip
         axes.set_ylabel("residual / sd")

@@ -167,9 +167,11 @@ def _calibrations(channels: Sequence[Channel], estimate: Estimate | None) -> dic
                 found[f"{channel.name}.{what}"] = "?"
     if estimate is not None:
         rows = {row.name: row for row in parameter_rows(estimate)}
+        shared = {f"{c.name}.gain": f"{c.same_gain_as}.gain" for c in channels if c.same_gain_as is not None}
         for name in list(found):
-            if name in rows:
-                found[name] = _with_unit(rows[name].value, rows[name].unit)
+            row = rows.get(name, rows.get(shared.get(name, "")))
+            if row is not None:
+                found[name] = _with_unit(row.value, row.unit)
         for name, sign in estimate.signs.items():
             found[f"{name}.sign"] = "+" if float(sign) > 0 else "−"
     return found

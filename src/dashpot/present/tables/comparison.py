@@ -10,7 +10,14 @@ from rich.text import Text
 
 from dashpot.estimate.comparison import Comparison
 from dashpot.estimate.result import Estimate
-from dashpot.present.tables.layout import GAP, TableColumn, blocks_of, show_paragraph
+from dashpot.present.tables.layout import (
+    GAP,
+    TableColumn,
+    blocks_of,
+    html_paragraph,
+    html_table,
+    show_paragraph,
+)
 from dashpot.present.text.estimate import sentence
 from dashpot.present.text.notices import with_remedy
 from dashpot.present.text.numbers import aligned, percent, plain, rounded, short
@@ -31,6 +38,12 @@ def show_comparison(console: Console, comparison: Comparison, level: float = 0.9
     console.print()
     for line in comparison_remarks(comparison, level):
         show_paragraph(console, line)
+
+
+def comparison_html(comparison: Comparison, level: float = 0.95) -> str:
+    """The table and the remarks as HTML, for a notebook."""
+    table = html_table(comparison_columns(comparison, level), comparison.model)
+    return "".join([table, *map(html_paragraph, comparison_remarks(comparison, level))])
 
 
 def comparison_columns(comparison: Comparison, level: float = 0.95) -> list[TableColumn]:

@@ -6,6 +6,7 @@ import json
 import re
 import shutil
 import subprocess
+import sys
 import tempfile
 from pathlib import Path
 from typing import Any
@@ -104,3 +105,7 @@ def screenshot(page: Path, width: int, height: int, to: Path) -> None:
             f"--screenshot={to}", page.resolve().as_uri(),
         ]  # fmt: skip
         subprocess.run(command, capture_output=True, timeout=120, check=True)
+
+
+if __name__ == "__main__":  # python -m tests.unit.present.pages.browser PAGE.html WIDTH HEIGHT OUT.png
+    screenshot(Path(sys.argv[1]), int(sys.argv[2]), int(sys.argv[3]), Path(sys.argv[4]))
