@@ -1,4 +1,4 @@
-"""One record given to dashpot, to lmfit and to MuJoCo's sysid: error and stated interval against truth, and time.
+"""One record given to dashpot, to lmfit, to MuJoCo's sysid and to aeroid: error and stated interval, and time.
 
 `python3 dev.py bench peers [--draws N] [--more N]`.  The paper's rig on a base that is stepped through the frequencies
 of its CASE-3, from rest, in one continuous record; with white noise of one size in each channel, which an ordinary
@@ -8,7 +8,9 @@ with noise on the base as well.
 dashpot gets the rig: with the whole record, and with its settled dwells alone. lmfit gets dashpot's amplitudes with
 their standard deviations, a hand-written response and a start. MuJoCo gets the samples, transients included, a
 start and bounds: masses on slide joints, the spring and the damper between them a fixed tendon, those to the base a
-position actuator (kp = k2) that follows u and a velocity actuator (kv = c2) that follows its rate."""
+position actuator (kp = k2) that follows u and a velocity actuator (kv = c2) that follows its rate. aeroid gets the
+samples, the noise, the state of rest, a start and the equation of motion, with the base's samples joined by lines as
+it documents, and with a spline of the base written out by its user."""
 
 from __future__ import annotations
 
@@ -42,6 +44,7 @@ STEPS = 5  # of MuJoCo's integrator in a sample
 TRANSIENT = 0.5  # s: the slowest mode has fallen to e⁻⁸
 MEASURED = 0.75  # s at least, and whole periods
 NOISE = 0.1  # of a channel's size, standard deviation of each sample
+AEROID = {"aeroid, base by lines": False, "aeroid, base by a spline": True}
 FOUND = 0.2  # of the truth: what ends farther off in any parameter has not found it
 
 
@@ -216,6 +219,47 @@ def mujoco_solver(
     return solve
 
 
+def aeroid_solver(
+    test: Test, *, spline: bool
+) -> Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray, np.ndarray]]:
+    """A function from noisy values (samples, 5), the base last, and a start to what aeroid states.
+
+    As documented it joins the samples of its controls, the base and its rate by differences, by lines; with `spline`
+    its user has written out a cubic spline of the base in the equation of motion.  It starts from rest, and is told
+    the noise of each channel.  ImportError where it cannot be had.
+    """
+    import aeroid
+    from scipy.interpolate import CubicSpline
+
+    def solve(values: np.ndarray, start: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        path = CubicSpline(test.time, values[:, 4])
+        rate = path.derivative()
+
+        def dynamics(t: float, x: np.ndarray, u: np.ndarray, p: dict[str, float]) -> list[float]:
+            base, speed = (float(path(t)), float(rate(t))) if spline else (u[0], u[1])
+            link = K1 * (x[0] - x[1]) + p["c1"] * (x[2] - x[3])
+            foot = K2 * (x[1] - base) + p["c2"] * (x[3] - speed)
+            first = -link - p["c3"] * x[2]
+            return [x[2], x[3], first / p["m1"], (link - foot - p["c4"] * x[3]) / p["m2"]]
+
+        model = aeroid.Model(
+            states=("x1", "x2", "v1", "v2"), controls=("u", "rate"),
+            parameters=dict(zip(NAMES, start.tolist(), strict=True)), dynamics=dynamics,
+        )  # fmt: skip
+        channels = dict(zip(model.states, values[:, :4].T, strict=True))
+        controls = {"u": values[:, 4], "rate": np.gradient(values[:, 4], test.time)}
+        rms = np.sqrt(np.mean(test.values**2, axis=0))
+        found = aeroid.identify(
+            model, aeroid.FlightData(test.time, {**channels, **controls}), list(NAMES), x0=np.zeros(4),
+            weights=dict(zip(model.states, (1 / (NOISE * rms)).tolist(), strict=True)),
+        )  # fmt: skip
+        estimate = np.array([found.parameters[name] for name in NAMES])
+        sd = np.array([found.stderr[name] for name in NAMES])
+        return estimate, sd, 1.96 * sd
+
+    return solve
+
+
 @dataclass(frozen=True)
 class Row:
     """What one tool gave over the draws."""
@@ -293,6 +337,11 @@ def main() -> None:
             f"mujoco {importlib.metadata.version('mujoco')}, integrator RK4 with {1e3 / (RATE * STEPS):g} ms: from the "
             f"record without noise its parameters are {100 * np.max(np.abs(exact / TRUE - 1)):.2f} % off at most.\n"
         )
+    try:
+        by_aeroid = {name: aeroid_solver(test, spline=spline) for name, spline in AEROID.items()}
+    except ImportError as failure:
+        by_aeroid = {}
+        print(f"aeroid is left out: {failure}\n")
     for number, (words, level) in enumerate(levels(test).items()):
         rng, base_rng = np.random.default_rng([1989, number]), np.random.default_rng([1989, number, 1])
         clean = np.column_stack([test.values, test.base])
@@ -324,6 +373,10 @@ def main() -> None:
                     lambda k, noisy=noisy: by_mujoco(noisy[k][:, :4], 1.5 * TRUE), draws,
                 )
             )  # fmt: skip
+        for name, solver in by_aeroid.items():
+            rows.append((
+                name, "1.5 × truth", lambda k, noisy=noisy, solver=solver: solver(noisy[k], 1.5 * TRUE), draws,
+            ))  # fmt: skip
         rows += [(*row, more) for row in quick]
         for tool, start, solve, count in rows:
             print(f"| {tool} | {start} | {count} | {measure(count, solve).figures()} |", flush=True)

@@ -38,12 +38,14 @@ class WholeRecord:
     loads        whether the lines carry boundary loads, an impulse and a doublet at every coordinate (THEORY (W));
                  False where the motion is periodic in T, or starts and ends at rest
     polynomial   how many of the columns 1, jω, (jω)², … each output channel has for what the ends of the record alias
+    ramp         whether each output channel has the column 1/jω of a linear drift as well
     """
 
     duration_s: float
     samples: int
     loads: bool = True
     polynomial: int = 4
+    ramp: bool = False
 
     def __post_init__(self) -> None:
         if not (0 < self.duration_s < np.inf and self.samples > 0 and 0 <= self.polynomial <= MOST_TERMS):

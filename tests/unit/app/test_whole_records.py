@@ -233,3 +233,80 @@ def test_free_decay_of_a_rig_that_nothing_drives(dashpot: Command, tmp_path: Pat
     done = dashpot("identify", str(rig), str(tmp_path / "decay.csv"))
     assert done.code == 3
     assert "scale together" in done.err[0]
+
+
+def test_a_response_that_something_unseen_drives_is_no_free_decay(dashpot: Command, rig: str) -> None:
+    recorded("run.csv", seed=14)
+    rows = [row.rsplit(",", 1)[0] for row in Path("run.csv").read_text(encoding="utf-8").splitlines()]
+    Path("ambient.csv").write_text("\n".join(rows) + "\n", encoding="utf-8")
+    held = RIG.replace('u = { kind = "displacement" }\n', "").replace('u = { of = "u", unit = "mm" }\n', "")
+    Path("held.toml").write_text(held.replace("[inputs]\n", "").replace('"u"', '"ground"'), encoding="utf-8")
+    said = bad(dashpot, "held.toml", "ambient.csv")
+    assert "no free decay explains the motion" in said
+    assert "record what drives it" in said
+
+
+def test_a_clock_that_halts_often_is_not_a_record_with_gaps(dashpot: Command, rig: str) -> None:
+    recorded("run.csv", seed=15)
+    head, *rows = Path("run.csv").read_text(encoding="utf-8").splitlines()
+    kept = np.sort(np.random.default_rng(1).choice(len(rows), len(rows) * 2 // 3, replace=False))
+    Path("uneven.csv").write_text("\n".join([head, *(rows[k] for k in kept)]) + "\n", encoding="utf-8")
+    said = bad(dashpot, rig, "uneven.csv")
+    assert "the samples are not evenly spaced" in said
+    assert "steady clock" in said
+
+
+def test_sensors_that_drift(dashpot: Command, rig: str) -> None:
+    """A ramp ten times the motion in each output costs nothing, unless it is said that there is none."""
+    recorded("run.csv", seed=16)
+    with Path("run.csv").open(encoding="utf-8") as file:
+        rows = list(csv.DictReader(file))
+    for k, row in enumerate(rows):
+        row["x1"] = repr(float(row["x1"]) + 8e-3 * k)
+        row["x2"] = repr(float(row["x2"]) - 5e-3 * k)
+    with Path("drift.csv").open("w", encoding="utf-8", newline="") as file:
+        writer = csv.DictWriter(file, rows[0].keys())
+        writer.writeheader()
+        writer.writerows(rows)
+    for name in ("run", "drift"):
+        assert dashpot("identify", rig, f"{name}.csv", "--json", f"{name}.json").code == 0
+    clean, drifting = (
+        json.loads(Path(f"{name}.json").read_text(encoding="utf-8"))["parameters"]
+        for name in ("run", "drift")
+    )
+    for name in TRUE:
+        assert drifting[name]["value"] == pytest.approx(clean[name]["value"], abs=0.05 * clean[name]["sd"])
+    assert dashpot("identify", rig, "drift.csv", "--drift", "0", "--json", "told.json").code in (0, 3)
+    assert away("drift.json") < 3.7 < away("told.json")
+    assert dashpot("spectrum", rig, "drift.csv", "-o", "lines.csv").code == 0
+    assert dashpot("identify", rig, "lines.csv", "--json", "again.json").code == 0
+    assert away("again.json") < 3.7
+
+
+def test_what_an_estimate_predicts_carries_its_uncertainty(dashpot: Command, rig: str) -> None:
+    """The band is the scatter of the predictions of parameters drawn from the estimate: 200 draws tell it to 5 %."""
+    recorded("run.csv", seed=17, seconds=10)
+    assert dashpot("identify", rig, "run.csv", "--json", "e.json").code == 0
+    done = dashpot("simulate", rig, "--estimate", "e.json", "--input", "run.csv", "-o", "predicted.csv")
+    assert done.code == 0
+    with Path("predicted.csv").open(encoding="utf-8") as file:
+        rows = list(csv.DictReader(file))
+    band = np.array([[float(row["x1_sd"]), float(row["x2_sd"])] for row in rows])
+    shown = np.array([[float(row["x1"]), float(row["x2"])] for row in rows])
+    assert "u_sd" not in rows[0]
+    found = json.loads(Path("e.json").read_text(encoding="utf-8"))
+    model = read_rig("rig.toml").model
+    mean = np.array([found["parameters"][name]["value"] for name in found["order"]])
+    base = np.array([[1e-3 * float(row["u"])] for row in rows])
+    rng = np.random.default_rng(3)
+    theta = rng.multivariate_normal(mean, np.array(found["covariance"]), 200)
+    drawn = np.stack([integrator(model, model.parameters(each), 0.01).motion(base).x for each in theta])
+    late = slice(300, None)
+    np.testing.assert_allclose(1e-3 * shown[late], np.mean(drawn, axis=0)[late], atol=2e-5)
+    ratio = np.sqrt(
+        np.mean(np.std(drawn, axis=0)[late] ** 2, axis=0) / np.mean((1e-3 * band[late]) ** 2, axis=0)
+    )
+    np.testing.assert_allclose(ratio, 1.0, rtol=0.2)
+    refused = dashpot("simulate", rig, "--estimate", "e.json", "--frequencies", "1,2", "-o", "no.csv")
+    assert refused.code == 2
+    assert "an estimate predicts the response to a record" in refused.err[-1]

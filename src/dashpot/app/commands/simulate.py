@@ -40,6 +40,7 @@ NOISE = "Noise"
     "simulate",
     "dashpot simulate rig.toml --set m1=3,c1=20,c2=30 --frequencies 1:10:0.5 --out data.csv",
     "dashpot simulate rig.toml --frequencies 0.5:25/40log --amplitude u=2mm --table -o amplitudes.csv",
+    "dashpot simulate rig.toml --estimate estimate.json --input shaker.csv --out predicted.csv",
     "dashpot simulate rig.toml --input shaker.csv --out record.csv",
 )
 @rig_argument
@@ -56,6 +57,11 @@ NOISE = "Noise"
 @option(
     "--input", "input_file", type=INPUT_FILE, metavar="FILE", group=TEST,
     help="In place of --frequencies: a record whose input channels drive the rig from rest, of any excitation.",
+)  # fmt: skip
+@option(
+    "--estimate", type=INPUT_FILE, metavar="FILE.json", group="The rig",
+    help="Values of an estimate, with --input: writes what it predicts, without noise, and as NAME_sd of each output "
+    "what the uncertainty of the estimate makes of it.",
 )  # fmt: skip
 @option(
     "--samples", type=Count(4, 100_000_000), default=200, show_default=True, metavar="N", group=TEST,
@@ -85,7 +91,7 @@ NOISE = "Noise"
 @quiet_option
 def command(
     rig: str, out: str, values: Sequence[Mapping[str, Amount]], frequencies: tuple[float, ...] | None,
-    input_file: str | None, samples: int, rate: float | None, periods: float,
+    input_file: str | None, estimate: str | None, samples: int, rate: float | None, periods: float,
     amplitudes: Sequence[Amount | Mapping[str, Amount]],
     relative_noise: float | None, table: bool, seed: int, quiet: bool,
 ) -> None:  # fmt: skip
@@ -101,6 +107,9 @@ def command(
 
     _check_test(frequencies, input_file, table)
     rig_read = read_rig(rig)
+    if estimate is not None:
+        _write_prediction(rig_read, estimate, input_file, bool(values), out, quiet)
+        return
     model = rig_read.model
     values_si = parameter_values(rig_read, merged(values, "--set"))
     require_values(rig_read, values_si)
@@ -129,6 +138,31 @@ def command(
         what = f"{many}, {'amplitudes' if table else f'{samples} samples at each'}"
     if not quiet:
         click.echo(f"{printable(out)}: {what}; channels {', '.join(c.name for c in channels)}")
+
+
+def _write_prediction(
+    rig: Rig, estimate: str, input_file: str | None, with_values: bool, out: str, quiet: bool
+) -> None:
+    """The response that an estimate predicts, with its standard deviation.  Raises UsageError and DataError."""
+    from dashpot.data.readers import write_records
+    from dashpot.errors import UsageError
+    from dashpot.estimate.result import Estimate
+    from dashpot.study.response_band import response_band
+
+    if input_file is None or with_values:
+        raise UsageError(
+            "an estimate predicts the response to a record",
+            cure="give --input, and no --set beside --estimate",
+        )
+    predicted, sd = response_band(
+        rig.model, Estimate.load(estimate), rig.channels, _input_record(rig, input_file)
+    )
+    write_records([predicted], out, [sd])
+    if not quiet:
+        names = ", ".join(channel.name for channel in rig.channels)
+        click.echo(
+            f"{printable(out)}: {len(predicted.time)} samples; channels {names}, with ± of the estimate as NAME_sd"
+        )
 
 
 def _check_test(frequencies: tuple[float, ...] | None, input_file: str | None, table: bool) -> None:

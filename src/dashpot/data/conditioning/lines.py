@@ -46,7 +46,9 @@ def spectrum(
     else:
         parts += [_lines(record, settings) for record in dwells]
     if whole:
-        parts.append(whole_records(whole, band_hz=settings.band, still=settings.still))
+        parts.append(
+            whole_records(whole, band_hz=settings.band, still=settings.still, ramp=settings.degree > 0)
+        )
     return concatenate(parts)
 
 

@@ -26,12 +26,15 @@ from dashpot.errors import DataError
 from dashpot.notices import Notice
 
 GAP = 1.5  # sampling steps: where the next sample is later than this, another record begins
+UNEVEN = 0.02  # share of gaps from which on they are the clock's
 HIGHEST = 0.9  # of half the sampling rate: above it the input between the samples is not known well enough
 BIN = 30  # lines, at least, whose mean power says whether something moves there
 BINS = 200  # at most
 STANDS_OUT = 4.0  # standard deviations of a bin's mean power above the floor: a signal
 POLYNOMIAL = 4  # columns 1, jω, (jω)², … of each output channel: the fourth takes the error down by twenty
 FLOOR = "floor"  # kind of noise: white, as the top of the spectrum shows it, until residuals show more
+LOWEST = 10  # line up to which a linear drift is felt
+MANY = 200  # lines from which on a column for it costs nothing to speak of
 TOP = (0.6, 0.98)  # of half the sampling rate: where that floor is read
 FAR_BELOW = 0.1  # of the mean power of the lines: a floor is noise, not motion
 
@@ -55,6 +58,13 @@ def without_gaps(record: Record) -> tuple[list[Record], tuple[Notice, ...]]:
         if b - a >= 4 * FEWEST
     ]
     lost = len(record.time) - sum(len(piece.time) for piece in pieces)
+    if len(cuts) > UNEVEN * len(steps):
+        raise DataError(
+            f"the samples are not evenly spaced: {len(cuts)} of {len(steps)} steps are longer than {GAP:g} × "
+            "the usual one",
+            record.source,
+            "record with a steady clock; a resampled record would have errors that nobody can tell from motion",
+        )
     if not pieces:
         raise DataError(
             f"the time has {len(cuts)} gaps, and no piece between them has {4 * FEWEST} samples",
@@ -74,12 +84,14 @@ def whole_record(
     still: Still | None = None,
     polynomial: int = POLYNOMIAL,
     loads: bool = True,
+    ramp: bool = False,
 ) -> Spectrum:
     """Lines k/T, k ≥ 1, of one evenly sampled record, peak amplitudes (2/N) Σ x e^{−jωt}, SI units.
 
     Without `band_hz` the lines reach from the first to where nothing stands out of the noise any more, and to 0.9 of
     half the sampling rate at most.  The covariance is that of a record at `still`, else the white floor of each channel
-    (0 where it has none), which the residuals of a fit replace.  The offset is in the DC line alone, which is left out.
+    (0 where it has none), which the residuals of a fit replace.  The offset is in the DC line alone, which is left out;
+    with `ramp` each output has a column for a linear drift where there are lines enough to pay for it.
     Raises DataError for uneven samples, a band without lines or without signal, and channels that do not move.
     """
     if record.values.ndim != 2:
@@ -125,7 +137,7 @@ def whole_record(
         record.channels, frequency, X * h, V, np.full(lines, samples), np.full(lines, dof), (kind,) * lines,
         np.full(lines, record.experiment),
         stretch=np.zeros(lines, dtype=np.int64),
-        stretches=(WholeRecord(duration, samples, loads, polynomial),),
+        stretches=(WholeRecord(duration, samples, loads, polynomial, ramp and _drift_shows(first, lines)),),
     )  # fmt: skip
 
 
@@ -135,6 +147,7 @@ def whole_records(
     band_hz: tuple[float, float] | None = None,
     still: Still | None = None,
     polynomial: int = POLYNOMIAL,
+    ramp: bool = False,
 ) -> Spectrum:
     """Lines of several records, each with boundary loads of its own; records are cut where samples are missing.
 
@@ -146,7 +159,10 @@ def whole_records(
         parts, told = without_gaps(record)
         pieces += parts
         notes += told
-    spectra = [whole_record(piece, band_hz=band_hz, still=still, polynomial=polynomial) for piece in pieces]
+    spectra = [
+        whole_record(piece, band_hz=band_hz, still=still, polynomial=polynomial, ramp=ramp)
+        for piece in pieces
+    ]
     joined = concatenate(spectra)
     used = sum(len(piece.time) for piece in pieces)
     low, high = float(np.min(joined.frequency_hz)), float(np.max(joined.frequency_hz))
@@ -178,6 +194,11 @@ def _aligned(record: Record, step: float) -> tuple[Record, tuple[Channel, ...]]:
     return replace(record, time=record.time[:count], values=values), remaining
 
 
+def _drift_shows(first: int, lines: int) -> bool:
+    """Whether a linear drift is to be reckoned with: it is in the lowest lines, and few lines cannot spare one."""
+    return first <= LOWEST and lines >= MANY
+
+
 def _require_motion(record: Record) -> None:
     """Raises DataError where a channel stays at one value."""
     for c, channel in enumerate(record.channels):
@@ -186,7 +207,8 @@ def _require_motion(record: Record) -> None:
             raise DataError(
                 f"{channel.name} stays at {column[0]:g} throughout",
                 record.source,
-                "see whether the sensor is connected, or leave the channel out of the rig file",
+                "see whether the sensor is connected, or leave the channel out of the rig file; an input that rests "
+                "through a free decay is ground there, not an input",
             )
 
 

@@ -24,6 +24,8 @@ from dashpot.model.network import Input
 from dashpot.model.observation import ObservationModel, observation_model
 from dashpot.numerics.projection import orthonormal, real_rows
 
+RAMP = -1  # the power of jω that a linear drift has
+
 
 @dataclass(frozen=True)
 class RecordEnds:
@@ -65,7 +67,10 @@ class RecordEnds:
         """Columns of the polynomials in the channels that are data, (lines, channels, polynomials)."""
         columns = np.zeros((len(self.s), len(self.view.channels), len(self.channel)), dtype=np.complex128)
         index = np.arange(len(self.channel))
-        columns[:, self.channel, index] = self.s[:, None] ** self.power
+        inside = (self.s != 0)[:, None]
+        columns[:, self.channel, index] = np.where(
+            inside, np.where(inside, self.s[:, None], 1.0) ** self.power, 0.0
+        )
         return columns
 
     def used(self, record: int) -> Bools:
@@ -106,18 +111,19 @@ def record_ends(
     records = [
         (value, np.flatnonzero(spectrum.stretch == number))
         for number, value in enumerate(spectrum.stretches)
-        if isinstance(value, WholeRecord) and (value.loads or value.polynomial)
+        if isinstance(value, WholeRecord) and (value.loads or value.polynomial or value.ramp)
     ]
     if not records:
         return None
     outputs = ~view.inputs_alone
     most = max(value.polynomial for value, _ in records)
+    drift = [RAMP] if any(value.ramp for value, _ in records) else []
     channel, power = [], []
     for c, output in enumerate(outputs):
         # A moved base measured as velocity or acceleration has end terms of its own; other inputs have none.
-        terms = most if output else int(view.derivative[c])
-        channel += [c] * terms
-        power += list(range(terms))
+        powers = [*range(most), *drift] if output else list(range(int(view.derivative[c])))
+        channel += [c] * len(powers)
+        power += powers
     of = np.array(channel, dtype=np.int64)
     height = np.array(power, dtype=np.int64)
     s = np.zeros(spectrum.lines, dtype=np.complex128)
@@ -126,7 +132,8 @@ def record_ends(
     for number, (value, lines) in enumerate(records):
         s[lines] = 1j * spectrum.omega[lines] / np.max(spectrum.omega[lines])
         there = np.any(measured[lines], axis=0)
-        terms_used[number] = (height < np.where(outputs[of], value.polynomial, height + 1)) & there[of]
+        wanted = np.where(height == RAMP, value.ramp, height < value.polynomial)
+        terms_used[number] = (wanted | ~outputs[of]) & there[of]
     _require_lines(records, view, loads=2 * view.model.n, terms=terms_used)
     by_input = np.zeros((spectrum.lines, view.on_q.shape[1], len(of)), dtype=np.complex128)
     if exact is not None:

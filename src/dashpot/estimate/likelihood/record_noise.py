@@ -18,6 +18,7 @@ from dashpot.data.conditioning.still import HALF_WINDOW, smoothed
 from dashpot.data.conditioning.whole_record import FLOOR
 from dashpot.data.spectrum import Spectrum
 from dashpot.data.stretch import WholeRecord
+from dashpot.errors import DataError
 from dashpot.estimate.likelihood.chunks import Measured
 from dashpot.estimate.likelihood.maximum_likelihood import MaximumLikelihood
 from dashpot.estimate.likelihood.objective import bounds, local, measured, predict
@@ -39,6 +40,7 @@ WHITE_LEVEL = 0.01  # of the test for coloured noise
 EACH_TO_START = 12  # lines of each part of the band that a first fit is made from
 EACH_IN_DOUBT = 80  # and where that fit may be a wrong valley
 LITTLE = 4.0  # χ² over its degrees of freedom up to which it is none
+UNEXPLAINED_DECAY = 0.5  # of the power of a motion without input: more is no free decay
 UNEXPLAINED = 0.2  # of a channel's power: what may be left over by a fit whose noise is not known yet
 POOL_LEVEL = 1e-3  # of the test whether short records share the size of their noise
 
@@ -89,6 +91,7 @@ def noise_from_residuals(
         else:
             psi = _descended(view, exact, psi, sign, method)
         residual, columns = _residuals(view, exact, psi, sign)
+        _require_decay(model, residual, exact)
         used = (columns + len(view.names)) / (2 * np.sum(sought) * max(np.sum(outputs), 1))
         power = np.abs(residual) ** 2 + _explained(view, exact.W[0], exact.q is None, psi, sign)
         variance, dof = _smoothed(spectrum, power / max(1 - used, 0.1), V[0], sought, outputs)
@@ -102,6 +105,22 @@ def noise_from_residuals(
     kinds = tuple(RESIDUAL if s else kind for s, kind in zip(sought.tolist(), spectrum.noise, strict=True))
     found = replace(spectrum, covariance=V, noise=kinds, dof=dof * (1 - used))
     return found, np.zeros((1, 0)) if psi is None else psi, sign
+
+
+def _require_decay(model: Model, residual: Complex, data: Measured) -> None:
+    """Raises DataError where nothing is said to drive the rig, and yet its motion is no free decay."""
+    if model.inputs:
+        return
+    power = np.sum(np.abs(data.y[0]) ** 2, axis=0)
+    left = np.sum(np.abs(residual) ** 2, axis=0)
+    share = float(np.median((left / np.where(power > 0, power, 1.0))[power > 0]))
+    if share > UNEXPLAINED_DECAY:
+        raise DataError(
+            f"no free decay explains the motion ({100 * share:.0f} % of its power is left over): something drives the "
+            "rig that was not recorded",
+            cure="record what drives it, a force or the motion of the base, and name it as an input; a response alone "
+            "tells modes, not masses, dampers and springs",
+        )
 
 
 def _begun(

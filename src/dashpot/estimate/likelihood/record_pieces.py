@@ -122,7 +122,12 @@ class RecordPieces:
     @cached_property
     def terms(self) -> int:
         """Polynomials of a channel that are taken out of it alone."""
-        return int(np.max(self.ends.power, initial=-1)) + 1 if self.apart else 0
+        return len(self.powers) if self.apart else 0
+
+    @cached_property
+    def powers(self) -> Ints:
+        """The powers of jω among the polynomials, ascending."""
+        return np.unique(self.ends.power)
 
     @cached_property
     def used(self) -> Bools:
@@ -138,7 +143,9 @@ class RecordPieces:
         used = np.zeros((len(ends.lines), channels, self.terms), dtype=bool)
         if self.apart:
             index = np.setdiff1d(np.arange(len(ends.channel)), self.of_inputs)
-            used[:, ends.channel[index], ends.power[index]] = ends.terms[:, index]
+            used[:, ends.channel[index], np.searchsorted(self.powers, ends.power[index])] = ends.terms[
+                :, index
+            ]
         return used
 
     def __iter__(self) -> Iterator[RecordPiece]:
@@ -227,13 +234,13 @@ class RecordPieces:
         """Polynomials that are fitted with the loads, whitened."""
         channel, power = self.ends.channel[self.fitted], self.ends.power[self.fitted]
         columns = np.zeros((1, len(self.ends.rig.channels), len(self.fitted), len(s)), dtype=np.complex128)
-        columns[0, channel, np.arange(len(self.fitted))] = s ** power[:, None]
+        columns[0, channel, np.arange(len(self.fitted))] = _powers(s, power)
         return weights.whitened(columns)
 
     def _basis(self, s: Complex, weights: Weights, segments: tuple[tuple[int, slice], ...]) -> Complex:
         """Orthonormal polynomials of each channel in each record."""
         assert weights.sd is not None
-        powers = _powers(s, self.terms) * weights.sd[:, :, None, :]
+        powers = _powers(s, self.powers) * weights.sd[:, :, None, :]
         basis = np.zeros_like(powers)
         for record, part in segments:
             if record != NO_RECORD:
@@ -250,7 +257,7 @@ class RecordPieces:
             for first in range(0, len(lines), NUMBERS // 10):
                 few = lines[first : first + NUMBERS // 10]
                 weight = np.diagonal(self.W[:, few], axis1=-2, axis2=-1).real
-                powers = _powers(ends.s[few], self.terms).view(np.float64)
+                powers = _powers(ends.s[few], self.powers).view(np.float64)
                 weighted = np.repeat(np.swapaxes(weight, -1, -2), 2, axis=-1)[:, :, None, :] * powers
                 products[:, record] += weighted @ powers.T
         used = self.apart_used[None]
@@ -259,10 +266,11 @@ class RecordPieces:
         return B, np.sum(rank, axis=(1, 2))
 
 
-def _powers(s: Complex, terms: int) -> Complex:
-    """s⁰, s¹, …, (terms, lines)."""
-    powers: Complex = s ** np.arange(terms)[:, None]
-    return np.ascontiguousarray(powers)
+def _powers(s: Complex, powers: Ints) -> Complex:
+    """Powers of s, (powers, lines); 0 at lines of no record, where s is 0."""
+    inside = s != 0
+    safe = np.where(inside, s, 1.0)
+    return np.ascontiguousarray(np.where(inside, safe ** powers[:, None], 0.0))
 
 
 def _compact(lines: Ints) -> slice | Ints:

@@ -4,8 +4,8 @@ x(t) = Re(X e^{jωt}); `NAME_sd` is the standard deviation of the real and of th
 optional columns: `experiment`, `samples`, `dof`, `noise` and, for noise that channels share, `A&B_cov_re` and
 `A&B_cov_im`, the covariance E[Δ_A conj(Δ_B)].  Numbers are raw, in the channels' own units, calibrations still in.
 Lines of one whole record, which share its boundary loads, have one number in the column `record`,
-with `record_duration_s`, `record_samples`, `record_loads` (0 or 1) and `record_polynomial` (0 to 3).  Lines of one
-settled dwell have its number there and `fundamental_hz`.
+with `record_duration_s`, `record_samples`, `record_loads` (0 or 1), `record_polynomial` (0 to 6) and `record_ramp` (0
+or 1).  Lines of one settled dwell have its number there and `fundamental_hz`.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from dashpot.notices import Notice
 
 SAMPLES, DOF, NOISE = "samples", "dof", "noise"
 RECORD, FUNDAMENTAL = "record", "fundamental_hz"
-OF_RECORDS = ("record_duration_s", "record_samples", "record_loads", "record_polynomial")
+OF_RECORDS = ("record_duration_s", "record_samples", "record_loads", "record_polynomial", "record_ramp")
 KINDS = ("given", "white", "blocks", "periods", "rest", "floor", "residual", "unknown")
 
 
@@ -244,12 +244,12 @@ def _stretches(
                 row, more[RECORD], f"record {number} is described differently at {columns.place(int(rows[0]))}",
                 "its duration, samples, loads and columns must be the same in all of its lines",
             )  # fmt: skip
-        fundamental, duration, samples, loads, polynomial = first.tolist()
+        fundamental, duration, samples, loads, polynomial, ramp = first.tolist()
         stretch[rows] = len(stretches)
         try:
             if np.isfinite(duration) and np.isfinite(samples):
                 terms = 3 if np.isnan(polynomial) else int(polynomial)
-                stretches.append(WholeRecord(duration, int(samples), loads != 0, terms))
+                stretches.append(WholeRecord(duration, int(samples), loads != 0, terms, ramp == 1))
             else:
                 stretches.append(SettledDwell(None if np.isnan(fundamental) else fundamental))
         except DataError as error:
@@ -352,7 +352,7 @@ def _stretch_cells(spectrum: Spectrum) -> list[tuple[str, Sequence[object]]]:
     rows = []
     for number, value in enumerate(spectrum.stretches):
         if isinstance(value, WholeRecord):
-            of_record = (value.duration_s, value.samples, int(value.loads), value.polynomial)
+            of_record = (value.duration_s, value.samples, int(value.loads), value.polynomial, int(value.ramp))
             rows.append((str(number), "", *(repr(part) for part in of_record)))
         else:
             fundamental = "" if value.fundamental_hz is None else repr(value.fundamental_hz)

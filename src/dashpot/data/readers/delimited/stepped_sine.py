@@ -201,9 +201,12 @@ def _frequency_in_name(source: str) -> float | None:
     return found.pop() if len(found) == 1 else None
 
 
-def write_records(records: Sequence[Record], path: str | os.PathLike[str]) -> None:
+def write_records(
+    records: Sequence[Record], path: str | os.PathLike[str], sd: Sequence[Real] | None = None
+) -> None:
     """Write records as stepped-sine CSV that reads back to the same records, numbers in the channels' own units.
 
+    `sd` of each record, (samples, channels), adds a column NAME_sd for every channel that has some.
     Raises DataError for repeats (leading axes), records of different channels, and records that would run together.
     """
     _check_writable(records)
@@ -222,6 +225,11 @@ def write_records(records: Sequence[Record], path: str | os.PathLike[str]) -> No
     for i, channel in enumerate(channels):
         header.append(channel.name)
         columns.append(np.concatenate([record.values[:, i] for record in records]) / channel.scale)
+    if sd is not None:
+        spread = np.concatenate(sd)
+        for i in np.flatnonzero(np.any(spread > 0, axis=0)).tolist():
+            header.append(f"{channels[i].name}_sd")
+            columns.append(spread[:, i] / abs(channels[i].scale))
     write_rows(path, [shown(name, 1000) for name in header], columns)
 
 
