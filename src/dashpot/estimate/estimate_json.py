@@ -14,6 +14,8 @@ from dashpot.estimate.result import FORMAT, Estimate, Fit, ModeValues
 from dashpot.io.json_document import nullable
 from dashpot.notices import Notice
 
+MOST_COVARIANCE = 1000  # unknowns, above which the covariance is null
+
 
 def content_of(estimate: Estimate) -> dict[str, Any]:
     """What `Estimate.to_json` writes (no batch axes)."""
@@ -27,8 +29,8 @@ def content_of(estimate: Estimate) -> dict[str, Any]:
         "iterations": int(estimate.iterations),
         "parameters": _parameters(estimate),
         "order": list(estimate.names),
-        "covariance": estimate.covariance.tolist(),
-        "noise_covariance": estimate.noise_covariance.tolist(),
+        "covariance": _covariance_rows(estimate.covariance),
+        "noise_covariance": _covariance_rows(estimate.noise_covariance),
         "intervals_count": estimate.basis,
         "tied": [list(tie) for tie in estimate.tied],
         "signs": {name: float(sign) for name, sign in estimate.signs.items()},
@@ -94,8 +96,8 @@ def estimate_from(content: Mapping[str, Any]) -> Estimate:
         names=names,
         units=tuple(entry["unit"] for entry in unknowns),
         values=_numbers([entry["value"] for entry in unknowns]),
-        covariance=_rows(content["covariance"]),
-        noise_covariance=_rows(content["noise_covariance"]),
+        covariance=_covariance(content["covariance"], [entry["sd"] for entry in unknowns]),
+        noise_covariance=_covariance(content["noise_covariance"], [entry["noise_sd"] for entry in unknowns]),
         bound_sd=_numbers([entry["bound_sd"] for entry in unknowns]),
         dof=_numbers([entry["interval_dof"] for entry in unknowns], math.inf),
         lower=_numbers([entry.get("min") for entry in unknowns], -math.inf),
@@ -124,6 +126,19 @@ def _numbers(values: Sequence[Any], missing: float = math.nan) -> Real:
 
 def _rows(rows: Sequence[Sequence[Any]]) -> Real:
     return np.array([[nullable(value) for value in row] for row in rows])
+
+
+def _covariance_rows(covariance: Real) -> list[list[float]] | None:
+    """The rows of a covariance; None of more than MOST_COVARIANCE unknowns, whose square nobody wants in a text."""
+    if len(covariance) > MOST_COVARIANCE:
+        return None
+    rows: list[list[float]] = covariance.tolist()
+    return rows
+
+
+def _covariance(rows: Sequence[Sequence[Any]] | None, sd: Sequence[Any]) -> Real:
+    """A covariance of a file; where it was left out, the variances alone."""
+    return np.diag(_numbers(sd) ** 2) if rows is None else _rows(rows)
 
 
 def _fit(fit: Mapping[str, Any]) -> Fit:
