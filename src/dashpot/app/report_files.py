@@ -97,23 +97,22 @@ def failure_reported(target: str | None, rig: str) -> Iterator[None]:
 def _printed(html: str) -> bytes:
     """The page as PDF."""
     import subprocess
-    import tempfile
 
     from dashpot.errors import DataError
+    from dashpot.io.scratch import scratch
 
-    with tempfile.TemporaryDirectory(prefix="dashpot-") as folder:
-        page, printed = Path(folder) / "report.html", Path(folder) / "report.pdf"
-        page.write_bytes(html.encode("utf-8", errors="backslashreplace"))
+    with scratch() as files:
+        page = files.write("report.html", html.encode("utf-8", errors="backslashreplace"))
         command = [
             browser(),
             *QUIET,
-            f"--user-data-dir={folder}/profile",
-            f"--print-to-pdf={printed}",
+            f"--user-data-dir={files.folder / 'profile'}",
+            f"--print-to-pdf={files.folder / 'report.pdf'}",
             page.as_uri(),
         ]
         try:
             subprocess.run(command, capture_output=True, timeout=PRINTING_S, check=True)
-            return printed.read_bytes()
+            return files.read("report.pdf")
         except (OSError, subprocess.SubprocessError) as error:
             raise DataError(
                 f"the browser did not print the report ({type(error).__name__})",
@@ -171,14 +170,15 @@ def _files() -> list[SourceFile]:
     import hashlib
 
     from dashpot.io import ledger
+    from dashpot.io.ledger import noted
     from dashpot.present.pages.page import SourceFile
 
     entries = ledger.current()
     found = []
-    for name in () if entries is None else entries.inputs:
+    for name in () if entries is None else tuple(entries.inputs):
         path = Path(name)
         if path.is_file():
-            with path.open("rb") as stream:
+            with open(noted(name), "rb") as stream:
                 digest = hashlib.file_digest(stream, "sha256").hexdigest()
             found.append(SourceFile(name, path.stat().st_size, digest))
     return found

@@ -240,7 +240,7 @@ def _batches(path: str, column: str, names_only: bool) -> Iterator[Any]:
     import pyarrow.csv as text
     import pyarrow.parquet as parquet
 
-    with open(path, "rb") as file:
+    with open(noted(path), "rb") as file:
         is_parquet = file.read(4) == b"PAR1"
     if is_parquet:
         content = parquet.ParquetFile(path)

@@ -45,7 +45,9 @@ def test_extreme_numbers_are_refused_in_one_line(
         "identify": ["rig.toml", "data.csv"], "compare": ["rig.toml", "data.csv"], "check": ["rig.toml", "data.csv"],
         "simulate": ["rig.toml", "--out", "o.csv", "--frequencies", "3"], "design": ["rig.toml", "--samples", "100"],
         "spectrum": ["rig.toml", "data.csv", "--out", "o.csv"], "study": ["study.toml"], "reproduce": ["yamane1989"],
-        "new": ["new.toml"], "validate": ["estimate.json", "data.csv"],
+        "new": ["new.toml"], "validate": ["estimate.json", "data.csv"], "draw": ["rig.toml", "--out", "o.svg"],
+        "export": ["rig.toml", "--out", "o.json"], "response": ["rig.toml", "--out", "o.svg"],
+        "fleet": ["rig.toml", "data.csv", "--out", "o.parquet"],
     }  # fmt: skip
     for extreme in EXTREMES:
         values = [extreme]

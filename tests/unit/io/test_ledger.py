@@ -8,14 +8,18 @@ from pathlib import Path
 import dashpot
 
 SOURCES = Path(dashpot.__file__).parent
-# Files of dashpot's own: the package's, and those in the folder of a study, which its claim reads and writes.
+# Files of dashpot's own: the package's, those in the folder of a study, which its claim reads and writes, and those
+# that other programs need for a moment.
 OWN = {
+    "export/fmu/archive.py",
     "io/atomic.py",
     "io/lock.py",
+    "io/scratch.py",
     "reproduce/yamane1989/printed.py",
     "study/runner.py",
     "study/store.py",
 }
+MEMBERS = ("archive.open(", "whole.open(")  # of an archive that has been opened through the ledger
 READS = {"open", "read_bytes", "read_text", "memory_map"}
 
 
@@ -38,6 +42,7 @@ def test_every_file_is_opened_for_reading_through_the_ledger() -> None:
                 _name(call) in READS
                 and "noted(" not in ast.unparse(call)
                 and "devnull" not in ast.unparse(call)
+                and not ast.unparse(call).startswith(MEMBERS)
             ):
                 unnoted.append(f"{place}:{call.lineno} {ast.unparse(call)[:80]}")
     assert unnoted == []
@@ -47,7 +52,7 @@ def test_no_file_is_written_but_by_the_one_writer() -> None:
     others = []
     for path in SOURCES.rglob("*.py"):
         place = path.relative_to(SOURCES).as_posix()
-        if place == "io/atomic.py":
+        if place in ("io/atomic.py", "io/scratch.py"):
             continue
         for call in _calls(ast.parse(path.read_text(encoding="utf-8"))):
             if _name(call) in ("tempfile", "mkstemp", "NamedTemporaryFile", "rename") or (

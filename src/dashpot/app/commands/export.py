@@ -56,7 +56,7 @@ RIG = "The rig"
     help=f"What to write, where the file's ending may mean several: {', '.join(CONTENTS)}.",
 )  # fmt: skip
 @option(
-    "--input", "given", type=click.Choice(MOTIONS), metavar="QUANTITY", group=WHAT,
+    "--input-quantity", "given", type=click.Choice(MOTIONS), metavar="QUANTITY", group=WHAT,
     help="As what moved points are given: displacement, velocity or acceleration.  [default: as they are measured, "
     "differentiated as far as outputs need]",
 )  # fmt: skip

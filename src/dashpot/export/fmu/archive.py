@@ -9,12 +9,10 @@ import re
 import shutil
 import subprocess
 import sys
-import tempfile
 import zipfile
 from collections.abc import Mapping
 from importlib.resources import files
 from io import BytesIO
-from pathlib import Path
 
 import numpy as np
 
@@ -24,6 +22,7 @@ from dashpot.export.fmu.tables import c_tables
 from dashpot.export.identified_rig import IdentifiedRig
 from dashpot.export.state_space import SUFFIXES, StateSpace, state_space_of
 from dashpot.io.atomic import write_bytes
+from dashpot.io.scratch import scratch
 
 STEPS_PER_PERIOD = 100  # of the fastest mode, of the step size that the description proposes
 COMPILERS = ("cc", "gcc", "clang")
@@ -104,20 +103,20 @@ def _compiled(contents: Mapping[str, bytes]) -> bytes | None:
     )
     if compiler is None:
         return None
-    with tempfile.TemporaryDirectory(prefix="dashpot-fmu-") as folder:
+    with scratch() as between:
         for name in (SOURCE, "rig.h"):
-            Path(folder, name).write_bytes(contents[f"sources/{name}"])
+            between.write(name, contents[f"sources/{name}"])
         command = [compiler, "-std=c99", "-O2", "-shared", "-o", "unit", SOURCE]
         command += [] if sys.platform == "win32" else ["-fPIC", "-lm"]
         try:
             done = subprocess.run(
-                command, cwd=folder, capture_output=True, text=True, timeout=TIME_LIMIT, check=False
+                command, cwd=between.folder, capture_output=True, text=True, timeout=TIME_LIMIT, check=False
             )
         except (OSError, subprocess.TimeoutExpired) as error:
             raise _refused(compiler, str(error)) from None
         if done.returncode:
             raise _refused(compiler, done.stderr)
-        return Path(folder, "unit").read_bytes()
+        return between.read("unit")
 
 
 def _refused(compiler: str, text: str) -> UsageError:
