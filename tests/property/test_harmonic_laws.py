@@ -40,10 +40,11 @@ def same(a, b):
 @settings(max_examples=30)
 @given(st.lists(records(), min_size=2, max_size=4), st.data(), st.booleans())
 def test_spectra_of_settled_records_add(many, data, moments):
+    """As long as nothing is decided by all dwells together."""
     cut = data.draw(st.integers(1, len(many) - 1))
-    whole = spectrum(many, moments=moments, transients="none")
-    parts = spectrum(many[:cut], moments=moments, transients="none")
-    parts = parts + spectrum(many[cut:], moments=moments, transients="none")
+    each = {"moments": moments, "transients": "none", "refine": "none", "drift": 1, "noise": "own"}
+    whole = spectrum(many, **each)
+    parts = spectrum(many[:cut], **each) + spectrum(many[cut:], **each)
     same(whole, parts)
     if moments:
         np.testing.assert_array_equal(whole.moments.products, parts.moments.products)

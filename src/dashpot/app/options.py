@@ -140,17 +140,19 @@ def conditioning_options(function: Function) -> Function:
         option(
             "--drift", type=click.Choice(["auto", "none", "0", "1", "2", "3"]), default="auto", show_default=True,
             group=RECORDS,
-            help="Degree of the polynomial removed from each dwell: 0 removes the mean, auto (1) a straight line.",
+            help="Degree of the polynomial removed from each dwell: 0 removes the mean, 1 a straight line; auto is 1, "
+            "and 0 where short dwells show no slope.",
         ),
         option(
-            "--noise", type=click.Choice(["auto", "white", "blocks"]), default="auto", show_default=True, group=RECORDS,
+            "--noise", type=click.Choice(["auto", "own", "white", "blocks"]), default="auto", show_default=True, group=RECORDS,
             help="How the noise of the amplitudes is estimated from the residuals: as white, or from blocks of "
-            "neighbouring frequencies; auto tests for whiteness.",
+            "neighbouring frequencies; own tests for whiteness; auto does too, and lets short dwells lean on the others.",
         ),
         option(
-            "--refine", type=click.Choice(["auto", "none"]), alone="auto", default="none",
+            "--refine", type=click.Choice(["auto", "always", "none"]), alone="always", default="auto",
             show_default=True, group=RECORDS,
-            help="Estimate the true drive frequency near the stated one; --refine alone is auto.",
+            help="Estimate the true drive frequency near the stated one: where all dwells together show that it is off "
+            "(auto; refused where a record moves elsewhere), always, or never; --refine alone is always.",
         ),
         option(
             "--settle", type=SETTLING, alone="auto", default="none", show_default=True,

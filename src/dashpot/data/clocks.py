@@ -19,6 +19,7 @@ from dashpot.data.calibration import calibration
 from dashpot.data.conditioning.drive_frequency import refine_frequency
 from dashpot.data.conditioning.harmonic_fit import fit_harmonics
 from dashpot.data.conditioning.settings import Conditioning
+from dashpot.data.conditioning.stated_frequency import OWN
 from dashpot.data.conditioning.steady_state import settled, without_start
 from dashpot.data.record import Record
 from dashpot.data.spectrum import Spectrum
@@ -308,9 +309,12 @@ def _treated(parts: Sequence[Record], settings: Conditioning) -> list[Record]:
         ]
     elif settings.settle != "none":
         parts = [without_start(part, float(settings.settle)) for part in parts]
-    if settings.nominal_frequency:
+    if settings.refine == "none":
         return list(parts)
     refined = [refine_frequency(part, drift=settings.drift) for part in parts]
     weights = np.array([1 / max(r.sd, 1e-15) ** 2 for r in refined])
     frequency = float(np.sum(weights * np.array([r.frequency_hz for r in refined])) / np.sum(weights))
+    beyond = abs(frequency - refined[0].nominal_hz) * np.sqrt(np.sum(weights)) > OWN
+    if settings.refine == "auto" and not beyond:
+        return list(parts)
     return [replace(part, frequency_hz=frequency) for part in parts]

@@ -106,9 +106,11 @@ def test_words_of_a_type_stand_beside_its_values() -> None:
     assert kind.convert("2", None, None) == 2.0
 
 
-@pytest.mark.parametrize("option", ["--settle", "--refine"])
-def test_a_treatment_may_be_named_alone_anywhere(dashpot: Command, data: Path, option: str) -> None:
-    whole = dashpot("spectrum", "rig.toml", "data.csv", "-o", "a.csv", option, "auto")
+@pytest.mark.parametrize(("option", "value"), [("--settle", "auto"), ("--refine", "always")])
+def test_a_treatment_may_be_named_alone_anywhere(
+    dashpot: Command, data: Path, option: str, value: str
+) -> None:
+    whole = dashpot("spectrum", "rig.toml", "data.csv", "-o", "a.csv", option, value)
     assert whole.code == 0, whole.err
     for args in (
         (option, "rig.toml", "data.csv"),

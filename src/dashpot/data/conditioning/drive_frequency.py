@@ -42,7 +42,7 @@ def refine_frequency(
     f = _peak(record, nominal, search)
     sd = np.inf
     for _ in range(30):
-        step, sd = _frequency_step(record, f, degree)
+        step, sd = frequency_step(record, f, degree)
         f += float(np.clip(step, -0.25 / T, 0.25 / T))
         if abs(f - nominal) > search + 1 / T or f <= 0:
             break
@@ -87,7 +87,7 @@ def _peak(record: Record, nominal: float, search: float) -> float:
     return nominal + float(offset[int(np.argmax(likelihood))])
 
 
-def _frequency_step(record: Record, f: float, degree: int) -> tuple[float, float]:
+def frequency_step(record: Record, f: float, degree: int) -> tuple[float, float]:
     """Gauss-Newton step of the frequency and its standard deviation, Hz.
 
     With the columns s cos, s sin (s = (t − centre)/half) added, a frequency error δ shows as their coefficients

@@ -8,13 +8,24 @@ from typing import Unpack
 
 import numpy as np
 
+from dashpot.arrays import Real
 from dashpot.data.calibration import calibration
 from dashpot.data.conditioning.clock import FEWEST
+from dashpot.data.conditioning.drift import LEVEL as DRIFT_LEVEL
+from dashpot.data.conditioning.drift import slope_costs, slopes_show
 from dashpot.data.conditioning.drive_frequency import refine_frequency
-from dashpot.data.conditioning.harmonic_fit import fit_harmonics
+from dashpot.data.conditioning.harmonic_fit import HarmonicFit, fit_harmonics
+from dashpot.data.conditioning.moderated import moderated
+from dashpot.data.conditioning.quantisation import rounding_floor, rounding_steps
 from dashpot.data.conditioning.sample_moments import second_moments
 from dashpot.data.conditioning.settings import Conditioning, Treatments, conditioning_of
-from dashpot.data.conditioning.steady_state import settled, without_start
+from dashpot.data.conditioning.stated_frequency import at_frequencies, drive_frequencies, require_stated
+from dashpot.data.conditioning.steady_state import (
+    driven_throughout,
+    periods_of,
+    settled,
+    without_start,
+)
 from dashpot.data.conditioning.transients import LEVEL, continuous, dwells_with_transients, transients_show
 from dashpot.data.conditioning.whole_record import whole_records
 from dashpot.data.record import Record
@@ -22,6 +33,8 @@ from dashpot.data.spectrum import Spectrum, concatenate
 from dashpot.data.stretch import SettledDwell
 from dashpot.errors import DataError
 from dashpot.notices import Notice
+
+LONG_ENOUGH = 8  # periods that must be left of a dwell that rests for a part
 
 
 def spectrum(
@@ -31,7 +44,8 @@ def spectrum(
 
     A settled dwell gives a line for each order; records without a frequency, dwells that follow each other in time, and
     dwells that have not settled give all their lines, with boundary loads for their transients.  `conditioning`, or its
-    fields as keywords, says how.  Settled dwells add: spectrum(a + b) == spectrum(a) + spectrum(b).
+    fields as keywords, says how.  Settled dwells add, spectrum(a + b) == spectrum(a) + spectrum(b), where nothing is
+    "auto": what is, all dwells decide together.
     Raises DataError as Conditioning, `fit_harmonics` and `whole_record`.
     """
     settings = conditioning_of(conditioning, treatments)
@@ -41,10 +55,8 @@ def spectrum(
     whole = [record for record in joined if record.frequency_hz is None]
     dwells = [record for record in joined if record.frequency_hz is not None]
     parts = []
-    if dwells and settings.dwells_may_be_whole and _unsettled(dwells, settings):
-        parts.append(dwells_with_transients(dwells, settings.band, settings.still))
-    else:
-        parts += [_lines(record, settings) for record in dwells]
+    if dwells:
+        parts.append(_of_dwells(dwells, settings))
     if whole:
         parts.append(
             whole_records(whole, band_hz=settings.band, still=settings.still, ramp=settings.degree > 0)
@@ -52,26 +64,74 @@ def spectrum(
     return concatenate(parts)
 
 
+def _of_dwells(dwells: Sequence[Record], settings: Conditioning) -> Spectrum:
+    """The lines of dwells, treated as all of them together ask for: what was driven, frequency, settling, drift."""
+    dwells, notes = _driven_parts(dwells, settings)
+    if settings.refine == "auto":
+        require_stated(dwells, settings.orders)
+        drive = drive_frequencies(dwells)
+        notes += drive.note(dwells)
+        dwells = at_frequencies(dwells, drive)
+    if settings.dwells_may_be_whole and _unsettled(dwells, settings):
+        lines = dwells_with_transients(dwells, settings.band, settings.still)
+        return replace(lines, notes=(*notes, *lines.notes))
+    if settings.drift == "auto" and slope_costs(dwells):
+        p = slopes_show(dwells, settings.orders)
+        settings = settings.changed(drift=0 if p > DRIFT_LEVEL else 1)
+        what = "an offset alone is" if p > DRIFT_LEVEL else "offset and slope are"
+        text = f"{what} taken out of each dwell: drift over all dwells has p = {p:.2g}"
+        notes.append(Notice("drift_by_evidence", text))
+    steps = rounding_steps(dwells)
+    lines = concatenate([_lines(record, settings, steps) for record in dwells])
+    if settings.orders == (1,) and settings.noise == "auto":
+        lines = moderated(lines)
+    return replace(lines, notes=(*notes, *lines.notes))
+
+
 def _unsettled(dwells: Sequence[Record], settings: Conditioning) -> bool:
     """Whether dwells are to be used with their transients: asked for, or seen in a test of all of them together."""
     if settings.transients == "estimate":
         return True
     usable = all(record.values.ndim == 2 and len(record.time) >= FEWEST for record in dwells)
-    return usable and transients_show(dwells) < LEVEL
+    return usable and (
+        transients_show(dwells) < LEVEL or not all(driven_throughout(record) for record in dwells)
+    )
 
 
-def _lines(record: Record, settings: Conditioning) -> Spectrum:
-    """The lines of one record."""
-    record, notes = _treated(record, settings)
+def _driven_parts(dwells: Sequence[Record], settings: Conditioning) -> tuple[list[Record], list[Notice]]:
+    """The dwells without their starts as `settle` says; with "none", those that rest for a part cut to what is driven.
+
+    A dwell that is driven for too few periods to see its transient decay is left whole.
+    """
+    if settings.settle not in ("auto", "none"):
+        return [without_start(record, float(settings.settle)) for record in dwells], []
+    if settings.settle == "none" and settings.transients != "auto":
+        return list(dwells), []
+    kept, notes = [], []
+    for record in dwells:
+        if settings.settle == "none" and driven_throughout(record):
+            kept.append(record)
+            continue
+        part = settled(record)
+        enough = settings.settle == "auto" or periods_of(part.record) >= LONG_ENOUGH
+        kept.append(part.record if enough else record)
+        notes += [part.note] if enough and part.note is not None else []
+    return kept, notes
+
+
+def _lines(record: Record, settings: Conditioning, steps: Real) -> Spectrum:
+    """The lines of one record, whose channels are rounded to `steps` (channels,)."""
+    record, notes = _at_its_frequency(record, settings)
     fit = fit_harmonics(record, None, settings)
     wanted = [fit.orders.index(order) for order in settings.orders]
     frequencies = fit.frequency_hz * np.array([fit.orders[i] for i in wanted], dtype=float)
     h = calibration(record.channels, frequencies)
+    covariance = fit.covariance[..., wanted, :, :] + _rounding(record, fit, wanted, steps)
     return Spectrum(
         record.channels,
         frequencies,
         fit.amplitudes[..., wanted, :] * h,
-        fit.covariance[..., wanted, :, :] * h[:, :, None] * np.conj(h)[:, None, :],
+        covariance * h[:, :, None] * np.conj(h)[:, None, :],
         np.full(len(wanted), fit.samples),
         fit.dof[wanted],
         (fit.noise,) * len(wanted),
@@ -82,6 +142,22 @@ def _lines(record: Record, settings: Conditioning) -> Spectrum:
     )
 
 
+def _rounding(record: Record, fit: HarmonicFit, wanted: Sequence[int], steps: Real) -> Real:
+    """What rounding adds to the covariance of the wanted orders, (..., orders, channels, channels)."""
+    if not np.any(steps > 0):
+        return np.zeros(1)
+    channels = len(steps)
+    size = np.max(np.abs(fit.amplitudes), axis=-2).reshape(-1, channels)
+    sd = np.sqrt(np.diagonal(fit.residual_covariance, axis1=-2, axis2=-1)).reshape(-1, channels)
+    floor = np.array(
+        [rounding_floor(record, fit.frequency_hz, a, b, steps) for a, b in zip(size, sd, strict=True)]
+    )
+    variance = np.diagonal(fit.covariance, axis1=-2, axis2=-1).real[..., wanted, :]
+    missing = np.maximum(floor.reshape(*variance.shape[:-2], 1, channels) - variance, 0.0)
+    added: Real = missing[..., None] * np.eye(channels)
+    return added
+
+
 def _with_moments(record: Record, settings: Conditioning) -> bool:
     """Whether second moments are asked for, and with "auto" whether they can be had."""
     if settings.moments != "auto":
@@ -89,18 +165,12 @@ def _with_moments(record: Record, settings: Conditioning) -> bool:
     return settings.orders == (1,) and not any(channel.delay for channel in record.channels)
 
 
-def _treated(record: Record, settings: Conditioning) -> tuple[Record, list[Notice]]:
-    """The record settled and with its frequency refined, as far as that is wanted, and notes."""
-    notes: list[Notice] = []
-    if settings.settle == "auto":
-        part = settled(record)
-        record = part.record
-        notes += [] if part.note is None else [part.note]
-    elif settings.settle != "none":
-        record = without_start(record, float(settings.settle))
-    if settings.nominal_frequency:
-        return record, notes
+def _at_its_frequency(record: Record, settings: Conditioning) -> tuple[Record, list[Notice]]:
+    """The record with its frequency refined where that is always wanted, and a note."""
+    if settings.refine != "always":
+        return record, []
     refined = refine_frequency(record, drift=settings.drift)
+    notes = []
     if abs(refined.frequency_hz - refined.nominal_hz) > 3 * refined.sd:
         text = f"{record.source}: driven at {refined.frequency_hz:.7g} Hz, not at {refined.nominal_hz:.7g} Hz"
         notes.append(Notice("frequency_refined", text, (record.source,)))

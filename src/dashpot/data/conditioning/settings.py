@@ -9,11 +9,11 @@ from typing import Literal, TypedDict, Unpack
 from dashpot.data.conditioning.still import Still
 from dashpot.errors import DataError
 
-Noise = Literal["auto", "white", "blocks"]
+Noise = Literal["auto", "own", "white", "blocks"]
 Harmonics = Sequence[int] | Literal["auto", "none"] | None
 Drift = int | Literal["auto", "none"] | None
 Settle = bool | float | Literal["auto", "none"]
-Refine = bool | Literal["auto", "none"]
+Refine = bool | Literal["auto", "always", "none"]
 SampleMoments = bool | Literal["auto"]
 Transients = Literal["auto", "estimate", "none"]
 Band = tuple[float, float] | Literal["auto"]
@@ -49,11 +49,14 @@ class Conditioning:
     orders     multiples of the drive frequency whose amplitudes are wanted
     harmonics  multiples solved for beside them, so that they do not count as noise; "auto" (or None): those up to the
                tenth below half the sampling rate that are significant
-    drift      degree of the polynomial taken out; 0 is an offset alone, "none" (or None) not even that, "auto" is 1
+    drift      degree of the polynomial taken out; 0 is an offset alone, "none" (or None) not even that; "auto" is 1, and
+               0 where some dwell is short and one test of all dwells shows no slope
     noise      "white": covariance of least squares; "blocks": the spectrum of the residual beside each harmonic;
-               "auto" takes "white" unless the residual is coloured and there are enough periods
+               "own" takes "white" unless the residual is coloured and there are enough periods; "auto" does so too, and
+               lets dwells of few samples lean on the noise of the others
     moments    add the second moments of the samples (order 1 alone); "auto": where they can be had
-    refine     "auto" (or True): the most likely frequency near the stated one; "none" (or False): the stated one
+    refine     "auto": the stated frequency, refused where the record moves elsewhere and refined where all dwells
+               together show that it is off; "always" (or True): the most likely one near it; "none" (or False): as stated
     settle     "auto" (or True): drop the transient of each record; a number: drop that many seconds; "none" (or False)
     transients "auto": records without a frequency and dwells that follow each other in time are whole records, and so
                are dwells that have not settled; "estimate": every dwell is; "none": every dwell counts as settled
@@ -65,10 +68,10 @@ class Conditioning:
 
     orders: Sequence[int] = (1,)
     harmonics: Harmonics = "auto"
-    drift: Drift = USUAL_DRIFT
+    drift: Drift = "auto"
     noise: Noise = "auto"
     moments: SampleMoments = False
-    refine: Refine = "none"
+    refine: Refine = "auto"
     settle: Settle = "none"
     transients: Transients = "auto"
     band_hz: Band = "auto"
@@ -89,10 +92,10 @@ class Conditioning:
             object.__setattr__(self, "drift", "none")
         if not 0 <= self.degree + 1 <= HIGHEST_DRIFT:
             raise DataError(f"a drift of degree {self.degree}", cure='give a degree from 0, or "none"')
-        for name in ("refine", "settle"):
+        for name, on in (("refine", "always"), ("settle", "auto")):
             value = getattr(self, name)
             if isinstance(value, bool):
-                object.__setattr__(self, name, "auto" if value else "none")
+                object.__setattr__(self, name, on if value else "none")
         if isinstance(self.settle, int | float) and not 0 <= self.settle < 1e12:
             raise DataError(f"a settling time of {self.settle:g} s", cure="give a time that is not negative")
         if self.band_hz != "auto" and not 0 <= self.band_hz[0] < self.band_hz[1] < 1e12:
@@ -125,13 +128,8 @@ class Conditioning:
     @property
     def dwells_may_be_whole(self) -> bool:
         """Whether dwells may count as whole records: nothing is asked of them that is a steady state's."""
-        plain = self.orders == (1,) and self.settle == "none" and self.refine == "none"
+        plain = self.orders == (1,) and self.settle == "none" and self.refine != "always"
         return plain and not self.moments and self.transients != "none"
-
-    @property
-    def nominal_frequency(self) -> bool:
-        """The stated frequency is taken as it is."""
-        return self.refine == "none"
 
     def changed(self, **treatments: Unpack[Treatments]) -> Conditioning:
         """The same with some treatments changed."""

@@ -14,6 +14,7 @@ from dashpot.errors import DataError
 from dashpot.notices import Notice
 
 SIGNIFICANT = 0.01
+HEARD = 6.0  # sd of a block's amplitude that a channel must have to say whether it is driven
 
 
 @dataclass(frozen=True)
@@ -42,24 +43,18 @@ def settled(record: Record, frequency_hz: float | None = None) -> Settled:
     if f is None:
         raise DataError("the drive frequency is not known", record.source, "give the frequency of the record")
     time = record.time
-    periods = int(f * duration(time) + 1e-6)
-    each = max(1, periods // 32, int(np.ceil(8 * periods / len(time))))
-    blocks = periods // each
-    if blocks < 8:
-        text = f"{record.source}: {periods} periods at {f:g} Hz are too few to detect a transient"
+    blocks = _blocks(record, f)
+    if blocks is None:
+        periods = int(f * duration(time) + 1e-6)
+        text = f"{record.source}: {periods} periods at {f:g} Hz are too few to detect a transient, or have gaps"
         return Settled(record, 0, 0.0, Notice("transient_undetectable", text, (record.source,)))
-    step = (time[-1] - time[0]) / (len(time) - 1)
-    starts = np.searchsorted(time, time[-1] + step - (each / f) * np.arange(blocks, 0, -1) - step / 4)
-    ends = np.append(starts[1:], len(time))
-    if np.min(ends - starts) < 4:
-        text = f"{record.source}: too many gaps to detect a transient"
-        return Settled(record, 0, 0.0, Notice("transient_undetectable", text, (record.source,)))
+    starts, ends = blocks
     Z, rms = _block_amplitudes(record, f, starts, ends)
     begin, end = _driven(Z)
     if end - begin >= 8:
         begin += _truncation(_features(Z[begin:end], rms[begin:end], float(np.max(np.abs(record.values)))))
     first = 0 if begin == 0 else int(starts[begin])
-    last = len(time) if end == blocks else int(starts[end])
+    last = len(time) if end == len(starts) else int(starts[end])
     dropped = len(time) - (last - first)
     if not dropped:
         return Settled(record, 0, 0.0, None)
@@ -86,6 +81,40 @@ def without_start(record: Record, seconds: float) -> Record:
     return replace(record, time=record.time[first:], values=record.values[..., first:, :])
 
 
+def periods_of(record: Record) -> float:
+    """Periods of the drive that a record lasts; 0 without a frequency."""
+    return 0.0 if record.frequency_hz is None else record.frequency_hz * duration(record.time)
+
+
+def driven_throughout(record: Record) -> bool:
+    """Whether a dwell moves from its first period to its last; True where it has too few periods to tell."""
+    f = record.frequency_hz
+    if f is None or record.values.ndim != 2:
+        return True
+    blocks = _blocks(record, f)
+    if blocks is None:
+        return True
+    starts, ends = blocks
+    Z, rms = _block_amplitudes(record, f, starts, ends)
+    noise = np.median(rms, axis=0) * np.sqrt(4 / np.min(ends - starts))
+    heard = _level(np.abs(Z)) > HEARD * noise
+    return not np.any(heard) or _driven(Z[:, heard]) == (0, len(starts))
+
+
+def _blocks(record: Record, f: float) -> tuple[Ints, Ints] | None:
+    """Where blocks of whole periods, counted from the end, start and end; None where they are too few."""
+    time = record.time
+    periods = int(f * duration(time) + 1e-6)
+    each = max(1, periods // 32, int(np.ceil(8 * periods / len(time))))
+    blocks = periods // each
+    if blocks < 8:
+        return None
+    step = (time[-1] - time[0]) / (len(time) - 1)
+    starts = np.searchsorted(time, time[-1] + step - (each / f) * np.arange(blocks, 0, -1) - step / 4)
+    ends = np.append(starts[1:], len(time))
+    return None if np.min(ends - starts) < 4 else (starts, ends)
+
+
 def _block_amplitudes(record: Record, f: float, starts: Ints, ends: Ints) -> tuple[Complex, Real]:
     """Amplitude and residual rms of each block, both (blocks, batch · channels)."""
     samples, channels = record.values.shape[-2:]
@@ -107,7 +136,7 @@ def _driven(Z: Complex) -> tuple[int, int]:
     A channel's level is the greatest that it keeps for four blocks.
     """
     size = np.abs(Z)
-    level = np.max(np.min(np.lib.stride_tricks.sliding_window_view(size, 4, axis=0), axis=-1), axis=0)
+    level = _level(size)
     on = np.ones(len(Z), dtype=bool)
     if np.any(level > 0):
         on = np.median(size[:, level > 0] / level[level > 0], axis=1) > 0.5
@@ -117,6 +146,12 @@ def _driven(Z: Complex) -> tuple[int, int]:
     if end - begin < 4:
         return 0, len(Z)
     return begin + (begin > 0), end - (end < len(Z))
+
+
+def _level(size: Real) -> Real:
+    """The greatest amplitude that each channel keeps for four blocks, (channels,), of (blocks, channels)."""
+    level: Real = np.max(np.min(np.lib.stride_tricks.sliding_window_view(size, 4, axis=0), axis=-1), axis=0)
+    return level
 
 
 def _features(Z: Complex, rms: Real, largest: float) -> Real:

@@ -70,8 +70,8 @@ class _Conditioning(_Strict):
     orders: str | list[int] | None = None
     harmonics: list[int] | Literal["auto", "none"] | None = None
     drift: int | Literal["auto", "none"] | None = None
-    noise: Literal["auto", "white", "blocks"] | None = None
-    refine: bool | Literal["auto", "none"] | None = None
+    noise: Literal["auto", "own", "white", "blocks"] | None = None
+    refine: bool | Literal["auto", "always", "none"] | None = None
     settle: bool | float | Literal["auto", "none"] | None = None
 
 

@@ -11,7 +11,7 @@ from dashpot.notices import Notice
 RECORD_REMEDIES: Mapping[str, str] = MappingProxyType(
     {
         "coloured_noise": (
-            "a transient or a slightly wrong drive frequency looks the same: try --settle auto and --refine auto"
+            "a transient or a slightly wrong drive frequency looks the same: try --settle auto and --refine always"
         ),
         "transient_undetectable": "state the settling time, such as --settle 2s",
     }

@@ -17,8 +17,8 @@ def test_words_and_values_mean_the_same():
     assert Conditioning(harmonics=None) == Conditioning(harmonics="auto") == Conditioning()
     assert Conditioning(harmonics="none") == Conditioning(harmonics=())
     assert Conditioning(drift=None) == Conditioning(drift="none")
-    assert Conditioning(refine=True, settle=True) == Conditioning(refine="auto", settle="auto")
-    assert Conditioning(refine=False, settle=False) == Conditioning()
+    assert Conditioning(refine=True, settle=True) == Conditioning(refine="always", settle="auto")
+    assert Conditioning(refine=False, settle=False) == Conditioning(refine="none")
     assert Conditioning(orders=[3, 1, 3]).orders == (1, 3)
     assert [Conditioning(drift=d).degree for d in ("none", "auto", 0, 3)] == [-1, 1, 0, 3]
     assert Conditioning().nuisance_orders is None

@@ -1,0 +1,189 @@
+"""Whether records move at the frequency that is stated for them: refused where they do not, refined by evidence.
+
+A wrong label, rad/s in the place of Hz, or a time base that is wrong make every amplitude noise; a frequency that is off
+by a per cent turns the motion's phase within the dwell, and the residual is then no noise.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy import fft
+from scipy.special import chdtrc
+
+from dashpot.arrays import Real
+from dashpot.data.conditioning.drive_frequency import frequency_step, refine_frequency
+from dashpot.data.conditioning.regression import duration
+from dashpot.data.record import Record
+from dashpot.errors import DataError, Problem
+from dashpot.notices import Notice
+
+DOMINANT = 0.5  # part of a channel's power that one sine explains: that is what it moves at
+ABSENT = 0.05  # part of a channel's power below which nothing is seen at the stated frequency
+WITHIN = 0.025  # relative error of a stated frequency that is corrected, not refused
+PADDED = 4  # points a line
+MOST_SAMPLES = 1 << 18  # of a record that are looked at, and repeats
+MOST_REPEATS = 4
+SIGNIFICANT = 1e-3
+OWN = 3.3  # standard deviations by which a dwell must differ from the common ratio to have a frequency of its own
+EVEN = 1e-7  # relative: what is nearer is the same frequency, however small the noise
+USUAL = ((2 * np.pi, "rad/s"), (1 / (2 * np.pi), "Hz in the place of rad/s"), (60.0, "per minute"))
+ALIKE = 0.05  # relative
+
+
+@dataclass(frozen=True)
+class DriveFrequencies:
+    """The frequency of each dwell, Hz, and what was found: "stated", "clock" (one ratio for all) or "own"."""
+
+    frequency_hz: tuple[float, ...]
+    kind: str = "stated"
+    ratio: float = 1.0
+
+    def note(self, records: Sequence[Record]) -> list[Notice]:
+        """What was changed, in words; nothing where the stated frequencies are used."""
+        stated = np.array([record.frequency_hz for record in records], dtype=float)
+        moved = np.flatnonzero(np.array(self.frequency_hz) != stated)
+        if not len(moved):
+            return []
+        if self.kind == "clock":
+            text = (
+                f"the records move at {self.ratio:.6g} × the stated frequencies (all {len(records)} dwells alike): used"
+            )
+            return [Notice("clock_refined", text)]
+        return [
+            Notice(
+                "frequency_refined",
+                f"{records[k].source}: driven at {self.frequency_hz[k]:.7g} Hz, not at {stated[k]:.7g} Hz",
+                (records[k].source,),
+            )
+            for k in moved.tolist()
+        ]
+
+
+def require_stated(records: Sequence[Record], orders: Sequence[int]) -> None:
+    """Raises DataError, one problem for each dwell, where records move at other frequencies than are stated."""
+    problems, ratios = [], []
+    for record in records:
+        peak = moves_elsewhere(record, orders)
+        if peak is None or record.frequency_hz is None:
+            continue
+        ratios.append(record.frequency_hz / peak)
+        problems.append((record, peak))
+    if not problems:
+        return
+    middle = float(np.median(ratios))
+    guess = next((f": {name}?" for ratio, name in USUAL if abs(middle / ratio - 1) < ALIKE), "")
+    if len(problems) > 1 and not guess and np.ptp(ratios) < ALIKE * middle:
+        guess = f": a time base or frequencies that are wrong by the factor {middle:.3g}?"
+    raise DataError(
+        [
+            Problem(
+                f"{record.frequency_hz:g} Hz is stated, the record moves at {peak:.3g} Hz{guess}",
+                record.source,
+                "correct the frequency or the time, or leave the record out",
+            )
+            for record, peak in problems
+        ]
+    )
+
+
+def moves_elsewhere(record: Record, orders: Sequence[int] = (1,)) -> float | None:
+    """The frequency, Hz, at which most channels move where none moves at the stated one; None where all is well.
+
+    A channel moves at what one sine explains half of its power by; nothing is seen at the stated frequency (or its
+    `orders`) where it explains less than a twentieth in every channel.
+    """
+    f = record.frequency_hz
+    count = min(len(record.time), MOST_SAMPLES)
+    if f is None or count < 8:
+        return None
+    time = record.time[:count]
+    step = float(time[-1] - time[0]) / (count - 1)
+    if f > 0.45 / step:
+        return None  # too near to half the sampling rate to tell
+    values = record.values.reshape(-1, *record.values.shape[-2:])[:MOST_REPEATS, :count]
+    Y = np.moveaxis(values, 1, 0).reshape(count, -1)
+    line = np.arange(count) - (count - 1) / 2
+    Y = Y - Y.mean(axis=0)
+    Y = Y - np.outer(line, line @ Y / (line @ line))
+    power = np.sum(Y**2, axis=0)
+    Y = Y[:, power > 1e-20 * count * np.max(np.abs(values), initial=0.0) ** 2]
+    if not Y.shape[1]:
+        return None
+    size = int(fft.next_fast_len(PADDED * count))
+    share = np.minimum(2 * np.abs(fft.rfft(Y, size, axis=0)) ** 2 / (count * np.sum(Y**2, axis=0)), 1.0)
+    frequency = np.arange(len(share)) / (size * step)
+    resolution = 1 / (count * step)
+    here = np.zeros(len(frequency), dtype=bool)
+    for order in orders:
+        here |= np.abs(frequency - order * f) <= max(resolution, WITHIN * order * f)
+    if np.max(share[here], initial=0.0) > ABSENT:
+        return None
+    peaks = np.argmax(share, axis=0)
+    dominant = peaks[share[peaks, np.arange(share.shape[1])] > DOMINANT]
+    if 2 * len(dominant) < share.shape[1] or not len(dominant):
+        return None
+    peak = float(np.median(frequency[dominant]))
+    alike = np.abs(frequency[dominant] - peak) <= resolution
+    return peak if 2 * np.sum(alike) >= share.shape[1] else None
+
+
+def drive_frequencies(records: Sequence[Record]) -> DriveFrequencies:
+    """The frequencies of the drive: as stated, unless all dwells together show that they are off (p < 1e-3).
+
+    Where one ratio, of two clocks, explains it, all dwells get it; a dwell that differs from it gets its own.
+    """
+    stated = np.array([record.frequency_hz for record in records], dtype=float)
+    steps = [_evidence(record) for record in records]
+    z = np.array([0.0 if step is None else step[0] / step[1] for step in steps])
+    tested = int(np.sum([step is not None for step in steps]))
+    if not tested or float(chdtrc(tested, float(z @ z))) > SIGNIFICANT:
+        return DriveFrequencies(tuple(stated.tolist()))
+    frequency, sd = _refined(records, stated)
+    off = frequency / stated - 1
+    weight = (stated / sd) ** 2
+    ratio = 1 + float(weight @ off) / float(np.sum(weight)) if np.sum(weight) > 0 else 1.0
+    apart = np.abs(frequency - ratio * stated) > np.maximum(OWN * sd, EVEN * stated)
+    if tested > 2 and np.sum(apart) <= 0.1 * tested:
+        used = np.where(apart, frequency, ratio * stated)
+        return DriveFrequencies(tuple(used.tolist()), "own" if np.any(apart) else "clock", ratio)
+    used = np.where(np.abs(frequency - stated) > np.maximum(OWN * sd, EVEN * stated), frequency, stated)
+    return DriveFrequencies(tuple(used.tolist()), "own")
+
+
+def _evidence(record: Record) -> tuple[float, float] | None:
+    """(step of the frequency that the samples ask for, its sd), Hz; None where a dwell says nothing of it."""
+    f = record.frequency_hz
+    if f is None or f * duration(record.time) < 2 or len(record.time) < 12:
+        return None
+    try:
+        step, sd = frequency_step(record, f, 1)
+    except DataError:
+        return None
+    return (step, sd) if np.isfinite(sd) and sd > 0 else None
+
+
+def _refined(records: Sequence[Record], stated: Real) -> tuple[Real, Real]:
+    """Refined frequencies and their sd; as stated with an infinite sd where there is none near."""
+    frequency, sd = stated.copy(), np.full(len(stated), np.inf)
+    for k, record in enumerate(records):
+        if _evidence(record) is None:
+            continue
+        try:
+            found = refine_frequency(record, within=WITHIN)
+        except DataError:
+            continue
+        near = max(WITHIN * stated[k], 0.25 / duration(record.time))
+        if abs(found.frequency_hz - stated[k]) <= near:
+            frequency[k], sd[k] = found.frequency_hz, found.sd
+    return frequency, sd
+
+
+def at_frequencies(records: Sequence[Record], drive: DriveFrequencies) -> list[Record]:
+    """The records at the frequencies found."""
+    return [
+        record if record.frequency_hz == f else replace(record, frequency_hz=f)
+        for record, f in zip(records, drive.frequency_hz, strict=True)
+    ]

@@ -1,0 +1,80 @@
+"""Whether records move where it is stated: refused elsewhere, refined by evidence, left alone otherwise."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from dashpot.channel import Quantity
+from dashpot.data.conditioning.lines import spectrum
+from dashpot.data.conditioning.stated_frequency import drive_frequencies, moves_elsewhere
+from dashpot.data.record import Record
+from dashpot.errors import DataError
+from tests import rigs
+
+RIG = rigs.paper_rig()
+CHANNELS = rigs.channels(RIG, (Quantity.DISPLACEMENT,))
+
+
+def dwells(seed: int, *, noise: float = 0.1, periods: float = 4.0, stated: float = 1.0) -> list[Record]:
+    """25 dwells of the paper's rig, their frequencies stated `stated` times too high."""
+    rng = np.random.default_rng(seed)
+    records = rigs.records(RIG, CHANNELS, rng, samples=int(16 * periods), periods=periods, relative=noise)
+    return [replace(r, frequency_hz=stated * (r.frequency_hz or 0.0)) for r in records]
+
+
+def test_radians_per_second_are_refused_and_named() -> None:
+    with pytest.raises(DataError) as refused:
+        spectrum(dwells(1, periods=20.0, stated=2 * np.pi))
+    assert len(refused.value.problems) == 25
+    assert "is stated, the record moves at" in str(refused.value)
+    assert "rad/s?" in str(refused.value)
+
+
+def test_a_time_base_twice_too_fast_is_refused() -> None:
+    with pytest.raises(DataError, match="wrong by the factor 2"):
+        spectrum(dwells(2, periods=10.0, stated=2.0))
+
+
+def test_a_mislabelled_dwell_is_named_alone() -> None:
+    records = dwells(3, periods=10.0)
+    records[7] = replace(records[7], frequency_hz=1.3 * (records[7].frequency_hz or 0.0), source="run8.csv")
+    with pytest.raises(DataError, match=r"run8.csv: .* is stated, the record moves at") as refused:
+        spectrum(records)
+    assert len(refused.value.problems) == 1
+    assert spectrum(records, refine="none").lines == 25
+
+
+def test_noise_and_dead_channels_are_no_motion_elsewhere() -> None:
+    """2,000 records of noise alone: none dominated by one line of 64 samples, whatever is stated."""
+    rng = np.random.default_rng(4)
+    t = np.arange(64) / 64
+    noise = [Record(CHANNELS, t, rng.normal(size=(64, 3)), 5.0) for _ in range(200)]
+    assert [moves_elsewhere(record) for record in noise] == [None] * 200
+    assert moves_elsewhere(Record(CHANNELS, t, np.zeros((64, 3)), 5.0)) is None
+
+
+def test_one_ratio_of_clocks_is_found_and_taken_out() -> None:
+    records = dwells(5, noise=0.02, periods=10.0, stated=1.004)
+    drive = drive_frequencies(records)
+    assert drive.kind == "clock"
+    assert drive.ratio == pytest.approx(1 / 1.004, abs=2e-5)
+    lines = spectrum(records)
+    np.testing.assert_allclose(lines.frequency_hz, RIG.frequency_hz, rtol=2e-5)
+    assert [note.code for note in lines.notes] == ["clock_refined"]
+
+
+def test_one_dwell_gets_a_frequency_of_its_own() -> None:
+    records = dwells(6, noise=0.02, periods=10.0)
+    records[3] = replace(records[3], frequency_hz=1.01 * (records[3].frequency_hz or 0.0))
+    lines = spectrum(records)
+    assert lines.frequency_hz[3] == pytest.approx(RIG.frequency_hz[3], rel=1e-3)
+    assert [note.code for note in lines.notes] == ["frequency_refined"]
+
+
+def test_frequencies_that_are_right_are_left_alone() -> None:
+    """60 tests of 25 dwells, p < 1e-3 each: at most one false alarm with a probability of 0.998."""
+    alarms = sum(drive_frequencies(dwells(100 + k)).kind != "stated" for k in range(60))
+    assert alarms <= 1
