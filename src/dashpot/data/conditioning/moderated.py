@@ -18,7 +18,9 @@ from dashpot.notices import Notice
 
 FEW = 50  # degrees of freedom from which on a dwell knows its own noise well enough
 FEWEST_LINES = 3
-FOR_A_SLOPE = 6  # lines from which on it is asked how the noise goes with the amplitude; below it is proportional
+FOR_A_SLOPE = (
+    6  # lines from which on it is asked how the noise goes with the amplitude; below it is proportional
+)
 LEAST = 4.0  # degrees of freedom beyond the channels: below, a weight has no mean
 
 

@@ -46,7 +46,9 @@ def settled(record: Record, frequency_hz: float | None = None) -> Settled:
     blocks = _blocks(record, f)
     if blocks is None:
         periods = int(f * duration(time) + 1e-6)
-        text = f"{record.source}: {periods} periods at {f:g} Hz are too few to detect a transient, or have gaps"
+        text = (
+            f"{record.source}: {periods} periods at {f:g} Hz are too few to detect a transient, or have gaps"
+        )
         return Settled(record, 0, 0.0, Notice("transient_undetectable", text, (record.source,)))
     starts, ends = blocks
     Z, rms = _block_amplitudes(record, f, starts, ends)

@@ -10,7 +10,7 @@ import pytest
 from dashpot.data.conditioning.lines import spectrum
 from dashpot.data.conditioning.quantisation import distinct_phases, rounding_steps
 from dashpot.data.record import Record
-from tests.unit.data.conditioning.signals import U, X1, wave
+from tests.unit.data.conditioning.signals import X1, U, wave
 
 STEP = 0.01
 
@@ -66,6 +66,7 @@ def test_a_channel_on_one_code_is_not_exact() -> None:
 def test_noise_that_dithers_is_left_as_the_residual_shows_it() -> None:
     noisy = [dwell(2.0, 0.3 + 0.1 * k, noise=0.02) for k in range(2)]
     fine = [
-        replace(r, values=r.values + 1e-9 * np.random.default_rng(1).normal(size=r.values.shape)) for r in noisy
+        replace(r, values=r.values + 1e-9 * np.random.default_rng(1).normal(size=r.values.shape))
+        for r in noisy
     ]
     np.testing.assert_allclose(spectrum(noisy).covariance, spectrum(fine).covariance, rtol=1e-5)
