@@ -144,9 +144,10 @@ def conditioning_options(function: Function) -> Function:
             "and 0 where short dwells show no slope.",
         ),
         option(
-            "--noise", type=click.Choice(["auto", "own", "white", "blocks"]), default="auto", show_default=True, group=RECORDS,
+            "--noise", type=click.Choice(["auto", "own", "white", "blocks"]), default="auto", show_default=True,
+            group=RECORDS,
             help="How the noise of the amplitudes is estimated from the residuals: as white, or from blocks of "
-            "neighbouring frequencies; own tests for whiteness; auto does too, and lets short dwells lean on the others.",
+            "neighbouring frequencies; own tests for whiteness; auto too, and short dwells lean on the others.",
         ),
         option(
             "--refine", type=click.Choice(["auto", "always", "none"]), alone="always", default="auto",

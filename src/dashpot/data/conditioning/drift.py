@@ -1,7 +1,8 @@
 """Whether dwells drift: one test of the slopes of all dwells and channels together (THEORY §11).
 
-A slope that is taken out of a dwell of one period costs up to a half of its standard deviation, of five periods 1 %; one
-that is left in spoils the amplitude.  So it is taken out of short dwells where they show it, and of long ones always.
+A slope that is taken out of a dwell of one period costs up to a half of its standard deviation, of five periods 1 %;
+one that is left in spoils the amplitude.  So it is taken out of short dwells where they show it, and of long ones
+always.
 """
 
 from __future__ import annotations

@@ -49,14 +49,14 @@ class Conditioning:
     orders     multiples of the drive frequency whose amplitudes are wanted
     harmonics  multiples solved for beside them, so that they do not count as noise; "auto" (or None): those up to the
                tenth below half the sampling rate that are significant
-    drift      degree of the polynomial taken out; 0 is an offset alone, "none" (or None) not even that; "auto" is 1, and
-               0 where some dwell is short and one test of all dwells shows no slope
+    drift      degree of the polynomial taken out; 0 is an offset alone, "none" (or None) not even that; "auto" is 1,
+               and 0 where some dwell is short and one test of all dwells shows no slope
     noise      "white": covariance of least squares; "blocks": the spectrum of the residual beside each harmonic;
                "own" takes "white" unless the residual is coloured and there are enough periods; "auto" does so too, and
                lets dwells of few samples lean on the noise of the others
     moments    add the second moments of the samples (order 1 alone); "auto": where they can be had
     refine     "auto": the stated frequency, refused where the record moves elsewhere and refined where all dwells
-               together show that it is off; "always" (or True): the most likely one near it; "none" (or False): as stated
+               together show that it is off; "always" (or True): the most likely one near it; "none" (or False): stated
     settle     "auto" (or True): drop the transient of each record; a number: drop that many seconds; "none" (or False)
     transients "auto": records without a frequency and dwells that follow each other in time are whole records, and so
                are dwells that have not settled; "estimate": every dwell is; "none": every dwell counts as settled

@@ -1,7 +1,7 @@
 """Whether records move at the frequency that is stated for them: refused where they do not, refined by evidence.
 
-A wrong label, rad/s in the place of Hz, or a time base that is wrong make every amplitude noise; a frequency that is off
-by a per cent turns the motion's phase within the dwell, and the residual is then no noise.
+A wrong label, rad/s in the place of Hz, or a time base that is wrong make every amplitude noise; a frequency that is
+off by a per cent turns the motion's phase within the dwell, and the residual is then no noise.
 """
 
 from __future__ import annotations
