@@ -1,6 +1,7 @@
 """Variances of short dwells, moderated by those of the others (Smyth 2004; THEORY §11).
 
-Stat. Appl. Genet. Mol. Biol. 3, article 3.  A dwell of ten samples knows its noise to a factor of two.  All dwells of a channel together show how the noise goes
+Stat. Appl. Genet. Mol. Biol. 3, article 3.  A dwell of ten samples knows its noise to a factor of two.  All dwells of
+a channel together show how the noise goes
 with the amplitude, and the scatter of ln s² about that line how far a single dwell may be from it: as if d₀ further
 samples had been seen.  V = (d₀ V₀ + ν V) / (d₀ + ν), with d₀ + ν degrees of freedom.
 """
@@ -27,7 +28,8 @@ LEAST = 4.0  # degrees of freedom beyond the channels: below, a weight has no me
 def moderated(spectrum: Spectrum) -> Spectrum:
     """The same lines with the noise of those that have few samples moderated, and a note.
 
-    It is unchanged where all have many samples.  Lines of white noise estimated from samples are moderated; repeats share d₀.
+    It is unchanged where all have many samples.  Lines of white noise estimated from samples are moderated; repeats
+    share d₀.
     """
     chosen = np.array([kind == "white" for kind in spectrum.noise]) & np.isfinite(spectrum.dof)
     short = chosen & (spectrum.dof < FEW)

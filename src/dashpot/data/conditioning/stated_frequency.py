@@ -48,7 +48,7 @@ class DriveFrequencies:
         if not len(moved):
             return []
         if self.kind == "clock":
-            text = f"the records move at {self.ratio:.6g} × the stated frequencies (all {len(records)} dwells alike): used"
+            text = f"the records move at {self.ratio:.6g} × the stated frequencies ({len(records)} dwells alike): used"
             return [Notice("clock_refined", text)]
         return [
             Notice(
