@@ -68,7 +68,7 @@ def _prior(lines: Spectrum) -> tuple[Complex, float]:
     d0, fitted = _scatter(level, power, lines.dof, usable)
     if np.isfinite(d0):
         fitted = fitted + float(digamma(d0 / 2) - np.log(d0 / 2))
-    d0 = float(min(d0, (len(lines.dof) - 2) * np.mean(lines.dof)))
+    d0 = min(d0, (len(lines.dof) - 2) * float(np.mean(lines.dof)))
     with np.errstate(divide="ignore", invalid="ignore"):
         s0 = np.where(usable, np.exp(fitted) * 4 / count, variance)
         own = V / np.sqrt(variance[..., :, None] * variance[..., None, :])
