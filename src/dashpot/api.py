@@ -28,6 +28,7 @@ from dashpot.data.spectrum import Spectrum
 from dashpot.errors import DashpotError, UsageError
 from dashpot.estimate import comparison as comparisons
 from dashpot.estimate import identify as identification
+from dashpot.estimate.automatic import identify_automatically
 from dashpot.estimate.comparison import Comparison
 from dashpot.estimate.method import Method
 from dashpot.estimate.registry import method as named_method
@@ -92,7 +93,10 @@ def identify(
         from dashpot.present.text.identifiability import require_identifiable
 
         require_identifiable(rig.model, spectrum.channels, rig.path or None, spectrum)
-    estimate = identification.identify(_model(rig), spectrum, chosen, progress=progress)
+    if chosen is None:
+        estimate = identify_automatically(_model(rig), spectrum, progress=progress)
+    else:
+        estimate = identification.identify(_model(rig), spectrum, chosen, progress=progress)
     if diagnose:
         from dashpot.check.diagnosis.diagnose import examined
 

@@ -99,7 +99,7 @@ def command(
 
             measured = read_data(rig_read, data, conditioning, quiet, moments_for=[chosen], part=used)
             method = _method(chosen, rig_read, measured.spectrum, seed, positive)
-            estimate, spectrum = _estimated(rig, rig_read, measured.spectrum, method, seed, quiet)
+            estimate, spectrum = _estimated(rig, rig_read, measured.spectrum, method, chosen, seed, quiet)
             records = measured.records
     held = () if hold_out is None else _held_out(rig_read, estimate, data, conditioning, used[1])
     if report is not None:
@@ -142,14 +142,18 @@ def _rig(path: str, chosen: str, positive: bool, matrices: bool) -> Rig:
 
 
 def _estimated(
-    path: str, rig: Rig, spectrum: Spectrum, method: Method, seed: int, quiet: bool
+    path: str, rig: Rig, spectrum: Spectrum, method: Method, chosen: str, seed: int, quiet: bool
 ) -> tuple[Estimate, Spectrum]:
-    """The estimate, examined, and the amplitudes with the noise that it rests on."""
+    """The estimate, examined, and the amplitudes with the noise that it rests on.
+
+    Where the method was not `chosen` by name, another takes its place if it finds no answer.
+    """
     from dataclasses import replace
 
     from dashpot.app.progress import progress
     from dashpot.check.diagnosis.diagnose import examined
     from dashpot.errors import ConvergenceError, IdentifiabilityError
+    from dashpot.estimate.automatic import identify_automatically
     from dashpot.estimate.identify import identify
     from dashpot.estimate.likelihood.record_noise import with_record_noise
     from dashpot.present.text.identifiability import require_identifiable
@@ -158,7 +162,10 @@ def _estimated(
     with progress("identify", quiet) as moved:
         try:
             spectrum, method = with_record_noise(rig.model, spectrum, method)
-            estimate = identify(rig.model, spectrum, method, progress=moved)
+            if chosen == "auto":
+                estimate = identify_automatically(rig.model, spectrum, method, seed=seed, progress=moved)
+            else:
+                estimate = identify(rig.model, spectrum, method, progress=moved)
         except (IdentifiabilityError, ConvergenceError) as error:
             raise _explained(error, rig.model, spectrum, seed) from error
         return replace(examined(rig.model, spectrum, estimate, seed=seed), rig=path), spectrum

@@ -34,6 +34,7 @@ ORDER = (
     "nonlinear", "channel",
 )  # fmt: skip
 HELPS = 0.5  # χ² per degree of freedom must fall below this part of what it was
+LEFT_OUT = 2.0  # handicap of leaving a channel out
 ALIKE = 1.6  # ratio of what is left within which two causes explain alike
 RATES = (2 * np.pi, 1 / (2 * np.pi), 2.0, 0.5, 60.0, 1 / 60)
 MOST_DWELLS = 40
@@ -125,7 +126,9 @@ def ranked(found: Sequence[Cause], start: float) -> list[Cause]:
     best = max(min(cause.remaining for cause in helpful), 1.0)
 
     def place(cause: Cause) -> tuple[float, int, float]:
-        tier = np.floor(np.log(max(cause.remaining, best) / best) / np.log(ALIKE))
+        # Leaving a channel out leaves less to explain: what keeps it and explains nearly as much says more.
+        left = cause.remaining * (LEFT_OUT if cause.kind == "channel" else 1.0)
+        tier = np.floor(np.log(max(left, best) / best) / np.log(ALIKE))
         return float(tier), ORDER.index(cause.kind), cause.remaining
 
     named: dict[tuple[str, tuple[str, ...]], Cause] = {}

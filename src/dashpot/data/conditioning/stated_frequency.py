@@ -31,6 +31,7 @@ OWN = 3.3  # standard deviations by which a dwell must differ from the common ra
 EVEN = 1e-7  # relative: what is nearer is the same frequency, however small the noise
 USUAL = ((2 * np.pi, "rad/s"), (1 / (2 * np.pi), "Hz in the place of rad/s"), (60.0, "per minute"))
 ALIKE = 0.05  # relative
+MANY = 3  # dwells that are wrong alike, of which the first is told
 
 
 @dataclass(frozen=True)
@@ -61,7 +62,10 @@ class DriveFrequencies:
 
 
 def require_stated(records: Sequence[Record], orders: Sequence[int]) -> None:
-    """Raises DataError, one problem for each dwell, where records move at other frequencies than are stated."""
+    """Raises DataError where records move at other frequencies than are stated.
+
+    One problem for each dwell, or for the first of many that are wrong by one factor.
+    """
     problems, ratios = [], []
     for record in records:
         peak = moves_elsewhere(record, orders)
@@ -75,14 +79,16 @@ def require_stated(records: Sequence[Record], orders: Sequence[int]) -> None:
     guess = next((f": {name}?" for ratio, name in USUAL if abs(middle / ratio - 1) < ALIKE), "")
     if len(problems) > 1 and not guess and np.ptp(ratios) < ALIKE * middle:
         guess = f": a time base or frequencies that are wrong by the factor {middle:.3g}?"
+    shown = problems[:1] if guess and len(problems) > MANY else problems
+    alike = f" ({len(problems)} of {len(records)} dwells alike)" if len(shown) < len(problems) else ""
     raise DataError(
         [
             Problem(
-                f"{record.frequency_hz:g} Hz is stated, the record moves at {peak:.3g} Hz{guess}",
+                f"{record.frequency_hz:g} Hz is stated, the record moves at {peak:.3g} Hz{guess}{alike}",
                 record.source,
                 "correct the frequency or the time, or leave the record out",
             )
-            for record, peak in problems
+            for record, peak in shown
         ]
     )
 

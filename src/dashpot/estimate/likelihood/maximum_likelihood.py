@@ -33,7 +33,8 @@ class MaximumLikelihood(Method):
     in logarithms, then with weights that harden step by step, for at most `rounds` rounds.  Repeats share the minima
     that the first one finds, and look for their own where these do not lead to a fit.  `positive` holds the parts of
     the rig at or above 0, not what belongs to a free matrix; bounds of the model hold always.  With
-    a `start`, values of all unknowns, and signs of the channels, one descent from there takes the search's place.
+    a `start`, values of all unknowns, and signs of the channels, one descent from there takes the search's place; a
+    `thorough` search draws its starts where all is seen as well.
     """
 
     starts: int = 64
@@ -45,6 +46,7 @@ class MaximumLikelihood(Method):
     seed: int = 0
     start: tuple[float, ...] = ()
     start_sign: tuple[float, ...] = ()
+    thorough: bool = False
     name: ClassVar[str] = "ml"
     traits: ClassVar[Traits] = Traits(
         by_output=True, maximum_likelihood=True, weighted=True, bounds=True, transients=True, nonlinear=True
@@ -67,7 +69,7 @@ class MaximumLikelihood(Method):
         elif self.start and likelihood.repeats == 1:
             sign = np.array([self.start_sign])
             found = likelihood.descend(np.array([self.start]), sign)
-        elif data.states is not None and _direct(data):
+        elif data.states is not None and _direct(data) and not self.thorough:
             start = _start(likelihood, data.states)
             sign = np.ones((likelihood.repeats, len(view.channels)))
             found = likelihood.descend(start, sign)

@@ -15,14 +15,14 @@ from scipy.special import chdtrc
 
 from dashpot.arrays import Complex, Ints, Real, hermitian
 from dashpot.data.modal_data import ModalData
-from dashpot.errors import DataError, IdentifiabilityError, UsageError
+from dashpot.errors import ConvergenceError, DataError, IdentifiabilityError, UsageError
 from dashpot.estimate.inference.derived import known_values, mode_values, tied_values
 from dashpot.estimate.inference.diagnostics import held, require_determined, wrong_signs
 from dashpot.estimate.inference.uncertainty import MISFIT_LEVEL
 from dashpot.estimate.likelihood.global_search import DOUBT, TIE
 from dashpot.estimate.method import HeldBounds
 from dashpot.estimate.modal.pairing import MeasuredModes, measured_modes, pair, with_one_axis
-from dashpot.estimate.modal.starting_values import guessed, linear_start, random_rigs
+from dashpot.estimate.modal.starting_values import guessed, like_parts, linear_start, random_rigs
 from dashpot.estimate.result import Estimate, Fit
 from dashpot.model.modes import eigenpairs, mode_sensitivities
 from dashpot.model.network import Model
@@ -33,6 +33,10 @@ from dashpot.numerics.small_systems import scaled_inverse
 NAME = "modal"
 ASTRAY = 1e-4  # χ² so unlikely may mean a local minimum: other starts are tried
 STARTS = 32
+LARGE = (
+    8  # coordinates above which a rig of like parts that leads to a fit is taken, without a look for others
+)
+FAR = 1e5  # times the values of like parts, beyond which an end is none
 FOLLOWED = 10  # of the starts that have not settled after a few steps
 
 Search = Callable[[Real, Ints, int], OptimizeResult]  # starts, the repeats they belong to, most steps
@@ -43,13 +47,14 @@ def identify_modal(model: Model, data: ModalData, *, starts: int = STARTS, seed:
 
     Where only some points are seen, several rigs may have the same modes: one of them is returned, and a warning
     names another.
+    Large rigs start from like parts whose first frequency is that of the data; an end far outside their scale is none.
     The first start is linear least squares on (λ²M + λC + K) φ = 0 where every coordinate is seen, and the model's
     guesses where it has them all; where these are missing or end with an unlikely χ², `starts` random rigs whose
     frequencies are those of the data are tried.  Displacement inputs stand still: the modes are those with them held.
     Covariance and bound are the inverse of the information, widened by χ²/dof where χ² rejects the model.
 
     Raises DataError or UsageError where the data do not suit the rig, IdentifiabilityError where they do not determine
-    the unknowns.
+    the unknowns, ConvergenceError where no search ends near the scale of what is known.
     """
     _check(model, data)
     batch = data.frequency_hz.shape[:-1]
@@ -246,11 +251,22 @@ def _found(
             start, limit=limit, tolerance=1e-6, lower=lower, upper=upper,
         )  # fmt: skip
 
+    largest = FAR * np.abs(like_parts(model, data))
+
+    def search_near(start: Real, rows: Ints, limit: int) -> OptimizeResult:
+        """An end far outside the scale of everything known is none: nothing that is measured depends on it there."""
+        ends = search(start, rows, limit)
+        lost = np.any(np.abs(ends.x) > largest, axis=-1)
+        return replace(ends, cost=np.where(lost, np.inf, ends.cost), converged=ends.converged & ~lost)
+
     found, ends = None, None
-    for first in (linear_start(model, data, view), guessed(model, repeats)):
+    firsts = [linear_start(model, data, view), guessed(model, repeats)]
+    if model.n > LARGE:
+        firsts.append(np.tile(like_parts(model, data), (repeats, 1)))
+    for first in firsts:
         if first is None:
             continue
-        reached = search(first, everyone, 100)
+        reached = search_near(first, everyone, 100)
         found = reached if found is None else found.improved(everyone, reached)
     lonely = found is None and repeats == 1
     for attempt in range(2):
@@ -258,15 +274,22 @@ def _found(
         if not len(astray) or not starts:
             break
         drawn = random_rigs(model, data, starts, np.random.default_rng([seed, attempt]))
+        if not attempt:
+            drawn = np.concatenate([like_parts(model, data)[None], drawn])
         if lonely:
-            ends = _ends(search, drawn)
+            ends = _ends(search_near, drawn)
             reached = _one_of(model, ends)
         else:
-            reached = _deepest(search, drawn, astray)
+            reached = _deepest(search_near, drawn, astray)
         found = reached if found is None else found.improved(astray, reached)
     if found is None:
         raise UsageError(
             "there is no start for the search", cure="give the unknowns a guess, or allow starts"
+        )
+    if not np.any(np.isfinite(found.cost)):
+        raise ConvergenceError(
+            "no start leads to a rig with these modes: the searches end far outside the scale of what is known",
+            cure="give the unknowns a guess, measure more modes, or more points of their shapes",
         )
     return found, ends
 

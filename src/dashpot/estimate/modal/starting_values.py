@@ -8,8 +8,12 @@ from dashpot.arrays import Real, hermitian
 from dashpot.data.modal_data import ModalData
 from dashpot.estimate.modal.pairing import MeasuredModes
 from dashpot.model.elements import Kind
+from dashpot.model.modes import eigenpairs
 from dashpot.model.network import Model
 from dashpot.numerics.small_systems import solve_scaled
+
+NEAR, AFAR = 0.15, 1.0  # of the spreads, nepers: parts are mostly alike
+MOST_SCALINGS = 40
 
 
 def guessed(model: Model, repeats: int) -> Real | None:
@@ -38,11 +42,84 @@ def linear_start(model: Model, data: ModalData, view: MeasuredModes) -> Real | N
     return theta if np.all(np.isfinite(theta)) else None
 
 
+def like_parts(model: Model, data: ModalData) -> Real:
+    """The rig whose unknowns of a kind are all alike and whose first frequency is the first of the data, (unknowns,).
+
+    What is known keeps its value; guesses and priors theirs.  Springs, dampers and the like are scaled, masses only
+    where nothing else can be.
+    """
+    theta = _typical(model, data)
+    kinds = {element.name: element.kind for element in model.elements}
+    free = np.array([unknown.prior is None and unknown.guess is None for unknown in model.unknowns])
+    inert = np.array([kinds[unknown.name].law.power == 2 for unknown in model.unknowns])
+    power = np.array([2.0 - kinds[unknown.name].law.power for unknown in model.unknowns])
+    scaled = free & ~inert
+    turned = 1.0
+    if not np.any(scaled & (power == 2)):
+        scaled, power, turned = free & inert, np.full(len(theta), 2.0), -1.0
+    if not np.any(scaled):
+        return theta
+    wanted = float(np.min(data.frequency_hz))
+    for _ in range(MOST_SCALINGS):
+        first = _first_frequency(model, theta)
+        if not np.isfinite(first) or first <= 0 or abs(np.log(wanted / first)) < 1e-12:
+            break
+        factor = np.clip(wanted / first, 0.03, 30.0)
+        theta = np.where(scaled, theta * factor ** (turned * power), theta)
+    return theta
+
+
+def _first_frequency(model: Model, theta: Real) -> float:
+    """The lowest frequency that swings, Hz; NaN where there is none."""
+    with np.errstate(all="ignore"):
+        values, _ = eigenpairs(model, model.parameters(theta)[None])
+    swings = values[0][np.isfinite(values[0]) & (values[0].imag > 1e-6 * np.abs(values[0]))]
+    return float(np.min(np.abs(swings))) / (2 * np.pi) if len(swings) else np.nan
+
+
+def _typical(model: Model, data: ModalData) -> Real:
+    """A usual value of every unknown: its guess or prior, else that of its kind beside the known ones."""
+    per_mass, mass = _sizes(model, data)
+    kinds = {element.name: element.kind for element in model.elements}
+    return np.array(
+        [
+            unknown.prior
+            if unknown.prior is not None and unknown.sd is not None
+            else unknown.guess
+            if unknown.guess is not None
+            else mass * per_mass[kinds[unknown.name]]
+            for unknown in model.unknowns
+        ],
+        dtype=float,
+    )
+
+
 def random_rigs(model: Model, data: ModalData, count: int, rng: np.random.Generator) -> Real:
-    """`count` rigs of like parts whose frequencies are those of the data, (count, unknowns)."""
+    """`count` rigs near that of like parts with the first frequency of the data, and of random size, half of each.
+
+    (count, unknowns); what has a guess or a prior stays near it.
+    """
+    usual, middle = _typical(model, data), like_parts(model, data)
+    near = np.arange(count) % 2 == 0
+    spread = np.where(near, NEAR, AFAR)[:, None] * np.repeat([0.3, 1.0, 2.0], -(-count // 3))[:count, None]
+    shared = np.where(near, 1.0, np.exp(0.7 * rng.standard_normal(count)))
+    scatter = np.exp(spread * rng.standard_normal((count, len(usual))))
+    theta = np.empty((count, len(usual)))
+    for j, unknown in enumerate(model.unknowns):
+        if unknown.prior is not None and unknown.sd is not None:
+            theta[:, j] = unknown.prior
+        elif unknown.guess is not None:
+            theta[:, j] = unknown.guess * scatter[:, j] ** 0.3
+        else:
+            theta[:, j] = np.where(near, middle[j], shared * usual[j]) * scatter[:, j]
+    return theta
+
+
+def _sizes(model: Model, data: ModalData) -> tuple[dict[Kind, float], float]:
+    """Usual values of each kind for a mass of 1 kg that swings as the data do, and the mass that known parts imply."""
     rate = 2 * np.pi * float(np.exp(np.mean(np.log(data.frequency_hz))))
     ratio = float(np.nanmean(np.abs(data.damping_ratio))) if np.any(np.isfinite(data.damping_ratio)) else 0.01
-    per_mass = {kind: kind.law.typical_size(1.0, rate, ratio) for kind in Kind}
+    per_mass = {kind: float(kind.law.typical_size(1.0, rate, ratio)) for kind in Kind}
     known = [
         np.log(value / per_mass[element.kind])
         for element, value in zip(model.elements, model.p0, strict=True)
@@ -51,17 +128,4 @@ def random_rigs(model: Model, data: ModalData, count: int, rng: np.random.Genera
     known += [
         np.log(u.prior) for u in model.unknowns if u.prior is not None and u.prior > 0 and u.unit == "kg"
     ]
-    mass = float(np.exp(np.mean(known))) if known else 1.0
-    kinds = {element.name: element.kind for element in model.elements}
-    spread = np.repeat([0.3, 1.0, 2.0], -(-count // 3))[:count, None]
-    theta = np.empty((count, len(model.unknowns)))
-    scatter = np.exp(spread * rng.standard_normal(theta.shape))
-    masses = mass * np.exp(0.7 * rng.standard_normal(count))
-    for j, unknown in enumerate(model.unknowns):
-        if unknown.prior is not None and unknown.sd is not None:
-            theta[:, j] = unknown.prior
-        elif unknown.guess is not None:
-            theta[:, j] = unknown.guess * scatter[:, j] ** 0.3
-        else:
-            theta[:, j] = masses * per_mass[kinds[unknown.name]] * scatter[:, j]
-    return theta
+    return per_mass, float(np.exp(np.mean(known))) if known else 1.0

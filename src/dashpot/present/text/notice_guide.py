@@ -90,10 +90,15 @@ _ALL: tuple[tuple[str, str, str, str], ...] = (
         "Give `NAME_sd` in the table, or the records.",
     ),
     (
+        "another_method", _ESTIMATE,
+        "The method that suits the data found no answer, or one in a wrong valley; maximum likelihood took its place.",
+        "Nothing; a method that is named is used whatever it finds.",
+    ),
+    (
         "coloured_noise", _ESTIMATE,
         ("The noise beside the drive frequency is not white; its size was measured there and the intervals include it. "
         "A transient or a slightly wrong drive frequency looks the same."),
-        "Of time records: try `--settle auto` and `--refine auto`. Of tables of amplitudes: nothing.",
+        "Of time records: try `--settle auto` and `--refine always`. Of tables of amplitudes: nothing.",
     ),
     (
         "coloured_residuals", _ESTIMATE,
@@ -289,6 +294,22 @@ _ALL: tuple[tuple[str, str, str, str], ...] = (
         "clock_estimated", _FILES,
         "The clock of a sensor was set by what it and another sensor see alike; offset and drift are given.",
         "Check that they are plausible; give synchronised files if there are any.",
+    ),
+    (
+        "clock_refined", _FILES,
+        "All dwells move at the same ratio to their stated frequencies: two clocks differ, and the records' is used.",
+        "Nothing; `--refine none` keeps the stated frequencies.",
+    ),
+    (
+        "drift_by_evidence", _FILES,
+        ("Short dwells lose much to a slope that is solved for; one test over all dwells and channels says whether "
+        "there is one."),
+        "Nothing; `--drift` sets it.",
+    ),
+    (
+        "noise_moderated", _FILES,
+        "Dwells of few samples know their noise badly; it leans on how that of all dwells goes with the amplitude.",
+        "Nothing; `--noise own` leaves each dwell alone.",
     ),
     # ------------------------------------------------------------ studies
     (

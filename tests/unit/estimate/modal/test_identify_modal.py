@@ -12,6 +12,7 @@ from scipy.optimize import least_squares
 from dashpot.data.modal_data import ModalData, of_eigenvalues
 from dashpot.errors import DataError, IdentifiabilityError, UsageError
 from dashpot.estimate.modal.identify_modal import identify_modal
+from dashpot.estimate.modal.starting_values import like_parts
 from dashpot.model.elements import Kind, between, mass
 from dashpot.model.modes import mode_sensitivities, modes
 from dashpot.model.network import Input, Model
@@ -459,3 +460,21 @@ def test_what_does_not_suit_is_said() -> None:
 def test_modal_data_that_cannot_be_are_refused(change: dict[str, np.ndarray], said: str) -> None:
     with pytest.raises(DataError, match=said):
         replace(measured(chain()), **change)
+
+
+def test_like_parts_have_the_first_frequency_of_the_data() -> None:
+    """A chain of nine with two known springs: the others alike, and the first mode where it was measured."""
+    points = ("ground", *(f"x{i}" for i in range(1, 10)))
+    springs = tuple(
+        between(f"k{i}", Kind.SPRING, points[i + 1], points[i], value=3000.0 if i < 2 else None)
+        for i in range(9)
+    )
+    masses = tuple(mass(f"m_{x}", x, value=2.0) for x in points[1:])
+    model = Model(points[1:], (), (*masses, *springs))
+    flat = np.tile(np.eye(2), (1, 1, 1))
+    data = ModalData(("x9",), np.array([1.3]), np.array([0.01]), flat, np.ones((1, 1)), np.ones((1, 1, 1)))
+    theta = like_parts(model, data)
+    assert np.ptp(theta) < 1e-9 * theta[0]
+    assert np.min(np.abs(modes(model, model.parameters(theta)).eigenvalues)) == pytest.approx(
+        2 * np.pi * 1.3, rel=1e-6
+    )
