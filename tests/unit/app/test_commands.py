@@ -180,7 +180,7 @@ def test_not_converged_is_told_written_and_ends_with_3(
 
     real = methods.method
     monkeypatch.setattr(methods, "method", lambda name, **settings: real(name, max_iterations=1))
-    done = dashpot("identify", "rig.toml", "data.csv", "--json", "out.json")
+    done = dashpot("identify", "rig.toml", "data.csv", "--method", "oiv", "--json", "out.json")
     assert done.code == 3
     assert len(done.err) == 1
     assert "did not converge" in done.err[0]
