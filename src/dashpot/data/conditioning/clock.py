@@ -9,6 +9,7 @@ import numpy as np
 from dashpot.arrays import Real
 from dashpot.data.record import Record
 from dashpot.errors import DataError
+from dashpot.notices import Notice
 
 UNEVEN = 0.02  # of a sampling step: stamps may be rounded by that much
 FEWEST = 16  # samples of a record
@@ -45,6 +46,32 @@ def _digit(time: Real) -> float:
         if np.all(np.abs(steps - np.round(steps, digits)) < 1e-4 * usual):
             return min(10.0**-digits, usual / 4)
     return 0.0
+
+
+def with_even_stamps(record: Record) -> tuple[Record, Notice | None]:
+    """The record on an even clock where its stamps are even times rounded to a coarse digit, and a note; else as it is.
+
+    Steps of 10 and 20 ms are what 64 samples a second look like in stamps of 10 ms: taken at their word, they are
+    noise of the time.
+    """
+    time = record.time
+    if len(time) < FEWEST:
+        return record, None
+    index = np.arange(len(time)) - (len(time) - 1) / 2
+    step = float(index @ (time - time[0]) / (index @ index))
+    middle = float(np.mean(time))
+    away = float(np.max(np.abs(time - middle - step * index)))
+    if not UNEVEN * step < away < step:
+        return record, None
+    steps = np.diff(time)
+    digit = float(np.min(steps[steps > 1e-9 * step], initial=np.inf))
+    digit = float(np.min(np.abs(np.diff(np.unique(np.round(steps, 12)))), initial=digit))
+    whole = np.abs(steps / digit - np.round(steps / digit))
+    if digit <= 0 or np.max(whole) > 1e-3 or away > 1.02 * digit:
+        return record, None
+    text = f"{record.source}: time stamps are rounded to {digit:.3g} s; the samples are taken as {step:.6g} s apart"
+    even = replace(record, time=middle + step * index)
+    return even, Notice("stamps_rounded", text, (record.source,))
 
 
 def cut(record: Record, start: float, end: float) -> Record:

@@ -10,7 +10,7 @@ import numpy as np
 
 from dashpot.arrays import Real
 from dashpot.data.calibration import calibration
-from dashpot.data.conditioning.clock import FEWEST
+from dashpot.data.conditioning.clock import FEWEST, with_even_stamps
 from dashpot.data.conditioning.drift import LEVEL as DRIFT_LEVEL
 from dashpot.data.conditioning.drift import slope_costs, slopes_show
 from dashpot.data.conditioning.drive_frequency import refine_frequency
@@ -66,7 +66,13 @@ def spectrum(
 
 def _of_dwells(dwells: Sequence[Record], settings: Conditioning) -> Spectrum:
     """The lines of dwells, treated as all of them together ask for: what was driven, frequency, settling, drift."""
-    dwells, notes = _driven_parts(dwells, settings)
+    notes: list[Notice] = []
+    if settings.refine != "none":
+        evened = [with_even_stamps(record) for record in dwells]
+        dwells = [record for record, _ in evened]
+        notes += [note for _, note in evened if note is not None]
+    dwells, cut = _driven_parts(dwells, settings)
+    notes += cut
     if settings.refine == "auto":
         require_stated(dwells, settings.orders)
         drive = drive_frequencies(dwells)

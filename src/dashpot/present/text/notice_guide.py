@@ -296,6 +296,11 @@ _ALL: tuple[tuple[str, str, str, str], ...] = (
         "Check that they are plausible; give synchronised files if there are any.",
     ),
     (
+        "stamps_rounded", _FILES,
+        "Time stamps are even times rounded to a digit that is coarse beside the sampling step: even times are used.",
+        "Record with finer stamps; `--refine none` takes the stamps at their word.",
+    ),
+    (
         "clock_refined", _FILES,
         "All dwells move at the same ratio to their stated frequencies: two clocks differ, and the records' is used.",
         "Nothing; `--refine none` keeps the stated frequencies.",

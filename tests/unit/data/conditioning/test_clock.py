@@ -1,0 +1,42 @@
+"""Time stamps that are coarser than the sampling."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from dashpot.data.conditioning.clock import with_even_stamps
+from dashpot.data.conditioning.lines import spectrum
+from dashpot.data.record import Record
+from tests.unit.data.conditioning.signals import X1, U, wave
+
+RATE, F = 64.0, 7.3
+
+
+def stamped(digit: float) -> Record:
+    """640 samples of two sines at 64 Hz, their times rounded."""
+    t = 0.25 + np.arange(640) / RATE
+    rng = np.random.default_rng(1)
+    values = wave(t, F, [1.0, 0.5j]) + 1e-3 * rng.normal(size=(640, 2))
+    return Record((X1, U), np.round(t / digit) * digit, values, F)
+
+
+def test_rounded_stamps_are_taken_as_even() -> None:
+    even, note = with_even_stamps(stamped(0.01))
+    assert note is not None
+    assert note.code == "stamps_rounded"
+    np.testing.assert_allclose(np.diff(even.time), 1 / RATE, rtol=2e-5)
+    lines = spectrum([stamped(0.01)], transients="none")
+    ratio = lines.amplitudes[0, 0] / lines.amplitudes[0, 1]
+    assert abs(ratio - 1 / 0.5j) < 5e-3
+    assert lines.covariance[0, 0, 0].real < 10 * 4 * 1e-6 / 640
+
+
+def test_fine_stamps_jitter_and_gaps_are_left_alone() -> None:
+    fine = stamped(1e-4)
+    assert with_even_stamps(fine)[0] is fine
+    rng = np.random.default_rng(2)
+    jitter = Record((X1, U), fine.time + rng.uniform(-0.005, 0.005, 640), fine.values, F)
+    assert with_even_stamps(jitter)[0] is jitter
+    kept = np.delete(np.arange(640), np.arange(100, 140))
+    gap = Record((X1, U), stamped(0.01).time[kept], fine.values[kept], F)
+    assert with_even_stamps(gap)[0] is gap
