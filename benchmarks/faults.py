@@ -2,8 +2,8 @@
 
 `python3 dev.py bench faults`, or with `--rigs 200` the number that is claimed.  The rigs have two to four coordinates,
 all seen, as displacement or acceleration, at 1 % noise; the mistakes are those of tests/mistakes.py.  Printed is the
-confusion table: for each mistake how often the truth was named first, among the first three, or not; what else was named
-first; how often the fit passed; and false alarms of as many clean tests.
+confusion table: for each mistake how often the truth was named first, among the first three, or not; what else was
+named first; how often the fit passed; and false alarms of as many clean tests.
 """
 
 from __future__ import annotations

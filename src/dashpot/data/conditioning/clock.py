@@ -70,8 +70,8 @@ def with_even_stamps(record: Record) -> tuple[Record, Notice | None]:
     if digit <= 0 or np.max(whole) > 1e-3 or away > 1.02 * digit:
         return record, None
     text = f"{record.source}: time stamps are rounded to {digit:.3g} s; the samples are taken as {step:.6g} s apart"
-    even = replace(record, time=middle + step * index)
-    return even, Notice("stamps_rounded", text, (record.source,))
+    even: Real = middle + step * index
+    return replace(record, time=even), Notice("stamps_rounded", text, (record.source,))
 
 
 def cut(record: Record, start: float, end: float) -> Record:
