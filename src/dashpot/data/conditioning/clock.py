@@ -70,7 +70,7 @@ def with_even_stamps(record: Record) -> tuple[Record, Notice | None]:
     if digit <= 0 or np.max(whole) > 1e-3 or away > 1.02 * digit:
         return record, None
     text = f"{record.source}: time stamps are rounded to {digit:.3g} s; the samples are taken as {step:.6g} s apart"
-    even: Real = middle + step * index
+    even: Real = np.asarray(middle + step * index, dtype=np.float64)
     return replace(record, time=even), Notice("stamps_rounded", text, (record.source,))
 
 
