@@ -59,7 +59,7 @@ class FrequencyResponse:
             object.__setattr__(self, name, frozen(getattr(self, name), np.float64))
 
 
-def frequency_responses(
+def responses_of_channels(
     model: Model, estimate: Estimate, spectrum: Spectrum, found: Residuals
 ) -> tuple[FrequencyResponse, ...]:
     """A response for each channel that is not itself the measured input (no batch axes).

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from dashpot import Channel, Input, Kind, Model, Quantity, between, dwells, identify, mass, simulate_spectrum
-from dashpot.check.frequency_response import FrequencyResponse, frequency_responses
+from dashpot.check.frequency_response import FrequencyResponse, responses_of_channels
 from dashpot.check.residuals import residuals
 from dashpot.estimate.result import Estimate
 from dashpot.model.dynamics import response
@@ -34,7 +34,7 @@ def shown(seed: int) -> tuple[Estimate, tuple[FrequencyResponse, ...]]:
     spectrum = simulate_spectrum(MODEL, p, CHANNELS, test, np.random.default_rng(seed))
     estimate = identify(MODEL, spectrum)
     found = residuals(MODEL, estimate.values, spectrum)
-    return estimate, frequency_responses(MODEL, estimate, spectrum, found)
+    return estimate, responses_of_channels(MODEL, estimate, spectrum, found)
 
 
 def test_acceleration_over_acceleration_is_the_transmissibility() -> None:
@@ -87,4 +87,4 @@ def test_several_inputs_at_once_have_no_response() -> None:
     test = dwells(model, [1.0, 2, 4, 5], 50)
     spectrum = simulate_spectrum(model, p, channels, test, np.random.default_rng(0))
     estimate = identify(model, spectrum)
-    assert frequency_responses(model, estimate, spectrum, residuals(model, estimate.values, spectrum)) == ()
+    assert responses_of_channels(model, estimate, spectrum, residuals(model, estimate.values, spectrum)) == ()

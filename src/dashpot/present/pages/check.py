@@ -9,11 +9,12 @@ from dashpot.check.data_findings import DataFindings
 from dashpot.check.doubt import doubtful
 from dashpot.check.identifiability import Structure
 from dashpot.data.spectrum import Spectrum
+from dashpot.estimate.result import Estimate
 from dashpot.io.words import joined
 from dashpot.model.network import Model
 from dashpot.present.figures.findings import profile_figure
 from dashpot.present.pages.evidence import MOST_NAMES, shares_block
-from dashpot.present.pages.page import Block, Page, Provenance, figure_picture, html
+from dashpot.present.pages.page import Block, Page, Provenance, figure_picture, page_html
 from dashpot.present.pages.report import rig_picture
 from dashpot.present.tables.check import known_columns
 from dashpot.present.tables.estimate import parameter_columns
@@ -37,30 +38,33 @@ def check_report(
     said = structure_in_words(
         structure, [c.name for c in channels], None if spectrum is None else spectrum.lines
     )
-    unsure = () if found is None else doubtful(found.estimate, level)
-    weak = () if found is None else found.collinearity.combinations
-    headline = "All unknowns can be found."
-    if weak or unsure:
-        names = dict.fromkeys([name for one in weak for name in one.names] + list(unsure))
-        headline = f"All unknowns can be found, but {joined(names)} only poorly."
+    estimate = None if found is None else found.estimate
+    unsure = () if estimate is None else doubtful(estimate, level)
+    poor = dict.fromkeys([*_hardly_separated(found), *unsure])
     page = Page(
         model.name or "Check",
         model.summary,
-        "open" if weak or unsure or structure.permutation_ambiguities else "good",
-        headline,
+        "open" if poor or structure.permutation_ambiguities else "good",
+        f"All unknowns can be found, but {joined(poor)} only poorly."
+        if poor
+        else "All unknowns can be found.",
         tuple(said),
-        answer=None if found is None else _answer(found, level),
-        drawing=rig_picture(model, channels, None if found is None else found.estimate, unsure, level),
+        answer=None if estimate is None else _answer(estimate, level),
+        drawing=rig_picture(model, channels, estimate, unsure, level),
         steps=tuple(_steps(found, spectrum)),
         evidence=() if found is None or spectrum is None else tuple(_evidence(found, spectrum)),
         terms=() if found is None else ("±", "interval", "bound", "share", "profile"),
         provenance=provenance,
     )
-    return html(page)
+    return page_html(page)
 
 
-def _answer(found: DataFindings, level: float) -> Block:
-    return Block("Parameters", (), (tuple(parameter_columns(found.estimate, level)),))
+def _hardly_separated(found: DataFindings | None) -> list[str]:
+    return [] if found is None else [name for one in found.collinearity.combinations for name in one.names]
+
+
+def _answer(estimate: Estimate, level: float) -> Block:
+    return Block("Parameters", (), (tuple(parameter_columns(estimate, level)),))
 
 
 def _steps(found: DataFindings | None, spectrum: Spectrum | None) -> list[str]:

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from dashpot.check.collinearity import Collinearity, shares_by_band
-from dashpot.check.frequency_response import frequency_responses
+from dashpot.check.frequency_response import responses_of_channels
 from dashpot.check.residuals import Residuals, correlation
 from dashpot.check.validation import RecordPrediction, validate
 from dashpot.data.spectrum import Spectrum
@@ -75,7 +75,7 @@ def prediction_block(title: str, predictions: Sequence[RecordPrediction]) -> Blo
 
 
 def _responses(model: Model, spectrum: Spectrum, estimate: Estimate, found: Residuals) -> list[Block]:
-    responses = frequency_responses(model, estimate, spectrum, found)[:MOST_PANELS]
+    responses = responses_of_channels(model, estimate, spectrum, found)[:MOST_PANELS]
     if responses:
         channels = joined([shown.channel for shown in responses])
         text = "Output over input, as measured and as the estimated rig answers."

@@ -18,7 +18,15 @@ from dashpot.model.network import Model
 from dashpot.present.figures.comparison import comparison_figure
 from dashpot.present.figures.planned_test import planned_test_figure
 from dashpot.present.pages.evidence import prediction_block
-from dashpot.present.pages.page import Block, Page, Provenance, Verdict, figure_picture, html, image_picture
+from dashpot.present.pages.page import (
+    Block,
+    Page,
+    Provenance,
+    Verdict,
+    figure_picture,
+    image_picture,
+    page_html,
+)
 from dashpot.present.pages.report import capitalised, rig_picture
 from dashpot.present.tables.comparison import comparison_columns, comparison_remarks
 from dashpot.present.tables.design import dwell_columns, expected_columns
@@ -82,7 +90,7 @@ def comparison_report(
         terms=("±", "interval", "bound"),
         provenance=provenance,
     )
-    return html(page)
+    return page_html(page)
 
 
 def design_report(answer: Answer, provenance: Provenance | None = None) -> str:
@@ -128,7 +136,7 @@ def design_report(answer: Answer, provenance: Provenance | None = None) -> str:
         ("±", "bound", "duality gap"),
         provenance,
     )
-    return html(page)
+    return page_html(page)
 
 
 def validation_report(
@@ -162,7 +170,7 @@ def validation_report(
         terms=("FIT", "χ²"),
         provenance=provenance,
     )
-    return html(page)
+    return page_html(page)
 
 
 def _validation_steps(worst: float) -> tuple[str, ...]:
@@ -209,4 +217,4 @@ def study_report(
         terms=("spread", "bound", "coverage"),
         provenance=provenance,
     )
-    return html(page)
+    return page_html(page)

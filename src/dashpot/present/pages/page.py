@@ -99,7 +99,7 @@ def image_picture(png: bytes, alternative: str) -> Picture:
     return Picture(image, alternative, wide=False)
 
 
-def html(page: Page) -> str:
+def page_html(page: Page) -> str:
     """The page as one HTML file."""
     environment = Environment(
         loader=FileSystemLoader(TEMPLATES), autoescape=True, undefined=StrictUndefined, trim_blocks=True,

@@ -17,7 +17,7 @@ from dashpot.estimate.result import Estimate
 from dashpot.io.words import joined
 from dashpot.model.network import Model
 from dashpot.present.pages.evidence import evidence_blocks, prediction_block
-from dashpot.present.pages.page import Block, Page, Picture, Provenance, Verdict, html
+from dashpot.present.pages.page import Block, Page, Picture, Provenance, Verdict, page_html
 from dashpot.present.schematic.drawing import schematic
 from dashpot.present.schematic.moving import mode_drawing, numbered_mode
 from dashpot.present.tables.estimate import (
@@ -58,7 +58,7 @@ TERMS = (
 
 
 @dataclass(frozen=True)
-class Findings:
+class EvidenceFound:
     """What the data say of an estimate beside its values; None where it cannot be said."""
 
     residuals: Residuals | None
@@ -89,16 +89,16 @@ def identification_report(
         _subtitle(estimate, spectrum),
         _verdict(estimate),
         headline(estimate, unsure),
-        tuple(_statements(estimate)),
+        (*_statements(estimate), *_on_law(model)),
         tuple(capitalised(text) for text in warnings_in_words(estimate, records=records)),
         Block("Parameters", tuple(_below_parameters(estimate)), (tuple(parameter_columns(estimate, level)),)),
         rig_picture(model, shown, estimate, unsure, level),
-        tuple(next_steps(estimate, unsure, found.collinearity)),
+        tuple(next_steps(estimate, unsure, found.collinearity, plannable=not len(model.nonlinear))),
         tuple(_evidence(model, spectrum, estimate, found, held_out)),
         (*TERMS, *(("damping ratio",) if has_modes(estimate) else ()), *(("FIT",) if held_out else ())),
         provenance,
     )
-    return html(page)
+    return page_html(page)
 
 
 def failure_report(
@@ -120,7 +120,7 @@ def failure_report(
         steps=tuple(dict.fromkeys(cures)),
         provenance=provenance,
     )
-    return html(page)
+    return page_html(page)
 
 
 def rig_picture(
@@ -186,6 +186,19 @@ def _statements(estimate: Estimate) -> list[str]:
     return [capitalised(text.removeprefix(f"{VERDICTS[assessment.verdict]}: ")) for text in texts]
 
 
+def _on_law(model: Model) -> list[str]:
+    """What holds of a nonlinear rig."""
+    names = [model.elements[i].name for i in model.nonlinear]
+    if not names:
+        return []
+    return [
+        (
+            f"The rig is nonlinear ({joined(names)}): its modes are those of its linear part, and the values hold for "
+            "motions as large as those of this test."
+        )
+    ]
+
+
 def _below_parameters(estimate: Estimate) -> list[str]:
     texts = list(remarks(estimate))
     if estimate.signs:
@@ -193,9 +206,9 @@ def _below_parameters(estimate: Estimate) -> list[str]:
     return texts
 
 
-def _findings(model: Model, spectrum: Spectrum | None, estimate: Estimate) -> Findings:
+def _findings(model: Model, spectrum: Spectrum | None, estimate: Estimate) -> EvidenceFound:
     if spectrum is None:
-        return Findings(None, None)
+        return EvidenceFound(None, None)
     left = residuals(
         model, estimate.values[: len(model.unknowns)], spectrum, calibrations_of(model, estimate)
     )
@@ -203,14 +216,14 @@ def _findings(model: Model, spectrum: Spectrum | None, estimate: Estimate) -> Fi
         weak = collinearity(chi2_surface(model, spectrum, estimate), estimate.covariance)
     except DashpotError:
         weak = None  # of such a rig nothing is said of single lines
-    return Findings(left, weak)
+    return EvidenceFound(left, weak)
 
 
 def _evidence(
     model: Model,
     spectrum: Spectrum | None,
     estimate: Estimate,
-    found: Findings,
+    found: EvidenceFound,
     held_out: Sequence[RecordPrediction],
 ) -> list[Block]:
     blocks = []

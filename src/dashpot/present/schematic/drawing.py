@@ -43,7 +43,7 @@ class Drawing:
 
     def svg(self) -> str:
         """As SVG, whose texts can be searched."""
-        return svg_document(self.parts, self.width, self.height, self.title, description(self))
+        return svg_document(self.parts, self.width, self.height, self.title, drawing_description(self))
 
     def _repr_svg_(self) -> str:
         """The same, for a notebook."""
@@ -101,7 +101,7 @@ def schematic(
     return Drawing(model.name or "Rig", model, said, found, layout, tuple(drawn), width, height)
 
 
-def description(drawing: Drawing) -> str:
+def drawing_description(drawing: Drawing) -> str:
     """The drawing in words: every element with what it joins and its value."""
     model, said = drawing.model, drawing.labels
     texts = []

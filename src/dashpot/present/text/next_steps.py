@@ -24,8 +24,10 @@ UNTIL = (
 )
 
 
-def next_steps(estimate: Estimate, doubtful: Sequence[str], weak: Collinearity | None) -> list[str]:
-    """The most useful things to do, the first first."""
+def next_steps(
+    estimate: Estimate, doubtful: Sequence[str], weak: Collinearity | None, *, plannable: bool = True
+) -> list[str]:
+    """The most useful things to do, the first first; `plannable`: whether `dashpot design` knows the rig."""
     if not bool(estimate.converged):
         return [
             "Do not use these values.",
@@ -37,15 +39,14 @@ def next_steps(estimate: Estimate, doubtful: Sequence[str], weak: Collinearity |
     rig = estimate.rig or "rig.toml"
     if parameters:
         shown = joined(parameters[:MOST_NAMES]) + (" and others" if len(parameters) > MOST_NAMES else "")
+        hint = f" Design the next test for it: {_design(rig, parameters[:MOST_NAMES])}." if plannable else ""
         steps.append(
             f"{shown} {'is' if len(parameters) == 1 else 'are'} hardly determined: the interval reaches further than "
-            f"half the value. Design the next test for {'it' if len(parameters) == 1 else 'them'}: dashpot design "
-            f"{rig} --after estimate.json --for {','.join(parameters[:MOST_NAMES])} --samples N."
+            f"half the value.{hint}"
         )
-    elif (least := _least_known(estimate)) is not None:
+    elif plannable and (least := _least_known(estimate)) is not None:
         steps.append(
-            f"The least known is {least[0]} (± {least[1]} %). A test for it: "
-            f"dashpot design {rig} --after estimate.json --for {least[0]} --samples N."
+            f"The least known is {least[0]} (± {least[1]} %). A test for it: {_design(rig, [least[0]])}."
         )
     if weak is not None and weak.combinations:
         worst = weak.combinations[0]
@@ -58,6 +59,11 @@ def next_steps(estimate: Estimate, doubtful: Sequence[str], weak: Collinearity |
             "Before relying on it, predict a test that was not used: dashpot validate estimate.json OTHER.csv."
         )
     return steps
+
+
+def _design(rig: str, names: Sequence[str]) -> str:
+    """The command that plans a test for some unknowns."""
+    return f"dashpot design {rig} --after estimate.json --for {','.join(names)} --samples N"
 
 
 def _on_fit(estimate: Estimate) -> list[str]:

@@ -8,11 +8,11 @@ from html.parser import HTMLParser
 
 import numpy as np
 
-from dashpot import Estimate, IdentifiabilityError, identify
+from dashpot import Estimate, IdentifiabilityError, identify, parse_rig
 from dashpot.check.diagnosis.diagnose import examined
 from dashpot.check.residuals import residuals
 from dashpot.present.pages.page import Provenance, SourceFile
-from dashpot.present.pages.report import failure_report, identification_report
+from dashpot.present.pages.report import _on_law, failure_report, identification_report
 from dashpot.present.tables.estimate import parameter_rows
 from tests.unit.present.conftest import RIG, measured
 
@@ -146,3 +146,24 @@ def test_nonlinear_rigs_and_whole_records_need_no_spectrum(good: Estimate) -> No
     page_of(html)
     assert "<h2>Intervals" in html
     assert "<h2>Residuals" not in html
+
+
+def test_a_nonlinear_rig_is_said_to_be_one() -> None:
+    model = parse_rig(
+        """
+        coordinates = ["x"]
+        inputs = { f = { kind = "force", at = "x" } }
+        [masses]
+        m = { at = "x", value = 1.0 }
+        [springs]
+        k = { between = ["x", "ground"] }
+        k3 = { between = ["x", "ground"], law = "cubic" }
+        """
+    ).model
+    assert _on_law(model) == [
+        (
+            "The rig is nonlinear (k3): its modes are those of its linear part, and the values hold for motions as "
+            "large as those of this test."
+        )
+    ]
+    assert _on_law(RIG.model) == []

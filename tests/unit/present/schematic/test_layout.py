@@ -9,12 +9,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from dashpot import Element, Input, Kind, Model, between, mass, parse_rig, read_rig
+from dashpot import Element, Estimate, Input, Kind, Model, between, mass, parse_rig, read_rig
 from dashpot.channel import Channel, Quantity
 from dashpot.present.schematic.drawing import Drawing, schematic
 from dashpot.present.schematic.geometry import Box, text_width
 from dashpot.present.schematic.scene import visible
 from tests import rigs
+from tests.unit.present.conftest import RIG
 
 ROOT = Path(__file__).parents[4]
 EXAMPLES = [
@@ -91,6 +92,10 @@ def random_drawing(seed: int) -> Drawing:
 @pytest.mark.parametrize("seed", range(40))
 def test_random_rigs(seed: int) -> None:
     assert faults(random_drawing(seed)) == []
+
+
+def test_values_and_intervals_have_room(good: Estimate) -> None:
+    assert faults(schematic(RIG.model, RIG.channels, good, good.names)) == []
 
 
 def chain_with(extra: tuple[Element, ...], n: int = 5) -> Model:
