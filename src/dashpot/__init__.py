@@ -26,8 +26,8 @@ if TYPE_CHECKING:
     from dashpot.data.conditioning.steady_state import settled
     from dashpot.data.modal_data import ModalData
     from dashpot.data.readers import Reading, write_amplitudes, write_records
-    from dashpot.data.readers.delimited.modes import read_modes
     from dashpot.data.readers.in_memory import record, records_of
+    from dashpot.data.readers.modal_files import read_modes
     from dashpot.data.record import Record
     from dashpot.data.spectrum import Moments, Spectrum, concatenate, merge_repeats
     from dashpot.errors import (
@@ -70,7 +70,7 @@ _NAMES = {
     "data.modal_data": "ModalData",
     "data.readers": "Reading write_amplitudes write_records",
     "data.readers.in_memory": "record records_of",
-    "data.readers.delimited.modes": "read_modes",
+    "data.readers.modal_files": "read_modes",
     "data.record": "Record",
     "data.spectrum": "Moments Spectrum concatenate merge_repeats",
     "errors": "ConvergenceError DashpotError DataError IdentifiabilityError ModelError Problem UsageError",

@@ -10,7 +10,12 @@ import tempfile
 from functools import cache
 from pathlib import Path
 
+import numpy as np
+
 from dashpot.app.cli import run
+from dashpot.data.readers.uff.modes import NodalMode
+from dashpot.data.readers.uff.writer import write_universal_file
+from tests.unit.data.readers.written import WRITERS, recording, wav
 
 BASE = """\
 name = "Two masses on a shaken base"
@@ -70,6 +75,26 @@ matrices = "MCK"
 x1 = { of = "x1" }
 x2 = { of = "x2" }
 f = { of = "f" }
+"""
+
+NONLINEAR = """\
+coordinates = ["x1", "x2"]
+[inputs]
+u = {}
+[masses]
+m1 = { at = "x1", value = 3 }
+m2 = { at = "x2", guess = 2.7 }
+[springs]
+k1 = { between = ["x1", "x2"], guess = 4600 }
+cubic = { between = ["x1", "x2"], law = "d**3", guess = 1e7, unit = "N/m^3" }
+k2 = { between = ["x2", "u"], value = 4600, law = "d*(1 + (d/d0)**2)", d0 = { value = 0.01, sd = 0.001, min = 0 } }
+[dampers]
+c1 = { between = ["x1", "x2"], guess = 20 }
+fc = { between = ["x2", "u"], law = "tanh(v/v0)", guess = 2, v0 = { guess = 0.05, min = 1e-4, max = 1 } }
+[channels]
+x1 = { of = "x1", unit = "mm" }
+x2 = { of = "x2", unit = "mm" }
+u = { of = "u", unit = "counts", bits = 16, full_scale = "20 mm" }
 """
 
 STUDY = """\
@@ -133,7 +158,7 @@ def files() -> dict[str, bytes]:
     """All sound files by their names; data are simulated from the rigs."""
     texts = {
         "rig.toml": BASE, "forced.toml": FORCED, "free.toml": FREE, "study.toml": STUDY, "modes.csv": MODES_CSV,
-        "modes.json": MODES_JSON, "frf.csv": FRF, "a.lvm": LVM, "xsens.csv": XSENS,
+        "modes.json": MODES_JSON, "frf.csv": FRF, "nonlinear.toml": NONLINEAR, "a.lvm": LVM, "xsens.csv": XSENS,
     }  # fmt: skip
     unknowns = "m1=3,c1=20,c2=30"
     with tempfile.TemporaryDirectory() as folder, contextlib.chdir(folder):
@@ -149,4 +174,18 @@ def files() -> dict[str, bytes]:
             with contextlib.redirect_stderr(io.StringIO()) as told:
                 if run(arguments) != 0:
                     raise RuntimeError(f"the corpus cannot be made: {arguments}: {told.getvalue()}")
+        _write_binary()
         return {name: Path(name).read_bytes() for name in sorted(os.listdir())}
+
+
+def _write_binary() -> None:
+    """The recordings of the readers' tests in every format, and modes of a universal file."""
+    records = recording(32)
+    for label, (suffix, write) in WRITERS.items():
+        if suffix != ".csv":
+            write(Path(f"{label.lower().replace(', ', '_').replace(' ', '_')}{suffix}"), records)
+    Path("recording.wav").write_bytes(wav(records[0].values * 1e3))
+    shapes = np.array([[1, 0, 0], [0.6 - 0.01j, 0, 0]])
+    write_universal_file(
+        "modes.uff", (), [NodalMode(-2 + 24j, (1, 2), shapes), NodalMode(-9 + 65j, (1, 2), shapes)]
+    )

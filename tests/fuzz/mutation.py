@@ -226,8 +226,46 @@ TEXT: tuple[Callable[[str, random.Random], str], ...] = (
 )
 
 
+BINARY = {"mat", "h5", "npz", "npy", "parquet", "feather", "xlsx", "tdms", "mf4", "uff", "wav", "raw"}
+LIES = (0, 1, 2, 127, 255, 256, 32767, 65535, 2**31 - 1, 2**31, 2**32 - 1, 2**40, 2**63 - 1, 2**64 - 1)
+
+
+def binary(content: bytes, rng: random.Random) -> bytes:
+    """Bits, counts and blocks of a binary file changed; half of the time near its ends, where headers are."""
+    if len(content) < 2:
+        return raw(content, rng)
+    reach = min(len(content), 600)
+    at = rng.randrange(len(content))
+    if rng.random() < 0.5:
+        at = rng.randrange(reach) if rng.random() < 0.7 else len(content) - 1 - rng.randrange(reach)
+    kind = rng.randrange(8)
+    if kind == 0:
+        return content[:at] + bytes([content[at] ^ 1 << rng.randrange(8)]) + content[at + 1 :]
+    if kind == 1:
+        return content[:at] + rng.randbytes(1) + content[at + 1 :]
+    if kind == 2:  # a header lies about a count
+        width = rng.choice((2, 4, 8))
+        lie = (rng.choice(LIES) % 2 ** (8 * width)).to_bytes(width, rng.choice(("little", "big")))
+        return content[:at] + lie + content[at + width :]
+    if kind == 3:
+        return content[:at]
+    size = rng.choice((1, 4, 8, 64, 512))
+    if kind == 4:
+        return content[:at] + content[at + size :]
+    if kind == 5:
+        return content[:at] + content[at : at + size] * rng.choice((2, 3, 100)) + content[at + size :]
+    if kind == 6:
+        return content[:at] + rng.choice((b"\0", b"\xff")) * size + content[at + size :]
+    other = rng.randrange(len(content))
+    return content[:at] + content[other : other + size] + content[at + size :]
+
+
 def damaged(content: bytes, rng: random.Random, kind: str) -> bytes:
     """A file changed once to thrice; `kind` is the end of its name."""
+    if kind in BINARY and (kind != "uff" or rng.random() < 0.5):
+        for _ in range(rng.choice((1, 1, 1, 2, 3, 8))):
+            content = binary(content, rng)
+        return content
     for _ in range(rng.choice((1, 1, 1, 2, 3))):
         if rng.random() < 0.12:
             content = raw(content, rng)

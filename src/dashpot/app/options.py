@@ -15,6 +15,7 @@ from dashpot.app.parameter_types import (
     HARMONICS,
     INPUT_FILE,
     LEVEL,
+    MODAL_SD,
     ORDERS,
     SETTLING,
     Count,
@@ -81,6 +82,16 @@ def seed_option(of_what: str, default: int = 0) -> Callable[[Function], Function
     return option(
         "--seed", type=Count(0, 2**63 - 1), default=default, show_default=True, metavar="N",
         help=f"Seed of {of_what}; the same seed gives the same result.",
+    )  # fmt: skip
+
+
+def modal_sd_option(group: str) -> Callable[[Function], Function]:
+    """--modal-sd: standard deviations of modes in files that have none."""
+    return option(
+        "--modal-sd", type=MODAL_SD, default="1%,20%,5%", show_default=True, metavar="FREQUENCY,DAMPING,SHAPE",
+        group=group,
+        help="Standard deviations of modes in universal files, which have none: of frequencies, of damping ratios, of "
+        "shapes against their largest entry.",
     )  # fmt: skip
 
 

@@ -148,6 +148,13 @@ def _sensors(text: str) -> tuple[int, tuple[str, ...]]:
     return int(match[1]), names(match[2] or "")
 
 
+def _three_shares(text: str) -> tuple[float, float, float]:
+    shares = [_positive_share(part) for part in text.split(",")]
+    if len(shares) != 3:
+        raise UsageError(f"{text!r} is not three shares", cure="write them as 1%,20%,5%")
+    return shares[0], shares[1], shares[2]
+
+
 def names(text: str) -> tuple[str, ...]:
     """Names separated by commas."""
     return tuple(name.strip() for name in text.split(",") if name.strip())
@@ -168,6 +175,7 @@ LEVEL = TextType("level", _level)
 ORDERS = TextType("orders", _whole_numbers)
 HARMONICS = TextType("orders", _whole_numbers, words=("auto", "none"))
 TARGET = TextType("share", _target)
+MODAL_SD = TextType("shares", _three_shares)
 SENSORS = TextType("choice", _sensors)
 INPUT_FILE = InputFile()
 INPUT_FILE_OR = InputFileOr()

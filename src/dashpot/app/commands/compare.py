@@ -17,6 +17,7 @@ from dashpot.app.options import (
     file_option,
     json_option,
     level_option,
+    modal_sd_option,
     quiet_option,
     rig_argument,
     seed_option,
@@ -49,13 +50,14 @@ WHAT = "What to compare"
 )  # fmt: skip
 @option(
     "--modal", "modal_file", type=INPUT_FILE, metavar="FILE", group=WHAT,
-    help="Add an estimate from measured modes, CSV or JSON (frequency_hz, frequency_sd, damping_ratio, damping_sd, "
-    "NAME_re, NAME_im, NAME_sd).",
+    help="Add an estimate from measured modes: CSV or JSON (frequency_hz, frequency_sd, damping_ratio, damping_sd, "
+    "NAME_re, NAME_im, NAME_sd), or a universal file (dataset 55).",
 )  # fmt: skip
 @option(
     "--truth", type=AMOUNTS, metavar="m1=3,…", group=WHAT,
     help="True values where they are known; intervals that miss them are marked.  A bare number is in SI units.",
 )  # fmt: skip
+@modal_sd_option(WHAT)
 @file_option("--figure", "FILE.png", "Draw the intervals.")
 @report_option
 @json_option("all estimates")
@@ -65,7 +67,8 @@ WHAT = "What to compare"
 @seed_option("the starting values that ml and the fit to modes draw")
 @quiet_option
 def command(
-    rig: str, data: tuple[str, ...], methods: str | None, modal_file: str | None, truth: dict[str, Amount] | None,
+    rig: str, data: tuple[str, ...], methods: str | None, modal_file: str | None,
+    modal_sd: tuple[float, float, float], truth: dict[str, Amount] | None,
     figure: str | None, report: str | None, json_out: str | None, seed: int, level: float, quiet: bool,
     **conditioning: Any,
 ) -> int:  # fmt: skip
@@ -85,7 +88,7 @@ def command(
     rig_read.model.require_unknowns(rig)
     chosen = chosen or methods_for(rig_read.model)
     true = None if truth is None else true_values(rig_read, truth)
-    modal = None if modal_file is None else _modes(modal_file, rig_read)
+    modal = None if modal_file is None else _modes(modal_file, rig_read, modal_sd, quiet)
     spectrum = _spectrum(data, rig_read, chosen, conditioning, quiet) if data else None
     comparison = _compared(rig_read, spectrum, modal, chosen, true, seed, quiet)
     if figure is not None:
@@ -126,10 +129,13 @@ def _chosen(methods: str | None, data: bool, modal: bool) -> list[str]:
     return chosen
 
 
-def _modes(path: str, rig: Rig) -> ModalData:
-    from dashpot.data.readers.delimited.modes import read_modes
+def _modes(path: str, rig: Rig, relative_sd: tuple[float, float, float], quiet: bool) -> ModalData:
+    from dashpot.app.data_files import tell_notes
+    from dashpot.data.readers.modal_files import modes_and_notes
 
-    return read_modes(path, rig.model.coordinates)
+    modes, notes = modes_and_notes(path, rig.model.coordinates, rig.channels, relative_sd)
+    tell_notes(notes, quiet)
+    return modes
 
 
 def _spectrum(

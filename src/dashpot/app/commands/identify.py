@@ -18,6 +18,7 @@ from dashpot.app.options import (
     file_option,
     json_option,
     level_option,
+    modal_sd_option,
     quiet_option,
     rig_argument,
     seed_option,
@@ -64,6 +65,7 @@ ESTIMATION = "Estimation"
     "--hold-out", type=SHARE, metavar="25%", group=RECORDS,
     help="Leave that share of every record, its end, out of the fit and predict it.",
 )  # fmt: skip
+@modal_sd_option("Measured modes")
 @json_option("the estimate")
 @file_option("--apply", "NEW.toml", "Write the rig file as the likeliest cause of a misfit would have it.")
 @report_option
@@ -76,16 +78,26 @@ ESTIMATION = "Estimation"
 def command(
     rig: str, data: tuple[str, ...], chosen: str, positive: bool, json_out: str | None, report: str | None,
     strict: bool, hold_out: float | None, apply: str | None, matrices: bool, level: float, seed: int, quiet: bool,
-    **conditioning: Any,
+    modal_sd: tuple[float, float, float], **conditioning: Any,
 ) -> int:  # fmt: skip
     """Estimate the unknown masses, dampers and springs of RIG (a rig file, TOML) from DATA.
 
     DATA are CSV files: time records (frequency_hz, time_s, channels), complex amplitudes (frequency_hz, NAME_re,
-    NAME_im, NAME_sd) or frequency response functions (frequency_hz, OUT/IN_re, OUT/IN_im).
+    NAME_im, NAME_sd) or frequency response functions (frequency_hz, OUT/IN_re, OUT/IN_im).  Files of instruments
+    (UFF, MAT, HDF5, TDMS, Excel, …) are read as they are, and so are files of measured modes, one alone.
 
     Exit codes: 0 done, whatever the verdict; 2 bad usage, model or data; 3 the data do not determine the unknowns, or
     the iteration did not converge; 4 with --strict, the model does not fit.
     """
+    from dashpot.app.measured_modes import modal_estimate
+
+    unsuited = {
+        "--method": chosen != "auto", "--positive": positive, "--hold-out": hold_out is not None,
+        "--apply": apply is not None, "--report": report is not None, "--matrices": matrices,
+    }  # fmt: skip
+    of_modes = modal_estimate(rig, data, modal_sd, seed, quiet, unsuited)
+    if of_modes is not None:
+        return _of_modes(of_modes, json_out, level, strict, quiet)
     with failure_reported(report, rig):
         rig_read = _rig(rig, chosen, positive, matrices)
         estimate, spectrum = None, None
@@ -121,6 +133,17 @@ def command(
             from dashpot.present.tables.validation import show_validation
 
             show_validation(console(), held)
+    return _ending(estimate, strict)
+
+
+def _of_modes(estimate: Estimate, json_out: str | None, level: float, strict: bool, quiet: bool) -> int:
+    """Write and show an estimate from measured modes."""
+    write_result(json_out, estimate.to_json())
+    if not quiet and json_out != STDOUT:
+        from dashpot.present.tables.estimate import show_estimate
+        from dashpot.present.tables.layout import console
+
+        show_estimate(console(), estimate, level, records=False)
     return _ending(estimate, strict)
 
 

@@ -25,6 +25,7 @@ from dashpot.notices import Notice
 LEVEL = 1e-3  # of the test for transients
 EXACT = 1e-9  # of a channel's size: what scatters less is rounding, and says nothing of transients
 MANY_PERIODS = 8  # from which on the scatter of the later ones is a better measure of the noise
+MOST_A_PERIOD = 1e9  # samples, beyond which the stamps of the record are damaged
 FEWEST_A_PERIOD = 6  # samples, for amplitudes of single periods with a residual
 SHORT = 200  # lines: below it two polynomial columns serve
 WITHIN = 0.5  # of a step: a block that follows after one step belongs to the same record
@@ -89,6 +90,8 @@ def _first_and_last(record: Record) -> tuple[Real, Real, int] | None:
         return None
     period = 1 / record.frequency_hz
     step = float(record.time[-1] - record.time[0]) / (len(record.time) - 1)
+    if not period < step * MOST_A_PERIOD:
+        return None
     each = round(period / step)
     if each < FEWEST_A_PERIOD or len(record.time) < 2 * each:
         return None

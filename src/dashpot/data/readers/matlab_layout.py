@@ -14,6 +14,7 @@ from dashpot.errors import DataError
 
 HEADER = 128
 MATRIX, COMPRESSED, INT32 = 14, 15, 5
+KINDS = {*range(1, 8), 9, *range(12, 19)}  # of data elements
 CELL, STRUCTURE, OBJECT, SPARSE, OPAQUE = 1, 2, 3, 5, 17
 MOST_COMPRESSED = 1100  # times, by deflate
 DEEPEST = 20
@@ -61,7 +62,9 @@ def _check_matrix(data: bytes | mmap.mmap, start: int, end: int, order: str, sou
     kind_of_array, elements = 0, 0
     while position + 8 <= min(end, len(data)):
         kind, size, content, following = _tag(data, position, order)
-        if content + size > end:
+        if (
+            content + size > end or kind not in KINDS
+        ):  # SciPy looks kinds up without asking whether they exist
             raise _lie(source)
         if number == 0 and size >= 4 and content < len(data):
             kind_of_array = struct.unpack_from(f"{order}I", data, content)[0] & 0xFF

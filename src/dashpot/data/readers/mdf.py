@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import gc
 import io
+import logging
+import sys
 from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
 
@@ -30,7 +34,10 @@ class MdfReader:
     def parts(self, file: DataFile) -> Iterator[ArrayColumns]:
         """The groups that hold numbers."""
         asammdf = library("asammdf", "mdf", file.name, self.format)
-        with damaged(file.name, self.format):
+        logging.getLogger("asammdf").setLevel(
+            logging.CRITICAL
+        )  # it prints tracebacks of what it raises besides
+        with damaged(file.name, self.format), _quiet_ends():
             content = asammdf.MDF(io.BytesIO(file.contents))
         count = 0
         for number, group in enumerate(content.groups):
@@ -44,6 +51,23 @@ class MdfReader:
             raise DataError("there are no channels with samples", file.name, "record something")
 
 
+@contextmanager
+def _quiet_ends() -> Iterator[None]:
+    """Without a word from asammdf's destructor, which fails on what could not be opened."""
+    before = sys.unraisablehook
+    sys.unraisablehook = lambda _: None
+    try:
+        yield
+    except Exception as error:
+        reason = f"{type(error).__name__}: {error}"
+    else:
+        return
+    finally:
+        gc.collect()
+        sys.unraisablehook = before
+    raise ValueError(reason)
+
+
 def _group(content: Any, number: int, group: Any) -> tuple[dict[str, Any], dict[str, str | None]]:
     """Samples and units of a group; nothing where there are none."""
     columns: dict[str, Any] = {}
@@ -52,6 +76,9 @@ def _group(content: Any, number: int, group: Any) -> tuple[dict[str, Any], dict[
     for index, channel in enumerate(group.channels):
         if index == master:
             continue
+        end = getattr(channel, "byte_offset", 0) + getattr(channel, "bit_count", 0) // 8
+        if end > getattr(group.channel_group, "samples_byte_nr", end):
+            raise ValueError(f"channel {channel.name} lies outside its record")  # where asammdf would read on
         signal = content.get(group=number, index=index, raw=False)
         samples = np.asarray(signal.samples)
         if samples.ndim == 1 and samples.dtype.kind in "fiub" and len(samples):

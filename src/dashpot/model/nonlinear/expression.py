@@ -26,6 +26,7 @@ FUNCTIONS: Mapping[str, int] = MappingProxyType(
 )  # fmt: skip
 LONGEST = 500  # characters of an expression
 DEEPEST = 50  # brackets within brackets
+LARGEST = 1e100  # number
 
 _TOKEN = re.compile(
     r"\s*(?:(?P<number>(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)|(?P<name>[A-Za-z_]\w*)|(?P<sign>\*\*|<=|>=|[-+*/(),<>]))"
@@ -151,6 +152,8 @@ class _Parser:
             raise self.wrong("it ends too early")
         kind, word = self.tokens[self.at]
         if kind == "number":
+            if not float(word) <= LARGEST:
+                raise self.wrong(f"the number {word[:20]} is too large")
             self.at += 1
             return Node("number", number=float(word))
         if kind == "name":

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from dashpot.data.readers.delimited.modes import read_modes
+from dashpot.data.readers.modal_files import read_modes
 from dashpot.errors import DataError
 
 X = ("x1", "x2", "x3")

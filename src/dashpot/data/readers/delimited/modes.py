@@ -32,7 +32,7 @@ FREQUENCY, FREQUENCY_SD, DAMPING, DAMPING_SD = "frequency_hz", "frequency_sd", "
 PLAIN = (FREQUENCY, FREQUENCY_SD, DAMPING, DAMPING_SD)
 
 
-def read_modes(path: str | os.PathLike[str], coordinates: Sequence[str]) -> ModalData:
+def read_mode_table(path: str | os.PathLike[str], coordinates: Sequence[str]) -> ModalData:
     """The modes in a file, with shapes at those of the rig's `coordinates` that it has.
 
     Raises DataError, one line, with file, row and column or mode, for what is missing, no number, negative or unknown.

@@ -1,0 +1,43 @@
+"""Damage of every kind to every format: a right answer or one clear line, within 5 s and 1 GiB."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from dashpot.data.readers import read
+from dashpot.errors import DataError
+from dashpot.model.rigfile import parse_rig
+from tests.fuzz import corpus
+
+ROOT = Path(__file__).parents[2]
+
+
+@pytest.mark.long
+def test_systematic_damage_finds_nothing() -> None:
+    done = subprocess.run(
+        [sys.executable, "-m", "tests.fuzz.systematic"],
+        cwd=ROOT, capture_output=True, text=True, timeout=600, env={**os.environ, "MPLBACKEND": "Agg"},
+    )  # fmt: skip
+    *faults, total = [json.loads(line) for line in done.stdout.splitlines() if line.startswith("{")]
+    assert faults == []
+    assert total["cases"] >= 1500
+    assert total["formats"] >= 28
+    assert done.returncode == 0
+
+
+def test_what_is_no_file_is_refused_in_one_line(tmp_path: Path) -> None:
+    many = tmp_path / "many.csv"
+    many.write_bytes(b"time_s," + b"x," * 10_000_000 + b"u\n" + b"0," * 100 + b"0\n")
+    lines = []
+    for path in (tmp_path, Path("/dev/null"), tmp_path / "none.csv", many):
+        with pytest.raises(DataError) as refused:
+            read(path, parse_rig(corpus.BASE).channels)
+        lines.append(str(refused.value))
+    assert all("\n" not in line for line in lines)
+    assert "the header row is over 1 MB long" in lines[-1]

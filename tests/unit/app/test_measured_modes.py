@@ -1,0 +1,34 @@
+"""identify from a file of measured modes."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from dashpot.data.readers.modal_files import read_modes
+from dashpot.estimate.modal.identify_modal import identify_modal
+from dashpot.estimate.result import Estimate
+from dashpot.export.formats import export_rig
+from tests.unit.app.conftest import Command
+from tests.unit.export.exported import TWO_MASSES, two_masses
+
+
+def test_a_rig_is_identified_from_its_own_modes(
+    dashpot: Command, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Rounded to six digits, modes give the parameters back to 1e-3; the command gives the same estimate."""
+    monkeypatch.chdir(tmp_path)
+    rig = two_masses()
+    export_rig(rig, "modes.uff")
+    Path("rig.toml").write_text(TWO_MASSES)
+    estimate = identify_modal(rig.model, read_modes("modes.uff", rig.model.coordinates, rig.channels))
+    assert estimate.values == pytest.approx(rig.theta, rel=1e-3)
+    done = dashpot("identify", "rig.toml", "modes.uff", "--json", "e.json")
+    assert done.code == 0
+    assert "standard deviations: assumed are 1 % of frequencies" in done.err[0]
+    assert Estimate.load("e.json").values == pytest.approx(estimate.values, rel=1e-9)
+    refused = dashpot("identify", "rig.toml", "modes.uff", "--method", "ml")
+    assert (refused.code, refused.err) == (
+        2, ["dashpot: modes.uff holds modes, to which --method does not apply; leave --method out"],
+    )  # fmt: skip
