@@ -232,11 +232,14 @@ def aeroid_solver(
     from scipy.interpolate import CubicSpline
 
     def solve(values: np.ndarray, start: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        path = CubicSpline(test.time, values[:, 4])
-        rate = path.derivative()
+        pieces = CubicSpline(test.time, values[:, 4]).c.T.tolist()
 
         def dynamics(t: float, x: np.ndarray, u: np.ndarray, p: dict[str, float]) -> list[float]:
-            base, speed = (float(path(t)), float(rate(t))) if spline else (u[0], u[1])
+            base, speed = u[0], u[1]
+            if spline:
+                k = min(int(t * RATE), len(pieces) - 1)
+                (c3, c2, c1, c0), h = pieces[k], t - k / RATE
+                base, speed = ((c3 * h + c2) * h + c1) * h + c0, (3 * c3 * h + 2 * c2) * h + c1
             link = K1 * (x[0] - x[1]) + p["c1"] * (x[2] - x[3])
             foot = K2 * (x[1] - base) + p["c2"] * (x[3] - speed)
             first = -link - p["c3"] * x[2]
