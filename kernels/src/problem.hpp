@@ -104,7 +104,8 @@ struct Loops {
     void (*line_shares)(const double *information, const double *inflation, const double *bread, long lines, int m,
                         double *shares, double *diagonals);
     void (*harmonic_sums)(const double *values, long from, long to, int channels, const double *turns,
-                          int frequencies, double origin, double *sums, double *plain, double *largest);
+                          int frequencies, double origin, double *sums, double *plain, double *moment,
+                          double *largest);
 };
 
 }  // namespace dashpot

@@ -34,6 +34,7 @@ from dashpot.io.atomic import remove_parts
 from dashpot.io.lock import locked
 from dashpot.model.observation import observation_model
 from dashpot.model.rigfile import Rig
+from dashpot.numerics.kernel import description
 from dashpot.study.fingerprint import fields_of, fingerprint_of
 from dashpot.study.store import METADATA, digest_of_columns, read_table, write_table
 
@@ -178,7 +179,7 @@ def machine() -> str:
     core = getattr(np, "_core", None)
     features = getattr(getattr(core, "_multiarray_umath", None), "__cpu_features__", {})
     chosen = ",".join(sorted(name for name, there in features.items() if there))
-    parts = (version("dashpot"), np.__version__, scipy.__version__, platform.machine(), chosen)
+    parts = (version("dashpot"), description(), np.__version__, scipy.__version__, platform.machine(), chosen)
     return " ".join(parts)
 
 

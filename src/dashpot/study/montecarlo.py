@@ -20,6 +20,7 @@ from dashpot.errors import DashpotError, UsageError
 from dashpot.estimate.identify import identify
 from dashpot.estimate.registry import method, method_class
 from dashpot.estimate.result import Estimate
+from dashpot.numerics.kernel import description
 from dashpot.study.scenario import Scenario
 from dashpot.study.simulate import simulate_spectrum
 from dashpot.study.store import Label, State, read_block, state_of, write_block
@@ -55,7 +56,7 @@ class Task:
         scenario = self.scenario
         return Label(
             scenario.fingerprint, self.seed, self.index, self.size, scenario.methods, len(scenario.model.unknowns),
-            version("dashpot"),
+            f"{version('dashpot')}, {description()}",
         )  # fmt: skip
 
 

@@ -33,7 +33,7 @@ class Label:
     size         draws
     methods      in their order
     unknowns     how many
-    version      of dashpot that computed it
+    version      of dashpot that computed it, and of its kernel
     """
 
     fingerprint: str

@@ -1,0 +1,192 @@
+"""The compiled kernel against its NumPy twins, one identification against lmfit, searches from nothing, memory speed.
+
+`python3 dev.py bench kernel`.  Ratios of one run, in processor time where both sides compute on one core; `--repeats N`
+identifications in a batch, `--samples N` of the long record.  Without the kernel it says so and ends.
+"""
+
+from __future__ import annotations
+
+import argparse
+import functools
+import sys
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import lmfit
+import numpy as np
+
+from dashpot.estimate.identify import identify
+from dashpot.estimate.likelihood.maximum_likelihood import MaximumLikelihood
+from dashpot.estimate.linear.compiled import compiled_equation, compiled_search
+from dashpot.estimate.linear.instrumental_variables import OptimalIV
+from dashpot.estimate.preparation.prepared import prepare
+from dashpot.numerics.harmonic_sums import even_gram, harmonic_sums
+from dashpot.numerics.kernel import kernel, using
+
+sys.path.insert(0, str(Path(__file__).parents[1]))  # for the rigs of the tests and of the other benchmarks
+from benchmarks.identify import CASE_3, PAPER, TRUTH, chain, data
+from tests.partly_seen import BENCHES
+
+START = 1.5  # what lmfit is told of the truth
+
+
+def shortest(call: Callable[[], object], repeats: int) -> float:
+    """The shortest processor time of some calls, s."""
+    times = []
+    for _ in range(repeats):
+        begin = time.process_time()
+        call()
+        times.append(time.process_time() - begin)
+    return min(times)
+
+
+def batches(repeats: int) -> None:
+    """A batch in the kernel and in its twin, everything that identify does included."""
+    core = kernel()
+    assert core is not None
+    print(f"{repeats} identifications in one call, oiv, 25 lines; µs of one core each\n")
+    print("| coordinates | unknowns | kernel | search alone | NumPy twin | ratio | estimates differ by |")
+    print("|---|---|---|---|---|---|---|")
+    for n in (2, 4, 8):
+        model, truth = chain(n)
+        spectrum = data(model, truth, np.linspace(1, 20, 25), repeats)
+        states = prepare(model, spectrum).seen_states
+        equation, endless = compiled_equation(model, states), np.full(len(truth), np.inf)
+        first, everyone = equation.starts()[0], np.arange(repeats)
+
+        def descend(equation=equation, first=first, everyone=everyone, endless=endless) -> object:
+            return compiled_search(equation, first, everyone, 200, 1e-9, -endless, endless)
+
+        alone = shortest(descend, 3)
+        taken, values = {}, {}
+        for choice in ("compiled", "numpy"):
+            with using(choice):
+
+                def call(model=model, spectrum=spectrum) -> object:
+                    return identify(model, spectrum, OptimalIV())
+
+                values[choice] = call().values
+                taken[choice] = shortest(call, 3)
+        apart = np.max(np.abs(values["compiled"] / values["numpy"] - 1))
+        each = {name: 1e6 * t / repeats for name, t in taken.items()}
+        print(
+            f"| {n} | {len(truth)} | {each['compiled']:.1f} | {1e6 * alone / repeats:.1f} | {each['numpy']:.0f} "
+            f"| {each['numpy'] / each['compiled']:.1f} | {apart:.0e} |"
+        )
+    print()
+
+
+def single() -> None:
+    """One identification of the paper's rig against lmfit, which is given a start and the response written out."""
+    spectrum = data(PAPER, TRUTH, CASE_3, 1, noise=0.1 / np.sqrt(28))
+    one = replace(spectrum, amplitudes=spectrum.amplitudes[0])
+    omega, Y, sd = spectrum.omega, one.amplitudes[:, :-1], spectrum.sd()[:, :-1]
+    truth, jomega = np.array(list(TRUTH.values())), 1j * spectrum.omega
+
+    def residual(p: lmfit.Parameters) -> np.ndarray:
+        m1, m2, c1, c2, c3, c4 = (p[name].value for name in TRUTH)
+        k1, k2 = 4600.0, 4600.0
+        a = k1 - omega**2 * m1 + jomega * (c1 + c3)
+        d = k1 + k2 - omega**2 * m2 + jomega * (c1 + c2 + c4)
+        b, drive = -(k1 + jomega * c1), k2 + jomega * c2
+        scale = drive / (a * d - b * b)
+        x1, x2 = -b * scale, a * scale
+        r = (np.stack([x1, x2, jomega * x1, jomega * x2], axis=-1) - Y) / sd
+        return np.concatenate([r.real.ravel(), r.imag.ravel()])
+
+    parameters = lmfit.Parameters()
+    for name, value in zip(TRUTH, START * truth, strict=True):
+        parameters.add(name, value=value)
+    found = lmfit.minimize(residual, parameters, scale_covar=False)
+    estimate = identify(PAPER, one, OptimalIV())
+    apart = max(abs(found.params[name].value / v - 1) for name, v in zip(TRUTH, estimate.values, strict=True))
+    peer = shortest(lambda: lmfit.minimize(residual, parameters, scale_covar=False), 60)
+    print("One identification of the paper's rig (25 lines, amplitudes and their noise given)\n")
+    print("| | ms | over that of lmfit |")
+    print("|---|---|---|")
+    print(f"| lmfit, start and formula given (estimates agree to {apart:.0e}) | {1e3 * peer:.2f} | 1 |")
+    for choice in ("compiled", "numpy"):
+        with using(choice):
+            own = shortest(lambda: identify(PAPER, one, OptimalIV()), 200)
+            again = MaximumLikelihood(start=tuple(START * truth), start_sign=(1.0,) * 5)
+            likely = shortest(lambda again=again: identify(PAPER, one, again), 60)
+        print(
+            f"| identify, {choice}: start, χ², bound, modes, intervals | {1e3 * own:.2f} | 1/{peer / own:.1f} |"
+        )
+        print(f"| identify, {choice}, ml from that start | {1e3 * likely:.2f} | 1/{peer / likely:.1f} |")
+    print()
+
+
+def searches(draws: int) -> None:
+    """Rigs seen in part, without guesses, each draw alone."""
+    print(f"Rigs seen in part, no guesses, {draws} draws each; s of one core\n")
+    print("| rig | home | kernel, median | most |")
+    print("|---|---|---|---|")
+    for make in BENCHES:
+        bench = make()
+        spectrum, bound = bench.spectrum(np.random.default_rng(11), draws), bench.bound_sd()
+        times, home = [], 0
+        for k in range(draws):
+            one = replace(spectrum, amplitudes=spectrum.amplitudes[k])
+            begin = time.process_time()
+            found = identify(bench.model, one, MaximumLikelihood())
+            times.append(time.process_time() - begin)
+            home += bool(found.converged) and bool(np.max(np.abs(found.values - bench.psi) / bound) < 8)
+        name = make.__name__.replace("_", " ")
+        print(f"| {name} | {home} of {draws} | {np.median(times):.2f} | {max(times):.2f} |", flush=True)
+    print()
+
+
+def memory(samples: int) -> None:
+    """Amplitudes of a long record against the time that reading it takes."""
+    rng = np.random.default_rng(3)
+    values = rng.standard_normal((samples, 4))
+    turn = 0.00731
+
+    def amplitudes(orders: tuple[int, ...]) -> np.ndarray:
+        sums = harmonic_sums(values, turn * np.array(orders, dtype=float))
+        gram = even_gram(samples, turn, 0.0, orders, 0)
+        right = np.empty((1 + 2 * len(orders), 4))
+        right[0], right[1::2], right[2::2] = sums.plain, sums.waves.real, sums.waves.imag
+        return np.linalg.solve(gram, right)
+
+    flat = values.reshape(-1)
+    reading = min(shortest(lambda: np.add.reduce(flat), 5), shortest(lambda: np.max(flat), 5))
+    print(f"{samples:g} samples × 4 channels into amplitudes, one core\n")
+    print("| | s | GB/s | share of the reading speed, % |")
+    print("|---|---|---|---|")
+    rate = values.nbytes / reading / 1e9
+    print(f"| reading (the quicker of NumPy's sum and max) | {reading:.3f} | {rate:.1f} | 100 |")
+    for choice in ("compiled", "numpy"):
+        with using(choice):
+            for orders in ((1,), (1, 2)):
+                call = functools.partial(amplitudes, orders)
+                taken = shortest(call, 5 if choice == "compiled" else 1)
+                rate, share = values.nbytes / taken / 1e9, 100 * reading / taken
+                what = f"offset and {'fundamental' if len(orders) == 1 else 'two harmonics'}, {choice}"
+                print(f"| {what} | {taken:.3f} | {rate:.1f} | {share:.0f} |")
+    print()
+
+
+def main() -> None:
+    options = argparse.ArgumentParser(description=__doc__)
+    options.add_argument("--repeats", type=int, default=3000, help="identifications of a batch")
+    options.add_argument("--draws", type=int, default=10, help="of each rig that is seen in part")
+    options.add_argument("--samples", type=int, default=10_000_000, help="of the long record")
+    given = options.parse_args()
+    core = kernel()
+    if core is None:
+        print("the compiled kernel is not installed, or DASHPOT_KERNEL is numpy: nothing to compare")
+        return
+    sets = ", ".join(core.instruction_sets())
+    print(f"dashpot-kernels {core.__version__}, {core.instruction_set()} (this processor has {sets})\n")
+    batches(given.repeats)
+    single()
+    memory(given.samples)
+    searches(given.draws)
+
+
+if __name__ == "__main__":
+    main()
