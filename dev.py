@@ -56,7 +56,7 @@ ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_
 PIP_INSTALL_LOCKED = ("install", "--require-hashes", "--only-binary", ":all:", "-r")
 COMMANDS = ("run", "test", "check", "bench", "env", "lock", "lowest", "newest", "fuzz", "docs")
 # What the tests of `lowest` and `newest` need beside the wheel; the locked set has more than an old NumPy allows.
-TESTING = ("pytest>=9", "pytest-xdist", "hypothesis", "import-linter", "lmfit")
+TESTING = ("pytest>=9", "pytest-xdist", "hypothesis", "import-linter", "lmfit", "openpyxl")
 
 
 class SetupError(Exception):

@@ -29,7 +29,7 @@ def inputs_by_channel(view: ObservationModel, exact: Bools) -> Complex | None:
         if np.any(power == 0):
             return None
         return np.asarray(hermitian(C) / power * unit[:, None, :])
-    if np.any(np.linalg.matrix_rank(C) < count):
+    if count and np.any(np.linalg.matrix_rank(C) < count):
         return None
     by_channel: Complex = np.linalg.pinv(C) * unit[:, None, :]
     return by_channel
