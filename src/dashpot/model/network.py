@@ -309,7 +309,7 @@ class Model:
         strangers = set(values) - {unknown.name for unknown in self.unknowns}
         if strangers:
             raise ModelError(
-                f"{', '.join(sorted(strangers))} is no unknown of this rig",
+                f"{', '.join(sorted(strangers))} is not an unknown of this rig",
                 cure=f"its unknowns are {', '.join(unknown.name for unknown in self.unknowns)}",
             )
         return theta

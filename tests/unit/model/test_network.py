@@ -110,7 +110,7 @@ class TestUnknowns:
             RIG.theta({})
 
     def test_theta_with_a_stranger(self) -> None:
-        with pytest.raises(ModelError, match="k1 is no unknown of this rig; its unknowns are m1, m2, c1"):
+        with pytest.raises(ModelError, match="k1 is not an unknown of this rig; its unknowns are m1, m2, c1"):
             RIG.theta({"m1": 1.0, "k1": 3.0})
 
     def test_priors(self) -> None:
