@@ -59,6 +59,7 @@ autodoc_class_signature = "mixed"
 python_use_unqualified_type_names = True
 python_maximum_signature_line_length = 72
 highlight_language = "text"
+smartquotes = False  # two hyphens begin an option
 toc_object_entries = False
 # Fragments that pages include begin below the title of the page; a page that a glob names may not be written yet.
 suppress_warnings = ["myst.header", "toc.empty_glob"]

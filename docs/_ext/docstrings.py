@@ -16,7 +16,7 @@ def _escaped(text: str) -> str:
     """A line of prose: code in double backticks, no other mark-up."""
     parts = re.split(r"(`[^`]+`)", text)
     return "".join(
-        f"`{part}`" if k % 2 else re.sub(r"([\\*|])", r"\\\1", re.sub(r"(\w)_(?!\w)", r"\1\\_", part))
+        f"`{part}`" if k % 2 else re.sub(r"([\\*|:])", r"\\\1", re.sub(r"(\w)_(?!\w)", r"\1\\_", part))
         for k, part in enumerate(parts)
     )
 

@@ -24,7 +24,7 @@ from dashpot.app.parameter_types import (
 NOT_CONVERGED = 3  # exit code
 DOES_NOT_FIT = 4  # exit code of a verdict that was asked to count
 OUTPUT = "Output"
-DATA_HELP = "Data files (CSV): time records, complex amplitudes or frequency response functions."
+DATA_HELP = "Data files of any format, or a manifest (TOML): time records, amplitudes, frequency responses."
 RECORDS = "Time records (tables of amplitudes are used as they are)"
 
 Function = TypeVar("Function", bound=Callable[..., Any])

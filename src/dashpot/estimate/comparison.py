@@ -92,7 +92,9 @@ def compare(
     true: Mapping[str, float] = {} if truth is None else truth
     for name in true:
         if name not in names:
-            raise UsageError(f"{name} is not an unknown of this rig", cure=f"its unknowns are {', '.join(names)}")
+            raise UsageError(
+                f"{name} is not an unknown of this rig", cure=f"its unknowns are {', '.join(names)}"
+            )
     jobs: dict[str, Callable[[], Estimate]] = {}
     if spectrum is not None:
         jobs |= {name: partial(identify, model, spectrum, method) for name, method in methods.items()}

@@ -22,7 +22,7 @@ from dashpot.errors import printable
     "dashpot spectrum rig.toml run.csv --frequency 4.5 --orders 1,3 --settle auto -o amplitudes.csv",
 )
 @rig_argument
-@data_argument("CSV files of time records.", name="records", required=True)
+@data_argument("Files of time records, of any format.", name="records", required=True)
 @out_option("FILE.csv", "The table of amplitudes to write.")
 @conditioning_options
 @whole_record_options
