@@ -21,7 +21,7 @@ extensions = [
     "docstrings",
     "generated",
 ]
-exclude_patterns = ["_build", "_ext", "_generated", "images"]
+exclude_patterns = ["_build", "_ext", "_generated", "images/README.md"]
 source_suffix = {".md": "myst-nb"}
 
 # Everything that the pages need stands beside them: furo uses the fonts of the reader's system, formulas are MathML.
