@@ -276,6 +276,16 @@ _ALL: tuple[tuple[str, str, str, str], ...] = (
         "Compare the file's length with the original.",
     ),
     (
+        "modes_without_sd", _FILES,
+        "A universal file of modes has no standard deviations; usual ones are assumed.",
+        "State what you believe of them with `--modal-sd`.",
+    ),
+    (
+        "modes_in_order", _FILES,
+        "No node of the modes has the name of a coordinate; the nodes are taken for the coordinates in their order.",
+        'Check the pairs in the note; a channel of the node\'s name says it for certain: `"3+Z" = { of = "x1" }`.',
+    ),
+    (
         "samples_not_shared", _FILES,
         "Some samples exist in some sensors' files only and are left out.",
         "Nothing, if they are few.",

@@ -32,12 +32,12 @@ def test_nodes_in_order_by_channels_and_by_name(tmp_path: Path) -> None:
     assert data.damping_ratio == pytest.approx([2 / abs(-2 + 20j), 5 / abs(-5 + 60j)], rel=1e-5)
     assert data.shapes[0] == pytest.approx([20, 10 - 2j], rel=1e-5)
     assert np.sqrt(data.covariance[:, 0, 0]) == pytest.approx(0.01 * data.frequency_hz)
-    assert [note.code for note in notes] == ["modes.sd", "modes.order"]
+    assert [note.code for note in notes] == ["modes_without_sd", "modes_in_order"]
     assert "7+Y = a, 9+Z = b" in str(notes[1])
     channels = (Channel("9+Z", {"a": 2.0}), Channel("7+Y", {"b": -1.0}))
     by_channel, notes = modes_and_notes(path, ("a", "b"), channels, (0.1, 0.1, 0.1))
     assert by_channel.shapes[0] == pytest.approx([5 - 1j, -20], rel=1e-5)
-    assert [note.code for note in notes] == ["modes.sd"]
+    assert [note.code for note in notes] == ["modes_without_sd"]
     assert read_modes(path, ("9+Z",)).points == ("9+Z",)
     assert read_modes(path, ("7", "9")).points == ("7", "9")
     two_modes(path, ("", "", "7 = b, 9 = a"))

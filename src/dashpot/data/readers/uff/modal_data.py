@@ -52,7 +52,9 @@ def read_uff_modes(
     if in_order:
         pairs = ", ".join(f"{_label(place)} = {shown(name)}" for name, (place, _) in matched.items())
         notes.append(
-            Notice("modes.order", f"nodes are taken for coordinates in their order: {pairs}", tuple(points))
+            Notice(
+                "modes_in_order", f"nodes are taken for coordinates in their order: {pairs}", tuple(points)
+            )
         )
     return _modal_data(points, found, shapes, relative_sd), notes
 
@@ -60,7 +62,7 @@ def read_uff_modes(
 def _assumed(relative_sd: tuple[float, float, float]) -> Notice:
     frequency, damping, shape = (f"{100 * share:g} %" for share in relative_sd)
     text = f"the file has no standard deviations: assumed are {frequency} of frequencies, {damping} of damping ratios, "
-    return Notice("modes.sd", f"{text}{shape} of a shape's largest entry", ())
+    return Notice("modes_without_sd", f"{text}{shape} of a shape's largest entry", ())
 
 
 def _modal_data(
