@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from dashpot.data.readers import Reading
+    from dashpot.data.record import Record
     from dashpot.estimate.result import Estimate
     from dashpot.model.rigfile import Rig
 
@@ -21,22 +22,33 @@ def whole_record_estimate(
 
     Raises DataError and UsageError.
     """
-    from dashpot.app.data_files import tell_notes
     from dashpot.app.progress import progress
-    from dashpot.data.readers import read
     from dashpot.errors import UsageError
     from dashpot.estimate.nonlinear.whole_record import identify_records
 
-    reading = read(paths, rig.channels, frequency_hz=options["frequency"])
-    if not reading.records or any(record.frequency_hz is not None for record in reading.records):
+    records = continuous_records(rig, paths, options, quiet)
+    if records is None:
         return None
     if chosen not in ("auto", "ml"):
         raise UsageError(
             f"the method {chosen} does not know whole records of nonlinear rigs", cure="use the method ml"
         )
-    tell_notes(reading.notes, quiet)
     with progress("identify", quiet) as moved:
-        return identify_records(rig.model, reading.records, progress=moved)
+        return identify_records(rig.model, records, progress=moved)
+
+
+def continuous_records(
+    rig: Rig, paths: Sequence[str], options: Mapping[str, Any], quiet: bool
+) -> Sequence[Record] | None:
+    """The records of the data, what was noticed of them told; None where the data are dwells or amplitudes."""
+    from dashpot.app.data_files import tell_notes
+    from dashpot.data.readers import read
+
+    reading = read(paths, rig.channels, frequency_hz=options["frequency"])
+    if not reading.records or any(record.frequency_hz is not None for record in reading.records):
+        return None
+    tell_notes(reading.notes, quiet)
+    return reading.records
 
 
 def usual_orders(rig: Rig, reading: Reading) -> tuple[int, ...]:

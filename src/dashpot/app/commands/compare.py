@@ -40,6 +40,7 @@ WHAT = "What to compare"
 @dashpot_command(
     "compare",
     "dashpot compare rig.toml data.csv",
+    "dashpot compare rig.toml record.csv --elements",
     'dashpot compare rig.toml data.csv --methods wls,oiv,ml --truth "m1=3,k1=4.6 kN/m" --figure methods.png',
 )
 @rig_argument
@@ -58,6 +59,10 @@ WHAT = "What to compare"
     help="True values where they are known; intervals that miss them are marked.  A bare number is in SI units.",
 )  # fmt: skip
 @modal_sd_option(WHAT)
+@option(
+    "--elements", is_flag=True, group=WHAT,
+    help="In place of methods: nonlinear elements that the rig might have, ranked by their evidence.",
+)  # fmt: skip
 @file_option("--figure", "FILE.png", "Draw the intervals.")
 @report_option
 @json_option("all estimates")
@@ -68,11 +73,11 @@ WHAT = "What to compare"
 @quiet_option
 def command(
     rig: str, data: tuple[str, ...], methods: str | None, modal_file: str | None,
-    modal_sd: tuple[float, float, float], truth: dict[str, Amount] | None,
+    modal_sd: tuple[float, float, float], truth: dict[str, Amount] | None, elements: bool,
     figure: str | None, report: str | None, json_out: str | None, seed: int, level: float, quiet: bool,
     **conditioning: Any,
 ) -> int:  # fmt: skip
-    """Estimate the unknowns of RIG from DATA with several methods, side by side.
+    """Estimate the unknowns of RIG from DATA with several methods, side by side, or compare nonlinear elements.
 
     DATA as for identify; with --modal FILE they may be left out.  A method that does not suit the data is named with
     the reason.
@@ -83,6 +88,9 @@ def command(
     from dashpot.app.parameters import true_values
     from dashpot.model.rigfile import read_rig
 
+    if elements:
+        _check_elements(data, methods, modal_file, truth, figure, report)
+        return _elements(rig, data, json_out, quiet, conditioning)
     chosen = _chosen(methods, bool(data), modal_file is not None)
     rig_read = read_rig(rig)
     rig_read.model.require_unknowns(rig)
@@ -106,6 +114,46 @@ def command(
 
         show_comparison(console(), comparison, level)
     return _ending(comparison)
+
+
+def _check_elements(data: Sequence[str], *others: object) -> None:
+    """--elements needs DATA and goes with none of the other things to compare.  Raises UsageError."""
+    from dashpot.errors import UsageError
+
+    if not data:
+        raise UsageError("elements are compared by data, and none are given", "--elements", "give DATA")
+    if any(other is not None for other in others):
+        cure = "leave out --methods, --modal, --truth, --figure and --report"
+        raise UsageError("elements are compared by ml alone", "--elements", cure)
+
+
+def _elements(
+    rig: str, data: Sequence[str], json_out: str | None, quiet: bool, conditioning: dict[str, Any]
+) -> int:
+    """Nonlinear elements by evidence: from whole records by integration, else from the harmonics of dwells."""
+    from dashpot.app.data_files import read_spectrum
+    from dashpot.app.files import write_result
+    from dashpot.app.nonlinear_records import continuous_records
+    from dashpot.app.progress import progress
+    from dashpot.check.element_evidence import compare_in_dwells, compare_in_records
+    from dashpot.model.rigfile import read_rig
+
+    rig_read = read_rig(rig)
+    rig_read.model.require_unknowns(rig)
+    records = continuous_records(rig_read, data, conditioning, quiet)
+    if records is None:
+        spectrum = read_spectrum(rig_read, data, conditioning, quiet, moments_for=["hls"])
+        found = compare_in_dwells(rig_read.model, spectrum)
+    else:
+        with progress("compare", quiet) as moved:
+            found = compare_in_records(rig_read.model, records, progress=moved)
+    write_result(json_out, found.to_json())
+    if not quiet and json_out != STDOUT:
+        from dashpot.present.tables.element_evidence import show_elements
+        from dashpot.present.tables.layout import console
+
+        show_elements(console(), found)
+    return 0
 
 
 def _chosen(methods: str | None, data: bool, modal: bool) -> list[str]:

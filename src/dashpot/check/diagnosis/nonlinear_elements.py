@@ -16,6 +16,7 @@ from scipy.special import fdtrc
 
 from dashpot.arrays import Real, hermitian
 from dashpot.errors import DashpotError
+from dashpot.estimate.likelihood.chunks import Measured
 from dashpot.estimate.likelihood.objective import local, measured, predict, prior_mean, prior_precision
 from dashpot.estimate.preparation.prepared import Prepared
 from dashpot.model.elements import Element, Kind, between
@@ -24,7 +25,7 @@ from dashpot.model.nonlinear.force_law import Constant, force_law
 from dashpot.model.nonlinear.harmonic_balance import periodic_response
 from dashpot.model.nonlinear.harmonics import complex_of
 from dashpot.model.observation import ObservationModel, observation_model
-from dashpot.numerics.levenberg_marquardt import OptimizeResult, QuadraticModel, minimise
+from dashpot.numerics.levenberg_marquardt import QuadraticModel, minimise
 
 # Kind, law and the share of the motion that its constant is, if it has one.
 LAWS: tuple[tuple[Kind, str, str, float], ...] = (
@@ -37,14 +38,20 @@ LAWS: tuple[tuple[Kind, str, str, float], ...] = (
     (Kind.DAMPER, "cubic", "", 0.0),
     (Kind.DAMPER, "coulomb", "v0", 0.1),
 )
+FURTHER = (
+    (Kind.SPRING, "d**4", "", 0.0),
+    (Kind.DAMPER, "d**2*v", "", 0.0),
+)  # tried where elements are compared
+WORDS = {"d**4": "quartic", "d**2*v": "growing"}  # in names of elements
 CERTAIN = 1e-6  # p-value below which a nonlinear element is called for
 MARKED = 0.3  # share of the misfit that it must explain
 OWN = 1e-4  # part of a column that the rig's own unknowns must leave
 FEW = 4  # coordinates up to which any two points are tried, and not only those that an element joins
-FOLLOWED = 3  # candidates that are fitted in full
+FOLLOWED = 2  # candidates that are fitted in full
 ENOUGH = 2.0  # χ² per degree of freedom at which no other candidate is followed
 LIMIT = 15  # iterations of such a fit
-SOFT = 1e-3  # relative noise that makes exact data scorable
+HINT = 0.1  # share of the softened misfit that a candidate must promise to be followed
+SOFT = 0.05  # relative noise of the softened data
 
 
 @dataclass(frozen=True)
@@ -81,39 +88,40 @@ def moving_pairs(model: Model) -> list[tuple[str, str]]:
     ]  # fmt: skip
 
 
-def candidate_elements(model: Model, motions: Motions) -> list[Element]:
-    """Every law of LAWS between the points that move, their constants in proportion to the motion.
+def candidate_elements(model: Model, motions: Motions, further: bool = False) -> list[Element]:
+    """Every law of LAWS, and of FURTHER, between the points that move, their constants in proportion to the motion.
 
     Where the rig has such an element already there is none.
     """
     there = {
-        (element.force_law.text, frozenset(element.along))
+        (element.force_law.expression.text, frozenset(element.along))
         for element in model.elements
         if element.force_law is not None
     }
     candidates = []
     for (first, second), (size, speed) in motions.items():
-        for kind, name, constant, share in LAWS:
+        for kind, name, constant, share in (*LAWS, *(FURTHER if further else ())):
             value = share * (speed if constant == "v0" else size)
             law = force_law(name, [Constant(constant, value)] if constant else [], damper=kind is Kind.DAMPER)
-            plain = between(f"{name}_{first}_{second}", kind, first, second)
-            if (name, frozenset(plain.along)) not in there:
+            plain = between(f"{WORDS.get(name, name)}_{kind.value}_{first}_{second}", kind, first, second)
+            if (law.expression.text, frozenset(plain.along)) not in there:
                 candidates.append(replace(plain, force_law=law))
     return candidates
 
 
 def scored_in_dwells(
-    data: Prepared, psi: Real, sign: Real, elements: Sequence[Element]
+    data: Prepared, psi: Real, sign: Real, elements: Sequence[Element], softness: float
 ) -> list[ScoredElement]:
-    """The candidates by their score at ψ (M,) of the rig as it is, the most promising first; () where none can be had.
+    """The candidates by their score at ψ (M,), the best fit of the data with that softness, the best first.
 
-    data: of one repeat, settled dwells.
+    data: of one repeat, settled dwells.  Softened, all amplitudes have a say: beside a small noise those near
+    resonance, where a wrong rig fails most, would decide alone.  [] where none can be had.
     """
     found = []
     for element in elements:
         extended = replace(data.model, elements=(*data.model.elements, element))
         try:
-            scored = _score(replace(data, model=extended), psi, sign, element)
+            scored = _score(replace(data, model=extended), psi, sign, element, softness)
         except DashpotError:
             continue
         if scored is not None:
@@ -121,12 +129,12 @@ def scored_in_dwells(
     return sorted(found, key=lambda scored: -scored.fall)
 
 
-def _score(data: Prepared, psi: Real, sign: Real, element: Element) -> ScoredElement | None:
+def _score(data: Prepared, psi: Real, sign: Real, element: Element, softness: float) -> ScoredElement | None:
     spectrum = data.spectrum
     view = observation_model(data.model, spectrum.channels, spectrum.omega)
     start = _with_element(data.model, element, psi, 0.0)
     with np.errstate(all="ignore"):
-        at = predict(view, measured(replace(data, states=None), view), start[None], sign[None])
+        at = predict(view, measured(replace(data, states=None), view, softness), start[None], sign[None])
     if not (np.all(np.isfinite(at.J)) and np.all(np.isfinite(at.weighted))):
         return None
     J, PJ = at.J.reshape(-1, at.J.shape[-1]), at.PJ.reshape(-1, at.J.shape[-1])
@@ -208,53 +216,75 @@ def motions_of(data: Prepared, psi: Real) -> Motions:
     }  # fmt: skip
 
 
+def softened(data: Prepared, psi: Real, sign: Real) -> Real:
+    """ψ (M,) of the rig as it is from the softened data, from ψ of the data themselves."""
+    view = observation_model(data.model, data.spectrum.channels, data.spectrum.omega)
+    return _descended(view, measured(replace(data, states=None), view, SOFT), psi, sign, 2 * LIMIT)[0]
+
+
+def _descended(
+    view: ObservationModel, exact: Measured, psi: Real, sign: Real, limit: int
+) -> tuple[Real, float]:
+    """(ψ, χ²) downhill from ψ (M,); ψ itself where nothing leads on."""
+
+    def evaluate(at: Real, rows: object) -> QuadraticModel:
+        return local(view, exact, at, np.broadcast_to(sign, (len(at), len(sign))))
+
+    with np.errstate(all="ignore"):
+        ended = minimise(evaluate, psi[None], limit=limit, tolerance=1e-2)
+    return (ended.x[0], float(ended.cost[0])) if np.isfinite(ended.cost[0]) else (psi, np.inf)
+
+
 def called_for(data: Prepared, psi: Real, sign: Real) -> list[ScoredElement]:
     """Nonlinear elements that the dwells call for, fitted in full, the best first; [] where none is certain.
 
     ψ (M,): the best fit of the rig as it is.
     """
-    scored = scored_in_dwells(data, psi, sign, candidate_elements(data.model, motions_of(data, psi)))
-    fitted = []
-    for candidate in scored[:FOLLOWED]:
-        if candidate.p_value < CERTAIN:
-            fitted.append(_fitted(data, psi, sign, candidate))
-        if fitted and fitted[-1].chi2 - fitted[-1].fall < ENOUGH * fitted[-1].dof:
-            break
+    chi2, fitted = misfit(data, psi, sign), list[ScoredElement]()
+    for softness, start in ((0.0, psi), (SOFT, softened(data, psi, sign))):
+        candidates = candidate_elements(data.model, motions_of(data, start))
+        scored = scored_in_dwells(data, start, sign, candidates, softness)
+        for candidate in scored[:FOLLOWED]:
+            if candidate.fall > HINT * candidate.chi2:
+                fitted.append(fitted_in_full(data, start, sign, candidate, chi2, softness))
+            if fitted and fitted[-1].chi2 - fitted[-1].fall < ENOUGH * fitted[-1].dof:
+                return [fitted[-1]] if fitted[-1].p_value < CERTAIN else []
     certain = [one for one in fitted if one.p_value < CERTAIN and one.fall > MARKED * one.chi2]
     return sorted(certain, key=lambda one: -one.fall)
 
 
-def _fitted(data: Prepared, psi: Real, sign: Real, candidate: ScoredElement) -> ScoredElement:
-    """The candidate's value and the fall of χ² with all unknowns at their best."""
+def misfit(data: Prepared, psi: Real, sign: Real) -> float:
+    """χ² of the rig as it is at ψ (M,)."""
+    view = observation_model(data.model, data.spectrum.channels, data.spectrum.omega)
+    with np.errstate(all="ignore"):
+        at = local(view, measured(replace(data, states=None), view), psi[None], sign[None])
+    return float(at.cost[0])
+
+
+def fitted_in_full(
+    data: Prepared, psi: Real, sign: Real, candidate: ScoredElement, chi2: float, softness: float
+) -> ScoredElement:
+    """The candidate's value and how far χ² falls from `chi2` with all unknowns at their best, from ψ (M,)."""
     assert candidate.element.force_law is not None
     element = with_open_constants(candidate.element)
     extended = replace(data.model, elements=(*data.model.elements, element))
     larger = replace(data, model=extended, states=None)
-    spectrum = data.spectrum
-    view: ObservationModel = observation_model(extended, spectrum.channels, spectrum.omega)
+    view = observation_model(extended, data.spectrum.channels, data.spectrum.omega)
     exact = measured(larger, view)
-
-    def evaluate(at: Real, rows: object) -> QuadraticModel:
-        return local(view, exact, at, np.broadcast_to(sign, (len(at), len(sign))))
-
-    best: OptimizeResult | None = None
+    best, least = _with_element(extended, element, psi, 0.0), np.inf
     for value in (candidate.value, 0.3 * candidate.value):
         start = _with_element(extended, element, psi, value)
-        ended = minimise(evaluate, start[None], limit=LIMIT, tolerance=1e-2)
-        if best is None or ended.cost[0] < best.cost[0]:
-            best = ended
-        if float(best.cost[0]) < ENOUGH * candidate.dof:
+        if softness > 0:
+            start = _descended(view, measured(larger, view, softness), start, sign, LIMIT)[0]
+        ended, cost = _descended(view, exact, start, sign, LIMIT)
+        if cost < least:
+            best, least = ended, cost
+        if least < ENOUGH * candidate.dof:
             break
-    assert best is not None
-    place = [unknown.name for unknown in extended.unknowns].index(element.name)
-    fall = candidate.chi2 - float(best.cost[0])
-    if not np.isfinite(fall) or fall < candidate.fall:
-        return candidate
     names = [unknown.name for unknown in extended.unknowns]
-    values = dict(zip(names, best.x[0, : len(names)].tolist(), strict=True))
-    constants = [
-        replace(c, value=values[f"{element.name}.{c.name}"]) for c in candidate.element.force_law.constants
-    ]
-    ended_law = candidate.element.force_law.with_constants(constants)
-    found = replace(candidate.element, force_law=ended_law)
-    return replace(candidate, element=found, fall=fall, value=float(best.x[0, place]))
+    values = dict(zip(names, best[: len(names)].tolist(), strict=True))
+    law = candidate.element.force_law
+    constants = [replace(c, value=values[f"{element.name}.{c.name}"]) for c in law.constants]
+    found = replace(candidate.element, force_law=law.with_constants(constants))
+    fall = max(chi2 - least, 0.0)
+    return replace(candidate, element=found, fall=fall, chi2=chi2, value=values[element.name])

@@ -197,14 +197,12 @@ def nonlinear_finding(
     if element.kind is Kind.DAMPER and value < 0:
         character = "damping that falls with speed"
     text = f"the data call for a nonlinear element between {' and '.join(points)}, {character} (p < 1e-6)"
-    named = replace(
-        with_open_constants(element), name=_free_name(model, element), guess=float(f"{value:.4g}")
-    )
+    named = replace(with_open_constants(element), name=free_name(model, element), guess=float(f"{value:.4g}"))
     change = f"[{named.kind.section}] {element_line(named)}"
     return Finding("nonlinear", points, text, change, remaining, number, elements=(named,))
 
 
-def _free_name(model: Model, element: Element) -> str:
+def free_name(model: Model, element: Element) -> str:
     """A name that the rig has not: what the law is usually called."""
     assert element.force_law is not None
     usual = {
@@ -214,6 +212,8 @@ def _free_name(model: Model, element: Element) -> str:
         "quadratic": "kq",
         "gap": "kgap",
         "coulomb": "fc",
+        "d**4": "k4",
+        "d**2*v": "c3",
     }
     word = usual[element.force_law.text]
     if element.kind is Kind.DAMPER and word.startswith("k"):

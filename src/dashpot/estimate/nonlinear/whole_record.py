@@ -8,6 +8,7 @@ white for the fit and of whatever colour the residuals have for the intervals (a
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -33,6 +34,24 @@ EXACT = 1e-6  # of a channel's rms: residuals below it count no less
 TOLERANCE = 1e-4  # standard deviations
 
 
+@dataclass(frozen=True)
+class FittedRecords:
+    """Where the search over whole records ended: ψ (M,) of the problem, θ after each round, bounds."""
+
+    problem: RecordProblem
+    psi: Real
+    converged: bool
+    iterations: int
+    history: Real
+    limits: tuple[Real, Real]
+
+    def estimate(self) -> Estimate:
+        """Values with intervals.  Raises DataError and IdentifiabilityError."""
+        return record_estimate(
+            self.problem, self.psi, self.converged, self.iterations, self.history, self.limits
+        )
+
+
 def identify_records(
     model: Model, records: Sequence[Record], *, progress: Callable[[int, int], None] | None = None
 ) -> Estimate:
@@ -41,6 +60,13 @@ def identify_records(
     Raises DataError where an input or all motion is not measured, or an unknown needs a guess: where not all
     coordinates are measured as displacements, every unknown does.
     """
+    return fit_records(model, records, progress=progress).estimate()
+
+
+def fit_records(
+    model: Model, records: Sequence[Record], *, progress: Callable[[int, int], None] | None = None
+) -> FittedRecords:
+    """The most likely ψ.  Raises as `identify_records`."""
     model.require_unknowns()
     if not len(model.nonlinear):
         raise UsageError(
@@ -76,7 +102,7 @@ def identify_records(
             progress(turn + 1, 3)
         if len(problem.sd) == 1 or np.all(np.abs(ratio / ratio[0] - 1) < 0.02):
             break
-    return record_estimate(
+    return FittedRecords(
         problem, psi, bool(end.converged[0]), int(end.iterations[0]), np.array(history), (lower, upper)
     )
 

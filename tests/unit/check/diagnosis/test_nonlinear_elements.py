@@ -49,6 +49,7 @@ def test_the_element_that_the_data_call_for_is_named_and_mends_the_fit(law, orde
     assert float(identify(mended, spectrum).fit.p) > 0.01
 
 
+@pytest.mark.long
 def test_data_of_a_linear_rig_call_for_no_nonlinear_element():
     """At most one of 40 candidates in a million by chance."""
     linear, theta, spectrum, estimate = linear_fit("cubic", amplitude=1e-7)

@@ -1,0 +1,290 @@
+"""Nonlinear elements compared by evidence: which the data ask for, ranked, and how many of them (THEORY §9).
+
+ln E of a rig with k more unknowns over the rig as it is, by Schwarz's approximation: ½ N ln(S₀/S₁) − ½ k ln N, S the
+sum of squared residuals of N independent numbers; where the noise is known ½ (χ²₀ − χ²₁) − ½ k ln N.  Coloured
+residuals of whole records count as N over the square of what colour does to intervals.  Nothing is added.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from dashpot.arrays import Real
+from dashpot.check.diagnosis.nonlinear_elements import (
+    SOFT,
+    Motions,
+    candidate_elements,
+    fitted_in_full,
+    misfit,
+    motions_of,
+    moving_pairs,
+    scored_in_dwells,
+    softened,
+    with_open_constants,
+)
+from dashpot.check.diagnosis.wording import free_name
+from dashpot.data.record import Record
+from dashpot.data.spectrum import Spectrum
+from dashpot.errors import DashpotError, UsageError
+from dashpot.estimate.identify import identify
+from dashpot.estimate.nonlinear.record_problem import RecordProblem
+from dashpot.estimate.nonlinear.records import measured_coordinates
+from dashpot.estimate.nonlinear.whole_record import FittedRecords, fit_records
+from dashpot.estimate.preparation.prepared import prepare
+from dashpot.estimate.result import FORMAT, Estimate
+from dashpot.io.json_document import to_json
+from dashpot.model.elements import Element, Kind, between
+from dashpot.model.network import Model
+from dashpot.model.nonlinear.force_law import force_law
+from dashpot.model.rigfile import element_line
+
+FOLLOWED = 4  # single candidates that are fitted in full
+TOGETHER = 3  # elements that are added to one rig at most
+DECISIVE = 5.0  # ln E above which an element is worth its unknowns
+
+
+@dataclass(frozen=True)
+class ElementEvidence:
+    """A rig with some more elements: they and their parameters, what is left of the misfit, and ln E.
+
+    remaining: rms of the residuals over that of the rig as it is.
+    """
+
+    elements: tuple[Element, ...]
+    values: tuple[float, ...]
+    remaining: float
+    evidence: float
+
+
+@dataclass(frozen=True)
+class ElementComparison:
+    """Candidates by their evidence, the best first; `chosen`: those that together are worth their unknowns, if any.
+
+    numbers: how many independent numbers the residuals are worth.
+    """
+
+    model: str
+    numbers: float
+    ranked: tuple[ElementEvidence, ...]
+    chosen: ElementEvidence | None
+
+    def to_json(self) -> str:
+        """The candidates with the entries of the rig file that they would be."""
+
+        def content(one: ElementEvidence) -> dict[str, Any]:
+            return {
+                "elements": [
+                    {"name": e.name, "section": e.kind.section, "entry": element_line(e), "value": v}
+                    for e, v in zip(one.elements, one.values, strict=True)
+                ],
+                "remaining": one.remaining,
+                "ln_evidence": one.evidence,
+            }  # fmt: skip
+
+        return to_json(
+            {
+                "dashpot": FORMAT,
+                "model": self.model,
+                "independent_numbers": self.numbers,
+                "candidates": [content(one) for one in self.ranked],
+                "called_for": None if self.chosen is None else content(self.chosen),
+            }
+        )
+
+
+def compare_in_dwells(model: Model, spectrum: Spectrum) -> ElementComparison:
+    """From settled dwells.  Raises what `identify` raises, and UsageError where no candidate can be tried."""
+    estimate = identify(model, spectrum, "ml")
+    data = prepare(model, spectrum)
+    sign = np.ones(len(spectrum.channels))
+    for name, turned in estimate.signs.items():
+        sign[spectrum.index(name)] = float(turned)
+    start = softened(data, estimate.values, sign)
+    motions = motions_of(data, start)
+    scored = scored_in_dwells(data, start, sign, candidate_elements(model, motions, further=True), SOFT)
+    chi2 = misfit(data, estimate.values, sign)
+    if not scored:
+        raise UsageError("no nonlinear element can be tried on these data", cure="measure every input")
+    ranked = []
+    for candidate in scored[:FOLLOWED]:
+        full = fitted_in_full(data, start, sign, candidate, chi2, SOFT)
+        assert full.element.force_law is not None
+        added = 1 + len(full.element.force_law.constants)
+        numbers = full.dof + len(estimate.values)
+        ln_evidence = (full.fall - added * np.log(numbers)) / 2
+        left = float(np.sqrt(max(full.chi2 - full.fall, 0.0) / full.chi2))
+        element = replace(full.element, name=free_name(model, full.element))
+        ranked.append(ElementEvidence((element,), (full.value,), left, float(ln_evidence)))
+    ranked.sort(key=lambda one: -one.evidence)
+    best = ranked[0] if ranked[0].evidence > DECISIVE else None
+    return ElementComparison(model.name, float(scored[0].dof), tuple(ranked), best)
+
+
+def compare_in_records(
+    model: Model, records: Sequence[Record], *, progress: Callable[[int, int], None] | None = None
+) -> ElementComparison:
+    """From whole records, by integration: candidates are scored at the fit of the rig as it is, the best fitted.
+
+    Raises what `identify_records` raises.
+    """
+    base = model if len(model.nonlinear) else _with_nothing(model)
+    fitted = fit_records(base, records)
+    estimate = fitted.estimate()
+    numbers = _independent(fitted, estimate)
+    candidates = _candidates(base, fitted)
+    order = _forward(fitted, candidates)
+    if not order:
+        raise UsageError(
+            "no nonlinear element can be tried on these records", cure="measure more coordinates"
+        )
+    trials: list[tuple[int, ...]] = [(index,) for index in order[:FOLLOWED]]
+    trials += [tuple(order[:count]) for count in range(2, min(TOGETHER, len(order)) + 1)]
+    found = []
+    for done, chosen in enumerate(trials):
+        evidence = _evidence(base, estimate, fitted, [candidates[i] for i in chosen], records, numbers)
+        if evidence is not None:
+            found.append(evidence)
+        if progress is not None:
+            progress(done + 1, len(trials))
+    found.sort(key=lambda one: -one.evidence)
+    best = found[0] if found and found[0].evidence > DECISIVE else None
+    return ElementComparison(model.name, numbers, tuple(found), best)
+
+
+def _with_nothing(model: Model) -> Model:
+    """A linear rig as a nonlinear one whose nonlinear element does nothing."""
+    idle = replace(
+        between("idle", Kind.SPRING, model.coordinates[0], "ground", value=0.0), force_law=force_law("d**9")
+    )
+    return replace(model, elements=(*model.elements, idle))
+
+
+def _independent(fitted: FittedRecords, estimate: Estimate) -> float:
+    """How many independent numbers the residuals are worth."""
+    ratio = float(np.median(estimate.sd / estimate.bound_sd))
+    return sum(record.outputs.size for record in fitted.problem.records) / max(ratio, 1.0) ** 2
+
+
+def _candidates(model: Model, fitted: FittedRecords) -> list[Element]:
+    """Candidates where an element is, constants sized by the measured motion; without it, those without constants."""
+    record = fitted.problem.records[0]
+    x = measured_coordinates(model, record)
+    motions: dict[tuple[str, str], tuple[float, float]] = {}
+    joined = {frozenset(element.along) for element in model.elements}
+    for first, second in moving_pairs(model):
+        if frozenset({first, second} - {"ground"}) not in joined:
+            continue
+        size, speed = 1.0, 1.0
+        if x is not None:
+            line = between("probe", Kind.SPRING, first, second, value=0.0)
+            probe = replace(model, elements=(*model.elements, line))
+            d = x @ probe.B[-1] + record.inputs[:, : model.D.shape[1]] @ probe.D[-1]
+            size = float(np.max(np.abs(d - np.mean(d))))
+            speed = float(np.max(np.abs(np.diff(d)))) / record.step_s
+        if size > 0:
+            motions[first, second] = size, speed
+    found: Motions = motions
+    every = candidate_elements(model, found, further=True)
+    return [e for e in every if x is not None or (e.force_law is not None and not e.force_law.constants)]
+
+
+def _forward(fitted: FittedRecords, candidates: Sequence[Element]) -> list[int]:
+    """Candidates in the order in which they lower the squared residuals most, each beside those before it."""
+    problem, psi = fitted.problem, fitted.psi
+    base, m = problem.model, len(problem.model.unknowns)
+    extended = replace(base, elements=(*base.elements, *(_free(e) for e in candidates)))
+    larger = RecordProblem(
+        extended,
+        problem.records,
+        problem.gains,
+        problem.sd,
+        problem.substeps,
+        dict(problem.starts),
+        problem.states,
+    )
+    before = dict(zip((u.name for u in base.unknowns), psi[:m].tolist(), strict=True))
+    theta = [before.get(u.name, 0.0) for u in extended.unknowns]
+    at = np.concatenate([theta, psi[m:]])
+    added = [[u.name for u in extended.unknowns].index(e.name) for e in candidates]
+    gram, right = np.zeros((len(at), len(at))), np.zeros(len(at))
+    for residual, J in larger.residuals(at):
+        if J is None:
+            return []
+        flat = J.reshape(-1, len(at))
+        gram += flat.T @ flat
+        right += flat.T @ residual.ravel()
+    scale = np.sqrt(np.maximum(np.diag(gram), 1e-300))
+    return _greedy(gram / np.outer(scale, scale), right / scale, added)
+
+
+def _free(element: Element) -> Element:
+    """The candidate with its parameter unknown and its constants as they are."""
+    return replace(element, guess=0.0)
+
+
+def _greedy(gram: Real, right: Real, added: Sequence[int]) -> list[int]:
+    """Indices into `added` by forward selection."""
+    kept = [j for j in range(len(right)) if j not in set(added)]
+    order: list[int] = []
+    while len(order) < min(len(added), FOLLOWED):
+        half = np.linalg.pinv(gram[np.ix_(kept, kept)], rcond=1e-12)
+        falls = np.full(len(added), -1.0)
+        for i, j in enumerate(added):
+            if i in order:
+                continue
+            cross = gram[kept, j]
+            left = gram[j, j] - cross @ half @ cross
+            if left > 1e-8:
+                falls[i] = (right[j] - cross @ half @ right[kept]) ** 2 / left
+        best = int(np.argmax(falls))
+        if falls[best] <= 0:
+            break
+        order.append(best)
+        kept.append(added[best])
+    return order
+
+
+def _evidence(
+    base: Model, estimate: Estimate, fitted: FittedRecords, chosen: Sequence[Element], records: Sequence[Record],
+    numbers: float,
+) -> ElementEvidence | None:  # fmt: skip
+    """The rig with the candidates fitted in full; None where that fails."""
+    model, names = base, []
+    for element in chosen:
+        named = replace(with_open_constants(element), name=free_name(model, element), guess=0.0)
+        names.append(named.name)
+        model = replace(model, elements=(*model.elements, named))
+    try:
+        found = fit_records(_with_guesses(model, estimate), records)
+    except DashpotError:
+        return None
+    share = found.problem.sd / fitted.problem.sd
+    unknowns = [u.name for u in found.problem.model.unknowns]
+    added = len(unknowns) - len(base.unknowns)
+    weight = numbers / len(share)
+    ln_evidence = -weight * float(np.sum(np.log(share))) - added / 2 * np.log(numbers)
+    elements = tuple(element for element in found.problem.model.elements if element.name in names)
+    values = tuple(float(found.psi[unknowns.index(name)]) for name in names)
+    return ElementEvidence(elements, values, float(np.exp(np.mean(np.log(share)))), float(ln_evidence))
+
+
+def _with_guesses(model: Model, estimate: Estimate) -> Model:
+    """The model with the estimate as guesses where nothing is stated."""
+    values = dict(zip(estimate.names, estimate.values.tolist(), strict=True))
+    elements = []
+    for element in model.elements:
+        if element.value is None and element.name in values:
+            element = replace(element, guess=values[element.name])
+        law = element.force_law
+        if law is not None:
+            constants = [
+                replace(c, guess=values.get(f"{element.name}.{c.name}", c.guess)) if c.value is None else c
+                for c in law.constants
+            ]
+            element = replace(element, force_law=law.with_constants(constants))
+        elements.append(element)
+    return replace(model, elements=tuple(elements))

@@ -1,0 +1,38 @@
+"""Candidates for nonlinear elements, ranked by evidence."""
+
+from __future__ import annotations
+
+from rich.console import Console
+
+from dashpot.check.element_evidence import ElementComparison, ElementEvidence
+from dashpot.model.rigfile import element_line
+from dashpot.present.tables.layout import TableColumn, show_table
+
+
+def show_elements(console: Console, comparison: ElementComparison) -> None:
+    """A row for each candidate, and the entries of the rig file of those that the data call for."""
+    rows = comparison.ranked
+    columns = [
+        TableColumn("added", tuple(", ".join(_named(one)) for one in rows)),
+        TableColumn("residuals", tuple(f"{100 * one.remaining:.3g} %" for one in rows), "right"),
+        TableColumn("ln evidence", tuple(f"{one.evidence:+.4g}" for one in rows), "right"),
+    ]
+    show_table(console, columns)
+    console.print("Residuals are those left, of the rig as it is; ln evidence is over the rig as it is.")
+    chosen = comparison.chosen
+    if chosen is None:
+        console.print("The data call for none of them.")
+        return
+    console.print(f"The data call for {' and '.join(_named(chosen))}. Nothing is added; to do so, write")
+    for element in chosen.elements:
+        console.print(f"  [{element.kind.section}] {element_line(element)}")
+
+
+def _named(one: ElementEvidence) -> list[str]:
+    """name (law, points) of each element."""
+    words = []
+    for element in one.elements:
+        law = "" if element.force_law is None else element.force_law.text
+        points = tuple(element.along) if len(element.along) > 1 else (*element.along, "ground")
+        words.append(f"{element.name} ({law}, {'-'.join(points)})")
+    return words

@@ -1,0 +1,56 @@
+"""Nonlinear elements ranked by evidence."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from dashpot.check.element_evidence import compare_in_records
+from dashpot.data.record import Record
+from dashpot.estimate.nonlinear.whole_record import identify_records
+from dashpot.model.elements import Kind, between, mass
+from dashpot.model.network import Input, Model
+from dashpot.model.nonlinear.force_law import force_law
+from dashpot.study.nonlinear_motion import driven_record
+from tests.nonlinear_rigs import motions
+
+TRUTH = np.array([1.0, 900.0, 2.0, 4e6])
+
+
+def rig(*laws):
+    joints = [
+        replace(between(f"k{i}", Kind.SPRING, "x", "u"), force_law=force_law(law))
+        for i, law in enumerate(laws)
+    ]
+    parts = (
+        mass("m", "x", value=1.0), between("k", Kind.SPRING, "x", "u"), between("c", Kind.DAMPER, "x", "u"), *joints
+    )  # fmt: skip
+    return Model(("x",), (Input("u"),), parts)
+
+
+def record(model, theta):
+    rng = np.random.default_rng(4)
+    time = np.arange(500) / 100
+    u = 2e-3 * np.sum(
+        np.cos(2 * np.pi * rng.uniform(1, 12, 20) * time[:, None] + rng.uniform(0, 6, 20)), axis=1
+    )
+    channels = (replace(motions("x")[0], noise=5e-5), *motions("u"))
+    return driven_record(model, theta, channels, Record((channels[1],), time, u[:, None]), rng)
+
+
+@pytest.mark.long
+def test_the_law_that_made_the_record_has_the_most_evidence_and_one_that_is_there_none_beside_it():
+    whole = rig("cubic")
+    data = record(whole, TRUTH[1:])
+    found = compare_in_records(rig(), [data])
+    assert found.chosen is not None
+    assert found.chosen.elements[0].force_law.text == "cubic"
+    assert found.ranked[0].evidence > found.ranked[1].evidence
+    content = json.loads(found.to_json())
+    assert content["called_for"]["elements"][0]["section"] == "springs"
+    assert identify_records(whole, [data]).converged
+    again = compare_in_records(whole, [data])
+    assert again.chosen is None or again.chosen.evidence < 0.02 * found.chosen.evidence
