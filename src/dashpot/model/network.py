@@ -360,10 +360,8 @@ class Model:
     @cached_property
     def letters(self) -> Ints:
         """Index in MATRICES of the matrix that each element enters, −1 for nonlinear elements; (elements,)."""
-        letters = np.full(len(self.elements), -1)
-        for index, members in enumerate(self.by_matrix.values()):
-            letters[members] = index
-        return frozen(letters, np.int64)
+        index = {letter: k for k, letter in enumerate(MATRICES)}
+        return frozen([-1 if e.force_law else index[e.law.matrix] for e in self.elements], np.int64)
 
     @cached_property
     def products(self) -> Mapping[str, Real | sparse.csr_array]:

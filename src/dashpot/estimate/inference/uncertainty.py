@@ -18,7 +18,7 @@ from dashpot.estimate.likelihood.objective import (
     prior_mean,
     prior_precision,
 )
-from dashpot.estimate.linear.auxiliary_model import by_line
+from dashpot.estimate.linear.auxiliary_model import equation_by_line
 from dashpot.estimate.linear.instrumental_variables import likeliest
 from dashpot.estimate.method import Method, Solution, Traits
 from dashpot.estimate.preparation.noise_quality import NoiseQuality, interval_dof, noise_quality
@@ -142,7 +142,7 @@ def _of_channels(data: Prepared, solution: Solution) -> Linearised:
 
 def _of_equation(data: Prepared, solution: Solution) -> Linearised:
     model = data.model
-    information, scores, cost = by_line(model, data.seen_states, solution.theta)
+    information, scores, cost = equation_by_line(model, data.seen_states, solution.theta)
     return Linearised(
         tuple(u.name for u in model.unknowns), tuple(u.unit for u in model.unknowns), information, scores, cost,
         2 * model.n * data.spectrum.lines, model.prior_precision, model.prior_mean,

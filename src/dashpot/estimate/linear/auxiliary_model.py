@@ -82,7 +82,7 @@ def information(model: Model, at: Auxiliary) -> Real:
     return 2 * (hermitian(Psi) @ solve_small(at.Se, Psi)).real
 
 
-def by_line(model: Model, data: States, theta: Real) -> tuple[Real, Real, Real]:
+def equation_by_line(model: Model, data: States, theta: Real) -> tuple[Real, Real, Real]:
     """Information (K, lines, m, m), minus half the slope (K, lines, m) and cost (K, lines) of each line at θ (K, m)."""
     equation = compiled_equation(model, data)
     if equation is not None:

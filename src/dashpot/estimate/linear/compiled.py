@@ -1,4 +1,4 @@
-"""The equation of motion in the compiled kernel: twins of `starts`, `by_line` and `search`."""
+"""The equation of motion in the compiled kernel: twins of `starts`, `equation_by_line` and `search`."""
 
 from __future__ import annotations
 

@@ -10,7 +10,7 @@ import numpy as np
 from scipy.special import chdtrc
 
 from dashpot.arrays import Bools, Complex, Ints, Real
-from dashpot.estimate.linear.auxiliary_model import auxiliary, by_line, normal_equations
+from dashpot.estimate.linear.auxiliary_model import auxiliary, equation_by_line, normal_equations
 from dashpot.estimate.linear.compiled import compiled_equation, compiled_search
 from dashpot.estimate.linear.gram import regressors
 from dashpot.estimate.linear.least_squares import sandwich, solve_sums, starts
@@ -109,7 +109,7 @@ class OptimalIV(Method):
             if not len(astray):
                 break
             found = found.improved(astray, self._search(model, states, start, astray))
-        around, _, _ = by_line(model, states, found.x)
+        around, _, _ = equation_by_line(model, states, found.x)
         bread = scaled_inverse(np.sum(around, axis=-3) + np.diag(model.prior_precision))
         return Solution(found.x, bread, found.converged, found.iterations, found.history)
 

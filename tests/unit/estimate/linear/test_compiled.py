@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from dashpot.estimate.identify import identify
-from dashpot.estimate.linear.auxiliary_model import by_line, equation_covariance
+from dashpot.estimate.linear.auxiliary_model import equation_by_line, equation_covariance
 from dashpot.estimate.linear.compiled import compiled_equation, compiled_search
 from dashpot.estimate.linear.instrumental_variables import OptimalIV, objective, search
 from dashpot.estimate.linear.least_squares import starts
@@ -57,7 +57,7 @@ def test_sums_and_starts_are_those_of_numpy(seed: int, name: str) -> None:
     with using("numpy"):
         twin = objective(rig.model, data.seen_states, rows)(theta, rows)
         twin_starts = starts(rig.model, data.seen_states)
-        lines = by_line(rig.model, data.seen_states, theta)
+        lines = equation_by_line(rig.model, data.seen_states, theta)
     with instructions(name):
         equation = compiled_equation(rig.model, data.seen_states)
         assert equation is not None
