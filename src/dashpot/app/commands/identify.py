@@ -82,7 +82,7 @@ def command(
 ) -> int:  # fmt: skip
     """Estimate the unknown masses, dampers and springs of RIG (a rig file, TOML) from DATA.
 
-    DATA are CSV files: time records (frequency_hz, time_s, channels), complex amplitudes (frequency_hz, NAME_re,
+    DATA are data files: time records (frequency_hz, time_s, channels), complex amplitudes (frequency_hz, NAME_re,
     NAME_im, NAME_sd) or frequency response functions (frequency_hz, OUT/IN_re, OUT/IN_im).  Files of instruments
     (UFF, MAT, HDF5, TDMS, Excel, …) are read as they are, and so are files of measured modes, one alone.
 
