@@ -261,18 +261,6 @@ _ALL: tuple[tuple[str, str, str, str], ...] = (
         "If they part thousands, export the file without such commas.",
     ),
     (
-        "modes.sd",
-        _FILES,
-        "A file of modes states no uncertainty; usual ones were taken, which the text names.",
-        "State them: `frequency_sd`, `damping_sd` and `NAME_sd` in a table of modes.",
-    ),
-    (
-        "modes.order",
-        _FILES,
-        "Nodes of a universal file are taken for the coordinates in their order; the text says which for which.",
-        "If the order is another, name the points in a table of modes.",
-    ),
-    (
         "columns_chosen", _FILES,
         "A manifest chooses columns; the others are left out without a note. This code is not shown.",
         "Nothing.",
