@@ -11,7 +11,7 @@ import numpy as np
 from dashpot.arrays import Bools, Ints
 from dashpot.data.conditioning.settings import Conditioning
 from dashpot.data.readers import Reading, read
-from dashpot.data.readers.columns import array_columns
+from dashpot.data.readers.array_columns import array_columns
 from dashpot.data.readers.delimited.stepped_sine import Circumstances
 from dashpot.data.readers.interpretation import interpret
 from dashpot.data.spectrum import Spectrum, concatenate

@@ -115,14 +115,7 @@ def command(
             records = measured.records
     held = () if hold_out is None else _held_out(rig_read, estimate, data, conditioning, used[1])
     if report is not None:
-        from dashpot.app.report_files import provenance, write_report
-        from dashpot.present.pages.report import identification_report
-
-        page = identification_report(
-            rig_read.model, spectrum, estimate, level, provenance(), channels=rig_read.channels, held_out=held,
-            records=records,
-        )  # fmt: skip
-        write_report(report, page)
+        _write_report(report, rig_read, spectrum, estimate, level, held, records)
     write_result(json_out, estimate.to_json())
     if apply is not None:
         _apply(rig_read, estimate, apply)
@@ -134,6 +127,26 @@ def command(
 
             show_validation(console(), held)
     return _ending(estimate, strict)
+
+
+def _write_report(
+    path: str, rig: Rig, spectrum: Spectrum | None, estimate: Estimate, level: float,
+    held: tuple[RecordPrediction, ...], records: bool,
+) -> None:  # fmt: skip
+    from dashpot.app.report_files import provenance, write_report
+    from dashpot.present.pages.report import identification_report
+
+    page = identification_report(
+        rig.model,
+        spectrum,
+        estimate,
+        level,
+        provenance(),
+        channels=rig.channels,
+        held_out=held,
+        records=records,
+    )
+    write_report(path, page)
 
 
 def _of_modes(estimate: Estimate, json_out: str | None, level: float, strict: bool, quiet: bool) -> int:

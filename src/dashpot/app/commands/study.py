@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
@@ -13,6 +15,9 @@ from dashpot.app.options import dask_option, processes_option, quiet_option
 from dashpot.app.parameter_types import FOLDER, INPUT_FILE, Count
 from dashpot.app.report_files import report_option
 from dashpot.errors import printable
+
+if TYPE_CHECKING:
+    from dashpot.study.runner import StudyOutcome
 
 FEW = 2000  # identifications below which starting processes costs more than they save
 
@@ -81,12 +86,16 @@ def command(
     pictures = study_pictures(outcome)
     written = write_pictures(folder, pictures)
     if report is not None:
-        from dashpot.app.report_files import provenance, write_report
-        from dashpot.present.pages.others import study_report
-
-        write_report(report, study_report(outcome, pictures, provenance()))
+        _write_report(report, outcome, pictures)
         written.append(report)
     if not quiet:
         show_study(outcome, console())
         for name in [str(Path(folder) / "summary.parquet"), *written]:
             click.echo(printable(name))
+
+
+def _write_report(path: str, outcome: StudyOutcome, pictures: Mapping[str, bytes]) -> None:
+    from dashpot.app.report_files import provenance, write_report
+    from dashpot.present.pages.others import study_report
+
+    write_report(path, study_report(outcome, pictures, provenance()))

@@ -14,7 +14,7 @@ from itertools import pairwise
 import numpy as np
 from scipy import fft
 
-from dashpot.arrays import Complex, Ints
+from dashpot.arrays import Complex, Ints, Real
 from dashpot.channel import Channel
 from dashpot.data.calibration import calibration
 from dashpot.data.conditioning.clock import FEWEST, even_step
@@ -101,29 +101,11 @@ def whole_record(
     samples = len(record.time)
     duration = samples * step
     _require_motion(record)
-    top = int(np.floor(HIGHEST * samples / 2))
-    first, last = 1, top
-    if band_hz is not None:
-        first, last = int(np.ceil(band_hz[0] * duration - 1e-9)), int(np.floor(band_hz[1] * duration + 1e-9))
-        first, last = max(first, 1), min(last, samples // 2 - 1)
-        if last < first:
-            raise DataError(
-                f"no line of the record lies between {band_hz[0]:g} and {band_hz[1]:g} Hz",
-                record.source,
-                f"its lines are multiples of {1 / duration:.4g} Hz up to {0.5 / step:.4g} Hz",
-            )
-    X = np.empty((last - first + 1, len(record.channels)), dtype=np.complex128)
-    floor = np.zeros(len(record.channels))
-    for c in range(len(record.channels)):
-        column = record.values[:, c]
-        Y = fft.rfft(column - column.mean())
-        Y *= 2 / samples
-        X[:, c] = Y[first : last + 1]
-        floor[c] = white_floor(Y)
+    first, last = _lines_of(record.source, band_hz, samples, step)
+    X, floor = _amplitudes(record, first, last)
     if band_hz is None:
-        keep = _moving(X)
-        X = X[:keep]
-        last = first + keep - 1
+        X = X[: _moving(X)]
+        last = first + len(X) - 1
     frequency = np.arange(first, last + 1) / duration
     lines, channels = X.shape
     h = calibration(remaining, frequency)
@@ -139,6 +121,36 @@ def whole_record(
         stretch=np.zeros(lines, dtype=np.int64),
         stretches=(WholeRecord(duration, samples, loads, polynomial, ramp and _drift_shows(first, lines)),),
     )  # fmt: skip
+
+
+def _lines_of(source: str, band_hz: tuple[float, float] | None, samples: int, step: float) -> tuple[int, int]:
+    """Numbers of the first and the last line in a band.  Raises DataError where there is none."""
+    if band_hz is None:
+        return 1, int(np.floor(HIGHEST * samples / 2))
+    duration = samples * step
+    first, last = int(np.ceil(band_hz[0] * duration - 1e-9)), int(np.floor(band_hz[1] * duration + 1e-9))
+    first, last = max(first, 1), min(last, samples // 2 - 1)
+    if last < first:
+        raise DataError(
+            f"no line of the record lies between {band_hz[0]:g} and {band_hz[1]:g} Hz",
+            source,
+            f"its lines are multiples of {1 / duration:.4g} Hz up to {0.5 / step:.4g} Hz",
+        )
+    return first, last
+
+
+def _amplitudes(record: Record, first: int, last: int) -> tuple[Complex, Real]:
+    """Peak amplitudes of the lines, (lines, channels), and the white floor of each channel."""
+    samples = len(record.time)
+    X = np.empty((last - first + 1, len(record.channels)), dtype=np.complex128)
+    floor = np.zeros(len(record.channels))
+    for c in range(len(record.channels)):
+        column = record.values[:, c]
+        Y = fft.rfft(column - column.mean())
+        Y *= 2 / samples
+        X[:, c] = Y[first : last + 1]
+        floor[c] = white_floor(Y)
+    return X, floor
 
 
 def whole_records(

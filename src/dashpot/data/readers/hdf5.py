@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from dashpot.data.readers.columns import LONG, PIECE, ArrayColumns, Streamed
+from dashpot.data.readers.array_columns import LONG, PIECE, ArrayColumns, Streamed
 from dashpot.data.readers.datafile import DataFile
 from dashpot.data.readers.optional import damaged, library
 from dashpot.data.readers.variables import parts_of_variables

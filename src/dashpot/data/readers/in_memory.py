@@ -12,7 +12,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from dashpot.channel import Channel
-from dashpot.data.readers.columns import ArrayColumns
+from dashpot.data.readers.array_columns import ArrayColumns
 from dashpot.data.readers.delimited.stepped_sine import Circumstances, read_records
 from dashpot.data.readers.sampling import TIME
 from dashpot.data.readers.variables import parts_of_variables

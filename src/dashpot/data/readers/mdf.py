@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from dashpot.data.readers.columns import ArrayColumns, array_columns
+from dashpot.data.readers.array_columns import ArrayColumns, array_columns
 from dashpot.data.readers.datafile import DataFile
 from dashpot.data.readers.optional import damaged, library
 from dashpot.data.readers.sampling import TIME

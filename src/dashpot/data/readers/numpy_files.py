@@ -10,7 +10,7 @@ from typing import Any, cast
 
 import numpy as np
 
-from dashpot.data.readers.columns import LONG, PIECE, ArrayColumns, Streamed
+from dashpot.data.readers.array_columns import LONG, PIECE, ArrayColumns, Streamed
 from dashpot.data.readers.datafile import DataFile
 from dashpot.data.readers.optional import damaged
 from dashpot.data.readers.variables import parts_of_variables

@@ -9,7 +9,15 @@ from typing import Any
 
 import numpy as np
 
-from dashpot.data.readers.columns import LONG, PIECE, ArrayColumns, Streamed, array_columns, constant, steps
+from dashpot.data.readers.array_columns import (
+    LONG,
+    PIECE,
+    ArrayColumns,
+    Streamed,
+    array_columns,
+    constant,
+    steps,
+)
 from dashpot.data.readers.datafile import DataFile
 from dashpot.data.readers.optional import damaged, library
 from dashpot.data.readers.sampling import TIME, TIME_NAMES

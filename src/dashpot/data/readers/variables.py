@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from dashpot.data.readers.columns import ArrayColumns, Streamed, array_columns
+from dashpot.data.readers.array_columns import ArrayColumns, Streamed, array_columns
 from dashpot.data.readers.sampling import FREQUENCY, TIME, TIME_NAMES
 
 RATES = {

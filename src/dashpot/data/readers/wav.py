@@ -9,7 +9,7 @@ from typing import Any, cast
 
 import numpy as np
 
-from dashpot.data.readers.columns import ArrayColumns, array_columns, steps
+from dashpot.data.readers.array_columns import ArrayColumns, array_columns, steps
 from dashpot.data.readers.datafile import DataFile
 from dashpot.data.readers.optional import damaged
 from dashpot.data.readers.sampling import TIME

@@ -22,7 +22,7 @@ from dashpot.estimate.inference.uncertainty import MISFIT_LEVEL
 from dashpot.estimate.likelihood.global_search import DOUBT, TIE
 from dashpot.estimate.method import HeldBounds
 from dashpot.estimate.modal.pairing import MeasuredModes, measured_modes, pair, with_one_axis
-from dashpot.estimate.modal.starting_values import guessed, like_parts, linear_start, random_rigs
+from dashpot.estimate.modal.starting_values import guessed, like_parts, linear_start, random_rigs, usual_parts
 from dashpot.estimate.result import Estimate, Fit
 from dashpot.model.modes import eigenpairs, mode_sensitivities
 from dashpot.model.network import Model
@@ -36,7 +36,7 @@ STARTS = 32
 LARGE = (
     8  # coordinates above which a rig of like parts that leads to a fit is taken, without a look for others
 )
-FAR = 1e5  # times the values of like parts, beyond which an end is none
+FAR = 1e5  # times the values of like parts and usual ones, beyond which an end is none
 FOLLOWED = 10  # of the starts that have not settled after a few steps
 
 Search = Callable[[Real, Ints, int], OptimizeResult]  # starts, the repeats they belong to, most steps
@@ -251,7 +251,7 @@ def _found(
             start, limit=limit, tolerance=1e-6, lower=lower, upper=upper,
         )  # fmt: skip
 
-    largest = FAR * np.abs(like_parts(model, data))
+    largest = FAR * np.maximum(np.abs(like_parts(model, data)), np.abs(usual_parts(model, data)))
 
     def search_near(start: Real, rows: Ints, limit: int) -> OptimizeResult:
         """An end far outside the scale of everything known is none: nothing that is measured depends on it there."""

@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from contextlib import suppress
+
 import numpy as np
+from scipy.optimize import brentq
 
 from dashpot.arrays import Real, hermitian
 from dashpot.data.modal_data import ModalData
@@ -13,7 +17,7 @@ from dashpot.model.network import Model
 from dashpot.numerics.small_systems import solve_scaled
 
 NEAR, AFAR = 0.15, 1.0  # of the spreads, nepers: parts are mostly alike
-MOST_SCALINGS = 40
+MOST_SCALINGS, FARTHER = 12, 3.0  # steps in search of the size of like parts, nepers of frequency
 
 
 def guessed(model: Model, repeats: int) -> Real | None:
@@ -46,9 +50,9 @@ def like_parts(model: Model, data: ModalData) -> Real:
     """The rig whose unknowns of a kind are all alike and whose first frequency is the first of the data, (unknowns,).
 
     What is known keeps its value; guesses and priors theirs.  Springs, dampers and the like are scaled, masses only
-    where nothing else can be.
+    where nothing else can be; where that does not lead to the first frequency, usual values are what it is.
     """
-    theta = _typical(model, data)
+    theta = usual_parts(model, data)
     kinds = {element.name: element.kind for element in model.elements}
     free = np.array([unknown.prior is None and unknown.guess is None for unknown in model.unknowns])
     inert = np.array([kinds[unknown.name].law.power == 2 for unknown in model.unknowns])
@@ -60,13 +64,34 @@ def like_parts(model: Model, data: ModalData) -> Real:
     if not np.any(scaled):
         return theta
     wanted = float(np.min(data.frequency_hz))
+
+    def scaled_by(size: float) -> Real:
+        """The rig with its unknowns e^size as quick on their own."""
+        return np.where(scaled, theta * np.exp(turned * power * size), theta)
+
+    def too_quick(size: float) -> float:
+        return float(np.log(_first_frequency(model, scaled_by(size)) / wanted))
+
+    size = _root(too_quick)
+    return theta if size is None else scaled_by(size)
+
+
+def _root(rising: Callable[[float], float]) -> float | None:
+    """Where a rising function is 0; None where it is nowhere, or has no value."""
+    here = rising(0.0)
+    if not np.isfinite(here) or here == 0:
+        return 0.0 if here == 0 else None
+    low = high = 0.0
     for _ in range(MOST_SCALINGS):
-        first = _first_frequency(model, theta)
-        if not np.isfinite(first) or first <= 0 or abs(np.log(wanted / first)) < 1e-12:
-            break
-        factor = np.clip(wanted / first, 0.03, 30.0)
-        theta = np.where(scaled, theta * factor ** (turned * power), theta)
-    return theta
+        low, high = (low - FARTHER, low) if here > 0 else (high, high + FARTHER)
+        there = rising(low if here > 0 else high)
+        if not np.isfinite(there):
+            return None
+        if (there > 0) != (here > 0):
+            with suppress(ValueError):  # no value on the way
+                return float(brentq(rising, low, high, xtol=1e-12))
+            return None
+    return None
 
 
 def _first_frequency(model: Model, theta: Real) -> float:
@@ -77,7 +102,7 @@ def _first_frequency(model: Model, theta: Real) -> float:
     return float(np.min(np.abs(swings))) / (2 * np.pi) if len(swings) else np.nan
 
 
-def _typical(model: Model, data: ModalData) -> Real:
+def usual_parts(model: Model, data: ModalData) -> Real:
     """A usual value of every unknown: its guess or prior, else that of its kind beside the known ones."""
     per_mass, mass = _sizes(model, data)
     kinds = {element.name: element.kind for element in model.elements}
@@ -99,7 +124,7 @@ def random_rigs(model: Model, data: ModalData, count: int, rng: np.random.Genera
 
     (count, unknowns); what has a guess or a prior stays near it.
     """
-    usual, middle = _typical(model, data), like_parts(model, data)
+    usual, middle = usual_parts(model, data), like_parts(model, data)
     near = np.arange(count) % 2 == 0
     spread = np.where(near, NEAR, AFAR)[:, None] * np.repeat([0.3, 1.0, 2.0], -(-count // 3))[:count, None]
     shared = np.where(near, 1.0, np.exp(0.7 * rng.standard_normal(count)))

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from dashpot.data.readers import arrow_files, columns, datafile, hdf5, numpy_files, tdms
+from dashpot.data.readers import array_columns, arrow_files, datafile, hdf5, numpy_files, tdms
 from dashpot.data.readers.delimited import table
 from dashpot.errors import DataError
 from tests.unit.data.readers.written import CHANNELS, WRITERS, as_read, recording
@@ -16,11 +16,11 @@ from tests.unit.data.readers.written import CHANNELS, WRITERS, as_read, recordin
 @pytest.fixture
 def _small(monkeypatch: pytest.MonkeyPatch) -> None:
     """Everything is large: pieces of 100 numbers, text in blocks of 4 kB."""
-    for module in (columns, arrow_files, hdf5, numpy_files, tdms):
+    for module in (array_columns, arrow_files, hdf5, numpy_files, tdms):
         monkeypatch.setattr(module, "PIECE", 100)
         if hasattr(module, "LONG"):
             monkeypatch.setattr(module, "LONG", 200)
-    monkeypatch.setattr(columns, "LARGE", 1)
+    monkeypatch.setattr(array_columns, "LARGE", 1)
     monkeypatch.setattr(datafile, "LARGE", 1)
     monkeypatch.setattr(table, "STREAMED", 4096)
     monkeypatch.setattr(table, "COUNTED", 1000)

@@ -15,7 +15,7 @@ import numpy as np
 
 from dashpot.arrays import Ints, Real
 from dashpot.channel import Channel, Quantity
-from dashpot.data.readers.columns import ArrayColumns, Load
+from dashpot.data.readers.array_columns import ArrayColumns, Load
 from dashpot.data.readers.datafile import DataFile
 from dashpot.data.readers.delimited.opening import open_table
 from dashpot.data.readers.delimited.table import Table

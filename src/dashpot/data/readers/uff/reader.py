@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from dashpot.data.readers.columns import ArrayColumns, array_columns
+from dashpot.data.readers.array_columns import ArrayColumns, array_columns
 from dashpot.data.readers.datafile import DataFile
 from dashpot.data.readers.sampling import FREQUENCY, TIME
 from dashpot.data.readers.uff.function import (

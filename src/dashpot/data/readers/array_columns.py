@@ -1,0 +1,199 @@
+"""Columns of files whose numbers are arrays already, held or read as they are needed."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from dashpot.arrays import Real
+from dashpot.data.readers.columns import (
+    LARGEST,
+    MOST_COLUMNS,
+    Columns,
+    bare,
+    columns_of_block,
+)
+from dashpot.errors import DataError
+from dashpot.io.words import shown
+from dashpot.notices import Notice
+
+LARGE = 1 << 23  # numbers from which columns are put where they stay
+PIECE = 1 << 18  # numbers that are turned into float64 at a time
+LONG = 1 << 20  # numbers from which a column is streamed where its format allows
+
+
+@dataclass(frozen=True)
+class Streamed:
+    """A long column that is not held: numbers (no dates) in pieces, read again each time that they are asked for."""
+
+    rows: int
+    pieces: Callable[[], Iterator[Any]]
+    ndim: int = 1
+
+    @property
+    def shape(self) -> tuple[int]:
+        """As of an array."""
+        return (self.rows,)
+
+    @property
+    def size(self) -> int:
+        """As of an array."""
+        return self.rows
+
+    def __len__(self) -> int:
+        return self.rows
+
+
+def _pieces(values: Any) -> Iterator[Any]:
+    """A column in pieces; whole where it does not hold numbers alone."""
+    if isinstance(values, Streamed):
+        yield from values.pieces()
+        return
+    array = np.asarray(values)
+    if array.dtype.kind not in "fiub" or len(array) <= PIECE:
+        yield array
+        return
+    for at in range(0, len(array), PIECE):
+        yield array[at : at + PIECE]
+
+
+def _all_usable(numbers: Real) -> bool:
+    """Whether all are finite and not too large, without an array as large as they are."""
+    return not len(numbers) or bool(np.min(numbers) >= -LARGEST and np.max(numbers) <= LARGEST)
+
+
+Load = Callable[[], Any]  # of a variable: a one-dimensional array, or Streamed
+
+
+@dataclass(frozen=True)
+class ArrayColumns(Columns):
+    """Columns of a file that holds arrays; each is loaded when it is asked for.
+
+    rows  their common length
+    """
+
+    rows: int
+    loads: tuple[Load, ...]
+
+    @property
+    def heading(self) -> str:
+        """The file itself."""
+        return self.source
+
+    def place(self, index: int) -> str:
+        """Sample counted from 1."""
+        return f"{self.source}: sample {index + 1}"
+
+    def numbers(
+        self,
+        columns: Sequence[int],
+        optional: Sequence[int] = (),
+        infinite: Sequence[int] = (),
+        together: Sequence[int] = (),
+    ) -> dict[int, Real]:
+        """As of Columns."""
+        large = self.rows * len(together) >= LARGE
+        values = columns_of_block(columns, together if large else (), self.rows)
+        for column, numbers in values.items():
+            self._fill(column, numbers)
+            if _all_usable(numbers):
+                continue
+            wrong = ~np.isfinite(numbers)
+            wrong |= np.abs(np.where(wrong, 0.0, numbers)) > LARGEST
+            if column in infinite:
+                wrong &= numbers != np.inf
+            if column in optional:
+                wrong &= ~np.isnan(numbers)
+            if np.any(wrong):
+                at = int(np.argmax(wrong))
+                cause = "is too large" if np.isfinite(numbers[at]) else "is not a finite number"
+                raise self.error(at, column, f"{numbers[at]:g} {cause}", "fill the gap, or cut it out")
+        return values
+
+    def _fill(self, column: int, into: Real) -> None:
+        """Put one column into an array of float64, its length checked."""
+        load = self.loads[column]()
+        values = load if isinstance(load, Streamed) else np.asarray(load)
+        if values.ndim != 1 or len(values) != self.rows:
+            name = shown(bare(self.header[column])[0])
+            raise DataError(
+                f"{name} has the shape {values.shape}, not ({self.rows},)", self.source, "the file is damaged"
+            )
+        filled = 0
+        for piece in _pieces(values):
+            if filled + len(piece) > self.rows:
+                break
+            into[filled : filled + len(piece)] = self._as_numbers(column, piece)
+            filled += len(piece)
+        if filled != self.rows:
+            raise DataError("a column is cut off", self.source, "copy the file again")
+
+    def _as_numbers(self, column: int, values: Any) -> Any:
+        """Numbers of any kind; durations in s, of dates since the first."""
+        if values.dtype.kind == "M":
+            elapsed = (values - values[0]) if len(values) else values.astype("timedelta64[ns]")
+            return elapsed / np.timedelta64(1, "ns") * 1e-9
+        if values.dtype.kind == "m":
+            return values / np.timedelta64(1, "ns") * 1e-9
+        if values.dtype.kind == "O":
+            values = np.array([np.nan if value is None else value for value in values.tolist()])
+        if values.dtype.kind not in "fiub":
+            name = shown(bare(self.header[column])[0])
+            cure = "give real and imaginary part as NAME_re and NAME_im" if values.dtype.kind == "c" else ""
+            raise DataError(f"{name} holds no real numbers", self.source, cure or "choose another variable")
+        return values
+
+    def texts(self, column: int) -> list[str]:
+        """As of Columns."""
+        values = np.concatenate(list(_pieces(self.loads[column]())))
+        return ["" if value is None else str(value) for value in values.tolist()]
+
+    def first(self, column: int) -> str:
+        """As of Columns."""
+        values = next(_pieces(self.loads[column]()), np.zeros(0))
+        if not self.rows or values.dtype.kind in "mM":
+            return "0"
+        return str(values[0])
+
+
+def constant(value: object, rows: int) -> Load:
+    """A column that has one value throughout."""
+    return lambda: np.full(rows, value)
+
+
+def steps(start: float, step: float, rows: int) -> Load:
+    """A column of evenly spaced times."""
+    return lambda: start + step * np.arange(rows)
+
+
+def array_columns(
+    source: str,
+    variables: Mapping[str, Any],
+    units: Mapping[str, str | None] | None = None,
+    notes: Sequence[Notice] = (),
+) -> ArrayColumns:
+    """Columns of arrays (or of functions that load them) of one length.
+
+    Raises DataError where there are none, too many, or where their lengths differ.
+    """
+    if not variables:
+        raise DataError("there are no variables", source, "give a file with data")
+    if len(variables) > MOST_COLUMNS:
+        raise DataError(f"there are {len(variables)} variables", source, "give a file with fewer")
+    lengths = {name: len(values) for name, values in variables.items() if not callable(values)}
+    if len(set(lengths.values())) > 1:
+        short = ", ".join(f"{shown(name)}: {length}" for name, length in list(lengths.items())[:4])
+        raise DataError(
+            f"the variables are of different lengths ({short})", source, "choose those that match"
+        )
+    rows = next(iter(lengths.values()), 0)
+    loads = tuple(values if callable(values) else _held(values) for values in variables.values())
+    named = tuple(None if units is None else units.get(name) for name in variables)
+    return ArrayColumns(source, tuple(variables), named, tuple(notes), rows, loads)
+
+
+def _held(values: Any) -> Load:
+    return lambda: values
