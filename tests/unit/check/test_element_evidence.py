@@ -34,7 +34,7 @@ def rig(*laws):
 def record(model, theta):
     rng = np.random.default_rng(4)
     time = np.arange(500) / 100
-    u = 2e-3 * np.sum(
+    u = 2e-4 * np.sum(
         np.cos(2 * np.pi * rng.uniform(1, 12, 20) * time[:, None] + rng.uniform(0, 6, 20)), axis=1
     )
     channels = (replace(motions("x")[0], noise=5e-5), *motions("u"))

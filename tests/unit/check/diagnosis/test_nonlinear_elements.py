@@ -33,7 +33,6 @@ def linear_fit(law, orders=(1, 3), amplitude=1e-3):
     [
         ("cubic", (1, 3), "odd, stiffening", "k3"),
         pytest.param("v*abs(v)", (1,), "damping that grows with speed", "cq", marks=pytest.mark.long),
-        pytest.param("coulomb", (1,), "friction", "fc", marks=pytest.mark.long),
     ],
 )
 def test_the_element_that_the_data_call_for_is_named_and_mends_the_fit(law, orders, words, name):
@@ -47,6 +46,15 @@ def test_the_element_that_the_data_call_for_is_named_and_mends_the_fit(law, orde
     mended = applied(linear, spectrum.channels, first)[0]
     assert mended.elements[-1].name == name
     assert float(identify(mended, spectrum).fit.p) > 0.01
+
+
+@pytest.mark.long
+def test_friction_in_fundamentals_alone_is_seen_between_the_right_points():
+    """Its law is not told from other damping that falls with speed, and a channel left out explains as much."""
+    linear, _, spectrum, estimate = linear_fit("coulomb", (1,))
+    assessment = examined(linear, spectrum, estimate).assessment
+    assert assessment.verdict == "does not fit"
+    assert ("nonlinear", ("x2", "u")) in [(finding.kind, finding.of) for finding in assessment.findings[:3]]
 
 
 @pytest.mark.long
