@@ -1,8 +1,10 @@
-"""Array types and the one helper that makes them read-only."""
+"""Array types, and what makes arrays read-only."""
 
 from __future__ import annotations
 
-from typing import Any, TypeVar
+from dataclasses import fields
+from functools import cache
+from typing import Any, TypeVar, cast
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -27,6 +29,29 @@ def frozen(values: ArrayLike, dtype: type[Scalar]) -> NDArray[Scalar]:
     copy: NDArray[Any] = np.array(values, dtype=dtype)
     copy.setflags(write=False)
     return copy
+
+
+_DTYPES: dict[str, type[np.generic]] = {
+    "Real": np.float64,
+    "Complex": np.complex128,
+    "Ints": np.int64,
+    "Bools": np.bool_,
+}
+
+
+@cache
+def _array_fields(kind: Any) -> tuple[tuple[str, type[np.generic]], ...]:
+    """Names and dtypes of the fields that are declared as Real, Complex, Ints or Bools, or as one of them or None."""
+    declared = ((field.name, str(field.type).removesuffix(" | None")) for field in fields(kind))
+    return tuple((name, _DTYPES[words]) for name, words in declared if words in _DTYPES)
+
+
+def freeze(value: object) -> None:
+    """Make the arrays among the fields of a frozen dataclass read-only, as declared: for its `__post_init__`."""
+    for name, dtype in _array_fields(cast(Any, type(value))):
+        array = getattr(value, name)
+        if array is not None:
+            object.__setattr__(value, name, frozen(array, dtype))
 
 
 def hermitian(matrix: NDArray[Scalar]) -> NDArray[Scalar]:

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dashpot.arrays import Ints, Real, frozen
+from dashpot.arrays import Ints, Real, freeze
 from dashpot.check.chi2_surface import Surface
 from dashpot.errors import IdentifiabilityError
 from dashpot.estimate.likelihood.objective import prior_precision
@@ -39,8 +39,7 @@ class Combination:
     narrowing: float
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "direction", frozen(self.direction, np.float64))
-        object.__setattr__(self, "widening", frozen(self.widening, np.float64))
+        freeze(self)
 
 
 @dataclass(frozen=True)
@@ -57,7 +56,7 @@ class Collinearity:
     idle: tuple[int, ...]
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "shares", frozen(self.shares, np.float64))
+        freeze(self)
 
 
 def collinearity(base: Surface, covariance: Real) -> Collinearity:

@@ -13,7 +13,7 @@ from typing import Literal
 
 import numpy as np
 
-from dashpot.arrays import Ints, Real, frozen
+from dashpot.arrays import Ints, Real, freeze
 from dashpot.channel import Channel, Quantity
 from dashpot.check.structure import Draw, enough_lines, floating
 from dashpot.model.network import Model
@@ -59,8 +59,7 @@ class Deficiency:
     lines: LinesAtHand | None = None
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "directions", frozen(self.directions, np.float64))
-        object.__setattr__(self, "combinations", frozen(self.combinations, np.float64))
+        freeze(self)
 
 
 @dataclass(frozen=True)

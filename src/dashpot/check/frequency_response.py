@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dashpot.arrays import Complex, Real, frozen
+from dashpot.arrays import Complex, Real, freeze
 from dashpot.channel import Channel, Quantity
 from dashpot.check.residuals import Residuals, calibrations_of, channel_response
 from dashpot.data.spectrum import Spectrum
@@ -51,12 +51,7 @@ class FrequencyResponse:
     phase_sd_deg: Real
 
     def __post_init__(self) -> None:
-        for name in ("measured", "response"):
-            object.__setattr__(self, name, frozen(getattr(self, name), np.complex128))
-        for name in (
-            "lines_hz", "sd", "phase_deg", "frequency_hz", "curve_deg", "log_sd", "phase_sd_deg",
-        ):  # fmt: skip
-            object.__setattr__(self, name, frozen(getattr(self, name), np.float64))
+        freeze(self)
 
 
 def responses_of_channels(

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from dashpot.arrays import Real, frozen
+from dashpot.arrays import Real, freeze
 from dashpot.channel import Channel
 from dashpot.check.directions import DRAWS, Deficiency, Deficient, LinesAtHand, right_vectors
 from dashpot.check.permutation import permutation_ambiguities
@@ -53,7 +53,7 @@ class Structure:
     prior_dependent: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "nominal", frozen(self.nominal, np.float64))
+        freeze(self)
 
     @property
     def identifiable(self) -> bool:

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dashpot.arrays import Bools, Ints, Real, frozen
+from dashpot.arrays import Bools, Ints, Real, freeze
 from dashpot.check.chi2_surface import Surface, chi2_surface
 from dashpot.data.spectrum import Spectrum
 from dashpot.errors import UsageError
@@ -51,17 +51,7 @@ class Profile:
     improved: Bools
 
     def __post_init__(self) -> None:
-        for name in (
-            "value",
-            "lower",
-            "upper",
-            "normal_lower",
-            "normal_upper",
-            "points",
-            "rise",
-            "threshold",
-        ):
-            object.__setattr__(self, name, frozen(getattr(self, name), np.float64))
+        freeze(self)
 
     @property
     def difference(self) -> Real:

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from dashpot.arrays import Complex, Ints, Real, frozen, hermitian
+from dashpot.arrays import Complex, Ints, Real, freeze, hermitian
 from dashpot.channel import Channel
 from dashpot.data.spectrum import Spectrum
 from dashpot.estimate.likelihood.boundary_loads import carries_loads
@@ -61,11 +61,7 @@ class Residuals:
     scaled: bool
 
     def __post_init__(self) -> None:
-        for name in ("measured", "predicted", "normalised", "inputs"):
-            object.__setattr__(self, name, frozen(getattr(self, name), np.complex128))
-        for name in ("frequency_hz", "sd"):
-            object.__setattr__(self, name, frozen(getattr(self, name), np.float64))
-        object.__setattr__(self, "experiment", frozen(self.experiment, np.int64))
+        freeze(self)
 
     def worst(self) -> tuple[str, float, float] | None:
         """(channel, frequency in Hz, |normalised| / √2) of the largest residual; None where there is none."""

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from dashpot.arrays import Real, frozen
+from dashpot.arrays import Real, freeze
 from dashpot.check.chi2_surface import chi2_surface
 from dashpot.data.spectrum import Spectrum
 from dashpot.errors import UsageError
@@ -42,8 +42,7 @@ class KnownErrors:
     slopes: Real
 
     def __post_init__(self) -> None:
-        for name in ("known_values", "stated", "values", "slopes"):
-            object.__setattr__(self, name, frozen(getattr(self, name), np.float64))
+        freeze(self)
 
     @property
     def relative(self) -> Real:

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from dashpot.arrays import Bools, Complex, Ints, Real, frozen
+from dashpot.arrays import Bools, Complex, Ints, Real, freeze
 from dashpot.check.residuals import calibrations_of, of_channels
 from dashpot.data.conditioning.whole_record import FLOOR
 from dashpot.data.spectrum import Spectrum
@@ -50,10 +50,7 @@ class RecordPrediction:
     samples: int
 
     def __post_init__(self) -> None:
-        for name in ("measured", "predicted"):
-            object.__setattr__(self, name, frozen(getattr(self, name), np.complex128))
-        for name in ("frequency_hz", "fit", "chi2", "dof"):
-            object.__setattr__(self, name, frozen(getattr(self, name), np.float64))
+        freeze(self)
 
     def histories(self) -> tuple[Real, Real, Real]:
         """Time (samples,) s, and measured and predicted histories (samples, channels) of the lines in the band."""

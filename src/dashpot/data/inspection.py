@@ -10,7 +10,7 @@ from functools import partial
 import numpy as np
 
 from dashpot import units
-from dashpot.arrays import Real, frozen
+from dashpot.arrays import Real, freeze
 from dashpot.channel import Quantity
 from dashpot.data.readers.columns import Columns, bare
 from dashpot.data.readers.datafile import open_file
@@ -56,8 +56,7 @@ class InspectedColumn:
     level_db: Real
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "bands_hz", frozen(self.bands_hz, np.float64))
-        object.__setattr__(self, "level_db", frozen(self.level_db, np.float64))
+        freeze(self)
 
     @property
     def bits(self) -> float:

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dashpot.arrays import Complex, Real, frozen
+from dashpot.arrays import Complex, Real, freeze
 from dashpot.errors import DataError
 
 
@@ -31,10 +31,7 @@ class ModalData:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "points", tuple(self.points))
-        for name in ("frequency_hz", "damping_ratio", "covariance"):
-            object.__setattr__(self, name, frozen(getattr(self, name), np.float64))
-        for name in ("shapes", "shape_covariance"):
-            object.__setattr__(self, name, frozen(getattr(self, name), np.complex128))
+        freeze(self)
         count, points = self.modes, len(self.points)
         expected = {
             "damping_ratio": (self.damping_ratio.shape, self.frequency_hz.shape),

@@ -7,7 +7,7 @@ from typing import cast
 
 import numpy as np
 
-from dashpot.arrays import Real, frozen
+from dashpot.arrays import Real, freeze
 from dashpot.channel import Channel
 from dashpot.errors import DataError
 from dashpot.shorthand import call
@@ -42,8 +42,7 @@ class Record:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "channels", tuple(self.channels))
-        object.__setattr__(self, "time", frozen(self.time, np.float64))
-        object.__setattr__(self, "values", frozen(self.values, np.float64))
+        freeze(self)
         if self.values.shape[-2:] != (len(self.time), len(self.channels)):
             raise DataError(
                 f"values of shape {self.values.shape} do not fit {len(self.time)} samples "

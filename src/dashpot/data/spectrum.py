@@ -11,23 +11,12 @@ from typing import Any, cast
 
 import numpy as np
 
-from dashpot.arrays import Complex, Ints, Real, frozen
+from dashpot.arrays import Complex, Ints, Real, freeze
 from dashpot.channel import Channel
 from dashpot.data.stretch import SettledDwell, Stretch, WholeRecord, joined_stretches, selected
 from dashpot.errors import DataError
 from dashpot.notices import Notice
 from dashpot.shorthand import call
-
-# The arrays of a Spectrum and what their numbers are.
-ARRAYS: dict[str, type[np.generic]] = {
-    "frequency_hz": np.float64,
-    "amplitudes": np.complex128,
-    "covariance": np.complex128,
-    "samples": np.int64,
-    "dof": np.float64,
-    "experiment": np.int64,
-    "stretch": np.int64,
-}
 
 
 @dataclass(frozen=True)
@@ -41,7 +30,7 @@ class Moments:
     products: Real
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "products", frozen(self.products, np.float64))
+        freeze(self)
 
 
 @dataclass(frozen=True)
@@ -95,8 +84,7 @@ class Spectrum:
             object.__setattr__(self, name, tuple(getattr(self, name)))
         if not np.size(self.stretch):
             object.__setattr__(self, "stretch", np.zeros(len(self.frequency_hz), dtype=np.int64))
-        for name, kind in ARRAYS.items():
-            object.__setattr__(self, name, frozen(getattr(self, name), kind))
+        freeze(self)
         self._require_shapes()
         self._require_numbers()
 

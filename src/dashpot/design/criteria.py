@@ -18,7 +18,7 @@ from typing import ClassVar, Literal
 
 import numpy as np
 
-from dashpot.arrays import Ints, Real, frozen
+from dashpot.arrays import Ints, Real, freeze
 from dashpot.design.test_setup import TestSetup
 from dashpot.errors import UsageError
 from dashpot.model.network import Model
@@ -41,9 +41,7 @@ class Terms:
     block: Ints | None = None
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "weights", frozen(self.weights, np.float64))
-        if self.block is not None:
-            object.__setattr__(self, "block", frozen(self.block, np.int64))
+        freeze(self)
 
 
 class Criterion(ABC):

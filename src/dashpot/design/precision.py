@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dashpot.arrays import Ints, Real, frozen
+from dashpot.arrays import Ints, Real, freeze
 from dashpot.design.criteria import Criterion, Robustness, criterion_value
 from dashpot.design.schedule import Schedule
 from dashpot.design.test_setup import TestSetup
@@ -32,8 +32,7 @@ class ExpectedPrecision:
     figure: float
 
     def __post_init__(self) -> None:
-        for name in ("values", "sd", "covariance"):
-            object.__setattr__(self, name, frozen(getattr(self, name), np.float64))
+        freeze(self)
 
     @property
     def relative(self) -> Real:

@@ -13,7 +13,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from dashpot.arrays import Real, frozen
+from dashpot.arrays import Real, freeze
 from dashpot.design.allocation import optimise
 from dashpot.design.budget import Budget
 from dashpot.design.criteria import Criterion, criterion_value
@@ -66,7 +66,7 @@ class GaussianPrior:
     covariance: Real
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "covariance", frozen(self.covariance, np.float64))
+        freeze(self)
 
     def draw(self, nominal: Real, count: int, rng: np.random.Generator) -> Real:
         """Scenarios, (count, unknowns), cut at 2.5 standard deviations and at a tenth of the value."""

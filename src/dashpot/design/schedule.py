@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dashpot.arrays import Ints, Real, frozen
+from dashpot.arrays import Ints, Real, freeze
 from dashpot.design.test_setup import TestSetup
 from dashpot.errors import UsageError
 
@@ -33,9 +33,7 @@ class Schedule:
     samples: Real
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "frequency_hz", frozen(self.frequency_hz, np.float64))
-        object.__setattr__(self, "pattern", frozen(self.pattern, np.int64))
-        object.__setattr__(self, "samples", frozen(self.samples, np.float64))
+        freeze(self)
 
     def information(self, setup: TestSetup) -> Real:
         """Of all lines together, (scenarios, q, q)."""

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from dashpot.arrays import Ints, Real, frozen
+from dashpot.arrays import Ints, Real, freeze
 from dashpot.channel import Channel
 from dashpot.data.spectrum import Spectrum
 from dashpot.design.criteria import Reading
@@ -142,9 +142,7 @@ class SequentialEstimates:
     high: Real
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "samples", frozen(self.samples, np.int64))
-        for name in ("values", "sd", "low", "high"):
-            object.__setattr__(self, name, frozen(getattr(self, name), np.float64))
+        freeze(self)
 
     @property
     def relative(self) -> Real:

@@ -9,7 +9,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from dashpot.arrays import Complex, Ints, Real, frozen
+from dashpot.arrays import Complex, Ints, Real, freeze
 from dashpot.channel import Channel
 from dashpot.design.information import Outputs, outputs, per_sample
 from dashpot.errors import ModelError, UsageError
@@ -82,8 +82,7 @@ class TestSetup:
     amplitude: float = 1.0
 
     def __post_init__(self) -> None:
-        for name, kind in (("theta", np.float64), ("probability", np.float64), ("drives", np.complex128)):
-            object.__setattr__(self, name, frozen(getattr(self, name), kind))
+        freeze(self)
         object.__setattr__(self, "channels", tuple(self.channels))
         self.model.require_unknowns()
         if not self.model.inputs:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
-from dashpot.arrays import Bools, Complex, Ints, Real, frozen
+from dashpot.arrays import Bools, Complex, Ints, Real, freeze
 from dashpot.errors import DataError
 from dashpot.estimate.assessment import Assessment
 from dashpot.estimate.exports import correlated_numbers, dataframe, dataset
@@ -69,10 +69,7 @@ class ModeValues:
     shapes: Complex
 
     def __post_init__(self) -> None:
-        for name in ("eigenvalues", "shapes"):
-            object.__setattr__(self, name, frozen(getattr(self, name), np.complex128))
-        for name in ("frequency_hz", "damping_ratio", "frequency_sd", "damping_sd"):
-            object.__setattr__(self, name, frozen(getattr(self, name), np.float64))
+        freeze(self)
 
 
 @dataclass(frozen=True)
@@ -146,9 +143,7 @@ class Estimate:
     rig: str | None = None
 
     def __post_init__(self) -> None:
-        fields = ("values", "covariance", "noise_covariance", "bound_sd", "dof", "history", "lower", "upper")
-        for name in (*fields, "free_values"):
-            object.__setattr__(self, name, frozen(getattr(self, name), np.float64))
+        freeze(self)
 
     def __repr__(self) -> str:
         """One line: method, status and values."""

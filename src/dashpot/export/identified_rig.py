@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dashpot.arrays import Real, frozen
+from dashpot.arrays import Real, freeze
 from dashpot.channel import Channel
 from dashpot.errors import DataError, ModelError
 from dashpot.estimate.result import Estimate
@@ -32,8 +32,7 @@ class IdentifiedRig:
     estimate: Estimate | None = None
 
     def __post_init__(self) -> None:
-        for name in ("theta", "covariance"):
-            object.__setattr__(self, name, frozen(getattr(self, name), np.float64))
+        freeze(self)
 
     @property
     def p(self) -> Real:

@@ -8,7 +8,7 @@ from typing import Any, cast
 
 import numpy as np
 
-from dashpot.arrays import Complex, Ints, Real, frozen
+from dashpot.arrays import Complex, Ints, Real, freeze
 from dashpot.channel import Quantity
 from dashpot.errors import UsageError
 from dashpot.export.identified_rig import IdentifiedRig
@@ -61,8 +61,7 @@ class StateSpace:
     shifts: tuple[Real, Real]
 
     def __post_init__(self) -> None:
-        for name in ("A", "B", "C", "D", "values", "covariance"):
-            object.__setattr__(self, name, frozen(getattr(self, name), np.float64))
+        freeze(self)
 
     def __repr__(self) -> str:
         names = ", ".join(f"{port.name} ({port.quantity})" for port in self.inputs)

@@ -15,7 +15,7 @@ import numpy as np
 from scipy.optimize import minimize_scalar
 from scipy.stats import chi2
 
-from dashpot.arrays import Bools, Real, frozen
+from dashpot.arrays import Bools, Real, freeze
 
 FEWEST = 4  # rigs
 STEPS = 80  # of the grid over τ
@@ -46,8 +46,7 @@ class Population:
     upper: Real
 
     def __post_init__(self) -> None:
-        for name in ("values", "sd", "lower", "upper"):
-            object.__setattr__(self, name, frozen(getattr(self, name), np.float64))
+        freeze(self)
 
 
 def pooled(name: str, unit: str, values: Real, sd: Real, used: Bools | None = None) -> Population | None:

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.stats import t
 
-from dashpot.arrays import Bools, Real, frozen
+from dashpot.arrays import Bools, Real, freeze
 
 LEVEL = 0.05  # share of fleets alike in which anything at all is named
 FEWEST = 6  # rigs, below which nothing can be said to be usual
@@ -42,8 +42,7 @@ class Usual:
     drift_p: float
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "z", frozen(self.z, np.float64))
-        object.__setattr__(self, "outlier", frozen(self.outlier, np.bool_))
+        freeze(self)
 
     @property
     def drifts(self) -> bool:

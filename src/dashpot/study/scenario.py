@@ -10,9 +10,7 @@ from functools import cached_property
 from types import MappingProxyType
 from typing import Any
 
-import numpy as np
-
-from dashpot.arrays import Real, frozen
+from dashpot.arrays import Real, freeze
 from dashpot.channel import Channel
 from dashpot.estimate.identify import automatic, identify
 from dashpot.model.network import Model
@@ -42,7 +40,7 @@ class Scenario:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "factors", MappingProxyType(dict(self.factors)))
-        object.__setattr__(self, "theta", frozen(self.theta, np.float64))
+        freeze(self)
         object.__setattr__(self, "channels", tuple(self.channels))
         object.__setattr__(self, "methods", tuple(self.methods))
 

@@ -16,7 +16,7 @@ from typing import Literal
 import numpy as np
 from numpy.polynomial.legendre import legvander
 
-from dashpot.arrays import Complex, Ints, Real, frozen
+from dashpot.arrays import Complex, Ints, Real, freeze
 from dashpot.channel import Channel, Quantity
 from dashpot.data.record import Record
 from dashpot.data.spectrum import Moments, Spectrum
@@ -47,11 +47,7 @@ class Dwells:
     f: Complex
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "frequency_hz", frozen(self.frequency_hz, np.float64))
-        object.__setattr__(self, "samples", frozen(self.samples, np.int64))
-        object.__setattr__(self, "periods", frozen(self.periods, np.float64))
-        object.__setattr__(self, "U", frozen(self.U, np.complex128))
-        object.__setattr__(self, "f", frozen(self.f, np.complex128))
+        freeze(self)
         bad = ~(np.isfinite(self.frequency_hz) & (self.frequency_hz > 0))
         if np.any(bad):
             raise DataError(

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dashpot.arrays import Bools, Real, frozen
+from dashpot.arrays import Bools, Real, freeze
 
 LEVELS = (0.025, 0.25, 0.5, 0.75, 0.975)  # of the quantiles in a Summary
 
@@ -30,9 +30,7 @@ class Repeats:
     p: Real
 
     def __post_init__(self) -> None:
-        for name in ("values", "sd", "half", "p"):
-            object.__setattr__(self, name, frozen(getattr(self, name), np.float64))
-        object.__setattr__(self, "converged", frozen(self.converged, np.bool_))
+        freeze(self)
 
     @property
     def good(self) -> Bools:

@@ -8,7 +8,7 @@ from typing import Literal, Unpack
 import numpy as np
 from scipy.special import fdtrc
 
-from dashpot.arrays import Complex, Real, frozen
+from dashpot.arrays import Complex, Real, freeze
 from dashpot.channel import Channel
 from dashpot.data.conditioning.regression import (
     basis,
@@ -68,16 +68,7 @@ class HarmonicFit:
     notes: tuple[Notice, ...] = ()
 
     def __post_init__(self) -> None:
-        for name, kind in (
-            ("amplitudes", np.complex128),
-            ("covariance", np.complex128),
-            ("real_covariance", np.float64),
-            ("trend", np.float64),
-            ("residual_covariance", np.float64),
-            ("dof", np.float64),
-            ("whiteness", np.float64),
-        ):
-            object.__setattr__(self, name, frozen(getattr(self, name), kind))
+        freeze(self)
 
     def __call__(self, time: Real) -> Real:
         """The fitted signal at times in s: (..., times, channels)."""

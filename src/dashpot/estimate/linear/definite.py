@@ -7,7 +7,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from dashpot.arrays import Bools, Ints, Real, frozen
+from dashpot.arrays import Bools, Ints, Real, freeze
 from dashpot.errors import ModelError
 from dashpot.estimate.linear.instrumental_variables import OptimalIV, objective
 from dashpot.estimate.linear.least_squares import where_finite
@@ -39,8 +39,7 @@ class FreeMatrices:
     covariance: Real
 
     def __post_init__(self) -> None:
-        for name in ("M", "C", "K", "covariance"):
-            object.__setattr__(self, name, frozen(getattr(self, name), np.float64))
+        freeze(self)
 
     def sd(self, letter: Letter) -> Real:
         """Standard deviations of a matrix's entries, (..., n, n); 0 where known."""

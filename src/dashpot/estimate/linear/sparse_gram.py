@@ -18,7 +18,7 @@ import numpy as np
 from scipy import sparse
 from scipy.sparse.linalg import splu
 
-from dashpot.arrays import Complex, Ints, Real, frozen
+from dashpot.arrays import Complex, Ints, Real, freeze
 from dashpot.errors import DataError, IdentifiabilityError, UsageError
 from dashpot.io.json_document import to_json
 from dashpot.io.words import did_you_mean
@@ -49,7 +49,7 @@ class SeenMotion:
     var_f: Real
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "omega", frozen(self.omega, np.float64))
+        freeze(self)
         for name in ("X", "U", "f"):
             values, variances = getattr(self, name), getattr(self, f"var_{name}")
             if np.shape(values) != np.shape(variances) or len(values) != len(self.omega):
@@ -60,8 +60,6 @@ class SeenMotion:
                 raise DataError(
                     f"{name} has a gap", cure="every coordinate and input must be measured at every line"
                 )
-            object.__setattr__(self, name, frozen(values, np.complex128))
-            object.__setattr__(self, f"var_{name}", frozen(variances, np.float64))
 
 
 @dataclass(frozen=True)
@@ -82,8 +80,7 @@ class LargeEstimate:
     equations: int
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "values", frozen(self.values, np.float64))
-        object.__setattr__(self, "sd", frozen(self.sd, np.float64))
+        freeze(self)
 
     def to_json(self) -> str:
         """As the JSON of every estimate; `covariance` is null, and so is an sd that was not asked for."""

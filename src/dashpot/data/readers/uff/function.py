@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from dashpot.arrays import Complex, Real, frozen
+from dashpot.arrays import Complex, Real, freeze, frozen
 from dashpot.data.readers.uff.numbers import from_ibm, from_vax
 from dashpot.data.readers.uff.stream import DatasetStart, UffStream, expect_end
 from dashpot.errors import DataError
@@ -59,7 +59,7 @@ class NodalFunction:
     z_value: float = 0.0
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "abscissa", frozen(self.abscissa, np.float64))
+        freeze(self)
         kind = np.complex128 if np.iscomplexobj(self.ordinate) else np.float64
         object.__setattr__(self, "ordinate", frozen(self.ordinate, kind))
 

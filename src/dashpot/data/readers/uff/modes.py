@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dashpot.arrays import Complex, Real, frozen
+from dashpot.arrays import Complex, Real, freeze
 from dashpot.data.readers.datafile import DataFile
 from dashpot.data.readers.uff.stream import MARK, DatasetStart, UffStream, dataset_starts, skip_dataset
 
@@ -25,7 +25,7 @@ class NodalMode:
     ids: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "shapes", frozen(self.shapes, np.complex128))
+        freeze(self)
 
     @property
     def frequency_hz(self) -> float:
