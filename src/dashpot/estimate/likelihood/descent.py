@@ -16,6 +16,7 @@ from dashpot.model.observation import ObservationModel, observation_model
 from dashpot.numerics.levenberg_marquardt import PATIENCE, OptimizeResult, QuadraticModel, minimise
 
 RECORD_TOLERANCE = 1e-4  # standard deviations, of whole records
+HARMONIC_TOLERANCE = 1e-6  # standard deviations, of responses that are iterated themselves
 ROUGH = 60  # iterations of a descent that need not end
 
 
@@ -92,6 +93,7 @@ class Likelihood:
         # What depends on what among a record's columns is decided anew at each step: no nearer than that.
         tolerance = self.effort.tolerance
         near = tolerance if data.ends is None else max(tolerance, RECORD_TOLERANCE)
+        near = near if data.nonlinear is None else max(tolerance, HARMONIC_TOLERANCE)
         return minimise(evaluate, start, limit=most, tolerance=near, lower=self.lower, upper=self.upper)
 
 

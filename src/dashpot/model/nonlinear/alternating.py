@@ -11,7 +11,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from dashpot.arrays import Real, frozen
+from dashpot.arrays import Bools, Ints, Real, frozen
 from dashpot.model.network import Model
 from dashpot.model.nonlinear.expression import Dual
 from dashpot.model.nonlinear.force_law import ForceLaw
@@ -28,6 +28,19 @@ class Alternated:
     slope: Real
     by_constant: tuple[Real, ...]
     states: tuple[Real, ...] = ()
+
+    def rows(self, keep: Bools | Ints) -> Alternated:
+        """That of some of the dwells."""
+        by_constant = tuple(part[keep] for part in self.by_constant)
+        return Alternated(self.a[keep], self.slope[keep], by_constant, tuple(z[keep] for z in self.states))
+
+    def put(self, rows: Ints, other: Alternated) -> None:
+        """Write `other` into some of the dwells."""
+        self.a[rows], self.slope[rows] = other.a, other.slope
+        for mine, new in zip(
+            (*self.by_constant, *self.states), (*other.by_constant, *other.states), strict=True
+        ):
+            mine[rows] = new
 
 
 @lru_cache(maxsize=32)
@@ -82,10 +95,38 @@ def alternate(
         a[:, row] = np.broadcast_to(at.value, d.shape) @ back.T
         if slopes:
             by_d, by_v, inner = _partials(at, law.constant_names, d)
-            by_v = by_v * omega[:, None]
-            slope[:, row] = (back * by_d[:, None, :]) @ there + (back * by_v[:, None, :]) @ rate
+            slope[:, row] = modulated(by_d, (W - 1) // 2)
+            if "v" in at.slopes:
+                slope[:, row] += _along_rates(modulated(by_v * omega[:, None], (W - 1) // 2))
             by_constant.append(back @ inner)
     return Alternated(a, slope, tuple(by_constant), tuple(states))
+
+
+def modulated(g: Real, orders: int) -> Real:
+    """Γ⁺ diag(g) Γ for g (N, times), (N, W, W): products of cosines and sines are harmonics of g at i ± j.
+
+    cos iα cos jα = (cos (i − j)α + cos (i + j)α)/2 and so on, so that one transform of g tells all.
+    """
+    N, times = g.shape
+    spectrum = np.fft.fft(g, axis=1) / times
+    c, s = spectrum.real, -spectrum.imag
+    h = np.arange(1, orders + 1)
+    less, more = (h[:, None] - h) % times, (h[:, None] + h) % times
+    both = np.empty((N, 2 * orders + 1, 2 * orders + 1))
+    both[:, 0, 0] = c[:, 0]
+    both[:, 0, 1::2], both[:, 0, 2::2] = c[:, h], -s[:, h]
+    both[:, 1::2, 0], both[:, 2::2, 0] = 2 * c[:, h], -2 * s[:, h]
+    both[:, 1::2, 1::2], both[:, 2::2, 2::2] = c[:, less] + c[:, more], c[:, less] - c[:, more]
+    both[:, 1::2, 2::2], both[:, 2::2, 1::2] = s[:, less] - s[:, more], -s[:, less] - s[:, more]
+    return both
+
+
+def _along_rates(by_rate: Real) -> Real:
+    """Slopes along q for slopes along the harmonics of dδ/d(ωt), (N, W, W): Re X_h goes with −h Im, Im with h Re."""
+    h = np.arange(1, (by_rate.shape[-1] + 1) // 2)
+    along = np.zeros_like(by_rate)
+    along[..., 1::2], along[..., 2::2] = h * by_rate[..., 2::2], -h * by_rate[..., 1::2]
+    return along
 
 
 def _partials(at: Dual, names: tuple[str, ...], d: Real) -> tuple[Real, Real, Real]:

@@ -17,8 +17,9 @@ from dashpot.model.dynamics import matrices
 from dashpot.model.elements import Element, Kind
 from dashpot.model.network import Model
 from dashpot.model.nonlinear.alternating import alternate
+from dashpot.model.nonlinear.balance import Balanced, balance
 from dashpot.model.nonlinear.force_law import Constant
-from dashpot.model.nonlinear.harmonic_balance import Periodic, balance, periodic_at, samples_of
+from dashpot.model.nonlinear.harmonic_balance import Periodic, periodic_at, samples_of
 from dashpot.model.nonlinear.harmonics import Drive, joined_drives
 from dashpot.numerics.small_systems import solve_scaled
 
@@ -184,4 +185,4 @@ class _FreeMotion:
         # A damper's share in the linear part keeps it regular at its own resonance; the motion does not depend on it.
         damper = 1j * drive.omega[:, None] ** 2 * float(np.max(np.abs(self.M)))
         equations = balance(self.model, p, drive, np.repeat(damper, len(self.Bn), axis=1))
-        return periodic_at(self.model, equations, delta, forces, np.zeros(count))
+        return periodic_at(self.model, Balanced(equations, delta, forces, np.zeros(count)))

@@ -16,15 +16,8 @@ from dashpot.arrays import Bools, Complex, Ints, Real, frozen
 from dashpot.errors import ConvergenceError
 from dashpot.model.network import Model
 from dashpot.model.nonlinear.alternating import alternate
-from dashpot.model.nonlinear.harmonic_balance import (
-    Balance,
-    Periodic,
-    balance,
-    periodic_at,
-    periodic_response,
-    samples_of,
-    secant_of,
-)
+from dashpot.model.nonlinear.balance import Balance, Balanced, balance, secant_of
+from dashpot.model.nonlinear.harmonic_balance import Periodic, periodic_at, periodic_response, samples_of
 from dashpot.model.nonlinear.harmonics import Drive, joined_drives
 from dashpot.model.nonlinear.stability import stable_motions
 
@@ -204,7 +197,7 @@ class _Tracer:
         p, constants = np.repeat(self.p, count, axis=0), np.repeat(self.constants, count, axis=0)
         forces = alternate(self.model, constants, drive.omega, delta, self.times)
         equations = balance(self.model, p, drive, secant_of(p[:, self.model.nonlinear], forces.a, delta))
-        return periodic_at(self.model, equations, delta, forces, np.zeros(count))
+        return periodic_at(self.model, Balanced(equations, delta, forces, np.zeros(count)))
 
 
 @dataclass(frozen=True)

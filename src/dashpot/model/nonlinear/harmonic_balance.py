@@ -22,9 +22,9 @@ import numpy as np
 from dashpot.arrays import Bools, Complex, Real
 from dashpot.model.network import Model
 from dashpot.model.nonlinear.alternating import Alternated, alternate
+from dashpot.model.nonlinear.balance import Balanced, balanced, secant_of, solved
 from dashpot.model.nonlinear.harmonics import (
     Drive,
-    as_blocks,
     complex_of,
     complex_rows,
     rates_of_orders,
@@ -34,8 +34,6 @@ from dashpot.model.nonlinear.harmonics import (
 )
 from dashpot.model.nonlinear.linear_part import LinearPart, linear_part, linear_stiffness
 
-TOLERANCE = 1e-12  # of the elongation
-ITERATIONS = 25
 RAMP = (
     0.03,
     0.1,
@@ -81,20 +79,28 @@ def periodic_response(
     """
     count = samples_of(model, drive.orders) if times is None else times
     first = start if start is not None else _linear_start(model, p, constants, drive, count)
-    at = _newton(model, p, constants, drive, first, count)
-    lost = ~at.converged
-    if np.any(lost):
-        rows = drive.rows(lost)
-        q = _linear_start(model, p[lost], constants[lost], rows.scaled(RAMP[0]), count)
-        again = _newton(model, p[lost], constants[lost], rows.scaled(RAMP[0]), q, count)
-        for share in RAMP[1:]:
-            again = _newton(model, p[lost], constants[lost], rows.scaled(share), again.delta * 1.02, count)
-        better = np.zeros(len(p), dtype=bool)
-        better[lost] = again.converged | (again.error < at.error[lost])
-        delta = at.delta.copy()
-        delta[lost] = np.where(better[lost][:, None, None], again.delta, delta[lost])
-        at = _newton(model, p, constants, drive, delta, count, limit=8)
-    return at
+    at = balanced(model, p, constants, drive, first, count)
+    if not np.all(at.converged):
+        at = _grown(model, p, constants, drive, at, count)
+    return periodic_at(model, at)
+
+
+def _grown(model: Model, p: Real, constants: Real, drive: Drive, at: Balanced, times: int) -> Balanced:
+    """With the dwells that Newton's method missed followed from a small drive, as far as each comes."""
+    lost = np.flatnonzero(~at.converged)
+    begun = drive.rows(lost).scaled(RAMP[0])
+    q = _linear_start(model, p[lost], constants[lost], begun, times)
+    for share in RAMP:
+        grown = balanced(model, p[lost], constants[lost], drive.rows(lost).scaled(share), q, times)
+        lost = lost[grown.converged]
+        if not len(lost):
+            return at
+        q = grown.q[grown.converged] * 1.02
+    delta = at.q.copy()
+    delta[lost] = grown.q[grown.converged]
+    hopeless = ~at.converged
+    hopeless[lost] = False
+    return balanced(model, p, constants, drive, delta, times, hopeless=hopeless)
 
 
 def samples_of(model: Model, orders: int) -> int:
@@ -121,110 +127,13 @@ def _linear_start(model: Model, p: Real, constants: Real, drive: Drive, times: i
     return q
 
 
-def secant_of(p: Real, a: Real, q: Real) -> Complex:
-    """Describing function p a₁/δ₁ of each nonlinear element, (N, e), its parts at least 0."""
-    d1, a1 = complex_of(q)[..., 1], complex_of(a)[..., 1]
-    size = np.abs(d1)
-    ratio = p * a1 * np.conj(d1) / np.where(size > 0, size, 1.0) ** 2
-    ratio = np.where((size > 0) & np.isfinite(ratio), ratio, 0.0)
-    positive: Complex = np.maximum(ratio.real, 0.0) + 1j * np.maximum(ratio.imag, 0.0)
-    return positive
-
-
-@dataclass(frozen=True)
-class Balance:
-    """The equations of N dwells in the elongations of the nonlinear elements, δ − free + Z (p a − s δ) = 0.
-
-    Z (N, e, W, e, W), free (N, e, W), share (N, e, W, W) as real numbers; strength (N, e, 1): p.
-    """
-
-    linear: LinearPart
-    Z: Real
-    free: Real
-    share: Real
-    strength: Real
-
-    @property
-    def scale(self) -> Real:
-        """Largest elongation without nonlinear forces, (N,)."""
-        size: Real = np.max(np.abs(self.free), axis=(1, 2))
-        return size
-
-    def rest(self, q: Real, unit: Real) -> Real:
-        """p a − s δ, (N, e, W)."""
-        rest: Real = self.strength * unit - np.einsum("nevw,new->nev", self.share, q)
-        return rest
-
-    def residual(self, q: Real, unit: Real) -> Real:
-        """What is left over at elongations q with the harmonics `unit` of the unit forces, (N, e, W)."""
-        r: Real = q - self.free + np.einsum("nevfw,nfw->nev", self.Z, self.rest(q, unit))
-        return r
-
-    def matrix(self, slope: Real) -> Real:
-        """∂residual/∂q, (N, e W, e W), for slopes ∂a/∂q (N, e, W, W)."""
-        N, e, W = slope.shape[:3]
-        inner = self.strength[..., None] * slope - self.share
-        both = np.einsum("nevfu,nfuw->nevfw", self.Z, inner).reshape(N, e * W, e * W)
-        matrix: Real = both + np.eye(e * W)
-        return matrix
-
-
-def balance(model: Model, p: Real, drive: Drive, secant: Complex) -> Balance:
-    """The equations with `secant` (N, e) as the share of the nonlinear elements that the linear part keeps."""
-    linear = linear_part(model, p, drive, secant)
-    free = real_of(np.moveaxis(linear.free, 1, -1))
-    strength = p[:, model.nonlinear, None]
-    return Balance(linear, as_blocks(linear.receptance), free, share_blocks(linear.share), strength)
-
-
-def _newton(
-    model: Model, p: Real, constants: Real, drive: Drive, q: Real, times: int, limit: int = ITERATIONS
-) -> Periodic:
-    """Newton's method with halved steps on the elongations of the nonlinear elements."""
-    chosen = model.nonlinear
-    forces = alternate(model, constants, drive.omega, q, times)
-    equations = balance(model, p, drive, secant_of(p[:, chosen], forces.a, q))
-    r = equations.residual(q, forces.a)
-    error = np.full(len(q), np.inf)
-    for _ in range(limit):
-        step = _solved(equations.matrix(forces.slope), r.reshape(len(q), -1, 1)).reshape(q.shape)
-        size = np.maximum(np.max(np.abs(q), axis=(1, 2)), equations.scale)
-        size = np.where(size > 0, size, 1.0)
-        with np.errstate(all="ignore"):
-            error = np.max(np.abs(step), axis=(1, 2)) / size
-        running = ~(error <= TOLERANCE)
-        if not np.any(running):
-            break
-        norm = np.linalg.norm(r, axis=(1, 2))
-        factor = np.where(running & np.isfinite(error), 1.0, 0.0)
-        factor = np.minimum(factor, np.where(error > 0.5, 0.5 / np.maximum(error, 0.5), 1.0))
-        for _ in range(6):
-            trial = q - factor[:, None, None] * np.nan_to_num(step)
-            there = alternate(model, constants, drive.omega, trial, times, start=forces)
-            r_trial = equations.residual(trial, there.a)
-            worse = ~(np.linalg.norm(r_trial, axis=(1, 2)) <= norm * (1 + 1e-9) + 1e-14 * size) & (factor > 0)
-            if not np.any(worse & (error > 1e-9)):
-                break
-            factor = np.where(worse & (error > 1e-9), factor / 2, factor)
-        q, forces, r = trial, there, r_trial
-    return periodic_at(model, equations, q, forces, error)
-
-
-def periodic_at(model: Model, equations: Balance, q: Real, forces: Alternated, error: Real) -> Periodic:
-    """The whole motion for elongations q that satisfy the `equations` up to `error` (N,)."""
-    rest = complex_of(equations.rest(q, forces.a))
-    linear = equations.linear
-    load = linear.driven - np.moveaxis(rest, -1, 1) @ model.B[model.nonlinear]
+def periodic_at(model: Model, at: Balanced) -> Periodic:
+    """The whole motion for elongations that satisfy the equations."""
+    linear = at.equations.linear
+    load = linear.driven - at.equations.rest(at.q, at.forces.a) @ model.B[model.nonlinear]
     X = np.einsum("nhij,nhj->nhi", linear.inverse, load)
-    return Periodic(X, q, forces, error, error <= 1e-8, linear, equations.matrix(forces.slope))
-
-
-def _solved(matrix: Real, right: Real) -> Real:
-    try:
-        with np.errstate(all="ignore"):
-            return np.linalg.solve(matrix, right).astype(np.float64)
-    except np.linalg.LinAlgError:
-        return np.full_like(right, np.nan)
+    newton = at.equations.matrix(at.forces.slope)
+    return Periodic(X, at.q, at.forces, at.error, at.converged, linear, newton)
 
 
 @dataclass(frozen=True)
@@ -276,7 +185,7 @@ def slopes(
     explicit = Bn @ moved + stretched  # (N, H + 1, e, Q)
     e, W = len(chosen), 2 * orders + 1
     right = rows_of(explicit).reshape(N, e * W, Q)
-    d_delta = _solved(at.newton, right).reshape(N, e, W, Q)
+    d_delta = solved(at.newton, right).reshape(N, e, W, Q)
     d_rest = complex_rows(np.einsum("nevw,newq->nevq", inner, d_delta))
     dX = moved - linear.inverse @ np.einsum("ei,nheq->nhiq", Bn, d_rest)
     omega = (drive.omega[:, None] * rates_of_orders(orders)).imag

@@ -12,7 +12,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from dashpot.arrays import Bools, Complex, Real
+from dashpot.arrays import Bools, Complex, Ints, Real
 
 
 @dataclass(frozen=True)
@@ -28,7 +28,7 @@ class Drive:
         """Highest harmonic H."""
         return int(self.U.shape[1]) - 1
 
-    def rows(self, keep: Bools) -> Drive:
+    def rows(self, keep: Bools | Ints) -> Drive:
         """Some of the dwells."""
         return Drive(self.omega[keep], self.U[keep], self.f[keep])
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dashpot.arrays import Bools, Complex, Real
+from dashpot.arrays import Bools, Complex, Ints, Real
 from dashpot.model.network import Model
 from dashpot.model.nonlinear.harmonics import Drive, rates_of_orders
 
@@ -24,6 +24,12 @@ class LinearPart:
     share: Complex
     driven: Complex
     free: Complex
+
+    def rows(self, keep: Bools | Ints) -> LinearPart:
+        """That of some of the dwells."""
+        return LinearPart(
+            self.inverse[keep], self.receptance[keep], self.share[keep], self.driven[keep], self.free[keep]
+        )
 
 
 def linear_part(model: Model, p: Real, drive: Drive, secant: Complex) -> LinearPart:
