@@ -14,6 +14,8 @@ from dashpot.data.conditioning.clock import FEWEST, with_even_stamps
 from dashpot.data.conditioning.drift import LEVEL as DRIFT_LEVEL
 from dashpot.data.conditioning.drift import slope_costs, slopes_show
 from dashpot.data.conditioning.drive_frequency import refine_frequency
+from dashpot.data.conditioning.drive_wander import LEVEL as WANDER_LEVEL
+from dashpot.data.conditioning.drive_wander import drive_wanders
 from dashpot.data.conditioning.harmonic_fit import HarmonicFit, fit_harmonics
 from dashpot.data.conditioning.moderated import moderated
 from dashpot.data.conditioning.quantisation import rounding_floor, rounding_steps
@@ -34,6 +36,7 @@ from dashpot.data.stretch import SettledDwell
 from dashpot.errors import DataError
 from dashpot.notices import Notice
 
+WANDERS = "the drive frequency wanders within a dwell, which counts as steady all the same"
 LONG_ENOUGH = 8  # periods that must be left of a dwell that rests for a part
 
 
@@ -67,6 +70,7 @@ def spectrum(
 def _of_dwells(dwells: Sequence[Record], settings: Conditioning) -> Spectrum:
     """The lines of dwells, treated as all of them together ask for: what was driven, frequency, settling, drift."""
     notes: list[Notice] = []
+    wanders = False
     if settings.refine != "none":
         evened = [with_even_stamps(record) for record in dwells]
         dwells = [record for record, _ in evened]
@@ -76,10 +80,17 @@ def _of_dwells(dwells: Sequence[Record], settings: Conditioning) -> Spectrum:
     if settings.refine == "auto":
         require_stated(dwells, settings.orders)
         drive = drive_frequencies(dwells)
-        notes += drive.note(dwells)
-        dwells = at_frequencies(dwells, drive)
-    if settings.dwells_may_be_whole and _unsettled(dwells, settings):
-        lines = dwells_with_transients(dwells, settings.band, settings.still)
+        refined = at_frequencies(dwells, drive)
+        if drive_wanders(refined) < WANDER_LEVEL:
+            wanders = True
+        else:
+            notes += drive.note(dwells)
+            dwells = refined
+    why_whole = _why_whole(dwells, settings, wanders)
+    if wanders and why_whole is None:
+        notes.append(Notice("drive_wanders", WANDERS))
+    if why_whole is not None:
+        lines = dwells_with_transients(dwells, settings.band, settings.still, why=why_whole)
         return replace(lines, notes=(*notes, *lines.notes))
     if settings.drift == "auto" and slope_costs(dwells):
         p = slopes_show(dwells, settings.orders)
@@ -94,14 +105,21 @@ def _of_dwells(dwells: Sequence[Record], settings: Conditioning) -> Spectrum:
     return replace(lines, notes=(*notes, *lines.notes))
 
 
-def _unsettled(dwells: Sequence[Record], settings: Conditioning) -> bool:
-    """Whether dwells are to be used with their transients: asked for, or seen in a test of all of them together."""
+def _why_whole(dwells: Sequence[Record], settings: Conditioning, wanders: bool) -> str | None:
+    """Why dwells are used as whole records: asked for, no steady sines, or unsettled; None where they are not.
+
+    Whether they have settled is one test of all of them together.
+    """
+    if not settings.dwells_may_be_whole:
+        return None
     if settings.transients == "estimate":
-        return True
-    usable = all(record.values.ndim == 2 and len(record.time) >= FEWEST for record in dwells)
-    return usable and (
-        transients_show(dwells) < LEVEL or not all(driven_throughout(record) for record in dwells)
-    )
+        return "taken whole"
+    if not all(record.values.ndim == 2 and len(record.time) >= FEWEST for record in dwells):
+        return None
+    if wanders:
+        return "not steady (the drive frequency wanders)"
+    unsettled = transients_show(dwells) < LEVEL or not all(driven_throughout(record) for record in dwells)
+    return "not settled" if unsettled else None
 
 
 def _driven_parts(dwells: Sequence[Record], settings: Conditioning) -> tuple[list[Record], list[Notice]]:
@@ -180,4 +198,7 @@ def _at_its_frequency(record: Record, settings: Conditioning) -> tuple[Record, l
     if abs(refined.frequency_hz - refined.nominal_hz) > 3 * refined.sd:
         text = f"{record.source}: driven at {refined.frequency_hz:.7g} Hz, not at {refined.nominal_hz:.7g} Hz"
         notes.append(Notice("frequency_refined", text, (record.source,)))
-    return replace(record, frequency_hz=refined.frequency_hz), notes
+    record = replace(record, frequency_hz=refined.frequency_hz)
+    if drive_wanders([record]) < WANDER_LEVEL:
+        notes.append(Notice("drive_wanders", f"{record.source}: {WANDERS}", (record.source,)))
+    return record, notes

@@ -43,7 +43,7 @@ def settled(record: Record, frequency_hz: float | None = None) -> Settled:
     if f is None:
         raise DataError("the drive frequency is not known", record.source, "give the frequency of the record")
     time = record.time
-    blocks = _blocks(record, f)
+    blocks = whole_blocks(record, f)
     if blocks is None:
         periods = int(f * duration(time) + 1e-6)
         text = (
@@ -51,7 +51,7 @@ def settled(record: Record, frequency_hz: float | None = None) -> Settled:
         )
         return Settled(record, 0, 0.0, Notice("transient_undetectable", text, (record.source,)))
     starts, ends = blocks
-    Z, rms = _block_amplitudes(record, f, starts, ends)
+    Z, rms = block_amplitudes(record, f, starts, ends)
     begin, end = _driven(Z)
     if end - begin >= 8:
         begin += _truncation(_features(Z[begin:end], rms[begin:end], float(np.max(np.abs(record.values)))))
@@ -93,17 +93,17 @@ def driven_throughout(record: Record) -> bool:
     f = record.frequency_hz
     if f is None or record.values.ndim != 2:
         return True
-    blocks = _blocks(record, f)
+    blocks = whole_blocks(record, f)
     if blocks is None:
         return True
     starts, ends = blocks
-    Z, rms = _block_amplitudes(record, f, starts, ends)
+    Z, rms = block_amplitudes(record, f, starts, ends)
     noise = np.median(rms, axis=0) * np.sqrt(4 / np.min(ends - starts))
     heard = _level(np.abs(Z)) > HEARD * noise
     return not np.any(heard) or _driven(Z[:, heard]) == (0, len(starts))
 
 
-def _blocks(record: Record, f: float) -> tuple[Ints, Ints] | None:
+def whole_blocks(record: Record, f: float) -> tuple[Ints, Ints] | None:
     """Where blocks of whole periods, counted from the end, start and end; None where they are too few."""
     time = record.time
     periods = int(f * duration(time) + 1e-6)
@@ -117,7 +117,7 @@ def _blocks(record: Record, f: float) -> tuple[Ints, Ints] | None:
     return None if np.min(ends - starts) < 4 else (starts, ends)
 
 
-def _block_amplitudes(record: Record, f: float, starts: Ints, ends: Ints) -> tuple[Complex, Real]:
+def block_amplitudes(record: Record, f: float, starts: Ints, ends: Ints) -> tuple[Complex, Real]:
     """Amplitude and residual rms of each block, both (blocks, batch · channels)."""
     samples, channels = record.values.shape[-2:]
     values = record.values.reshape(-1, samples, channels)

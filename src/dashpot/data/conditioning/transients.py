@@ -117,9 +117,13 @@ def _first_and_last(record: Record) -> tuple[Real, Real, int] | None:
 
 
 def dwells_with_transients(
-    records: Sequence[Record], band_hz: tuple[float, float] | None = None, still: Still | None = None
+    records: Sequence[Record],
+    band_hz: tuple[float, float] | None = None,
+    still: Still | None = None,
+    *,
+    why: str = "not settled",
 ) -> Spectrum:
-    """Lines of each dwell with boundary loads of its own.  Raises as `whole_record`."""
+    """Lines of each dwell with boundary loads of its own; a note says `why`.  Raises as `whole_record`."""
     spectra = []
     for record in records:
         if len(record.time) < FEWEST:
@@ -133,9 +137,8 @@ def dwells_with_transients(
         if lines.lines < SHORT:
             lines = whole_record(record, band_hz=band_hz, still=still, polynomial=2)
         spectra.append(_with_sine_floor(lines, record) if still is None else lines)
-    text = (
-        f"{len(spectra)} dwells are not settled: all samples are used, the transients of each being estimated"
-    )
+    dwells = "one dwell is" if len(spectra) == 1 else f"{len(spectra)} dwells are"
+    text = f"{dwells} {why}: all samples are used, the transients at both ends being estimated"
     joined = concatenate(spectra)
     return replace(joined, notes=(Notice("dwells_with_transients", text),))
 

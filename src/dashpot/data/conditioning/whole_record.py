@@ -26,6 +26,7 @@ from dashpot.errors import DataError
 from dashpot.notices import Notice
 
 GAP = 1.5  # sampling steps: where the next sample is later than this, another record begins
+SLIP = 0.1  # of a step: where the next sample is early or late by more, the clock has slipped
 UNEVEN = 0.02  # share of gaps from which on they are the clock's
 HIGHEST = 0.9  # of half the sampling rate: above it the input between the samples is not known well enough
 BIN = 30  # lines, at least, whose mean power says whether something moves there
@@ -40,7 +41,9 @@ FAR_BELOW = 0.1  # of the mean power of the lines: a floor is noise, not motion
 
 
 def without_gaps(record: Record) -> tuple[list[Record], tuple[Notice, ...]]:
-    """The record cut where samples are missing, and a note that says so; pieces too short to use are left out.
+    """The record cut where samples are missing or its clock slips, and a note that says so.
+
+    Pieces too short to use are left out.
 
     Raises DataError where no piece is long enough.
     """
@@ -49,6 +52,10 @@ def without_gaps(record: Record) -> tuple[list[Record], tuple[Notice, ...]]:
         return [record], ()
     usual = float(np.median(steps))
     cuts = np.flatnonzero(steps > GAP * usual) + 1
+    away = np.abs(steps - usual)
+    slips = np.flatnonzero(away > max(SLIP * usual, 2 * float(np.quantile(away, 1 - UNEVEN)))) + 1
+    slipped = len(cuts) < len(slips) <= UNEVEN * len(steps)
+    cuts = slips if slipped else cuts
     if not len(cuts):
         return [record], ()
     edges = [0, *cuts.tolist(), len(record.time)]
@@ -73,7 +80,8 @@ def without_gaps(record: Record) -> tuple[list[Record], tuple[Notice, ...]]:
         )
     at = ", ".join(f"{record.time[cut]:.6g} s" for cut in cuts[:3]) + (", …" if len(cuts) > 3 else "")
     dropped = f", {lost} samples of short pieces left out" if lost else ""
-    text = f"{record.source}: samples are missing before {at}: used as {len(pieces)} records{dropped}"
+    what = "the clock slips" if slipped else "samples are missing"
+    text = f"{record.source}: {what} before {at}: used as {len(pieces)} records{dropped}"
     return pieces, (Notice("gaps", text, (record.source,)),)
 
 

@@ -221,8 +221,15 @@ _ALL: tuple[tuple[str, str, str, str], ...] = (
     ),
     (
         "dwells_with_transients", _RECORDS,
-        "A test over all dwells found them unsettled: each is used whole, its transient estimated with the rig.",
+        ("A test over all dwells found them unsettled, or their drive frequency wandering: each is used whole, its "
+        "transient estimated with the rig."),
         "Nothing. `--transients none` takes them as settled all the same.",
+    ),
+    (
+        "drive_wanders", _RECORDS,
+        ("The phase of all channels turns together within a dwell: its drive frequency is not constant. A steady sine "
+        "does not describe it; noise counts as larger than it is."),
+        "Leave out `--settle` and `--refine always`: dwells whose frequency wanders are then used as whole records.",
     ),
     (
         "whole_records", _RECORDS,
@@ -231,7 +238,7 @@ _ALL: tuple[tuple[str, str, str, str], ...] = (
     ),
     (
         "gaps", _RECORDS,
-        "Samples are missing; the pieces between are used as records of their own.",
+        "Samples are missing, or the clock slips by a part of a step; the pieces are used as records of their own.",
         "Nothing, if the gaps are real; else export the file again.",
     ),
     (

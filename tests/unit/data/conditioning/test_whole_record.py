@@ -106,6 +106,16 @@ def test_gaps_make_records() -> None:
     assert "2 whole records of 2700 samples" in lines.notes[-1].text
 
 
+def test_a_clock_that_slips_makes_records() -> None:
+    whole = record(resonant(3000, np.random.default_rng(6)))
+    late = whole.time + 0.003 * (whole.time > 9.995)
+    lines = whole_records([replace(whole, time=late)], band_hz=(1, 9))
+    assert len(lines.records) == 2
+    assert "the clock slips before 10.003 s: used as 2 records" in lines.notes[0].text
+    rounded = np.round(np.arange(3000) / 64, 2)
+    assert len(without_gaps(replace(whole, time=rounded))[0]) == 1
+
+
 def test_rounded_stamps_are_even() -> None:
     time = np.round(np.arange(5000) / 64, 3)
     assert even_step(Record((A,), time, np.zeros((5000, 1)) + time[:, None])) == pytest.approx(

@@ -1,0 +1,79 @@
+"""Dwells whose frequency wanders are found and used whole; noise of any colour is no wandering."""
+
+import numpy as np
+import pytest
+from scipy.signal import lfilter
+
+from dashpot.arrays import Real
+from dashpot.channel import Channel
+from dashpot.data.conditioning.drive_wander import drive_wanders
+from dashpot.data.conditioning.lines import spectrum
+from dashpot.data.record import Record
+from dashpot.estimate.identify import identify
+from dashpot.model.motion import channel_samples, integrator
+from dashpot.model.observation import observation_model
+from tests.whole_rigs import chain
+
+MODEL, THETA = chain(1, 0.04)
+CHANNELS = (Channel("x1", {"x1": 1.0}), Channel("u", {"u": 1.0}))
+
+
+def dwell(f: float, drift: float, rng: np.random.Generator, seconds: float = 6.0) -> Record:
+    """A dwell whose frequency runs from f (1 − drift) to f (1 + drift), with 2 % noise; its start is cut off."""
+    rate, finer, before = 20 * f, 4, 2.0
+    fine = np.arange(int((seconds + before) * rate) * finer + 1) / (rate * finer) - before
+    cycles = f * (fine + drift * (fine - seconds / 2) ** 2 / seconds)
+    motion = integrator(MODEL, p := MODEL.parameters(THETA), 1 / (rate * finer)).motion(
+        1e-3 * np.sin(2 * np.pi * cycles)[:, None]
+    )
+    values = channel_samples(observation_model(MODEL, CHANNELS, np.ones(1)), p, motion)
+    values = values[int(before * rate) * finer : -1 : finer]
+    noise = 0.02 * np.std(values, axis=0) * rng.normal(size=values.shape)
+    return Record(CHANNELS, np.arange(len(values)) / rate, values + noise, f)
+
+
+def test_dwells_that_drift_are_whole_records() -> None:
+    rng = np.random.default_rng(1)
+    dwells = [dwell(f, 0.02, rng) for f in (6.0, 9.0, 12.0)]
+    assert drive_wanders(dwells) < 1e-20
+    lines = spectrum(dwells)
+    assert len(lines.records) == 3
+    assert "not steady (the drive frequency wanders)" in lines.notes[-1].text
+    found = identify(MODEL, lines)
+    assert found.values == pytest.approx(THETA, rel=0.01)
+    assert np.all(np.abs(found.values - THETA) < 4 * found.sd)
+
+
+def test_dwells_that_are_told_to_be_steady_are_named() -> None:
+    drifting = [dwell(9.0, 0.02, np.random.default_rng(2))]
+    for how in ({"settle": "auto"}, {"refine": "always"}, {"transients": "none"}):
+        lines = spectrum(drifting, **how)  # type: ignore[arg-type]
+        assert not lines.records
+        assert "drive_wanders" in [note.code for note in lines.notes]
+
+
+def test_steady_dwells_stay() -> None:
+    lines = spectrum([dwell(f, 0.0, np.random.default_rng(3)) for f in (6.0, 9.0, 12.0)])
+    assert not lines.records
+    assert not lines.notes or lines.notes[0].code != "drive_wanders"
+
+
+@pytest.mark.parametrize(("memory", "alike"), [(0.0, 0.0), (0.9, 0.7)])
+def test_noise_is_no_wandering(memory: float, alike: float) -> None:
+    """80 tests of two dwells of 12 periods: uniform p values, 4 standard deviations; seed of each its number."""
+    p = [drive_wanders(noisy_sines(memory, alike, np.random.default_rng(k))) for k in range(80)]
+    assert np.mean(p) == pytest.approx(0.5, abs=4 / np.sqrt(12 * 80))
+    assert np.mean(np.array(p) < 0.05) == pytest.approx(0.05, abs=4 * np.sqrt(0.05 * 0.95 / 80))
+
+
+def noisy_sines(memory: float, alike: float, rng: np.random.Generator) -> list[Record]:
+    """Sines under noise with memory of first order that is partly common to both channels."""
+    records = []
+    for f in (4.0, 7.0):
+        t = np.arange(240) / (20 * f)
+        e: Real = rng.normal(size=(len(t), 2))
+        e[:, 1] = np.sqrt(1 - alike**2) * e[:, 1] + alike * e[:, 0]
+        e = lfilter([1.0], [1.0, -memory], e, axis=0) * (1 - memory**2) ** 0.5
+        values = np.stack([np.sin(2 * np.pi * f * t), 0.3 * np.sin(2 * np.pi * f * t + 1)], axis=-1)
+        records.append(Record(CHANNELS, t, values + 0.05 * e, f))
+    return records
