@@ -10,8 +10,10 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, MaxNLocator, MultipleLocator, NullFormatter, StrMethodFormatter
 
 from dashpot.check.frequency_response import FrequencyResponse
-from dashpot.present.figures.spectra import MANY, frequency_axis
+from dashpot.present.figures.interactive import Quantity, hover
+from dashpot.present.figures.spectra import FREQUENCY, MANY, PHASE, frequency_axis
 from dashpot.present.figures.style import DATA, MODEL, MUTED, style
+from dashpot.present.text.numbers import short
 
 REACH = 1.96  # standard deviations of a 95 % band
 MOST_PLANES = 6
@@ -28,6 +30,8 @@ def response_figure(responses: Sequence[FrequencyResponse]) -> Figure:
             _phase(right, shown)
             left.set_title(f"{shown.channel} over {shown.reference}")
             left.set_ylabel(shown.unit or "ratio")
+            hover(left, FREQUENCY, Quantity("amplitude", shown.unit))
+            hover(right, FREQUENCY, PHASE)
             for axes in (left, right):
                 frequency_axis(axes, shown.lines_hz)
         for axes in grid[-1]:
@@ -71,15 +75,15 @@ def _phase(axes: Axes, shown: FrequencyResponse) -> None:
         angle = np.degrees(np.where(size > 0, shown.sd / size, 0.0))
     axes.errorbar(
         shown.lines_hz, shown.phase_deg, yerr=np.nan_to_num(np.minimum(2 * angle, 180)), fmt="o", color=DATA,
-        ms=1.6 if many else 3.2, elinewidth=0.4 if many else 0.8, zorder=2, rasterized=many,
+        ms=1.6 if many else 3.2, elinewidth=0.4 if many else 0.8, label="measured, ±2 sd", zorder=2, rasterized=many,
     )  # fmt: skip
     if np.any(np.isfinite(shown.phase_sd_deg)):
         width = np.minimum(REACH * np.nan_to_num(shown.phase_sd_deg), 180.0)
         axes.fill_between(
             shown.frequency_hz, shown.curve_deg - width, shown.curve_deg + width, color=MODEL, alpha=0.25,
-            lw=0, zorder=3,
+            lw=0, zorder=3, label="95 % band of the model",
         )  # fmt: skip
-    axes.plot(shown.frequency_hz, shown.curve_deg, color=MODEL, lw=1.2, zorder=4)
+    axes.plot(shown.frequency_hz, shown.curve_deg, color=MODEL, lw=1.2, label="model", zorder=4)
     low, high = float(np.min(shown.curve_deg)), float(np.max(shown.curve_deg))
     axes.set_ylim(np.floor((low - 30) / 90) * 90, np.ceil((high + 30) / 90) * 90)
     axes.yaxis.set_major_locator(MultipleLocator(90 if high - low < 400 else 180))
@@ -99,7 +103,13 @@ def nyquist_figure(responses: Sequence[FrequencyResponse]) -> Figure:
             axes.axhline(0, color=MUTED, lw=0.5)
             axes.axvline(0, color=MUTED, lw=0.5)
             axes.plot(curve.real, curve.imag, color=MODEL, lw=1.2, zorder=3)
-            axes.plot(H.real, H.imag, "o", color=DATA, ms=1.6 if many else 3.2, zorder=4, rasterized=many)
+            axes.plot(
+                H.real, H.imag, "o", color=DATA, ms=1.6 if many else 3.2, label="measured", zorder=4, rasterized=many
+            )  # fmt: skip
+            lines = [f"{short(float(f), 4)} Hz" for f in response.lines_hz]
+            hover(
+                axes, Quantity("real part", response.unit), Quantity("imaginary part", response.unit), lines
+            )
             axes.set_aspect("equal", adjustable="datalim")
             axes.set_title(f"{response.channel} over {response.reference}")
             axes.set_xlabel(f"real part{', ' + response.unit if response.unit else ''}")

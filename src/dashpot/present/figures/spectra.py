@@ -11,9 +11,11 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
 
 from dashpot.arrays import Complex, Real
+from dashpot.present.figures.interactive import Quantity, hover, hover_cells
 from dashpot.present.figures.style import COLOURS, DATA, INK, MODEL, style
 from dashpot.present.text.numbers import short
 
+FREQUENCY, PHASE = Quantity("frequency", "Hz"), Quantity("phase", "°")
 MANY = 300  # lines from which dots are small and drawn as a picture within the picture
 RAYLEIGH_95 = 1.73  # of an amplitude's size over its standard deviation, √(−ln 0.05)
 
@@ -72,23 +74,28 @@ def amplitude_and_phase(
             )  # fmt: skip
             right.errorbar(
                 lines_hz, shown, yerr=np.nan_to_num(np.minimum(2 * angle, 180)), fmt="o", color=DATA,
-                ms=1.6 if many else 3.2, elinewidth=0.4 if many else 0.8, zorder=3, rasterized=many,
+                ms=1.6 if many else 3.2, elinewidth=0.4 if many else 0.8, label="measured, ±2 sd", zorder=3,
+                rasterized=many,
             )  # fmt: skip
             if curve is not None and curve_hz is not None:
                 left.plot(curve_hz, np.abs(curve[:, row]), color=MODEL, lw=1.3, label="model", zorder=2)
-                right.plot(curve_hz, _unbroken(degrees(curve[:, row])), color=MODEL, lw=1.3, zorder=2)
+                right.plot(
+                    curve_hz, _unbroken(degrees(curve[:, row])), color=MODEL, lw=1.3, label="model", zorder=2
+                )
             elif predicted is not None:
                 marks: dict[str, Any] = {"marker": "x", "ls": "", "color": MODEL, "ms": 6, "zorder": 2}
                 if len(lines_hz) > MANY:
                     marks |= {"marker": ".", "ms": 2, "rasterized": True, "zorder": 4}
                 left.plot(lines_hz, np.abs(predicted[:, row]), label="model", **marks)
-                right.plot(lines_hz, degrees(predicted[:, row]), **marks)
+                right.plot(lines_hz, degrees(predicted[:, row]), label="model", **marks)
             _amplitude_axis(left, size, None if curve is None else np.abs(curve[:, row]))
             left.set_title(name)
             left.set_ylabel(unit)
             right.set_ylabel("phase, °")
             right.set_ylim(-200, 200)
             right.set_yticks([-180, -90, 0, 90, 180])
+            hover(left, FREQUENCY, Quantity("amplitude", unit))
+            hover(right, FREQUENCY, PHASE)
             for axes in (left, right):
                 frequency_axis(axes, lines_hz)
         for axes in grid[-1]:
@@ -151,6 +158,7 @@ def residual_plot(
                 xytext=(-6 if right else 6, 4), ha="right" if right else "left", fontsize=8, color=INK,
             )  # fmt: skip
         axes.set_ylabel("residual / sd")
+        hover(axes, FREQUENCY, Quantity("residual", "sd"))
         axes.set_xlabel("frequency, Hz")
         frequency_axis(axes, lines_hz)
         handles, labels = axes.get_legend_handles_labels()
@@ -173,6 +181,7 @@ def correlation_plot(names: Sequence[str], matrix: Real) -> Figure:
         figure = Figure(figsize=(size + 0.7, size))
         axes = figure.subplots()
         axes.grid(visible=False)
+        hover_cells(axes, names, names, matrix, Quantity("correlation"))
         image = axes.imshow(matrix, cmap="RdBu", vmin=-1, vmax=1)
         if count <= 12:
             colours = image.to_rgba(np.nan_to_num(matrix))

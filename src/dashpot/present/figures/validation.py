@@ -8,6 +8,8 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from dashpot.arrays import Complex, Real
+from dashpot.present.figures.interactive import Quantity, hover
+from dashpot.present.figures.spectra import FREQUENCY
 from dashpot.present.figures.style import BAD, DATA, MODEL, style
 
 
@@ -36,9 +38,17 @@ def histories_and_spectra(
                 time, measured[:, row] - predicted[:, row], color=BAD, linewidth=0.6, label="difference"
             )
             left.set_ylabel(f"{name}, {unit}")
-            right.semilogy(frequency_hz, np.abs(shown[:, row]), color=DATA, linewidth=0.7)
-            right.semilogy(frequency_hz, np.abs(expected[:, row]), color=MODEL, linewidth=0.7)
-            right.semilogy(frequency_hz, np.abs(shown[:, row] - expected[:, row]), color=BAD, linewidth=0.5)
+            curves = (
+                (shown[:, row], DATA, 0.7),
+                (expected[:, row], MODEL, 0.7),
+                (shown[:, row] - expected[:, row], BAD, 0.5),
+            )
+            for (values, colour, width), label in zip(
+                curves, ("measured", "predicted", "difference"), strict=True
+            ):
+                right.semilogy(frequency_hz, np.abs(values), color=colour, linewidth=width, label=label)
+            hover(left, Quantity("time", "s"), Quantity(name, unit))
+            hover(right, FREQUENCY, Quantity(name, unit))
             right.set_title(name)
         rows[0][0].legend(ncols=3, loc="upper right")
         rows[-1][0].set_xlabel("time, s")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,7 +13,8 @@ from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup, escape
 from matplotlib.figure import Figure
 
-from dashpot.present.figures.style import DPI, svg
+from dashpot.present.figures.interactive import interactive_svg
+from dashpot.present.figures.style import DPI
 from dashpot.present.tables.layout import TableColumn
 from dashpot.present.text.glossary import EXPLANATIONS
 
@@ -87,8 +89,8 @@ class Page:
 
 
 def figure_picture(figure: Figure, alternative: str, *, wide: bool = True) -> Picture:
-    """A figure as a picture of a page."""
-    return Picture(svg(figure), alternative, wide)
+    """A figure as a picture of a page, whose values can be told."""
+    return Picture(interactive_svg(figure), alternative, wide)
 
 
 def image_picture(png: bytes, alternative: str) -> Picture:
@@ -106,9 +108,13 @@ def page_html(page: Page) -> str:
         lstrip_blocks=True,
     )  # fmt: skip
     explanations = [(term, EXPLANATIONS[term]) for term in page.terms]
+    blocks = (*page.evidence, *(() if page.answer is None else (page.answer,)))
+    told = any("data-panels=" in picture.svg for block in blocks for picture in block.pictures)
+    script = (TEMPLATES / "figures.js").read_text(encoding="utf-8") if told else ""
+    allowed = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode("ascii")
     return environment.get_template("report.html").render(
-        page=page, explanations=explanations, inline=_inline, rows=_rows
-    )
+        page=page, explanations=explanations, inline=_inline, rows=_rows, script=Markup(script), allowed=allowed
+    )  # fmt: skip
 
 
 def _inline(picture: Picture) -> Markup:

@@ -58,7 +58,7 @@ addEventListener('load', () => {
     unnamed: [...document.querySelectorAll('img, svg')].filter(e => !named(e)).length,
     pictures: document.querySelectorAll('img, svg').length,
     requests: performance.getEntriesByType('resource').filter(e => !e.name.startsWith('data:')).map(e => e.name),
-    loaded_ms: timing.loadEventStart,
+    loaded_ms: timing.loadEventStart, tried: (() => { %SCRIPT% })(),
   };
   const text = 'RESULT' + encodeURIComponent(JSON.stringify(result)) + 'END';
   if (parent === window) document.title = text; else parent.postMessage(text, '*');
@@ -72,13 +72,13 @@ FRAME = """<!DOCTYPE html><title>waiting</title>
 NARROWEST = 500  # px that a window has at least; narrower pages are looked at in a frame
 
 
-def probed(page: Path, width: int) -> dict[str, Any]:
-    """What the browser finds of a page at that width."""
+def probed(page: Path, width: int, script: str = "") -> dict[str, Any]:
+    """What the browser finds of a page at that width, and as 'tried' what a script in it returns."""
     assert CHROMIUM is not None
     with tempfile.TemporaryDirectory() as folder:
         copy = Path(folder) / "page.html"
         html = page.read_text(encoding="utf-8")
-        probe = PROBE.replace("%POLICY%", POLICY)
+        probe = PROBE.replace("%POLICY%", POLICY).replace("%SCRIPT%", script)
         copy.write_text(html.replace("<head>", f"<head>{probe}", 1), encoding="utf-8")
         more = []
         if width < NARROWEST:

@@ -85,6 +85,60 @@ def test_the_probe_sees_what_is_wrong(tmp_path: Path) -> None:
     assert found["least"] < LEAST_CONTRAST
 
 
+# Points at the third dot of the first panel, drags over half of the panel, and goes back.
+POINTING = """
+const svg = document.querySelector('svg[data-panels]'), panel = JSON.parse(svg.dataset.panels)[0];
+const [left, top, width, height] = panel.box, dots = panel.series.find(s => s.kind === 'points');
+const figure = svg.closest('figure'), values = figure.querySelector('.values'), button = figure.querySelector('button');
+const send = (name, x, y, to = svg) => {
+  const at = new DOMPoint(x, y).matrixTransform(svg.getScreenCTM());
+  to.dispatchEvent(new PointerEvent(name, { clientX: at.x, clientY: at.y, bubbles: true, pointerType: 'mouse' }));
+};
+const ticks = () => [...svg.querySelectorAll('.told text')].map(node => node.textContent);
+const place = f => left + width * (Math.log10(f) - Math.log10(panel.x.limits[0])) /
+  (Math.log10(panel.x.limits[1]) - Math.log10(panel.x.limits[0]));
+const before = svg.innerHTML;
+send('pointermove', place(dots.x[2]) + 1, top + height / 2);
+const told = [...values.children].map(node => node.textContent);
+send('pointerdown', left + width / 2, top + height / 2);
+send('pointermove', left + width, top + height / 2);
+send('pointerup', left + width, top + height / 2, window);
+const zoomed = ticks(), shown = !button.hidden;
+button.click();
+svg.dispatchEvent(new KeyboardEvent('keydown', { key: 'ArrowRight' }));
+const keyed = [...values.children].map(node => node.textContent);
+svg.blur(); svg.dispatchEvent(new Event('blur'));
+const numbers = text => (text.match(/ [xyd]="[^"]*"/g) || []).join(' ').match(/-?[\\d.]+/g).map(Number);
+const [a, b] = [numbers(before), numbers(svg.innerHTML)];
+return { told, zoomed, shown, keyed, hidden: button.hidden, limits: panel.x.limits, dot: [dots.x[2], dots.y[2]],
+         first: dots.x[0], moved: a.length === b.length ? Math.max(...a.map((v, k) => Math.abs(v - b[k]))) : -1 };
+"""
+
+
+def test_figures_tell_values_and_zoom(folder: Path) -> None:
+    found = probed(folder / "fits.html", 1400, POINTING)
+    assert found["wrong"] == []
+    tried = found["tried"]
+    frequency, size = tried["dot"]
+    assert tried["told"][0] == f"{frequency:.4g} Hz"
+    measured, model, band = tried["told"][1:]
+    assert measured.startswith(f"measured, ±2 sd: {size:.4g} ")
+    low, high = (float(text) for text in re.findall(r"[\d.]+", measured)[-2:])
+    assert low < size < high
+    edges = [float(text) for text in re.findall(r"[\d.]+", band)[-2:]]
+    curve = float(re.findall(r"[\d.]+", model)[0])
+    assert edges[0] <= curve <= edges[1]
+    assert low < curve < high
+    assert tried["shown"]
+    assert tried["hidden"]
+    ticks = [float(text) for text in tried["zoomed"] if "\N{MINUS SIGN}" not in text]
+    middle = (tried["limits"][0] * tried["limits"][1]) ** 0.5
+    across = [value for value in ticks if middle <= value <= tried["limits"][1]]
+    assert len(across) >= 2
+    assert tried["keyed"][0] == f"{tried['first']:.4g} Hz"
+    assert 0 <= tried["moved"] < 0.01, "what is drawn does not come back"
+
+
 def test_print_has_numbered_pages(folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     assert run(["identify", *METHODS, "--report", "report.pdf", "-q"]) == 0
