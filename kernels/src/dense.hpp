@@ -94,8 +94,8 @@ static bool definite(double *A, int m, double shift) {
     return true;
 }
 
-// Smallest eigenvalue of a symmetric matrix (m, m), which is overwritten: Householder to three diagonals, then
-// bisection by Sturm's count; `scratch` holds 3 m numbers.
+// Smallest eigenvalue of a symmetric matrix (m, m), which is overwritten, to six digits: Householder to three
+// diagonals, then bisection by Sturm's count; `scratch` holds 3 m numbers.
 static double smallest_eigenvalue(double *A, int m, double *scratch) {
     double *d = scratch, *off = scratch + m, *v = scratch + 2 * m;
     for (int i = 0; i < m * m; ++i)
@@ -136,8 +136,9 @@ static double smallest_eigenvalue(double *A, int m, double *scratch) {
     }
     for (int i = 0; i + 1 < m; ++i) off[i] = A[i * m + i + 1] * A[i * m + i + 1];
     const double width = high - low;
-    for (int turn = 0; turn < 60 && high - low > 1e-15 * width; ++turn) {
+    for (int turn = 0; turn < 60; ++turn) {
         const double middle = (low + high) / 2;
+        if (high - low <= 1e-15 * width || high - low <= 1e-6 * __builtin_fabs(middle)) break;
         double q = d[0] - middle;
         bool below = q < 0;
         for (int i = 1; i < m && !below; ++i) {

@@ -49,7 +49,8 @@ INLINE C times_phi(const dashpot::Rig &rig, int element, int line, C x) {
     return rig.imaginary[letter] ? C{-x.im * phi, x.re * phi} : C{x.re * phi, x.im * phi};
 }
 
-struct EquationWork {
+// COORDINATES: their number where it is small, so that loops over them unroll; 0 where the rig says it.
+template <int COORDINATES> struct EquationWork {
     const dashpot::Equation *problem;
     Searcher search;
     double *p, *A, *z, *sigma;  // z (q, 2, stride), sigma (places, 2, stride)
@@ -65,7 +66,7 @@ struct EquationWork {
     void lay(Arena &arena, const dashpot::Equation &equation) {
         problem = &equation;
         const dashpot::Rig &rig = *equation.rig;
-        const int n = rig.n, q = equation.q, m = rig.unknowns;
+        const int n = COORDINATES ? COORDINATES : rig.n, q = equation.q, m = rig.unknowns;
         search.lay(arena, m);
         p = arena.take<double>(rig.elements);
         A = arena.take<double>(4 * n * (n + rig.r));
@@ -153,7 +154,7 @@ struct EquationWork {
     void noise(int at) {
         const dashpot::Equation &equation = *problem;
         const dashpot::Rig &rig = *equation.rig;
-        const int n = rig.n, points = n + rig.r, stride = rig.stride, q = equation.q;
+        const int n = COORDINATES ? COORDINATES : rig.n, points = n + rig.r, stride = rig.stride, q = equation.q;
         for (int c = 0; c < q; ++c)
             if (equation.row_noisy[c])
                 for (int i = 0; i < n; ++i) spread[c * n + i] = zero();
@@ -198,7 +199,7 @@ struct EquationWork {
     }
 
     void even() {
-        const int n = problem->rig->n;
+        const int n = COORDINATES ? COORDINATES : problem->rig->n;
         for (int i = 0; i < n; ++i) {
             pivot[i] = all(1.0);
             for (int k = 0; k < i; ++k) Se[i * n + k] = zero();
@@ -219,7 +220,7 @@ struct EquationWork {
     // Omega times each column of the regressors of unit forces `w`, and the entries of that regressor.
     template <class Force> void weighted_columns(Force force) {
         const dashpot::Rig &rig = *problem->rig;
-        const int n = rig.n, m = rig.unknowns;
+        const int n = COORDINATES ? COORDINATES : rig.n, m = rig.unknowns;
         for (int j = 0; j < m; ++j) {
             C *here = Q + j * n;
             for (int i = 0; i < n; ++i) here[i] = zero();
@@ -245,7 +246,7 @@ struct EquationWork {
     V sums(int at, bool with_mixed) {
         const dashpot::Equation &equation = *problem;
         const dashpot::Rig &rig = *equation.rig;
-        const int n = rig.n, m = rig.unknowns, q = equation.q, points = n + rig.r;
+        const int n = COORDINATES ? COORDINATES : rig.n, m = rig.unknowns, q = equation.q, points = n + rig.r;
         stiffness(rig, A, at, both);
         noise(at);
         for (int c = 0; c < q; ++c) zhat[c] = state(c, at);
@@ -317,7 +318,7 @@ struct EquationWork {
     // 2 Re Phi^H Omega Phi and 2 Re Phi^H Omega h of the measured amplitudes; with `cleaned` also what noise adds.
     void normal(const double *at_theta, double *N, double *right, double *noiseN, double *noise_right) {
         const dashpot::Rig &rig = *problem->rig;
-        const int n = rig.n, m = rig.unknowns;
+        const int n = COORDINATES ? COORDINATES : rig.n, m = rig.unknowns;
         if (at_theta) assemble(rig, at_theta, p, A);
         clear(noiseN != nullptr);
         for (int k = 0; k < m; ++k) noise_gradient[k] = V{};
@@ -362,7 +363,7 @@ struct EquationWork {
     void noise_sums(int at) {
         const dashpot::Equation &equation = *problem;
         const dashpot::Rig &rig = *equation.rig;
-        const int n = rig.n, m = rig.unknowns, q = equation.q, points = n + rig.r, stride = rig.stride;
+        const int n = COORDINATES ? COORDINATES : rig.n, m = rig.unknowns, q = equation.q, points = n + rig.r, stride = rig.stride;
         V real_line;  // lines that only fill up the lanes count nothing
         for (int k = 0; k < LANES; ++k) real_line[k] = at + k < rig.lines;
         for (int j = 0; j < n; ++j) {
@@ -420,50 +421,64 @@ struct EquationWork {
 
 static unsigned long equation_workspace(const dashpot::Equation &problem) {
     Arena arena{nullptr, 0};
-    EquationWork work;
+    EquationWork<0> work;
     work.lay(arena, problem);
     return arena.used;
 }
 
+// Calls run(work) with the workspace laid out in `memory`.
+template <class Run> static void with_work(const dashpot::Equation &problem, char *memory, Run run) {
+    auto lay_and_run = [&](auto work) {
+        Arena arena{memory, 0};
+        work.lay(arena, problem);
+        run(work);
+    };
+    switch (problem.rig->n) {
+        case 1: return lay_and_run(EquationWork<1>());
+        case 2: return lay_and_run(EquationWork<2>());
+        case 3: return lay_and_run(EquationWork<3>());
+        case 4: return lay_and_run(EquationWork<4>());
+        default: return lay_and_run(EquationWork<0>());
+    }
+}
+
 static void equation_evaluate(const dashpot::Equation &problem, const double *theta, const long long *rows, long from,
                               long to, double *cost, double *gradient, double *symmetric, double *mixed, char *memory) {
-    Arena arena{memory, 0};
-    EquationWork work;
-    work.lay(arena, problem);
     const int m = problem.rig->unknowns;
-    for (long k = from; k < to; ++k) {
-        work.pack(rows[k]);
-        Quadratic out{0, gradient + k * m, symmetric + k * m * m, mixed + k * m * m};
-        work.evaluate(theta + k * m, out);
-        cost[k] = out.cost;
-    }
+    with_work(problem, memory, [&](auto &work) {
+        for (long k = from; k < to; ++k) {
+            work.pack(rows[k]);
+            Quadratic out{0, gradient + k * m, symmetric + k * m * m, mixed + k * m * m};
+            work.evaluate(theta + k * m, out);
+            cost[k] = out.cost;
+        }
+    });
 }
 
 static void equation_lines(const dashpot::Equation &problem, const double *theta, long from, long to,
                            double *information, double *scores, double *cost, char *memory) {
-    Arena arena{memory, 0};
-    EquationWork work;
-    work.lay(arena, problem);
     const dashpot::Rig &rig = *problem.rig;
     const int m = rig.unknowns;
-    for (long k = from; k < to; ++k) {
-        work.pack(k);
-        assemble(rig, theta + k * m, work.p, work.A);
-        for (int at = 0; at < rig.lines; at += LANES) {
-            work.clear(false);
-            const V costs = work.sums(at, false);
-            for (int lane = 0; lane < LANES && at + lane < rig.lines; ++lane) {
-                const long line = k * rig.lines + at + lane;
-                cost[line] = costs[lane];
-                for (int i = 0; i < m; ++i) {
-                    scores[line * m + i] = 2 * work.gradient[i][lane];
-                    for (int j = i; j < m; ++j)
-                        information[(line * m + i) * m + j] = information[(line * m + j) * m + i] =
-                            2 * work.symmetric[i * m + j][lane];
+    with_work(problem, memory, [&](auto &work) {
+        for (long k = from; k < to; ++k) {
+            work.pack(k);
+            assemble(rig, theta + k * m, work.p, work.A);
+            for (int at = 0; at < rig.lines; at += LANES) {
+                work.clear(false);
+                const V costs = work.sums(at, false);
+                for (int lane = 0; lane < LANES && at + lane < rig.lines; ++lane) {
+                    const long line = k * rig.lines + at + lane;
+                    cost[line] = costs[lane];
+                    for (int i = 0; i < m; ++i) {
+                        scores[line * m + i] = 2 * work.gradient[i][lane];
+                        for (int j = i; j < m; ++j)
+                            information[(line * m + i) * m + j] = information[(line * m + j) * m + i] =
+                                2 * work.symmetric[i * m + j][lane];
+                    }
                 }
             }
         }
-    }
+    });
 }
 
 static bool finite(const double *x, int count) {
@@ -472,83 +487,84 @@ static bool finite(const double *x, int count) {
     return true;
 }
 
-// Starts of the iterative estimators: cleaned of noise, weighted, plain; (K, unknowns) each.
-static void equation_starts(const dashpot::Equation &problem, long from, long to, double *clean, double *weighted,
-                            double *plain, char *memory) {
-    Arena arena{memory, 0};
-    EquationWork work;
-    work.lay(arena, problem);
-    const dashpot::Rig &rig = *problem.rig;
+// Starts of the iterative estimators from one repeat's data: cleaned of noise, weighted, plain; (unknowns,) each.
+template <class Work> static void start_of(Work &work, double *clean, double *weighted, double *plain) {
+    const dashpot::Rig &rig = *work.problem->rig;
     const int m = rig.unknowns;
     double *N = work.numbers, *noiseN = N + m * m, *matrix = noiseN + m * m, *scratch = matrix + m * m;
     double *right = scratch + m * m + m, *noise_right = right + m, *size = noise_right + m, *few = size + m;
-    for (long row = from; row < to; ++row) {
-        work.pack(row);
-        double *first = plain + row * m, *second = weighted + row * m, *third = clean + row * m;
-        work.normal(nullptr, N, right, nullptr, nullptr);
-        // Parameters with a prior are held there: the plain sums have no scale to weigh them by.
-        int free = 0;
-        for (int i = 0; i < m; ++i) {
-            first[i] = rig.mean[i];
-            if (rig.precision[i] > 0) continue;
-            int column = 0;
-            noise_right[free] = right[i];
-            for (int j = 0; j < m; ++j) {
-                if (rig.precision[j] > 0) noise_right[free] -= N[i * m + j] * rig.mean[j];
-                else matrix[column++] = N[i * m + j];
-            }
-            for (int j = 0; j < column; ++j) noiseN[free * column + j] = matrix[j];
-            ++free;
+    work.normal(nullptr, N, right, nullptr, nullptr);
+    // Parameters with a prior are held there: the plain sums have no scale to weigh them by.
+    int free = 0;
+    for (int i = 0; i < m; ++i) {
+        plain[i] = rig.mean[i];
+        if (rig.precision[i] > 0) continue;
+        int column = 0;
+        noise_right[free] = right[i];
+        for (int j = 0; j < m; ++j) {
+            if (rig.precision[j] > 0) noise_right[free] -= N[i * m + j] * rig.mean[j];
+            else matrix[column++] = N[i * m + j];
         }
-        if (free) {
-            solve_scaled(noiseN, noise_right, size, free, scratch);
-            for (int i = 0, k = 0; i < m; ++i)
-                if (!(rig.precision[i] > 0)) first[i] = size[k++];
-        }
-        for (int i = 0; i < m; ++i) second[i] = first[i];
-        for (int turn = 0; turn < 2; ++turn) {
-            work.normal(second, N, right, nullptr, nullptr);
-            for (int i = 0; i < m; ++i) {
-                N[i * m + i] += rig.precision[i];
-                right[i] += rig.precision[i] * rig.mean[i];
-            }
-            solve_scaled(N, right, third, m, scratch);
-            if (finite(third, m))
-                for (int i = 0; i < m; ++i) second[i] = third[i];
-        }
-        work.normal(second, N, right, noiseN, noise_right);
+        for (int j = 0; j < column; ++j) noiseN[free * column + j] = matrix[j];
+        ++free;
+    }
+    if (free) {
+        solve_scaled(noiseN, noise_right, size, free, scratch);
+        for (int i = 0, k = 0; i < m; ++i)
+            if (!(rig.precision[i] > 0)) plain[i] = size[k++];
+    }
+    for (int i = 0; i < m; ++i) weighted[i] = plain[i];
+    for (int turn = 0; turn < 2; ++turn) {
+        work.normal(weighted, N, right, nullptr, nullptr);
         for (int i = 0; i < m; ++i) {
             N[i * m + i] += rig.precision[i];
             right[i] += rig.precision[i] * rig.mean[i];
-            const double diagonal = __builtin_fabs(N[i * m + i]);
-            size[i] = __builtin_sqrt(diagonal > 1e-300 ? diagonal : 1e-300);
         }
-        // Where the noise taken out leaves no positive definite matrix, it is left in.
-        for (int i = 0; i < m * m; ++i) matrix[i] = (N[i] - noiseN[i]) / (size[i / m] * size[i % m]);
-        const double cleaned = smallest_eigenvalue(matrix, m, few);
-        for (int i = 0; i < m * m; ++i) matrix[i] = N[i] / (size[i / m] * size[i % m]);
-        const bool usable = cleaned > 0.05 * smallest_eigenvalue(matrix, m, few);
-        if (usable) {
-            for (int i = 0; i < m * m; ++i) N[i] -= noiseN[i];
-            for (int i = 0; i < m; ++i) right[i] -= noise_right[i];
-        }
-        solve_scaled(N, right, third, m, scratch);
-        if (!finite(third, m))
-            for (int i = 0; i < m; ++i) third[i] = second[i];
+        solve_scaled(N, right, clean, m, scratch);
+        if (finite(clean, m))
+            for (int i = 0; i < m; ++i) weighted[i] = clean[i];
     }
+    work.normal(weighted, N, right, noiseN, noise_right);
+    for (int i = 0; i < m; ++i) {
+        N[i * m + i] += rig.precision[i];
+        right[i] += rig.precision[i] * rig.mean[i];
+        const double diagonal = __builtin_fabs(N[i * m + i]);
+        size[i] = __builtin_sqrt(diagonal > 1e-300 ? diagonal : 1e-300);
+    }
+    // Where the noise taken out leaves no positive definite matrix, it is left in.
+    for (int i = 0; i < m * m; ++i) matrix[i] = N[i] / (size[i / m] * size[i % m]);
+    const double raw = smallest_eigenvalue(matrix, m, few);
+    for (int i = 0; i < m * m; ++i) matrix[i] = (N[i] - noiseN[i]) / (size[i / m] * size[i % m]);
+    if (definite(matrix, m, 0.05 * raw)) {
+        for (int i = 0; i < m * m; ++i) N[i] -= noiseN[i];
+        for (int i = 0; i < m; ++i) right[i] -= noise_right[i];
+    }
+    solve_scaled(N, right, clean, m, scratch);
+    if (!finite(clean, m))
+        for (int i = 0; i < m; ++i) clean[i] = weighted[i];
+}
+
+static void equation_starts(const dashpot::Equation &problem, long from, long to, double *clean, double *weighted,
+                            double *plain, char *memory) {
+    const int m = problem.rig->unknowns;
+    with_work(problem, memory, [&](auto &work) {
+        for (long row = from; row < to; ++row) {
+            work.pack(row);
+            start_of(work, clean + row * m, weighted + row * m, plain + row * m);
+        }
+    });
 }
 
 static void equation_descend(const dashpot::Equation &problem, const double *start, const long long *rows, long from,
                              long to, const dashpot::Limits &limits, const dashpot::Ends &ends, char *memory) {
-    Arena arena{memory, 0};
-    EquationWork work;
-    work.lay(arena, problem);
     const int m = problem.rig->unknowns;
-    auto evaluate = [&](const double *theta, Quadratic &out) { work.evaluate(theta, out); };
-    for (long k = from; k < to; ++k) {
-        work.pack(rows[k]);
-        minimise(work.search, evaluate, start + k * m, limits, ends, k, k == 0);
-    }
+    with_work(problem, memory, [&](auto &work) {
+        auto evaluate = [&](const double *theta, Quadratic &out) { work.evaluate(theta, out); };
+        for (long k = from; k < to; ++k) {
+            work.pack(rows[k]);
+            minimise(work.search, evaluate, start + k * m, limits, ends, k, k == 0);
+        }
+    });
 }
 
 // Sum over lines of inflation * bread I bread, and its diagonal line by line.

@@ -7,11 +7,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Any, cast
 
 import numpy as np
 
-from dashpot.arrays import Complex, Ints, Real, freeze
+from dashpot.arrays import Bools, Complex, Ints, Real, freeze
 from dashpot.channel import Channel
 from dashpot.data.stretch import SettledDwell, Stretch, WholeRecord, joined_stretches, selected
 from dashpot.errors import DataError
@@ -150,6 +151,13 @@ class Spectrum:
         """Leading axes: repeats of the same test."""
         return self.amplitudes.shape[:-2]
 
+    @cached_property
+    def present(self) -> Bools:
+        """Which channels were measured at which line in all repeats, (lines, channels)."""
+        finite = np.isfinite(self.amplitudes)
+        present: Bools = np.all(finite.reshape(-1, *finite.shape[-2:]), axis=0)
+        return present
+
     def index(self, name: str) -> int:
         """Position of a channel by name.  Raises DataError where there is none."""
         for i, channel in enumerate(self.channels):
@@ -173,6 +181,7 @@ class Spectrum:
         """The same with other arrays, read-only and of the right shapes, taken from one that has been checked."""
         other = object.__new__(Spectrum)
         other.__dict__.update(self.__dict__, **changes)
+        other.__dict__.pop("present", None)  # of the old amplitudes
         return other
 
     def select(self, lines: Sequence[int] | Ints) -> Spectrum:

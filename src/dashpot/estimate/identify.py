@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -135,7 +136,8 @@ def _estimate(
     bands = [part.uncertainty.bands for part in parts if part.uncertainty.bands is not None]
     if not batch:
         warnings += [notice for each in bands for notice in each.notices(around.names)]
-        diagnostics.require_determined(around.names, theta, noise, diagnostics.dead_channels(model, spectrum))
+        dead = partial(diagnostics.dead_channels, model, spectrum)
+        diagnostics.require_determined(around.names, theta, noise, dead)
         warnings += _notices(model, method, theta, covariance, noise, fit)
         warnings += diagnostics.short_records(model, theta, spectrum)
         warnings += [] if first.bounds is None else diagnostics.held(around.names, theta, first.bounds)
@@ -149,8 +151,8 @@ def _estimate(
         noise_covariance=noise,
         bound_sd=diagnostics.standard_deviations(join(lambda part: part.uncertainty.bound)),
         dof=join(lambda part: part.uncertainty.dof),
-        lower=np.broadcast_to(lower, unknowns),
-        upper=np.broadcast_to(upper, unknowns),
+        lower=np.full(unknowns, lower),
+        upper=np.full(unknowns, upper),
         free_values=join(lambda part: _free_values(part.solution)),
         basis=_basis(fit, any(np.any(each.disagree) for each in bands)),
         converged=join(lambda part: part.solution.converged),

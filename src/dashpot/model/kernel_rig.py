@@ -9,12 +9,17 @@ import numpy as np
 from dashpot.arrays import Real
 from dashpot.model.elements import MATRICES
 from dashpot.model.network import Model
+from dashpot.model.observation import kept_view
 
 
 def kernel_rig(kernel: Any, model: Model, omega: Real) -> Any | None:
-    """The kernel's Rig, None where it does not know the rig: nonlinear laws, matrices that are not full."""
+    """The kernel's Rig, None where it does not know the rig's laws: nonlinear ones.  The last ones are kept."""
     if len(model.nonlinear):
         return None
+    return kept_view(model, (kernel, omega.tobytes()), lambda: _kernel_rig(kernel, model, omega))
+
+
+def _kernel_rig(kernel: Any, model: Model, omega: Real) -> Any:
     factors = np.stack([law.factor(omega) for law in MATRICES.values()])
     imaginary = np.any(factors.imag, axis=-1)
     return kernel.Rig(

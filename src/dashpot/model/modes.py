@@ -49,47 +49,50 @@ def modes(model: Model, p: Real) -> Modes:
     coincide.  Raises ModelError where all parameters are zero.
     """
     parts = matrices(model, p)
-    poles, shapes = _upper_half(parts)
-    poles = poles * _typical_rate(parts)
+    rate = _typical_rate(parts)
+    poles, shapes = _upper_half(parts, rate)
+    poles = poles * rate
     order = np.lexsort((poles.imag, np.round(np.abs(poles), 9)))
     poles, shapes = poles[order], shapes[order]
-    largest = np.take_along_axis(shapes, np.argmax(np.abs(shapes), axis=-1)[:, None], axis=-1)
+    largest = shapes[np.arange(len(shapes)), np.abs(shapes).argmax(axis=-1), None]
     shapes = shapes / np.where(largest == 0, 1.0, largest)
     return Modes(poles, shapes, _eigenvalue_sensitivity(model, parts, poles, shapes))
 
 
-def _upper_half(parts: Matrices) -> tuple[Complex, Complex]:
-    """Eigenvalues with Im ≥ 0 of one rig in units of its typical rate, (modes,), and shapes (modes, n).
+def _upper_half(parts: Matrices, rate: float) -> tuple[Complex, Complex]:
+    """Eigenvalues with Im ≥ 0 of one rig in units of its typical `rate`, (modes,), and shapes (modes, n).
 
     Time is scaled to make stiffness and inertia alike in size: the pencil's rank decisions depend on it.
     """
     n = parts.M.shape[-1]
-    rate = _typical_rate(parts)
-    K = parts.K + 1j * parts.H if np.any(parts.H) else parts.K
-    scale = np.max(np.abs(K)) + rate * np.max(np.abs(parts.C)) + rate**2 * np.max(np.abs(parts.M))
+    K = parts.K + 1j * parts.H if parts.H.any() else parts.K
+    scale = np.abs(K).max() + rate * np.abs(parts.C).max() + rate**2 * np.abs(parts.M).max()
     if scale == 0:
         raise ModelError(
             "the rig has no modes: all its parameters are zero", cure="give it mass and stiffness"
         )
     A = np.zeros((2 * n, 2 * n), dtype=K.dtype)
-    A[:n, n:] = np.eye(n)
+    A[np.arange(n), n + np.arange(n)] = 1.0
     A[n:, :n], A[n:, n:] = -K / scale, -rate * parts.C / scale
     poles, vectors, finite = _pencil(A, rate**2 * parts.M / scale)
-    if _floats(K):
+    size = np.abs(poles)
+    tiny = size < 1e-6
+    if tiny.any() and _floats(K):
         # Rounding splits a double zero into a pair of the size √ε.
-        poles = np.where(np.abs(poles) < 1e-6, 0.0, poles)
-    keep: Bools = finite & (poles.imag >= -1e-9 * np.abs(poles))
-    poles, shapes = poles[keep], vectors[:n, keep].T
-    return np.where(np.abs(poles.imag) <= 1e-9 * np.abs(poles), poles.real + 0j, poles), shapes
+        poles, size = np.where(tiny, 0.0, poles), np.where(tiny, 0.0, size)
+    keep: Bools = finite & (poles.imag >= -1e-9 * size)
+    poles, size, shapes = poles[keep], size[keep], vectors[:n, keep].T
+    return np.where(np.abs(poles.imag) <= 1e-9 * size, poles.real + 0j, poles), shapes
 
 
 def _pencil(A: Complex | Real, M: Real) -> tuple[Complex, Complex, Bools]:
     """Eigenvalues and vectors of A − λ diag(1, M), and which are finite; by M⁻¹ where M is regular, else by QZ."""
     n = len(M)
-    size = np.sqrt(np.abs(np.diagonal(M)))
-    if np.all(size > 0):
-        scaled = M / np.outer(size, size)
-        if n == 1 or np.linalg.eigvalsh(scaled)[0] > REGULAR:
+    size = np.sqrt(np.abs(M.diagonal()))
+    if size.all():
+        scaled = M / (size[:, None] * size)
+        # Masses that nothing couples leave ones on the diagonal.
+        if np.count_nonzero(M) == n or np.linalg.eigvalsh(scaled)[0] > REGULAR:
             A = A.copy()
             A[n:] = np.linalg.solve(scaled, A[n:] / size[:, None]) / size[:, None]
             poles, vectors = np.linalg.eig(A)
@@ -115,7 +118,8 @@ def _floats(K: Complex | Real) -> bool:
 
 
 def _typical_rate(parts: Matrices) -> float:
-    M, C, K = (float(np.max(np.abs(matrix))) for matrix in (parts.M, parts.C, np.hypot(parts.K, parts.H)))
+    stiffness = np.hypot(parts.K, parts.H) if parts.H.any() else parts.K
+    M, C, K = (float(np.abs(matrix).max()) for matrix in (parts.M, parts.C, stiffness))
     if M > 0 and K > 0:
         return float(np.sqrt(K / M))
     if C > 0 and K > 0:
@@ -127,7 +131,7 @@ def _typical_rate(parts: Matrices) -> float:
 
 def _eigenvalue_sensitivity(model: Model, parts: Matrices, values: Complex, shapes: Complex) -> Complex:
     slope = 2 * values[:, None, None] * parts.M + parts.C
-    denominator = np.einsum("ki,kij,kj->k", shapes, slope, shapes)
+    denominator = ((slope @ shapes[..., None])[..., 0] * shapes).sum(axis=-1)
     factor = model.pole_factors(values)
     elongation = shapes @ model.B.T
     with np.errstate(divide="ignore", invalid="ignore"):

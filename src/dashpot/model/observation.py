@@ -8,7 +8,7 @@ channel's calibration; what is known of it has been taken out when raw numbers b
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import cast
@@ -185,14 +185,21 @@ def observation_model(model: Model, channels: Sequence[Channel], omega: Real) ->
     The last views of a model are kept, for an identification asks for the same ones over and over.
     Raises DataError where a channel measures what the rig has not, or shares a gain that is not unknown.
     """
-    kept, key = model.views, (*map(id, channels), omega.tobytes())
-    view = kept.get(key)
-    if view is None:
-        view = _observation_model(model, tuple(channels), omega)
+    # A view holds its channels, so that their ids stay theirs.
+    key = (*map(id, channels), omega.tobytes())
+    return cast(
+        ObservationModel, kept_view(model, key, lambda: _observation_model(model, tuple(channels), omega))
+    )
+
+
+def kept_view(model: Model, key: tuple[object, ...], make: Callable[[], object]) -> object:
+    """What `make` gives, kept with the model under `key` among the last ones."""
+    kept = model.views
+    if key not in kept:
         if len(kept) >= KEPT_VIEWS:
             kept.pop(next(iter(kept)))
-        kept[key] = view  # holds its channels, so that their ids stay theirs
-    return cast(ObservationModel, view)
+        kept[key] = make()
+    return kept[key]
 
 
 def _observation_model(model: Model, channels: tuple[Channel, ...], omega: Real) -> ObservationModel:

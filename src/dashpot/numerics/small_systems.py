@@ -47,22 +47,30 @@ def solve_scaled(matrix: Real, right: Real) -> Real:
 
     matrix (..., m, m), right (..., m).
     """
-    scale = np.sqrt(np.abs(np.diagonal(matrix, axis1=-2, axis2=-1)))
-    scale = np.where(scale > 0, scale, 1.0)
+    scale = _scale(matrix)
     scaled = matrix / (scale[..., :, None] * scale[..., None, :])
     return _solve_or_nan(scaled, (right / scale)[..., None])[..., 0] / scale
 
 
 def scaled_inverse(matrix: Real) -> Real:
     """matrix⁻¹ of stacks of information matrices, scaled first; NaN where singular to rounding."""
-    scale = np.sqrt(np.abs(np.diagonal(matrix, axis1=-2, axis2=-1)))
-    scale = np.where(scale > 0, scale, 1.0)
+    scale = _scale(matrix)
     outer = scale[..., :, None] * scale[..., None, :]
-    found = _solve_or_nan(matrix / outer, np.broadcast_to(np.eye(matrix.shape[-1]), matrix.shape))
+    scaled = matrix / outer
+    try:
+        inverse = np.linalg.inv(scaled)
+    except np.linalg.LinAlgError:
+        inverse = _solve_or_nan(scaled, np.broadcast_to(np.eye(matrix.shape[-1]), matrix.shape))
     # Of a matrix with ones on its diagonal: entries that large are rounding, not information.
-    regular: Bools = np.max(np.abs(found), axis=(-2, -1)) < 1 / SINGULAR
-    result: Real = np.where(regular[..., None, None], found / outer, np.nan)
-    return result
+    regular: Bools = np.abs(inverse).max(axis=(-2, -1)) < 1 / SINGULAR
+    result: Real = inverse / outer
+    return result if regular.all() else np.where(regular[..., None, None], result, np.nan)
+
+
+def _scale(matrix: Real) -> Real:
+    """Square roots of the diagonals' sizes, 1 where these are 0; (..., m)."""
+    scale: Real = np.sqrt(np.abs(matrix.diagonal(axis1=-2, axis2=-1)))
+    return scale if scale.all() else np.where(scale == 0, 1.0, scale)
 
 
 def _solve_or_nan(matrix: Real, right: Real) -> Real:

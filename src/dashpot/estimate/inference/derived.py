@@ -61,19 +61,15 @@ def mode_values(model: Model, theta: Real, covariance: Real) -> ModeValues:
     found = modes(model, model.parameters(theta))
     slope = found.sensitivity @ model.T
     values = found.eigenvalues
-    size = np.where(np.abs(values) > 0, np.abs(values), 1.0)
-    grow = (np.conj(values)[:, None] * slope).real / size[:, None]
+    size = np.abs(values)[:, None]
+    size = np.where(size > 0, size, 1.0)
+    grow = (values.conj()[:, None] * slope).real / size
     frequency = grow / (2 * np.pi)
-    damping = -slope.real / size[:, None] + values.real[:, None] * grow / size[:, None] ** 2
-
-    size_of_covariance = np.abs(covariance)
-
-    def sd(jacobian: Real) -> Real:
-        variance: Real = np.sum((jacobian @ covariance) * jacobian, axis=-1)
-        terms = np.sum((np.abs(jacobian) @ size_of_covariance) * np.abs(jacobian), axis=-1)
-        lost = (variance <= LOST * terms) & (terms > 0)
-        return np.sqrt(np.where(lost, np.nan, np.maximum(variance, 0.0)))
-
-    return ModeValues(
-        values, found.frequency_hz, found.damping_ratio, sd(frequency), sd(damping), found.shapes
-    )
+    damping = -slope.real / size + values.real[:, None] * grow / size**2
+    jacobian = np.stack([frequency, damping])
+    variance = ((jacobian @ covariance) * jacobian).sum(axis=-1)
+    reach = np.abs(jacobian)
+    terms = ((reach @ np.abs(covariance)) * reach).sum(axis=-1)
+    lost = (variance <= LOST * terms) & (terms > 0)
+    frequency_sd, damping_sd = np.sqrt(np.where(lost, np.nan, np.maximum(variance, 0.0)))
+    return ModeValues(values, found.frequency_hz, found.damping_ratio, frequency_sd, damping_sd, found.shapes)

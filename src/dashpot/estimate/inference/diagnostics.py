@@ -5,7 +5,7 @@ Nothing here changes a number.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from scipy.special import bdtrc
@@ -16,7 +16,6 @@ from dashpot.data.spectrum import Spectrum
 from dashpot.data.stretch import WholeRecord
 from dashpot.errors import IdentifiabilityError
 from dashpot.estimate.method import HeldBounds, Method, Solution
-from dashpot.estimate.preparation.state_reconstruction import channels_present
 from dashpot.estimate.result import Fit
 from dashpot.model.dynamics import matrices
 from dashpot.model.modes import modes
@@ -68,7 +67,7 @@ def short_records(model: Model, theta: Real, spectrum: Spectrum) -> list[Notice]
 
 def duplicated_lines(spectrum: Spectrum) -> list[Notice]:
     """A warning of lines whose noisy amplitudes are those of another line to the last digit."""
-    if not np.any(spectrum.covariance):
+    if not spectrum.covariance.any() or len(set(spectrum.frequency_hz.tolist())) == spectrum.lines:
         return []
     # Lines of a batch that repeat each other do so in its first repeat.
     first = np.nan_to_num(spectrum.amplitudes[(0,) * len(spectrum.batch)])
@@ -238,7 +237,7 @@ def _coloured(spectrum: Spectrum) -> list[Notice]:
 
 def _inputs_left_out(model: Model, spectrum: Spectrum) -> list[Notice]:
     """Inputs that some lines measure and others leave empty: there they are unknown, which costs precision."""
-    measured = channels_present(spectrum)
+    measured = spectrum.present
     notices = []
     for name in (*model.displacement_inputs, *model.force_inputs):
         direct = [set(channel.of) == {name} and is_direct(model, channel) for channel in spectrum.channels]
@@ -253,12 +252,16 @@ def _inputs_left_out(model: Model, spectrum: Spectrum) -> list[Notice]:
 
 
 def require_determined(
-    names: tuple[str, ...], theta: Real, covariance: Real, dead: Sequence[str] = ()
+    names: tuple[str, ...],
+    theta: Real,
+    covariance: Real,
+    dead_channels: Callable[[], Sequence[str]] = tuple,
 ) -> None:
-    """Raises IdentifiabilityError, which names `dead` channels, where an unknown has no finite interval."""
-    variance = np.diagonal(covariance)
-    if np.all(np.isfinite(theta)) and np.all(np.isfinite(variance)) and np.all(variance >= 0):
+    """Raises IdentifiabilityError, which names `dead_channels`, where an unknown has no finite interval."""
+    variance = covariance.diagonal()
+    if np.isfinite(theta).all() and np.isfinite(variance).all() and (variance >= 0).all():
         return
+    dead = dead_channels()
     lost = [name for name, v in zip(names, variance, strict=True) if not np.isfinite(v)]
     if dead:
         raise IdentifiabilityError(

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cached_property, partial
 
 import numpy as np
 
@@ -18,13 +20,14 @@ from dashpot.estimate.likelihood.objective import (
     prior_mean,
     prior_precision,
 )
-from dashpot.estimate.linear.auxiliary_model import equation_by_line
+from dashpot.estimate.linear.auxiliary_model import equation_by_line, equation_sums, sums_of_lines
 from dashpot.estimate.linear.instrumental_variables import likeliest
 from dashpot.estimate.method import Method, Solution, Traits
 from dashpot.estimate.preparation.noise_quality import NoiseQuality, interval_dof, noise_quality
 from dashpot.estimate.preparation.prepared import Prepared, without_priors
 from dashpot.model.observation import observation_model
 from dashpot.numerics.kernel import kernel, threads
+from dashpot.numerics.levenberg_marquardt import QuadraticModel
 from dashpot.numerics.small_systems import scaled_inverse, solve_scaled
 
 ROUNDING = 1e-30  # χ² of exact data against noise of the data's own size
@@ -33,20 +36,24 @@ MISFIT_LEVEL = 1e-3  # p-value of χ² below which intervals count the misfit of
 
 @dataclass(frozen=True)
 class Linearised:
-    """Information and residuals at an estimate, line by line, for K repeats and M unknowns.
+    """Information and residuals at an estimate, for K repeats and M unknowns.
 
-    information (K, lines, M, M); scores (K, lines, M), their sum is minus half the slope of the cost;
-    cost (K, lines); rows: how many real equations the lines hold; precision, mean (M,) of the priors.
+    sums: cost, slope and information of all lines with the rows of the priors; by_line gives those of each line
+    alone: information (K, lines, M, M), scores (K, lines, M), cost (K, lines).  rows: how many real equations the
+    lines hold; precision (M,) of the priors.
     """
 
     names: tuple[str, ...]
     units: tuple[str, ...]
-    information: Real
-    scores: Real
-    cost: Real
+    sums: QuadraticModel
+    by_line: Callable[[], tuple[Real, Real, Real]]
     rows: int
     precision: Real
-    mean: Real
+
+    @cached_property
+    def lines(self) -> tuple[Real, Real, Real]:
+        """What `by_line` gives."""
+        return self.by_line()
 
     @property
     def dof(self) -> int:
@@ -102,9 +109,7 @@ def with_noise_of_residuals(data: Prepared, method: Method) -> Prepared:
         trial = replace(data, model=model)
         best = most_likely(trial, method.solve(trial), method.traits)
         around = linearise(trial, best, method.traits)
-        penalty = np.sum(around.precision * (best.theta - around.mean) ** 2, axis=-1)
-        chi2 = np.sum(around.cost, axis=-1) + penalty
-        data = data.scaled(np.maximum(chi2, ROUNDING) / max(around.dof, 1))
+        data = data.scaled(np.maximum(around.sums.cost, ROUNDING) / max(around.dof, 1))
     return data
 
 
@@ -133,19 +138,19 @@ def _of_channels(data: Prepared, solution: Solution) -> Linearised:
     sign = np.ones((len(exact.y), len(view.channels)))
     for name, signs in solution.signs.items():
         sign[:, data.spectrum.index(name)] = signs
-    information, scores, cost = per_line(view, exact, solution.theta, sign)
+    lines = per_line(view, exact, solution.theta, sign)
     rows = exact.rows - nuisance_columns(view, exact, solution.theta, sign)
-    return Linearised(
-        view.names, view.units, information, scores, cost, rows, prior_precision(view), prior_mean(view)
-    )
+    precision = prior_precision(view)
+    sums = sums_of_lines(*lines, solution.theta, precision, prior_mean(view))
+    return Linearised(view.names, view.units, sums, lambda: lines, rows, precision)
 
 
 def _of_equation(data: Prepared, solution: Solution) -> Linearised:
-    model = data.model
-    information, scores, cost = equation_by_line(model, data.seen_states, solution.theta)
+    model, states, theta = data.model, data.seen_states, solution.theta
     return Linearised(
-        tuple(u.name for u in model.unknowns), tuple(u.unit for u in model.unknowns), information, scores, cost,
-        2 * model.n * data.spectrum.lines, model.prior_precision, model.prior_mean,
+        tuple(u.name for u in model.unknowns), tuple(u.unit for u in model.unknowns),
+        equation_sums(model, states, theta), partial(equation_by_line, model, states, theta),
+        2 * model.n * data.spectrum.lines, model.prior_precision,
     )  # fmt: skip
 
 
@@ -158,31 +163,25 @@ def uncertainty(data: Prepared, solution: Solution, around: Linearised, weighted
     records are all that tells the noise, it counts by how much parts of the band disagree.  Where bounds hold unknowns,
     χ² is that of the values held: bounds that the data contradict are no fit.
     """
-    prior = np.diag(around.precision)
-    away = solution.theta - around.mean
-    total = np.sum(around.information, axis=-3) + prior
-    gradient = np.sum(around.scores, axis=-2) - around.precision * away
-    excess = _excess(total, gradient, solution)
-    penalty = np.sum(around.precision * away**2, axis=-1)
+    sums, prior = around.sums, np.diag(around.precision)
+    excess = _excess(sums, solution)
     dof = around.dof
     usable = float(max(dof, 1))
     if not data.noise_known:
-        chi2 = np.maximum(np.sum(around.cost, axis=-1) + penalty - excess, 0.0)
+        chi2 = np.maximum(sums.cost - excess, 0.0)
         scale = np.maximum(chi2, ROUNDING) / usable
         covariance = solution.covariance * scale[:, None, None]
-        bound = scaled_inverse(np.sum(around.information, axis=-3) / scale[:, None, None] + prior)
-        nothing = np.full(len(chi2), np.nan)
-        return Uncertainty(
-            covariance, covariance, bound, np.full(away.shape, usable), np.full(len(chi2), usable), nothing
-        )
+        bound = scaled_inverse((sums.symmetric - prior) / scale[:, None, None] + prior)
+        nothing, degrees = np.full(len(chi2), np.nan), np.full(solution.theta.shape, usable)
+        return Uncertainty(covariance, covariance, bound, degrees, np.full(len(chi2), usable), nothing)
+    bread = scaled_inverse(sums.symmetric)
     quality = noise_quality(data.spectrum, data.correlated)
-    shrink = np.mean(quality.shrink, axis=-1)
-    chi2 = np.maximum(np.sum(around.cost * quality.shrink, axis=-1) + penalty - excess * shrink, 0.0)
+    if quality.given:
+        chi2, bound, noise = np.maximum(sums.cost - excess, 0.0), bread, bread
+        degrees = np.full(solution.theta.shape, np.inf)
+    else:
+        chi2, bound, noise, degrees = _with_estimated_noise(around, quality, bread, prior, excess)
     p = _p_value(chi2, dof, around.rows, data.spectrum)
-    bread = bound = scaled_inverse(total)
-    if not np.all(quality.shrink == 1):
-        bound = scaled_inverse(np.sum(around.information * quality.shrink[..., None, None], axis=-3) + prior)
-    noise, degrees = _noise(around, quality, bread, prior, total - prior)
     if not weighted:
         noise = solution.covariance
     misfit = (p < MISFIT_LEVEL) & (chi2 > dof)
@@ -191,13 +190,15 @@ def uncertainty(data: Prepared, solution: Solution, around: Linearised, weighted
     covariance = noise * factor[:, None, None]
     if "residual" not in data.spectrum.noise or not weighted:
         return Uncertainty(covariance, noise, bound, degrees, chi2, p)
-    bands = band_stability(data.spectrum.frequency_hz, around.information, around.scores, prior)
+    information, scores, _ = around.lines
+    bands = band_stability(data.spectrum.frequency_hz, information, scores, prior)
     degrees = np.where(bands.disagree[:, None], np.minimum(degrees, bands.dof), degrees)
     return Uncertainty(bands.widened(covariance), noise, bound, degrees, chi2, p, bands)
 
 
-def _excess(total: Real, gradient: Real, solution: Solution) -> Real:
+def _excess(sums: QuadraticModel, solution: Solution) -> Real:
     """What χ² at θ lies above its minimum, (K,), unknowns held at a bound staying there."""
+    total, gradient = sums.symmetric, sums.gradient
     if solution.bounds is not None:
         held = (solution.theta <= solution.bounds.lower) | (solution.theta >= solution.bounds.upper)
         gradient = np.where(held, 0.0, gradient)
@@ -207,23 +208,33 @@ def _excess(total: Real, gradient: Real, solution: Solution) -> Real:
     return excess
 
 
-def _noise(
-    around: Linearised, quality: NoiseQuality, bread: Real, prior: Real, information: Real
-) -> tuple[Real, Real]:
+def _with_estimated_noise(
+    around: Linearised, quality: NoiseQuality, bread: Real, prior: Real, excess: Real
+) -> tuple[Real, Real, Real, Real]:
+    """χ², bound, covariance of a weighted estimate and the degrees of freedom behind it, the noise being estimated."""
+    information, _, cost = around.lines
+    penalty = around.sums.cost - np.sum(cost, axis=-1)
+    shrink = np.mean(quality.shrink, axis=-1)
+    chi2 = np.maximum(np.sum(cost * quality.shrink, axis=-1) + penalty - excess * shrink, 0.0)
+    bound = bread
+    if not np.all(quality.shrink == 1):
+        bound = scaled_inverse(np.sum(information * quality.shrink[..., None, None], axis=-3) + prior)
+    return chi2, bound, *_noise(information, quality, bread, prior)
+
+
+def _noise(information: Real, quality: NoiseQuality, bread: Real, prior: Real) -> tuple[Real, Real]:
     """Covariance of a weighted estimate, the noise having been estimated, and the degrees of freedom behind it."""
     stated = bread @ prior @ bread
-    if np.all(np.isinf(quality.dof)):  # the noise is given
-        return bread @ information @ bread + stated, np.full(bread.shape[:-1], np.inf)
     core = kernel()
     if core is not None:
         summed, shared = core.line_shares(
-            np.ascontiguousarray(around.information),
+            np.ascontiguousarray(information),
             np.ascontiguousarray(np.atleast_2d(quality.inflation)), bread, threads(),
         )  # fmt: skip
         degrees = interval_dof(shared, quality.dof, np.diagonal(stated, axis1=-2, axis2=-1))
         return bread @ summed @ bread + stated, degrees
     each = bread[:, None]
-    shares = each @ (around.information * quality.inflation[..., None, None]) @ each
+    shares = each @ (information * quality.inflation[..., None, None]) @ each
     exact = np.diagonal(stated, axis1=-2, axis2=-1)
     degrees = interval_dof(np.diagonal(shares, axis1=-2, axis2=-1), quality.dof, exact)
     return np.sum(shares, axis=-3) + stated, degrees

@@ -7,11 +7,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from dashpot.arrays import Complex, Real, hermitian
-from dashpot.estimate.linear.compiled import compiled_equation, compiled_lines
+from dashpot.estimate.linear.compiled import compiled_equation, compiled_lines, compiled_sums
 from dashpot.estimate.linear.gram import regressors, weighted_normal
 from dashpot.estimate.preparation.state_reconstruction import States
 from dashpot.model.dynamics import stiffness, unit_forces
 from dashpot.model.network import Model
+from dashpot.numerics.levenberg_marquardt import QuadraticModel
 from dashpot.numerics.small_systems import solve_small
 
 SINGULAR = 1e-13
@@ -86,7 +87,7 @@ def equation_by_line(model: Model, data: States, theta: Real) -> tuple[Real, Rea
     """Information (K, lines, m, m), minus half the slope (K, lines, m) and cost (K, lines) of each line at θ (K, m)."""
     equation = compiled_equation(model, data)
     if equation is not None:
-        return compiled_lines(equation, data, theta)
+        return compiled_lines(equation, theta)
     at = auxiliary(model, model.parameters(theta), data)
     Psi = regressors(model, at.w)
     weighted: Complex = solve_small(at.Se, np.concatenate([Psi, at.e[..., None]], axis=-1))
@@ -96,6 +97,27 @@ def equation_by_line(model: Model, data: States, theta: Real) -> tuple[Real, Rea
         -products[..., -1],
         2 * np.sum((np.conj(at.e) * weighted[..., -1]).real, axis=-1),
     )
+
+
+def equation_sums(model: Model, data: States, theta: Real) -> QuadraticModel:
+    """Cost, slope and information of all lines at θ (K, m), with the priors' rows."""
+    equation = compiled_equation(model, data)
+    if equation is not None:
+        return compiled_sums(equation, data, theta)
+    information, scores, cost = equation_by_line(model, data, theta)
+    return sums_of_lines(information, scores, cost, theta, model.prior_precision, model.prior_mean)
+
+
+def sums_of_lines(
+    information: Real, scores: Real, cost: Real, theta: Real, precision: Real, mean: Real
+) -> QuadraticModel:
+    """Sums over lines of what belongs to each, (K, lines, …), with the rows of priors (m,)."""
+    away = theta - mean
+    total = np.sum(information, axis=-3) + np.diag(precision)
+    return QuadraticModel(
+        np.sum(cost, axis=-1) + np.sum(precision * away**2, axis=-1),
+        np.sum(scores, axis=-2) - precision * away, total, total,
+    )  # fmt: skip
 
 
 def normal_equations(model: Model, at: Auxiliary, Phi: Complex) -> tuple[Real, Real, Real]:

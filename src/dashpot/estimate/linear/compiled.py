@@ -1,4 +1,4 @@
-"""The equation of motion in the compiled kernel: twins of `starts`, `equation_by_line` and `search`."""
+"""The equation of motion in the compiled kernel: twins of `starts`, `equation_by_line`, `_sums` and `search`."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from dashpot.model.kernel_rig import kernel_rig
 from dashpot.model.network import Model
 from dashpot.model.observation import small
 from dashpot.numerics.kernel import kernel, threads
-from dashpot.numerics.levenberg_marquardt import PATIENCE, OptimizeResult
+from dashpot.numerics.levenberg_marquardt import PATIENCE, OptimizeResult, QuadraticModel
 
 
 def compiled_equation(model: Model, states: States) -> Any | None:
@@ -32,14 +32,21 @@ def compiled_equation(model: Model, states: States) -> Any | None:
     return states.compiled[key][0]
 
 
-def compiled_lines(equation: Any, states: States, theta: Real) -> tuple[Real, Real, Real]:
-    """Information, scores and cost of each line at θ (K, unknowns); those of the last θ are kept."""
-    kept = states.compiled.get("lines")
-    if kept is None or kept[0] is not equation or not np.array_equal(kept[1], theta):
-        kept = equation, theta.copy(), equation.lines(np.ascontiguousarray(theta), threads())
-        states.compiled["lines"] = kept
-    information, scores, cost = kept[2]
+def compiled_lines(equation: Any, theta: Real) -> tuple[Real, Real, Real]:
+    """Information, scores and cost of each line at θ (K, unknowns)."""
+    information, scores, cost = equation.lines(np.ascontiguousarray(theta), threads())
     return information, scores, cost
+
+
+def compiled_sums(equation: Any, states: States, theta: Real) -> QuadraticModel:
+    """Cost, slope and information of all lines at θ (K, unknowns); those of the last θ are kept."""
+    kept = states.compiled.get("sums")
+    if kept is None or kept[0] is not equation or kept[1] is not theta:
+        sums = equation.evaluate(np.ascontiguousarray(theta), np.arange(len(theta)), threads())
+        kept = equation, theta, QuadraticModel(*sums)
+        states.compiled["sums"] = kept
+    local: QuadraticModel = kept[2]
+    return local
 
 
 def compiled_search(

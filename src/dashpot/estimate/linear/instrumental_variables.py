@@ -10,7 +10,7 @@ import numpy as np
 from scipy.special import chdtrc
 
 from dashpot.arrays import Bools, Complex, Ints, Real
-from dashpot.estimate.linear.auxiliary_model import auxiliary, equation_by_line, normal_equations
+from dashpot.estimate.linear.auxiliary_model import auxiliary, equation_sums, normal_equations
 from dashpot.estimate.linear.compiled import compiled_equation, compiled_search
 from dashpot.estimate.linear.gram import regressors
 from dashpot.estimate.linear.least_squares import sandwich, solve_sums, starts
@@ -109,8 +109,7 @@ class OptimalIV(Method):
             if not len(astray):
                 break
             found = found.improved(astray, self._search(model, states, start, astray))
-        around, _, _ = equation_by_line(model, states, found.x)
-        bread = scaled_inverse(np.sum(around, axis=-3) + np.diag(model.prior_precision))
+        bread = scaled_inverse(equation_sums(model, states, found.x).symmetric)
         return Solution(found.x, bread, found.converged, found.iterations, found.history)
 
     def _search(self, model: Model, states: States, start: Real, repeats: Ints) -> OptimizeResult:
@@ -122,7 +121,7 @@ def search(
 ) -> OptimizeResult:
     """Minimise Σ eᴴ Ω(θ) e with the priors' rows, for some of the repeats; `start` is (K, unknowns) of all."""
     # With noise as large as the signal the likelihood may rise towards infinity: such a repeat has no answer.
-    reach = FAR * np.max(np.abs(np.nan_to_num(start)), axis=0, initial=0.0)
+    reach = FAR * np.where(np.isnan(start), 0.0, np.abs(start)).max(axis=0, initial=0.0)
     reach = np.where(reach > 0, reach, np.inf)
     equation = compiled_equation(model, states)
     if equation is None:

@@ -23,6 +23,11 @@ class NoiseQuality:
     shrink: Real
     dof: Real
 
+    @property
+    def given(self) -> bool:
+        """Whether the covariance is given at every line."""
+        return bool(np.all(np.isinf(self.dof)))
+
 
 def noise_quality(spectrum: Spectrum, correlated: Bools) -> NoiseQuality:
     """Moments of the inverse of an estimated covariance; `correlated` (K or 1,) says whether all of it was used.

@@ -13,24 +13,28 @@ def combined_by_point(C: Complex, used: Bools, V: Complex) -> tuple[Complex, Com
     C (lines, channels, q) as `measurement` gives it, used (lines, channels), V (..., lines, channels, channels).  A
     channel of a point weighs with |C|²/V; an exact one alone counts.
     """
-    nonzero = np.any(C != 0, axis=0)
-    if np.any(np.sum(nonzero, axis=-1) > 1):
+    shows = (C != 0).any(axis=0)
+    if (np.count_nonzero(shows, axis=-1) > 1).any():
         return None
-    variance = np.diagonal(V, axis1=-2, axis2=-1).real
+    variance = V.diagonal(axis1=-2, axis2=-1).real
     if np.count_nonzero(V) != np.count_nonzero(variance):
         return None
-    reading: Complex = np.sum(C, axis=-1)  # of the one entry
+    nonzero = shows.astype(float)
+    reading: Complex = C.sum(axis=-1)  # of the one entry
     seen = used & (reading != 0)
     exact = seen & (variance <= 0)
-    exactly = exact @ nonzero.astype(float)
-    if np.any(exactly > 1):
+    exactly = exact @ nonzero
+    if (exactly > 1).any():
         return None  # two exact channels of one point
-    counted: Bools = seen & (exact | ~(exactly @ nonzero.T > 0))
-    size: Real = np.abs(reading) ** 2
+    counted: Bools = seen & (exact | (exactly @ nonzero.T == 0))
+    size: Real = (reading * reading.conj()).real
     with np.errstate(divide="ignore", invalid="ignore"):
         weight = np.where(counted, size / np.where(exact, size, variance), 0.0)
         information = weight @ nonzero
         share = np.where(counted, weight / (information @ nonzero.T) / reading, 0.0)
         spread = np.where(exactly > 0, 0.0, 1 / information)
     P: Complex = nonzero.T * share[..., None, :]
-    return P, (spread[..., None] * np.eye(C.shape[-1])).astype(np.complex128)
+    covariance = np.zeros((*spread.shape, C.shape[-1]), dtype=np.complex128)
+    entry = np.arange(C.shape[-1])
+    covariance[..., entry, entry] = spread
+    return P, covariance

@@ -71,7 +71,8 @@ def prepare(model: Model, spectrum: Spectrum, *, moments: bool = False, states: 
     V = working_covariance(model, flat)
     V = V if V.ndim == 4 else V[None]
     correlated = np.atleast_1d(channels_correlate(flat)) if known else np.ones(len(V), dtype=bool)
-    V = np.where(correlated[:, None, None, None], V, without_correlation(V))
+    if not correlated.all():
+        V = np.where(correlated[:, None, None, None], V, without_correlation(V))
     return Prepared(model, flat, V, states_if_seen(model, flat, V) if states else None, known, correlated)
 
 

@@ -105,11 +105,11 @@ def unseen(model: Model, spectrum: Spectrum, channels: Bools | None = None) -> t
     # Rates scale rows, and do not change what they show.
     view = _view(model, spectrum.channels, np.ones(1))
     direct = np.array([is_direct(model, channel) for channel in spectrum.channels], dtype=bool)
-    present = channels_present(spectrum) & direct
+    present = spectrum.present & direct
     if channels is not None:
         present = present & channels
     missing = np.zeros(view.direct.shape[-1], dtype=bool)
-    for pattern in present[:1] if np.all(present == present[0]) else np.unique(present, axis=0):
+    for pattern in present[:1] if (present == present[0]).all() else np.unique(present, axis=0):
         key = pattern.tobytes()
         if key not in view.undetermined:
             view.undetermined[key] = _undetermined(view.direct[0, pattern])
@@ -125,13 +125,6 @@ def _undetermined(C: Complex) -> Bools:
     undetermined = np.ones(C.shape[1], dtype=bool)
     undetermined[shown] = ~(np.linalg.norm(Vh[rank:], axis=0) <= 1e-9)
     return undetermined
-
-
-def channels_present(spectrum: Spectrum) -> Bools:
-    """Which channels were measured at which line, (lines, channels)."""
-    finite = np.isfinite(spectrum.amplitudes)
-    present: Bools = np.all(finite.reshape(-1, *finite.shape[-2:]), axis=0)
-    return present
 
 
 def reconstruction(
@@ -236,7 +229,8 @@ def _combined(model: Model, spectrum: Spectrum, covariance: Complex) -> States:
         spread = P @ covariance @ hermitian(P)
     else:
         P, spread = simple
-    y = np.where(np.isnan(spectrum.amplitudes), 0.0, spectrum.amplitudes)
+    Y = spectrum.amplitudes
+    y = Y if spectrum.present.all() else np.where(np.isnan(Y), 0.0, Y)
     z = (P @ y[..., None])[..., 0]
     return States(spectrum.omega, z, spread, P, model.n, len(model.displacement_inputs))
 
@@ -244,4 +238,4 @@ def _combined(model: Model, spectrum: Spectrum, covariance: Complex) -> States:
 def _usable(model: Model, spectrum: Spectrum) -> tuple[Complex, Bools]:
     """C(ω) of the direct channels, (lines, channels, n + r + s), and which of them each line has."""
     direct = np.array([is_direct(model, channel) for channel in spectrum.channels])
-    return measurement(model, spectrum.channels, spectrum.omega), channels_present(spectrum) & direct
+    return measurement(model, spectrum.channels, spectrum.omega), spectrum.present & direct

@@ -8,7 +8,6 @@ import numpy as np
 
 from dashpot.arrays import Complex
 from dashpot.data.spectrum import Spectrum
-from dashpot.estimate.preparation.state_reconstruction import channels_present
 from dashpot.model.network import Model
 from dashpot.model.observation import measures_input
 
@@ -18,7 +17,7 @@ def noise_is_known(spectrum: Spectrum) -> bool:
 
     A covariance of 0 throughout says nothing of the size of residuals either: it counts as unknown.
     """
-    return not np.any(np.isnan(spectrum.covariance)) and bool(np.any(spectrum.covariance))
+    return not np.isnan(spectrum.covariance).any() and bool(spectrum.covariance.any())
 
 
 def with_unknown_noise(spectrum: Spectrum) -> Spectrum:
@@ -33,9 +32,9 @@ def working_covariance(model: Model, spectrum: Spectrum) -> Complex:
     As known; unknown noise leaves the inputs exact and gives each other channel the same relative noise: what that
     lacks is one common factor, which the residuals supply.
     """
-    if not np.any(np.isnan(spectrum.covariance)):
+    if not np.isnan(spectrum.covariance).any():
         return spectrum.covariance
-    present = channels_present(spectrum)
+    present = spectrum.present
     X = np.where(present, spectrum.amplitudes, 0.0)
     size = np.sqrt(np.sum(np.abs(X) ** 2, axis=-2) / np.maximum(np.sum(present, axis=0), 1))
     noisy = np.array([not measures_input(model, channel) for channel in spectrum.channels])
