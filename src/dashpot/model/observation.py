@@ -15,6 +15,7 @@ from typing import cast
 
 import numpy as np
 from scipy import sparse
+from scipy.sparse.csgraph import connected_components
 
 from dashpot.arrays import Bools, Complex, Ints, Real, frozen
 from dashpot.channel import Channel, Quantity
@@ -129,6 +130,23 @@ class ObservationModel:
         """Which channels show inputs and nothing else of the rig, (channels,)."""
         alone: Bools = np.any(self.on_q, axis=-1) & ~np.any(self.on_x, axis=-1) & ~np.any(self.force, axis=-1)
         return alone
+
+    @cached_property
+    def sees(self) -> Bools:
+        """Which inputs each channel shows in a rig of this structure, (channels, r + s).
+
+        A channel sees an input that reaches its coordinates through elements; a force on another rig of the same
+        model, or on a part that is connected only to moved inputs, it does not.
+        """
+        model, B = self.model, abs(self.model.sparse_B)
+        count, part = connected_components(B.T @ B, directed=False)
+        member = sparse.csr_array((np.ones(model.n), (np.arange(model.n), part)), shape=(model.n, count))
+        driven = np.concatenate([B.T @ abs(model.D), abs(model.S)], axis=1)
+        looking = np.abs(self.on_x) + abs(self.force) @ B
+        direct = np.abs(self.on_q)
+        direct[:, : model.D.shape[1]] += abs(self.force) @ abs(model.D)
+        sees: Bools = ((looking @ member > 0).astype(float) @ (member.T @ driven > 0) > 0) | (direct > 0)
+        return sees
 
     def at_lines(self, lines: slice) -> ObservationModel:
         """The same channels at some of the frequencies; made once for each."""

@@ -33,6 +33,9 @@ ORDER = (
     "sign", "unit", "swap", "conjugate", "quantity", "frequency", "dwell", "delay", "gain", "value", "element",
     "nonlinear", "channel",
 )  # fmt: skip
+PARTICULAR = tuple(
+    kind for kind in ORDER if kind not in ("dwell", "channel")
+)  # what is left out explains little
 HELPS = 0.5  # χ² per degree of freedom must fall below this part of what it was
 LEFT_OUT = 2.0  # handicap of leaving a channel out
 ALIKE = 1.6  # ratio of what is left within which two causes explain alike
@@ -84,11 +87,17 @@ def causes(bench: Workbench, seed: int = 0) -> tuple[float, list[Cause]]:
         )
         for change in changes(bench, as_is.psi)
     ]
-    found += _rates(bench, base, seed)
     found += _phases(bench, as_is, found)
-    if not any(cause.remaining < ENOUGH and cause.kind not in ("channel", "dwell") for cause in found):
+    if not _explained(found, ORDER[: ORDER.index("frequency")]):
+        found += _rates(bench, base, seed)
+    if not _explained(found, PARTICULAR):
         found += _nonlinear(bench, as_is)
     return as_is.reduced, ranked(found, as_is.reduced)
+
+
+def _explained(found: Sequence[Cause], kinds: Sequence[str]) -> bool:
+    """Whether one of these kinds leaves little more than noise."""
+    return any(cause.remaining < ENOUGH and cause.kind in kinds for cause in found)
 
 
 def _phases(bench: Workbench, as_is: Outcome, found: Sequence[Cause]) -> list[Cause]:

@@ -14,10 +14,12 @@ from itertools import combinations
 import numpy as np
 from scipy.special import fdtrc
 
-from dashpot.arrays import Real, hermitian
+from dashpot.arrays import Real
+from dashpot.check.diagnosis.score_test import promises
+from dashpot.check.diagnosis.search import descended
 from dashpot.errors import DashpotError
 from dashpot.estimate.likelihood.chunks import Measured
-from dashpot.estimate.likelihood.objective import local, measured, predict, prior_mean, prior_precision
+from dashpot.estimate.likelihood.objective import local, measured
 from dashpot.estimate.preparation.prepared import Prepared
 from dashpot.model.elements import Element, Kind, between
 from dashpot.model.network import Model
@@ -25,7 +27,6 @@ from dashpot.model.nonlinear.force_law import Constant, force_law
 from dashpot.model.nonlinear.harmonic_balance import periodic_response
 from dashpot.model.nonlinear.harmonics import complex_of
 from dashpot.model.observation import ObservationModel, observation_model
-from dashpot.numerics.levenberg_marquardt import QuadraticModel, minimise
 
 # Kind, law and the share of the motion that its constant is, if it has one.
 LAWS: tuple[tuple[Kind, str, str, float], ...] = (
@@ -45,8 +46,9 @@ FURTHER = (
 WORDS = {"d**4": "quartic", "d**2*v": "growing"}  # in names of elements
 CERTAIN = 1e-6  # p-value below which a nonlinear element is called for
 MARKED = 0.3  # share of the misfit that it must explain
-OWN = 1e-4  # part of a column that the rig's own unknowns must leave
+APART = 1e-4  # part of a column that the rig's own unknowns must leave
 FEW = 4  # coordinates up to which any two points are tried, and not only those that an element joins
+TOGETHER = 12  # candidates that are scored at once
 FOLLOWED = 2  # candidates that are fitted in full
 ENOUGH = 2.0  # χ² per degree of freedom at which no other candidate is followed
 LIMIT = 15  # iterations of such a fit
@@ -117,62 +119,47 @@ def scored_in_dwells(
     data: of one repeat, settled dwells.  Softened, all amplitudes have a say: beside a small noise those near
     resonance, where a wrong rig fails most, would decide alone.  [] where none can be had.
     """
-    found = []
-    for element in elements:
-        extended = replace(data.model, elements=(*data.model.elements, element))
-        try:
-            scored = _score(replace(data, model=extended), psi, sign, element, softness)
-        except DashpotError:
-            continue
-        if scored is not None:
-            found.append(scored)
-    return sorted(found, key=lambda scored: -scored.fall)
+    scored = []
+    for rough in (False, True):  # laws that are not smooth take many instants of each period
+        alike = [e for e in elements if e.force_law is not None and e.force_law.smooth is not rough]
+        for first in range(0, len(alike), TOGETHER):
+            try:
+                scored += _scored(data, psi, sign, alike[first : first + TOGETHER], softness)
+            except DashpotError:
+                continue
+    return sorted(scored, key=lambda candidate: -candidate.fall)
 
 
-def _score(data: Prepared, psi: Real, sign: Real, element: Element, softness: float) -> ScoredElement | None:
+def _scored(
+    data: Prepared, psi: Real, sign: Real, elements: Sequence[Element], softness: float
+) -> list[ScoredElement]:
+    extended = replace(data.model, elements=(*data.model.elements, *elements))
     spectrum = data.spectrum
-    view = observation_model(data.model, spectrum.channels, spectrum.omega)
-    start = _with_element(data.model, element, psi, 0.0)
-    with np.errstate(all="ignore"):
-        at = predict(view, measured(replace(data, states=None), view, softness), start[None], sign[None])
-    if not (np.all(np.isfinite(at.J)) and np.all(np.isfinite(at.weighted))):
-        return None
-    J, PJ = at.J.reshape(-1, at.J.shape[-1]), at.PJ.reshape(-1, at.J.shape[-1])
-    information = 2 * (hermitian(J) @ PJ).real + np.diag(prior_precision(view))
-    score = 2 * (hermitian(J) @ at.weighted.reshape(-1, 1)).real[:, 0]
-    score = score - prior_precision(view) * (start - prior_mean(view))
-    place = [unknown.name for unknown in data.model.unknowns].index(element.name)
-    chi2 = float(np.sum(at.cost_per_line))
-    rows = 2 * int(np.sum(np.isfinite(spectrum.amplitudes)))
-    return _projected(element, information, score, place, chi2, rows - len(start))
+    view = observation_model(extended, spectrum.channels, spectrum.omega)
+    exact = measured(replace(data, model=extended, states=None), view, softness)
+    start = _with_elements(extended, {element.name: 0.0 for element in elements}, psi)
+    dof = max(2 * int(np.sum(np.isfinite(spectrum.amplitudes))) - len(psi) - 1, 1)
+    by_name = {element.name: element for element in elements}
+    return [
+        ScoredElement(by_name[p.name], min(p.fall, p.chi2), p.chi2, dof, p.step)
+        for p in promises(view, exact, start, sign, by_name.keys(), APART)
+    ]
 
 
-def _projected(
-    element: Element, information: Real, score: Real, place: int, chi2: float, dof: int
-) -> ScoredElement | None:
-    """What the column `place` adds to the others."""
-    scale = np.sqrt(np.maximum(np.diag(information), 1e-300))
-    information, score = information / np.outer(scale, scale), score / scale
-    rest = [j for j in range(len(score)) if j != place]
-    half = np.linalg.pinv(information[np.ix_(rest, rest)], rcond=1e-12)
-    cross = information[rest, place]
-    left = information[place, place] - cross @ half @ cross
-    if left <= OWN**2:
-        return None
-    push = score[place] - cross @ half @ score[rest]
-    fall = float(push**2 / left)
-    return ScoredElement(element, min(fall, chi2), chi2, max(dof, 1), float(push / left / scale[place]))
-
-
-def _with_element(model: Model, element: Element, psi: Real, value: float) -> Real:
-    """ψ of the larger rig, in which the element has `value` and its constants their guesses."""
-    assert element.force_law is not None
-    added = {element.name: value}
-    added |= {f"{element.name}.{c.name}": c.guess for c in element.force_law.constants if c.guess is not None}
+def _with_elements(model: Model, added: Mapping[str, float], psi: Real) -> Real:
+    """ψ of the larger rig `model`, in which elements have the values `added` and their open constants the guesses."""
+    guesses = {
+        f"{element.name}.{constant.name}": constant.guess
+        for element in model.elements
+        if element.name in added and element.force_law is not None
+        for constant in element.force_law.constants
+        if constant.guess is not None
+    }
+    known = {**added, **guesses}
     unknowns = [unknown.name for unknown in model.unknowns]
-    count = sum(name not in added for name in unknowns)
+    count = sum(name not in known for name in unknowns)
     before = iter(psi[:count].tolist())
-    theta = [added[name] if name in added else next(before) for name in unknowns]
+    theta = [known[name] if name in known else next(before) for name in unknowns]
     return np.concatenate([theta, psi[count:]])
 
 
@@ -227,12 +214,8 @@ def _descended(
 ) -> tuple[Real, float]:
     """(ψ, χ²) downhill from ψ (M,); ψ itself where nothing leads on."""
 
-    def evaluate(at: Real, rows: object) -> QuadraticModel:
-        return local(view, exact, at, np.broadcast_to(sign, (len(at), len(sign))))
-
-    with np.errstate(all="ignore"):
-        ended = minimise(evaluate, psi[None], limit=limit, tolerance=1e-2)
-    return (ended.x[0], float(ended.cost[0])) if np.isfinite(ended.cost[0]) else (psi, np.inf)
+    end, chi2 = descended(view, exact, psi[None], sign[None], np.zeros(1, dtype=np.int64), limit)
+    return (end[0], float(chi2[0])) if np.isfinite(chi2[0]) else (psi, np.inf)
 
 
 def called_for(data: Prepared, psi: Real, sign: Real) -> list[ScoredElement]:
@@ -271,11 +254,13 @@ def fitted_in_full(
     larger = replace(data, model=extended, states=None)
     view = observation_model(extended, data.spectrum.channels, data.spectrum.omega)
     exact = measured(larger, view)
-    best, least = _with_element(extended, element, psi, 0.0), np.inf
+    best, least = _with_elements(extended, {element.name: 0.0}, psi), np.inf
     for value in (candidate.value, 0.3 * candidate.value):
-        start = _with_element(extended, element, psi, value)
+        start = _with_elements(extended, {element.name: value}, psi)
         if softness > 0:
-            start = _descended(view, measured(larger, view, softness), start, sign, LIMIT)[0]
+            start, left = _descended(view, measured(larger, view, softness), start, sign, LIMIT)
+            if left > (1 - HINT) * candidate.chi2:
+                continue  # what does not help there leads nowhere in sharper data
         ended, cost = _descended(view, exact, start, sign, LIMIT)
         if cost < least:
             best, least = ended, cost

@@ -12,16 +12,16 @@ from itertools import combinations
 
 import numpy as np
 
-from dashpot.arrays import Real, hermitian
-from dashpot.check.diagnosis.search import LONG, Workbench
-from dashpot.estimate.likelihood.objective import local, measured, predict, prior_mean, prior_precision
+from dashpot.arrays import Real
+from dashpot.check.diagnosis.score_test import promises
+from dashpot.check.diagnosis.search import LONG, Workbench, descended
+from dashpot.estimate.likelihood.objective import measured
 from dashpot.model.elements import Element, Kind, between, mass
 from dashpot.model.network import Model
 from dashpot.model.observation import observation_model
-from dashpot.numerics.levenberg_marquardt import QuadraticModel, minimise
 
 FOLLOWED = 6  # candidates that are fitted in full
-OWN = 0.01  # part of a column that the rig's own unknowns must leave for it to count as something else
+APART = 0.01  # part of a column that the rig's own unknowns must leave for it to count as something else
 
 
 @dataclass(frozen=True)
@@ -108,31 +108,9 @@ def _scores(
     spectrum = bench.data.spectrum
     view = observation_model(extended, spectrum.channels, spectrum.omega)
     data = measured(replace(bench.data, model=extended, states=None), view)
-    with np.errstate(all="ignore"):
-        at = predict(view, data, start[None], bench.sign[None])
-    M = len(start)
-    J, PJ = at.J.reshape(-1, M), at.PJ.reshape(-1, M)
-    information = 2 * (hermitian(J) @ PJ).real
-    score = 2 * (hermitian(J) @ at.weighted.reshape(-1, 1)).real[:, 0]
-    information = information + np.diag(prior_precision(view))
-    score = score - prior_precision(view) * (start - prior_mean(view))
-    if not (np.all(np.isfinite(information)) and np.all(np.isfinite(score))):
-        return []
-    scale = np.sqrt(np.maximum(np.diag(information), 1e-300))
-    information, score = information / np.outer(scale, scale), score / scale
-    names = list(view.names)
-    added = [names.index(element.name) for element in elements]
-    own = [j for j in range(M) if j not in set(added)]
-    half = np.linalg.pinv(information[np.ix_(own, own)], rcond=1e-12)
-    entries = []
-    for j, element in zip(added, elements, strict=True):
-        cross = information[own, j]
-        left = information[j, j] - cross @ half @ cross
-        if left <= OWN**2:
-            continue
-        push = score[j] - cross @ half @ score[own]
-        entries.append((float(push**2 / left), kind, element))
-    return entries
+    by_name = {element.name: element for element in elements}
+    listed = promises(view, data, start, bench.sign, by_name.keys(), APART)
+    return [(promise.fall, kind, by_name[promise.name]) for promise in listed]
 
 
 def _fitted(bench: Workbench, psi: Real, kind: str, element: Element) -> Change:
@@ -142,9 +120,6 @@ def _fitted(bench: Workbench, psi: Real, kind: str, element: Element) -> Change:
     view = observation_model(extended, spectrum.channels, spectrum.omega)
     data = measured(replace(bench.data, model=extended, states=None), view)
 
-    def evaluate(at: Real, rows: object) -> QuadraticModel:
-        return local(view, data, at, np.broadcast_to(bench.sign, (len(at), len(bench.sign))))
-
-    ended = minimise(evaluate, start[None], limit=2 * LONG, tolerance=1e-2)
-    number = float(ended.x[0, view.names.index(element.name)])
-    return Change(kind, element, number, float(ended.cost[0]), data.rows - len(start))
+    end, chi2 = descended(view, data, start[None], bench.sign[None], np.zeros(1, dtype=np.int64), 2 * LONG)
+    number = float(end[0, view.names.index(element.name)])
+    return Change(kind, element, number, float(chi2[0]), data.rows - len(start))

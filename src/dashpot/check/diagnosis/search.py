@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -10,13 +10,13 @@ import numpy as np
 from dashpot.arrays import Complex, Ints, Real
 from dashpot.check.diagnosis.trials import Outcome, Trial, prepared
 from dashpot.estimate.likelihood.chunks import Measured
-from dashpot.estimate.likelihood.objective import directly_driven, local, logarithmic, measured, predict
+from dashpot.estimate.likelihood.descent import Stage, descend_all, descend_in_repeats
+from dashpot.estimate.likelihood.objective import directly_driven, measured, predict
 from dashpot.estimate.likelihood.starting_values import candidates
 from dashpot.estimate.linear.least_squares import compensated
 from dashpot.estimate.preparation.prepared import Prepared
 from dashpot.estimate.preparation.state_reconstruction import states_if_seen
 from dashpot.model.observation import ObservationModel, calibration_factors, observation_model, transfer
-from dashpot.numerics.levenberg_marquardt import QuadraticModel, minimise
 
 DRAWS = 1500  # rigs drawn at random as starts, ranked for every trial
 FEW, MANY = 3, 12  # of them that are followed: where all is seen, and elsewhere
@@ -25,10 +25,9 @@ SHORT = 8  # iterations after which only the best start of a trial goes on
 GLANCE = 3  # iterations after which only the best trials go on
 KEPT = 16  # of them
 LONG = 30
+ROUGHLY = 1e-2  # standard deviations at which a descent ends
 LIMIT = 2.0  # nepers and radians beyond which a residual of logarithms counts no more
 REACH = (0.1, 10.0)  # times its stated frequency within which a dwell's own is looked for
-
-Cost = Callable[[Real, Ints], QuadraticModel]
 
 
 @dataclass(frozen=True)
@@ -152,32 +151,31 @@ class Workbench:
         driven = [directly_driven(self.view, one) for one in arranged]
         group = [t for t, one in enumerate(driven) if one is not None and one.q is not None]
         if group:
-            origin = np.repeat(group, [len(ends[t]) for t in group])
-            data = _stack([one for one in driven if one is not None], np.searchsorted(group, origin))
-            weight = np.stack([trials[t].kept & (trials[t].y != 0) for t in origin]).astype(float)
-
-            def by_logarithms(psi: Real, rows: Ints) -> QuadraticModel:
-                return logarithmic(self.view, data.pick(rows), weight[rows], psi, self._signs(psi))
-
-            x = _in_logarithms(by_logarithms, np.concatenate([ends[t] for t in group]), self.view.m)
-            for t in group:
-                ends[t] = x[origin == t]
+            origin = np.repeat(np.arange(len(group)), [len(ends[t]) for t in group])
+            data = _stack([one for one in driven if one is not None and one.q is not None])
+            # What a trial leaves out is 0 in its amplitudes, which logarithms pass over.
+            stage = Stage(self.view, data, np.ones(data.y.shape[1:]))
+            x = self._in_logarithms(stage, np.concatenate([ends[t] for t in group]), origin)
+            for k, t in enumerate(group):
+                ends[t] = x[origin == k]
         soft = [self._arranged(trial, SOFTNESS) for trial in trials]
         both = [np.concatenate([ends[t], starts[t]]) for t in range(len(trials))]
-        for exact in (True, False):
-            group = [t for t, one in enumerate(soft) if (one.q is not None) == exact]
-            if not group:
-                continue
+        for group in _alike(soft):
             origin = np.repeat(np.arange(len(group)), [len(both[t]) for t in group])
-            stacked = _stack([soft[t] for t in group], origin)
-
-            def softened(psi: Real, rows: Ints, data: Measured = stacked) -> QuadraticModel:
-                return local(self.view, data.pick(rows), psi, self._signs(psi))
-
-            x = _in_logarithms(softened, np.concatenate([both[t] for t in group]), self.view.m)
+            stage = Stage(self.view, _stack([soft[t] for t in group]))
+            x = self._in_logarithms(stage, np.concatenate([both[t] for t in group]), origin)
             for k, t in enumerate(group):
                 ends[t] = x[origin == k]
         return ends
+
+    def _descended(self, data: Measured, start: Real, rows: Ints, limit: int) -> tuple[Real, Real]:
+        sign = self._signs(start)
+        if limit == 0:
+            return start, Stage(self.view, data).cost(start, sign, rows)
+        return descended(self.view, data, start, sign, rows, limit)
+
+    def _in_logarithms(self, stage: Stage, start: Real, rows: Ints) -> Real:
+        return descend_all(stage, start, self._signs(start), rows, limit=LONG, tolerance=ROUGHLY)
 
     def _signs(self, psi: Real) -> Real:
         return np.broadcast_to(self.sign, (len(psi), len(self.sign)))
@@ -201,17 +199,10 @@ class Workbench:
     ) -> list[tuple[Real, float]]:
         """The best end, ψ (M,) and χ², of each trial's starts, after `limit` iterations at most."""
         ends: list[tuple[Real, float]] = [(self.psi, np.inf)] * len(arranged)
-        for exact in (True, False):
-            group = [t for t, one in enumerate(arranged) if (one.q is not None) == exact]
-            if not group:
-                continue
+        for group in _alike(arranged):
             origin = np.repeat(np.arange(len(group)), [len(starts[t]) for t in group])
-            data = _stack([arranged[t] for t in group], origin)
-
-            def exactly(psi: Real, rows: Ints, data: Measured = data) -> QuadraticModel:
-                return local(self.view, data.pick(rows), psi, self._signs(psi))
-
-            x, cost = _descend(exactly, np.concatenate([starts[t] for t in group]), limit)
+            data = _stack([arranged[t] for t in group])
+            x, cost = self._descended(data, np.concatenate([starts[t] for t in group]), origin, limit)
             for k, t in enumerate(group):
                 mine = np.flatnonzero(origin == k)
                 best = mine[int(np.argmin(cost[mine]))]
@@ -224,46 +215,30 @@ def _finite(rows: Sequence[Real]) -> Real:
     return stacked[np.all(np.isfinite(stacked), axis=1)]
 
 
-def _stack(arranged: Sequence[Measured], rows: Ints) -> Measured:
-    """One batch with a row for each start; all give the inputs exactly, or none does."""
-    inputs = [one.q for one in arranged if one.q is not None]
-    q = np.concatenate([inputs[r] for r in rows]) if len(inputs) == len(arranged) else None
-    return Measured(
-        np.concatenate([arranged[r].y for r in rows]),
-        np.concatenate([arranged[r].W[:1] for r in rows]),
-        q,
-        arranged[0].rows,
-    )
-
-
-def _descend(cost: Cost, start: Real, limit: int) -> tuple[Real, Real]:
-    if limit == 0:
-        with np.errstate(all="ignore"):
-            there = cost(start, np.arange(len(start))).cost
-        return start, np.where(np.isfinite(there), there, np.inf)
-    ended = minimise(cost, start, limit=limit, tolerance=1e-2)
+def descended(
+    view: ObservationModel, data: Measured, start: Real, sign: Real, rows: Ints, limit: int
+) -> tuple[Real, Real]:
+    """Ends ψ (k, M) and χ² (k,), inf where there is none, of starts in the repeats `rows`, near enough to compare."""
+    with np.errstate(all="ignore"):
+        ended = descend_in_repeats(view, data, start, sign, rows, limit=limit, tolerance=ROUGHLY)
     return ended.x, np.where(np.isfinite(ended.cost), ended.cost, np.inf)
 
 
-def _in_logarithms(cost: Cost, start: Real, m: int) -> Real:
-    """Ends of a short search in logarithms of those of the rig's parameters that are positive at every start."""
-    log = (np.arange(start.shape[1]) < m) & np.all(start > 0, axis=0)
+def _alike(arranged: Sequence[Measured]) -> list[list[int]]:
+    """Which trials give the inputs exactly and which do not: only like ones go into one batch."""
+    exact = [t for t, one in enumerate(arranged) if one.q is not None]
+    return [group for group in (exact, [t for t in range(len(arranged)) if t not in exact]) if group]
 
-    def evaluate(x: Real, rows: Ints) -> QuadraticModel:
-        at = np.where(log, np.exp(np.where(log, x, 0.0)), x)
-        there = cost(at, rows)
-        chain = np.where(log, at, 1.0)
-        both = chain[:, :, None] * chain[:, None, :]
-        return QuadraticModel(there.cost, there.gradient * chain, there.symmetric * both, there.free * both)
 
-    x = np.where(log, np.log(np.where(log, start, 1.0)), start)
-    low = np.where(log, np.min(x, axis=0) - 46, -np.inf)
-    high = np.where(log, np.max(x, axis=0) + 46, np.inf)
-    longest = np.where(log, 1.0, np.inf)
-    ended = minimise(
-        evaluate, x, limit=LONG, tolerance=1e-2, lower=low, upper=high, longest=longest, patience=LONG
+def _stack(arranged: Sequence[Measured]) -> Measured:
+    """One batch with a repeat for each trial; all give the inputs exactly, or none does."""
+    inputs = [one.q for one in arranged if one.q is not None]
+    return Measured(
+        np.concatenate([one.y for one in arranged]),
+        np.concatenate([one.W[:1] for one in arranged]),
+        np.concatenate(inputs) if inputs else None,
+        arranged[0].rows,
     )
-    return np.where(log, np.exp(np.where(log, ended.x, 0.0)), ended.x)
 
 
 def _distance(G: Complex, exact: Measured, trial: Trial) -> Real:

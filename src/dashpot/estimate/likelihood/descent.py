@@ -78,58 +78,75 @@ class Likelihood:
     ) -> OptimizeResult:
         """As `descend`, in other data of the same channels: softened, or with more harmonics."""
         most = self.effort.max_iterations if limit is None else limit
-        output = compiled_output(self.view, data)
-        if output is not None:
-            rows = data.rows_of(len(start)) if repeats is None or len(data.y) == 1 else repeats
-            return compiled_descent(
-                output, start, sign, rows, lower=self.lower, upper=self.upper, limit=most,
-                tolerance=self.effort.tolerance, patience=PATIENCE,
-            )  # fmt: skip
-        data = data if repeats is None else data.pick(repeats)
-
-        def evaluate(psi: Real, rows: Ints) -> QuadraticModel:
-            return local(self.view, data.pick(rows), psi, sign[rows])
-
+        rows = data.rows_of(len(start)) if repeats is None or len(data.y) == 1 else repeats
         # What depends on what among a record's columns is decided anew at each step: no nearer than that.
         tolerance = self.effort.tolerance
         near = tolerance if data.ends is None else max(tolerance, RECORD_TOLERANCE)
         near = near if data.nonlinear is None else max(tolerance, HARMONIC_TOLERANCE)
-        return minimise(evaluate, start, limit=most, tolerance=near, lower=self.lower, upper=self.upper)
+        return descend_in_repeats(
+            self.view, data, start, sign, rows, limit=most, tolerance=near, lower=self.lower, upper=self.upper
+        )
+
+
+def descend_in_repeats(
+    view: ObservationModel, data: Measured, start: Real, sign: Real, rows: Ints, *, limit: int, tolerance: float,
+    lower: Real | None = None, upper: Real | None = None,
+) -> OptimizeResult:  # fmt: skip
+    """Minimise from each `start`, (k, M), with `sign` (k, channels), in the repeat `rows` (k,) of the data."""
+    output = compiled_output(view, data)
+    if output is not None:
+        low = np.full(start.shape[-1], -np.inf) if lower is None else lower
+        high = np.full(start.shape[-1], np.inf) if upper is None else upper
+        return compiled_descent(
+            output, start, sign, rows, lower=low, upper=high, limit=limit, tolerance=tolerance, patience=PATIENCE
+        )  # fmt: skip
+
+    def evaluate(psi: Real, active: Ints) -> QuadraticModel:
+        return local(view, data.pick(rows[active]), psi, sign[active])
+
+    return minimise(evaluate, start, limit=limit, tolerance=tolerance, lower=lower, upper=upper)
 
 
 @dataclass(frozen=True)
 class Stage:
-    """What a search from afar minimises for one repeat: its likelihood in some data, or logarithms with weights."""
+    """What a search from afar minimises: the likelihood of repeats in some data, or logarithms with weights."""
 
     view: ObservationModel
     data: Measured
     weight: Real | None = None
 
-    def model_at(self, psi: Real, sign: Real) -> QuadraticModel:
-        """Cost, slope and curvature at ψ (K, M) with signs (K, channels)."""
+    def model_at(self, psi: Real, sign: Real, rows: Ints | slice = slice(None)) -> QuadraticModel:
+        """Cost, slope and curvature at ψ (K, M) with signs (K, channels), in all repeats or the given."""
+        data = self.data.pick(rows)
         if self.weight is None:
-            return local(self.view, self.data, psi, sign)
-        return logarithmic(self.view, self.data, self.weight, psi, sign)
+            return local(self.view, data, psi, sign)
+        return logarithmic(self.view, data, self.weight, psi, sign)
 
-    def cost(self, psi: Real, sign: Real) -> Real:
-        """The cost at ψ (K, M), inf where there is none; (K,)."""
+    def cost(self, psi: Real, sign: Real, rows: Ints | None = None) -> Real:
+        """The cost at ψ (K, M), each in its repeat of `rows` or its own, inf where there is none; (K,)."""
         output = compiled_output(self.view, self.data)
+        rows = self.data.rows_of(len(psi)) if rows is None else rows
         with np.errstate(all="ignore"):
             if output is None:
-                total = self.model_at(psi, sign).cost
+                total = self.model_at(psi, sign, rows).cost
             else:
-                total = compiled_cost(output, psi, sign, self.data.rows_of(len(psi)), self.weight)
+                total = compiled_cost(output, psi, sign, rows, self.weight)
         return np.where(np.isfinite(total), total, np.inf)
 
 
-def descend_all(likelihood: Likelihood, stage: Stage, psi: Real, sign: Real) -> Real:
-    """Where many starts of one repeat end; in logarithms of the rig's parameters where they are all positive."""
-    lower, upper = likelihood.lower, likelihood.upper
-    log = (np.arange(psi.shape[-1]) < likelihood.view.m) & np.all(psi > 0, axis=0)
+def descend_all(
+    stage: Stage, psi: Real, sign: Real, rows: Ints | None = None, *, lower: Real | None = None,
+    upper: Real | None = None, limit: int = ROUGH, tolerance: float = 1e-6,
+) -> Real:  # fmt: skip
+    """Where many starts end, each in its repeat of `rows` (k,); in logarithms of what is positive in all."""
+    lower = np.full(psi.shape[-1], -np.inf) if lower is None else lower
+    upper = np.full(psi.shape[-1], np.inf) if upper is None else upper
+    rows = stage.data.rows_of(len(psi)) if rows is None else rows
+    log = (np.arange(psi.shape[-1]) < stage.view.m) & np.all(psi > 0, axis=0)
 
-    def evaluate(x: Real, rows: Ints) -> QuadraticModel:
+    def evaluate(x: Real, active: Ints) -> QuadraticModel:
         at = np.where(log, np.exp(np.where(log, x, 0.0)), x)
-        around = stage.model_at(at, sign[rows])
+        around = stage.model_at(at, sign[active], rows[active])
         chain = np.where(log, at, 1.0)
         both = chain[:, :, None] * chain[:, None, :]
         return QuadraticModel(
@@ -147,11 +164,18 @@ def descend_all(likelihood: Likelihood, stage: Stage, psi: Real, sign: Real) -> 
     output = compiled_output(stage.view, stage.data)
     if output is None:
         ends = minimise(
-            evaluate, x, limit=ROUGH, tolerance=1e-6, lower=low, upper=high, longest=longest, patience=ROUGH
+            evaluate,
+            x,
+            limit=limit,
+            tolerance=tolerance,
+            lower=low,
+            upper=high,
+            longest=longest,
+            patience=limit,
         )
     else:
         ends = compiled_descent(
-            output, x, sign, stage.data.rows_of(len(x)), lower=low, upper=high, limit=ROUGH, tolerance=1e-6,
-            patience=ROUGH, longest=longest, logarithmic=log, weight=stage.weight,
+            output, x, sign, rows, lower=low, upper=high, limit=limit, tolerance=tolerance, patience=limit,
+            longest=longest, logarithmic=log, weight=stage.weight,
         )  # fmt: skip
     return np.where(log, np.exp(np.where(log, ends.x, 0.0)), ends.x)

@@ -239,9 +239,9 @@ def _through(
     half = (len(psi) + 1) // 2 if straight else 0
     past, signs = psi[:half], sign[:half]
     for stage in stages:
-        psi = descend_all(one, stage, psi, sign)
+        psi = descend_all(stage, psi, sign, lower=one.lower, upper=one.upper)
     for stage in stages[1:] if half else ():
-        past = descend_all(one, stage, past, signs)
+        past = descend_all(stage, past, signs, lower=one.lower, upper=one.upper)
     return np.concatenate([psi, past]), np.concatenate([sign, signs])
 
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 from scipy import sparse
-from scipy.sparse.csgraph import connected_components, structural_rank
+from scipy.sparse.csgraph import structural_rank
 
 from dashpot.arrays import Bools, Complex, Ints, hermitian
 from dashpot.model.observation import ObservationModel
@@ -36,21 +36,9 @@ def inputs_by_channel(view: ObservationModel, exact: Bools) -> Complex | None:
 
 
 def inputs_seen(view: ObservationModel, present: Bools) -> Ints:
-    """How many inputs each line's channels can tell apart: the generic rank of G there.
-
-    A channel sees an input that reaches its coordinates through elements; a force on another rig of the same model,
-    or on a part that is connected only to moved inputs, it does not.
-    """
-    model, B = view.model, abs(view.model.sparse_B)
-    count, part = connected_components(B.T @ B, directed=False)
-    member = sparse.csr_array((np.ones(model.n), (np.arange(model.n), part)), shape=(model.n, count))
-    driven = np.concatenate([B.T @ abs(model.D), abs(model.S)], axis=1)
-    looking = np.abs(view.on_x) + abs(view.force) @ B
-    direct = np.abs(view.on_q)
-    direct[:, : model.D.shape[1]] += abs(view.force) @ abs(model.D)
-    sees = ((looking @ member > 0).astype(float) @ (member.T @ driven > 0) > 0) | (direct > 0)
+    """How many inputs each line's channels can tell apart: the generic rank of G there."""
     patterns, which = np.unique(present, axis=0, return_inverse=True)
-    ranks = [int(structural_rank(sparse.csr_array(sees & pattern[:, None]))) for pattern in patterns]
+    ranks = [int(structural_rank(sparse.csr_array(view.sees & pattern[:, None]))) for pattern in patterns]
     counts: Ints = np.array(ranks, dtype=np.int64)[which.ravel()]
     return counts
 

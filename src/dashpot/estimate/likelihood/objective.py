@@ -273,16 +273,14 @@ def logarithmic(
     Amplitude in nepers and phase in radians weigh alike at resonances and between them, so that the cost of a wrong
     resonance grows with its distance and has no minimum of its own: Sidman, DeAngelis and Verghese (1991), IEEE
     Transactions on Automatic Control 36, 1065.  Large residuals count by their size (pseudo-Huber).  `data` must give
-    the inputs; `weight` is (lines, q), or (K, lines, q) where each row has its own.
+    the inputs; `weight` is (lines, q).
     """
-
-    output = compiled_output(view, data) if weight.ndim == 2 else None
+    output = compiled_output(view, data)
     if output is not None:
         return compiled_local(output, psi, sign, data.rows_of(len(psi)), weight)
 
     def sums(piece: Piece, psi: Real, sign: Real) -> tuple[Real, Real, Real]:
-        own = weight if weight.ndim == 2 else weight[piece.rows]
-        return _logarithmic_sums(piece, own[..., piece.lines, :], psi, sign)
+        return _logarithmic_sums(piece, weight[piece.lines], psi, sign)
 
     return _with_priors(view, psi, *summed(view, data, psi, sign, sums))
 

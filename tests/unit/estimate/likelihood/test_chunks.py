@@ -39,7 +39,6 @@ def test_sums_in_pieces_are_the_sums_of_all(make, numbers, monkeypatch):
         summed = [local(view, exact, psi, sign)]
         if exact.q is not None:
             summed.append(logarithmic(view, exact, weight, psi, sign))
-            summed.append(logarithmic(view, exact, weight * np.linspace(1, 2, 7)[:, None, None], psi, sign))
         lists = [(each.cost, each.gradient, each.symmetric) for each in summed]
         drawn = candidates(data, view, 30, np.random.default_rng(6))
         return [*(part for each in lists for part in each), *per_line(view, exact, psi, sign), *drawn]

@@ -1,0 +1,55 @@
+"""Rao's score test: how far χ² would fall if something fixed were free, by the slopes at its present value.
+
+Source: THEORY §11.
+Many suppositions are judged by one evaluation of the likelihood, each by itself beside the rig's own unknowns.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from dataclasses import dataclass
+
+import numpy as np
+
+from dashpot.arrays import Real
+from dashpot.estimate.likelihood.chunks import Measured
+from dashpot.estimate.likelihood.objective import local
+from dashpot.model.observation import ObservationModel
+
+
+@dataclass(frozen=True)
+class Promise:
+    """What freeing one unknown promises: the fall of χ² from `chi2`, and the step of the unknown."""
+
+    name: str
+    fall: float
+    chi2: float
+    step: float
+
+
+def promises(
+    view: ObservationModel, data: Measured, psi: Real, sign: Real, added: Collection[str], apart: float
+) -> list[Promise]:
+    """What each of the unknowns `added` promises at ψ (M,), the best fit of the others.
+
+    Left out is what the others can do as well: where less than `apart` of its column is its own.
+    """
+    with np.errstate(all="ignore"):
+        at = local(view, data, psi[None], sign[None])
+    information, score = at.symmetric[0], at.gradient[0]
+    if not (np.all(np.isfinite(information)) and np.all(np.isfinite(score))):
+        return []
+    scale = np.sqrt(np.maximum(np.diag(information), 1e-300))
+    information, score = information / np.outer(scale, scale), score / scale
+    fixed = [j for j, name in enumerate(view.names) if name in added]
+    free = [j for j in range(len(psi)) if j not in set(fixed)]
+    inverse = np.linalg.pinv(information[np.ix_(free, free)], rcond=1e-12)
+    listed = []
+    for j in fixed:
+        cross = information[free, j]
+        left = information[j, j] - cross @ inverse @ cross
+        if left > apart**2:
+            push = score[j] - cross @ inverse @ score[free]
+            step = float(push / left / scale[j])
+            listed.append(Promise(view.names[j], float(push**2 / left), float(at.cost[0]), step))
+    return listed
