@@ -60,6 +60,15 @@ class Balance:
         matrix: Real = rows_of(both.reshape(*both.shape[:3], e * W)).reshape(N, e * W, e * W) + np.eye(e * W)
         return matrix
 
+    @property
+    def feeds_back(self) -> bool:
+        """Whether any nonlinear element has a strength: without one, the motion is that of the linear part."""
+        return bool(np.any(self.strength))
+
+    def solved(self, slope: Real, right: Real) -> Real:
+        """matrix⁻¹ right (N, e W, Q), NaN where a matrix is singular."""
+        return solved(self.matrix(slope), right) if self.feeds_back else right
+
 
 def balance(model: Model, p: Real, drive: Drive, secant: Complex) -> Balance:
     """The equations with `secant` (N, e) as the share of the nonlinear elements that the linear part keeps."""
@@ -109,6 +118,9 @@ def balanced(
     """
     forces = alternate(model, constants, drive.omega, q, times)
     equations = balance(model, p, drive, secant_of(p[:, model.nonlinear], forces.a, q))
+    if not equations.feeds_back:
+        forces = alternate(model, constants, drive.omega, equations.free, times)
+        return Balanced(equations, equations.free, forces, np.zeros(len(q)))
     search = _Newton(
         model, constants, drive.omega, times, Balanced(equations, q.copy(), forces, np.full(len(q), np.inf))
     )

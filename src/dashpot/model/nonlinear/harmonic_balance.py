@@ -22,7 +22,7 @@ import numpy as np
 from dashpot.arrays import Bools, Complex, Real
 from dashpot.model.network import Model
 from dashpot.model.nonlinear.alternating import Alternated, alternate
-from dashpot.model.nonlinear.balance import Balanced, balanced, secant_of, solved
+from dashpot.model.nonlinear.balance import Balance, Balanced, balanced, secant_of
 from dashpot.model.nonlinear.harmonics import (
     Drive,
     complex_of,
@@ -51,7 +51,7 @@ class Periodic:
     """The periodic response of N dwells and what slopes need.
 
     X (N, H + 1, n); delta (N, e, W) elongations of the nonlinear elements; forces: their unit forces at delta;
-    error (N,) last Newton step over the elongation; converged (N,); linear: the shifted linear part.
+    error (N,) last Newton step over the elongation; converged (N,); equations: those that it satisfies.
     """
 
     X: Complex
@@ -59,8 +59,12 @@ class Periodic:
     forces: Alternated
     error: Real
     converged: Bools
-    linear: LinearPart
-    newton: Real
+    equations: Balance
+
+    @property
+    def linear(self) -> LinearPart:
+        """The linear part, which holds a share of each nonlinear element."""
+        return self.equations.linear
 
 
 def periodic_response(
@@ -132,8 +136,7 @@ def periodic_at(model: Model, at: Balanced) -> Periodic:
     linear = at.equations.linear
     load = linear.driven - at.equations.rest(at.q, at.forces.a) @ model.B[model.nonlinear]
     X = np.einsum("nhij,nhj->nhi", linear.inverse, load)
-    newton = at.equations.matrix(at.forces.slope)
-    return Periodic(X, at.q, at.forces, at.error, at.converged, linear, newton)
+    return Periodic(X, at.q, at.forces, at.error, at.converged, at.equations)
 
 
 @dataclass(frozen=True)
@@ -185,7 +188,7 @@ def slopes(
     explicit = Bn @ moved + stretched  # (N, H + 1, e, Q)
     e, W = len(chosen), 2 * orders + 1
     right = rows_of(explicit).reshape(N, e * W, Q)
-    d_delta = solved(at.newton, right).reshape(N, e, W, Q)
+    d_delta = at.equations.solved(at.forces.slope, right).reshape(N, e, W, Q)
     d_rest = complex_rows(np.einsum("nevw,newq->nevq", inner, d_delta))
     dX = moved - linear.inverse @ np.einsum("ei,nheq->nhiq", Bn, d_rest)
     omega = (drive.omega[:, None] * rates_of_orders(orders)).imag
