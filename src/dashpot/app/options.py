@@ -141,8 +141,9 @@ def conditioning_options(function: Function) -> Function:
             help="Drive frequency of records without a frequency_hz column.",
         ),
         option(
-            "--orders", type=ORDERS, default="1", show_default=True, metavar="1,3,…", group=RECORDS,
-            help="Multiples of the drive frequency whose amplitudes are used as data.",
+            "--orders", type=ORDERS, default="auto", show_default=True, metavar="auto|1,3,…", group=RECORDS,
+            help="Multiples of the drive frequency whose amplitudes are used as data; auto is 1 and, of long dwells, "
+            "the harmonics that drive every channel.",
         ),
         option(
             "--harmonics", type=HARMONICS, default="auto", show_default=True, metavar="auto|none|2,3,…",

@@ -273,12 +273,12 @@ def clocked_lines(joint: ClockedRecords, settings: Conditioning) -> Spectrum:
         )
     parts = _treated(joint.parts, settings)
     fits = [fit_harmonics(part, None, settings) for part in parts]
-    lines, channels = len(settings.orders), sum(len(part.channels) for part in parts)
+    lines, channels = len(settings.wanted), sum(len(part.channels) for part in parts)
     X, V = np.zeros((lines, channels), complex), np.zeros((lines, channels, channels), complex)
-    frequency = fits[0].frequency_hz * np.array(settings.orders, dtype=float)
+    frequency = fits[0].frequency_hz * np.array(settings.wanted, dtype=float)
     first, dof = 0, np.full(lines, np.inf)
     for part, fit, sd in zip(parts, fits, joint.offset_sd, strict=True):
-        wanted = [fit.orders.index(order) for order in settings.orders]
+        wanted = [fit.orders.index(order) for order in settings.wanted]
         h = calibration(part.channels, frequency)
         own = slice(first, first + len(part.channels))
         X[:, own] = fit.amplitudes[wanted] * h

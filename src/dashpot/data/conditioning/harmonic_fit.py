@@ -103,7 +103,7 @@ def fit_harmonics(
     if not (np.isfinite(f) and f > 0):
         raise DataError(f"frequency {f} Hz", record.source, "frequencies must be positive and finite")
     settings = conditioning_of(conditioning, treatments)
-    orders = tuple(settings.orders)
+    orders = settings.wanted
     check_length(record, f, orders, settings.degree)
     beside = settings.nuisance_orders
     if beside is None:

@@ -16,6 +16,7 @@ from dashpot.data.conditioning.drift import slope_costs, slopes_show
 from dashpot.data.conditioning.drive_frequency import refine_frequency
 from dashpot.data.conditioning.drive_wander import LEVEL as WANDER_LEVEL
 from dashpot.data.conditioning.drive_wander import drive_wanders
+from dashpot.data.conditioning.driven_harmonics import driven_orders, orders_used
 from dashpot.data.conditioning.harmonic_fit import HarmonicFit, fit_harmonics
 from dashpot.data.conditioning.moderated import moderated
 from dashpot.data.conditioning.quantisation import rounding_floor, rounding_steps
@@ -28,7 +29,7 @@ from dashpot.data.conditioning.steady_state import (
     settled,
     without_start,
 )
-from dashpot.data.conditioning.transients import LEVEL, continuous, dwells_with_transients, transients_show
+from dashpot.data.conditioning.transients import continuous, dwells_with_transients, transients_matter
 from dashpot.data.conditioning.whole_record import whole_records
 from dashpot.data.record import Record
 from dashpot.data.spectrum import Spectrum, concatenate
@@ -78,7 +79,7 @@ def _of_dwells(dwells: Sequence[Record], settings: Conditioning) -> Spectrum:
     dwells, cut = _driven_parts(dwells, settings)
     notes += cut
     if settings.refine == "auto":
-        require_stated(dwells, settings.orders)
+        require_stated(dwells, settings.wanted)
         drive = drive_frequencies(dwells)
         refined = at_frequencies(dwells, drive)
         if drive_wanders(refined) < WANDER_LEVEL:
@@ -93,14 +94,24 @@ def _of_dwells(dwells: Sequence[Record], settings: Conditioning) -> Spectrum:
         lines = dwells_with_transients(dwells, settings.band, settings.still, why=why_whole)
         return replace(lines, notes=(*notes, *lines.notes))
     if settings.drift == "auto" and slope_costs(dwells):
-        p = slopes_show(dwells, settings.orders)
+        p = slopes_show(dwells, settings.wanted)
         settings = settings.changed(drift=0 if p > DRIFT_LEVEL else 1)
         what = "an offset alone is" if p > DRIFT_LEVEL else "offset and slope are"
         text = f"{what} taken out of each dwell: drift over all dwells has p = {p:.2g}"
         notes.append(Notice("drift_by_evidence", text))
     steps = rounding_steps(dwells)
-    lines = concatenate([_lines(record, settings, steps) for record in dwells])
-    if settings.orders == (1,) and settings.noise == "auto":
+    if settings.orders == "auto" and not settings.moments:
+        orders = driven_orders(dwells, settings)
+        notes += orders_used(orders)
+    else:
+        orders = (settings.wanted,) * len(dwells)
+    lines = concatenate(
+        [
+            _lines(record, settings.changed(orders=of), steps)
+            for record, of in zip(dwells, orders, strict=True)
+        ]
+    )
+    if settings.wanted == (1,) and settings.noise == "auto":
         lines = moderated(lines)
     return replace(lines, notes=(*notes, *lines.notes))
 
@@ -118,7 +129,7 @@ def _why_whole(dwells: Sequence[Record], settings: Conditioning, wanders: bool) 
         return None
     if wanders:
         return "not steady (the drive frequency wanders)"
-    unsettled = transients_show(dwells) < LEVEL or not all(driven_throughout(record) for record in dwells)
+    unsettled = transients_matter(dwells) or not all(driven_throughout(record) for record in dwells)
     return "not settled" if unsettled else None
 
 
@@ -147,7 +158,7 @@ def _lines(record: Record, settings: Conditioning, steps: Real) -> Spectrum:
     """The lines of one record, whose channels are rounded to `steps` (channels,)."""
     record, notes = _at_its_frequency(record, settings)
     fit = fit_harmonics(record, None, settings)
-    wanted = [fit.orders.index(order) for order in settings.orders]
+    wanted = [fit.orders.index(order) for order in settings.wanted]
     frequencies = fit.frequency_hz * np.array([fit.orders[i] for i in wanted], dtype=float)
     h = calibration(record.channels, frequencies)
     covariance = fit.covariance[..., wanted, :, :] + _rounding(record, fit, wanted, steps)
@@ -186,7 +197,7 @@ def _with_moments(record: Record, settings: Conditioning) -> bool:
     """Whether second moments are asked for, and with "auto" whether they can be had."""
     if settings.moments != "auto":
         return settings.moments
-    return settings.orders == (1,) and not any(channel.delay for channel in record.channels)
+    return settings.wanted == (1,) and not any(channel.delay for channel in record.channels)
 
 
 def _at_its_frequency(record: Record, settings: Conditioning) -> tuple[Record, list[Notice]]:

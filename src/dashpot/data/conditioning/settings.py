@@ -10,6 +10,7 @@ from dashpot.data.conditioning.still import Still
 from dashpot.errors import DataError
 
 Noise = Literal["auto", "own", "white", "blocks"]
+Orders = Sequence[int] | Literal["auto"]
 Harmonics = Sequence[int] | Literal["auto", "none"] | None
 Drift = int | Literal["auto", "none"] | None
 Settle = bool | float | Literal["auto", "none"]
@@ -25,7 +26,7 @@ HIGHEST_DRIFT = 100  # beyond this Legendre polynomials cost time and no record 
 class FitTreatments(TypedDict, total=False):
     """The fields of Conditioning that one fit of harmonics knows, as keywords."""
 
-    orders: Sequence[int]
+    orders: Orders
     harmonics: Harmonics
     drift: Drift
     noise: Noise
@@ -46,7 +47,8 @@ class Treatments(FitTreatments, total=False):
 class Conditioning:
     """How records become amplitudes.  Every treatment is "auto", a value, or "none".
 
-    orders     multiples of the drive frequency whose amplitudes are wanted
+    orders     multiples of the drive frequency whose amplitudes are wanted; "auto": the fundamental, and of long dwells
+               those harmonics that drive every channel beside it
     harmonics  multiples solved for beside them, so that they do not count as noise; "auto" (or None): those up to the
                tenth below half the sampling rate that are significant
     drift      degree of the polynomial taken out; 0 is an offset alone, "none" (or None) not even that; "auto" is 1,
@@ -66,7 +68,7 @@ class Conditioning:
     Raises DataError for orders that are no multiples, and for a drift or a time out of range.
     """
 
-    orders: Sequence[int] = (1,)
+    orders: Orders = "auto"
     harmonics: Harmonics = "auto"
     drift: Drift = "auto"
     noise: Noise = "auto"
@@ -78,10 +80,10 @@ class Conditioning:
     still: Still | None = None
 
     def __post_init__(self) -> None:
-        orders = _multiples(self.orders, "orders")
-        if not orders:
+        if self.orders != "auto":
+            object.__setattr__(self, "orders", _multiples(self.orders, "orders"))
+        if not self.orders:
             raise DataError("no orders are asked for", cure="orders of harmonics are 1, 2, 3, …")
-        object.__setattr__(self, "orders", orders)
         if self.harmonics is None or self.harmonics == "auto":
             object.__setattr__(self, "harmonics", "auto")
         elif self.harmonics == "none":
@@ -103,8 +105,13 @@ class Conditioning:
                 f"a band from {self.band_hz[0]:g} to {self.band_hz[1]:g} Hz",
                 cure="give the lower end first, in Hz",
             )
-        if self.moments is True and self.orders != (1,):
+        if self.moments is True and self.wanted != (1,):
             raise DataError("second moments exist for the fundamental alone", cure="ask for orders (1,)")
+
+    @property
+    def wanted(self) -> tuple[int, ...]:
+        """The orders asked for; the fundamental where the dwells choose."""
+        return (1,) if self.orders == "auto" else tuple(int(order) for order in self.orders)
 
     @property
     def degree(self) -> int:
@@ -128,7 +135,7 @@ class Conditioning:
     @property
     def dwells_may_be_whole(self) -> bool:
         """Whether dwells may count as whole records: nothing is asked of them that is a steady state's."""
-        plain = self.orders == (1,) and self.settle == "none" and self.refine != "always"
+        plain = self.wanted == (1,) and self.settle == "none" and self.refine != "always"
         return plain and not self.moments and self.transients != "none"
 
     def changed(self, **treatments: Unpack[Treatments]) -> Conditioning:

@@ -7,14 +7,15 @@ without a gap are one.  Long settled dwells lose nothing by harmonic regression 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.special import fdtrc
 
-from dashpot.arrays import Real
+from dashpot.arrays import Bools, Complex, Real
 from dashpot.data.conditioning.clock import FEWEST, even_step
 from dashpot.data.conditioning.harmonic_fit import fit_harmonics
+from dashpot.data.conditioning.regression import basis, window
 from dashpot.data.conditioning.still import Still
 from dashpot.data.conditioning.whole_record import whole_record
 from dashpot.data.record import Record
@@ -26,6 +27,11 @@ LEVEL = 1e-3  # of the test for transients
 EXACT = 1e-9  # of a channel's size: what scatters less is rounding, and says nothing of transients
 MANY_PERIODS = 8  # from which on the scatter of the later ones is a better measure of the noise
 MOST_A_PERIOD = 1e9  # samples, beyond which the stamps of the record are damaged
+CLEAR = 6.0  # standard deviations of a change that no drift of a sensor makes: one of them is enough
+SEEN = 3.0  # and of changes that are transients where there are many
+MANY = 0.1  # of all dwells and channels
+SLIGHT = 3e-3  # of an amplitude: what a transient may leave in it of a long dwell
+SLIGHT_IN_FEW = 5e-4  # and in a short one, whose noise does not contain it
 FEWEST_A_PERIOD = 6  # samples, for amplitudes of single periods with a residual
 SHORT = 200  # lines: below it two polynomial columns serve
 WITHIN = 0.5  # of a step: a block that follows after one step belongs to the same record
@@ -68,24 +74,55 @@ def transients_show(records: Sequence[Record]) -> float:
 
     1 where no dwell has two periods to compare.
     """
-    apart, spread, freedom = 0.0, 0, 0
-    for record in records:
-        pair = _first_and_last(record)
-        if pair is None:
-            continue
-        difference, variance, dof = pair
-        size = np.max(np.abs(record.values), axis=0)
-        noisy = variance > (EXACT * size) ** 2
-        apart += 2 * float(np.sum(np.abs(difference[noisy]) ** 2 / variance[noisy]))
-        spread += 2 * int(np.sum(noisy))
-        freedom += dof * int(np.sum(noisy))
+    return _p_value([change for change in map(_first_to_last, records) if change is not None])
+
+
+def transients_matter(records: Sequence[Record]) -> bool:
+    """Whether dwells have transients that spoil amplitudes: significant together, and large in some dwells' channels.
+
+    What a long dwell shows in its first period hardly reaches its amplitude, and the noise beside its line contains it.
+    """
+    changes = [change for change in map(_first_to_last, records) if change is not None]
+    pairs = sum(len(change.variance) for change in changes)
+    clear = any(np.any(change.spoiled(CLEAR)) for change in changes)
+    many = sum(int(np.sum(change.spoiled(SEEN))) for change in changes) > MANY * pairs
+    return (clear or many) and _p_value(changes) < LEVEL
+
+
+@dataclass(frozen=True)
+class _Change:
+    """How the amplitudes of a dwell's channels change from its first period to its last.
+
+    difference, variance E|Δ|² and amplitude (channels,) of those with noise, residual degrees of freedom of a channel
+    """
+
+    difference: Complex
+    variance: Real
+    amplitude: Real
+    dof: int
+    periods: int
+
+    def spoiled(self, beyond: float) -> Bools:
+        """(channels,): changes `beyond` so many sd that, spread over all periods, are more than gains are known to."""
+        change = np.abs(self.difference)
+        share = change / (np.maximum(self.amplitude, 1e-300) * self.periods)
+        slight = SLIGHT if self.periods >= MANY_PERIODS else SLIGHT_IN_FEW
+        there: Bools = (share > slight) & (change > beyond * np.sqrt(self.variance))
+        return there
+
+
+def _p_value(changes: Sequence[_Change]) -> float:
+    """Tail probability of all changes being noise."""
+    apart = sum(2 * float(np.sum(np.abs(change.difference) ** 2 / change.variance)) for change in changes)
+    spread = sum(2 * len(change.variance) for change in changes)
+    freedom = sum(change.dof * len(change.variance) for change in changes)
     if not spread or freedom < 4:
         return 1.0
     return float(fdtrc(spread, freedom, apart / spread))
 
 
-def _first_and_last(record: Record) -> tuple[Real, Real, int] | None:
-    """(difference of amplitudes, its variance E|Δ|², residual degrees of freedom of a channel) of the two periods."""
+def _first_to_last(record: Record) -> _Change | None:
+    """The change of a dwell's amplitudes; None where it has no two periods to compare."""
     if record.frequency_hz is None or record.values.ndim != 2:
         return None
     period = 1 / record.frequency_hz
@@ -98,6 +135,7 @@ def _first_and_last(record: Record) -> tuple[Real, Real, int] | None:
     count = len(record.time) // each
     later = count - count // 2 if count >= MANY_PERIODS else 0
     starts = [0, *(len(record.time) - each * k for k in range(max(later, 1), 0, -1))]
+    record = _without_slope(record)
     fits = []
     for start in starts:
         rows = slice(start, start + each)
@@ -111,9 +149,21 @@ def _first_and_last(record: Record) -> tuple[Real, Real, int] | None:
         # The scatter of the later periods knows the colour of the noise.
         later_amplitudes = np.stack([fit.amplitudes[0] for fit in fits[1:]])
         variance = 2 * np.var(later_amplitudes, axis=0, ddof=1)
-        return difference, np.asarray(variance), 2 * (later - 1)
-    variance = sum(np.diagonal(fit.covariance[0]).real for fit in fits)
-    return difference, np.asarray(variance), 2 * (each - 3)
+        dof = 2 * (later - 1)
+    else:
+        variance = fits[0].covariance[0].diagonal().real + fits[-1].covariance[0].diagonal().real
+        dof = 2 * (each - 3)
+    noisy = variance > (EXACT * np.max(np.abs(record.values), axis=0)) ** 2
+    return _Change(difference[noisy], variance[noisy], np.abs(fits[-1].amplitudes[0][noisy]), dof, count)
+
+
+def _without_slope(record: Record) -> Record:
+    """The record without the slope that it has beside its sine: seen through a period at another phase, that looks like
+    a change of amplitude."""
+    time = record.time
+    A = basis(time, record.frequency_hz or 0.0, (1,), 1, *window(time))
+    slope = np.linalg.lstsq(A, record.values, rcond=None)[0][1]
+    return replace(record, values=record.values - A[:, 1:2] * slope)
 
 
 def dwells_with_transients(

@@ -243,7 +243,7 @@ def line_numbers(text: str | Sequence[int], place: str) -> tuple[int, ...]:
 def _treatments(conditioning: _Conditioning, source: str) -> Treatments:
     """The fields of Conditioning that the manifest sets."""
     fields: Any = conditioning.model_dump(exclude_none=True)
-    if "orders" in fields:
+    if fields.get("orders", "auto") != "auto":
         fields["orders"] = line_numbers(fields["orders"], source)
     return cast(Treatments, fields)
 

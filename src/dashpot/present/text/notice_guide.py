@@ -323,6 +323,11 @@ _ALL: tuple[tuple[str, str, str, str], ...] = (
         "Nothing; `--refine none` keeps the stated frequencies.",
     ),
     (
+        "harmonics_driven", _FILES,
+        "Every channel shows multiples of the drive's frequency in most dwells: the drive makes them; they are data.",
+        "Nothing; `--orders 1` uses the fundamentals alone.",
+    ),
+    (
         "drift_by_evidence", _FILES,
         ("Short dwells lose much to a slope that is solved for; one test over all dwells and channels says whether "
         "there is one."),

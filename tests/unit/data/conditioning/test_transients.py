@@ -7,7 +7,7 @@ import pytest
 
 from dashpot.arrays import Real
 from dashpot.data.conditioning.lines import spectrum
-from dashpot.data.conditioning.transients import continuous, transients_show
+from dashpot.data.conditioning.transients import continuous, transients_matter, transients_show
 from dashpot.data.record import Record
 from dashpot.data.stretch import SettledDwell, WholeRecord
 from dashpot.model.motion import channel_samples, integrator
@@ -83,3 +83,19 @@ def test_blocks_that_follow_in_time_are_one_record() -> None:
     assert [len(record.time) for record in continuous([*blocks[:2], late])] == [200, 100]
     other = replace(blocks[1], experiment=1)
     assert len(continuous([blocks[0], other])) == 2
+
+
+def test_what_hardly_reaches_a_long_dwell_leaves_it_settled() -> None:
+    records = []
+    for record in stepped(0.0, periods=30, settle=20.0):
+        rng = np.random.default_rng(1)
+        slight = (
+            0.02 * np.exp(-record.time * (record.frequency_hz or 1.0))[:, None]
+        )  # gone after a period or two
+        size = np.std(record.values, axis=0)
+        values = record.values * (1 + slight) + 1e-3 * size * rng.normal(size=record.values.shape)
+        records.append(replace(record, values=values))
+    assert transients_show(records) < 1e-3
+    assert not transients_matter(records)
+    assert not spectrum(records).records
+    assert transients_matter(stepped(0.01, periods=30))
