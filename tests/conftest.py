@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
+import signal
+
 import pytest
 from hypothesis import settings
 
 # Times of single examples say nothing on a busy machine with two workers; what must be fast has a test of its own.
 settings.register_profile("dashpot", deadline=None)
 settings.load_profile("dashpot")
+
+# A shell starts what runs in the background deaf to Ctrl-C, and so would be the commands that tests interrupt.
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:

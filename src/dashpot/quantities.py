@@ -82,6 +82,8 @@ def frequency(text: str, unit: str | None = None) -> float:
         found = amount(text)
         value = Amount(found.number, found.unit or unit).si("frequency")
     except UsageError:
+        if re.fullmatch(_NUMBER, text.strip()):
+            raise  # a number, but out of range
         value = math.nan
     if math.isnan(value):
         raise UsageError(

@@ -19,7 +19,8 @@ from tests.fuzz.cases import Case, made
 from tests.fuzz.runner import finding, limit_memory
 
 FINDINGS = Path(__file__).parent / "findings"
-STUCK = 60.0  # s without a word from a worker, which is then in code that no signal ends
+STUCK = 60.0  # s of processor time without a word from a worker, which is then in code that no signal ends
+ASLEEP = 300.0  # s without a word from a worker, which then waits for something
 
 
 def main() -> int:
@@ -55,6 +56,26 @@ def _work(seed: int, first: int, end: int, step: int) -> int:
     return 0
 
 
+class Word:
+    """What a worker said last: the case that it begins, and when."""
+
+    def __init__(self, process: int, index: int, running: bool) -> None:
+        self.process, self.index, self.running = process, index, running
+        self.moment, self.spent = time.monotonic(), self._processor_time()
+
+    def overdue(self) -> bool:
+        """Whether the next word should have come: by the processor's time, for others may keep it busy."""
+        return time.monotonic() - self.moment > ASLEEP or self._processor_time() - self.spent > STUCK
+
+    def _processor_time(self) -> float:
+        """Seconds of the worker on the processor; 0 where it has ended."""
+        try:
+            fields = Path(f"/proc/{self.process}/stat").read_text(encoding="ascii").rpartition(")")[2].split()
+        except OSError:
+            return 0.0
+        return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+
+
 class Campaign:
     """Workers over the cases of a seed; findings gathered, made small and kept."""
 
@@ -66,7 +87,7 @@ class Campaign:
         self.found: dict[str, list[int]] = {}
         self.done = 0
         self.selector = selectors.DefaultSelector()
-        self.heard: dict[subprocess.Popen[str], tuple[float, int, bool]] = {}
+        self.heard: dict[subprocess.Popen[str], Word] = {}
         for k in range(processes):
             self._start(first + k)
 
@@ -85,10 +106,12 @@ class Campaign:
             self.step,
         ]
         command = [sys.executable, "-m", "tests.fuzz", *map(str, words)]
-        worker = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True)
+        worker = subprocess.Popen(
+            command, stdout=subprocess.PIPE, stdin=subprocess.DEVNULL, stderr=subprocess.DEVNULL, text=True
+        )
         assert worker.stdout is not None
         self.selector.register(worker.stdout, selectors.EVENT_READ, worker)
-        self.heard[worker] = time.monotonic(), first, False
+        self.heard[worker] = Word(worker.pid, first, False)
 
     def run(self) -> int:
         """Exit code 1 where something was found."""
@@ -96,11 +119,11 @@ class Campaign:
         while self.heard and time.monotonic() < self.until:
             for key, _ in self.selector.select(timeout=1.0):
                 self._hear(key.data)
-            now = time.monotonic()
-            for worker, (last, index, _) in list(self.heard.items()):
-                if now - last > STUCK:
+            for worker, word in list(self.heard.items()):
+                if word.overdue():
                     worker.kill()
-                    self._ended(worker, index, "hang that no signal ends")
+                    self._ended(worker, word.index, "hang that no signal ends")
+            now = time.monotonic()
             if now - shown > 30:
                 shown = now
                 print(
@@ -119,16 +142,16 @@ class Campaign:
     def _hear(self, worker: subprocess.Popen[str]) -> None:
         assert worker.stdout is not None
         line = worker.stdout.readline()
-        _, index, running = self.heard[worker]
+        word = self.heard[worker]
         if not line:
-            self._ended(worker, index, f"the process ended with {worker.wait()}")
+            self._ended(worker, word.index, f"the process ended with {worker.wait()}")
             return
         said = json.loads(line)
         if "what" in said:
             self.found.setdefault(said["what"], []).append(said["index"])
             return
-        self.done += running
-        self.heard[worker] = time.monotonic(), said["begins"], True
+        self.done += word.running
+        self.heard[worker] = Word(worker.pid, said["begins"], True)
         if said["begins"] == -1:
             self.selector.unregister(worker.stdout)
             del self.heard[worker]

@@ -54,10 +54,35 @@ EXTREMES = (
 )  # fmt: skip
 READINGS = 0.85  # share of the cases that only read
 # How often each command comes: those that compute little come often.
-WEIGHTS = {"identify": 30, "check": 22, "simulate": 18, "spectrum": 12, "compare": 7, "design": 6, "study": 4}
+WEIGHTS = {
+    "identify": 12, "check": 22, "simulate": 18, "spectrum": 12, "compare": 7, "design": 6, "study": 4, "validate": 8,
+    "draw": 5, "export": 12, "response": 4, "inspect": 6, "new": 3, "fleet": 3,
+}  # fmt: skip
+# What each command is called with behind its options: a rig, data, or what a tuple offers.
+RIGS = ("rig.toml", "forced.toml", "nonlinear.toml", "free.toml")
+POSITIONAL: dict[str, tuple[str | tuple[str, ...], ...]] = {
+    "identify": ("rig", "data"), "compare": ("rig", "data"), "spectrum": ("rig", "data"), "check": (RIGS,),
+    "simulate": (RIGS,), "design": ("rig",), "study": (("study.toml",),), "validate": (("estimate.json",), "data"),
+    "draw": (RIGS,), "export": (("estimate.json", "rig.toml", "forced.toml"),), "response": (("nonlinear.toml",),),
+    "inspect": ("any",), "new": (("out.toml",),), "fleet": ("rig", "data"),
+}  # fmt: skip
+# Options without which a command does nothing, would wait for an answer or take more processes.
+ALWAYS = {
+    "simulate": ("--samples", "16"), "study": ("--processes", "1"), "response": ("--band", "2:6"),
+    "fleet": ("--workers", "1"), "new": (
+        "--name", "a", "--masses", "2", "--driven-by", "base", "--motion", "displacement", "--unit", "mm",
+        "--first-mass", "2",
+    ),
+}  # fmt: skip
+OUTPUTS = {
+    "draw": ("out.svg", "out.svg", "out.png", "out.pdf"),
+    "export": ("out.json", "out.mat", "out.mtx", "out.xml", "out.csv", "out.m", "out.uff", "out.fmu"),
+    "fleet": ("out.parquet",), "response": ("out.csv",),
+}  # fmt: skip
 PAIRS = (
     ("rig.toml", "amplitudes.csv"), ("rig.toml", "records.csv"), ("rig.toml", "frf.csv"), ("rig.toml", "a.lvm"),
     ("rig.toml", "amplitudes.csv"), ("free.toml", "amplitudes.csv"), ("rig.toml", "xsens.csv"),
+    ("rig.toml", "test.toml"), ("rig.toml", "matlab.mat"), ("rig.toml", "uff.uff"), ("rig.toml", "modes.uff"),
     ("forced.toml", "forced.csv"),  # for maximum likelihood, which takes longer
 )  # fmt: skip
 MOST_COSTLY = {
@@ -136,18 +161,21 @@ def _command(rng: random.Random) -> Case:
     command = rng.choices(list(WEIGHTS), list(WEIGHTS.values()))[0]
     rig, data = rng.choice(PAIRS[:-1] if command in ("identify", "compare") else PAIRS)
     texts = corpus.files()
-    used = {"study.toml", "rig.toml"} if command == "study" else {rig}
-    if command in ("identify", "compare", "spectrum") or (command == "check" and rng.random() < 0.4):
-        used.add(data)
-    else:
-        data = ""
+    words = [_word(kind, rig, data, rng) for kind in POSITIONAL[command]]
+    if (command == "check" and rng.random() < 0.4) or (command == "export" and rng.random() < 0.2):
+        words.append(data)
+    used = set(words) & set(texts)
+    if used & {"study.toml", "estimate.json"}:
+        used.add("rig.toml")
+    if "test.toml" in used:
+        used.add("records.csv")
     if command in ("compare", "spectrum") and rng.random() < 0.3:
         used.add("modes.csv" if rng.random() < 0.5 else "modes.json")
     # Most damage is alone, for what is refused at the door hides all that comes behind it.
     where = rng.choice(("options", "file", "file", "file", "both"))
-    arguments = _arguments(command, rig, data, rng, used, where != "file")
+    arguments = _arguments(command, words, rng, used, where != "file")
     files = {name: texts[name] for name in used}
-    if where != "options":
+    if where != "options" and files:
         victim = rng.choice(sorted(files))
         files[victim] = mutation.damaged(files[victim], rng, victim.rpartition(".")[2])
     if rng.random() < 0.06:
@@ -155,6 +183,13 @@ def _command(rng: random.Random) -> Case:
         files = {name: _renamed(content, name, old, new) for name, content in files.items()}
         arguments = [word.replace(old, new) if rng.random() < 0.5 else word for word in arguments]
     return Case(tuple(word.replace("\0", "") for word in arguments), files)
+
+
+def _word(kind: str | tuple[str, ...], rig: str, data: str, rng: random.Random) -> str:
+    """A positional argument."""
+    if kind == "any":
+        return rng.choice(sorted(corpus.files()))
+    return {"rig": rig, "data": data}[kind] if isinstance(kind, str) else rng.choice(kind)
 
 
 def _renamed(content: bytes, file: str, old: str, new: str) -> bytes:
@@ -173,7 +208,7 @@ def _renamed(content: bytes, file: str, old: str, new: str) -> bytes:
 
 
 def _arguments(
-    command: str, rig: str, data: str, rng: random.Random, used: set[str], extreme: bool
+    command: str, positional: list[str], rng: random.Random, used: set[str], extreme: bool
 ) -> list[str]:
     click_command = import_module(f"dashpot.app.commands.{command}").command
     assert isinstance(click_command, click.Command)
@@ -188,26 +223,28 @@ def _arguments(
         if parameter.is_flag:
             words.append(option)
             continue
-        words += [option, _value(parameter, rng, used, extreme)]
-    if command == "simulate" and "--samples" not in words:
-        words += ["--samples", "16"]
-    if command == "study":
-        words += ["--processes", "1", "study.toml"]
-    else:
-        words += [rig, *([data] if data else [])]
+        words += [option, _value(command, parameter, rng, used, extreme)]
+    always = ALWAYS.get(command, ())
+    for option, value in zip(always[::2], always[1::2], strict=True):
+        if option not in words or command in ("study", "fleet"):  # more processes would go past the limits
+            words += [option, value]
+    words += positional
     if extreme and rng.random() < 0.05:
         words.insert(rng.randrange(1, len(words) + 1), rng.choice(EXTREMES))
     return words
 
 
-def _value(parameter: click.Option, rng: random.Random, used: set[str], extreme: bool) -> str:
+def _value(command: str, parameter: click.Option, rng: random.Random, used: set[str], extreme: bool) -> str:
     kind = parameter.type
     if extreme and rng.random() < 0.4:
         return rng.choice(EXTREMES)
     if isinstance(kind, OutputFile):
-        return rng.choice(
-            ("out", "out", "out.json", "out.csv", "-", "/dev/null", "rig.toml" if extreme else "out")
+        usual = (
+            OUTPUTS.get(command, ("out", "out.json", "out.csv"))
+            if parameter.required
+            else ("out", "out.json")
         )
+        return rng.choice((*usual * 2, "-", "/dev/null", "rig.toml" if extreme else usual[0]))
     if isinstance(kind, OutputFolder):
         return "folder"
     if isinstance(kind, click.Choice):

@@ -15,6 +15,7 @@ import numpy as np
 from dashpot.app.cli import run
 from dashpot.data.readers.uff.modes import NodalMode
 from dashpot.data.readers.uff.writer import write_universal_file
+from tests.unit.data.readers.famos_bytes import dwell
 from tests.unit.data.readers.written import WRITERS, recording, wav
 
 BASE = """\
@@ -70,7 +71,9 @@ coordinates = ["x1", "x2"]
 [inputs]
 f = { kind = "force", at = "x1" }
 [free]
-matrices = "MCK"
+M = "diagonal"
+C = "full"
+K = [["x1", "x2"]]
 [channels]
 x1 = { of = "x1" }
 x2 = { of = "x2" }
@@ -86,7 +89,7 @@ m1 = { at = "x1", value = 3 }
 m2 = { at = "x2", guess = 2.7 }
 [springs]
 k1 = { between = ["x1", "x2"], guess = 4600 }
-cubic = { between = ["x1", "x2"], law = "d**3", guess = 1e7, unit = "N/m^3" }
+cubic = { between = ["x1", "x2"], law = "d**3", guess = 1e7 }
 k2 = { between = ["x2", "u"], value = 4600, law = "d*(1 + (d/d0)**2)", d0 = { value = 0.01, sd = 0.001, min = 0 } }
 [dampers]
 c1 = { between = ["x1", "x2"], guess = 20 }
@@ -130,6 +133,18 @@ MODES_JSON = json.dumps(
     indent=1,
 )  # fmt: skip
 
+MANIFEST = """\
+[conditioning]
+settle = "none"
+drift = 0
+[[files]]
+name = "records.csv"
+columns = { x1 = "x1", x2 = "x2", u = "u" }
+units = { x1 = "mm" }
+experiment = 2
+band_hz = "2:12"
+"""
+
 FRF = "frequency_hz,x1/u_re,x1/u_im,x1/u_sd,x2/u_re,x2/u_im,x2/u_sd\n" + "".join(
     f"{f},{1 + 0.1 * f},{-0.05 * f},0.01,{1 + 0.05 * f},{-0.02 * f},0.01\n"
     for f in (1, 2, 3, 4, 6, 8, 10, 12)
@@ -159,6 +174,7 @@ def files() -> dict[str, bytes]:
     texts = {
         "rig.toml": BASE, "forced.toml": FORCED, "free.toml": FREE, "study.toml": STUDY, "modes.csv": MODES_CSV,
         "modes.json": MODES_JSON, "frf.csv": FRF, "nonlinear.toml": NONLINEAR, "a.lvm": LVM, "xsens.csv": XSENS,
+        "test.toml": MANIFEST,
     }  # fmt: skip
     unknowns = "m1=3,c1=20,c2=30"
     with tempfile.TemporaryDirectory() as folder, contextlib.chdir(folder):
@@ -184,6 +200,7 @@ def _write_binary() -> None:
     for label, (suffix, write) in WRITERS.items():
         if suffix != ".csv":
             write(Path(f"{label.lower().replace(', ', '_').replace(' ', '_')}{suffix}"), records)
+    Path("dwell_2Hz.raw").write_bytes(dwell(records[0]))
     Path("recording.wav").write_bytes(wav(records[0].values * 1e3))
     shapes = np.array([[1, 0, 0], [0.6 - 0.01j, 0, 0]])
     write_universal_file(

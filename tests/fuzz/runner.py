@@ -82,6 +82,7 @@ def _finding(case: Case) -> str | None:
         with (
             contextlib.redirect_stdout(out),
             contextlib.redirect_stderr(err),
+            _strangers() as strangers,
             _time_limit(seconds),
         ):
             code = _read(case.arguments) if case.arguments[0] in READERS else cli.run(case.arguments)
@@ -95,6 +96,8 @@ def _finding(case: Case) -> str | None:
     if any("out of memory" in line for line in told):
         gc.collect()
         return "memory"
+    if strangers:
+        return f"a library writes to stderr: {strangers[0]}"
     if code == 2 and not told:
         return "refused without a word"
     if len(told) > MOST_LINES:
@@ -149,9 +152,9 @@ def _wrong_files(case: Case, code: int, out: str) -> str | None:
     left = [name for _, _, names in os.walk(".") for name in names if name.startswith(PART[0])]
     if left:
         return "a temporary file is left"
-    texts = [path.read_text(encoding="utf-8") for path in Path().glob("out*") if path.is_file()]
-    for text in [*texts, out]:
-        if text.startswith(("{\n", "[")):
+    texts = [path.read_bytes() for path in Path().glob("out*") if path.is_file()]
+    for text in [*texts, out.encode("utf-8", "surrogateescape")]:
+        if text.startswith((b"{\n", b"[")):
             try:
                 json.loads(text, parse_constant=_refused)
             except ValueError as error:
@@ -161,6 +164,24 @@ def _wrong_files(case: Case, code: int, out: str) -> str | None:
 
 def _refused(constant: str) -> None:
     raise ValueError(constant)
+
+
+@contextlib.contextmanager
+def _strangers() -> Iterator[list[str]]:
+    """What libraries write to the process's own stderr, past Python's: the first words of a line, once it is over."""
+    words: list[str] = []
+    with tempfile.TemporaryFile() as past:
+        before = os.dup(2)
+        os.dup2(past.fileno(), 2)
+        try:
+            yield words
+        finally:
+            sys.__stderr__ and sys.__stderr__.flush()
+            os.dup2(before, 2)
+            os.close(before)
+            past.seek(0)
+            lines = past.read(400).decode("utf-8", "replace").splitlines()
+            words += [line[:40] for line in lines if line.strip()]
 
 
 @contextlib.contextmanager

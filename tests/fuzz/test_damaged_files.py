@@ -31,6 +31,25 @@ def test_systematic_damage_finds_nothing() -> None:
     assert done.returncode == 0
 
 
+def test_sound_inputs_are_sound() -> None:
+    """What is damaged would else be refused for what was wrong before."""
+    for name, content in corpus.files().items():
+        if name.endswith(".toml") and name not in ("study.toml", "test.toml"):
+            parse_rig(content.decode(), name)
+
+
+@pytest.mark.filterwarnings("ignore")
+def test_recordings_of_labview_are_whole_or_refused(tmp_path: Path) -> None:
+    """Its library leaves out, without a word, a segment whose description is cut off."""
+    content = corpus.files()["tdms.tdms"]
+    path = tmp_path / "cut.tdms"
+    for length in range(1, len(content), 53):
+        path.write_bytes(content[:length])
+        with pytest.raises(DataError) as refused:
+            read(path, parse_rig(corpus.BASE).channels)
+        assert "\n" not in str(refused.value)
+
+
 def test_what_is_no_file_is_refused_in_one_line(tmp_path: Path) -> None:
     many = tmp_path / "many.csv"
     many.write_bytes(b"time_s," + b"x," * 10_000_000 + b"u\n" + b"0," * 100 + b"0\n")

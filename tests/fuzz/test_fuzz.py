@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -60,6 +61,10 @@ def test_the_runner_sees_what_it_is_for(monkeypatch: pytest.MonkeyPatch) -> None
         while True:
             pass
 
+    def stranger(_: object) -> int:
+        os.write(2, b"it went past dashpot\n")
+        return 0
+
     def writes(name: str, text: str) -> object:
         def run(_: object) -> int:
             Path(name).write_text(text, encoding="utf-8")
@@ -83,6 +88,7 @@ def test_the_runner_sees_what_it_is_for(monkeypatch: pytest.MonkeyPatch) -> None
     assert planted(writes(".dashpot-1.part", "")) == "a temporary file is left"
     assert planted(prints("dashpot: \x1b[31mred")) == "control character on stderr"
     assert planted(prints("dashpot: line\n" * 50)) == "40 lines and more on stderr"
+    assert planted(stranger) == "a library writes to stderr: it went past dashpot"
     assert planted(prints("dashpot: out of memory; give fewer")) == "memory"
     monkeypatch.setattr("tests.fuzz.runner.SECONDS", 0.2)
     assert planted(spins) == "hang in test_fuzz.py:spins"

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from dashpot.errors import printable
+from dashpot.errors import UsageError, printable
 
 if TYPE_CHECKING:
     from dashpot.data.conditioning.settings import Conditioning, SampleMoments
@@ -51,6 +51,7 @@ def read_data(
 
     with progress(reading_of(paths), quiet):
         reading = read(paths, rig.channels, frequency_hz=options["frequency"])
+    _require_use_of_frequency(reading, options["frequency"])
     tell_notes(reading.notes, quiet)
     methods = tuple(moments_for)
     moments = _moments(methods) if reading.amplitudes is None else False
@@ -71,8 +72,19 @@ def read_data(
         reading = _part_of(reading, part)
     with progress("amplitudes", quiet):
         spectrum = reading.spectrum(conditioning)
+    if options.get("record_band") is not None and not spectrum.records:
+        raise UsageError(
+            "--band chooses frequencies of whole records, and these data hold dwells", cure="leave it out"
+        )
     tell_notes(spectrum.notes, quiet)
     return MeasuredData(spectrum, bool(reading.records))
+
+
+def _require_use_of_frequency(reading: Reading, stated: float | None) -> None:
+    """Raises UsageError where a frequency is stated and every record or table names its own."""
+    if stated is not None and not any(record.frequency_hz == stated for record in reading.records):
+        cause = "--frequency is for records that name no drive frequency, and these data name theirs"
+        raise UsageError(cause, cure="leave it out")
 
 
 def read_spectrum(

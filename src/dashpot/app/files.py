@@ -45,12 +45,12 @@ class InputFileOr(InputFile):
 
 
 class OutputFile(click.ParamType[str]):
-    """A file to write; with `stdout`, - is standard output."""
+    """A file to write; with `stdout`, - is standard output; with `new`, one that is there already is not replaced."""
 
     name = "file"
 
-    def __init__(self, stdout: bool = False) -> None:
-        self.stdout = stdout
+    def __init__(self, stdout: bool = False, new: bool = False) -> None:
+        self.stdout, self.new = stdout, new
 
     def convert(self, value: object, param: click.Parameter | None, ctx: click.Context | None) -> str:
         """The path.  Raises UsageError where it could not be written after the work, or must not be."""
@@ -65,6 +65,10 @@ class OutputFile(click.ParamType[str]):
         folder = path.parent if os.path.exists(target) else Path(os.path.realpath(target)).parent
         if not os.path.isdir(folder):
             raise UsageError(f"the folder {folder} does not exist", target, "make it, or name another file")
+        if self.new and os.path.isfile(target):
+            raise UsageError(
+                "there is a file of this name", target, "name another file, or take this one away"
+            )
         special = os.path.exists(target) and not os.path.isfile(target)
         if not os.access(target if special else folder, os.W_OK) or (
             os.path.exists(target) and not os.access(target, os.W_OK)

@@ -84,6 +84,13 @@ def _share_of_zero_or_more(text: str) -> float:
     return value
 
 
+def _part(text: str) -> float:
+    value = _positive_share(text)
+    if value >= 1:
+        raise UsageError(f"{text.strip()!r} is out of range", cure="give less than 100%")
+    return value
+
+
 def _number(text: str) -> float:
     found = quantities.amount(text)
     if found.unit is not None:
@@ -170,6 +177,7 @@ AMOUNTS = TextType("name=value", _amounts)
 AMPLITUDE = TextType("quantity", _amplitude)
 SHARE = TextType("share", _positive_share)
 SHARE_OR_ZERO = TextType("share", _share_of_zero_or_more)
+PART = TextType("share", _part)
 NUMBER = TextType("number", _number)
 LEVEL = TextType("level", _level)
 ORDERS = TextType("orders", _whole_numbers, words=("auto",))

@@ -70,12 +70,7 @@ def validate(model: Model, estimate: Estimate, spectrum: Spectrum) -> tuple[Reco
     Raises DataError where the channels do not give the inputs, or do not match the estimate's rig.
     """
     view = observation_model(model, spectrum.channels, spectrum.omega)
-    if len(estimate.names) != len(view.names) or tuple(estimate.names) != tuple(view.names):
-        raise DataError(
-            "the estimate is of another rig: its unknowns are "
-            f"{', '.join(estimate.names)}, those of the rig file {', '.join(view.names)}",
-            cure="give the rig file that the estimate was made with",
-        )
+    estimate.require_unknowns(view.names, ())
     theta = estimate.values[: len(model.unknowns)]
     psi, sign = of_channels(view, theta, calibrations_of(model, estimate))
     outputs = ~view.inputs_alone

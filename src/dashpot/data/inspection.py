@@ -131,6 +131,8 @@ def inspect_file(path: str | os.PathLike[str]) -> Inspection:
             parts.append(_part(columns))
         else:
             more += 1
+    if not any(part.columns for part in parts):
+        raise DataError("no column holds numbers", file.name, "name a data file")
     return Inspection(file.name, reader.format, tuple(parts), more)
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
@@ -222,6 +222,19 @@ class Estimate:
         for name, number, unit in self.known:
             everything[name] = Value(name, number, 0.0, (number, number), 0.0, unit, known=True)
         return everything
+
+    def require_unknowns(self, names: Sequence[str], others: Collection[str] | None = None) -> None:
+        """Raises DataError where its unknowns are not these, those of a rig file, in their order.
+
+        Behind them may stand `others`, in any order; any, where None.
+        """
+        rest = self.names[len(names) :]
+        if self.names[: len(names)] != tuple(names) or (others is not None and not set(rest) <= set(others)):
+            raise DataError(
+                f"the estimate is of another rig: its unknowns are {', '.join(self.names)}, "
+                f"those of the rig file {', '.join(names)}",
+                cure="give the rig file that the estimate was made with",
+            )
 
     def to_json(self) -> str:
         """The estimate as JSON (no batch axes); `from_json` loads it again."""

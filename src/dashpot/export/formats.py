@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -44,13 +44,27 @@ class ExportOptions:
     compiled: bool = True
 
 
+IN_WORDS = {"given": "quantities of inputs", "frequency_hz": "frequencies", "data": "measured data"}
+
+
 @dataclass(frozen=True)
 class ExportFormat:
-    """One kind of content in one kind of file; `write` returns the names of the files, and what to tell of them."""
+    """One kind of content in one kind of file.
+
+    `write` returns the names of the files, and what to tell of them; `takes` names the options that it looks at.
+    """
 
     content: str
     suffixes: tuple[str, ...]
     write: Callable[[IdentifiedRig, str, ExportOptions], Written]
+    takes: tuple[str, ...] = ()
+
+    def require_use(self, path: str, given: Iterable[str]) -> None:
+        """Raises UsageError where it does not look at one of the options that are given."""
+        for name in given:
+            if name not in self.takes:
+                cause = f"an export of {self.content} has no use for {IN_WORDS[name]}"
+                raise UsageError(cause, path, "leave them out")
 
 
 @dataclass(frozen=True)
@@ -69,12 +83,14 @@ def export_rig(
 ) -> Written:
     """Write a rig in the format that the end of the file's name tells, or the first with that end and `content`.
 
-    Raises UsageError where there is no such format, ModelError where it cannot hold the rig, DataError where the file
-    cannot be written.
+    Raises UsageError where there is no such format or it has no use for an option, ModelError where it cannot hold
+    the rig, DataError where the file cannot be written.
     """
     target = os.fspath(path)
     chosen = format_of(target, content)
-    return chosen.write(rig, target, ExportOptions() if options is None else options)
+    options = ExportOptions() if options is None else options
+    chosen.require_use(target, [name for name in IN_WORDS if getattr(options, name) is not None])
+    return chosen.write(rig, target, options)
 
 
 def format_of(path: str, content: str | None = None) -> ExportFormat:
@@ -162,13 +178,13 @@ def _parameters(rig: IdentifiedRig, path: str, options: ExportOptions) -> Writte
 
 # The first with an ending is what it means without more words.
 FORMATS: tuple[ExportFormat, ...] = (
-    ExportFormat("state-space", (".json",), _state_space_json),
-    ExportFormat("state-space", (".mat",), _state_space_mat),
-    ExportFormat("transfer-functions", (".json",), _transfer_functions),
+    ExportFormat("state-space", (".json",), _state_space_json, ("given",)),
+    ExportFormat("state-space", (".mat",), _state_space_mat, ("given",)),
+    ExportFormat("transfer-functions", (".json",), _transfer_functions, ("given",)),
     ExportFormat("parameters", (".csv", ".parquet", ".m"), _parameters),
-    ExportFormat("frequency-responses", (".csv",), _frequency_responses),
+    ExportFormat("frequency-responses", (".csv",), _frequency_responses, ("frequency_hz", "data")),
     ExportFormat("matrices", (".mtx",), _matrices),
-    ExportFormat("universal-file", (".uff", ".unv"), _universal_file),
-    ExportFormat("fmu", (".fmu",), _fmu),
+    ExportFormat("universal-file", (".uff", ".unv"), _universal_file, ("frequency_hz", "data")),
+    ExportFormat("fmu", (".fmu",), _fmu, ("given",)),
     ExportFormat("mujoco", (".xml",), _mujoco),
 )

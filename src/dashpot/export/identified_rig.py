@@ -85,11 +85,5 @@ def identified_rig(
     if estimate.values.ndim != 1:
         raise DataError("a batch of estimates cannot be exported", cure="take one of them")
     m = len(unknowns)
-    calibrations = set(calibration_names(rig.channels))
-    if estimate.names[:m] != unknowns or not set(estimate.names[m:]) <= calibrations:
-        raise DataError(
-            f"the estimate is of another rig: its unknowns are {', '.join(estimate.names)}, "
-            f"those of the rig file {', '.join(unknowns)}",
-            cure="give the rig file that the estimate was made with",
-        )
+    estimate.require_unknowns(unknowns, calibration_names(rig.channels))
     return IdentifiedRig(model, rig.channels, estimate.values[:m], estimate.covariance[:m, :m], estimate)

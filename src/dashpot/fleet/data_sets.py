@@ -51,7 +51,7 @@ def expanded(patterns: Iterable[str], order: Order = "name") -> list[str]:
     """Files that names and patterns (data/*.parquet, ** for folders within) lead to, each once.
 
     In the order of their names, numbers in them counted as such (run2 before run10), of the time when they were last
-    changed, or as given.  Raises UsageError where a pattern leads to nothing.
+    changed, or as given.  Raises UsageError where a name or a pattern leads to nothing.
     """
     files: dict[str, None] = {}
     for pattern in patterns:
@@ -64,6 +64,8 @@ def expanded(patterns: Iterable[str], order: Order = "name") -> list[str]:
                 raise UsageError(
                     "no file has a name of this pattern", pattern, "correct the pattern or the folder"
                 )
+        elif not os.path.exists(pattern):
+            raise UsageError("there is no such file", pattern, "correct the name or the folder")
         files.update(dict.fromkeys(found))
     if order == "name":
         return sorted(files, key=natural)

@@ -10,7 +10,6 @@ import numpy as np
 from dashpot.arrays import Real
 from dashpot.channel import Channel
 from dashpot.data.record import Record
-from dashpot.errors import DataError
 from dashpot.estimate.result import Estimate
 from dashpot.model.network import Model
 from dashpot.study.nonlinear_motion import driven_record
@@ -28,13 +27,7 @@ def response_band(
     Raises DataError where the estimate is not of this rig, and as `driven_record`.
     """
     m = len(model.unknowns)
-    names = tuple(unknown.name for unknown in model.unknowns)
-    if tuple(estimate.names[:m]) != names:
-        raise DataError(
-            f"the estimate is of another rig: its unknowns are {', '.join(estimate.names)}, those of the rig file "
-            f"{', '.join(names)}",
-            cure="give the rig file that the estimate was made with",
-        )
+    estimate.require_unknowns([unknown.name for unknown in model.unknowns])
     quiet = tuple(_calibrated(channel, estimate) for channel in channels)
     nobody = np.random.default_rng(0)  # the channels have no noise to draw
 

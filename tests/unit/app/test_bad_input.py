@@ -264,6 +264,17 @@ BAD_USAGE = {
         "w",
     ),
     "paper": (["reproduce", "newton1687"], "yamane1989"),
+    "all held out": (["identify", "rig.toml", "data.csv", "--hold-out", "200%"], "'200%' is out of range"),
+    "band of dwells": (["identify", "rig.toml", "data.csv", "--band", "2:9"], "--band chooses frequencies of whole"),
+    "frequency twice": (["spectrum", "rig.toml", "data.csv", "-o", "t.csv", "--frequency", "3"], "name theirs"),
+    "far frequency": (["simulate", "rig.toml", "-o", "o.csv", "--frequencies", "1e200"], "'1e200' is out of range"),
+    "rig as data": (["identify", "rig.toml", "rig.toml"], "this is a rig file, not a manifest of data"),
+    "no file of a fleet": (["fleet", "rig.toml", "none.csv", "-o", "f.parquet"], "none.csv: there is no such file"),
+    "inspect a rig": (["inspect", "rig.toml"], "rig.toml: no column holds numbers"),
+    "new over old": (["new", "rig.toml", "--masses", "2"], "rig.toml: there is a file of this name"),
+    "new in bananas": (["new", "new.toml", "--unit", "bananas"], '"bananas" is no unit'),
+    "no curve": (["response", "rig.toml"], "--band 1:10 to follow the frequency"),
+    "two curves": (["response", "rig.toml", "--band", "1:9", "--at", "3"], "--band and --at exclude each other"),
     "draws": (["reproduce", "yamane1989", "--draws", "0"], "0"),
 }  # fmt: skip
 
@@ -271,6 +282,25 @@ BAD_USAGE = {
 @pytest.mark.parametrize("case", BAD_USAGE)
 def test_bad_usage(dashpot: Command, data: Path, case: str) -> None:
     args, part = BAD_USAGE[case]
+    before = sorted(os.listdir())
+    refused(dashpot(*args), part)
+    assert sorted(os.listdir()) == before
+
+
+OF_AN_ESTIMATE = {
+    "drawn on another rig": (["draw", "other.toml", "-o", "o.svg", "--estimate", "e.json"], "is of another rig"),
+    "exported with another rig": (["export", "e.json", "--rig", "other.toml", "-o", "o.mat"], "is of another rig"),
+    "taken for data": (["identify", "rig.toml", "e.json"], "e.json: this is an estimate, not data"),
+    "exported with data": (["export", "e.json", "data.csv", "-o", "o.json"], "no use for measured data"),
+    "validated by nothing": (["validate", "e.json"], "no record to predict"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", OF_AN_ESTIMATE)
+def test_bad_use_of_an_estimate(dashpot: Command, data: Path, case: str) -> None:
+    assert dashpot("identify", "rig.toml", "data.csv", "--json", "e.json", "-q").code == 0
+    Path("other.toml").write_text(RIG.replace("m1", "mass"), encoding="utf-8")
+    args, part = OF_AN_ESTIMATE[case]
     before = sorted(os.listdir())
     refused(dashpot(*args), part)
     assert sorted(os.listdir()) == before

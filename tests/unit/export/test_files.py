@@ -192,8 +192,24 @@ def test_nonlinear_rigs_are_refused_in_one_line_and_nothing_is_left(tmp_path, ea
     with pytest.raises(
         ModelError, match=r"cannot hold the nonlinear law of c1; export its parameters \(\.csv"
     ):
-        export_rig(nonlinear(), path, each.content, ExportOptions(frequency_hz=np.ones(1)))
+        export_rig(nonlinear(), path, each.content, ExportOptions(**_frequencies(each)))
     assert not list(tmp_path.iterdir())
+
+
+def _frequencies(each):
+    return {"frequency_hz": np.ones(1)} if "frequency_hz" in each.takes else {}
+
+
+@pytest.mark.parametrize(
+    "each", [f for f in FORMATS if "frequency_hz" not in f.takes], ids=lambda f: f.content
+)
+def test_options_without_use_are_refused(tmp_path, each):
+    path = tmp_path / f"rig{each.suffixes[0]}"
+    with pytest.raises(
+        UsageError, match=f"an export of {each.content} has no use for frequencies; leave them out"
+    ):
+        export_rig(two_masses(), path, each.content, ExportOptions(frequency_hz=np.ones(1)))
+    assert not path.exists()
 
 
 def test_the_same_rig_gives_the_same_bytes(tmp_path):

@@ -46,6 +46,8 @@ def command(rig: str, estimate_file: str | None, mode: int | None, out: str, lev
     file_format(out)
     rig_read = read_rig(rig)
     estimate = None if estimate_file is None else Estimate.load(estimate_file)
+    if estimate is not None:
+        estimate.require_unknowns([unknown.name for unknown in rig_read.model.unknowns])
     if mode is not None:
         _draw_mode(rig_read, estimate, mode, out)
         return

@@ -84,7 +84,7 @@ def command(
     """
     from dashpot.export.formats import ExportOptions, export_rig, format_of
 
-    format_of(out, content)
+    format_of(out, content).require_use(out, ["data"] if data else [])
     rig, of_rig = _loaded(source, rig_file, values)
     spectrum = _spectrum(rig, data, conditioning, quiet) if data else None
 

@@ -24,7 +24,7 @@ from dashpot.app.options import (
     seed_option,
     whole_record_options,
 )
-from dashpot.app.parameter_types import SHARE
+from dashpot.app.parameter_types import PART
 from dashpot.app.report_files import failure_reported, report_option
 from dashpot.estimate.registry import METHODS
 
@@ -62,7 +62,7 @@ ESTIMATION = "Estimation"
     help="Exit with code 4 where the model does not fit.",
 )  # fmt: skip
 @option(
-    "--hold-out", type=SHARE, metavar="25%", group=RECORDS,
+    "--hold-out", type=PART, metavar="25%", group=RECORDS,
     help="Leave that share of every record, its end, out of the fit and predict it.",
 )  # fmt: skip
 @modal_sd_option("Measured modes")

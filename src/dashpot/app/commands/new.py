@@ -18,7 +18,7 @@ MOTIONS = ("displacement", "velocity", "acceleration")
     "dashpot new rig.toml",
     "dashpot new rig.toml --masses 3 --driven-by base --motion acceleration --unit g --first-mass 1.25",
 )
-@click.argument("rig", type=OutputFile(), help="Rig file to write.")
+@click.argument("rig", type=OutputFile(new=True), help="Rig file to write.")
 @option("--name", default=None, metavar="TEXT", help="Name of the rig.")
 @option("--masses", type=Count(1, 50), default=None, metavar="N", help="Masses in a row.")
 @option(
@@ -59,6 +59,7 @@ def command(
     from dashpot.io.atomic import write_text
     from dashpot.model.rigfile import parse_rig
     from dashpot.model.rigfile.starter import Chain, starter_text
+    from dashpot.units import scale
 
     ask = sys.stdin.isatty()
     usual = Chain()
@@ -70,6 +71,7 @@ def command(
     motion = motion or _answer(ask, "What the sensors measure", usual.motion, MOTIONS)
     si = {"displacement": "m", "velocity": "m/s", "acceleration": "m/s²"}[motion]
     unit = unit or _answer(ask, "In which unit", si)
+    scale(unit, motion, uncalibrated=True)  # refused here, before a rig file has it in three places
     text = starter_text(
         Chain(name, masses, cast(Any, drive), cast(Any, motion), unit, usual.force_unit, known)
     )

@@ -66,8 +66,11 @@ def command(
     from dashpot.model.rigfile import read_rig
     from dashpot.study.response_curves import require_nonlinear
 
-    if (band is None) == (at is None):
-        raise UsageError("the way of the curves is not said", cure="give --band, or --at with one frequency")
+    if band is not None and at is not None:
+        raise UsageError("--band and --at exclude each other", cure="leave one of them out")
+    if band is None and at is None:
+        cure = "give --band 1:10 to follow the frequency, or --at 5 to follow the amplitude"
+        raise UsageError("it is not said what changes along the curves", cure=cure)
     rig_read = read_rig(rig)
     values_si = parameter_values(rig_read, merged(values, "--set"))
     require_values(rig_read, values_si)

@@ -121,6 +121,8 @@ def read_manifest(path: str | os.PathLike[str]) -> Manifest:
     """
     wanted = Wanted("manifest of a test", 'write [[files]] with name = "…", and what its columns are')
     document = read_toml(path, DataError, wanted)
+    if "coordinates" in document.table:
+        raise DataError("this is a rig file, not a manifest of data", document.path, "name data files here")
     try:
         manifest = _Manifest.model_validate(document.table)
     except ValidationError as error:

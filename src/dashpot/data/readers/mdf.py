@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import gc
 import io
-import logging
 import sys
+import traceback
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -34,9 +34,6 @@ class MdfReader:
     def parts(self, file: DataFile) -> Iterator[ArrayColumns]:
         """The groups that hold numbers."""
         asammdf = library("asammdf", "mdf", file.name, self.format)
-        logging.getLogger("asammdf").setLevel(
-            logging.CRITICAL
-        )  # it prints tracebacks of what it raises besides
         with damaged(file.name, self.format), _quiet_ends():
             content = asammdf.MDF(io.BytesIO(file.contents))
         count = 0
@@ -60,6 +57,10 @@ def _quiet_ends() -> Iterator[None]:
         yield
     except Exception as error:
         reason = f"{type(error).__name__}: {error}"
+        failed: BaseException | None = error
+        while failed is not None:  # lets go of the half-made object, which the frames hold
+            traceback.clear_frames(failed.__traceback__)
+            failed = failed.__context__
     else:
         return
     finally:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import re
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -14,11 +15,21 @@ from dashpot.io.words import shown
 
 def library(module: str, extra: str, source: str, what: str) -> Any:
     """An optional module.  Raises DataError that names the extra where it is not installed."""
+    package = module.partition(".")[0]
     try:
         return import_module(module)
     except ImportError:
         cure = f"install it: pip install 'dashpot[{extra}]'"
-        raise DataError(f"to read {what}, {module.partition('.')[0]} is needed", source, cure) from None
+        raise DataError(f"to read {what}, {package} is needed", source, cure) from None
+    finally:
+        _silence(package)
+
+
+def _silence(package: str) -> None:
+    """Nothing goes to stderr past us: what is wrong with a file is raised, in one line."""
+    for name, logger in logging.root.manager.loggerDict.items():
+        if name.partition(".")[0] == package and isinstance(logger, logging.Logger):
+            logger.setLevel(logging.CRITICAL + 1)
 
 
 @contextmanager

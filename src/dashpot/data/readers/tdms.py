@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import partial
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 
@@ -24,6 +24,9 @@ from dashpot.data.readers.sampling import TIME, TIME_NAMES
 from dashpot.data.readers.variables import OF_ALL, step_of
 from dashpot.errors import DataError
 
+LEAD = 28  # bytes that begin a segment: tag, contents, version, its length, the length of its description
+UNFINISHED = 2**64 - 1
+
 
 @dataclass(frozen=True)
 class TdmsReader:
@@ -40,6 +43,7 @@ class TdmsReader:
         """The groups, split by the lengths of their channels."""
         nptdms = library("nptdms", "formats", file.name, self.format)
         with file.reading() as stream, damaged(file.name, self.format):
+            _refuse_cut_off(stream, file.name)
             content = nptdms.TdmsFile(stream, read_metadata_only=True, keep_open=True)
             if getattr(content, "_incomplete_channel_properties", None):
                 raise DataError("the file is cut off", file.name, "copy it again")
@@ -58,6 +62,25 @@ class TdmsReader:
                         yield _part(place, channels, rows, scalars)
             if not count:
                 raise DataError("there are no channels with samples", file.name, "record something")
+
+
+def _refuse_cut_off(stream: BinaryIO, source: str) -> None:
+    """Each segment says where the next one begins; nptdms leaves out one whose description is cut off.
+
+    A segment without end (all bits set) was being written when the recorder stopped; what there is of it counts.
+    """
+    start = 0
+    while True:
+        stream.seek(start)
+        lead = stream.read(LEAD)
+        length = int.from_bytes(lead[12:20], "little")
+        if not lead or length == UNFINISHED:
+            break
+        start += LEAD + length
+        stream.seek(start - 1)
+        if len(lead) < LEAD or not stream.read(1):
+            raise DataError("the file is cut off", source, "copy it again")
+    stream.seek(0)
 
 
 def _part(source: str, channels: list[Any], rows: int, scalars: dict[str, Any]) -> ArrayColumns:

@@ -343,7 +343,7 @@ class _Dimensions:
             for column, share in parts.items():
                 A[row, column] = share
             b[row] = [-constant[0], -constant[1]]
-        powers = np.linalg.lstsq(A, b, rcond=None)[0] if A.size else np.zeros((self.count, 2))
+        powers = self._least(A, b) if A.size else np.zeros((self.count, 2))
         if len(b) and np.max(np.abs(A @ powers - b)) > 1e-9:
             raise ModelError(
                 f"no units make sense of the law {expression.text!r}",
@@ -353,6 +353,17 @@ class _Dimensions:
         clean = np.round(np.vstack([total, powers]), 9) + 0.0
         names = {name: (float(clean[c + 1, 0]), float(clean[c + 1, 1])) for name, c in self.names.items()}
         return (float(clean[0, 0]), float(clean[0, 1])), names
+
+    def _least(self, A: Real, b: Real) -> Real:
+        """Least powers: first those of the numbers, which are pure where the names can be made to fit them."""
+        of_names = sorted(self.names.values())
+        of_numbers = [column for column in range(self.count) if column not in self.names.values()]
+        powers = np.zeros((self.count, 2))
+        beyond_names = np.eye(len(A)) - A[:, of_names] @ np.linalg.pinv(A[:, of_names])
+        powers[of_numbers] = np.linalg.lstsq(beyond_names @ A[:, of_numbers], beyond_names @ b, rcond=1e-9)[0]
+        rest = b - A[:, of_numbers] @ powers[of_numbers]
+        powers[of_names] = np.linalg.lstsq(A[:, of_names], rest, rcond=None)[0]
+        return powers
 
 
 def _is_number_free(node: Node) -> bool:

@@ -6,43 +6,14 @@ import pytest
 from dashpot.channel import Channel
 from dashpot.data.readers import read
 from dashpot.errors import DashpotError, DataError
-from tests.unit.data.readers.written import CHANNELS, NAMES, RATE, recording
-
-
-def key(tag, content, version=1):
-    return f"|{tag},{version},{len(content):6d},".encode() + content + b";"
-
-
-def channel(number, name, unit, raw, kind, width, step, start=0.0, factor=None, rotated=0):
-    """One channel with its block of samples."""
-    scaled = b"0, 1.0, 0.0" if factor is None else f"1, {factor!r}, 0.5".encode()
-    return b"".join(
-        [
-            key("CG", b"1,1,1"),
-            key("CD", f" {step!r},1,1,s,0,0,0, 0.0,1".encode(), 2),
-            key("CC", b"1,1"),
-            key("CP", f"{number},{width},{kind},{8 * width},0,0,1,0".encode()),
-            key("CR", scaled + f",1,{len(unit)},{unit}".encode()),
-            key("CN", f"0,0,0,{len(name)},{name},0,".encode()),
-            key("Cb", f"1,0,{number},{number},0,{len(raw)},{rotated},{len(raw)},1, {start!r}, 0.0,".encode()),
-            key("CS", f"{number},".encode() + raw),
-            b"\r\n",
-        ]
-    )
-
-
-HEAD = b"|CF,2,1,1;|CK,1,3,1,1;" + key("NO", b"1,6,by|;us,0,")
+from tests.unit.data.readers.famos_bytes import HEAD, channel, dwell
+from tests.unit.data.readers.written import CHANNELS, recording
 
 
 def test_a_dwell(tmp_path):
     record = recording()[0]
     path = tmp_path / "test_2Hz.raw"
-    columns = [np.round(x * 1e3 * 1024) / 1024 for x in record.values.T]
-    parts = [
-        channel(i + 1, name, "mm", x.astype("<f8").tobytes(), 8, 8, 1 / RATE)
-        for i, (name, x) in enumerate(zip(NAMES, columns, strict=True))
-    ]
-    path.write_bytes(HEAD + b"".join(parts))
+    path.write_bytes(dwell(record))
     (got,) = read(path, CHANNELS).records
     assert got.time == pytest.approx(record.time, abs=1e-12)
     assert got.values == pytest.approx(record.values, rel=1e-15)

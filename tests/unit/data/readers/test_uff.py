@@ -200,5 +200,5 @@ def test_other_datasets_are_passed_over(tmp_path):
     path.write_bytes(other + path.read_bytes())
     assert len(list(functions_of(open_file(path)))) == 2
     path.write_bytes(other)
-    with pytest.raises(DataError, match="no function of these"):
+    with pytest.raises(DataError, match="holds no samples, spectra or frequency responses"):
         read(path, CHANNELS)

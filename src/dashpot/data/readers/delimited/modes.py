@@ -192,6 +192,8 @@ def _rows_of_json(path: str | os.PathLike[str], source: str) -> list[dict[str, A
         raise DataError(f"cannot be read ({error.strerror or error})", source, "check the path") from None
     except (ValueError, RecursionError):
         raise DataError("this is no JSON", source, "correct it, or give a CSV file") from None
+    if isinstance(content, dict) and "parameters" in content:
+        raise DataError("this is an estimate, not data", source, "name files of data or of modes")
     rows = content.get("modes") if isinstance(content, dict) else None
     if not isinstance(rows, list) or not rows or not all(isinstance(row, dict) for row in rows):
         raise DataError('there is no list "modes"', source, 'write {"modes": [{"frequency_hz": …}, …]}')

@@ -62,8 +62,8 @@ class UffReader:
         if held:
             yield _part(file.name, count + 1, held)
         elif not count:
-            cure = "export samples over time, spectra or frequency responses"
-            raise DataError("there is no function of these in the file", file.name, cure)
+            cure = "export samples over time, spectra or frequency responses (dataset 58)"
+            raise DataError("the file holds no samples, spectra or frequency responses", file.name, cure)
 
 
 def functions_of(file: DataFile) -> Iterator[NodalFunction]:
