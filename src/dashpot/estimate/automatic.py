@@ -1,8 +1,9 @@
-"""The estimate where no method is named: the one that suits, and a second, thorough one where the first is no answer.
+"""The estimate where no method is named: the one that suits, and a thorough search where that may be another valley.
 
-oiv is efficient and fast where everything is seen, but at 20 % noise one run in four ends in a wrong valley or nowhere
-(THEORY §11).  Where it finds nothing, does not converge, does not fit, or makes a part of the rig negative, ml searches
-from many starts, in logarithms, and what fits better is taken.
+Where all is seen, oiv and ml descend from one start, efficient and fast; at 20 % noise every third chain of five ends
+in a wrong valley or nowhere, and such an end may fit as well as the truth (THEORY §11).  Where a method finds nothing,
+does not converge, does not fit, makes a part of the rig negative, or where noise leaves a part uncertain, ml searches
+from many starts among rigs of positive parts; the likelier end is taken, and the other told where it fits alike.
 """
 
 from __future__ import annotations
@@ -17,19 +18,24 @@ from dashpot.data.spectrum import Spectrum
 from dashpot.errors import ConvergenceError, DashpotError, IdentifiabilityError
 from dashpot.estimate.identify import automatic, identify
 from dashpot.estimate.inference.diagnostics import nonlinear_names
+from dashpot.estimate.likelihood.global_search import DOUBT, TIE, apart, not_unique
 from dashpot.estimate.likelihood.maximum_likelihood import MaximumLikelihood
 from dashpot.estimate.method import Method
 from dashpot.estimate.result import Estimate
+from dashpot.model.elements import Kind
 from dashpot.model.network import Model
+from dashpot.model.observation import measures_input
 from dashpot.model.unstructured import free_names
 from dashpot.notices import Notice
 
 LARGEST = 8  # coordinates: beyond, many starts take longer than anyone waits
 REJECTED = 1e-3  # p-value below which a fit may be a wrong valley
 BEYOND = 2.0  # standard deviations by which a negative part is no accident
-FITS = 0.01  # p-value of a fit
-STARTS, ROUNDS = 32, 2
-BETTER = 0.9  # χ² of the second over that of the first below which it is taken, where neither fits
+LOOSE = 30.0  # standard deviations: no wrong valley was seen where every part stands further than half of that from 0
+OPEN = (
+    100.0  # times the largest part of its kind: an unknown of that standard deviation has run off to infinity
+)
+NOISY = 0.02  # noise over motion at the middle line, below which there is one valley
 
 
 def identify_automatically(
@@ -40,7 +46,7 @@ def identify_automatically(
     seed: int = 0,
     progress: Callable[[int, int], None] | None = None,
 ) -> Estimate:
-    """The estimate by `method` (that of `automatic`), or by a thorough search where that is no answer.
+    """The estimate by `method` (that of `automatic`), or by a thorough search where that is likelier.
 
     Repeats are estimated by the first alone.  Raises as `identify`.
     """
@@ -52,64 +58,128 @@ def identify_automatically(
         estimate = identify(model, spectrum, first, progress=progress)
     except (IdentifiabilityError, ConvergenceError) as error:
         return _in_place_of(model, spectrum, first, plain, error)
-    if plausible(model, estimate) or model.n > LARGEST:
+    doubtful = not plausible(model, estimate) or (_loose(model, estimate) and noisy(model, spectrum))
+    if not doubtful or model.n > LARGEST:
         return estimate
-    second = _searched(model, spectrum, replace(plain, starts=STARTS, rounds=ROUNDS, thorough=True))
-    if second is None or not _better(model, estimate, second):
-        return estimate
-    text = f"{first.name} {_failing(estimate)}; ml, from many starts, is taken"
-    return replace(second, warnings=(*second.warnings, Notice("another_method", text)))
+    second = _searched(model, spectrum, plain)
+    return estimate if second is None else _likelier(model, estimate, second)
 
 
 def plausible(model: Model, estimate: Estimate) -> bool:
-    """Whether one estimate has converged, is not rejected by χ², and makes no part of the rig negative."""
+    """Whether one estimate has converged, is not rejected by χ², and makes no part of the rig negative or endless."""
     rejected = bool(estimate.fit.p < REJECTED)
-    return bool(estimate.converged) and not rejected and not np.any(_negative(model, estimate))
+    wrong = np.any(_below(model, estimate, -BEYOND)) or _endless(model, estimate)
+    return bool(estimate.converged) and not rejected and not wrong
 
 
-def _negative(model: Model, estimate: Estimate) -> Bools:
-    """Parts that are negative beyond doubt, (unknowns,); entries of free matrices and nonlinear terms may be."""
+def _endless(model: Model, estimate: Estimate) -> bool:
+    """Whether an unknown has run off to infinity, where the likelihood is flat: no end of a search."""
+    sizes = np.abs(model.parameters(estimate.values[: len(model.unknowns)]))
+    largest: dict[Kind, float] = {}
+    for element, size in zip(model.elements, sizes.tolist(), strict=True):
+        largest[element.kind] = max(largest.get(element.kind, 0.0), size)
+    limits = {element.name: OPEN * largest[element.kind] for element in model.elements}
+    deviations = zip(model.unknowns, estimate.noise_sd.tolist(), strict=False)
+    return any(not sd <= limits.get(unknown.name, np.inf) for unknown, sd in deviations)
+
+
+def noisy(model: Model, spectrum: Spectrum) -> bool:
+    """Whether noise is more than NOISY of the motion at the middle line of a channel; so where it is not given."""
+    measured = np.array([not measures_input(model, channel) for channel in spectrum.channels])
+    noise = np.sqrt(np.diagonal(spectrum.covariance, axis1=-2, axis2=-1).real)[..., measured]
+    with np.errstate(all="ignore"):
+        share = np.nanmedian(noise / np.abs(spectrum.amplitudes[..., measured]), axis=-2)
+    return not bool(np.all(share <= NOISY))
+
+
+def _loose(model: Model, estimate: Estimate) -> bool:
+    """Whether a part is uncertain enough to be another's in another valley."""
+    return bool(np.any(_below(model, estimate, LOOSE)))
+
+
+def _below(model: Model, estimate: Estimate, deviations: float) -> Bools:
+    """Parts below so many standard deviations, (unknowns,); entries of free matrices and nonlinear terms never are."""
     exempt = free_names(model) | nonlinear_names(model)
     names = [unknown.name for unknown in model.unknowns]
     physical = np.array([name not in exempt for name in names])
     values, sd = estimate.values[: len(names)], estimate.noise_sd[: len(names)]
-    negative: Bools = physical & (values < -BEYOND * sd)
-    return negative
+    below: Bools = physical & (values < deviations * sd)
+    return below
 
 
 def _in_place_of(
-    model: Model, spectrum: Spectrum, first: Method, second: Method, error: DashpotError
+    model: Model, spectrum: Spectrum, first: Method, plain: MaximumLikelihood, error: DashpotError
 ) -> Estimate:
-    """The second method where the first has no answer; the first one's error where neither has."""
-    try:
-        estimate = identify(model, spectrum, second)
-    except (IdentifiabilityError, ConvergenceError):
-        raise error from None
-    if not bool(estimate.converged):
+    """ml, from many starts if the rig is small, where the first has no answer; its error where neither has."""
+    estimate = _searched(model, spectrum, plain) if model.n <= LARGEST else _converged(model, spectrum, plain)
+    if estimate is None:
         raise error
     text = f"{first.name} finds no answer here; ml is taken in its place"
     return replace(estimate, warnings=(*estimate.warnings, Notice("another_method", text)))
 
 
-def _searched(model: Model, spectrum: Spectrum, method: Method) -> Estimate | None:
+def _converged(model: Model, spectrum: Spectrum, method: Method) -> Estimate | None:
+    """What the method finds, None where it finds no answer."""
     try:
-        return identify(model, spectrum, method)
+        estimate = identify(model, spectrum, method)
     except (IdentifiabilityError, ConvergenceError):
         return None
+    return estimate if bool(estimate.converged) else None
 
 
-def _better(model: Model, first: Estimate, second: Estimate) -> bool:
-    if not bool(second.converged):
-        return False
-    if not bool(first.converged) or bool(second.fit.p > FITS) > bool(first.fit.p > FITS):
-        return True
-    healthier = np.sum(_negative(model, second)) < np.sum(_negative(model, first))
-    if bool(second.fit.p > FITS) and healthier:
-        return True
-    return bool(second.fit.chi2 < BETTER * first.fit.chi2)
+def _searched(model: Model, spectrum: Spectrum, plain: MaximumLikelihood) -> Estimate | None:
+    """The likeliest rig near the likeliest one of positive parts, with what else fits alike; None where there is none.
+
+    Noise gives parts that are hardly seen either sign, and rigs with negative parts valleys of their own: those are
+    searched last, from where positive parts have led.
+    """
+    try:
+        held = identify(model, spectrum, replace(plain, positive=True, thorough=True))
+    except (IdentifiabilityError, ConvergenceError):
+        return None
+    start, signs = tuple(held.values.tolist()), (1.0,) * len(spectrum.channels)
+    free = _converged(model, spectrum, replace(plain, start=start, start_sign=signs))
+    if free is None or _endless(model, free):
+        return held
+    rivals = [notice for notice in held.warnings if notice.code == "not_unique"]
+    return replace(free, warnings=(*rivals, *free.warnings))
 
 
-def _failing(estimate: Estimate) -> str:
-    if not bool(estimate.converged):
-        return "did not converge"
-    return "ended in another minimum"
+def _with_endless(first: Estimate, second: Estimate) -> Estimate:
+    """The first, told that the likelihood is as large or larger towards infinity, where it is."""
+    above = float(second.fit.chi2 - first.fit.chi2)
+    if not above <= DOUBT:
+        return first
+    told = not_unique(first.names, first.units, first.values, second.values, above)
+    return replace(first, warnings=(told, *first.warnings))
+
+
+def _ended(model: Model, estimate: Estimate) -> bool:
+    """Whether an estimate is a minimum at all."""
+    return bool(estimate.converged) and not _endless(model, estimate)
+
+
+def _likelier(model: Model, first: Estimate, second: Estimate) -> Estimate:
+    """The better of two ends, with the other told where it fits alike.
+
+    Among those that fit alike it is the one with fewer negative parts, else the one with the lower χ².
+    """
+    if not _ended(model, second):
+        return first if not _ended(model, first) else _with_endless(first, second)
+    scale = max(1.0, float(second.fit.chi2) / max(second.fit.dof, 1))
+    above = float(first.fit.chi2 - second.fit.chi2) if _ended(model, first) else np.inf
+    rivals = tuple(notice for notice in second.warnings if notice.code == "not_unique")
+    if abs(above) <= TIE * scale and not apart(second.values, first.values, second.noise_sd):
+        return replace(first, warnings=(*rivals, *first.warnings))
+    alike = abs(above) <= DOUBT * scale
+    negative = [int(np.sum(_below(model, estimate, -BEYOND))) for estimate in (first, second)]
+    taken = negative[1] < negative[0] if alike and negative[0] != negative[1] else above > 0
+    one, other = (second, first) if taken else (first, second)
+    if alike and not rivals:
+        rivals = (not_unique(one.names, one.units, one.values, other.values, abs(above)),)
+    if not taken:
+        return replace(first, warnings=(*(rivals if alike else ()), *first.warnings))
+    failing = "ended in another minimum" if _ended(model, first) else "did not converge"
+    changed = Notice("another_method", f"{first.method} {failing}; ml, from many starts, is taken")
+    rest = (notice for notice in second.warnings if notice.code != "not_unique")
+    return replace(second, warnings=(*rivals, *rest, changed))

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 import pytest
 
@@ -11,6 +13,8 @@ from dashpot.errors import IdentifiabilityError
 from dashpot.estimate import automatic
 from dashpot.estimate.automatic import identify_automatically, plausible
 from dashpot.estimate.identify import identify
+from dashpot.estimate.likelihood.maximum_likelihood import MaximumLikelihood
+from dashpot.estimate.result import Estimate
 from tests import rigs
 
 
@@ -54,23 +58,72 @@ def test_another_method_answers_where_the_first_refuses(monkeypatch: pytest.Monk
     assert np.all(np.abs(estimate.values - rig.theta) < 6 * estimate.sd)
 
 
-@pytest.mark.long
-def test_wrong_valleys_are_left() -> None:
-    """60 chains of five at 20 % noise: oiv alone is lost in about half of them, the automatic choice in 6.
+def constant(seed: int, n: int) -> tuple[rigs.Rig, Spectrum]:
+    """A fully seen rig whose channels have a noise of 5 % of their rms at every line."""
+    rig, _ = chain(seed, n)
+    channels = rigs.channels(rig, (Quantity.DISPLACEMENT,))
+    Y = rigs.amplitudes(rig, channels)
+    driven = set(rig.model.displacement_inputs)
+    noisy = np.array([not set(channel.of) <= driven for channel in channels])
+    variance = 0.05**2 * np.mean(np.abs(Y) ** 2, axis=0) * noisy
+    V = np.broadcast_to(np.diag(variance).astype(complex), (rig.lines, len(channels), len(channels)))
+    return rig, rigs.noisy(rig, channels, V, np.random.default_rng(seed))
 
-    At most 13 are allowed: three binomial errors above 6.  Those that remain fit as well as the truth does.
+
+def beside_truth(rig: rigs.Rig, spectrum: Spectrum) -> Estimate:
+    """The minimum that a descent from the true values ends in."""
+    signs = (1.0,) * len(spectrum.channels)
+    return identify(rig.model, spectrum, MaximumLikelihood(start=tuple(rig.theta.tolist()), start_sign=signs))
+
+
+def told(estimate: Estimate) -> bool:
+    return any(warning.code == "not_unique" for warning in estimate.warnings)
+
+
+@pytest.mark.parametrize(("seed", "n"), [(0, 5), (21, 5), (5, 2)])
+def test_a_valley_that_fits_is_left_for_a_lower_one(seed: int, n: int) -> None:
+    """χ² does not reject where oiv ends (p 0.05, 0.80 and 0.48), yet it lies 31, 18, 20 above the truth's minimum."""
+    rig, spectrum = chain(seed, n)
+    first, best = identify(rig.model, spectrum), beside_truth(rig, spectrum)
+    assert first.fit.p > 0.01
+    assert first.fit.chi2 > best.fit.chi2 + 15
+    estimate = identify_automatically(rig.model, spectrum)
+    np.testing.assert_allclose(estimate.values, best.values, rtol=1e-4)
+
+
+def test_what_fits_alike_is_told() -> None:
+    """The other minimum lies 0.5 of χ² from the truth's: neither can be called wrong."""
+    rig, spectrum = chain(31)
+    estimate = identify_automatically(rig.model, spectrum)
+    assert abs(estimate.fit.chi2 - beside_truth(rig, spectrum).fit.chi2) < 1
+    assert told(estimate)
+
+
+def test_what_runs_off_to_infinity_is_no_end() -> None:
+    rig, spectrum = chain(38, n=3)
+    lost = identify(rig.model, spectrum)
+    assert not plausible(rig.model, lost)
+    estimate = identify_automatically(rig.model, spectrum)
+    assert estimate.converged
+    assert np.all(estimate.noise_sd < 1e2 * np.abs(rig.theta))
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(("make", "n"), [*((chain, n) for n in (2, 3, 4, 5)), (constant, 5)])
+def test_no_wrong_valley_is_silent(make: Callable[..., tuple[rigs.Rig, Spectrum]], n: int) -> None:
+    """An end is wrong whose χ² lies above that beside the truth, where no part is negative beyond doubt.
+
+    At most one of 80 may be, by chance of the starts; none without a word of the other.  oiv alone is wrong in up to
+    half of them.
     """
-    wrong = {"oiv": 0, "auto": 0}
-    for seed in range(60):
-        rig, spectrum = chain(seed)
-        bound = identify(rig.model, rigs.perfect(rig, spectrum.channels, spectrum.covariance)).noise_sd
-        for name, run in (("oiv", identify), ("auto", identify_automatically)):
-            try:
-                estimate = run(rig.model, spectrum)
-            except IdentifiabilityError:
-                wrong[name] += 1
-                continue
-            far = np.any(np.abs(estimate.values - rig.theta) > 6 * bound)
-            wrong[name] += bool(far) or not bool(estimate.converged)
-    assert wrong["auto"] <= 13
-    assert wrong["oiv"] > 2 * wrong["auto"]
+    wrong = silent = 0
+    for seed in range(80):
+        rig, spectrum = make(seed, n)
+        best = beside_truth(rig, spectrum)
+        estimate = identify_automatically(rig.model, spectrum)
+        physical = bool(best.converged) and bool(np.all(best.values > -2 * best.noise_sd))
+        above = float(estimate.fit.chi2 - best.fit.chi2)
+        wrong += physical and above > 0.05
+        silent += physical and above > 0.05 and bool(estimate.converged) and not told(estimate)
+    assert wrong <= 1
+    assert silent == 0

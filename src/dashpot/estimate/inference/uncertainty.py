@@ -31,6 +31,7 @@ from dashpot.numerics.levenberg_marquardt import QuadraticModel
 from dashpot.numerics.small_systems import scaled_inverse, solve_scaled
 
 ROUNDING = 1e-30  # χ² of exact data against noise of the data's own size
+UNSETTLED = 0.1  # of χ², by which an end may lie above the minimum of its parabola
 MISFIT_LEVEL = 1e-3  # p-value of χ² below which intervals count the misfit of the model
 
 
@@ -65,6 +66,7 @@ class Linearised:
 class Uncertainty:
     """Covariances and fit of K repeats; see Estimate for the names.
 
+    above: what χ² at the estimate lies above the minimum of its parabola, (K,), 0 where the method keeps off it
     bands: how parts of the band agree, where the noise is that of the residuals of whole records, else None
     """
 
@@ -74,6 +76,7 @@ class Uncertainty:
     dof: Real
     chi2: Real
     p: Real
+    above: Real
     bands: BandStability | None = None
 
 
@@ -93,7 +96,11 @@ def inference(data: Prepared, solution: Solution, method: Method) -> Inference:
     """
     best = most_likely(data, solution, method.traits)
     linearised = linearise(data, best, method.traits)
-    found = uncertainty(data, best, linearised, method.traits.weighted)
+    found = uncertainty(data, best, linearised, method.traits)
+    if method.traits.maximum_likelihood:
+        # What runs off to infinity takes steps below its deviations, too, and is nowhere near a minimum.
+        least = np.maximum(found.chi2 / max(linearised.dof, 1), 1.0 if data.noise_known else 0.0)
+        solution = replace(solution, converged=solution.converged & (found.above <= UNSETTLED * least))
     if len(solution.theta) == 1 and data.noise_known and best is not solution:
         warnings = (*solution.warnings, *bias(linearised.names, solution, best, found.covariance, method))
         solution = replace(solution, warnings=warnings)
@@ -154,7 +161,7 @@ def _of_equation(data: Prepared, solution: Solution) -> Linearised:
     )  # fmt: skip
 
 
-def uncertainty(data: Prepared, solution: Solution, around: Linearised, weighted: bool) -> Uncertainty:
+def uncertainty(data: Prepared, solution: Solution, around: Linearised, traits: Traits) -> Uncertainty:
     """Covariance, bound and χ².
 
     `solution` and `around` are to be those of the most likely parameters, to which one Gauss-Newton step leads, with
@@ -164,7 +171,7 @@ def uncertainty(data: Prepared, solution: Solution, around: Linearised, weighted
     χ² is that of the values held: bounds that the data contradict are no fit.
     """
     sums, prior = around.sums, np.diag(around.precision)
-    excess = _excess(sums, solution)
+    excess = np.zeros(len(sums.cost)) if traits.definite else _excess(sums, solution)
     dof = around.dof
     usable = float(max(dof, 1))
     if not data.noise_known:
@@ -173,7 +180,9 @@ def uncertainty(data: Prepared, solution: Solution, around: Linearised, weighted
         covariance = solution.covariance * scale[:, None, None]
         bound = scaled_inverse((sums.symmetric - prior) / scale[:, None, None] + prior)
         nothing, degrees = np.full(len(chi2), np.nan), np.full(solution.theta.shape, usable)
-        return Uncertainty(covariance, covariance, bound, degrees, np.full(len(chi2), usable), nothing)
+        return Uncertainty(
+            covariance, covariance, bound, degrees, np.full(len(chi2), usable), nothing, excess
+        )
     bread = scaled_inverse(sums.symmetric)
     quality = noise_quality(data.spectrum, data.correlated)
     if quality.given:
@@ -182,18 +191,18 @@ def uncertainty(data: Prepared, solution: Solution, around: Linearised, weighted
     else:
         chi2, bound, noise, degrees = _with_estimated_noise(around, quality, bread, prior, excess)
     p = _p_value(chi2, dof, around.rows, data.spectrum)
-    if not weighted:
+    if not traits.weighted:
         noise = solution.covariance
     misfit = (p < MISFIT_LEVEL) & (chi2 > dof)
     factor = np.where(misfit, chi2 / usable, 1.0)
     degrees = np.where(misfit[:, None], np.minimum(degrees, usable), degrees)
     covariance = noise * factor[:, None, None]
-    if "residual" not in data.spectrum.noise or not weighted:
-        return Uncertainty(covariance, noise, bound, degrees, chi2, p)
+    if "residual" not in data.spectrum.noise or not traits.weighted:
+        return Uncertainty(covariance, noise, bound, degrees, chi2, p, excess)
     information, scores, _ = around.lines
     bands = band_stability(data.spectrum.frequency_hz, information, scores, prior)
     degrees = np.where(bands.disagree[:, None], np.minimum(degrees, bands.dof), degrees)
-    return Uncertainty(bands.widened(covariance), noise, bound, degrees, chi2, p, bands)
+    return Uncertainty(bands.widened(covariance), noise, bound, degrees, chi2, p, excess, bands)
 
 
 def _excess(sums: QuadraticModel, solution: Solution) -> Real:

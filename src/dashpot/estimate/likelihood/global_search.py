@@ -7,20 +7,25 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dashpot.arrays import Real
+from dashpot.arrays import Ints, Real
 from dashpot.errors import ConvergenceError
 from dashpot.estimate.likelihood.chunks import Measured
 from dashpot.estimate.likelihood.descent import ROUGH, Likelihood, Stage, descend_all
 from dashpot.estimate.likelihood.objective import directly_driven, measured
 from dashpot.estimate.likelihood.starting_values import candidates, neighbours
 from dashpot.estimate.likelihood.thinning import thinned
+from dashpot.estimate.linear.least_squares import starts as equation_starts
+from dashpot.estimate.linear.least_squares import where_finite
 from dashpot.estimate.preparation.prepared import Prepared
-from dashpot.model.observation import SPARSE_FROM, ObservationModel, small
+from dashpot.estimate.preparation.state_reconstruction import States
+from dashpot.model.observation import SPARSE_FROM, ObservationModel, is_direct, small
+from dashpot.model.unstructured import free_names
 from dashpot.notices import Notice
 from dashpot.numerics.levenberg_marquardt import PATIENCE, OptimizeResult
 from dashpot.numerics.small_systems import scaled_inverse
 
 POOR = 1e-6  # p-value below which a repeat is searched again from its own starts
+UNCERTAIN = 0.1  # p-value below which a search goes on where all is seen and starts are cheap
 SOFTNESS = 0.03  # relative noise added to every channel in the middle stage of a search from afar
 SOFTER = 0.3  # and in the first one, where logarithms cannot be had
 POLISH = 25  # iterations for the deepest ends of a round
@@ -28,7 +33,10 @@ ENOUGH = 0.1  # share of the first starts that end in one minimum that fits: eno
 ENOUGH_MISFIT = 0.5  # and in one that does not fit
 FAR = 20.0  # times the χ² of a fit: no rig of this kind comes near the data
 ANOTHER = 0.1  # of χ², by which another minimum is lower there
-LEAST = 16  # starts of the largest rigs
+LEAST = 16  # starts of the largest rigs, and where all is seen
+SEEN = 0.25  # share of the usual starts and candidates where all is seen: the equation of motion starts near
+REACH = 1e4  # times the largest start: where all is seen, an end beyond it is on its way to infinity
+SMALL_PART = 0.1  # of the middle candidate, below which a start by the equation of motion is no part of a rig
 DEEPEST = 8  # minima that are followed to the bottom
 COMPETING = (
     60.0  # χ² by which a minimum may lie above the lowest one of one repeat and be the lowest of another
@@ -75,13 +83,15 @@ def from_minima(
 ) -> tuple[OptimizeResult, Real, tuple[Notice, ...]]:
     """Each repeat from the lowest minimum and those competing with it: its lowest end, signs, and a warning.
 
-    The warning is of one repeat alone, where another minimum fits nearly as well.
+    The warning is of another minimum that fits nearly as well; of repeats it says in how many there is one.
     """
-    scale = max(1.0, minima.cost[0] / likelihood.exact.rows)
+    ratio = minima.cost[0] / likelihood.exact.rows
+    scale = max(1.0, ratio) if likelihood.data.noise_known else ratio
     competing = _followed(likelihood, minima, COMPETING * scale)
     repeats = likelihood.repeats
     sign = np.repeat(competing.sign[:1], repeats, axis=0)
     best = likelihood.descend(np.repeat(competing.psi[:1], repeats, axis=0), sign)
+    ends = [(np.arange(repeats), best)]
     for psi, flips in zip(competing.psi[1:], competing.sign[1:], strict=True):
         start, signs = (np.repeat(part[None], repeats, axis=0) for part in (psi, flips))
         # A few steps tell for which repeats this minimum is not out of the question.
@@ -90,10 +100,13 @@ def from_minima(
         if not len(rows):
             continue
         end = likelihood.descend(short.x[rows], signs[rows], repeats=rows)
+        ends.append((rows, end))
         sign = sign.copy()
         sign[rows[best.worse(rows, end)]] = flips
         best = best.improved(rows, end)
-    return best, sign, _not_unique(likelihood, best, sign, competing, DOUBT * scale) if repeats == 1 else ()
+    if repeats > 1:
+        return best, sign, _of_repeats(likelihood, best, sign, ends, DOUBT * scale)
+    return best, sign, _not_unique(likelihood, best, sign, competing, DOUBT * scale)
 
 
 def _followed(likelihood: Likelihood, minima: LocalMinima, margin: float) -> LocalMinima:
@@ -116,35 +129,72 @@ def _not_unique(
     view = likelihood.view
     sd = np.sqrt(np.abs(np.diagonal(scaled_inverse(likelihood.model_at(best.x, sign).symmetric[0]))))
     for psi, cost in zip(competing.psi, competing.cost, strict=True):
-        away, above = np.abs(psi - best.x[0]), float(cost - best.cost[0])
-        if above > doubt or not np.any(away > 3 * sd):
-            continue  # within 3 sd it is the same flat minimum
-        largest = np.argsort(-away / np.maximum(np.abs(best.x[0]), np.abs(psi)))[:4]
-        other = ", ".join(f"{view.names[j]} = {psi[j]:.4g} {view.units[j]}" for j in largest)
-        worse = f"almost as well (χ² is {above:.3g} larger)" if above > TIE else "equally well"
-        text = f"not unique: {other} fits {worse}; add a sensor at another point, fix a parameter or give a guess"
-        return (Notice("not_unique", text, tuple(view.names[j] for j in largest)),)
+        above = float(cost - best.cost[0])
+        if above <= doubt and apart(best.x[0], psi, sd):
+            return (not_unique(view.names, view.units, best.x[0], psi, above),)
     return ()
 
 
-def searched_again(likelihood: Likelihood, found: OptimizeResult, sign: Real) -> tuple[OptimizeResult, Real]:
-    """Repeats that did not end in a fit are searched from starts of their own; the better end is kept."""
+def _of_repeats(
+    likelihood: Likelihood, best: OptimizeResult, sign: Real, ends: Sequence[tuple[Ints, OptimizeResult]],
+    doubt: float,
+) -> tuple[Notice, ...]:  # fmt: skip
+    """A warning that says for how many repeats another of the `ends` fits nearly as well as the best one."""
+    information = likelihood.model_at(best.x, sign).symmetric
+    sd = np.sqrt(np.abs(np.diagonal(scaled_inverse(information), axis1=-2, axis2=-1)))
+    rival = np.zeros(likelihood.repeats, dtype=bool)
+    for rows, end in ends:
+        alike = end.converged & (end.cost - best.cost[rows] <= doubt)
+        rival[rows] |= alike & np.any(np.abs(end.x - best.x[rows]) > 3 * sd[rows], axis=-1)
+    if not np.any(rival):
+        return ()
+    text = f"not unique in {np.sum(rival)} of {len(rival)} repeats: there another minimum fits nearly as well"
+    return (Notice("not_unique", text),)
+
+
+def apart(psi: Real, other: Real, sd: Real) -> bool:
+    """Whether two ends are different minima: within 3 sd they are the same flat one.  All arguments (unknowns,)."""
+    return bool(np.any(np.abs(other - psi) > 3 * sd))
+
+
+def not_unique(names: Sequence[str], units: Sequence[str], psi: Real, other: Real, above: float) -> Notice:
+    """The notice that another minimum, whose χ² lies `above` that of `psi`, fits alike."""
+    change = np.abs(other - psi) / np.maximum(np.maximum(np.abs(psi), np.abs(other)), 1e-300)
+    largest = np.argsort(-change)[:4]
+    values = ", ".join(f"{names[j]} = {other[j]:.4g} {units[j]}" for j in largest)
+    worse = f"almost as well (χ² is {above:.3g} larger)" if above > TIE else "equally well"
+    worse = f"better (χ² is {-above:.3g} smaller)" if above < -TIE else worse
+    text = (
+        f"not unique: {values} fits {worse}; add a sensor at another point, fix a parameter or give a guess"
+    )
+    return Notice("not_unique", text, tuple(names[j] for j in largest))
+
+
+def searched_again(
+    likelihood: Likelihood, found: OptimizeResult, sign: Real
+) -> tuple[OptimizeResult, Real, tuple[Notice, ...]]:
+    """Repeats that did not end in a fit are searched from starts of their own; the better end is kept.
+
+    The notice is that of `from_minima`, of one repeat alone.
+    """
     acceptable = _acceptable(likelihood.data, likelihood.exact, found.x.shape[-1])
-    poor = ~found.converged | (found.cost > np.maximum(acceptable, 1.5 * np.median(found.cost)))
-    if len(poor) == 1 and likelihood.data.states is None:
-        return found, sign  # its start was its own already
+    others = 1.5 * np.median(found.cost) if len(found.cost) > 1 else 0.0
+    poor = ~found.converged | (found.cost > np.maximum(acceptable, others))
+    if len(poor) == 1 and not seen_directly(likelihood.data):
+        return found, sign, ()  # its start was its own already
     x, cost, converged, iterations = (
         found.x.copy(), found.cost.copy(), found.converged.copy(), found.iterations.copy(),
     )  # fmt: skip
-    sign = sign.copy()
+    sign, notices = sign.copy(), tuple[Notice, ...]()
     for repeat in np.flatnonzero(poor):
         minima = global_minima(likelihood, int(repeat))
-        end, flips, _ = from_minima(likelihood.only(int(repeat)), minima)
+        end, flips, told = from_minima(likelihood.only(int(repeat)), minima)
         if not end.cost[0] >= cost[repeat]:
             x[repeat], cost[repeat], converged[repeat] = end.x[0], end.cost[0], end.converged[0]
             iterations[repeat] += end.iterations[0]
             sign[repeat] = flips[0]
-    return OptimizeResult(x, cost, converged, iterations, found.history), sign
+            notices = told if len(poor) == 1 else ()
+    return OptimizeResult(x, cost, converged, iterations, found.history), sign, notices
 
 
 # From nothing to minima
@@ -162,21 +212,24 @@ def global_minima(likelihood: Likelihood, repeat: int) -> LocalMinima:
     one = Likelihood.of(thinned(likelihood.data.only(repeat)), effort, on_basis)
     rng = np.random.default_rng([effort.seed, repeat])
     stages = _stages(one)
-    acceptable = _acceptable(one.data, one.exact, len(one.view.names))
+    level = UNCERTAIN if seen_directly(one.data) else POOR
+    acceptable = _acceptable(one.data, one.exact, len(one.view.names), level)
     # Large rigs: fewer starts, and none where a guess leads to a fit.
     ease = min(1.0, SPARSE_FROM / (one.view.model.n if on_basis is None else on_basis.size))
+    ease = min(ease, SEEN) if seen_directly(one.data) else ease
     starts = max(int(effort.starts * ease), min(effort.starts, LEAST))
     minima = _from_guesses(one, stages, rng)
     if np.any(minima.cost <= acceptable):
         return minima
-    idle = 0
+    idle, last_sure = 0, int(seen_directly(one.data))
     for turn in range(effort.rounds):
         psi, sign = _starts_of_round(one, stages, minima, int(effort.candidates * ease), starts, turn, rng)
+        reach = REACH * np.max(np.abs(psi), axis=0) if seen_directly(one.data) else np.inf
         psi, sign = _through(one, stages, psi, sign, straight=turn == 0)
-        costs = stages[-1].cost(psi, sign)
+        costs = np.where(np.all(np.abs(psi) <= reach, axis=-1), stages[-1].cost(psi, sign), np.inf)
         deep = np.argsort(costs)[:DEEPEST]
         end = one.descend(psi[deep], sign[deep], limit=POLISH)
-        psi[deep], costs[deep] = end.x, end.cost
+        psi[deep], costs[deep] = end.x, np.where(np.isfinite(costs[deep]), end.cost, np.inf)
         before = minima.cost[0] if len(minima.cost) else np.inf
         minima = minima.with_ends(psi, sign, costs)
         if not len(minima.cost):
@@ -185,7 +238,7 @@ def global_minima(likelihood: Likelihood, repeat: int) -> LocalMinima:
         # Far from any fit a lower end counts only where it is another one, not the same creeping on.
         least = ANOTHER * lowest if lowest > FAR * acceptable else 1e-3 * max(1.0, lowest / one.exact.rows)
         idle = idle + 1 if lowest > before - least else 0
-        share = np.mean(costs <= lowest * 1.01 + 1) if turn == 0 else 0.0
+        share = np.mean(costs <= lowest * 1.01 + 1) if turn == last_sure else 0.0
         if share >= (ENOUGH if lowest <= acceptable else ENOUGH_MISFIT) or idle > 1:
             break
     return minima
@@ -210,15 +263,39 @@ def _starts_of_round(
     psi, sign = candidates(one.data, one.view, many + starts, rng)
     order = np.argsort(stages[0].cost(psi, sign))
     chosen = np.concatenate([[0], order[:starts]]) if turn == 0 else order[: starts // 4]
-    psi, sign = psi[chosen], sign[chosen]
+    if seen_directly(one.data):  # the rank favours one valley, and starts are cheap
+        chosen = np.concatenate([chosen[: 1 + starts // 2], 1 + np.arange(starts)])
+    middle, psi, sign = psi[0], psi[chosen], sign[chosen]
+    if turn == 0 and one.data.states is not None and seen_directly(one.data):
+        near = _from_equation(one.data, one.data.states, middle)
+        psi, sign = np.concatenate([near, psi]), np.concatenate([np.ones((len(near), sign.shape[1])), sign])
     if turn > 0:
         near, near_sign = neighbours(minima.psi[:DEEPEST], minima.sign[:DEEPEST], one.view, starts, rng)
         psi, sign = np.concatenate([psi, near]), np.concatenate([sign, near_sign])
     return psi, sign
 
 
+def seen_directly(data: Prepared) -> bool:
+    """Whether channels whose calibration is known, and no others, show every coordinate and input."""
+    return data.states is not None and all(is_direct(data.model, c) for c in data.spectrum.channels)
+
+
+def _from_equation(data: Prepared, states: States, middle: Real) -> Real:
+    """Least squares on the equation of motion, (3, M); parts that are negative there are small ones.
+
+    Noise of a fifth of the motion makes some parts negative, and what starts there stays there.
+    """
+    psi = where_finite(np.concatenate(equation_starts(data.model, states)), middle)
+    free = free_names(data.model)
+    part = np.array([unknown.name not in free for unknown in data.model.unknowns])
+    return np.where(part & (psi < SMALL_PART * middle), SMALL_PART * middle, psi)
+
+
 def _stages(one: Likelihood) -> tuple[Stage, ...]:
-    """What is minimised one after the other from afar: logarithms, softened weights, and the likelihood itself."""
+    """What is minimised one after the other from afar: logarithms, softened weights, and the likelihood itself.
+
+    Where all is seen the likelihood has few valleys, and softened weights lead past the right one.
+    """
     view = one.view
 
     by_channels = directly_driven(view, one.exact)
@@ -226,7 +303,10 @@ def _stages(one: Likelihood) -> tuple[Stage, ...]:
         first = Stage(view, measured(one.data, view, SOFTER))
     else:
         first = Stage(view, by_channels, _reliability(one.data, view))
-    return first, Stage(view, measured(one.data, view, SOFTNESS)), Stage(view, one.exact)
+    exact = Stage(view, one.exact)
+    if seen_directly(one.data):
+        return first, exact
+    return first, Stage(view, measured(one.data, view, SOFTNESS)), exact
 
 
 def _through(
@@ -236,7 +316,7 @@ def _through(
 
     Logarithms lead nearly everything to one minimum, and that may be the wrong one.
     """
-    half = (len(psi) + 1) // 2 if straight else 0
+    half = (len(psi) + 1) // (1 if len(stages) == 2 else 2) if straight else 0
     past, signs = psi[:half], sign[:half]
     for stage in stages:
         psi = descend_all(stage, psi, sign, lower=one.lower, upper=one.upper)
@@ -255,12 +335,12 @@ def _reliability(one: Prepared, view: ObservationModel) -> Real:
     return reliability
 
 
-def _acceptable(data: Prepared, exact: Measured, unknowns: int) -> float:
-    """The χ² above which an end is no fit; inf where the noise is not known."""
+def _acceptable(data: Prepared, exact: Measured, unknowns: int, level: float = POOR) -> float:
+    """The χ² above which an end is no fit at a p-value of `level`; inf where the noise is not known."""
     from scipy.stats import chi2
 
     dof = exact.rows - unknowns
     if not data.noise_known or dof <= 0:
         return np.inf
     uncertain = np.min(data.spectrum.dof)
-    return float(chi2.isf(POOR, dof)) * (1.0 if np.isinf(uncertain) else 1 + 8 / max(uncertain - 4, 1.0))
+    return float(chi2.isf(level, dof)) * (1.0 if np.isinf(uncertain) else 1 + 8 / max(uncertain - 4, 1.0))

@@ -9,7 +9,12 @@ import numpy as np
 
 from dashpot.arrays import Real
 from dashpot.estimate.likelihood.descent import ROUGH, Effort, Likelihood
-from dashpot.estimate.likelihood.global_search import from_minima, global_minima, searched_again
+from dashpot.estimate.likelihood.global_search import (
+    from_minima,
+    global_minima,
+    searched_again,
+    seen_directly,
+)
 from dashpot.estimate.likelihood.objective import measured
 from dashpot.estimate.likelihood.record_start import record_starts
 from dashpot.estimate.likelihood.reduced_search import is_reducible, reduced_search
@@ -18,7 +23,6 @@ from dashpot.estimate.method import HeldBounds, Method, Solution, Traits
 from dashpot.estimate.nonlinear.search import search_harmonics
 from dashpot.estimate.preparation.prepared import Prepared
 from dashpot.estimate.preparation.state_reconstruction import States
-from dashpot.model.observation import is_direct
 from dashpot.notices import Notice
 from dashpot.numerics.levenberg_marquardt import without_bounds
 from dashpot.numerics.small_systems import scaled_inverse
@@ -69,7 +73,7 @@ class MaximumLikelihood(Method):
         elif self.start and likelihood.repeats == 1:
             sign = np.array([self.start_sign])
             found = likelihood.descend(np.array([self.start]), sign)
-        elif data.states is not None and _direct(data) and not self.thorough:
+        elif data.states is not None and seen_directly(data) and not self.thorough:
             start = _start(likelihood, data.states)
             sign = np.ones((likelihood.repeats, len(view.channels)))
             found = likelihood.descend(start, sign)
@@ -77,8 +81,9 @@ class MaximumLikelihood(Method):
             likelihood, found, sign, warnings = reduced_search(likelihood)
         else:
             found, sign, warnings = from_minima(likelihood, global_minima(likelihood, 0))
-        if likelihood.exact.nonlinear is None and not self.start:
-            found, sign = searched_again(likelihood, found, sign)
+        if likelihood.exact.nonlinear is None and not self.start and not self.thorough:
+            found, sign, again = searched_again(likelihood, found, sign)
+            warnings += again
         around = likelihood.model_at(found.x, sign)
         bounds = None
         if np.any(np.isfinite(likelihood.lower) | np.isfinite(likelihood.upper)):
@@ -93,7 +98,7 @@ class MaximumLikelihood(Method):
     def rough(self, data: Prepared) -> tuple[Real, Real]:
         """ψ and signs of one repeat by one descent where all is seen, whatever it ends in; (1, …) each."""
         likelihood = Likelihood.of(data, self.effort)
-        if data.states is not None and _direct(data):
+        if data.states is not None and seen_directly(data):
             sign = np.ones((1, len(likelihood.view.channels)))
             end = likelihood.descend(_start(likelihood, data.states), sign, limit=ROUGH)
             if np.all(np.isfinite(end.cost)):
@@ -105,11 +110,6 @@ class MaximumLikelihood(Method):
     def effort(self) -> Effort:
         """The settings that a search needs."""
         return Effort(**{entry.name: getattr(self, entry.name) for entry in fields(Effort)})
-
-
-def _direct(data: Prepared) -> bool:
-    """Whether all channels show coordinates and inputs alone, with known calibrations."""
-    return all(is_direct(data.model, channel) for channel in data.spectrum.channels)
 
 
 def _start(likelihood: Likelihood, states: States) -> Real:

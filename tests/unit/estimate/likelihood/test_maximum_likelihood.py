@@ -229,6 +229,9 @@ def test_two_rigs_that_show_the_same_are_both_told():
     assert sorted([found["ka"].value, found["kb"].value]) == pytest.approx([1500, 5000], rel=0.05)
     (word,) = (warning.text for warning in found.warnings if warning.code == "not_unique")
     assert_other(found, word)
+    repeats = identify(model, bench.spectrum(np.random.default_rng(1), 3), ML)
+    (word,) = (warning.text for warning in repeats.warnings if warning.code == "not_unique")
+    assert "in 3 of 3 repeats" in word
     both = replace(bench, channels=(*channels, Channel("a", {"a": 1})), noise={"": 0.01, "u": 0.0})
     decided = identify(model, both.spectrum(np.random.default_rng(1)), ML)
     assert decided["ka"].value == pytest.approx(1500, rel=0.05)

@@ -254,6 +254,14 @@ def test_the_cone_is_reached_from_far_off() -> None:
     assert np.all(held.fit.chi2 - free.fit.chi2 < 30)
 
 
+def test_chi2_is_that_of_the_definite_matrices(weak) -> None:
+    rig, _, free, held = weak
+    outside = ~definite(matrices_of(rig.model, free))
+    assert np.any(outside)
+    assert np.all(held.fit.chi2[outside] > free.fit.chi2[outside] + 1e-6)
+    np.testing.assert_allclose(held.fit.chi2[~outside], free.fit.chi2[~outside], rtol=1e-6)
+
+
 def test_on_the_cone_a_batch_is_its_repeats(weak) -> None:
     """To a ten-thousandth of a standard deviation: cones are scaled by the batch, and the barrier knows their scale."""
     rig, spectrum, free, held = weak
