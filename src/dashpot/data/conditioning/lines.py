@@ -20,6 +20,7 @@ from dashpot.data.conditioning.driven_harmonics import driven_orders, orders_use
 from dashpot.data.conditioning.harmonic_fit import HarmonicFit, fit_harmonics
 from dashpot.data.conditioning.moderated import moderated
 from dashpot.data.conditioning.quantisation import rounding_floor, rounding_steps
+from dashpot.data.conditioning.repetition import averaged_periods
 from dashpot.data.conditioning.sample_moments import second_moments
 from dashpot.data.conditioning.settings import Conditioning, Treatments, conditioning_of
 from dashpot.data.conditioning.stated_frequency import at_frequencies, drive_frequencies, require_stated
@@ -56,9 +57,15 @@ def spectrum(
     if not records:
         raise DataError("there are no records", cure="give one record at least")
     joined = continuous(records) if settings.dwells_may_be_whole else list(records)
-    whole = [record for record in joined if record.frequency_hz is None]
-    dwells = [record for record in joined if record.frequency_hz is not None]
-    parts = []
+    parts, rest = [], []
+    for record in joined:
+        mean = averaged_periods(record) if _may_repeat(settings) else None
+        if mean is None:
+            rest.append(record)
+        else:
+            parts.append(mean)
+    whole = [record for record in rest if record.frequency_hz is None]
+    dwells = [record for record in rest if record.frequency_hz is not None]
     if dwells:
         parts.append(_of_dwells(dwells, settings))
     if whole:
@@ -66,6 +73,12 @@ def spectrum(
             whole_records(whole, band_hz=settings.band, still=settings.still, ramp=settings.degree > 0)
         )
     return concatenate(parts)
+
+
+def _may_repeat(settings: Conditioning) -> bool:
+    """Whether periods may be averaged: nothing is asked for that needs the whole record or its fundamental."""
+    chosen = settings.orders != "auto" or settings.transients != "auto" or settings.band is not None
+    return not chosen and settings.still is None and settings.dwells_may_be_whole
 
 
 def _of_dwells(dwells: Sequence[Record], settings: Conditioning) -> Spectrum:

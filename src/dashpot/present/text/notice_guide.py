@@ -328,6 +328,11 @@ _ALL: tuple[tuple[str, str, str, str], ...] = (
         "Nothing; `--orders 1` uses the fundamentals alone.",
     ),
     (
+        "periods_averaged", _FILES,
+        "The record repeats, as under a multisine: its periods are averaged and their scatter is the noise.",
+        "Nothing; `--transients estimate` uses the record whole.",
+    ),
+    (
         "drift_by_evidence", _FILES,
         ("Short dwells lose much to a slope that is solved for; one test over all dwells and channels says whether "
         "there is one."),
