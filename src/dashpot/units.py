@@ -59,14 +59,14 @@ _QUANTITIES: dict[tuple[str, bool], _Quantity] = {
     ("time", False): _Quantity(TIME, "s", "s, ms, µs, min, h"),
 }
 _PER_TURN = {"frequency": 1 / (2 * math.pi)}
-# The radian is no unit in strict SI, and what is divided by it is often written without: N·m for N·m/rad.
+# The radian is not a unit in strict SI, and what is divided by it is often written without: N·m for N·m/rad.
 # An angle itself must be named: bare 1/s for a rotation speed could be revolutions as well.
 _RADIAN_MAY_LACK = {"force", "mass", "damping", "stiffness", "frequency"}
 QUANTITIES = tuple(dict.fromkeys(quantity for quantity, _ in _QUANTITIES))
 
 
 class _UnreadableError(Exception):
-    """A unit text that is no unit; carries the reason and, when there is one, a suggestion."""
+    """A unit text that is not a unit; carries the reason and, when there is one, a suggestion."""
 
     def __init__(self, reason: str, suggestion: str | None = None) -> None:
         super().__init__(reason)
@@ -86,7 +86,7 @@ def scale(unit: str, quantity: str, angular: bool = False, uncalibrated: bool = 
     `quantity` is one of QUANTITIES; `angular` chooses rad, rad/s, rad/s², N·m, kg·m², N·m·s/rad and N·m/rad.  With
     `uncalibrated`, V, mV … and counts are taken too, with their factors to V and to counts.
 
-    Raises UsageError where the text is no unit, or a unit of something else; the cure lists what is accepted.
+    Raises UsageError where the text is not a unit, or a unit of something else; the cure lists what is accepted.
     """
     wanted = _quantity(quantity, angular)
     try:
@@ -94,7 +94,7 @@ def scale(unit: str, quantity: str, angular: bool = False, uncalibrated: bool = 
     except _UnreadableError as fault:
         hint = "" if fault.suggestion is None else f'did you mean "{fault.suggestion}"? '
         raise UsageError(
-            f"{_quoted(unit)} is no unit: {fault.reason}", cure=f"{hint}use {wanted.accepted}"
+            f"{_quoted(unit)} is not a unit: {fault.reason}", cure=f"{hint}use {wanted.accepted}"
         ) from None
     if uncalibrated and dimension in (VOLTAGE, COUNT):
         return factor
@@ -103,7 +103,7 @@ def scale(unit: str, quantity: str, angular: bool = False, uncalibrated: bool = 
         per_turn = _PER_TURN.get(quantity, 1.0) if dimension[3] else 1.0
         return factor * per_turn
     raise UsageError(
-        f"{_quoted(unit)} is no unit of {_described(quantity, angular)}", cure=_remedy(dimension, wanted)
+        f"{_quoted(unit)} is not a unit of {_described(quantity, angular)}", cure=_remedy(dimension, wanted)
     )
 
 
@@ -113,7 +113,7 @@ def factor_between(unit: str, wanted: str) -> float:
     try:
         factor, dimension = _parse(unit, "stiffness")
     except _UnreadableError as fault:
-        raise UsageError(f"{_quoted(unit)} is no unit: {fault.reason}", cure=cure) from None
+        raise UsageError(f"{_quoted(unit)} is not a unit: {fault.reason}", cure=cure) from None
     try:
         of_wanted, same = _parse(wanted, "stiffness")
     except _UnreadableError:
@@ -130,7 +130,7 @@ def sensitivity(text: str, unit: str, quantity: str, angular: bool = False) -> f
     """Volts (or counts) per SI unit of `quantity`, of a sensor's sensitivity such as "100 mV/g".
 
     `unit` is what the channel is recorded in: V, mV … for a sensitivity in volts, counts for one in counts.
-    Raises UsageError where the text is no number with such a unit per unit of the quantity.
+    Raises UsageError where the text is not a number with such a unit per unit of the quantity.
     """
     wanted = _quantity(quantity, angular)
     try:
@@ -145,13 +145,13 @@ def sensitivity(text: str, unit: str, quantity: str, angular: bool = False) -> f
     cure = f"write a number and a unit such as {_example(quantity, angular, recorded)}"
     match = re.fullmatch(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*(\S.*?)\s*", text, re.DOTALL)
     if match is None:
-        raise UsageError(f"{_quoted(text)} is no sensitivity", cure=cure)
+        raise UsageError(f"{_quoted(text)} is not a sensitivity", cure=cure)
     try:
         factor, dimension = _parse(match[2], quantity)
     except _UnreadableError as fault:
-        raise UsageError(f"{_quoted(text)} is no sensitivity: {fault.reason}", cure=cure) from None
+        raise UsageError(f"{_quoted(text)} is not a sensitivity: {fault.reason}", cure=cure) from None
     if not _fits(_times(recorded, dimension, -1), wanted.dimension, quantity):
-        what = f"{_quoted(text)} is no sensitivity in {unit} to {_described(quantity, angular)}"
+        what = f"{_quoted(text)} is not a sensitivity in {unit} to {_described(quantity, angular)}"
         raise UsageError(what, cure=cure)
     value = float(match[1]) * factor
     if not math.isfinite(value) or value == 0:
@@ -164,7 +164,7 @@ def sensitivity(text: str, unit: str, quantity: str, angular: bool = False) -> f
 def _quantity(quantity: str, angular: bool) -> _Quantity:
     found = _QUANTITIES.get((quantity, angular)) or _QUANTITIES.get((quantity, False))
     if found is None:
-        raise UsageError(f"{_quoted(quantity)} is no quantity", cure=f"there are {', '.join(QUANTITIES)}")
+        raise UsageError(f"{_quoted(quantity)} is not a quantity", cure=f"there are {', '.join(QUANTITIES)}")
     return found
 
 

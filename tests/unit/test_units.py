@@ -123,14 +123,14 @@ def test_every_unit_that_a_message_offers_is_accepted(quantity: str, angular: bo
     ],
 )
 def test_units_of_something_else(unit: str, quantity: str, angular: bool) -> None:
-    with pytest.raises(UsageError, match=r"is no unit.*; .*use "):
+    with pytest.raises(UsageError, match=r"is not a unit.*; .*use "):
         scale(unit, quantity, angular)
 
 
 def test_the_message_names_the_quantity_and_what_is_accepted() -> None:
     with pytest.raises(UsageError) as caught:
         scale("mm", "acceleration")
-    assert str(caught.value).startswith('"mm" is no unit of acceleration; use m/s², mm/s², g, gn')
+    assert str(caught.value).startswith('"mm" is not a unit of acceleration; use m/s², mm/s², g, gn')
 
 
 def test_a_wrong_case_is_recognised() -> None:

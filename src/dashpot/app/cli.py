@@ -202,7 +202,7 @@ def _complete() -> int:
 def _silence_stdout() -> None:
     try:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-    except (OSError, ValueError, AttributeError):  # stdout is no file
+    except (OSError, ValueError, AttributeError):  # stdout is not a file
         return
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Sequence
 from typing import Any, TypeVar
 
@@ -49,11 +50,25 @@ class GroupedCommand(click.Command):
                 formatter.write_dl(records)
 
     def format_epilog(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
-        """Examples, one a line and never wrapped: they are to be copied."""
+        """Examples; a long one goes on in the next line as a shell reads it, for they are to be copied."""
         if self.examples:
             with formatter.section("Examples"):
+                indent = " " * formatter.current_indent
                 for example in self.examples:
-                    formatter.write(f"{' ' * formatter.current_indent}{example}\n")
+                    formatter.write(
+                        indent + _folded(example, formatter.width - 2 * len(indent), indent) + "\n"
+                    )
+
+
+def _folded(example: str, width: int, indent: str) -> str:
+    """The command in lines of at most `width`, broken before an option."""
+    lines = [""]
+    for part in re.split(r" (?=-)", example):
+        if lines[-1] and len(lines[-1]) + len(part) + 3 > width:
+            lines.append(part)
+        else:
+            lines[-1] = f"{lines[-1]} {part}".strip()
+    return f" \\\n{indent}    ".join(lines)
 
 
 def _complete(option: GroupedOption, ctx: click.Context, word: str, following: str) -> str:

@@ -115,7 +115,7 @@ def whole_record_options(function: Function) -> Function:
     options = [
         option(
             "--band", "record_band", type=BAND, metavar="LOWER:UPPER", group=RECORDS,
-            help="Frequencies of a whole record that are used, Hz.  [default: as far as something moves]",
+            help="Frequencies of a whole record that are used, Hz.  [default: the band in which the rig moves]",
         ),
         option(
             "--transients", type=click.Choice(["auto", "estimate", "none"]), default="auto", show_default=True,
@@ -125,7 +125,7 @@ def whole_record_options(function: Function) -> Function:
         ),
         option(
             "--noise-record", type=INPUT_FILE, multiple=True, metavar="FILE", group=RECORDS,
-            help="A record with nothing driven, which shows the noise of every channel; may be repeated.",
+            help="A record at rest, which gives the noise of every channel; may be repeated.",
         ),
     ]  # fmt: skip
     for decorate in reversed(options):
@@ -158,8 +158,8 @@ def conditioning_options(function: Function) -> Function:
         option(
             "--noise", type=click.Choice(["auto", "own", "white", "blocks"]), default="auto", show_default=True,
             group=RECORDS,
-            help="How the noise of the amplitudes is estimated from the residuals: as white, or from blocks of "
-            "neighbouring frequencies; own tests for whiteness; auto too, and short dwells lean on the others.",
+            help="How the noise of the amplitudes is estimated from the residuals: as white, from blocks of "
+            "neighbouring frequencies (blocks), by a test for whiteness (own), or likewise with short dwells pooled (auto).",
         ),
         option(
             "--refine", type=click.Choice(["auto", "always", "none"]), alone="always", default="auto",

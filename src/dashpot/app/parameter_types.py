@@ -32,7 +32,7 @@ class TextType(click.ParamType[Any]):
         self.words = tuple(words)
 
     def convert(self, value: object, param: click.Parameter | None, ctx: click.Context | None) -> Any:
-        """The value, or one of `words` as it is; values that are no text were converted before."""
+        """The value, or one of `words` as it is; values that are not text were converted before."""
         if not isinstance(value, str):
             return value
         if value.strip() in self.words:

@@ -63,7 +63,7 @@ def collinearity(base: Surface, covariance: Real) -> Collinearity:
     """What the first repeat of a surface determines badly; `covariance` (M, M) is the estimate's.
 
     Combinations count that inflate an interval tenfold or more over what it were with all other unknowns known.
-    Raises IdentifiabilityError where nothing is known of an unknown, or the information is no finite number.
+    Raises IdentifiabilityError where nothing is known of an unknown, or the information is not a finite number.
     """
     total = np.sum(base.information[0], axis=0) + np.diag(prior_precision(base.view))
     known = np.all(np.isfinite(total), axis=-1) & (np.diagonal(total) > 0)

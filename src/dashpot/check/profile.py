@@ -1,6 +1,6 @@
 """Profile likelihood: χ² with one unknown held at a value and all others at their best (Venzon and Moolgavkar 1988).
 
-Where χ² is no parabola in the unknowns the interval value ± t sd misleads; the one where the profile has risen by as
+Where χ² is not a parabola in the unknowns the interval value ± t sd misleads; the one where the profile has risen by as
 much as the parabola would at ± t sd is a likelihood-ratio interval and follows the curvature.
 """
 

@@ -34,7 +34,7 @@ def samples_of_period(record: Record, period_s: float) -> int:
     each = round(period_s / step) if np.isfinite(period_s) and period_s > 0 else 0
     if each < 2 or abs(each * step - period_s) * len(time) / each > UNEVEN * step * len(time) ** 0.5:
         cure = "correct the period, or use the harmonic regression of the record"
-        raise DataError(f"{period_s:g} s is no whole number of samples of {step:g} s", record.source, cure)
+        raise DataError(f"{period_s:g} s is not a whole number of samples of {step:g} s", record.source, cure)
     return each
 
 
@@ -86,7 +86,7 @@ def average_periods(
     """A line for each of `orders`, multiples of 1/period_s, from the periods after the first `skip`.
 
     `drift` is the degree of the polynomial taken out of each period.  Raises DataError where the sampling is uneven,
-    a period is no whole number of samples, or fewer than two periods are left.
+    a period is not a whole number of samples, or fewer than two periods are left.
     """
     if record.values.ndim != 2:
         raise DataError("repeats of a periodic record are not averaged", record.source, "give one at a time")

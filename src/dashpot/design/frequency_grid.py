@@ -38,7 +38,7 @@ def band_grid(setup: TestSetup, low: float, high: float, step: float | None = No
     """
     if not (np.isfinite(low) and np.isfinite(high) and 0 < low <= high):
         raise UsageError(
-            f"{low:g} to {high:g} Hz is no band", cure="give two positive frequencies, the lower first"
+            f"{low:g} to {high:g} Hz is not a band", cure="give two positive frequencies, the lower first"
         )
     if step is not None:
         if not (np.isfinite(step) and step > 0):

@@ -260,7 +260,7 @@ def _pattern(text: str, names: Sequence[str]) -> Complex:
         try:
             phase = float(angle) if angle else 0.0
         except ValueError:
-            raise UsageError(f"{angle!r} is no angle", cure='write degrees, such as "u,v@90"') from None
+            raise UsageError(f"{angle!r} is not an angle", cure='write degrees, such as "u,v@90"') from None
         pattern[names.index(name)] = sign * np.exp(1j * np.deg2rad(phase))
     return pattern
 

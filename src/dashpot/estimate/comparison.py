@@ -86,7 +86,7 @@ def compare(
 
     `refused`: methods that were ruled out before, with the reason.
     A method that the data do not suit is named with its reason.  Raises its error where no method gives anything, and
-    UsageError where `truth` names what is no unknown.
+    UsageError where `truth` names what is not an unknown.
     """
     names = tuple(unknown.name for unknown in model.unknowns)
     true: Mapping[str, float] = {} if truth is None else truth

@@ -276,10 +276,12 @@ class Estimate:
         try:
             estimate = estimate_from(from_json(text))
         except KeyError as error:
-            raise DataError(f"this is no estimate of dashpot ({error} is missing)", where, REMEDY) from error
+            raise DataError(
+                f"this is not an estimate of dashpot ({error} is missing)", where, REMEDY
+            ) from error
         except (TypeError, ValueError, AttributeError, IndexError, OverflowError) as error:
             cause = shown(str(error), 100)
-            raise DataError(f"this is no estimate of dashpot ({cause})", where, REMEDY) from error
+            raise DataError(f"this is not an estimate of dashpot ({cause})", where, REMEDY) from error
         require_sound(estimate, where)
         return estimate
 

@@ -28,7 +28,7 @@ def require_sound(estimate: Estimate, where: str) -> None:
 def _faults(estimate: Estimate) -> Iterator[str]:
     names, count = estimate.names, len(estimate.names)
     if not all(isinstance(name, str) for name in (*names, *estimate.units, estimate.model, estimate.method)):
-        yield "a name or a unit is no text"
+        yield "a name or a unit is not text"
         return
     if len(set(names)) < count:
         yield f"order: {next(name for name in names if names.count(name) > 1)} is named twice"
@@ -67,7 +67,7 @@ def _reference_faults(estimate: Estimate) -> Iterator[str]:
         if root not in estimate.names:
             yield f"tied: {root} is not among the unknowns"
         if not np.isfinite(times):
-            yield f"tied: {times} is no finite number"
+            yield f"tied: {times} is not a finite number"
     for name, value, _ in estimate.known:
         if not np.isfinite(value):
             yield f"{name}: no value"

@@ -38,7 +38,7 @@ class StateSpace:
     """ż = A z + B w, y = C z + D w; SI units.
 
     inputs      displacement inputs (u, u_rate or u_acceleration: what makes all outputs proper), then forces
-    outputs     the channels that show more than inputs, as a faultless sensor would see them
+    outputs     the channels that show more than inputs, as an ideal sensor would see them
     states      displacements and velocities of the coordinates (less a share of w where `shifts` is not 0), then
                 what is not given of the moved points: u, or u and its rate
     parameters, values (m,), covariance (m, m)   the unknowns
@@ -182,7 +182,7 @@ def _asked(model: Model, given: str | Mapping[str, str] | None) -> Mapping[str, 
     for name, quantity in named.items():
         if name not in model.displacement_inputs:
             cure = f"there are {', '.join(model.displacement_inputs) or 'none'}"
-            raise UsageError(f"{name} is no displacement input of the rig", cure=cure)
+            raise UsageError(f"{name} is not a displacement input of the rig", cure=cure)
         if quantity not in [motion.value for motion in MOTIONS]:
             cure = f"give {', '.join(motion.value for motion in MOTIONS)}"
             raise UsageError(f"an input cannot be given as {quantity}", cure=cure)

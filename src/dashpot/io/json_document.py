@@ -1,4 +1,4 @@
-"""JSON as dashpot writes and reads it: UTF-8, indented by one, and null for what is no finite number."""
+"""JSON as dashpot writes and reads it: UTF-8, indented by one, and null for what is not a finite number."""
 
 from __future__ import annotations
 

@@ -37,7 +37,7 @@ SPARSE_FROM = 48  # coordinates: above it a factorisation of the sparse pattern 
 def measures_input(model: Model, channel: Channel) -> bool:
     """Whether a channel measures inputs and nothing else: moved points, or applied forces.
 
-    The reaction force at a moved point is no input: it depends on the parameters.
+    The reaction force at a moved point is not an input: it depends on the parameters.
     """
     names = model.force_inputs if channel.quantity is Quantity.FORCE else model.displacement_inputs
     return set(channel.of) <= set(names)

@@ -34,7 +34,7 @@ def free_model(
 ) -> Model:
     """A model of nothing but `free_elements`: symmetric M, C, K of which every entry, or some, are unknown.
 
-    Raises ModelError for what is no pair of coordinates or no letter.
+    Raises ModelError for a letter other than M, C, K and for what is not a pair of coordinates.
     """
     elements = free_elements(coordinates, pairs=pairs, letters=letters)
     return Model(tuple(coordinates), tuple(inputs), elements, name)
@@ -48,12 +48,12 @@ def free_elements(
     Unknown m_x1 (c_x1, k_x1) acts at x1; m_x1_x2 along x1 + x2, so that it is M₁₂ itself; c_x1_x2 and k_x1_x2 along
     x1 − x2, so that they are −C₁₂ and −K₁₂: the dampers and springs between the points, where there are such.
     A letter without pairs given has all of them; `letters` leaves out whole matrices ("MK": no damping).
-    Raises ModelError for what is no pair of coordinates or no letter.
+    Raises ModelError for a letter other than M, C, K and for what is not a pair of coordinates.
     """
     given: Mapping[Letter, Pairs] = {} if pairs is None else pairs
     for letter in (*letters, *given):
         if letter not in LETTERS:
-            raise ModelError(f"{letter!r} is no matrix", cure="there are M, C and K")
+            raise ModelError(f"{letter!r} is not a matrix", cure="there are M, C and K")
     elements = []
     for letter in LETTERS:
         if letter not in letters:
@@ -74,7 +74,7 @@ def _ordered(coordinates: Sequence[str], pairs: Pairs | None) -> list[tuple[str,
     for pair in pairs:
         if len(set(pair)) != 2 or not set(pair) <= set(coordinates):
             raise ModelError(
-                f"{' and '.join(map(str, pair))} is no pair of coordinates",
+                f"{' and '.join(map(str, pair))} is not a pair of coordinates",
                 cure="name two different coordinates",
             )
         chosen.add(frozenset(pair))

@@ -71,7 +71,7 @@ def _name_problems(
             yield Problem("the name ground is taken: it is the inertial ground", name, "choose another name")
         elif not name.isprintable() or name != name.strip() or not name:
             yield Problem(
-                f"{name!r} is no usable name",
+                f"{name!r} is not a usable name",
                 name,
                 "use a name without line breaks, tabs or spaces at its ends",
             )
@@ -85,7 +85,7 @@ def _name_problems(
 
 def _input_problems(source: Input, coordinates: Sequence[str], complete: bool) -> Iterator[Problem]:
     if source.kind not in ("displacement", "force"):
-        yield Problem(f"{source.kind!r} is no kind of input", source.name, 'use "displacement" or "force"')
+        yield Problem(f"{source.kind!r} is not a kind of input", source.name, 'use "displacement" or "force"')
         return
     if source.kind == "displacement":
         if source.at:
@@ -100,7 +100,7 @@ def _input_problems(source: Input, coordinates: Sequence[str], complete: bool) -
     for coordinate, factor in source.at.items():
         if complete and coordinate not in coordinates:
             cure = f"a force acts at coordinates: {listed(coordinates)}"
-            yield Problem(f"the force acts at {coordinate}, which is no coordinate", source.name, cure)
+            yield Problem(f"the force acts at {coordinate}, which is not a coordinate", source.name, cure)
         elif not np.isfinite(factor) or factor == 0:
             yield Problem(
                 f"the factor of {coordinate} is {factor:g}", source.name, "give a finite factor other than 0"
@@ -200,7 +200,7 @@ def _tied_problems(
             yield Problem(what, element.name, "tie parameters of one unit")
     elif end == element.same_as and complete:
         cure = f"there are {listed(by_name)}"
-        yield Problem(f"same_as names {end}, which is no element", element.name, cure)
+        yield Problem(f"same_as names {end}, which is not an element", element.name, cure)
 
 
 def _tie_ends(by_name: Mapping[str, Element]) -> dict[str, str | None]:

@@ -197,12 +197,12 @@ def truth(rig: TrueRig, name: str) -> float:
 def with_unknowns(rig: TrueRig, names: Sequence[str]) -> Model:
     """The model with these parameters unknown and all others known exactly as they truly are.
 
-    Raises UsageError for a name that is no parameter of its own.
+    Raises UsageError for a name that is not a parameter of its own.
     """
     parameters = [element.name for element in rig.model.elements if element.same_as is None]
     for name in names:
         if name not in parameters:
-            raise UsageError(f"{name} is no parameter of the rig", cure=f"it has {listed(parameters)}")
+            raise UsageError(f"{name} is not a parameter of the rig", cure=f"it has {listed(parameters)}")
     elements = []
     for element in rig.model.elements:
         if element.same_as is not None:

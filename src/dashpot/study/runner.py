@@ -185,7 +185,7 @@ def _earlier(manifest: Path, content: dict[str, Any]) -> dict[str, Any]:
         old = dict(other["scenarios"])
         prints = {key: str(entry["fingerprint"]) for key, entry in old.items()}
     except (OSError, ValueError, KeyError, TypeError):
-        raise UsageError("this is no study of dashpot", str(manifest), another) from None
+        raise UsageError("this is not a study of dashpot", str(manifest), another) from None
     for key in ("format", "seed", "block"):
         if other.get(key) != content[key]:
             raise UsageError(

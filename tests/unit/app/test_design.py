@@ -164,7 +164,7 @@ def test_doubt_estimates_and_data(tmp_path: Path, capsys: pytest.CaptureFixture[
 def test_data_with_unknown_calibrations_and_a_floor(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """A gain that is unknown is no parameter to plan for; the drive is as in the data, which says so."""
+    """A gain that is unknown is not a parameter to plan for; the drive is as in the data, which says so."""
     rig = tmp_path / "rig.toml"
     text = RIG.read_text().replace("relative_noise = 0.1 }", "noise = 1e-5 }")
     rig.write_text(text.replace('"velocity", noise = 1e-5', '"velocity", noise = 1e-4, gain = "unknown"'))

@@ -51,7 +51,7 @@ def test_inputs_are_differentiated_as_far_as_outputs_need():
     assert state_space_of(two_masses()).inputs[0].quantity == "displacement"
     with pytest.raises(UsageError, match="depends on the acceleration of u; give u as acceleration"):
         state_space_of(lever("an inerter to the base"), "displacement")
-    with pytest.raises(UsageError, match="f is no displacement input"):
+    with pytest.raises(UsageError, match="f is not a displacement input"):
         state_space_of(two_masses(), {"f": "velocity"})
     with pytest.raises(UsageError, match="cannot be given as jerk"):
         state_space_of(two_masses(), "jerk")

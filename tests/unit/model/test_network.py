@@ -166,7 +166,7 @@ REFUSED: list[tuple[Callable[[], Model], str | None, str]] = [
     (lambda: model(spring("x1")), "x1", "the name x1 is used 2 times"),
     (lambda: model(spring("q"), spring("k", "ground", "ground")), "k", "both ends are on the ground"),
     (lambda: model(spring("ground")), "ground", "the name ground is taken"),
-    (lambda: model(spring("")), "", "'' is no usable name"),
+    (lambda: model(spring("")), "", "'' is not a usable name"),
     (lambda: model(spring("a\nb")), "a\nb", "no usable name"),
     (lambda: model(spring("k", "x1", "y")), "k", "y is neither a coordinate nor a displacement input"),
     (lambda: model(Element("k", Kind.SPRING, {"x1": 0.0})), "k", "the factor of x1 is 0"),
@@ -188,16 +188,16 @@ REFUSED: list[tuple[Callable[[], Model], str | None, str]] = [
     (
         lambda: model(spring("k"), inputs=(Input("f", "force", {"y": 1.0}),)),
         "f",
-        "acts at y, which is no coordinate",
+        "acts at y, which is not a coordinate",
     ),
     (lambda: model(spring("k"), inputs=(Input("f", "force", {"x1": 0.0}),)), "f", "the factor of x1 is 0"),
     (lambda: model(spring("k", "x1", "u"), inputs=(Input("u", at={"x1": 1.0}),)), "u", "takes no `at`"),
-    (lambda: model(spring("k"), inputs=(Input("u", "speed"),)), "u", "'speed' is no kind of input"),  # type: ignore[arg-type]
+    (lambda: model(spring("k"), inputs=(Input("u", "speed"),)), "u", "'speed' is not a kind of input"),  # type: ignore[arg-type]
     (lambda: model(spring("k"), angles=frozenset({"y"})), "angles", "y is neither a coordinate nor"),
     (lambda: model(spring("k", times=2.0)), "k", "`times` without `same_as`"),
     (lambda: model(spring("k"), spring("q", same_as="k", times=0.0)), "q", "times is 0"),
     (lambda: model(spring("k"), spring("q", same_as="k", value=1.0)), "q", "a tied parameter has a value"),
-    (lambda: model(spring("q", same_as="k")), "q", "same_as names k, which is no element"),
+    (lambda: model(spring("q", same_as="k")), "q", "same_as names k, which is not an element"),
     (lambda: model(spring("q", same_as="q")), "q", "a tie in a circle: q → q"),
     (
         lambda: model(spring("k"), mass("m", "x1", same_as="k")),

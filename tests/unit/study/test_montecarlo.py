@@ -202,7 +202,7 @@ def test_unknowns_can_be_known_and_known_ones_unknown():
     model = with_unknowns(bench, ("m", "k"))
     assert [unknown.name for unknown in model.unknowns] == ["m", "k"]
     assert model.p0.tolist() == [0, 30, 50, 0]
-    with pytest.raises(UsageError, match="q is no parameter of the rig; it has m, c, c0, k"):
+    with pytest.raises(UsageError, match="q is not a parameter of the rig; it has m, c, c0, k"):
         with_unknowns(bench, ("q",))
 
 

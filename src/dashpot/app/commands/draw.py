@@ -28,12 +28,12 @@ WHAT = "What to draw"
 )  # fmt: skip
 @option(
     "--mode", type=Count(1, 10_000), metavar="N", group=WHAT,
-    help="Draw mode N: of the estimate, or of a rig file that gives every value or guess.  SVG moves.",
+    help="Draw mode N: of the estimate, or of a rig file that gives every value or guess.  As SVG it is animated.",
 )  # fmt: skip
 @out_option("FILE.svg", "The drawing, as .svg, .png or .pdf.")
 @level_option
 def command(rig: str, estimate_file: str | None, mode: int | None, out: str, level: float) -> None:
-    """Draw RIG: springs, dampers, masses, what shakes it, where its sensors sit.
+    """Draw RIG: masses, springs, dampers, inputs and sensors.
 
     Heavy lines are unknown (or found, with an estimate), thin ones known; broken ones are in doubt: the interval is
     wider than half the value or, without an estimate, the channels cannot determine them.

@@ -57,7 +57,7 @@ RIG = "The rig"
 )  # fmt: skip
 @option(
     "--input-quantity", "given", type=click.Choice(MOTIONS), metavar="QUANTITY", group=WHAT,
-    help="As what moved points are given: displacement, velocity or acceleration.  [default: as they are measured, "
+    help="How moved points are driven: by displacement, velocity or acceleration.  [default: as they are measured, "
     "differentiated as far as outputs need]",
 )  # fmt: skip
 @option(
@@ -79,8 +79,8 @@ def command(
 ) -> None:  # fmt: skip
     """Write SOURCE, an estimate or a rig, as a file for another program.
 
-    All numbers are in SI units but in universal files and tables of frequency responses, which have the units of the
-    rig file.  Channels are written as faultless sensors would show them.
+    All numbers are in SI units, except in universal files and tables of frequency responses, in the units of the rig
+    file.  Channels are written as ideal sensors would show them.
     """
     from dashpot.export.formats import ExportOptions, export_rig, format_of
 

@@ -67,7 +67,7 @@ ESTIMATION = "Estimation"
 )  # fmt: skip
 @modal_sd_option("Measured modes")
 @json_option("the estimate")
-@file_option("--apply", "NEW.toml", "Write the rig file as the likeliest cause of a misfit would have it.")
+@file_option("--apply", "NEW.toml", "Write the rig file with the most likely cause of a misfit corrected.")
 @report_option
 @option("--matrices", is_flag=True, group="Output", help="Print M, C and K as well.")
 @level_option

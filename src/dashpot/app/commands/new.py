@@ -49,7 +49,7 @@ def command(
 ) -> None:
     """Write a rig file to start from: RIG, a row of masses with springs and dampers between them.
 
-    What no option says is asked.
+    Asks for whatever no option gives.
     """
     if known is not None and not 0 < known < HEAVIEST:
         raise UsageError(f"a mass of {known:g} kg", "--first-mass", "give a positive number of kilograms")

@@ -65,7 +65,7 @@ def _of_channel(model: Model, channel: Channel, cause: Cause) -> Finding:
 
 def _other_quantity(channel: Channel, relation: Likeness) -> tuple[Channel, str]:
     """Shown is (jω)^power times what the stated quantity would be."""
-    text = f"{channel.name} moves as another derivative of the motion than {channel.quantity.value} would"
+    text = f"{channel.name} behaves like another derivative of the motion than {channel.quantity.value}"
     if channel.quantity is Quantity.FORCE:
         return channel, text
     order = channel.quantity.derivative + relation.power
@@ -74,7 +74,7 @@ def _other_quantity(channel: Channel, relation: Likeness) -> tuple[Channel, str]
     true = DERIVATIVES[order]
     return (
         replace(channel, quantity=true, unit="", scale=1.0),
-        f"{channel.name} behaves as {_article(true.value)}, not as {_article(channel.quantity.value)}",
+        f"{channel.name} behaves like {_article(true.value)}, not like {_article(channel.quantity.value)}",
     )
 
 
@@ -132,10 +132,10 @@ def _of_rig(model: Model, cause: Cause, element: Element) -> Finding:
 def _of_data(cause: Cause) -> tuple[str, str]:
     match cause.kind:
         case "conjugate" if cause.of:
-            return f"the phase of {cause.of[0]} counts the other way", f"conjugate {cause.of[0]} in the data"
+            return f"the phase of {cause.of[0]} has the opposite sign", f"conjugate {cause.of[0]} in the data"
         case "conjugate":
             return (
-                "the phases count the other way: the data use e^(−jωt)",
+                "all phases have the opposite sign: the data use e^(−jωt)",
                 "change the sign of the imaginary parts",
             )
         case "dwell":
@@ -145,7 +145,7 @@ def _of_data(cause: Cause) -> tuple[str, str]:
             )
         case "frequency" if cause.of:
             return (
-                f"the dwell labelled {cause.of[0]} moves as one of {cause.number:.4g} Hz would",
+                f"the dwell labelled {cause.of[0]} moves like one at {cause.number:.4g} Hz",
                 f"label it {cause.number:.4g} Hz",
             )
         case "frequency":
@@ -153,7 +153,7 @@ def _of_data(cause: Cause) -> tuple[str, str]:
         case _:
             name = cause.of[0] if cause.of else "one channel"
             return (
-                f"{name} contradicts all other channels, in no simple way",
+                f"{name} contradicts all other channels, for no simple reason",
                 f"leave {name} out, or look at its sensor and its place",
             )
 
@@ -161,8 +161,8 @@ def _of_data(cause: Cause) -> tuple[str, str]:
 def _rate(number: float) -> tuple[str, str]:
     """Frequencies are `number` times what is stated."""
     usual = {
-        0.159155: "rad/s are stated as Hz",
-        6.283185: "Hz are stated as rad/s",
+        0.159155: "rad/s given as Hz",
+        6.283185: "Hz given as rad/s",
         0.016667: "per minute for Hz",
     }
     word = next(

@@ -79,7 +79,7 @@ def cut(record: Record, start: float, end: float) -> Record:
     first, last = round(start * len(record.time)), round(end * len(record.time))
     if last - first < 2:
         raise DataError(
-            f"{100 * (end - start):.3g} % of {len(record.time)} samples is no record",
+            f"{100 * (end - start):.3g} % of {len(record.time)} samples leaves nothing",
             record.source,
             "take more of it",
         )

@@ -19,7 +19,7 @@ from dashpot.notices import Notice
 
 LAGS = 20  # of the portmanteau test
 HALF_BAND = 10  # lines on each side of a harmonic that show the noise there
-FEWEST_LINES = 6  # below this the local spectrum is no estimate
+FEWEST_LINES = 6  # below this the local spectrum is not an estimate
 SIGNIFICANT = 0.01
 
 

@@ -65,7 +65,7 @@ class Conditioning:
     band_hz    lowest and highest frequency of the lines of whole records, "auto": as far as something moves
     still      the noise that a record at rest shows, for whole records
 
-    Raises DataError for orders that are no multiples, and for a drift or a time out of range.
+    Raises DataError for orders that are not multiples, and for a drift or a time out of range.
     """
 
     orders: Orders = "auto"

@@ -179,7 +179,7 @@ class Columns(ABC):
             )
         if any(_factors(unit, quantity.value) for quantity in Quantity):
             raise DataError(
-                f"column {shown(channel.name)}: {shown(unit)} is no unit of {channel.quantity.value}",
+                f"column {shown(channel.name)}: {shown(unit)} is not a unit of {channel.quantity.value}",
                 self.heading,
                 "correct the unit in the file, or the quantity in the rig file",
             )

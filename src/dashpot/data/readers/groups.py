@@ -75,7 +75,7 @@ def _chosen(
     for name in (*names, *group.entry.units):
         if name not in by_name and name not in RESERVED_NAMES:
             cure = f"the rig file lists {listed(by_name)}"
-            raise DataError(f"{shown(name)} is no channel of the rig", group.place, cure)
+            raise DataError(f"{shown(name)} is not a channel of the rig", group.place, cure)
     chosen = columns.renamed({column: name for name, column in names.items()})
     if group.entry.units:
         units = [chosen.unit(i) for i in range(len(chosen.header))]

@@ -46,7 +46,7 @@ def record(
     time      (samples,), s; else the column `time_s` (or an index or coordinate of that or a usual name), else
               `rate_hz` in Hz
 
-    Raises DataError where a channel or the time is missing, something is no finite number, or there are several
+    Raises DataError where a channel or the time is missing, something is not a finite number, or there are several
     records.
     """
     records = records_of(
@@ -113,7 +113,7 @@ def _variables(data: Any, source: str) -> tuple[dict[str, Any], dict[str, str | 
     if isinstance(data, np.ndarray) and data.dtype.names:
         return {name: data[name] for name in data.dtype.names}, {}
     raise DataError(
-        f"a {type(data).__name__} is no table with names",
+        f"a {type(data).__name__} is not a table with names",
         source,
         "give a mapping of names to arrays, a data frame, an xarray Dataset or a structured array",
     )

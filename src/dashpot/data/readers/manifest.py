@@ -238,7 +238,7 @@ def line_numbers(text: str | Sequence[int], place: str) -> tuple[int, ...]:
     except ValueError:
         numbers = ()
     if not numbers or min(numbers) < 1 or len(numbers) > MOST_LINES:
-        raise DataError(f"{shown(str(text))} are no multiples", place, 'write them as "11:250" or [1, 3, 5]')
+        raise DataError(f"{shown(str(text))} are not multiples", place, 'write them as "11:250" or [1, 3, 5]')
     return tuple(sorted(set(numbers)))
 
 

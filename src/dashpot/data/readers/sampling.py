@@ -75,7 +75,7 @@ def read_time(
         numbers = columns.numbers(others, together=together)
         time, wrong = seconds_of(columns.texts(time_at))
         if wrong is not None:
-            raise columns.error(wrong, time_at, "is no moment", "write it as 2025-03-06 12:21:16.125")
+            raise columns.error(wrong, time_at, "is not a moment", "write it as 2025-03-06 12:21:16.125")
         return time, numbers
     numbers = columns.numbers(list(dict.fromkeys([time_at, *others])), together=together)
     scale = _time_scale(columns, time_at)
@@ -98,7 +98,7 @@ def _unit_scale(columns: Columns, column: int, quantity: str, cure: str) -> floa
     try:
         return units.scale(unit, quantity)
     except DashpotError:
-        what = f"column {shown(columns.header[column])}: {shown(unit)} is no unit of {quantity}"
+        what = f"column {shown(columns.header[column])}: {shown(unit)} is not a unit of {quantity}"
         raise DataError(what, columns.heading, cure) from None
 
 

@@ -107,7 +107,7 @@ def identify_seen(
     """Estimate all unknowns of a linear rig from its whole motion, by instrumental variables from least squares on.
 
     `selected` names the unknowns whose standard deviations are computed; `start` (unknowns,) takes the place of least
-    squares, which noise biases.  Raises UsageError for a name that is no unknown and for nonlinear rigs,
+    squares, which noise biases.  Raises UsageError for a name that is not an unknown and for nonlinear rigs,
     IdentifiabilityError where the motion does not determine the unknowns.
     """
     if len(model.nonlinear):

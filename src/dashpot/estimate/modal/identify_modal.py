@@ -124,7 +124,7 @@ def _check(model: Model, data: ModalData) -> None:
     for name in data.points:
         if name not in model.coordinates:
             raise DataError(
-                f"the shapes have a point {name}, which is no coordinate of the rig",
+                f"the shapes have a point {name}, which is not a coordinate of the rig",
                 cure=f"there are {', '.join(model.coordinates)}",
             )
     if not np.any(model.p0) and not np.any(model.prior_precision):

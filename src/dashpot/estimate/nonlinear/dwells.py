@@ -72,7 +72,7 @@ class DwellLines:
 def dwells_of(model: Model, spectrum: Spectrum) -> DwellLines:
     """The dwells that the lines of a spectrum belong to.
 
-    Raises DataError where lines are of a whole record, or a line is no multiple of its dwell's fundamental.
+    Raises DataError where lines are of a whole record, or a line is not a multiple of its dwell's fundamental.
     """
     if any(isinstance(shared, WholeRecord) for shared in spectrum.stretches):
         raise DataError(
@@ -92,7 +92,7 @@ def dwells_of(model: Model, spectrum: Spectrum) -> DwellLines:
         multiple = 1 if base is None else float(spectrum.frequency_hz[line]) / base
         if abs(multiple - round(multiple)) > 1e-6 * max(multiple, 1) or round(multiple) < 1:
             raise DataError(
-                f"{spectrum.frequency_hz[line]:g} Hz is no multiple of the {base:g} Hz of its dwell",
+                f"{spectrum.frequency_hz[line]:g} Hz is not a multiple of the {base:g} Hz of its dwell",
                 cure="give each dwell its own frequency",
             )
         dwell.append(groups[key])

@@ -134,7 +134,7 @@ def _known_start(prior: float | None, guess: float | None, fitted: float) -> flo
 def linear_rig(model: Model, replaced: bool = False) -> Model:
     """The rig without its nonlinear elements, or with linear ones of their kind in their place.
 
-    Raises ModelError where that is no rig.
+    Raises ModelError where that is not a rig.
     """
     kept: list[Element] = []
     for element in model.elements:

@@ -52,7 +52,7 @@ def factors(
             return 0.01
         if point not in angles:
             raise UsageError(
-                f"{point} is no angle, so its factor has no unit",
+                f"{point} is not an angle, so its factor has no unit",
                 cure="write a number or a share, such as 60 %",
             )
         return scale(unit, "displacement")

@@ -80,7 +80,7 @@ def read_channels(reading: RigReading, measurables: Measurables) -> list[Channel
     for name, raw in reading.entries("channels"):
         if not name.isprintable() or name != name.strip() or not name:
             cure = "use the name of the column, without line breaks, tabs or spaces at its ends"
-            reading.report.add(("channels", name), f"{written(name)} is no usable name", cure)
+            reading.report.add(("channels", name), f"{written(name)} is not a usable name", cure)
             continue
         if name in RESERVED_NAMES:
             reading.report.add(("channels", name), *reserved(name))
@@ -95,7 +95,7 @@ def read_channels(reading: RigReading, measurables: Measurables) -> list[Channel
 
 def reserved(name: str) -> tuple[str, str]:
     """What is wrong with a channel of a name that data files use themselves, and the cure."""
-    cause = f"{written(name)} is the column of that name in every data file, and no channel"
+    cause = f"{written(name)} is reserved for a column of data files"
     return cause, "name the channel differently, in the data too"
 
 
@@ -112,7 +112,7 @@ def _check_shared_gains(reading: RigReading, channels: Sequence[Channel]) -> Non
         if owner not in names:
             others = [name for name in names if name != channel.name]
             cure = f"{did_you_mean(owner, others)}there are {listed(others)}" if others else "list it"
-            reading.report.add(place, f"{written(owner)} is no channel", cure)
+            reading.report.add(place, f"{written(owner)} is not a channel", cure)
         elif owner == channel.name:
             reading.report.add(place, "the channel shares its gain with itself", "name another one")
         elif owner in by_name and by_name[owner].gain is not None:
@@ -156,7 +156,7 @@ def _points_good(
             if not reading.faulty & {"coordinates", *TABLES}:  # else it may stand in what could not be read
                 names = measurables.names
                 cure = f"{did_you_mean(point, names)}there are {listed(names)}"
-                reading.report.add(place_of_point, f"{written(point)} is no point, input or element", cure)
+                reading.report.add(place_of_point, f"{written(point)} is not a point, input or element", cure)
         elif factor == 0:
             good = False
             reading.no_factor(place_of_point, point)

@@ -53,7 +53,7 @@ def _check_ties(reading: RigReading, elements: list[Element]) -> None:
         if target is not None and target not in names:
             cure = f"{did_you_mean(target, names)}there are {listed(names)}"
             place = (element.kind.section, element.name, "same_as")
-            reading.report.add(place, f"{written(target)} is no element", cure)
+            reading.report.add(place, f"{written(target)} is not an element", cure)
             reading.faulty.add(element.name)
 
 

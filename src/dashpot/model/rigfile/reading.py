@@ -63,7 +63,7 @@ class RigReading:
             return None
 
     def entries(self, section: str) -> Iterator[tuple[str, Any]]:
-        """Names and tables of a section; a section that is no table is reported."""
+        """Names and tables of a section; a section that is not a table is reported."""
         table = self.table.get(section, {})
         if isinstance(table, dict):
             yield from table.items()
@@ -71,7 +71,7 @@ class RigReading:
         self.faulty.add(section)
         example = f"[{section}] and below it name = {EXAMPLES.get(section, TWO_POINTS)}"
         what = "a list of tables" if isinstance(table, list) else written(table)
-        self.report.add((section,), f"{what} is no section", f"write {example}")
+        self.report.add((section,), f"{what} is not a section", f"write {example}")
 
     def entry(self, entry: type[AnyEntry], section: str, name: str, raw: object) -> AnyEntry | None:
         """One entry of a section; None, and its problems reported, where it cannot be read."""
@@ -83,7 +83,7 @@ class RigReading:
         cure = f"write {name} = {example}"
         if name in (*HEAD_KEYS, "free"):
             cure = f"{name} stands above the first [section]; or {cure}"
-        self.report.add((section, name), f"{written(raw)} is no table", cure)
+        self.report.add((section, name), f"{written(raw)} is not a table", cure)
         return None
 
     def points_known(
@@ -103,7 +103,7 @@ class RigReading:
                 if "coordinates" not in self.faulty:  # else the point may stand in what could not be read
                     others = (*points, GROUND) if called == "point" else tuple(points)
                     cure = f"{did_you_mean(point, others)}there are {listed(others)}"
-                    self.report.add(place_of_point, f"{written(point)} is no {called}", cure)
+                    self.report.add(place_of_point, f"{written(point)} is not a {called}", cure)
             elif factor == 0:
                 good = False
                 self.no_factor(place_of_point, point)

@@ -41,7 +41,7 @@ def _number(value: object) -> float:
             raise _wrong(f"{written(value)} is text", "leave the key out where the value is unknown")
         raise _wrong(f"{written(value)} is text", "write a number")
     if isinstance(value, bool) or not isinstance(value, int | float):
-        raise _wrong(f"{written(value)} is no number", "write a number")
+        raise _wrong(f"{written(value)} is not a number", "write a number")
     try:
         number = float(value)
     except OverflowError:
@@ -79,7 +79,7 @@ def _share(value: object) -> float:
     if not isinstance(given, Amount):
         return given
     if given.unit != "%":
-        raise _wrong(f"{written(value)} is no share", "write a number or per cent, such as 0.05 or 5 %")
+        raise _wrong(f"{written(value)} is not a share", "write a number or per cent, such as 0.05 or 5 %")
     return given.number / 100
 
 
@@ -101,7 +101,7 @@ def _text(value: object) -> str:
         cure = (
             "write it in quotes" if isinstance(value, dict | list) else f'write "{written(value)}" in quotes'
         )
-        raise _wrong(f"{written(value)} is no text", cure)
+        raise _wrong(f"{written(value)} is not text", cure)
     return value
 
 
@@ -109,7 +109,7 @@ def _texts(value: object) -> list[str]:
     if isinstance(value, str):
         raise _wrong(f"{written(value)} is text, not a list", f"write [{quoted(value[:40])}]")
     if not isinstance(value, list):
-        raise _wrong(f"{written(value)} is no list", 'write a list of names, such as ["x1", "x2"]')
+        raise _wrong(f"{written(value)} is not a list", 'write a list of names, such as ["x1", "x2"]')
     return value
 
 
@@ -132,7 +132,7 @@ def _one_or_table(value: object) -> dict[str, Any]:
         )
     if not isinstance(value, dict):
         raise _wrong(
-            f"{written(value)} is no point", 'name one, such as "x1", or a table { x1 = 1, x2 = -1 }'
+            f"{written(value)} is not a point", 'name one, such as "x1", or a table { x1 = 1, x2 = -1 }'
         )
     if not value:
         raise _wrong("the table names no point", "name one, such as { x1 = 1 }")
@@ -154,7 +154,7 @@ def _one_or_many(value: object) -> dict[str, Any]:
 def _table(value: object) -> dict[str, Any]:
     if not isinstance(value, dict):
         raise _wrong(
-            f"{written(value)} is no table", "write a table of factors, such as { x1 = 0.6, x2 = 0.4 }"
+            f"{written(value)} is not a table", "write a table of factors, such as { x1 = 0.6, x2 = 0.4 }"
         )
     return _one_or_table(value)
 

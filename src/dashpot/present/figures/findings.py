@@ -42,7 +42,7 @@ def shares_figure(names: Sequence[str], frequency_hz: Real, shares: Real) -> Fig
         axes.grid(visible=False)
         axes.set_xlabel("frequency, Hz")
         bar = figure.colorbar(mesh, ax=axes, pad=0.01)
-        bar.set_label("% of what is known")
+        bar.set_label("% of the information")
         bar.outline.set_visible(False)
     return figure
 

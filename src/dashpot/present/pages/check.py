@@ -78,7 +78,9 @@ def _steps(found: DataFindings | None, spectrum: Spectrum | None) -> list[str]:
         for one in found.collinearity.combinations[:3]
     ]
     if found.collinearity.idle:
-        steps.append("Leave out the frequencies that tell nothing, and dwell longer where much is told.")
+        steps.append(
+            "Leave out the frequencies that contribute nothing, and dwell longer where they contribute most."
+        )
     return steps or [IDENTIFY]
 
 

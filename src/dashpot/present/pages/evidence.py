@@ -165,8 +165,8 @@ def shares_block(weak: Collinearity, spectrum: Spectrum) -> Block:
     """What each line tells of each unknown."""
     middles, shares = shares_by_band(weak, spectrum.frequency_hz)
     figure = shares_figure(weak.names, middles, shares)
-    text = "Where the knowledge of each unknown comes from, per cent of what is known of it."
+    text = "Which frequencies determine each unknown: per cent of the information on it."
     if weak.idle:
-        text += f" {len(weak.idle)} of {spectrum.lines} lines tell nothing of any unknown."
+        text += f" {len(weak.idle)} of {spectrum.lines} lines contribute to no unknown."
     picture = figure_picture(figure, "Share of the information on each unknown by frequency")
-    return Block("What each line tells", (text,), pictures=(picture,))
+    return Block("Information by frequency", (text,), pictures=(picture,))

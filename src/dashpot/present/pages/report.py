@@ -140,7 +140,7 @@ def headline(estimate: Estimate, unsure: Sequence[str]) -> str:
         return "No answer: the iteration did not converge. The values below are those of the last step."
     poor = [name for name in unsure if "." not in name]
     names = joined(poor[:4]) + (" and others" if len(poor) > 4 else "")
-    rest = f" {names} {'is' if len(poor) == 1 else 'are'} hardly determined." if poor else ""
+    rest = f" {names} {'is' if len(poor) == 1 else 'are'} poorly determined." if poor else ""
     if estimate.assessment is None:
         return fit_in_words(estimate.fit) + rest
     verdict = estimate.assessment.verdict

@@ -7,7 +7,7 @@ from types import MappingProxyType
 
 EXPLANATIONS: Mapping[str, str] = MappingProxyType(
     {
-        "±": "One standard deviation of the value: where the test is repeated, values scatter by about that much.",
+        "±": "One standard deviation of the value: if the test is repeated, values scatter by about that much.",
         "interval": "Contains the true value in 95 of 100 tests (or whatever level is named), as long as the model "
         "fits.",
         "bound": "The smallest ± that any unbiased method could reach with these data (Cramér-Rao). A ± near it means "
@@ -22,12 +22,12 @@ EXPLANATIONS: Mapping[str, str] = MappingProxyType(
         "band": "95 % band of the model's response: from the covariance of the estimate, to first order.",
         "correlation": "Near ±1, two unknowns are hard to separate: their sum or difference is known better than "
         "either.",
-        "share": "Part of what is known of an unknown that comes from a line. A column of even shares means that all "
-        "lines count; a line that tells nothing can be left out of the next test.",
+        "share": "Share of the information on an unknown that comes from a line or band. A line that contributes to no "
+        "unknown can be left out of the next test.",
         "damping ratio": "Damping over critical damping; 0.01 halves a free motion in 11 cycles.",
         "FIT": "1 minus the rms of the difference over the rms of the measured motion, in per cent: 100 % is a perfect "
         "prediction, 0 % is no better than predicting rest.",
-        "profile": "χ² with one unknown held at a value and all others at their best; where it is no parabola, the "
+        "profile": "χ² with one unknown held at a value and all others at their best; where it is not a parabola, the "
         "normal interval misleads and that of the profile is the one to use.",
         "duality gap": "How far the designed test is from the best one possible; 0 proves it optimal.",
         "spread": "Standard deviation of the values over the draws of a simulation; bias is the mean error.",

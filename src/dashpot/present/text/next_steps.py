@@ -15,12 +15,12 @@ NOISE = (
     "or a record at rest (--noise-record)."
 )
 LOOK = (
-    "Look at where the residuals are largest: an element, a motion or a wrong value is missing there, and none of the "
-    "usual slips explains it."
+    "Look where the residuals are largest: an element or a motion is missing there or a value is wrong, and none of "
+    "the usual mistakes explains it."
 )
 UNTIL = (
-    "Until the model fits, take the values as those of the best such model, with intervals widened for the misfit, and "
-    "not outside the frequencies of this test."
+    "Until the model fits, use the values only within the frequencies of this test: they are the best for this model, "
+    "and their intervals are widened for the misfit."
 )
 
 
@@ -41,22 +41,23 @@ def next_steps(
         shown = joined(parameters[:MOST_NAMES]) + (" and others" if len(parameters) > MOST_NAMES else "")
         hint = f" Design the next test for it: {_design(rig, parameters[:MOST_NAMES])}." if plannable else ""
         steps.append(
-            f"{shown} {'is' if len(parameters) == 1 else 'are'} hardly determined: the interval reaches further than "
-            f"half the value.{hint}"
+            f"{shown} {'is' if len(parameters) == 1 else 'are'} poorly determined: the interval extends more than "
+            f"half the value to either side.{hint}"
         )
     elif plannable and (least := _least_known(estimate)) is not None:
         steps.append(
-            f"The least known is {least[0]} (± {least[1]} %). A test for it: {_design(rig, [least[0]])}."
+            f"The least certain is {least[0]} (± {least[1]} %). To plan a test for it: {_design(rig, [least[0]])}."
         )
     if weak is not None and weak.combinations:
         worst = weak.combinations[0]
         steps.append(
-            f"{joined(worst.names[:MOST_NAMES])} are seen almost only together: "
-            f"with {worst.best} known from elsewhere, their intervals shrink to {percent(worst.narrowing, 1.0)} %."
+            f"{joined(worst.names[:MOST_NAMES])} are strongly correlated: "
+            f"if {worst.best} were known from elsewhere, their intervals would shrink to "
+            f"{percent(worst.narrowing, 1.0)} %."
         )
     if estimate.assessment is not None and estimate.assessment.verdict == "fits":
         steps.append(
-            "Before relying on it, predict a test that was not used: dashpot validate estimate.json OTHER.csv."
+            "Before relying on the result, predict a test that was not used: dashpot validate estimate.json OTHER.csv."
         )
     return steps
 
@@ -74,13 +75,13 @@ def _on_fit(estimate: Estimate) -> list[str]:
     if assessment.verdict == "cannot tell":
         if not estimate.fit.known_noise:
             return [NOISE]
-        return ["Measure where the rig moves more, or longer: what is there cannot confirm the model."]
+        return ["Measure where the rig moves more, or longer: these data cannot confirm the model."]
     if assessment.findings:
         best = assessment.findings[0]
         left = short(max(best.remaining, 0.0) ** 0.5, 2)
-        step = f"Try the likeliest cause: {best.change}. Residuals would fall to {left} × the noise."
+        step = f"Try the most likely cause: {best.change}. Residuals would fall to {left} × the noise."
         if best.channels or best.elements:
-            step += " identify with --apply NEW.toml writes the rig file that way."
+            step += " dashpot identify --apply NEW.toml writes that rig file."
         return [step]
     return [LOOK, UNTIL]
 

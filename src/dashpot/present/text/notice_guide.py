@@ -35,70 +35,70 @@ _ALL: tuple[tuple[str, str, str, str], ...] = (
     ),
     (
         "negative", _VERDICT,
-        ("A mass, damper or spring is negative beyond doubt. No passive part is; something is missing, reversed or "
-        "stated wrongly. It is a reason of the verdict and a warning of the estimate."),
-        ("Check signs and units of the channels and the elements that join this point. A negative spring to the storey "
-        "after next stands for bending."),
+        ("A mass, damper or spring is significantly negative. No passive part is: something is missing, reversed or "
+        "stated wrongly. This is both a reason of the verdict and a warning of the estimate."),
+        ("Check signs and units of the channels and the elements that join this point. A negative spring to the second "
+        "storey up or down stands for bending."),
     ),
     (
         "unstable", _VERDICT,
-        "A mode of the estimated rig grows instead of dying away.",
+        "A mode of the estimated rig is unstable: it grows instead of decaying.",
         "As for a negative damper: signs, phase convention, delays.",
     ),
     (
         "smooth_residuals", _VERDICT,
-        "Residuals of a channel run smoothly over frequency. Noise jumps from line to line; a wrong model does not.",
+        "Residuals of a channel vary smoothly with frequency. Noise would scatter from line to line.",
         "Look at them in the report; a delay gives a phase that grows with frequency, a missing mode a bump.",
     ),
     (
         "no_noise", _VERDICT,
-        "The noise of the amplitudes is not given, so nothing says how large residuals may be.",
+        "The noise of the amplitudes is not given, so the size of the residuals cannot be judged.",
         "Add columns `NAME_sd`, use the records themselves, or measure one record at rest.",
     ),
     (
         "noise_from_residuals", _VERDICT,
-        "The noise was read from the residuals of this fit, which therefore cannot contradict it.",
-        "Record the rig at rest and give it with `--noise-record`.",
+        "The noise was estimated from the residuals of this fit, so they cannot test the fit.",
+        "Record the rig at rest and pass that record with `--noise-record`.",
     ),
     (
         "few_degrees", _VERDICT,
-        "Hardly more data than unknowns: the test of the fit has no power.",
+        "There are hardly more data than unknowns, so the test of the fit has little power.",
         "Add frequencies or channels.",
     ),
     (
         "below_noise", _VERDICT,
-        "A channel is within three standard deviations of its noise at most lines; any model fits it.",
+        "A channel is below three standard deviations of its noise at most lines; any model would fit it.",
         "Drive more strongly, use a better sensor, or leave the channel out.",
     ),
     # ------------------------------------------------------------ estimate
     (
         "model_misfit", _ESTIMATE,
         ("The model does not fit; ± and intervals are widened by the ratio of residuals to noise. Widened intervals "
-        "are no promise: they do not hold a parameter's true value when what the model lacks looks like that "
+        "carry no guarantee: they miss a parameter's true value when what the model lacks acts like that "
         "parameter."),
-        "Mend the model first ([When the model does not fit](../explain/misfit.md)).",
+        "Correct the model first ([When the model does not fit](../explain/misfit.md)).",
     ),
     (
         "modes_misfit", _ESTIMATE,
         "No values of the unknowns give these frequencies, damping ratios and shapes within their uncertainty.",
-        "Check which mode is which, the shapes' points and the stated uncertainty.",
+        "Check the pairing of modes, the points of the shapes and the stated uncertainty.",
     ),
     (
         "unknown_noise", _ESTIMATE,
-        ("No noise is given: it is taken as the same share of every amplitude, with a size read from the residuals. "
+        ("No noise is given: it is taken as proportional to each amplitude and its size estimated from the residuals. "
         "Intervals may then be too small or too large."),
         "Give `NAME_sd` in the table, or the records.",
     ),
     (
         "another_method", _ESTIMATE,
-        "The method that suits the data found no answer, or one in a wrong valley; maximum likelihood took its place.",
-        "Nothing; a method that is named is used whatever it finds.",
+        "The default method found no answer, or only a local minimum; maximum likelihood was used instead.",
+        "Nothing. A method that you name with `--method` is never replaced.",
     ),
     (
         "coloured_noise", _ESTIMATE,
         ("The noise beside the drive frequency is not white; its size was measured there and the intervals include it. "
         "A transient or a slightly wrong drive frequency looks the same."),
-        "Of time records: try `--settle auto` and `--refine always`. Of tables of amplitudes: nothing.",
+        "For time records, try `--settle auto` and `--refine always`. For tables of amplitudes, nothing.",
     ),
     (
         "coloured_residuals", _ESTIMATE,
@@ -123,7 +123,7 @@ _ALL: tuple[tuple[str, str, str, str], ...] = (
     (
         "at_bound", _ESTIMATE,
         "The best allowed value is the bound itself; the text names the value that would fit best without it.",
-        "If the bound is certain, use the result; else ask why the data press against it.",
+        "If the bound is certain, use the result; otherwise find out why the data push the value past it.",
     ),
     (
         "biased", _ESTIMATE,
@@ -158,8 +158,8 @@ _ALL: tuple[tuple[str, str, str, str], ...] = (
     (
         "prior_conflict", _ESTIMATE,
         "A value stated with an `sd` is contradicted by the data.",
-        ("Weigh or measure that part again, widen its `sd`, or look for the model's fault; free the value (remove it) "
-        "to see what the data say alone."),
+        ("Weigh or measure that part again, widen its `sd`, or look for an error in the model; remove the value "
+        "to see what the data alone give."),
     ),
     (
         "reversed_phase", _ESTIMATE,
@@ -168,7 +168,7 @@ _ALL: tuple[tuple[str, str, str, str], ...] = (
     ),
     (
         "duplicated_lines", _ESTIMATE,
-        "Lines repeat others to the last digit and count as independent measurements.",
+        "Some lines repeat others to the last digit, yet count as independent measurements.",
         "Give each file once.",
     ),
     (
@@ -178,8 +178,8 @@ _ALL: tuple[tuple[str, str, str, str], ...] = (
     ),
     (
         "short_record", _ESTIMATE,
-        ("The record is shorter than one period of the slowest mode: its transient and its motion are hardly told "
-        "apart."),
+        ("The record is shorter than one period of the slowest mode: its transient can hardly be separated "
+        "from its motion."),
         "Record for several periods of the slowest mode.",
     ),
     (
@@ -189,7 +189,7 @@ _ALL: tuple[tuple[str, str, str, str], ...] = (
     ),
     (
         "noise_near_singular", _ESTIMATE,
-        "The noise almost hides a combination of unknowns; `tls` is not to be trusted.",
+        "The noise almost hides a combination of unknowns; do not trust `tls`.",
         "Use `oiv` or `ml`.",
     ),
     (
@@ -202,16 +202,16 @@ _ALL: tuple[tuple[str, str, str, str], ...] = (
         "colour_unresolved", _RECORDS,
         ("The residual of a dwell is not white, but there are too few periods to measure its colour: intervals treat "
         "it as white and may be too small."),
-        "Longer dwells; `--settle auto` if it is the transient.",
+        "Use longer dwells, or `--settle auto` if a transient is the cause.",
     ),
     (
         "frequency_refined", _RECORDS,
         "The true drive frequency differs from the stated one; the true one is used.",
-        "Nothing, unless the difference surprises: then check the generator or the sampling rate.",
+        "Nothing, unless the difference is surprising: then check the generator or the sampling rate.",
     ),
     (
         "transient_discarded", _RECORDS,
-        "The start (or end) of a dwell was not steady and was left out.",
+        "The start or end of a dwell was not steady and was discarded.",
         "Nothing. `--transients estimate` would use those samples too.",
     ),
     (
@@ -223,7 +223,7 @@ _ALL: tuple[tuple[str, str, str, str], ...] = (
         "dwells_with_transients", _RECORDS,
         ("A test over all dwells found them unsettled, or their drive frequency wandering: each is used whole, its "
         "transient estimated with the rig."),
-        "Nothing. `--transients none` takes them as settled all the same.",
+        "Nothing. `--transients none` treats them as settled regardless.",
     ),
     (
         "drive_wanders", _RECORDS,
@@ -238,17 +238,17 @@ _ALL: tuple[tuple[str, str, str, str], ...] = (
     ),
     (
         "gaps", _RECORDS,
-        "Samples are missing, or the clock slips by a part of a step; the pieces are used as records of their own.",
+        "Samples are missing, or the clock slips by part of a step; the pieces are used as separate records.",
         "Nothing, if the gaps are real; else export the file again.",
     ),
     (
         "record_residuals", _RECORDS,
-        "The size of what a nonlinear fit leaves in each channel.",
+        "The rms residual of a nonlinear fit in each channel.",
         "Nothing; compare it with the noise of the sensor.",
     ),
     (
         "clipped", _RECORDS,
-        "A channel rests at its largest value: it is probably clipped, and its amplitude too small.",
+        "A channel stays at its largest value: it is probably clipped, and its amplitude too small.",
         "Widen the range or drive less.",
     ),
     (
@@ -264,8 +264,8 @@ _ALL: tuple[tuple[str, str, str, str], ...] = (
     ),
     (
         "decimal_comma", _FILES,
-        "Commas in numbers were read as decimal commas although they could part thousands.",
-        "If they part thousands, export the file without such commas.",
+        "Commas in numbers were read as decimal commas although they could separate thousands.",
+        "If they separate thousands, export the file without such commas.",
     ),
     (
         "columns_chosen", _FILES,
@@ -279,22 +279,22 @@ _ALL: tuple[tuple[str, str, str, str], ...] = (
     ),
     (
         "no_line_end", _FILES,
-        "The last row has no line end: if the file was cut off, its last number is wrong.",
+        "The last row has no line ending: if the file was cut off, its last number may be wrong.",
         "Compare the file's length with the original.",
     ),
     (
         "modes_without_sd", _FILES,
-        "A universal file of modes has no standard deviations; usual ones are assumed.",
-        "State what you believe of them with `--modal-sd`.",
+        "A universal file of modes has no standard deviations; typical ones are assumed.",
+        "State them with `--modal-sd`.",
     ),
     (
         "modes_in_order", _FILES,
-        "No node of the modes has the name of a coordinate; the nodes are taken for the coordinates in their order.",
+        "No node of the modes has the name of a coordinate; nodes and coordinates were paired in order.",
         'Check the pairs in the note; a channel of the node\'s name says it for certain: `"3+Z" = { of = "x1" }`.',
     ),
     (
         "samples_not_shared", _FILES,
-        "Some samples exist in some sensors' files only and are left out.",
+        "Some samples are missing from the files of some sensors and were left out.",
         "Nothing, if they are few.",
     ),
     (
@@ -309,17 +309,17 @@ _ALL: tuple[tuple[str, str, str, str], ...] = (
     ),
     (
         "clock_estimated", _FILES,
-        "The clock of a sensor was set by what it and another sensor see alike; offset and drift are given.",
-        "Check that they are plausible; give synchronised files if there are any.",
+        "The clock of a sensor was aligned by the motion it shares with another sensor; offset and drift are given.",
+        "Check that they are plausible; use synchronised files if you have them.",
     ),
     (
         "stamps_rounded", _FILES,
-        "Time stamps are even times rounded to a digit that is coarse beside the sampling step: even times are used.",
-        "Record with finer stamps; `--refine none` takes the stamps at their word.",
+        "Time stamps are evenly spaced times, coarsely rounded; evenly spaced times are used.",
+        "Record with finer stamps; `--refine none` uses the stamps as they are.",
     ),
     (
         "clock_refined", _FILES,
-        "All dwells move at the same ratio to their stated frequencies: two clocks differ, and the records' is used.",
+        "All dwells are off their stated frequencies by one factor: two clocks differ; that of the records is used.",
         "Nothing; `--refine none` keeps the stated frequencies.",
     ),
     (
@@ -334,20 +334,20 @@ _ALL: tuple[tuple[str, str, str, str], ...] = (
     ),
     (
         "drift_by_evidence", _FILES,
-        ("Short dwells lose much to a slope that is solved for; one test over all dwells and channels says whether "
+        ("Estimating a slope costs short dwells much precision; one test over all dwells and channels decides whether "
         "there is one."),
         "Nothing; `--drift` sets it.",
     ),
     (
         "noise_moderated", _FILES,
-        "Dwells of few samples know their noise badly; it leans on how that of all dwells goes with the amplitude.",
-        "Nothing; `--noise own` leaves each dwell alone.",
+        "Short dwells determine their noise poorly, so its estimate also draws on the other dwells.",
+        "Nothing; `--noise own` uses each dwell by itself.",
     ),
     # ------------------------------------------------------------ studies
     (
         "damaged_blocks", _STUDIES,
         "Blocks of a study did not match their checksum or their place and were computed again.",
-        "Nothing; look at the disk if it happens again.",
+        "Nothing; check the disk if it happens again.",
     ),
     (
         "outdated_blocks", _STUDIES,

@@ -41,7 +41,7 @@ def read_grids(values: StudyValues, tables: Tables) -> list[ScenarioGrid]:
     grids = []
     for k, entry in enumerate(entries):
         if not isinstance(entry, dict):
-            values.report.add(("grid",), "a grid is no table", "write [[grid]] and its keys below")
+            values.report.add(("grid",), "a grid is not a table", "write [[grid]] and its keys below")
             continue
         grid = _grid(values, ("grid", k), entry, tables)
         if grid is not None:

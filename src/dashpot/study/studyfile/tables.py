@@ -38,7 +38,7 @@ def _rig(values: StudyValues, name: str, raw: object) -> TrueRig | None:
     table = {"file": raw} if isinstance(raw, str) else raw
     if not isinstance(table, dict):
         cure = f'write [rigs.{name}] and below it file = "rig.toml"'
-        values.report.add(place, "this is no table", cure)
+        values.report.add(place, "this is not a table", cure)
         return None
     values.keys(place, table, ("file", "values"))
     if "file" not in table:
@@ -47,7 +47,7 @@ def _rig(values: StudyValues, name: str, raw: object) -> TrueRig | None:
     file = values.text((*place, "file"), table["file"])
     true_values = table.get("values", {})
     if not isinstance(true_values, dict):
-        values.report.add((*place, "values"), "this is no table", "write values = { m1 = 3.0 }")
+        values.report.add((*place, "values"), "this is not a table", "write values = { m1 = 3.0 }")
         true_values = {}
     return _true_rig(values, place, file, true_values) if file else None
 
@@ -113,7 +113,7 @@ def _sweep(values: StudyValues, place: Place, raw: Mapping[str, Any]) -> tuple[f
     count = values.whole((*place, "count"), raw["count"], 2, MOST_LINES)
     spacing = values.text((*place, "spacing"), raw.get("spacing", "linear"))
     if spacing not in ("linear", "logarithmic"):
-        what = f"{written(spacing)} is no spacing"
+        what = f"{written(spacing)} is not a spacing"
         values.report.add((*place, "spacing"), what, 'write "linear" or "logarithmic"')
     if low >= high:
         values.report.add(place, f"from {low:g} is not below to {high:g}", "exchange or change them")

@@ -32,7 +32,7 @@ class StudyValues:
         raw = self.document.get(key, {})
         if isinstance(raw, dict):
             return raw
-        self.report.add((key,), "this is no table", f"write [{key}] and below it name = …")
+        self.report.add((key,), "this is not a table", f"write [{key}] and below it name = …")
         return {}
 
     def names_in(self, key: str) -> list[str]:
@@ -44,13 +44,13 @@ class StudyValues:
         """A text."""
         if isinstance(raw, str):
             return raw
-        self.report.add(place, f"{written(raw)} is no text", "write it in quotes")
+        self.report.add(place, f"{written(raw)} is not text", "write it in quotes")
         return ""
 
     def number(self, place: Place, raw: object, *, positive: bool = False) -> float:
         """A finite number."""
         if isinstance(raw, bool) or not isinstance(raw, int | float):
-            self.report.add(place, f"{written(raw)} is no number", "write a number, without quotes")
+            self.report.add(place, f"{written(raw)} is not a number", "write a number, without quotes")
             return 1.0
         number = float(raw) if abs(raw) < 1e300 else math.inf
         if not math.isfinite(number):
@@ -87,7 +87,7 @@ class StudyValues:
     def whole(self, place: Place, raw: object, least: int, most: int) -> int:
         """A whole number from `least` to `most`."""
         if isinstance(raw, bool) or not isinstance(raw, int):
-            what = f"{written(raw)} is no whole number"
+            what = f"{written(raw)} is not a whole number"
             self.report.add(place, what, f"write a whole number from {least} on")
         elif not least <= raw <= most:
             what = f"{written(raw)} is out of range"
@@ -117,10 +117,10 @@ class StudyValues:
         names = []
         for item in self.entries(place, raw):
             if not isinstance(item, str):
-                self.report.add(place, f"{written(item)} is no name", "write names in quotes")
+                self.report.add(place, f"{written(item)} is not a name", "write names in quotes")
             elif item not in known:
                 cure = f"{did_you_mean(item, known)}there are {listed(known)}"
-                self.report.add(place, f"{written(item)} is no {what}", cure)
+                self.report.add(place, f"{written(item)} is not a {what}", cure)
             else:
                 names.append(item)
         return tuple(names)

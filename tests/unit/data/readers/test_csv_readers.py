@@ -160,7 +160,7 @@ ROWS = "1,0.0,1.5,2\n1,0.1,1.5,2\n1,0.2,1.5,2\n"
         (HEAD.replace("time_s", "times") + ROWS, "test.csv:1: column time_s: missing; did you mean times?"),
         (HEAD.replace(",u", ",x1") + ROWS, "test.csv:1: column x1: named twice, in columns 3 and 4;"),
         (HEAD.replace("x1", "x1 [m]") + ROWS, "column x1: in m, the rig file says mm;"),
-        (HEAD.replace("x1", "x1 [N]") + ROWS, "column x1: N is no unit of displacement;"),
+        (HEAD.replace("x1", "x1 [N]") + ROWS, "column x1: N is not a unit of displacement;"),
         ((HEAD + ROWS).replace("x1", "µ").encode("latin1"), "test.csv:1: byte 21 of the row is not UTF-8;"),
         ((HEAD + ROWS).encode("utf-16")[:-1], "test.csv: the file is damaged UTF-16;"),
         (b"PK\x03\x04\x00\x00\x00", "test.csv: the file is of no format that is known, and not text;"),
@@ -312,7 +312,7 @@ TABLE = "frequency_hz,experiment,x1_re,x1_im,x1_sd,u_re,u_im\n1,0,1,1,1,1,0\n2,0
         ("2,0,1,1,1", "-2,0,1,1,1", "test.csv:3: column frequency_hz: frequency -2 Hz;"),
         ("2,0,1,1,1", "2,0.5,1,1,1", "test.csv:3: column experiment: 0.5 is not a whole number;"),
         ("u_im", "x1_im", "test.csv:1: column x1_im: named twice"),
-        ("u_re", "u_re [N]", "column u: N is no unit of displacement;"),
+        ("u_re", "u_re [N]", "column u: N is not a unit of displacement;"),
         ("frequency_hz", "frequency", "test.csv:1: column frequency_hz: missing; did you mean frequency?"),
     ],
 )

@@ -82,8 +82,8 @@ def test_several_records():
         ({"time_s": T, "x1": ["a"] * 64, "u": T}, "column x1: missing"),
         (X, "column time_s: missing"),
         ({"time_s": T[::-1], **X}, r"does not increase|one sample"),
-        (np.zeros((4, 4)), "ndarray is no table with names"),
-        ([1, 2], "list is no table with names"),
+        (np.zeros((4, 4)), "ndarray is not a table with names"),
+        ([1, 2], "list is not a table with names"),
         ({}, "there are no variables"),
     ],
 )

@@ -166,11 +166,11 @@ def test_sensors_of_other_sample_times_keep_them(tmp_path):
         ('[[files]]\nname = "{frequency}Hz.csv"\nband_hz = [20, 30]\n', "no file of these names is left"),
         (
             '[[files]]\nname = "2Hz.csv"\ncolumns = { x9 = "x1" }\n',
-            "x9 is no channel of the rig; the rig file lists",
+            "x9 is not a channel of the rig; the rig file lists",
         ),
         ('[[files]]\nname = "2Hz.csv"\ncolumns = { x1 = "x9" }\n', "2Hz.csv:1: column x9: missing"),
-        ('[[files]]\nname = "2Hz.csv"\nunits = { x1 = "N" }\n', "N is no unit of displacement"),
-        ('[[files]]\nname = "2Hz.csv"\nlines = "1:x"\n', "1:x are no multiples"),
+        ('[[files]]\nname = "2Hz.csv"\nunits = { x1 = "N" }\n', "N is not a unit of displacement"),
+        ('[[files]]\nname = "2Hz.csv"\nlines = "1:x"\n', "1:x are not multiples"),
         ('[[files]]\nname = "2Hz.csv"\nlines = [1]\nfrequency_hz = 0.3\n', "no whole number of samples"),
         ('[[files]]\nname = "2Hz.csv"\nwindow_s = [90, 91]\n', "nothing lies in window_s"),
         ('[[files]]\nname = "2Hz.csv"\npart = "sheet 4"\n', "there is no part sheet 4"),
@@ -190,5 +190,5 @@ def test_multiples():
     assert line_numbers("1:9:4", "x") == (1, 5, 9)
     assert line_numbers("7,3", "x") == (3, 7)
     for wrong in ("", "0:3", "3:1", "1:9:0", "1:2:3:4", "1:10000000000", []):
-        with pytest.raises(DataError, match="are no multiples"):
+        with pytest.raises(DataError, match="are not multiples"):
             line_numbers(wrong, "x")

@@ -106,10 +106,10 @@ def test_units_of_the_file_count_where_the_rig_says_none(tmp_path):
 @pytest.mark.parametrize(
     ("content", "what"),
     [
-        (PLAIN.replace("x1,u\n", "x1,u\ns,N,mm\n"), "column x1: N is no unit of displacement"),
-        (PLAIN.replace("time_s", "time [mm]"), "time .mm.: mm is no unit of time"),
+        (PLAIN.replace("x1,u\n", "x1,u\ns,N,mm\n"), "column x1: N is not a unit of displacement"),
+        (PLAIN.replace("time_s", "time [mm]"), "time .mm.: mm is not a unit of time"),
         (PLAIN.replace("time_s,x1", "time,t"), "column x1: missing|several columns"),
-        (SHAPES["moments"].replace("23:59:59.800", "then"), "is no moment"),
+        (SHAPES["moments"].replace("23:59:59.800", "then"), "is not a moment"),
         (SHAPES["preamble"].replace("0.5,1.0\n", "0.5,\n"), "test.csv:9: column u: the cell is empty"),
     ],
 )
@@ -155,7 +155,7 @@ def test_amplitude_and_phase(tmp_path):
     assert got.amplitudes == pytest.approx(expected.amplitudes, rel=1e-12, abs=1e-18)
     assert got.covariance == pytest.approx(expected.covariance, rel=1e-12)
     polar.write_text(polar.read_text().replace("u_phase [rad]", "u_phase [mm]"))
-    with pytest.raises(DataError, match="mm is no unit of angle"):
+    with pytest.raises(DataError, match="mm is not a unit of angle"):
         read(polar, MM)
 
 
@@ -197,7 +197,7 @@ def test_an_accelerometer_alone(tmp_path):
     (record,) = read(path, (channel,)).records
     assert np.diff(record.time) == pytest.approx(8333e-6)
     assert record.values[:, 0] == pytest.approx(np.arange(1, 40))
-    with pytest.raises(DataError, match="deg/s is no unit of acceleration"):
+    with pytest.raises(DataError, match="deg/s is not a unit of acceleration"):
         read(path, (Channel("Gyr_X", {"x1": 1}, Quantity.ACCELERATION),))
 
 

@@ -14,7 +14,7 @@ MODEL = Model(("x",), (Input("u"),), (mass("m", "x"), between("k", Kind.SPRING, 
 
 
 def test_without_known_noise_only_the_inputs_own_channels_are_exact() -> None:
-    """Relative noise of each channel's rms over the lines; a reaction force is no input."""
+    """Relative noise of each channel's rms over the lines; a reaction force is not an input."""
     channels = (
         Channel("x", {"x": 1.0}), Channel("F", {"u": 1.0}, Quantity.FORCE), Channel("u", {"u": 1.0}),
         Channel("au", {"u": 1.0}, Quantity.ACCELERATION),

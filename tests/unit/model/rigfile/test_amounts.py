@@ -99,9 +99,9 @@ def test_parameters_of_nonlinear_laws(law: str, value: str, si: float) -> None:
 @pytest.mark.parametrize(
     ("entry", "message"),
     [
-        ('value = "4600 kg"', 'springs.k.value: "kg" is no unit of stiffness'),
-        ('value = "4600 bananas"', 'springs.k.value: "bananas" is no unit'),
-        ('value = 3, sd = "1 kg"', 'springs.k.sd: "kg" is no unit of stiffness'),
+        ('value = "4600 kg"', 'springs.k.value: "kg" is not a unit of stiffness'),
+        ('value = "4600 bananas"', 'springs.k.value: "bananas" is not a unit'),
+        ('value = 3, sd = "1 kg"', 'springs.k.sd: "kg" is not a unit of stiffness'),
         ('sd = "1 %"', "springs.k.sd: an sd of 1 % without a value"),
         ('guess = "1 %"', "springs.k.guess: 1 % is a share; only an sd may be one"),
         ('value = 0, sd = "1 %"', "springs.k: sd is 0; give a positive sd"),
@@ -109,7 +109,7 @@ def test_parameters_of_nonlinear_laws(law: str, value: str, si: float) -> None:
         ('value = "4.6.1 N/m"', "springs.k.value"),
         ('value = "N/m"', 'springs.k.value: "N/m" is text; write a number'),
         ('law = "d**3", value = "2 N/m"', 'springs.k.value: "N/m" has not the dimension of N/m³; use N/m³'),
-        ('same_as = "q", times = "3 m"', 'springs.k.times: "3 m" is no share; write a number or per cent'),
+        ('same_as = "q", times = "3 m"', 'springs.k.times: "3 m" is not a share; write a number or per cent'),
     ],
 )
 def test_what_is_no_amount_is_told_at_its_key(entry: str, message: str) -> None:

@@ -58,7 +58,7 @@ def test_raw_numbers_become_si(tmp_path, line, raw, expected):
         ('bits = 16, full_scale = "10 V"', "a full scale in volts needs a sensitivity"),
         ('bits = 16, full_scale = "50 g", gain = 2', "a gain beside a full scale of the quantity itself"),
         ('bits = 16, full_scale = "50 g", gain = "unknown"', "a full scale beside an unknown gain"),
-        ('bits = 16, full_scale = "5 mm"', '"mm" is no unit of acceleration'),
+        ('bits = 16, full_scale = "5 mm"', '"mm" is not a unit of acceleration'),
         ("bits = 16, full_scale = 0", "a full scale of 0; give a positive one"),
     ],
 )

@@ -326,17 +326,17 @@ class TestFaultyEntries:
             ('k = { at = "x1", value = "4,6" }', 'springs.k.value: "4,6" is text; write 4.6, with a point'),
             (
                 'k = { at = "x1", value = "4600 N/s" }',
-                'springs.k.value: "N/s" is no unit of stiffness',
+                'springs.k.value: "N/s" is not a unit of stiffness',
             ),
             ('k = { at = "x1", value = "unknown" }', "leave the key out where the value is unknown"),
             ('k = { at = "x1", value = "much" }', '"much" is text; write a number'),
-            ('k = { at = "x1", value = true }', "springs.k.value: true is no number"),
+            ('k = { at = "x1", value = true }', "springs.k.value: true is not a number"),
             ('k = { at = "x1", value = nan }', "springs.k.value: nan is not finite"),
             ('k = { at = "x1", guess = -inf }', "springs.k.guess: -inf is not finite"),
             ('k = { at = "x1", value = 1e999 }', "springs.k.value: inf is not finite"),
             ('k = { at = "x1", value = ' + "9" * 400 + " }", "springs.k.value: the number is too large"),
-            ('k = { at = "x1", value = 2020-01-01 }', "springs.k.value: 2020-01-01 is no number"),
-            ('k = { at = "x1", value = [1] }', "springs.k.value: a list is no number"),
+            ('k = { at = "x1", value = 2020-01-01 }', "springs.k.value: 2020-01-01 is not a number"),
+            ('k = { at = "x1", value = [1] }', "springs.k.value: a list is not a number"),
             (
                 'k = { at = "x1", value = -5 }',
                 "springs.k: a spring of -5 N/m is negative; give a value of 0 or more",
@@ -347,21 +347,21 @@ class TestFaultyEntries:
             ('k = { at = "x1", min = 3, max = 2 }', "springs.k: min 3 is not below max 2"),
             ('k = { at = "x1", min = 3, guess = 2 }', "springs.k: the guess 2 is below min 3"),
             ('k = { at = "x1", valu = 3 }', 'springs.k.valu: unknown key; did you mean "value"?'),
-            ('k = { at = "x1", unit = "N" }', 'springs.k.unit: "N" is no unit of stiffness; use N/m'),
-            ('k = { at = "x1", unit = 3 }', 'springs.k.unit: 3 is no text; write "3" in quotes'),
+            ('k = { at = "x1", unit = "N" }', 'springs.k.unit: "N" is not a unit of stiffness; use N/m'),
+            ('k = { at = "x1", unit = 3 }', 'springs.k.unit: 3 is not text; write "3" in quotes'),
             ('k = { at = "x1", between = ["x1", "x2"] }', "springs.k: at and between are both given"),
             ("k = { value = 3 }", "springs.k: it is not said what it is attached to; add between"),
             ("k = {}", "springs.k: it is not said what it is attached to"),
             (
                 "k = 4600",
-                'springs.k: 4600 is no table; write k = { between = ["x1", "ground"], value = 4600 }',
+                'springs.k: 4600 is not a table; write k = { between = ["x1", "ground"], value = 4600 }',
             ),
-            ("k = true", "springs.k: true is no table"),
-            ('k = "x1"', 'springs.k: "x1" is no table'),
+            ("k = true", "springs.k: true is not a table"),
+            ('k = "x1"', 'springs.k: "x1" is not a table'),
             ('name = "x"', "name stands above the first [section]"),
             (
                 'k = { between = ["x1", "x3"] }',
-                'springs.k.between: "x3" is no point; there are x1, x2, ground',
+                'springs.k.between: "x3" is not a point; there are x1, x2, ground',
             ),
             ('k = { between = ["x1", "Ground"] }', 'did you mean "ground"?'),
             ('k = { between = ["x1", "x1"] }', "springs.k.between: both ends are at x1"),
@@ -369,16 +369,16 @@ class TestFaultyEntries:
             ('k = { between = ["x1"] }', "springs.k.between: 1 point instead of two"),
             ('k = { between = ["x1", "x2", "u"] }', "along = {"),
             ('k = { between = "x1" }', 'springs.k.between: "x1" is text, not a list; write ["x1"]'),
-            ('k = { between = ["x1", 2] }', 'springs.k.between[1]: 2 is no text; write "2" in quotes'),
+            ('k = { between = ["x1", 2] }', 'springs.k.between[1]: 2 is not text; write "2" in quotes'),
             ('k = { at = "ground" }', "springs.k.at: it is attached to nothing but the ground"),
             ('k = { at = ["x1", "x2"] }', "springs.k.at: a list says no factors"),
-            ('k = { along = "x1" }', 'springs.k.along: "x1" is no table'),
+            ('k = { along = "x1" }', 'springs.k.along: "x1" is not a table'),
             ("k = { along = {} }", "springs.k.along: the table names no point"),
             ("k = { along = { x1 = 0 } }", "springs.k.along.x1: the factor of x1 is 0"),
             ('k = { along = { x1 = "1" } }', 'springs.k.along.x1: "1" is text; write 1 without quotes'),
             ("k = { along = { x1 = nan } }", "springs.k.along.x1: nan is not finite"),
-            ("k = { along = { y = 1 } }", 'springs.k.along.y: "y" is no point'),
-            ('k = { at = "x1", same_as = "kk" }', 'springs.k.same_as: "kk" is no element'),
+            ("k = { along = { y = 1 } }", 'springs.k.along.y: "y" is not a point'),
+            ('k = { at = "x1", same_as = "kk" }', 'springs.k.same_as: "kk" is not an element'),
             (
                 'k = { at = "x1", same_as = "m1" }',
                 "springs.k: a spring (N/m) cannot be tied to the mass m1 (kg)",
@@ -389,8 +389,8 @@ class TestFaultyEntries:
             ('m1 = { at = "x1" }', "springs.m1: the name m1 is used 2 times"),
             ('x1 = { at = "x1" }', "springs.x1: the name x1 is used 2 times"),
             ('ground = { at = "x1" }', "springs.ground: the name ground is taken"),
-            ('"" = { at = "x1" }', "'' is no usable name"),
-            ('"a\\nb" = { at = "x1" }', "is no usable name"),
+            ('"" = { at = "x1" }', "'' is not a usable name"),
+            ('"a\\nb" = { at = "x1" }', "is not a usable name"),
         ],
     )
     def test_elements(self, line: str, expected: str) -> None:
@@ -406,22 +406,22 @@ class TestFaultyEntries:
         [
             ("[mases]", '2: mases: unknown key or section; did you mean "masses"?'),
             ("spring = 3", '2: spring: unknown key or section; did you mean "springs"?'),
-            ("springs = 3", "2: springs: 3 is no section; write [springs]"),
-            ("[[springs]]", "2: springs: a list of tables is no section"),
+            ("springs = 3", "2: springs: 3 is not a section; write [springs]"),
+            ("[[springs]]", "2: springs: a list of tables is not a section"),
             ("[inputs]\nu = {}", "3: inputs.u: no element is attached to the input u"),
             ('[inputs]\nu = { kind = "displacment" }', 'did you mean "displacement"?'),
-            ("[inputs]\nu = { kind = 3 }", "3: inputs.u.kind: 3 is no text"),
+            ("[inputs]\nu = { kind = 3 }", "3: inputs.u.kind: 3 is not text"),
             ('[inputs]\nf = { kind = "force" }', "3: inputs.f: a force input must say where it acts; add at"),
             (
                 '[inputs]\nf = { kind = "force", at = "x3" }',
-                '3: inputs.f.at: "x3" is no coordinate; there are x1, x2',
+                '3: inputs.f.at: "x3" is not a coordinate; there are x1, x2',
             ),
-            ('[inputs]\nf = { kind = "force", at = "ground" }', '"ground" is no coordinate'),
+            ('[inputs]\nf = { kind = "force", at = "ground" }', '"ground" is not a coordinate'),
             ('[inputs]\nf = { kind = "force", at = ["x1", "x1"] }', "a name stands twice in the list"),
             ('[inputs]\nf = { kind = "force", at = [] }', "the list is empty"),
             ('[inputs]\nf = { kind = "force", at = [1] }', "the list holds more than names"),
             ('[inputs]\nf = { kind = "force", at = { x1 = 0 } }', "3: inputs.f.at.x1: the factor of x1 is 0"),
-            ('[inputs]\nf = "force"', '3: inputs.f: "force" is no table'),
+            ('[inputs]\nf = "force"', '3: inputs.f: "force" is not a table'),
             ('angles = ["x3"]', "2: angles: x3 is neither a coordinate nor a displacement input"),
             (
                 '[inputs]\nu = { at = "x1" }\n[springs]\nk={between=["u","x1"]}',
@@ -445,8 +445,8 @@ class TestFaultyEntries:
         ("head", "expected"),
         [
             ('coordinates = "x1"', 'rig.toml:1: coordinates: "x1" is text, not a list; write ["x1"]'),
-            ("coordinates = 3", "rig.toml:1: coordinates: 3 is no list"),
-            ('coordinates = ["x1", 2]', "rig.toml:1: coordinates[1]: 2 is no text"),
+            ("coordinates = 3", "rig.toml:1: coordinates: 3 is not a list"),
+            ('coordinates = ["x1", 2]', "rig.toml:1: coordinates[1]: 2 is not text"),
             ("coordinates = []", "rig.toml:1: coordinates: there are no coordinates"),
             (
                 'coordinates = [\n"x1",\n"x2",\n"x1"]',
@@ -457,7 +457,7 @@ class TestFaultyEntries:
                 "rig.toml:1: coordinates[2]: nothing is attached to the coordinate x9",
             ),
             ('coordinates = ["x1", "x2", "ground"]', "coordinates[2]: the name ground is taken"),
-            ('name = 3\ncoordinates = ["x1", "x2"]', 'rig.toml:1: name: 3 is no text; write "3" in quotes'),
+            ('name = 3\ncoordinates = ["x1", "x2"]', 'rig.toml:1: name: 3 is not text; write "3" in quotes'),
             ('name = "no coordinates"', "rig.toml: coordinates: missing"),
         ],
     )
@@ -476,17 +476,20 @@ class TestFaultyEntries:
         ("line", "expected"),
         [
             ("a = {}", 'channels.a.of: missing; add of = "x1"'),
-            ("a = 3", "channels.a: 3 is no table"),
-            ('a = { of = "xx1" }', 'channels.a.of: "xx1" is no point, input or element; did you mean "x1"?'),
-            ("a = { of = { x1 = 1, y = 2 } }", 'channels.a.of.y: "y" is no point, input or element'),
+            ("a = 3", "channels.a: 3 is not a table"),
+            (
+                'a = { of = "xx1" }',
+                'channels.a.of: "xx1" is not a point, input or element; did you mean "x1"?',
+            ),
+            ("a = { of = { x1 = 1, y = 2 } }", 'channels.a.of.y: "y" is not a point, input or element'),
             ("a = { of = { x1 = 0 } }", "channels.a.of.x1: the factor of x1 is 0"),
             ('a = { of = "ground" }', "channels.a.of: the ground does not move"),
             ('a = { of = "x1", quantity = "accel" }', 'did you mean "acceleration"?'),
             (
                 'a = { of = "x1", quantity = "acceleration", unit = "mm" }',
-                '"mm" is no unit of acceleration; use m/s²',
+                '"mm" is not a unit of acceleration; use m/s²',
             ),
-            ('a = { of = "x1", unit = "deg" }', '"deg" is no unit of displacement; use m'),
+            ('a = { of = "x1", unit = "deg" }', '"deg" is not a unit of displacement; use m'),
             ('a = { of = "x1", quantity = "acceleration", unit = "V" }', 'gain = "unknown"'),
             (
                 'a = { of = "x1", quantity = "acceleration", unit = "V", gain = "100 mV/N" }',
@@ -499,20 +502,26 @@ class TestFaultyEntries:
             ('a = { of = "x1", gain = "some" }', "channels.a.gain"),
             ('a = { of = "x1", gain = 0 }', "channels.a.gain: a gain of 0"),
             ('a = { of = "x1", sign = 2 }', "channels.a.sign: the sign is 2"),
-            ('a = { of = "x1", delay = "1 mm" }', 'channels.a.delay: "mm" is no unit of time'),
-            ('a = { of = "x1", rate = "1 kV" }', 'channels.a.rate: "kV" is no unit of frequency'),
-            ('a = { of = "x1", noise = "1 g" }', 'channels.a.noise: "g" is no unit of displacement'),
+            ('a = { of = "x1", delay = "1 mm" }', 'channels.a.delay: "mm" is not a unit of time'),
+            ('a = { of = "x1", rate = "1 kV" }', 'channels.a.rate: "kV" is not a unit of frequency'),
+            ('a = { of = "x1", noise = "1 g" }', 'channels.a.noise: "g" is not a unit of displacement'),
             ('a = { of = "x1", noise = "-1 %" }', "channels.a.noise: a standard deviation of -1"),
             (
                 'a = { of = "x1", noise = "1 %", relative_noise = 0.1 }',
                 "channels.a.noise: the relative noise",
             ),
-            ('a = { of = "x1", relative_noise = "1 mm" }', '"1 mm" is no share; write a number or per cent'),
+            (
+                'a = { of = "x1", relative_noise = "1 mm" }',
+                '"1 mm" is not a share; write a number or per cent',
+            ),
             (
                 'a = { of = "x1", quantity = "acceleration", unit = "V", gain = 1, noise = "1 g" }',
                 "channels.a.noise: noise in g of a channel in V; write it in V",
             ),
-            ('a = { of = { x1 = "20 mm" } }', "channels.a.of.x1: x1 is no angle, so its factor has no unit"),
+            (
+                'a = { of = { x1 = "20 mm" } }',
+                "channels.a.of.x1: x1 is not an angle, so its factor has no unit",
+            ),
             ('a = { of = "x1", sign = "1 V" }', 'channels.a.sign: "1 V" is text; write 1 without quotes'),
             ('a = { of = "x1", noise = -1 }', "channels.a.noise: a standard deviation of -1"),
             ('a = { of = "x1", relative_noise = -1 }', "channels.a.relative_noise"),
@@ -531,7 +540,7 @@ class TestFaultyEntries:
             ),
             ('a = { of = { u = 1, k = 1 }, quantity = "force" }', "channels.a.of: a force of several things"),
             ("a = { of = { x1 = 1, m1 = 1 } }", "channels.a.of: m1 is an element: it has no displacement"),
-            ('" a" = { of = "x1" }', '" a" is no usable name'),
+            ('" a" = { of = "x1" }', '" a" is not a usable name'),
             ('a = { of = "x1", units = "mm" }', 'channels.a.units: unknown key; did you mean "unit"?'),
         ],
     )
@@ -661,7 +670,7 @@ def test_a_gain_shared_by_channels() -> None:
 @pytest.mark.parametrize(
     ("change", "what"),
     [
-        (('same_gain_as = "F1" }\nF3', 'same_gain_as = "F4" }\nF3'), '"F4" is no channel; '),
+        (('same_gain_as = "F1" }\nF3', 'same_gain_as = "F4" }\nF3'), '"F4" is not a channel; '),
         (('same_gain_as = "F1" }\nF3', 'same_gain_as = "F2" }\nF3'), "shares its gain with itself"),
         (('"f1", gain = "unknown"', '"f1", gain = 2'), "the gain of F1 is known"),
         (('gain = "unknown", same', "gain = 3, same"), "the gain is given as well"),
@@ -669,7 +678,7 @@ def test_a_gain_shared_by_channels() -> None:
             ('"f2", same_gain_as = "F1"', '"f2", same_gain_as = "F2"'),
             "has its gain from another channel; name F1",
         ),
-        (('same_gain_as = "F1" }\nF3', "same_gain_as = 1 }\nF3"), "1 is no text"),
+        (('same_gain_as = "F1" }\nF3', "same_gain_as = 1 }\nF3"), "1 is not text"),
     ],
 )
 def test_a_gain_that_cannot_be_shared(change: tuple[str, str], what: str) -> None:
@@ -685,7 +694,7 @@ def test_columns_of_every_data_file_are_no_channels(name: str) -> None:
     channels = f'[channels]\nu = {{ of = "u" }}\n"{name}" = {{ of = "{name}" }}\n'
     for text, place in ((head, "coordinates"), (head + channels, f"channels.{name}")):
         with pytest.raises(
-            ModelError, match=rf"{place}: \"{name}\" is the column of that name in every data file"
+            ModelError, match=rf"{place}: \"{name}\" is reserved for a column of data files"
         ):
             parse_rig(text)
     parse_rig(head + f'[channels]\nu = {{ of = "u" }}\nx = {{ of = "{name}" }}\n')

@@ -171,7 +171,7 @@ def _from_json(path: str | os.PathLike[str], source: str, coordinates: Sequence[
         for name, value in named[k].items():
             if name not in points:
                 raise DataError(
-                    f"shape: {shown(name)} is no coordinate of the rig",
+                    f"shape: {shown(name)} is not a coordinate of the rig",
                     where,
                     f"there are {listed(coordinates)}",
                 )
@@ -191,7 +191,7 @@ def _rows_of_json(path: str | os.PathLike[str], source: str) -> list[dict[str, A
     except OSError as error:
         raise DataError(f"cannot be read ({error.strerror or error})", source, "check the path") from None
     except (ValueError, RecursionError):
-        raise DataError("this is no JSON", source, "correct it, or give a CSV file") from None
+        raise DataError("this is not JSON", source, "correct it, or give a CSV file") from None
     if isinstance(content, dict) and "parameters" in content:
         raise DataError("this is an estimate, not data", source, "name files of data or of modes")
     rows = content.get("modes") if isinstance(content, dict) else None
@@ -235,4 +235,4 @@ def _number(value: object, key: str, where: str) -> float:
     if isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= LARGEST:
         return float(value)
     text = "a number of many digits" if isinstance(value, int) and value > 1 else shown(json.dumps(value))
-    raise DataError(f"{key}: {text} is no finite number", where, "give a number")
+    raise DataError(f"{key}: {text} is not a finite number", where, "give a number")

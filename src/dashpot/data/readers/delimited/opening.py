@@ -109,7 +109,7 @@ def _thousands_note(source: str) -> Notice:
 
 
 def _as_utf8(data: bytes, source: str) -> bytes:
-    """The text as UTF-8 without a mark, with line feeds.  Raises DataError where it is no text."""
+    """The text as UTF-8 without a mark, with line feeds.  Raises DataError where it is not text."""
     if not data.strip():
         raise DataError("the file is empty", source, "give a file with a header row and data")
     if data[:2] in (b"\xff\xfe", b"\xfe\xff"):

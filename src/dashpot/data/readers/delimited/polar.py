@@ -117,5 +117,5 @@ def _to_radian(columns: Columns, column: int) -> float:
     try:
         return units.scale(unit, "displacement", angular=True)
     except DashpotError:
-        what = f"column {shown(columns.header[column])}: {shown(unit)} is no unit of angle"
+        what = f"column {shown(columns.header[column])}: {shown(unit)} is not a unit of angle"
         raise DataError(what, columns.heading, "give the phase in deg or rad") from None

@@ -206,7 +206,7 @@ class Table(Columns):
         )
 
     def _wrong(self, cell: str, optional: bool, infinite: bool) -> tuple[str, str] | None:
-        """Cause and cure of a cell that is no number."""
+        """Cause and cure of a cell that is not a number."""
         if not cell:
             return None if optional else ("the cell is empty", "fill the gap, or cut the rows out")
         try:

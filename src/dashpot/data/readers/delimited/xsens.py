@@ -57,7 +57,7 @@ def read_xsens(
             raise DataError(f"channel {channel.name} has no file", source, cure)
         if channel.quantity is not Quantity.ACCELERATION or channel.scale != 1.0:
             cure = 'set quantity = "acceleration" and unit = "m/s²" for it in the rig file'
-            raise DataError(f"channel {channel.name} is no acceleration in m/s²", source, cure)
+            raise DataError(f"channel {channel.name} is not an acceleration in m/s²", source, cure)
         clock, values, told = _sensor(open_table(paths[channel.name], COUNTER), column)
         sensors.append((clock, values))
         notes.extend(told)
@@ -129,7 +129,7 @@ def _clock(table: Table) -> tuple[Ints, int, list[Notice]]:
     wrong = (clock != np.round(clock)) | (clock < 0) | (clock >= WRAP)
     if np.any(wrong):
         i = int(np.argmax(wrong))
-        raise table.error(i, clock_at, f"{clock[i]:g} is no time in whole µs", "export the file again")
+        raise table.error(i, clock_at, f"{clock[i]:g} is not a time in whole µs", "export the file again")
     again = np.concatenate([[0], np.cumsum(np.diff(clock) < -WRAP / 2)]).astype(np.int64)
     ticks = clock.astype(np.int64) + WRAP * again
     back = np.diff(ticks) <= 0

@@ -163,7 +163,7 @@ def _text_numbers(stream: UffStream, shape: _Shape) -> tuple[Real | None, Real]:
                     np.array([cell.replace(b"D", b"E").replace(b"d", b"e") for cell in cells]).astype(float)
                 )
             except ValueError:
-                raise stream.wrong("something that is no number stands among the values") from None
+                raise stream.wrong("something that is not a number stands among the values") from None
             cells = []
     if read > needed:
         raise stream.wrong(f"the dataset holds more than {needed} numbers")

@@ -111,4 +111,4 @@ def _numbers(stream: UffStream, line: bytes) -> list[float]:
     try:
         return [float(field.replace(b"D", b"E")) for field in _fields(line, 13) if field.strip()]
     except ValueError:
-        raise stream.wrong("something that is no number stands among the values") from None
+        raise stream.wrong("something that is not a number stands among the values") from None
