@@ -172,7 +172,7 @@ def test_what_is_no_unit_is_one_clear_line(unit: str) -> None:
 
 
 def test_an_unknown_quantity() -> None:
-    with pytest.raises(UsageError, match="no quantity"):
+    with pytest.raises(UsageError, match="not a quantity"):
         scale("m", "speed")
 
 

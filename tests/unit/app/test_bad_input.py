@@ -272,7 +272,7 @@ BAD_USAGE = {
     "no file of a fleet": (["fleet", "rig.toml", "none.csv", "-o", "f.parquet"], "none.csv: there is no such file"),
     "inspect a rig": (["inspect", "rig.toml"], "rig.toml: no column holds numbers"),
     "new over old": (["new", "rig.toml", "--masses", "2"], "rig.toml: there is a file of this name"),
-    "new in bananas": (["new", "new.toml", "--unit", "bananas"], '"bananas" is no unit'),
+    "new in bananas": (["new", "new.toml", "--unit", "bananas"], '"bananas" is not a unit'),
     "no curve": (["response", "rig.toml"], "--band 1:10 to follow the frequency"),
     "two curves": (["response", "rig.toml", "--band", "1:9", "--at", "3"], "--band and --at exclude each other"),
     "draws": (["reproduce", "yamane1989", "--draws", "0"], "0"),

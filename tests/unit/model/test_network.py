@@ -167,7 +167,7 @@ REFUSED: list[tuple[Callable[[], Model], str | None, str]] = [
     (lambda: model(spring("q"), spring("k", "ground", "ground")), "k", "both ends are on the ground"),
     (lambda: model(spring("ground")), "ground", "the name ground is taken"),
     (lambda: model(spring("")), "", "'' is not a usable name"),
-    (lambda: model(spring("a\nb")), "a\nb", "no usable name"),
+    (lambda: model(spring("a\nb")), "a\nb", "not a usable name"),
     (lambda: model(spring("k", "x1", "y")), "k", "y is neither a coordinate nor a displacement input"),
     (lambda: model(Element("k", Kind.SPRING, {"x1": 0.0})), "k", "the factor of x1 is 0"),
     (lambda: model(Element("k", Kind.SPRING, {"x1": NAN})), "k", "the factor of x1 is nan"),

@@ -154,7 +154,7 @@ def test_folders_that_are_no_study_are_left_alone(study, tmp_path):
         run_study(study, tmp_path)
     (tmp_path / "s").mkdir()
     (tmp_path / "s" / "study.json").write_text(json.dumps({"format": 1}))
-    with pytest.raises(UsageError, match="no study of dashpot"):
+    with pytest.raises(UsageError, match="not a study of dashpot"):
         run_study(study, tmp_path / "s")
     (tmp_path / "file").write_text("")
     with pytest.raises(UsageError, match="cannot be used"):

@@ -190,7 +190,7 @@ WRONG = [
         "8: grid[0]: constant noise has no size; add reference",
     ),
     ("noise = [0.1]", "noise = 0.1\nkind = 'white'", '10: grid[0].kind: "white" is not a kind of noise'),
-    ("noise = [0.1]", "noise = 0.1\nreference = 'few2'", '10: grid[0].reference: "few2" is no set'),
+    ("noise = [0.1]", "noise = 0.1\nreference = 'few2'", '10: grid[0].reference: "few2" is not a set'),
     ("samples = 56", "", "8: grid[0]: the number of samples is not said"),
     ("samples = 56", "samples = 1", "10: grid[0].samples: 1 is out of range"),
     (
@@ -206,14 +206,18 @@ WRONG = [
     (
         "samples = 56",
         "samples = 56\nfrequencies = 'many'",
-        '11: grid[0].frequencies: "many" is no set of freq',
+        '11: grid[0].frequencies: "many" is not a set of freq',
     ),
-    ("samples = 56", "samples = 56\nunknowns = 'two'", '11: grid[0].unknowns: "two" is no set of unknowns'),
+    (
+        "samples = 56",
+        "samples = 56\nunknowns = 'two'",
+        '11: grid[0].unknowns: "two" is not a set of unknowns',
+    ),
     ("samples = 56", "samples = 56\nrigs = 'two'", '11: grid[0].rigs: "two" is not a rig; there are one'),
     (
         "samples = 56",
         "samples = 56\ncovariance = 'guessed'",
-        '11: grid[0].covariance: "guessed" is no covariance',
+        '11: grid[0].covariance: "guessed" is not a covariance',
     ),
     ("[[grid]]\nnoise = [0.1]\nsamples = 56\n", "", "grid: there is no grid; add [[grid]]"),
     ("[frequencies]", "[unknowns]\nall = ['m']\n[frequencies]", "7: unknowns.all: the name all is taken"),

@@ -103,14 +103,15 @@ def image_picture(png: bytes, alternative: str) -> Picture:
 
 def page_html(page: Page) -> str:
     """The page as one HTML file."""
+    loader = FileSystemLoader(TEMPLATES)
     environment = Environment(
-        loader=FileSystemLoader(TEMPLATES), autoescape=True, undefined=StrictUndefined, trim_blocks=True,
+        loader=loader, autoescape=True, undefined=StrictUndefined, trim_blocks=True,
         lstrip_blocks=True,
     )  # fmt: skip
     explanations = [(term, EXPLANATIONS[term]) for term in page.terms]
     blocks = (*page.evidence, *(() if page.answer is None else (page.answer,)))
     told = any("data-panels=" in picture.svg for block in blocks for picture in block.pictures)
-    script = (TEMPLATES / "figures.js").read_text(encoding="utf-8") if told else ""
+    script = loader.get_source(environment, "figures.js")[0] if told else ""
     allowed = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode("ascii")
     return environment.get_template("report.html").render(
         page=page, explanations=explanations, inline=_inline, rows=_rows, script=Markup(script), allowed=allowed

@@ -88,7 +88,7 @@ class TestXsens:
         paths = files(u=xsens(), x1=xsens())
         with pytest.raises(DataError, match="x1 has no file"):
             read_xsens({"u": paths["u"]}, SENSORS)
-        with pytest.raises(DataError, match="no acceleration in m/s²"):
+        with pytest.raises(DataError, match="not an acceleration in m/s²"):
             read_xsens(paths, (Channel("u", {"u": 1}), SENSORS[1]))
         with pytest.raises(DataError, match="no axis W"):
             read_xsens(paths, SENSORS, "W")
@@ -211,9 +211,9 @@ class TestPeriods:
     def test_what_cannot_be_averaged(self):
         record = self.record(0)
         for period, skip, what in (
-            (0.5123, 0, "no whole number"),
-            (np.nan, 0, "no whole number"),
-            (-0.5, 0, "no whole number"),
+            (0.5123, 0, "not a whole number"),
+            (np.nan, 0, "not a whole number"),
+            (-0.5, 0, "not a whole number"),
             (0.5, 11, "12 periods of 0.5 s, 11"),
             (0.5, -1, "two periods"),
         ):

@@ -171,7 +171,7 @@ def test_sensors_of_other_sample_times_keep_them(tmp_path):
         ('[[files]]\nname = "2Hz.csv"\ncolumns = { x1 = "x9" }\n', "2Hz.csv:1: column x9: missing"),
         ('[[files]]\nname = "2Hz.csv"\nunits = { x1 = "N" }\n', "N is not a unit of displacement"),
         ('[[files]]\nname = "2Hz.csv"\nlines = "1:x"\n', "1:x are not multiples"),
-        ('[[files]]\nname = "2Hz.csv"\nlines = [1]\nfrequency_hz = 0.3\n', "no whole number of samples"),
+        ('[[files]]\nname = "2Hz.csv"\nlines = [1]\nfrequency_hz = 0.3\n', "not a whole number of samples"),
         ('[[files]]\nname = "2Hz.csv"\nwindow_s = [90, 91]\n', "nothing lies in window_s"),
         ('[[files]]\nname = "2Hz.csv"\npart = "sheet 4"\n', "there is no part sheet 4"),
         ('[[files]]\nname = "{sensor}Hz.csv"\n[files.sensors]\na = {}\n', "no file of these names is left"),

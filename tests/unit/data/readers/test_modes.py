@@ -127,10 +127,10 @@ def changed(mode: int, **entries: object) -> dict[str, object]:
 
 
 BAD_JSON: dict[str, tuple[object, list[str]]] = {
-    "no json": ("{", ["modes.json", "no JSON"]),
+    "no json": ("{", ["modes.json", "not JSON"]),
     "a list": ([1, 2], ["modes.json", '"modes"']),
     "no modes": ({"modes": []}, ["modes.json", '"modes"']),
-    "too deep": ("[" * 100000, ["modes.json", "no JSON"]),
+    "too deep": ("[" * 100000, ["modes.json", "not JSON"]),
     "unknown key": (changed(1, colour="red"), ["mode 2", "colour"]),
     "no frequency": (changed(1, frequency_hz=None), ["mode 2", "frequency_hz"]),
     "text": (changed(0, frequency_hz="3.0 Hz"), ["mode 1", "frequency_hz", "3.0 Hz"]),
@@ -139,7 +139,7 @@ BAD_JSON: dict[str, tuple[object, list[str]]] = {
     "no sd": (changed(0, frequency_sd=None), ["mode 1", "frequency_sd"]),
     "damping in percent": (changed(0, damping_ratio=2), ["mode 1", "damping_ratio"]),
     "damping without sd": (changed(0, damping_sd=None), ["mode 1", "damping_sd"]),
-    "unknown point": (changed(0, shape={"y": 1.0}), ["mode 1", "y", "no coordinate"]),
+    "unknown point": (changed(0, shape={"y": 1.0}), ["mode 1", "y", "not a coordinate"]),
     "shape is a list": (changed(0, shape=[1, 2]), ["mode 1", "shape"]),
     "shape of three numbers": (changed(0, shape={"x1": [1, 2, 3]}), ["mode 1", "x1"]),
     "point without sd": (changed(0, shape_sd={"x1": 0.1}), ["mode 1", "x3"]),

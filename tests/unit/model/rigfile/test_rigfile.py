@@ -693,8 +693,6 @@ def test_columns_of_every_data_file_are_no_channels(name: str) -> None:
     head += f'[springs]\nk = {{ between = ["u", "{name}"] }}\n'
     channels = f'[channels]\nu = {{ of = "u" }}\n"{name}" = {{ of = "{name}" }}\n'
     for text, place in ((head, "coordinates"), (head + channels, f"channels.{name}")):
-        with pytest.raises(
-            ModelError, match=rf"{place}: \"{name}\" is reserved for a column of data files"
-        ):
+        with pytest.raises(ModelError, match=rf"{place}: \"{name}\" is reserved for a column of data files"):
             parse_rig(text)
     parse_rig(head + f'[channels]\nu = {{ of = "u" }}\nx = {{ of = "{name}" }}\n')

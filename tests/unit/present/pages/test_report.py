@@ -91,7 +91,7 @@ def test_the_report_stands_alone(good: Estimate) -> None:
         "Measured and model",
         "Residuals",
         "Correlation",
-        "What each line",
+        "Information by frequency",
     ):
         assert f"<h2>{title}" in html
     for row in parameter_rows(good):
