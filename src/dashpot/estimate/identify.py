@@ -11,7 +11,7 @@ import numpy as np
 from dashpot.arrays import Real
 from dashpot.data.spectrum import Spectrum
 from dashpot.errors import DataError, UsageError
-from dashpot.estimate.inference import diagnostics
+from dashpot.estimate.inference import diagnostics, record_findings
 from dashpot.estimate.inference.derived import known_values, linear_modes, tied_values
 from dashpot.estimate.inference.uncertainty import Inference, inference, with_noise_of_residuals
 from dashpot.estimate.likelihood.boundary_loads import carries_loads
@@ -137,9 +137,10 @@ def _estimate(
     if not batch:
         warnings += [notice for each in bands for notice in each.notices(around.names)]
         dead = partial(diagnostics.dead_channels, model, spectrum)
-        diagnostics.require_determined(around.names, theta, noise, dead)
+        few_lines = record_findings.few_lines(model, spectrum)
+        diagnostics.require_determined(around.names, theta, noise, dead, few_lines)
         warnings += _notices(model, method, theta, covariance, noise, fit)
-        warnings += diagnostics.short_records(model, theta, spectrum)
+        warnings += record_findings.of_records(model, theta, spectrum)
         warnings += [] if first.bounds is None else diagnostics.held(around.names, theta, first.bounds)
     return Estimate(
         model=model.name,

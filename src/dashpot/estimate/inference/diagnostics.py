@@ -13,12 +13,10 @@ from scipy.special import bdtrc
 from dashpot.arrays import Real
 from dashpot.channel import Quantity
 from dashpot.data.spectrum import Spectrum
-from dashpot.data.stretch import WholeRecord
 from dashpot.errors import IdentifiabilityError
 from dashpot.estimate.method import HeldBounds, Method, Solution
 from dashpot.estimate.result import Fit
 from dashpot.model.dynamics import matrices
-from dashpot.model.modes import modes
 from dashpot.model.network import Model
 from dashpot.model.observation import is_direct
 from dashpot.model.unstructured import free_entries, free_names
@@ -47,22 +45,6 @@ def dead_channels(model: Model, spectrum: Spectrum) -> list[str]:
         and channel.quantity is not Quantity.FORCE
         and not set(channel.of).isdisjoint(model.coordinates)
     ]
-
-
-def short_records(model: Model, theta: Real, spectrum: Spectrum) -> list[Notice]:
-    """A warning where no whole record lasts for one period of the slowest mode found."""
-    durations = [value.duration_s for value in spectrum.stretches if isinstance(value, WholeRecord)]
-    if not durations or len(durations) < len(spectrum.stretches):
-        return []
-    frequency = modes(model, model.parameters(theta[: len(model.unknowns)])).frequency_hz
-    slowest = float(np.min(frequency[frequency > 0], initial=np.inf))
-    if max(durations) * slowest >= 1:
-        return []
-    text = (
-        f"the longest record, {max(durations):.4g} s, is shorter than one period of the slowest mode, "
-        f"{1 / slowest:.4g} s: its transient and its motion are hardly told apart"
-    )
-    return [Notice("short_record", text)]
 
 
 def duplicated_lines(spectrum: Spectrum) -> list[Notice]:
@@ -256,8 +238,9 @@ def require_determined(
     theta: Real,
     covariance: Real,
     dead_channels: Callable[[], Sequence[str]] = tuple,
+    few_lines: str | None = None,
 ) -> None:
-    """Raises IdentifiabilityError, which names `dead_channels`, where an unknown has no finite interval."""
+    """Raises IdentifiabilityError, which names `dead_channels` or `few_lines`, where an unknown has no interval."""
     variance = covariance.diagonal()
     if np.isfinite(theta).all() and np.isfinite(variance).all() and (variance >= 0).all():
         return
@@ -268,6 +251,11 @@ def require_determined(
             f"the data do not determine {', '.join(lost) if lost else 'the unknowns'}, for {', '.join(dead)} "
             f"show{'s' if len(dead) == 1 else ''} no motion at any line",
             cure="see whether the sensor is connected, or leave the channel out of the rig file",
+        )
+    if few_lines is not None:
+        raise IdentifiabilityError(
+            f"the data do not determine {', '.join(lost) if lost else 'the unknowns'}: {few_lines}",
+            cure="widen the band, or record for longer",
         )
     raise IdentifiabilityError(
         f"the data do not determine {', '.join(lost) if lost else 'the unknowns'}",

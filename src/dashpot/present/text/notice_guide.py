@@ -183,6 +183,19 @@ _ALL: tuple[tuple[str, str, str, str], ...] = (
         "Record for several periods of the slowest mode.",
     ),
     (
+        "few_lines", _ESTIMATE,
+        ("The lines of a whole record in the band are hardly more than the terms that its two ends take: little is "
+        "left to tell the rig from."),
+        "Widen `--band`, or record for longer.",
+    ),
+    (
+        "unrelated_inputs", _ESTIMATE,
+        ("No output of the whole records goes with what the inputs measure, at any frequency of the band (F tests, "
+        "p > 0.01): the estimate is one of noise."),
+        ("See whether the input's sensor is connected, and on the same clock as the others; choose the band that was "
+        "driven; for a free decay leave the input out and join its elements to the ground."),
+    ),
+    (
         "noise_factor_diverged", _ESTIMATE,
         "`tls` found no noise factor: the noise hides at least one unknown.",
         "Use `oiv` or `ml`; measure with less noise.",

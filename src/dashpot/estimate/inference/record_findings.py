@@ -1,0 +1,134 @@
+"""What whole records lack: length, lines, or inputs that have anything to do with the motion.
+
+A dead sensor, another clock, a band in which nothing was driven, or the free decay of a rig whose input rests: the
+noise of such an input explains nothing, and a fit that takes it for the drive ends anywhere.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.special import chdtrc, fdtrc
+
+from dashpot.arrays import Bools, Complex, Real
+from dashpot.data.spectrum import Spectrum
+from dashpot.data.stretch import WholeRecord
+from dashpot.io.words import joined
+from dashpot.model.modes import modes
+from dashpot.model.network import Model
+from dashpot.model.observation import measures_input
+from dashpot.notices import Notice
+
+BIN = 12  # lines in which a response is nearly constant and a transient straight
+BINS = 400  # looked at, at most
+SPARE = 4  # lines that a bin must have beyond its columns
+CHANCE = 0.01  # p-value above which no relation shows
+SMALLEST = 1e-300  # p-value
+FEW = 4  # equations for each term of the ends and each unknown, below which little is left for the rig
+
+
+def of_records(model: Model, theta: Real, spectrum: Spectrum) -> list[Notice]:
+    """What is to be said of an estimate that whole records have given (no batch axes)."""
+    if not spectrum.records:
+        return []
+    few = few_lines(model, spectrum)
+    return [
+        *short_records(model, theta, spectrum),
+        *(
+            []
+            if few is None
+            else [Notice("few_lines", f"{few}: hardly more; widen the band or record for longer")]
+        ),
+        *unrelated_inputs(model, spectrum),
+    ]
+
+
+def short_records(model: Model, theta: Real, spectrum: Spectrum) -> list[Notice]:
+    """A warning where no whole record lasts for one period of the slowest mode found."""
+    durations = [value.duration_s for value in spectrum.stretches if isinstance(value, WholeRecord)]
+    if not durations or len(durations) < len(spectrum.stretches):
+        return []
+    frequency = modes(model, model.parameters(theta[: len(model.unknowns)])).frequency_hz
+    slowest = float(np.min(frequency[frequency > 0], initial=np.inf))
+    if max(durations) * slowest >= 1:
+        return []
+    text = (
+        f"the longest record, {max(durations):.4g} s, is shorter than one period of the slowest mode, "
+        f"{1 / slowest:.4g} s: its transient and its motion are hardly told apart"
+    )
+    return [Notice("short_record", text)]
+
+
+def few_lines(model: Model, spectrum: Spectrum) -> str | None:
+    """What to say where the lines of whole records carry hardly more than the terms of their ends; else None."""
+    records = [value for value in spectrum.stretches if isinstance(value, WholeRecord)]
+    if not records or len(records) < len(spectrum.stretches):
+        return None
+    outputs = int(np.sum([not measures_input(model, channel) for channel in spectrum.channels]))
+    lines = spectrum.lines
+    terms = sum(2 * model.n * value.loads + value.polynomial * outputs for value in records)
+    if 2 * lines * outputs >= FEW * (terms + len(model.unknowns)):
+        return None
+    whose = "records'" if len(records) > 1 else "record's"
+    return (
+        f"the {lines} lines in the band carry {terms} terms of the {whose} ends beside the "
+        f"{len(model.unknowns)} unknowns"
+    )
+
+
+def unrelated_inputs(model: Model, spectrum: Spectrum) -> list[Notice]:
+    """A warning where no output of any whole record goes with the inputs: F tests in bins of lines, Fisher's product.
+
+    In each bin of lines the outputs are fitted by a straight transient alone, and by the inputs times a constant
+    response as well: inputs of white noise then pass as often as stated, whatever the outputs are.
+    """
+    inputs = np.array([measures_input(model, channel) for channel in spectrum.channels], dtype=bool)
+    if not np.any(inputs) or np.all(inputs):
+        return []
+    amplitudes = spectrum.amplitudes[(0,) * len(spectrum.batch)]
+    logs = [
+        log
+        for number, value in enumerate(spectrum.stretches)
+        if isinstance(value, WholeRecord)
+        for log in _logs(amplitudes[spectrum.stretch == number], inputs)
+    ]
+    if not logs:
+        return []
+    outputs = int(np.sum(~inputs))
+    p = chdtrc(2 * len(logs), -2 * np.sum(logs, axis=0)) * outputs
+    if np.min(p) <= CHANCE:
+        return []
+    names = [channel.name for channel, given in zip(spectrum.channels, inputs, strict=True) if given]
+    low, high = float(np.min(spectrum.frequency_hz)), float(np.max(spectrum.frequency_hz))
+    text = (
+        f"from {low:.3g} to {high:.3g} Hz no channel moves with {joined(names)}: a dead sensor, another clock, no "
+        "drive in this band, or a free decay, in which what rests is ground and no input"
+    )
+    return [Notice("unrelated_inputs", text, tuple(names))]
+
+
+def _logs(X: Complex, inputs: Bools) -> list[Real]:
+    """log p of each bin of one record, (outputs,) each; X (lines, channels)."""
+    columns = 2 + int(np.sum(inputs))
+    each = max(BIN, columns + SPARE)
+    if not np.all(np.isfinite(X)):
+        return []
+    starts = np.arange(0, len(X) - each + 1, each)
+    logs = []
+    for start in starts[:: -(-len(starts) // BINS) if len(starts) else 1].tolist():
+        part = X[start : start + each]
+        run = np.linspace(-1, 1, each)[:, None]
+        transient = np.concatenate([np.ones((each, 1)), run], axis=1)
+        driven = np.concatenate([transient, part[:, inputs]], axis=1)
+        without, left = _left(transient, part[:, ~inputs]), _left(driven, part[:, ~inputs])
+        more, free = columns - 2, each - columns
+        with np.errstate(divide="ignore", invalid="ignore"):
+            F = np.where(left > 0, (without - left) / more / (left / free), np.inf)
+        logs.append(np.log(np.maximum(fdtrc(2 * more, 2 * free, F), SMALLEST)))
+    return logs
+
+
+def _left(columns: Complex, Y: Complex) -> Real:
+    """Sums of squares of what columns leave of Y, (outputs,)."""
+    scaled = columns / np.maximum(np.linalg.norm(columns, axis=0), np.finfo(float).tiny)
+    left: Real = np.sum(np.abs(Y - scaled @ np.linalg.lstsq(scaled, Y, rcond=None)[0]) ** 2, axis=0)
+    return left
