@@ -80,7 +80,7 @@ def automatic(model: Model, spectrum: Spectrum, *, bounded: bool = False) -> Met
         traits = method_class(name).traits
         asked = (
             (by_output, traits.by_output), (bounded, traits.bounds), (transients, traits.transients),
-            (bool(len(model.nonlinear)), traits.nonlinear and traits.maximum_likelihood),
+            (bool(len(model.nonlinear)), traits.nonlinear and traits.maximum_likelihood and traits.by_output),
         )  # fmt: skip
         if all(able or not wanted for wanted, able in asked):
             break
@@ -91,7 +91,8 @@ def _require_able(model: Model, spectrum: Spectrum, method: Method) -> None:
     """Raises UsageError where the method does not know the rig's elements or the data's transients."""
     if len(model.nonlinear) and not method.traits.nonlinear:
         raise UsageError(
-            f"the method {method.name} does not know nonlinear elements", cure="use the method ml, or hls"
+            f"the method {method.name} does not know nonlinear elements",
+            cure="use the method ml, oiv, iv, wls, ls or hls",
         )
     if carries_loads(spectrum) and len(model.nonlinear):
         raise UsageError(

@@ -10,12 +10,14 @@ import numpy as np
 from scipy.special import chdtrc
 
 from dashpot.arrays import Bools, Complex, Ints, Real
+from dashpot.estimate.likelihood.maximum_likelihood import MaximumLikelihood
 from dashpot.estimate.linear.auxiliary_model import auxiliary, equation_sums, normal_equations
 from dashpot.estimate.linear.compiled import compiled_equation, compiled_search
 from dashpot.estimate.linear.gram import regressors
 from dashpot.estimate.linear.least_squares import sandwich, solve_sums, starts
 from dashpot.estimate.linear.sample_moments import Sampled, least_squares_sums, sampled, sums_with_harmonics
 from dashpot.estimate.method import Method, Solution, Traits
+from dashpot.estimate.nonlinear.equations import HarmonicEquations, harmonic_equations, require_direct
 from dashpot.estimate.preparation.prepared import Prepared
 from dashpot.estimate.preparation.state_reconstruction import States
 from dashpot.model.dynamics import amplitudes, unit_forces
@@ -37,10 +39,15 @@ class InstrumentalVariables(Method):
     max_iterations: int = 100
     tolerance: float = 1e-10
     name: ClassVar[str] = "iv"
-    traits: ClassVar[Traits] = Traits(moments="auto")
+    traits: ClassVar[Traits] = Traits(moments="auto", nonlinear=True)
 
     def solve(self, data: Prepared) -> Solution:
-        """θ from (G) with instruments from the response of the auxiliary model."""
+        """θ from (G) with instruments from the response of the auxiliary model, of nonlinear rigs by harmonic balance.
+
+        Nonlinear laws of the noisy motion are biased themselves, so that instruments take out a part only (THEORY §9).
+        """
+        if len(data.model.nonlinear):
+            return self._of_harmonics(harmonic_equations(data))
         looks = sampled(data)
         N, r = least_squares_sums(looks)
         theta = solve_sums(looks, N, r)
@@ -54,6 +61,15 @@ class InstrumentalVariables(Method):
         w = instruments(looks, theta)
         N, _ = sums_with_harmonics(looks, w)
         return Solution(theta, sandwich(looks, N, w, theta), converged, iterations, history)
+
+    def _of_harmonics(self, equations: HarmonicEquations) -> Solution:
+        def step(theta: Real, rows: Ints) -> Real:
+            return equations.rows(rows).with_instruments(theta)
+
+        theta, converged, iterations, history = fixed_point(
+            step, equations.least_squares(), self.tolerance, self.max_iterations
+        )
+        return Solution(theta, equations.spread(theta, instruments=True), converged, iterations, history)
 
 
 def instruments(looks: Sampled, theta: Real) -> Complex:
@@ -97,11 +113,18 @@ class OptimalIV(Method):
     max_iterations: int = 200
     tolerance: float = 1e-9
     name: ClassVar[str] = "oiv"
-    traits: ClassVar[Traits] = Traits(maximum_likelihood=True, weighted=True)
+    traits: ClassVar[Traits] = Traits(maximum_likelihood=True, weighted=True, nonlinear=True)
 
     def solve(self, data: Prepared) -> Solution:
-        """θ at the minimum of Σ eᴴ Ω(θ) e with the priors' rows."""
+        """θ at the minimum of Σ eᴴ Ω(θ) e with the priors' rows.
+
+        Of nonlinear rigs a is that of the model's own motion, and the best instruments are the slopes of the equation's
+        error through that motion: what they make zero is the slope of the likelihood (THEORY §9).
+        """
         model, states = data.model, data.seen_states
+        if len(model.nonlinear):
+            require_direct(data)
+            return MaximumLikelihood(max_iterations=self.max_iterations, tolerance=self.tolerance).solve(data)
         first, *others = starts(model, states)
         found = self._search(model, states, first, np.arange(len(first)))
         for start in others:

@@ -13,6 +13,7 @@ from dashpot.estimate.linear.compiled import compiled_equation
 from dashpot.estimate.linear.gram import gram, gram_force, known_side, regressors, weighted_normal
 from dashpot.estimate.linear.sample_moments import Sampled, sampled, sums_with_samples
 from dashpot.estimate.method import Method, Solution, Traits, closed_form
+from dashpot.estimate.nonlinear.equations import harmonic_equations
 from dashpot.estimate.nonlinear.regression import harmonic_least_squares
 from dashpot.estimate.preparation.prepared import Prepared, without_priors
 from dashpot.estimate.preparation.state_reconstruction import States
@@ -27,10 +28,17 @@ class LeastSquares(Method):
     """The paper's least squares on samples (eq. 17, Q = I).  Biased: the noise's power enters the normal matrix."""
 
     name: ClassVar[str] = "ls"
-    traits: ClassVar[Traits] = Traits(moments=True)
+    traits: ClassVar[Traits] = Traits(moments=True, nonlinear=True)
 
     def solve(self, data: Prepared) -> Solution:
-        """θ in closed form; the covariance is the estimator's own spread, not its distance from the truth."""
+        """θ in closed form; the covariance is the estimator's own spread, not its distance from the truth.
+
+        Of nonlinear rigs from the measured harmonics, as Yasuda and Watanabe (1989) do.
+        """
+        if len(data.model.nonlinear):
+            equations = harmonic_equations(data)
+            theta = equations.least_squares()
+            return closed_form(theta, equations.spread(theta, instruments=False))
         looks = sampled(data)
         N, r = sums_with_samples(looks)
         theta = solve_sums(looks, N, r)
@@ -65,11 +73,13 @@ class WeightedLeastSquares(Method):
     """Least squares on amplitudes, weighted by Ω = Cov(e)⁻¹ at the unweighted estimate."""
 
     name: ClassVar[str] = "wls"
-    traits: ClassVar[Traits] = Traits(weighted=True)
+    traits: ClassVar[Traits] = Traits(weighted=True, nonlinear=True)
 
     def solve(self, data: Prepared) -> Solution:
-        """θ in closed form, given the weight."""
+        """θ in closed form, given the weight; of nonlinear rigs from the measured harmonics."""
         model = data.model
+        if len(model.nonlinear):
+            return closed_form(*harmonic_equations(data).weighted())
         looks = combined(data)
         N, r = gram(model, looks.a, looks.a, looks.weight), gram_force(model, looks.a, looks.f, looks.weight)
         Se = equation_covariance(model, model.parameters(solve_sums(looks, N, r)), data.seen_states)

@@ -96,18 +96,23 @@ def regressors_of(model: Model, a: Complex) -> Complex:
     return regressors(model, a) if not len(model.constants) else (a[..., None, :] * model.B.T) @ model.T
 
 
+def require_known_constants(model: Model) -> None:
+    """Raises UsageError where an inner constant is unknown: the equation is linear in the parameters alone."""
+    unknown = [f"{element.name}.{constant.name}" for element, constant in model.constants if constant.unknown]
+    if unknown:
+        raise UsageError(
+            f"least squares on harmonics cannot find {', '.join(unknown)}, which is inside a law",
+            cure="give it a value, or use the method ml",
+        )
+
+
 def harmonic_least_squares(data: Prepared) -> Solution:
     """θ by least squares on measured harmonics, each dwell weighted by its power; the noise's bias is in it.
 
     The covariance is that of the scatter between dwells.  Raises UsageError where an inner constant is unknown.
     """
     model = data.model
-    open_constants = [f"{e.name}.{c.name}" for e, c in model.constants if c.unknown]
-    if open_constants:
-        raise UsageError(
-            f"least squares on harmonics cannot find {', '.join(open_constants)}, which is inside a law",
-            cure="give it a value, or use the method ml",
-        )
+    require_known_constants(model)
     motion = measured_motion(data)
     weight = scale_of_lines(motion)
     theta, _ = regression(motion, model.constants_map[1], weight)

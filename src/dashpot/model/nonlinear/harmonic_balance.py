@@ -96,10 +96,10 @@ def _grown(model: Model, p: Real, constants: Real, drive: Drive, at: Balanced, t
     q = _linear_start(model, p[lost], constants[lost], begun, times)
     for share in RAMP:
         grown = balanced(model, p[lost], constants[lost], drive.rows(lost).scaled(share), q, times)
-        lost = lost[grown.converged]
-        if not len(lost):
-            return at
-        q = grown.q[grown.converged] * 1.02
+        q = grown.q * 1.02
+    if not np.any(grown.converged):
+        return at
+    lost = lost[grown.converged]
     delta = at.q.copy()
     delta[lost] = grown.q[grown.converged]
     hopeless = ~at.converged

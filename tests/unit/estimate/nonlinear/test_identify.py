@@ -62,4 +62,4 @@ def test_least_squares_on_harmonics_is_exact_without_noise_and_refuses_inner_con
 def test_methods_that_know_linear_rigs_only_say_so():
     model, theta = two_masses("cubic")
     with pytest.raises(UsageError, match="nonlinear"):
-        identify(model, settled(model, theta, ALL, FREQUENCIES), "oiv")
+        identify(model, settled(model, theta, ALL, FREQUENCIES), "tls")
