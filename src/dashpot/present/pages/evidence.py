@@ -8,23 +8,28 @@ import numpy as np
 
 from dashpot.check.collinearity import Collinearity, shares_by_band
 from dashpot.check.frequency_response import responses_of_channels
+from dashpot.check.profile import Profile, profile
 from dashpot.check.residuals import Residuals, correlation
 from dashpot.check.validation import RecordPrediction, validate
 from dashpot.data.spectrum import Spectrum
-from dashpot.errors import DataError
+from dashpot.errors import DashpotError, DataError
+from dashpot.estimate.registry import AUTOMATIC  # those that end in the minimum of χ²
 from dashpot.estimate.result import Estimate
 from dashpot.io.words import joined
 from dashpot.model.network import Model
 from dashpot.present.figures import spectra as figures
 from dashpot.present.figures.comparison import estimate_figure
-from dashpot.present.figures.findings import shares_figure
+from dashpot.present.figures.findings import profile_figure, shares_figure
 from dashpot.present.figures.response import MOST_PLANES, nyquist_figure, response_figure
 from dashpot.present.figures.validation import histories_and_spectra
 from dashpot.present.pages.page import Block, figure_picture
+from dashpot.present.text.check import profile_in_words
 from dashpot.present.text.numbers import short
 
 MOST_PANELS = 16  # channels drawn with amplitude and phase
 MOST_NAMES = 40  # unknowns in one picture
+MOST_PROFILES = 12  # unknowns whose profile is computed
+MOST_AMPLITUDES = 3000  # with more, profiles take longer than the report is worth
 
 
 def evidence_blocks(
@@ -158,6 +163,37 @@ def _correlations(estimate: Estimate) -> Block:
         "Correlation",
         (text,),
         pictures=(figure_picture(figure, "Correlation matrix of the estimates", wide=False),),
+    )
+
+
+def profiles_block(model: Model, spectrum: Spectrum, estimate: Estimate, level: float) -> Block | None:
+    """Profiles of the unknowns whose normal interval misleads; None where there are none, or where they cost much."""
+    records = any(getattr(stretch, "samples", 0) for stretch in spectrum.stretches)
+    many = len(estimate.names) > MOST_PROFILES or spectrum.amplitudes.size > MOST_AMPLITUDES
+    if records or many or len(model.nonlinear) or estimate.method not in AUTOMATIC:
+        return None
+    differing = []
+    for name in estimate.names:
+        try:
+            found = profile(model, spectrum, name, level, estimate)
+        except DashpotError:
+            return None  # nothing is said of the surface of such a rig
+        if bool(found.misleads):
+            differing.append(found)
+    return _drawn(differing) if differing else None
+
+
+def _drawn(profiles: Sequence[Profile]) -> Block:
+    names = joined([found.name for found in profiles])
+    picture = figure_picture(
+        profile_figure(profiles), f"Rise of χ² along {names}, beside the parabola of ± sd"
+    )
+    texts = ("Where the curve is not the parabola, use the interval from the profile.",)
+    return Block(
+        "Profiles that differ",
+        texts,
+        items=tuple(profile_in_words(found) for found in profiles),
+        pictures=(picture,),
     )
 
 

@@ -16,7 +16,7 @@ from dashpot.errors import DashpotError, IdentifiabilityError, UsageError
 from dashpot.estimate.result import Estimate
 from dashpot.io.words import joined
 from dashpot.model.network import Model
-from dashpot.present.pages.evidence import evidence_blocks, prediction_block
+from dashpot.present.pages.evidence import evidence_blocks, prediction_block, profiles_block
 from dashpot.present.pages.page import Block, Page, Picture, Provenance, Verdict, page_html
 from dashpot.present.schematic.drawing import schematic
 from dashpot.present.schematic.moving import mode_drawing, numbered_mode
@@ -94,7 +94,7 @@ def identification_report(
         Block("Parameters", tuple(_below_parameters(estimate)), (tuple(parameter_columns(estimate, level)),)),
         rig_picture(model, shown, estimate, unsure, level),
         tuple(next_steps(estimate, unsure, found.collinearity, plannable=not len(model.nonlinear))),
-        tuple(_evidence(model, spectrum, estimate, found, held_out)),
+        tuple(_evidence(model, spectrum, estimate, found, held_out, level)),
         (*TERMS, *(("damping ratio",) if has_modes(estimate) else ()), *(("FIT",) if held_out else ())),
         provenance,
     )
@@ -225,12 +225,15 @@ def _evidence(
     estimate: Estimate,
     found: EvidenceFound,
     held_out: Sequence[RecordPrediction],
+    level: float,
 ) -> list[Block]:
     blocks = []
     if estimate.assessment is not None and estimate.assessment.findings:
         causes = tuple(diagnosis_in_words(estimate.assessment.findings))
         blocks.append(Block("Why it does not fit", items=causes, whole=True))
     blocks += evidence_blocks(model, spectrum, estimate, found.residuals, found.collinearity)
+    if spectrum is not None and (differing := profiles_block(model, spectrum, estimate, level)) is not None:
+        blocks.append(differing)
     if held_out:
         blocks.append(prediction_block("Predicted, not used", held_out))
     if has_modes(estimate):

@@ -1,0 +1,44 @@
+"""Evidence in reports: profiles where they differ."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from dashpot import Spectrum, dwells, identify, simulate_spectrum
+from dashpot.check.profile import profile
+from dashpot.present.pages.evidence import profiles_block
+from dashpot.present.pages.report import identification_report
+from tests.unit.present.conftest import RIG, VALUES
+
+
+def noisy(noise: float) -> Spectrum:
+    """Three dwells of the rig with that noise of each sample."""
+    channels = tuple(
+        channel if channel.noise is None else replace(channel, noise=noise) for channel in RIG.channels
+    )
+    rng = np.random.default_rng(3)
+    p = RIG.model.parameters(RIG.model.theta(VALUES))
+    return simulate_spectrum(RIG.model, p, channels, dwells(RIG.model, [1.0, 5.0, 7.0], 200), rng)
+
+
+def test_profiles_are_shown_where_the_normal_interval_misleads() -> None:
+    good, poor = noisy(0.01), noisy(1.0)
+    sure = identify(RIG.model, good)
+    assert profiles_block(RIG.model, good, sure, 0.95) is None
+    unsure = identify(RIG.model, poor)
+    block = profiles_block(RIG.model, poor, unsure, 0.95)
+    assert block is not None
+    misled = [name for name in unsure.names if profile(RIG.model, poor, name, 0.95, unsure).misleads]
+    assert misled
+    assert [text.partition(" ")[0] for text in block.items] == misled
+    html = identification_report(RIG.model, poor, unsure)
+    assert block.title in html
+    assert block.title not in identification_report(RIG.model, good, sure)
+
+
+def test_profiles_of_estimates_that_are_no_minimum_are_left_out() -> None:
+    poor = noisy(1.0)
+    least_squares = replace(identify(RIG.model, poor), method="ls")
+    assert profiles_block(RIG.model, poor, least_squares, 0.95) is None
