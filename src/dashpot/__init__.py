@@ -50,6 +50,7 @@ if TYPE_CHECKING:
     from dashpot.estimate.result import Estimate, Fit, ModeValues, Value
     from dashpot.export.state_space import StateSpace
     from dashpot.export.transfer_functions import TransferFunctions
+    from dashpot.model.blocks import block_elements
     from dashpot.model.dynamics import Matrices, matrices, response, sensitivities
     from dashpot.model.elements import Element, Kind, between, mass
     from dashpot.model.modes import Modes, modes
@@ -85,6 +86,7 @@ _NAMES = {
     "estimate.linear.total_least_squares": "CompensatedLeastSquares TotalLeastSquares",
     "export.state_space": "StateSpace",
     "export.transfer_functions": "TransferFunctions",
+    "model.blocks": "block_elements",
     "model.dynamics": "Matrices matrices response sensitivities",
     "model.modes": "Modes modes",
     "model.elements": "Element Kind between mass",
@@ -143,6 +145,7 @@ __all__ = [
     "WeightedLeastSquares",
     "__version__",
     "between",
+    "block_elements",
     "compare",
     "concatenate",
     "default_channels",

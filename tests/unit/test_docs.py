@@ -67,7 +67,8 @@ def test_every_example_has_its_number_and_its_place_in_the_index() -> None:
 
 def test_the_reference_of_rig_files_names_every_key_and_law() -> None:
     text = (ROOT / "docs" / "reference" / "rigfile.md").read_text(encoding="utf-8")
-    entries = [schema.Head, schema.InputEntry, schema.ElementEntry, schema.ConstantEntry, schema.ChannelEntry]
+    entries = [schema.Head, schema.InputEntry, schema.BlockEntry, schema.ElementEntry]
+    entries += [schema.ConstantEntry, schema.ChannelEntry]
     for entry in entries:
         for key in entry.model_fields:
             assert f"`{key}`" in text, key

@@ -26,11 +26,12 @@ def modal_estimate(
     from dashpot.app.data_files import tell_notes
     from dashpot.data.readers.modal_files import holds_modes, modes_and_notes
     from dashpot.errors import UsageError
-    from dashpot.estimate.modal.identify_modal import identify_modal
-    from dashpot.model.rigfile import read_rig
 
     if len(data) != 1 or not holds_modes(data[0]):
         return None
+    from dashpot.estimate.modal.identify_modal import identify_modal  # loads scipy.optimize
+    from dashpot.model.rigfile import read_rig
+
     given = [name for name, is_given in unsuited.items() if is_given]
     if given:
         raise UsageError(

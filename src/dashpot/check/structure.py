@@ -253,6 +253,8 @@ def _to_the_power(s: Ints, power: int) -> Ints:
 
 def _proportions(along: Mapping[str, float]) -> dict[str, int]:
     """Factors modulo PRIME; their ratios count to twelve digits, for rounding must not tell levers apart."""
+    if not along:
+        return {}
     first = min(along)
     lead = field.residue(along[first])
     return {

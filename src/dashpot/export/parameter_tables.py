@@ -44,6 +44,8 @@ def exported_parameters(rig: IdentifiedRig) -> list[ExportedParameter]:
     spread = np.abs(model.T) @ sd_theta  # each parameter depends on one unknown at most
     rows = []
     for i, (element, tie) in enumerate(zip(model.elements, model.ties, strict=True)):
+        if element.is_entry:
+            continue
         value, sd = float(p[i]), float(spread[i])
         root = of_unknowns.get(model.elements[tie.root].name)
         interval = _interval(value, sd) if root is None else _scaled(root.interval95, tie.times)

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.optimize import minimize_scalar
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from dashpot.arrays import Bools, Real, freeze
 
@@ -110,7 +110,7 @@ def _spread(y: Real, s: Real) -> tuple[float, tuple[float, float]]:
     low, high = coarse[max(best - 1, 0)], coarse[min(best + 1, len(coarse) - 1)]
     found = minimize_scalar(cost, bounds=(low, high), method="bounded", options={"xatol": 1e-9})
     tau = 0.0 if cost(0.0) <= float(found.fun) else float(found.x)
-    fall = 0.5 * float(chi2.ppf(0.95, 1))
+    fall = 0.5 * float(chdtri(1, 0.05))
     return tau, (_end(y, s, tau, fall, 0.0), _end(y, s, tau, fall, most))
 
 

@@ -9,7 +9,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import t
+from scipy.special import stdtr, stdtrit
 
 from dashpot.arrays import Bools, Real, freeze
 
@@ -81,7 +81,7 @@ def usual(name: str, unit: str, values: Real, sd: Real, parameters: int = 1) -> 
     scale = np.sqrt(spread**2 + s**2)
     with np.errstate(invalid="ignore", divide="ignore"):
         z[present] = np.where(y == median, 0.0, (y - median) / scale)
-    limit = float(t.isf(LEVEL / (2 * count * parameters), max(EFFICIENCY * (count - 1), 2.0)))
+    limit = -float(stdtrit(max(EFFICIENCY * (count - 1), 2.0), LEVEL / (2 * count * parameters)))
     outlier[present] = np.abs(z[present]) > limit
     slope, slope_sd, p = _trend(
         np.flatnonzero(present) / max(len(values) - 1, 1), y, scale, ~outlier[present]
@@ -122,4 +122,4 @@ def _trend(place: Real, y: Real, scale: Real, used: Bools) -> tuple[float, float
     if variance <= 0.0:
         return slope, 0.0, 0.0 if slope else 1.0
     sd = float(np.sqrt(variance))
-    return slope, sd, float(2 * t.sf(abs(slope) / sd, dof))
+    return slope, sd, float(2 * stdtr(dof, -abs(slope) / sd))

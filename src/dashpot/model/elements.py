@@ -55,7 +55,8 @@ class Element:
     standard deviation, None is unknown; `guess` is a start for the iterations, `lower` and `upper` bound the estimate
     where the method can.  `same_as` ties the parameter to another element's: p = times · p(same_as).  `free`: no part
     of the rig but of a free matrix, so that its parameter may have any sign.  `force_law`: a nonlinear law in place of
-    that of its kind, with any sign of its parameter.
+    that of its kind, with any sign of its parameter.  `block`: name of the matrix that it is an entry of; the element
+    of that name is attached to nothing and carries the factor, which has no unit.
     """
 
     name: str
@@ -70,6 +71,7 @@ class Element:
     times: float = 1.0
     free: bool = False
     force_law: ForceLaw | None = None
+    block: str | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "kind", Kind(self.kind))
@@ -96,12 +98,19 @@ class Element:
         return text.removeprefix("+ ") if not text.startswith("- ") else f"-{text[2:]}"
 
     @property
+    def is_entry(self) -> bool:
+        """Whether it is one entry of a block, which nobody knows by its own name."""
+        return self.block is not None and self.block != self.name
+
+    @property
     def law(self) -> Law:
         """How its unit force follows from its elongation."""
         return self.kind.law
 
     def unit(self, angles: Collection[str]) -> str:
         """SI unit of the parameter: that of a torsional element where it joins nothing but `angles`."""
+        if self.block is not None:
+            return "1"
         angular = bool(self.along) and all(point in angles for point in self.along)
         if self.force_law is not None:
             return unit_of(self.force_law.exponents[0], force=True, angle=angular)
@@ -120,6 +129,7 @@ class Element:
                 self.times,
                 self.free,
                 self.force_law,
+                self.block,
             ),
         )
 

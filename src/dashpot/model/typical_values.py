@@ -36,7 +36,9 @@ def typical(model: Model) -> tuple[Mapping[Kind, float], float]:
 
 def _middle(model: Model, letter: str) -> float | None:
     """Geometric mean of the values and guesses of the elements of a matrix; None where there are none."""
-    elements = [e for e in model.elements if e.law.matrix == letter and e.force_law is None]
+    elements = [
+        e for e in model.elements if e.law.matrix == letter and e.force_law is None and e.block is None
+    ]
     numbers = [e.value if e.value is not None else e.guess for e in elements]
     given = [number for number in numbers if number is not None and number > 0]
     return float(np.exp(np.mean(np.log(given)))) if given else None

@@ -109,7 +109,7 @@ def _input_problems(source: Input, coordinates: Sequence[str], complete: bool) -
 
 def _element_problems(element: Element, points: Collection[str], complete: bool) -> Iterator[Problem]:
     name = element.name
-    if not element.along:
+    if not element.along and element.block != name:
         yield Problem("both ends are on the ground", name, "attach it to a coordinate")
     for point, factor in element.along.items():
         if complete and point not in points:

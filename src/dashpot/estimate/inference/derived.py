@@ -24,7 +24,7 @@ def known_values(model: Model) -> tuple[tuple[str, float, str], ...]:
     return constants + tuple(
         (element.name, float(model.p0[i]), model.unit(element))
         for i, (element, known) in enumerate(zip(model.elements, _of_no_unknown(model), strict=True))
-        if element.name not in unknown and known
+        if element.name not in unknown and known and not element.is_entry
     )
 
 
@@ -33,7 +33,7 @@ def tied_values(model: Model) -> tuple[tuple[str, str, float, str], ...]:
     return tuple(
         (element.name, model.elements[tie.root].name, tie.times, model.unit(element))
         for element, tie, known in zip(model.elements, model.ties, _of_no_unknown(model), strict=True)
-        if element.same_as is not None and not known
+        if element.same_as is not None and not element.is_entry and not known
     )
 
 

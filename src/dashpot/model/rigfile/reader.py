@@ -12,6 +12,7 @@ from dashpot.model import validation
 from dashpot.model.elements import Element
 from dashpot.model.network import Input, Model
 from dashpot.model.rigfile.amounts import factors
+from dashpot.model.rigfile.blocks import read_blocks
 from dashpot.model.rigfile.channels import Measurables, read_channels, reserved
 from dashpot.model.rigfile.elements import Points, read_elements
 from dashpot.model.rigfile.free import read_free
@@ -45,12 +46,13 @@ def _rig(document: TomlDocument) -> Rig:
     points = _points(reading, head, inputs)
     forces = frozenset(entry.name for entry in inputs if entry.kind == "force")
     angles = frozenset(head.angles)
-    elements = [*read_free(reading, head), *read_elements(reading, Points(points, forces, angles))]
+    parts = read_elements(reading, Points(points, forces, angles))
+    elements = [*read_free(reading, head), *parts, *read_blocks(reading, head.coordinates, points)]
     _check_model(reading, head, inputs, elements)
     measurables = Measurables(
         points,
         {entry.name: entry for entry in inputs},
-        {element.name: element for element in elements},
+        {element.name: element for element in elements if element.block is None},
         angles,
         frozenset(reading.faulty),
     )
@@ -117,7 +119,7 @@ def _place_of(reading: RigReading, name: str | None) -> Place:
     coordinates = reading.table.get("coordinates")
     if isinstance(coordinates, list):
         places += [("coordinates", i) for i, entry in enumerate(coordinates) if entry == name]
-    for section in ("inputs", *SECTIONS):
+    for section in ("inputs", "blocks", *SECTIONS):
         table = reading.table.get(section)
         if isinstance(table, dict) and name in table:
             places.append((section, name))

@@ -19,7 +19,8 @@ from dashpot.quantities import Amount, amount
 GROUND = "ground"
 SECTIONS: Mapping[str, Kind] = {kind.section: kind for kind in Kind}
 HEAD_KEYS = ("name", "coordinates", "angles")
-TABLES = ("inputs", "free", *SECTIONS, "channels")
+MOST_COORDINATES = 1_000_000
+TABLES = ("inputs", "free", "blocks", *SECTIONS, "channels")
 
 
 def _wrong(what: str, cure: str | None = None) -> PydanticCustomError:
@@ -113,6 +114,20 @@ def _texts(value: object) -> list[str]:
     return value
 
 
+def _coordinates(value: object) -> list[str]:
+    """A list of names, or a range of them: "q1:q1200"."""
+    ends = re.fullmatch(r"([^\d:]*)(\d{1,9}):([^\d:]*)(\d{1,9})", value) if isinstance(value, str) else None
+    if ends is None:
+        return _texts(value)
+    first, last = int(ends[2]), int(ends[4])
+    if ends[1] != ends[3] or not first <= last < first + MOST_COORDINATES:
+        cure = (
+            f"write a range such as {quoted('q1:q1200')} of at most {MOST_COORDINATES:,} names, or list them"
+        )
+        raise _wrong(f"{written(value)} is no range of names", cure)
+    return [f"{ends[1]}{k}" for k in range(first, last + 1)]
+
+
 def _pair(value: object) -> list[str]:
     names = _texts(value)
     if len(names) != 2:
@@ -192,7 +207,7 @@ class Entry(BaseModel):
 
 class Head(Entry):
     name: Text = ""
-    coordinates: Names
+    coordinates: Annotated[list[Text], BeforeValidator(_coordinates)]
     angles: Names = Field(default_factory=list)
 
 
@@ -214,6 +229,18 @@ class ElementEntry(Entry):
     same_as: Text | None = None
     times: Share = 1.0
     law: Text | None = None
+
+
+class BlockEntry(Entry):
+    matrix: Annotated[Literal["M", "C", "K", "H"], _one_of("M", "C", "K", "H")]
+    file: Text
+    array: Text | None = None
+    coordinates: Names | None = None
+    value: Number | None = None
+    sd: Number | None = None
+    guess: Number | None = None
+    min: Number | None = None
+    max: Number | None = None
 
 
 class ConstantEntry(Entry):
@@ -244,6 +271,7 @@ TWO_POINTS = '{ between = ["x1", "ground"] }'
 EXAMPLES: Mapping[str, str] = {
     "inputs": '{ kind = "displacement" }',
     "masses": '{ at = "x1" }',
+    "blocks": '{ matrix = "K", file = "K1.mtx" }',
     "channels": '{ of = "x1", unit = "mm" }',
 }
 AnyEntry = TypeVar("AnyEntry", bound=Entry)
@@ -262,4 +290,9 @@ def explained(error: ErrorDetails, entry: type[Entry]) -> tuple[str, str | None]
     return shown(str(error["msg"]), 200), None
 
 
-_MISSING_EXAMPLES = {"coordinates": 'coordinates = ["x1"]', "of": 'of = "x1"'}
+_MISSING_EXAMPLES = {
+    "coordinates": 'coordinates = ["x1"]',
+    "of": 'of = "x1"',
+    "matrix": 'matrix = "K"',
+    "file": 'file = "K1.mtx"',
+}

@@ -21,9 +21,14 @@ def write_rig(rig: Rig) -> str:
     """A rig file, TOML, that reads back to the same model and channels; parameters are in SI units.
 
     Elements are grouped by kind, in the order in which the kinds first appear.  Raises ModelError for a channel
-    whose scale is not that of its unit, which a rig file cannot say.
+    whose scale is not that of its unit, which a rig file cannot say, and for matrices in files of their own.
     """
     model = rig.model
+    if any(element.block is not None for element in model.elements):
+        raise ModelError(
+            "a rig with [blocks] is not written: its matrices are in files of their own",
+            cure="copy the rig file",
+        )
     lines = [f"name = {quoted(model.name)}"] if model.name else []
     lines.append(f"coordinates = {_list(model.coordinates)}")
     if model.angles:

@@ -77,7 +77,7 @@ def connections(model: Model, channels: Sequence[Channel] = ()) -> Connections:
     levers: list[Body] = []
     links: list[Link] = []
     for i, element in enumerate(model.elements):
-        if element.free:
+        if element.free or element.block is not None:
             continue
         ends = _ends(element, body_of, model.angles)
         if element.kind is Kind.MASS and len(ends) == 1:
@@ -94,7 +94,10 @@ def connections(model: Model, channels: Sequence[Channel] = ()) -> Connections:
         links += [Link("rigid", body, count + k, factor=factor) for body, factor in lever.along]
     links += _relative(channels, body_of, links)
     return Connections(
-        tuple(bodies), tuple(links), tuple(_pushes(model, body_of)), any(e.free for e in model.elements)
+        tuple(bodies),
+        tuple(links),
+        tuple(_pushes(model, body_of)),
+        any(e.free or e.block for e in model.elements),
     )
 
 
@@ -136,7 +139,7 @@ def _rigid_bodies(model: Model) -> dict[str, int]:
         partners = [
             [point for point in element.along if point in model.coordinates and point not in model.angles]
             for element in model.elements
-            if angle in element.along and not element.free
+            if angle in element.along and not (element.free or element.block)
         ]
         mixed = [points for points in partners if points]
         common = [point for point in (mixed[0] if mixed else ()) if all(point in points for points in mixed)]

@@ -94,7 +94,7 @@ def schematic(
     layout = Placer(model, channels, forest(model, found), found.pushes, said).layout()
     note = "" if small else f"{len(model.elements)} elements: values are left out."
     if found.free:
-        note = sentence("Entries of free matrices are not elements and are not drawn")
+        note = sentence("Entries of matrices are not elements and are not drawn")
     drawn, width, height = framed(
         layout, scene_parts(layout, model, said), model, said, estimate is not None, level, note
     )
@@ -106,7 +106,7 @@ def drawing_description(drawing: Drawing) -> str:
     model, said = drawing.model, drawing.labels
     texts = []
     for element in model.elements:
-        if element.free:
+        if element.free or element.block is not None:
             continue
         points = [*element.along, *(["ground"] if len(element.along) == 1 and element.kind != "mass" else [])]
         known, value, interval = said.values[element.name]

@@ -89,8 +89,7 @@ class Table(Columns):
         for batch in self._batches(columns, pa.float64(), optional, infinite):
             piece: dict[int, Real] = {}
             for column, array in zip(columns, batch.columns, strict=True):
-                numbers = np.array(array.to_numpy(zero_copy_only=False), dtype=float)
-                empty: Bools = np.asarray(array.is_null().to_numpy(zero_copy_only=False), dtype=bool)
+                numbers, empty = _numbers_of(array)
                 wrong = ~(np.abs(numbers) <= LARGEST) & ~empty
                 if column in infinite:
                     wrong &= numbers != np.inf
@@ -220,6 +219,15 @@ class Table(Columns):
         if np.isfinite(value) and abs(value) > LARGEST:
             return f'"{shown(cell)}" is too large', "correct it, or cut the rows out"
         return None
+
+
+def _numbers_of(array: Any) -> tuple[Real, Bools]:
+    """A column of float64 and where it is empty.  Arrow's own conversion to NumPy would load pandas."""
+    empty = np.zeros(len(array), dtype=bool)
+    if array.null_count:
+        empty = np.from_dlpack(array.is_null().cast(pa.uint8())).astype(bool)
+        array = array.fill_null(np.nan)
+    return np.array(np.from_dlpack(array)), empty
 
 
 def _filled(arrays: dict[int, Real], pieces: Iterator[dict[int, Real]]) -> dict[int, Real]:
