@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 
-from dashpot.arrays import Real
+from dashpot.arrays import Complex, Real
 from dashpot.channel import Quantity
-from dashpot.estimate.likelihood.chunks import Piece, summed
+from dashpot.estimate.likelihood.chunks import Measured, Piece, summed
 from dashpot.estimate.likelihood.objective import measured, predict
 from dashpot.estimate.preparation.prepared import Prepared
+from dashpot.model.dynamics import amplitudes, unit_forces
 from dashpot.model.elements import Kind
-from dashpot.model.observation import ObservationModel
+from dashpot.model.observation import ObservationModel, calibration_factors, channel_amplitudes, small
 
 SCATTER = (0.03, 0.1, 0.2, 0.35, 0.6)  # decades by which the elements of one candidate differ
 
@@ -133,10 +134,26 @@ def _calibrated(
     return psi, sign
 
 
+def _response(view: ObservationModel, data: Measured, psi: Real, sign: Real) -> Complex:
+    """The channels under known inputs without their slopes, which many candidates would spend most time on."""
+    model, q = view.model, data.q
+    assert q is not None
+    r = len(model.displacement_inputs)
+    p, U, f = model.parameters(psi[..., : view.m]), q[..., :r], q[..., r:]
+    X = amplitudes(model, p, view.omega, U, f)
+    forces = np.zeros(len(model.elements), dtype=complex)
+    if view.has_forces:
+        forces = p[..., None, :] * unit_forces(model, view.omega, X, U)
+    return calibration_factors(view, psi, sign) * channel_amplitudes(view, X, q, forces)
+
+
 def _likeness(piece: Piece, psi: Real, sign: Real) -> tuple[Real, Real]:
     """Products of prediction and data, and of the prediction with itself, in units of the data; (K, channels) each."""
     y = piece.data.y
-    predicted = y - predict(piece.view, piece.data, psi, sign).r
+    if piece.data.ends is None and piece.data.nonlinear is None and small(piece.view.model):
+        predicted = _response(piece.view, piece.data, psi, sign)
+    else:
+        predicted = y - predict(piece.view, piece.data, psi, sign).r
     weight = 1.0 / np.maximum(np.abs(y) ** 2, 1e-300) * (np.abs(y) > 0)
     along = np.sum((np.conj(predicted) * y).real * weight, axis=-2)
     return along, np.sum(np.abs(predicted) ** 2 * weight, axis=-2)
