@@ -34,33 +34,36 @@ def main() -> None:
     options = argparse.ArgumentParser(description=__doc__)
     options.add_argument("--rigs", type=int, default=20)
     options.add_argument("--clean", type=int, default=20, help="clean tests, for false alarms")
+    options.add_argument("--largest", type=int, default=4, help="coordinates of the rigs, from two to this")
+    options.add_argument("--minutes", type=float, default=60.0, help="after which no other fault is begun")
     options.add_argument("--seed", type=int, default=0)
     settings = options.parse_args()
     table: dict[str, Counter[str]] = {name: Counter() for name in MISTAKES}
+    alarms = sum(alarm(10_000 + settings.seed + k, settings.largest) for k in range(settings.clean))
+    print(f"false alarms: {alarms} of {settings.clean} clean tests (p < 0.01 is called a misfit)", flush=True)
     start = time.perf_counter()
-    for k in range(settings.rigs):
-        name, outcome = blind(settings.seed + k)
+    done = 0
+    while done < settings.rigs and time.perf_counter() - start < 60 * settings.minutes:
+        name, outcome = blind(settings.seed + done, settings.largest)
         table[name][outcome] += 1
-    seconds = (time.perf_counter() - start) / max(settings.rigs, 1)
+        done += 1
     show(table)
-    print(f"{seconds:.2f} s a rig")
-    alarms = sum(alarm(10_000 + settings.seed + k) for k in range(settings.clean))
-    print(f"false alarms: {alarms} of {settings.clean} clean tests (p < 0.01 is called a misfit)")
+    print(f"{done} rigs, {(time.perf_counter() - start) / max(done, 1):.2f} s a rig")
 
 
-def thrown(seed: int) -> tuple[rigs.Rig, Spectrum, np.random.Generator]:
+def thrown(seed: int, largest: int) -> tuple[rigs.Rig, Spectrum, np.random.Generator]:
     """A random rig and its clean test."""
     rng = np.random.default_rng(seed)
-    n = int(rng.integers(2, 5))
+    n = int(rng.integers(2, largest + 1))
     rig = rigs.random_rig(rng, n, kinds=rigs.PAPER_KINDS, levers=False, ties=False, lines=25, worst=100)
     quantity = (Quantity.DISPLACEMENT, Quantity.ACCELERATION)[int(rng.integers(2))]
     channels = rigs.channels(rig, (quantity,))
     return rig, rigs.noisy(rig, channels, rigs.covariance(rig, channels, 0.01, inputs=0.01), rng), rng
 
 
-def blind(seed: int) -> tuple[str, str]:
+def blind(seed: int, largest: int) -> tuple[str, str]:
     """A mistake and what was said: "first", "first three", the kind that was named instead, or that it fits."""
-    rig, spectrum, rng = thrown(seed)
+    rig, spectrum, rng = thrown(seed, largest)
     names = list(MISTAKES)
     while True:
         name = names[int(rng.integers(len(names)))]
@@ -82,9 +85,9 @@ def blind(seed: int) -> tuple[str, str]:
     return name, assessment.findings[0].kind if assessment.findings else "nothing"
 
 
-def alarm(seed: int) -> bool:
+def alarm(seed: int, largest: int) -> bool:
     """Whether a clean test is said not to fit."""
-    rig, spectrum, _ = thrown(seed)
+    rig, spectrum, _ = thrown(seed, largest)
     assessment = examined(rig.model, spectrum, identify_automatically(rig.model, spectrum)).assessment
     return assessment is not None and assessment.verdict == "does not fit"
 

@@ -11,6 +11,7 @@ from dashpot.channel import Channel
 from dashpot.data.clocks import ClockedRecords, clocked_lines
 from dashpot.data.conditioning.lines import spectrum as amplitudes_of
 from dashpot.data.conditioning.settings import Conditioning, Treatments, conditioning_of
+from dashpot.data.local_noise import with_local_noise
 from dashpot.data.readers.datafile import open_file
 from dashpot.data.readers.delimited.amplitudes import write_amplitudes
 from dashpot.data.readers.delimited.stepped_sine import Circumstances, write_records
@@ -55,7 +56,7 @@ class Reading:
                 "a table of amplitudes has no samples",
                 cure="give time records, or choose a method that works on amplitudes",
             )
-        parts = [] if self.amplitudes is None else [self.amplitudes]
+        parts = [] if self.amplitudes is None else [with_local_noise(self.amplitudes)]
         parts[:0] = [clocked_lines(joint, settings) for joint in self.joint]
         if self.records:
             parts.insert(0, amplitudes_of(self.records, settings))

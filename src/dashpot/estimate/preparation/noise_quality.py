@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from dashpot.arrays import Bools, Complex, Real
+from dashpot.data.local_noise import SMOOTH
 from dashpot.data.spectrum import Spectrum
 
 
@@ -59,7 +60,7 @@ def noise_quality(spectrum: Spectrum, correlated: Bools) -> NoiseQuality:
 
 def _of_complex(spectrum: Spectrum) -> Bools:
     """Lines whose covariance comes from complex amplitudes, not from real residuals of samples; (lines,)."""
-    return np.array([kind in ("blocks", "periods", "rest", "residual") for kind in spectrum.noise])
+    return np.array([kind in ("blocks", "periods", "rest", "residual", SMOOTH) for kind in spectrum.noise])
 
 
 def channels_correlate(spectrum: Spectrum, level: float = 0.01) -> Bools:

@@ -22,6 +22,7 @@ NOISE_FROM = {
     "given": "what was given",
     "rest": "a record at rest",
     "floor": "where nothing moves",
+    "smooth": "the scatter about smooth curves",
     "residual": "what the fit leaves over",
 }
 

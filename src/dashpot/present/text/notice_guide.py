@@ -341,6 +341,11 @@ _ALL: tuple[tuple[str, str, str, str], ...] = (
         "Nothing; `--orders 1` uses the fundamentals alone.",
     ),
     (
+        "noise_from_neighbours", _FILES,
+        "No noise is given, but lines are so dense that their scatter about smooth curves shows it.",
+        "Give the standard deviations (columns NAME_sd) where they are known.",
+    ),
+    (
         "periods_averaged", _FILES,
         "The record repeats, as under a multisine: its periods are averaged and their scatter is the noise.",
         "Nothing; `--transients estimate` uses the record whole.",
