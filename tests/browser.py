@@ -19,6 +19,32 @@ NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable"
 # Each page in a frame of each width, one after the other; what is found goes into the document, which is printed.
 _VISIT = """<!DOCTYPE html><meta charset="utf-8"><title>visit</title><pre id="found">running</pre><script>
 const pages = PAGES, widths = WIDTHS, found = [];
+const curve = c => { c /= 255; return c <= 0.04045 ? c / 12.92 : ((c + 0.055) / 1.055) ** 2.4; };
+const light = ([r, g, b]) => 0.2126 * curve(r) + 0.7152 * curve(g) + 0.0722 * curve(b);
+const numbers = text => (text.match(/[\\d.]+/g) || []).map(Number);
+// The least contrast of text with what lies behind it (WCAG 2), and that text.
+function contrast(inside) {
+  let least = 99, where = "";
+  const walker = inside.document.createTreeWalker(inside.document.body, NodeFilter.SHOW_TEXT);
+  while (walker.nextNode()) {
+    const node = walker.currentNode.parentElement;
+    if (!walker.currentNode.data.trim() || node.closest("script, style, noscript, svg")) continue;
+    if (!node.checkVisibility()) continue;
+    let behind = [255, 255, 255];
+    for (let at = node; at; at = at.parentElement) {
+      const colour = numbers(inside.getComputedStyle(at).backgroundColor);
+      if (colour.length === 3 || colour[3] > 0.5) { behind = colour; break; }
+    }
+    const [a, b] = [light(numbers(inside.getComputedStyle(node).color)), light(behind)];
+    const ratio = (Math.max(a, b) + 0.05) / (Math.min(a, b) + 0.05);
+    if (ratio < least) { least = ratio; where = walker.currentNode.data.trim().slice(0, 60); }
+  }
+  return { least, where };
+}
+function themed(inside, theme) {
+  inside.document.body.dataset.theme = theme;
+  return contrast(inside);
+}
 function visit(page, width) {
   return new Promise(resolve => {
     const frame = document.createElement("iframe");
@@ -35,7 +61,7 @@ function visit(page, width) {
           .map(image => image.src.slice(0, 120)),
         broken: images.filter(image => image.complete && !image.naturalWidth && image.loading !== "lazy")
           .map(image => image.src.slice(0, 120)),
-        title: inside.document.title,
+        title: inside.document.title, light: themed(inside, "light"), dark: themed(inside, "dark"),
       });
       frame.remove();
       resolve();

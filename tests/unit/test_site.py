@@ -17,6 +17,7 @@ from tests.browser import chromium, visits
 from tests.documents import ROOT
 
 pytestmark = pytest.mark.long
+LEAST_CONTRAST = 4.5  # of text, WCAG 2, level AA
 NEEDED = ("sphinx", "furo", "myst_nb", "latex2mathml")
 
 
@@ -106,7 +107,7 @@ def test_no_page_is_an_orphan_and_all_of_the_index_are_there(site: Path) -> None
 
 
 def test_pages_in_a_browser(site: Path) -> None:
-    """No request to elsewhere, no error, no page wider than its window, no picture without words, at two widths."""
+    """No request to elsewhere, no error, no page wider than its window, no picture without words, enough contrast."""
     browser = chromium()
     if browser is None:
         pytest.skip("there is no Chromium on this machine (apt-get install chromium)")
@@ -121,3 +122,5 @@ def test_pages_in_a_browser(site: Path) -> None:
         assert visit["broken"] == [], place
         assert visit["scroll"] <= visit["shown"] + 1, f"{place}: {visit['scroll']} wide"
         assert visit["title"], place
+        for theme in ("light", "dark"):
+            assert visit[theme]["least"] >= LEAST_CONTRAST, f"{place}, {theme}: {visit[theme]}"
