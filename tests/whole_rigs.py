@@ -21,6 +21,7 @@ from dashpot.model.network import Input, Model
 from dashpot.model.observation import observation_model
 
 FINER = 8  # samples of the integration in one of the record
+DWELLS = 8  # of a stepped sine
 
 
 @dataclass(frozen=True)
@@ -77,7 +78,7 @@ def chain(
 
 
 def excitation(kind: str, time: Real, low_hz: float, high_hz: float, rng: np.random.Generator) -> Real:
-    """Samples of one input: "random" tones that repeat nowhere, "sweep", "hammer", "earthquake", "none"."""
+    """Samples of one input: "random" tones that repeat nowhere, "sweep", "hammer", "earthquake", "stepped", "none"."""
     T = time[-1]
     if kind == "random":
         f = rng.uniform(low_hz, high_hz, 60)
@@ -92,6 +93,10 @@ def excitation(kind: str, time: Real, low_hz: float, high_hz: float, rng: np.ran
             inside = np.abs(time - at) < 1 / high_hz
             out[inside] += np.cos(np.pi * (time[inside] - at) * high_hz / 2) ** 4
         return out
+    if kind == "stepped":
+        dwell = np.minimum((DWELLS * time / T).astype(int), DWELLS - 1)
+        hz = np.linspace(low_hz, high_hz, DWELLS)[dwell]
+        return np.sin(2 * np.pi * np.concatenate([[0.0], np.cumsum(hz[:-1] * np.diff(time))]))
     if kind == "earthquake":
         rise = (time / (0.15 * T)) ** 2 * np.exp(2 * (1 - time / (0.15 * T)))
         return rise * excitation("random", time, low_hz, high_hz, rng)

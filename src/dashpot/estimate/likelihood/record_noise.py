@@ -33,6 +33,7 @@ from dashpot.numerics.levenberg_marquardt import minimise
 
 RESIDUAL = "residual"
 ROUNDS = 12
+STEPS = 30  # of each descent: the next round goes on from its end, and a search to the end follows them
 SETTLED = 3e-3  # change of a standard deviation at which the rounds end
 FIRST = 1e-2  # of a channel's size: its noise before the first fit, where nothing else is known
 SMALLEST = 1e-7  # of a channel's size: below it noise is rounding
@@ -187,7 +188,7 @@ def _descended(
     lower, upper = bounds(view, method.positive)
     found = minimise(
         lambda x, rows: local(view, data, x, sign[rows]),
-        psi, limit=method.max_iterations, tolerance=1e-3, lower=lower, upper=upper,
+        psi, limit=min(method.max_iterations, STEPS), tolerance=1e-3, lower=lower, upper=upper,
     )  # fmt: skip
     return found.x
 
