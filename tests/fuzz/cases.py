@@ -223,7 +223,7 @@ def _arguments(
         if parameter.is_flag:
             words.append(option)
             continue
-        words += [option, _value(command, parameter, rng, used, extreme)]
+        words += [option, _value(command, parameter, positional, rng, used, extreme)]
     always = ALWAYS.get(command, ())
     for option, value in zip(always[::2], always[1::2], strict=True):
         if option not in words or command in ("study", "fleet"):  # more processes would go past the limits
@@ -234,7 +234,14 @@ def _arguments(
     return words
 
 
-def _value(command: str, parameter: click.Option, rng: random.Random, used: set[str], extreme: bool) -> str:
+def _value(
+    command: str,
+    parameter: click.Option,
+    positional: list[str],
+    rng: random.Random,
+    used: set[str],
+    extreme: bool,
+) -> str:
     kind = parameter.type
     if extreme and rng.random() < 0.4:
         return rng.choice(EXTREMES)
@@ -244,7 +251,7 @@ def _value(command: str, parameter: click.Option, rng: random.Random, used: set[
             if parameter.required
             else ("out", "out.json")
         )
-        return rng.choice((*usual * 2, "-", "/dev/null", "rig.toml" if extreme else usual[0]))
+        return rng.choice((*usual * 2, "-", "/dev/null", positional[0] if extreme else usual[0]))
     if isinstance(kind, OutputFolder):
         return "folder"
     if isinstance(kind, click.Choice):

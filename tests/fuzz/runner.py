@@ -39,6 +39,7 @@ FACTORS = {
     "design": 6,
     "check": 6,
     "study": 6,
+    "response": 6,  # through all folds, of a rig that is driven as hard as it may be
 }  # of several estimates, or by maximum likelihood
 MEMORY = 1 << 30  # bytes beside those that this process had at its start
 CODES = {0, 2, 3, 4}
@@ -154,7 +155,7 @@ def _wrong_files(case: Case, code: int, out: str) -> str | None:
         return "a temporary file is left"
     texts = [path.read_bytes() for path in Path().glob("out*") if path.is_file()]
     for text in [*texts, out.encode("utf-8", "surrogateescape")]:
-        if text.startswith((b"{\n", b"[")):
+        if text.startswith((b"{\n", b"[\n")):
             try:
                 json.loads(text, parse_constant=_refused)
             except ValueError as error:

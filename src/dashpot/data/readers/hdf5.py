@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import mmap
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -18,6 +19,9 @@ from dashpot.errors import DataError
 SIGNATURE = b"\x89HDF\r\n\x1a\n"
 UNITS = ("unit", "units", "Unit", "Units", "unit_string")
 MOST_GROUPS = 10_000
+
+HEAP = b"GCOL\x01\0\0\0"  # begins a heap of texts: signature, version, three zeros; then its size
+SMALLEST_HEAP = 4096  # bytes
 
 
 @dataclass(frozen=True)
@@ -66,6 +70,7 @@ class Hdf5Reader:
 @contextmanager
 def _opened(h5py: Any, file: DataFile) -> Iterator[Any]:
     with damaged(file.name, "HDF5"):
+        _refuse_endless_heaps(file)
         if file.packed:
             stream = file.reading()
             with stream as raw, h5py.File(raw, "r") as content:
@@ -73,6 +78,30 @@ def _opened(h5py: Any, file: DataFile) -> Iterator[Any]:
         else:
             with h5py.File(file.path, "r") as content:
                 yield content
+
+
+def _refuse_endless_heaps(file: DataFile) -> None:
+    """Raises ValueError where libhdf5 would walk for ever through a heap of texts whose objects have no size."""
+    if file.packed or not file.path.is_file():
+        _refuse_endless(file.contents)
+        return
+    with file.reading() as raw, mmap.mmap(raw.fileno(), 0, access=mmap.ACCESS_READ) as content:
+        _refuse_endless(content)
+
+
+def _refuse_endless(content: bytes | mmap.mmap) -> None:
+    start = content.find(HEAP)
+    while start >= 0:
+        size = int.from_bytes(content[start + 8 : start + 16], "little")
+        end, at = start + size, start + 16
+        while size >= SMALLEST_HEAP and end <= len(content) and at + 16 <= end:
+            index = int.from_bytes(content[at : at + 2], "little")
+            length = int.from_bytes(content[at + 8 : at + 16], "little")
+            step = 16 + -(-length // 8) * 8 if index else length
+            if step == 0 or at + step > end:
+                raise ValueError("an object of a heap has a wrong size")
+            at += step
+        start = content.find(HEAP, start + 8)
 
 
 def _variable(name: str, item: Any) -> dict[str, Any]:
