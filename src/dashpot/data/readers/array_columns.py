@@ -164,9 +164,14 @@ def constant(value: object, rows: int) -> Load:
     return lambda: np.full(rows, value)
 
 
-def steps(start: float, step: float, rows: int) -> Load:
+def steps(start: float, step: float, rows: int) -> Streamed:
     """A column of evenly spaced times."""
-    return lambda: start + step * np.arange(rows)
+
+    def pieces() -> Iterator[Any]:
+        for at in range(0, rows, PIECE):
+            yield start + step * np.arange(at, min(at + PIECE, rows))
+
+    return Streamed(rows, pieces)
 
 
 def array_columns(

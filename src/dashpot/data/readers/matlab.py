@@ -12,6 +12,7 @@ import numpy as np
 from dashpot.data.readers.array_columns import ArrayColumns
 from dashpot.data.readers.datafile import DataFile
 from dashpot.data.readers.matlab_layout import check_layout
+from dashpot.data.readers.matlab_vectors import long_vectors
 from dashpot.data.readers.optional import damaged
 from dashpot.data.readers.variables import parts_of_variables
 from dashpot.errors import DataError
@@ -34,16 +35,20 @@ class MatlabReader:
         """The variables; elements of an array of structures are parts of their own."""
         from scipy.io import loadmat
 
-        check_layout(file.contents if file.mapped is None else file.mapped, file.name)
+        data = file.contents if file.mapped is None else file.mapped
+        check_layout(data, file.name)
+        with damaged(file.name, self.format):
+            long = long_vectors(file, data)
         with damaged(file.name, self.format), warnings.catch_warnings(), file.reading() as stream:
             warnings.simplefilter("ignore")  # of objects that only MATLAB can read
             content: dict[str, Any] = loadmat(
                 cast(Any, stream),
+                variable_names=long.others,
                 squeeze_me=False,
                 struct_as_record=False,
                 verify_compressed_data_integrity=True,
             )
-        variables: dict[str, Any] = {}
+        variables: dict[str, Any] = {**long.vectors}
         series: list[tuple[str, dict[str, Any]]] = []
         for name, value in content.items():
             if not name.startswith("__"):

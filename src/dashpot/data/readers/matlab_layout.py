@@ -8,6 +8,8 @@ from __future__ import annotations
 import mmap
 import struct
 import zlib
+from collections.abc import Iterator
+from dataclasses import dataclass
 from math import prod
 
 from dashpot.errors import DataError
@@ -21,26 +23,57 @@ DEEPEST = 20
 HEAD = 1 << 16  # bytes of a compressed element that are looked at
 
 
-def check_layout(data: bytes | mmap.mmap, source: str) -> None:
-    """Raises DataError where an element reaches beyond its end or claims more than it can hold."""
+@dataclass(frozen=True)
+class Tag:
+    """What begins an element: its kind and size, where its content starts and where the next one begins."""
+
+    kind: int
+    size: int
+    start: int
+    following: int
+
+    @property
+    def end(self) -> int:
+        """Where the content ends."""
+        return self.start + self.size
+
+    @staticmethod
+    def at(data: bytes | mmap.mmap, position: int, order: str) -> Tag:
+        """The tag at a place."""
+        kind, size = struct.unpack_from(f"{order}II", data, position)
+        if kind >> 16:  # small: size and kind in one word, the content in the other
+            return Tag(kind & 0xFFFF, min(kind >> 16, 4), position + 4, position + 8)
+        padded = size if kind == COMPRESSED else size + (-size) % 8
+        return Tag(kind, size, position + 8, position + 8 + padded)
+
+
+def elements_of(data: bytes | mmap.mmap, source: str) -> Iterator[tuple[str, Tag]]:
+    """Byte order and tag of each variable.  Raises DataError where one reaches beyond the end of the file."""
     if len(data) < HEADER:
         raise _lie(source)
     order = ">" if data[126:128] == b"MI" else "<"
     position = HEADER
     while position + 8 <= len(data):
         kind, size = struct.unpack_from(f"{order}II", data, position)
-        end = position + 8 + size
-        if end > len(data):
+        element = Tag(kind, size, position + 8, position + 8 + size)
+        if element.end > len(data):
             raise DataError("the MATLAB file is cut off", source, "copy it again")
-        if kind == COMPRESSED:
-            _check_compressed(data[position + 8 : end], order, source)
-        elif kind == MATRIX:
-            _check_matrix(data, position + 8, end, order, source, 0)
-        position = end
+        yield order, element
+        position = element.end
 
 
-def _check_compressed(packed: bytes, order: str, source: str) -> None:
+def check_layout(data: bytes | mmap.mmap, source: str) -> None:
+    """Raises DataError where an element reaches beyond its end or claims more than it can hold."""
+    for order, element in elements_of(data, source):
+        if element.kind == COMPRESSED:
+            _check_compressed(data, element, order, source)
+        elif element.kind == MATRIX:
+            _check_matrix(data, element.start, element.end, order, source, 0)
+
+
+def _check_compressed(data: bytes | mmap.mmap, element: Tag, order: str, source: str) -> None:
     """The header of a compressed element."""
+    packed = data[element.start : min(element.end, element.start + HEAD)]
     try:
         head = zlib.decompressobj().decompress(packed, HEAD)
     except zlib.error:
@@ -49,7 +82,7 @@ def _check_compressed(packed: bytes, order: str, source: str) -> None:
         raise _lie(source)
     kind, size = struct.unpack_from(f"{order}II", head, 0)
     if kind == MATRIX:
-        if size > MOST_COMPRESSED * len(packed):
+        if size > MOST_COMPRESSED * element.size:
             raise _lie(source)
         _check_matrix(head, 8, 8 + size, order, source, 0)
 
@@ -61,31 +94,21 @@ def _check_matrix(data: bytes | mmap.mmap, start: int, end: int, order: str, sou
     position, number = start, 0
     kind_of_array, elements = 0, 0
     while position + 8 <= min(end, len(data)):
-        kind, size, content, following = _tag(data, position, order)
-        if (
-            content + size > end or kind not in KINDS
-        ):  # SciPy looks kinds up without asking whether they exist
+        tag = Tag.at(data, position, order)
+        size, content = tag.size, tag.start
+        if tag.end > end or tag.kind not in KINDS:  # SciPy looks kinds up without asking whether they exist
             raise _lie(source)
         if number == 0 and size >= 4 and content < len(data):
             kind_of_array = struct.unpack_from(f"{order}I", data, content)[0] & 0xFF
             if kind_of_array == OPAQUE:
                 return
-        elif number == 1 and kind == INT32 and content + size <= len(data):
+        elif number == 1 and tag.kind == INT32 and content + size <= len(data):
             elements = prod(struct.unpack_from(f"{order}{size // 4}i", data, content))
             if kind_of_array != SPARSE and not 0 <= elements <= end - start:
                 raise _lie(source)
-        elif kind == MATRIX and depth < DEEPEST:
+        elif tag.kind == MATRIX and depth < DEEPEST:
             _check_matrix(data, content, content + size, order, source, depth + 1)
-        position, number = following, number + 1
-
-
-def _tag(data: bytes | mmap.mmap, position: int, order: str) -> tuple[int, int, int, int]:
-    """Kind, size, place of the content and of the next element."""
-    kind, size = struct.unpack_from(f"{order}II", data, position)
-    if kind >> 16:  # small: size and kind in one word, the content in the other
-        return kind & 0xFFFF, min(kind >> 16, 4), position + 4, position + 8
-    padded = size if kind == COMPRESSED else size + (-size) % 8
-    return kind, size, position + 8, position + 8 + padded
+        position, number = tag.following, number + 1
 
 
 def _lie(source: str) -> DataError:

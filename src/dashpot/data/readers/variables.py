@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from dashpot.data.readers.array_columns import ArrayColumns, Streamed, array_columns
+from dashpot.data.readers.array_columns import ArrayColumns, Streamed, array_columns, steps
 from dashpot.data.readers.sampling import FREQUENCY, TIME, TIME_NAMES
 
 RATES = {
@@ -106,7 +106,7 @@ def _by_length(
         if not any(name.lower() in TIME_NAMES for name in columns):
             step = step_of(scalars)
             if step is not None:
-                columns[TIME] = np.arange(rows) * step
+                columns[TIME] = steps(0.0, step, rows)
         yield array_columns(source, columns, of_columns)
 
 

@@ -7,7 +7,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from dashpot.data.readers import array_columns, arrow_files, datafile, hdf5, numpy_files, tdms
+from dashpot.data.readers import (
+    array_columns,
+    arrow_files,
+    datafile,
+    hdf5,
+    matlab_vectors,
+    numpy_files,
+    read,
+    tdms,
+)
 from dashpot.data.readers.delimited import table
 from dashpot.errors import DataError
 from tests.unit.data.readers.written import CHANNELS, WRITERS, as_read, recording
@@ -16,7 +25,7 @@ from tests.unit.data.readers.written import CHANNELS, WRITERS, as_read, recordin
 @pytest.fixture
 def _small(monkeypatch: pytest.MonkeyPatch) -> None:
     """Everything is large: pieces of 100 numbers, text in blocks of 4 kB."""
-    for module in (array_columns, arrow_files, hdf5, numpy_files, tdms):
+    for module in (array_columns, arrow_files, hdf5, matlab_vectors, numpy_files, tdms):
         monkeypatch.setattr(module, "PIECE", 100)
         if hasattr(module, "LONG"):
             monkeypatch.setattr(module, "LONG", 200)
@@ -68,3 +77,30 @@ def test_channels_that_are_read_twice_are_not_changed_in_place(tmp_path: Path) -
     (record,) = read(path, twice).records
     assert record.frequency_hz == 2.0
     assert record.values[3] == pytest.approx([2e-3, 3e-3])
+
+
+@pytest.mark.usefixtures("_small")
+@pytest.mark.parametrize("packed", [False, True])
+@pytest.mark.parametrize("kind", ["f8", "f4", "i2", "u1", ">f8"])
+def test_long_vectors_of_matlab_are_not_held(tmp_path: Path, packed: bool, kind: str) -> None:
+    """Whatever the numbers, and beside scalars, texts and complex vectors, which SciPy reads."""
+    from scipy.io import savemat
+
+    from dashpot.channel import Channel
+
+    path = tmp_path / "a.mat"
+    numbers = (np.arange(1000) % 100).astype(kind)
+    savemat(
+        path,
+        {"x": numbers, "fs": 10.0, "remark": "a text", "z": np.arange(7) * 1j, "y": numbers[:, None] * 2},
+        do_compression=packed,
+    )
+    long = matlab_vectors.long_vectors(datafile.open_file(path), path.read_bytes())
+    assert set(long.vectors) == {"x", "y"}
+    assert long.others == ["fs", "remark", "z"]
+    (record,) = read(path, (Channel("x", {"x": 1}), Channel("y", {"x": 1}))).records
+    assert np.array_equal(record.values, np.stack([numbers, numbers * 2], axis=1).astype(float))
+    assert record.time == pytest.approx(np.arange(1000) / 10)
+    path.write_bytes(path.read_bytes()[:-400])
+    with pytest.raises(DataError, match="cut off"):
+        read(path, (Channel("x", {"x": 1}),))
