@@ -29,6 +29,8 @@ COMMANDS = {
     ),
     "check": ("check", "rig.toml", "--json", "out", "-q"),
     "spectrum": ("spectrum", "rig.toml", "data.csv", "--out", "out", "-q"),
+    "export": ("export", "rig.toml", "--set", "m1=3,c1=20,c2=30", "-o", "out.json", "-q"),
+    "draw": ("draw", "rig.toml", "-o", "out.svg"),
 }  # fmt: skip
 
 
@@ -37,7 +39,7 @@ COMMANDS = {
 def test_old_or_complete(
     dashpot: Command, data: Path, monkeypatch: pytest.MonkeyPatch, name: str, kind: str
 ) -> None:
-    out = Path("out")
+    out = Path(next(word for word in COMMANDS[name] if word.startswith("out")))
     ran = dashpot(*COMMANDS[name])
     assert ran.code == 0, ran.err
     complete = out.read_bytes()
@@ -56,7 +58,7 @@ def test_old_or_complete(
             failures += 1
             assert ran.code == 2, k
             assert len(ran.err) == 1, ran.err
-            assert "out: cannot be written" in ran.err[0]
+            assert f"{out}: cannot be written" in ran.err[0]
             assert out.read_bytes() in (b"old", complete), k
         if system.count < k:
             break

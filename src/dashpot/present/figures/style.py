@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import re
 from collections.abc import Iterator
 from contextlib import contextmanager
 
@@ -45,6 +46,10 @@ _STYLE = {
 }
 
 
+LONGEST = 40  # letters of a name in a figure
+_TOO_LONG = re.compile(rf"\S{{{LONGEST + 1},}}")
+
+
 @contextmanager
 def style() -> Iterator[None]:
     """The look of all figures."""
@@ -53,9 +58,14 @@ def style() -> Iterator[None]:
 
 
 def _as_written(figure: Figure) -> None:
-    """Texts are names and words, in which $ is a letter; only the ticks of logarithmic axes are math."""
+    """Texts are names and words, in which $ is a letter; only the ticks of logarithmic axes are math.
+
+    Of a name that would leave no room for the axes, the beginning is shown.
+    """
     for text in figure.findobj(Text):
         assert isinstance(text, Text)
+        if _TOO_LONG.search(text.get_text()):
+            text.set_text(_TOO_LONG.sub(lambda word: f"{word[0][:LONGEST]}…", text.get_text()))
         if "$" in text.get_text() and not text.get_text().startswith("$\\mathdefault{"):
             text.set_parse_math(False)
 
