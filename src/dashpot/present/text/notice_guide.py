@@ -30,7 +30,7 @@ _ALL: tuple[tuple[str, str, str, str], ...] = (
     # ------------------------------------------------------------ verdict
     (
         "chi2", _VERDICT,
-        "The residuals are larger than the noise explains (χ² test, p < 0.001).",
+        "The residuals are larger than the noise explains (χ² test, p < 0.01).",
         "Read the likely causes below the verdict; `--apply` writes the first one into a rig file.",
     ),
     (
