@@ -478,3 +478,42 @@ def test_like_parts_have_the_first_frequency_of_the_data() -> None:
     assert np.min(np.abs(modes(model, model.parameters(theta)).eigenvalues)) == pytest.approx(
         2 * np.pi * 1.3, rel=1e-6
     )
+
+
+def tower(seed: int, spread: float = 0.2, level: float = 1e-6) -> tuple[Model, ModalData, np.ndarray]:
+    """18 storeys of 1 kg whose stiffnesses scatter around 2,000 N/m: the four lowest modes at seven of them.
+
+    Eigenvalues and shapes are those of the symmetric problem, by another way than the model's.
+    """
+    rng = np.random.default_rng(seed)
+    points = ("ground", *(f"x{i}" for i in range(1, 19)))
+    storeys = tuple(between(f"k{i}", Kind.SPRING, points[i], points[i - 1]) for i in range(1, 19))
+    masses = tuple(mass(f"m{i}", points[i], value=1.0) for i in range(1, 19))
+    model = Model(points[1:], (), (*masses, *storeys))
+    k = 2000 * np.exp(spread * rng.standard_normal(18))
+    K = np.diag(k + np.append(k[1:], 0.0)) - np.diag(k[1:], 1) - np.diag(k[1:], -1)
+    squares, vectors = np.linalg.eigh(K)
+    at = [0, 2, 5, 8, 11, 14, 17]
+    f, shapes = np.sqrt(squares[:4]) / (2 * np.pi), vectors[at, :4].T
+    size = np.max(np.abs(shapes), axis=1, keepdims=True)
+    f = f * (1 + level * rng.standard_normal(4))
+    shapes = shapes + 10 * level * size * rng.standard_normal(shapes.shape)
+    covariance = np.zeros((4, 2, 2))
+    covariance[:, 0, 0], covariance[:, 1, 1] = (level * f) ** 2, 1.0
+    V = 2 * (10 * level * size[..., None]) ** 2 * np.eye(len(at))
+    seen = tuple(points[1 + i] for i in at)
+    nothing = np.full(4, np.nan)
+    return model, ModalData(seen, f, nothing, covariance, shapes.astype(complex), V.astype(complex)), k
+
+
+@pytest.mark.parametrize(
+    "seeds", [range(5), pytest.param(range(5, 100), marks=pytest.mark.long)], ids=["five", "all"]
+)
+def test_a_tower_is_found_without_guesses(seeds: range) -> None:
+    """18 unknown stiffnesses from modes at seven storeys; each within 1 %, and within what is stated."""
+    for seed in seeds:
+        model, data, k = tower(seed)
+        estimate = identify_modal(model, data, seed=seed)
+        assert bool(estimate.converged)
+        assert np.all(np.abs(estimate.values / k - 1) < 0.01), seed
+        assert np.all(np.abs(estimate.values - k) < 5 * estimate.sd), seed
