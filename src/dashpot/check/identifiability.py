@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from dashpot.arrays import Real, freeze
-from dashpot.channel import Channel
+from dashpot.channel import Channel, Quantity
 from dashpot.check.directions import DRAWS, Deficiency, Deficient, LinesAtHand, right_vectors
 from dashpot.check.permutation import permutation_ambiguities
 from dashpot.check.structure import (
@@ -32,7 +32,8 @@ from dashpot.errors import UsageError
 from dashpot.model.network import Model
 from dashpot.numerics import finite_field as field
 
-LARGE = 2_000_000  # coordinates² · unknowns² above which exact ranks take minutes
+MANY = 2_000_000  # coordinates² · unknowns² above which lines are counted that add to the rank
+LARGE = 300_000_000  # and above which exact ranks take too long for a check before each identification
 
 
 @dataclass(frozen=True)
@@ -77,7 +78,7 @@ def structure(
     rng = np.random.default_rng(seed)
     view = view_of(model, channels)
     names = view.names
-    draws = _draws(model, channels, enough_lines(model, len(channels), len(names)), rng)
+    draws = _draws(model, channels, _lines_enough(model, channels, len(names), rng), rng)
     rank = field.rank(draws[0].rows)
     psi, rate = nominal(model, channels)
     dependent = _prior_dependent(model, channels, rng) if rank == len(names) else ()
@@ -92,7 +93,49 @@ def structure(
 
 def is_large(model: Model) -> bool:
     """Whether exact ranks would take minutes, or do not exist: nonlinear laws have none in a finite field."""
-    return bool(len(model.nonlinear)) or model.n**2 * len(model.unknowns) ** 2 > LARGE
+    return bool(len(model.nonlinear)) or _work(model) > LARGE
+
+
+def parallel_unknowns(model: Model, channels: Sequence[Channel]) -> tuple[tuple[str, ...], ...]:
+    """Unknowns of which only the sum can be found, in groups: elements of a kind that join the same points.
+
+    It needs no ranks, so it is for rigs of any size.  Priors, ties and channels of an element's own force tell them
+    apart, or may.
+    """
+    told = {point for channel in channels if channel.quantity is Quantity.FORCE for point in channel.of}
+    told |= {element.same_as for element in model.elements if element.same_as is not None}
+    free = {unknown.name for unknown in model.unknowns if unknown.sd is None} - told
+    groups: dict[object, list[str]] = {}
+    for element in model.elements:
+        if element.name in free and element.force_law is None:
+            first = element.along[min(element.along)]
+            ratios = frozenset((point, round(part / first, 12)) for point, part in element.along.items())
+            groups.setdefault((element.kind, abs(first), ratios), []).append(element.name)
+    return tuple(tuple(names) for names in groups.values() if len(names) > 1)
+
+
+def _work(model: Model) -> int:
+    return model.n**2 * len(model.unknowns) ** 2
+
+
+def _lines_enough(
+    model: Model, channels: Sequence[Channel], unknowns: int, rng: np.random.Generator
+) -> LinePattern:
+    """Lines enough that more add nothing to the rank; of large rigs hardly more than it takes.
+
+    Each further line at random adds no more than the one before, so where twice as many add nothing, none will.
+    """
+    most = enough_lines(model, len(channels), unknowns)
+    if _work(model) <= MANY:
+        return most
+    count, before = 2 * -(-unknowns // (2 * max(len(channels), 1))) + 2, -1
+    while count < len(most.frequency):
+        lines = generic_lines(model, len(channels), count, conjugates=False)
+        rank = field.rank(exact(model, channels, lines, rng).rows)
+        if rank in (before, unknowns):
+            return lines
+        before, count = rank, 2 * count
+    return most
 
 
 def _draws(
@@ -120,7 +163,7 @@ def _prior_dependent(model: Model, channels: Sequence[Channel], rng: np.random.G
         )
         free = replace(model, elements=elements)
         view = view_of(free, channels)
-        draw = exact(free, channels, enough_lines(free, len(channels), len(view.names)), rng)
+        draw = exact(free, channels, _lines_enough(free, channels, len(view.names), rng), rng)
         if field.rank(draw.rows) < len(view.names):
             dependent.append(name)
     return tuple(dependent)
@@ -135,9 +178,11 @@ def _with_lines(
     rng: np.random.Generator,
 ) -> Structure:
     """The verdict on the lines at hand, where more lines would determine everything."""
+    M = len(base.names)
+    if _work(model) > MANY and _some_are_enough(model, channels, lines, rng, M):
+        return base
     draw = exact(model, channels, lines, rng)
     rank = field.rank(draw.rows)
-    M = len(base.names)
     if rank < M:  # once more: a random point may be unlucky
         draw = exact(model, channels, lines, rng)
         rank = max(rank, field.rank(draw.rows))
@@ -160,6 +205,18 @@ def _with_lines(
         ),
     )
     return replace(base, rank=rank, deficiencies=(deficiency,))
+
+
+def _some_are_enough(
+    model: Model, channels: Sequence[Channel], lines: LinePattern, rng: np.random.Generator, M: int
+) -> bool:
+    """Whether some of the lines, spread over the band, already determine everything."""
+    count = 2 + -(-M // max(len(channels), 1))
+    some = np.unique(np.linspace(0, len(lines.frequency) - 1, count).astype(int))
+    chosen = LinePattern(
+        np.unique(lines.frequency[some], return_inverse=True)[1], lines.present[some], lines.driven[some]
+    )
+    return field.rank(exact(model, channels, chosen, rng).rows) == M
 
 
 def _lines_missing(

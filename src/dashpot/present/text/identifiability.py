@@ -10,7 +10,7 @@ import numpy as np
 from dashpot.arrays import Real
 from dashpot.channel import Channel, Quantity
 from dashpot.check.directions import Deficiency
-from dashpot.check.identifiability import Structure, is_large, structure
+from dashpot.check.identifiability import Structure, is_large, parallel_unknowns, structure
 from dashpot.check.nonlinear_structure import blind_laws
 from dashpot.check.scale import require_scale
 from dashpot.data.spectrum import Spectrum
@@ -27,8 +27,8 @@ def require_identifiable(
 ) -> None:
     """Raises IdentifiabilityError with one problem for each thing that cannot be found, placed at the file `where`.
 
-    Of large rigs only the scale of the forces is checked, and of rigs that nothing drives: ranks know of no motion
-    but that of inputs, while records of free decay tell by the motion that they start with.
+    Of very large rigs only the scale of the forces and elements side by side are checked, and of rigs that nothing
+    drives: ranks know of no motion but that of inputs, while records of free decay tell by that which they start with.
     """
     decays = not model.inputs and (spectrum is None or bool(spectrum.records))
     if decays or is_large(model):
@@ -36,8 +36,21 @@ def require_identifiable(
         blind = blind_laws(model, spectrum) if spectrum is not None and len(model.nonlinear) else None
         if blind is not None:
             raise IdentifiabilityError(problems_in_words(blind, model, channels, where))
+        require_no_parallels(model, channels, where)
     else:
         require_full_rank(structure(model, channels, spectrum), model, channels, where)
+
+
+def require_no_parallels(model: Model, channels: Sequence[Channel], where: str | None = None) -> None:
+    """Raises IdentifiabilityError with a problem for each group of unknowns of which only the sum can be found."""
+    problems = []
+    for names in parallel_unknowns(model, channels):
+        reason, more = _parallel(names, model)
+        what = f"of {listed(names)} only {' + '.join(names)} can be found: {reason}"
+        cure = "give one of them a value" if len(names) == 2 else f"give {len(names) - 1} of them a value"
+        problems.append(Problem(what, where, cure + more))
+    if problems:
+        raise IdentifiabilityError(problems)
 
 
 def require_full_rank(

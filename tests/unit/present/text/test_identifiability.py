@@ -7,8 +7,11 @@ from dataclasses import replace
 import pytest
 
 from dashpot import parse_rig
+from dashpot.channel import Channel
 from dashpot.check.identifiability import structure
 from dashpot.errors import IdentifiabilityError
+from dashpot.model.elements import Kind, between, mass
+from dashpot.model.network import Input, Model
 from dashpot.model.rigfile import Rig
 from dashpot.present.text.identifiability import in_words, problems_in_words, require_identifiable
 from tests.rigs import channels, paper_rig, perfect
@@ -131,3 +134,36 @@ def test_too_few_lines_and_how_many_more() -> None:
     assert problem.where == "data.csv"
     assert problem.what.startswith("1 line at 1 frequency fix only 4 combinations of the 6 unknowns: ")
     assert problem.cure == "measure at 1 more frequency, or give 2 of them a value"
+
+
+def long_chain(n: int, *, doubled: bool) -> tuple[Model, tuple[Channel, ...]]:
+    """n coordinates on a moved base, the first mass known; `doubled`: two springs have another beside them."""
+    x = [f"x{i}" for i in range(1, n + 1)]
+    below = ["u", *x]
+    elements = [mass(f"m{i}", x[i], value=1.0 if i == 0 else None) for i in range(n)]
+    for kind, letter in ((Kind.SPRING, "k"), (Kind.DAMPER, "c")):
+        elements += [between(f"{letter}{i + 1}", kind, x[i], below[i]) for i in range(n)]
+    if doubled:
+        elements += [between(f"more{i}", Kind.SPRING, x[i], below[i]) for i in (4, 9)]
+    model = Model(tuple(x), (Input("u"),), tuple(elements))
+    return model, tuple(Channel(point, {point: 1.0}) for point in (*x, "u"))
+
+
+@pytest.mark.parametrize("n", [24, 300])
+def test_springs_side_by_side_are_named_in_rigs_of_any_size(n: int) -> None:
+    with pytest.raises(IdentifiabilityError) as refused:
+        require_identifiable(*long_chain(n, doubled=True))
+    assert [problem.what for problem in refused.value.problems] == [
+        "of k5, more4 only k5 + more4 can be found: both join x5 to x4",
+        "of k10, more9 only k10 + more9 can be found: both join x10 to x9",
+    ]
+    require_identifiable(*long_chain(n, doubled=False))
+
+
+def test_large_rigs_are_checked_for_more_than_elements_side_by_side() -> None:
+    """24 coordinates: every fourth seen is enough, and a spring from the base to the ground leaves no trace."""
+    model, seen = long_chain(24, doubled=False)
+    require_identifiable(model, (*seen[3:-1:4], seen[-1]))
+    loose = replace(model, elements=(*model.elements, between("idle", Kind.SPRING, "u", "ground")))
+    with pytest.raises(IdentifiabilityError, match="idle"):
+        require_identifiable(loose, seen)
