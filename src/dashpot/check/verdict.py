@@ -12,7 +12,7 @@ from dashpot.data.spectrum import Spectrum
 from dashpot.data.stretch import SettledDwell
 from dashpot.estimate.assessment import Assessment, Judgement, Misfit
 from dashpot.estimate.inference.band_stability import DISAGREE
-from dashpot.estimate.inference.diagnostics import nonlinear_names
+from dashpot.estimate.inference.diagnostics import dead_channels, nonlinear_names
 from dashpot.estimate.likelihood.record_noise import RESIDUAL
 from dashpot.estimate.result import Estimate
 from dashpot.io.words import joined
@@ -39,6 +39,7 @@ def assess(model: Model, spectrum: Spectrum, estimate: Estimate) -> Assessment:
         *_unphysical(model, estimate),
         *_unstable(estimate),
         *_rejected(estimate),
+        *_silent(model, spectrum),
         *(notice for notice in estimate.warnings if notice.code == DISAGREE),
         *_smooth(left, motions, least=0.5 if RESIDUAL in spectrum.noise else 1.0),
     ]
@@ -65,6 +66,14 @@ def _powerless(estimate: Estimate, spectrum: Spectrum) -> list[Notice]:
     if fit.dof < FEWEST:
         return [Notice("few_degrees", f"{fit.dof} degrees of freedom are too few to test the fit")]
     return []
+
+
+def _silent(model: Model, spectrum: Spectrum) -> list[Notice]:
+    """Channels of moving points that do not move: they fit a rig that stands still."""
+    return [
+        Notice("silent_channel", f"{name} shows nothing at any line", (name,))
+        for name in dead_channels(model, spectrum)
+    ]
 
 
 def _unphysical(model: Model, estimate: Estimate) -> list[Notice]:

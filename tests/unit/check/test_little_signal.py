@@ -49,3 +49,14 @@ def test_a_channel_of_noise_is_named_and_buys_no_fit() -> None:
     assessment = assess(RIG, noise, identify(RIG, noise))
     assert assessment.verdict != "fits"
     assert ("x2",) in [reason.of for reason in assessment.reasons]
+
+
+def test_a_channel_that_does_not_move_is_named() -> None:
+    lines = with_local_noise(functions(300, 0.02))
+    amplitudes, covariance = np.array(lines.amplitudes), np.array(lines.covariance)
+    amplitudes[:, 1], covariance[:, 1, 1] = 0.0, 0.0
+    silent = replace(lines, amplitudes=amplitudes, covariance=covariance)
+    estimate = identify(RIG, lines)
+    assessment = assess(RIG, silent, estimate)
+    assert assessment.verdict == "does not fit"
+    assert ("silent_channel", ("x2",)) in [(reason.code, reason.of) for reason in assessment.reasons]

@@ -66,6 +66,11 @@ _ALL: tuple[tuple[str, str, str, str], ...] = (
         "Add frequencies or channels.",
     ),
     (
+        "silent_channel", _VERDICT,
+        "A channel of a moving point is constant, as of a sensor that is off or not connected.",
+        "Look at the sensor and its cable, or leave the channel out.",
+    ),
+    (
         "below_noise", _VERDICT,
         "A channel is below three standard deviations of its noise at most lines; any model would fit it.",
         "Drive more strongly, use a better sensor, or leave the channel out.",
