@@ -33,6 +33,7 @@ ORDER = (
     "sign", "unit", "swap", "conjugate", "quantity", "frequency", "dwell", "delay", "gain", "value", "element",
     "nonlinear", "channel",
 )  # fmt: skip
+OF_SAMPLES = {"white", "blocks", "periods"}  # kinds of noise that were read from samples
 PARTICULAR = tuple(
     kind for kind in ORDER if kind not in ("dwell", "channel")
 )  # what is left out explains little
@@ -74,7 +75,7 @@ def causes(bench: Workbench, seed: int = 0) -> tuple[float, list[Cause]]:
     pool = [outcome.psi for outcome in searched]
     found = [_of_outcome(outcome) for outcome in (*without_one, *inputs)]
     found += _mended_channels(bench, base, without_one, pool)
-    usual = [*_rearranged(base, channels), *_usual_mistakes(bench, base)]
+    usual = [*_rearranged(bench, base, channels), *_usual_mistakes(bench, base)]
     found += [_of_outcome(outcome) for outcome in bench.refitted(usual, pool)]
     found += _dwells(bench, base, pool)
     found += [
@@ -221,9 +222,12 @@ def _number(relation: Likeness) -> float:
     return relation.delay if relation.kind == "delay" else relation.number
 
 
-def _rearranged(base: Trial, channels: Sequence[str]) -> list[Trial]:
+def _rearranged(bench: Workbench, base: Trial, channels: Sequence[str]) -> list[Trial]:
+    """All phases turned, and two channels swapped; amplitudes made of samples here count as they should."""
     count = len(channels)
-    trials = [conjugated(base, "conjugate", (), np.ones(count, dtype=bool))]
+    trials = []
+    if not set(bench.data.spectrum.noise) <= OF_SAMPLES:
+        trials.append(conjugated(base, "conjugate", (), np.ones(count, dtype=bool)))
     trials += [
         swapped(base, (channels[i], channels[j]), i, j)
         for j in range(count)

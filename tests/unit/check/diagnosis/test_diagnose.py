@@ -110,6 +110,9 @@ def test_negative_dampers_never_fit_and_the_phases_are_blamed():
     assert assessment.verdict == "does not fit"
     assert {"negative", "unstable"} <= {notice.code for notice in assessment.reasons}
     assert assessment.findings[0].kind == "conjugate"
+    # Amplitudes that were made of samples here count as they should.
+    of_samples = replace(other_way, noise=("white",) * other_way.lines, dof=np.full(other_way.lines, 500.0))
+    assert all(finding.kind != "conjugate" for finding in diagnose(model, of_samples, estimate))
 
 
 def test_the_json_carries_verdict_and_diagnosis_and_reads_back():
