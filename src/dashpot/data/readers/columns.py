@@ -8,7 +8,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from typing import Self
 
 import numpy as np
@@ -105,12 +105,17 @@ class Columns(ABC):
         apart = self.units[column] if self.units else None
         return apart if apart is not None else bare(self.header[column])[1]
 
+    @cached_property
+    def _bare_names(self) -> tuple[str, ...]:
+        """Names of the columns in front of their units."""
+        return tuple(bare(column)[0] for column in self.header)
+
     def find(self, name: str) -> int | None:
         """Position of a column, by its name or by its name in front of a unit in brackets.
 
         Raises DataError where there are two.
         """
-        for names in (self.header, tuple(bare(column)[0] for column in self.header)):
+        for names in (self.header, self._bare_names):
             if name not in names:
                 continue
             if names.count(name) > 1:
