@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from dashpot.arrays import Complex, Ints, Real, freeze, hermitian
+from dashpot.arrays import Bools, Complex, Ints, Real, freeze, hermitian
 from dashpot.channel import Channel
 from dashpot.data.spectrum import Spectrum
 from dashpot.estimate.likelihood.boundary_loads import carries_loads
@@ -199,39 +199,51 @@ def _project(G: Complex, y: Complex, V: Complex) -> tuple[Complex, Complex, Comp
     predicted = np.empty_like(y)
     spread = np.zeros_like(V)
     v = np.zeros((len(y), G.shape[-1]), dtype=complex)
-    for line in range(len(y)):
-        there = np.isfinite(y[line])
-        g, noise = G[line][there], V[line][np.ix_(there, there)]
-        size = np.sqrt(np.sum(np.abs(g) ** 2, axis=0))
+    present = np.isfinite(y)
+    kinds = present.astype(int) + (present & (np.diagonal(V, axis1=-2, axis2=-1).real <= 0))
+    # Lines that have the same channels, and the same of them exact, are solved together.
+    for kind in np.unique(kinds, axis=0):
+        lines, there = np.flatnonzero(np.all(kinds == kind, axis=1)), np.flatnonzero(kind)
+        cells = np.ix_(lines, there, there)
+        g, noise = G[lines][:, there], V[cells]
+        size = np.sqrt(np.sum(np.abs(g) ** 2, axis=1, keepdims=True))
         size = np.where(size > 0, size, 1.0)
-        P = _estimator(g / size, noise)
-        v[line] = (P @ y[line][there]) / size
-        predicted[line] = G[line] @ v[line]
-        rest = np.eye(len(g)) - (g / size) @ P
-        spread[line][np.ix_(there, there)] = rest @ noise @ hermitian(rest)
+        P = _estimators(g / size, noise, kind[there] == 2)
+        v[lines] = (P @ y[lines][:, there, None])[..., 0] / size[:, 0]
+        rest = np.eye(len(there)) - (g / size) @ P
+        spread[cells] = rest @ noise @ hermitian(rest)
+        predicted[lines] = (G[lines] @ v[lines, :, None])[..., 0]
     return predicted, spread, v
 
 
-def _estimator(g: Complex, V: Complex) -> Complex:
-    """P with v̂ = P y minimising (y − g v)ᴴ V⁻¹ (y − g v); exact channels first, the rest of v from the noisy ones."""
-    variance = np.diagonal(V).real
-    exact = variance <= 0
-    P = np.zeros((g.shape[1], len(g)), dtype=complex)
-    free = np.eye(g.shape[1], dtype=complex)
+def _estimators(g: Complex, V: Complex, exact: Bools) -> Complex:
+    """P (lines, q, channels) with v̂ = P y minimising (y − g v)ᴴ V⁻¹ (y − g v) at each line.
+
+    g (lines, channels, q), V (lines, channels, channels).  Channels that are `exact` come first, the rest of v from
+    the noisy ones.
+    """
+    lines, channels, q = g.shape
+    P = np.zeros((lines, q, channels), dtype=complex)
+    free = np.broadcast_to(np.eye(q, dtype=complex), (lines, q, q))
     if np.any(exact):
-        fixed = np.linalg.pinv(g[exact], rcond=1e-10)
-        P[:, exact] = fixed
-        _, s, Vh = np.linalg.svd(g[exact])
-        rank = int(np.sum(s > 1e-10 * s[0])) if s.size and s[0] > 0 else 0
-        free = hermitian(Vh[rank:])
+        P[:, :, exact] = np.linalg.pinv(g[:, exact], rcond=1e-10)
+        _, s, Vh = np.linalg.svd(g[:, exact])
+        rank = np.sum(s > 1e-10 * s[:, :1], axis=-1)
+        if np.any(rank != rank[0]):
+            for k in np.unique(rank):
+                P[rank == k] = _estimators(g[rank == k], V[rank == k], exact)
+            return P
+        free = hermitian(Vh[:, rank[0] :])
     noisy = ~exact
-    if free.shape[1] and np.any(noisy):
-        sd = np.sqrt(variance[noisy])
-        L = np.linalg.cholesky(V[np.ix_(noisy, noisy)] / sd[:, None] / sd + 1e-13 * np.eye(len(sd)))
-        white = np.linalg.solve(L, (g[noisy] @ free) / sd[:, None])
-        half = np.linalg.pinv(white, rcond=1e-10) @ np.linalg.solve(L, np.diag(1 / sd).astype(complex))
-        P[:, noisy] = free @ half
-        P[:, exact] -= free @ half @ g[noisy] @ P[:, exact]
+    if free.shape[-1] and np.any(noisy):
+        of_noisy = V[:, noisy][:, :, noisy]
+        sd = np.sqrt(np.diagonal(of_noisy, axis1=-2, axis2=-1).real)
+        L = np.linalg.cholesky(of_noisy / sd[:, :, None] / sd[:, None] + 1e-13 * np.eye(sd.shape[-1]))
+        white = np.linalg.solve(L, (g[:, noisy] @ free) / sd[:, :, None])
+        scale = (np.eye(sd.shape[-1]) / sd[:, :, None]).astype(complex)
+        half = np.linalg.pinv(white, rcond=1e-10) @ np.linalg.solve(L, scale)
+        P[:, :, noisy] = free @ half
+        P[:, :, exact] -= free @ (half @ (g[:, noisy] @ P[:, :, exact]))
     return P
 
 
