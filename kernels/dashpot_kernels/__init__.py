@@ -21,4 +21,4 @@ __all__ = [
     "line_shares",
     "set_instructions",
 ]
-__version__ = "0.1.0"
+__version__ = "0.1.1"
