@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -45,9 +45,10 @@ def search_harmonics(
     one = data.only(0)
     first = exact.pick(np.array([0]))
     signs = np.ones((1, len(view.channels)))
-    ends = []
+    ends = list[OptimizeResult]()
     acceptable = first.rows + 6 * np.sqrt(2.0 * first.rows)
-    for psi in _ranked(one, view, [*(soften(one, softness) for softness in SOFTNESS), first], descend):
+    stages = [*(soften(one, softness) for softness in SOFTNESS), first]
+    for psi in _ranked(one, view, stages, descend):
         end = descend(_fresh(first), psi[None], signs, FIRST)
         if np.isfinite(end.cost[0]):
             ends.append(end)
@@ -99,19 +100,25 @@ def _with_orders(data: Prepared, exact: Measured, orders: int) -> Measured:
 
 def _ranked(
     one: Prepared, view: ObservationModel, stages: Sequence[Measured], descend: Descent
-) -> list[Real]:
-    """The most promising starting points, best first.
+) -> Iterator[Real]:
+    """Starting points, the most promising first: where all is seen those of the regression, then those from afar.
 
-    From afar they go through softened data, in which valleys are wide, before they are ranked.
+    From afar they go through softened data, in which valleys are wide, before they are ranked.  A regression of laws
+    without unknown constants leaves no other valley to look for, and laws with a state take minutes from afar.
     """
-    points = starting_points(one, view)
-    if one.states is not None or len(points) == 1:
-        return list(points)
-    signs = np.ones((1, len(view.channels)))
-    for stage, kept in zip(stages[:-1], (KEPT, KEPT // 2), strict=True):
-        points = points[np.argsort(_costs(view, stage, points))[:kept]]
-        points = np.array([descend(_fresh(stage), psi[None], signs, FIRST).x[0] for psi in points])
-    return list(points[np.argsort(_costs(view, stages[-1], points))])
+    if one.states is not None:
+        points = starting_points(one, view)
+        yield from points[np.argsort(_costs(view, stages[-1], points))]
+        laws = [element.force_law for element, constant in one.model.constants if constant.unknown]
+        if not laws or any(law is not None and law.has_state for law in laws):
+            return
+    points = starting_points(one, view, afar=True)
+    if len(points) > 1:
+        signs = np.ones((1, len(view.channels)))
+        for stage, kept in zip(stages[:-1], (KEPT, KEPT // 2), strict=True):
+            points = points[np.argsort(_costs(view, stage, points))[:kept]]
+            points = np.array([descend(_fresh(stage), psi[None], signs, FIRST).x[0] for psi in points])
+    yield from points[np.argsort(_costs(view, stages[-1], points))]
 
 
 def _costs(view: ObservationModel, data: Measured, points: Real) -> Real:

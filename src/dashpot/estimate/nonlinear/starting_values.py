@@ -35,14 +35,14 @@ KEPT = 4  # starts that are followed
 RATIOS = (0.0, 0.03, 0.3, -0.1)  # nonlinear force over the linear one, where nothing tells
 
 
-def starting_points(data: Prepared, view: ObservationModel) -> Real:
+def starting_points(data: Prepared, view: ObservationModel, *, afar: bool = False) -> Real:
     """Points ψ, (count, M), to begin from, the most promising first; one repeat.
 
     Where all is seen: least squares on the harmonics for trial values of the inner constants.  Elsewhere: the fit of
-    a linear rig, with nonlinear elements of several strengths.
+    a linear rig, with nonlinear elements of several strengths; so everywhere if `afar`.
     """
     calibrations = np.concatenate([np.ones(view.gains), np.zeros(view.delays)])
-    if data.states is not None:
+    if data.states is not None and not afar:
         theta = _by_regression(data)
     else:
         theta, calibrations = _by_linear_rig(data, view, calibrations)

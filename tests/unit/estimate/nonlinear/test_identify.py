@@ -21,6 +21,16 @@ def test_exact_harmonics_give_all_parameters_back(law):
     assert np.max(np.abs(estimate.values / theta - 1)) < 1e-6
 
 
+@pytest.mark.long
+def test_a_one_sided_spring_is_found_where_its_regression_misleads():
+    """Harmonics 1 and 3 show neither the offset nor the second harmonic that such a spring makes."""
+    model, theta = two_masses("one-sided")
+    spectrum = settled(model, theta, ALL, FREQUENCIES, noise=0.005, rng=np.random.default_rng(3))
+    estimate = identify(model, spectrum, "ml")
+    assert float(estimate.fit.p) > 0.01
+    assert np.all(np.abs(estimate.values - theta) < 4 * estimate.sd)
+
+
 def test_noisy_harmonics_give_intervals_that_hold():
     model, theta = two_masses("cubic")
     spectrum = settled(model, theta, ALL, FREQUENCIES, noise=0.01, rng=np.random.default_rng(3))
