@@ -52,7 +52,8 @@ TOGETHER = 12  # candidates that are scored at once
 FOLLOWED = 2  # candidates that are fitted in full
 ENOUGH = 2.0  # χ² per degree of freedom at which no other candidate is followed
 LIMIT = 15  # iterations of such a fit
-HINT = 0.1  # share of the softened misfit that a candidate must promise to be followed
+HINT = 0.4  # share of the misfit that a candidate must promise to be followed
+FALLEN = 0.1  # share by which the softened misfit must have fallen for a fit to go on
 SOFT = 0.05  # relative noise of the softened data
 
 
@@ -259,7 +260,7 @@ def fitted_in_full(
         start = _with_elements(extended, {element.name: value}, psi)
         if softness > 0:
             start, left = _descended(view, measured(larger, view, softness), start, sign, LIMIT)
-            if left > (1 - HINT) * candidate.chi2:
+            if left > (1 - FALLEN) * candidate.chi2:
                 continue  # what does not help there leads nowhere in sharper data
         ended, cost = _descended(view, exact, start, sign, LIMIT)
         if cost < least:
