@@ -76,7 +76,17 @@ def prediction_block(title: str, predictions: Sequence[RecordPrediction]) -> Blo
             records[0].measured, records[0].predicted,
         )  # fmt: skip
         pictures.append(figure_picture(figure, f"Histories and spectra: {' '.join(texts)}"))
+        texts.append(_part_shown(records[0]))
     return Block(title, tuple(texts), pictures=tuple(pictures), whole=True)
+
+
+def _part_shown(record: RecordPrediction) -> str:
+    """Which part of a record its histories hold."""
+    low, high = (short(float(end), 4) for end in (np.min(record.frequency_hz), np.max(record.frequency_hz)))
+    return (
+        f"The histories last {short(record.duration_s, 4)} s and hold the {len(record.frequency_hz)} lines from {low} "
+        f"to {high} Hz that were used; the rest of the motion is in neither curve."
+    )
 
 
 def _responses(model: Model, spectrum: Spectrum, estimate: Estimate, found: Residuals) -> list[Block]:

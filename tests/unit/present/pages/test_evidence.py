@@ -8,7 +8,8 @@ import numpy as np
 
 from dashpot import Spectrum, dwells, identify, simulate_spectrum
 from dashpot.check.profile import profile
-from dashpot.present.pages.evidence import profiles_block
+from dashpot.check.validation import RecordPrediction
+from dashpot.present.pages.evidence import prediction_block, profiles_block
 from dashpot.present.pages.report import identification_report
 from tests.unit.present.conftest import RIG, VALUES
 
@@ -36,6 +37,24 @@ def test_profiles_are_shown_where_the_normal_interval_misleads() -> None:
     html = identification_report(RIG.model, poor, unsure)
     assert block.title in html
     assert block.title not in identification_report(RIG.model, good, sure)
+
+
+def test_histories_say_which_part_of_a_record_they_hold() -> None:
+    values = np.full((3, 1), 1e-3 + 0j)
+    record = RecordPrediction(
+        ("x",),
+        ("m",),
+        np.array([1.0, 1.5, 2.0]),
+        values,
+        values,
+        np.ones(1),
+        np.ones(1),
+        np.full(1, 6.0),
+        2.0,
+        40,
+    )
+    block = prediction_block("In time", (record,))
+    assert any("2.000 s and hold the 3 lines from 1.000 to 2.000 Hz" in text for text in block.paragraphs)
 
 
 def test_profiles_of_estimates_that_are_no_minimum_are_left_out() -> None:
