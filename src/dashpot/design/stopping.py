@@ -269,7 +269,15 @@ def enough(
     fixed = np.zeros_like(total)
     if known is not None:  # calibrations follow the unknowns; nothing was known of them
         fixed[: len(known), : len(known)] = known * scale[: len(known), : len(known)]
-    times = _least_times(lambda t: excess_of(np.linalg.inv(fixed + t * (total - fixed)) * scale) <= 1)
+    widened = np.maximum(np.sqrt(np.diagonal(estimate.covariance)) / estimate.bound_sd, 1.0) ** 2
+
+    def covariance_of(times: float) -> Real:
+        """With so many times the samples: what an estimated noise costs falls with them as well."""
+        left = np.sqrt((1 + (widened - 1) / times) / widened)
+        after: Real = np.linalg.inv(fixed + times * (total - fixed)) * scale * np.outer(left, left)
+        return after
+
+    times = _least_times(lambda t: excess_of(covariance_of(t)) <= 1)
     if times is None:
         return Verdict(False, worst, excess, np.inf, "more of the same test does not reach the target")
     more = float(np.ceil((times - 1) * samples))
