@@ -15,11 +15,14 @@ CASE3 = "1,1.5,2:4:0.25,5,6,7,8:12:0.5,13,14"
 BAND = (0.25, 25.0)
 
 
-def paper_setup(limits: ShakerLimits | None = None) -> TestSetup:
+def paper_setup(
+    limits: ShakerLimits | None = None, relative: float = 0.1, floor: float = 0.0, floor_v: float = 0.0
+) -> TestSetup:
+    """Noise as a part of each amplitude, m of the displacements and m/s of the velocities."""
     rig = paper_rig()
     sensors = [
-        Channel(f"{'' if q is Quantity.DISPLACEMENT else 'd'}{x}", {x: 1.0}, q, relative_noise=0.1)
-        for q in (Quantity.DISPLACEMENT, Quantity.VELOCITY)
+        Channel(f"{name}{x}", {x: 1.0}, quantity, noise=noise, relative_noise=relative)
+        for name, quantity, noise in (("", Quantity.DISPLACEMENT, floor), ("d", Quantity.VELOCITY, floor_v))
         for x in ("x1", "x2")
     ]
     return nominal_setup(rig.model, [*sensors, Channel("u", {"u": 1.0})], rig.theta, limits=limits)
@@ -29,3 +32,16 @@ def measured(setup: TestSetup, samples: int = 56, seed: int = 0, f: str = CASE3)
     rng = np.random.default_rng(seed)
     test = dwells(setup.model, frequencies(f), samples)
     return simulate_spectrum(setup.model, setup.p[0], setup.channels, test, rng)
+
+
+def random_information(rng: np.random.Generator, lines: int, q: int = 3, scenarios: int = 2) -> np.ndarray:
+    """Of some lines that measure nothing in particular, (scenarios, lines, q, q)."""
+    F = rng.standard_normal((scenarios, lines, q, q))
+    return np.swapaxes(F, -1, -2) @ F
+
+
+def setup_in_scenarios(scenarios: int) -> TestSetup:
+    """The paper's setup with values that grow from scenario to scenario."""
+    setup = paper_setup()
+    growth = np.linspace(1, 1.3, scenarios)[:, None]
+    return setup.with_scenarios(np.tile(setup.theta, (scenarios, 1)) * growth)

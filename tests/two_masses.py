@@ -1,4 +1,6 @@
-"""Rigs of two masses on a shaken base, which many tests share."""
+"""Rig files that many tests share: two masses on a shaken base, and a rig whose springs cannot be told apart."""
+
+from dashpot.model.rigfile import Rig, parse_rig
 
 RIG = """\
 name = "Two masses on a shaken base"
@@ -20,3 +22,31 @@ x2 = { of = "x2", unit = "mm", noise = 0.02 }
 u = { of = "u", unit = "mm" }
 """
 VALUES = {"m1": 3.0, "c1": 20.0, "c2": 30.0}
+UNDETERMINED = """\
+coordinates = ["x"]
+[inputs]
+u = {}
+[masses]
+m = { at = "x", value = 1.0 }
+[springs]
+k1 = { between = ["x", "ground"] }
+k2 = { between = ["x", "ground"] }
+k3 = { between = ["x", "u"] }
+[channels]
+x = { of = "x" }
+u = { of = "u" }
+"""
+HEAD = 'coordinates = ["x1", "x2"]\n[inputs]\nu = {}\n'
+SEEN = '[channels]\nx1 = { of = "x1" }\nx2 = { of = "x2" }\nu = { of = "u" }\n'
+
+
+def two_mass_rig(
+    more: str = "", k1: str = ", value = 4600", seen: str = SEEN, dampers: str = "", head: str = HEAD
+) -> Rig:
+    """Two masses on a shaken base with a damper to ground, and what a test adds or changes."""
+    text = (
+        f'{head}[masses]\nm1 = {{ at = "x1" }}\nm2 = {{ at = "x2" }}\n'
+        f'[springs]\nk1 = {{ between = ["x1", "x2"]{k1} }}\nk2 = {{ between = ["x2", "u"] }}\n{more}'
+        f'[dampers]\nc2 = {{ between = ["x2", "u"] }}\nc4 = {{ between = ["x2", "ground"] }}\n{dampers}{seen}'
+    )
+    return parse_rig(text)

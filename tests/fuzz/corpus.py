@@ -15,28 +15,15 @@ import numpy as np
 from dashpot.app.cli import run
 from dashpot.data.readers.uff.modes import NodalMode
 from dashpot.data.readers.uff.writer import write_universal_file
+from tests import two_masses
 from tests.unit.data.readers.famos_bytes import dwell
 from tests.unit.data.readers.written import WRITERS, recording, wav
 
-BASE = """\
-name = "Two masses on a shaken base"
-coordinates = ["x1", "x2"]
-[inputs]
-u = { kind = "displacement" }
-[masses]
-m1 = { at = "x1" }
-m2 = { at = "x2", value = 2.7, sd = 0.01 }
-[springs]
-k1 = { between = ["x1", "x2"], value = 4600 }
-k2 = { between = ["x2", "u"], value = 4600 }
-[dampers]
-c1 = { between = ["x1", "x2"], guess = 20 }
-c2 = { between = ["x2", "u"], guess = 30 }
-[channels]
-x1 = { of = "x1", unit = "mm", noise = 0.02 }
-x2 = { of = "x2", unit = "mm", noise = 0.02 }
-u = { of = "u", unit = "mm" }
-"""
+BASE = (
+    two_masses.RIG.replace("value = 2.7", "value = 2.7, sd = 0.01")
+    .replace('c1 = { between = ["x1", "x2"]', 'c1 = { between = ["x1", "x2"], guess = 20')
+    .replace('c2 = { between = ["x2", "u"]', 'c2 = { between = ["x2", "u"], guess = 30')
+)
 
 FORCED = """\
 coordinates = ["x", "pitch"]

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from benchmarks import sequential_design
-from dashpot.channel import Channel, Quantity
+from dashpot.channel import Channel
 from dashpot.design.alternative import compare_tests
 from dashpot.design.budget import Budget
 from dashpot.design.criteria import AOptimal
@@ -19,19 +19,8 @@ from dashpot.estimate.linear.instrumental_variables import InstrumentalVariables
 from dashpot.estimate.method import Method
 from dashpot.quantities import frequencies
 from dashpot.study.simulate import dwells, simulate_spectrum
+from tests.designs import CASE3, paper_setup
 from tests.rigs import paper_rig
-
-CASE3 = "1,1.5,2:4:0.25,5,6,7,8:12:0.5,13,14"
-
-
-def paper_bench(relative: float, floor: float, floor_v: float) -> TestSetup:
-    rig = paper_rig()
-    sensors = [
-        Channel(f"{q.value[0]}{x}", {x: 1.0}, q, noise=noise, relative_noise=relative)
-        for q, noise in ((Quantity.DISPLACEMENT, floor), (Quantity.VELOCITY, floor_v))
-        for x in ("x1", "x2")
-    ]
-    return nominal_setup(rig.model, [*sensors, Channel("u", {"u": 1.0})], rig.theta)
 
 
 def spread(
@@ -54,7 +43,7 @@ def spread(
 )
 def test_the_predicted_error_comes_true(noise: tuple[float, float, float], at_most: float) -> None:
     """Within 2 %: 8,000 draws, whose rms over six parameters is itself known to about 0.5 % (1 sd)."""
-    own = paper_bench(*noise)
+    own = paper_setup(None, *noise)
     found = plan(own, AOptimal(), Budget(samples=1400), band_grid(own, 0.25, 25))
     assert found.predicted.figure <= at_most
     rms, each = spread(own, found.schedule, 8000, 20)
@@ -65,7 +54,7 @@ def test_the_predicted_error_comes_true(noise: tuple[float, float, float], at_mo
 @pytest.mark.parametrize("noise", [(0.1, 0.0, 0.0), (0.0, 0.05, 1.5)], ids=["relative", "constant"])
 def test_the_papers_test_and_method_give_what_the_comparison_says(noise: tuple[float, float, float]) -> None:
     """CASE 3 of 1,400 samples, by oiv and by iv: within 4 %, of which 1.2 % (1 sd) is the 1,500 draws' own."""
-    own = paper_bench(*noise)
+    own = paper_setup(None, *noise)
     found = plan(own, AOptimal(), Budget(samples=1400), band_grid(own, 0.25, 25))
     beside = compare_tests(own, AOptimal(), found, even_schedule(frequencies(CASE3), 1400))
     assert beside.iv is not None
@@ -79,7 +68,7 @@ def test_the_papers_test_and_method_give_what_the_comparison_says(noise: tuple[f
 @pytest.mark.parametrize("name", ["m1", "m2", "c1", "c2", "c3", "c4"])
 def test_the_test_for_one_parameter_gives_it_better(name: str) -> None:
     """3,000 draws: its spread is as predicted (4 %: 3 sd), and below that of the test for all."""
-    own = paper_bench(0.1, 0.0, 0.0)
+    own = paper_setup()
     grid, j = band_grid(own, 0.25, 25), own.names.index(name)
     alone = plan(own, AOptimal((name,)), Budget(samples=1400), grid)
     together = plan(own, AOptimal(), Budget(samples=1400), grid)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import runpy
 from pathlib import Path
 
 import pytest
@@ -10,17 +11,7 @@ import pytest
 from dashpot.app.cli import run
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "05_methods"
-TRUTH = {
-    "m1": 2.0,
-    "m2": 1.5,
-    "m3": 1.0,
-    "k1": 3000.0,
-    "k2": 2000.0,
-    "k3": 1500.0,
-    "c1": 6.0,
-    "c2": 4.0,
-    "c3": 3.0,
-}
+TRUTH: dict[str, float] = runpy.run_path(str(EXAMPLE / "make_modes.py"))["TRUTH"]
 
 
 def test_the_amplitudes_are_made_by_the_command_of_the_readme(tmp_path: Path) -> None:

@@ -10,23 +10,9 @@ from pathlib import Path
 import pytest
 
 from dashpot.app import report_files
+from tests.two_masses import UNDETERMINED
 from tests.unit.app.conftest import RIG, Command
 from tests.unit.app.test_study import STUDY
-
-UNDETERMINED = """
-coordinates = ["x"]
-[inputs]
-u = {}
-[masses]
-m = { at = "x", value = 1.0 }
-[springs]
-k1 = { between = ["x", "ground"] }
-k2 = { between = ["x", "ground"] }
-k3 = { between = ["x", "u"] }
-[channels]
-x = { of = "x" }
-u = { of = "u" }
-"""
 
 
 def words(path: str) -> str:

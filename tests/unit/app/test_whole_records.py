@@ -14,27 +14,10 @@ from dashpot.data.record import Record
 from dashpot.model.motion import channel_samples, integrator
 from dashpot.model.observation import observation_model
 from dashpot.model.rigfile import read_rig
+from tests import two_masses
 from tests.unit.app.conftest import Command
 
-RIG = """
-name = "Two masses on a base"
-coordinates = ["x1", "x2"]
-[inputs]
-u = { kind = "displacement" }
-[masses]
-m1 = { at = "x1" }
-m2 = { at = "x2", value = 2.7 }
-[springs]
-k1 = { between = ["x1", "x2"] }
-k2 = { between = ["x2", "u"] }
-[dampers]
-c1 = { between = ["x1", "x2"] }
-c2 = { between = ["x2", "u"] }
-[channels]
-x1 = { of = "x1", unit = "mm" }
-x2 = { of = "x2", unit = "mm" }
-u = { of = "u", unit = "mm" }
-"""
+RIG = two_masses.RIG.replace(", value = 4600", "").replace(", noise = 0.02", "")
 TRUE = {"m1": 3.0, "k1": 4600.0, "k2": 4600.0, "c1": 20.0, "c2": 30.0}
 NOISE = 3e-5  # m, of x1 and x2: a twentieth of their motion
 

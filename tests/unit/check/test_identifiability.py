@@ -13,20 +13,11 @@ from dashpot.check.directions import LinesAtHand
 from dashpot.check.identifiability import Structure, structure
 from dashpot.errors import IdentifiabilityError
 from tests.rigs import channels, paper_rig, perfect, random_rig
-
-HEAD = 'coordinates = ["x1", "x2"]\n[inputs]\nu = {}\n'
-SEEN = '[channels]\nx1 = { of = "x1" }\nx2 = { of = "x2" }\nu = { of = "u" }\n'
+from tests.two_masses import two_mass_rig
 
 
-def judged(
-    more: str = "", k1: str = ", value = 4600", seen: str = SEEN, dampers: str = "", head: str = HEAD
-) -> Structure:
-    text = (
-        f'{head}[masses]\nm1 = {{ at = "x1" }}\nm2 = {{ at = "x2" }}\n'
-        f'[springs]\nk1 = {{ between = ["x1", "x2"]{k1} }}\nk2 = {{ between = ["x2", "u"] }}\n{more}'
-        f'[dampers]\nc2 = {{ between = ["x2", "u"] }}\nc4 = {{ between = ["x2", "ground"] }}\n{dampers}{seen}'
-    )
-    rig = parse_rig(text)
+def judged(**changes: str) -> Structure:
+    rig = two_mass_rig(**changes)
     return structure(rig.model, rig.channels)
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from dashpot.channel import Channel, Quantity
+from dashpot.channel import Channel
 from dashpot.design.allocation import optimise
 from dashpot.design.criteria import (
     AOptimal,
@@ -14,19 +14,10 @@ from dashpot.design.criteria import (
     criterion_value,
 )
 from dashpot.design.frequency_grid import FrequencyGrid, band_grid
-from dashpot.design.test_setup import TestSetup, nominal_setup
+from dashpot.design.test_setup import nominal_setup
 from dashpot.errors import IdentifiabilityError
+from tests.designs import paper_setup
 from tests.rigs import paper_rig
-
-
-def paper_setup(relative: float = 0.1, floor: float = 0.0, floor_v: float = 0.0) -> TestSetup:
-    rig = paper_rig()
-    sensors = [
-        Channel(f"{q.value[0]}{x}", {x: 1.0}, q, noise=noise, relative_noise=relative)
-        for q, noise in ((Quantity.DISPLACEMENT, floor), (Quantity.VELOCITY, floor_v))
-        for x in ("x1", "x2")
-    ]
-    return nominal_setup(rig.model, [*sensors, Channel("u", {"u": 1.0})], rig.theta)
 
 
 def test_the_gap_bounds_every_other_test() -> None:
@@ -65,7 +56,7 @@ def test_the_papers_rig_with_relative_noise() -> None:
 
 
 def test_the_papers_rig_with_constant_noise() -> None:
-    own = paper_setup(0.0, 0.05, 1.5)
+    own = paper_setup(None, 0.0, 0.05, 1.5)
     found = optimise(
         own.information, AOptimal().terms(own, "worst"), own.prior, 1400, band_grid(own, 0.25, 25)
     )

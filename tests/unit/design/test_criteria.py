@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from dashpot.channel import Channel, Quantity
 from dashpot.design.criteria import (
     AOptimal,
     Criterion,
@@ -16,8 +15,7 @@ from dashpot.design.criteria import (
     criterion_slopes,
     criterion_value,
 )
-from dashpot.design.test_setup import TestSetup, nominal_setup
-from tests.rigs import paper_rig
+from tests.designs import random_information, setup_in_scenarios
 
 CRITERIA: list[Criterion] = [
     AOptimal(), Minimax(), DOptimal(), AOptimal(("c2",)), DOptimal(("m1", "c4")),
@@ -25,34 +23,13 @@ CRITERIA: list[Criterion] = [
 ]  # fmt: skip
 
 
-def paper_setup(relative: float = 0.1, floor: float = 0.0, floor_v: float = 0.0) -> TestSetup:
-    rig = paper_rig()
-    sensors = [
-        Channel(f"{q.value[0]}{x}", {x: 1.0}, q, noise=noise, relative_noise=relative)
-        for q, noise in ((Quantity.DISPLACEMENT, floor), (Quantity.VELOCITY, floor_v))
-        for x in ("x1", "x2")
-    ]
-    return nominal_setup(rig.model, [*sensors, Channel("u", {"u": 1.0})], rig.theta)
-
-
-def random_problem(rng: np.random.Generator, lines: int, q: int = 3, scenarios: int = 2) -> np.ndarray:
-    F = rng.standard_normal((scenarios, lines, q, q))
-    return np.swapaxes(F, -1, -2) @ F
-
-
-def named_bench(scenarios: int) -> TestSetup:
-    """A bench with the names m1 … that goals ask for, in that many scenarios."""
-    own = paper_setup()
-    return own.with_scenarios(np.tile(own.theta, (scenarios, 1)) * np.linspace(1, 1.3, scenarios)[:, None])
-
-
 @pytest.mark.parametrize("criterion", CRITERIA, ids=str)
 @pytest.mark.parametrize("robustness", ["average", "worst"])
 def test_slopes_and_curvature_against_differences(criterion: Criterion, robustness: str) -> None:
     rng = np.random.default_rng(0)
-    own = named_bench(2)
+    own = setup_in_scenarios(2)
     terms = criterion.terms(own, robustness)  # type: ignore[arg-type]
-    M = random_problem(rng, 5, 6)
+    M = random_information(rng, 5, 6)
     w = rng.uniform(0.5, 1, 5)
     y = rng.uniform(0.1, 1, len(terms.weights))
 
@@ -74,7 +51,7 @@ def test_slopes_and_curvature_against_differences(criterion: Criterion, robustne
 def test_what_rounding_alone_determines_is_open() -> None:
     """Two lines of one sensor are 4 numbers for 6 unknowns: Cholesky may or may not notice."""
     rng = np.random.default_rng(1)
-    terms = AOptimal().terms(named_bench(1), "worst")
+    terms = AOptimal().terms(setup_in_scenarios(1), "worst")
     for _ in range(200):
         J = rng.standard_normal((4, 6)) * 10 ** rng.uniform(-3, 3, 6)
         assert np.inf == criterion_value(terms, (J.T @ J)[None]).F

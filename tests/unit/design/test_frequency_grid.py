@@ -5,25 +5,15 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from dashpot.channel import Channel, Quantity
+from dashpot.channel import Channel
 from dashpot.design.allocation import optimise
 from dashpot.design.criteria import (
     AOptimal,
 )
 from dashpot.design.frequency_grid import band_grid
-from dashpot.design.test_setup import ShakerLimits, TestSetup, drive_patterns, nominal_setup
+from dashpot.design.test_setup import ShakerLimits, drive_patterns, nominal_setup
 from dashpot.errors import UsageError
-from tests.rigs import paper_rig
-
-
-def paper_setup(relative: float = 0.1, floor: float = 0.0, floor_v: float = 0.0) -> TestSetup:
-    rig = paper_rig()
-    sensors = [
-        Channel(f"{q.value[0]}{x}", {x: 1.0}, q, noise=noise, relative_noise=relative)
-        for q, noise in ((Quantity.DISPLACEMENT, floor), (Quantity.VELOCITY, floor_v))
-        for x in ("x1", "x2")
-    ]
-    return nominal_setup(rig.model, [*sensors, Channel("u", {"u": 1.0})], rig.theta)
+from tests.designs import paper_setup
 
 
 def test_only_multiples_of_a_step() -> None:

@@ -7,7 +7,6 @@ from itertools import product
 import numpy as np
 import pytest
 
-from dashpot.channel import Channel, Quantity
 from dashpot.design.allocation import optimise
 from dashpot.design.criteria import (
     AOptimal,
@@ -18,36 +17,14 @@ from dashpot.design.criteria import (
 )
 from dashpot.design.frequency_grid import FrequencyGrid
 from dashpot.design.interior_point import optimal_shares
-from dashpot.design.test_setup import TestSetup, nominal_setup
-from tests.rigs import paper_rig
-
-
-def paper_setup(relative: float = 0.1, floor: float = 0.0, floor_v: float = 0.0) -> TestSetup:
-    rig = paper_rig()
-    sensors = [
-        Channel(f"{q.value[0]}{x}", {x: 1.0}, q, noise=noise, relative_noise=relative)
-        for q, noise in ((Quantity.DISPLACEMENT, floor), (Quantity.VELOCITY, floor_v))
-        for x in ("x1", "x2")
-    ]
-    return nominal_setup(rig.model, [*sensors, Channel("u", {"u": 1.0})], rig.theta)
-
-
-def random_problem(rng: np.random.Generator, lines: int, q: int = 3, scenarios: int = 2) -> np.ndarray:
-    F = rng.standard_normal((scenarios, lines, q, q))
-    return np.swapaxes(F, -1, -2) @ F
-
-
-def named_bench(scenarios: int) -> TestSetup:
-    """A bench with the names m1 … that goals ask for, in that many scenarios."""
-    own = paper_setup()
-    return own.with_scenarios(np.tile(own.theta, (scenarios, 1)) * np.linspace(1, 1.3, scenarios)[:, None])
+from tests.designs import random_information, setup_in_scenarios
 
 
 @pytest.mark.parametrize("criterion", [AOptimal(), Minimax(), DOptimal()], ids=str)
 @pytest.mark.parametrize("robustness", ["average", "worst"])
 def test_brute_force_on_small_grids(criterion: Criterion, robustness: str) -> None:
     """No split of 20 parts over four frequencies beats the programme, and the best of them comes near."""
-    own = named_bench(2)
+    own = setup_in_scenarios(2)
     terms = criterion.terms(own, robustness)  # type: ignore[arg-type]
     f = np.array([2.0, 4.0, 9.5, 20.0])
     M = own.information(f, np.zeros(4, dtype=int))
@@ -68,8 +45,8 @@ def test_brute_force_on_small_grids(criterion: Criterion, robustness: str) -> No
 
 def test_a_crowd_of_equal_columns_is_no_trouble() -> None:
     rng = np.random.default_rng(2)
-    own = named_bench(1)
-    M = np.repeat(random_problem(rng, 8, 6, 1), 5, axis=1)
+    own = setup_in_scenarios(1)
+    M = np.repeat(random_information(rng, 8, 6, 1), 5, axis=1)
     found = optimal_shares(AOptimal().terms(own, "worst"), np.zeros((1, 6, 6)), M)
     alone = optimal_shares(AOptimal().terms(own, "worst"), np.zeros((1, 6, 6)), M[:, ::5])
     assert pytest.approx(alone.F, rel=1e-7) == found.F

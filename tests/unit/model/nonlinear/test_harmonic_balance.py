@@ -104,11 +104,11 @@ def test_without_its_nonlinear_part_the_rig_is_linear():
     assert np.max(np.abs(at.X[:, 3])) == 0
 
 
-def test_duffings_first_harmonic_is_that_of_the_textbook():
-    """One harmonic: (k − m ω² + 3/4 k₃ a²)² a² + (c ω a)² = f² (Nayfeh and Mook 1979, eq. 4.1.19)."""
+def duffing():
+    """One mass on a linear and a cubic spring, pushed."""
     law = force_law("cubic")
     spring = between("k3", Kind.SPRING, "x", "ground")
-    model = Model(
+    return Model(
         ("x",),
         (Input("f", "force", {"x": 1.0}),),
         (
@@ -116,6 +116,11 @@ def test_duffings_first_harmonic_is_that_of_the_textbook():
             type(spring)("k3", Kind.SPRING, spring.along, force_law=law),
         ),
     )  # fmt: skip
+
+
+def test_duffings_first_harmonic_is_that_of_the_textbook():
+    """One harmonic: (k − m ω² + 3/4 k₃ a²)² a² + (c ω a)² = f² (Nayfeh and Mook 1979, eq. 4.1.19)."""
+    model = duffing()
     omega = np.array([0.5, 1.0, 1.3, 2.0])
     f = np.zeros((4, 2, 1), dtype=complex)
     f[:, 1] = 0.3
@@ -128,16 +133,7 @@ def test_duffings_first_harmonic_is_that_of_the_textbook():
 
 
 def test_the_start_chooses_the_branch_above_a_fold():
-    law = force_law("cubic")
-    spring = between("k3", Kind.SPRING, "x", "ground")
-    model = Model(
-        ("x",),
-        (Input("f", "force", {"x": 1.0}),),
-        (
-            mass("m", "x"), between("k", Kind.SPRING, "x", "ground"), between("c", Kind.DAMPER, "x", "ground"),
-            type(spring)("k3", Kind.SPRING, spring.along, force_law=law),
-        ),
-    )  # fmt: skip
+    model = duffing()
     drive = Drive(np.array([2.0]), np.zeros((1, 4, 0), dtype=complex), np.zeros((1, 4, 1), dtype=complex))
     drive.f[0, 1, 0] = 0.5
     p, nothing = np.array([[1.0, 1.0, 0.05, 1.0]]), np.zeros((1, 0))

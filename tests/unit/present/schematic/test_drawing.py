@@ -17,6 +17,7 @@ from dashpot.present.schematic.drawing import schematic
 from dashpot.present.schematic.labels import elongation, law_in_symbols
 from dashpot.present.schematic.moving import REACH, mode_drawing, numbered_mode
 from dashpot.present.tables.estimate import parameter_rows
+from tests.two_masses import UNDETERMINED
 from tests.unit.present.conftest import RIG
 
 SVG = "{http://www.w3.org/2000/svg}"
@@ -49,22 +50,7 @@ def test_doubt_is_a_wide_interval_or_an_iteration_without_end(good: Estimate) ->
 
 
 def test_what_channels_cannot_determine_is_doubtful() -> None:
-    rig = parse_rig(
-        """
-        coordinates = ["x"]
-        [inputs]
-        u = {}
-        [masses]
-        m = { at = "x", value = 1.0 }
-        [springs]
-        k1 = { between = ["x", "ground"] }
-        k2 = { between = ["x", "ground"] }
-        k3 = { between = ["x", "u"] }
-        [channels]
-        x = { of = "x" }
-        u = { of = "u" }
-        """
-    )
+    rig = parse_rig(UNDETERMINED)
     assert set(undetermined(rig.model, rig.channels)) == {"k1", "k2"}
     assert [text for text in texts(rig.draw().svg()) if text.endswith("? (?)")] == [
         "k1 = ? (?)",

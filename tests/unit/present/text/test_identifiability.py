@@ -15,20 +15,7 @@ from dashpot.model.network import Input, Model
 from dashpot.model.rigfile import Rig
 from dashpot.present.text.identifiability import in_words, problems_in_words, require_identifiable
 from tests.rigs import channels, paper_rig, perfect
-
-HEAD = 'coordinates = ["x1", "x2"]\n[inputs]\nu = {}\n'
-SEEN = '[channels]\nx1 = { of = "x1" }\nx2 = { of = "x2" }\nu = { of = "u" }\n'
-
-
-def rig_of(
-    more: str = "", k1: str = ", value = 4600", seen: str = SEEN, dampers: str = "", head: str = HEAD
-) -> Rig:
-    text = (
-        f'{head}[masses]\nm1 = {{ at = "x1" }}\nm2 = {{ at = "x2" }}\n'
-        f'[springs]\nk1 = {{ between = ["x1", "x2"]{k1} }}\nk2 = {{ between = ["x2", "u"] }}\n{more}'
-        f'[dampers]\nc2 = {{ between = ["x2", "u"] }}\nc4 = {{ between = ["x2", "ground"] }}\n{dampers}{seen}'
-    )
-    return parse_rig(text)
+from tests.two_masses import SEEN, two_mass_rig
 
 
 def told(rig: Rig) -> list[tuple[str, str]]:
@@ -37,13 +24,13 @@ def told(rig: Rig) -> list[tuple[str, str]]:
 
 
 def test_parallel_elements() -> None:
-    assert told(rig_of(dampers='c5 = { between = ["ground", "x2"] }\n')) == [
+    assert told(two_mass_rig(dampers='c5 = { between = ["ground", "x2"] }\n')) == [
         (
             "of c4, c5 only c4 + c5 can be found: both join x2 to ground",
             "give one of them a value, or attach one elsewhere",
         )
     ]
-    three = rig_of(dampers='c5 = { between = ["ground", "x2"] }\nc6 = { along = { x2 = 0.5 } }\n')
+    three = two_mass_rig(dampers='c5 = { between = ["ground", "x2"] }\nc6 = { along = { x2 = 0.5 } }\n')
     assert told(three) == [
         (
             "of c4, c5, c6 only c4 + c5 + 0.25·c6 can be found: all join x2 to ground",
@@ -53,16 +40,18 @@ def test_parallel_elements() -> None:
 
 
 def test_nothing_known() -> None:
-    [(what, cure)] = told(rig_of(k1=""))
+    [(what, cure)] = told(two_mass_rig(k1=""))
     assert what.startswith("nothing is known and only displacements go in, so all forces scale together")
     assert "weigh m1" in cure
     assert "the force that moves u" in cure
-    [(_, cure)] = told(rig_of(k1="", seen=SEEN + 'r = { of = "u", quantity = "force", gain = "unknown" }\n'))
+    [(_, cure)] = told(
+        two_mass_rig(k1="", seen=SEEN + 'r = { of = "u", quantity = "force", gain = "unknown" }\n')
+    )
     assert "measure" not in cure
 
 
 def test_the_cure_names_the_sensors_that_help() -> None:
-    found = rig_of(
+    found = two_mass_rig(
         seen='[channels]\nx1 = { of = "x1" }\nu = { of = "u" }\n',
         dampers='c3 = { between = ["x1", "ground"] }\nc1 = { between = ["x1", "x2"] }\n',
     )
@@ -83,15 +72,15 @@ def test_springs_in_series() -> None:
 
 def test_calibrations() -> None:
     delays = "".join(f'{x} = {{ of = "{x}", delay = "unknown" }}\n' for x in ("x1", "x2", "u"))
-    [(what, _)] = told(rig_of(seen="[channels]\n" + delays))
+    [(what, _)] = told(two_mass_rig(seen="[channels]\n" + delays))
     assert what == "of x1.delay, x2.delay, u.delay only x1.delay - u.delay, x2.delay - u.delay can be found"
     gains = delays.replace("delay", "gain")
-    [(what, _)] = told(rig_of(seen="[channels]\n" + gains))
+    [(what, _)] = told(two_mass_rig(seen="[channels]\n" + gains))
     assert what == "only the ratios of x1.gain, x2.gain, u.gain can be found"
 
 
 def test_an_input_that_nobody_measures() -> None:
-    [(what, cure)] = told(rig_of(seen='[channels]\nx1 = { of = "x1" }\n'))
+    [(what, cure)] = told(two_mass_rig(seen='[channels]\nx1 = { of = "x1" }\n'))
     assert what == "one channel cannot separate the rig from its unmeasured input u"
     assert cure.startswith("measure u")
 
