@@ -9,8 +9,8 @@ import os
 import signal
 import sys
 import warnings
-from collections.abc import Iterable, Sequence
-from contextlib import suppress
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager, suppress
 from importlib import import_module
 from types import FrameType
 
@@ -36,6 +36,16 @@ class Ended(BaseException):
     def __init__(self, number: int) -> None:
         super().__init__(number)
         self.number = number
+
+
+@contextmanager
+def resumable(ctx: click.Context, kept: str) -> Iterator[None]:
+    """A run that ends early says what is `kept`, from which the same command goes on."""
+    try:
+        yield
+    except (KeyboardInterrupt, Ended) as cause:
+        click.echo(f"dashpot: interrupted; {kept}: run it again to continue", err=True)
+        ctx.exit(128 + cause.number if isinstance(cause, Ended) else INTERRUPTED)
 
 
 class Commands(click.Group):

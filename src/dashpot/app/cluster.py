@@ -19,8 +19,13 @@ PATIENCE = 20.0  # s, for a scheduler to answer
 
 
 @contextmanager
-def shared_out(dask: str | None, processes: int) -> Iterator[Map]:
-    """A `map` over a cluster where one is named, else over processes of this machine."""
+def shared_out(dask: str | None, processes: int | None, small: bool) -> Iterator[Map]:
+    """A `map` over a cluster where one is named, else over processes of this machine.
+
+    Where their number is not given, it is that of the cores, and one for work so `small` that more cost more.
+    """
+    if processes is None:
+        processes = 1 if small and dask is None else cores()
     if dask is None:
         with mapping(processes) as mapper:
             yield mapper

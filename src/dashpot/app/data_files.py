@@ -62,12 +62,7 @@ def read_data(
     conditioning = replace(conditioning_from(options), **changes)
     if conditioning.transients == "auto" and (len(rig.model.nonlinear) or not _with_transients(methods)):
         conditioning = conditioning.changed(transients="none")
-    if options.get("noise_record"):
-        from dashpot.data.conditioning.still import noise_at_rest
-
-        still = read(options["noise_record"], rig.channels)
-        tell_notes(still.notes, quiet)
-        conditioning = conditioning.changed(still=noise_at_rest(still.records))
+    conditioning = with_noise_record(conditioning, rig, options, quiet)
     if part != (0.0, 1.0):
         reading = _part_of(reading, part)
     with progress("amplitudes", quiet):
@@ -98,6 +93,20 @@ def read_spectrum(
 ) -> Spectrum:
     """The amplitudes alone, as `read_data` reads them."""
     return read_data(rig, paths, options, quiet, moments_for=moments_for, part=part).spectrum
+
+
+def with_noise_record(
+    conditioning: Conditioning, rig: Rig, options: Mapping[str, Any], quiet: bool
+) -> Conditioning:
+    """With the noise that the file of --noise-record shows, where there is one.  Raises DataError."""
+    if not options.get("noise_record"):
+        return conditioning
+    from dashpot.data.conditioning.still import noise_at_rest
+    from dashpot.data.readers import read
+
+    still = read(options["noise_record"], rig.channels)
+    tell_notes(still.notes, quiet)
+    return conditioning.changed(still=noise_at_rest(still.records))
 
 
 def reading_of(paths: Sequence[str]) -> str:

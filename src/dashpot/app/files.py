@@ -57,24 +57,10 @@ class OutputFile(click.ParamType[str]):
         target = str(value)
         if self.stdout and target == STDOUT:
             return target
-        path = Path(target)
-        if not target or os.path.isdir(target):
-            raise UsageError("this is a folder", target or '""', "name a file in it")
-        if "\0" in target:
-            raise UsageError("a null character in a path", target, "name another file")
-        folder = path.parent if os.path.exists(target) else Path(os.path.realpath(target)).parent
-        if not os.path.isdir(folder):
-            raise UsageError(f"the folder {folder} does not exist", target, "make it, or name another file")
+        _require_writable(target)
         if self.new and os.path.isfile(target):
             raise UsageError(
                 "there is a file of this name", target, "name another file, or take this one away"
-            )
-        special = os.path.exists(target) and not os.path.isfile(target)
-        if not os.access(target if special else folder, os.W_OK) or (
-            os.path.exists(target) and not os.access(target, os.W_OK)
-        ):
-            raise UsageError(
-                "no permission to write this file", target, "change its permissions, or name another file"
             )
         entries = ledger.current()
         if entries is not None:
@@ -86,6 +72,24 @@ class OutputFile(click.ParamType[str]):
     ) -> list[CompletionItem]:
         """Left to the shell."""
         return [CompletionItem(incomplete, type="file")]
+
+
+def _require_writable(target: str) -> None:
+    """Raises UsageError where no file of that name could be written."""
+    if not target or os.path.isdir(target):
+        raise UsageError("this is a folder", target or '""', "name a file in it")
+    if "\0" in target:
+        raise UsageError("a null character in a path", target, "name another file")
+    there = os.path.exists(target)
+    folder = Path(target).parent if there else Path(os.path.realpath(target)).parent
+    if not os.path.isdir(folder):
+        raise UsageError(f"the folder {folder} does not exist", target, "make it, or name another file")
+    special = there and not os.path.isfile(target)
+    writable = os.access(target if special else folder, os.W_OK)
+    if not writable or (there and not os.access(target, os.W_OK)):
+        raise UsageError(
+            "no permission to write this file", target, "change its permissions, or name another file"
+        )
 
 
 class OutputFolder(click.ParamType[str]):

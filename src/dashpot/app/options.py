@@ -10,6 +10,7 @@ import click
 from dashpot.app.files import OutputFile
 from dashpot.app.help import option
 from dashpot.app.parameter_types import (
+    AMOUNTS,
     BAND,
     FREQUENCY,
     HARMONICS,
@@ -18,13 +19,16 @@ from dashpot.app.parameter_types import (
     MODAL_SD,
     ORDERS,
     SETTLING,
+    SHARE_OR_ZERO,
     Count,
 )
+from dashpot.estimate.registry import METHODS
 
 NOT_CONVERGED = 3  # exit code
 DOES_NOT_FIT = 4  # exit code of a verdict that was asked to count
 OUTPUT = "Output"
 DATA_HELP = "Data files of any format, or a manifest (TOML): time records, amplitudes, frequency responses."
+VALUES = "Values of the unknowns (else the guess or value of the rig file)"
 RECORDS = "Time records (tables of amplitudes are used as they are)"
 
 Function = TypeVar("Function", bound=Callable[..., Any])
@@ -82,6 +86,39 @@ def seed_option(of_what: str, default: int = 0) -> Callable[[Function], Function
     return option(
         "--seed", type=Count(0, 2**63 - 1), default=default, show_default=True, metavar="N",
         help=f"Seed of {of_what}; the same seed gives the same result.",
+    )  # fmt: skip
+
+
+def method_option(group: str) -> Callable[[Function], Function]:
+    """--method: the estimator."""
+    return option(
+        "--method", "chosen", type=click.Choice(["auto", *METHODS]), default="auto", show_default=True, group=group,
+        help="Estimator.  auto takes oiv where every coordinate and input is measured and no unknown has bounds, ml "
+        "elsewhere.",
+    )  # fmt: skip
+
+
+def positive_option(group: str) -> Callable[[Function], Function]:
+    """--positive: bounds at 0."""
+    return option(
+        "--positive", is_flag=True, group=group,
+        help="Hold every unknown at or above 0 (but not the entries of free matrices); uses ml.",
+    )  # fmt: skip
+
+
+def set_option(group: str, name: str, help_text: str) -> Callable[[Function], Function]:
+    """--set: values of unknowns."""
+    return option(
+        "--set", name, type=AMOUNTS, multiple=True, metavar="NAME=VALUE,…", group=group,
+        help=f"{help_text}, such as m1=3,k1=4.6kN/m; a bare number is in SI units.  May be repeated.",
+    )  # fmt: skip
+
+
+def relative_noise_option(group: str) -> Callable[[Function], Function]:
+    """--relative-noise: in place of what the channels state."""
+    return option(
+        "--relative-noise", type=SHARE_OR_ZERO, metavar="5%", group=group,
+        help="Noise of a sample as a share of the amplitude, for every output, in place of the rig file's noise.",
     )  # fmt: skip
 
 

@@ -79,7 +79,7 @@ def _silent(model: Model, spectrum: Spectrum) -> list[Notice]:
 def _unphysical(model: Model, estimate: Estimate) -> list[Notice]:
     """Parts of the rig that are negative beyond doubt by the sensors' noise; entries of free matrices may be."""
     free, any_sign = free_names(model), nonlinear_names(model)
-    unknowns = [unknown.name for unknown in model.unknowns]
+    unknowns = model.unknown_names
     names = tuple(
         name
         for name, value, sd in zip(unknowns, estimate.values, estimate.noise_sd, strict=False)

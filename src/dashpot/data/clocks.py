@@ -300,17 +300,25 @@ def _treated(parts: Sequence[Record], settings: Conditioning) -> list[Record]:
         cure = "give it; a record without one needs sensors on one clock"
         raise DataError("the drive frequency is not known", parts[0].source, cure)
     if settings.settle == "auto":
-        kept = [settled(part).record for part in parts]
-        start, end = max(part.time[0] for part in kept), min(part.time[-1] for part in kept)
-        parts = [
-            replace(part, time=part.time[inside], values=part.values[inside])
-            for part in parts
-            if np.any(inside := (part.time >= start) & (part.time <= end))
-        ]
+        parts = _settled_together(parts)
     elif settings.settle != "none":
         parts = [without_start(part, float(settings.settle)) for part in parts]
-    if settings.refine == "none":
-        return list(parts)
+    return list(parts) if settings.refine == "none" else _at_one_frequency(parts, settings)
+
+
+def _settled_together(parts: Sequence[Record]) -> list[Record]:
+    """From where the last of them has settled to where the first of them ends."""
+    kept = [settled(part).record for part in parts]
+    start, end = max(part.time[0] for part in kept), min(part.time[-1] for part in kept)
+    return [
+        replace(part, time=part.time[inside], values=part.values[inside])
+        for part in parts
+        if np.any(inside := (part.time >= start) & (part.time <= end))
+    ]
+
+
+def _at_one_frequency(parts: Sequence[Record], settings: Conditioning) -> list[Record]:
+    """At the weighted mean of their frequencies; with "auto" only where that is not the stated one."""
     refined = [refine_frequency(part, drift=settings.drift) for part in parts]
     weights = np.array([1 / max(r.sd, 1e-15) ** 2 for r in refined])
     frequency = float(np.sum(weights * np.array([r.frequency_hz for r in refined])) / np.sum(weights))

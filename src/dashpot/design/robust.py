@@ -89,7 +89,7 @@ def gaussian_prior_of(model: Model, estimate: Estimate) -> GaussianPrior:
 
     Raises UsageError where it is of other unknowns, or has no finite covariance.
     """
-    names = [unknown.name for unknown in model.unknowns]
+    names = model.unknown_names
     missing = [name for name in names if name not in estimate.names]
     if missing:
         raise UsageError(

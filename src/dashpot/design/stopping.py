@@ -30,7 +30,7 @@ def known_after(setup: TestSetup, estimate: Estimate) -> Real:
     Priors of the rig were in the estimate already.  Calibrations that are unknown are taken as unknown again.
     Raises UsageError where the estimate is of other unknowns.
     """
-    names = [unknown.name for unknown in setup.model.unknowns]
+    names = setup.model.unknown_names
     missing = [name for name in names if name not in estimate.names]
     if missing:
         raise UsageError(
@@ -200,7 +200,7 @@ def sequential_estimates(
         if watch is not None:
             watch(k + 1, len(counts))
     total = np.cumsum(spectrum.samples)[counts - 1]
-    names = tuple(unknown.name for unknown in model.unknowns)
+    names = model.unknown_names
     return SequentialEstimates(names, total, values, sd, low, high)
 
 

@@ -21,6 +21,7 @@ from dashpot.estimate.inference.diagnostics import nonlinear_names
 from dashpot.estimate.likelihood.global_search import DOUBT, TIE, apart, not_unique
 from dashpot.estimate.likelihood.maximum_likelihood import MaximumLikelihood
 from dashpot.estimate.method import Method
+from dashpot.estimate.registry import method as method_named
 from dashpot.estimate.result import Estimate
 from dashpot.model.elements import Kind
 from dashpot.model.network import Model
@@ -36,6 +37,15 @@ OPEN = (
     100.0  # times the largest part of its kind: an unknown of that standard deviation has run off to infinity
 )
 NOISY = 0.02  # noise over motion at the middle line, below which there is one valley
+
+
+def suited_method(name: str | None, model: Model, spectrum: Spectrum, *, seed: int, positive: bool) -> Method:
+    """The method of that name, None: the one that suits; `positive` holds every unknown at or above 0.
+
+    Raises UsageError where there is no such method, or where it holds no bounds.
+    """
+    chosen = automatic(model, spectrum, bounded=positive).name if name is None else name
+    return method_named(chosen, seed=seed, positive=True) if positive else method_named(chosen, seed=seed)
 
 
 def identify_automatically(
@@ -100,7 +110,7 @@ def _loose(model: Model, estimate: Estimate) -> bool:
 def _below(model: Model, estimate: Estimate, deviations: float) -> Bools:
     """Parts below so many standard deviations, (unknowns,); entries of free matrices and nonlinear terms never are."""
     exempt = free_names(model) | nonlinear_names(model)
-    names = [unknown.name for unknown in model.unknowns]
+    names = model.unknown_names
     physical = np.array([name not in exempt for name in names])
     values, sd = estimate.values[: len(names)], estimate.noise_sd[: len(names)]
     below: Bools = physical & (values < deviations * sd)

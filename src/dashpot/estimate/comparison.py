@@ -88,7 +88,7 @@ def compare(
     A method that the data do not suit is named with its reason.  Raises its error where no method gives anything, and
     UsageError where `truth` names what is not an unknown.
     """
-    names = tuple(unknown.name for unknown in model.unknowns)
+    names = model.unknown_names
     true: Mapping[str, float] = {} if truth is None else truth
     for name in true:
         if name not in names:

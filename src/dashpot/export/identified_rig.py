@@ -42,7 +42,7 @@ class IdentifiedRig:
     @property
     def names(self) -> tuple[str, ...]:
         """Names of θ."""
-        return tuple(unknown.name for unknown in self.model.unknowns)
+        return self.model.unknown_names
 
     @property
     def outputs(self) -> tuple[Channel, ...]:
@@ -77,7 +77,7 @@ def identified_rig(
 
     Raises DataError where the estimate is of another rig or a batch, ModelError where an unknown has no value.
     """
-    model, unknowns = rig.model, tuple(unknown.name for unknown in rig.model.unknowns)
+    model, unknowns = rig.model, rig.model.unknown_names
     if estimate is None:
         sd = [0.0 if unknown.sd is None else unknown.sd for unknown in model.unknowns]
         theta = model.theta({} if values is None else values)

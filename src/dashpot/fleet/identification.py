@@ -16,9 +16,10 @@ from dashpot.data.readers.delimited.stepped_sine import Circumstances
 from dashpot.data.readers.interpretation import interpret
 from dashpot.data.spectrum import Spectrum, concatenate
 from dashpot.errors import DashpotError
-from dashpot.estimate.identify import automatic, identify
+from dashpot.estimate.automatic import suited_method
+from dashpot.estimate.identify import identify
 from dashpot.estimate.method import Method
-from dashpot.estimate.registry import method, method_class
+from dashpot.estimate.registry import method_class
 from dashpot.estimate.result import Estimate
 from dashpot.fleet.data_sets import DataSet, PackedRows, packed
 from dashpot.model.observation import calibration_names
@@ -41,8 +42,7 @@ class Treatment:
 
     def chosen(self, rig: Rig, spectrum: Spectrum) -> Method:
         """The method that one data set is identified by."""
-        name = self.method or automatic(rig.model, spectrum, bounded=self.positive).name
-        return method(name, seed=self.seed, positive=True) if self.positive else method(name, seed=self.seed)
+        return suited_method(self.method, rig.model, spectrum, seed=self.seed, positive=self.positive)
 
     def settings(self, reading: Reading) -> Conditioning:
         """How the records of a data set become amplitudes; what its manifest says counts first."""
@@ -83,7 +83,7 @@ class FleetBlock:
 
 def identify_block(task: FleetTask) -> FleetBlock:
     """Identify a block.  A function of the module, so that any process can be sent it; raises nothing of the data."""
-    columns = _empty(unknown_names(task.rig), task.data_sets)
+    columns = _empty(estimated_names(task.rig), task.data_sets)
     spectra: dict[int, Spectrum] = {}
     for k, data_set in enumerate(task.data_sets):
         try:
@@ -121,9 +121,9 @@ def spectrum_of(rig: Rig, data_set: DataSet, treatment: Treatment) -> Spectrum:
     return reading.spectrum(treatment.settings(reading))
 
 
-def unknown_names(rig: Rig) -> tuple[str, ...]:
+def estimated_names(rig: Rig) -> tuple[str, ...]:
     """Names of all that may be estimated: the unknowns of the rig, gains and delays."""
-    return (*(unknown.name for unknown in rig.model.unknowns), *calibration_names(rig.channels))
+    return (*rig.model.unknown_names, *calibration_names(rig.channels))
 
 
 # Batches

@@ -25,8 +25,8 @@ from dashpot.fleet.identification import (
     FleetBlock,
     FleetTask,
     Treatment,
+    estimated_names,
     identify_block,
-    unknown_names,
 )
 from dashpot.fleet.pooling import Population, pooled
 from dashpot.fleet.survey import LEVEL, Usual, survey
@@ -155,7 +155,7 @@ def outcome_of(rig: Rig, blocks: Sequence[Columns], pool: bool, kept: int = 0) -
         raise UsageError("there are no data sets", cure="name one file at least")
     columns = {name: np.concatenate([block[name] for block in blocks]) for name in blocks[0]}
     view = observation_model(rig.model, rig.channels, np.ones(1))
-    names = unknown_names(rig)
+    names = estimated_names(rig)
     values = {name: _of_answers(columns, f"{name}:value") for name in names}
     sds = {name: _of_answers(columns, f"{name}:sd") for name in names}
     usual = survey(names, view.units, values, sds)
@@ -199,14 +199,14 @@ def _run(
     order: list[str] = []
     finished: dict[str, Columns] = {}
     kept = 0
-    basis = fingerprint_of((_rig_parts(rig), treatment, unknown_names(rig), machine(), FORMAT))
+    basis = fingerprint_of((_rig_parts(rig), treatment, estimated_names(rig), machine(), FORMAT))
 
     def work() -> Iterator[FleetTask]:
         nonlocal kept
         for data_sets in _blocks(source):
             key = _key(basis, data_sets)
             order.append(key)
-            whole = None if folder is None else _read(folder, key, unknown_names(rig))
+            whole = None if folder is None else _read(folder, key, estimated_names(rig))
             if whole is None:
                 yield FleetTask(key, rig, treatment, data_sets)
                 continue

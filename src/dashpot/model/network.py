@@ -69,9 +69,8 @@ class Model:
     angles: frozenset[str] = frozenset()
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "coordinates", tuple(self.coordinates))
-        object.__setattr__(self, "inputs", tuple(self.inputs))
-        object.__setattr__(self, "elements", tuple(self.elements))
+        for name in ("coordinates", "inputs", "elements"):
+            object.__setattr__(self, name, tuple(getattr(self, name)))
         object.__setattr__(self, "angles", frozenset(self.angles))
         faults = list(problems(self.coordinates, self.inputs, self.elements, self.angles))
         if faults:
@@ -238,6 +237,11 @@ class Model:
         return (*parts, *inner)
 
     @cached_property
+    def unknown_names(self) -> tuple[str, ...]:
+        """Their names, in order."""
+        return tuple(unknown.name for unknown in self.unknowns)
+
+    @cached_property
     def sparse_T(self) -> sparse.csr_array:
         """∂p/∂θ, sparse, (elements, unknowns): every element has one unknown at most."""
         column = {root: j for j, root in enumerate(self._unknown_roots)}
@@ -301,17 +305,13 @@ class Model:
             choices = (values.get(unknown.name), unknown.prior, unknown.guess)
             value = next((choice for choice in choices if choice is not None), None)
             if value is None:
-                raise ModelError(
-                    f"{unknown.name} has no value",
-                    cure=f"give it one, such as {unknown.name}=1.0, or a guess",
-                )
+                cure = f"give it one, such as {unknown.name}=1.0, or a guess"
+                raise ModelError(f"{unknown.name} has no value", cure=cure)
             theta[j] = value
-        strangers = set(values) - {unknown.name for unknown in self.unknowns}
-        if strangers:
-            raise ModelError(
-                f"{', '.join(sorted(strangers))} is not an unknown of this rig",
-                cure=f"its unknowns are {', '.join(unknown.name for unknown in self.unknowns)}",
-            )
+        others = sorted(set(values) - set(self.unknown_names))
+        if others:
+            cure = f"its unknowns are {', '.join(self.unknown_names)}"
+            raise ModelError(f"{', '.join(others)} is not an unknown of this rig", cure=cure)
         return theta
 
     @cached_property

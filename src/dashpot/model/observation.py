@@ -96,7 +96,7 @@ class ObservationModel:
     @property
     def names(self) -> tuple[str, ...]:
         """Names of the unknowns ψ."""
-        theta = [unknown.name for unknown in self.model.unknowns]
+        theta = self.model.unknown_names
         return (*theta, *calibration_names(self.channels))
 
     @property

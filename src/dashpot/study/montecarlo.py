@@ -183,6 +183,23 @@ def block_file(folder: Path, scenario: Scenario, index: int) -> Path:
     return folder / "draws" / scenario.key / f"{index:06d}.parquet"
 
 
+def _require_distinct(scenarios: Sequence[Scenario]) -> None:
+    name, times = Counter(scenario.name for scenario in scenarios).most_common(1)[0] if scenarios else ("", 0)
+    if times > 1:
+        raise UsageError(f"{name} occurs twice in the study", cure="remove one of the two")
+
+
+def _not_whole(work: Sequence[Task]) -> tuple[list[Task], Counter[State]]:
+    """The blocks that are not on disk as they should be, with folders for them; how many there are to be replaced."""
+    states: list[State] = [
+        "absent" if task.file is None else state_of(Path(task.file), task.label) for task in work
+    ]
+    left = [task for task, state in zip(work, states, strict=True) if state != "whole"]
+    for parent in {Path(task.file).parent for task in left if task.file is not None}:
+        parent.mkdir(parents=True, exist_ok=True)
+    return left, Counter(state for state in states if state in ("damaged", "outdated"))
+
+
 Map = Callable[[Callable[[Task], Done], Iterable[Task]], Iterable[Done]]
 
 
@@ -204,20 +221,11 @@ def run_scenarios(
 
     Raises UsageError where two scenarios have the same factors, or where a method cannot do what is asked.
     """
-    names = [scenario.name for scenario in scenarios]
-    if len(set(names)) < len(names):
-        twice = next(name for name in names if names.count(name) > 1)
-        raise UsageError(f"{twice} occurs twice in the study", cure="remove one of the two")
+    _require_distinct(scenarios)
     work = tasks(scenarios, seed, block, folder)
+    left, replaced = _not_whole(work)
     total = sum(task.identifications for task in work)
-    states = [
-        (task, "absent" if task.file is None else state_of(Path(task.file), task.label)) for task in work
-    ]
-    left = [task for task, state in states if state != "whole"]
-    replaced: Counter[State] = Counter(state for _, state in states if state in ("damaged", "outdated"))
     done = total - sum(task.identifications for task in left)
-    for parent in {Path(task.file).parent for task in left if task.file is not None}:
-        parent.mkdir(parents=True, exist_ok=True)
     if progress is not None:
         progress(done, total)
     memory: dict[tuple[str, int], Block] = {}

@@ -27,7 +27,7 @@ def response_band(
     Raises DataError where the estimate is not of this rig, and as `driven_record`.
     """
     m = len(model.unknowns)
-    estimate.require_unknowns([unknown.name for unknown in model.unknowns])
+    estimate.require_unknowns(model.unknown_names)
     quiet = tuple(_calibrated(channel, estimate) for channel in channels)
     nobody = np.random.default_rng(0)  # the channels have no noise to draw
 

@@ -15,11 +15,12 @@ from dashpot.app.options import (
     file_option,
     json_option,
     quiet_option,
+    relative_noise_option,
     rig_argument,
+    set_option,
 )
 from dashpot.app.parameter_types import (
     AMOUNT,
-    AMOUNTS,
     AMPLITUDE,
     BAND,
     FREQUENCY,
@@ -28,7 +29,6 @@ from dashpot.app.parameter_types import (
     SENSORS,
     SETTLING,
     SHARE,
-    SHARE_OR_ZERO,
     TARGET,
     TIME,
     Count,
@@ -81,10 +81,7 @@ TEST, SHAKER, ROBUST = "The test", "The shaker", "Robustness"
     "--against", type=INPUT_FILE_OR, metavar="FILE|LIST|RANGE", group=AIM,
     help="Compare with another test: a data file, or frequencies in Hz as 1,2,5, 1:10:0.5 or 1:10/25.",
 )  # fmt: skip
-@option(
-    "--set", "settings", type=AMOUNTS, multiple=True, metavar="NAME=VALUE,…", group=BASIS,
-    help="Values to design for, such as m1=3,k1=4.6kN/m; a bare number is in SI units.  May be repeated.",
-)  # fmt: skip
+@set_option(BASIS, "settings", "Values to design for")
 @option(
     "--estimate", "estimate_file", type=INPUT_FILE, metavar="FILE.json", group=BASIS,
     help="Take the values to design for from an estimate, without counting it as data.",
@@ -93,10 +90,7 @@ TEST, SHAKER, ROBUST = "The test", "The shaker", "Robustness"
     "--after", type=INPUT_FILE, multiple=True, metavar="DATA|FILE.json", group=BASIS,
     help="Existing data or estimate to build on.  May be repeated.",
 )  # fmt: skip
-@option(
-    "--relative-noise", type=SHARE_OR_ZERO, metavar="5%", group=BASIS,
-    help="Noise of a sample as a share of the amplitude, for every output, in place of the rig file's noise.",
-)  # fmt: skip
+@relative_noise_option(BASIS)
 @option(
     "--band", type=BAND, metavar="LOWER:UPPER", group=TEST,
     help="Frequencies to choose from, Hz.  [default: around the resonances]",
@@ -258,7 +252,7 @@ def _load(path: str) -> Estimate:
 
 
 def _values_of(rig: Rig, estimate: Estimate) -> dict[str, float]:
-    unknowns = [unknown.name for unknown in rig.model.unknowns]
+    unknowns = rig.model.unknown_names
     pairs = zip(estimate.names, estimate.values, strict=True)
     return {name: float(value) for name, value in pairs if name in unknowns}
 

@@ -6,13 +6,15 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from dashpot.app.cli import INTERRUPTED, Ended
+from dashpot.app.cli import resumable
 from dashpot.app.help import dashpot_command, option
 from dashpot.app.options import (
     conditioning_options,
     dask_option,
     json_option,
+    method_option,
     out_option,
+    positive_option,
     quiet_option,
     rig_argument,
     seed_option,
@@ -21,7 +23,6 @@ from dashpot.app.options import (
 )
 from dashpot.app.parameter_types import INPUT_FILE_OR
 from dashpot.errors import printable
-from dashpot.estimate.registry import METHODS
 
 if TYPE_CHECKING:
     from dashpot.fleet.data_sets import Source
@@ -59,11 +60,8 @@ ENDING = ".blocks"  # of the folder in which finished blocks are kept
     "--pool", is_flag=True, group=FLEET,
     help="Estimate the population that the rigs come from, and draw each rig's estimate towards it.",
 )  # fmt: skip
-@option(
-    "--method", "chosen", type=click.Choice(["auto", *METHODS]), default="auto", show_default=True, group=FLEET,
-    help="Estimator, as for identify.",
-)  # fmt: skip
-@option("--positive", is_flag=True, group=FLEET, help="Hold every unknown at or above 0; uses ml.")
+@method_option(FLEET)
+@positive_option(FLEET)
 @json_option("the summary of the fleet")
 @workers_option
 @dask_option
@@ -97,14 +95,8 @@ def command(
     paths = [noted(path) for path in expanded(data, order)]
     source = of_files(paths) if rig_column is None else of_tables(paths, rig_column)
     treatment = _treatment(rig_read, chosen, positive, seed, conditioning, quiet)
-    try:
+    with resumable(ctx, f"finished data sets are kept in {out}{ENDING}"):
         outcome = _run(rig_read, source, out, treatment, pool, workers, dask, quiet)
-    except (KeyboardInterrupt, Ended) as cause:
-        click.echo(
-            f"dashpot: interrupted; finished data sets are kept in {out}{ENDING}: run it again to continue",
-            err=True,
-        )
-        ctx.exit(128 + cause.number if isinstance(cause, Ended) else INTERRUPTED)
     _write(outcome, out, json_out, quiet)
 
 
@@ -116,12 +108,9 @@ def _run(
 
     from dashpot.app.cluster import shared_out
     from dashpot.app.progress import progress
-    from dashpot.app.workers import cores
     from dashpot.fleet.runner import run_fleet
 
-    few = dask is None and source.count < FEW
-    count = workers if workers is not None else 1 if few else cores()
-    with shared_out(dask, count) as mapper, progress("fleet", quiet) as moved:
+    with shared_out(dask, workers, source.count < FEW) as mapper, progress("fleet", quiet) as moved:
         return run_fleet(
             rig, source, Path(f"{out}{ENDING}"), treatment, pool=pool, mapper=mapper, progress=moved
         )
@@ -130,23 +119,13 @@ def _run(
 def _treatment(
     rig: Rig, chosen: str, positive: bool, seed: int, conditioning: dict[str, Any], quiet: bool
 ) -> Treatment:
-    from dashpot.app.data_files import conditioning_from, tell_notes
-    from dashpot.errors import UsageError
-    from dashpot.estimate.registry import method_class
+    from dashpot.app.data_files import conditioning_from, with_noise_record
+    from dashpot.app.parameters import require_bounds_held
     from dashpot.fleet.identification import Treatment
 
-    if positive and chosen != "auto" and not method_class(chosen).traits.bounds:
-        raise UsageError(
-            f"the method {chosen} holds no bounds", cure="leave out --positive, or use --method ml"
-        )
-    settings = conditioning_from(conditioning)
-    if conditioning.get("noise_record"):
-        from dashpot.data.conditioning.still import noise_at_rest
-        from dashpot.data.readers import read
-
-        still = read(conditioning["noise_record"], rig.channels)
-        tell_notes(still.notes, quiet)
-        settings = settings.changed(still=noise_at_rest(still.records))
+    if positive:
+        require_bounds_held(chosen)
+    settings = with_noise_record(conditioning_from(conditioning), rig, conditioning, quiet)
     method = None if chosen == "auto" else chosen
     return Treatment(method, settings, conditioning["frequency"], positive, seed)
 

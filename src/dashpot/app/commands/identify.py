@@ -18,7 +18,9 @@ from dashpot.app.options import (
     file_option,
     json_option,
     level_option,
+    method_option,
     modal_sd_option,
+    positive_option,
     quiet_option,
     rig_argument,
     seed_option,
@@ -26,7 +28,6 @@ from dashpot.app.options import (
 )
 from dashpot.app.parameter_types import PART
 from dashpot.app.report_files import failure_reported, report_option
-from dashpot.estimate.registry import METHODS
 
 if TYPE_CHECKING:
     from dashpot.check.validation import RecordPrediction
@@ -37,7 +38,6 @@ if TYPE_CHECKING:
     from dashpot.model.network import Model
     from dashpot.model.rigfile import Rig
 
-CHOICES = ["auto", *METHODS]
 ESTIMATION = "Estimation"
 
 
@@ -48,15 +48,8 @@ ESTIMATION = "Estimation"
 )
 @rig_argument
 @data_argument(DATA_HELP, required=True)
-@option(
-    "--method", "chosen", type=click.Choice(CHOICES), default="auto", show_default=True, group=ESTIMATION,
-    help="Estimator.  auto takes oiv where every coordinate and input is measured and no unknown has bounds, ml "
-    "elsewhere.",
-)  # fmt: skip
-@option(
-    "--positive", is_flag=True, group=ESTIMATION,
-    help="Hold every unknown at or above 0 (but not the entries of free matrices); uses ml.",
-)  # fmt: skip
+@method_option(ESTIMATION)
+@positive_option(ESTIMATION)
 @option(
     "--strict", is_flag=True, group=ESTIMATION,
     help="Exit with code 4 where the model does not fit.",
@@ -108,9 +101,11 @@ def command(
         records, used = True, (0.0, 1.0 if hold_out is None else 1.0 - hold_out)
         if estimate is None:
             from dashpot.app.data_files import read_data
+            from dashpot.estimate.automatic import suited_method
 
             measured = read_data(rig_read, data, conditioning, quiet, moments_for=[chosen], part=used)
-            method = _method(chosen, rig_read, measured.spectrum, seed, positive)
+            named = None if chosen == "auto" else chosen
+            method = suited_method(named, rig_read.model, measured.spectrum, seed=seed, positive=positive)
             estimate, spectrum = _estimated(rig, rig_read, measured.spectrum, method, chosen, seed, quiet)
             records = measured.records
     held = () if hold_out is None else _held_out(rig_read, estimate, data, conditioning, used[1])
@@ -120,12 +115,7 @@ def command(
     if apply is not None:
         _apply(rig_read, estimate, apply)
     if not quiet and json_out != STDOUT:
-        _show(rig_read, estimate, level, matrices, records)
-        if held:
-            from dashpot.present.tables.layout import console
-            from dashpot.present.tables.validation import show_validation
-
-            show_validation(console(), held)
+        _show(rig_read, estimate, level, matrices, records, held)
     return _ending(estimate, strict)
 
 
@@ -162,6 +152,7 @@ def _of_modes(estimate: Estimate, json_out: str | None, level: float, strict: bo
 
 def _rig(path: str, chosen: str, positive: bool, matrices: bool) -> Rig:
     """The rig, with all that can be refused before data are read."""
+    from dashpot.app.parameters import require_bounds_held
     from dashpot.check.scale import require_scale_seen
     from dashpot.estimate.registry import method_class
     from dashpot.model.rigfile import read_rig
@@ -169,7 +160,8 @@ def _rig(path: str, chosen: str, positive: bool, matrices: bool) -> Rig:
 
     rig = read_rig(path)
     rig.model.require_unknowns(path)
-    _check_positive(chosen, positive)
+    if positive:
+        require_bounds_held(chosen)
     _check_matrices(rig, matrices)
     require_identifiable(rig.model, rig.channels, path)
     if chosen != "auto":
@@ -248,7 +240,9 @@ def _apply(rig: Rig, estimate: Estimate, path: str) -> None:
     write_text(path, write_rig(replace(rig, model=model, channels=channels)))
 
 
-def _show(rig: Rig, estimate: Estimate, level: float, matrices: bool, records: bool) -> None:
+def _show(
+    rig: Rig, estimate: Estimate, level: float, matrices: bool, records: bool, held: tuple[RecordPrediction, ...]
+) -> None:  # fmt: skip
     from dashpot.present.tables.estimate import show_estimate
     from dashpot.present.tables.layout import console
 
@@ -259,6 +253,10 @@ def _show(rig: Rig, estimate: Estimate, level: float, matrices: bool, records: b
 
         angular = set(rig.model.coordinates) <= rig.model.angles
         show_matrices(console(), matrices_of(rig.model, estimate), angular)
+    if held:
+        from dashpot.present.tables.validation import show_validation
+
+        show_validation(console(), held)
 
 
 def _of_free_matrices(rig: Rig) -> bool:
@@ -280,25 +278,6 @@ def _check_matrices(rig: Rig, wanted: bool) -> None:
             "--matrices",
             "leave the option out",
         )
-
-
-def _check_positive(chosen: str, positive: bool) -> None:
-    """Refuse --positive, before the work, with a method that holds no bounds."""
-    from dashpot.errors import UsageError
-    from dashpot.estimate.registry import method_class
-
-    if positive and chosen != "auto" and not method_class(chosen).traits.bounds:
-        raise UsageError(
-            f"the method {chosen} holds no bounds", cure="leave out --positive, or use --method ml"
-        )
-
-
-def _method(chosen: str, rig: Rig, spectrum: Spectrum, seed: int, positive: bool) -> Method:
-    from dashpot.estimate.identify import automatic
-    from dashpot.estimate.registry import method
-
-    name = automatic(rig.model, spectrum, bounded=positive).name if chosen == "auto" else chosen
-    return method(name, seed=seed, positive=True) if positive else method(name, seed=seed)
 
 
 def _ending(estimate: Estimate, strict: bool) -> int:

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 
 from dashpot.app.files import OutputFile
 from dashpot.app.help import dashpot_command, option
-from dashpot.app.options import OUTPUT, file_option, quiet_option, rig_argument
-from dashpot.app.parameter_types import AMOUNTS, AMPLITUDE, BAND, FREQUENCY, Count
+from dashpot.app.options import OUTPUT, VALUES, file_option, quiet_option, rig_argument, set_option
+from dashpot.app.parameter_types import AMPLITUDE, BAND, FREQUENCY, Count
 
 if TYPE_CHECKING:
     from dashpot.model.rigfile import Rig
@@ -25,11 +25,7 @@ TEST = "The drive"
     "dashpot response rig.toml --at 9Hz --amplitude 2mm --figure folds.png",
 )
 @rig_argument
-@option(
-    "--set", "values", type=AMOUNTS, multiple=True, metavar="NAME=VALUE,…", group="The rig",
-    help="Values of the unknowns, such as k3=1e9; a bare number is in SI units.  May be repeated.  Unknowns that are "
-    "not set take the guess or value of the rig file.",
-)  # fmt: skip
+@set_option("The rig", "values", VALUES)
 @option("--band", type=BAND, metavar="LOWER:UPPER", group=TEST, help="Frequencies of the curves, Hz.")
 @option(
     "--at", type=FREQUENCY, metavar="HZ", group=TEST,

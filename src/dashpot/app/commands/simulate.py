@@ -8,15 +8,21 @@ from typing import TYPE_CHECKING
 import click
 
 from dashpot.app.help import dashpot_command, option
-from dashpot.app.options import out_option, quiet_option, rig_argument, seed_option
+from dashpot.app.options import (
+    VALUES,
+    out_option,
+    quiet_option,
+    relative_noise_option,
+    rig_argument,
+    seed_option,
+    set_option,
+)
 from dashpot.app.parameter_types import (
-    AMOUNTS,
     AMPLITUDE,
     FREQUENCIES,
     FREQUENCY,
     INPUT_FILE,
     NUMBER,
-    SHARE_OR_ZERO,
     Count,
 )
 from dashpot.errors import printable
@@ -44,11 +50,7 @@ NOISE = "Noise"
     "dashpot simulate rig.toml --input shaker.csv --out record.csv",
 )
 @rig_argument
-@option(
-    "--set", "values", type=AMOUNTS, multiple=True, metavar="NAME=VALUE,…", group="The rig",
-    help="Values of the unknowns, such as m1=3,k1=4.6kN/m; a bare number is in SI units.  May be repeated.  Unknowns "
-    "that are not set take the guess or value of the rig file.",
-)  # fmt: skip
+@set_option("The rig", "values", VALUES)
 @option(
     "--frequencies", type=FREQUENCIES, metavar="LIST|RANGE", group=TEST,
     help="Frequencies in Hz: a list 1,2,5, start:stop:step, or start:stop/points (start:stop/pointslog on a "
@@ -79,10 +81,7 @@ NOISE = "Noise"
     "--amplitude", "amplitudes", type=AMPLITUDE, multiple=True, metavar="[INPUT=]VALUE", group=TEST,
     help="Amplitude of all inputs (2mm, 10N) or of one (u=2mm); may be repeated.  [default: 1 m, rad, N or N·m]",
 )  # fmt: skip
-@option(
-    "--relative-noise", type=SHARE_OR_ZERO, metavar="5%", group=NOISE,
-    help="Noise of a sample as a share of the amplitude, for every output, in place of the rig file's noise.",
-)  # fmt: skip
+@relative_noise_option(NOISE)
 @seed_option("the noise")
 @out_option("FILE.csv", "The file to write.")
 @option(

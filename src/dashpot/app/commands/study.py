@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from dashpot.app.cli import INTERRUPTED, Ended
+from dashpot.app.cli import resumable
 from dashpot.app.data_files import tell_notes
 from dashpot.app.help import dashpot_command, option
 from dashpot.app.options import dask_option, processes_option, quiet_option
@@ -58,7 +58,6 @@ def command(
 
     from dashpot.app.cluster import shared_out
     from dashpot.app.progress import progress
-    from dashpot.app.workers import cores
     from dashpot.present.figures.study_results import study_pictures
     from dashpot.present.tables.layout import console
     from dashpot.present.tables.study import show_study
@@ -70,18 +69,12 @@ def command(
             description, grids=tuple(replace(grid, draws=draws) for grid in description.grids)
         )
     work = sum(point.draws * len(point.methods) for point in scenarios(description))
-    few = dask is None and work < FEW
-    count = processes if processes is not None else 1 if few else cores()
-    try:
-        with shared_out(dask, count) as mapper, progress(description.name, quiet) as moved:
-            outcome = run_study(
-                description, Path(folder), mapper=mapper, progress=moved, remote=dask is not None
-            )
-    except (KeyboardInterrupt, Ended) as cause:
-        click.echo(
-            f"dashpot: interrupted; finished draws are kept in {folder}: run it again to continue", err=True
-        )
-        ctx.exit(128 + cause.number if isinstance(cause, Ended) else INTERRUPTED)
+    with (
+        resumable(ctx, f"finished draws are kept in {folder}"),
+        shared_out(dask, processes, work < FEW) as mapper,
+        progress(description.name, quiet) as moved,
+    ):
+        outcome = run_study(description, Path(folder), mapper=mapper, progress=moved, remote=dask is not None)
     tell_notes(outcome.notes, quiet)
     pictures = study_pictures(outcome)
     written = write_pictures(folder, pictures)

@@ -92,12 +92,17 @@ class Conditioning:
             object.__setattr__(self, "harmonics", _multiples(self.harmonics, "harmonics"))
         if self.drift is None:
             object.__setattr__(self, "drift", "none")
-        if not 0 <= self.degree + 1 <= HIGHEST_DRIFT:
-            raise DataError(f"a drift of degree {self.degree}", cure='give a degree from 0, or "none"')
         for name, on in (("refine", "always"), ("settle", "auto")):
             value = getattr(self, name)
             if isinstance(value, bool):
                 object.__setattr__(self, name, on if value else "none")
+        if self.moments is True and self.wanted != (1,):
+            raise DataError("second moments exist for the fundamental alone", cure="ask for orders (1,)")
+        self._require_ranges()
+
+    def _require_ranges(self) -> None:
+        if not 0 <= self.degree + 1 <= HIGHEST_DRIFT:
+            raise DataError(f"a drift of degree {self.degree}", cure='give a degree from 0, or "none"')
         if isinstance(self.settle, int | float) and not 0 <= self.settle < 1e12:
             raise DataError(f"a settling time of {self.settle:g} s", cure="give a time that is not negative")
         if self.band_hz != "auto" and not 0 <= self.band_hz[0] < self.band_hz[1] < 1e12:
@@ -105,8 +110,6 @@ class Conditioning:
                 f"a band from {self.band_hz[0]:g} to {self.band_hz[1]:g} Hz",
                 cure="give the lower end first, in Hz",
             )
-        if self.moments is True and self.wanted != (1,):
-            raise DataError("second moments exist for the fundamental alone", cure="ask for orders (1,)")
 
     @property
     def wanted(self) -> tuple[int, ...]:

@@ -132,7 +132,10 @@ def _note(key: bytes, content: bytes, groups: list[_Group]) -> None:
         return
     if key == b"CC" or not group.components:
         group.components.append(_Component())
-    component = group.components[-1]
+    _note_of_component(group.components[-1], key, content, fields)
+
+
+def _note_of_component(component: _Component, key: bytes, content: bytes, fields: list[bytes]) -> None:
     if key == b"CP":
         component.width, component.kind = int(fields[1]), int(fields[2])
     elif key == b"CR":

@@ -57,7 +57,7 @@ def matrices_of(model: Model, estimate: Estimate) -> FreeMatrices:
 
     Raises ModelError where the estimate is of another model.
     """
-    names = tuple(unknown.name for unknown in model.unknowns)
+    names = model.unknown_names
     m = len(names)
     if estimate.names[:m] != names:
         raise ModelError("the estimate is of another model", cure="give the model that was identified")

@@ -60,43 +60,40 @@ def identify_modal(model: Model, data: ModalData, *, starts: int = STARTS, seed:
     batch = data.frequency_hz.shape[:-1]
     flat = with_one_axis(data)
     view = measured_modes(model, flat)
-    found, ends = _found(model, flat, view, starts, seed)
-    return _estimate(model, flat, view, found, ends, batch)
+    minima, ends = _deepest_minima(model, flat, view, starts, seed)
+    return _estimate(model, flat, view, minima, ends, batch)
 
 
 def _estimate(
     model: Model,
     data: ModalData,
     view: MeasuredModes,
-    found: OptimizeResult,
+    minima: OptimizeResult,
     ends: OptimizeResult | None,
     batch: tuple[int, ...],
 ) -> Estimate:
     """The deepest minima with their covariance and χ²; `ends` are those of all starts, where rivals are looked for."""
     m = len(model.unknowns)
-    theta = found.x
+    theta = minima.x
     at = _evaluate(model, data, view, theta, np.arange(len(theta)))
     lower, upper = model.bounds
     free = without_bounds(theta, at, lower, upper)
     covariance = scaled_inverse(at.symmetric)
-    dof = view.rows - m + int(np.count_nonzero(model.prior_precision))
-    chi2 = at.cost
+    chi2, dof = at.cost, view.rows - m + int(np.count_nonzero(model.prior_precision))
     p: Real = np.asarray(chdtrc(float(dof), chi2)) if dof > 0 else np.full(len(chi2), np.nan)
     misfit = (p < MISFIT_LEVEL) & (chi2 > dof)
-    factor = np.where(misfit, chi2 / max(dof, 1), 1.0)[:, None, None]
-    names = tuple(unknown.name for unknown in model.unknowns)
-    fit, at_bounds = Fit(chi2.reshape(batch), dof, p.reshape(batch)), HeldBounds(lower, upper, free)
-    widened = covariance * factor
-    warnings: list[Notice] = []
+    widened = covariance * np.where(misfit, chi2 / max(dof, 1), 1.0)[:, None, None]
+    fit = Fit(chi2.reshape(batch), dof, p.reshape(batch))
+    warnings: tuple[Notice, ...] = ()
     if not batch:
         _require_regular(at.symmetric[0], model)
-        require_determined(names, theta[0], covariance[0])
-        warnings += _warnings(model, theta[0], widened[0], at_bounds, fit)
-        warnings += () if ends is None else _rivals(model, found, ends, np.sqrt(np.diagonal(covariance[0])))
+        require_determined(model.unknown_names, theta[0], covariance[0])
+        warnings = _warnings(model, theta[0], widened[0], HeldBounds(lower, upper, free), fit)
+        warnings += () if ends is None else _rivals(model, minima, ends, np.sqrt(np.diagonal(covariance[0])))
     return Estimate(
         model=model.name,
         method=NAME,
-        names=names,
+        names=model.unknown_names,
         units=tuple(unknown.unit for unknown in model.unknowns),
         values=theta.reshape((*batch, m)),
         covariance=widened.reshape((*batch, m, m)),
@@ -107,15 +104,15 @@ def _estimate(
         upper=upper,
         free_values=free.reshape((*batch, m)),
         basis="model misfit" if np.any(misfit) else "sensor noise",
-        converged=found.converged.reshape(batch),
-        iterations=found.iterations.reshape(batch),
-        history=found.history,
+        converged=minima.converged.reshape(batch),
+        iterations=minima.iterations.reshape(batch),
+        history=minima.history,
         fit=fit,
         known=known_values(model),
         tied=tied_values(model),
         modes=None if batch else mode_values(model, theta[0], widened[0]),
         signs={},
-        warnings=tuple(warnings),
+        warnings=warnings,
     )
 
 
@@ -150,7 +147,7 @@ def _warnings(
         )
         notices.append(Notice("modes_misfit", text))
     notices += wrong_signs(model, theta, covariance)
-    notices += held(tuple(unknown.name for unknown in model.unknowns), theta, limits)
+    notices += held(model.unknown_names, theta, limits)
     return tuple(notices)
 
 
@@ -237,68 +234,72 @@ def _shape_rows(data: ModalData, view: MeasuredModes, phi: Complex, dphi: Comple
     return slope - seen[..., None] * along, r
 
 
-def _found(
-    model: Model, data: ModalData, view: MeasuredModes, starts: int, seed: int
-) -> tuple[OptimizeResult, OptimizeResult | None]:
-    """The deepest minima found, and for one repeat without a start of its own where all of its starts ended."""
-    repeats = len(data.frequency_hz)
-    everyone = np.arange(repeats)
+def _search_near(model: Model, data: ModalData, view: MeasuredModes) -> Search:
+    """Minimises χ².
+
+    An end far outside the scale of everything known is none: nothing that is measured depends on it there.
+    """
     lower, upper = model.bounds
+    largest = FAR * np.maximum(np.abs(like_parts(model, data)), np.abs(usual_parts(model, data)))
 
     def search(start: Real, rows: Ints, limit: int) -> OptimizeResult:
-        return minimise(
+        ends = minimise(
             lambda theta, some: _evaluate(model, data, view, theta, rows[some]),
             start, limit=limit, tolerance=1e-6, lower=lower, upper=upper,
         )  # fmt: skip
-
-    largest = FAR * np.maximum(np.abs(like_parts(model, data)), np.abs(usual_parts(model, data)))
-
-    def search_near(start: Real, rows: Ints, limit: int) -> OptimizeResult:
-        """An end far outside the scale of everything known is none: nothing that is measured depends on it there."""
-        ends = search(start, rows, limit)
         lost = np.any(np.abs(ends.x) > largest, axis=-1)
         return replace(ends, cost=np.where(lost, np.inf, ends.cost), converged=ends.converged & ~lost)
 
-    found, ends = None, None
+    return search
+
+
+def _deepest_minima(
+    model: Model, data: ModalData, view: MeasuredModes, starts: int, seed: int
+) -> tuple[OptimizeResult, OptimizeResult | None]:
+    """The deepest minima, and for one repeat without a start of its own where all of its starts ended."""
+    repeats = len(data.frequency_hz)
+    everyone = np.arange(repeats)
+    search = _search_near(model, data, view)
+    minima, ends = None, None
     firsts = [linear_start(model, data, view), guessed(model, repeats)]
     if model.n > LARGE:
         firsts.append(np.tile(like_parts(model, data), (repeats, 1)))
     for first in firsts:
         if first is None:
             continue
-        reached = search_near(first, everyone, 100)
-        found = reached if found is None else found.improved(everyone, reached)
-    lonely = found is None and repeats == 1
+        reached = search(first, everyone, 100)
+        minima = reached if minima is None else minima.improved(everyone, reached)
+    lonely = minima is None and repeats == 1
     for attempt in range(2):
-        astray = everyone if found is None else _astray(found, view.rows - len(model.unknowns))
+        astray = everyone if minima is None else _astray(minima, view.rows - len(model.unknowns))
         if not len(astray) or not starts:
             break
         drawn = random_rigs(model, data, starts, np.random.default_rng([seed, attempt]))
         if not attempt:
             drawn = np.concatenate([like_parts(model, data)[None], drawn])
         if lonely:
-            ends = _ends(search_near, drawn)
+            ends = _ends(search, drawn)
             reached = _one_of(model, ends)
         else:
-            reached = _deepest(search_near, drawn, astray)
-        found = reached if found is None else found.improved(astray, reached)
-    if found is None:
+            reached = _deepest(search, drawn, astray)
+        minima = reached if minima is None else minima.improved(astray, reached)
+    if minima is None:
         raise UsageError(
             "there is no start for the search", cure="give the unknowns a guess, or allow starts"
         )
-    if not np.any(np.isfinite(found.cost)):
+    if not np.any(np.isfinite(minima.cost)):
         raise ConvergenceError(
             "no start leads to a rig with these modes: the searches end far outside the scale of what is known",
             cure="give the unknowns a guess, measure more modes, or more points of their shapes",
         )
-    return found, ends
+    return minima, ends
 
 
-def _astray(found: OptimizeResult, dof: int) -> Ints:
+def _astray(minima: OptimizeResult, dof: int) -> Ints:
     """The repeats that have not settled, or settled where χ² is unlikely."""
-    cost = np.where(np.isfinite(found.cost), found.cost, np.inf)
+    cost = np.where(np.isfinite(minima.cost), minima.cost, np.inf)
     tail = np.asarray(chdtrc(float(max(dof, 1)), cost))
-    return np.flatnonzero(~found.converged | ~np.isfinite(found.cost) | (tail < ASTRAY))
+    return np.flatnonzero(~minima.converged | ~np.isfinite(minima.cost) | (tail < ASTRAY))
 
 
 def _ends(search: Search, drawn: Real) -> OptimizeResult:
@@ -337,18 +338,18 @@ def _one_of(model: Model, ends: OptimizeResult) -> OptimizeResult:
     return OptimizeResult(ends.x[at], ends.cost[at], ends.converged[at], ends.iterations[at], ends.x[at])
 
 
-def _rivals(model: Model, found: OptimizeResult, ends: OptimizeResult, sd: Real) -> tuple[Notice, ...]:
+def _rivals(model: Model, minima: OptimizeResult, ends: OptimizeResult, sd: Real) -> tuple[Notice, ...]:
     """A warning where other ends fit nearly as well: frequencies alone have several rigs."""
-    best = found.x[0]
-    near = ends.converged & (ends.cost <= found.cost[0] + DOUBT)
+    best = minima.x[0]
+    near = ends.converged & (ends.cost <= minima.cost[0] + DOUBT)
     if np.all(best >= 0):
         near &= np.all(ends.x >= 0, axis=-1)
     others: list[Real] = []
     above: list[float] = []
     for k in np.argsort(ends.cost):
-        if near[k] and all(np.any(np.abs(ends.x[k] - one) > 3 * sd) for one in (best, *others)):
+        if near[k] and all(np.any(np.abs(ends.x[k] - other) > 3 * sd) for other in (best, *others)):
             others.append(ends.x[k])
-            above.append(float(ends.cost[k] - found.cost[0]))
+            above.append(float(ends.cost[k] - minima.cost[0]))
     if not others:
         return ()
     away = np.abs(others[0] - best)

@@ -305,18 +305,9 @@ class _Dimensions:
         if node.symbol == "number":
             return self.free()
         if node.symbol == "name":
-            if node.name in self.known:
-                return {}, self.known[node.name]
-            if node.name not in self.names:
-                self.names[node.name] = self.count
-                self.count += 1
-            return {self.names[node.name]: 1.0}, (0.0, 0.0)
+            return self.visit_name(node.name)
         if node.symbol == "**":
-            base, exponent = self.visit(node.operands[0]), node.operands[1]
-            if exponent.symbol == "number":
-                return self.plus(nothing, base, exponent.number)
-            self.alike(self.visit(exponent), nothing)
-            return base if _is_number_free(exponent) else nothing
+            return self.visit_power(*node.operands)
         parts = [self.visit(operand) for operand in node.operands]
         if node.symbol == "*":
             return self.plus(parts[0], parts[1], 1.0)
@@ -333,6 +324,22 @@ class _Dimensions:
         if node.symbol == "sign":
             return nothing
         return self.plus(nothing, parts[0], 0.5) if node.symbol == "sqrt" else parts[0]
+
+    def visit_name(self, name: str) -> tuple[dict[int, float], Exponents]:
+        if name in self.known:
+            return {}, self.known[name]
+        if name not in self.names:
+            self.names[name] = self.count
+            self.count += 1
+        return {self.names[name]: 1.0}, (0.0, 0.0)
+
+    def visit_power(self, base: Node, exponent: Node) -> tuple[dict[int, float], Exponents]:
+        nothing: tuple[dict[int, float], Exponents] = ({}, (0.0, 0.0))
+        unit = self.visit(base)
+        if exponent.symbol == "number":
+            return self.plus(nothing, unit, exponent.number)
+        self.alike(self.visit(exponent), nothing)
+        return unit if _is_number_free(exponent) else nothing
 
     def solved(
         self, expression: Expression, result: tuple[dict[int, float], Exponents]

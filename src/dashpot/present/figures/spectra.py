@@ -55,40 +55,25 @@ def amplitude_and_phase(
     measured, sd, predicted (lines, channels); curve (points, channels) between the lines, or None: then `predicted`
     stands as crosses at the lines.
     """
-    rows, many = len(names), len(lines_hz) > MANY
+    rows = len(names)
     with style():
         figure = Figure(figsize=(8.6, max(1.8 * rows, 2.2) + 0.4))
         grid = figure.subplots(rows, 2, squeeze=False, sharex=True, gridspec_kw={"width_ratios": [3, 2]})
         for row, (name, unit) in enumerate(zip(names, units, strict=True)):
             left, right = grid[row]
-            y, spread = measured[:, row], sd[:, row]
-            size = np.abs(y)
-            with np.errstate(invalid="ignore", divide="ignore"):
-                angle = np.degrees(np.where(size > 0, spread / size, np.nan))
-            low = np.minimum(2 * spread, 0.999 * size)
-            shown = degrees(y) if predicted is None else _beside(degrees(y), degrees(predicted[:, row]))
-            left.errorbar(
-                lines_hz, size, yerr=[np.nan_to_num(low), np.nan_to_num(2 * spread)], fmt="o", color=DATA,
-                ms=1.6 if many else 3.2, elinewidth=0.4 if many else 0.8, label="measured, ±2 sd", zorder=3,
-                rasterized=many,
-            )  # fmt: skip
-            right.errorbar(
-                lines_hz, shown, yerr=np.nan_to_num(np.minimum(2 * angle, 180)), fmt="o", color=DATA,
-                ms=1.6 if many else 3.2, elinewidth=0.4 if many else 0.8, label="measured, ±2 sd", zorder=3,
-                rasterized=many,
-            )  # fmt: skip
+            model = None if predicted is None else predicted[:, row]
+            _draw_measured(left, right, lines_hz, measured[:, row], sd[:, row], model)
             if curve is not None and curve_hz is not None:
                 left.plot(curve_hz, np.abs(curve[:, row]), color=MODEL, lw=1.3, label="model", zorder=2)
-                right.plot(
-                    curve_hz, _unbroken(degrees(curve[:, row])), color=MODEL, lw=1.3, label="model", zorder=2
-                )
-            elif predicted is not None:
+                phase = _unbroken(degrees(curve[:, row]))
+                right.plot(curve_hz, phase, color=MODEL, lw=1.3, label="model", zorder=2)
+            elif model is not None:
                 marks: dict[str, Any] = {"marker": "x", "ls": "", "color": MODEL, "ms": 6, "zorder": 2}
                 if len(lines_hz) > MANY:
                     marks |= {"marker": ".", "ms": 2, "rasterized": True, "zorder": 4}
-                left.plot(lines_hz, np.abs(predicted[:, row]), label="model", **marks)
-                right.plot(lines_hz, degrees(predicted[:, row]), label="model", **marks)
-            _amplitude_axis(left, size, None if curve is None else np.abs(curve[:, row]))
+                left.plot(lines_hz, np.abs(model), label="model", **marks)
+                right.plot(lines_hz, degrees(model), label="model", **marks)
+            _amplitude_axis(left, np.abs(measured[:, row]), None if curve is None else np.abs(curve[:, row]))
             left.set_title(name)
             left.set_ylabel(unit)
             right.set_ylabel("phase, °")
@@ -102,6 +87,28 @@ def amplitude_and_phase(
             axes.set_xlabel("frequency, Hz")
         grid[0][0].legend(loc="best")
     return figure
+
+
+def _draw_measured(
+    left: Axes, right: Axes, lines_hz: Real, y: Complex, sd: Real, predicted: Complex | None
+) -> None:
+    """Amplitudes and phases as dots with ±2 sd; phases in the turn that is nearest to what is predicted."""
+    many = len(lines_hz) > MANY
+    dots: dict[str, Any] = {
+        "fmt": "o",
+        "color": DATA,
+        "label": "measured, ±2 sd",
+        "zorder": 3,
+        "rasterized": many,
+    }
+    dots |= {"ms": 1.6, "elinewidth": 0.4} if many else {"ms": 3.2, "elinewidth": 0.8}
+    size = np.abs(y)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        angle = np.degrees(np.where(size > 0, sd / size, np.nan))
+    reach = [np.nan_to_num(np.minimum(2 * sd, 0.999 * size)), np.nan_to_num(2 * sd)]
+    left.errorbar(lines_hz, size, yerr=reach, **dots)
+    phase = degrees(y) if predicted is None else _beside(degrees(y), degrees(predicted))
+    right.errorbar(lines_hz, phase, yerr=np.nan_to_num(np.minimum(2 * angle, 180)), **dots)
 
 
 def _amplitude_axis(axes: Axes, size: Real, model: Real | None) -> None:

@@ -53,7 +53,7 @@ def groups(outcome: StudyOutcome) -> list[FactorGroup]:
 
 
 def _names(row: SummaryRow) -> tuple[str, ...]:
-    return tuple(unknown.name for unknown in row.scenario.model.unknowns)
+    return row.scenario.model.unknown_names
 
 
 def _group(factor: str, rest: Rest, names: tuple[str, ...], rows: Sequence[SummaryRow]) -> FactorGroup:

@@ -65,7 +65,7 @@ def part_table(part: InspectedPart) -> list[TableColumn]:
         TableColumn("bits", tuple(f"{c.bits:.0f}" if c.bits <= MOST_BITS else "" for c in columns), "right"),
         TableColumn(content, tuple(picture(c) for c in columns)),
     ]
-    said = tuple(remarks(c) for c in columns)
+    said = tuple(column_remarks(c) for c in columns)
     return [*table, TableColumn("remarks", said)] if any(said) else table
 
 
@@ -79,7 +79,7 @@ def picture(column: InspectedColumn) -> str:
     return "".join(BARS[round(8 * max(0.0, 1 - level / FLOOR_DB))] for level in groups)
 
 
-def remarks(column: InspectedColumn) -> str:
+def column_remarks(column: InspectedColumn) -> str:
     """What is wrong with a column, in few words."""
     words = []
     if column.missing:

@@ -132,7 +132,7 @@ def _scaled(one: Deficiency, found: Structure, model: Model, give: str) -> tuple
     cure = f"{give} (weigh {masses[0]}, say)" if masses else give
     exponents = _relative(one, found)
     even = len(exponents) == 1 and np.allclose(exponents[0], exponents[0, 0], rtol=1e-5)
-    if even and set(names) == {unknown.name for unknown in model.unknowns}:
+    if even and set(names) == set(model.unknown_names):
         driven = "" if model.force_inputs else " and only displacements go in"
         together = f"all forces scale together: only the ratios of {listed(names)} can be found"
         return f"nothing is known{driven}, so {together}", cure

@@ -143,27 +143,19 @@ def _text_numbers(stream: UffStream, shape: _Shape) -> tuple[Real | None, Real]:
     if not shape.even:
         widths.insert(0, 13)
     ends = np.cumsum([0, *widths]).tolist()
+    at_most = 4 * len(widths) if shape.double else 6
     needed = shape.count * len(widths)
     cells: list[bytes] = []
     blocks: list[Real] = []
     read = 0
     while read < needed:
-        line = stream.line()
-        fields = line.split()
-        at_most = 4 * len(widths) if shape.double else 6
-        if not fields or len(fields) > at_most or any(field.count(b".") != 1 for field in fields):
-            fields = _fixed(line, ends)  # numbers that touch each other
+        fields = _fields(stream.line(), ends, at_most)
         if not fields or fields == [MARKER]:
             raise stream.wrong(f"the dataset holds {read} of {needed} numbers")
         cells += fields
         read += len(fields)
         if len(cells) > 1 << 16 or read >= needed:
-            try:
-                blocks.append(
-                    np.array([cell.replace(b"D", b"E").replace(b"d", b"e") for cell in cells]).astype(float)
-                )
-            except ValueError:
-                raise stream.wrong("something that is not a number stands among the values") from None
+            blocks.append(_parsed(cells, stream))
             cells = []
     if read > needed:
         raise stream.wrong(f"the dataset holds more than {needed} numbers")
@@ -173,6 +165,21 @@ def _text_numbers(stream: UffStream, shape: _Shape) -> tuple[Real | None, Real]:
 
 
 MARKER = b"-1"
+
+
+def _fields(line: bytes, ends: list[int], at_most: int) -> list[bytes]:
+    """Numbers of a line by the blanks between them, by columns where some touch each other."""
+    fields = line.split()
+    touching = not fields or len(fields) > at_most or any(field.count(b".") != 1 for field in fields)
+    return _fixed(line, ends) if touching else fields
+
+
+def _parsed(cells: list[bytes], stream: UffStream) -> Real:
+    """Numbers as Fortran writes them."""
+    try:
+        return np.array([cell.replace(b"D", b"E").replace(b"d", b"e") for cell in cells]).astype(float)
+    except ValueError:
+        raise stream.wrong("something that is not a number stands among the values") from None
 
 
 def _fixed(line: bytes, ends: list[int]) -> list[bytes]:

@@ -103,29 +103,42 @@ def _label(place: Place) -> str:
     return f"{place[0]}{DIRECTIONS.get(place[1], '')}"
 
 
+def _names_of_coordinates(
+    coordinates: Sequence[str], channels: Iterable[Channel]
+) -> dict[str, tuple[str, float]]:
+    """Coordinate and factor by each name that it goes by: its own, and those of channels that show it alone."""
+    names = {name: (name, 1.0) for name in coordinates}
+    for channel in channels:
+        if channel.quantity is not Quantity.FORCE and len(channel.of) == 1:
+            ((point, factor),) = channel.of.items()
+            if point in coordinates:
+                names.setdefault(channel.name, (point, factor))
+    return names
+
+
+def _names_of_places(modes: Sequence[NodalMode], places: Sequence[Place]) -> dict[Place, list[str]]:
+    """Node and direction; for nodes that move in one direction the node alone, and the name that the file lists."""
+    listed_names = dict(pair for mode in modes for text in mode.ids[2:] for pair in _NAMED.findall(text))
+    nodes = [node for node, _ in places]
+    names = {}
+    for place in places:
+        node = str(place[0])
+        alone = nodes.count(place[0]) == 1
+        names[place] = [_label(place), *([node, listed_names.get(node, "").strip()] if alone else [])]
+    return names
+
+
 def _matched(
-    found: Sequence[NodalMode],
+    modes: Sequence[NodalMode],
     places: Sequence[Place],
     coordinates: Sequence[str],
     channels: Iterable[Channel],
     source: str,
 ) -> tuple[Mapping[str, tuple[Place, float]], bool]:
     """Place and factor of each coordinate, and whether they were taken in order.  Raises DataError."""
-    names: dict[str, tuple[str, float]] = {name: (name, 1.0) for name in coordinates}
-    for channel in channels:
-        if channel.quantity is not Quantity.FORCE and len(channel.of) == 1:
-            ((point, factor),) = channel.of.items()
-            if point in coordinates:
-                names.setdefault(channel.name, (point, factor))
-    listed_names = dict(pair for mode in found for text in mode.ids[2:] for pair in _NAMED.findall(text))
-    nodes = [node for node, _ in places]
+    names = _names_of_coordinates(coordinates, channels)
     matched: dict[str, tuple[Place, float]] = {}
-    for place in places:
-        alone = nodes.count(place[0]) == 1
-        texts = [
-            _label(place),
-            *([str(place[0]), listed_names.get(str(place[0]), "").strip()] if alone else []),
-        ]
+    for place, texts in _names_of_places(modes, places).items():
         for text in texts:
             if text in names:
                 point, factor = names[text]
