@@ -42,7 +42,7 @@ class Amount:
 
 
 def amount(text: str) -> Amount:
-    """A number with or without a unit: "5mm", "4.6 kN/m", "3"."""
+    """A number with or without a unit: "5mm", "4.6 kN/m", "3".  Raises UsageError."""
     match = _AMOUNT.fullmatch(text)
     if match is None:
         raise UsageError(
@@ -52,7 +52,7 @@ def amount(text: str) -> Amount:
 
 
 def share(text: str) -> float:
-    """A share of something as a number: "5 %" and "0.05" are 0.05."""
+    """A share of something as a number: "5 %" and "0.05" are 0.05.  Raises UsageError."""
     bare = text.strip().removesuffix("%")
     per_cent = bare != text.strip()
     try:
@@ -65,7 +65,7 @@ def share(text: str) -> float:
 
 
 def positive(value: float, text: str) -> float:
-    """The value, if it is above 0."""
+    """The value, if it is above 0.  Raises UsageError."""
     if not value > 0:
         raise UsageError(f"{text.strip()!r} is out of range", cure="give a number above 0")
     return value
@@ -77,7 +77,7 @@ def quantity(text: str, kind: str, angular: bool = False) -> float:
 
 
 def frequency(text: str, unit: str | None = None) -> float:
-    """A frequency in Hz; `unit` is what a bare number is in (None: Hz)."""
+    """A frequency in Hz; `unit` is what a bare number is in (None: Hz).  Raises UsageError."""
     try:
         found = amount(text)
         value = Amount(found.number, found.unit or unit).si("frequency")
@@ -95,7 +95,7 @@ def frequency(text: str, unit: str | None = None) -> float:
 
 
 def band(text: str) -> tuple[float, float]:
-    """A band of frequencies, "0.5:25": its lower and its upper end, Hz."""
+    """A band of frequencies, "0.5:25": its lower and its upper end, Hz.  Raises UsageError."""
     pieces = text.split(":")
     if len(pieces) != 2:
         raise UsageError(
@@ -113,6 +113,7 @@ def frequencies(text: str) -> tuple[float, ...]:
 
     "1,2,5"; "1:10:0.5" from 1 to at most 10 in steps of 0.5; "1:10/25" 25 points from 1 to 10, evenly spaced, and
     "1:10/25log" evenly on a logarithmic scale.  A unit behind the last number of a part holds for the whole part.
+    Raises UsageError.
     """
     found: list[float] = []
     for part in text.split(","):

@@ -52,7 +52,10 @@ class Surface:
 
 
 def chi2_surface(model: Model, spectrum: Spectrum, estimate: Estimate) -> Surface:
-    """χ² around `estimate`, weighed as `identify` weighs; leading batch axes become one of K repeats."""
+    """χ² around `estimate`, weighed as `identify` weighs; leading batch axes become one of K repeats.
+
+    Raises DataError where the estimate has other unknowns.
+    """
     view = observation_model(model, spectrum.channels, spectrum.omega)
     if view.names != estimate.names:
         raise DataError(

@@ -272,7 +272,7 @@ def response_curve(
     points: int = 400,
     calibrations: Calibrations | None = None,
 ) -> ResponseCurve | None:
-    """The model's response between the lines; None where the rig has more than one input."""
+    """The model's response between the lines; None where the rig has more than one input.  theta (unknowns,)."""
     if len(model.inputs) != 1:
         return None
     low, high = float(np.min(found.frequency_hz)), float(np.max(found.frequency_hz))
@@ -287,7 +287,7 @@ def response_curve(
 
 
 def correlation(covariance: Real) -> Real:
-    """Correlation matrix of a covariance; NaN where a variance is 0."""
+    """Correlation matrix of a covariance; NaN where a variance is 0.  (..., m, m)."""
     sd = np.sqrt(np.diagonal(covariance))
     with np.errstate(divide="ignore", invalid="ignore"):
         matrix: Real = covariance / np.outer(sd, sd)

@@ -310,7 +310,7 @@ def floating(
 ) -> Real:
     """The rows of `exact` at ψ, real, each channel of size 1; frequencies around `rate` (rad/s) and inputs at random.
 
-    Columns are slopes by ψ itself.
+    Columns are slopes by ψ itself.  psi (M,).  Raises ModelError where sizes are too far apart for floating point.
     """
     distinct = int(np.max(lines.frequency)) + 1
     grid = rate * np.geomspace(0.25, 3.0, distinct) * np.exp(rng.uniform(-0.05, 0.05, distinct))

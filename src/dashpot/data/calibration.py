@@ -25,7 +25,7 @@ def calibration(channels: Sequence[Channel], frequency_hz: Real) -> Complex:
 
 
 def real_factor(channel: Channel) -> float:
-    """Known sign · gain."""
+    """Known sign · gain.  Raises DataError where it is 0 or not finite."""
     factor = channel.factor
     if factor == 0 or not np.isfinite(factor):
         raise DataError(

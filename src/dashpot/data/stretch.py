@@ -86,7 +86,7 @@ def joined_stretches(
 
 
 def selected(stretch: Ints, stretches: tuple[Stretch, ...]) -> tuple[Ints, tuple[Stretch, ...]]:
-    """The stretches that are still used by lines with the numbers `stretch`, renumbered."""
+    """The stretches that are still used by lines with the numbers `stretch`, renumbered.  stretch (lines,)."""
     if not len(stretch):
         return stretch, stretches[:1]
     used, number = np.unique(stretch, return_inverse=True)

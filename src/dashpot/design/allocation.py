@@ -244,6 +244,7 @@ def clusters(
     """One line for each run of frequencies of one pattern that are closer than `width` in ln f.
 
     Its frequency is their weighted mean in ln f or, unless it may lie between them, that of the largest share.
+    All (lines,).
     """
     f, k, w = [], [], []
     for drive in np.unique(pattern):

@@ -86,6 +86,7 @@ def compare_tests(
     """Another test against a plan.
 
     Raises IdentifiabilityError where it does not determine the unknowns, whatever the number of its samples.
+    known (unknowns, unknowns): information in SI units.
     """
     prior = setup.prior if known is None else known
     M = other.information(setup)

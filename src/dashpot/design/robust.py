@@ -49,7 +49,10 @@ class UniformBox:
         return nominal + width * unit
 
     def width(self, nominal: Real) -> Real:
-        """Half the side of the box, (unknowns,), SI units."""
+        """Half the side of the box, (unknowns,), SI units.
+
+        Raises UsageError where the uncertainty is not between 0 and 100 %.
+        """
         relative = np.broadcast_to(np.asarray(self.relative, dtype=float), nominal.shape)
         if np.any(~np.isfinite(relative) | (relative < 0) | (relative >= 1)):
             raise UsageError(
@@ -78,7 +81,10 @@ class GaussianPrior:
 
 
 def uniform_box_of(model: Model, nominal: Real, relative: float) -> UniformBox:
-    """The same uncertainty for every unknown; at most 1.96 sd where the rig file states an sd."""
+    """The same uncertainty for every unknown; at most 1.96 sd where the rig file states an sd.
+
+    nominal (unknowns,).
+    """
     size = np.where(nominal == 0, 1.0, np.abs(nominal))
     known = np.array([np.inf if u.sd is None else 1.96 * u.sd for u in model.unknowns])
     return UniformBox(np.minimum(relative, known / size))

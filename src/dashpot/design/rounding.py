@@ -51,6 +51,7 @@ class DwellShares:
 
     @property
     def count(self) -> int:
+        """Number of dwells."""
         return len(self.f)
 
     def may_gain(self, schedule: Schedule | None) -> bool:

@@ -47,7 +47,10 @@ class Schedule:
 def even_schedule(
     frequencies: Sequence[float], samples: float, weights: Sequence[float] | None = None
 ) -> Schedule:
-    """A test of given frequencies that share the samples evenly, or as `weights` say."""
+    """A test of given frequencies that share the samples evenly, or as `weights` say.
+
+    Raises UsageError where there is no frequency, or one is not positive.
+    """
     f = np.asarray(frequencies, dtype=float)
     if len(f) == 0:
         raise UsageError(

@@ -133,7 +133,10 @@ class TestSetup:
         return replace(self, theta=theta, probability=p)
 
     def drive(self, frequency_hz: Real, pattern: Ints) -> Complex:
-        """Amplitudes (U, f) of each line, (lines, r + s): at the first limit met in any scenario."""
+        """Amplitudes (U, f) of each line, (lines, r + s): at the first limit met in any scenario.
+
+        Raises UsageError where the shaker meets none of its limits.
+        """
         omega = 2 * np.pi * frequency_hz
         unit = self.drives[pattern]
         if not self.limits.given:
@@ -274,7 +277,10 @@ def nominal_setup(
     amplitude: float = 1.0,
     drives: Sequence[str] = (),
 ) -> TestSetup:
-    """A setup with one scenario: the nominal values of the unknowns, θ or by name."""
+    """A setup with one scenario: the nominal values of the unknowns, θ or by name.
+
+    θ (unknowns,).  Raises ModelError where there are more or fewer values than unknowns.
+    """
     nominal = model.theta(theta) if isinstance(theta, Mapping) else np.asarray(theta, dtype=float)
     if nominal.shape != (len(model.unknowns),):
         raise ModelError(f"{len(model.unknowns)} values are needed, not {nominal.size}")

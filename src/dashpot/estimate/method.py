@@ -103,6 +103,6 @@ def require_suited(method: Method, data: Prepared) -> None:
 
 
 def closed_form(theta: Real, covariance: Real) -> Solution:
-    """A solution without iterations."""
+    """A solution without iterations.  theta (K, m), covariance (K, m, m)."""
     solved: Bools = np.all(np.isfinite(theta), axis=-1)
     return Solution(theta, covariance, solved, np.zeros(len(theta), dtype=np.int64), theta[:1])

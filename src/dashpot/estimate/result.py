@@ -237,7 +237,7 @@ class Estimate:
             )
 
     def to_json(self) -> str:
-        """The estimate as JSON (no batch axes); `from_json` loads it again."""
+        """The estimate as JSON (no batch axes); `from_json` loads it again.  Raises DataError for a batch."""
         if self.values.ndim != 1:
             raise DataError("a batch of estimates is not written as JSON", cure="save its arrays instead")
         from dashpot.estimate.estimate_json import content_of

@@ -166,7 +166,10 @@ def frequency_responses(rig: IdentifiedRig, frequency_hz: Real) -> tuple[Complex
 
 
 def frequency_response_table(rig: IdentifiedRig, frequency_hz: Real) -> tuple[list[str], list[Real]]:
-    """Header and columns of a CSV: frequency_hz, then OUT/IN_re, OUT/IN_im, OUT/IN_sd in physical units."""
+    """Header and columns of a CSV: frequency_hz, then OUT/IN_re, OUT/IN_im, OUT/IN_sd in physical units.
+
+    frequency_hz (lines,).
+    """
     H, sd = frequency_responses(rig, frequency_hz)
     drives = input_units(rig)
     header, columns = ["frequency_hz"], [np.asarray(frequency_hz, dtype=float)]

@@ -34,7 +34,7 @@ def write_rig_universal_file(
 
     Coordinate k is node k + 1, displacement inputs follow, then channels that are no single point.  ID line 1 of a
     function is OUT/IN, line 2 says measured or fitted; of modes, lines 3 to 5 list nodes and names.  Raises as
-    `measured_responses` and `frequency_responses`.
+    `measured_responses` and `frequency_responses`.  frequency_hz (lines,).
     """
     functions: list[NodalFunction] = []
     if data is not None:
@@ -81,7 +81,7 @@ def _lines_of_names(names: tuple[str, ...]) -> list[str]:
 
 
 def fitted_responses(rig: IdentifiedRig, frequency_hz: Real) -> list[NodalFunction]:
-    """The rig's own frequency responses in the channels' units."""
+    """The rig's own frequency responses in the channels' units.  frequency_hz (lines,)."""
     H, _ = frequency_responses(rig, frequency_hz)
     return [
         _function(rig, channel, j, frequency_hz, H[:, i, j], "fitted")

@@ -150,7 +150,10 @@ def run_fleet(
 
 
 def outcome_of(rig: Rig, blocks: Sequence[Columns], pool: bool, kept: int = 0) -> FleetOutcome:
-    """The blocks put together, with what stands out and, where asked for, the populations."""
+    """The blocks put together, with what stands out and, where asked for, the populations.
+
+    Raises UsageError where there are no data sets.
+    """
     if not blocks:
         raise UsageError("there are no data sets", cure="name one file at least")
     columns = {name: np.concatenate([block[name] for block in blocks]) for name in blocks[0]}

@@ -13,7 +13,10 @@ from dashpot.model.network import Model
 
 
 def channel_incidence(model: Model, channels: Sequence[Channel]) -> tuple[Real, Real, Real]:
-    """Factors of the channels on coordinates, on inputs and on element forces; each (channels, …)."""
+    """Factors of the channels on coordinates, on inputs and on element forces; each (channels, …).
+
+    Raises DataError where a channel shows what the rig has not.
+    """
     r, s = len(model.displacement_inputs), len(model.force_inputs)
     on_x, on_q, force = parts = tuple(
         np.zeros((len(channels), size)) for size in (model.n, r + s, len(model.elements))
@@ -42,7 +45,10 @@ def channel_incidence(model: Model, channels: Sequence[Channel]) -> tuple[Real, 
 
 
 def unknown_calibrations(channels: Sequence[Channel]) -> tuple[Ints, Ints]:
-    """Index of each channel's unknown gain and delay, −1 where known; (channels,) each."""
+    """Index of each channel's unknown gain and delay, −1 where known; (channels,) each.
+
+    Raises DataError where a channel shares a gain that is known.
+    """
     names = {channel.name: c for c, channel in enumerate(channels)}
     gain, delay = np.full(len(channels), -1), np.full(len(channels), -1)
     for c, channel in enumerate(channels):

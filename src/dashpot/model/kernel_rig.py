@@ -13,7 +13,10 @@ from dashpot.model.observation import kept_view
 
 
 def kernel_rig(kernel: Any, model: Model, omega: Real) -> Any | None:
-    """The kernel's Rig, None where it does not know the rig's laws: nonlinear ones.  The last ones are kept."""
+    """The kernel's Rig, None where it does not know the rig's laws: nonlinear ones.  The last ones are kept.
+
+    omega (lines,), rad/s.
+    """
     if len(model.nonlinear):
         return None
     return kept_view(model, (kernel, omega.tobytes()), lambda: _kernel_rig(kernel, model, omega))

@@ -44,7 +44,10 @@ def kernel() -> Any | None:
 
 @contextmanager
 def using(choice: str) -> Iterator[None]:
-    """Let `kernel` answer as `choice` says for as long as this context lasts."""
+    """Let `kernel` answer as `choice` says for as long as this context lasts.
+
+    Raises UsageError where there is no such choice.
+    """
     if choice not in CHOICES:
         raise UsageError(f"no kernel {choice!r}", cure=f"there are {', '.join(CHOICES)}")
     token = _choice.set(choice)

@@ -53,7 +53,7 @@ def solve_scaled(matrix: Real, right: Real) -> Real:
 
 
 def scaled_inverse(matrix: Real) -> Real:
-    """matrix⁻¹ of stacks of information matrices, scaled first; NaN where singular to rounding."""
+    """matrix⁻¹ of stacks of information matrices, scaled first; NaN where singular to rounding.  (..., m, m)."""
     scale = _scale(matrix)
     outer = scale[..., :, None] * scale[..., None, :]
     scaled = matrix / outer

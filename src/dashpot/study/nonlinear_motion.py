@@ -134,6 +134,7 @@ def driven_record(
 
     Noise is that of each channel's `noise`, and its `relative_noise` of the channel's largest value.  Raises DataError
     where an input is not in `drive`, a channel measures forces in elements, or the motion cannot be followed.
+    theta (unknowns,), SI units.
     """
     channels = tuple(channels)
     step = uniform_step(drive)

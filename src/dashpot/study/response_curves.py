@@ -59,6 +59,7 @@ def frequency_curve(
     """The motion at one size of the drive from the first frequency to the last, through folds.
 
     Raises ConvergenceError where the curve cannot be followed, UsageError where the rig is linear.
+    theta (unknowns,), amplitudes in m or N.
     """
     require_nonlinear(model)
     count = enough_orders(model, theta, amplitudes, band_hz) if orders is None else orders
@@ -70,7 +71,10 @@ def amplitude_curve(
     model: Model, theta: Real, channels: Sequence[Channel], amplitudes: Mapping[str, float], frequency_hz: float,
     shares: tuple[float, float] = (0.01, 1.0), *, label: str = "", orders: int | None = None,
 ) -> MotionCurve:  # fmt: skip
-    """The motion at one frequency while the drive grows from the first share of its amplitudes to the last."""
+    """The motion at one frequency while the drive grows from the first share of its amplitudes to the last.
+
+    theta (unknowns,), amplitudes in m or N.  Raises as `frequency_curve`.
+    """
     require_nonlinear(model)
     band = (frequency_hz, frequency_hz)
     count = enough_orders(model, theta, amplitudes, band) if orders is None else orders
@@ -96,7 +100,10 @@ def backbone_curve(
 def enough_orders(
     model: Model, theta: Real, amplitudes: Mapping[str, float], band_hz: tuple[float, float]
 ) -> int:
-    """Harmonics that bring the truncation error of the responses in the band below FINEST, at most MOST."""
+    """Harmonics that bring the truncation error of the responses in the band below FINEST, at most MOST.
+
+    theta (unknowns,).
+    """
     smooth = all(e.force_law is None or e.force_law.smooth for e in model.elements)
     orders = ORDERS[smooth]
     p, constants = model.parameters(theta)[None], model.inner_constants(theta)[None]

@@ -129,7 +129,10 @@ def with_constant_noise(
     *,
     drives: bool = False,
 ) -> tuple[Channel, ...]:
-    """Channels whose noise has one size at all frequencies: level × rms amplitude of the channel over `reference`."""
+    """Channels whose noise has one size at all frequencies: level × rms amplitude of the channel over `reference`.
+
+    p (elements,).
+    """
     Y = clean_amplitudes(model, p, channels, reference)
     size = np.sqrt(np.mean(np.abs(Y) ** 2, axis=-2))
     return tuple(
@@ -251,7 +254,10 @@ def simulate_spectrum(
 def clean_spectrum(
     model: Model, p: Real, channels: Sequence[Channel], test: Dwells, *, drift: int | None = None
 ) -> Spectrum:
-    """Amplitudes without noise, with the covariance that their noise would have: what bounds are computed from."""
+    """Amplitudes without noise, with the covariance that their noise would have: what bounds are computed from.
+
+    p (elements,).
+    """
     channels = tuple(channels)
     Y = clean_amplitudes(model, p, channels, test)
     spread = np.trace(np.linalg.inv(_grams(test, drift)), axis1=-2, axis2=-1)

@@ -50,12 +50,12 @@ def check_length(record: Record, f: float, orders: tuple[int, ...], degree: int)
 
 
 def duration(time: Real) -> float:
-    """Time that the samples stand for: the span and one mean step, s."""
+    """Time that the samples stand for: the span and one mean step, s.  time (samples,)."""
     return float(time[-1] - time[0]) * len(time) / (len(time) - 1)
 
 
 def window(time: Real) -> tuple[float, float]:
-    """Middle and half width of the time, s."""
+    """Middle and half width of the time, s.  time (samples,)."""
     return float(time[0] + time[-1]) / 2, float(time[-1] - time[0]) / 2
 
 
@@ -96,6 +96,7 @@ def tiles(batch: int, rows: int, channels: int) -> Iterator[slice]:
 
 
 def chunks(samples: int) -> Iterator[slice]:
+    """The samples, CHUNK at a time."""
     for start in range(0, samples, CHUNK):
         yield slice(start, min(samples, start + CHUNK))
 
@@ -205,7 +206,10 @@ def _even_sums(
 
 
 def factor(gram: Real, record: Record, f: float) -> Real:
-    """Cholesky factor of the Gram.  Raises DataError where the samples do not tell the columns apart."""
+    """Cholesky factor of the Gram.  Raises DataError where the samples do not tell the columns apart.
+
+    (..., columns, columns).
+    """
     size = np.sqrt(np.diagonal(gram))
     singular = not np.all(size > 1e-6 * np.sqrt(len(record.time)))
     if not singular:

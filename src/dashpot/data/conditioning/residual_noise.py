@@ -142,7 +142,10 @@ def white_noise(sigma: Real, orders: int, free: int) -> NoiseLevel:
 def noise_beside_harmonics(
     monitor: ResidualMonitor, L: Real, samples: int, free: int, sigma: Real, exact: Bools
 ) -> LocalNoise:
-    """What the monitor saw beside each harmonic; L is the factor of the Gram of the fit."""
+    """What the monitor saw beside each harmonic; L is the factor of the Gram of the fit.
+
+    sigma (batch, channels, channels): covariance of the residual; exact (batch, channels): where it is nothing.
+    """
     level, counts = _local_level(monitor, L, samples, sigma, exact)
     return LocalNoise(level, counts, _whiteness(monitor, sigma, exact, level, counts, samples, free))
 
@@ -206,7 +209,10 @@ def _whiteness(
 
 
 def is_coloured(whiteness: Real) -> bool:
-    """One decision for all repeats: more of them fail at 1 % than chance allows, and more than a few per cent."""
+    """One decision for all repeats: more of them fail at 1 % than chance allows, and more than a few per cent.
+
+    whiteness (batch,): p-values.
+    """
     tested = whiteness[np.isfinite(whiteness)]
     failed = int(np.sum(tested < SIGNIFICANT))
     if not failed:

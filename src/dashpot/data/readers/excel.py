@@ -32,7 +32,7 @@ class ExcelReader:
         )
 
     def parts(self, file: DataFile) -> Iterator[Table]:
-        """The sheets that hold anything."""
+        """The sheets that hold anything.  Raises DataError where the file cannot be read."""
         fastexcel = library("fastexcel", "formats", file.name, self.format)
         with damaged(file.name, self.format):
             book = fastexcel.read_excel(file.contents)

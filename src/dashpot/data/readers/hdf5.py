@@ -36,7 +36,7 @@ class Hdf5Reader:
         return any(file.head[at : at + 8] == SIGNATURE for at in (0, 512, 1024, 2048))
 
     def parts(self, file: DataFile) -> Iterator[ArrayColumns]:
-        """The groups, the outermost first."""
+        """The groups, the outermost first.  Raises DataError where the file cannot be read."""
         h5py = library("h5py", "formats", file.name, self.format)
         with _opened(h5py, file) as content:
             groups = [("", content)]

@@ -32,7 +32,10 @@ class MatlabReader:
         return file.head.startswith(b"MATLAB 5.0 MAT-file")
 
     def parts(self, file: DataFile) -> Iterator[ArrayColumns]:
-        """The variables; elements of an array of structures are parts of their own."""
+        """The variables; elements of an array of structures are parts of their own.
+
+        Raises DataError where the file cannot be read.
+        """
         from scipy.io import loadmat
 
         data = file.contents if file.mapped is None else file.mapped

@@ -32,7 +32,7 @@ class MdfReader:
         return file.head.startswith((b"MDF     ", b"UnFinMF "))
 
     def parts(self, file: DataFile) -> Iterator[ArrayColumns]:
-        """The groups that hold numbers."""
+        """The groups that hold numbers.  Raises DataError where the file cannot be read."""
         asammdf = library("asammdf", "mdf", file.name, self.format)
         with damaged(file.name, self.format), _quiet_ends():
             content = asammdf.MDF(io.BytesIO(file.contents))

@@ -33,7 +33,7 @@ class NumpyReader:
         return file.head.startswith(b"PK\x03\x04") and b".npy" in file.head[30:300]
 
     def parts(self, file: DataFile) -> Iterator[ArrayColumns]:
-        """The arrays of one length each."""
+        """The arrays of one length each.  Raises DataError where the file cannot be read."""
         variables: dict[str, Any] = {}
         units: dict[str, str | None] = {}
         with damaged(file.name, self.format):

@@ -122,7 +122,7 @@ def frequency_scale(columns: Columns, column: int) -> float:
 
 
 def check_range(columns: Columns, column: int, values: Real, most: float, unit: str) -> None:
-    """Raises DataError at the first value that overflows sums of squares."""
+    """Raises DataError at the first value that overflows sums of squares.  values (samples,)."""
     if not len(values) or (np.min(values) >= -most and np.max(values) <= most):
         return
     wrong = ~(np.abs(values) <= most)

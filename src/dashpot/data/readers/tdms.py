@@ -40,7 +40,7 @@ class TdmsReader:
         return file.head.startswith((b"TDSm", b"TDSh"))
 
     def parts(self, file: DataFile) -> Iterator[ArrayColumns]:
-        """The groups, split by the lengths of their channels."""
+        """The groups, split by the lengths of their channels.  Raises DataError where the file cannot be read."""
         nptdms = library("nptdms", "formats", file.name, self.format)
         with file.reading() as stream, damaged(file.name, self.format):
             _refuse_cut_off(stream, file.name)

@@ -44,7 +44,10 @@ def _of_no_unknown(model: Model) -> list[bool]:
 
 
 def linear_modes(model: Model, theta: Real, covariance: Real) -> ModeValues | None:
-    """Modes of the linear elements; None where nonlinear ones hold the rig together."""
+    """Modes of the linear elements; None where nonlinear ones hold the rig together.
+
+    theta (m,), covariance (m, m).
+    """
     if not len(model.nonlinear):
         return mode_values(model, theta, covariance)
     try:
@@ -57,6 +60,7 @@ def mode_values(model: Model, theta: Real, covariance: Real) -> ModeValues:
     """Modes at θ with standard deviations of frequency and damping propagated from its covariance.
 
     NaN where a standard deviation is lost in the rounding of terms that are far larger.
+    theta (m,), covariance (m, m).
     """
     found = modes(model, model.parameters(theta))
     slope = found.sensitivity @ model.T

@@ -36,7 +36,10 @@ def inputs_by_channel(view: ObservationModel, exact: Bools) -> Complex | None:
 
 
 def inputs_seen(view: ObservationModel, present: Bools) -> Ints:
-    """How many inputs each line's channels can tell apart: the generic rank of G there."""
+    """How many inputs each line's channels can tell apart: the generic rank of G there.
+
+    present (lines, channels).
+    """
     patterns, which = np.unique(present, axis=0, return_inverse=True)
     ranks = [int(structural_rank(sparse.csr_array(view.sees & pattern[:, None]))) for pattern in patterns]
     counts: Ints = np.array(ranks, dtype=np.int64)[which.ravel()]

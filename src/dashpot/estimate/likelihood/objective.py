@@ -256,7 +256,10 @@ def _of_lines(piece: Piece, psi: Real, sign: Real) -> tuple[Real, Real, Real]:
 
 
 def nuisance_columns(view: ObservationModel, data: Measured, psi: Real, sign: Real) -> int:
-    """How many independent columns the ends of whole records take out of the data."""
+    """How many independent columns the ends of whole records take out of the data.
+
+    psi (K, M), sign (K, channels).
+    """
     if data.ends is None:
         return 0
     one = data.pick(slice(0, 1))

@@ -34,7 +34,7 @@ def thinned(data: Prepared, each: int = EACH) -> Prepared:
 
 
 def loudest(frequency_hz: Real, loudness: Real, each: int = EACH) -> Ints:
-    """Indices of the loudest lines in each part of the band, ascending."""
+    """Indices of the loudest lines in each part of the band, ascending.  Both (lines,)."""
     position = np.log(frequency_hz / np.min(frequency_hz))
     part = np.minimum((PARTS * position / max(float(np.max(position)), 1e-12)).astype(int), PARTS - 1)
     chosen: list[int] = []

@@ -104,14 +104,17 @@ class WeightedLeastSquares(Method):
 
 
 def normal_sums(Se: Complex, Phi: Complex, h: Complex) -> tuple[Real, Real]:
-    """2 Re Φᴴ Ω Φ and 2 Re Φᴴ Ω h, summed over lines."""
+    """2 Re Φᴴ Ω Φ and 2 Re Φᴴ Ω h, summed over lines.
+
+    Se (..., lines, n, n), Phi (..., lines, n, m), h (..., lines, n); the sums are (..., m, m) and (..., m).
+    """
     both = np.concatenate([Phi, h[..., None]], axis=-1)
     _, products = weighted_normal(both, Se, both)
     return products[..., :-1, :-1], products[..., :-1, -1]
 
 
 def with_priors(model: Model, N: Real, right: Real) -> tuple[Real, Real]:
-    """The sums with one more row for each prior."""
+    """The sums with one more row for each prior.  N (..., m, m), right (..., m)."""
     return N + np.diag(model.prior_precision), right + model.prior_precision * model.prior_mean
 
 
@@ -276,7 +279,7 @@ def compensated(model: Model, data: States) -> Real:
 
 
 def where_finite(values: Real, otherwise: Real) -> Real:
-    """Repeats of `values` that are finite throughout, else those of `otherwise`."""
+    """Repeats of `values` that are finite throughout, else those of `otherwise`.  Both (K, ...)."""
     return np.where(np.all(np.isfinite(values), axis=-1, keepdims=True), values, otherwise)
 
 

@@ -214,7 +214,7 @@ class NoisySums:
 
 
 def noisy_sums(model: Model, states: States, Se: Complex) -> NoisySums:
-    """The parts of A and G with weight Se⁻¹."""
+    """The parts of A and G with weight Se⁻¹.  Se (..., lines, n, n)."""
     Phi, h = equation(model, states)
     N, r = with_priors(model, *normal_sums(Se, Phi, h))
     G, g = noise_sums(model, states, Se)

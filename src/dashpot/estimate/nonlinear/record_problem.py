@@ -105,7 +105,10 @@ class RecordProblem:
 
 
 def enough_substeps(model: Model, theta: Real, step_s: float) -> int:
-    """Steps between samples: enough for the fastest mode of the linear part, and for kinks of the laws."""
+    """Steps between samples: enough for the fastest mode of the linear part, and for kinks of the laws.
+
+    theta (unknowns,).
+    """
     parts = matrices(model, model.parameters(theta))
     n = model.n
     try:

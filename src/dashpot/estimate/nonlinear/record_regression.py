@@ -91,7 +91,10 @@ def fitted(form: WeakForm, unit: Real) -> tuple[Real, float]:
 
 
 def first_record_values(model: Model, records: tuple[RecordData, ...]) -> Real:
-    """Guesses where all are given; else the weak form of the equation where all coordinates are measured."""
+    """Guesses where all are given; else the weak form of the equation where all coordinates are measured.
+
+    (unknowns,).  Raises DataError where the motion does not determine them.
+    """
     given = [u.prior if u.prior is not None else u.guess for u in model.unknowns]
     open_names = [u.name for u, value in zip(model.unknowns, given, strict=True) if value is None]
     if not open_names:

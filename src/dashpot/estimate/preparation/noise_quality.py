@@ -98,7 +98,7 @@ def channels_correlate(spectrum: Spectrum, level: float = 0.01) -> Bools:
 
 
 def without_correlation(covariance: Complex) -> Complex:
-    """The same variances, off-diagonal entries 0."""
+    """The same variances, off-diagonal entries 0.  (..., channels, channels)."""
     diagonal: Complex = covariance * np.eye(covariance.shape[-1])
     return diagonal
 

@@ -202,13 +202,14 @@ def states(model: Model, spectrum: Spectrum, covariance: Complex) -> States:
     """The amplitudes z with their covariance, all direct channels combined.
 
     Raises DataError where some coordinate or input is not seen by any channel, and as `reconstruction`.
+    covariance (..., lines, channels, channels).
     """
     require_seen(model, spectrum)
     return _combined(model, spectrum, covariance)
 
 
 def states_if_seen(model: Model, spectrum: Spectrum, covariance: Complex) -> States | None:
-    """As `states`, None where some coordinate or input is not seen."""
+    """As `states`, None where some coordinate or input is not seen.  covariance (..., lines, channels, channels)."""
     return None if unseen(model, spectrum) else _combined(model, spectrum, covariance)
 
 

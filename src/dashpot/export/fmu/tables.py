@@ -19,7 +19,10 @@ def root_elements(rig: IdentifiedRig) -> list[int]:
 
 
 def c_tables(rig: IdentifiedRig, orders: Ints, token: str) -> str:
-    """The header rig.h: sizes, incidences, laws, channels and the parameters' values."""
+    """The header rig.h: sizes, incidences, laws, channels and the parameters' values.
+
+    orders (elements,): powers of jω.
+    """
     model = rig.model
     view = observation_model(model, rig.outputs, np.zeros(1))
     roots = root_elements(rig)

@@ -210,7 +210,7 @@ def _norm(r: Real) -> Real:
 
 
 def solved(matrix: Real, right: Real) -> Real:
-    """matrix⁻¹ right, NaN where a matrix is singular."""
+    """matrix⁻¹ right, (N, n, n) and (N, n, k); NaN where a matrix is singular."""
     try:
         with np.errstate(all="ignore"):
             return np.linalg.solve(matrix, right).astype(np.float64)

@@ -237,7 +237,10 @@ def settled_orders(
     model: Model, p: Real, constants: Real, drive: Drive, start: Real | None = None,
     *, tolerance: float = 1e-7, most: int = 63,
 ) -> tuple[Periodic, Drive]:  # fmt: skip
-    """The response with as many harmonics as bring the truncation error below `tolerance`, at most `most`."""
+    """The response with as many harmonics as bring the truncation error below `tolerance`, at most `most`.
+
+    p (lines, elements), constants (lines, G).
+    """
     while True:
         at = periodic_response(model, p, constants, drive, start)
         error = truncation(model, p, constants, drive, at)

@@ -58,7 +58,7 @@ class Propagator:
 
 
 def propagator(model: Model, p: Real, h: float) -> Propagator:
-    """Raises ModelError where a coordinate has no mass or an element is hysteretic."""
+    """Raises ModelError where a coordinate has no mass or an element is hysteretic.  p (elements,), h in s."""
     from scipy.linalg import expm
 
     parts = matrices(model, p)

@@ -54,7 +54,7 @@ def _bars(answer: Answer, plan: Plan, bars: list[int]) -> list[draw.Bars]:
 
 
 def drive_names(inputs: Sequence[str], drives: Complex) -> list[str]:
-    """Patterns of a drive in words: "u", "u + v", "u − v"."""
+    """Patterns of a drive in words: "u", "u + v", "u − v".  drives (patterns, inputs)."""
     words = []
     for row in drives:
         text = ""

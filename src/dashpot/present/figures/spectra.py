@@ -181,7 +181,10 @@ def _luminance(colour: Real) -> float:
 
 
 def correlation_plot(names: Sequence[str], matrix: Real) -> Figure:
-    """Correlation matrix of the estimates, blue for + and red for −, with numbers where there is room."""
+    """Correlation matrix of the estimates, blue for + and red for −, with numbers where there is room.
+
+    matrix (m, m).
+    """
     count = len(names)
     size = min(max(0.48 * count + 1.2, 2.4), 7.6)
     with style():

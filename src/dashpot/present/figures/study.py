@@ -59,7 +59,10 @@ def band_panels(
     limits: Sequence[tuple[float, float]] | None = None,
     band_label: str = "band: 95 % of the draws",
 ) -> Figure:
-    """A panel for each title with lines, bands and points over one abscissa; what lies outside `limits` is cut off."""
+    """A panel for each title with lines, bands and points over one abscissa; what lies outside `limits` is cut off.
+
+    x (points,).
+    """
     columns = min(len(titles), PANELS_A_ROW)
     rows = -(-len(titles) // columns)
     with style():
@@ -202,7 +205,10 @@ def bar_panels(
     y_label: str,
     bound_label: str = "Cramér-Rao bound",
 ) -> Figure:
-    """A panel for each title with groups of bars, their values above them, and a short line at each bound."""
+    """A panel for each title with groups of bars, their values above them, and a short line at each bound.
+
+    bounds: (places,) each.
+    """
     with style():
         wide = max(3.9, min(0.6 + 0.28 * len(places) * len(panels[0]), 10.0)) if len(titles) == 1 else 3.9
         figure = Figure(figsize=(wide * len(titles) + 0.4, 3.4))
@@ -252,7 +258,10 @@ class Accuracy:
 def accuracy_panels(
     x: Real, methods: Sequence[Accuracy], bound: Real, x_label: str, *, logarithmic: bool
 ) -> Figure:
-    """Spread with the bound, bias, and coverage of 95 % intervals, beside each other; points a little apart."""
+    """Spread with the bound, bias, and coverage of 95 % intervals, beside each other; points a little apart.
+
+    x and bound (points,).
+    """
     with style():
         figure = Figure(figsize=(9.7, 3.4))
         left, middle, right = figure.subplots(1, 3)

@@ -56,7 +56,7 @@ def require_no_parallels(model: Model, channels: Sequence[Channel], where: str |
 def require_full_rank(
     found: Structure, model: Model, channels: Sequence[Channel], where: str | None = None
 ) -> None:
-    """The same for a structure that has been worked out."""
+    """The same for a structure that has been worked out.  Raises IdentifiabilityError."""
     if not found.identifiable:
         raise IdentifiabilityError(problems_in_words(found, model, channels, where))
 

@@ -16,6 +16,7 @@ LEGEND = (
 
 
 def factor_text(value: object) -> str:
+    """The value of a factor as it is shown."""
     return NOTHING if value is None else f"{value:g}" if isinstance(value, float) else str(value)
 
 

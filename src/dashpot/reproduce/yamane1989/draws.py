@@ -21,7 +21,10 @@ class Draws:
         self._summaries: dict[str, dict[str, Summary]] = {}
 
     def at(self, **wanted: str | float | int) -> Scenario:
-        """The scenario with these factors; CASE-3, relative noise of 10 %, all unknown, 56 a frequency if not said."""
+        """The scenario with these factors; CASE-3, relative noise of 10 %, all unknown, 56 a frequency if not said.
+
+        Raises KeyError where there is none.
+        """
         usual: dict[str, str | float | int] = {
             "frequencies": "CASE-3",
             "kind": "relative",

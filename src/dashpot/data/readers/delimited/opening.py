@@ -48,7 +48,7 @@ def open_table(path: str | os.PathLike[str] | DataFile, first_column: str | None
 
 
 def table_of(data: Text, source: str, first_column: str | None = None) -> Table:
-    """The table in the bytes of a file; as `open_table`."""
+    """The table in the bytes of a file; as `open_table`.  Raises DataError where there is no table."""
     data = _as_utf8(data, source) if isinstance(data, bytes) else data
     rows, delimiter = _leading_rows(data, source, first_column)
     header_at = len(rows) - 1

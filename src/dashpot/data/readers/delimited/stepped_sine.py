@@ -129,7 +129,7 @@ def _in_si(
 
 
 def check_frequency(columns: Columns, column: int, frequency: Real) -> None:
-    """Raises DataError at the first frequency that is not positive."""
+    """Raises DataError at the first frequency that is not positive.  frequency (rows,), Hz."""
     wrong = ~(frequency > 0) | (frequency > 1e12)
     if np.any(wrong):
         i = int(np.argmax(wrong))
@@ -137,7 +137,7 @@ def check_frequency(columns: Columns, column: int, frequency: Real) -> None:
 
 
 def whole_numbers(columns: Columns, column: int, values: Real) -> Ints:
-    """A column as integers.  Raises DataError at the first that is none."""
+    """A column as integers.  Raises DataError at the first that is none.  values (rows,)."""
     wrong = (values != np.round(values)) | (np.abs(values) > 2**53)
     if np.any(wrong):
         i = int(np.argmax(wrong))

@@ -20,7 +20,7 @@ def write_rows(
 ) -> None:
     """Write a comma-separated file, numbers with all their digits, packed where the name ends in .gz.
 
-    The file appears whole or not at all.  Raises DataError where it cannot be written.
+    The file appears whole or not at all.  Raises DataError where it cannot be written.  columns (rows,) each.
     """
     arrays = [
         pa.array(np.asarray(c)) if isinstance(c, np.ndarray) else pa.array(c, pa.string()) for c in columns
