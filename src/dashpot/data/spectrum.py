@@ -14,6 +14,7 @@ import numpy as np
 
 from dashpot.arrays import Bools, Complex, Ints, Real, freeze
 from dashpot.channel import Channel
+from dashpot.data.labelled_arrays import labelled_spectrum
 from dashpot.data.stretch import SettledDwell, Stretch, WholeRecord, joined_stretches, selected
 from dashpot.errors import DataError
 from dashpot.notices import Notice
@@ -204,6 +205,10 @@ class Spectrum:
     def with_channels(self, channels: tuple[Channel, ...]) -> Spectrum:
         """The same numbers under other channel descriptions, one for one."""
         return replace(self, channels=channels)
+
+    def to_xarray(self) -> Any:
+        """An xarray Dataset of amplitudes and covariance with their names; needs xarray (extra "analysis")."""
+        return labelled_spectrum(self)
 
     def __add__(self, other: Spectrum) -> Spectrum:
         """Lines of both; channels are matched by name, and one that is missing on a side is NaN there."""

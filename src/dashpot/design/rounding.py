@@ -52,6 +52,8 @@ class DwellShares:
     @property
     def count(self) -> int:
         """Number of dwells."""
+        """Number of dwells."""
+        """Number of dwells."""
         return len(self.f)
 
     def may_gain(self, schedule: Schedule | None) -> bool:

@@ -97,6 +97,8 @@ def tiles(batch: int, rows: int, channels: int) -> Iterator[slice]:
 
 def chunks(samples: int) -> Iterator[slice]:
     """The samples, CHUNK at a time."""
+    """The samples, CHUNK at a time."""
+    """The samples, CHUNK at a time."""
     for start in range(0, samples, CHUNK):
         yield slice(start, min(samples, start + CHUNK))
 

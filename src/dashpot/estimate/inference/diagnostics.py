@@ -74,6 +74,7 @@ def prior_conflict(model: Model, theta: Real, noise_covariance: Real) -> list[No
     """Warnings of parameters stated with an sd that the data, left alone, put elsewhere; θ counts the statement.
 
     An efficient estimate θ and the statement μ ± s it has used differ by s² − var θ in variance where both are right.
+    theta (m,), noise_covariance (m, m).
     """
     notices = []
     for j in np.flatnonzero(model.prior_precision):
@@ -93,7 +94,10 @@ def prior_conflict(model: Model, theta: Real, noise_covariance: Real) -> list[No
 
 
 def reversed_phase(model: Model, theta: Real, noise_covariance: Real) -> list[Notice]:
-    """A hint where every damper comes out negative beyond doubt: phases that count the other way do that."""
+    """A hint where every damper comes out negative beyond doubt: phases that count the other way do that.
+
+    theta (m,), noise_covariance (m, m).
+    """
     dissipative = {element.name for element in model.elements if element.law.dissipative}
     dampers = [j for j, unknown in enumerate(model.unknowns) if unknown.name in dissipative]
     if not dampers or np.any(theta[dampers] > -APART * np.sqrt(np.diagonal(noise_covariance)[dampers])):
@@ -106,7 +110,10 @@ def reversed_phase(model: Model, theta: Real, noise_covariance: Real) -> list[No
 
 
 def of_estimate(model: Model, theta: Real, covariance: Real, noise: Real, fit: Fit) -> list[Notice]:
-    """What one estimate and its fit show; `noise` is the covariance that the sensors' noise alone gives."""
+    """What one estimate and its fit show; `noise` is the covariance that the sensors' noise alone gives.
+
+    theta (m,), covariance and noise (m, m).
+    """
     return [
         *_of_fit(fit),
         *wrong_signs(model, theta, covariance),
@@ -155,7 +162,7 @@ def nonlinear_names(model: Model) -> frozenset[str]:
 
 
 def wrong_signs(model: Model, theta: Real, covariance: Real) -> list[Notice]:
-    """Warnings of negative parts, and of free matrices that are not definite."""
+    """Warnings of negative parts, and of free matrices that are not definite.  theta (m,), covariance (m, m)."""
     free, any_sign = free_names(model), nonlinear_names(model)
     sd = standard_deviations(covariance)
     notices = []
@@ -180,7 +187,7 @@ def wrong_signs(model: Model, theta: Real, covariance: Real) -> list[Notice]:
 
 
 def held(names: tuple[str, ...], theta: Real, bounds: HeldBounds) -> list[Notice]:
-    """Warnings of unknowns that lie at a bound; one repeat."""
+    """Warnings of unknowns that lie at a bound; one repeat.  theta (m,)."""
     at = (theta <= bounds.lower) | (theta >= bounds.upper)
     return [
         Notice(
@@ -240,7 +247,10 @@ def require_determined(
     dead_channels: Callable[[], Sequence[str]] = tuple,
     few_lines: str | None = None,
 ) -> None:
-    """Raises IdentifiabilityError, which names `dead_channels` or `few_lines`, where an unknown has no interval."""
+    """Raises IdentifiabilityError, which names `dead_channels` or `few_lines`, where an unknown has no interval.
+
+    theta (m,), covariance (m, m).
+    """
     variance = covariance.diagonal()
     if np.isfinite(theta).all() and np.isfinite(variance).all() and (variance >= 0).all():
         return
@@ -264,6 +274,9 @@ def require_determined(
 
 
 def standard_deviations(covariance: Real) -> Real:
-    """NaN where rounding has made a variance negative: the data do not determine that unknown."""
+    """NaN where rounding has made a variance negative: the data do not determine that unknown.
+
+    covariance (..., m, m).
+    """
     variance = np.diagonal(covariance, axis1=-2, axis2=-1)
     return np.sqrt(np.where(variance >= 0, variance, np.nan))

@@ -25,7 +25,6 @@ from dashpot.estimate.linear.instrumental_variables import likeliest
 from dashpot.estimate.method import Method, Solution, Traits
 from dashpot.estimate.preparation.noise_quality import NoiseQuality, interval_dof, noise_quality
 from dashpot.estimate.preparation.prepared import Prepared, without_priors
-from dashpot.model.observation import observation_model
 from dashpot.numerics.kernel import kernel, threads
 from dashpot.numerics.levenberg_marquardt import QuadraticModel
 from dashpot.numerics.small_systems import scaled_inverse, solve_scaled
@@ -140,7 +139,7 @@ def linearise(data: Prepared, solution: Solution, traits: Traits) -> Linearised:
 
 
 def _of_channels(data: Prepared, solution: Solution) -> Linearised:
-    view = observation_model(data.model, data.spectrum.channels, data.spectrum.omega)
+    view = data.view
     exact = measured(data, view)
     sign = np.ones((len(exact.y), len(view.channels)))
     for name, signs in solution.signs.items():

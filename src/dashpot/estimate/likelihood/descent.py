@@ -12,7 +12,7 @@ from dashpot.estimate.likelihood.compiled import compiled_cost, compiled_descent
 from dashpot.estimate.likelihood.objective import bounds, local, logarithmic, measured
 from dashpot.estimate.preparation.prepared import Prepared
 from dashpot.model.channel_transfer import Reduced
-from dashpot.model.observation import ObservationModel, observation_model
+from dashpot.model.observation import ObservationModel
 from dashpot.numerics.levenberg_marquardt import PATIENCE, OptimizeResult, QuadraticModel, minimise
 
 RECORD_TOLERANCE = 1e-4  # standard deviations, of whole records
@@ -50,8 +50,7 @@ class Likelihood:
 
         Raises DataError where a channel measures what the model has not.
         """
-        view = observation_model(data.model, data.spectrum.channels, data.spectrum.omega)
-        view = view if on_basis is None else replace(view, reduced=on_basis)
+        view = data.view if on_basis is None else replace(data.view, reduced=on_basis)
         return Likelihood(data, view, measured(data, view), *bounds(view, effort.positive), effort)
 
     @property

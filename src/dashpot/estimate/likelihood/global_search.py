@@ -175,7 +175,7 @@ def searched_again(
 ) -> tuple[OptimizeResult, Real, tuple[Notice, ...]]:
     """Repeats that did not end in a fit are searched from starts of their own; the better end is kept.
 
-    The notice is that of `from_minima`, of one repeat alone.
+    The notice is that of `from_minima`, of one repeat alone.  sign (K, channels).
     """
     acceptable = _acceptable(likelihood.data, likelihood.exact, found.x.shape[-1])
     others = 1.5 * np.median(found.cost) if len(found.cost) > 1 else 0.0

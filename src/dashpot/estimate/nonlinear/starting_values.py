@@ -179,10 +179,8 @@ def _expected_motion(data: Prepared, values: dict[str, float]) -> tuple[Real, Re
     """Largest elongation and speed of the nonlinear elements that the linear rig would have, (e,) each."""
     model, e = data.model, len(data.model.nonlinear)
     from dashpot.estimate.nonlinear.objective import nonlinear_part
-    from dashpot.model.observation import observation_model
 
-    view = observation_model(model, data.spectrum.channels, data.spectrum.omega)
-    part = nonlinear_part(data, view, np.nan_to_num(data.spectrum.amplitudes), None)
+    part = nonlinear_part(data, data.view, np.nan_to_num(data.spectrum.amplitudes), None)
     theta = np.array([_known_start(u.prior, u.guess, values.get(u.name, 0.0)) for u in model.unknowns])
     p = model.parameters(theta)
     p[model.nonlinear] = 0.0

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -14,6 +15,7 @@ from dashpot.estimate.preparation.noise_quality import channels_correlate, witho
 from dashpot.estimate.preparation.state_reconstruction import States, require_seen, states_if_seen
 from dashpot.estimate.preparation.weighting import noise_is_known, with_unknown_noise, working_covariance
 from dashpot.model.network import Model
+from dashpot.model.observation import ObservationModel, observation_model
 
 
 @dataclass(frozen=True)
@@ -32,6 +34,11 @@ class Prepared:
     states: States | None
     noise_known: bool
     correlated: Bools
+
+    @cached_property
+    def view(self) -> ObservationModel:
+        """What the channels show at the lines.  Raises DataError where one measures what the rig has not."""
+        return observation_model(self.model, self.spectrum.channels, self.spectrum.omega)
 
     def only(self, repeat: int) -> Prepared:
         """One of the repeats."""

@@ -17,6 +17,8 @@ LEGEND = (
 
 def factor_text(value: object) -> str:
     """The value of a factor as it is shown."""
+    """The value of a factor as it is shown."""
+    """The value of a factor as it is shown."""
     return NOTHING if value is None else f"{value:g}" if isinstance(value, float) else str(value)
 
 
