@@ -72,11 +72,11 @@ def state() -> dict[str, str]:
     from importlib.metadata import PackageNotFoundError, version
 
     try:
-        own = version("dashpot")
+        version_here = version("dashpot")
     except PackageNotFoundError:
-        own = "none"
+        version_here = "none"
     return {
-        "dashpot": own,
+        "dashpot": version_here,
         "NumPy": version("numpy"),
         "SciPy": version("scipy"),
         "machine": platform.machine(),

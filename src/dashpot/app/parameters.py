@@ -78,7 +78,7 @@ def _in_si(name: str, amount: Amount, unit: str, option: str) -> float:
 
 def input_is_angular(model: Model) -> bool:
     """Whether the inputs are angles or torques."""
-    points = {*model.displacement_inputs, *(point for one in model.inputs for point in one.at)}
+    points = {*model.displacement_inputs, *(point for source in model.inputs for point in source.at)}
     return bool(points) and points <= set(model.angles)
 
 
@@ -101,8 +101,8 @@ def drive_amplitude(model: Model, given: Amount | Mapping[str, Amount]) -> float
 def input_amplitudes(model: Model, settings: Sequence[Amount | Mapping[str, Amount]]) -> dict[str, float]:
     """Amplitudes by input, SI units: "5 mm" is that of every input, "u=5 mm" that of one.  Raises UsageError."""
     inputs = [*model.displacement_inputs, *model.force_inputs]
-    named = merged([one for one in settings if isinstance(one, Mapping)], "--amplitude")
-    common = [one for one in settings if not isinstance(one, Mapping)]
+    named = merged([source for source in settings if isinstance(source, Mapping)], "--amplitude")
+    common = [source for source in settings if not isinstance(source, Mapping)]
     if len(common) > 1:
         raise UsageError("--amplitude is given twice for all inputs", cure="give it once")
     for name in named:
@@ -116,6 +116,8 @@ def input_amplitudes(model: Model, settings: Sequence[Amount | Mapping[str, Amou
         given = named.get(name, common[0] if common else None)
         if given is not None:
             moved = name in model.displacement_inputs
-            points = {name} if moved else {p for one in model.inputs if one.name == name for p in one.at}
+            points = (
+                {name} if moved else {p for source in model.inputs if source.name == name for p in source.at}
+            )
             amplitudes[name] = given.si("displacement" if moved else "force", points <= set(model.angles))
     return amplitudes

@@ -57,9 +57,9 @@ def browser() -> str:
     import shutil
 
     for name in BROWSERS:
-        found = shutil.which(name)
-        if found is not None:
-            return found
+        path = shutil.which(name)
+        if path is not None:
+            return path
     raise UsageError(
         "a PDF report is printed by Chromium or Chrome, and neither is installed",
         "--report",
@@ -174,11 +174,11 @@ def _files() -> list[SourceFile]:
     from dashpot.present.pages.page import SourceFile
 
     entries = ledger.current()
-    found = []
+    files = []
     for name in () if entries is None else tuple(entries.inputs):
         path = Path(name)
         if path.is_file():
             with open(noted(name), "rb") as stream:
                 digest = hashlib.file_digest(stream, "sha256").hexdigest()
-            found.append(SourceFile(name, path.stat().st_size, digest))
-    return found
+            files.append(SourceFile(name, path.stat().st_size, digest))
+    return files

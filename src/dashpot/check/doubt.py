@@ -37,7 +37,7 @@ def undetermined(model: Model, channels: Sequence[Channel]) -> tuple[str, ...]:
     if not model.unknowns or not channels or len(model.nonlinear):
         return ()
     try:
-        found = structure(model, channels)
+        judged = structure(model, channels)
     except IdentifiabilityError:
         return ()
-    return tuple(dict.fromkeys(name for part in found.deficiencies for name in part.names))
+    return tuple(dict.fromkeys(name for part in judged.deficiencies for name in part.names))

@@ -143,16 +143,16 @@ def compare_in_records(
         )
     trials: list[tuple[int, ...]] = [(index,) for index in order[:FOLLOWED]]
     trials += [tuple(order[:count]) for count in range(2, min(TOGETHER, len(order)) + 1)]
-    found = []
+    fits = []
     for done, chosen in enumerate(trials):
         evidence = _evidence(base, estimate, fitted, [candidates[i] for i in chosen], records, numbers)
         if evidence is not None:
-            found.append(evidence)
+            fits.append(evidence)
         if progress is not None:
             progress(done + 1, len(trials))
-    found.sort(key=lambda one: -one.evidence)
-    best = found[0] if found and found[0].evidence > DECISIVE else None
-    return ElementComparison(model.name, numbers, tuple(found), best)
+    fits.sort(key=lambda one: -one.evidence)
+    best = fits[0] if fits and fits[0].evidence > DECISIVE else None
+    return ElementComparison(model.name, numbers, tuple(fits), best)
 
 
 def _with_nothing(model: Model) -> Model:
@@ -187,8 +187,8 @@ def _candidates(model: Model, fitted: FittedRecords) -> list[Element]:
             speed = float(np.max(np.abs(np.diff(d)))) / record.step_s
         if size > 0:
             motions[first, second] = size, speed
-    found: Motions = motions
-    every = candidate_elements(model, found, further=True)
+    reach: Motions = motions
+    every = candidate_elements(model, reach, further=True)
     return [e for e in every if x is not None or (e.force_law is not None and not e.force_law.constants)]
 
 

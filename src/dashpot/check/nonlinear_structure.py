@@ -171,8 +171,8 @@ def blind_laws(model: Model, spectrum: Spectrum) -> Structure | None:
     laws = {element.name for element in model.elements if element.force_law is not None}
     laws |= {f"{element.name}.{constant.name}" for element, constant in model.constants}
     try:
-        found = nonlinear_structure(model, spectrum.channels, spectrum)
+        structure = nonlinear_structure(model, spectrum.channels, spectrum)
     except DashpotError:  # the nominal motion says nothing; the search may find its own
         return None
-    blind = tuple(one for one in found.deficiencies if laws.issuperset(one.names))
-    return replace(found, deficiencies=blind) if blind else None
+    blind = tuple(deficiency for deficiency in structure.deficiencies if laws.issuperset(deficiency.names))
+    return replace(structure, deficiencies=blind) if blind else None

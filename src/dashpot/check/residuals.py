@@ -119,8 +119,8 @@ def residuals(
     if not known:
         V = _relative(y, V)
     if len(model.nonlinear):
-        found = {} if calibrations is None else calibrations
-        predicted, v = predicted_lines(model, np.asarray(theta, dtype=float), spectrum, V, found)
+        estimated = {} if calibrations is None else calibrations
+        predicted, v = predicted_lines(model, np.asarray(theta, dtype=float), spectrum, V, estimated)
         # Inputs that are all but exact are met to the floor that the likelihood gives them.
         floor = FLOOR * np.max(np.abs(np.nan_to_num(y)), axis=0, initial=0.0)
         spread = V + np.diag(floor**2)
@@ -164,10 +164,10 @@ def _transients(
         return np.zeros(spectrum.amplitudes.shape, dtype=np.complex128)
     view = observation_model(model, spectrum.channels, spectrum.omega)
     psi, sign = of_channels(view, np.asarray(theta, dtype=float), calibrations)
-    one = replace(spectrum, amplitudes=spectrum.amplitudes[None], covariance=V[None], moments=None)
+    single = replace(spectrum, amplitudes=spectrum.amplitudes[None], covariance=V[None], moments=None)
     at = predict(
         view,
-        measured(Prepared(model, one, V[None], None, True, np.ones(1, dtype=bool)), view),
+        measured(Prepared(model, single, V[None], None, True, np.ones(1, dtype=bool)), view),
         psi[None],
         sign[None],
     )

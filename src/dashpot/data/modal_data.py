@@ -39,9 +39,9 @@ class ModalData:
             "shapes": (self.shapes.shape, (*self.frequency_hz.shape, points)),
             "shape_covariance": (self.shape_covariance.shape, (count, points, points)),
         }
-        for name, (found, wanted) in expected.items():
-            if found != wanted:
-                raise DataError(f"{name} has shape {found}, it must be {wanted}")
+        for name, (shape, wanted) in expected.items():
+            if shape != wanted:
+                raise DataError(f"{name} has shape {shape}, it must be {wanted}")
         if count == 0:
             raise DataError("there are no modes", cure="give at least one")
         if not np.all((self.frequency_hz > 0) & np.isfinite(self.frequency_hz)):

@@ -88,7 +88,8 @@ class Assessment:
             "reason_codes": [notice.code for notice in self.reasons],
             "relative_residual": dict(self.relative_residual),
             "worst": [
-                {"channel": one.channel, "frequency_hz": one.frequency_hz, "sd": one.sd} for one in self.worst
+                {"channel": line.channel, "frequency_hz": line.frequency_hz, "sd": line.sd}
+                for line in self.worst
             ],
         }
 

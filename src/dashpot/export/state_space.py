@@ -167,12 +167,12 @@ def state_space_of(rig: IdentifiedRig, given: str | Mapping[str, str] | None = N
                 f"some channel depends on the {MOTIONS[order]} of {name}",
                 cure=f"give {name} as {MOTIONS[order]}",
             )
-    found = realisation(model, rig.p, orders)
-    seen = channel_signals(view, rig.p, found)
+    realised = realisation(model, rig.p, orders)
+    seen = channel_signals(view, rig.p, realised)
     return StateSpace(
-        model.name, found.A, found.B, seen.Z, seen.direct, _state_names(model, orders), _inputs(model, orders),
+        model.name, realised.A, realised.B, seen.Z, seen.direct, _state_names(model, orders), _inputs(model, orders),
         tuple(Port(c.name, c.quantity.value, channel_unit(model, c)) for c in channels),
-        rig.names, rig.theta, rig.covariance, _slopes(rig, found, seen, orders), found.shifts,
+        rig.names, rig.theta, rig.covariance, _slopes(rig, realised, seen, orders), realised.shifts,
     )  # fmt: skip
 
 

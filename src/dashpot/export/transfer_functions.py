@@ -184,12 +184,12 @@ def frequency_response_table(rig: IdentifiedRig, frequency_hz: Real) -> tuple[li
 
 def input_units(rig: IdentifiedRig) -> list[tuple[str, float, str]]:
     """For each input its own channel of the same quantity, else SI: name, unit's value in SI, unit."""
-    found, units = [], []
+    names, units = [], []
     for drive in input_channels(rig.model):
         same = [c for c in rig.channels if c.of == drive.of and c.quantity is drive.quantity]
-        found.append((same[0] if same else drive).name)
+        names.append((same[0] if same else drive).name)
         units.append(unit_of_channel(rig, same[0] if same else drive))
-    return [(name, *unit) for name, unit in zip(found, units, strict=True)]
+    return [(name, *unit) for name, unit in zip(names, units, strict=True)]
 
 
 def unit_of_channel(rig: IdentifiedRig, channel: Channel) -> tuple[float, str]:

@@ -49,13 +49,13 @@ def nodal_modes(rig: IdentifiedRig) -> list[NodalMode]:
     """Modes at the coordinates' nodes: X, Y, Z (and rotations about them); eigenvalues in rad/s.  Raises ModelError."""
     rig.require_linear("a mode")
     model = rig.model
-    found = modes(model, rig.p)
-    swinging = found.eigenvalues.imag > 0
+    of_rig = modes(model, rig.p)
+    swinging = of_rig.eigenvalues.imag > 0
     width = 6 if model.angles else 3
     nodes = tuple(range(1, model.n + 1))
     names = _lines_of_names(model.coordinates)
     out = []
-    for eigenvalue, shape in zip(found.eigenvalues[swinging], found.shapes[swinging], strict=True):
+    for eigenvalue, shape in zip(of_rig.eigenvalues[swinging], of_rig.shapes[swinging], strict=True):
         table = np.zeros((model.n, width), dtype=complex)
         for k, name in enumerate(model.coordinates):
             table[k, (_direction(rig, name) - 1)] = shape[k]

@@ -131,10 +131,10 @@ def estimated_names(rig: Rig) -> tuple[str, ...]:
 
 def alike_spectra(spectra: Mapping[int, Spectrum]) -> list[list[int]]:
     """Which spectra can be repeats of one test: the same lines, measured alike."""
-    found: dict[object, list[int]] = {}
+    groups: dict[object, list[int]] = {}
     for k, spectrum in spectra.items():
-        found.setdefault(k if spectrum.records else _signature(spectrum), []).append(k)
-    return list(found.values())
+        groups.setdefault(k if spectrum.records else _signature(spectrum), []).append(k)
+    return list(groups.values())
 
 
 def _signature(spectrum: Spectrum) -> tuple[object, ...]:

@@ -82,7 +82,7 @@ class FleetOutcome:
         """Rows in which some parameter is unlike the rest of the fleet."""
         if not self.usual:
             return []
-        return [int(k) for k in np.flatnonzero(np.any([one.outlier for one in self.usual], axis=0))]
+        return [int(k) for k in np.flatnonzero(np.any([row.outlier for row in self.usual], axis=0))]
 
     def table(self) -> dict[str, Any]:
         """The columns of the result file: rows as they are, z and outliers, pooled values where there are any."""
@@ -90,8 +90,8 @@ class FleetOutcome:
         for name, values in self.columns.items():
             parameter, _, kind = name.rpartition(":")
             table[name if not parameter else parameter if kind == "value" else f"{parameter}_{kind}"] = values
-        for one in self.usual:
-            table[f"{one.name}_z"] = one.z
+        for row in self.usual:
+            table[f"{row.name}_z"] = row.z
         marked = np.zeros(self.count, dtype=bool)
         marked[self.outliers] = True
         table["outlier"] = marked
@@ -103,16 +103,16 @@ class FleetOutcome:
 
     def summary(self) -> dict[str, Any]:
         """What is said of the fleet as a whole, for other programs."""
-        populations = {one.name: one for one in self.populations or ()}
+        populations = {row.name: row for row in self.populations or ()}
         parameters: dict[str, Any] = {}
-        for one in self.usual:
-            parameters[one.name] = {
-                "unit": one.unit, "count": one.count, "median": one.median, "spread": one.spread, "noise": one.noise,
-                "drift": one.slope, "drift_sd": one.slope_sd, "drift_p": one.drift_p,
-                "outliers": [str(self.columns["name"][k]) for k in np.flatnonzero(one.outlier)],
+        for row in self.usual:
+            parameters[row.name] = {
+                "unit": row.unit, "count": row.count, "median": row.median, "spread": row.spread, "noise": row.noise,
+                "drift": row.slope, "drift_sd": row.slope_sd, "drift_p": row.drift_p,
+                "outliers": [str(self.columns["name"][k]) for k in np.flatnonzero(row.outlier)],
             }  # fmt: skip
-            if (of := populations.get(one.name)) is not None:
-                parameters[one.name]["population"] = {
+            if (of := populations.get(row.name)) is not None:
+                parameters[row.name]["population"] = {
                     "mean": of.mean, "mean_sd": of.mean_sd, "spread": of.spread,
                     "spread_interval95": list(of.spread_interval),
                 }  # fmt: skip
@@ -164,8 +164,8 @@ def outcome_of(rig: Rig, blocks: Sequence[Columns], pool: bool, kept: int = 0) -
     usual = survey(names, view.units, values, sds)
     populations = None
     if pool:
-        found = (pooled(one.name, one.unit, values[one.name], sds[one.name], ~one.outlier) for one in usual)
-        populations = tuple(population for population in found if population is not None)
+        pools = (pooled(row.name, row.unit, values[row.name], sds[row.name], ~row.outlier) for row in usual)
+        populations = tuple(population for population in pools if population is not None)
     return FleetOutcome(rig.model.name, names, view.units, columns, usual, populations, kept)
 
 
@@ -248,7 +248,7 @@ def _rig_parts(rig: Rig) -> object:
 
 
 def _key(basis: str, data_sets: Sequence[DataSet]) -> str:
-    return fingerprint_of((basis, [(one.name, one.source, one.checksum) for one in data_sets]))[:32]
+    return fingerprint_of((basis, [(row.name, row.source, row.checksum) for row in data_sets]))[:32]
 
 
 def _write(folder: Path, block: FleetBlock) -> None:

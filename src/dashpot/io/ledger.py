@@ -94,14 +94,14 @@ def keys_of(path: AnyPath) -> tuple[Key, ...]:
     """
     try:
         place = os.path.realpath(path)
-        found = os.stat(path)
+        status = os.stat(path)
     except FileNotFoundError:
         return (place,)
     except (OSError, ValueError):
         return ()
-    if not stat.S_ISREG(found.st_mode):
+    if not stat.S_ISREG(status.st_mode):
         return ()
-    return place, (found.st_dev, found.st_ino)
+    return place, (status.st_dev, status.st_ino)
 
 
 def _overwrites(path: AnyPath) -> UsageError:

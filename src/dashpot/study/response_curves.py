@@ -79,20 +79,20 @@ def amplitude_curve(
     band = (frequency_hz, frequency_hz)
     count = enough_orders(model, theta, amplitudes, band) if orders is None else orders
     drive = drive_of(model, amplitudes, frequency_hz, count).scaled(shares[0])
-    found = followed(model, theta, amplitude_sweep(drive, shares[1] / shares[0]))
-    share = shares[0] + found.along * (shares[1] - shares[0])
-    return _curve(model, theta, channels, found, label, share)
+    path = followed(model, theta, amplitude_sweep(drive, shares[1] / shares[0]))
+    share = shares[0] + path.along * (shares[1] - shares[0])
+    return _curve(model, theta, channels, path, label, share)
 
 
 def backbone_curve(
     model: Model, theta: Real, channels: Sequence[Channel], mode: int, largest: float, *, label: str = ""
 ) -> MotionCurve:
     """The free undamped motions that start from a mode (0 the lowest); see `backbone`."""
-    found = backbone(model, theta, mode, largest)
-    harmonics = channel_harmonics(model, model.parameters(theta), channels, found.drive, found.motion)
-    count = len(found.drive.omega)
+    path = backbone(model, theta, mode, largest)
+    harmonics = channel_harmonics(model, model.parameters(theta), channels, path.drive, path.motion)
+    count = len(path.drive.omega)
     return MotionCurve(
-        label, tuple(c.name for c in channels), found.drive.omega / (2 * np.pi), np.zeros(count), swing(harmonics),
+        label, tuple(c.name for c in channels), path.drive.omega / (2 * np.pi), np.zeros(count), swing(harmonics),
         harmonics[:, 1], None, frozen([], np.int64),
     )  # fmt: skip
 

@@ -48,12 +48,12 @@ class Label:
 def write_block(path: Path, block: Mapping[str, Mapping[str, np.ndarray]], label: Label) -> None:
     """A block's repeats, method after method, one row a repeat.  Raises DataError where it cannot be written."""
     columns: dict[str, Any] = {
-        "method": np.concatenate([np.full(len(own["p"]), name) for name, own in block.items()])
+        "method": np.concatenate([np.full(len(repeats["p"]), name) for name, repeats in block.items()])
     }
     for name in ("converged", "p"):
-        columns[name] = np.concatenate([own[name] for own in block.values()])
+        columns[name] = np.concatenate([repeats[name] for repeats in block.values()])
     for name in WIDE:
-        wide = np.concatenate([own[name] for own in block.values()])
+        wide = np.concatenate([repeats[name] for repeats in block.values()])
         columns |= {f"{name}_{i}": np.ascontiguousarray(wide[:, i]) for i in range(wide.shape[1])}
     write_table(path, columns, _meta(label, columns))
 
@@ -103,19 +103,19 @@ def _read(path: Path, label: Label) -> tuple[Block | None, State]:
 
 
 def _by_method(columns: Mapping[str, np.ndarray], label: Label) -> Block:
-    found = {}
+    blocks = {}
     for k, name in enumerate(label.methods):
         rows = slice(k * label.size, (k + 1) * label.size)
         if set(columns["method"][rows]) != {name}:
             raise ValueError(name)
-        found[name] = {
+        blocks[name] = {
             **{key: columns[key][rows] for key in ("converged", "p")},
             **{
                 key: np.stack([columns[f"{key}_{i}"][rows] for i in range(label.unknowns)], axis=-1)
                 for key in WIDE
             },
         }
-    return found
+    return blocks
 
 
 def _meta(label: Label, columns: Mapping[str, np.ndarray]) -> bytes:

@@ -84,12 +84,12 @@ def command(
         else:
             verdict = structure(rig_read.model, channels, spectrum, seed)
     content = structure_content(rig_read.model, channels, verdict)
-    found = None
+    examined = None
     if verdict.identifiable and spectrum is not None:
         wanted = [name for text in profiled for name in names(text)]
         with progress("check", quiet):
-            found = _with_data(rig_read, spectrum, wanted, known, level, seed)
-        content |= findings_content(found, spectrum)
+            examined = _with_data(rig_read, spectrum, wanted, known, level, seed)
+        content |= findings_content(examined, spectrum)
     write_result(json_out, to_json(content))
     with failure_reported(report, rig):
         require_full_rank(verdict, rig_read.model, channels, rig)
@@ -97,10 +97,10 @@ def command(
         from dashpot.app.report_files import provenance, write_report
         from dashpot.present.pages.check import check_report
 
-        page = check_report(rig_read.model, channels, verdict, spectrum, found, level, provenance())
+        page = check_report(rig_read.model, channels, verdict, spectrum, examined, level, provenance())
         write_report(report, page)
     if not quiet and json_out != STDOUT:
-        _show(verdict, [channel.name for channel in channels], spectrum, found)
+        _show(verdict, [channel.name for channel in channels], spectrum, examined)
     return 0
 
 

@@ -143,16 +143,16 @@ def _elements(
     records = continuous_records(rig_read, data, conditioning, quiet)
     if records is None:
         spectrum = read_spectrum(rig_read, data, conditioning, quiet, moments_for=["hls"])
-        found = compare_in_dwells(rig_read.model, spectrum)
+        evidence = compare_in_dwells(rig_read.model, spectrum)
     else:
         with progress("compare", quiet) as moved:
-            found = compare_in_records(rig_read.model, records, progress=moved)
-    write_result(json_out, found.to_json())
+            evidence = compare_in_records(rig_read.model, records, progress=moved)
+    write_result(json_out, evidence.to_json())
     if not quiet and json_out != STDOUT:
         from dashpot.present.tables.element_evidence import show_elements
         from dashpot.present.tables.layout import console
 
-        show_elements(console(), found)
+        show_elements(console(), evidence)
     return 0
 
 

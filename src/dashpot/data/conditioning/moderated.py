@@ -71,9 +71,9 @@ def _prior(lines: Spectrum) -> tuple[Complex, float]:
     d0 = min(d0, (len(lines.dof) - 2) * float(np.mean(lines.dof)))
     with np.errstate(divide="ignore", invalid="ignore"):
         s0 = np.where(usable, np.exp(fitted) * 4 / count, variance)
-        own = V / np.sqrt(variance[..., :, None] * variance[..., None, :])
+        correlation = V / np.sqrt(variance[..., :, None] * variance[..., None, :])
     share = lines.dof / np.sum(lines.dof)
-    R = np.sum(np.nan_to_num(own) * share[:, None, None], axis=-3, keepdims=True)
+    R = np.sum(np.nan_to_num(correlation) * share[:, None, None], axis=-3, keepdims=True)
     sd = np.sqrt(s0)
     prior: Complex = R * sd[..., :, None] * sd[..., None, :]
     return prior.reshape(lines.covariance.shape), d0

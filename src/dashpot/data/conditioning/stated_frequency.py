@@ -120,10 +120,10 @@ def moves_elsewhere(record: Record, orders: Sequence[int] = (1,)) -> float | Non
     share = np.minimum(2 * np.abs(fft.rfft(Y, size, axis=0)) ** 2 / (count * np.sum(Y**2, axis=0)), 1.0)
     frequency = np.arange(len(share)) / (size * step)
     resolution = 1 / (count * step)
-    here = np.zeros(len(frequency), dtype=bool)
+    near = np.zeros(len(frequency), dtype=bool)
     for order in orders:
-        here |= np.abs(frequency - order * f) <= max(resolution, WITHIN * order * f)
-    if np.max(share[here], initial=0.0) > ABSENT:
+        near |= np.abs(frequency - order * f) <= max(resolution, WITHIN * order * f)
+    if np.max(share[near], initial=0.0) > ABSENT:
         return None
     peaks = np.argmax(share, axis=0)
     dominant = peaks[share[peaks, np.arange(share.shape[1])] > DOMINANT]
@@ -176,12 +176,12 @@ def _refined(records: Sequence[Record], stated: Real) -> tuple[Real, Real]:
         if _evidence(record) is None:
             continue
         try:
-            found = refine_frequency(record, within=WITHIN)
+            refined = refine_frequency(record, within=WITHIN)
         except DataError:
             continue
         near = max(WITHIN * stated[k], 0.25 / duration(record.time))
-        if abs(found.frequency_hz - stated[k]) <= near:
-            frequency[k], sd[k] = found.frequency_hz, found.sd
+        if abs(refined.frequency_hz - stated[k]) <= near:
+            frequency[k], sd[k] = refined.frequency_hz, refined.sd
     return frequency, sd
 
 

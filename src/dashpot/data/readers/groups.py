@@ -31,17 +31,17 @@ def read_group(group: FileGroup, channels: Sequence[Channel], frequency_hz: floa
     driven = frequency_hz if group.frequency_hz is None else group.frequency_hz
     circumstances = Circumstances(driven, group.experiment, group.entry.rate_hz)
     if group.entry.sensors:
-        found = _joined(group, channels, circumstances)
+        interpreted = _joined(group, channels, circumstances)
     else:
         (path,) = group.paths.values()
-        found = Interpreted()
+        interpreted = Interpreted()
         for columns in _parts(group, path):
             chosen, named = _chosen(group, columns, group.entry.columns, channels)
-            found += interpret(chosen, named, circumstances)
-    found = _windowed(found, group)
+            interpreted += interpret(chosen, named, circumstances)
+    interpreted = _windowed(interpreted, group)
     if group.entry.lines is None:
-        return found
-    return _averaged(found, line_numbers(group.entry.lines, group.place), group)
+        return interpreted
+    return _averaged(interpreted, line_numbers(group.entry.lines, group.place), group)
 
 
 def _parts(group: FileGroup, path: Path) -> Iterator[Columns]:
@@ -100,8 +100,8 @@ def _joined(group: FileGroup, channels: Sequence[Channel], circumstances: Circum
     for name, names in group.entry.sensors.items():
         path = group.paths[name]
         columns, named = _chosen(group, next(_parts(group, path)), {**group.entry.columns, **names}, channels)
-        records, told = read_records(columns, named, circumstances)
-        notes += told
+        records, notices = read_records(columns, named, circumstances)
+        notes += notices
         if len(records) != 1:
             raise DataError(
                 f"{len(records)} records in the file of a sensor", str(path), "give one file each"
@@ -109,8 +109,8 @@ def _joined(group: FileGroup, channels: Sequence[Channel], circumstances: Circum
         sensors.append(Sensor(name, named, records[0].time, records[0].values))
     join = joined_sensors if group.entry.clock == "shared" else aligned_sensors
     source = next(iter(group.paths.values())).name
-    joint, told = join(sensors, circumstances.frequency_hz, circumstances.experiment, source)
-    notes = [*_said(notes), *told]
+    joint, notices = join(sensors, circumstances.frequency_hz, circumstances.experiment, source)
+    notes = [*_said(notes), *notices]
     if isinstance(joint, ClockedRecords):
         return Interpreted(notes=tuple(notes), joint=(joint,))
     return Interpreted((joint,), notes=tuple(notes))

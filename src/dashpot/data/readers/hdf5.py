@@ -40,7 +40,7 @@ class Hdf5Reader:
         h5py = library("h5py", "formats", file.name, self.format)
         with _opened(h5py, file) as content:
             groups = [("", content)]
-            found = False
+            anything = False
             for name, group in groups:
                 with damaged(file.name, self.format):
                     variables, units = _scalars(group), {}
@@ -58,10 +58,10 @@ class Hdf5Reader:
                 if len(groups) > MOST_GROUPS:
                     raise DataError(f"there are over {MOST_GROUPS} groups", file.name, "give a smaller file")
                 if any(np.size(value) > 1 for value in variables.values()):
-                    found = True
+                    anything = True
                     place = f"{file.name} ({name})" if name else file.name
                     yield from parts_of_variables(place, variables, units)
-            if not found:
+            if not anything:
                 raise DataError(
                     "there are no datasets of numbers", file.name, "save the channels as datasets"
                 )

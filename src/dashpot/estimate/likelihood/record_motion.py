@@ -60,8 +60,8 @@ class EstimatedInputs:
         q: Complex = np.zeros_like(right)
         for j in reversed(range(right.shape[1])):
             rest = right[:, j] - np.sum(self.triangle[:, j, j + 1 :] * q[:, j + 1 :], axis=1)
-            own = self.triangle[:, j, j]
-            q[:, j] = np.where(own != 0, rest / np.where(own != 0, own, 1.0), 0.0)
+            pivot = self.triangle[:, j, j]
+            q[:, j] = np.where(pivot != 0, rest / np.where(pivot != 0, pivot, 1.0), 0.0)
         return q
 
 

@@ -104,8 +104,8 @@ def noise_from_residuals(
         if np.all(np.abs(after - before) <= 2 * SETTLED * after):
             break
     kinds = tuple(RESIDUAL if s else kind for s, kind in zip(sought.tolist(), spectrum.noise, strict=True))
-    found = replace(spectrum, covariance=V, noise=kinds, dof=dof * (1 - used))
-    return found, np.zeros((1, 0)) if psi is None else psi, sign
+    weighted = replace(spectrum, covariance=V, noise=kinds, dof=dof * (1 - used))
+    return weighted, np.zeros((1, 0)) if psi is None else psi, sign
 
 
 def _require_decay(model: Model, residual: Complex, data: Measured) -> None:
@@ -186,11 +186,11 @@ def _descended(
     view: ObservationModel, data: Measured, psi: Real, sign: Real, method: MaximumLikelihood
 ) -> Real:
     lower, upper = bounds(view, method.positive)
-    found = minimise(
+    minimum = minimise(
         lambda x, rows: local(view, data, x, sign[rows]),
         psi, limit=min(method.max_iterations, STEPS), tolerance=1e-3, lower=lower, upper=upper,
     )  # fmt: skip
-    return found.x
+    return minimum.x
 
 
 def _explained(view: ObservationModel, W: Complex, fitted: bool, psi: Real, sign: Real) -> Real:

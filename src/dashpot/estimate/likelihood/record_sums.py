@@ -82,9 +82,9 @@ class _Products:
 
     def explained(self, fit: EndsFitted) -> Real:
         """What the columns of all records explain of the products of the rows with each other, (K, w, w)."""
-        own = np.swapaxes(fit.B, -1, -2) @ self.left(fit.shared)
+        projected = np.swapaxes(fit.B, -1, -2) @ self.left(fit.shared)
         by_basis = np.sum(np.swapaxes(self.basis, -1, -2) @ self.basis, axis=(1, 2))
-        total: Real = np.sum(np.swapaxes(own, -1, -2) @ own, axis=1) + by_basis
+        total: Real = np.sum(np.swapaxes(projected, -1, -2) @ projected, axis=1) + by_basis
         return total
 
     def coefficients(self, fit: EndsFitted) -> tuple[Real, Real]:

@@ -51,28 +51,28 @@ def reduced_search(
     psi, sign = candidates(likelihood.data, view, 1, np.random.default_rng(likelihood.effort.seed))
     lines = _spread(view.omega)
     V = np.zeros((view.model.n, 0))
-    found, notices, history, settled = None, tuple[Notice, ...](), [psi[0]], False
+    minima, notices, history, settled = None, tuple[Notice, ...](), [psi[0]], False
     iterations = np.zeros(1, dtype=np.int64)
     for _ in range(REFRESHES):
         V = _basis(V, view, psi[0], lines)
         on_basis = replace(likelihood, view=replace(view, reduced=reduced(view, V)))
-        if found is None:
-            found, sign, notices = from_minima(on_basis, global_minima(on_basis, 0))
+        if minima is None:
+            minima, sign, notices = from_minima(on_basis, global_minima(on_basis, 0))
         else:
-            found = on_basis.descend(psi, sign)
-        iterations += found.iterations
-        history.append(found.x[0])
-        still = _steps(found.x - psi, on_basis, found.x, sign) < STILL
-        psi = found.x
+            minima = on_basis.descend(psi, sign)
+        iterations += minima.iterations
+        history.append(minima.x[0])
+        still = _steps(minima.x - psi, on_basis, minima.x, sign) < STILL
+        psi = minima.x
         if still:
             more = _left_out(likelihood, on_basis, lines, psi, sign)
             settled = not len(more)
             if settled:
                 break
             lines = np.union1d(lines, more)
-    assert found is not None
-    converged = found.converged & settled
-    whole = OptimizeResult(psi, found.cost, converged, iterations, np.array(history))
+    assert minima is not None
+    converged = minima.converged & settled
+    whole = OptimizeResult(psi, minima.cost, converged, iterations, np.array(history))
     return on_basis, whole, sign, notices
 
 

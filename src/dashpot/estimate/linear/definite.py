@@ -66,11 +66,11 @@ def matrices_of(model: Model, estimate: Estimate) -> FreeMatrices:
     p = model.parameters(estimate.values[..., :m])
     B = model.B
     upper = [(i, j) for i in range(model.n) for j in range(i, model.n)]
-    found: dict[Letter, Real] = {}
+    matrices: dict[Letter, Real] = {}
     rows, entries = [], []
     for letter in LETTERS:
         index = model.by_matrix[letter]
-        found[letter] = np.einsum("...e,ei,ej->...ij", p[..., index], B[index], B[index])
+        matrices[letter] = np.einsum("...e,ei,ej->...ij", p[..., index], B[index], B[index])
         for i, j in upper:
             row = (B[index, i] * B[index, j]) @ model.T[index]
             if np.any(row):
@@ -78,7 +78,9 @@ def matrices_of(model: Model, estimate: Estimate) -> FreeMatrices:
                 entries.append((letter, i, j))
     L = np.array(rows).reshape(len(rows), m)
     covariance = L @ estimate.covariance[..., :m, :m] @ L.T
-    return FreeMatrices(model.coordinates, found["M"], found["C"], found["K"], tuple(entries), covariance)
+    return FreeMatrices(
+        model.coordinates, matrices["M"], matrices["C"], matrices["K"], tuple(entries), covariance
+    )
 
 
 @dataclass(frozen=True)
@@ -120,11 +122,11 @@ class DefiniteOptimalIV(Method):
             converged[rows[~there_is]] = False
             rows, start = rows[there_is], start[there_is]
         if len(rows):
-            found = self._on_the_cone(data.model, data.seen_states, cones, theta[rows], start, rows)
-            theta[rows], converged[rows] = where_finite(found.x, theta[rows]), found.converged
-            iterations[rows] += found.iterations
+            ends = self._on_the_cone(data.model, data.seen_states, cones, theta[rows], start, rows)
+            theta[rows], converged[rows] = where_finite(ends.x, theta[rows]), ends.converged
+            iterations[rows] += ends.iterations
             if rows[0] == 0:
-                history = np.concatenate([history, found.history])
+                history = np.concatenate([history, ends.history])
         return Solution(theta, free.covariance, converged, iterations, history, free.signs, free.warnings)
 
     def _on_the_cone(
@@ -137,12 +139,12 @@ class DefiniteOptimalIV(Method):
         converged = np.zeros(len(rows), dtype=bool)
         iterations = np.zeros(len(rows), dtype=np.int64)
         history = [x[0].copy()]
-        here, active = likelihood(x, everyone), everyone
-        cost = here.cost.copy()
+        around, active = likelihood(x, everyone), everyone
+        cost = around.cost.copy()
         for _ in range(self.max_iterations):
-            target = x[active] + solve_scaled(here.symmetric, here.gradient)
-            step = _nearest(target, here.symmetric, cones, start[active]) - x[active]
-            length = np.sqrt(np.maximum(np.einsum("ku,kuv,kv->k", step, here.symmetric, step), 0.0))
+            target = x[active] + solve_scaled(around.symmetric, around.gradient)
+            step = _nearest(target, around.symmetric, cones, start[active]) - x[active]
+            length = np.sqrt(np.maximum(np.einsum("ku,kuv,kv->k", step, around.symmetric, step), 0.0))
             for _halving in range(12):
                 there = likelihood(x[active] + step, active)
                 worse = ~(there.cost <= cost[active] + TIE)
@@ -160,7 +162,7 @@ class DefiniteOptimalIV(Method):
             keep = ~done & better
             if not np.any(keep):
                 break
-            active, here = active[keep], there.rows(keep)
+            active, around = active[keep], there.rows(keep)
         return OptimizeResult(x, cost, converged, iterations, np.array(history))
 
 
@@ -226,8 +228,8 @@ def _inside(model: Model, cones: list[_Cone], free: Real) -> tuple[Real, Bools]:
         good = _smallest(cones, free + middle[:, None] * (deep - free)) > 0
         low, high = np.where(good, low, middle), np.where(good, middle, high)
     part = high + 0.1 * (1 - high)
-    found = free + part[:, None] * (deep - free)
-    return found, (_smallest(cones, deep) > 1e-9) & (_smallest(cones, found) > 0)
+    inside = free + part[:, None] * (deep - free)
+    return inside, (_smallest(cones, deep) > 1e-9) & (_smallest(cones, inside) > 0)
 
 
 def _nearest(centre: Real, W: Real, cones: list[_Cone], start: Real) -> Real:

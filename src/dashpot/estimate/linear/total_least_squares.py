@@ -57,22 +57,22 @@ class TotalLeastSquares(Method):
         model = data.model
         _, start, _ = starts(model, states)
         sums = noisy_sums(model, states, equation_covariance(model, model.parameters(start), states))
-        found = self._search(sums, start)
+        ends = self._search(sums, start)
         with np.errstate(all="ignore"):
-            covariance = _covariance(data, sums, found.theta, found.size, total=True)
+            covariance = _covariance(data, sums, ends.theta, ends.size, total=True)
         warnings: list[Notice] = []
-        if not np.all(found.converged):
+        if not np.all(ends.converged):
             text = "the noise factor did not converge: the noise hides at least one unknown"
             warnings.append(Notice("noise_factor_diverged", text))
-        elif np.any(found.size > HIDDEN * sums.largest()):
+        elif np.any(ends.size > HIDDEN * sums.largest()):
             text = "tls is not to be trusted here: the noise almost hides a combination of unknowns"
             warnings.append(Notice("noise_near_singular", text))
         return Solution(
-            found.theta,
+            ends.theta,
             covariance,
-            found.converged,
-            found.iterations,
-            found.history,
+            ends.converged,
+            ends.iterations,
+            ends.history,
             warnings=tuple(warnings),
         )
 
@@ -227,17 +227,17 @@ def _covariance(data: Prepared, sums: NoisySums, theta: Real, size: Real, *, tot
     For total least squares λ = vᵀAv / vᵀGv is noisy too: the score is 2 Re (Φ − e kᵀ)ᴴ Ω e, k = (Gθ − g) / vᵀGv.
     Regressors are those of the amplitudes that satisfy the model: measured ones would count the noise twice.
     """
-    model, looks = data.model, combined(data)
+    model, sampled = data.model, combined(data)
     at = auxiliary(model, model.parameters(theta), sums.states)
     Psi = regressors(model, at.w)
-    Q = equation_map(looks, model.parameters(theta))
-    Gamma = noise_map(looks)
-    V = looks.V
+    Q = equation_map(sampled, model.parameters(theta))
+    Gamma = noise_map(sampled)
+    V = sampled.V
     if total:
         k = sums.noise_part(theta) / sums.noise(theta)[:, None]
         Gamma = Gamma - Q[..., :, None, :] * k[:, None, None, :, None]
         V = V * size[:, None, None, None]
-    twice, once = np.full_like(looks.weight, 2.0), np.ones_like(looks.weight)
+    twice, once = np.full_like(sampled.weight, 2.0), np.ones_like(sampled.weight)
     meat = score_covariance(
         solve_small(sums.Se, Psi), Q, np.zeros_like(at.e), Gamma, solve_small(sums.Se, Q), V, twice, once
     )

@@ -95,10 +95,10 @@ def pair(data: ModalData, view: MeasuredModes, values: Complex, shapes: Complex)
         measured = np.where(view.present, np.nan_to_num(data.shapes), 0.0)
         there = view.present.astype(float)
         across = np.abs(np.einsum("kmp,kjp->kmj", np.conj(measured), seen)) ** 2
-        own = np.sum(np.abs(measured) ** 2, axis=-1)
+        size = np.sum(np.abs(measured) ** 2, axis=-1)
         theirs = np.einsum("mp,kjp->kmj", there, np.abs(seen) ** 2)
         with np.errstate(invalid="ignore", divide="ignore"):
-            mac = across / (own[:, :, None] * theirs)
+            mac = across / (size[:, :, None] * theirs)
         cost = cost + np.where(several[:, None], 1 - np.nan_to_num(mac), 0.0)
     cost = np.where(swings[:, None, :], cost, 1e6)
     chosen = np.empty(cost.shape[:2], dtype=np.int64)

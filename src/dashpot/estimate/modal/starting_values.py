@@ -78,16 +78,16 @@ def like_parts(model: Model, data: ModalData) -> Real:
 
 def _root(rising: Callable[[float], float]) -> float | None:
     """Where a rising function is 0; None where it is nowhere, or has no value."""
-    here = rising(0.0)
-    if not np.isfinite(here) or here == 0:
-        return 0.0 if here == 0 else None
+    at_zero = rising(0.0)
+    if not np.isfinite(at_zero) or at_zero == 0:
+        return 0.0 if at_zero == 0 else None
     low = high = 0.0
     for _ in range(MOST_SCALINGS):
-        low, high = (low - FARTHER, low) if here > 0 else (high, high + FARTHER)
-        there = rising(low if here > 0 else high)
+        low, high = (low - FARTHER, low) if at_zero > 0 else (high, high + FARTHER)
+        there = rising(low if at_zero > 0 else high)
         if not np.isfinite(there):
             return None
-        if (there > 0) != (here > 0):
+        if (there > 0) != (at_zero > 0):
             with suppress(ValueError):  # no value on the way
                 return float(brentq(rising, low, high, xtol=1e-12))
             return None

@@ -55,9 +55,9 @@ def predict_record(model: Model, estimate: Estimate, record: Record) -> Predicte
         residual, J = problem.residuals(np.concatenate([fixed, start]))[0]
         if J is None:
             raise DataError("the motion cannot be followed", record.source, "see whether it is of this rig")
-        own = J[..., problem.inner :].reshape(-1, machine.states)
+        by_inner = J[..., problem.inner :].reshape(-1, machine.states)
         seen = 2 * machine.model.n  # states of laws keep what they began with
-        start[:seen] += np.linalg.lstsq(own[:, :seen], residual.ravel(), rcond=1e-8)[0]
+        start[:seen] += np.linalg.lstsq(by_inner[:, :seen], residual.ravel(), rcond=1e-8)[0]
     residual = problem.residuals(np.concatenate([fixed, start]), slopes=False)[0][0]
     spread = np.sqrt(np.mean((data.outputs - np.mean(data.outputs, axis=0)) ** 2, axis=0))
     rms = np.sqrt(np.mean(residual**2, axis=0))

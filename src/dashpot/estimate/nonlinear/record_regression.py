@@ -107,10 +107,10 @@ def first_record_values(model: Model, records: tuple[RecordData, ...]) -> Real:
     best: tuple[float, Real] | None = None
     for constants in constants_to_try(model, np.max(np.abs(d), axis=0), np.max(np.abs(v), axis=0)):
         unit = np.empty_like(d)
-        for row, (index, own) in enumerate(zip(chosen, model.constant_slices, strict=True)):
+        for row, (index, inner) in enumerate(zip(chosen, model.constant_slices, strict=True)):
             law = model.elements[int(index)].force_law
             assert law is not None
-            unit[:, row] = law(d[:, row], v[:, row], d[:, row], constants[own]).value
+            unit[:, row] = law(d[:, row], v[:, row], d[:, row], constants[inner]).value
         p, residual = fitted(form, unit)
         slope, known = model.constants_map
         theta = (constants - known) @ slope

@@ -53,15 +53,15 @@ def _by_regression(data: Prepared) -> Real:
     model = data.model
     motion = measured_motion(data)
     weight = scale_of_lines(motion)
-    own = np.any(model.T, axis=0)
+    strengths = np.any(model.T, axis=0)
     tried = []
     for constants in constant_trials(motion):
         p, residual = regression(motion, constants, weight)
         theta = np.zeros(len(model.unknowns))
-        theta[own] = p[0]
+        theta[strengths] = p[0]
         theta = np.where(model.prior_precision > 0, model.prior_mean, theta)
         slope, known = model.constants_map
-        theta[~own] = (constants - known) @ slope[:, ~own]
+        theta[~strengths] = (constants - known) @ slope[:, ~strengths]
         if np.all(np.isfinite(theta)):
             tried.append((float(residual[0]), theta))
     tried.sort(key=lambda pair: pair[0])
@@ -82,7 +82,7 @@ def constant_trials(motion: MeasuredMotion) -> list[Real]:
 def constants_to_try(model: Model, elongation: Real, speed: Real) -> list[Real]:
     """As `constant_trials`, for elements whose largest elongation and speed are given, (e,) each."""
     choices: list[tuple[float, ...]] = []
-    rows = [row for row, own in enumerate(model.constant_slices) for _ in range(own.stop - own.start)]
+    rows = [row for row, inner in enumerate(model.constant_slices) for _ in range(inner.stop - inner.start)]
     many = sum(constant.unknown and constant.guess is None for _, constant in model.constants) > 2
     for row, (element, constant) in zip(rows, model.constants, strict=True):
         stated = constant.value if constant.value is not None else constant.guess
@@ -111,8 +111,8 @@ def _by_linear_rig(data: Prepared, view: ObservationModel, calibrations: Real) -
     model = data.model
     values, gains = _linear_fit(data, calibrations)
     theta = np.array([_known_start(u.prior, u.guess, values.get(u.name, np.nan)) for u in model.unknowns])
-    own = np.any(model.T, axis=0)
-    open_elements = [j for j in np.flatnonzero(own) if not np.isfinite(theta[j])]
+    strengths = np.any(model.T, axis=0)
+    open_elements = [j for j in np.flatnonzero(strengths) if not np.isfinite(theta[j])]
     elongation, speed = _expected_motion(data, values)
     starts = []
     for constants in constants_to_try(model, elongation, speed)[:40]:
@@ -122,7 +122,7 @@ def _by_linear_rig(data: Prepared, view: ObservationModel, calibrations: Real) -
             for j in open_elements:
                 trial[j] = ratio * sizes[j]
             slope, known = model.constants_map
-            trial[~own] = (constants - known) @ slope[:, ~own]
+            trial[~strengths] = (constants - known) @ slope[:, ~strengths]
             starts.append(np.where(np.isfinite(trial), trial, 1.0))
     return np.array(starts), gains
 
@@ -162,12 +162,12 @@ def _linear_fit(data: Prepared, calibrations: Real) -> tuple[dict[str, float], R
             soft = (LINEAR_MISFIT * size)[..., None] * np.eye(y.shape[-1]) * size[:, None, :] * LINEAR_MISFIT
             exact = np.diagonal(data.covariance, axis1=-2, axis2=-1)[:, fundamental] == 0
             V = data.covariance[:, fundamental] + np.where(exact[..., None], 0.0, soft)
-            found = MaximumLikelihood(starts=16, candidates=600, rounds=2).solve(
+            solution = MaximumLikelihood(starts=16, candidates=600, rounds=2).solve(
                 replace(data, model=model, spectrum=spectrum, covariance=V, states=None)
             )
         except DashpotError:
             continue
-        theta = found.theta[0]
+        theta = solution.theta[0]
         names = [u.name for u in model.unknowns]
         fitted = dict(zip(names, theta[: len(names)].tolist(), strict=True))
         nonlinear = {e.name for e in data.model.elements if e.force_law is not None}

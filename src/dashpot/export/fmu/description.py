@@ -42,29 +42,29 @@ def variables(rig: IdentifiedRig, system: StateSpace) -> list[Variable]:
     """All variables in the order of their value references, from 0 on: time, inputs, slopes, outputs, parameters,
     starts of the states.  Names are made different by a number behind them."""
     model = rig.model
-    found = [Variable("time", "independent", "continuous", "s", "Time")]
+    listed = [Variable("time", "independent", "continuous", "s", "Time")]
     for port in system.inputs:
         text = f"{port.quantity} given to the rig"
-        found.append(Variable(port.name, "input", "continuous", port.unit, text.capitalize(), 0.0))
+        listed.append(Variable(port.name, "input", "continuous", port.unit, text.capitalize(), 0.0))
     for port in system.inputs:
         text = f"How fast {port.name} goes on rising during the next step (0: it is held)"
-        found.append(Variable(f"{port.name}_slope", "input", "continuous", None, text, 0.0))
+        listed.append(Variable(f"{port.name}_slope", "input", "continuous", None, text, 0.0))
     for port in system.outputs:
-        found.append(Variable(port.name, "output", "continuous", port.unit, port.quantity.capitalize()))
+        listed.append(Variable(port.name, "output", "continuous", port.unit, port.quantity.capitalize()))
     sd = np.abs(model.T) @ np.sqrt(np.diagonal(rig.covariance))
     for i in root_elements(rig):
         element = model.elements[i]
         text = str(element.kind).capitalize() + (f", standard deviation {sd[i]:.3g}" if sd[i] > 0 else "")
         unit = model.unit(element)
-        found.append(Variable(element.name, "parameter", "fixed", unit, text, float(rig.p[i])))
+        listed.append(Variable(element.name, "parameter", "fixed", unit, text, float(rig.p[i])))
     for k, name in enumerate(_starts(rig, system)):
         quantity = MOTIONS[_derivative(rig, system, k)]
         angular = _point(rig, system, k) in model.angles
         text = f"{quantity.capitalize()} at the start"
-        found.append(Variable(name, "parameter", "fixed", si_unit(quantity, angular), text, 0.0))
+        listed.append(Variable(name, "parameter", "fixed", si_unit(quantity, angular), text, 0.0))
     taken: set[str] = set()
     unique = []
-    for variable in found:
+    for variable in listed:
         name, count = printable(variable.name), 1
         while name in taken:
             count += 1

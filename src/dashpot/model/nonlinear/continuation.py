@@ -68,11 +68,11 @@ def followed(
     """
     tracer = _Tracer(model, theta, drive_at)
     q = tracer.first(start)
-    found = tracer.trace(q, points)
-    drives = [drive_at(share) for _, share in found]
+    path = tracer.trace(q, points)
+    drives = [drive_at(share) for _, share in path]
     drive = joined_drives(drives)
-    delta = np.array([point for point, _ in found])
-    along = np.array([share for _, share in found])
+    delta = np.array([point for point, _ in path])
+    along = np.array([share for _, share in path])
     at = tracer.whole(drive, delta)
     turns = np.diff(np.sign(np.diff(along)))
     folds = frozen(np.flatnonzero(turns) + 1, np.int64)
@@ -115,8 +115,8 @@ class _Tracer:
         """(residual (eW,), ∂/∂q (eW, eW), the share of the laws in the linear part) at one point."""
         forces = alternate(self.model, self.constants, self.drive_at(share).omega, q[None], self.times)
         secant = secant_of(self.p[:, self.model.nonlinear], forces.a, q[None])
-        here = self.equations(share, secant)
-        return here.residual(q[None], forces.a).ravel(), here.matrix(forces.slope)[0], secant
+        equations = self.equations(share, secant)
+        return equations.residual(q[None], forces.a).ravel(), equations.matrix(forces.slope)[0], secant
 
     def along(self, q: Real, share: float, secant: Complex) -> Real:
         """∂residual/∂λ, (eW,)."""
@@ -155,8 +155,8 @@ class _Tracer:
         _, by_q, secant = self.state(q, 0.0)
         by_share = self.along(q, 0.0, secant)
         direction = _tangent(by_q * size, by_share, np.eye(len(point))[-1])
-        step, found = FIRST, [(q, 0.0)]
-        while len(found) < points and direction is not None and step >= SMALLEST:
+        step, path = FIRST, [(q, 0.0)]
+        while len(path) < points and direction is not None and step >= SMALLEST:
             target, plane = point + step * direction, direction
             ending = target[-1] >= 1.0
             if ending:  # the last point lies on λ = 1 itself
@@ -170,9 +170,9 @@ class _Tracer:
             if end is None or ahead is None or float(ahead @ direction) < TURN:
                 step /= 2
                 continue
-            found.append((q, float(end.point[-1])))
+            path.append((q, float(end.point[-1])))
             if ending:
-                return found
+                return path
             if end.point[-1] < 0:
                 break
             larger = self._size(q) / size
@@ -181,7 +181,7 @@ class _Tracer:
             direction = _tangent(end.by_q * size, by_share, ahead)
             step = min(step * (1.5 if end.turns <= 4 else 1.0), LARGEST)
         raise ConvergenceError(
-            f"the curve of responses cannot be followed beyond {100 * found[-1][1]:.3g} % of the way",
+            f"the curve of responses cannot be followed beyond {100 * path[-1][1]:.3g} % of the way",
             cure="take a shorter way, more harmonics or a smaller drive",
         )
 

@@ -116,8 +116,8 @@ class ForceLaw:
         if self.rate is None:
             return dimensions(self.expression, known)
         known["z"] = (1.0, 0.0)
-        own = dimensions(self.expression, known)
-        return own[0], {**dimensions(self.rate, known)[1], **own[1]}
+        of_law = dimensions(self.expression, known)
+        return of_law[0], {**dimensions(self.rate, known)[1], **of_law[1]}
 
     def __call__(self, d: Real, v: Real, z: Real, constants: Real) -> Dual:
         """Unit force and its derivatives by name; `constants` (..., G) broadcast against d, v, z ."""

@@ -122,8 +122,8 @@ class Integrator:
         for i, row in enumerate(self.with_state):
             d_a[:, row] += at.by_z0[:, 0, row, None] * motion.slope[:, 2 * n + i]
         m, start = len(self.model.unknowns), self.states
-        for row, own in enumerate(self.model.constant_slices):
-            d_a[:, row, start : start + m] += at.by_g[row][:, 0] @ self.model.constants_map[0][own]
+        for row, inner in enumerate(self.model.constant_slices):
+            d_a[:, row, start : start + m] += at.by_g[row][:, 0] @ self.model.constants_map[0][inner]
         load = -(K @ d_x) - C @ d_v - (self.Bn.T * self.p[self.model.nonlinear]) @ d_a
         nodes = np.concatenate([x, v], axis=-1)
         load[..., start : start + m] += self._unit_loads(nodes, at, force[:, None], u, du)[:, 0]
@@ -136,8 +136,8 @@ class Integrator:
         a, by_z0 = np.zeros((S, K, e)), np.zeros((S, K, e))
         by_d, by_v, by_g = np.zeros((S, K, e)), np.zeros((S, K, e)), []
         nothing = np.zeros((S, K))
-        for row, (law, own) in enumerate(zip(self.laws, self.model.constant_slices, strict=True)):
-            g = np.broadcast_to(self.constants[own], (S, own.stop - own.start))
+        for row, (law, inner) in enumerate(zip(self.laws, self.model.constant_slices, strict=True)):
+            g = np.broadcast_to(self.constants[inner], (S, inner.stop - inner.start))
             held = z[..., self.with_state.index(row)] if law.has_state else nothing
             at = law(d[..., row], v[..., row], held, g)
             a[..., row] = at.value
@@ -221,9 +221,9 @@ class Integrator:
         m, first = len(model.unknowns), Q - self.directions
         if with_unknowns:
             G = model.constants_map[0]
-            for row, own in enumerate(model.constant_slices):
-                if own.stop > own.start:
-                    direct[:, :, row, first : first + m] += at.by_g[row] @ G[own]
+            for row, inner in enumerate(model.constant_slices):
+                if inner.stop > inner.start:
+                    direct[:, :, row, first : first + m] += at.by_g[row] @ G[inner]
             load = self._unit_loads(
                 nodes, at, self.force[index], self.inputs[index, :, 0], self.inputs[index, :, 1]
             )
@@ -245,8 +245,8 @@ class Integrator:
                 + np.einsum("sl,slq->sq", held.by_v[:, 3], d_v[:, :, row])
             )
             if with_unknowns:
-                own = model.constant_slices[row]
-                after[:, 2 * n + i, first : first + m] += held.by_g[:, 3] @ model.constants_map[0][own]
+                inner = model.constant_slices[row]
+                after[:, 2 * n + i, first : first + m] += held.by_g[:, 3] @ model.constants_map[0][inner]
         return after
 
     def _unit_loads(self, nodes: Real, at: StepForces, force: Real, u: Real, du: Real) -> Real:

@@ -32,8 +32,8 @@ def read_elements(reading: RigReading, points: Points) -> list[Element]:
     elements = []
     for section in (key for key in reading.table if key in SECTIONS):
         for name, raw in reading.entries(section):
-            own, constants = split_constants(raw)
-            entry = reading.entry(ElementEntry, section, name, own)
+            keys, constants = split_constants(raw)
+            entry = reading.entry(ElementEntry, section, name, keys)
             element = (
                 None if entry is None else _element(reading, section, name, entry, raw, points, constants)
             )

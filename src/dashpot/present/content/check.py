@@ -28,7 +28,7 @@ def structure_content(model: Model, channels: Sequence[Channel], found: Structur
         "unknowns": list(found.names),
         "rank": found.rank,
         "nominal": dict(zip(found.names, found.nominal.tolist(), strict=True)),
-        "deficiencies": [_deficiency(one, found, model, channels) for one in found.deficiencies],
+        "deficiencies": [_deficiency(entry, found, model, channels) for entry in found.deficiencies],
         "exchangeable": [list(pair) for pair in found.permutation_ambiguities],
         "rests_on_sd_of": list(found.prior_dependent),
     }
@@ -55,7 +55,7 @@ def findings_content(found: DataFindings, spectrum: Spectrum) -> dict[str, Any]:
     """What data say, each part that was asked for."""
     content: dict[str, Any] = {"data": collinearity_content(found.collinearity, spectrum)}
     if found.profiles:
-        content["profiles"] = [profile_content(one) for one in found.profiles]
+        content["profiles"] = [profile_content(entry) for entry in found.profiles]
     if found.known_errors is not None:
         content["known_errors"] = known_content(found.known_errors)
     return content
@@ -66,13 +66,13 @@ def collinearity_content(found: Collinearity, spectrum: Spectrum) -> dict[str, A
     return {
         "weak_combinations": [
             {
-                "unknowns": dict(zip(one.names, one.direction.tolist(), strict=True)),
-                "relative_sd": one.spread,
-                "widening": dict(zip(one.names, one.widening.tolist(), strict=True)),
-                "best_to_know": one.best,
-                "intervals_then": one.narrowing,
+                "unknowns": dict(zip(entry.names, entry.direction.tolist(), strict=True)),
+                "relative_sd": entry.spread,
+                "widening": dict(zip(entry.names, entry.widening.tolist(), strict=True)),
+                "best_to_know": entry.best,
+                "intervals_then": entry.narrowing,
             }
-            for one in found.combinations
+            for entry in found.combinations
         ],
         "lines": [
             {"frequency_hz": float(f), "shares": dict(zip(found.names, row, strict=True)), "idle": line in found.idle}

@@ -71,13 +71,13 @@ def band_panels(
         grid = list(table.flat)
         for axes in grid[len(titles) :]:
             axes.set_visible(False)
-        for axes, title, own, points in zip(grid, titles, bands, marks, strict=False):
+        for axes, title, panel, points in zip(grid, titles, bands, marks, strict=False):
             axes.axhline(0.0, color=MUTED, lw=0.8, zorder=1)
-            for band in own:
+            for band in panel:
                 axes.fill_between(x, band.low, band.high, color=band.colour, alpha=0.16, lw=0, zorder=2)
                 for edge in (band.low, band.high):
                     axes.plot(x, edge, color=band.colour, lw=0.5, alpha=0.6, zorder=2)
-            for band in own:
+            for band in panel:
                 axes.plot(x, band.middle, zorder=3, **band.stroke)
             for mark in points:
                 axes.plot(
@@ -96,14 +96,14 @@ def band_panels(
         handles.append(Line2D([], [], color=MUTED, alpha=0.25, lw=7, label=band_label))
         handles += [
             Line2D([], [], ls="", marker="D", ms=5, mfc=mark.colour, mec="white", label=mark.label)
-            for mark in {mark.label: mark for own in marks for mark in own}.values()
+            for mark in {mark.label: mark for panel in marks for mark in panel}.values()
         ]
         figure.legend(handles=handles, loc="outside upper left", ncols=len(handles), handlelength=1.6)
     return figure
 
 
 def _distinct(bands: Sequence[Sequence[Band]]) -> list[Band]:
-    return list({band.label: band for own in bands for band in own}.values())
+    return list({band.label: band for panel in bands for band in panel}.values())
 
 
 def _abscissa(axes: Axes, x: Real, logarithmic: bool) -> None:
@@ -213,10 +213,10 @@ def bar_panels(
         wide = max(3.9, min(0.6 + 0.28 * len(places) * len(panels[0]), 10.0)) if len(titles) == 1 else 3.9
         figure = Figure(figsize=(wide * len(titles) + 0.4, 3.4))
         grid = figure.subplots(1, len(titles), squeeze=False, sharey=True)[0]
-        for axes, title, own, bound in zip(grid, titles, panels, bounds, strict=True):
-            width = 0.74 / len(own)
-            for k, series in enumerate(own):
-                x = np.arange(len(places)) + (k - (len(own) - 1) / 2) * width
+        for axes, title, panel, bound in zip(grid, titles, panels, bounds, strict=True):
+            width = 0.74 / len(panel)
+            for k, series in enumerate(panel):
+                x = np.arange(len(places)) + (k - (len(panel) - 1) / 2) * width
                 axes.bar(
                     x, series.values, 0.92 * width, yerr=1.96 * series.errors, color=series.colour,
                     error_kw={"elinewidth": 0.9, "ecolor": INK},
@@ -224,7 +224,7 @@ def bar_panels(
                 for at, value, error in zip(x, series.values, series.errors, strict=True):
                     axes.annotate(
                         f"{value:.2f}", (at, value + 1.96 * error), (0, 2), textcoords="offset points",
-                        ha="center", va="bottom", fontsize=7.5 if len(own) < 3 else 6.5,
+                        ha="center", va="bottom", fontsize=7.5 if len(panel) < 3 else 6.5,
                     )  # fmt: skip
             for at, value in enumerate(bound):
                 axes.plot([at - 0.42, at + 0.42], [value, value], color=INK, lw=1.1, ls=(0, (4, 2)), zorder=4)

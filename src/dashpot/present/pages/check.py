@@ -60,7 +60,9 @@ def check_report(
 
 
 def _hardly_separated(found: DataFindings | None) -> list[str]:
-    return [] if found is None else [name for one in found.collinearity.combinations for name in one.names]
+    return (
+        [] if found is None else [name for entry in found.collinearity.combinations for name in entry.names]
+    )
 
 
 def _answer(estimate: Estimate, level: float) -> Block:
@@ -74,8 +76,8 @@ def _steps(found: DataFindings | None, spectrum: Spectrum | None) -> list[str]:
             "Then: dashpot identify RIG DATA --report report.html.",
         ]
     steps = [
-        f"Know {one.best} from elsewhere, or add a sensor that separates {joined(one.names)}."
-        for one in found.collinearity.combinations[:3]
+        f"Know {entry.best} from elsewhere, or add a sensor that separates {joined(entry.names)}."
+        for entry in found.collinearity.combinations[:3]
     ]
     if found.collinearity.idle:
         steps.append(
@@ -92,9 +94,11 @@ def _evidence(found: DataFindings, spectrum: Spectrum) -> list[Block]:
         blocks.append(shares_block(found.collinearity, spectrum))
     if found.profiles:
         shown = found.profiles[:MOST_PROFILES]
-        picture = figure_picture(profile_figure(shown), f"Profiles of {joined([one.name for one in shown])}")
+        picture = figure_picture(
+            profile_figure(shown), f"Profiles of {joined([entry.name for entry in shown])}"
+        )
         blocks.append(
-            Block("Profiles", tuple(profile_in_words(one) for one in found.profiles), pictures=(picture,))
+            Block("Profiles", tuple(profile_in_words(entry) for entry in found.profiles), pictures=(picture,))
         )
     if found.known_errors is not None:
         text = "Change of each estimate, per cent, for an error of one per cent of each known parameter."

@@ -148,7 +148,7 @@ def _residuals(estimate: Estimate, found: Residuals) -> list[Block]:
         f"Size of measured minus predicted amplitude over {unit}; where the model fits, 95 % lie in the band."
     ]
     assessed = () if estimate.assessment is None else estimate.assessment.worst
-    worst = [(one.channel, one.frequency_hz, one.sd) for one in assessed]
+    worst = [(entry.channel, entry.frequency_hz, entry.sd) for entry in assessed]
     largest = found.worst()
     if not worst and largest is not None:
         worst = [largest]

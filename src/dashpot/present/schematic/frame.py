@@ -32,9 +32,9 @@ def framed(
     note: str = "",
 ) -> tuple[list[Part], float, float]:
     """The parts with a title above and a legend below; width and height of it all."""
-    found, width, head = titled(drawn, model.name, layout.width)
+    heading, width, head = titled(drawn, model.name, layout.width)
     legend, height = _legend(labels, estimated, level, note, width, head + layout.height)
-    return [*found, legend], width, height
+    return [*heading, legend], width, height
 
 
 def titled(drawn: Sequence[Part], title: str, width: float) -> tuple[list[Part], float, float]:
@@ -44,8 +44,8 @@ def titled(drawn: Sequence[Part], title: str, width: float) -> tuple[list[Part],
     head = HEAD + (len(lines) - 1) * 1.3 * TITLE if lines else 0.0
     wide = max([width, LEAST_WIDTH, *(line.width + 2 * MARGIN for line in lines)])
     texts = [Text(line, Anchor(MARGIN, MARGIN + TITLE * (0.9 + 1.3 * k))) for k, line in enumerate(lines)]
-    found = [Part("", (), tuple(texts))] if texts else []
-    return [*found, *(_shifted(part, (wide - width) / 2, head) for part in drawn)], wide, head
+    parts = [Part("", (), tuple(texts))] if texts else []
+    return [*parts, *(_shifted(part, (wide - width) / 2, head) for part in drawn)], wide, head
 
 
 def _wrapped(line: Line, width: float) -> list[Line]:

@@ -101,9 +101,9 @@ class Labels:
         if ends:
             text += f": {shortened(elongation(channel.of), 30)}"
         for what in ("gain", "delay", "sign"):
-            found = self.calibrations.get(f"{channel.name}.{what}")
-            if found is not None:
-                text += f", {what} {found}"
+            value = self.calibrations.get(f"{channel.name}.{what}")
+            if value is not None:
+                text += f", {what} {value}"
         return Line(text, "sensor", SMALL, badge=BADGES[channel.quantity])
 
 
@@ -160,21 +160,21 @@ def _estimated(estimate: Estimate, level: float) -> dict[str, tuple[Knowledge, s
 
 def _calibrations(channels: Sequence[Channel], estimate: Estimate | None) -> dict[str, str]:
     """ "NAME.gain" → its text: what was found, or ? where it is unknown."""
-    found: dict[str, str] = {}
+    values: dict[str, str] = {}
     for channel in channels:
         for what, number in (("gain", channel.gain), ("delay", channel.delay), ("sign", channel.sign)):
             if number is None:
-                found[f"{channel.name}.{what}"] = "?"
+                values[f"{channel.name}.{what}"] = "?"
     if estimate is not None:
         rows = {row.name: row for row in parameter_rows(estimate)}
         shared = {f"{c.name}.gain": f"{c.same_gain_as}.gain" for c in channels if c.same_gain_as is not None}
-        for name in list(found):
+        for name in list(values):
             row = rows.get(name, rows.get(shared.get(name, "")))
             if row is not None:
-                found[name] = _with_unit(row.value, row.unit)
+                values[name] = _with_unit(row.value, row.unit)
         for name, sign in estimate.signs.items():
-            found[f"{name}.sign"] = "+" if float(sign) > 0 else "−"
-    return found
+            values[f"{name}.sign"] = "+" if float(sign) > 0 else "−"
+    return values
 
 
 def _with_unit(text: str, unit: str) -> str:

@@ -93,9 +93,9 @@ class Placer:
             for node in reversed(nodes):
                 self._measure(node)
             columns = self._columns(nodes)
-            own = self.measures[root.body]
-            self._place(root, y + own.up, columns)
-            y += own.up + own.down + SEPARATION
+            measure = self.measures[root.body]
+            self._place(root, y + measure.up, columns)
+            y += measure.up + measure.down + SEPARATION
             width = max(width, columns.right)
         return Layout(
             width + MARGIN,

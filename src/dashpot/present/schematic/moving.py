@@ -93,12 +93,12 @@ def mode_drawing(model: Model, shape: Complex, title: str) -> ModeDrawing:
 
     Raises UsageError where there are too many bodies for a drawing.
     """
-    found = connections(model)
-    if len(found.bodies) > MOST_BODIES:
-        raise UsageError(f"{len(found.bodies)} bodies are too many for a drawing (at most {MOST_BODIES})")
+    connected = connections(model)
+    if len(connected.bodies) > MOST_BODIES:
+        raise UsageError(f"{len(connected.bodies)} bodies are too many for a drawing (at most {MOST_BODIES})")
     said = labels(model, (), None, (), numbers=False)
-    layout = Placer(model, (), forest(model, found), (), said).layout()
-    motion = _motion(model, found, shape)
+    layout = Placer(model, (), forest(model, connected), (), said).layout()
+    motion = _motion(model, connected, shape)
     frames = []
     for k in range(FRAMES):
         turn = complex(math.cos(2 * math.pi * k / FRAMES), math.sin(2 * math.pi * k / FRAMES))

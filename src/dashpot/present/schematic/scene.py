@@ -46,11 +46,11 @@ def scene_parts(
 ) -> list[Part]:
     """Everything that is drawn, from back to front; the same number of parts and shapes for any shifts."""
     moved: Shifts = {} if shifts is None else shifts
-    found = [Part("", tuple(_wire(wire, moved) for wire in layout.wires))]
-    found += [_link(link, model, labels, moved, texts) for link in layout.links]
-    found += [_body(body, moved, texts) for body in layout.bodies]
-    found += [_arrow(arrow, moved, texts) for arrow in layout.arrows]
-    return found
+    parts = [Part("", tuple(_wire(wire, moved) for wire in layout.wires))]
+    parts += [_link(link, model, labels, moved, texts) for link in layout.links]
+    parts += [_body(body, moved, texts) for body in layout.bodies]
+    parts += [_arrow(arrow, moved, texts) for arrow in layout.arrows]
+    return parts
 
 
 def _wire(wire: Wire, shifts: Shifts) -> Shape:

@@ -13,9 +13,9 @@ def show_elements(console: Console, comparison: ElementComparison) -> None:
     """A row for each candidate, and the entries of the rig file of those that the data call for."""
     rows = comparison.ranked
     columns = [
-        TableColumn("added", tuple(", ".join(_named(one)) for one in rows)),
-        TableColumn("residuals", tuple(f"{100 * one.remaining:.3g} %" for one in rows), "right"),
-        TableColumn("ln evidence", tuple(f"{one.evidence:+.4g}" for one in rows), "right"),
+        TableColumn("added", tuple(", ".join(_named(row)) for row in rows)),
+        TableColumn("residuals", tuple(f"{100 * row.remaining:.3g} %" for row in rows), "right"),
+        TableColumn("ln evidence", tuple(f"{row.evidence:+.4g}" for row in rows), "right"),
     ]
     show_table(console, columns)
     console.print("Residuals are those left, of the rig as it is; ln evidence is over the rig as it is.")

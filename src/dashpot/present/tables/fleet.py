@@ -50,25 +50,25 @@ POPULATION_LEGEND = (
 def usual_columns(parameters: Sequence[Usual]) -> list[TableColumn]:
     """Median, spread, noise, drift and the number of outliers of every parameter."""
     return [
-        TableColumn("parameter", tuple(shown(one.name) for one in parameters)),
-        TableColumn("unit", tuple("" if one.unit == "1" else one.unit for one in parameters)),
-        TableColumn("median", tuple(short(one.median, 4) for one in parameters), "right"),
-        TableColumn("spread", tuple(short(one.spread, 2) for one in parameters), "right"),
-        TableColumn("noise", tuple(short(one.noise, 2) for one in parameters), "right"),
-        TableColumn("drift", tuple(_drift(one) for one in parameters), "right"),
-        TableColumn("outliers", tuple(_count(one) for one in parameters), "right"),
+        TableColumn("parameter", tuple(shown(row.name) for row in parameters)),
+        TableColumn("unit", tuple("" if row.unit == "1" else row.unit for row in parameters)),
+        TableColumn("median", tuple(short(row.median, 4) for row in parameters), "right"),
+        TableColumn("spread", tuple(short(row.spread, 2) for row in parameters), "right"),
+        TableColumn("noise", tuple(short(row.noise, 2) for row in parameters), "right"),
+        TableColumn("drift", tuple(_drift(row) for row in parameters), "right"),
+        TableColumn("outliers", tuple(_count(row) for row in parameters), "right"),
     ]
 
 
 def population_columns(populations: Sequence[Population]) -> list[TableColumn]:
     """Mean and spread of every parameter's population."""
-    spans = [one.spread_interval for one in populations]
+    spans = [row.spread_interval for row in populations]
     return [
-        TableColumn("parameter", tuple(shown(one.name) for one in populations)),
-        TableColumn("unit", tuple("" if one.unit == "1" else one.unit for one in populations)),
-        TableColumn("mean", tuple(short(one.mean, 4) for one in populations), "right"),
-        TableColumn("±", tuple(short(one.mean_sd, 2) for one in populations), "right"),
-        TableColumn("spread", tuple(short(one.spread, 2) for one in populations), "right"),
+        TableColumn("parameter", tuple(shown(row.name) for row in populations)),
+        TableColumn("unit", tuple("" if row.unit == "1" else row.unit for row in populations)),
+        TableColumn("mean", tuple(short(row.mean, 4) for row in populations), "right"),
+        TableColumn("±", tuple(short(row.mean_sd, 2) for row in populations), "right"),
+        TableColumn("spread", tuple(short(row.spread, 2) for row in populations), "right"),
         TableColumn("95 %", tuple(f"{short(a, 2)} – {short(b, 2)}" for a, b in spans), "right"),
     ]
 
@@ -84,7 +84,7 @@ def fleet_remarks(outcome: FleetOutcome) -> list[str]:
     if unlike:
         lines.append(f"Unlike the others: {_first(unlike, ', ')}.")
     drifting = [
-        f"{shown(one.name)} by {_drift(one)} (p = {one.drift_p:.1g})" for one in outcome.usual if one.drifts
+        f"{shown(row.name)} by {_drift(row)} (p = {row.drift_p:.1g})" for row in outcome.usual if row.drifts
     ]
     if drifting:
         lines.append(f"Drift over the fleet: {', '.join(drifting)}.")
@@ -101,7 +101,7 @@ def fleet_remarks(outcome: FleetOutcome) -> list[str]:
 
 
 def _why(usual: Sequence[Usual], k: int) -> str:
-    return ", ".join(f"{shown(one.name)} {one.z[k]:+.1f} sd" for one in usual if one.outlier[k])
+    return ", ".join(f"{shown(row.name)} {row.z[k]:+.1f} sd" for row in usual if row.outlier[k])
 
 
 def _first(texts: Sequence[str], between: str) -> str:

@@ -23,9 +23,9 @@ def structure_in_words(structure: Structure, channels: Sequence[str], lines: int
     ]
     if structure.prior_dependent:
         paragraphs.append(f"Identifiable only through the prior on {listed(structure.prior_dependent)}.")
-    for one, other in structure.permutation_ambiguities:
+    for first, other in structure.permutation_ambiguities:
         paragraphs.append(
-            f"{one} and {other} are unmeasured and interchangeable: the data cannot say which is which. "
+            f"{first} and {other} are unmeasured and interchangeable: the data cannot say which is which. "
             "Give an element of one of them a min or max."
         )
     return paragraphs

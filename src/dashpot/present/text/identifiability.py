@@ -65,7 +65,7 @@ def problems_in_words(
     found: Structure, model: Model, channels: Sequence[Channel], where: str | None = None
 ) -> list[Problem]:
     """One Problem for each deficiency."""
-    said = [in_words(one, found, model, channels) for one in found.deficiencies]
+    said = [in_words(deficiency, found, model, channels) for deficiency in found.deficiencies]
     return [Problem(what, where, cure) for what, cure in said]
 
 

@@ -196,9 +196,9 @@ def _clipped(record: Record) -> list[Notice]:
 
 def _frequency_in_name(source: str) -> float | None:
     """12.5 of …/sweep_12.5Hz.csv or 12p5Hz, where it is the only one."""
-    found = {float(re.sub("[,pP]", ".", text)) for text in _IN_NAME.findall(Path(source).name)}
-    found = {f for f in found if 0 < f < 1e12}
-    return found.pop() if len(found) == 1 else None
+    numbers = {float(re.sub("[,pP]", ".", text)) for text in _IN_NAME.findall(Path(source).name)}
+    numbers = {f for f in numbers if 0 < f < 1e12}
+    return numbers.pop() if len(numbers) == 1 else None
 
 
 def write_records(

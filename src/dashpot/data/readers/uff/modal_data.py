@@ -40,14 +40,14 @@ def read_uff_modes(
     coordinate alone, or by the list that dashpot writes; where none fits and there are as many as coordinates, in
     their order.  The file has no standard deviations: `relative_sd` gives them.  Raises DataError.
     """
-    found = [mode for mode in modes_of(file) if mode.eigenvalue.imag > 0]
-    if not found:
+    measured = [mode for mode in modes_of(file) if mode.eigenvalue.imag > 0]
+    if not measured:
         raise DataError("there is no mode that swings in the file", file.name, "export datasets 55 of modes")
-    places = _places(found)
-    matched, in_order = _matched(found, places, coordinates, channels, file.name)
+    places = _places(measured)
+    matched, in_order = _matched(measured, places, coordinates, channels, file.name)
     points = [name for name in coordinates if name in matched]
-    shapes = np.array([[_entry(mode, *matched[name]) for name in points] for mode in found], dtype=complex)
-    shapes = shapes.reshape(len(found), len(points))
+    shapes = np.array([[_entry(mode, *matched[name]) for name in points] for mode in measured], dtype=complex)
+    shapes = shapes.reshape(len(measured), len(points))
     notes = [_assumed(relative_sd)]
     if in_order:
         pairs = ", ".join(f"{_label(place)} = {shown(name)}" for name, (place, _) in matched.items())
@@ -56,7 +56,7 @@ def read_uff_modes(
                 "modes_in_order", f"nodes are taken for coordinates in their order: {pairs}", tuple(points)
             )
         )
-    return _modal_data(points, found, shapes, relative_sd), notes
+    return _modal_data(points, measured, shapes, relative_sd), notes
 
 
 def _assumed(relative_sd: tuple[float, float, float]) -> Notice:
