@@ -27,6 +27,7 @@ from dashpot.estimate.registry import METHODS
 NOT_CONVERGED = 3  # exit code
 DOES_NOT_FIT = 4  # exit code of a verdict that was asked to count
 OUTPUT = "Output"
+CHOICES = ["auto", *METHODS]  # of --method
 DATA_HELP = "Data files of any format, or a manifest (TOML): time records, amplitudes, frequency responses."
 VALUES = "Values of the unknowns (else the guess or value of the rig file)"
 RECORDS = "Time records (tables of amplitudes are used as they are)"
@@ -92,7 +93,7 @@ def seed_option(of_what: str, default: int = 0) -> Callable[[Function], Function
 def method_option(group: str) -> Callable[[Function], Function]:
     """--method: the estimator."""
     return option(
-        "--method", "chosen", type=click.Choice(["auto", *METHODS]), default="auto", show_default=True, group=group,
+        "--method", "chosen", type=click.Choice(CHOICES), default="auto", show_default=True, group=group,
         help="Estimator.  auto takes oiv where every coordinate and input is measured and no unknown has bounds, ml "
         "elsewhere.",
     )  # fmt: skip

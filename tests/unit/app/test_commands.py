@@ -211,7 +211,7 @@ def test_version(dashpot: Command) -> None:
 
 
 def test_choices_of_methods_are_those_there_are() -> None:
-    from dashpot.app.commands.identify import CHOICES
+    from dashpot.app.options import CHOICES
 
     assert ["auto", *METHODS] == CHOICES
     assert [method(name).name for name in METHODS] == list(METHODS)
