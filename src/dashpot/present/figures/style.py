@@ -47,7 +47,9 @@ _STYLE = {
 
 
 LONGEST = 20  # letters of a name in a figure
-_TOO_LONG = re.compile(rf"\S{{{LONGEST + 1},}}")
+_TOO_LONG = re.compile(
+    rf"(?<!\S)(?!\$\\mathdefault)\S{{{LONGEST + 1},}}"
+)  # but for powers of ten, which are math
 
 
 @contextmanager
