@@ -27,7 +27,7 @@ def test_only_multiples_of_a_step() -> None:
 
 def test_bad_bands_and_names() -> None:
     own = paper_setup()
-    with pytest.raises(UsageError, match="no band"):
+    with pytest.raises(UsageError, match="not a band"):
         band_grid(own, 5, 2)
     with pytest.raises(UsageError, match="no multiple"):
         band_grid(own, 5.1, 5.2, 1.0)

@@ -348,9 +348,9 @@ def test_a_projection_of_nothing_finite_ends_where_it_started(centre: float) -> 
 
 
 def test_bad_pairs_and_letters_are_refused() -> None:
-    with pytest.raises(ModelError, match="no pair"):
+    with pytest.raises(ModelError, match="not a pair"):
         free_model(X, at("x1"), pairs={"K": [("x1", "y")]})
-    with pytest.raises(ModelError, match="no matrix"):
+    with pytest.raises(ModelError, match="not a matrix"):
         free_model(X, at("x1"), letters="MQ")
     model = free_model(X, at("x1"), letters="MK")
     assert {u.name[0] for u in model.unknowns} == {"m", "k"}

@@ -70,7 +70,7 @@ def test_rows_may_be_named(folder):
         ("both.npz", "", "blocks.k.file: both.npz holds several arrays; say array = one of K, other"),
         ("K.csv", "", "blocks.k.file: K.csv has no known ending"),
         ("K.mtx", ', coordinates = ["q1", "q2"]', "the matrix of k is 3 × 3, for 2 points"),
-        ("K.mtx", ', coordinates = ["q1", "q2", "q9"]', 'blocks.k.coordinates: "q9" is no point'),
+        ("K.mtx", ', coordinates = ["q1", "q2", "q9"]', 'blocks.k.coordinates: "q9" is not a point'),
         ("K.mtx", ', coordinates = ["q1", "q2", "q2"]', "stands twice"),
         ("K.mtx", ', unit = "N/m"', "blocks.k.unit: unknown key"),
     ],
