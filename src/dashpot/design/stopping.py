@@ -241,8 +241,7 @@ def enough(
 
     `targets` are relative standard deviations by name.  `known` is information (unknowns, unknowns), SI, that did not
     come from these samples (priors); it does not grow with them.  Where the model does not fit, the intervals count
-    its misfit, which no number of samples lowers.
-    Raises IdentifiabilityError where the data do not determine an unknown.
+    its misfit, which no number of samples lowers.  Raises IdentifiabilityError where an unknown is not determined.
     """
     size = np.where(estimate.values == 0, 1.0, np.abs(estimate.values))
     j = [estimate.names.index(name) for name in targets]

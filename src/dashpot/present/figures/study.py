@@ -59,10 +59,7 @@ def band_panels(
     limits: Sequence[tuple[float, float]] | None = None,
     band_label: str = "band: 95 % of the draws",
 ) -> Figure:
-    """A panel for each title with lines, bands and points over one abscissa; what lies outside `limits` is cut off.
-
-    x (points,).
-    """
+    """A panel for each title with lines, bands and points over x (points,); what lies outside `limits` is cut off."""
     columns = min(len(titles), PANELS_A_ROW)
     rows = -(-len(titles) // columns)
     with style():

@@ -431,7 +431,7 @@ def test_what_does_not_suit_is_said() -> None:
     data = measured(rig)
     with pytest.raises(IdentifiabilityError, match="size of masses"):
         identify_modal(chain(None, m1={}).model, data)
-    with pytest.raises(DataError, match="no coordinate of the rig"):
+    with pytest.raises(DataError, match="not a coordinate of the rig"):
         identify_modal(rig.model, replace(data, points=("x1", "x2", "x9")))
     four = [
         np.concatenate([a, a[:1]])
