@@ -46,7 +46,7 @@ def test_noise_is_as_large_as_it_is():
     ("samples", "period", "orders", "what"),
     [
         (400, N * STEP, ODD, "shorter than its period"),
-        (N, N * STEP * 1.0007, ODD, "no whole number of samples"),
+        (N, N * STEP * 1.0007, ODD, "not a whole number of samples"),
         (N, N * STEP, range(1, 101), "nothing shows the noise"),
         (N, N * STEP, [1, 3, 300], "beyond half the sampling rate"),
     ],

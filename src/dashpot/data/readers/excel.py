@@ -13,6 +13,8 @@ from dashpot.data.readers.delimited.table import Table
 from dashpot.data.readers.optional import damaged, library
 from dashpot.errors import DataError
 
+TRUTHS = ("true", "false")  # as text; as numbers 1 and 0
+
 
 @dataclass(frozen=True)
 class ExcelReader:
@@ -49,12 +51,16 @@ class ExcelReader:
 
 
 def _text(book: Any, name: str) -> bytes:
-    """A sheet as tab-separated text, numbers with all their digits."""
-    sheet = book.load_sheet(name, header_row=None, dtypes="string")
-    table = sheet.to_arrow()
+    """A sheet as tab-separated text, numbers with all their digits: as text they come rounded to nine decimals."""
+    table, numbers = (
+        book.load_sheet(name, header_row=None, dtypes=kind).to_arrow() for kind in ("string", "float")
+    )
     if table.num_rows == 0 or table.num_columns == 0 or table.num_columns > MOST_COLUMNS:
         return b""
-    columns = [[_cell(cell) for cell in column.to_pylist()] for column in table.columns]
+    columns = [
+        [_cell(*cell) for cell in zip(texts.to_pylist(), values.to_pylist(), strict=True)]
+        for texts, values in zip(table.columns, numbers.columns, strict=True)
+    ]
     rows = (
         "\t".join(row).rstrip("\t") if i == 0 else "\t".join(row)
         for i, row in enumerate(zip(*columns, strict=True))
@@ -62,5 +68,9 @@ def _text(book: Any, name: str) -> bytes:
     return ("\n".join(rows) + "\n").encode()
 
 
-def _cell(cell: Any) -> str:
-    return "" if cell is None else str(cell).replace("\t", " ").replace("\n", " ")
+def _cell(text: str | None, number: float | None) -> str:
+    if text is None:
+        return ""
+    if number is not None and text not in TRUTHS:
+        return repr(number)
+    return text.replace("\t", " ").replace("\n", " ")

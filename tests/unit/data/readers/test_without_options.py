@@ -132,3 +132,10 @@ def test_with_the_sampling_of_the_format(tmp_path: Path, suffix: str) -> None:
 def test_sound(tmp_path: Path) -> None:
     (tmp_path / "a.wav").write_bytes(wav(np.stack([X, 2 * X], axis=-1), int(RATE)))
     _same(tmp_path / "a.wav", (Channel("channel_1", {"x": 1}), Channel("channel_2", {"x": 1})))
+
+
+def test_small_numbers_of_workbooks_keep_their_digits(tmp_path: Path) -> None:
+    """As text the library gives them rounded to nine decimals, which is nothing for a motion of micrometres."""
+    _excel(tmp_path / "a.xlsx", {"time_s": T, "x": 1.2345678901e-7 * X, "y": 1e-9 * X})
+    values = read(tmp_path / "a.xlsx", CHANNELS).records[0].values
+    assert values == pytest.approx(np.stack([1.2345678901e-7 * X, 1e-9 * X], axis=-1), rel=1e-14, abs=0)
