@@ -101,8 +101,12 @@ class _Pool:
                 task = lost.pop() if lost else next(waiting, _NOTHING)
                 if task is _NOTHING:
                     break
-                pending[self.executor.submit(function, task)] = task
-            if not pending:
+                try:
+                    pending[self.executor.submit(function, task)] = task
+                except BrokenProcessPool:  # killed since the last result
+                    lost.append(task)
+                    break
+            if not pending and not lost:
                 return
             finished, _ = wait(pending, return_when=FIRST_COMPLETED)
             for future in finished:

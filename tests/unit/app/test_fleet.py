@@ -6,7 +6,10 @@ import json
 import os
 import signal
 import sys
+import time
+from collections.abc import Iterator
 from dataclasses import replace
+from multiprocessing import active_children
 from pathlib import Path
 from types import ModuleType
 
@@ -144,6 +147,22 @@ def test_a_killed_worker_costs_what_it_was_computing_alone(tmp_path: Path) -> No
         results = list(mapper(squared, ((k, str(tmp_path)) for k in range(12))))
     assert sorted(results) == [k**2 for k in range(12)]
     assert (tmp_path / "killed").exists()
+
+
+def test_workers_killed_while_work_is_shared_out_are_replaced() -> None:
+    """The pool is broken when the next task comes to it, not when a result does."""
+
+    def tasks() -> Iterator[int]:
+        for k in range(12):
+            if k == 6:
+                for process in active_children():
+                    process.kill()
+                    process.join()
+                time.sleep(0.5)  # until the pool knows
+            yield k
+
+    with mapping(2) as mapper:
+        assert sorted(mapper(abs, tasks())) == list(range(12))
 
 
 @pytest.mark.long
