@@ -149,23 +149,17 @@ class Workbench:
         """
         ends = list(starts)
         driven = [directly_driven(self.view, one) for one in arranged]
-        group = [t for t, one in enumerate(driven) if one is not None and one.q is not None]
-        if group:
-            origin = np.repeat(np.arange(len(group)), [len(ends[t]) for t in group])
-            data = _stack([one for one in driven if one is not None and one.q is not None])
-            # What a trial leaves out is 0 in its amplitudes, which logarithms pass over.
-            stage = Stage(self.view, data, np.ones(data.y.shape[1:]))
-            x = self._in_logarithms(stage, np.concatenate([ends[t] for t in group]), origin)
-            for k, t in enumerate(group):
-                ends[t] = x[origin == k]
+        shown = {t: one for t, one in enumerate(driven) if one is not None and one.q is not None}
+        if shown:
+            past = self._in_logarithms(list(shown.values()), [starts[t] for t in shown], by_logarithms=True)
+            for t, psi in zip(shown, past, strict=True):
+                ends[t] = psi
         soft = [self._arranged(trial, SOFTNESS) for trial in trials]
         both = [np.concatenate([ends[t], starts[t]]) for t in range(len(trials))]
         for group in _alike(soft):
-            origin = np.repeat(np.arange(len(group)), [len(both[t]) for t in group])
-            stage = Stage(self.view, _stack([soft[t] for t in group]))
-            x = self._in_logarithms(stage, np.concatenate([both[t] for t in group]), origin)
-            for k, t in enumerate(group):
-                ends[t] = x[origin == k]
+            past = self._in_logarithms([soft[t] for t in group], [both[t] for t in group])
+            for t, psi in zip(group, past, strict=True):
+                ends[t] = psi
         return ends
 
     def _descended(self, data: Measured, start: Real, rows: Ints, limit: int) -> tuple[Real, Real]:
@@ -174,8 +168,16 @@ class Workbench:
             return start, Stage(self.view, data).cost(start, sign, rows)
         return descended(self.view, data, start, sign, rows, limit)
 
-    def _in_logarithms(self, stage: Stage, start: Real, rows: Ints) -> Real:
-        return descend_all(stage, start, self._signs(start), rows, limit=LONG, tolerance=ROUGHLY)
+    def _in_logarithms(
+        self, arranged: Sequence[Measured], starts: Sequence[Real], *, by_logarithms: bool = False
+    ) -> list[Real]:
+        """Where each trial's starts end that move in logarithms; the channels may be compared by theirs as well."""
+        data, start = _stack(arranged), np.concatenate(starts)
+        # What a trial leaves out is 0 in its amplitudes, which logarithms pass over.
+        stage = Stage(self.view, data, np.ones(data.y.shape[1:]) if by_logarithms else None)
+        trial = np.repeat(np.arange(len(starts)), [len(psi) for psi in starts])
+        ends = descend_all(stage, start, self._signs(start), trial, limit=LONG, tolerance=ROUGHLY)
+        return [ends[trial == t] for t in range(len(starts))]
 
     def _signs(self, psi: Real) -> Real:
         return np.broadcast_to(self.sign, (len(psi), len(self.sign)))

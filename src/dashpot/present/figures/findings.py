@@ -11,7 +11,7 @@ from matplotlib.ticker import FixedLocator
 from dashpot.arrays import Real
 from dashpot.check.profile import Profile
 from dashpot.present.figures.design import HEAT
-from dashpot.present.figures.interactive import Quantity, hover, hover_cells
+from dashpot.present.figures.interactive import AxisLabel, hover, hover_cells
 from dashpot.present.figures.style import BAD, INK, MODEL, MUTED, style
 from dashpot.present.text.numbers import short
 
@@ -37,7 +37,7 @@ def shares_figure(names: Sequence[str], frequency_hz: Real, shares: Real) -> Fig
         axes.set_yticklabels(list(names))
         axes.set_ylim(len(names), 0)
         columns = [f"{short(float(f), 4)} Hz" for f in frequency_hz]
-        hover_cells(axes, names, columns, 100 * shares.T, Quantity("share", "%"))
+        hover_cells(axes, names, columns, 100 * shares.T, AxisLabel("share", "%"))
         axes.tick_params(length=0)
         axes.grid(visible=False)
         axes.set_xlabel("frequency, Hz")
@@ -67,7 +67,9 @@ def profile_figure(profiles: Sequence[Profile]) -> Figure:
                 if np.isfinite(end):
                     axes.axvline(end, color=BAD if bool(shown.misleads) else MODEL, lw=0.8)
             axes.set_ylim(0, 2.2 * limit)
-            hover(axes, Quantity(shown.name, "" if shown.unit == "1" else shown.unit), Quantity("rise of χ²"))
+            hover(
+                axes, AxisLabel(shown.name, "" if shown.unit == "1" else shown.unit), AxisLabel("rise of χ²")
+            )
             axes.set_title(shown.name)
             axes.set_xlabel("" if shown.unit == "1" else shown.unit)
             axes.set_ylabel("rise of χ²")

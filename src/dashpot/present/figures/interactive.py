@@ -27,7 +27,7 @@ POINTS_PER_INCH = 72  # the unit of length of matplotlib's SVG
 
 
 @dataclass(frozen=True)
-class Quantity:
+class AxisLabel:
     """What stands along an axis: its name and unit, in words."""
 
     name: str
@@ -36,13 +36,13 @@ class Quantity:
 
 @dataclass(frozen=True)
 class _Hover:
-    x: Quantity
-    y: Quantity
+    x: AxisLabel
+    y: AxisLabel
     at: tuple[str, ...] | None
     cells: dict[str, Any] | None = None
 
 
-def hover(axes: Axes, x: Quantity, y: Quantity, at: Sequence[str] | None = None) -> None:
+def hover(axes: Axes, x: AxisLabel, y: AxisLabel, at: Sequence[str] | None = None) -> None:
     """Values of the labelled points, lines and bands of these axes can be told.
 
     `at` names the points where neither axis does, for instance the frequencies of a curve in the complex plane.
@@ -51,11 +51,11 @@ def hover(axes: Axes, x: Quantity, y: Quantity, at: Sequence[str] | None = None)
 
 
 def hover_cells(
-    axes: Axes, rows: Sequence[str], columns: Sequence[str], values: Real, value: Quantity
+    axes: Axes, rows: Sequence[str], columns: Sequence[str], values: Real, value: AxisLabel
 ) -> None:
     """Values (rows, columns) of a heat map that fills the axes, first row at the top, can be told."""
     cells = {"rows": list(rows), "columns": list(columns), "values": [_numbers(row) for row in values]}
-    axes._dashpot_hover = _Hover(Quantity(""), value, None, cells)  # type: ignore[attr-defined]
+    axes._dashpot_hover = _Hover(AxisLabel(""), value, None, cells)  # type: ignore[attr-defined]
 
 
 def interactive_svg(figure: Figure) -> str:
@@ -96,7 +96,7 @@ def _panel(figure: Figure, axes: Axes, shown: _Hover, series: list[dict[str, Any
     return panel
 
 
-def _axis(quantity: Quantity, scale: str, limits: tuple[float, float], axis: Any) -> dict[str, Any]:
+def _axis(quantity: AxisLabel, scale: str, limits: tuple[float, float], axis: Any) -> dict[str, Any]:
     found: dict[str, Any] = {
         "name": quantity.name,
         "unit": quantity.unit,

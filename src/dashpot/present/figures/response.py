@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, MaxNLocator, MultipleLocator, NullFormatter, StrMethodFormatter
 
 from dashpot.check.frequency_response import FrequencyResponse
-from dashpot.present.figures.interactive import Quantity, hover
+from dashpot.present.figures.interactive import AxisLabel, hover
 from dashpot.present.figures.spectra import FREQUENCY, MANY, PHASE, frequency_axis
 from dashpot.present.figures.style import DATA, MODEL, MUTED, style
 from dashpot.present.text.numbers import short
@@ -30,7 +30,7 @@ def response_figure(responses: Sequence[FrequencyResponse]) -> Figure:
             _phase(right, shown)
             left.set_title(f"{shown.channel} over {shown.reference}")
             left.set_ylabel(shown.unit or "ratio")
-            hover(left, FREQUENCY, Quantity("amplitude", shown.unit))
+            hover(left, FREQUENCY, AxisLabel("amplitude", shown.unit))
             hover(right, FREQUENCY, PHASE)
             for axes in (left, right):
                 frequency_axis(axes, shown.lines_hz)
@@ -108,7 +108,7 @@ def nyquist_figure(responses: Sequence[FrequencyResponse]) -> Figure:
             )  # fmt: skip
             lines = [f"{short(float(f), 4)} Hz" for f in response.lines_hz]
             hover(
-                axes, Quantity("real part", response.unit), Quantity("imaginary part", response.unit), lines
+                axes, AxisLabel("real part", response.unit), AxisLabel("imaginary part", response.unit), lines
             )
             axes.set_aspect("equal", adjustable="datalim")
             axes.set_title(f"{response.channel} over {response.reference}")

@@ -11,11 +11,11 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
 
 from dashpot.arrays import Complex, Real
-from dashpot.present.figures.interactive import Quantity, hover, hover_cells
+from dashpot.present.figures.interactive import AxisLabel, hover, hover_cells
 from dashpot.present.figures.style import COLOURS, DATA, INK, MODEL, style
 from dashpot.present.text.numbers import short
 
-FREQUENCY, PHASE = Quantity("frequency", "Hz"), Quantity("phase", "°")
+FREQUENCY, PHASE = AxisLabel("frequency", "Hz"), AxisLabel("phase", "°")
 MANY = 300  # lines from which dots are small and drawn as a picture within the picture
 RAYLEIGH_95 = 1.73  # of an amplitude's size over its standard deviation, √(−ln 0.05)
 
@@ -79,7 +79,7 @@ def amplitude_and_phase(
             right.set_ylabel("phase, °")
             right.set_ylim(-200, 200)
             right.set_yticks([-180, -90, 0, 90, 180])
-            hover(left, FREQUENCY, Quantity("amplitude", unit))
+            hover(left, FREQUENCY, AxisLabel("amplitude", unit))
             hover(right, FREQUENCY, PHASE)
             for axes in (left, right):
                 frequency_axis(axes, lines_hz)
@@ -165,7 +165,7 @@ def residual_plot(
                 xytext=(-6 if right else 6, 4), ha="right" if right else "left", fontsize=8, color=INK,
             )  # fmt: skip
         axes.set_ylabel("residual / sd")
-        hover(axes, FREQUENCY, Quantity("residual", "sd"))
+        hover(axes, FREQUENCY, AxisLabel("residual", "sd"))
         axes.set_xlabel("frequency, Hz")
         frequency_axis(axes, lines_hz)
         handles, labels = axes.get_legend_handles_labels()
@@ -191,7 +191,7 @@ def correlation_plot(names: Sequence[str], matrix: Real) -> Figure:
         figure = Figure(figsize=(size + 0.7, size))
         axes = figure.subplots()
         axes.grid(visible=False)
-        hover_cells(axes, names, names, matrix, Quantity("correlation"))
+        hover_cells(axes, names, names, matrix, AxisLabel("correlation"))
         image = axes.imshow(matrix, cmap="RdBu", vmin=-1, vmax=1)
         if count <= 12:
             colours = image.to_rgba(np.nan_to_num(matrix))

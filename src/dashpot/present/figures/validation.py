@@ -8,7 +8,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from dashpot.arrays import Complex, Real
-from dashpot.present.figures.interactive import Quantity, hover
+from dashpot.present.figures.interactive import AxisLabel, hover
 from dashpot.present.figures.spectra import FREQUENCY
 from dashpot.present.figures.style import BAD, DATA, MODEL, style
 
@@ -47,8 +47,8 @@ def histories_and_spectra(
                 curves, ("measured", "predicted", "difference"), strict=True
             ):
                 right.semilogy(frequency_hz, np.abs(values), color=colour, linewidth=width, label=label)
-            hover(left, Quantity("time", "s"), Quantity(name, unit))
-            hover(right, FREQUENCY, Quantity(name, unit))
+            hover(left, AxisLabel("time", "s"), AxisLabel(name, unit))
+            hover(right, FREQUENCY, AxisLabel(name, unit))
             right.set_title(name)
         rows[0][0].legend(ncols=3, loc="upper right")
         rows[-1][0].set_xlabel("time, s")

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
-from dashpot.present.figures.interactive import Quantity, hover, hover_cells, interactive_svg
+from dashpot.present.figures.interactive import AxisLabel, hover, hover_cells, interactive_svg
 
 
 def described(figure: Figure) -> tuple[str, list[dict[str, Any]]]:
@@ -33,8 +33,8 @@ def test_points_lines_and_bands_are_told_where_they_are_drawn() -> None:
     left.set_xscale("log")
     left.set_xlim(0.5, 100)
     right.plot(f, f, "x", label="_silent")
-    hover(left, Quantity("frequency", "Hz"), Quantity("amplitude", "m"))
-    hover(right, Quantity("frequency", "Hz"), Quantity("phase", "°"))
+    hover(left, AxisLabel("frequency", "Hz"), AxisLabel("amplitude", "m"))
+    hover(right, AxisLabel("frequency", "Hz"), AxisLabel("phase", "°"))
     text, (first, second) = described(figure)
     points, line, band = first["series"]
     assert points == {
@@ -60,7 +60,7 @@ def test_heat_maps_tell_their_cells() -> None:
     axes = figure.subplots()
     values = np.array([[1.0, np.nan], [0.25, -1.0]])
     axes.imshow(values)
-    hover_cells(axes, ["a", "b"], ["1 Hz", "2 Hz"], values, Quantity("share", "%"))
+    hover_cells(axes, ["a", "b"], ["1 Hz", "2 Hz"], values, AxisLabel("share", "%"))
     _, (panel,) = described(figure)
     assert panel["cells"] == {
         "rows": ["a", "b"], "columns": ["1 Hz", "2 Hz"], "values": [[1, None], [0.25, -1]],
@@ -72,7 +72,7 @@ def test_limits_of_symmetric_logarithms_are_told() -> None:
     axes = figure.subplots()
     axes.plot([1, 2], [1, 100], "o", label="x")
     axes.set_yscale("symlog", linthresh=2)
-    hover(axes, Quantity("frequency"), Quantity("residual"))
+    hover(axes, AxisLabel("frequency"), AxisLabel("residual"))
     _, (panel,) = described(figure)
     assert panel["y"]["linear"] == pytest.approx(2)
 
