@@ -12,6 +12,7 @@ import warnings
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from importlib import import_module
+from threading import Timer, main_thread
 from types import FrameType
 
 import click
@@ -25,6 +26,7 @@ from dashpot.errors import DashpotError, printable
 from dashpot.io import ledger
 
 FAULT, USAGE, INTERRUPTED, BROKEN_PIPE = 1, 2, 130, 141  # 128 + signal, as shells report it
+ENDING = [getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name)]
 TRACEBACK = "DASHPOT_TRACEBACK"
 MOST_PROBLEMS = 20  # that are told one by one
 COMPLETION = "_DASHPOT_COMPLETE"  # set by the script that `dashpot completion` prints
@@ -245,15 +247,39 @@ def _open_closed() -> None:
 
 def _end_on_signals() -> None:
     """SIGTERM and SIGHUP end the run as Ctrl-C does, unless the caller has them ignored (nohup)."""
+    for number in ENDING:
+        if signal.getsignal(number) == signal.SIG_DFL:
+            signal.signal(number, _end)
+    if hasattr(signal, "pthread_kill"):
+        sys.unraisablehook = _ask_again
 
-    def end(number: int, _: FrameType | None) -> None:
-        signal.signal(number, signal.SIG_DFL)  # a second one ends it at once
-        raise Ended(number)
 
-    for name in ("SIGTERM", "SIGHUP"):
-        number = getattr(signal, name, None)
-        if number is not None and signal.getsignal(number) == signal.SIG_DFL:
-            signal.signal(number, end)
+def _leave_signals() -> None:
+    """All is done and told: a signal that comes while the interpreter is taken down has nothing left to unwind."""
+    for number in ENDING:
+        if signal.getsignal(number) == _end:
+            signal.signal(number, signal.SIG_DFL)
+
+
+def _end(number: int, _: FrameType | None) -> None:
+    signal.signal(number, signal.SIG_DFL)  # a second one ends it at once
+    raise Ended(number)
+
+
+def _ask_again(lost: sys.UnraisableHookArgs) -> None:
+    """A signal that comes within a destructor or the callback of a weak reference is lost there: it comes again.
+
+    From a thread, a moment later: raised at once, it would be lost in this hook.
+    """
+    if not isinstance(lost.exc_value, Ended | KeyboardInterrupt):
+        sys.__unraisablehook__(lost)
+        return
+    number = lost.exc_value.number if isinstance(lost.exc_value, Ended) else signal.SIGINT
+    if isinstance(lost.exc_value, Ended):
+        signal.signal(number, _end)
+    again = Timer(0.01, signal.pthread_kill, (main_thread().ident, number))
+    again.daemon = True
+    again.start()
 
 
 def main() -> None:
@@ -268,4 +294,6 @@ def main() -> None:
     if not os.environ.get(TRACEBACK) and not sys.warnoptions:
         # What matters is in the results; warnings of the interpreter and of libraries are for developers.
         warnings.simplefilter("ignore")
-    sys.exit(run())
+    code = run()
+    _leave_signals()
+    sys.exit(code)

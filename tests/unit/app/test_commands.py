@@ -253,6 +253,35 @@ def test_a_stop_while_a_module_makes_a_class(
     assert "no file is left half-written" in done.err[0]
 
 
+ENDED_IN_A_CALLBACK = """
+import os, signal, sys, time, weakref
+from dashpot.app import cli
+
+class Node: ...
+
+def work(*args, **options):
+    node = Node()
+    number = getattr(signal, sys.argv[1])
+    watched = weakref.ref(node, lambda _: (os.kill(os.getpid(), number), time.sleep(0.1)))
+    del node
+    time.sleep(30)
+
+cli.cli.main = work
+cli.main()
+"""
+
+
+@pytest.mark.parametrize(("name", "code"), [("SIGTERM", 143), ("SIGINT", 130)])
+def test_a_stop_within_a_callback_of_the_interpreter(name: str, code: int) -> None:
+    """What is raised in the callback of a weak reference is lost, so the signal is raised again."""
+    done = subprocess.run(
+        [sys.executable, "-c", ENDED_IN_A_CALLBACK, name], capture_output=True, text=True, timeout=25
+    )
+    assert done.returncode == code
+    assert len(done.stderr.splitlines()) == 1
+    assert "no file is left half-written" in done.stderr
+
+
 def test_interruption_leaves_no_file(dashpot: Command, data: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     before = sorted(os.listdir())
 
