@@ -7,6 +7,7 @@ higher modes.  Where only the response shows a multiple, it is distortion and st
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.special import fdtrc
@@ -26,23 +27,34 @@ HIGHEST = 0.95  # of half the sampling rate
 MOST = 100  # multiples
 
 
-def driven_orders(records: Sequence[Record], conditioning: Conditioning) -> tuple[tuple[int, ...], ...]:
+@dataclass(frozen=True)
+class DrivenOrders:
+    """The multiples of its frequency that drive a dwell; fit: that of the fundamental alone, where it was made."""
+
+    orders: tuple[int, ...]
+    fit: HarmonicFit | None = None
+
+
+def driven_orders(records: Sequence[Record], conditioning: Conditioning) -> list[DrivenOrders]:
     """For each dwell the multiples of its frequency that are driven: 1 alone, unless half of the long dwells have more.
 
     A multiple counts where each channel's F test rejects noise at 1 % over all, and where it has a hundredth of some
     channel's fundamental.  Short dwells and repeats have their fundamental alone.
     """
     able = [record.values.ndim == 2 and periods_of(record) >= LONG for record in records]
-    found = [
-        _orders_of(record, conditioning) if long else (1,) for record, long in zip(records, able, strict=True)
+    driven = [
+        _orders_of(record, conditioning) if long else DrivenOrders((1,))
+        for record, long in zip(records, able, strict=True)
     ]
-    several = sum(len(orders) > 1 for orders in found)
-    return tuple(found) if 2 * several >= max(sum(able), 1) else ((1,),) * len(records)
+    several = sum(len(dwell.orders) > 1 for dwell in driven)
+    if 2 * several >= max(sum(able), 1):
+        return driven
+    return [DrivenOrders((1,), dwell.fit) for dwell in driven]
 
 
-def orders_used(orders: Sequence[tuple[int, ...]]) -> list[Notice]:
+def orders_used(driven: Sequence[DrivenOrders]) -> list[Notice]:
     """A note where dwells have more lines than their fundamentals."""
-    several = [len(of) for of in orders if len(of) > 1]
+    several = [len(dwell.orders) for dwell in driven if len(dwell.orders) > 1]
     if not several:
         return []
     dwells = f"{len(several)} dwell{'s' if len(several) > 1 else ''}"
@@ -50,19 +62,21 @@ def orders_used(orders: Sequence[tuple[int, ...]]) -> list[Notice]:
     return [Notice("harmonics_driven", text)]
 
 
-def _orders_of(record: Record, conditioning: Conditioning) -> tuple[int, ...]:
+def _orders_of(record: Record, conditioning: Conditioning) -> DrivenOrders:
     """The multiples that drive every channel of a long dwell."""
     fundamental = conditioning.changed(orders=(1,))
+    alone = None
     try:
-        if np.sum(_driven(fit_harmonics(record, None, fundamental))) < 2:
-            return (1,)
+        alone = fit_harmonics(record, None, fundamental)
+        if np.sum(_driven(alone)) < 2:
+            return DrivenOrders((1,), alone)
         rate = (len(record.time) - 1) / float(record.time[-1] - record.time[0])
         most = min(MOST, int(HIGHEST * rate / 2 / (record.frequency_hz or rate)), (len(record.time) - 4) // 6)
         every = fit_harmonics(record, None, fundamental.changed(orders=range(1, most + 1), harmonics="none"))
     except DataError:
-        return (1,)  # the samples do not tell so many apart
+        return DrivenOrders((1,), alone)  # the samples do not tell so many apart
     there = _driven(every)
-    return tuple(np.array(every.orders)[there].tolist()) if there[0] else (1,)
+    return DrivenOrders(tuple(np.array(every.orders)[there].tolist()) if there[0] else (1,), alone)
 
 
 def _driven(fit: HarmonicFit) -> Bools:

@@ -16,7 +16,7 @@ from dashpot.data.conditioning.drift import slope_costs, slopes_show
 from dashpot.data.conditioning.drive_frequency import refine_frequency
 from dashpot.data.conditioning.drive_wander import LEVEL as WANDER_LEVEL
 from dashpot.data.conditioning.drive_wander import drive_wanders
-from dashpot.data.conditioning.driven_harmonics import driven_orders, orders_used
+from dashpot.data.conditioning.driven_harmonics import DrivenOrders, driven_orders, orders_used
 from dashpot.data.conditioning.harmonic_fit import HarmonicFit, fit_harmonics
 from dashpot.data.conditioning.moderated import moderated
 from dashpot.data.conditioning.quantisation import rounding_floor, rounding_steps
@@ -84,22 +84,16 @@ def _may_repeat(settings: Conditioning) -> bool:
 def _of_dwells(dwells: Sequence[Record], settings: Conditioning) -> Spectrum:
     """The lines of dwells, treated as all of them together ask for: what was driven, frequency, settling, drift."""
     notes: list[Notice] = []
-    wanders = False
     if settings.refine != "none":
         evened = [with_even_stamps(record) for record in dwells]
         dwells = [record for record, _ in evened]
         notes += [note for _, note in evened if note is not None]
     dwells, cut = _driven_parts(dwells, settings)
     notes += cut
+    wanders = False
     if settings.refine == "auto":
-        require_stated(dwells, settings.wanted)
-        drive = drive_frequencies(dwells)
-        refined = at_frequencies(dwells, drive)
-        if drive_wanders(refined) < WANDER_LEVEL:
-            wanders = True
-        else:
-            notes += drive.note(dwells)
-            dwells = refined
+        dwells, wanders, refined = _at_drive_frequencies(dwells, settings)
+        notes += refined
     why_whole = _why_whole(dwells, settings, wanders)
     if wanders and why_whole is None:
         notes.append(Notice("drive_wanders", WANDERS))
@@ -107,22 +101,42 @@ def _of_dwells(dwells: Sequence[Record], settings: Conditioning) -> Spectrum:
         lines = dwells_with_transients(dwells, settings.band, settings.still, why=why_whole)
         return replace(lines, notes=(*notes, *lines.notes))
     if settings.drift == "auto" and slope_costs(dwells):
-        p = slopes_show(dwells, settings.wanted)
-        settings = settings.changed(drift=0 if p > DRIFT_LEVEL else 1)
-        what = "an offset alone is" if p > DRIFT_LEVEL else "offset and slope are"
-        text = f"{what} taken out of each dwell: drift over all dwells has p = {p:.2g}"
-        notes.append(Notice("drift_by_evidence", text))
-    steps = rounding_steps(dwells)
+        settings, evidence = _with_drift(dwells, settings)
+        notes.append(evidence)
+    lines = _of_settled(dwells, settings)
+    return replace(lines, notes=(*notes, *lines.notes))
+
+
+def _at_drive_frequencies(
+    dwells: Sequence[Record], settings: Conditioning
+) -> tuple[Sequence[Record], bool, list[Notice]]:
+    """The dwells at the frequencies that they show, or as they are if those wander within a dwell; whether they do."""
+    require_stated(dwells, settings.wanted)
+    drive = drive_frequencies(dwells)
+    refined = at_frequencies(dwells, drive)
+    if drive_wanders(refined) < WANDER_LEVEL:
+        return dwells, True, []
+    return refined, False, drive.note(dwells)
+
+
+def _with_drift(dwells: Sequence[Record], settings: Conditioning) -> tuple[Conditioning, Notice]:
+    """The settings with the drift that all dwells together call for."""
+    p = slopes_show(dwells, settings.wanted)
+    what = "an offset alone is" if p > DRIFT_LEVEL else "offset and slope are"
+    text = f"{what} taken out of each dwell: drift over all dwells has p = {p:.2g}"
+    return settings.changed(drift=0 if p > DRIFT_LEVEL else 1), Notice("drift_by_evidence", text)
+
+
+def _of_settled(dwells: Sequence[Record], settings: Conditioning) -> Spectrum:
+    """The lines of settled dwells, of the multiples that were driven."""
+    notes: list[Notice] = []
+    driven = [DrivenOrders(settings.wanted)] * len(dwells)
     if settings.orders == "auto" and not settings.moments:
-        orders = driven_orders(dwells, settings)
-        notes += orders_used(orders)
-    else:
-        orders = (settings.wanted,) * len(dwells)
+        driven = driven_orders(dwells, settings)
+        notes = orders_used(driven)
+    steps = rounding_steps(dwells)
     lines = concatenate(
-        [
-            _lines(record, settings.changed(orders=of), steps)
-            for record, of in zip(dwells, orders, strict=True)
-        ]
+        [_lines(record, settings, of, steps) for record, of in zip(dwells, driven, strict=True)]
     )
     if settings.wanted == (1,) and settings.noise == "auto":
         lines = moderated(lines)
@@ -167,10 +181,12 @@ def _driven_parts(dwells: Sequence[Record], settings: Conditioning) -> tuple[lis
     return kept, notes
 
 
-def _lines(record: Record, settings: Conditioning, steps: Real) -> Spectrum:
+def _lines(record: Record, settings: Conditioning, driven: DrivenOrders, steps: Real) -> Spectrum:
     """The lines of one record, whose channels are rounded to `steps` (channels,)."""
+    settings = settings.changed(orders=driven.orders)
+    known = driven.fit if driven.orders == (1,) and settings.refine != "always" else None
     record, notes = _at_its_frequency(record, settings)
-    fit = fit_harmonics(record, None, settings)
+    fit = fit_harmonics(record, None, settings) if known is None else known
     wanted = [fit.orders.index(order) for order in settings.wanted]
     frequencies = fit.frequency_hz * np.array([fit.orders[i] for i in wanted], dtype=float)
     h = calibration(record.channels, frequencies)
