@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import cast
 
 import numpy as np
@@ -39,6 +40,11 @@ class Record:
     def _repr_html_(self) -> str:
         """A table of the channels, for a notebook."""
         return cast(str, call("html", self))
+
+    @cached_property
+    def kept(self) -> dict[object, object]:
+        """What several steps of conditioning ask of the samples, by what was asked."""
+        return {}
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "channels", tuple(self.channels))

@@ -138,10 +138,10 @@ def _estimate(
     if not batch:
         warnings += [notice for each in bands for notice in each.notices(around.names)]
         dead = partial(diagnostics.dead_channels, model, spectrum)
-        few_lines = record_findings.few_lines(model, spectrum)
-        diagnostics.require_determined(around.names, theta, noise, dead, few_lines)
+        few = record_findings.few_lines(model, spectrum)
+        diagnostics.require_determined(around.names, theta, noise, dead, few)
         warnings += _notices(model, method, theta, covariance, noise, fit)
-        warnings += record_findings.of_records(model, theta, spectrum)
+        warnings += record_findings.of_records(model, theta, spectrum, few)
         warnings += [] if first.bounds is None else diagnostics.held(around.names, theta, first.bounds)
     return Estimate(
         model=model.name,

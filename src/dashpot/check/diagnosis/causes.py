@@ -34,9 +34,8 @@ ORDER = (
     "nonlinear", "channel",
 )  # fmt: skip
 OF_SAMPLES = {"white", "blocks", "periods"}  # kinds of noise that were read from samples
-PARTICULAR = tuple(
-    kind for kind in ORDER if kind not in ("dwell", "channel")
-)  # what is left out explains little
+# What is left out explains little.
+PARTICULAR = tuple(kind for kind in ORDER if kind not in ("dwell", "channel"))
 HELPS = 0.5  # χ² per degree of freedom must fall below this part of what it was
 LEFT_OUT = 2.0  # handicap of leaving a channel out
 ALIKE = 1.6  # ratio of what is left within which two causes explain alike

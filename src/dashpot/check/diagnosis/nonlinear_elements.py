@@ -214,7 +214,6 @@ def _descended(
     view: ObservationModel, exact: Measured, psi: Real, sign: Real, limit: int
 ) -> tuple[Real, float]:
     """(ψ, χ²) downhill from ψ (M,); ψ itself where nothing leads on."""
-
     end, chi2 = descended(view, exact, psi[None], sign[None], np.zeros(1, dtype=np.int64), limit)
     return (end[0], float(chi2[0])) if np.isfinite(chi2[0]) else (psi, np.inf)
 

@@ -10,15 +10,15 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from scipy.special import chdtrc, fdtrc
+from scipy.special import fdtrc
 
-from dashpot.arrays import Complex, Ints, Real
-from dashpot.data.conditioning.steady_state import block_amplitudes, whole_blocks
+from dashpot.arrays import Complex, Real
+from dashpot.data.conditioning.period_blocks import PeriodBlocks, period_blocks
 from dashpot.data.record import Record
+from dashpot.numerics.combined_tests import fishers_product
 
 LEVEL = 1e-4  # of the test for a frequency that wanders
 ROUNDED = 1e-6  # of an amplitude, and rad: what scatters less is exact
-SMALLEST = 1e-300  # p-value
 
 
 def drive_wanders(records: Sequence[Record]) -> float:
@@ -26,18 +26,17 @@ def drive_wanders(records: Sequence[Record]) -> float:
 
     1 where no dwell has blocks enough to tell.
     """
-    logs = [np.log(max(p, SMALLEST)) for p in map(_steady, records) if p is not None]
-    return float(chdtrc(2 * len(logs), -2 * float(np.sum(logs)))) if logs else 1.0
+    return float(fishers_product([p for p in map(_steady, records) if p is not None]))
 
 
 def _steady(record: Record) -> float | None:
     """p-value of one dwell having one frequency; None where it has too few periods, or repeats."""
     f = record.frequency_hz
-    blocks = None if f is None or record.values.ndim != 2 else whole_blocks(record, f)
+    blocks = None if f is None or record.values.ndim != 2 else period_blocks(record, f)
     if f is None or blocks is None or not np.any(np.ptp(record.values, axis=0)):
         return None
-    Z = _windowed(record, f, *blocks)
-    noise = np.median(block_amplitudes(record, f, *blocks)[1], axis=0)
+    Z = _windowed(record, f, blocks)
+    noise = np.median(blocks.rms, axis=0)
     size = np.mean(np.abs(Z), axis=0)
     moving = size > 0
     Z, weight = Z[:, moving], 1 / (noise**2 + (ROUNDED * size) ** 2)[moving]
@@ -52,14 +51,14 @@ def _steady(record: Record) -> float | None:
     return float(fdtrc(freedom, freedom, of_phase / of_amplitude))
 
 
-def _windowed(record: Record, f: float, starts: Ints, ends: Ints) -> Complex:
+def _windowed(record: Record, f: float, blocks: PeriodBlocks) -> Complex:
     """Amplitudes of two neighbouring blocks at a time under Hann's window, (blocks − 1, channels).
 
     The window keeps noise at low frequencies, and a slope, from doing more to one phase than to the other.
     """
     values = record.values - np.mean(record.values, axis=0)
     amplitudes = []
-    for first, last in zip(starts[:-1].tolist(), ends[1:].tolist(), strict=True):
+    for first, last in zip(blocks.starts[:-1].tolist(), blocks.ends[1:].tolist(), strict=True):
         t = record.time[first:last]
         share = (np.arange(len(t)) + 0.5) / len(t)
         window = np.sin(np.pi * share) ** 2

@@ -7,8 +7,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.special import fdtrc
 
-from dashpot.arrays import Complex, Ints, Real
-from dashpot.data.conditioning.regression import basis, duration, window
+from dashpot.arrays import Complex, Real
+from dashpot.data.conditioning.period_blocks import period_blocks
+from dashpot.data.conditioning.regression import duration
 from dashpot.data.record import Record
 from dashpot.errors import DataError
 from dashpot.notices import Notice
@@ -43,15 +44,14 @@ def settled(record: Record, frequency_hz: float | None = None) -> Settled:
     if f is None:
         raise DataError("the drive frequency is not known", record.source, "give the frequency of the record")
     time = record.time
-    blocks = whole_blocks(record, f)
+    blocks = period_blocks(record, f)
     if blocks is None:
         periods = int(f * duration(time) + 1e-6)
         text = (
             f"{record.source}: {periods} periods at {f:g} Hz are too few to detect a transient, or have gaps"
         )
         return Settled(record, 0, 0.0, Notice("transient_undetectable", text, (record.source,)))
-    starts, ends = blocks
-    Z, rms = block_amplitudes(record, f, starts, ends)
+    starts, Z, rms = blocks.starts, blocks.amplitudes, blocks.rms
     begin, end = _driven(Z)
     if end - begin >= 8:
         begin += _truncation(_features(Z[begin:end], rms[begin:end], float(np.max(np.abs(record.values)))))
@@ -93,43 +93,13 @@ def driven_throughout(record: Record) -> bool:
     f = record.frequency_hz
     if f is None or record.values.ndim != 2:
         return True
-    blocks = whole_blocks(record, f)
+    blocks = period_blocks(record, f)
     if blocks is None:
         return True
-    starts, ends = blocks
-    Z, rms = block_amplitudes(record, f, starts, ends)
-    noise = np.median(rms, axis=0) * np.sqrt(4 / np.min(ends - starts))
+    Z = blocks.amplitudes
+    noise = np.median(blocks.rms, axis=0) * np.sqrt(4 / np.min(blocks.ends - blocks.starts))
     heard = _level(np.abs(Z)) > HEARD * noise
-    return not np.any(heard) or _driven(Z[:, heard]) == (0, len(starts))
-
-
-def whole_blocks(record: Record, f: float) -> tuple[Ints, Ints] | None:
-    """Where blocks of whole periods, counted from the end, start and end; None where they are too few."""
-    time = record.time
-    periods = int(f * duration(time) + 1e-6)
-    each = max(1, periods // 32, int(np.ceil(8 * periods / len(time))))
-    blocks = periods // each
-    if blocks < 8:
-        return None
-    step = (time[-1] - time[0]) / (len(time) - 1)
-    starts = np.searchsorted(time, time[-1] + step - (each / f) * np.arange(blocks, 0, -1) - step / 4)
-    ends = np.append(starts[1:], len(time))
-    return None if np.min(ends - starts) < 4 else (starts, ends)
-
-
-def block_amplitudes(record: Record, f: float, starts: Ints, ends: Ints) -> tuple[Complex, Real]:
-    """Amplitude and residual rms of each block, both (blocks, batch · channels)."""
-    samples, channels = record.values.shape[-2:]
-    values = record.values.reshape(-1, samples, channels)
-    amplitudes, rms = [], []
-    for start, end in zip(starts.tolist(), ends.tolist(), strict=True):
-        t = record.time[start:end]
-        A = basis(t, f, (1,), 0, *window(t))
-        y = np.moveaxis(values[:, start:end], 1, 0).reshape(len(t), -1)
-        c = np.linalg.lstsq(A, y, rcond=None)[0]
-        amplitudes.append(c[1] - 1j * c[2])
-        rms.append(np.sqrt(np.mean((y - A @ c) ** 2, axis=0)))
-    return np.array(amplitudes), np.array(rms)
+    return not np.any(heard) or _driven(Z[:, heard]) == (0, len(Z))
 
 
 def _driven(Z: Complex) -> tuple[int, int]:

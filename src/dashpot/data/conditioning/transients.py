@@ -69,28 +69,20 @@ def _joined(group: list[Record]) -> Record:
     )
 
 
-def transients_show(records: Sequence[Record]) -> float:
-    """p-value of all dwells being settled: amplitudes of each one's first period against those of its last (pooled F).
-
-    1 where no dwell has two periods to compare.
-    """
-    return _p_value([change for change in map(_first_to_last, records) if change is not None])
-
-
 def transients_matter(records: Sequence[Record]) -> bool:
     """Whether dwells have transients that spoil amplitudes: significant together, and large in some dwells' channels.
 
     What a long dwell shows in its first period hardly reaches its amplitude, and the noise beside its line contains it.
     """
-    changes = [change for change in map(_first_to_last, records) if change is not None]
+    changes = first_to_last(records)
     pairs = sum(len(change.variance) for change in changes)
     clear = any(np.any(change.spoiled(CLEAR)) for change in changes)
     many = sum(int(np.sum(change.spoiled(SEEN))) for change in changes) > MANY * pairs
-    return (clear or many) and _p_value(changes) < LEVEL
+    return (clear or many) and transients_show(changes) < LEVEL
 
 
 @dataclass(frozen=True)
-class _Change:
+class Change:
     """How the amplitudes of a dwell's channels change from its first period to its last.
 
     difference, variance E|Δ|² and amplitude (channels,) of those with noise, residual degrees of freedom of a channel
@@ -111,8 +103,8 @@ class _Change:
         return there
 
 
-def _p_value(changes: Sequence[_Change]) -> float:
-    """Tail probability of all changes being noise."""
+def transients_show(changes: Sequence[Change]) -> float:
+    """p-value of all changes being noise (pooled F); 1 where no dwell has two periods to compare."""
     apart = sum(2 * float(np.sum(np.abs(change.difference) ** 2 / change.variance)) for change in changes)
     spread = sum(2 * len(change.variance) for change in changes)
     freedom = sum(change.dof * len(change.variance) for change in changes)
@@ -121,7 +113,12 @@ def _p_value(changes: Sequence[_Change]) -> float:
     return float(fdtrc(spread, freedom, apart / spread))
 
 
-def _first_to_last(record: Record) -> _Change | None:
+def first_to_last(records: Sequence[Record]) -> list[Change]:
+    """The changes of the amplitudes of those dwells that have two periods to compare."""
+    return [change for change in map(_first_to_last, records) if change is not None]
+
+
+def _first_to_last(record: Record) -> Change | None:
     """The change of a dwell's amplitudes; None where it has no two periods to compare."""
     if record.frequency_hz is None or record.values.ndim != 2:
         return None
@@ -154,7 +151,7 @@ def _first_to_last(record: Record) -> _Change | None:
         variance = fits[0].covariance[0].diagonal().real + fits[-1].covariance[0].diagonal().real
         dof = 2 * (each - 3)
     noisy = variance > (EXACT * np.max(np.abs(record.values), axis=0)) ** 2
-    return _Change(difference[noisy], variance[noisy], np.abs(fits[-1].amplitudes[0][noisy]), dof, count)
+    return Change(difference[noisy], variance[noisy], np.abs(fits[-1].amplitudes[0][noisy]), dof, count)
 
 
 def _without_slope(record: Record) -> Record:

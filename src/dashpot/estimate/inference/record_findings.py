@@ -7,7 +7,7 @@ noise of such an input explains nothing, and a fit that takes it for the drive e
 from __future__ import annotations
 
 import numpy as np
-from scipy.special import chdtrc, fdtrc
+from scipy.special import fdtrc
 
 from dashpot.arrays import Bools, Complex, Real
 from dashpot.data.spectrum import Spectrum
@@ -17,29 +17,23 @@ from dashpot.model.modes import modes
 from dashpot.model.network import Model
 from dashpot.model.observation import measures_input
 from dashpot.notices import Notice
+from dashpot.numerics.combined_tests import fishers_product
 
 BIN = 12  # lines in which a response is nearly constant and a transient straight
 BINS = 400  # looked at, at most
 SPARE = 4  # lines that a bin must have beyond its columns
 CHANCE = 0.01  # p-value above which no relation shows
-SMALLEST = 1e-300  # p-value
 FEW = 4  # equations for each term of the ends and each unknown, below which little is left for the rig
 
 
-def of_records(model: Model, theta: Real, spectrum: Spectrum) -> list[Notice]:
-    """What is to be said of an estimate that whole records have given (no batch axes)."""
+def of_records(model: Model, theta: Real, spectrum: Spectrum, few: str | None) -> list[Notice]:
+    """What is to be said of an estimate that whole records have given (no batch axes); `few` as `few_lines` says."""
     if not spectrum.records:
         return []
-    few = few_lines(model, spectrum)
-    return [
-        *short_records(model, theta, spectrum),
-        *(
-            []
-            if few is None
-            else [Notice("few_lines", f"{few}: hardly more; widen the band or record for longer")]
-        ),
-        *unrelated_inputs(model, spectrum),
-    ]
+    notices = short_records(model, theta, spectrum)
+    if few is not None:
+        notices.append(Notice("few_lines", f"{few}: hardly more; widen the band or record for longer"))
+    return notices + unrelated_inputs(model, spectrum)
 
 
 def short_records(model: Model, theta: Real, spectrum: Spectrum) -> list[Notice]:
@@ -85,17 +79,13 @@ def unrelated_inputs(model: Model, spectrum: Spectrum) -> list[Notice]:
     if not np.any(inputs) or np.all(inputs):
         return []
     amplitudes = spectrum.amplitudes[(0,) * len(spectrum.batch)]
-    logs = [
-        log
+    bins = [
+        p
         for number, value in enumerate(spectrum.stretches)
         if isinstance(value, WholeRecord)
-        for log in _logs(amplitudes[spectrum.stretch == number], inputs)
+        for p in _p_values(amplitudes[spectrum.stretch == number], inputs)
     ]
-    if not logs:
-        return []
-    outputs = int(np.sum(~inputs))
-    p = chdtrc(2 * len(logs), -2 * np.sum(logs, axis=0)) * outputs
-    if np.min(p) <= CHANCE:
+    if not bins or np.min(fishers_product(bins)) * np.sum(~inputs) <= CHANCE:
         return []
     names = [channel.name for channel, given in zip(spectrum.channels, inputs, strict=True) if given]
     low, high = float(np.min(spectrum.frequency_hz)), float(np.max(spectrum.frequency_hz))
@@ -106,14 +96,14 @@ def unrelated_inputs(model: Model, spectrum: Spectrum) -> list[Notice]:
     return [Notice("unrelated_inputs", text, tuple(names))]
 
 
-def _logs(X: Complex, inputs: Bools) -> list[Real]:
-    """log p of each bin of one record, (outputs,) each; X (lines, channels)."""
+def _p_values(X: Complex, inputs: Bools) -> list[Real]:
+    """p-values of the F tests in each bin of one record, (outputs,) each; X (lines, channels)."""
     columns = 2 + int(np.sum(inputs))
     each = max(BIN, columns + SPARE)
     if not np.all(np.isfinite(X)):
         return []
     starts = np.arange(0, len(X) - each + 1, each)
-    logs = []
+    values = []
     for start in starts[:: -(-len(starts) // BINS) if len(starts) else 1].tolist():
         part = X[start : start + each]
         run = np.linspace(-1, 1, each)[:, None]
@@ -123,8 +113,8 @@ def _logs(X: Complex, inputs: Bools) -> list[Real]:
         more, free = columns - 2, each - columns
         with np.errstate(divide="ignore", invalid="ignore"):
             F = np.where(left > 0, (without - left) / more / (left / free), np.inf)
-        logs.append(np.log(np.maximum(fdtrc(2 * more, 2 * free, F), SMALLEST)))
-    return logs
+        values.append(fdtrc(2 * more, 2 * free, F))
+    return values
 
 
 def _left(columns: Complex, Y: Complex) -> Real:
