@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cache
 from importlib.metadata import version
 from pathlib import Path
 
@@ -56,8 +57,13 @@ class Task:
         scenario = self.scenario
         return Label(
             scenario.fingerprint, self.seed, self.index, self.size, scenario.methods, len(scenario.model.unknowns),
-            f"{version('dashpot')}, {description()}",
+            f"{_version()}, {description()}",
         )  # fmt: skip
+
+
+@cache
+def _version() -> str:
+    return version("dashpot")  # reads a file each time
 
 
 @dataclass(frozen=True)
