@@ -11,7 +11,7 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache
-from importlib.metadata import version
+from importlib import metadata
 from pathlib import Path
 
 import numpy as np
@@ -28,6 +28,7 @@ from dashpot.study.store import Label, State, read_block, state_of, write_block
 from dashpot.study.summary import Repeats, Summary, all_repeats, summarise
 
 BLOCK = 500  # repeats; part of what the seed means
+version = cache(metadata.version)  # which reads a file
 
 
 Block = Mapping[str, Repeats]
@@ -57,13 +58,8 @@ class Task:
         scenario = self.scenario
         return Label(
             scenario.fingerprint, self.seed, self.index, self.size, scenario.methods, len(scenario.model.unknowns),
-            f"{_version()}, {description()}",
+            f"{version('dashpot')}, {description()}",
         )  # fmt: skip
-
-
-@cache
-def _version() -> str:
-    return version("dashpot")  # reads a file each time
 
 
 @dataclass(frozen=True)
