@@ -14,21 +14,18 @@ Everything else (```console among it) is not run.  A page that takes long says s
 from __future__ import annotations
 
 import contextlib
-import io
-import os
 import re
-import runpy
-import shlex
 import shutil
 import sys
-from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from dashpot.app.cli import run
-
 ROOT = Path(__file__).parents[1]
+sys.path.insert(0, str(ROOT / "docs" / "_ext"))
+
+import page_commands  # noqa: E402, of docs/_ext
+
 LONG = "<!-- long -->"
 _BLOCK = re.compile(
     r"^(?P<fence>`{3,})(?P<language>\w*)\n(?P<text>.*?)^(?P=fence)$", re.MULTILINE | re.DOTALL
@@ -91,9 +88,9 @@ def run_page(page: Path, folder: Path) -> None:
         for block in blocks(page):
             place = f"{name_of(page)}:{block.line}"
             if block.language == "sh":
-                printed = "".join(_command(line, place) for line in _lines(block.text))
+                printed = "".join(_command(line, place) for line in page_commands.lines(block.text))
             elif block.language == "python":
-                with _captured() as stream:
+                with page_commands.captured() as stream:
                     exec(compile("\n" * block.line + block.text, str(page), "exec"), namespace)
                 printed = stream.getvalue()
             elif block.language == "toml" and (named := re.match(r"# ([\w.-]+\.toml)\s*\n", block.text)):
@@ -104,47 +101,15 @@ def run_page(page: Path, folder: Path) -> None:
                 printed = ""
 
 
-def _lines(text: str) -> Iterator[str]:
-    for line in text.replace("\\\n", " ").splitlines():
-        if line.split("#")[0].strip():
-            yield line
-
-
 def _command(line: str, place: str) -> str:
     """What one command prints."""
-    words = shlex.split(line, comments=True)
     expected = int(match[1]) if (match := _EXIT.search(line.partition("#")[2])) else 0
-    with _captured() as stream:
-        match words[0]:
-            case "cd":
-                os.chdir(words[1])
-                code = 0
-            case "dashpot":
-                code = run(words[1:])
-            case "python":
-                code = _script(words[1:])
-            case other:
-                raise AssertionError(f"{place}: {other} is none of the commands that are run; use ```console")
-    assert code == expected, f"{place}: {line}: exit code {code}\n{stream.getvalue()}"
-    return stream.getvalue()
-
-
-def _script(words: list[str]) -> int:
-    """A script of an example, as `python SCRIPT ARGS` runs it."""
-    before, path = sys.argv, list(sys.path)
-    sys.argv, sys.path[:] = words, [str(Path(words[0]).resolve().parent), *path]
     try:
-        runpy.run_path(words[0], run_name="__main__")
-    finally:
-        sys.argv, sys.path[:] = before, path
-    return 0
-
-
-@contextlib.contextmanager
-def _captured() -> Iterator[io.StringIO]:
-    stream = io.StringIO()
-    with contextlib.redirect_stdout(stream), contextlib.redirect_stderr(stream):
-        yield stream
+        code, printed = page_commands.run_line(line)
+    except ValueError as no_command:
+        raise AssertionError(f"{place}: {no_command}") from no_command
+    assert code == expected, f"{place}: {line}: exit code {code}\n{printed}"
+    return printed
 
 
 def _compare(expected: str, printed: str, place: str) -> None:

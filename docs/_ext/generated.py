@@ -2,20 +2,20 @@
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import os
 import re
-import shlex
 import shutil
-import subprocess
-import sys
 import tempfile
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import ProcessPoolExecutor
 from functools import cache
 from importlib import import_module
+from multiprocessing import get_context
 from pathlib import Path
 
 import click
+import page_commands
 from sphinx.application import Sphinx
 
 DOCS = Path(__file__).parents[1]
@@ -37,7 +37,8 @@ def generate() -> None:
     _write(FRAGMENTS / "notices.md", notices())
     _write(FRAGMENTS / "units.md", units())
     folders = sorted((ROOT / "examples").glob("[0-9]*"))
-    with ThreadPoolExecutor(max_workers=2) as pool:  # each waits for the commands that it runs
+    spawn = get_context("spawn")
+    with ProcessPoolExecutor(max_workers=2, mp_context=spawn, initializer=_as_on_a_terminal) as pool:
         for _ in pool.map(_example, folders):
             pass
 
@@ -185,32 +186,27 @@ def _with_output(readme: str, work: Path) -> str:
     """The text with the output of each block of commands below it, where the README does not print it itself."""
     parts = re.split(r"(^```sh\n.*?^```\n)", readme, flags=re.MULTILINE | re.DOTALL)
     for k in range(1, len(parts), 2):
-        printed = run_block(parts[k].removeprefix("```sh\n").removesuffix("```\n"), work)
+        printed = _run_block(parts[k].removeprefix("```sh\n").removesuffix("```\n"), work)
         shown = re.match(r"\s*```text\n", parts[k + 1])
         if printed.strip() and shown is None:
             parts[k] += f"\n```text\n{printed.rstrip()}\n```\n"
     return "".join(parts)
 
 
-def run_block(block: str, work: Path) -> str:
+def _as_on_a_terminal() -> None:
+    """What every process that runs examples is started with: 80 columns, pictures into files, one thread."""
+    os.environ.update(COLUMNS=WIDTH, MPLBACKEND="Agg", OPENBLAS_NUM_THREADS="1")
+
+
+def _run_block(block: str, work: Path) -> str:
     """What the commands of a block print, run one after the other in the folder of the example."""
-    environment = {
-        **os.environ,
-        "COLUMNS": WIDTH,
-        "MPLBACKEND": "Agg",
-        "OPENBLAS_NUM_THREADS": "1",
-        "PYTHONPATH": os.pathsep.join([str(ROOT / "src"), os.environ.get("PYTHONPATH", "")]),
-    }
     printed = []
-    for line in block.replace("\\\n", " ").splitlines():
-        words = shlex.split(line, comments=True)
-        if not words or words[0] == "cd":  # the README says where to stand; here that is `work`
-            continue
-        start = [sys.executable] if words[0] == "python" else [sys.executable, "-m", words[0]]
-        done = subprocess.run(
-            [*start, *words[1:]], cwd=work, env=environment, capture_output=True, text=True, check=False
-        )
-        if done.returncode not in (0, 3, 4):
-            raise RuntimeError(f"{work.name}: {line}: {done.stderr or done.stdout}")
-        printed.append(done.stdout + done.stderr)
+    with contextlib.chdir(work):
+        for line in page_commands.lines(block):
+            if line.startswith("cd "):  # the README says where to stand; here that is `work`
+                continue
+            code, text = page_commands.run_line(line)
+            if code not in (0, 3, 4):
+                raise RuntimeError(f"{work.name}: {line}: {text}")
+            printed.append(text)
     return "\n".join(text for text in printed if text)
