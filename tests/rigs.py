@@ -17,10 +17,12 @@ from dashpot.data.record import Record
 from dashpot.data.spectrum import Spectrum
 from dashpot.errors import ModelError
 from dashpot.estimate.linear.gram import regressors
+from dashpot.estimate.preparation.state_reconstruction import States, states_if_seen
 from dashpot.model.dynamics import response, unit_forces
 from dashpot.model.elements import Element, Kind, between, mass
 from dashpot.model.modes import modes
 from dashpot.model.network import Input, Model
+from dashpot.model.observation import observation_model
 
 ALL_KINDS = frozenset(Kind)
 PAPER_KINDS = frozenset({Kind.SPRING, Kind.DAMPER, Kind.MASS})
@@ -328,6 +330,13 @@ def complex_noise(rng: np.random.Generator, V: Complex, draws: int | None = None
     white = (rng.standard_normal(shape) + 1j * rng.standard_normal(shape)) / np.sqrt(2)
     noise: Complex = np.einsum("...ij,...j->...i", root, white)
     return noise
+
+
+def states(model: Model, spectrum: Spectrum, V: Complex) -> States:
+    """Coordinates and inputs as the channels show them, all of which must be seen; V (…, lines, channels, channels)."""
+    seen = states_if_seen(observation_model(model, spectrum.channels, spectrum.omega), spectrum, V)
+    assert seen is not None
+    return seen
 
 
 def noisy(

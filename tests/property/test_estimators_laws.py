@@ -20,12 +20,11 @@ from dashpot.estimate.linear.instrumental_variables import InstrumentalVariables
 from dashpot.estimate.linear.least_squares import HarmonicLeastSquares, WeightedLeastSquares
 from dashpot.estimate.linear.total_least_squares import CompensatedLeastSquares, TotalLeastSquares
 from dashpot.estimate.method import Method
-from dashpot.estimate.preparation.state_reconstruction import states
 from dashpot.estimate.result import Estimate
 from dashpot.model.dynamics import unit_forces
 from dashpot.model.elements import Kind
 from dashpot.model.network import Model
-from tests.rigs import Rig, channels, covariance, noisy, paper_rig, perfect, random_rig
+from tests.rigs import Rig, channels, covariance, noisy, paper_rig, perfect, random_rig, states
 
 D, V, A = Quantity.DISPLACEMENT, Quantity.VELOCITY, Quantity.ACCELERATION
 METHODS = (

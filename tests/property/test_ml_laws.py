@@ -75,7 +75,7 @@ def test_slopes_of_the_likelihood(seed, n, inputs):
     bench = replace(bench, noise={k: v for k, v in bench.noise.items() if not k.startswith("force ")})
     flat = flattened(bench.spectrum(rng, 1, 0.3))
     view = observation_model(bench.model, flat.channels, flat.omega)
-    given_data = measured(prepare(bench.model, flat), view)
+    given_data = measured(prepare(bench.model, flat))
     sign = np.array([[bench.signs.get(channel.name, 1.0) for channel in bench.channels]])
     psi = (bench.psi * np.exp(0.01 * rng.standard_normal(len(bench.psi))))[None]
     here = local(view, given_data, psi, sign)
@@ -166,7 +166,7 @@ def test_a_valley_past_which_logarithms_lead():
     spectrum = bench.spectrum(rng)
     flat = flattened(spectrum)
     view = observation_model(bench.model, flat.channels, flat.omega)
-    data = measured(prepare(bench.model, flat), view)
+    data = measured(prepare(bench.model, flat))
     sign = np.ones((1, len(bench.channels)))
     found = identify(bench.model, spectrum, MaximumLikelihood())
     assert found.fit.chi2 < local(view, data, bench.psi[None], sign).cost[0]

@@ -12,7 +12,6 @@ from dashpot.estimate.result import Estimate
 from dashpot.io.words import joined
 from dashpot.model.network import Model
 from dashpot.model.nonlinear.harmonic_balance import periodic_response
-from dashpot.model.observation import observation_model
 from dashpot.notices import Notice
 
 APART = 0.05  # relative difference of two motions
@@ -24,9 +23,8 @@ def several_motions(model: Model, spectrum: Spectrum, estimate: Estimate) -> lis
 
     Folds lie around such dwells: a drive that is raised or swept otherwise would settle elsewhere.
     """
-    view = observation_model(model, spectrum.channels, spectrum.omega)
     try:
-        part = nonlinear_part(prepare(model, spectrum), view, np.nan_to_num(spectrum.amplitudes)[None], None)
+        part = nonlinear_part(prepare(model, spectrum), np.nan_to_num(spectrum.amplitudes)[None], None)
     except DashpotError:
         return []
     if part.start is None:

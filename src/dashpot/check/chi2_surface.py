@@ -21,7 +21,7 @@ from dashpot.estimate.likelihood.objective import (
 from dashpot.estimate.preparation.prepared import prepare
 from dashpot.estimate.result import Estimate
 from dashpot.model.network import Model
-from dashpot.model.observation import ObservationModel, observation_model
+from dashpot.model.observation import ObservationModel
 from dashpot.numerics.levenberg_marquardt import QuadraticModel, minimise
 from dashpot.numerics.small_systems import scaled_inverse
 
@@ -56,17 +56,17 @@ def chi2_surface(model: Model, spectrum: Spectrum, estimate: Estimate) -> Surfac
 
     Raises DataError where the estimate has other unknowns.
     """
-    view = observation_model(model, spectrum.channels, spectrum.omega)
+    data = prepare(model, spectrum)
+    view = data.view
     if view.names != estimate.names:
         raise DataError(
             "the estimate is of other unknowns than the rig and the channels have", cure="identify once more"
         )
-    data = prepare(model, spectrum)
     psi = estimate.values.reshape(-1, len(view.names))
     sign = np.ones((len(psi), len(view.channels)))
     for name, flips in estimate.signs.items():
         sign[:, spectrum.index(name)] = flips.ravel()
-    exact = measured(data, view)
+    exact = measured(data)
     if not data.noise_known and np.any(model.prior_precision):
         # Priors weigh against noise of the right size: that which makes χ² its degrees of freedom.
         penalty = np.sum(prior_precision(view) * (psi - prior_mean(view)) ** 2, axis=-1)

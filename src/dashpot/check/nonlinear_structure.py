@@ -46,8 +46,9 @@ def nonlinear_structure(
     measured.
     """
     given = _settled_test(model, channels) if spectrum is None else spectrum
-    view = observation_model(model, given.channels, given.omega)
-    part = nonlinear_part(prepare(model, given), view, np.nan_to_num(given.amplitudes)[None], None)
+    data = prepare(model, given)
+    view = data.view
+    part = nonlinear_part(data, np.nan_to_num(given.amplitudes)[None], None)
     psi = _nominal(model, view.gains, view.delays, part)
     J = _slopes(model, given, part, psi)
     M = len(view.names)

@@ -115,7 +115,7 @@ def residuals(
     p = model.parameters(np.asarray(theta, dtype=float))
     known = noise_is_known(spectrum)
     y = spectrum.amplitudes
-    V = working_covariance(model, spectrum)
+    V = working_covariance(observation_model(model, spectrum.channels, spectrum.omega), spectrum)
     if not known:
         V = _relative(y, V)
     if len(model.nonlinear):
@@ -167,7 +167,7 @@ def _transients(
     single = replace(spectrum, amplitudes=spectrum.amplitudes[None], covariance=V[None], moments=None)
     at = predict(
         view,
-        measured(Prepared(model, single, V[None], None, True, np.ones(1, dtype=bool)), view),
+        measured(Prepared(view, single, V[None], None, True, np.ones(1, dtype=bool))),
         psi[None],
         sign[None],
     )

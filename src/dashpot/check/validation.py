@@ -76,7 +76,7 @@ def validate(model: Model, estimate: Estimate, spectrum: Spectrum) -> tuple[Reco
     outputs = ~view.inputs_alone
     V, known = _weights(spectrum, outputs)
     one = replace(spectrum, amplitudes=spectrum.amplitudes[None], covariance=V[None], moments=None)
-    data = measured(Prepared(model, one, V[None], None, True, np.ones(1, dtype=bool)), view)
+    data = measured(Prepared(view, one, V[None], None, True, np.ones(1, dtype=bool)))
     if data.q is None:
         raise DataError(
             "the channels do not show every input, so that nothing can be predicted",

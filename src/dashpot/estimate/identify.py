@@ -25,7 +25,7 @@ from dashpot.estimate.registry import AUTOMATIC, method_class
 from dashpot.estimate.registry import method as method_named
 from dashpot.estimate.result import Estimate, Fit
 from dashpot.model.network import Model
-from dashpot.model.observation import is_direct
+from dashpot.model.observation import observation_model
 from dashpot.notices import Notice
 
 CHUNK = 2_000_000  # complex numbers of amplitudes at once: keeps the working set of a batch near 1 GB
@@ -72,9 +72,9 @@ def automatic(model: Model, spectrum: Spectrum, *, bounded: bool = False) -> Met
     Where unknowns have bounds, or are to have some (`bounded`), it must be one that holds them; where there are whole
     records, one that knows their transients; where there are nonlinear elements, one that is efficient for them.
     """
-    direct = all(is_direct(model, channel) for channel in spectrum.channels)
+    view = observation_model(model, spectrum.channels, spectrum.omega)
     bounded = bounded or bool(np.any(np.isfinite(model.bounds)))
-    by_output = not direct or bool(unseen(model, spectrum))
+    by_output = not view.is_direct.all() or bool(unseen(view, spectrum))
     transients = carries_loads(spectrum)
     for name in AUTOMATIC:
         traits = method_class(name).traits

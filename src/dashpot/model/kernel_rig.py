@@ -9,7 +9,6 @@ import numpy as np
 from dashpot.arrays import Real
 from dashpot.model.elements import MATRICES
 from dashpot.model.network import Model
-from dashpot.model.observation import kept_view
 
 
 def kernel_rig(kernel: Any, model: Model, omega: Real) -> Any | None:
@@ -19,7 +18,10 @@ def kernel_rig(kernel: Any, model: Model, omega: Real) -> Any | None:
     """
     if len(model.nonlinear):
         return None
-    return kept_view(model, (kernel, omega.tobytes()), lambda: _kernel_rig(kernel, model, omega))
+    key = (kernel, omega.tobytes())
+    if key not in model.views:
+        model.views[key] = _kernel_rig(kernel, model, omega)
+    return model.views[key]
 
 
 def _kernel_rig(kernel: Any, model: Model, omega: Real) -> Any:

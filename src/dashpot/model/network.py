@@ -20,6 +20,7 @@ from dashpot.model.elements import MATRICES, Element, Kind
 from dashpot.model.incidence import row_products
 from dashpot.model.inputs import Input as Input
 from dashpot.model.nonlinear.force_law import Constant, unit_of
+from dashpot.model.recent import Recent
 from dashpot.model.validation import problems
 
 DENSE = 1_000_000  # numbers up to which products of incidences are kept as full matrices
@@ -388,9 +389,9 @@ class Model:
         return frozen(cells % self.n, np.int64), frozen(indptr, np.int64), A
 
     @cached_property
-    def views(self) -> dict[tuple[object, ...], object]:
-        """What `model.observation` has made of this model for channels and frequencies, the last ones."""
-        return {}
+    def views(self) -> Recent:
+        """What has been made of this model for channels and frequencies."""
+        return Recent()
 
     def __getstate__(self) -> dict[str, object]:
         names = ("coordinates", "inputs", "elements", "name", "angles")

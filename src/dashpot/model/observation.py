@@ -8,7 +8,7 @@ channel's calibration; what is known of it has been taken out when raw numbers b
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import cast
@@ -27,7 +27,6 @@ from dashpot.model.sparse_dynamics import solve_stiffness
 from dashpot.numerics.small_systems import solve_small
 from dashpot.units import si_unit
 
-KEPT_VIEWS = 8  # of one model
 SPARSE_FROM = 48  # coordinates: above it a factorisation of the sparse pattern beats dense stacks
 
 
@@ -160,11 +159,21 @@ class ObservationModel:
         return {}
 
     @cached_property
+    def is_direct(self) -> Bools:
+        """Which channels depend on X, U and f alone, (channels,)."""
+        direct: Bools = np.array([is_direct(self.model, channel) for channel in self.channels], dtype=bool)
+        return direct
+
+    @cached_property
     def direct(self) -> Complex:
         """[C_x | C_q] of the channels that are direct, 0 of the others; (lines, channels, n + r + s)."""
-        direct = np.array([is_direct(self.model, channel) for channel in self.channels], dtype=bool)
-        both = np.concatenate([self.direct_x, self.direct_q], axis=-1)
-        return frozen(both * direct[:, None], np.complex128)
+        return frozen(self.rates[..., None] * self.direct_incidence, np.complex128)
+
+    @cached_property
+    def direct_incidence(self) -> Real:
+        """The same without the powers of jω, (channels, n + r + s)."""
+        both = np.concatenate([self.on_x, self.on_q], axis=-1)
+        return frozen(both * self.is_direct[:, None], np.float64)
 
     @cached_property
     def undetermined(self) -> dict[bytes, Bools]:
@@ -205,19 +214,9 @@ def observation_model(model: Model, channels: Sequence[Channel], omega: Real) ->
     """
     # A view holds its channels, so that their ids stay theirs.
     key = (*map(id, channels), omega.tobytes())
-    return cast(
-        ObservationModel, kept_view(model, key, lambda: _observation_model(model, tuple(channels), omega))
-    )
-
-
-def kept_view(model: Model, key: tuple[object, ...], make: Callable[[], object]) -> object:
-    """What `make` gives, kept with the model under `key` among the last ones."""
-    kept = model.views
-    if key not in kept:
-        if len(kept) >= KEPT_VIEWS:
-            kept.pop(next(iter(kept)))
-        kept[key] = make()
-    return kept[key]
+    if key not in model.views:
+        model.views[key] = _observation_model(model, tuple(channels), omega)
+    return cast(ObservationModel, model.views[key])
 
 
 def _observation_model(model: Model, channels: tuple[Channel, ...], omega: Real) -> ObservationModel:

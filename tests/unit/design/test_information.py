@@ -15,10 +15,9 @@ from dashpot.estimate.identify import identify
 from dashpot.estimate.likelihood.maximum_likelihood import MaximumLikelihood
 from dashpot.estimate.linear import auxiliary_model as equation
 from dashpot.estimate.linear.auxiliary_model import auxiliary, information
-from dashpot.estimate.preparation.state_reconstruction import states
 from dashpot.model.channel_noise import noise_sd
 from dashpot.model.observation import calibration_names
-from tests.rigs import Rig, amplitudes, channels, covariance, paper_rig, perfect, random_rig
+from tests.rigs import Rig, amplitudes, channels, covariance, paper_rig, perfect, random_rig, states
 
 
 def everything(rig: Rig) -> tuple[Channel, ...]:

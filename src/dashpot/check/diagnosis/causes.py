@@ -271,8 +271,8 @@ def _rates(bench: Workbench, base: Trial, seed: int) -> list[Cause]:
     found = []
     for rate in RATES:
         shifted = replace(spectrum, frequency_hz=spectrum.frequency_hz * rate)
-        data = replace(bench.data, spectrum=shifted, states=None)
-        view = observation_model(data.model, spectrum.channels, shifted.omega)
-        outcome = Workbench(data, view, bench.psi, bench.sign).searched([base], seed)[0]
+        view = observation_model(bench.data.model, spectrum.channels, shifted.omega)
+        data = replace(bench.data, view=view, spectrum=shifted, states=None)
+        outcome = Workbench(data, bench.psi, bench.sign).searched([base], seed)[0]
         found.append(Cause("frequency", (), outcome.reduced, rate))
     return found

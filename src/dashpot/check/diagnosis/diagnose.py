@@ -18,7 +18,6 @@ from dashpot.estimate.likelihood.starting_values import candidates
 from dashpot.estimate.preparation.prepared import prepare
 from dashpot.estimate.result import Estimate
 from dashpot.model.network import Model
-from dashpot.model.observation import observation_model
 
 LARGEST = 12  # coordinates of the rigs that are diagnosed: trials of larger ones take too long to wait for
 
@@ -34,14 +33,13 @@ def diagnose(
     if model.n > LARGEST or transients:
         return ()
     data = prepare(model, spectrum)
-    view = observation_model(model, spectrum.channels, spectrum.omega)
-    middle, signs = candidates(data, view, 1, np.random.default_rng(seed))
+    middle, signs = candidates(data, 1, np.random.default_rng(seed))
     psi, sign = middle[0], signs[0]
     if estimate is not None and np.all(np.isfinite(estimate.values)):
         psi = estimate.values
         for name, turned in estimate.signs.items():
             sign[spectrum.index(name)] = float(turned)
-    _, found = causes(Workbench(data, view, psi, sign), seed)
+    _, found = causes(Workbench(data, psi, sign), seed)
     return tuple(finding(model, spectrum.channels, cause) for cause in found)
 
 

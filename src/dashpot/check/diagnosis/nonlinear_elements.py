@@ -26,7 +26,7 @@ from dashpot.model.network import Model
 from dashpot.model.nonlinear.force_law import Constant, force_law
 from dashpot.model.nonlinear.harmonic_balance import periodic_response
 from dashpot.model.nonlinear.harmonics import complex_of
-from dashpot.model.observation import ObservationModel, observation_model
+from dashpot.model.observation import ObservationModel
 
 # Kind, law and the share of the motion that its constant is, if it has one.
 LAWS: tuple[tuple[Kind, str, str, float], ...] = (
@@ -135,15 +135,14 @@ def _scored(
     data: Prepared, psi: Real, sign: Real, elements: Sequence[Element], softness: float
 ) -> list[ScoredElement]:
     extended = replace(data.model, elements=(*data.model.elements, *elements))
-    spectrum = data.spectrum
-    view = observation_model(extended, spectrum.channels, spectrum.omega)
-    exact = measured(replace(data, model=extended, states=None), view, softness)
+    larger = replace(data.of_rig(extended), states=None)
+    exact = measured(larger, softness)
     start = _with_elements(extended, {element.name: 0.0 for element in elements}, psi)
-    dof = max(2 * int(np.sum(np.isfinite(spectrum.amplitudes))) - len(psi) - 1, 1)
+    dof = max(2 * int(np.sum(np.isfinite(data.spectrum.amplitudes))) - len(psi) - 1, 1)
     by_name = {element.name: element for element in elements}
     return [
         ScoredElement(by_name[p.name], min(p.fall, p.chi2), p.chi2, dof, p.step)
-        for p in promises(view, exact, start, sign, by_name.keys(), APART)
+        for p in promises(larger.view, exact, start, sign, by_name.keys(), APART)
     ]
 
 
@@ -183,10 +182,8 @@ def motions_of(data: Prepared, psi: Real) -> Motions:
         for a, b in both
     ]
     larger = replace(model, elements=(*model.elements, *probes))
-    spectrum = data.spectrum
-    view = observation_model(larger, spectrum.channels, spectrum.omega)
     try:
-        part = measured(replace(data, model=larger, states=None), view).nonlinear
+        part = measured(replace(data.of_rig(larger), states=None)).nonlinear
     except DashpotError:
         return {}
     assert part is not None
@@ -206,8 +203,7 @@ def motions_of(data: Prepared, psi: Real) -> Motions:
 
 def softened(data: Prepared, psi: Real, sign: Real) -> Real:
     """ψ (M,) of the rig as it is from the softened data, from ψ of the data themselves."""
-    view = observation_model(data.model, data.spectrum.channels, data.spectrum.omega)
-    return _descended(view, measured(replace(data, states=None), view, SOFT), psi, sign, 2 * LIMIT)[0]
+    return _descended(data.view, measured(replace(data, states=None), SOFT), psi, sign, 2 * LIMIT)[0]
 
 
 def _descended(
@@ -238,9 +234,8 @@ def called_for(data: Prepared, psi: Real, sign: Real) -> list[ScoredElement]:
 
 def misfit(data: Prepared, psi: Real, sign: Real) -> float:
     """χ² of the rig as it is at ψ (M,)."""
-    view = observation_model(data.model, data.spectrum.channels, data.spectrum.omega)
     with np.errstate(all="ignore"):
-        at = local(view, measured(replace(data, states=None), view), psi[None], sign[None])
+        at = local(data.view, measured(replace(data, states=None)), psi[None], sign[None])
     return float(at.cost[0])
 
 
@@ -251,14 +246,13 @@ def fitted_in_full(
     assert candidate.element.force_law is not None
     element = with_open_constants(candidate.element)
     extended = replace(data.model, elements=(*data.model.elements, element))
-    larger = replace(data, model=extended, states=None)
-    view = observation_model(extended, data.spectrum.channels, data.spectrum.omega)
-    exact = measured(larger, view)
+    larger = replace(data.of_rig(extended), states=None)
+    view, exact = larger.view, measured(larger)
     best, least = _with_elements(extended, {element.name: 0.0}, psi), np.inf
     for value in (candidate.value, 0.3 * candidate.value):
         start = _with_elements(extended, {element.name: value}, psi)
         if softness > 0:
-            start, left = _descended(view, measured(larger, view, softness), start, sign, LIMIT)
+            start, left = _descended(view, measured(larger, softness), start, sign, LIMIT)
             if left > (1 - FALLEN) * candidate.chi2:
                 continue  # what does not help there leads nowhere in sharper data
         ended, cost = _descended(view, exact, start, sign, LIMIT)

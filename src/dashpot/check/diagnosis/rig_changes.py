@@ -18,7 +18,6 @@ from dashpot.check.diagnosis.search import LONG, Workbench, descended
 from dashpot.estimate.likelihood.objective import measured
 from dashpot.model.elements import Element, Kind, between, mass
 from dashpot.model.network import Model
-from dashpot.model.observation import observation_model
 
 FOLLOWED = 6  # candidates that are fitted in full
 APART = 0.01  # part of a column that the rig's own unknowns must leave for it to count as something else
@@ -105,21 +104,17 @@ def _scores(
         return []
     extended, before = _extended(bench.data.model, kind, elements)
     start = _start(bench, psi, extended, before)
-    spectrum = bench.data.spectrum
-    view = observation_model(extended, spectrum.channels, spectrum.omega)
-    data = measured(replace(bench.data, model=extended, states=None), view)
+    larger = bench.data.of_rig(extended)
     by_name = {element.name: element for element in elements}
-    listed = promises(view, data, start, bench.sign, by_name.keys(), APART)
+    listed = promises(larger.view, measured(larger), start, bench.sign, by_name.keys(), APART)
     return [(promise.fall, kind, by_name[promise.name]) for promise in listed]
 
 
 def _fitted(bench: Workbench, psi: Real, kind: str, element: Element) -> Change:
     extended, before = _extended(bench.data.model, kind, [element])
     start = _start(bench, psi, extended, before)
-    spectrum = bench.data.spectrum
-    view = observation_model(extended, spectrum.channels, spectrum.omega)
-    data = measured(replace(bench.data, model=extended, states=None), view)
-
+    larger = bench.data.of_rig(extended)
+    view, data = larger.view, measured(larger)
     end, chi2 = descended(view, data, start[None], bench.sign[None], np.zeros(1, dtype=np.int64), 2 * LONG)
     number = float(end[0, view.names.index(element.name)])
     return Change(kind, element, number, float(chi2[0]), data.rows - len(start))

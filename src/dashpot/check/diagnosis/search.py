@@ -32,18 +32,22 @@ REACH = (0.1, 10.0)  # times its stated frequency within which a dwell's own is 
 
 @dataclass(frozen=True)
 class Workbench:
-    """What the trials of one data set share: the data of one repeat, the view of it, the estimate ψ (M,) and signs."""
+    """What the trials of one data set share: the data of one repeat, the estimate ψ (M,) and signs."""
 
     data: Prepared
-    view: ObservationModel
     psi: Real
     sign: Real
+
+    @property
+    def view(self) -> ObservationModel:
+        """What the channels show."""
+        return self.data.view
 
     def searched(self, trials: Sequence[Trial], seed: int = 0) -> list[Outcome]:
         """Each trial from the estimate, its own least squares and drawn rigs: thorough, for the few that need it."""
         arranged = [self._arranged(trial) for trial in trials]
         own = self._own(trials)
-        drawn, _ = candidates(self.data, self.view, DRAWS, np.random.default_rng(seed))
+        drawn, _ = candidates(self.data, DRAWS, np.random.default_rng(seed))
         drawn = drawn[np.all(np.isfinite(drawn), axis=1)]
         with np.errstate(all="ignore"):
             G = transfer(self.view, self.data.model.parameters(drawn[:, : self.view.m])).G
@@ -110,13 +114,13 @@ class Workbench:
         spectrum = replace(self.data.spectrum.select(rows), frequency_hz=grid)
         view = observation_model(self.data.model, spectrum.channels, spectrum.omega)
         there = replace(trial, y=trial.y[rows], V=trial.V[rows], kept=trial.kept[rows])
-        data = measured(prepared(replace(self.data, spectrum=spectrum), there), view)
+        data = measured(prepared(replace(self.data, view=view, spectrum=spectrum), there))
         with np.errstate(all="ignore"):
             cost = predict(view, data, psi[None], self.sign[None]).cost_per_line[0]
         return np.where(np.isfinite(cost), cost, np.inf)
 
     def _arranged(self, trial: Trial, softness: float = 0.0) -> Measured:
-        return measured(prepared(self.data, trial), self.view, softness)
+        return measured(prepared(self.data, trial), softness)
 
     def _own(self, trials: Sequence[Trial]) -> list[list[Real]]:
         """Noise-compensated least squares of each trial's own data, (1, M), where all is seen; else nothing."""
@@ -130,7 +134,7 @@ class Workbench:
         Y = np.stack([np.where(whole, trials[t].y, np.nan) for t in rows])
         V = np.stack([trials[t].V for t in rows])
         spectrum = replace(self.data.spectrum, amplitudes=Y, covariance=np.nan_to_num(V), moments=None)
-        states = states_if_seen(self.data.model, spectrum, V)
+        states = states_if_seen(self.view, spectrum, V)
         if states is None:
             return own
         with np.errstate(all="ignore"):

@@ -112,7 +112,7 @@ def with_noise_of_residuals(data: Prepared, method: Method) -> Prepared:
     for model in (exact, data.model, data.model):
         if not model.unknowns:
             continue
-        trial = replace(data, model=model)
+        trial = data.of_rig(model)
         best = most_likely(trial, method.solve(trial), method.traits)
         around = linearise(trial, best, method.traits)
         data = data.scaled(np.maximum(around.sums.cost, ROUNDING) / max(around.dof, 1))
@@ -139,8 +139,7 @@ def linearise(data: Prepared, solution: Solution, traits: Traits) -> Linearised:
 
 
 def _of_channels(data: Prepared, solution: Solution) -> Linearised:
-    view = data.view
-    exact = measured(data, view)
+    view, exact = data.view, measured(data)
     sign = np.ones((len(exact.y), len(view.channels)))
     for name, signs in solution.signs.items():
         sign[:, data.spectrum.index(name)] = signs

@@ -6,7 +6,7 @@ megabytes stay in the processor's cache as well.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
@@ -83,11 +83,8 @@ class Piece:
     data: Measured
 
 
-Evaluate = Callable[[Piece, Real, Real], tuple[Real, ...]]  # of the piece, its ψ and its signs
-
-
 def pieces(view: ObservationModel, data: Measured, count: int) -> Iterator[Piece]:
-    """`count` rows at all lines in pieces of at most PIECE numbers .
+    """`count` rows at all lines in pieces of at most PIECE numbers.
 
     Rows are shared out first: the sum over the lines of one row stays in one piece as long as that fits.
     """
@@ -110,37 +107,22 @@ def pieces(view: ObservationModel, data: Measured, count: int) -> Iterator[Piece
             )  # fmt: skip
 
 
-def summed(
-    view: ObservationModel, data: Measured, psi: Real, sign: Real, evaluate: Evaluate
-) -> tuple[Real, ...]:
-    """Sums over all lines of what `evaluate` gives for the lines of a piece, (K, …) each, at ψ (K, M)."""
-    totals: tuple[Real, ...] | None = None
-    for piece in pieces(view, data, len(psi)):
-        terms = evaluate(piece, psi[piece.rows], sign[piece.rows])
-        if len(terms[0]) == len(psi) and totals is None:
-            totals = terms
-            continue
-        if totals is None:
-            totals = tuple(np.zeros((len(psi), *term.shape[1:])) for term in terms)
-        for total, term in zip(totals, terms, strict=True):
-            total[piece.rows] += term
-    assert totals is not None
-    return totals
+class Sums:
+    """Sums over all lines of what its pieces give, (K, …) each: `totals` after the last `add`."""
 
+    def __init__(self, count: int) -> None:
+        self.count = count
+        self.totals: tuple[Real, ...] = ()
 
-def by_line(
-    view: ObservationModel, data: Measured, psi: Real, sign: Real, evaluate: Evaluate
-) -> tuple[Real, ...]:
-    """What `evaluate` gives for each line, (K, lines, …) each, at ψ (K, M)."""
-    totals: tuple[Real, ...] | None = None
-    for piece in pieces(view, data, len(psi)):
-        terms = evaluate(piece, psi[piece.rows], sign[piece.rows])
-        if totals is None:
-            totals = tuple(np.empty((len(psi), len(view.omega), *term.shape[2:])) for term in terms)
-        for total, term in zip(totals, terms, strict=True):
-            total[piece.rows, piece.lines] = term
-    assert totals is not None
-    return totals
+    def add(self, rows: slice, terms: tuple[Real, ...]) -> None:
+        """The terms of one piece for some of the K rows."""
+        if not self.totals and len(terms[0]) == self.count:
+            self.totals = terms
+            return
+        if not self.totals:
+            self.totals = tuple(np.zeros((self.count, *term.shape[1:])) for term in terms)
+        for total, term in zip(self.totals, terms, strict=True):
+            total[rows] += term
 
 
 def _numbers(view: ObservationModel) -> int:

@@ -38,20 +38,24 @@ class Likelihood:
     """The likelihood of K repeats, its bounds, and how hard it is searched."""
 
     data: Prepared
-    view: ObservationModel
     exact: Measured
     lower: Real
     upper: Real
     effort: Effort
 
     @staticmethod
-    def of(data: Prepared, effort: Effort, on_basis: Reduced | None = None) -> Likelihood:
-        """That of prepared data, of the reduced rig where there is one.
+    def of(data: Prepared, effort: Effort) -> Likelihood:
+        """That of prepared data."""
+        return Likelihood(data, measured(data), *bounds(data.view, effort.positive), effort)
 
-        Raises DataError where a channel measures what the model has not.
-        """
-        view = data.view if on_basis is None else replace(data.view, reduced=on_basis)
-        return Likelihood(data, view, measured(data, view), *bounds(view, effort.positive), effort)
+    @property
+    def view(self) -> ObservationModel:
+        """What the channels show."""
+        return self.data.view
+
+    def on_basis(self, rig: Reduced) -> Likelihood:
+        """That of a large rig on the span of few motions."""
+        return replace(self, data=replace(self.data, view=replace(self.view, reduced=rig)))
 
     @property
     def repeats(self) -> int:

@@ -18,7 +18,7 @@ from dashpot.estimate.linear.least_squares import starts as equation_starts
 from dashpot.estimate.linear.least_squares import where_finite
 from dashpot.estimate.preparation.prepared import Prepared
 from dashpot.estimate.preparation.state_reconstruction import States
-from dashpot.model.observation import SPARSE_FROM, ObservationModel, is_direct, small
+from dashpot.model.observation import SPARSE_FROM, small
 from dashpot.model.unstructured import free_names
 from dashpot.notices import Notice
 from dashpot.numerics.levenberg_marquardt import PATIENCE, OptimizeResult
@@ -209,7 +209,7 @@ def global_minima(likelihood: Likelihood, repeat: int) -> LocalMinima:
     """
     effort = likelihood.effort
     on_basis = likelihood.view.reduced
-    one = Likelihood.of(thinned(likelihood.data.only(repeat)), effort, on_basis)
+    one = Likelihood.of(thinned(likelihood.data.only(repeat)), effort)
     rng = np.random.default_rng([effort.seed, repeat])
     stages = _stages(one)
     level = UNCERTAIN if seen_directly(one.data) else POOR
@@ -249,7 +249,7 @@ def _from_guesses(one: Likelihood, stages: Sequence[Stage], rng: np.random.Gener
     minima = LocalMinima.none(len(one.view.names), len(one.view.channels))
     if small(one.view.model) or any(u.guess is None and u.sd is None for u in one.data.model.unknowns):
         return minima
-    psi, sign = candidates(one.data, one.view, 1, rng)
+    psi, sign = candidates(one.data, 1, rng)
     psi, sign = _through(one, stages, psi, sign, straight=True)
     end = one.descend(psi, sign)
     return minima.with_ends(end.x, sign, end.cost)
@@ -260,7 +260,7 @@ def _starts_of_round(
     rng: np.random.Generator,
 ) -> tuple[Real, Real]:  # fmt: skip
     """The best of many candidates, ranked by the first stage; after the first round neighbours of minima as well."""
-    psi, sign = candidates(one.data, one.view, many + starts, rng)
+    psi, sign = candidates(one.data, many + starts, rng)
     order = np.argsort(stages[0].cost(psi, sign))
     chosen = np.concatenate([[0], order[:starts]]) if turn == 0 else order[: starts // 4]
     if seen_directly(one.data):  # the rank favours one valley, and starts are cheap
@@ -277,7 +277,7 @@ def _starts_of_round(
 
 def seen_directly(data: Prepared) -> bool:
     """Whether channels whose calibration is known, and no others, show every coordinate and input."""
-    return data.states is not None and all(is_direct(data.model, c) for c in data.spectrum.channels)
+    return data.states is not None and bool(data.view.is_direct.all())
 
 
 def _from_equation(data: Prepared, states: States, middle: Real) -> Real:
@@ -297,16 +297,15 @@ def _stages(one: Likelihood) -> tuple[Stage, ...]:
     Where all is seen the likelihood has few valleys, and softened weights lead past the right one.
     """
     view = one.view
-
     by_channels = directly_driven(view, one.exact)
     if by_channels is None:
-        first = Stage(view, measured(one.data, view, SOFTER))
+        first = Stage(view, measured(one.data, SOFTER))
     else:
-        first = Stage(view, by_channels, _reliability(one.data, view))
+        first = Stage(view, by_channels, _reliability(one.data))
     exact = Stage(view, one.exact)
     if seen_directly(one.data):
         return first, exact
-    return first, Stage(view, measured(one.data, view, SOFTNESS)), exact
+    return first, Stage(view, measured(one.data, SOFTNESS)), exact
 
 
 def _through(
@@ -325,7 +324,7 @@ def _through(
     return np.concatenate([psi, past]), np.concatenate([sign, signs])
 
 
-def _reliability(one: Prepared, view: ObservationModel) -> Real:
+def _reliability(one: Prepared) -> Real:
     """Weights of the logarithms, (lines, channels): 1 where a channel stands out of its noise, down to 0 below it."""
     power = np.abs(np.nan_to_num(one.spectrum.amplitudes[0])) ** 2
     if not one.noise_known:

@@ -15,7 +15,6 @@ from dashpot.estimate.likelihood.global_search import (
     searched_again,
     seen_directly,
 )
-from dashpot.estimate.likelihood.objective import measured
 from dashpot.estimate.likelihood.record_start import record_starts
 from dashpot.estimate.likelihood.reduced_search import is_reducible, reduced_search
 from dashpot.estimate.linear.least_squares import compensated
@@ -61,13 +60,7 @@ class MaximumLikelihood(Method):
         likelihood = Likelihood.of(data, self.effort)
         view, warnings = likelihood.view, tuple[Notice, ...]()
         if likelihood.exact.nonlinear is not None:
-            found, exact = search_harmonics(
-                data,
-                view,
-                likelihood.exact,
-                likelihood.descend_in,
-                lambda one, soft: measured(one, view, soft),
-            )
+            found, exact = search_harmonics(likelihood)
             sign = np.ones((likelihood.repeats, len(view.channels)))
             likelihood = replace(likelihood, exact=exact)
         elif self.start and likelihood.repeats == 1:

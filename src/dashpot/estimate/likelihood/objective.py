@@ -13,7 +13,7 @@ import numpy as np
 
 from dashpot.arrays import Bools, Complex, Real, hermitian
 from dashpot.estimate.likelihood.boundary_loads import RecordEnds, projector, record_ends, whitener
-from dashpot.estimate.likelihood.chunks import Measured, Piece, by_line, summed
+from dashpot.estimate.likelihood.chunks import Measured, Piece, Sums, pieces
 from dashpot.estimate.likelihood.compiled import compiled_local, compiled_output
 from dashpot.estimate.likelihood.nuisance import estimated_inputs, inputs_by_channel, inputs_seen
 from dashpot.estimate.likelihood.record_sums import by_record_line, record_residuals, record_sums
@@ -22,8 +22,6 @@ from dashpot.estimate.preparation.prepared import Prepared
 from dashpot.model.observation import (
     ObservationModel,
     calibrated_transfer,
-    is_direct,
-    measures_input,
     small,
 )
 from dashpot.model.unstructured import free_names
@@ -34,16 +32,15 @@ FLOOR = 1e-6  # relative noise that exact channels of coordinates are given, so 
 LOG_RESIDUAL = 0.5  # nepers beyond which a residual of logarithms counts no longer by its square
 
 
-def measured(data: Prepared, view: ObservationModel, softness: float = 0.0) -> Measured:
+def measured(data: Prepared, softness: float = 0.0) -> Measured:
     """The data with inverse covariances; `softness` adds that relative noise to every channel (for starts)."""
-    spectrum, model = data.spectrum, data.model
+    view, spectrum = data.view, data.spectrum
     present = np.all(np.isfinite(spectrum.amplitudes), axis=0)
     y = np.nan_to_num(spectrum.amplitudes)
     V = data.covariance
     diagonal = np.diagonal(V, axis1=-2, axis2=-1).real
     silent = np.all(diagonal == 0, axis=0)
-    drive = np.array([measures_input(model, c) and is_direct(model, c) for c in spectrum.channels])
-    exact = present & silent & drive
+    exact = present & silent & view.inputs_alone & view.is_direct
     by_channel = inputs_by_channel(view, exact)
     q = None if by_channel is None else np.einsum("lqc,...lc->...lq", by_channel, y)
     if q is not None:
@@ -56,7 +53,7 @@ def measured(data: Prepared, view: ObservationModel, softness: float = 0.0) -> M
     W = _weights(V, diagonal + kept, kept, size, present)
     count = int(np.sum(present)) - (0 if q is not None else int(np.sum(inputs_seen(view, present))))
     ends = record_ends(view, spectrum, by_channel)
-    part = nonlinear_part(data, view, y, q) if len(model.nonlinear) else None
+    part = nonlinear_part(data, y, q) if len(view.model.nonlinear) else None
     root = None if ends is None or _is_diagonal(W) else whitener(W)
     return Measured(y * present, W, q, 2 * count, ends, root, part)
 
@@ -209,7 +206,11 @@ def local(view: ObservationModel, data: Measured, psi: Real, sign: Real) -> Quad
     output = compiled_output(view, data)
     if output is not None:
         return compiled_local(output, psi, sign, data.rows_of(len(psi)))
-    return _with_priors(view, psi, *summed(view, data, psi, sign, _sums))
+    sums = Sums(len(psi))
+    for piece in pieces(view, data, len(psi)):
+        sums.add(piece.rows, _sums(piece, psi[piece.rows], sign[piece.rows]))
+    cost, gradient, information = sums.totals
+    return _with_priors(view, psi, cost, gradient, information)
 
 
 def _sums(piece: Piece, psi: Real, sign: Real) -> tuple[Real, Real, Real]:
@@ -244,7 +245,12 @@ def per_line(view: ObservationModel, data: Measured, psi: Real, sign: Real) -> t
             np.ascontiguousarray(psi), np.ascontiguousarray(sign), threads()
         )
         return information, scores, cost
-    information, scores, cost = by_line(view, data, psi, sign, _of_lines)
+    K, lines, M = len(psi), len(view.omega), psi.shape[-1]
+    information, scores, cost = np.empty((K, lines, M, M)), np.empty((K, lines, M)), np.empty((K, lines))
+    for piece in pieces(view, data, K):
+        terms = _of_lines(piece, psi[piece.rows], sign[piece.rows])
+        for whole, part in zip((information, scores, cost), terms, strict=True):
+            whole[piece.rows, piece.lines] = part
     return information, scores, cost
 
 
@@ -281,11 +287,14 @@ def logarithmic(
     output = compiled_output(view, data)
     if output is not None:
         return compiled_local(output, psi, sign, data.rows_of(len(psi)), weight)
-
-    def sums(piece: Piece, psi: Real, sign: Real) -> tuple[Real, Real, Real]:
-        return _logarithmic_sums(piece, weight[piece.lines], psi, sign)
-
-    return _with_priors(view, psi, *summed(view, data, psi, sign, sums))
+    sums = Sums(len(psi))
+    for piece in pieces(view, data, len(psi)):
+        sums.add(
+            piece.rows,
+            _logarithmic_sums(piece, weight[piece.lines], psi[piece.rows], sign[piece.rows]),
+        )
+    cost, gradient, information = sums.totals
+    return _with_priors(view, psi, cost, gradient, information)
 
 
 def _logarithmic_sums(piece: Piece, weight: Real, psi: Real, sign: Real) -> tuple[Real, Real, Real]:

@@ -85,10 +85,10 @@ def noise_from_residuals(
     sign: Real = np.ones((1, len(spectrum.channels)))
     used, dof = 0.0, np.array(spectrum.dof)
     for _ in range(ROUNDS):
-        data = Prepared(model, spectrum, V, None, True, np.ones(1, dtype=bool))
-        exact = measured(data, view)
+        data = Prepared(view, spectrum, V, None, True, np.ones(1, dtype=bool))
+        exact = measured(data)
         if psi is None:
-            psi, sign = _begun(data, view, exact, method)
+            psi, sign = _begun(data, exact, method)
         else:
             psi = _descended(view, exact, psi, sign, method)
         residual, columns = _residuals(view, exact, psi, sign)
@@ -124,10 +124,9 @@ def _require_decay(model: Model, residual: Complex, data: Measured) -> None:
         )
 
 
-def _begun(
-    data: Prepared, view: ObservationModel, exact: Measured, method: MaximumLikelihood
-) -> tuple[Real, Real]:
+def _begun(data: Prepared, exact: Measured, method: MaximumLikelihood) -> tuple[Real, Real]:
     """A first fit: from some of the lines, and where that leaves much over from many of them."""
+    view = data.view
     few = thinned(data, EACH_TO_START)
     psi, sign = method.rough(_with_states(few))
     if few is data:
@@ -142,7 +141,7 @@ def _begun(
 
 
 def _with_states(data: Prepared) -> Prepared:
-    return replace(data, states=states_if_seen(data.model, data.spectrum, data.covariance))
+    return replace(data, states=states_if_seen(data.view, data.spectrum, data.covariance))
 
 
 def _explains(view: ObservationModel, data: Measured, psi: Real, sign: Real) -> bool:

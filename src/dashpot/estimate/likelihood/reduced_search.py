@@ -7,8 +7,6 @@ What has been left out of the basis, lines between those of the basis, the full 
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 
 from dashpot.arrays import Ints, Real
@@ -48,14 +46,14 @@ def reduced_search(
     ConvergenceError where no start leads to a minimum.
     """
     view = likelihood.view
-    psi, sign = candidates(likelihood.data, view, 1, np.random.default_rng(likelihood.effort.seed))
+    psi, sign = candidates(likelihood.data, 1, np.random.default_rng(likelihood.effort.seed))
     lines = _spread(view.omega)
     V = np.zeros((view.model.n, 0))
     minima, notices, history, settled = None, tuple[Notice, ...](), [psi[0]], False
     iterations = np.zeros(1, dtype=np.int64)
     for _ in range(REFRESHES):
         V = _basis(V, view, psi[0], lines)
-        on_basis = replace(likelihood, view=replace(view, reduced=reduced(view, V)))
+        on_basis = likelihood.on_basis(reduced(view, V))
         if minima is None:
             minima, sign, notices = from_minima(on_basis, global_minima(on_basis, 0))
         else:

@@ -6,7 +6,7 @@ import numpy as np
 
 from dashpot.arrays import Complex, Real
 from dashpot.channel import Quantity
-from dashpot.estimate.likelihood.chunks import Measured, Piece, summed
+from dashpot.estimate.likelihood.chunks import Measured, Piece, Sums, pieces
 from dashpot.estimate.likelihood.objective import measured, predict
 from dashpot.estimate.preparation.prepared import Prepared
 from dashpot.model.dynamics import amplitudes, unit_forces
@@ -16,9 +16,7 @@ from dashpot.model.observation import ObservationModel, calibration_factors, cha
 SCATTER = (0.03, 0.1, 0.2, 0.35, 0.6)  # decades by which the elements of one candidate differ
 
 
-def candidates(
-    data: Prepared, view: ObservationModel, count: int, rng: np.random.Generator
-) -> tuple[Real, Real]:
+def candidates(data: Prepared, count: int, rng: np.random.Generator) -> tuple[Real, Real]:
     """`count` draws of ψ, (count, M), and of the channels' signs, (count, channels).
 
     Each candidate has a mass, a natural frequency and a damping ratio of its own, around which its elements scatter
@@ -26,13 +24,14 @@ def candidates(
     mass is drawn around what known parameters or measured forces imply, the frequency from the band of the data.
     Guesses and priors of the model narrow the draw; the first candidate is the middle of every range.
     """
-    omega = view.omega
-    low, high = np.min(omega), 1.5 * np.max(omega)
-    masses = _typical_mass(data, view) * 10 ** (0.3 * rng.standard_normal(count))
+    view = data.view
+    low, high = np.min(view.omega), 1.5 * np.max(view.omega)
+    middle = _typical_mass(data)
+    masses = middle * 10 ** (0.3 * rng.standard_normal(count))
     rates = low * (high / low) ** rng.random(count)
     ratios = 10 ** rng.uniform(-2.3, 0.0, count)
     decades = rng.choice(SCATTER, count)[:, None] * rng.standard_normal((count, len(view.names)))
-    masses[0], rates[0], ratios[0], decades[0] = _typical_mass(data, view), np.sqrt(low * high), 0.05, 0.0
+    masses[0], rates[0], ratios[0], decades[0] = middle, np.sqrt(low * high), 0.05, 0.0
     size = {kind: kind.law.typical_size(masses, rates, ratios) for kind in Kind}
     kinds = {element.name: element.kind for element in data.model.elements}
     psi = np.ones((count, len(view.names)))
@@ -47,7 +46,7 @@ def candidates(
             psi[:, j] = np.clip(psi[:, j], unknown.lower, unknown.upper)
     if view.delays:
         psi[:, view.m + view.gains :] = 0.0
-    return _calibrated(data, view, psi, np.ones((count, len(view.channels))), rng)
+    return _calibrated(data, psi, np.ones((count, len(view.channels))), rng)
 
 
 def neighbours(
@@ -78,8 +77,9 @@ def neighbours(
     return moved, sign[origin]
 
 
-def _typical_mass(data: Prepared, view: ObservationModel) -> float:
+def _typical_mass(data: Prepared) -> float:
     """The mass that known parameters imply at the middle of the band, else measured force over acceleration."""
+    view = data.view
     omega = float(np.exp(np.mean(np.log(view.omega))))
     known = []
     for element in data.model.elements:
@@ -105,13 +105,12 @@ def _typical_mass(data: Prepared, view: ObservationModel) -> float:
     return float(np.exp(np.mean(np.log(known)))) if known else 1.0
 
 
-def _calibrated(
-    data: Prepared, view: ObservationModel, psi: Real, sign: Real, rng: np.random.Generator
-) -> tuple[Real, Real]:
+def _calibrated(data: Prepared, psi: Real, sign: Real, rng: np.random.Generator) -> tuple[Real, Real]:
     """Gains and signs that suit each candidate: by regression on what it predicts, where the inputs are known."""
+    view = data.view
     if not view.gains and not np.any(view.flips):
         return psi, sign
-    soft = measured(data, view, 1.0)
+    soft = measured(data, 1.0)
     if view.gains:
         psi[:, view.m : view.m + view.gains] = 10 ** (0.5 * rng.standard_normal((len(psi), view.gains)))
     if np.any(view.flips):
@@ -121,7 +120,10 @@ def _calibrated(
             psi[:, view.m : view.m + view.gains] *= rng.choice([-1.0, 1.0], size=(len(psi), view.gains))
         return psi, sign
     with np.errstate(all="ignore"):
-        along, power = summed(view, soft, psi, sign, _likeness)
+        sums = Sums(len(psi))
+        for piece in pieces(view, soft, len(psi)):
+            sums.add(piece.rows, _likeness(piece, psi[piece.rows], sign[piece.rows]))
+        along, power = sums.totals
     flip = view.flips & (along < 0)
     sign = np.where(flip, -sign, sign)
     for k in range(view.gains):

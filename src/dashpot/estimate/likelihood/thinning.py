@@ -11,6 +11,7 @@ import numpy as np
 
 from dashpot.arrays import Ints, Real
 from dashpot.estimate.preparation.prepared import Prepared
+from dashpot.model.observation import observation_model
 
 MANY = 200  # lines from which a search takes fewer
 PARTS = 30  # of the band, equal in the logarithm of frequency
@@ -30,7 +31,8 @@ def thinned(data: Prepared, each: int = EACH) -> Prepared:
         covariance=spectrum.covariance[:, lines],
     )
     states = None if data.states is None else data.states.lines(lines)
-    return replace(data, spectrum=fewer, covariance=data.covariance[:, lines], states=states)
+    view = observation_model(data.model, fewer.channels, fewer.omega)
+    return replace(data, view=view, spectrum=fewer, covariance=data.covariance[:, lines], states=states)
 
 
 def loudest(frequency_hz: Real, loudness: Real, each: int = EACH) -> Ints:

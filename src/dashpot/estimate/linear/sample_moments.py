@@ -19,7 +19,7 @@ from dashpot.estimate.linear.gram import gram, gram_force
 from dashpot.estimate.preparation.prepared import Prepared
 from dashpot.estimate.preparation.state_reconstruction import reconstruction, unseen
 from dashpot.model.network import Model
-from dashpot.model.observation import is_direct, measures_input
+from dashpot.model.observation import ObservationModel
 
 
 @dataclass(frozen=True)
@@ -63,18 +63,17 @@ class Sampled:
 
 def sampled(data: Prepared) -> Sampled:
     """Read the unit forces from the channels.  Raises DataError where some coordinate is not seen."""
-    model, spectrum, V = data.model, data.spectrum, data.covariance
+    view, spectrum, V = data.view, data.spectrum, data.covariance
+    model = view.model
     _ = data.seen_states  # raises where some of them are not seen
     y = np.nan_to_num(spectrum.amplitudes)
-    drive = np.array(
-        [measures_input(model, channel) and is_direct(model, channel) for channel in spectrum.channels]
-    )
+    drive = view.inputs_alone & view.is_direct
     derivative = np.array(
         [-1 if c.quantity is Quantity.FORCE else c.quantity.derivative for c in spectrum.channels]
     )
     P = {
-        k: reconstruction(model, spectrum, V, drive | chosen)
-        for k, chosen in _channels_for(model, spectrum, drive, derivative)
+        k: reconstruction(view, spectrum, V, drive | chosen)
+        for k, chosen in _channels_for(view, spectrum, drive, derivative)
     }
     n, r = model.n, len(model.displacement_inputs)
     span = np.concatenate([model.B, model.D], axis=1)
@@ -102,20 +101,20 @@ def sampled(data: Prepared) -> Sampled:
 
 
 def _channels_for(
-    model: Model,
+    view: ObservationModel,
     spectrum: Spectrum,
     drive: np.ndarray,
     derivative: np.ndarray,
 ) -> list[tuple[int, np.ndarray]]:
     """For each derivative that elements need (and 0), the motion channels that it is read from."""
     chosen = []
-    for k in sorted({0, *(element.law.power for element in model.elements)}):
+    for k in sorted({0, *(element.law.power for element in view.model.elements)}):
         tries = [derivative == k, derivative == 2 - k] if k != 1 else [derivative == 1]
-        found = next((t for t in tries if not unseen(model, spectrum, drive | t)), None)
+        found = next((t for t in tries if not unseen(view, spectrum, drive | t)), None)
         if found is None:
             if spectrum.moments is not None and k != 1:
                 found = (derivative == 0) | (derivative == 2)
-            if found is None or unseen(model, spectrum, drive | found):
+            if found is None or unseen(view, spectrum, drive | found):
                 found = derivative >= 0
         chosen.append((k, found))
     return chosen

@@ -23,7 +23,6 @@ from dashpot.estimate.preparation.prepared import Prepared
 from dashpot.estimate.preparation.state_reconstruction import States
 from dashpot.model.nonlinear.alternating import alternate
 from dashpot.model.nonlinear.harmonic_balance import harmonic_unit_forces, periodic_response, samples_of
-from dashpot.model.observation import is_direct
 from dashpot.numerics.small_systems import scaled_inverse, solve_scaled
 
 
@@ -189,8 +188,8 @@ class HarmonicEquations:
 
 def require_direct(data: Prepared) -> None:
     """Raises UsageError where a channel shows more than calibrated motions, DataError where not all is seen."""
-    for channel in data.spectrum.channels:
-        if not is_direct(data.model, channel):
+    for channel, direct in zip(data.spectrum.channels, data.view.is_direct, strict=True):
+        if not direct:
             raise UsageError(
                 f"channel {channel.name} measures a force of elements, or its calibration is unknown, which the"
                 " equation of motion of a nonlinear rig does not know",

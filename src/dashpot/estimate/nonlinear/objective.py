@@ -185,13 +185,13 @@ def predict_harmonics(
     return residual, weighted, J, data.W @ J, q, cost
 
 
-def nonlinear_part(data: Prepared, view: ObservationModel, y: Complex, q: Complex | None) -> NonlinearPart:
+def nonlinear_part(data: Prepared, y: Complex, q: Complex | None) -> NonlinearPart:
     """Dwells, measured elongations and inputs of prepared data.
 
     Raises DataError where an input is not measured, or the lines do not belong to dwells.
     """
     dwells = dwells_of(data.model, data.spectrum)
-    inputs = _measured_inputs(view, y) if q is None else q
+    inputs = _measured_inputs(data.view, y) if q is None else q
     start = None if data.states is None else measured_elongations(data.model, dwells, data.states)
     return NonlinearPart(dwells, start, inputs, frozen(range(len(y)), np.int64), WarmStart())
 

@@ -27,9 +27,10 @@ def predicted_lines(
     `calibrations`: NAME.gain and NAME.delay that an estimate found.  Inputs with noise are those that suit best.
     """
     flat = replace(spectrum, amplitudes=spectrum.amplitudes[None], covariance=V[None], moments=None)
-    data = Prepared(model, flat, V[None], states_if_seen(model, flat, V[None]), True, np.ones(1, dtype=bool))
     view = observation_model(model, spectrum.channels, spectrum.omega)
-    exact = measured(data, view)
+    exact = measured(
+        Prepared(view, flat, V[None], states_if_seen(view, flat, V[None]), True, np.ones(1, dtype=bool))
+    )
     part = measured_part(exact)
     if part.dwells.orders < ORDERS:
         start = part.start

@@ -10,6 +10,7 @@ import numpy as np
 
 from dashpot.arrays import Real
 from dashpot.errors import ConvergenceError
+from dashpot.estimate.likelihood.objective import measured
 from dashpot.estimate.nonlinear.dwells import WarmStart
 from dashpot.estimate.nonlinear.objective import NonlinearPart, measured_part, predict_harmonics
 from dashpot.estimate.nonlinear.starting_values import KEPT, starting_points
@@ -21,11 +22,11 @@ from dashpot.numerics.levenberg_marquardt import OptimizeResult
 
 if TYPE_CHECKING:
     from dashpot.estimate.likelihood.chunks import Measured
+    from dashpot.estimate.likelihood.descent import Likelihood
 
 Descent = Callable[
     ["Measured", Real, Real, int | None], OptimizeResult
 ]  # data, ψ, signs and a limit of iterations
-Soften = Callable[[Prepared, float], "Measured"]  # data with relative noise added to every channel
 
 SOFTNESS = (0.3, 0.03)  # relative noise of the stages from afar
 PIECE = 16  # points evaluated at once
@@ -35,20 +36,20 @@ SHARE = 0.1  # of the relative noise
 MOST = 63  # harmonics
 
 
-def search_harmonics(
-    data: Prepared, view: ObservationModel, exact: Measured, descend: Descent, soften: Soften
-) -> tuple[OptimizeResult, Measured]:
+def search_harmonics(likelihood: Likelihood) -> tuple[OptimizeResult, Measured]:
     """The best end of all repeats, and the data with as many harmonics as it needs.
 
     Raises ConvergenceError where no start leads to a response at all.
     """
+    data, view, exact = likelihood.data, likelihood.view, likelihood.exact
+    descend = likelihood.descend_in
     one = data.only(0)
     first = exact.pick(np.array([0]))
     signs = np.ones((1, len(view.channels)))
     ends = list[OptimizeResult]()
     acceptable = first.rows + 6 * np.sqrt(2.0 * first.rows)
-    stages = [*(soften(one, softness) for softness in SOFTNESS), first]
-    for psi in _ranked(one, view, stages, descend):
+    stages = [*(measured(one, softness) for softness in SOFTNESS), first]
+    for psi in _ranked(one, stages, descend):
         end = descend(_fresh(first), psi[None], signs, FIRST)
         if np.isfinite(end.cost[0]):
             ends.append(end)
@@ -98,21 +99,20 @@ def _with_orders(data: Prepared, exact: Measured, orders: int) -> Measured:
     return replace(exact, nonlinear=wide)
 
 
-def _ranked(
-    one: Prepared, view: ObservationModel, stages: Sequence[Measured], descend: Descent
-) -> Iterator[Real]:
+def _ranked(one: Prepared, stages: Sequence[Measured], descend: Descent) -> Iterator[Real]:
     """Starting points, the most promising first: where all is seen those of the regression, then those from afar.
 
     From afar they go through softened data, in which valleys are wide, before they are ranked.  A regression of laws
     without unknown constants leaves no other valley to look for, and laws with a state take minutes from afar.
     """
+    view = one.view
     if one.states is not None:
-        points = starting_points(one, view)
+        points = starting_points(one)
         yield from points[np.argsort(_costs(view, stages[-1], points))]
         laws = [element.force_law for element, constant in one.model.constants if constant.unknown]
         if not laws or any(law is not None and law.has_state for law in laws):
             return
-    points = starting_points(one, view, afar=True)
+    points = starting_points(one, afar=True)
     if len(points) > 1:
         signs = np.ones((1, len(view.channels)))
         for stage, kept in zip(stages[:-1], (KEPT, KEPT // 2), strict=True):

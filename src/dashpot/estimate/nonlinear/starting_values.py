@@ -18,7 +18,7 @@ from dashpot.model.nonlinear.alternating import alternate
 from dashpot.model.nonlinear.force_law import Constant
 from dashpot.model.nonlinear.harmonic_balance import periodic_response, samples_of
 from dashpot.model.nonlinear.harmonics import complex_of
-from dashpot.model.observation import ObservationModel
+from dashpot.model.observation import observation_model
 
 SHARES = (
     0.01,
@@ -35,17 +35,17 @@ KEPT = 4  # starts that are followed
 RATIOS = (0.0, 0.03, 0.3, -0.1)  # nonlinear force over the linear one, where nothing tells
 
 
-def starting_points(data: Prepared, view: ObservationModel, *, afar: bool = False) -> Real:
+def starting_points(data: Prepared, *, afar: bool = False) -> Real:
     """Points ψ, (count, M), to begin from, the most promising first; one repeat.
 
     Where all is seen: least squares on the harmonics for trial values of the inner constants.  Elsewhere: the fit of
     a linear rig, with nonlinear elements of several strengths; so everywhere if `afar`.
     """
-    calibrations = np.concatenate([np.ones(view.gains), np.zeros(view.delays)])
+    calibrations = np.concatenate([np.ones(data.view.gains), np.zeros(data.view.delays)])
     if data.states is not None and not afar:
         theta = _by_regression(data)
     else:
-        theta, calibrations = _by_linear_rig(data, view, calibrations)
+        theta, calibrations = _by_linear_rig(data, calibrations)
     return np.concatenate([theta, np.broadcast_to(calibrations, (len(theta), len(calibrations)))], axis=1)
 
 
@@ -106,7 +106,7 @@ def _trials(
     return tuple(float(np.clip(scale * share, low, high)) for share in (shares[::3] if few else shares))
 
 
-def _by_linear_rig(data: Prepared, view: ObservationModel, calibrations: Real) -> tuple[Real, Real]:
+def _by_linear_rig(data: Prepared, calibrations: Real) -> tuple[Real, Real]:
     """Starts around the best linear rig, its nonlinear elements of several strengths; guesses hold where given."""
     model = data.model
     values, gains = _linear_fit(data, calibrations)
@@ -157,13 +157,14 @@ def _linear_fit(data: Prepared, calibrations: Real) -> tuple[dict[str, float], R
         try:
             model = linear_rig(data.model, replaced)
             spectrum = data.spectrum.select(fundamental)
+            view = observation_model(model, spectrum.channels, spectrum.omega)
             y = np.nan_to_num(spectrum.amplitudes)
             size = np.mean(np.abs(y), axis=0)
             soft = (LINEAR_MISFIT * size)[..., None] * np.eye(y.shape[-1]) * size[:, None, :] * LINEAR_MISFIT
             exact = np.diagonal(data.covariance, axis1=-2, axis2=-1)[:, fundamental] == 0
             V = data.covariance[:, fundamental] + np.where(exact[..., None], 0.0, soft)
             solution = MaximumLikelihood(starts=16, candidates=600, rounds=2).solve(
-                replace(data, model=model, spectrum=spectrum, covariance=V, states=None)
+                replace(data, view=view, spectrum=spectrum, covariance=V, states=None)
             )
         except DashpotError:
             continue
@@ -180,7 +181,7 @@ def _expected_motion(data: Prepared, values: dict[str, float]) -> tuple[Real, Re
     model, e = data.model, len(data.model.nonlinear)
     from dashpot.estimate.nonlinear.objective import nonlinear_part
 
-    part = nonlinear_part(data, data.view, np.nan_to_num(data.spectrum.amplitudes), None)
+    part = nonlinear_part(data, np.nan_to_num(data.spectrum.amplitudes), None)
     theta = np.array([_known_start(u.prior, u.guess, values.get(u.name, 0.0)) for u in model.unknowns])
     p = model.parameters(theta)
     p[model.nonlinear] = 0.0

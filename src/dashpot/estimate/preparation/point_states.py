@@ -10,7 +10,7 @@ from dashpot.arrays import Bools, Complex, Real
 def combined_by_point(C: Complex, used: Bools, V: Complex) -> tuple[Complex, Complex] | None:
     """P (..., lines, q, channels) with ẑ = P y, and the covariance of ẑ (..., lines, q, q); None where it is not so.
 
-    C (lines, channels, q) as `measurement` gives it, used (lines, channels), V (..., lines, channels, channels).  A
+    C (lines, channels, q) as `ObservationModel.direct`, used (lines, channels), V (..., lines, channels, channels).  A
     channel of a point weighs with |C|²/V; an exact one alone counts.
     """
     shows = (C != 0).any(axis=0)

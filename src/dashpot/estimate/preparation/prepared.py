@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from functools import cached_property
 
 import numpy as np
 
@@ -22,23 +21,28 @@ from dashpot.model.observation import ObservationModel, observation_model
 class Prepared:
     """Data as every method gets them: one leading axis of K repeats on the amplitudes.
 
+    view         what the channels show of the rig at the lines
     covariance   the channels' V, (K or 1, lines, channels, channels)
     states       the channels combined to coordinates and inputs; None where some of these are not seen
     noise_known  whether V is the noise's own; else it is so up to one factor, which the residuals supply
     correlated   (K or 1,) whether the channels' noise is correlated
     """
 
-    model: Model
+    view: ObservationModel
     spectrum: Spectrum
     covariance: Complex
     states: States | None
     noise_known: bool
     correlated: Bools
 
-    @cached_property
-    def view(self) -> ObservationModel:
-        """What the channels show at the lines.  Raises DataError where one measures what the rig has not."""
-        return observation_model(self.model, self.spectrum.channels, self.spectrum.omega)
+    @property
+    def model(self) -> Model:
+        """The rig."""
+        return self.view.model
+
+    def of_rig(self, model: Model) -> Prepared:
+        """The same data of a rig with the same coordinates and inputs."""
+        return replace(self, view=observation_model(model, self.spectrum.channels, self.spectrum.omega))
 
     def only(self, repeat: int) -> Prepared:
         """One of the repeats."""
@@ -52,13 +56,13 @@ class Prepared:
     def scaled(self, factor: np.ndarray) -> Prepared:
         """With the noise's variances times `factor` (K,)."""
         V = self.covariance * factor[:, None, None, None]
-        return replace(self, covariance=V, states=states_if_seen(self.model, self.spectrum, V))
+        return replace(self, covariance=V, states=states_if_seen(self.view, self.spectrum, V))
 
     @property
     def seen_states(self) -> States:
         """`states`.  Raises DataError, which names what is not seen, where there are none."""
         if self.states is None:
-            require_seen(self.model, self.spectrum)
+            require_seen(self.view, self.spectrum)
             raise DataError("the channels do not show every coordinate and input", cure="use the method ml")
         return self.states
 
@@ -75,12 +79,13 @@ def prepare(model: Model, spectrum: Spectrum, *, moments: bool = False, states: 
     known = noise_is_known(flat)
     if not known:
         flat = with_unknown_noise(flat)
-    V = working_covariance(model, flat)
+    view = observation_model(model, flat.channels, flat.omega)
+    V = working_covariance(view, flat)
     V = V if V.ndim == 4 else V[None]
     correlated = np.atleast_1d(channels_correlate(flat)) if known else np.ones(len(V), dtype=bool)
     if not correlated.all():
         V = np.where(correlated[:, None, None, None], V, without_correlation(V))
-    return Prepared(model, flat, V, states_if_seen(model, flat, V) if states else None, known, correlated)
+    return Prepared(view, flat, V, states_if_seen(view, flat, V) if states else None, known, correlated)
 
 
 def without_priors(model: Model) -> Model:

@@ -7,20 +7,18 @@ displacement of one point, accelerations, differences, several sensors on one po
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
 import numpy as np
 
 from dashpot.arrays import Bools, Complex, Ints, Real, hermitian
-from dashpot.channel import Channel
 from dashpot.data.spectrum import Spectrum
 from dashpot.errors import DataError
 from dashpot.estimate.preparation.point_states import combined_by_point
 from dashpot.model.network import Model
-from dashpot.model.observation import ObservationModel, is_direct, observation_model
+from dashpot.model.observation import ObservationModel
 
 
 @dataclass(frozen=True)
@@ -80,44 +78,25 @@ def state_names(model: Model) -> tuple[str, ...]:
     return (*model.coordinates, *model.displacement_inputs, *model.force_inputs)
 
 
-def measurement(model: Model, channels: Sequence[Channel], omega: Real) -> Complex:
-    """C(ω) of the direct channels, (lines, channels, n + r + s); rows of other channels are 0.
+def unseen(view: ObservationModel, spectrum: Spectrum, channels: Bools | None = None) -> tuple[str, ...]:
+    """Names of coordinates and inputs that the direct channels (or some of them) do not determine at some line.
 
-    Raises DataError where a channel measures a point that the model has not.
+    `view` is that of the spectrum, here as below; channels (channels,).
     """
-    return _view(model, channels, omega).direct
-
-
-def _view(model: Model, channels: Sequence[Channel], omega: Real) -> ObservationModel:
-    """The view of channels, those that are not direct taken as calibrated."""
-    return observation_model(
-        model, [c if None not in (c.gain, c.delay) else _calibrated(c) for c in channels], omega
-    )
-
-
-def _calibrated(channel: Channel) -> Channel:
-    """The same with calibrations taken as known."""
-    return replace(channel, gain=1.0, delay=0.0, same_gain_as=None)
-
-
-def unseen(model: Model, spectrum: Spectrum, channels: Bools | None = None) -> tuple[str, ...]:
-    """Names of coordinates and inputs that the direct channels (or some of them) do not determine at some line."""
-    # Rates scale rows, and do not change what they show.
-    view = _view(model, spectrum.channels, np.ones(1))
-    direct = np.array([is_direct(model, channel) for channel in spectrum.channels], dtype=bool)
-    present = spectrum.present & direct
+    present = spectrum.present & view.is_direct
     if channels is not None:
         present = present & channels
-    missing = np.zeros(view.direct.shape[-1], dtype=bool)
+    missing = np.zeros(view.direct_incidence.shape[-1], dtype=bool)
     for pattern in present[:1] if (present == present[0]).all() else np.unique(present, axis=0):
         key = pattern.tobytes()
         if key not in view.undetermined:
-            view.undetermined[key] = _undetermined(view.direct[0, pattern])
+            # Rates scale rows, and do not change what they show.
+            view.undetermined[key] = _undetermined(view.direct_incidence[pattern])
         missing |= view.undetermined[key]
-    return tuple(name for name, lost in zip(state_names(model), missing, strict=True) if lost)
+    return tuple(name for name, lost in zip(state_names(view.model), missing, strict=True) if lost)
 
 
-def _undetermined(C: Complex) -> Bools:
+def _undetermined(C: Real) -> Bools:
     """Which entries of z the rows of C, (channels, q), leave undetermined."""
     shown = np.flatnonzero(np.any(C != 0, axis=0))  # of a large rig few coordinates
     _, s, Vh = np.linalg.svd(C[:, shown], full_matrices=True)
@@ -128,14 +107,14 @@ def _undetermined(C: Complex) -> Bools:
 
 
 def reconstruction(
-    model: Model, spectrum: Spectrum, covariance: Complex, channels: Bools | None = None
+    view: ObservationModel, spectrum: Spectrum, covariance: Complex, channels: Bools | None = None
 ) -> Complex:
     """P with ẑ = P y, (..., lines, n + r + s, channels): generalised least squares from the direct channels.
 
     ẑ minimises (y − C z)ᴴ V⁻¹ (y − C z); exact channels are met exactly.  `channels` limits what is used.
     Raises DataError where some entry of z is not seen.
     """
-    C, used = _usable(model, spectrum)
+    C, used = view.direct, spectrum.present & view.is_direct
     if channels is not None:
         used = used & channels
     both = used[:, :, None] & used[:, None, :]
@@ -198,24 +177,17 @@ def _sizes(spectrum: Spectrum) -> Real:
     return sizes
 
 
-def states(model: Model, spectrum: Spectrum, covariance: Complex) -> States:
-    """The amplitudes z with their covariance, all direct channels combined.
+def states_if_seen(view: ObservationModel, spectrum: Spectrum, covariance: Complex) -> States | None:
+    """The amplitudes z, all direct channels combined; None where some coordinate or input is not seen.
 
-    Raises DataError where some coordinate or input is not seen by any channel, and as `reconstruction`.
-    covariance (..., lines, channels, channels).
+    covariance (..., lines, channels, channels).  Raises DataError as `reconstruction`.
     """
-    require_seen(model, spectrum)
-    return _combined(model, spectrum, covariance)
+    return None if unseen(view, spectrum) else _combined(view, spectrum, covariance)
 
 
-def states_if_seen(model: Model, spectrum: Spectrum, covariance: Complex) -> States | None:
-    """As `states`, None where some coordinate or input is not seen.  covariance (..., lines, channels, channels)."""
-    return None if unseen(model, spectrum) else _combined(model, spectrum, covariance)
-
-
-def require_seen(model: Model, spectrum: Spectrum) -> None:
+def require_seen(view: ObservationModel, spectrum: Spectrum) -> None:
     """Raises DataError that names what no channel sees."""
-    missing = unseen(model, spectrum)
+    missing = unseen(view, spectrum)
     if missing:
         raise DataError(
             f"no channel sees {', '.join(missing)} at every line",
@@ -223,20 +195,14 @@ def require_seen(model: Model, spectrum: Spectrum) -> None:
         )
 
 
-def _combined(model: Model, spectrum: Spectrum, covariance: Complex) -> States:
-    simple = combined_by_point(*_usable(model, spectrum), covariance)
+def _combined(view: ObservationModel, spectrum: Spectrum, covariance: Complex) -> States:
+    simple = combined_by_point(view.direct, spectrum.present & view.is_direct, covariance)
     if simple is None:
-        P = reconstruction(model, spectrum, covariance)
+        P = reconstruction(view, spectrum, covariance)
         spread = P @ covariance @ hermitian(P)
     else:
         P, spread = simple
     Y = spectrum.amplitudes
     y = Y if spectrum.present.all() else np.where(np.isnan(Y), 0.0, Y)
     z = (P @ y[..., None])[..., 0]
-    return States(spectrum.omega, z, spread, P, model.n, len(model.displacement_inputs))
-
-
-def _usable(model: Model, spectrum: Spectrum) -> tuple[Complex, Bools]:
-    """C(ω) of the direct channels, (lines, channels, n + r + s), and which of them each line has."""
-    direct = np.array([is_direct(model, channel) for channel in spectrum.channels])
-    return measurement(model, spectrum.channels, spectrum.omega), spectrum.present & direct
+    return States(spectrum.omega, z, spread, P, view.model.n, len(view.model.displacement_inputs))

@@ -8,8 +8,7 @@ import numpy as np
 
 from dashpot.arrays import Complex
 from dashpot.data.spectrum import Spectrum
-from dashpot.model.network import Model
-from dashpot.model.observation import measures_input
+from dashpot.model.observation import ObservationModel
 
 
 def noise_is_known(spectrum: Spectrum) -> bool:
@@ -26,7 +25,7 @@ def with_unknown_noise(spectrum: Spectrum) -> Spectrum:
     return replace(spectrum, covariance=nothing, noise=("unknown",) * spectrum.lines)
 
 
-def working_covariance(model: Model, spectrum: Spectrum) -> Complex:
+def working_covariance(view: ObservationModel, spectrum: Spectrum) -> Complex:
     """Covariance of the channels to weigh with, (..., lines, channels, channels).
 
     As known; unknown noise leaves the inputs exact and gives each other channel the same relative noise: what that
@@ -37,6 +36,5 @@ def working_covariance(model: Model, spectrum: Spectrum) -> Complex:
     present = spectrum.present
     X = np.where(present, spectrum.amplitudes, 0.0)
     size = np.sqrt(np.sum(np.abs(X) ** 2, axis=-2) / np.maximum(np.sum(present, axis=0), 1))
-    noisy = np.array([not measures_input(model, channel) for channel in spectrum.channels])
-    variance = np.where(noisy, size**2, 0.0)[..., None, :] * np.ones((spectrum.lines, 1))
+    variance = np.where(view.inputs_alone, 0.0, size**2)[..., None, :] * np.ones((spectrum.lines, 1))
     return (variance[..., :, None] * np.eye(len(spectrum.channels))).astype(np.complex128)

@@ -89,7 +89,7 @@ def test_the_cost_is_that_of_one_large_least_squares() -> None:
     test, spectrum = two_records()
     data = prepared(test, spectrum)
     view = observation_model(test.model, spectrum.channels, spectrum.omega)
-    exact = measured(data, view)
+    exact = measured(data)
     for factor in (1.0, 1.02):
         theta = test.theta * factor
         at = predict(view, exact, theta[None], np.ones((1, len(spectrum.channels))))
@@ -102,7 +102,7 @@ def test_slopes_are_those_of_the_cost(noisy_base: bool) -> None:
     test, spectrum = two_records(noisy_base=noisy_base)
     data = prepared(test, spectrum)
     view = observation_model(test.model, spectrum.channels, spectrum.omega)
-    exact = measured(data, view)
+    exact = measured(data)
     assert (exact.q is not None) == (not noisy_base)
     sign = np.ones((1, len(spectrum.channels)))
     theta = test.theta * 1.01
@@ -124,9 +124,7 @@ def test_exact_inputs_are_the_limit_of_small_noise() -> None:
     view = observation_model(test.model, spectrum.channels, spectrum.omega)
     sign = np.ones((1, len(spectrum.channels)))
     costs = [
-        float(
-            np.sum(predict(view, measured(prepared(test, lines), view), test.theta[None], sign).cost_per_line)
-        )
+        float(np.sum(predict(view, measured(prepared(test, lines)), test.theta[None], sign).cost_per_line))
         for lines in (spectrum, replace(spectrum, covariance=V))
     ]
     assert costs[0] == pytest.approx(costs[1], rel=1e-4)
@@ -143,9 +141,9 @@ def test_repeats_are_projected_each_by_itself() -> None:
     view = observation_model(test.model, spectrum.channels, spectrum.omega)
     sign = np.ones((2, len(spectrum.channels)))
     data = prepare(test.model, both)
-    together = predict(view, measured(data, view), np.stack([test.theta, 1.1 * test.theta]), sign)
+    together = predict(view, measured(data), np.stack([test.theta, 1.1 * test.theta]), sign)
     for k, (lines, factor) in enumerate(((spectrum, 1.0), (other, 1.1))):
-        alone = predict(view, measured(prepared(test, lines), view), factor * test.theta[None], sign[:1])
+        alone = predict(view, measured(prepared(test, lines)), factor * test.theta[None], sign[:1])
         np.testing.assert_allclose(together.cost_per_line[k], alone.cost_per_line[0], rtol=1e-6)
 
 

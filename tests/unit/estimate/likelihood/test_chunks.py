@@ -30,7 +30,7 @@ def test_sums_in_pieces_are_the_sums_of_all(make, numbers, monkeypatch):
     bench = make()
     data = prepare(bench.model, bench.spectrum(np.random.default_rng(3)))
     view = observation_model(bench.model, data.spectrum.channels, data.spectrum.omega)
-    exact = measured(data, view)
+    exact = measured(data)
     psi = bench.psi * np.exp(0.05 * np.random.default_rng(4).standard_normal((7, len(bench.psi))))
     sign = np.ones((7, len(view.channels)))
     weight = np.random.default_rng(5).random((data.spectrum.lines, len(view.channels)))
@@ -40,7 +40,7 @@ def test_sums_in_pieces_are_the_sums_of_all(make, numbers, monkeypatch):
         if exact.q is not None:
             summed.append(logarithmic(view, exact, weight, psi, sign))
         lists = [(each.cost, each.gradient, each.symmetric) for each in summed]
-        drawn = candidates(data, view, 30, np.random.default_rng(6))
+        drawn = candidates(data, 30, np.random.default_rng(6))
         return [*(part for each in lists for part in each), *per_line(view, exact, psi, sign), *drawn]
 
     monkeypatch.setattr(chunks, "PIECE", 10**12)
@@ -63,7 +63,7 @@ def test_repeats_are_cut_as_starts_are(monkeypatch):
     data = prepare(bench.model, bench.spectrum(np.random.default_rng(3), 5, 0.3))
     data = replace(data, covariance=data.covariance * np.linspace(1, 2, 5)[:, None, None, None])
     view = observation_model(bench.model, data.spectrum.channels, data.spectrum.omega)
-    exact = measured(data, view)
+    exact = measured(data)
     psi, sign = np.tile(bench.psi, (5, 1)), np.ones((5, len(view.channels)))
     whole = local(view, exact, psi, sign)
     monkeypatch.setattr(chunks, "PIECE", 9_000)

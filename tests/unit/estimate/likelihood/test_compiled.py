@@ -41,7 +41,7 @@ def test_sums_are_those_of_numpy(make: Callable[[], Bench], name: str) -> None:
     bench, likelihood, psi, sign = _case(make)
     view, rows = likelihood.view, np.arange(COUNT)
     size, both = bench.psi, np.outer(bench.psi, bench.psi)
-    for data in (likelihood.exact, measured(likelihood.data, view, 0.3)):
+    for data in (likelihood.exact, measured(likelihood.data, 0.3)):
         with using("numpy"):
             twin, lines = local(view, data, psi, sign), per_line(view, data, psi, sign)
         with instructions(name):
@@ -65,7 +65,7 @@ def test_logarithms_are_those_of_numpy(make: Callable[[], Bench]) -> None:
     first = likelihood.only(0)
     data, view = directly_driven(first.view, first.exact), first.view
     assert data is not None
-    weight, rows = _reliability(first.data, view), np.zeros(COUNT, dtype=np.int64)
+    weight, rows = _reliability(first.data), np.zeros(COUNT, dtype=np.int64)
     with using("numpy"):
         twin = logarithmic(view, data, weight, psi, sign)
     output = compiled_output(view, data)

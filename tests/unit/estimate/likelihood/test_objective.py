@@ -36,7 +36,7 @@ def bench(request):
 
 def test_channels_show_what_the_simulation_says(bench):
     data, view = prepared(bench)
-    exact = replace(measured(data, view), q=bench.q[None])
+    exact = replace(measured(data), q=bench.q[None])
     at = predict(view, exact, bench.psi[None], signs(bench))
     shown = (exact.y - at.r)[0]
     truth = bench.shown(bench.psi)
@@ -47,7 +47,7 @@ def test_channels_show_what_the_simulation_says(bench):
 def test_slopes_are_those_of_finite_differences(bench):
     """To 1e-6 of the largest slope of each channel by each unknown, at inputs that are given."""
     data, view = prepared(bench)
-    exact = replace(measured(data, view), q=bench.q[None])
+    exact = replace(measured(data), q=bench.q[None])
     J = predict(view, exact, bench.psi[None], signs(bench)).J[0]
     expected = bench.slopes()
     size = np.abs(expected).max(axis=0)
@@ -59,7 +59,7 @@ def test_slopes_are_those_of_finite_differences(bench):
 def test_information_is_that_of_inputs_written_out_as_unknowns(bench, correlation):
     """Π of profiled inputs against the Schur complement of real and imaginary parts of every input at every line."""
     data, view = prepared(bench, correlation)
-    given = measured(data, view)
+    given = measured(data)
     exact = replace(given, y=bench.shown(bench.psi)[None] * (given.y != 0))
     found = np.sum(predict(view, exact, bench.psi[None], signs(bench)).information(), axis=-3)[0]
     expected = bench.information(correlation)
@@ -71,7 +71,7 @@ def test_information_is_that_of_inputs_written_out_as_unknowns(bench, correlatio
 def test_gradients_are_those_of_finite_differences(bench, kind):
     """The slope of the cost, away from its minimum and with noisy inputs profiled, to 1e-6."""
     data, view = prepared(bench, 0.4)
-    given = measured(data, view)
+    given = measured(data)
     sign = signs(bench)
     if kind == "logarithms":
         driven = directly_driven(view, given)
@@ -123,7 +123,7 @@ def chain(n, lines):
 def test_sparse_rigs_are_those_of_dense_matrices(monkeypatch):
     bench = chain(60, 5)
     data, view = prepared(bench)
-    given = measured(data, view)
+    given = measured(data)
     sparse = predict(view, given, bench.psi[None], np.ones((1, 6)))
     monkeypatch.setattr(observation, "SPARSE_FROM", 1000)
     dense = predict(view, given, bench.psi[None], np.ones((1, 6)))
@@ -138,7 +138,7 @@ def test_a_large_rig_costs_one_sparse_factorisation_a_line(monkeypatch):
     monkeypatch.setattr(sparse_dynamics, "splu", lambda *args, **how: calls.append(1) or splu(*args, **how))
     bench = chain(60, 7)
     data, view = prepared(bench)
-    given = measured(data, view)
+    given = measured(data)
     psi = np.stack([bench.psi, 1.1 * bench.psi])
     both = local(view, given, psi, np.ones((2, 6)))
     assert len(calls) == 2 * 7
@@ -152,7 +152,7 @@ def test_a_singular_line_of_a_large_rig_is_no_answer():
     data, view = prepared(bench)
     psi = np.stack([0 * bench.psi, bench.psi])
     with np.errstate(all="ignore"):
-        cost = local(view, measured(data, view), psi, np.ones((2, 6))).cost
+        cost = local(view, measured(data), psi, np.ones((2, 6))).cost
     assert np.isnan(cost[0])
     assert np.isfinite(cost[1])
 
@@ -192,12 +192,12 @@ def test_a_channel_that_was_not_measured_weighs_nothing():
     V = data.covariance.copy()
     V[:, 5:9, 1, 1] *= 1e12
     swamped = replace(data, covariance=V, states=None)
-    one, two = (predict(view, measured(d, view), bench.psi[None], signs(bench)) for d in (holes, swamped))
+    one, two = (predict(view, measured(d), bench.psi[None], signs(bench)) for d in (holes, swamped))
     assert np.allclose(
         one.information(), two.information(), rtol=1e-6, atol=1e-6 * np.abs(two.information()).max()
     )
     assert np.allclose(one.cost_per_line, two.cost_per_line, rtol=1e-6)
-    assert measured(holes, view).rows == measured(data, view).rows - 8
+    assert measured(holes).rows == measured(data).rows - 8
 
 
 def test_inputs_that_no_channel_of_a_line_sees_are_not_driven():
@@ -206,7 +206,7 @@ def test_inputs_that_no_channel_of_a_line_sees_are_not_driven():
     Y = data.spectrum.amplitudes.copy()
     Y[:, 3, :] = np.nan
     holes = replace(data, spectrum=replace(data.spectrum, amplitudes=Y), states=None)
-    at = predict(view, measured(holes, view), bench.psi[None], signs(bench))
+    at = predict(view, measured(holes), bench.psi[None], signs(bench))
     assert at.q[0, 3, 0] == 0
     assert np.all(np.isfinite(at.information()))
     assert np.all(at.information()[0, 3] == 0)
@@ -214,8 +214,8 @@ def test_inputs_that_no_channel_of_a_line_sees_are_not_driven():
 
 def test_exact_channels_give_the_inputs_and_are_no_residuals():
     bench = reaction()
-    data, view = prepared(bench)
-    given = measured(data, view)
+    data, _ = prepared(bench)
+    given = measured(data)
     assert np.allclose(given.q[0], bench.q)
     assert np.all(given.W[..., 3, :] == 0)
     assert given.rows == 2 * 3 * bench.lines
@@ -224,9 +224,9 @@ def test_exact_channels_give_the_inputs_and_are_no_residuals():
 def test_noisy_inputs_are_taken_from_their_own_channels_for_logarithms():
     bench = noisy_base()
     data, view = prepared(bench)
-    driven = directly_driven(view, measured(data, view))
+    driven = directly_driven(view, measured(data))
     assert driven is not None
     assert np.allclose(driven.q[0, :, 0], data.spectrum.amplitudes[0, :, 3] / (1j * data.spectrum.omega) ** 2)
     blind = replace(bench, channels=bench.channels[:3])
     data, view = prepared(blind)
-    assert directly_driven(view, measured(data, view)) is None
+    assert directly_driven(view, measured(data)) is None

@@ -61,7 +61,7 @@ def case(
     theta = test.theta * rng.uniform(0.8, 1.2, len(test.theta))
     psi = np.concatenate([theta, np.full(view.gains, 1.1), np.full(view.delays, 1e-3)])
     sign = np.where(view.flips, -1.0, 1.0)
-    return Case(view, measured(data, view), np.stack([psi, 1.05 * psi]), np.stack([sign, np.ones_like(sign)]))
+    return Case(view, measured(data), np.stack([psi, 1.05 * psi]), np.stack([sign, np.ones_like(sign)]))
 
 
 def exact_inputs(test: WholeTest, share: float = 0.05) -> Real:

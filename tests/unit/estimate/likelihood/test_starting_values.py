@@ -18,7 +18,7 @@ def test_responses_without_slopes_are_those_of_the_likelihood() -> None:
         spectrum = bench.spectrum(rng, 1)
         data = prepare(bench.model, spectrum)
         view = observation_model(bench.model, spectrum.channels, spectrum.omega)
-        soft = measured(data, view, 1.0)
+        soft = measured(data, 1.0)
         assert soft.q is not None
         psi = bench.psi * np.exp(0.3 * rng.standard_normal((5, len(bench.psi))))
         sign = rng.choice([-1.0, 1.0], size=(5, len(view.channels)))

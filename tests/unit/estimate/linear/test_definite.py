@@ -21,12 +21,11 @@ from dashpot.estimate.linear.definite import (
 )
 from dashpot.estimate.linear.instrumental_variables import OptimalIV
 from dashpot.estimate.linear.least_squares import HarmonicLeastSquares
-from dashpot.estimate.preparation.state_reconstruction import states
 from dashpot.model.dynamics import matrices
 from dashpot.model.elements import Kind, between, mass
 from dashpot.model.network import Input, Model
 from dashpot.model.unstructured import free_model
-from tests.rigs import Rig, channels, covariance, noisy, perfect
+from tests.rigs import Rig, channels, covariance, noisy, perfect, states
 
 X = ("x1", "x2", "x3")
 CHAIN = [("x1", "x2"), ("x2", "x3")]

@@ -20,11 +20,11 @@ from dashpot.estimate.linear.gram import gram, gram_force, known_side, regressor
 from dashpot.estimate.linear.instrumental_variables import InstrumentalVariables, OptimalIV
 from dashpot.estimate.linear.least_squares import HarmonicLeastSquares, LeastSquares, WeightedLeastSquares
 from dashpot.estimate.preparation.noise_quality import channels_correlate, noise_quality
-from dashpot.estimate.preparation.state_reconstruction import states
 from dashpot.estimate.result import Estimate
 from dashpot.model.dynamics import dynamic_stiffness, input_stiffness, response, sensitivities, unit_forces
 from dashpot.model.elements import Element, Kind, between, mass
 from dashpot.model.network import Input, Model
+from tests.rigs import states
 
 SEED = 20
 TRUTH = {"m1": 2.0, "m2": 0.8, "k1": 3000.0, "c1": 15.0, "c2": 6.0}

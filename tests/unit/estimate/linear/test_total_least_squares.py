@@ -21,12 +21,11 @@ from dashpot.estimate.linear.least_squares import (
     without_noise,
 )
 from dashpot.estimate.linear.total_least_squares import CompensatedLeastSquares, TotalLeastSquares
-from dashpot.estimate.preparation.state_reconstruction import states
 from dashpot.estimate.registry import method
 from dashpot.model.dynamics import dynamic_stiffness, input_stiffness
 from dashpot.model.elements import Kind, between, mass
 from dashpot.model.network import Input, Model
-from tests.rigs import Rig, channels, complex_noise, covariance, noisy, paper_rig, perfect, random_rig
+from tests.rigs import Rig, channels, complex_noise, covariance, noisy, paper_rig, perfect, random_rig, states
 
 DRAWS = 2000
 

@@ -9,6 +9,7 @@ from dashpot.data.spectrum import Spectrum
 from dashpot.estimate.preparation.weighting import working_covariance
 from dashpot.model.elements import Kind, between, mass
 from dashpot.model.network import Input, Model
+from dashpot.model.observation import observation_model
 
 MODEL = Model(("x",), (Input("u"),), (mass("m", "x"), between("k", Kind.SPRING, "x", "u")))
 
@@ -26,6 +27,7 @@ def test_without_known_noise_only_the_inputs_own_channels_are_exact() -> None:
         channels, lines, Y, np.full((6, 4, 4), np.nan), np.full(6, 50), np.full(6, np.inf), ("given",) * 6,
         np.zeros(6, dtype=np.int64),
     )  # fmt: skip
-    variance = np.diagonal(working_covariance(MODEL, spectrum), axis1=-2, axis2=-1).real
+    view = observation_model(MODEL, spectrum.channels, spectrum.omega)
+    variance = np.diagonal(working_covariance(view, spectrum), axis1=-2, axis2=-1).real
     expected = np.mean(np.abs(Y) ** 2, axis=0) * [1, 1, 0, 0]
     np.testing.assert_allclose(variance, np.tile(expected, (6, 1)))
