@@ -41,12 +41,17 @@ def assess(model: Model, spectrum: Spectrum, estimate: Estimate) -> Assessment:
         *_rejected(estimate),
         *_silent(model, spectrum),
         *(notice for notice in estimate.warnings if notice.code == DISAGREE),
-        *_smooth(left, motions, least=0.5 if RESIDUAL in spectrum.noise else 1.0),
+        *_smooth(left, motions, least=1.0 if _sized_elsewhere(estimate, spectrum) else 0.5),
     ]
     unheard = [] if spectrum.records else _unheard(left, motions, _fundamentals(spectrum))
     doubts = [*_powerless(estimate, spectrum), *unheard]
     verdict: Judgement = "does not fit" if against else "cannot tell" if doubts else "fits"
     return Assessment(verdict, (*against, *doubts), _relative(left, motions), _worst(left))
+
+
+def _sized_elsewhere(estimate: Estimate, spectrum: Spectrum) -> bool:
+    """Whether the noise is known from more than these residuals, so that their size says whether they are noise."""
+    return estimate.fit.known_noise and RESIDUAL not in spectrum.noise
 
 
 def _rejected(estimate: Estimate) -> list[Notice]:

@@ -97,6 +97,8 @@ def noisy(model: Model, spectrum: Spectrum) -> bool:
     """Whether noise is more than NOISY of the motion at the middle line of a channel; so where it is not given."""
     measured = np.array([not measures_input(model, channel) for channel in spectrum.channels])
     noise = np.sqrt(np.diagonal(spectrum.covariance, axis1=-2, axis2=-1).real)[..., measured]
+    if not np.any(np.isfinite(noise)):
+        return True
     with np.errstate(all="ignore"):
         share = np.nanmedian(noise / np.abs(spectrum.amplitudes[..., measured]), axis=-2)
     return not bool(np.all(share <= NOISY))

@@ -123,25 +123,30 @@ class Workbench:
         return measured(prepared(self.data, trial), softness)
 
     def _own(self, trials: Sequence[Trial]) -> list[list[Real]]:
-        """Noise-compensated least squares of each trial's own data, (1, M), where all is seen; else nothing."""
+        """Noise-compensated least squares of each trial's own lines, (1, M), where all is seen there; else nothing."""
         own: list[list[Real]] = [[] for _ in trials]
         if self.data.states is None:
             return own
         whole = np.isfinite(self.data.spectrum.amplitudes[0])
-        rows = [t for t, trial in enumerate(trials) if np.array_equal(trial.kept, whole)]
-        if not rows:
-            return own
-        Y = np.stack([np.where(whole, trials[t].y, np.nan) for t in rows])
-        V = np.stack([trials[t].V for t in rows])
-        spectrum = replace(self.data.spectrum, amplitudes=Y, covariance=np.nan_to_num(V), moments=None)
-        states = states_if_seen(self.view, spectrum, V)
-        if states is None:
-            return own
-        with np.errstate(all="ignore"):
-            theta = compensated(self.data.model, states)
-        rest = np.broadcast_to(self.psi[theta.shape[1] :], (len(rows), len(self.psi) - theta.shape[1]))
-        for t, psi in zip(rows, np.concatenate([theta, rest], axis=1), strict=True):
-            own[t] = [psi[None]]
+        groups: dict[bytes, list[int]] = {}
+        for t, trial in enumerate(trials):
+            lines = np.any(trial.kept, axis=1)
+            if np.array_equal(trial.kept, whole & lines[:, None]):
+                groups.setdefault(lines.tobytes(), []).append(t)
+        for rows in groups.values():
+            lines = np.flatnonzero(np.any(trials[rows[0]].kept, axis=1))
+            Y = np.stack([np.where(whole, trials[t].y, np.nan)[lines] for t in rows])
+            V = np.stack([trials[t].V[lines] for t in rows])
+            part = self.data.spectrum.select(lines)
+            spectrum = replace(part, amplitudes=Y, covariance=np.nan_to_num(V), moments=None)
+            view = observation_model(self.data.model, part.channels, part.omega)
+            states = states_if_seen(view, spectrum, V)
+            if states is None:
+                continue
+            with np.errstate(all="ignore"):
+                theta = compensated(self.data.model, states)
+            for t, values in zip(rows, theta, strict=True):
+                own[t] = [np.concatenate([values, self.psi[len(values) :]])[None]]
         return own
 
     def _from_afar(

@@ -49,10 +49,7 @@ def _of_channel(model: Model, channel: Channel, cause: Cause) -> Finding:
         mended = replace(channel, sign=-1.0 if channel.sign is None else -channel.sign)
         text = f"{name} reads {_number(number)} × what the rig gives: wrong sign?"
     elif cause.kind == "delay":
-        late = (0.0 if channel.delay is None else channel.delay) + number
-        mended = replace(channel, delay=late)
-        word = "late" if number > 0 else "early"
-        text = f"{name} is {1e3 * abs(number):.3g} ms {word}"
+        mended, text = _late(channel, number, 1.0 if relation is None else relation.number)
     elif cause.kind == "quantity" and relation is not None:
         mended, text = _other_quantity(channel, relation)
     else:
@@ -61,6 +58,20 @@ def _of_channel(model: Model, channel: Channel, cause: Cause) -> Finding:
     return Finding(
         cause.kind, cause.of, text, f"[channels] {line}", cause.remaining, cause.number, channels=(mended,)
     )
+
+
+def _late(channel: Channel, late: float, factor: float) -> tuple[Channel, str]:
+    """Later by so many seconds; and another sign or gain, if the factor with which it was tried is another than 1."""
+    mended = replace(channel, delay=(0.0 if channel.delay is None else channel.delay) + late)
+    text = f"{channel.name} is {1e3 * abs(late):.3g} ms {'late' if late > 0 else 'early'}"
+    if factor < 0:
+        mended = replace(mended, sign=-1.0 if channel.sign is None else -channel.sign)
+    if abs(abs(factor) - 1) > CLOSE:
+        gain = (1.0 if channel.gain is None else channel.gain) * abs(factor)
+        mended = replace(mended, gain=float(f"{gain:.6g}"))
+    if factor < 0 or abs(factor - 1) > CLOSE:
+        text += f" and reads {_number(factor)} × what the rig gives"
+    return mended, text
 
 
 def _other_quantity(channel: Channel, relation: Likeness) -> tuple[Channel, str]:

@@ -11,6 +11,8 @@ from dashpot.data.conditioning.settings import USUAL_DRIFT, Conditioning, Drift
 from dashpot.data.record import Record
 from dashpot.errors import DataError
 
+FEW_PERIODS = 2.0  # below which the peak of a periodogram is as wide as the frequency is high
+
 
 @dataclass(frozen=True)
 class RefinedFrequency:
@@ -26,8 +28,9 @@ def refine_frequency(
 ) -> RefinedFrequency:
     """The frequency of greatest likelihood over all channels and repeats together, near the nominal one.
 
-    A periodogram in nominal · (1 ± within), three resolution steps at least, finds the peak; Gauss-Newton steps of
-    the least squares fit take it to the end.  Raises DataError as `fit_harmonics`, and where it does not settle.
+    A periodogram in nominal · (1 ± within), three resolution steps at least, finds the peak, but of a record of less
+    than two periods; Gauss-Newton steps of the least squares fit take it to the end.  Raises DataError as
+    `fit_harmonics`, and where it does not settle.
     """
     f = nominal_hz if nominal_hz is not None else record.frequency_hz
     if f is None:
@@ -39,7 +42,7 @@ def refine_frequency(
     check_length(record, nominal, (1,), max(degree, 0) + 2)
     T = duration(record.time)
     search = min(max(within * nominal, 3 / T), 0.5 * nominal)
-    f = _peak(record, nominal, search)
+    f = nominal if nominal * T < FEW_PERIODS else _peak(record, nominal, search)
     sd = np.inf
     for _ in range(30):
         step, sd = frequency_step(record, f, degree)

@@ -30,7 +30,12 @@ from dashpot.data.conditioning.steady_state import (
     settled,
     without_start,
 )
-from dashpot.data.conditioning.transients import continuous, dwells_with_transients, transients_matter
+from dashpot.data.conditioning.transients import (
+    continuous,
+    dwells_with_transients,
+    short_dwells_bend,
+    transients_matter,
+)
 from dashpot.data.conditioning.whole_record import whole_records
 from dashpot.data.record import Record
 from dashpot.data.spectrum import Spectrum, concatenate
@@ -156,8 +161,9 @@ def _why_whole(dwells: Sequence[Record], settings: Conditioning, wanders: bool) 
         return None
     if wanders:
         return "not steady (the drive frequency wanders)"
-    unsettled = transients_matter(dwells) or not all(driven_throughout(record) for record in dwells)
-    return "not settled" if unsettled else None
+    if transients_matter(dwells) or not all(driven_throughout(record) for record in dwells):
+        return "not settled"
+    return "no steady sines" if short_dwells_bend(dwells) else None
 
 
 def _driven_parts(dwells: Sequence[Record], settings: Conditioning) -> tuple[list[Record], list[Notice]]:

@@ -76,7 +76,7 @@ def _period(record: Record) -> int | None:
         return None
     alike = np.min(alike / alike[0], axis=1) * (n / (n - np.arange(len(alike))))
     lags = alike[SHORTEST : n // FEWEST_PERIODS]
-    highest = float(np.max(lags))
+    highest = float(np.max(lags, initial=0.0))
     if highest < REPEATS:
         return None
     first = SHORTEST + int(np.flatnonzero(lags > LASTING * highest)[0])

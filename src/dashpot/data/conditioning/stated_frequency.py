@@ -14,8 +14,9 @@ from scipy import fft
 from scipy.special import chdtrc
 
 from dashpot.arrays import Real
-from dashpot.data.conditioning.drive_frequency import frequency_step, refine_frequency
+from dashpot.data.conditioning.drive_frequency import FEW_PERIODS, frequency_step, refine_frequency
 from dashpot.data.conditioning.regression import duration
+from dashpot.data.conditioning.steady_state import periods_of
 from dashpot.data.record import Record
 from dashpot.errors import DataError, Problem
 from dashpot.notices import Notice
@@ -28,6 +29,7 @@ MOST_SAMPLES = 1 << 18  # of a record that are looked at, and repeats
 MOST_REPEATS = 4
 SIGNIFICANT = 1e-3
 OWN = 3.3  # standard deviations by which a dwell must differ from the common ratio to have a frequency of its own
+LEAST_PERIODS = 0.98  # of a dwell that has a say
 EVEN = 1e-7  # relative: what is nearer is the same frequency, however small the noise
 USUAL = ((2 * np.pi, "rad/s"), (1 / (2 * np.pi), "Hz in the place of rad/s"), (60.0, "per minute"))
 ALIKE = 0.05  # relative
@@ -137,7 +139,8 @@ def moves_elsewhere(record: Record, orders: Sequence[int] = (1,)) -> float | Non
 def drive_frequencies(records: Sequence[Record]) -> DriveFrequencies:
     """The frequencies of the drive: as stated, unless all dwells together show that they are off (p < 1e-3).
 
-    Where one ratio, of two clocks, explains it, all dwells get it; a dwell that differs from it gets its own.
+    Where one ratio, of two clocks, explains it, all dwells get it; a dwell that differs from it gets its own, unless it
+    has less than two periods: there a transient looks like another frequency.
     """
     stated = np.array([record.frequency_hz for record in records], dtype=float)
     steps = [_evidence(record) for record in records]
@@ -153,14 +156,16 @@ def drive_frequencies(records: Sequence[Record]) -> DriveFrequencies:
     if tested > 2 and np.sum(apart) <= 0.1 * tested:
         used = np.where(apart, frequency, ratio * stated)
         return DriveFrequencies(tuple(used.tolist()), "own" if np.any(apart) else "clock", ratio)
-    used = np.where(np.abs(frequency - stated) > np.maximum(OWN * sd, EVEN * stated), frequency, stated)
+    long = np.array([periods_of(record) >= FEW_PERIODS for record in records])
+    off_alone = long & (np.abs(frequency - stated) > np.maximum(OWN * sd, EVEN * stated))
+    used = np.where(off_alone, frequency, stated)
     return DriveFrequencies(tuple(used.tolist()), "own")
 
 
 def _evidence(record: Record) -> tuple[float, float] | None:
     """(step of the frequency that the samples ask for, its sd), Hz; None where a dwell says nothing of it."""
     f = record.frequency_hz
-    if f is None or f * duration(record.time) < 2 or len(record.time) < 12:
+    if f is None or periods_of(record) < LEAST_PERIODS or len(record.time) < 12:
         return None
     try:
         step, sd = frequency_step(record, f, 1)

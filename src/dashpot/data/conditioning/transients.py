@@ -10,12 +10,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.special import fdtrc
+from scipy.special import chdtrc, chdtri, fdtrc
 
 from dashpot.arrays import Bools, Complex, Real
 from dashpot.data.conditioning.clock import FEWEST, even_step
 from dashpot.data.conditioning.harmonic_fit import fit_harmonics
-from dashpot.data.conditioning.regression import basis, window
+from dashpot.data.conditioning.regression import basis, duration, window
 from dashpot.data.conditioning.still import Still
 from dashpot.data.conditioning.whole_record import whole_record
 from dashpot.data.record import Record
@@ -34,6 +34,9 @@ SLIGHT = 3e-3  # of an amplitude: what a transient may leave in it of a long dwe
 SLIGHT_IN_FEW = 5e-4  # and in a short one, whose noise does not contain it
 FEWEST_A_PERIOD = 6  # samples, for amplitudes of single periods with a residual
 SHORT = 200  # lines: below it two polynomial columns serve
+COMPARED = 2.0  # periods from which on a dwell's first can be set against its last
+BENT = 3  # degree of the polynomials that a dwell shorter than that may be bent by
+BESIDE, MANY_SAMPLES = (1, 2, 3), 24  # multiples solved for beside them, from so many samples on
 WITHIN = 0.5  # of a step: a block that follows after one step belongs to the same record
 
 
@@ -79,6 +82,41 @@ def transients_matter(records: Sequence[Record]) -> bool:
     clear = any(np.any(change.spoiled(CLEAR)) for change in changes)
     many = sum(int(np.sum(change.spoiled(SEEN))) for change in changes) > MANY * pairs
     return (clear or many) and transients_show(changes) < LEVEL
+
+
+def short_dwells_bend(records: Sequence[Record]) -> bool:
+    """Whether dwells of less than two periods are no steady sines: together, and more than a few of all dwells.
+
+    Their first period cannot be set against their last.  A transient, or a frequency that is off, bends the offset and
+    lets amplitude and phase run: two more polynomials and the sine times time, beside harmonics where there are samples
+    enough, explain more of the residual than noise would (F of each channel, pooled).
+    """
+    tails = [tail for tail in map(_bent, records) if tail is not None]
+    if not tails:
+        return False
+    normal = chdtri(1, np.maximum(np.concatenate(tails), 1e-250))
+    bent = sum(bool(np.any(tail < LEVEL / len(tail))) for tail in tails)
+    return bent > MANY * len(records) and float(chdtrc(len(normal), float(np.sum(normal)))) < LEVEL
+
+
+def _bent(record: Record) -> Real | None:
+    """p-values (channels,) of a short dwell's noisy channels being steady sines; None where it cannot be told."""
+    f = record.frequency_hz
+    if f is None or record.values.ndim != 2 or not f * duration(record.time) < COMPARED:
+        return None
+    orders = BESIDE if len(record.time) >= MANY_SAMPLES else (1,)
+    full = basis(record.time, f, orders, BENT, *window(record.time), True)
+    free = len(full) - full.shape[1]
+    if free < 2:
+        return None
+    bent = np.array([*range(2, BENT + 1), -2, -1])
+    before, after = (
+        np.sum((record.values - A @ np.linalg.lstsq(A, record.values, rcond=None)[0]) ** 2, axis=0)
+        for A in (np.delete(full, bent, axis=1), full)
+    )
+    noisy = after > len(full) * (EXACT * np.max(np.abs(record.values), axis=0)) ** 2
+    F = np.maximum(before - after, 0.0)[noisy] / len(bent) / (after[noisy] / free)
+    return np.asarray(fdtrc(len(bent), free, F)) if np.any(noisy) else None
 
 
 @dataclass(frozen=True)

@@ -116,7 +116,7 @@ def of_estimate(model: Model, theta: Real, covariance: Real, noise: Real, fit: F
     """
     return [
         *_of_fit(fit),
-        *wrong_signs(model, theta, covariance),
+        *wrong_signs(model, theta, noise),
         *_beyond_bounds(model, theta),
         *reversed_phase(model, theta, noise),
     ]
@@ -161,15 +161,21 @@ def nonlinear_names(model: Model) -> frozenset[str]:
     return frozenset(names | {f"{e.name}.{c.name}" for e, c in model.constants})
 
 
-def wrong_signs(model: Model, theta: Real, covariance: Real) -> list[Notice]:
-    """Warnings of negative parts, and of free matrices that are not definite.  theta (m,), covariance (m, m)."""
+def wrong_signs(model: Model, theta: Real, noise_covariance: Real) -> list[Notice]:
+    """Warnings of negative parts, and of free matrices that are not definite.
+
+    theta (m,), noise_covariance (m, m): an interval that a misfit has widened excuses no sign.
+    """
     free, any_sign = free_names(model), nonlinear_names(model)
-    sd = standard_deviations(covariance)
+    sd = standard_deviations(noise_covariance)
+    largest = _largest_of_kind(model, theta)
     notices = []
     for j, (unknown, value) in enumerate(zip(model.unknowns, theta, strict=False)):
         if value < 0 and unknown.name not in free and unknown.name not in any_sign:
             within = value > -ZERO * sd[j]
             why = "0 is within its interval" if within else "the model or the data are wrong somewhere"
+            if within and -value > largest.get(unknown.name, np.inf):
+                why = f"the data say next to nothing of it (± {sd[j]:.2g} {unknown.unit})"
             text = f"{unknown.name} is negative ({value:.4g} {unknown.unit}): {why}"
             notices.append(Notice("negative_but_zero" if within else "negative", text, (unknown.name,)))
     if not free:
@@ -184,6 +190,20 @@ def wrong_signs(model: Model, theta: Real, covariance: Real) -> list[Notice]:
             )
             notices.append(Notice("not_definite", text, (letter,)))
     return notices
+
+
+def _largest_of_kind(model: Model, theta: Real) -> dict[str, float]:
+    """The largest positive part of its kind for each unknown that has one."""
+    p = model.parameters(theta[: len(model.unknowns)])
+    return {
+        element.name: max(others)
+        for element in model.elements
+        if (
+            others := [
+                v for e, v in zip(model.elements, p.tolist(), strict=True) if e.kind is element.kind and v > 0
+            ]
+        )
+    }
 
 
 def held(names: tuple[str, ...], theta: Real, bounds: HeldBounds) -> list[Notice]:

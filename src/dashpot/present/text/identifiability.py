@@ -187,7 +187,22 @@ def _unseen(one: Deficiency, found: Structure, model: Model, channels: Sequence[
         )
         return what, f"measure {quiet[0]}, or more points"
     give = "give it a value or leave it out" if len(one.names) == 1 else "give them values or leave them out"
-    return f"nothing that is measured depends on {listed(one.names)}", give
+    what = f"nothing that is measured depends on {listed(one.names)}"
+    light = _without_mass(one.names, model)
+    if not light:
+        return what, give
+    has = "has" if len(light) == 1 else "have"
+    return (
+        f"{what}: {listed(light)} {has} no mass",
+        f'add [masses] m_{light[0]} = {{ at = "{light[0]}" }}, or {give}',
+    )
+
+
+def _without_mass(names: Sequence[str], model: Model) -> list[str]:
+    """Coordinates that these elements join and no mass, which follow their neighbours without any force."""
+    joined = {point for element in model.elements if element.name in names for point in element.along}
+    heavy = {point for element in model.elements if element.kind is Kind.MASS for point in element.along}
+    return [x for x in model.coordinates if x in joined - heavy]
 
 
 def _lines(one: Deficiency, found: Structure) -> tuple[str, str]:

@@ -70,3 +70,11 @@ def test_a_stated_frequency_is_that_of_the_period_where_nothing_moves_at_it() ->
     record = multisine()
     stated = Record(CHANNELS, record.time, record.values, 1 / (SAMPLES * STEP))
     assert spectrum([stated]).lines == len(EXCITED)
+
+
+def test_records_too_short_to_repeat_do_not() -> None:
+    """Fewer than 33 samples for each of six periods leave no lag to look at."""
+    record = multisine()
+    for samples in (12, 192, 197):
+        rows = slice(samples)
+        assert averaged_periods(Record(CHANNELS, record.time[rows], record.values[rows])) is None

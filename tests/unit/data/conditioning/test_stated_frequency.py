@@ -67,6 +67,18 @@ def test_one_ratio_of_clocks_is_found_and_taken_out() -> None:
     assert [note.code for note in lines.notes] == ["clock_refined"]
 
 
+def test_dwells_of_little_more_than_a_period_show_their_clock_together() -> None:
+    drive = drive_frequencies(dwells(7, noise=0.02, periods=1.25, stated=1.02))
+    assert drive.kind == "clock"
+    assert drive.ratio == pytest.approx(1 / 1.02, abs=2e-3)  # 4 sd
+    # Alone they get no frequency of their own: a transient looks the same.
+    some = dwells(8, noise=0.02, periods=1.25)
+    for k in range(0, 25, 3):
+        some[k] = replace(some[k], frequency_hz=(1 + 0.04 * (-1) ** k) * (some[k].frequency_hz or 0.0))
+    assert drive_frequencies(some).frequency_hz == tuple(record.frequency_hz for record in some)
+    assert drive_frequencies(dwells(9, noise=0.05, periods=1.25)).kind == "stated"
+
+
 def test_one_dwell_gets_a_frequency_of_its_own() -> None:
     records = dwells(6, noise=0.02, periods=10.0)
     records[3] = replace(records[3], frequency_hz=1.01 * (records[3].frequency_hz or 0.0))

@@ -10,11 +10,13 @@ from dashpot.data.conditioning.lines import spectrum
 from dashpot.data.conditioning.transients import (
     continuous,
     first_to_last,
+    short_dwells_bend,
     transients_matter,
     transients_show,
 )
 from dashpot.data.record import Record
 from dashpot.data.stretch import SettledDwell, WholeRecord
+from dashpot.estimate.identify import identify
 from dashpot.model.motion import channel_samples, integrator
 from dashpot.model.observation import observation_model
 from tests.whole_rigs import chain, record_of
@@ -62,6 +64,18 @@ def test_unsettled_dwells_become_records() -> None:
     assert settled.lines == len(FREQUENCIES)
     assert spectrum(stepped(0.01), transients="none").lines == len(FREQUENCIES)
     assert len(spectrum(stepped(0.05, settle=4.0), transients="estimate").records) == len(FREQUENCIES)
+
+
+def test_dwells_too_short_to_compare_their_periods_show_transients_too() -> None:
+    periods = 1.4
+    assert short_dwells_bend(stepped(0.01, periods=periods))
+    assert not any(short_dwells_bend(stepped(0.05, periods=periods, settle=4.0, seed=k)) for k in range(8))
+    estimate = identify(MODEL, spectrum(stepped(0.01, periods=periods)))
+    assert np.all(np.abs(estimate.values - THETA) < 4 * estimate.sd)
+    # One dwell of many that is odd does not turn all others into records.
+    some = [*stepped(0.01, periods=5, settle=4.0), *stepped(0.01, periods=5, settle=4.0, seed=9)]
+    odd = stepped(0.01, periods=periods)[0]
+    assert not short_dwells_bend([odd, *some])
 
 
 def test_what_is_asked_of_a_steady_state_keeps_dwells() -> None:

@@ -1,0 +1,167 @@
+"""Data that once passed for a fit, or were blamed on the wrong thing: the verdict says what they are."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from dashpot.arrays import Complex
+from dashpot.channel import Channel, Quantity
+from dashpot.check.diagnosis.diagnose import examined
+from dashpot.check.verdict import assess
+from dashpot.data.conditioning.lines import spectrum
+from dashpot.data.record import Record
+from dashpot.data.spectrum import Spectrum
+from dashpot.errors import IdentifiabilityError
+from dashpot.estimate.automatic import identify_automatically
+from dashpot.estimate.identify import identify
+from dashpot.estimate.inference.diagnostics import wrong_signs
+from dashpot.model.dynamics import response
+from dashpot.model.elements import Kind, between, mass
+from dashpot.model.network import Input, Model
+from dashpot.present.text.identifiability import require_identifiable
+from tests import rigs
+from tests.nonlinear_rigs import motions, settled, two_masses
+from tests.two_masses import two_mass_rig
+from tests.unit.data.test_local_noise import RIG, TRUTH, functions
+
+PAPER = rigs.paper_rig()
+CHANNELS = rigs.channels(PAPER, (Quantity.DISPLACEMENT,))
+
+
+@pytest.mark.parametrize("share", [0.03, 1.0])
+def test_friction_on_a_linear_rig_does_not_fit(share: float) -> None:
+    """Slight friction too, which raises the residuals to some times the noise."""
+    model, theta = two_masses("coulomb")
+    theta = np.array(theta)
+    theta[5] *= share
+    rng = np.random.default_rng(2)
+    lines = [3, 4, 5, 6, 7, 8, 9.5, 11]
+    data = settled(model, theta, motions("x1", "x2", "u"), lines, orders=(1,), noise=0.002, rng=rng, most=15)
+    linear = replace(model, elements=model.elements[:-1])
+    assert assess(linear, data, identify(linear, data)).verdict == "does not fit"
+
+
+def bump(lines: int, sd: float | None) -> tuple[Model, Spectrum]:
+    """One heavily damped mass, and the receptance of two at the first one's place; noise a share `sd` or not given."""
+    both = functions(lines, 0.05, truth=TRUTH | {"c1": 60.0, "c2": 40.0})
+    shown = [0, 2]
+    covariance = np.full((lines, 2, 2), np.nan, dtype=complex)
+    if sd is not None:
+        covariance = np.zeros((lines, 2, 2), dtype=complex)
+        covariance[:, 0, 0] = (sd * np.abs(both.amplitudes[:, 0])) ** 2
+    one = Model(
+        ("x1",),
+        (Input("f", "force", {"x1": 1.0}),),
+        (
+            mass("m", "x1"),
+            between("k", Kind.SPRING, "x1", "ground"),
+            between("c", Kind.DAMPER, "x1", "ground"),
+        ),
+    )
+    data = replace(
+        both,
+        channels=tuple(both.channels[c] for c in shown),
+        amplitudes=both.amplitudes[:, shown],
+        covariance=covariance,
+        noise=("unknown" if sd is None else "given",) * lines,
+    )
+    return one, data
+
+
+@pytest.mark.parametrize("sd", [None, 0.23])
+def test_a_damped_bump_is_not_one_mode(sd: float | None) -> None:
+    """Noise that is unknown or stated so large that χ² passes: the residuals run smoothly over frequency."""
+    model, data = bump(40, sd)
+    estimate = identify(model, data)
+    assert sd is None or float(estimate.fit.p) > 0.01
+    assessment = assess(model, data, estimate)
+    assert assessment.verdict == "does not fit"
+    assert "smooth_residuals" in {reason.code for reason in assessment.reasons}
+
+
+def test_an_unstable_rig_does_not_fit_where_no_noise_is_given() -> None:
+    """Lines too far apart to show their noise."""
+    few = functions(12, 0.01, truth=TRUTH | {"c1": -1.0, "c2": -0.5})
+    estimate = identify_automatically(RIG, few)
+    assert not estimate.fit.known_noise
+    assessment = assess(RIG, few, estimate)
+    assert assessment.verdict == "does not fit"
+    assert "unstable" in {reason.code for reason in assessment.reasons}
+
+
+def test_a_misfit_excuses_no_negative_mass() -> None:
+    """However wide the misfit makes the interval, 0 is not in that of the noise; nor is a wild value nearly 0."""
+    theta = np.array([-32.8, 2.7, 20.0, 30.0, 1.0, 1.0])
+    noise = np.diag(np.full(6, 0.01))
+    (beyond,) = wrong_signs(PAPER.model, theta, noise)
+    assert (beyond.code, beyond.of) == ("negative", ("m1",))
+    (loose,) = wrong_signs(PAPER.model, theta, np.diag(np.full(6, 30.0**2)))
+    assert loose.text == "m1 is negative (-32.8 kg): the data say next to nothing of it (± 30 kg)"
+    theta[0] = -0.5
+    (near,) = wrong_signs(PAPER.model, theta, np.diag(np.full(6, 30.0**2)))
+    assert near.text.endswith("0 is within its interval")
+
+
+def test_a_forgotten_mass_is_named() -> None:
+    rig = two_mass_rig(dampers='c1 = { between = ["x1", "x2"] }\n')
+    model = replace(rig.model, elements=tuple(e for e in rig.model.elements if e.name != "m1"))
+    with pytest.raises(IdentifiabilityError, match="c1: x1 has no mass") as refused:
+        require_identifiable(model, rig.channels)
+    assert 'm_x1 = { at = "x1" }' in str(refused.value)
+
+
+def bench(seed: int = 0) -> tuple[Model, Spectrum]:
+    """Motor and load with a force that is late and a load that counts the other way, neither of them declared."""
+    names = ("motor", "load")
+    elements = (
+        mass("J1", "motor"), mass("J2", "load"), between("k", Kind.SPRING, *names), between("c", Kind.DAMPER, *names),
+        between("d1", Kind.DAMPER, "motor", "ground"), between("d2", Kind.DAMPER, "load", "ground"),
+    )  # fmt: skip
+    model = Model(names, (Input("torque", "force", {"motor": 1.0}),), elements)
+    truth = {"J1": 0.0048, "J2": 0.0048, "k": 550.0, "c": 0.012, "d1": 0.043, "d2": 0.092}
+    hz = np.linspace(11, 250, 30)
+    omega = 2 * np.pi * hz
+    X = response(model, model.parameters(model.theta(truth)), omega, np.zeros((30, 0)), np.ones((30, 1)))
+    rng = np.random.default_rng(seed)
+    sd = 0.01 * np.abs(X)
+    X = X + sd / np.sqrt(2) * (rng.normal(size=X.shape) + 1j * rng.normal(size=X.shape))
+    Y: Complex = np.concatenate([X * [1, -1], np.exp(1j * omega * 1e-4)[:, None]], axis=1)
+    channels = (
+        Channel("theta_m", {"motor": 1.0}), Channel("theta_l", {"load": 1.0}),
+        Channel("torque", {"torque": 1.0}, Quantity.FORCE),
+    )  # fmt: skip
+    V = np.zeros((30, 3, 3), dtype=complex)
+    V[:, [0, 1], [0, 1]] = sd**2
+    count = np.ones(30, dtype=np.int64)
+    return model, Spectrum(channels, hz, Y, V, count, np.full(30, np.inf), ("given",) * 30, 0 * count)
+
+
+def test_a_motor_bench_without_its_sign_and_delay_does_not_fit() -> None:
+    """Either angle may be the one that is turned: both are named, and nothing is called converged and good."""
+    model, data = bench()
+    estimate = examined(model, data, identify_automatically(model, data))
+    assert estimate.assessment is not None
+    assert estimate.assessment.verdict == "does not fit"
+    first, *others = estimate.assessment.findings
+    assert (first.kind, first.of) == ("delay", ("theta_l",))
+    assert "ms late and reads −1.0" in first.text
+    assert "sign = -1" in first.change
+    assert {finding.of[0] for finding in others[:2] if finding.kind == "sign"} == {"theta_m", "theta_l"}
+
+
+@pytest.mark.parametrize("fault", ["dead", "flipped"])
+def test_one_bad_dwell_of_many_is_named(fault: str) -> None:
+    records = rigs.records(PAPER, CHANNELS, np.random.default_rng(3), samples=80, periods=8.0, relative=0.02)
+    bad = 10
+    values = np.array(records[bad].values)
+    values[:, :2] *= 1e-3 if fault == "dead" else -1.0
+    records[bad] = Record(CHANNELS, records[bad].time, values, records[bad].frequency_hz)
+    data = spectrum(records)
+    estimate = examined(PAPER.model, data, identify_automatically(PAPER.model, data))
+    assert estimate.assessment is not None
+    assert estimate.assessment.verdict == "does not fit"
+    first = estimate.assessment.findings[0]
+    assert (first.kind, first.of) == ("dwell", (f"{records[bad].frequency_hz:g} Hz",))
