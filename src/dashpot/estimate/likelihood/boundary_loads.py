@@ -13,6 +13,7 @@ with a spread of up to twice what it states.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import cast
 
 import numpy as np
 
@@ -20,7 +21,7 @@ from dashpot.arrays import Bools, Complex, Ints, Real, frozen
 from dashpot.data.spectrum import Spectrum
 from dashpot.data.stretch import WholeRecord
 from dashpot.errors import DataError
-from dashpot.model.network import Input
+from dashpot.model.network import Input, Model
 from dashpot.model.observation import ObservationModel, observation_model
 from dashpot.numerics.projection import orthonormal, real_rows
 
@@ -87,6 +88,15 @@ def carries_loads(spectrum: Spectrum) -> bool:
 def with_loads(view: ObservationModel) -> ObservationModel:
     """The same channels of the rig with a force input at every coordinate, behind its own inputs."""
     model = view.model
+    key = (with_loads, *map(id, view.channels), view.omega.tobytes())
+    if key not in model.views:
+        driven = replace(model, inputs=(*model.inputs, *_loads(model)))
+        model.views[key] = observation_model(driven, view.channels, view.omega)
+    return cast(ObservationModel, model.views[key])
+
+
+def _loads(model: Model) -> tuple[Input, ...]:
+    """A force input at every coordinate, with names of their own."""
     taken = {*model.coordinates, *(given.name for given in model.inputs)}
     names = []
     for coordinate in model.coordinates:
@@ -94,11 +104,10 @@ def with_loads(view: ObservationModel) -> ObservationModel:
         while name in taken:
             name += "'"
         names.append(name)
-    extra = tuple(
+    return tuple(
         Input(name, "force", {coordinate: 1.0})
         for name, coordinate in zip(names, model.coordinates, strict=True)
     )
-    return observation_model(replace(model, inputs=(*model.inputs, *extra)), view.channels, view.omega)
 
 
 def record_ends(

@@ -1,0 +1,111 @@
+"""The way down from identify: no module is entered again by what it has called, and views are built once."""
+
+from __future__ import annotations
+
+import sys
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import replace
+from types import FrameType
+
+import numpy as np
+import pytest
+
+import dashpot
+from dashpot.arrays import Real
+from dashpot.channel import Channel
+from dashpot.data.conditioning.lines import spectrum
+from dashpot.data.spectrum import Spectrum
+from dashpot.estimate.identify import identify
+from dashpot.estimate.likelihood.maximum_likelihood import MaximumLikelihood
+from dashpot.estimate.method import Method
+from dashpot.model import observation
+from dashpot.model.network import Model
+from dashpot.numerics.kernel import using
+from tests.nonlinear_rigs import motions, settled, two_masses
+from tests.partly_seen import reaction, two
+from tests.whole_rigs import chain, record_of
+
+HERE = str(dashpot.__path__[0])
+MINIMISER = "numerics/levenberg_marquardt.py"  # asks its caller for the cost: the one way up
+
+
+def entered_again(call: Callable[[], object]) -> set[tuple[str, str]]:
+    """(module, its caller) wherever a call enters a module that has called another one and waits for it."""
+    stack: list[str | None] = []
+    again = set[tuple[str, str]]()
+
+    def module(frame: FrameType) -> str | None:
+        path = frame.f_code.co_filename
+        return path[len(HERE) + 1 :] if path.startswith(HERE) else None
+
+    def profile(frame: FrameType, event: str, _: object) -> None:
+        if event == "call":
+            entered, waiting = module(frame), [name for name in stack if name is not None]
+            if entered is not None and waiting and entered != waiting[-1] and entered in waiting:
+                again.add((entered, waiting[-1]))
+            stack.append(entered)
+        elif event == "return" and stack:
+            stack.pop()
+
+    sys.setprofile(profile)
+    try:
+        call()
+    finally:
+        sys.setprofile(None)
+    return again
+
+
+Case = tuple[Model, Spectrum, Method | str]
+
+
+def seen() -> Case:
+    bench = two(full=True)
+    return bench.model, bench.spectrum(np.random.default_rng(1)), "oiv"
+
+
+def from_afar() -> Case:
+    bench = reaction()
+    return (
+        bench.model,
+        bench.spectrum(np.random.default_rng(1)),
+        MaximumLikelihood(starts=4, candidates=20, rounds=1),
+    )
+
+
+def whole() -> Case:
+    model, theta = chain(1, 0.08, seed=1)
+    test = record_of(model, theta, "random", decay_times=3.0)
+    sd = 0.01 * np.std(test.record.values, axis=0) * [1, 0]
+    return model, spectrum([test.noisy(np.random.default_rng(1), sd)]), "ml"
+
+
+def nonlinear() -> Case:
+    model, theta = two_masses("cubic")
+    return (
+        model,
+        settled(model, theta, motions("x1", "x2", "u"), [2, 3, 4, 5, 6, 7, 8, 9.5, 11], noise=0.01),
+        "ml",
+    )
+
+
+@pytest.mark.parametrize("kernel", ["auto", "numpy"])
+@pytest.mark.parametrize("case", [seen, from_afar, whole, nonlinear])
+def test_no_module_is_entered_again(
+    case: Callable[[], Case], kernel: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    model, data, method = case()
+    model = replace(model)  # without what others have made of it
+    built: Counter[tuple[object, ...]] = Counter()
+    build = observation._observation_model
+
+    def counted(model: Model, channels: tuple[Channel, ...], omega: Real) -> observation.ObservationModel:
+        built[(len(model.inputs), *map(id, channels), omega.tobytes())] += 1
+        return build(model, channels, omega)
+
+    monkeypatch.setattr(observation, "_observation_model", counted)
+    with using(kernel):
+        again = entered_again(lambda: identify(model, data, method))
+    assert {caller for _, caller in again} <= {MINIMISER}
+    assert built
+    assert max(built.values()) == 1
