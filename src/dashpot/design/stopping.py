@@ -264,6 +264,16 @@ def enough(
     if bool(np.any(estimate.fit.rejected)):
         reason = "the model does not fit: more samples will not narrow what its misfit leaves open"
         return Verdict(False, worst, excess, np.inf, reason)
+    covariance_after = _with_more_samples(estimate, known, size)
+    times = _least_times(lambda t: excess_of(covariance_after(t)) <= 1)
+    if times is None:
+        return Verdict(False, worst, excess, np.inf, "more of the same test does not reach the target")
+    more = float(np.ceil((times - 1) * samples))
+    return Verdict(False, worst, excess, more, f"{what} is {excess:.3g} times its target")
+
+
+def _with_more_samples(estimate: Estimate, known: Real | None, size: Real) -> Callable[[float], Real]:
+    """The covariance with so many times the samples: what an estimated noise costs falls with them as well."""
     scale = np.outer(size, size)
     total = np.linalg.inv(estimate.covariance / scale)
     fixed = np.zeros_like(total)
@@ -271,17 +281,12 @@ def enough(
         fixed[: len(known), : len(known)] = known * scale[: len(known), : len(known)]
     widened = np.maximum(np.sqrt(np.diagonal(estimate.covariance)) / estimate.bound_sd, 1.0) ** 2
 
-    def covariance_of(times: float) -> Real:
-        """With so many times the samples: what an estimated noise costs falls with them as well."""
+    def covariance(times: float) -> Real:
         left = np.sqrt((1 + (widened - 1) / times) / widened)
         after: Real = np.linalg.inv(fixed + times * (total - fixed)) * scale * np.outer(left, left)
         return after
 
-    times = _least_times(lambda t: excess_of(covariance_of(t)) <= 1)
-    if times is None:
-        return Verdict(False, worst, excess, np.inf, "more of the same test does not reach the target")
-    more = float(np.ceil((times - 1) * samples))
-    return Verdict(False, worst, excess, more, f"{what} is {excess:.3g} times its target")
+    return covariance
 
 
 def _excess(C: Real, reading: Reading) -> float:

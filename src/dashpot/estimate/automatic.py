@@ -8,7 +8,7 @@ from many starts among rigs of positive parts; the likelier end is taken, and th
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -176,22 +176,28 @@ def _likelier(model: Model, first: Estimate, second: Estimate) -> Estimate:
 
     Among those that fit alike it is the one with fewer negative parts, else the one with the lower χ².
     """
+    first_ended = _ended(model, first)
     if not _ended(model, second):
-        return first if not _ended(model, first) else _with_endless(first, second)
+        return _with_endless(first, second) if first_ended else first
     scale = max(1.0, float(second.fit.chi2) / max(second.fit.dof, 1))
-    above = float(first.fit.chi2 - second.fit.chi2) if _ended(model, first) else np.inf
+    above = float(first.fit.chi2 - second.fit.chi2) if first_ended else np.inf
     rivals = tuple(notice for notice in second.warnings if notice.code == "not_unique")
     if abs(above) <= TIE * scale and not apart(second.values, first.values, second.noise_sd):
         return replace(first, warnings=(*rivals, *first.warnings))
     alike = abs(above) <= DOUBT * scale
     negative = [int(np.sum(_below(model, estimate, -BEYOND))) for estimate in (first, second)]
     taken = negative[1] < negative[0] if alike and negative[0] != negative[1] else above > 0
-    one, other = (second, first) if taken else (first, second)
+    better, other = (second, first) if taken else (first, second)
     if alike and not rivals:
-        rivals = (not_unique(one.names, one.units, one.values, other.values, abs(above)),)
+        rivals = (not_unique(better.names, better.units, better.values, other.values, abs(above)),)
     if not taken:
         return replace(first, warnings=(*(rivals if alike else ()), *first.warnings))
-    failing = "ended in another minimum" if _ended(model, first) else "did not converge"
+    return _replacing(first, second, rivals, first_ended)
+
+
+def _replacing(first: Estimate, second: Estimate, rivals: Sequence[Notice], ended: bool) -> Estimate:
+    """The second estimate, with `rivals` told and why the first is not taken: whether it had ended at all."""
+    failing = "ended in another minimum" if ended else "did not converge"
     changed = Notice("another_method", f"{first.method} {failing}; ml, from many starts, is taken")
     rest = (notice for notice in second.warnings if notice.code != "not_unique")
     return replace(second, warnings=(*rivals, *rest, changed))

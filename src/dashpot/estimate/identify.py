@@ -128,7 +128,6 @@ def _estimate(
 
     around, first = parts[0].linearised, parts[0].solution
     theta, covariance = join(lambda part: part.solution.theta), join(lambda part: part.uncertainty.covariance)
-    noise = join(lambda part: part.uncertainty.noise)
     chi2, p = join(lambda part: part.uncertainty.chi2), join(lambda part: part.uncertainty.p)
     fit = Fit(chi2, around.dof, p, noise_is_known(spectrum))
     lower, upper = (-np.inf, np.inf) if first.bounds is None else (first.bounds.lower, first.bounds.upper)
@@ -136,13 +135,7 @@ def _estimate(
     warnings = list(dict.fromkeys(notice for part in parts for notice in part.solution.warnings))
     bands = [part.uncertainty.bands for part in parts if part.uncertainty.bands is not None]
     if not batch:
-        warnings += [notice for each in bands for notice in each.notices(around.names)]
-        dead = partial(diagnostics.dead_channels, model, spectrum)
-        few = record_findings.few_lines(model, spectrum)
-        diagnostics.require_determined(around.names, theta, noise, dead, few)
-        warnings += _notices(model, method, theta, covariance, noise, fit)
-        warnings += record_findings.of_records(model, theta, spectrum, few)
-        warnings += [] if first.bounds is None else diagnostics.held(around.names, theta, first.bounds)
+        warnings += _notices(model, method, spectrum, parts[0], fit)
     return Estimate(
         model=model.name,
         method=method.name,
@@ -150,7 +143,7 @@ def _estimate(
         units=around.units,
         values=theta,
         covariance=covariance,
-        noise_covariance=noise,
+        noise_covariance=join(lambda part: part.uncertainty.noise),
         bound_sd=diagnostics.standard_deviations(join(lambda part: part.uncertainty.bound)),
         dof=join(lambda part: part.uncertainty.dof),
         lower=np.full(unknowns, lower),
@@ -187,11 +180,19 @@ def _basis(fit: Fit, bands_disagree: bool) -> str:
     return "sensor noise" if fit.known_noise else "residuals"
 
 
-def _notices(
-    model: Model, method: Method, theta: Real, covariance: Real, noise: Real, fit: Fit
-) -> list[Notice]:
-    """What one estimate shows of itself."""
-    notices = diagnostics.of_estimate(model, theta, covariance, noise, fit)
+def _notices(model: Model, method: Method, spectrum: Spectrum, part: Inference, fit: Fit) -> list[Notice]:
+    """What one estimate, without batch axes, shows of itself.
+
+    Raises IdentifiabilityError where the data do not determine it.
+    """
+    names, bands, bounds = part.linearised.names, part.uncertainty.bands, part.solution.bounds
+    theta, noise = part.solution.theta[0], part.uncertainty.noise[0]
+    few = record_findings.few_lines(model, spectrum)
+    dead = partial(diagnostics.dead_channels, model, spectrum)
+    diagnostics.require_determined(names, theta, noise, dead, few)
+    notices = [] if bands is None else bands.notices(names)
+    notices += diagnostics.of_estimate(model, theta, part.uncertainty.covariance[0], noise, fit)
     if method.traits.maximum_likelihood:
         notices += diagnostics.prior_conflict(model, theta, noise)
-    return notices
+    notices += record_findings.of_records(model, theta, spectrum, few)
+    return notices if bounds is None else notices + diagnostics.held(names, theta, bounds)

@@ -120,7 +120,7 @@ def _bent(record: Record) -> Real | None:
 
 
 @dataclass(frozen=True)
-class Change:
+class DwellChange:
     """How the amplitudes of a dwell's channels change from its first period to its last.
 
     difference, variance E|Δ|² and amplitude (channels,) of those with noise, residual degrees of freedom of a channel
@@ -141,7 +141,7 @@ class Change:
         return there
 
 
-def transients_show(changes: Sequence[Change]) -> float:
+def transients_show(changes: Sequence[DwellChange]) -> float:
     """p-value of all changes being noise (pooled F); 1 where no dwell has two periods to compare."""
     apart = sum(2 * float(np.sum(np.abs(change.difference) ** 2 / change.variance)) for change in changes)
     spread = sum(2 * len(change.variance) for change in changes)
@@ -151,12 +151,12 @@ def transients_show(changes: Sequence[Change]) -> float:
     return float(fdtrc(spread, freedom, apart / spread))
 
 
-def first_to_last(records: Sequence[Record]) -> list[Change]:
+def first_to_last(records: Sequence[Record]) -> list[DwellChange]:
     """The changes of the amplitudes of those dwells that have two periods to compare."""
     return [change for change in map(_first_to_last, records) if change is not None]
 
 
-def _first_to_last(record: Record) -> Change | None:
+def _first_to_last(record: Record) -> DwellChange | None:
     """The change of a dwell's amplitudes; None where it has no two periods to compare."""
     if record.frequency_hz is None or record.values.ndim != 2:
         return None
@@ -189,7 +189,7 @@ def _first_to_last(record: Record) -> Change | None:
         variance = fits[0].covariance[0].diagonal().real + fits[-1].covariance[0].diagonal().real
         dof = 2 * (each - 3)
     noisy = variance > (EXACT * np.max(np.abs(record.values), axis=0)) ** 2
-    return Change(difference[noisy], variance[noisy], np.abs(fits[-1].amplitudes[0][noisy]), dof, count)
+    return DwellChange(difference[noisy], variance[noisy], np.abs(fits[-1].amplitudes[0][noisy]), dof, count)
 
 
 def _without_slope(record: Record) -> Record:

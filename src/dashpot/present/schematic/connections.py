@@ -69,10 +69,6 @@ def connections(model: Model, channels: Sequence[Channel] = ()) -> Connections:
     """Bodies and links of a rig; relative channels become links between the bodies they compare."""
     body_of = _rigid_bodies(model)
     count = max(body_of.values()) + 1
-    points: list[list[str]] = [[] for _ in range(count)]
-    for point, index in body_of.items():
-        points[index].append(point)
-    displacement = set(model.displacement_inputs)
     masses: list[list[int]] = [[] for _ in range(count)]
     levers: list[Body] = []
     links: list[Link] = []
@@ -86,10 +82,7 @@ def connections(model: Model, channels: Sequence[Channel] = ()) -> Connections:
             levers.append(Body("lever", (), (i,), tuple(ends.items())))
         else:
             links.append(_link(i, ends, count, levers))
-    bodies = [
-        Body("base" if set(names) <= displacement else "body", tuple(names), tuple(carried))
-        for names, carried in zip(points, masses, strict=True)
-    ] + levers
+    bodies = [*_bodies(model, body_of, masses), *levers]
     for k, lever in enumerate(levers):
         links += [Link("rigid", body, count + k, factor=factor) for body, factor in lever.along]
     links += _relative(channels, body_of, links)
@@ -99,6 +92,18 @@ def connections(model: Model, channels: Sequence[Channel] = ()) -> Connections:
         tuple(_pushes(model, body_of)),
         any(e.free or e.block for e in model.elements),
     )
+
+
+def _bodies(model: Model, body_of: Mapping[str, int], masses: Sequence[Sequence[int]]) -> list[Body]:
+    """Rigid bodies with their points and masses; those of moved points alone are bases."""
+    points: list[list[str]] = [[] for _ in masses]
+    for point, index in body_of.items():
+        points[index].append(point)
+    moved = set(model.displacement_inputs)
+    return [
+        Body("base" if set(names) <= moved else "body", tuple(names), tuple(carried))
+        for names, carried in zip(points, masses, strict=True)
+    ]
 
 
 def _ends(element: Element, body_of: Mapping[str, int], angles: Collection[str]) -> dict[int, float]:
