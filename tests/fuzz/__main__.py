@@ -149,7 +149,7 @@ class Campaign:
             return
         said = json.loads(line)
         if "what" in said:
-            self.found.setdefault(said["what"], []).append(said["index"])
+            self._found(said["what"], said["index"])
             return
         self.done += word.running
         self.heard[worker] = Word(worker.pid, said["begins"], True)
@@ -161,8 +161,14 @@ class Campaign:
         assert worker.stdout is not None
         self.selector.unregister(worker.stdout)
         del self.heard[worker]
-        self.found.setdefault(what, []).append(index)
+        self._found(what, index)
         self._start(index + self.step)
+
+    def _found(self, what: str, index: int) -> None:
+        """Note a finding; the first of its kind is said at once, for a campaign may take hours."""
+        if what not in self.found:
+            print(f"input {index}: {what}", flush=True)
+        self.found.setdefault(what, []).append(index)
 
 
 def _keep(case: Case, what: str, folder: Path) -> str:

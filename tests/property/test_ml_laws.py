@@ -130,7 +130,9 @@ def test_a_batch_is_its_repeats(seed):
             bench.model, replace(spectrum, amplitudes=spectrum.amplitudes[k]), MaximumLikelihood()
         )
         assert np.all(np.abs(together.values[k] - alone.values) <= 1e-5 * alone.sd)
-        assert np.allclose(together.covariance[k], alone.covariance, rtol=1e-5, atol=0)
+        # A covariance may cancel to nearly nothing: what it is accurate to is the product of the deviations.
+        worst = np.abs(together.covariance[k] - alone.covariance) / np.outer(alone.sd, alone.sd)
+        assert np.max(worst) <= 1e-5
 
 
 @given(seed=seeds, factor=st.sampled_from([1e-3, 7.0, 1e4]))

@@ -12,8 +12,6 @@ import warnings
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from importlib import import_module
-from threading import Timer, main_thread
-from types import FrameType
 
 import click
 from click.shell_completion import CompletionItem
@@ -21,23 +19,15 @@ from click.shell_completion import CompletionItem
 from dashpot.app.commands import COMMANDS
 from dashpot.app.help import WIDEST
 from dashpot.app.report_files import ARGUMENTS
+from dashpot.app.signals import Ended, end_on_signals, leave_signals
 from dashpot.app.workers import one_thread
 from dashpot.errors import DashpotError, printable
 from dashpot.io import ledger
 
 FAULT, USAGE, INTERRUPTED, BROKEN_PIPE = 1, 2, 130, 141  # 128 + signal, as shells report it
-ENDING = [getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name)]
 TRACEBACK = "DASHPOT_TRACEBACK"
 MOST_PROBLEMS = 20  # that are told one by one
 COMPLETION = "_DASHPOT_COMPLETE"  # set by the script that `dashpot completion` prints
-
-
-class Ended(BaseException):
-    """A signal asks this process to end; raised so that what is being written is cleared away on the way out."""
-
-    def __init__(self, number: int) -> None:
-        super().__init__(number)
-        self.number = number
 
 
 @contextmanager
@@ -245,55 +235,22 @@ def _open_closed() -> None:
             setattr(sys, name, os.fdopen(number, "w", encoding="utf-8", closefd=False))
 
 
-def _end_on_signals() -> None:
-    """SIGTERM and SIGHUP end the run as Ctrl-C does, unless the caller has them ignored (nohup)."""
-    for number in ENDING:
-        if signal.getsignal(number) == signal.SIG_DFL:
-            signal.signal(number, _end)
-    if hasattr(signal, "pthread_kill"):
-        sys.unraisablehook = _ask_again
-
-
-def _leave_signals() -> None:
-    """All is done and told: a signal that comes while the interpreter is taken down has nothing left to unwind."""
-    for number in ENDING:
-        if signal.getsignal(number) == _end:
-            signal.signal(number, signal.SIG_DFL)
-
-
-def _end(number: int, _: FrameType | None) -> None:
-    signal.signal(number, signal.SIG_DFL)  # a second one ends it at once
-    raise Ended(number)
-
-
-def _ask_again(lost: sys.UnraisableHookArgs) -> None:
-    """A signal that comes within a destructor or the callback of a weak reference is lost there: it comes again.
-
-    From a thread, a moment later: raised at once, it would be lost in this hook.
-    """
-    if not isinstance(lost.exc_value, Ended | KeyboardInterrupt):
-        sys.__unraisablehook__(lost)
-        return
-    number = lost.exc_value.number if isinstance(lost.exc_value, Ended) else signal.SIGINT
-    if isinstance(lost.exc_value, Ended):
-        signal.signal(number, _end)
-    again = Timer(0.01, signal.pthread_kill, (main_thread().ident, number))
-    again.daemon = True
-    again.start()
-
-
 def main() -> None:
     """Entry point of the command `dashpot`."""
-    _open_closed()
-    _end_on_signals()
-    for stream in (sys.stdout, sys.stderr):
-        # A terminal that knows no ± or χ² shows ? rather than ending the run.
-        if hasattr(stream, "reconfigure"):
-            stream.reconfigure(errors="replace")
-    one_thread()
-    if not os.environ.get(TRACEBACK) and not sys.warnoptions:
-        # What matters is in the results; warnings of the interpreter and of libraries are for developers.
-        warnings.simplefilter("ignore")
-    code = run()
-    _leave_signals()
+    try:
+        _open_closed()
+        end_on_signals()
+        for stream in (sys.stdout, sys.stderr):
+            # A terminal that knows no ± or χ² shows ? rather than ending the run.
+            if hasattr(stream, "reconfigure"):
+                stream.reconfigure(errors="replace")
+        one_thread()
+        if not os.environ.get(TRACEBACK) and not sys.warnoptions:
+            # What matters is in the results; warnings of the interpreter and of libraries are for developers.
+            warnings.simplefilter("ignore")
+        code = run()
+        leave_signals()
+    except (Ended, KeyboardInterrupt) as asked:  # in the moments before the run and after it
+        leave_signals()
+        code = _stopped(asked)
     sys.exit(code)

@@ -8,9 +8,9 @@ import time
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from threading import Thread
-from types import FrameType
 from typing import TYPE_CHECKING, Any
 
+from dashpot.app.signals import ENDING, end_at_once, held_back
 from dashpot.errors import UsageError
 from dashpot.io.atomic import clear_away
 
@@ -102,7 +102,9 @@ class _Pool:
                 if task is _NOTHING:
                     break
                 try:
-                    pending[self.executor.submit(function, task)] = task
+                    with held_back():  # the pool begins its processes as they are needed
+                        future = self.executor.submit(function, task)
+                    pending[future] = task
                 except BrokenProcessPool:  # killed since the last result
                     lost.append(task)
                     break
@@ -161,16 +163,10 @@ def _begin_worker() -> None:
     Ctrl-C reaches the whole group; the parent alone answers it.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    for name in ("SIGTERM", "SIGHUP"):
-        number = getattr(signal, name, None)
-        if number is not None and signal.getsignal(number) != signal.SIG_IGN:
-            signal.signal(number, _end_worker)
+    for number in ENDING:
+        if signal.getsignal(number) != signal.SIG_IGN:
+            signal.signal(number, end_at_once)
     Thread(target=_end_with_parent, daemon=True).start()
-
-
-def _end_worker(number: int, _: FrameType | None) -> None:
-    clear_away()
-    os._exit(128 + number)
 
 
 def _end_with_parent() -> None:

@@ -54,7 +54,11 @@ def settled_motion(model: Model, theta: Real, channels: Sequence[Channel], test:
         np.tile(model.parameters(theta), (rows, 1)),
         np.tile(model.inner_constants(theta), (rows, 1)),
     )
-    at, drive = settled_orders(model, p, constants, Drive(test.omega, U, f), tolerance=FINEST)
+    drive = Drive(test.omega, U, f)
+    at = periodic_response(model, p, constants, drive)
+    if not np.all(at.converged):  # with few harmonics, which costs little
+        at = _followed(model, theta, drive, at)
+    at, drive = settled_orders(model, p, constants, drive, at.delta, tolerance=FINEST)
     if not np.all(at.converged):
         at = _followed(model, theta, drive, at)
     return SettledMotion(tuple(channels), channel_harmonics(model, p, channels, drive, at))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -14,6 +15,7 @@ import pytest
 from dashpot import Estimate, __version__, read, read_rig
 from dashpot.app import cli
 from dashpot.app.commands import COMMANDS
+from dashpot.app.signals import Ended
 from dashpot.estimate.registry import METHODS, method
 from tests.unit.app.conftest import RIG, VALUES, Command
 
@@ -236,7 +238,7 @@ def test_a_fault_is_one_line_and_raised_on_request(
         cli.run(["identify", "rig.toml", "data.csv"])
 
 
-@pytest.mark.parametrize(("stop", "code"), [(cli.Ended(15), 143), (KeyboardInterrupt(), 130)])
+@pytest.mark.parametrize(("stop", "code"), [(Ended(15), 143), (KeyboardInterrupt(), 130)])
 def test_a_stop_while_a_module_makes_a_class(
     dashpot: Command, data: Path, monkeypatch: pytest.MonkeyPatch, stop: BaseException, code: int
 ) -> None:
@@ -280,6 +282,72 @@ def test_a_stop_within_a_callback_of_the_interpreter(name: str, code: int) -> No
     assert done.returncode == code
     assert len(done.stderr.splitlines()) == 1
     assert "no file is left half-written" in done.stderr
+
+
+ENDED_WHILE_WORKERS_BEGIN = """
+import os, signal, sys
+from multiprocessing import util
+
+from dashpot.app import cli
+from dashpot.app.workers import mapping
+
+begin = util.spawnv_passfds
+
+def begun_and_ended(path, args, handles):
+    process = begin(path, args, handles)
+    os.kill(os.getpid(), getattr(signal, sys.argv[1]))
+    return process
+
+def work(*args, **options):
+    with mapping(2) as mapper:
+        list(mapper(abs, range(8)))
+
+if __name__ == "__main__":
+    util.spawnv_passfds = begun_and_ended
+    cli.cli.main = work
+    cli.main()
+"""
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="processes begin otherwise there")
+@pytest.mark.parametrize(("name", "code"), [("SIGTERM", 143), ("SIGINT", 130)])
+def test_a_stop_while_workers_begin(tmp_path: Path, name: str, code: int) -> None:
+    """A worker cut off from what it needs to begin would complain of it."""
+    (tmp_path / "ended.py").write_text(ENDED_WHILE_WORKERS_BEGIN, encoding="utf-8")
+    done = subprocess.run(
+        [sys.executable, "ended.py", name], cwd=tmp_path, capture_output=True, text=True, timeout=60
+    )
+    assert done.returncode == code
+    assert len(done.stderr.splitlines()) == 1, done.stderr
+    assert "no file is left half-written" in done.stderr
+
+
+ENDED_TWICE = """
+import os, signal, time
+from dashpot.app import cli
+from dashpot.io.atomic import write_bytes
+
+def parts():
+    yield b"half"
+    try:
+        os.kill(os.getpid(), signal.SIGHUP)
+        time.sleep(20)
+    finally:
+        os.kill(os.getpid(), signal.SIGTERM)
+        time.sleep(20)
+
+cli.cli.main = lambda *_, **__: write_bytes("out", parts())
+cli.main()
+"""
+
+
+@pytest.mark.skipif(not hasattr(signal, "SIGHUP"), reason="there is no SIGHUP")
+def test_a_second_signal_ends_it_at_once_and_clears_away(tmp_path: Path) -> None:
+    done = subprocess.run(
+        [sys.executable, "-c", ENDED_TWICE], cwd=tmp_path, capture_output=True, text=True, timeout=60
+    )
+    assert (done.returncode, done.stderr) == (128 + signal.SIGTERM, "")
+    assert os.listdir(tmp_path) == []
 
 
 def test_interruption_leaves_no_file(dashpot: Command, data: Path, monkeypatch: pytest.MonkeyPatch) -> None:

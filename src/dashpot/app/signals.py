@@ -1,0 +1,106 @@
+"""Signals that ask the command to end: raised as exceptions, so that what is being written is cleared away.
+
+None may be lost, and none may come where nothing can answer it with one line.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from threading import Timer, current_thread, main_thread
+from types import FrameType
+
+from dashpot.io.atomic import clear_away
+
+ENDING = tuple(getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name))
+
+
+class Ended(BaseException):
+    """A signal asks this process to end; raised so that what is being written is cleared away on the way out."""
+
+    def __init__(self, number: int) -> None:
+        super().__init__(number)
+        self.number = number
+
+
+def end_on_signals() -> None:
+    """SIGTERM and SIGHUP end the run as Ctrl-C does, unless the caller has them ignored (nohup)."""
+    for number in ENDING:
+        if signal.getsignal(number) == signal.SIG_DFL:
+            signal.signal(number, _end)
+    if hasattr(signal, "pthread_kill"):
+        sys.unraisablehook = _ask_again
+
+
+def leave_signals() -> None:
+    """All is done and told: a signal that comes while the interpreter is taken down has nothing left to unwind."""
+    for number in (*ENDING, signal.SIGINT):
+        if signal.getsignal(number) in (_end, end_at_once, signal.default_int_handler):
+            signal.signal(number, signal.SIG_DFL)
+
+
+@contextmanager
+def held_back() -> Iterator[None]:
+    """While processes are begun: what asks this one to end waits until they have all that they need to begin.
+
+    One that is cut off before that complains of it.  Ctrl-C, which reaches the whole group, waits in the new ones until
+    they ignore it, for a mask is inherited.
+    """
+    if current_thread() is not main_thread() or not hasattr(signal, "pthread_sigmask"):
+        yield
+        return
+    from multiprocessing import resource_tracker
+
+    came: list[int] = []
+
+    def note(number: int, _: FrameType | None) -> None:
+        came.append(number)
+
+    before = {number: signal.getsignal(number) for number in (*ENDING, signal.SIGINT)}
+    mask = signal.pthread_sigmask(signal.SIG_BLOCK, ())
+    try:
+        for number, handler in before.items():
+            if handler not in (signal.SIG_IGN, None):
+                signal.signal(number, note)
+        resource_tracker.ensure_running()  # which lifts the mask when it begins its process
+        signal.pthread_sigmask(signal.SIG_BLOCK, (signal.SIGINT,))
+        yield
+    finally:
+        for number, handler in before.items():
+            if handler is not None:
+                signal.signal(number, handler)
+        signal.pthread_sigmask(signal.SIG_SETMASK, mask)
+        for number in came:
+            signal.raise_signal(number)
+
+
+def end_at_once(number: int, _: FrameType | None) -> None:
+    """End without unwinding, but for temporary files: where a signal has begun that already, and in workers."""
+    clear_away()
+    os._exit(128 + number)
+
+
+def _end(number: int, _: FrameType | None) -> None:
+    for again in ENDING:
+        if signal.getsignal(again) == _end:
+            signal.signal(again, end_at_once)
+    raise Ended(number)
+
+
+def _ask_again(lost: sys.UnraisableHookArgs) -> None:
+    """A signal that comes within a destructor or the callback of a weak reference is lost there: it comes again.
+
+    From a thread, a moment later: raised at once, it would be lost in this hook.
+    """
+    if not isinstance(lost.exc_value, Ended | KeyboardInterrupt):
+        sys.__unraisablehook__(lost)
+        return
+    number = lost.exc_value.number if isinstance(lost.exc_value, Ended) else signal.SIGINT
+    if isinstance(lost.exc_value, Ended):
+        signal.signal(number, _end)
+    again = Timer(0.01, signal.pthread_kill, (main_thread().ident, number))
+    again.daemon = True
+    again.start()
