@@ -14,6 +14,7 @@ from dashpot.errors import UsageError, printable
 
 if TYPE_CHECKING:
     from dashpot.data.conditioning.settings import Conditioning, SampleMoments
+    from dashpot.data.conditioning.used_dwells import UsedDwell
     from dashpot.data.readers import Reading
     from dashpot.data.spectrum import Spectrum
     from dashpot.model.rigfile import Rig
@@ -24,10 +25,11 @@ CONDITIONING = ("orders", "harmonics", "drift", "noise", "refine", "settle")
 
 @dataclass(frozen=True)
 class MeasuredData:
-    """The amplitudes of data files, and whether any file held time records, which options can condition otherwise."""
+    """The amplitudes of data files, whether any file held time records, and the dwells behind them, where asked for."""
 
     spectrum: Spectrum
     records: bool
+    dwells: tuple[UsedDwell, ...] = ()
 
 
 def read_data(
@@ -38,12 +40,13 @@ def read_data(
     *,
     moments_for: Iterable[str] = (),
     part: tuple[float, float] = (0.0, 1.0),
+    with_dwells: bool = False,
 ) -> MeasuredData:
     """The amplitudes of data files, with the options of `conditioning_options` by name.
 
     Second moments of the samples are kept where one of the methods named by `moments_for` needs them and the files
     hold samples; dwells count as settled where one of them knows no transients.  `part` is the share of every record's
-    samples that is used, from where to where.  Raises DataError.
+    samples that is used, from where to where; `with_dwells` keeps the samples, for pictures.  Raises DataError.
     """
     from dashpot.app.nonlinear_records import usual_orders
     from dashpot.app.progress import progress
@@ -72,7 +75,12 @@ def read_data(
             "--band chooses frequencies of whole records, and these data hold dwells", cure="leave it out"
         )
     tell_notes(spectrum.notes, quiet)
-    return MeasuredData(spectrum, bool(reading.records))
+    dwells: tuple[UsedDwell, ...] = ()
+    if with_dwells:
+        from dashpot.data.conditioning.used_dwells import used_dwells
+
+        dwells = used_dwells(reading.records, spectrum, conditioning)
+    return MeasuredData(spectrum, bool(reading.records), dwells)
 
 
 def _require_use_of_frequency(reading: Reading, stated: float | None) -> None:

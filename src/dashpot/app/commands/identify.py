@@ -31,6 +31,7 @@ from dashpot.app.report_files import failure_reported, report_option
 
 if TYPE_CHECKING:
     from dashpot.check.validation import RecordPrediction
+    from dashpot.data.conditioning.used_dwells import UsedDwell
     from dashpot.data.spectrum import Spectrum
     from dashpot.errors import ConvergenceError, DashpotError, IdentifiabilityError
     from dashpot.estimate.method import Method
@@ -94,6 +95,7 @@ def command(
     with failure_reported(report, rig):
         rig_read = _rig(rig, chosen, positive, matrices)
         estimate, spectrum = None, None
+        dwells: tuple[UsedDwell, ...] = ()
         if len(rig_read.model.nonlinear):
             from dashpot.app.nonlinear_records import whole_record_estimate
 
@@ -103,14 +105,17 @@ def command(
             from dashpot.app.data_files import read_data
             from dashpot.estimate.automatic import suited_method
 
-            measured = read_data(rig_read, data, conditioning, quiet, moments_for=[chosen], part=used)
+            measured = read_data(
+                rig_read, data, conditioning, quiet, moments_for=[chosen], part=used,
+                with_dwells=report is not None,
+            )  # fmt: skip
             named = None if chosen == "auto" else chosen
             method = suited_method(named, rig_read.model, measured.spectrum, seed=seed, positive=positive)
             estimate, spectrum = _estimated(rig, rig_read, measured.spectrum, method, chosen, seed, quiet)
-            records = measured.records
+            records, dwells = measured.records, measured.dwells
     held = () if hold_out is None else _held_out(rig_read, estimate, data, conditioning, used[1])
     if report is not None:
-        _write_report(report, rig_read, spectrum, estimate, level, held, records)
+        _write_report(report, rig_read, spectrum, estimate, level, held, records, dwells)
     write_result(json_out, estimate.to_json())
     if apply is not None:
         _apply(rig_read, estimate, apply)
@@ -121,7 +126,7 @@ def command(
 
 def _write_report(
     path: str, rig: Rig, spectrum: Spectrum | None, estimate: Estimate, level: float,
-    held: tuple[RecordPrediction, ...], records: bool,
+    held: tuple[RecordPrediction, ...], records: bool, dwells: tuple[UsedDwell, ...],
 ) -> None:  # fmt: skip
     from dashpot.app.report_files import provenance, write_report
     from dashpot.present.pages.report import identification_report
@@ -135,6 +140,7 @@ def _write_report(
         channels=rig.channels,
         held_out=held,
         records=records,
+        dwells=dwells,
     )
     write_report(path, page)
 

@@ -93,7 +93,7 @@ def _of_dwells(dwells: Sequence[Record], settings: Conditioning) -> Spectrum:
         evened = [with_even_stamps(record) for record in dwells]
         dwells = [record for record, _ in evened]
         notes += [note for _, note in evened if note is not None]
-    dwells, cut = _driven_parts(dwells, settings)
+    dwells, cut = driven_parts(dwells, settings)
     notes += cut
     wanders = False
     if settings.refine == "auto":
@@ -166,7 +166,7 @@ def _why_whole(dwells: Sequence[Record], settings: Conditioning, wanders: bool) 
     return "no steady sines" if short_dwells_bend(dwells) else None
 
 
-def _driven_parts(dwells: Sequence[Record], settings: Conditioning) -> tuple[list[Record], list[Notice]]:
+def driven_parts(dwells: Sequence[Record], settings: Conditioning) -> tuple[list[Record], list[Notice]]:
     """The dwells without their starts as `settle` says; with "none", those that rest for a part cut to what is driven.
 
     A dwell that is driven for too few periods to see its transient decay is left whole.

@@ -7,10 +7,12 @@ from collections.abc import Sequence
 import numpy as np
 
 from dashpot.check.collinearity import Collinearity, shares_by_band
+from dashpot.check.dwell_history import dwell_histories
 from dashpot.check.frequency_response import responses_of_channels
 from dashpot.check.profile import Profile, profile
 from dashpot.check.residuals import Residuals, correlation
 from dashpot.check.validation import RecordPrediction, validate
+from dashpot.data.conditioning.used_dwells import UsedDwell
 from dashpot.data.spectrum import Spectrum
 from dashpot.errors import DashpotError, DataError
 from dashpot.estimate.registry import AUTOMATIC  # those that end in the minimum of χ²
@@ -19,6 +21,7 @@ from dashpot.io.words import joined
 from dashpot.model.network import Model
 from dashpot.present.figures import spectra as figures
 from dashpot.present.figures.comparison import estimate_figure
+from dashpot.present.figures.dwells import beginnings, whole_dwells
 from dashpot.present.figures.findings import profile_figure, shares_figure
 from dashpot.present.figures.response import MOST_PLANES, nyquist_figure, response_figure
 from dashpot.present.figures.validation import histories_and_spectra
@@ -38,12 +41,17 @@ def evidence_blocks(
     estimate: Estimate,
     found: Residuals | None,
     weak: Collinearity | None,
+    dwells: Sequence[UsedDwell] = (),
 ) -> list[Block]:
-    """Measured and estimated responses, residuals, intervals, correlations, what each line tells (no batch axes)."""
+    """Measured and estimated responses, histories, residuals, intervals, correlations, what each line tells.
+
+    No batch axes; `dwells` are those that the spectrum's lines come from.
+    """
     blocks = []
     if spectrum is not None and found is not None:
         blocks += _responses(model, spectrum, estimate, found)
         blocks += _histories(model, spectrum, estimate)
+        blocks += _dwells(dwells, found)
         blocks += _residuals(estimate, found)
     if len(estimate.names) <= MOST_NAMES:
         text = "Each unknown with its 95 % interval; shaded, the interval at the Cramér-Rao bound."
@@ -137,6 +145,34 @@ def _histories(model: Model, spectrum: Spectrum, estimate: Estimate) -> list[Blo
         return []
     records = [part for part in predictions if part.samples]
     return [prediction_block("In time, as used", records[:1])] if records else []
+
+
+def _dwells(dwells: Sequence[UsedDwell], found: Residuals) -> list[Block]:
+    """Some dwells in time, the part used shaded."""
+    histories = dwell_histories(dwells, found)
+    if not histories:
+        return []
+    cut = [one for one in histories if one.begin > 0 or one.end < one.time[-1]]
+    shaded = "Of each of these dwells all was used."
+    if cut:
+        places = [
+            f"at {short(one.frequency_hz, 4)} Hz {short(one.begin, 3)} to {short(one.end, 3)} s of "
+            f"{short(float(one.time[-1]), 3)} s"
+            for one in cut
+        ]
+        shaded = f"Shaded is the part that was used: {joined(places)}."
+    choice = (
+        f"Shown are {len(histories)} of {len(dwells)} dwells: the one with the largest residual, the one of which "
+        "least was used, and the first, last or middle one. Offsets are taken out; predicted is the steady motion."
+    )
+    channels = joined(histories[0].channels)
+    pictures = (
+        figure_picture(whole_dwells(histories), f"Dwells of {channels} in time. {shaded}"),
+        figure_picture(
+            beginnings(histories), f"{channels} where the part used begins, measured and predicted"
+        ),
+    )
+    return [Block("Dwells in time", (shaded, choice), pictures=pictures, whole=True)]
 
 
 def _residuals(estimate: Estimate, found: Residuals) -> list[Block]:

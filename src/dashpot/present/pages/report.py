@@ -11,6 +11,7 @@ from dashpot.check.collinearity import Collinearity, collinearity
 from dashpot.check.doubt import doubtful, undetermined
 from dashpot.check.residuals import Residuals, calibrations_of, residuals
 from dashpot.check.validation import RecordPrediction
+from dashpot.data.conditioning.used_dwells import UsedDwell
 from dashpot.data.spectrum import Spectrum
 from dashpot.errors import DashpotError, IdentifiabilityError, UsageError
 from dashpot.estimate.result import Estimate
@@ -75,11 +76,12 @@ def identification_report(
     channels: Sequence[Channel] = (),
     held_out: Sequence[RecordPrediction] = (),
     records: bool = False,
+    dwells: Sequence[UsedDwell] = (),
 ) -> str:
     """HTML page of an estimate and the spectrum it came from, if it came from one (no batch axes).
 
     `channels` are drawn where there is no spectrum; `held_out` are predictions of what was not used; `records`:
-    whether the data were time records.
+    whether the data were time records; `dwells`: those behind the spectrum's lines, some of which are drawn.
     """
     shown = channels if spectrum is None else spectrum.channels
     found = _findings(model, spectrum, estimate)
@@ -94,7 +96,7 @@ def identification_report(
         Block("Parameters", tuple(_below_parameters(estimate)), (tuple(parameter_columns(estimate, level)),)),
         rig_picture(model, shown, estimate, unsure, level),
         tuple(next_steps(estimate, unsure, found.collinearity, plannable=not len(model.nonlinear))),
-        tuple(_evidence(model, spectrum, estimate, found, held_out, level)),
+        tuple(_evidence(model, spectrum, estimate, found, held_out, level, dwells)),
         (*TERMS, *(("damping ratio",) if has_modes(estimate) else ()), *(("FIT",) if held_out else ())),
         provenance,
     )
@@ -226,12 +228,13 @@ def _evidence(
     found: EvidenceFound,
     held_out: Sequence[RecordPrediction],
     level: float,
+    dwells: Sequence[UsedDwell],
 ) -> list[Block]:
     blocks = []
     if estimate.assessment is not None and estimate.assessment.findings:
         causes = tuple(diagnosis_in_words(estimate.assessment.findings))
         blocks.append(Block("Why it does not fit", items=causes, whole=True))
-    blocks += evidence_blocks(model, spectrum, estimate, found.residuals, found.collinearity)
+    blocks += evidence_blocks(model, spectrum, estimate, found.residuals, found.collinearity, dwells)
     if spectrum is not None and (differing := profiles_block(model, spectrum, estimate, level)) is not None:
         blocks.append(differing)
     if held_out:
