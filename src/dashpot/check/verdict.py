@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 
 import numpy as np
 
 from dashpot.arrays import Bools, Complex, Real
+from dashpot.check.record_residuals import hum_notices, mains_hum, standing_out
 from dashpot.check.residuals import Residuals, calibrations_of, residuals
 from dashpot.data.spectrum import Spectrum
 from dashpot.data.stretch import SettledDwell
@@ -34,6 +36,8 @@ def assess(model: Model, spectrum: Spectrum, estimate: Estimate) -> Assessment:
     """The verdict on one estimate (no batch axes) from the spectrum it was made of."""
     theta = estimate.values[: len(model.unknowns)]
     left = residuals(model, theta, spectrum, calibrations_of(model, estimate))
+    tones = mains_hum(left, spectrum)
+    quiet = replace(left, normalised=np.where(tones, np.nan, left.normalised))
     motions = np.array([not measures_input(model, channel) for channel in spectrum.channels])
     against = [
         *_unphysical(model, estimate),
@@ -41,10 +45,12 @@ def assess(model: Model, spectrum: Spectrum, estimate: Estimate) -> Assessment:
         *_rejected(estimate),
         *_silent(model, spectrum),
         *(notice for notice in estimate.warnings if notice.code == DISAGREE),
-        *_smooth(left, motions, least=1.0 if _sized_elsewhere(estimate, spectrum) else 0.5),
+        *standing_out(left, spectrum, motions),
+        *_smooth(quiet, motions, least=1.0 if _sized_elsewhere(estimate, spectrum) else 0.5),
     ]
     unheard = [] if spectrum.records else _unheard(left, motions, _fundamentals(spectrum))
-    doubts = [*_powerless(estimate, spectrum), *unheard]
+    untested = [] if against else _powerless(estimate, spectrum)
+    doubts = [*untested, *hum_notices(left, spectrum, motions), *unheard]
     verdict: Judgement = "does not fit" if against else "cannot tell" if doubts else "fits"
     return Assessment(verdict, (*against, *doubts), _relative(left, motions), _worst(left))
 

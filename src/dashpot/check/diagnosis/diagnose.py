@@ -9,10 +9,10 @@ import numpy as np
 from dashpot.check.branches import several_motions
 from dashpot.check.diagnosis.causes import causes
 from dashpot.check.diagnosis.search import Workbench
+from dashpot.check.diagnosis.steady_lines import carries_transients, steady_lines
 from dashpot.check.diagnosis.wording import finding
 from dashpot.check.verdict import assess
 from dashpot.data.spectrum import Spectrum
-from dashpot.data.stretch import WholeRecord
 from dashpot.estimate.assessment import Finding
 from dashpot.estimate.likelihood.starting_values import candidates
 from dashpot.estimate.preparation.prepared import prepare
@@ -20,6 +20,7 @@ from dashpot.estimate.result import Estimate
 from dashpot.model.network import Model
 
 LARGEST = 12  # coordinates of the rigs that are diagnosed: trials of larger ones take too long to wait for
+SHOWN = 2.0  # χ² per degree of freedom of whole records below which their steady part shows no misfit
 
 
 def diagnose(
@@ -29,9 +30,13 @@ def diagnose(
 
     `spectrum` has no batch axes.  The estimate, where there is one, is one more start.  Nothing is applied.
     """
-    transients = any(isinstance(stretch, WholeRecord) and stretch.loads for stretch in spectrum.stretches)
-    if model.n > LARGEST or transients:
+    if model.n > LARGEST:
         return ()
+    transients = carries_transients(spectrum)
+    if transients:
+        if not model.inputs:  # a free decay is nothing but a transient
+            return ()
+        spectrum = steady_lines(model, spectrum)
     data = prepare(model, spectrum)
     middle, signs = candidates(data, 1, np.random.default_rng(seed))
     psi, sign = middle[0], signs[0]
@@ -39,7 +44,9 @@ def diagnose(
         psi = estimate.values
         for name, turned in estimate.signs.items():
             sign[spectrum.index(name)] = float(turned)
-    _, found = causes(Workbench(data, psi, sign), seed)
+    as_is, found = causes(Workbench(data, psi, sign), seed)
+    if transients and as_is < SHOWN:
+        return ()
     return tuple(finding(model, spectrum.channels, cause) for cause in found)
 
 

@@ -62,7 +62,8 @@ def _of_channel(model: Model, channel: Channel, cause: Cause) -> Finding:
 
 def _late(channel: Channel, late: float, factor: float) -> tuple[Channel, str]:
     """Later by so many seconds; and another sign or gain, if the factor with which it was tried is another than 1."""
-    mended = replace(channel, delay=(0.0 if channel.delay is None else channel.delay) + late)
+    delay = (0.0 if channel.delay is None else channel.delay) + late
+    mended = replace(channel, delay=float(f"{delay:.4g}"))
     text = f"{channel.name} is {1e3 * abs(late):.3g} ms {'late' if late > 0 else 'early'}"
     if factor < 0:
         mended = replace(mended, sign=-1.0 if channel.sign is None else -channel.sign)

@@ -51,6 +51,17 @@ _ALL: tuple[tuple[str, str, str, str], ...] = (
         "Look at them in the report; a delay gives a phase that grows with frequency, a missing mode a bump.",
     ),
     (
+        "standing_out", _VERDICT,
+        ("A line of a whole record is further off than noise of the size of the other lines would ever be. The noise "
+        "is read from the residuals, so their mean size cannot test the fit; a single line can."),
+        "Read the likely causes below the verdict; look at the channel at that frequency: clipping, a delay, play.",
+    ),
+    (
+        "mains_hum", _VERDICT,
+        "A channel carries a tone at a multiple of 50 or 60 Hz that the inputs do not drive. It does not test the fit.",
+        "Mend the shielding or the ground loop, or end the band below it with `--band`.",
+    ),
+    (
         "no_noise", _VERDICT,
         "The noise of the amplitudes is not given, so the size of the residuals cannot be judged.",
         "Add columns `NAME_sd`, use the records themselves, or measure one record at rest.",
