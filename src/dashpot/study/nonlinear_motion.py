@@ -18,7 +18,7 @@ from dashpot.estimate.nonlinear.records import RecordData, measured_inputs, show
 from dashpot.model.channel_noise import noise_sd
 from dashpot.model.network import Model
 from dashpot.model.nonlinear.channel_motion import channel_harmonics
-from dashpot.model.nonlinear.continuation import amplitude_sweep, followed
+from dashpot.model.nonlinear.continuation import grown_from_rest
 from dashpot.model.nonlinear.harmonic_balance import Periodic, periodic_response, settled_orders
 from dashpot.model.nonlinear.harmonics import Drive
 from dashpot.model.nonlinear.integration import Integrator
@@ -29,7 +29,6 @@ from dashpot.study.simulate import Dwells
 
 ORDERS = 7  # harmonics to begin with
 FINEST = 1e-6  # truncation error of the elongations
-WEAKEST = 0.01  # of the drive, from which a motion is followed to all of it
 SEEN = 5  # harmonics in tables of amplitudes
 
 
@@ -73,8 +72,7 @@ def _followed(model: Model, theta: Real, drive: Drive, at: Periodic) -> Periodic
     for row in np.flatnonzero(~at.converged):
         one = np.arange(len(drive.omega)) == row
         try:
-            sweep = amplitude_sweep(drive.rows(one).scaled(WEAKEST), 1 / WEAKEST)
-            delta[row] = followed(model, theta, sweep).motion.delta[-1]
+            delta[row] = grown_from_rest(model, theta, drive.rows(one))
         except ConvergenceError as error:
             raise ConvergenceError(
                 f"harmonic balance finds no response at {drive.omega[row] / (2 * np.pi):g} Hz",

@@ -29,7 +29,10 @@ EXACT = 1e-10  # residual over amplitude below which a channel counts as noise-f
 
 
 def check_length(record: Record, f: float, orders: tuple[int, ...], degree: int) -> None:
-    """Raises DataError where there are fewer samples than terms, or less than one period."""
+    """Raises DataError where there are fewer samples than terms, less than one period, or too slow samples.
+
+    Harmonics beyond half the sampling rate are taken for lower ones; a fundamental there is `factor`'s to judge.
+    """
     samples, terms = len(record.time), degree + 1 + 2 * len(orders)
     if samples <= terms:
         raise DataError(
@@ -46,6 +49,14 @@ def check_length(record: Record, f: float, orders: tuple[int, ...], degree: int)
             f"the record holds {periods:.3g} of a period at {f:g} Hz",
             record.source,
             "record one whole period at least, better ten, or correct the frequency",
+        )
+    rate = 1 / float(np.min(np.diff(record.time)))
+    highest = max(orders)
+    if highest > 1 and highest * f >= rate / 2:
+        raise DataError(
+            f"order {highest} of {f:g} Hz is {highest * f:g} Hz, beyond half the sampling rate of {rate:.4g} Hz",
+            record.source,
+            "ask for lower orders, or sample faster",
         )
 
 

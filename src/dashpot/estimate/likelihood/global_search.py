@@ -41,6 +41,7 @@ DEEPEST = 8  # minima that are followed to the bottom
 COMPETING = (
     60.0  # χ² by which a minimum may lie above the lowest one of one repeat and be the lowest of another
 )
+SAME = 1e-3  # of the largest relative change: what differs by less between two minima is not named
 TIE = 0.01  # of χ²: what fits alike
 DOUBT = 9.2  # χ² by which another minimum may lie above and be told to the user: odds of 100 to 1
 
@@ -160,7 +161,7 @@ def apart(psi: Real, other: Real, sd: Real) -> bool:
 def not_unique(names: Sequence[str], units: Sequence[str], psi: Real, other: Real, above: float) -> Notice:
     """The notice that another minimum, whose χ² lies `above` that of `psi`, fits alike."""
     change = np.abs(other - psi) / np.maximum(np.maximum(np.abs(psi), np.abs(other)), 1e-300)
-    largest = np.argsort(-change)[:4]
+    largest = [j for j in np.argsort(-change)[:4] if change[j] > SAME * np.max(change)]
     values = ", ".join(f"{names[j]} = {other[j]:.4g} {units[j]}" for j in largest)
     worse = f"almost as well (χ² is {above:.3g} larger)" if above > TIE else "equally well"
     worse = f"better (χ² is {-above:.3g} smaller)" if above < -TIE else worse

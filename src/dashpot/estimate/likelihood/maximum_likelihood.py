@@ -60,7 +60,7 @@ class MaximumLikelihood(Method):
         likelihood = Likelihood.of(data, self.effort)
         view, warnings = likelihood.view, tuple[Notice, ...]()
         if likelihood.exact.nonlinear is not None:
-            found, exact = search_harmonics(likelihood)
+            found, exact, warnings = search_harmonics(likelihood)
             sign = np.ones((likelihood.repeats, len(view.channels)))
             likelihood = replace(likelihood, exact=exact)
         elif self.start and likelihood.repeats == 1:

@@ -14,6 +14,7 @@ import numpy as np
 from dashpot.arrays import Complex, Ints, Real, frozen, hermitian
 from dashpot.errors import DataError
 from dashpot.estimate.nonlinear.dwells import DwellLines, WarmStart, dwells_of, measured_elongations
+from dashpot.estimate.nonlinear.lost_dwells import regained
 from dashpot.estimate.preparation.prepared import Prepared
 from dashpot.model.network import Model
 from dashpot.model.nonlinear.harmonic_balance import (
@@ -44,7 +45,8 @@ class NonlinearPart:
     """What the likelihood of a nonlinear rig needs beside the amplitudes.
 
     start (K, dwells, e, W): elongations to start from, None where they were not measured; q (K, lines, r + s): the
-    inputs to start from; repeat (K,): which repeats these are.
+    inputs to start from; repeat (K,): which repeats these are; patient: whether lost dwells are followed from rest
+    where nothing else tells their motion.
     """
 
     dwells: DwellLines
@@ -52,6 +54,7 @@ class NonlinearPart:
     q: Complex
     repeat: Ints
     warm: WarmStart
+    patient: bool = True
 
     def pick(self, rows: Ints) -> NonlinearPart:
         """Some of the repeats."""
@@ -67,6 +70,7 @@ class Evaluated:
     J: Complex
     G: Complex
     at: Periodic
+    drive: Drive
 
 
 def evaluate(
@@ -107,7 +111,7 @@ def evaluate(
     dY = np.where(lost[..., None, None], 0.0, kappa[..., None] * dY)
     predicted = np.where(impossible.reshape(K, R)[:, :1, None], np.nan, predicted)
     J = np.concatenate([dY[..., :m], calibration_slopes(view, psi, predicted)], axis=-1)
-    return Evaluated(predicted, J, dY[..., m:], at)
+    return Evaluated(predicted, J, dY[..., m:], at, drive)
 
 
 def must_be_positive(model: Model) -> Ints:
@@ -160,6 +164,9 @@ def predict_harmonics(
     known = len(part.repeat) == K
     q, start = _begin(data, part, K, known)
     now = evaluate(view, part, psi, sign, q, start, noisy)
+    if known and part.patient and start is None and not np.all(now.at.converged):
+        delta = regained(view.model, psi[:, : view.m], now.drive, now.at)
+        now = now if delta is None else evaluate(view, part, psi, sign, q, delta, noisy)
     for turn in range(INNER if noisy else 0):
         residual = data.y - now.predicted
         normal, gain = _normal(data, part, now, residual)

@@ -10,15 +10,20 @@ import numpy as np
 
 from dashpot.arrays import Real
 from dashpot.errors import ConvergenceError
-from dashpot.estimate.likelihood.objective import measured
-from dashpot.estimate.nonlinear.dwells import WarmStart
-from dashpot.estimate.nonlinear.objective import NonlinearPart, measured_part, predict_harmonics
+from dashpot.estimate.likelihood.global_search import DOUBT, apart, not_unique
+from dashpot.estimate.likelihood.objective import local, measured
+from dashpot.estimate.nonlinear.dwells import WarmStart, dwells_of
+from dashpot.estimate.nonlinear.lost_dwells import regained
+from dashpot.estimate.nonlinear.objective import measured_part, predict_harmonics
 from dashpot.estimate.nonlinear.starting_values import KEPT, starting_points
 from dashpot.estimate.preparation.prepared import Prepared
-from dashpot.model.nonlinear.harmonic_balance import periodic_response, truncation
+from dashpot.model.nonlinear.harmonic_balance import Periodic, periodic_response, truncation
 from dashpot.model.nonlinear.harmonics import Drive
+from dashpot.model.nonlinear.symmetry import mirrored
 from dashpot.model.observation import ObservationModel
+from dashpot.notices import Notice
 from dashpot.numerics.levenberg_marquardt import OptimizeResult
+from dashpot.numerics.small_systems import scaled_inverse
 
 if TYPE_CHECKING:
     from dashpot.estimate.likelihood.chunks import Measured
@@ -31,13 +36,14 @@ Descent = Callable[
 SOFTNESS = (0.3, 0.03)  # relative noise of the stages from afar
 PIECE = 16  # points evaluated at once
 FIRST = 30  # iterations from each of the starts
-FINEST, COARSEST = 1e-6, 1e-3  # truncation errors of the elongations between which harmonics are enough
+FINEST, COARSEST = 1e-10, 1e-3  # truncation errors of the elongations between which harmonics are enough
 SHARE = 0.1  # of the relative noise
 MOST = 63  # harmonics
+MANY = 2  # unknown constants of a law from which a fit may have several ends: all starts are followed
 
 
-def search_harmonics(likelihood: Likelihood) -> tuple[OptimizeResult, Measured]:
-    """The best end of all repeats, and the data with as many harmonics as it needs.
+def search_harmonics(likelihood: Likelihood) -> tuple[OptimizeResult, Measured, tuple[Notice, ...]]:
+    """The best end of all repeats, the data with as many harmonics as it needs, and what else fits alike.
 
     Raises ConvergenceError where no start leads to a response at all.
     """
@@ -46,35 +52,96 @@ def search_harmonics(likelihood: Likelihood) -> tuple[OptimizeResult, Measured]:
     one = data.only(0)
     first = exact.pick(np.array([0]))
     signs = np.ones((1, len(view.channels)))
-    ends = list[OptimizeResult]()
+    ends = _ends(one, first, descend)
+    best, warm = min(ends, key=lambda end: float(end[0].cost[0]))
+    warnings = _rivals(view, first, best, [end for end, _ in ends], data.noise_known)
+    start = np.repeat(best.x, len(exact.y), axis=0)
+    sign = np.repeat(signs, len(exact.y), axis=0)
+    exact = _fresh(exact)
+    _remember(exact, warm)
+    found = descend(exact, start, sign, None)
+    if _regained(view, exact, found.x):
+        found = descend(exact, found.x, sign, None)
+    while True:
+        part = measured_part(exact)
+        allowed = _allowed(data, float(found.cost[0]) / max(first.rows, 1))
+        if _missing(view, exact, found.x) <= allowed or part.dwells.orders >= MOST:
+            return found, exact, warnings
+        exact = _with_orders(data, exact, min(2 * part.dwells.orders + 1, MOST))
+        found = descend(exact, found.x, sign, None)
+
+
+def _remember(exact: Measured, warm: WarmStart) -> None:
+    """Start all repeats whose motion is not measured at the responses of the first one, `warm`."""
+    part = measured_part(exact)
+    for repeat in range(len(exact.y) if part.start is None else 1):
+        part.warm.delta[repeat] = warm.delta[0]
+        part.warm.inputs[repeat] = warm.inputs[0] if repeat == 0 else part.q[repeat]
+
+
+def _ends(one: Prepared, first: Measured, descend: Descent) -> list[tuple[OptimizeResult, WarmStart]]:
+    """Where descents from the starting points end, and the responses there.
+
+    They go on to the first that fits, or through all starts where laws have many constants.  Raises
+    ConvergenceError where none leads to a response.
+    """
+    signs = np.ones((1, len(one.view.channels)))
     acceptable = first.rows + 6 * np.sqrt(2.0 * first.rows)
     stages = [*(measured(one, softness) for softness in SOFTNESS), first]
-    for psi in _ranked(one, stages, descend):
-        end = descend(_fresh(first), psi[None], signs, FIRST)
+    ends, fits = list[tuple[OptimizeResult, WarmStart]](), False
+    several = _constants_of_a_law(one) >= MANY
+    for psi, afar in _ranked(one, stages, descend):
+        if fits and afar:
+            break
+        data = _fresh(first)
+        end = descend(data, psi[None], signs, FIRST)
         if np.isfinite(end.cost[0]):
-            ends.append(end)
-        if end.converged[0] and end.cost[0] <= acceptable:
+            ends.append((end, measured_part(data).warm))
+        fits |= bool(end.cost[0] <= acceptable and (end.converged[0] or several))
+        if fits and not several:
             break
     if not ends:
         raise ConvergenceError(
             "harmonic balance finds no response near the start", cure="give guesses of the unknowns"
         )
-    best = min(ends, key=lambda end: float(end.cost[0]))
-    start = np.repeat(best.x, len(exact.y), axis=0)
-    sign = np.repeat(signs, len(exact.y), axis=0)
-    exact = _fresh(exact)
-    found = descend(exact, start, sign, None)
-    while True:
-        part = measured_part(exact)
-        if _missing(view, part, exact, found.x, sign) <= _allowed(data) or part.dwells.orders >= MOST:
-            return found, exact
-        exact = _with_orders(data, exact, min(2 * part.dwells.orders + 1, MOST))
-        found = descend(exact, found.x, sign, None)
+    return ends
 
 
-def _allowed(data: Prepared) -> float:
-    """Truncation error that hides in the noise of the best line."""
-    variance = np.diagonal(data.covariance, axis1=-2, axis2=-1).real
+def _constants_of_a_law(one: Prepared) -> int:
+    """Unknown constants of the law that has most."""
+    laws = (element.force_law for element in one.model.elements)
+    return max(
+        (sum(constant.unknown for constant in law.constants) for law in laws if law is not None), default=0
+    )
+
+
+def _rivals(
+    view: ObservationModel,
+    first: Measured,
+    best: OptimizeResult,
+    ends: Sequence[OptimizeResult],
+    noise_known: bool,
+) -> tuple[Notice, ...]:
+    """A warning where another end, or the mirror image of the best one, fits nearly as well."""
+    others = [(end.x[0], float(end.cost[0])) for end in ends if end is not best]
+    image = mirrored(view.model, best.x[0, : view.m])
+    if image is not None:
+        psi = np.concatenate([image, best.x[0, view.m :]])
+        others.append((psi, float(_costs(view, first, psi[None])[0])))
+    misfit = float(best.cost[0]) / max(first.rows - len(view.names), 1)
+    scale = max(1.0, misfit) if noise_known else misfit
+    curvature = local(view, _fresh(first), best.x, np.ones((1, len(view.channels)))).symmetric[0]
+    sd = np.sqrt(np.abs(np.diagonal(scaled_inverse(curvature))))
+    for psi, cost in sorted(others, key=lambda other: other[1]):
+        above = cost - float(best.cost[0])
+        if above <= DOUBT * scale and apart(best.x[0], psi, sd):
+            return (not_unique(view.names, view.units, best.x[0], psi, above),)
+    return ()
+
+
+def _allowed(data: Prepared, misfit: float) -> float:
+    """Truncation error that hides in the noise of the best line; unknown noise is what the fit leaves, χ²/row."""
+    variance = np.diagonal(data.covariance, axis1=-2, axis2=-1).real * (1.0 if data.noise_known else misfit)
     power = np.abs(np.nan_to_num(data.spectrum.amplitudes)) ** 2
     noisy = (variance > 0) & (power > 0)
     if not np.any(noisy):
@@ -84,8 +151,8 @@ def _allowed(data: Prepared) -> float:
 
 
 def _fresh(exact: Measured) -> Measured:
-    """The same data without memory of earlier responses."""
-    return replace(exact, nonlinear=replace(measured_part(exact), warm=WarmStart()))
+    """The same data without memory of earlier responses, for many starts, each of which may lose dwells."""
+    return replace(exact, nonlinear=replace(measured_part(exact), warm=WarmStart(), patient=False))
 
 
 def _with_orders(data: Prepared, exact: Measured, orders: int) -> Measured:
@@ -99,16 +166,19 @@ def _with_orders(data: Prepared, exact: Measured, orders: int) -> Measured:
     return replace(exact, nonlinear=wide)
 
 
-def _ranked(one: Prepared, stages: Sequence[Measured], descend: Descent) -> Iterator[Real]:
-    """Starting points, the most promising first: where all is seen those of the regression, then those from afar.
+def _ranked(one: Prepared, stages: Sequence[Measured], descend: Descent) -> Iterator[tuple[Real, bool]]:
+    """Starting points, the most promising first, and whether they come from afar.
 
-    From afar they go through softened data, in which valleys are wide, before they are ranked.  A regression of laws
-    without unknown constants leaves no other valley to look for, and laws with a state take minutes from afar.
+    Where all is seen, those of the regression come before those from afar, which go through softened data, in which
+    valleys are wide, before they are ranked.  A regression of laws without unknown constants leaves no other valley to
+    look for, and laws with a state take minutes from afar; even laws leave odd harmonics no trace in a regression.
     """
     view = one.view
-    if one.states is not None:
+    image = mirrored(one.model, np.ones(view.m))
+    odd = bool(np.all(dwells_of(one.model, one.spectrum).order % 2))
+    if one.states is not None and (image is None or not odd):
         points = starting_points(one)
-        yield from points[np.argsort(_costs(view, stages[-1], points))]
+        yield from ((psi, False) for psi in points[np.argsort(_costs(view, stages[-1], points))])
         laws = [element.force_law for element, constant in one.model.constants if constant.unknown]
         if not laws or any(law is not None and law.has_state for law in laws):
             return
@@ -118,7 +188,7 @@ def _ranked(one: Prepared, stages: Sequence[Measured], descend: Descent) -> Iter
         for stage, kept in zip(stages[:-1], (KEPT, KEPT // 2), strict=True):
             points = points[np.argsort(_costs(view, stage, points))[:kept]]
             points = np.array([descend(_fresh(stage), psi[None], signs, FIRST).x[0] for psi in points])
-    yield from points[np.argsort(_costs(view, stages[-1], points))]
+    yield from ((psi, True) for psi in points[np.argsort(_costs(view, stages[-1], points))])
 
 
 def _costs(view: ObservationModel, data: Measured, points: Real) -> Real:
@@ -136,15 +206,37 @@ def _costs(view: ObservationModel, data: Measured, points: Real) -> Real:
     return np.where(np.isfinite(total), total, np.inf)
 
 
-def _missing(view: ObservationModel, part: NonlinearPart, exact: Measured, psi: Real, sign: Real) -> float:
-    """Largest truncation error of the responses at ψ, of the first repeat."""
-    q = part.q if exact.q is None else exact.q
-    theta = psi[:1, : view.m]
-    R = len(part.dwells.omega)
+def _at_end(
+    view: ObservationModel, exact: Measured, psi: Real, repeat: int
+) -> tuple[Periodic, Real, Real, Drive]:
+    """The responses of one repeat at ψ (1, M) from its last ones, with the parameters and the drive of its dwells."""
+    part = measured_part(exact)
+    q = (part.q if exact.q is None else exact.q)[repeat : repeat + 1]
+    q = part.warm.inputs.get(repeat, q[0])[None] if exact.q is None else q
+    theta, R = psi[:, : view.m], len(part.dwells.omega)
     p = np.repeat(view.model.parameters(theta), R, axis=0)
     constants = np.repeat(view.model.inner_constants(theta), R, axis=0)
-    drive: Drive = part.dwells.drive(q[:1], view.model.D.shape[1])
-    start = part.warm.delta.get(0)
-    at = periodic_response(view.model, p, constants, drive, start)
+    drive = part.dwells.drive(q, view.model.D.shape[1])
+    start = part.warm.delta.get(repeat)
+    return periodic_response(view.model, p, constants, drive, start), p, constants, drive
+
+
+def _regained(view: ObservationModel, exact: Measured, psi: Real) -> bool:
+    """Whether dwells without a response at ψ (K, M) have got one by raising their drive slowly from rest.
+
+    The last responses remember it.
+    """
+    warm, gained = measured_part(exact).warm, False
+    for repeat in range(len(psi)):
+        at, _, _, drive = _at_end(view, exact, psi[repeat : repeat + 1], repeat)
+        delta = regained(view.model, psi[repeat : repeat + 1, : view.m], drive, at)
+        if delta is not None:
+            warm.delta[repeat], warm.cost[repeat], gained = delta, np.inf, True
+    return gained
+
+
+def _missing(view: ObservationModel, exact: Measured, psi: Real) -> float:
+    """Largest truncation error of the responses at ψ (K, M), of the first repeat."""
+    at, p, constants, drive = _at_end(view, exact, psi[:1], 0)
     error = truncation(view.model, p, constants, drive, at)
     return float(np.max(np.where(at.converged, error, 0.0), initial=0.0))

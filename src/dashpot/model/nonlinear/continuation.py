@@ -80,6 +80,16 @@ def followed(
     return ResponseBranch(drive, at, frozen(along, np.float64), stable, folds)
 
 
+def grown_from_rest(model: Model, theta: Real, drive: Drive, *, points: int = POINTS) -> Real:
+    """Elongations (e, W) of the motion that the drive of one dwell leads to when it is raised slowly, through folds.
+
+    theta (unknowns,).  Raises ConvergenceError where it cannot be followed.
+    """
+    tracer = _Tracer(model, theta, amplitude_sweep(drive.scaled(WEAKEST), 1 / WEAKEST))
+    q: Real = tracer.trace(tracer.first(None), points)[-1][0]
+    return q
+
+
 class _Tracer:
     """Residual, its slopes and steps along one curve of one rig."""
 

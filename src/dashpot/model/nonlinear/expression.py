@@ -69,6 +69,19 @@ class Expression:
         with np.errstate(all="ignore"):
             return _evaluated(self.tree, values)
 
+    def crosses_pole(self, values: Mapping[str, Real]) -> bool:
+        """Whether something that it divides by is zero, or changes sign, within the rows (…, instants) of `values`."""
+        return any(_changes_sign(_evaluated(node, values).value) for node in _denominators(self.tree))
+
+
+def _denominators(node: Node) -> list[Node]:
+    inner = [denominator for operand in node.operands for denominator in _denominators(operand)]
+    return [*inner, node.operands[1]] if node.symbol == "/" else inner
+
+
+def _changes_sign(value: Real) -> bool:
+    return bool(np.any(np.min(value, axis=-1) * np.max(value, axis=-1) <= 0)) if np.ndim(value) else not value
+
 
 def _functions(node: Node) -> set[str]:
     inner = set().union(*(_functions(operand) for operand in node.operands))

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from difflib import get_close_matches
 from functools import cached_property
 from types import MappingProxyType
 from typing import Literal
@@ -166,6 +167,9 @@ def force_law(text: str, constants: Sequence[Constant] = (), *, damper: bool = F
 def _require_named(text: str, wanted: Sequence[str], given: Sequence[str], *, complete: bool) -> None:
     """Raises ModelError where constants are given that the law lacks or, if `complete`, where one is not given."""
     missing = [name for name in wanted if name not in given]
+    meant = get_close_matches(text.strip().lower(), {**SPRING_LAWS, **DAMPER_LAWS}, 1)
+    if complete and missing and meant:
+        raise ModelError(f"{text!r} is not a law", cure=f'write law = "{meant[0]}"')
     if complete and missing:
         raise ModelError(
             f"the law {text!r} names {', '.join(missing)}",

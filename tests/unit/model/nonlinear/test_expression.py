@@ -7,6 +7,7 @@ import pytest
 
 from dashpot.errors import ModelError
 from dashpot.model.nonlinear.expression import dimensions, parse
+from dashpot.model.nonlinear.force_law import force_law
 
 KNOWN = {"d": (1.0, 0.0), "v": (1.0, -1.0)}
 
@@ -83,3 +84,14 @@ def test_units_follow_from_the_expression(text, unit, constants):
 def test_units_that_make_no_sense_are_refused(text):
     with pytest.raises(ModelError, match="units"):
         dimensions(parse(text), KNOWN)
+
+
+def test_a_misspelt_law_is_named():
+    with pytest.raises(ModelError, match=r"'cubci' is not a law; write law = \"cubic\""):
+        force_law("cubci")
+
+
+@pytest.mark.parametrize(("text", "crosses"), [("d/(d - a)", True), ("d/(a + d*d)", False), ("d**3", False)])
+def test_a_division_by_zero_within_a_motion_is_seen(text, crosses):
+    d = np.linspace(-1, 1, 50)
+    assert parse(text).crosses_pole({"d": d, "v": d, "a": np.full(1, 0.5)}) == crosses

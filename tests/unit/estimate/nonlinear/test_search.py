@@ -1,0 +1,73 @@
+"""Ends of the search that fit alike are told, and dwells far from linear are not lost."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from dashpot.errors import DataError
+from dashpot.estimate.identify import identify
+from dashpot.model.nonlinear.force_law import force_law
+from tests.nonlinear_rigs import LAWS, motions, settled, two_masses
+
+FREQUENCIES = [2, 3, 4, 5, 6, 7, 8, 9.5, 11, 12.5, 14]
+ALL = motions("x1", "x2", "u")
+QUICK = ("square", "bilinear")
+SLOW = [law for law in LAWS if law not in (*QUICK, "stribeck", "bouc-wen")]
+
+
+def guessed(model, theta, factor=1.05):
+    """The same rig with guesses beside the truth for its elements."""
+    values = dict(zip([u.name for u in model.unknowns], theta, strict=True))
+    elements = [replace(e, guess=factor * values[e.name]) if e.name in values else e for e in model.elements]
+    return replace(model, elements=tuple(elements))
+
+
+@pytest.mark.parametrize("law", [*QUICK, *(pytest.param(law, marks=pytest.mark.long) for law in SLOW)])
+def test_exact_harmonics_give_all_parameters_of_every_law_back(law):
+    model, theta = two_masses(law)
+    spectrum = settled(model, theta, ALL, FREQUENCIES, orders=(1, 2, 3), most=63)
+    estimate = identify(model, spectrum, "ml")
+    assert bool(estimate.converged)
+    assert np.max(np.abs(estimate.values / theta - 1)) < 1e-6
+    assert "not_unique" not in [notice.code for notice in estimate.warnings]
+
+
+def test_odd_harmonics_do_not_tell_the_sign_of_an_even_law_and_it_is_said():
+    model, theta = two_masses("square")
+    spectrum = settled(model, theta, ALL, FREQUENCIES, noise=0.005, rng=np.random.default_rng(3))
+    estimate = identify(guessed(model, theta), spectrum, "ml")
+    notice = next(notice for notice in estimate.warnings if notice.code == "not_unique")
+    assert notice.of == ("q",)
+    even = settled(model, theta, ALL, FREQUENCIES, orders=(1, 2), noise=0.005, rng=np.random.default_rng(3))
+    assert "not_unique" not in [n.code for n in identify(guessed(model, theta), even, "ml").warnings]
+
+
+@pytest.mark.long
+def test_dwells_far_from_linear_are_found_where_nobody_has_measured_their_motion():
+    """The stiffening spring pulls a hundred times as hard as the linear ones at 5 Hz."""
+    model, theta = two_masses("quintic")
+    frequencies, rng = [2, 4, 5, 6, 9.5, 12.5], np.random.default_rng(3)
+    spectrum = settled(model, theta, motions("x2", "u"), frequencies, noise=0.005, rng=rng)
+    estimate = identify(guessed(model, theta, 1.01), spectrum, "ml")
+    assert float(estimate.fit.p) > 0.01
+    assert np.all(np.abs(estimate.values - theta) < 4 * estimate.sd)
+
+
+@pytest.mark.long
+def test_a_law_with_many_constants_that_fits_in_several_ways_says_so():
+    model, theta = two_masses("stribeck")
+    spectrum = settled(model, theta, ALL, FREQUENCIES, noise=0.005, rng=np.random.default_rng(3))
+    estimate = identify(model, spectrum, "ml")
+    assert not np.all(np.abs(estimate.values - theta) < 4 * estimate.sd)
+    assert "not_unique" in [notice.code for notice in estimate.warnings]
+
+
+def test_a_law_that_divides_by_zero_within_the_motion_is_refused():
+    model, theta = two_masses("cubic")
+    spectrum = settled(model, theta, ALL, FREQUENCIES)
+    pole = replace(model.elements[-1], force_law=force_law("d/(d - 0.0004)"))
+    with pytest.raises(DataError, match="of q divides by zero within the measured motion"):
+        identify(replace(model, elements=(*model.elements[:-1], pole)), spectrum, "ml")
