@@ -93,6 +93,7 @@ def _of_dwells(dwells: Sequence[Record], settings: Conditioning) -> Spectrum:
         evened = [with_even_stamps(record) for record in dwells]
         dwells = [record for record, _ in evened]
         notes += [note for _, note in evened if note is not None]
+    uncut, of_stamps = dwells, list(notes)
     dwells, cut = driven_parts(dwells, settings)
     notes += cut
     wanders = False
@@ -103,6 +104,8 @@ def _of_dwells(dwells: Sequence[Record], settings: Conditioning) -> Spectrum:
     if wanders and why_whole is None:
         notes.append(Notice("drive_wanders", WANDERS))
     if why_whole is not None:
+        if settings.settle == "none":  # what was cut off to see a steady sine is data like the rest
+            dwells, notes = uncut, of_stamps
         lines = dwells_with_transients(dwells, settings.band, settings.still, why=why_whole)
         return replace(lines, notes=(*notes, *lines.notes))
     if settings.drift == "auto" and slope_costs(dwells):

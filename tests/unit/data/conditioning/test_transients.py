@@ -118,3 +118,19 @@ def test_what_hardly_reaches_a_long_dwell_leaves_it_settled() -> None:
     assert not transients_matter(records)
     assert not spectrum(records).records
     assert transients_matter(stepped(0.01, periods=30))
+
+
+def test_what_builds_up_slowly_is_used_from_its_start() -> None:
+    """Where a resonance builds up for half of the dwell, that half looked as if it were not driven, and was cut off."""
+    rng = np.random.default_rng(5)
+    records = []
+    for record in stepped(0.0, periods=20):
+        time = record.time - record.time[0]
+        values = np.array(record.values)
+        values[:, 0] *= 1 - np.exp(-4 * time / time[-1])
+        values += 1e-3 * np.max(np.abs(values), axis=0) * rng.normal(size=values.shape)
+        records.append(replace(record, values=values))
+    lines = spectrum(records)
+    assert [notice.code for notice in lines.notes] == ["dwells_with_transients"]
+    samples = [shared.samples for shared in lines.stretches if isinstance(shared, WholeRecord)]
+    assert samples == [len(record.time) for record in records]
