@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -72,7 +72,7 @@ def chi2_surface(model: Model, spectrum: Spectrum, estimate: Estimate) -> Surfac
         penalty = np.sum(prior_precision(view) * (psi - prior_mean(view)) ** 2, axis=-1)
         cost = local(view, exact, psi, sign).cost - penalty
         size = cost / np.maximum(estimate.fit.dof - penalty, 1.0)
-        exact = replace(exact, W=exact.W / np.maximum(size, 1e-300)[:, None, None, None])
+        exact = exact.with_noise(np.maximum(size, 1e-300))
     lower, upper = bounds(view, False)
 
     def evaluate(at: Real, rows: Ints) -> QuadraticModel:

@@ -15,11 +15,11 @@ from dashpot.check.chi2_surface import chi2_surface
 from dashpot.data.spectrum import Spectrum
 from dashpot.errors import UsageError
 from dashpot.estimate.identify import automatic, identify
-from dashpot.estimate.likelihood.objective import local
+from dashpot.estimate.likelihood.objective import local, measured
 from dashpot.estimate.method import Method
+from dashpot.estimate.preparation.prepared import prepare
 from dashpot.estimate.result import Estimate
 from dashpot.model.network import Model
-from dashpot.model.observation import observation_model
 from dashpot.numerics.small_systems import solve_scaled
 
 STEP = 1e-4  # of a parameter, in differences of the slope and between identifications
@@ -88,7 +88,10 @@ def _from_slopes(
         model,
         elements=tuple(replace(e, value=None) if e.name in exact else e for e in model.elements),
     )
-    view = observation_model(freed, spectrum.channels, spectrum.omega)
+    prepared = prepare(freed, spectrum)
+    view = prepared.view
+    # What whole records and nonlinear elements add follows the freed rig; the weights are those of the fit.
+    data = replace(measured(prepared), W=base.data.W, root=base.data.root)
     values = {e.name: e.value for e in model.elements} | dict(zip(base.view.names, base.psi[0], strict=True))
     psi = np.array([values[name] for name in view.names], dtype=float)
     size = np.where(psi == 0, 1.0, np.abs(psi))
@@ -96,7 +99,7 @@ def _from_slopes(
     step = STEP * np.where(delays, 1 / np.max(view.omega), size)
     moved = np.concatenate([psi + np.diag(step), psi - np.diag(step)])
     sign = np.repeat(base.sign[:1], len(moved), axis=0)
-    gradient = local(view, base.data, moved, sign).gradient
+    gradient = local(view, data, moved, sign).gradient
     curvature = -(gradient[: len(psi)] - gradient[len(psi) :]) / (2 * step[:, None])  # [by, of]
     index = {name: i for i, name in enumerate(view.names)}
     columns = [index[name] for name in base.view.names]

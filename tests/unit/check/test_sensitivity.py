@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from dashpot.check.sensitivity import known_errors
+from dashpot.data.conditioning.whole_record import whole_record
 from dashpot.data.spectrum import Spectrum
 from dashpot.errors import UsageError
 from dashpot.estimate.identify import identify
@@ -15,6 +18,7 @@ from dashpot.estimate.method import Method
 from dashpot.model.elements import Kind, between, mass
 from dashpot.model.network import Input, Model
 from tests.rigs import Rig, channels, covariance, noisy, paper_rig
+from tests.whole_rigs import chain, record_of
 
 
 def measured(rig: Rig, noise: float = 0.03, seed: int = 1) -> Spectrum:
@@ -55,6 +59,25 @@ def test_errors_of_a_value_with_sd_are_those_of_its_prior() -> None:
         for off in (20.0, -20.0)
     ]
     np.testing.assert_allclose(found.slopes[k], (ends[0] - ends[1]) / 40.0, rtol=2e-3, atol=1e-7)
+
+
+def test_errors_of_known_parameters_in_whole_records() -> None:
+    """The loads of a record's ends follow the rig in which the known mass is free."""
+    model, theta = chain(2)
+    test = record_of(model, theta, "random")
+    spectrum = whole_record(test.noisy(np.random.default_rng(4), 0.01 * test.size))
+    estimate = identify(model, spectrum)
+    found = known_errors(model, spectrum, estimate)
+    assert found.known == ("m1",)
+    value = float(found.known_values[0])
+    ends = []
+    for off in (0.005, -0.005):
+        elements = tuple(replace(e, value=value * (1 + off)) if e.name == "m1" else e for e in model.elements)
+        ends.append(identify(replace(model, elements=elements), spectrum).values)
+    moved = (ends[0] - ends[1]) / (0.01 * value)
+    np.testing.assert_allclose(
+        found.slopes[0] / estimate.sd, moved / estimate.sd, rtol=2e-2, atol=0.02 / value
+    )
 
 
 def test_nothing_known_has_no_errors() -> None:

@@ -63,6 +63,11 @@ class Measured:
         part = None if self.nonlinear is None else self.nonlinear.pick(np.arange(len(self.y))[rows])
         return Measured(self.y[rows], W, q, self.rows, self.ends, root, part)
 
+    def with_noise(self, size: Real) -> Measured:
+        """With the covariance of each repeat multiplied by `size` (K,)."""
+        size = size[:, None, None, None]
+        return replace(self, W=self.W / size, root=None if self.root is None else self.root / np.sqrt(size))
+
     def rows_of(self, count: int) -> Ints:
         """Which repeat each of `count` parameter sets belongs to: its own, or the only one."""
         return np.arange(count) if len(self.y) > 1 else np.zeros(count, dtype=np.int64)

@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from dashpot.arrays import Real
+from dashpot.errors import ConvergenceError
 from dashpot.estimate.nonlinear.records import RecordData, shown_outputs
 from dashpot.model.dynamics import matrices
 from dashpot.model.network import Model
@@ -20,6 +21,7 @@ from dashpot.numerics.levenberg_marquardt import QuadraticModel
 
 STEP = 0.8  # of a step times the fastest rate of the linear rig
 ROUGH = 2  # more steps where laws are not smooth
+MOST = 1000  # steps between samples
 
 
 @dataclass
@@ -107,7 +109,7 @@ class RecordProblem:
 def enough_substeps(model: Model, theta: Real, step_s: float) -> int:
     """Steps between samples: enough for the fastest mode of the linear part, and for kinks of the laws.
 
-    theta (unknowns,).
+    theta (unknowns,).  Raises ConvergenceError where those are more than MOST.
     """
     parts = matrices(model, model.parameters(theta))
     n = model.n
@@ -116,6 +118,11 @@ def enough_substeps(model: Model, theta: Real, step_s: float) -> int:
     except np.linalg.LinAlgError:
         return 1
     A = np.block([[np.zeros((n, n)), np.eye(n)], [-inverse @ parts.K, -inverse @ parts.C]])
-    fastest = float(np.max(np.abs(np.linalg.eigvals(A)), initial=0.0))
+    fastest = float(np.max(np.abs(np.linalg.eigvals(A)), initial=0.0)) if np.all(np.isfinite(A)) else np.inf
+    if not fastest * step_s <= MOST * STEP:
+        raise ConvergenceError(
+            f"the rig would move at {fastest:.3g} rad/s, far too fast for {1 / step_s:.3g} samples a second",
+            cure="check its values, and give guesses of the unknowns",
+        )
     rough = any(e.force_law is not None and not e.force_law.smooth for e in model.elements)
     return max(1, int(np.ceil(fastest * step_s / STEP))) * (ROUGH if rough else 1)

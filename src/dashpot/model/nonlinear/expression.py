@@ -167,6 +167,8 @@ class _Parser:
         if kind == "number":
             if not float(word) <= LARGEST:
                 raise self.wrong(f"the number {word[:20]} is too large")
+            if 0 < float(word) < 1 / LARGEST:
+                raise self.wrong(f"the number {word[:20]} is too small")
             self.at += 1
             return Node("number", number=float(word))
         if kind == "name":

@@ -9,7 +9,7 @@ import pytest
 
 from dashpot.channel import Channel, Quantity
 from dashpot.data.record import Record
-from dashpot.errors import DataError
+from dashpot.errors import ConvergenceError, DataError
 from dashpot.estimate.nonlinear.record_prediction import predict_record
 from dashpot.estimate.nonlinear.whole_record import identify_records
 from dashpot.model.nonlinear.integration import Integrator
@@ -82,3 +82,13 @@ def test_an_input_that_is_not_measured_is_named():
     blind = Record(data.channels[:2], data.time, data.values[:, :2])
     with pytest.raises(DataError, match="input"):
         identify_records(model, [blind])
+
+
+def test_values_too_stiff_for_the_samples_are_refused():
+    """Steps enough for them would not fit into any memory."""
+    model, theta, data = record("cubic", ALL, samples=50)
+    stiff = [
+        replace(e, guess=1e30) if e.name == "k1" else e for e in with_guesses(model, theta, 1.0).elements
+    ]
+    with pytest.raises(ConvergenceError, match="too fast for 200 samples"):
+        identify_records(replace(model, elements=tuple(stiff)), [data])
