@@ -16,12 +16,16 @@ from pathlib import Path
 from typing import Any
 
 NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
-# Each page in a frame of each width, one after the other; what is found goes into the document, which is printed.
-_VISIT = """<!DOCTYPE html><meta charset="utf-8"><title>visit</title><pre id="found">running</pre><script>
-const pages = PAGES, widths = WIDTHS, found = [];
+# Luminance of a colour and the numbers in its text (WCAG 2), for scripts in pages.
+LIGHT = """
 const curve = c => { c /= 255; return c <= 0.04045 ? c / 12.92 : ((c + 0.055) / 1.055) ** 2.4; };
 const light = ([r, g, b]) => 0.2126 * curve(r) + 0.7152 * curve(g) + 0.0722 * curve(b);
 const numbers = text => (text.match(/[\\d.]+/g) || []).map(Number);
+"""
+# Each page in a frame of each width, one after the other; what is found goes into the document, which is printed.
+_VISIT = """<!DOCTYPE html><meta charset="utf-8"><title>visit</title><pre id="found">running</pre><script>
+const pages = PAGES, widths = WIDTHS, found = [];
+LIGHT
 // The least contrast of text with what lies behind it (WCAG 2), and that text.
 function contrast(inside) {
   let least = 99, where = "";
@@ -113,7 +117,9 @@ def visits(
     """
     visit = folder / "visit-all-pages.html"
     visit.write_text(
-        _VISIT.replace("PAGES", json.dumps(list(pages))).replace("WIDTHS", json.dumps(list(widths)))
+        _VISIT.replace("LIGHT", LIGHT)
+        .replace("PAGES", json.dumps(list(pages)))
+        .replace("WIDTHS", json.dumps(list(widths)))
     )
     try:
         with served(folder) as address:

@@ -1,5 +1,7 @@
 """Rig files that many tests share: two masses on a shaken base, and a rig whose springs cannot be told apart."""
 
+from dashpot.model.elements import Kind, between, mass
+from dashpot.model.network import Input, Model
 from dashpot.model.rigfile import Rig, parse_rig
 
 RIG = """\
@@ -36,6 +38,7 @@ k3 = { between = ["x", "u"] }
 x = { of = "x" }
 u = { of = "u" }
 """
+PUSHED = {"m1": 2.0, "m2": 1.0, "k1": 4000.0, "k2": 2500.0, "c1": 12.0, "c2": 5.0}
 HEAD = 'coordinates = ["x1", "x2"]\n[inputs]\nu = {}\n'
 SEEN = '[channels]\nx1 = { of = "x1" }\nx2 = { of = "x2" }\nu = { of = "u" }\n'
 
@@ -50,3 +53,20 @@ def two_mass_rig(
         f'[dampers]\nc2 = {{ between = ["x2", "u"] }}\nc4 = {{ between = ["x2", "ground"] }}\n{dampers}{seen}'
     )
     return parse_rig(text)
+
+
+def pushed_pair(base: str) -> Model:
+    """Two masses in a row on `base`, "u" or "ground", with a force on the first; true values are PUSHED."""
+    force = Input("f", "force", {"x1": 1.0})
+    return Model(
+        ("x1", "x2"),
+        (Input("u"), force) if base == "u" else (force,),
+        (
+            mass("m1", "x1"),
+            mass("m2", "x2"),
+            between("k1", Kind.SPRING, "x1", base),
+            between("k2", Kind.SPRING, "x1", "x2"),
+            between("c1", Kind.DAMPER, "x1", base),
+            between("c2", Kind.DAMPER, "x1", "x2"),
+        ),
+    )

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
@@ -11,15 +9,14 @@ from dashpot.data.readers import read
 from dashpot.estimate.identify import identify
 from dashpot.estimate.likelihood.maximum_likelihood import MaximumLikelihood
 from dashpot.model.rigfile import read_rig
+from tests.real.recordings import EXAMPLES, needs_recordings
 
-ROOT = Path(__file__).resolve().parents[2]
-RAW = ROOT.parent / "shared" / "data"
-pytestmark = pytest.mark.skipif(not RAW.is_dir(), reason="the recordings are not here")
+pytestmark = needs_recordings
 QUICK = MaximumLikelihood(starts=4, candidates=100, rounds=1)
 
 
 def test_the_beam() -> None:
-    folder = ROOT / "examples" / "03_tip_mass"
+    folder = EXAMPLES / "03_tip_mass"
     rig = read_rig(folder / "rig.toml")
     lines = read(folder / "test.toml", rig.channels).spectrum()
     table = read(folder / "amplitudes.csv", rig.channels).spectrum()
@@ -30,7 +27,7 @@ def test_the_beam() -> None:
 
 
 def test_the_motor_bench() -> None:
-    folder = ROOT / "examples" / "04_motor_bench"
+    folder = EXAMPLES / "04_motor_bench"
     rig = read_rig(folder / "rig.toml")
     lines = read(folder / "test.toml", rig.channels).spectrum()
     table = read(folder / "amplitudes.csv", rig.channels).spectrum()
@@ -41,7 +38,7 @@ def test_the_motor_bench() -> None:
 
 
 def test_the_shaken_frame() -> None:
-    folder = ROOT / "examples" / "02_shake_table"
+    folder = EXAMPLES / "02_shake_table"
     rig = read_rig(folder / "rig_bending.toml")
     lines = read(folder / "test.toml", rig.channels).spectrum()
     found = identify(rig.model, lines, QUICK)
@@ -54,7 +51,7 @@ def test_the_shaken_frame() -> None:
 
 def test_the_silverbox() -> None:
     # Figures of an independent fit of the best linear approximation: m 5.371e-6, d 2.292e-4, k 1.025, f0 69.5 Hz.
-    folder = ROOT / "examples" / "11_silverbox"
+    folder = EXAMPLES / "11_silverbox"
     rig = read_rig(folder / "rig.toml")
     lines = read(folder / "test.toml", rig.channels).spectrum()
     assert lines.lines == 1342

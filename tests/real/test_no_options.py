@@ -10,10 +10,7 @@ from dashpot.data.readers import read
 from dashpot.estimate.identify import automatic, identify
 from dashpot.estimate.likelihood.maximum_likelihood import MaximumLikelihood
 from dashpot.model.rigfile import read_rig
-
-ROOT = Path(__file__).resolve().parents[2]
-RAW = ROOT.parent / "shared" / "data"
-needs_raw = pytest.mark.skipif(not RAW.is_dir(), reason="the recordings are not here")
+from tests.real.recordings import EXAMPLES, RAW, needs_recordings
 
 FRAME = """
 [[files]]
@@ -44,7 +41,7 @@ units = { time_s = "µs" }
 """
 
 
-@needs_raw
+@needs_recordings
 @pytest.mark.parametrize(
     ("example", "folder", "files", "codes"),
     [
@@ -56,11 +53,11 @@ units = { time_s = "µs" }
 def test_no_options_give_what_the_example_gives(
     example: str, folder: str, files: str, codes: set[str], tmp_path: Path
 ) -> None:
-    rig = read_rig(ROOT / "examples" / example / "rig.toml")
+    rig = read_rig(EXAMPLES / example / "rig.toml")
     manifest = tmp_path / "test.toml"
     manifest.write_text(f'folder = "{RAW / folder}"\n{files}', encoding="utf-8")
     plain = read(str(manifest), rig.channels).spectrum()
-    table = ROOT / "examples" / example / "amplitudes.csv"
+    table = EXAMPLES / example / "amplitudes.csv"
     options = read(str(table), rig.channels).spectrum()
     method = automatic(rig.model, plain)
     if isinstance(method, MaximumLikelihood):  # a part of the search, to save time

@@ -16,15 +16,13 @@ from dashpot.estimate.result import Estimate
 from dashpot.model.rigfile import read_rig
 from dashpot.present.tables.estimate import parameter_columns
 from dashpot.present.text.estimate import fit_in_words
+from tests.real.recordings import EXAMPLES, RAW, needs_recordings, tables
 
-ROOT = Path(__file__).resolve().parents[2]
-EXAMPLE = ROOT / "examples" / "02_shake_table"
-RAW = ROOT.parent / "shared" / "data" / "shake_table_3storey"
+EXAMPLE = EXAMPLES / "02_shake_table"
+FILES = RAW / "shake_table_3storey"
 FREE_HZ = np.array(
     [3.767, 11.20, 16.67]
 )  # peaks of the free vibration after the earthquake record, ± 0.03 Hz
-
-needs_raw = pytest.mark.skipif(not RAW.is_dir(), reason="the recordings are not here")
 
 
 def estimate(rig_file: str) -> Estimate:
@@ -78,13 +76,9 @@ def test_the_late_sensor_is_found_without_being_told(bending: Estimate) -> None:
     assert late.sd < 1e-4
 
 
-@needs_raw
+@needs_recordings
 def test_the_table_is_what_the_raw_files_give(tmp_path: Path) -> None:
-    main = runpy.run_path(str(EXAMPLE / "make_amplitudes.py"))["main"]
-    main(str(RAW), str(tmp_path / "amplitudes.csv"))
-    channels = read_rig(EXAMPLE / "rig.toml").channels
-    again = read(str(tmp_path / "amplitudes.csv"), channels).spectrum()
-    kept = read(str(EXAMPLE / "amplitudes.csv"), channels).spectrum()
+    again, kept = tables(EXAMPLE, FILES, tmp_path)
     assert again.frequency_hz == pytest.approx(kept.frequency_hz, rel=1e-7)
     assert np.max(np.abs(again.amplitudes - kept.amplitudes) / kept.sd()) < 0.01
     assert np.max(np.abs(again.sd() / kept.sd() - 1)) < 0.01
@@ -93,7 +87,7 @@ def test_the_table_is_what_the_raw_files_give(tmp_path: Path) -> None:
     assert "github.com/chrystalchern/mdof" in "".join(first[:4])
 
 
-@needs_raw
+@needs_recordings
 @pytest.mark.parametrize(
     ("nominal", "transmissibility"),
     [("1.0", [1.040, 1.080, 1.103]), ("1.5", [1.110, 1.191, 1.231]), ("2.0", [1.231, 1.411, 1.494])],
@@ -103,19 +97,19 @@ def test_fundamental_transmissibilities(nominal: str, transmissibility: list[flo
     example = runpy.run_path(str(EXAMPLE / "make_amplitudes.py"))
     channels = read_rig(EXAMPLE / "rig.toml").channels
     stem = f"flexible_3_story__sine_{nominal}"
-    paths = {name: RAW / f"{stem}__{sensor}.csv.gz" for name, sensor in example["SENSORS"].items()}
+    paths = {name: FILES / f"{stem}__{sensor}.csv.gz" for name, sensor in example["SENSORS"].items()}
     record, _ = read_xsens(paths, channels, frequency_hz=float(nominal))
     line = spectrum([record], settle=True, refine=True).amplitudes[0]
     assert np.abs(line[1:] / line[0]) == pytest.approx(transmissibility, rel=0.007)
 
 
-@needs_raw
+@needs_recordings
 def test_the_earthquake_record_is_used_whole() -> None:
     # One record, its start and its end anywhere; around the first mode, where the chain is least wrong.  Independent
     # fits of this record gave 417 / 383 / 586 and, by a prototype of the same method, 409 / 379 / 521 N/m.
     rig = read_rig(EXAMPLE / "rig.toml")
     files = {"base": "ground", "x1": "floor1", "x2": "floor2", "x3": "floor3"}
-    paths = {name: RAW / f"flexible_3_story__northridge__{sensor}.csv.gz" for name, sensor in files.items()}
+    paths = {name: FILES / f"flexible_3_story__northridge__{sensor}.csv.gz" for name, sensor in files.items()}
     record, _ = read_xsens(paths, rig.channels)
     found = identify(rig.model, spectrum([record], band_hz=(2.0, 6.0)))
     assert found.method == "ml"
@@ -128,12 +122,12 @@ def test_the_earthquake_record_is_used_whole() -> None:
     assert np.all(found.values[3:] > 0)
 
 
-@needs_raw
+@needs_recordings
 def test_the_late_sensor_in_free_vibration() -> None:
     # The frame swings freely after the earthquake record: phases between floors are those of the sensors.
     channels = read_rig(EXAMPLE / "rig_bending.toml").channels
     files = {"base": "ground", "x1": "floor1", "x2": "floor2", "x3": "floor3"}
-    paths = {name: RAW / f"flexible_3_story__northridge__{sensor}.csv.gz" for name, sensor in files.items()}
+    paths = {name: FILES / f"flexible_3_story__northridge__{sensor}.csv.gz" for name, sensor in files.items()}
     record, _ = read_xsens(paths, channels)
     free = (record.time > 60) & (record.time < 90)
     x = record.values[free, 1:]

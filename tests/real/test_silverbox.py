@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import gzip
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,10 +11,10 @@ from dashpot.data.record import Record
 from dashpot.estimate.nonlinear.record_prediction import predict_record
 from dashpot.estimate.nonlinear.whole_record import identify_records
 from dashpot.model.rigfile import read_rig
+from tests.real.recordings import EXAMPLES, RAW, needs_recordings
 
-ROOT = Path(__file__).parents[2]
-DATA = ROOT.parent / "shared" / "data" / "duffing_silverbox" / "SNLS80mV.csv.gz"
-pytestmark = pytest.mark.skipif(not DATA.exists(), reason="the Silverbox's recording is not here")
+DATA = RAW / "duffing_silverbox" / "SNLS80mV.csv.gz"
+pytestmark = needs_recordings
 STEP = 2**14 / 1e7
 
 
@@ -31,7 +30,7 @@ def part(rig, samples, first, last):
 
 
 def test_five_parameters_predict_what_was_not_used(samples):
-    rig = read_rig(ROOT / "examples" / "12_duffing" / "rig.toml")
+    rig = read_rig(EXAMPLES / "12_duffing" / "rig.toml")
     estimate = identify_records(rig.model, [part(rig, samples, 45_000, 50_000)])
     assert bool(estimate.converged)
     for name, low, high in (

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import runpy
 from pathlib import Path
 
 import numpy as np
@@ -12,10 +11,10 @@ from dashpot.data.readers import read
 from dashpot.estimate.identify import identify
 from dashpot.estimate.result import Estimate
 from dashpot.model.rigfile import read_rig
+from tests.real.recordings import EXAMPLES, RAW, needs_recordings, tables
 
-ROOT = Path(__file__).resolve().parents[2]
-EXAMPLE = ROOT / "examples" / "03_tip_mass"
-RAW = ROOT.parent / "shared" / "data" / "tip_mass_beam"
+EXAMPLE = EXAMPLES / "03_tip_mass"
+FILES = RAW / "tip_mass_beam"
 HANDBOOK = 6610.0  # N/m, 3EI/L³
 
 
@@ -50,13 +49,9 @@ def test_a_mass_that_was_not_weighed() -> None:
     assert 14 < more.modes.frequency_hz[1] < 15
 
 
-@pytest.mark.skipif(not RAW.is_dir(), reason="the recordings are not here")
+@needs_recordings
 def test_the_table_is_what_the_raw_files_give(tmp_path: Path) -> None:
-    main = runpy.run_path(str(EXAMPLE / "make_amplitudes.py"))["main"]
-    main(str(RAW), str(tmp_path / "amplitudes.csv"))
-    channels = read_rig(EXAMPLE / "rig.toml").channels
-    again = read(str(tmp_path / "amplitudes.csv"), channels).spectrum()
-    kept = read(str(EXAMPLE / "amplitudes.csv"), channels).spectrum()
+    again, kept = tables(EXAMPLE, FILES, tmp_path)
     assert again.frequency_hz == pytest.approx(kept.frequency_hz, rel=1e-7)
     assert again.frequency_hz == pytest.approx(
         [3, 6, 9, 11, 12, 15, 18, 21, 3, 6, 9, 12, 14, 15, 18, 21], rel=2e-4

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import runpy
 from pathlib import Path
 
 import numpy as np
@@ -13,10 +12,10 @@ from dashpot.estimate.identify import automatic, identify
 from dashpot.estimate.likelihood.maximum_likelihood import MaximumLikelihood
 from dashpot.estimate.result import Estimate
 from dashpot.model.rigfile import read_rig
+from tests.real.recordings import EXAMPLES, RAW, needs_recordings, tables
 
-ROOT = Path(__file__).resolve().parents[2]
-EXAMPLE = ROOT / "examples" / "04_motor_bench"
-RAW = ROOT.parent / "shared" / "data" / "two_inertia_bench" / "MultisineTypeA.mat"
+EXAMPLE = EXAMPLES / "04_motor_bench"
+FILES = RAW / "two_inertia_bench" / "MultisineTypeA.mat"
 
 
 @pytest.fixture(scope="module")
@@ -55,13 +54,9 @@ def test_friction_is_not_hidden(bench: Estimate) -> None:
     assert bench.basis == "model misfit"
 
 
-@pytest.mark.skipif(not RAW.is_file(), reason="the recording is not here")
+@needs_recordings
 def test_the_table_is_what_the_raw_file_gives(tmp_path: Path) -> None:
-    main = runpy.run_path(str(EXAMPLE / "make_amplitudes.py"))["main"]
-    main(str(RAW), str(tmp_path / "amplitudes.csv"))
-    channels = read_rig(EXAMPLE / "rig.toml").channels
-    again = read(str(tmp_path / "amplitudes.csv"), channels).spectrum()
-    kept = read(str(EXAMPLE / "amplitudes.csv"), channels).spectrum()
+    again, kept = tables(EXAMPLE, FILES, tmp_path)
     assert list(again.frequency_hz) == list(range(11, 251))
     assert np.max(np.abs(again.amplitudes - kept.amplitudes) / kept.sd()) < 1e-3
     assert np.max(np.abs(again.sd() / kept.sd() - 1)) < 1e-3

@@ -4,18 +4,17 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import cast
 
 import numpy as np
 
 from dashpot.arrays import Real, freeze
 from dashpot.channel import Channel
 from dashpot.errors import DataError
-from dashpot.shorthand import call
+from dashpot.shorthand import InNotebooks
 
 
 @dataclass(frozen=True)
-class Record:
+class Record(InNotebooks):
     """Samples of all channels on one clock, in SI units.
 
     time          (samples,)             s, increasing, not necessarily uniform
@@ -36,10 +35,6 @@ class Record:
         driven = "" if self.frequency_hz is None else f", driven at {self.frequency_hz:g} Hz"
         names = ", ".join(channel.name for channel in self.channels)
         return f"<Record {self.source}: {len(self.time)} samples of {names}{driven}>"
-
-    def _repr_html_(self) -> str:
-        """A table of the channels, for a notebook."""
-        return cast(str, call("html", self))
 
     @cached_property
     def kept(self) -> dict[object, object]:

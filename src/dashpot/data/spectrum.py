@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 
@@ -18,7 +18,7 @@ from dashpot.data.labelled_arrays import labelled_spectrum
 from dashpot.data.stretch import SettledDwell, Stretch, WholeRecord, joined_stretches, selected
 from dashpot.errors import DataError
 from dashpot.notices import Notice
-from dashpot.shorthand import call
+from dashpot.shorthand import InNotebooks
 
 
 @dataclass(frozen=True)
@@ -36,7 +36,7 @@ class Moments:
 
 
 @dataclass(frozen=True)
-class Spectrum:
+class Spectrum(InNotebooks):
     """Complex amplitudes, x(t) = Re(X e^{jωt}), in SI units with known gains, signs and delays taken out.
 
     frequency_hz  (lines,)                      the same frequency may occur more than once
@@ -76,10 +76,6 @@ class Spectrum:
         repeats = f", {' × '.join(map(str, self.batch))} repeats" if self.batch else ""
         names = ", ".join(channel.name for channel in self.channels)
         return f"<Spectrum of {names}: {len(f)} lines{span}{repeats}>"
-
-    def _repr_html_(self) -> str:
-        """A table of the channels with their amplitudes and noise, for a notebook."""
-        return cast(str, call("html", self))
 
     def __post_init__(self) -> None:
         for name in ("channels", "noise", "notes", "stretches"):

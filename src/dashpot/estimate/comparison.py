@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import partial
-from typing import Any, cast
 
 from dashpot.data.modal_data import ModalData
 from dashpot.data.spectrum import Spectrum
@@ -16,11 +15,11 @@ from dashpot.estimate.modal.identify_modal import NAME, identify_modal
 from dashpot.estimate.result import FORMAT, Estimate
 from dashpot.io.json_document import from_json, to_json
 from dashpot.model.network import Model
-from dashpot.shorthand import call
+from dashpot.shorthand import Printed
 
 
 @dataclass(frozen=True)
-class Comparison:
+class Comparison(Printed):
     """Estimates by the name of the method, in the order asked for, and why others gave none.
 
     names, units: the unknowns of the rig; truth: their true values, as far as known; most_likely: the estimates that
@@ -34,18 +33,6 @@ class Comparison:
     refused: Mapping[str, DashpotError]
     truth: Mapping[str, float] = field(default_factory=dict)
     most_likely: tuple[str, ...] = ()
-
-    def __str__(self) -> str:
-        """What the command prints."""
-        return cast(str, call("text", self))
-
-    def _repr_html_(self) -> str:
-        """The same as HTML, for a notebook."""
-        return cast(str, call("html", self))
-
-    def plot(self, level: float = 0.95) -> Any:
-        """A matplotlib Figure of every method's values with their intervals."""
-        return call("plot", self, level)
 
     def bound_sd(self, name: str) -> float | None:
         """The Cramér-Rao bound of an unknown, from the best informed estimate of the test's own data."""

@@ -19,7 +19,7 @@ from dashpot.io.json_document import from_json, to_json
 from dashpot.io.ledger import noted
 from dashpot.io.words import shown
 from dashpot.notices import Notice
-from dashpot.shorthand import call
+from dashpot.shorthand import Printed, call
 
 if TYPE_CHECKING:
     from dashpot.export.state_space import StateSpace
@@ -96,7 +96,7 @@ class Fit:
 
 
 @dataclass(frozen=True)
-class Estimate:
+class Estimate(Printed):
     """Values of the unknowns with their full covariance; every array may have leading batch axes.
 
     names, units        of the unknowns, in order; gains and delays that were estimated follow as channel.gain …
@@ -158,18 +158,6 @@ class Estimate:
         )
         more = f", … ({len(self.names)} in all)" if len(self.names) > SHOWN else ""
         return f"<Estimate by {self.method}, {self.status}: {values}{more}>"
-
-    def __str__(self) -> str:
-        """What the command prints."""
-        return cast(str, call("text", self))
-
-    def _repr_html_(self) -> str:
-        """The same as HTML, for a notebook."""
-        return cast(str, call("html", self))
-
-    def plot(self, level: float = 0.95) -> Any:
-        """A matplotlib Figure of the values with their intervals."""
-        return call("plot", self, level)
 
     @property
     def status(self) -> str:

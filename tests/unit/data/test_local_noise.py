@@ -12,22 +12,9 @@ from dashpot.data.local_noise import with_local_noise
 from dashpot.data.spectrum import Spectrum
 from dashpot.estimate.identify import identify
 from dashpot.model.dynamics import response
-from dashpot.model.elements import Kind, between, mass
-from dashpot.model.network import Input, Model
+from tests.two_masses import PUSHED, pushed_pair
 
-RIG = Model(
-    ("x1", "x2"),
-    (Input("f", "force", {"x1": 1.0}),),
-    (
-        mass("m1", "x1"),
-        mass("m2", "x2"),
-        between("k1", Kind.SPRING, "x1", "ground"),
-        between("k2", Kind.SPRING, "x1", "x2"),
-        between("c1", Kind.DAMPER, "x1", "ground"),
-        between("c2", Kind.DAMPER, "x1", "x2"),
-    ),
-)
-TRUTH = {"m1": 2.0, "m2": 1.0, "k1": 4000.0, "k2": 2500.0, "c1": 12.0, "c2": 5.0}
+RIG = pushed_pair("ground")
 CHANNELS = (
     Channel("x1", {"x1": 1.0}),
     Channel("x2", {"x2": 1.0}),
@@ -35,7 +22,7 @@ CHANNELS = (
 )
 
 
-def functions(lines: int, relative: float, seed: int = 0, truth: dict[str, float] = TRUTH) -> Spectrum:
+def functions(lines: int, relative: float, seed: int = 0, truth: dict[str, float] = PUSHED) -> Spectrum:
     """Responses to a unit force from 2 to 14 Hz, with a share of noise and a constant one."""
     rng = np.random.default_rng(seed)
     hz = np.linspace(2, 14, lines)

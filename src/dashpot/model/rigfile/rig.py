@@ -10,7 +10,7 @@ from dashpot.channel import Channel, Quantity
 from dashpot.errors import UsageError
 from dashpot.io.words import counted, shown
 from dashpot.model.network import Model
-from dashpot.shorthand import call
+from dashpot.shorthand import InNotebooks, call
 from dashpot.units import scale, si_unit
 
 if TYPE_CHECKING:
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class Rig:
+class Rig(InNotebooks):
     """A model, the channels that its data files are made of, and the file it was read from."""
 
     model: Model
@@ -34,10 +34,6 @@ class Rig:
     def __repr__(self) -> str:
         source = f", from {shown(self.path)}" if self.path else ""
         return f"<Rig {self.model.summary}, {counted(len(self.channels), 'channel')}{source}>"
-
-    def _repr_html_(self) -> str:
-        """A table of elements and one of channels, for a notebook."""
-        return cast(str, call("html", self))
 
     def identify(self, data: Any, method: Any = None, **options: Any) -> Estimate:
         """Estimate the unknowns from data, such as the name of a file: `dashpot.identify(rig, data, …)`."""

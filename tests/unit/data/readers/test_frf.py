@@ -8,22 +8,9 @@ from dashpot.data.readers import read
 from dashpot.errors import DataError
 from dashpot.estimate.identify import identify
 from dashpot.model.dynamics import response
-from dashpot.model.elements import Kind, between, mass
-from dashpot.model.network import Input, Model
+from tests.two_masses import PUSHED, pushed_pair
 
-RIG = Model(
-    ("x1", "x2"),
-    (Input("u"), Input("f", "force", {"x1": 1.0})),
-    (
-        mass("m1", "x1"),
-        mass("m2", "x2"),
-        between("k1", Kind.SPRING, "x1", "u"),
-        between("k2", Kind.SPRING, "x1", "x2"),
-        between("c1", Kind.DAMPER, "x1", "u"),
-        between("c2", Kind.DAMPER, "x1", "x2"),
-    ),
-)
-TRUTH = {"m1": 2.0, "m2": 1.0, "k1": 4000.0, "k2": 2500.0, "c1": 12.0, "c2": 5.0}
+RIG = pushed_pair("u")
 CHANNELS = (
     Channel("x1", {"x1": 1.0}, unit="mm", scale=1e-3),
     Channel("a2", {"x2": 1.0}, Quantity.ACCELERATION),
@@ -35,7 +22,7 @@ CHANNELS = (
 def _table(sd: bool = False, drop: str = "") -> str:
     """The rig's own response functions, in the units of CHANNELS."""
     hz = np.linspace(2, 14, 9)
-    omega, p = 2 * np.pi * hz, RIG.parameters(RIG.theta(TRUTH))
+    omega, p = 2 * np.pi * hz, RIG.parameters(RIG.theta(PUSHED))
     columns = {"frequency_hz": hz}
     for into, U, f in (("u", 1e-3, 0.0), ("f", 0.0, 1.0)):
         X = response(RIG, p, omega, np.full((9, 1), U + 0j), np.full((9, 1), f + 0j))
@@ -56,7 +43,7 @@ def test_response_functions_to_two_inputs_give_every_parameter_back(tmp_path):
     assert set(spectrum.experiment.tolist()) == {0, 1}
     assert spectrum.amplitudes[0, spectrum.index("u")] == pytest.approx(1e-3)
     estimate = identify(RIG, spectrum)
-    for name, value in TRUTH.items():
+    for name, value in PUSHED.items():
         assert estimate[name].value == pytest.approx(value, rel=1e-8)
 
 

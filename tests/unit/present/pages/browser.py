@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import re
-import shutil
 import subprocess
 import sys
 import tempfile
@@ -12,9 +11,9 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import unquote
 
-CHROMIUM = next(
-    (path for name in ("chromium", "chromium-browser", "google-chrome") if (path := shutil.which(name))), None
-)
+from tests.browser import LIGHT, chromium
+
+CHROMIUM = chromium()
 FLAGS = (
     "--headless", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run",
     "--disable-background-networking", "--disable-component-update", "--disable-sync", "--hide-scrollbars",
@@ -28,12 +27,10 @@ const wrong = [];
 addEventListener('error', e => wrong.push('error: ' + e.message));
 addEventListener('securitypolicyviolation', e => wrong.push('request: ' + e.blockedURI));
 console.error = (...words) => wrong.push('console: ' + words.join(' '));
-const channel = c => { c /= 255; return c <= 0.04045 ? c / 12.92 : ((c + 0.055) / 1.055) ** 2.4; };
-const light = ([r, g, b]) => 0.2126 * channel(r) + 0.7152 * channel(g) + 0.0722 * channel(b);
-const rgb = text => (text.match(/[\\d.]+/g) || []).map(Number);
+%LIGHT%
 function background(node) {
   for (; node; node = node.parentElement) {
-    const c = rgb(getComputedStyle(node).backgroundColor);
+    const c = numbers(getComputedStyle(node).backgroundColor);
     if (c.length === 3 || c[3] > 0.5) return c;
   }
   return [255, 255, 255];
@@ -45,7 +42,7 @@ addEventListener('load', () => {
     const node = walker.currentNode.parentElement;
     if (!walker.currentNode.data.trim() || ['STYLE', 'SCRIPT', 'title', 'desc'].includes(node.tagName)) continue;
     const style = getComputedStyle(node), drawn = node.namespaceURI.endsWith('svg');
-    const front = rgb(drawn ? style.fill : style.color);
+    const front = numbers(drawn ? style.fill : style.color);
     if (drawn && light(front) > 0.9) continue;  // on dark fields of a heat map
     const [a, b] = [light(front), light(background(node))];
     const contrast = (Math.max(a, b) + 0.05) / (Math.min(a, b) + 0.05);
@@ -78,7 +75,7 @@ def probed(page: Path, width: int, script: str = "") -> dict[str, Any]:
     with tempfile.TemporaryDirectory() as folder:
         copy = Path(folder) / "page.html"
         html = page.read_text(encoding="utf-8")
-        probe = PROBE.replace("%POLICY%", POLICY).replace("%SCRIPT%", script)
+        probe = PROBE.replace("%POLICY%", POLICY).replace("%LIGHT%", LIGHT).replace("%SCRIPT%", script)
         copy.write_text(html.replace("<head>", f"<head>{probe}", 1), encoding="utf-8")
         more = []
         if width < NARROWEST:
