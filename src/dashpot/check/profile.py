@@ -6,7 +6,7 @@ much as the parabola would at ± t sd is a likelihood-ratio interval and follows
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -61,26 +61,46 @@ class Profile:
         return np.asarray(off / length)
 
     @property
+    def curve(self) -> tuple[tuple[float, ...], tuple[float, ...]]:
+        """(values, roots) from one end to the other: the root of the rise over that at the ends, of the first repeat.
+
+        Both ascend; an end that is infinite has none.  See `profile_interval`.
+        """
+        value, threshold = float(np.ravel(self.value)[0]), float(np.ravel(self.threshold)[0])
+        ends = float(np.ravel(self.lower)[0]), float(np.ravel(self.upper)[0])
+        inside = (self.points > ends[0]) & (self.points < ends[1])
+        side = np.sign(self.points[inside] - value)
+        roots = side * np.sqrt(np.clip(self.rise[inside] / threshold, 0.0, 1.0))
+        outwards = np.where(side > 0, np.maximum.accumulate(np.maximum(roots, 0.0)), roots)
+        outwards = np.where(side < 0, np.minimum.accumulate(np.minimum(outwards, 0.0)[::-1])[::-1], outwards)
+        return (
+            (ends[0], *self.points[inside].tolist(), ends[1]),
+            (-1.0, *outwards.tolist(), 1.0),
+        )
+
+    @property
     def misleads(self) -> Bools:
         """Whether the normal interval is off by more than a tenth of its length."""
         return np.asarray(self.difference > MISLEADS)
 
 
 def profile(
-    model: Model, spectrum: Spectrum, name: str, level: float = 0.95, estimate: Estimate | None = None
-) -> Profile:
+    model: Model, spectrum: Spectrum, name: str, level: float = 0.95, estimate: Estimate | None = None,
+    surface: Surface | None = None,
+) -> Profile:  # fmt: skip
     """The profile of an unknown (a parameter, NAME.gain or NAME.delay) and the interval from it.
 
     `estimate`, found anew unless given, must be of a method on the bound (oiv, ml).  The rise of χ² at the ends is
-    that of the parabola at the ends of the estimate's own interval: it counts the noise as the estimate does.
+    that of the parabola at the ends of the estimate's normal interval: it counts the noise as the estimate does.
+    `surface` is χ² around that estimate, where it has been made.
     Raises UsageError where there is no such unknown.
     """
     around = identify(model, spectrum) if estimate is None else estimate
     if name not in around.names:
         raise UsageError(f"{name} is not among the unknowns", cure=f"there are {', '.join(around.names)}")
     j = around.names.index(name)
-    base = chi2_surface(model, spectrum, around)
-    low, high = (end[..., j] for end in around.interval(level))
+    base = chi2_surface(model, spectrum, around) if surface is None else surface
+    low, high = (end[..., j] for end in replace(around, profiles={}).interval(level))
     half = (high - low).ravel() / 2
     with np.errstate(invalid="ignore", divide="ignore"):
         threshold = (half / np.sqrt(base.covariance()[:, j, j])) ** 2
@@ -228,5 +248,8 @@ class _Bracket:
         return self.walk.held(self.centre[rows] + self.side * distance, start, rows)
 
     def _move_inner(self, rows: Ints, distance: Real, root: Real, psi: Real) -> None:
-        self.slope[rows] = (psi - self.psi[rows]) / (distance - self.inner[rows])[:, None]
+        moved = (distance - self.inner[rows])[:, None]
+        self.slope[rows] = np.where(
+            moved != 0, (psi - self.psi[rows]) / np.where(moved != 0, moved, 1.0), self.slope[rows]
+        )
         self.psi[rows], self.inner[rows], self.inner_root[rows] = psi, distance, root

@@ -66,6 +66,9 @@ def _parameters(estimate: Estimate) -> dict[str, dict[str, Any]]:
         entries[name] |= {"noise_sd": noise, "interval_dof": dof}
         if math.isfinite(low) or math.isfinite(high) or free != float(estimate.values[j]):
             entries[name] |= {"min": low, "max": high, "without_limits": free}
+        if name in estimate.profiles:
+            at, roots = estimate.profiles[name]
+            entries[name]["profile"] = {"values": list(at), "roots": list(roots)}
     return entries
 
 
@@ -116,7 +119,22 @@ def estimate_from(content: Mapping[str, Any]) -> Estimate:
         warnings=_notices(content, "warnings", "codes", "concerns"),
         notes=_notices(content, "notes", "note_codes", "note_concerns"),
         rig=content.get("rig"),
+        profiles={
+            name: _profile(entry["profile"])
+            for name, entry in zip(names, unknowns, strict=True)
+            if "profile" in entry
+        },
     )
+
+
+def _profile(content: Mapping[str, Any]) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    """Values and roots; an end that is null is no limit on its side."""
+    roots = tuple(float(root) for root in content["roots"])
+    values = tuple(
+        nullable(value, math.copysign(math.inf, root))
+        for value, root in zip(content["values"], roots, strict=True)
+    )
+    return values, roots
 
 
 def _numbers(values: Sequence[Any], missing: float = math.nan) -> Real:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
@@ -13,7 +13,7 @@ from dashpot.arrays import Bools, Complex, Ints, Real, freeze
 from dashpot.errors import DataError
 from dashpot.estimate.assessment import Assessment
 from dashpot.estimate.exports import correlated_numbers, dataframe, dataset
-from dashpot.estimate.inference.intervals import bounded_interval
+from dashpot.estimate.inference.intervals import bounded_interval, profile_interval
 from dashpot.estimate.soundness import require_sound
 from dashpot.io.json_document import from_json, to_json
 from dashpot.io.ledger import noted
@@ -114,6 +114,7 @@ class Estimate(Printed):
     warnings, notes     notices of the estimate, and of the data it was made from
     assessment          verdict and diagnosis, where they were made
     rig                 name of the rig file, where it came from one
+    profiles            profiles (`profile_interval`) of the unknowns along which χ² is no parabola, by name
     """
 
     model: str
@@ -141,6 +142,7 @@ class Estimate(Printed):
     notes: tuple[Notice, ...] = ()
     assessment: Assessment | None = None
     rig: str | None = None
+    profiles: Mapping[str, tuple[tuple[float, ...], tuple[float, ...]]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         freeze(self)
@@ -177,10 +179,17 @@ class Estimate(Printed):
         return np.sqrt(np.diagonal(self.noise_covariance, axis1=-2, axis2=-1))
 
     def interval(self, level: float = 0.95) -> tuple[Real, Real]:
-        """Lower and upper ends of the intervals at `level`, each (..., m); cut off at bounds (`bounded_interval`)."""
-        return bounded_interval(
+        """Lower and upper ends of the intervals at `level`, each (..., m); cut off at bounds (`bounded_interval`).
+
+        Those of `profiles` follow χ² (`profile_interval`).
+        """
+        low, high = bounded_interval(
             self.values, self.free_values, self.sd, self.dof, self.lower, self.upper, level
         )
+        for name, curve in self.profiles.items():
+            j = self.names.index(name)
+            low[j], high[j] = profile_interval(curve, float(self.dof[j]), level)
+        return low, high
 
     def __iter__(self) -> Iterator[Value]:
         """The unknowns one by one (no batch axes)."""

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from dashpot.check.branches import several_motions
+from dashpot.check.curvature import with_profile_intervals
 from dashpot.check.diagnosis.causes import causes
 from dashpot.check.diagnosis.search import Workbench
 from dashpot.check.diagnosis.steady_lines import carries_transients, steady_lines
@@ -51,7 +52,10 @@ def diagnose(
 
 
 def examined(model: Model, spectrum: Spectrum, estimate: Estimate, *, seed: int = 0) -> Estimate:
-    """The estimate with its assessment, and with a diagnosis where the rig does not fit; batches as they are."""
+    """The estimate with its assessment, and a diagnosis where the rig does not fit; batches as they are.
+
+    Where the rig fits, the intervals follow χ² where that is no parabola.
+    """
     if estimate.values.ndim != 1:
         return estimate
     assessment = assess(model, spectrum, estimate)
@@ -62,4 +66,6 @@ def examined(model: Model, spectrum: Spectrum, estimate: Estimate, *, seed: int 
         estimate = replace(
             estimate, warnings=(*estimate.warnings, *several_motions(model, spectrum, estimate))
         )
+    if assessment.verdict != "does not fit":
+        estimate = with_profile_intervals(model, spectrum, estimate)
     return replace(estimate, assessment=assessment)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from dashpot.arrays import Real
@@ -27,6 +29,33 @@ def bounded_interval(
         low, high = np.clip(low, lower, upper), np.clip(high, lower, upper)
         low, high = np.minimum(low, values), np.maximum(high, values)
     return low, high
+
+
+def profile_interval(
+    curve: tuple[Sequence[float], Sequence[float]], dof: float, level: float
+) -> tuple[float, float]:
+    """Ends at `level` of the interval from a profile: (values, roots), both ascending.
+
+    A root is that of the rise of χ², with the side's sign, over the root at the ends of the 95 % interval, −1 and 1.
+    Beyond what the profile has seen the ends grow as far as it did; where it saw no limit there is none.
+    """
+    from scipy.special import stdtrit
+
+    values, roots = (np.asarray(part, dtype=float) for part in curve)
+    reach = float(stdtrit(dof, 0.5 + level / 2) / stdtrit(dof, 0.975))
+    seen = np.isfinite(values)
+    middle = float(np.interp(0.0, roots[seen], values[seen]))
+    ends = []
+    for root in (-reach, reach):
+        edge = -1 if root > 0 else 0
+        last, at = float(values[seen][edge]), float(roots[seen][edge])
+        if abs(root) <= abs(at):
+            ends.append(float(np.interp(root, roots[seen], values[seen])))
+        elif not seen[edge]:
+            ends.append(float(values[edge]))
+        else:
+            ends.append(middle + (last - middle) * root / at if at else last)
+    return ends[0], ends[1]
 
 
 def truncated_reach(beyond: Real, dof: Real, level: float) -> Real:

@@ -26,6 +26,7 @@ from dashpot.present.text.estimate import (
     bound_in_words,
     convergence_in_words,
     fit_in_words,
+    profiles_in_words,
     warnings_in_words,
 )
 from dashpot.present.text.numbers import aligned, alike, percent, plain, rounded, short
@@ -172,8 +173,9 @@ def fit_paragraphs(estimate: Estimate) -> list[tuple[str, str]]:
 
 
 def remarks(estimate: Estimate) -> Sequence[str]:
-    """What ± and the bound are."""
-    return [text for text in (basis_in_words(estimate), bound_in_words(estimate)) if text]
+    """What ± and the bound are, and which intervals follow a profile."""
+    texts = (basis_in_words(estimate), profiles_in_words(estimate), bound_in_words(estimate))
+    return [text for text in texts if text]
 
 
 def has_modes(estimate: Estimate) -> bool:

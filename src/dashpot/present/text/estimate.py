@@ -7,6 +7,7 @@ import math
 import numpy as np
 
 from dashpot.estimate.result import Estimate, Fit
+from dashpot.io.words import joined
 from dashpot.present.text.notices import with_remedy
 from dashpot.present.text.numbers import probability, short
 
@@ -49,6 +50,17 @@ def basis_in_words(estimate: Estimate) -> str:
     if estimate.basis == "residuals":
         return "± is one standard deviation, estimated from the scatter of the residuals."
     return "± is one standard deviation from the noise of the sensors."
+
+
+def profiles_in_words(estimate: Estimate) -> str:
+    """Which intervals are not symmetric, for they follow χ²; empty where all are normal."""
+    names = list(estimate.profiles)
+    if not names:
+        return ""
+    verb = "Profile interval" if len(names) == 1 else "Profile intervals"
+    open_ended = [name for name in names if not all(map(math.isfinite, estimate.profiles[name][0]))]
+    limit = f" The data set no limit to {joined(open_ended)} on one side." if open_ended else ""
+    return f"{verb}: {joined(names)} (χ² is no parabola there, ± misleads).{limit}"
 
 
 def bound_in_words(estimate: Estimate) -> str:

@@ -1,0 +1,101 @@
+"""Intervals follow χ² where it is no parabola, by themselves; elsewhere nothing changes."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from dashpot.channel import Channel, Quantity
+from dashpot.check.curvature import bent_unknowns, with_profile_intervals
+from dashpot.check.diagnosis.diagnose import examined
+from dashpot.check.profile import profile
+from dashpot.estimate.identify import identify
+from dashpot.estimate.likelihood.maximum_likelihood import MaximumLikelihood
+from dashpot.estimate.result import Estimate
+from dashpot.model.elements import Kind, between, mass
+from dashpot.model.network import Input, Model
+from dashpot.present.text.estimate import profiles_in_words
+from tests import rigs
+from tests.whole_rigs import chain
+
+RIG = Model(
+    ("x",), (Input("u"),),
+    (mass("m", "x", value=1.0), between("c", Kind.DAMPER, "x", "u"), between("k", Kind.SPRING, "x", "u")),
+)  # fmt: skip
+TRUTH = np.array([4.0, 400.0])
+
+
+def one_line(noise: float, draws: int | None = None):
+    """A mass seen at one frequency below its resonance."""
+    rig = rigs.Rig(RIG, TRUTH, np.array([2.0]), np.ones((1, 1), complex), np.zeros((1, 0), complex))
+    V = np.zeros((1, 2, 2))
+    V[:, 0, 0] = 2 * noise**2
+    return rigs.noisy(rig, rigs.channels(rig), V, np.random.default_rng(3), draws)
+
+
+def test_the_profile_is_taken_by_itself_and_kept_in_files() -> None:
+    spectrum = one_line(0.15)
+    estimate = identify(RIG, spectrum)
+    assert bent_unknowns(RIG, spectrum, estimate).tolist() == [True, True]
+    followed = examined(RIG, spectrum, estimate)
+    along = profile(RIG, spectrum, "k", estimate=estimate)
+    assert followed["k"].interval95 == (float(along.lower), float(along.upper))
+    assert bool(along.misleads)
+    # At other levels the ends lie where the profile has them.
+    for level in (0.5, 0.8):
+        at = profile(RIG, spectrum, "k", level, estimate=estimate)
+        low, high = followed.interval(level)
+        assert [low[1], high[1]] == pytest.approx([float(at.lower), float(at.upper)], rel=0.03)
+    assert profiles_in_words(followed).startswith("Profile intervals: c and k")
+    again = Estimate.from_json(followed.to_json())
+    assert again.profiles == followed.profiles
+    assert again["k"].interval95 == followed["k"].interval95
+
+
+def test_where_chi2_is_a_parabola_nothing_changes() -> None:
+    paper = rigs.paper_rig()
+    seen = rigs.channels(paper, (Quantity.DISPLACEMENT,))
+    spectrum = rigs.noisy(paper, seen, rigs.covariance(paper, seen, 0.02), np.random.default_rng(1))
+    estimate = identify(paper.model, spectrum)
+    assert with_profile_intervals(paper.model, spectrum, estimate) is estimate
+    # Noise that is not known scales χ²: a parabola stays one.
+    unknown = replace(
+        spectrum, covariance=np.full_like(spectrum.covariance, np.nan), noise=("unknown",) * spectrum.lines
+    )
+    estimate = identify(paper.model, unknown)
+    assert not np.any(bent_unknowns(paper.model, unknown, estimate))
+
+
+def partly_seen(draws: int):
+    """Four masses on a base, accelerometers on the first and the last, all but one mass unknown, 15 % noise."""
+    model, theta = chain(4, 0.03, seed=2)
+    values = dict(zip((e.name for e in model.elements), model.parameters(theta).tolist(), strict=True))
+    opened = ("m2", "m3", "m4")
+    elements = tuple(replace(e, value=None) if e.name in opened else e for e in model.elements)
+    model = replace(model, elements=elements)
+    theta = np.array([values[unknown.name] for unknown in model.unknowns])
+    hz = np.linspace(2, 19, 14)
+    rig = rigs.Rig(model, theta, hz, np.ones((14, 1), complex), np.zeros((14, 0), complex))
+    seen = (
+        Channel("a1", {"x1": 1.0}, Quantity.ACCELERATION), Channel("a4", {"x4": 1.0}, Quantity.ACCELERATION),
+        Channel("u", {"u": 1.0}),
+    )  # fmt: skip
+    V = rigs.covariance(rig, seen, 0.15)
+    return model, theta, rigs.noisy(rig, seen, V, np.random.default_rng(5), draws)
+
+
+@pytest.mark.long
+def test_coverage_of_a_rig_seen_in_part() -> None:
+    model, theta, spectrum = partly_seen(100)
+    method = MaximumLikelihood(start=tuple(theta), start_sign=(1.0, 1.0, 1.0))
+    held, bent = [], 0
+    for k in range(100):
+        draw = replace(spectrum, amplitudes=spectrum.amplitudes[k])
+        estimate = with_profile_intervals(model, draw, identify(model, draw, method))
+        low, high = estimate.interval()
+        held.append((low <= theta) & (theta <= high))
+        bent += len(estimate.profiles)
+    assert bent > 100
+    assert 0.93 <= np.mean(held) <= 0.975
