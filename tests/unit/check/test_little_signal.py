@@ -12,7 +12,8 @@ from dashpot.data.conditioning.lines import spectrum
 from dashpot.data.local_noise import with_local_noise
 from dashpot.data.spectrum import Spectrum
 from dashpot.estimate.identify import identify
-from tests.unit.data.test_local_noise import RIG, TRUTH, functions
+from tests.two_masses import PUSHED
+from tests.unit.data.test_local_noise import RIG, functions
 from tests.whole_rigs import chain, record_of
 
 
@@ -31,7 +32,7 @@ def test_a_record_that_does_not_repeat_is_no_fit(quake: Spectrum) -> None:
 
 
 def test_functions_without_noise_sizes_and_an_unstable_rig_do_not_fit() -> None:
-    unstable = with_local_noise(functions(300, 0.01, truth=TRUTH | {"c1": -1.0, "c2": -0.5}))
+    unstable = with_local_noise(functions(300, 0.01, truth=PUSHED | {"c1": -1.0, "c2": -0.5}))
     assessment = assess(RIG, unstable, identify(RIG, unstable))
     assert assessment.verdict == "does not fit"
     assert "unstable" in {reason.code for reason in assessment.reasons}

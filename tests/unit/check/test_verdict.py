@@ -24,8 +24,8 @@ from dashpot.model.network import Input, Model
 from dashpot.present.text.identifiability import require_identifiable
 from tests import rigs
 from tests.nonlinear_rigs import motions, settled, two_masses
-from tests.two_masses import two_mass_rig
-from tests.unit.data.test_local_noise import RIG, TRUTH, functions
+from tests.two_masses import PUSHED, two_mass_rig
+from tests.unit.data.test_local_noise import RIG, functions
 
 PAPER = rigs.paper_rig()
 CHANNELS = rigs.channels(PAPER, (Quantity.DISPLACEMENT,))
@@ -46,7 +46,7 @@ def test_friction_on_a_linear_rig_does_not_fit(share: float) -> None:
 
 def bump(lines: int, sd: float | None) -> tuple[Model, Spectrum]:
     """One heavily damped mass, and the receptance of two at the first one's place; noise a share `sd` or not given."""
-    both = functions(lines, 0.05, truth=TRUTH | {"c1": 60.0, "c2": 40.0})
+    both = functions(lines, 0.05, truth=PUSHED | {"c1": 60.0, "c2": 40.0})
     shown = [0, 2]
     covariance = np.full((lines, 2, 2), np.nan, dtype=complex)
     if sd is not None:
@@ -84,7 +84,7 @@ def test_a_damped_bump_is_not_one_mode(sd: float | None) -> None:
 
 def test_an_unstable_rig_does_not_fit_where_no_noise_is_given() -> None:
     """Lines too far apart to show their noise."""
-    few = functions(12, 0.01, truth=TRUTH | {"c1": -1.0, "c2": -0.5})
+    few = functions(12, 0.01, truth=PUSHED | {"c1": -1.0, "c2": -0.5})
     estimate = identify_automatically(RIG, few)
     assert not estimate.fit.known_noise
     assessment = assess(RIG, few, estimate)
