@@ -61,7 +61,7 @@ class Solution:
     theta (K, unknowns), followed by gains and delays where the method estimates them; covariance of the noise given
     in the spectrum, (K, unknowns, unknowns); converged and iterations (K,); history: θ after each iteration of the
     first repeat, (iterations + 1, unknowns).  `signs`: channels whose sign was found, ±1 for each repeat.
-    `bounds`: those that were held, if any.
+    `bounds`: those that were held, if any.  `harmonics` of the response of a nonlinear rig that it rests on.
     """
 
     theta: Real
@@ -72,6 +72,7 @@ class Solution:
     signs: Mapping[str, Real] = field(default_factory=dict)
     warnings: tuple[Notice, ...] = ()
     bounds: HeldBounds | None = None
+    harmonics: int | None = None
 
 
 class Method(ABC):

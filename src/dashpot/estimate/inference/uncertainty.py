@@ -124,7 +124,8 @@ def most_likely(data: Prepared, solution: Solution, traits: Traits) -> Solution:
     if traits.maximum_likelihood:
         return solution
     if len(data.model.nonlinear):
-        return replace(solution, theta=MaximumLikelihood().solve(data).theta)
+        best = MaximumLikelihood().solve(data)
+        return replace(solution, theta=best.theta, harmonics=best.harmonics)
     return replace(solution, theta=likeliest(data, solution.theta))
 
 
@@ -140,6 +141,8 @@ def linearise(data: Prepared, solution: Solution, traits: Traits) -> Linearised:
 
 def _of_channels(data: Prepared, solution: Solution) -> Linearised:
     view, exact = data.view, measured(data)
+    if exact.nonlinear is not None and solution.harmonics is not None:
+        exact = replace(exact, nonlinear=exact.nonlinear.with_harmonics(solution.harmonics))
     sign = np.ones((len(exact.y), len(view.channels)))
     for name, signs in solution.signs.items():
         sign[:, data.spectrum.index(name)] = signs

@@ -77,7 +77,7 @@ class MaximumLikelihood(Method):
         if likelihood.exact.nonlinear is None and not self.start and not self.thorough:
             found, sign, again = searched_again(likelihood, found, sign)
             warnings += again
-        around = likelihood.model_at(found.x, sign)
+        around, part = likelihood.model_at(found.x, sign), likelihood.exact.nonlinear
         bounds = None
         if np.any(np.isfinite(likelihood.lower) | np.isfinite(likelihood.upper)):
             free = without_bounds(found.x, around, likelihood.lower, likelihood.upper)
@@ -85,7 +85,7 @@ class MaximumLikelihood(Method):
         return Solution(
             found.x, scaled_inverse(around.symmetric), found.converged, found.iterations, found.history,
             signs={view.channels[int(c)].name: sign[:, c] for c in np.flatnonzero(view.flips)},
-            warnings=warnings, bounds=bounds,
+            warnings=warnings, bounds=bounds, harmonics=None if part is None else part.dwells.orders,
         )  # fmt: skip
 
     def rough(self, data: Prepared) -> tuple[Real, Real]:

@@ -61,6 +61,16 @@ class NonlinearPart:
         start = None if self.start is None else self.start[rows]
         return replace(self, start=start, q=self.q[rows], repeat=self.repeat[rows])
 
+    def with_harmonics(self, orders: int) -> NonlinearPart:
+        """The same with that many harmonics of the response, without memory of earlier responses."""
+        start = self.start
+        if start is not None:
+            kept = min(start.shape[-1], 2 * orders + 1)
+            wide = np.zeros((*start.shape[:-1], 2 * orders + 1))
+            wide[..., :kept] = start[..., :kept]
+            start = wide
+        return replace(self, dwells=self.dwells.with_orders(orders), start=start, warm=WarmStart())
+
 
 @dataclass(frozen=True)
 class Evaluated:

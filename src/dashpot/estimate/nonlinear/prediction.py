@@ -33,12 +33,7 @@ def predicted_lines(
     )
     part = measured_part(exact)
     if part.dwells.orders < ORDERS:
-        start = part.start
-        if start is not None:
-            wide = np.zeros((*start.shape[:-1], 2 * ORDERS + 1))
-            wide[..., : start.shape[-1]] = start
-            start = wide
-        part = replace(part, dwells=part.dwells.with_orders(ORDERS), start=start)
+        part = part.with_harmonics(ORDERS)
     psi = np.array([*theta, *(calibrations[name] for name in view.names[view.m :])])
     sign = np.array([calibrations.get(f"{channel.name}.sign", 1.0) for channel in spectrum.channels])
     residual, _, _, _, q, _ = predict_harmonics(view, exact, part, psi[None], sign[None])

@@ -67,7 +67,7 @@ def search_harmonics(likelihood: Likelihood) -> tuple[OptimizeResult, Measured, 
         allowed = _allowed(data, float(found.cost[0]) / max(first.rows, 1))
         if _missing(view, exact, found.x) <= allowed or part.dwells.orders >= MOST:
             return found, exact, warnings
-        exact = _with_orders(data, exact, min(2 * part.dwells.orders + 1, MOST))
+        exact = replace(exact, nonlinear=part.with_harmonics(min(2 * part.dwells.orders + 1, MOST)))
         found = descend(exact, found.x, sign, None)
 
 
@@ -153,17 +153,6 @@ def _allowed(data: Prepared, misfit: float) -> float:
 def _fresh(exact: Measured) -> Measured:
     """The same data without memory of earlier responses, for many starts, each of which may lose dwells."""
     return replace(exact, nonlinear=replace(measured_part(exact), warm=WarmStart(), patient=False))
-
-
-def _with_orders(data: Prepared, exact: Measured, orders: int) -> Measured:
-    part = measured_part(exact)
-    start = part.start
-    if start is not None:
-        wider = np.zeros((*start.shape[:-1], 2 * orders + 1))
-        wider[..., : start.shape[-1]] = start
-        start = wider
-    wide = replace(part, dwells=part.dwells.with_orders(orders), start=start, warm=WarmStart())
-    return replace(exact, nonlinear=wide)
 
 
 def _ranked(one: Prepared, stages: Sequence[Measured], descend: Descent) -> Iterator[tuple[Real, bool]]:

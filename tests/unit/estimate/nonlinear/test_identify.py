@@ -41,6 +41,15 @@ def test_noisy_harmonics_give_intervals_that_hold():
     assert np.allclose(estimate.sd, estimate.bound_sd, rtol=1e-6)
 
 
+def test_the_fit_is_judged_with_the_harmonics_that_the_search_needed():
+    """A stiff spring needs fifteen; with seven the end of the search is no minimum."""
+    model, theta = two_masses("quintic")
+    spectrum = settled(model, theta, ALL, FREQUENCIES, noise=0.005, rng=np.random.default_rng(3))
+    estimate = identify(model, spectrum, "ml")
+    assert bool(estimate.converged)
+    assert np.all(np.abs(estimate.values - theta) < 4 * estimate.sd)
+
+
 def test_a_noisy_input_widens_the_intervals_and_they_hold():
     model, theta = two_masses("cubic")
     rng = np.random.default_rng(5)
