@@ -197,8 +197,8 @@ def conditioning_options(function: Function) -> Function:
             "--noise", type=click.Choice(["auto", "own", "white", "blocks"]), default="auto", show_default=True,
             group=RECORDS,
             help="How the noise of the amplitudes is estimated from the residuals: as white, from blocks of "
-            "neighbouring frequencies (blocks), whichever a test of whiteness asks for (own), or so with short dwells "
-            "pooled (auto).",
+            "neighbouring frequencies (blocks), whichever a test of whiteness asks for (own), or as own, with short "
+            "dwells pooled (auto).",
         ),
         option(
             "--refine", type=click.Choice(["auto", "always", "none"]), alone="always", default="auto",

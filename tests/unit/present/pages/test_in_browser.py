@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import runpy
 import shutil
 from pathlib import Path
 
@@ -35,6 +36,8 @@ REPORTS = {
     "misfit": (0, "identify", *MISFIT),
     "fits": (0, "identify", *METHODS, "--json", "estimate.json"),
     "compare": (0, "compare", *METHODS),
+    "no answer": (3, "identify", "undetermined.toml", METHODS[1]),
+    "nonlinear dwells": (0, "identify", str(EXAMPLES["friction"] / "rig.toml"), "dwells.csv"),
     "check": (0, "check", *METHODS, "--profile", "k1,c1", "--known"),
     "undetermined": (3, "check", "undetermined.toml"),
     "design": (0, "design", METHODS[0], "--after", "estimate.json", "--samples", "2000"),
@@ -48,6 +51,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """All reports as NAME.html."""
     made = tmp_path_factory.mktemp("reports")
     (made / "undetermined.toml").write_text(UNDETERMINED, encoding="utf-8")
+    runpy.run_path(str(EXAMPLES["friction"] / "make_dwells.py"))["main"](str(made / "dwells.csv"))
     with pytest.MonkeyPatch.context() as patched:
         patched.chdir(made)
         for name, (code, *words) in REPORTS.items():
