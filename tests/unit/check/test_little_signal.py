@@ -13,6 +13,7 @@ from dashpot.data.local_noise import with_local_noise
 from dashpot.data.spectrum import Spectrum
 from dashpot.estimate.identify import identify
 from tests.two_masses import PUSHED
+from tests.two_masses import PUSHED
 from tests.unit.data.test_local_noise import RIG, functions
 from tests.whole_rigs import chain, record_of
 
