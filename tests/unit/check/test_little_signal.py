@@ -13,7 +13,6 @@ from dashpot.data.local_noise import with_local_noise
 from dashpot.data.spectrum import Spectrum
 from dashpot.estimate.identify import identify
 from tests.two_masses import PUSHED
-from tests.two_masses import PUSHED
 from tests.unit.data.test_local_noise import RIG, functions
 from tests.whole_rigs import chain, record_of
 
@@ -23,7 +22,7 @@ def quake() -> Spectrum:
     """A record of random base motion, passed as multiples of 0.1 Hz that it knows nothing of."""
     model, theta = chain(2, 0.05, seed=4)
     record = record_of(model, theta, "random", decay_times=3.0).record
-    dwell = replace(record, frequency_hz=20 / (record.time[-1] - record.time[0]))
+    dwell = replace(record, frequency_hz=3 / (record.time[-1] - record.time[0]))
     return spectrum([dwell], orders=range(1, 60), refine="none", transients="none")
 
 
