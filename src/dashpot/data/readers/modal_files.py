@@ -74,7 +74,7 @@ def _datasets(file: DataFile) -> set[int]:
     """Numbers of the datasets in a universal file that are read; up to the first function."""
     numbers = set()
     with file.reading() as raw:
-        stream = UffStream(raw, file.name)
+        stream = UffStream(raw, file)
         for start in dataset_starts(stream):
             numbers.add(start.number)
             if start.number == 58:

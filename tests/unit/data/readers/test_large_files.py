@@ -18,6 +18,7 @@ from dashpot.data.readers import (
     tdms,
 )
 from dashpot.data.readers.delimited import table
+from dashpot.data.readers.uff import function
 from dashpot.errors import DataError
 from tests.unit.data.readers.written import CHANNELS, WRITERS, as_read, recording
 
@@ -25,7 +26,7 @@ from tests.unit.data.readers.written import CHANNELS, WRITERS, as_read, recordin
 @pytest.fixture
 def _small(monkeypatch: pytest.MonkeyPatch) -> None:
     """Everything is large: pieces of 100 numbers, text in blocks of 4 kB."""
-    for module in (array_columns, arrow_files, hdf5, matlab_vectors, numpy_files, tdms):
+    for module in (array_columns, arrow_files, function, hdf5, matlab_vectors, numpy_files, tdms):
         monkeypatch.setattr(module, "PIECE", 100)
         if hasattr(module, "LONG"):
             monkeypatch.setattr(module, "LONG", 200)

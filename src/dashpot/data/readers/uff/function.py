@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import itertools
 import struct
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from dashpot.arrays import Complex, Real, freeze, frozen
+from dashpot.data.readers.array_columns import LONG, PIECE, Streamed, steps
 from dashpot.data.readers.uff.numbers import from_ibm, from_vax
 from dashpot.data.readers.uff.stream import DatasetStart, UffStream, expect_end
 from dashpot.errors import DataError
@@ -38,12 +40,27 @@ class Point:
 
 
 @dataclass(frozen=True)
+class LongSamples:
+    """Evenly spaced samples over time that are not held, but read again when they are asked for."""
+
+    start: float
+    step: float
+    values: Streamed
+
+    @property
+    def time(self) -> Streamed:
+        """Of each sample, s."""
+        return steps(self.start, self.step, len(self.values))
+
+
+@dataclass(frozen=True)
 class NodalFunction:
     """One function: kind (1 time response, 4 FRF, 12 spectrum, …), points, abscissa and ordinate.
 
     abscissa  (values,)  s or Hz
     ordinate  (values,)  real or complex, in `unit` (over `reference_unit`)
     z_value   of the third axis; the drive frequency in Hz where `z_kind` is 18
+    long      in place of abscissa and ordinate, which are empty then
     """
 
     kind: int
@@ -57,11 +74,19 @@ class NodalFunction:
     even: bool = True
     z_kind: int = 0
     z_value: float = 0.0
+    long: LongSamples | None = None
 
     def __post_init__(self) -> None:
         freeze(self)
         kind = np.complex128 if np.iscomplexobj(self.ordinate) else np.float64
         object.__setattr__(self, "ordinate", frozen(self.ordinate, kind))
+
+    def beside(self, other: NodalFunction) -> bool:
+        """Whether both have the same abscissa."""
+        if self.long is None or other.long is None:
+            return self.long is other.long and bool(np.array_equal(self.abscissa, other.abscissa))
+        first, second = self.long, other.long
+        return (first.start, first.step, len(first.values)) == (second.start, second.step, len(second.values))
 
 
 @dataclass(frozen=True)
@@ -94,17 +119,17 @@ def read_function(stream: UffStream, start: DatasetStart) -> NodalFunction:
         raise stream.wrong("the header of a function is damaged") from None
     if not 0 <= shape.count <= MOST_VALUES:
         raise stream.wrong(f"{shape.count} values cannot be")
-    if start.binary:
-        uneven, numbers = _binary(stream, start, shape)
+    long = _long(stream, start, shape) if start.binary and kind == TIME_RESPONSE else None
+    if long is not None:
+        abscissa, ordinate = np.zeros(0), np.zeros(0)
     else:
-        uneven, numbers = _text_numbers(stream, shape)
-    abscissa: Real = np.asarray(
-        shape.start + shape.step * np.arange(shape.count) if uneven is None else uneven, dtype=np.float64
-    )
-    ordinate = numbers[:, 0] + 1j * numbers[:, 1] if shape.complex else numbers[:, 0]
+        uneven, numbers = _binary(stream, start, shape) if start.binary else _text_numbers(stream, shape)
+        even = shape.start + shape.step * np.arange(shape.count)
+        abscissa = np.asarray(even if uneven is None else uneven, dtype=np.float64)
+        ordinate = numbers[:, 0] + 1j * numbers[:, 1] if shape.complex else numbers[:, 0]
     return NodalFunction(
         kind, response, reference, abscissa, ordinate,
-        _label(lines[8]), _label(lines[9]), ids, shape.even, kinds[3], z_value,
+        _label(lines[8]), _label(lines[9]), ids, shape.even, kinds[3], z_value, long,
     )  # fmt: skip
 
 
@@ -194,8 +219,8 @@ def _fixed(line: bytes, ends: list[int]) -> list[bytes]:
     return fields
 
 
-def _binary(stream: UffStream, start: DatasetStart, shape: _Shape) -> tuple[Real | None, Real]:
-    """Abscissa (None where even) and numbers, (values, 1 or 2), of a dataset 58b."""
+def _layout(stream: UffStream, start: DatasetStart) -> tuple[int, int, int]:
+    """Order of bytes, kind of floats and number of bytes of a dataset 58b."""
     try:
         order, floats = int(start.rest[:6]), int(start.rest[6:12])
         lines, size = int(start.rest[12:24]), int(start.rest[24:36])
@@ -203,6 +228,32 @@ def _binary(stream: UffStream, start: DatasetStart, shape: _Shape) -> tuple[Real
         raise stream.wrong("the first line of a dataset 58b is damaged") from None
     if order not in (1, 2) or floats not in (1, 2, 3) or lines != LINES:
         raise stream.wrong("the first line of a dataset 58b says what cannot be")
+    return order, floats, size
+
+
+def _long(stream: UffStream, start: DatasetStart, shape: _Shape) -> LongSamples | None:
+    """Many real, evenly spaced numbers of a dataset 58b, which are passed over; None for others."""
+    order, floats, size = _layout(stream, start)
+    row = 8 if shape.double else 4
+    if shape.count < LONG or shape.complex or not shape.even or size != shape.count * row:
+        return None
+    at = stream.skip(size)
+    expect_end(stream)
+
+    def pieces() -> Iterator[Any]:
+        with stream.file.reading() as raw:
+            again = UffStream(raw, stream.file)
+            raw.seek(at)
+            for first in range(0, shape.count, PIECE):
+                count = min(PIECE, shape.count - first)
+                yield _decoded(again.block(count * row), row, order, floats, shape)[1][:, 0]
+
+    return LongSamples(shape.start, shape.step, Streamed(shape.count, pieces))
+
+
+def _binary(stream: UffStream, start: DatasetStart, shape: _Shape) -> tuple[Real | None, Real]:
+    """Abscissa (None where even) and numbers, (values, 1 or 2), of a dataset 58b."""
+    order, floats, size = _layout(stream, start)
     width = 8 if shape.double else 4
     # The abscissa is in single precision by the format; some programs write it like the ordinate.
     rows = [
@@ -227,7 +278,7 @@ def _decoded(data: bytes, row: int, order: int, floats: int, shape: _Shape) -> t
     of_abscissa = row - shape.of_value * width
     fields: list[tuple[str, Any]] = [("x", f"V{of_abscissa}")] if of_abscissa else []
     table = np.frombuffer(data, dtype=[*fields, ("y", f"V{width}", (shape.of_value,))])
-    y = _floats(np.ascontiguousarray(table["y"]), mark, width, floats).reshape(shape.count, shape.of_value)
+    y = _floats(np.ascontiguousarray(table["y"]), mark, width, floats).reshape(len(table), shape.of_value)
     if not of_abscissa:
         return None, y
     return _floats(np.ascontiguousarray(table["x"]), mark, of_abscissa, floats).ravel(), y
@@ -244,7 +295,9 @@ def _floats(raw: Any, mark: str, width: int, floats: int) -> Real:
 
 def check_finite(function: NodalFunction, place: str) -> None:
     """Raises DataError where the abscissa is not finite."""
-    if not np.all(np.isfinite(function.abscissa)):
+    long = function.long
+    abscissa = function.abscissa if long is None else np.array([long.start, long.step])
+    if not np.all(np.isfinite(abscissa)):
         raise DataError("the abscissa of a function is not finite", place, "export the file again")
 
 

@@ -44,7 +44,7 @@ def modes_of(file: DataFile) -> Iterator[NodalMode]:
     Raises DataError, with the line, for what is damaged or cut off.
     """
     with file.reading() as raw:
-        stream = UffStream(raw, file.name)
+        stream = UffStream(raw, file)
         for start in dataset_starts(stream):
             mode = _mode(stream, start) if start.number == 55 else None
             if start.number != 55:

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from dashpot.data.readers.array_columns import ArrayColumns, array_columns
+from dashpot.data.readers.array_columns import ArrayColumns, array_columns, steps
 from dashpot.data.readers.datafile import DataFile
 from dashpot.data.readers.sampling import FREQUENCY, TIME
 from dashpot.data.readers.uff.function import (
@@ -69,7 +69,7 @@ class UffReader:
 def functions_of(file: DataFile) -> Iterator[NodalFunction]:
     """All functions of a universal file (datasets 58 and 58b); other datasets are passed over.  Raises DataError."""
     with file.reading() as raw:
-        stream = UffStream(raw, file.name)
+        stream = UffStream(raw, file)
         before = None
         for start in dataset_starts(stream):
             if start.number == 58:
@@ -82,7 +82,7 @@ def functions_of(file: DataFile) -> Iterator[NodalFunction]:
 
 def _sharing(function: NodalFunction, before: NodalFunction | None) -> NodalFunction:
     """The function with the abscissa of the one before it, where it has the same."""
-    if before is None or not np.array_equal(before.abscissa, function.abscissa):
+    if before is None or not function.beside(before):
         return function
     return replace(function, abscissa=before.abscissa)
 
@@ -92,10 +92,9 @@ def _together(held: Sequence[NodalFunction], function: NodalFunction) -> bool:
     first = held[0]
     return (
         (first.kind == TIME_RESPONSE) == (function.kind == TIME_RESPONSE)
-        and len(first.abscissa) == len(function.abscissa)
         and (first.z_kind, first.z_value) == (function.z_kind, function.z_value)
         and _measured(function) not in [_measured(other) for other in held]
-        and bool(np.array_equal(first.abscissa, function.abscissa))
+        and function.beside(first)
     )
 
 
@@ -110,11 +109,11 @@ def _part(source: str, number: int, functions: Sequence[NodalFunction]) -> Array
     columns: dict[str, Any] = {FREQUENCY: first.abscissa}
     units: dict[str, str | None] = {}
     if first.kind == TIME_RESPONSE:
-        columns = {TIME: first.abscissa}
+        columns = {TIME: first.abscissa if first.long is None else first.long.time}
         if first.z_kind == OF_FREQUENCY and first.z_value > 0:
-            columns[FREQUENCY] = np.full(len(first.abscissa), first.z_value)
+            columns[FREQUENCY] = steps(first.z_value, 0.0, len(columns[TIME]))
     for function, name in zip(functions, _column_names(functions), strict=True):
-        values = {name: function.ordinate}
+        values: dict[str, Any] = {name: function.ordinate if function.long is None else function.long.values}
         if function.kind != TIME_RESPONSE:
             values = {f"{name}_re": function.ordinate.real, f"{name}_im": np.imag(function.ordinate)}
         for column, numbers in values.items():

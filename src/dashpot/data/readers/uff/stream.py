@@ -6,24 +6,26 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import BinaryIO
 
+from dashpot.data.readers.datafile import DataFile
 from dashpot.errors import DataError
 
 MARK = b"-1"
 LONGEST_LINE = 10_000  # bytes; lines have 80
+PIECE = 1 << 24  # bytes that are read at once
 
 
 class UffStream:
     """Lines and blocks of bytes of a universal file, with the number of the line for messages."""
 
-    def __init__(self, stream: BinaryIO, source: str) -> None:
+    def __init__(self, stream: BinaryIO, file: DataFile) -> None:
         self._stream = stream
-        self.source = source
+        self.file = file
         self.number = 0
 
     @property
     def place(self) -> str:
         """The file and the line."""
-        return f"{self.source}:{self.number}"
+        return f"{self.file.name}:{self.number}"
 
     def line(self) -> bytes:
         """The next line without its end; empty lines count.  Raises DataError at the end of the file."""
@@ -41,14 +43,22 @@ class UffStream:
 
     def block(self, size: int) -> bytes:
         """So many bytes.  Raises DataError where there are fewer."""
-        pieces, missing = [], size
+        return b"".join(self._pieces(size))
+
+    def skip(self, size: int) -> int:
+        """Pass over so many bytes; where they begin.  Raises DataError where there are fewer."""
+        start = self._stream.tell()
+        for _ in self._pieces(size):
+            pass
+        return start
+
+    def _pieces(self, missing: int) -> Iterator[bytes]:
         while missing:
-            piece = self._stream.read(min(missing, 1 << 24))
+            piece = self._stream.read(min(missing, PIECE))
             if not piece:
                 raise self.cut_off()
-            pieces.append(piece)
+            yield piece
             missing -= len(piece)
-        return b"".join(pieces)
 
     def cut_off(self) -> DataError:
         """The file ends inside a dataset."""
