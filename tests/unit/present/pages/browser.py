@@ -1,11 +1,10 @@
-"""A page opened in headless Chromium, and what it finds of it: for tests and for screenshots."""
+"""A page opened in headless Chromium, and what it finds of it."""
 
 from __future__ import annotations
 
 import json
 import re
 import subprocess
-import sys
 import tempfile
 from pathlib import Path
 from typing import Any
@@ -91,18 +90,3 @@ def probed(page: Path, width: int, script: str = "") -> dict[str, Any]:
     assert found is not None
     result: dict[str, Any] = json.loads(unquote(found[1]))
     return result
-
-
-def screenshot(page: Path, width: int, height: int, to: Path) -> None:
-    """The page as a PNG picture."""
-    assert CHROMIUM is not None
-    with tempfile.TemporaryDirectory() as folder:
-        command = [
-            CHROMIUM, *FLAGS, f"--user-data-dir={folder}/profile", f"--window-size={width},{height}",
-            f"--screenshot={to}", page.resolve().as_uri(),
-        ]  # fmt: skip
-        subprocess.run(command, capture_output=True, timeout=120, check=True)
-
-
-if __name__ == "__main__":  # python -m tests.unit.present.pages.browser PAGE.html WIDTH HEIGHT OUT.png
-    screenshot(Path(sys.argv[1]), int(sys.argv[2]), int(sys.argv[3]), Path(sys.argv[4]))

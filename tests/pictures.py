@@ -1,0 +1,68 @@
+"""The screenshots of docs/images, taken again: `python -m tests.pictures`, after `python3 dev.py docs`."""
+
+from __future__ import annotations
+
+import contextlib
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+from PIL import Image
+
+from dashpot.app.cli import run
+from tests.browser import chromium, served
+
+ROOT = Path(__file__).parents[1]
+IMAGES, SITE = ROOT / "docs" / "images", ROOT / "docs" / "_build" / "html"
+METHODS = ROOT / "examples" / "05_methods"
+PHONE = 390  # px; narrower than a window can be, so a frame in a page
+UNDETERMINED = """
+name = "A mass between two walls"
+coordinates = ["x"]
+inputs = { u = {} }
+channels = { x = { of = "x" }, u = { of = "u" } }
+[springs]
+k1 = { between = ["x", "ground"] }
+k2 = { between = ["x", "ground"] }
+k3 = { between = ["x", "u"] }
+[masses]
+m = { at = "x", value = 1.0 }
+"""
+
+
+def take(address: str, width: int, height: int, to: Path, scratch: Path) -> None:
+    """One page as a PNG file of that size."""
+    browser = chromium()
+    assert browser is not None, "there is no Chromium on this machine"
+    command = [
+        browser, "--headless", "--no-sandbox", "--disable-gpu", "--no-first-run", "--hide-scrollbars",
+        "--disable-background-networking", f"--user-data-dir={scratch / 'profile'}", f"--screenshot={to}",
+        f"--window-size={max(width, 500)},{height}", address,
+    ]  # fmt: skip
+    subprocess.run(command, capture_output=True, timeout=120, check=True)
+    with Image.open(to) as picture:
+        picture.crop((0, 0, width, height)).save(to, optimize=True)
+
+
+def main() -> None:
+    """Take all of them."""
+    with tempfile.TemporaryDirectory() as folder:
+        scratch = Path(folder)
+        with served(SITE) as address:
+            frame = f'<iframe src="{address}/tutorial.html" style="width:{PHONE}px;height:844px;border:0">'
+            (scratch / "frame.html").write_text(f'<!DOCTYPE html><body style="margin:0">{frame}</iframe>')
+            page = f"{address}/gallery/01_first_fit/index.html"
+            take(page, 1400, 1000, IMAGES / "site_wide.png", scratch)
+            take((scratch / "frame.html").as_uri(), PHONE, 844, IMAGES / "site_phone.png", scratch)
+        (scratch / "rig.toml").write_text(UNDETERMINED, encoding="utf-8")
+        with contextlib.chdir(METHODS):  # the report names its files as they were typed
+            run(["identify", "rig.toml", "amplitudes.csv", "-q", "--report", str(scratch / "report.html")])
+        run(["check", str(scratch / "rig.toml"), "--report", str(scratch / "undetermined.html")])
+        take((scratch / "report.html").as_uri(), 1400, 1000, IMAGES / "report.png", scratch)
+        undetermined = IMAGES / "report_undetermined.png"
+        take((scratch / "undetermined.html").as_uri(), 1000, 400, undetermined, scratch)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
