@@ -547,7 +547,11 @@ def other_versions(which: str, extra: list[str]) -> int:
         "-o",
         "filterwarnings=default",
     ]
-    tests = extra if any(not word.startswith("-") for word in extra) else [*extra, "tests/unit"]
+    tests = (
+        extra
+        if any(not word.startswith("-") for word in extra)
+        else [*extra, "tests/unit", "tests/repository"]
+    )
     return call([python, "-m", "pytest", *options, *tests], cwd=ROOT, MPLBACKEND="Agg", **ONE_THREAD)
 
 

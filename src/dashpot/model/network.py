@@ -373,9 +373,7 @@ class Model:
         span = sparse.csr_array(sparse.hstack([self.sparse_B, self.sparse_D]))
         flat = {letter: row_products(self.sparse_B[i], span[i]) for letter, i in self.by_matrix.items()}
         small = len(self.elements) * self.n * span.shape[1] <= DENSE
-        return {
-            letter: frozen(part.toarray(), np.float64) if small else part for letter, part in flat.items()
-        }
+        return {key: frozen(part.toarray(), np.float64) if small else part for key, part in flat.items()}
 
     @cached_property
     def assembly(self) -> tuple[Ints, Ints, sparse.csr_array]:

@@ -11,8 +11,8 @@ import pytest
 
 from dashpot.app import report_files
 from tests.two_masses import UNDETERMINED
+from tests.unit.app.commands.test_study import STUDY
 from tests.unit.app.conftest import RIG, Command
-from tests.unit.app.test_study import STUDY
 
 
 def words(path: str) -> str:

@@ -12,8 +12,8 @@ from pathlib import Path
 import pytest
 
 from dashpot.io.lock import LOCK
+from tests.unit.app.commands.test_study import STUDY
 from tests.unit.app.conftest import RIG
-from tests.unit.app.test_study import STUDY
 
 pytestmark = pytest.mark.skipif(not os.path.exists("/proc/self/task"), reason="needs /proc to find processes")
 

@@ -11,7 +11,7 @@ import pytest
 
 from dashpot.app.cli import run
 
-RIG = Path(__file__).parents[3] / "examples" / "06_design" / "rig.toml"
+RIG = Path(__file__).parents[4] / "examples" / "06_design" / "rig.toml"
 
 
 def test_contract_of_the_json(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
+from tests.unit.app.commands.test_compare import refused
 from tests.unit.app.conftest import Command, Ran
-from tests.unit.app.test_compare import refused
 
 FRAME = """\
 coordinates = ["x1", "x2"]

@@ -191,7 +191,7 @@ def test_a_cluster_gives_the_same_bits_and_survives_a_killed_worker(dashpot: Com
 @pytest.mark.long
 def test_a_study_on_a_cluster_is_the_same_to_the_bit(dashpot: Command, tmp_path: Path) -> None:
     pytest.importorskip("distributed")
-    from tests.unit.app.test_study import STUDY
+    from tests.unit.app.commands.test_study import STUDY
 
     (tmp_path / "rig.toml").write_text(RIG)
     (tmp_path / "noise.toml").write_text(STUDY)

@@ -13,8 +13,8 @@ from pathlib import Path
 import pytest
 
 from dashpot.io import atomic
+from tests.unit.app.commands.test_study import STUDY
 from tests.unit.app.conftest import RIG, Command
-from tests.unit.app.test_study import STUDY
 from tests.unit.io.test_atomic import FaultySystem
 
 KINDS = ("fails", "full", "short", "lies")
