@@ -14,6 +14,7 @@ from dashpot.data.spectrum import Spectrum
 from dashpot.design.alternative import Alternative, compare_tests
 from dashpot.design.budget import NYQUIST, Budget
 from dashpot.design.criteria import Criterion, Robustness
+from dashpot.design.drive_of_laws import drives_that_show
 from dashpot.design.frequency_grid import FrequencyGrid, band_grid, natural_band
 from dashpot.design.plan import Plan, plan
 from dashpot.design.robust import (
@@ -165,6 +166,8 @@ def answer(question: Question) -> Answer:
     comparison = _comparison(question, setup, advised, knowledge, robustness, notes)
     so_far, verdict = _stopping(question, knowledge.estimate)
     notes += () if advised is None else advised.notes
+    if advised is not None and len(setup.model.nonlinear):
+        notes += drives_that_show(setup, advised.schedule, knowledge.of(setup))
     return Answer(
         setup, question.criterion, grid_of(setup), knowledge.of(setup), advised, comparison, choice, robust,
         knowledge.estimate, so_far, verdict, robustness, tuple(dict.fromkeys(notes)),

@@ -25,9 +25,9 @@ from dashpot.model.observation import calibration_names
 def spread_of_iv(setup: TestSetup, schedule: Schedule) -> ExpectedPrecision | None:
     """What the paper's bootstrap instrumental variables would give from the same test (the sandwich of THEORY §5).
 
-    None where they cannot be used: some coordinate is not seen, or a calibration is unknown.
+    None where they cannot be used: some coordinate is not seen, a calibration is unknown, or an element is nonlinear.
     """
-    if calibration_names(setup.channels):
+    if calibration_names(setup.channels) or len(setup.model.nonlinear):
         return None
     seen = setup.seen(schedule.frequency_hz, schedule.pattern)
     sd = noise_sd(setup.channels, seen.Y)

@@ -186,7 +186,9 @@ def _dwells(setup: TestSetup, budget: Budget, schedule: Schedule) -> tuple[Dwell
 
 
 def _remarks(setup: TestSetup, schedule: Schedule) -> tuple[str, ...]:
-    """What the user should know of the sensors at the chosen frequencies."""
+    """What the user should know of the sensors at the chosen frequencies of a linear rig."""
+    if len(setup.model.nonlinear):
+        return ()
     seen = setup.seen(schedule.frequency_hz, schedule.pattern)
     size = np.abs(seen.Y)
     largest = np.max(size, axis=0, initial=0.0)

@@ -294,7 +294,7 @@ def _figures_of(
         every = setup.with_scenarios(theta)
         M = _prior(every, known)
         if drive is not None:
-            each = every.per_sample(every.p, every.sizes, schedule.frequency_hz, drive)
+            each = every.per_sample(schedule.frequency_hz, drive)
             M = M + np.einsum("i,siab->sab", schedule.samples, each)
         values = np.empty(len(theta))
         for s in range(len(theta)):

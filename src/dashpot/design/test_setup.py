@@ -11,6 +11,7 @@ import numpy as np
 
 from dashpot.arrays import Complex, Ints, Real, freeze
 from dashpot.channel import Channel
+from dashpot.design.harmonic_information import dwell_information
 from dashpot.design.information import Outputs, outputs, per_sample
 from dashpot.errors import ModelError, UsageError
 from dashpot.model.modes import modes
@@ -141,6 +142,8 @@ class TestSetup:
         unit = self.drives[pattern]
         if not self.limits.given:
             return self.amplitude * unit
+        if len(self.model.nonlinear):
+            return self._driven_directly(frequency_hz, unit)
         scale = np.full(len(omega), np.inf)
         step = max(1, CHUNK // max(1, len(omega) * len(self.model.elements) * self.model.n))
         for first in range(0, len(self.p), step):
@@ -148,13 +151,25 @@ class TestSetup:
             with np.errstate(divide="ignore"):
                 use = self.limits.use(omega, np.broadcast_to(seen.motion, seen.force.shape), seen.force)
                 scale = np.minimum(scale, 1 / np.max(use, axis=0))
-        if not np.all(np.isfinite(scale)):
-            line = int(np.argmin(np.isfinite(scale)))
+        return _scaled(frequency_hz, unit, scale)
+
+    def _driven_directly(self, frequency_hz: Real, unit: Complex) -> Complex:
+        """`drive` of a nonlinear rig, whose motions and reactions are not proportional to it.
+
+        Raises UsageError where a limit holds for such.
+        """
+        r, omega = len(self.model.displacement_inputs), 2 * np.pi * frequency_hz
+        moved = [name for name in self.limits.given if name != "force"]
+        if (r < unit.shape[1] and moved) or (r and self.limits.force is not None):
+            wrong, right = (moved[0], "force") if r < unit.shape[1] and moved else ("force", "stroke")
             raise UsageError(
-                f"at {frequency_hz[line]:.4g} Hz the shaker meets none of its limits",
-                cure="give its stroke too",
+                f"the limit of {wrong} holds for what is not proportional to the drive of a nonlinear rig",
+                cure=f"state the largest {right}, or the amplitude of the drive",
             )
-        return unit * (scale * (1 - 1e-12))[:, None]
+        motion, force = unit.copy(), unit.copy()
+        motion[:, r:], force[:, :r] = 0.0, 0.0
+        with np.errstate(divide="ignore"):
+            return _scaled(frequency_hz, unit, 1 / self.limits.use(omega, motion, force))
 
     def seen(self, frequency_hz: Real, pattern: Ints, scenario: int = 0) -> Outputs:
         """What the channels show at each line."""
@@ -166,22 +181,26 @@ class TestSetup:
 
         Nothing within 1 % of a resonance that nothing damps: no test can dwell there.
         """
-        every = self.per_sample(self.p, self.sizes, frequency_hz, self.drive(frequency_hz, pattern))
+        every = self.per_sample(frequency_hz, self.drive(frequency_hz, pattern))
         for f in self.undamped:
             every[:, np.abs(frequency_hz / f - 1) < 0.01] = 0.0
         return every
 
-    def per_sample(self, p: Real, sizes: Real, frequency_hz: Real, drive: Complex) -> Real:
-        """The same for any parameters p (scenarios, elements), at a given drive (lines, r + s)."""
+    def per_sample(self, frequency_hz: Real, drive: Complex) -> Real:
+        """The same at a given drive (lines, r + s), near resonances as well."""
         omega = 2 * np.pi * frequency_hz
         lines, q = len(omega), len(self.names)
         numbers = max(1, lines * (len(self.channels) * q + len(self.model.elements) * self.model.n))
         step = max(1, CHUNK // numbers)
         parts = [np.zeros((0, lines, q, q))]
-        for first in range(0, len(p), step):
-            seen = outputs(self.model, p[first : first + step], self.channels, omega, drive)
+        for first in range(0, self.scenarios, step):
+            if len(self.model.nonlinear):
+                theta = self.theta[first : first + step]
+                parts.append(dwell_information(self.model, theta, self.channels, omega, drive))
+                continue
+            seen = outputs(self.model, self.p[first : first + step], self.channels, omega, drive)
             parts.append(per_sample(self.channels, seen))
-        relative: Real = np.concatenate(parts) * (sizes[:, None, :, None] * sizes[:, None, None, :])
+        relative: Real = np.concatenate(parts) * (self.sizes[:, None, :, None] * self.sizes[:, None, None, :])
         return relative
 
     @cached_property
@@ -228,6 +247,17 @@ class TestSetup:
                 )
             slowest = min(slowest, float(np.min(decay)))
         return float(-np.log(SETTLED) / slowest) if np.isfinite(slowest) else 0.0
+
+
+def _scaled(frequency_hz: Real, unit: Complex, scale: Real) -> Complex:
+    """Drives (lines, r + s) times what brings them to their limits, (lines,).  Raises UsageError where nothing does."""
+    if not np.all(np.isfinite(scale)):
+        line = int(np.argmin(np.isfinite(scale)))
+        raise UsageError(
+            f"at {frequency_hz[line]:.4g} Hz the shaker meets none of its limits",
+            cure="give its stroke too",
+        )
+    return unit * (scale * (1 - 1e-12))[:, None]
 
 
 def drive_units(model: Model) -> dict[str, str]:
