@@ -86,17 +86,31 @@ class Draws:
         """As for the bound."""
         return float(np.sqrt(np.mean((self.error / self.stated) ** 2)))
 
+    @property
+    def stated_over_bound(self) -> float:
+        """As for the bound, of the stated sd."""
+        return float(np.sqrt(np.mean((self.stated / self.bound) ** 2)))
+
 
 def draws(case: Case, count: int, seed: int) -> Draws:
     """Identifications of `count` noisy copies of the case's record, to which nothing is told but the rig."""
-    test = case.test()
+    return draws_of(case.test(), case.noise, count, seed, coloured=case.coloured)
+
+
+def draws_of(
+    test: WholeTest, noise: float, count: int, seed: int, *, coloured: bool = False, from_rest: bool = False
+) -> Draws:
+    """Identifications of `count` noisy copies of a record; `noise` of each output's size.
+
+    `from_rest`: the bound knows that the rig starts at rest, which the identifications do not.
+    """
     outputs = np.array([set(channel.of) <= set(test.model.coordinates) for channel in test.record.channels])
-    sd = case.noise * test.size * outputs
+    sd = noise * test.size * outputs
     error, stated, held = [], [], []
     for k in range(count):
         rng = np.random.default_rng((seed, k))
         e = rng.normal(size=test.record.values.shape)
-        if case.coloured:
+        if coloured:
             e = lfilter([1.0], [1.0, -MEMORY], e, axis=0) * (1 - MEMORY**2) ** 0.5
         record = replace(test.record, values=test.record.values + e * sd)
         found = identify(test.model, spectrum([record]))
@@ -104,11 +118,12 @@ def draws(case: Case, count: int, seed: int) -> Draws:
         error.append(found.values - test.theta)
         stated.append(found.sd)
         held.append((low <= test.theta) & (test.theta <= high))
-    return Draws(np.array(error), np.array(stated), np.array(held), bound(test, sd))
+    return Draws(np.array(error), np.array(stated), np.array(held), bound(test, sd, from_rest))
 
 
-def bound(test: WholeTest, sd: Real) -> Real:
-    """Smallest sd of each unknown, from all samples with white noise, inputs known and the starting state unknown."""
+def bound(test: WholeTest, sd: Real, from_rest: bool = False) -> Real:
+    """Smallest sd of each unknown, from all samples with white noise and inputs known; the starting state unknown, or
+    known to be rest."""
     model, count = test.model, len(test.model.inputs)
     step = float(test.record.time[1] - test.record.time[0])
     outputs = test.record.channels[: len(test.record.channels) - count]
@@ -131,7 +146,7 @@ def bound(test: WholeTest, sd: Real) -> Real:
     driven, free = responses(test.theta)
     size = np.linalg.norm(free, axis=0)
     seen = (test.record.values[:, : len(outputs)] * weight).ravel()
-    state = np.linalg.lstsq(free / size, seen - driven, rcond=None)[0] / size
+    state = np.linalg.lstsq(free / size, seen - driven, rcond=None)[0] / size * (not from_rest)
     slopes = []
     for j, value in enumerate(test.theta):
         ends = []
@@ -142,7 +157,8 @@ def bound(test: WholeTest, sd: Real) -> Real:
             ends.append(moved + loose @ state)
         slopes.append((ends[1] - ends[0]) / (2 * STEP * value))
     J = np.stack(slopes, axis=1)
-    J = J - (free / size) @ np.linalg.lstsq(free / size, J, rcond=None)[0]
+    if not from_rest:
+        J = J - (free / size) @ np.linalg.lstsq(free / size, J, rcond=None)[0]
     scale = np.linalg.norm(J, axis=0)
     variance = np.diagonal(np.linalg.inv((J / scale).T @ (J / scale)))
     return np.sqrt(variance) / scale

@@ -30,6 +30,7 @@ from dashpot.estimate import comparison as comparisons
 from dashpot.estimate import identify as identification
 from dashpot.estimate.automatic import identify_automatically
 from dashpot.estimate.comparison import Comparison
+from dashpot.estimate.likelihood.settling import with_settling_decided
 from dashpot.estimate.method import Method
 from dashpot.estimate.registry import method as named_method
 from dashpot.estimate.registry import methods_for
@@ -93,6 +94,8 @@ def identify(
         from dashpot.present.text.identifiability import require_identifiable
 
         require_identifiable(rig.model, spectrum.channels, rig.path or None, spectrum)
+    if chosen is None or chosen.traits.transients:
+        spectrum = with_settling_decided(_model(rig), spectrum)
     if chosen is None:
         estimate = identify_automatically(_model(rig), spectrum, progress=progress)
     else:

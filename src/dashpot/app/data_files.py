@@ -51,6 +51,7 @@ def read_data(
     from dashpot.app.nonlinear_records import usual_orders
     from dashpot.app.progress import progress
     from dashpot.data.readers import read
+    from dashpot.estimate.likelihood.settling import with_settling_decided
 
     with progress(reading_of(paths), quiet):
         reading = read(paths, rig.channels, frequency_hz=options["frequency"])
@@ -64,12 +65,14 @@ def read_data(
     changes |= {name: value for name, value in reading.conditioning.items() if not _was_given(name)}
     conditioning = replace(conditioning_from(options), **changes)
     if conditioning.transients == "auto" and (len(rig.model.nonlinear) or not _with_transients(methods)):
-        conditioning = conditioning.changed(transients="none")
+        conditioning = conditioning.changed(transients="ignored")
     conditioning = with_noise_record(conditioning, rig, options, quiet)
     if part != (0.0, 1.0):
         reading = _part_of(reading, part)
     with progress("amplitudes", quiet):
         spectrum = reading.spectrum(conditioning)
+        if _with_transients(methods):
+            spectrum = with_settling_decided(rig.model, spectrum)
     if options.get("record_band") is not None and not spectrum.records:
         raise UsageError(
             "--band chooses frequencies of whole records, and these data hold dwells", cure="leave it out"

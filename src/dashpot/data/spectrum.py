@@ -55,6 +55,8 @@ class Spectrum(InNotebooks):
     stretch       (lines,)                      index into `stretches`: which lines share a dwell or a whole record;
                   all settled where it is not given
     stretches     what they share: settled dwells, or records with their boundary loads
+    unsettled     the same data with the dwells that are too short to show whether they have settled as whole records;
+                  which of the two it is only a fit can tell
     """
 
     channels: tuple[Channel, ...]
@@ -69,6 +71,7 @@ class Spectrum(InNotebooks):
     notes: tuple[Notice, ...] = ()
     stretch: Ints = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
     stretches: tuple[Stretch, ...] = (SettledDwell(),)
+    unsettled: Spectrum | None = None
 
     def __repr__(self) -> str:
         f = self.frequency_hz
@@ -200,7 +203,8 @@ class Spectrum(InNotebooks):
 
     def with_channels(self, channels: tuple[Channel, ...]) -> Spectrum:
         """The same numbers under other channel descriptions, one for one."""
-        return replace(self, channels=channels)
+        unsettled = None if self.unsettled is None else self.unsettled.with_channels(channels)
+        return replace(self, channels=channels, unsettled=unsettled)
 
     def to_xarray(self) -> Any:
         """An xarray Dataset of amplitudes and covariance with their names; needs xarray (extra "analysis")."""
@@ -224,6 +228,8 @@ def concatenate(spectra: Sequence[Spectrum]) -> Spectrum:
     def joined(name: str) -> np.ndarray:
         return np.concatenate([getattr(spectrum, name) for spectrum in spectra])
 
+    undecided = any(spectrum.unsettled is not None for spectrum in spectra)
+
     return Spectrum(
         channels,
         joined("frequency_hz"),
@@ -236,6 +242,7 @@ def concatenate(spectra: Sequence[Spectrum]) -> Spectrum:
         _moments(spectra, [channel.name for channel in channels], batch),
         tuple(dict.fromkeys(note for spectrum in spectra for note in spectrum.notes)),
         *joined_stretches([(spectrum.stretch, spectrum.stretches) for spectrum in spectra]),
+        concatenate([spectrum.unsettled or spectrum for spectrum in spectra]) if undecided else None,
     )
 
 

@@ -39,6 +39,7 @@ class WholeRecord:
                  False where the motion is periodic in T, or starts and ends at rest
     polynomial   how many of the columns 1, jω, (jω)², … each output channel has for what the ends of the record alias
     ramp         whether each output channel has the column 1/jω of a linear drift as well
+    drive_hz     drive frequency of a dwell that may have settled, which is then steady motion at that frequency
     """
 
     duration_s: float
@@ -46,6 +47,7 @@ class WholeRecord:
     loads: bool = True
     polynomial: int = 4
     ramp: bool = False
+    drive_hz: float | None = None
 
     def __post_init__(self) -> None:
         if not (0 < self.duration_s < np.inf and self.samples > 0 and 0 <= self.polynomial <= MOST_TERMS):

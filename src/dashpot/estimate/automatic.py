@@ -20,6 +20,7 @@ from dashpot.estimate.identify import automatic, identify
 from dashpot.estimate.inference.diagnostics import nonlinear_names
 from dashpot.estimate.likelihood.global_search import DOUBT, TIE, apart, not_unique
 from dashpot.estimate.likelihood.maximum_likelihood import MaximumLikelihood
+from dashpot.estimate.likelihood.settling import with_settling_decided
 from dashpot.estimate.method import Method
 from dashpot.estimate.registry import method as method_named
 from dashpot.estimate.result import Estimate
@@ -60,6 +61,8 @@ def identify_automatically(
 
     Repeats are estimated by the first alone.  Raises as `identify`.
     """
+    if method is None or method.traits.transients:
+        spectrum = with_settling_decided(model, spectrum)
     first = automatic(model, spectrum) if method is None else method
     plain = MaximumLikelihood(seed=seed)
     if spectrum.batch or first.traits.by_output:

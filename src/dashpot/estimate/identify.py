@@ -17,6 +17,7 @@ from dashpot.estimate.inference.uncertainty import Inference, inference, with_no
 from dashpot.estimate.likelihood.boundary_loads import carries_loads
 from dashpot.estimate.likelihood.maximum_likelihood import MaximumLikelihood
 from dashpot.estimate.likelihood.record_noise import with_record_noise
+from dashpot.estimate.likelihood.settling import with_settling_decided
 from dashpot.estimate.method import Method, Solution, require_suited
 from dashpot.estimate.preparation.prepared import flattened, in_chunks, prepare
 from dashpot.estimate.preparation.state_reconstruction import unseen
@@ -52,6 +53,8 @@ def identify(
         raise DataError("there are no lines in the data", cure="give at least one frequency")
     if isinstance(method, str):
         method = method_named(method)
+    if method is None or method.traits.transients:
+        spectrum = with_settling_decided(model, spectrum)
     chosen = automatic(model, spectrum) if method is None else method
     _require_able(model, spectrum, chosen)
     spectrum, chosen = with_record_noise(model, spectrum, chosen)

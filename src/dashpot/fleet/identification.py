@@ -18,6 +18,7 @@ from dashpot.data.spectrum import Spectrum, concatenate
 from dashpot.errors import DashpotError
 from dashpot.estimate.automatic import suited_method
 from dashpot.estimate.identify import identify
+from dashpot.estimate.likelihood.settling import with_settling_decided
 from dashpot.estimate.method import Method
 from dashpot.estimate.registry import method_class
 from dashpot.estimate.result import Estimate
@@ -118,7 +119,7 @@ def spectrum_of(rig: Rig, data_set: DataSet, treatment: Treatment) -> Spectrum:
         reading = Reading(content.records, lines, content.notes, content.joint)
     else:
         reading = read(data_set.source, rig.channels, frequency_hz=treatment.frequency_hz)
-    return reading.spectrum(treatment.settings(reading))
+    return with_settling_decided(rig.model, reading.spectrum(treatment.settings(reading)))
 
 
 def estimated_names(rig: Rig) -> tuple[str, ...]:

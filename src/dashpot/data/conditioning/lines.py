@@ -34,13 +34,15 @@ from dashpot.data.conditioning.transients import (
     continuous,
     dwells_with_transients,
     short_dwells_bend,
+    shows_settling,
+    taken_as_settled,
     transients_matter,
 )
 from dashpot.data.conditioning.whole_record import whole_records
 from dashpot.data.record import Record
 from dashpot.data.spectrum import Spectrum, concatenate
 from dashpot.data.stretch import SettledDwell
-from dashpot.errors import DataError
+from dashpot.errors import DashpotError, DataError
 from dashpot.notices import Notice
 
 WANDERS = "the drive frequency wanders within a dwell, which counts as steady all the same"
@@ -53,9 +55,9 @@ def spectrum(
     """The lines of all records, with the known sign, gain and delay of every channel taken out.
 
     A settled dwell gives a line for each order; records without a frequency, dwells that follow each other in time, and
-    dwells that have not settled give all their lines, with boundary loads for their transients.  `conditioning`, or its
-    fields as keywords, says how.  Settled dwells add, spectrum(a + b) == spectrum(a) + spectrum(b), where nothing is
-    "auto": what is, all dwells decide together.
+    dwells that have not settled give all their lines, with boundary loads for their transients; dwells too short to
+    show it give both (`unsettled`).  `conditioning`, or its fields as keywords, says how.  Settled dwells add,
+    spectrum(a + b) == spectrum(a) + spectrum(b), where nothing is "auto": what is, all dwells decide together.
     Raises DataError as Conditioning, `fit_harmonics` and `whole_record`.
     """
     settings = conditioning_of(conditioning, treatments)
@@ -112,7 +114,31 @@ def _of_dwells(dwells: Sequence[Record], settings: Conditioning) -> Spectrum:
         settings, evidence = _with_drift(dwells, settings)
         notes.append(evidence)
     lines = _of_settled(dwells, settings)
-    return replace(lines, notes=(*notes, *lines.notes))
+    if (
+        settings.settle == "none"
+        and settings.refine != "always"
+        and settings.transients in ("auto", "ignored")
+    ):
+        notes += taken_as_settled(dwells)
+    return replace(lines, notes=(*notes, *lines.notes), unsettled=_as_unsettled(dwells, settings))
+
+
+def _as_unsettled(dwells: Sequence[Record], settings: Conditioning) -> Spectrum | None:
+    """The lines with the dwells that are too short to show whether they have settled as whole records.
+
+    None where no dwell is, or where one cannot be used so.
+    """
+    brief = [record for record in dwells if not shows_settling(record)]
+    if not brief or not settings.dwells_may_be_whole or any(record.values.ndim != 2 for record in dwells):
+        return None
+    try:
+        whole = dwells_with_transients(
+            brief, settings.band, settings.still, why="too short to show settling", slopes=settings.degree > 0
+        )
+    except DashpotError:
+        return None
+    rest = [record for record in dwells if shows_settling(record)]
+    return concatenate([_of_settled(rest, settings), whole]) if rest else whole
 
 
 def _at_drive_frequencies(

@@ -1,5 +1,7 @@
 """Dwells whose transients are still in them: found by one test of all dwells, and used as records with their own loads.
 
+Dwells too short for that test are given both ways, for a fit to decide (`Spectrum.unsettled`).
+
 A dwell of any number of periods, whole or not, is a whole record too (THEORY §8), and dwells that follow each other
 without a gap are one.  Long settled dwells lose nothing by harmonic regression and are cheaper by it.
 """
@@ -20,6 +22,7 @@ from dashpot.data.conditioning.still import Still
 from dashpot.data.conditioning.whole_record import whole_record
 from dashpot.data.record import Record
 from dashpot.data.spectrum import Spectrum, concatenate
+from dashpot.data.stretch import WholeRecord
 from dashpot.errors import DataError
 from dashpot.notices import Notice
 
@@ -32,7 +35,7 @@ SEEN = 3.0  # and of changes that are transients where there are many
 MANY = 0.1  # of all dwells and channels
 SLIGHT = 3e-3  # of an amplitude: what a transient may leave in it of a long dwell
 SLIGHT_IN_FEW = 5e-4  # and in a short one, whose noise does not contain it
-FEWEST_A_PERIOD = 6  # samples, for amplitudes of single periods with a residual
+FEWEST_A_BLOCK = 6  # samples, for amplitudes of single periods with a residual
 SHORT = 200  # lines: below it two polynomial columns serve
 COMPARED = 2.0  # periods from which on a dwell's first can be set against its last
 BENT = 3  # degree of the polynomials that a dwell shorter than that may be bent by
@@ -119,6 +122,21 @@ def _bent(record: Record) -> Real | None:
     return np.asarray(fdtrc(len(bent), free, F)) if np.any(noisy) else None
 
 
+def taken_as_settled(records: Sequence[Record]) -> list[Notice]:
+    """What is to be said where dwells count as settled, of those that have not and those too short to show it."""
+    dwells = [record for record in records if record.frequency_hz is not None and record.values.ndim == 2]
+    if transients_matter(dwells) or short_dwells_bend(dwells):
+        return [
+            Notice("transients_ignored", "the dwells have not settled, and count as settled all the same")
+        ]
+    brief = tuple(record.source for record in dwells if not shows_settling(record))
+    if not brief:
+        return []
+    which, them = ("one dwell is", "it") if len(brief) == 1 else (f"{len(brief)} dwells are", "them")
+    text = f"{which} too short to show whether a transient is in {them}: taken as settled"
+    return [Notice("transient_undetectable", text, brief)]
+
+
 @dataclass(frozen=True)
 class DwellChange:
     """How the amplitudes of a dwell's channels change from its first period to its last.
@@ -156,17 +174,30 @@ def first_to_last(records: Sequence[Record]) -> list[DwellChange]:
     return [change for change in map(_first_to_last, records) if change is not None]
 
 
-def _first_to_last(record: Record) -> DwellChange | None:
-    """The change of a dwell's amplitudes; None where it has no two periods to compare."""
+def shows_settling(record: Record) -> bool:
+    """Whether a dwell has a first and a last block of whole periods, whose comparison tells if it has settled."""
+    return _block(record) is not None
+
+
+def _block(record: Record) -> tuple[int, int] | None:
+    """Samples and periods of the shortest block that gives an amplitude; None where no two fit into the dwell."""
     if record.frequency_hz is None or record.values.ndim != 2:
         return None
     period = 1 / record.frequency_hz
     step = float(record.time[-1] - record.time[0]) / (len(record.time) - 1)
-    if not period < step * MOST_A_PERIOD:
+    if not 2 * step < period < step * MOST_A_PERIOD:
         return None
-    each = round(period / step)
-    if each < FEWEST_A_PERIOD or len(record.time) < 2 * each:
+    periods = max(1, int(np.ceil((FEWEST_A_BLOCK - 0.5) * step / period)))
+    each = round(periods * period / step)
+    return (each, periods) if len(record.time) >= 2 * each else None
+
+
+def _first_to_last(record: Record) -> DwellChange | None:
+    """The change of a dwell's amplitudes; None where it has no two blocks to compare."""
+    block = _block(record)
+    if block is None:
         return None
+    each, periods = block
     count = len(record.time) // each
     later = count - count // 2 if count >= MANY_PERIODS else 0
     starts = [0, *(len(record.time) - each * k for k in range(max(later, 1), 0, -1))]
@@ -189,7 +220,8 @@ def _first_to_last(record: Record) -> DwellChange | None:
         variance = fits[0].covariance[0].diagonal().real + fits[-1].covariance[0].diagonal().real
         dof = 2 * (each - 3)
     noisy = variance > (EXACT * np.max(np.abs(record.values), axis=0)) ** 2
-    return DwellChange(difference[noisy], variance[noisy], np.abs(fits[-1].amplitudes[0][noisy]), dof, count)
+    size = np.abs(fits[-1].amplitudes[0][noisy])
+    return DwellChange(difference[noisy], variance[noisy], size, dof, count * periods)
 
 
 def _without_slope(record: Record) -> Record:
@@ -207,8 +239,12 @@ def dwells_with_transients(
     still: Still | None = None,
     *,
     why: str = "not settled",
+    slopes: bool = False,
 ) -> Spectrum:
-    """Lines of each dwell with boundary loads of its own; a note says `why`.  Raises as `whole_record`."""
+    """Lines of each dwell with boundary loads of its own, and a column for a slope of each output where `slopes`.
+
+    A note says `why`.  Raises as `whole_record`.
+    """
     spectra = []
     for record in records:
         if len(record.time) < FEWEST:
@@ -221,6 +257,8 @@ def dwells_with_transients(
         lines = whole_record(record, band_hz=band_hz, still=still)
         if lines.lines < SHORT:
             lines = whole_record(record, band_hz=band_hz, still=still, polynomial=2)
+        (whole,) = (value for value in lines.stretches if isinstance(value, WholeRecord))
+        lines = replace(lines, stretches=(replace(whole, drive_hz=record.frequency_hz, ramp=slopes),))
         spectra.append(_with_sine_floor(lines, record) if still is None else lines)
     dwells = "one dwell is" if len(spectra) == 1 else f"{len(spectra)} dwells are"
     text = f"{dwells} {why}: all samples are used, the transients at both ends being estimated"

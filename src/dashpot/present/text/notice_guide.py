@@ -245,7 +245,7 @@ _ALL: tuple[tuple[str, str, str, str], ...] = (
     ),
     (
         "transient_undetectable", _RECORDS,
-        "Too few periods, or too many gaps, to see where the transient ends: the whole dwell is used as settled.",
+        "Too few periods, or too many gaps, to see a transient or where it ends: the whole dwell is used as settled.",
         "State the settling time (`--settle 2s`), or use `--transients estimate`.",
     ),
     (
@@ -253,6 +253,17 @@ _ALL: tuple[tuple[str, str, str, str], ...] = (
         ("A test over all dwells found them unsettled, or their drive frequency wandering: each is used whole, its "
         "transient estimated with the rig."),
         "Nothing. `--transients none` treats them as settled regardless.",
+    ),
+    (
+        "settled_by_evidence", _RECORDS,
+        ("Dwells of less than two periods show no transient by themselves; the fit with the loads of their ends, "
+        "tested over all dwells against steady motion, finds none."),
+        "Nothing. `--transients estimate` keeps the transients (wider intervals), `--transients none` skips the test.",
+    ),
+    (
+        "transients_ignored", _RECORDS,
+        "A test over all dwells found them unsettled; settled dwells were asked for, or the method knows no others.",
+        "Use `--transients auto` and the method `ml`, or discard the starts of the dwells (`--settle`).",
     ),
     (
         "drive_wanders", _RECORDS,

@@ -1,0 +1,180 @@
+"""Whether dwells too short to show it have settled: one test of the boundary loads of all of them together.
+
+With their loads such dwells are right in either case; without, where nothing is left of a transient, several times as
+precise (THEORY §8).  The likelihood of all their samples tells: F of what the loads and polynomials of all dwells
+explain beyond steady motion at their drive frequencies.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.special import fdtrc
+
+from dashpot.arrays import Complex, Real
+from dashpot.data.spectrum import Spectrum
+from dashpot.data.stretch import SettledDwell, WholeRecord
+from dashpot.errors import DashpotError, DataError
+from dashpot.estimate.likelihood.maximum_likelihood import MaximumLikelihood
+from dashpot.estimate.likelihood.objective import local, measured, nuisance_columns, predict
+from dashpot.estimate.likelihood.record_noise import with_record_noise
+from dashpot.estimate.preparation.prepared import Prepared, prepare
+from dashpot.model.network import Model
+from dashpot.model.observation import calibrated_transfer
+from dashpot.notices import Notice
+
+SLOPE_LEVEL = 1e-3  # of the test for slopes of the sensors beside transients, which are nearly alike
+LEVEL = 0.05  # of the test: loads too many cost precision, loads too few the truth
+
+
+def with_settling_decided(model: Model, spectrum: Spectrum) -> Spectrum:
+    """The spectrum with its short dwells as steady motion or as whole records, whichever one test of all of them says.
+
+    As it is where that is decided, and where no fit with boundary loads can tell: then a notice stands in `notes`.
+    """
+    whole = spectrum.unsettled
+    if whole is None:
+        return spectrum
+    as_settled = replace(spectrum, unsettled=None)
+    if spectrum.batch or len(model.nonlinear):
+        return as_settled
+    try:
+        whole, p = _test(model, as_settled, whole)
+    except (DashpotError, np.linalg.LinAlgError):
+        return as_settled
+    count = len(_dwells(whole))
+    dwells = "one dwell is" if count == 1 else f"{count} dwells are"
+    others = tuple(note for note in spectrum.notes if note.code != "transient_undetectable")
+    if p > LEVEL:
+        text = f"{dwells} too short to show a transient alone; all together show none (p = {p:.2g})"
+        return replace(as_settled, notes=(*others, Notice("settled_by_evidence", text)))
+    text = f"{dwells} not settled (p = {p:.2g}): all samples are used, the transients at both ends being estimated"
+    return replace(whole, notes=(*others, Notice("dwells_with_transients", text)))
+
+
+@dataclass(frozen=True)
+class _Fit:
+    """ψ and signs of a fit, its −2 ln L, how many columns took part, and degrees of freedom that are left."""
+
+    psi: Real
+    sign: Real
+    cost: float
+    columns: int
+    free: int
+
+    @staticmethod
+    def at(data: Prepared, psi: Real, sign: Real) -> _Fit:
+        """As it is at ψ."""
+        likelihood = measured(data)
+        with np.errstate(all="ignore"):
+            cost = float(local(data.view, likelihood, psi, sign).cost[0])
+        columns = nuisance_columns(data.view, likelihood, psi, sign) if np.isfinite(cost) else 0
+        return _Fit(psi, sign, cost, columns, likelihood.rows - columns - psi.shape[-1])
+
+    def beside(self, fewer: _Fit) -> float:
+        """p-value of this fit's further columns explaining nothing, F."""
+        more = self.columns - fewer.columns
+        if not np.isfinite(fewer.cost):
+            return 0.0
+        if more < 1 or self.free < 1 or not np.isfinite(self.cost):
+            raise DataError("the boundary loads of the dwells cannot be tested")
+        return float(
+            fdtrc(more, self.free, max(fewer.cost - self.cost, 0.0) / more / (self.cost / self.free))
+        )
+
+
+def _test(model: Model, as_settled: Spectrum, whole: Spectrum) -> tuple[Spectrum, float]:
+    """The dwells as whole records, with the noise of their residuals, and the p-value of there being no transient.
+
+    Slopes of the sensors, which short transients look like, are among the columns only where loads do not explain them.
+    """
+    known, fit, method = _with_noise(model, _changed(whole, ramp=False))
+    if any(value.ramp for value in _dwells(whole)):
+        sloping = _fitted(_from(method, fit), prepare(model, _changed(known, ramp=True), states=False))
+        if sloping.beside(fit) < SLOPE_LEVEL:
+            known, fit, method = _with_noise(model, whole)
+    psi, sign = _solved(_from(method, fit), prepare(model, as_settled, states=False))
+    steady = prepare(model, _beyond_steady_motion(model, known, psi, sign), states=False)
+    return known, fit.beside(_Fit.at(steady, psi, sign))
+
+
+def _with_noise(model: Model, whole: Spectrum) -> tuple[Spectrum, _Fit, MaximumLikelihood]:
+    """Whole records with the noise of their residuals, their fit, and the method that it is the end of."""
+    known, method = with_record_noise(model, whole, MaximumLikelihood())
+    assert isinstance(method, MaximumLikelihood)
+    return known, _fitted(method, prepare(model, known, states=not method.start)), method
+
+
+def _from(method: MaximumLikelihood, fit: _Fit) -> MaximumLikelihood:
+    """The method with one descent from a fit in place of its search."""
+    return replace(method, start=tuple(fit.psi[0].tolist()), start_sign=tuple(fit.sign[0].tolist()))
+
+
+def _fitted(method: MaximumLikelihood, data: Prepared) -> _Fit:
+    return _Fit.at(data, *_solved(method, data))
+
+
+def _dwells(whole: Spectrum) -> list[WholeRecord]:
+    """The stretches that are dwells with their transients."""
+    return [v for v in whole.stretches if isinstance(v, WholeRecord) and v.drive_hz is not None]
+
+
+def _changed(whole: Spectrum, *, ramp: bool) -> Spectrum:
+    """The same with or without slopes of the sensors in the dwells."""
+    dwells = _dwells(whole)
+    return replace(
+        whole, stretches=tuple(replace(v, ramp=ramp) if v in dwells else v for v in whole.stretches)
+    )
+
+
+def _solved(method: MaximumLikelihood, data: Prepared) -> tuple[Real, Real]:
+    """ψ and the channels' signs at the maximum of the likelihood, (1, …) each."""
+    solution = method.solve(data)
+    names = [channel.name for channel in data.spectrum.channels]
+    sign = np.ones((1, len(names)))
+    for name, of_channel in solution.signs.items():
+        sign[:, names.index(name)] = of_channel
+    return solution.theta, sign
+
+
+def _beyond_steady_motion(model: Model, whole: Spectrum, psi: Real, sign: Real) -> Spectrum:
+    """What is left of the lines of dwells when their steady motion at ψ is taken away: no loads."""
+    amplitudes = np.array(whole.amplitudes)
+    stretches = list(whole.stretches)
+    for number, value in enumerate(whole.stretches):
+        if isinstance(value, WholeRecord) and value.drive_hz is not None:
+            lines = np.flatnonzero(whole.stretch == number)
+            waves = _lines_of_waves(value, value.drive_hz, whole.frequency_hz[lines])
+            both = np.concatenate([waves.real, waves.imag])
+            measured_lines = whole.amplitudes[lines]
+            sides = np.concatenate([measured_lines.real, measured_lines.imag])
+            there = np.all(np.isfinite(sides), axis=0)
+            shown = np.linalg.lstsq(both, np.where(there, sides, 0.0), rcond=None)[0]
+            wave = np.where(there, shown[0] - 1j * shown[1], np.nan)
+            steady = _as_model(model, whole.select(lines[:1]), value.drive_hz, wave, psi, sign)
+            amplitudes[lines] -= waves @ np.stack([steady.real, -steady.imag])
+            # A slope aliases like the ends of a record do.
+            stretches[number] = replace(value, loads=False, polynomial=value.polynomial if value.ramp else 0)
+    return replace(whole, amplitudes=amplitudes, stretches=tuple(stretches))
+
+
+def _lines_of_waves(record: WholeRecord, drive_hz: float, frequency_hz: Real) -> Complex:
+    """The lines at `frequency_hz` of a cosine and of a sine at the drive's frequency, (lines, 2)."""
+    phase = 2 * np.pi * drive_hz * record.step_s * np.arange(record.samples)
+    waves: Complex = np.fft.rfft(np.stack([np.cos(phase), np.sin(phase)], axis=1), axis=0)
+    return waves[np.rint(frequency_hz * record.duration_s).astype(np.int64)] * (2 / record.samples)
+
+
+def _as_model(
+    model: Model, line: Spectrum, drive_hz: float, shown: Complex, psi: Real, sign: Real
+) -> Complex:
+    """The steady motion (channels,) that the rig at ψ makes of the inputs in what the channels have shown."""
+    dwell = replace(
+        line, frequency_hz=np.array([drive_hz]), amplitudes=shown[None], stretch=np.zeros(0, dtype=np.int64),
+        stretches=(SettledDwell(),),
+    )  # fmt: skip
+    data = prepare(model, dwell, states=False)
+    inputs = predict(data.view, measured(data), psi, sign).q
+    steady: Complex = calibrated_transfer(data.view, psi, sign).amplitudes(inputs)[0, 0]
+    return steady
