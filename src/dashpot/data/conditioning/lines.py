@@ -108,7 +108,8 @@ def _of_dwells(dwells: Sequence[Record], settings: Conditioning) -> Spectrum:
     if why_whole is not None:
         if settings.settle == "none":  # what was cut off to see a steady sine is data like the rest
             dwells, notes = uncut, of_stamps
-        lines = dwells_with_transients(dwells, settings.band, settings.still, why=why_whole)
+        slopes = settings.degree > 0
+        lines = dwells_with_transients(dwells, settings.band, settings.still, why=why_whole, slopes=slopes)
         return replace(lines, notes=(*notes, *lines.notes))
     if settings.drift == "auto" and slope_costs(dwells):
         settings, evidence = _with_drift(dwells, settings)

@@ -78,6 +78,17 @@ def test_dwells_too_short_to_compare_their_periods_show_transients_too() -> None
     assert not short_dwells_bend([odd, *some])
 
 
+def test_slopes_of_unsettled_dwells_spoil_nothing() -> None:
+    drifting = []
+    for k, record in enumerate(stepped(0.01, periods=1.5)):
+        slopes = 0.2 * np.std(record.values, axis=0) * np.random.default_rng(k).normal(size=3)
+        line = np.linspace(-1, 1, len(record.time))[:, None]
+        drifting.append(replace(record, values=record.values + slopes * line))
+    spoilt, mended = (identify(MODEL, spectrum(drifting, drift=degree)) for degree in (0, "auto"))
+    assert np.max(np.abs(spoilt.values - THETA) / spoilt.sd) > 5
+    assert np.all(np.abs(mended.values - THETA) < 4 * mended.sd)
+
+
 def test_what_is_asked_of_a_steady_state_keeps_dwells() -> None:
     records = stepped(0.01)
     for how in ({"settle": "auto"}, {"refine": "always"}, {"moments": True}, {"orders": (1, 3)}):
