@@ -22,7 +22,7 @@ DEEPEST = 8  # structures inside structures
 
 @dataclass(frozen=True)
 class MatlabReader:
-    """MATLAB files before 7.3; fields of structures are STRUCT.FIELD."""
+    """MATLAB files before 7.3; fields of structures are STRUCT.FIELD, or FIELD where one structure is all there is."""
 
     format: str = "MATLAB"
     extra: str | None = None
@@ -53,8 +53,14 @@ class MatlabReader:
             )
         variables: dict[str, Any] = {**long.vectors}
         series: list[tuple[str, dict[str, Any]]] = []
-        for name, value in content.items():
-            if not name.startswith("__"):
+        named = {name: value for name, value in content.items() if not name.startswith("__")}
+        alone = (
+            not variables and sum(np.size(value) > 1 or _is_structure(value) for value in named.values()) == 1
+        )
+        for name, value in named.items():
+            if alone and _is_structure(value):  # as an array of one
+                series.append((name, _fields(value.item(), 0)))
+            else:
                 _flatten(name, value, variables, series)
         for name, fields in series:
             yield from parts_of_variables(f"{file.name} ({name})", {**variables, **fields})
@@ -63,6 +69,21 @@ class MatlabReader:
         if not variables:
             raise DataError("there are no variables of numbers", file.name, "save the channels as arrays")
         yield from parts_of_variables(file.name, variables)
+
+
+def _is_structure(value: Any) -> bool:
+    """Whether this is one structure."""
+    return (
+        np.size(value) == 1 and np.asarray(value).dtype.kind == "O" and hasattr(value.item(), "_fieldnames")
+    )
+
+
+def _fields(structure: Any, depth: int) -> dict[str, Any]:
+    """The fields of a structure under their names."""
+    fields: dict[str, Any] = {}
+    for field in structure._fieldnames:
+        _flatten(field, getattr(structure, field), fields, [], depth + 1)
+    return fields
 
 
 def _flatten(
@@ -82,7 +103,4 @@ def _flatten(
             _flatten(f"{name}.{field}", inner, variables, series, depth + 1)
     elif structures and len(structures) == array.size:
         for k, item in enumerate(structures):
-            fields: dict[str, Any] = {}
-            for field in item._fieldnames:
-                _flatten(field, getattr(item, field), fields, [], depth + 1)
-            series.append((f"{name}({k + 1})", fields))
+            series.append((f"{name}({k + 1})", _fields(item, depth)))
