@@ -35,7 +35,11 @@ class GroupedCommand(click.Command):
             if isinstance(parameter, GroupedOption) and parameter.alone is not None:
                 following = [*args[1:], ""]
                 args = [_complete(parameter, ctx, word, following[k]) for k, word in enumerate(args)]
-        return super().parse_args(ctx, args)
+        try:
+            return super().parse_args(ctx, args)
+        except click.UsageError as error:
+            error.ctx = error.ctx or ctx  # click names none where a value is missing
+            raise
 
     def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """Options by group: in the order of their first option, the general ones last."""

@@ -38,6 +38,7 @@ def test_options_of_examples_exist(name: str) -> None:
         ("identify", "rig.toml", "data.csv", "--no-such"),
         ("identify", "rig.toml", "data.csv", "--method", "magic"),
         ("identify", "rig.toml", "data.csv", "--level", "0"),
+        ("identify", "rig.toml", "data.csv", "--level"),
     ],
 )
 def test_usage_errors_name_the_help_of_the_command(dashpot: Command, args: tuple[str, ...]) -> None:

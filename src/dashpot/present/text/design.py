@@ -58,7 +58,7 @@ def _optimality(plan: Plan) -> str:
     gap = f"duality gap {plan.gap:.1e}"
     if cost < NEGLIGIBLE:
         best = "better by more than 0.01 %"
-        return f"Optimal: no test of {_grouped(plan.samples)} samples in this band is {best} ({gap})."
+        return f"Optimal: no test of {plan.samples:,.0f} samples in this band is {best} ({gap})."
     return (
         f"The best test of as many samples in this band gives {figure_in_words(plan.criterion, plan.ideal)} ({gap}); "
         f"whole periods and limits cost {short(cost, 2)} %."
@@ -84,13 +84,10 @@ def stopping_in_words(answer: Answer) -> str:
         return f"Not enough yet: {verdict.reason}."
     best = ""
     if answer.plan is not None and answer.plan.predicted.figure <= 1.0001:
-        best = f", or the test below with {_grouped(answer.plan.samples)}"
-    return f"Not enough yet: {verdict.reason}; {_grouped(verdict.more)} more samples of the same kind would do{best}."
-
-
-def _grouped(count: float) -> str:
-    """12 544, kept on one line."""
-    return f"{count:,.0f}".replace(",", "\N{NO-BREAK SPACE}")
+        best = f", or the test below with {answer.plan.samples:,.0f}"
+    return (
+        f"Not enough yet: {verdict.reason}; {verdict.more:,.0f} more samples of the same kind would do{best}."
+    )
 
 
 def sensors_in_words(answer: Answer) -> list[str]:
