@@ -31,7 +31,7 @@ from dashpot.estimate import identify as identification
 from dashpot.estimate.automatic import identify_automatically
 from dashpot.estimate.comparison import Comparison
 from dashpot.estimate.likelihood.settling import with_settling_decided
-from dashpot.estimate.method import Method
+from dashpot.estimate.method import Method, conditioning_for
 from dashpot.estimate.registry import method as named_method
 from dashpot.estimate.registry import methods_for
 from dashpot.estimate.result import Estimate
@@ -89,7 +89,7 @@ def identify(
     the method needs, IdentifiabilityError where they do not determine the unknowns.
     """
     chosen = named_method(method) if isinstance(method, str) else method
-    spectrum = _spectrum(rig, data, frequency_hz, conditioning, [] if chosen is None else [chosen.name])
+    spectrum = _spectrum(rig, data, frequency_hz, conditioning, [] if chosen is None else [chosen])
     if isinstance(rig, Rig):
         from dashpot.present.text.identifiability import require_identifiable
 
@@ -131,7 +131,9 @@ def compare(
         methods = methods_for(model)
     if not isinstance(methods, Mapping):
         methods = {name: named_method(name, seed=seed) for name in methods}
-    spectrum = None if data is None else _spectrum(rig, data, frequency_hz, conditioning, list(methods))
+    spectrum = (
+        None if data is None else _spectrum(rig, data, frequency_hz, conditioning, list(methods.values()))
+    )
     return comparisons.compare(
         model, spectrum, methods if spectrum is not None else {}, modal=modal, refused=refused, truth=truth, seed=seed,
         progress=progress,
@@ -316,7 +318,7 @@ def _spectrum(
     data: Data,
     frequency_hz: float | None,
     conditioning: Conditioning | None,
-    methods: Sequence[str],
+    methods: Sequence[Method],
 ) -> Spectrum:
     """Amplitudes of any data, with second moments of the samples where a method needs them and there are samples."""
     if isinstance(data, Spectrum):
@@ -325,19 +327,23 @@ def _spectrum(
                 "a spectrum has been conditioned already", cure="leave frequency_hz and conditioning out"
             )
         return data
-    settings = Conditioning() if conditioning is None else conditioning
+    usual, traits = (
+        Conditioning() if conditioning is None else conditioning,
+        [each.traits for each in methods],
+    )
     if isinstance(data, Record):
         data = (data,)
     if not isinstance(data, Reading | str | os.PathLike):
         if data and all(isinstance(item, Record) for item in data):
             records = [item for item in data if isinstance(item, Record)]
-            return spectrum_of_records(records, settings.changed(moments="ls" in methods))
+            return spectrum_of_records(records, conditioning_for(_model(rig), traits, usual))
         data = read(
             [item for item in data if not isinstance(item, Record)], _channels(rig), frequency_hz=frequency_hz
         )
     if not isinstance(data, Reading):
         data = read(data, _channels(rig), frequency_hz=frequency_hz)
-    return data.spectrum(settings.changed(moments="ls" in methods and data.amplitudes is None))
+    of_samples = data.amplitudes is None
+    return data.spectrum(conditioning_for(_model(rig), traits, usual, of_samples=of_samples))
 
 
 def _channels(rig: Rig | Model) -> Sequence[Channel]:

@@ -13,7 +13,7 @@ import click
 from dashpot.errors import UsageError, printable
 
 if TYPE_CHECKING:
-    from dashpot.data.conditioning.settings import Conditioning, SampleMoments
+    from dashpot.data.conditioning.settings import Conditioning
     from dashpot.data.conditioning.used_dwells import UsedDwell
     from dashpot.data.readers import Reading
     from dashpot.data.spectrum import Spectrum
@@ -45,34 +45,34 @@ def read_data(
     """The amplitudes of data files, with the options of `conditioning_options` by name.
 
     Second moments of the samples are kept where one of the methods named by `moments_for` needs them and the files
-    hold samples; dwells count as settled where one of them knows no transients.  `part` is the share of every record's
-    samples that is used, from where to where; `with_dwells` keeps the samples, for pictures.  Raises DataError.
+    hold samples; unsettled dwells are cut to what has settled where one of them knows no transients.  `part` is the
+    share of every record's samples that is used, from where to where; `with_dwells` keeps the samples, for pictures.
+    Raises DataError.
     """
     from dashpot.app.nonlinear_records import usual_orders
     from dashpot.app.progress import progress
     from dashpot.data.readers import read
     from dashpot.estimate.likelihood.settling import with_settling_decided
+    from dashpot.estimate.method import conditioning_for
+    from dashpot.estimate.registry import method_class
 
     with progress(reading_of(paths), quiet):
         reading = read(paths, rig.channels, frequency_hz=options["frequency"])
     _require_use_of_frequency(reading, options["frequency"])
     tell_notes(reading.notes, quiet)
-    methods = tuple(moments_for)
-    moments = _moments(methods) if reading.amplitudes is None else False
-    changes: dict[str, Any] = {"moments": moments}
+    traits = [method_class(name).traits for name in moments_for if name != "auto"]
+    changes: dict[str, Any] = {}
     if len(rig.model.nonlinear) and not _was_given("orders"):
         changes["orders"] = usual_orders(rig, reading)
     changes |= {name: value for name, value in reading.conditioning.items() if not _was_given(name)}
     conditioning = replace(conditioning_from(options), **changes)
-    if conditioning.transients == "auto" and (len(rig.model.nonlinear) or not _with_transients(methods)):
-        conditioning = conditioning.changed(transients="ignored")
+    conditioning = conditioning_for(rig.model, traits, conditioning, of_samples=reading.amplitudes is None)
     conditioning = with_noise_record(conditioning, rig, options, quiet)
     if part != (0.0, 1.0):
         reading = _part_of(reading, part)
     with progress("amplitudes", quiet):
         spectrum = reading.spectrum(conditioning)
-        if _with_transients(methods):
-            spectrum = with_settling_decided(rig.model, spectrum)
+        spectrum = with_settling_decided(rig.model, spectrum)
     if options.get("record_band") is not None and not spectrum.records:
         raise UsageError(
             "--band chooses frequencies of whole records, and these data hold dwells", cure="leave it out"
@@ -126,13 +126,6 @@ def reading_of(paths: Sequence[str]) -> str:
     return f"reading {name[:40]}" + (f" and {len(paths) - 1} more" if len(paths) > 1 else "")
 
 
-def _with_transients(methods: Iterable[str]) -> bool:
-    """Whether all the methods know the transients of whole records."""
-    from dashpot.estimate.registry import method_class
-
-    return all(name == "auto" or method_class(name).traits.transients for name in methods)
-
-
 def _part_of(reading: Reading, part: tuple[float, float]) -> Reading:
     """The same records with some of their samples.  Raises DataError where there are none to choose from."""
     from dashpot.data.conditioning.clock import cut
@@ -150,14 +143,6 @@ def _was_given(option: str) -> bool:
     context = click.get_current_context(silent=True)
     source = None if context is None else context.get_parameter_source(option)
     return source is not None and source is not click.core.ParameterSource.DEFAULT
-
-
-def _moments(methods: Iterable[str]) -> SampleMoments:
-    """What the methods declare to need of second moments; a single one that cannot do without insists on them."""
-    from dashpot.estimate.registry import method_class
-
-    needs = [method_class(name).traits.moments for name in methods if name != "auto"]
-    return needs[0] if len(needs) == 1 else "auto" if any(needs) else False
 
 
 def conditioning_from(options: Mapping[str, Any]) -> Conditioning:

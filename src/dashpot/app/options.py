@@ -156,10 +156,11 @@ def whole_record_options(function: Function) -> Function:
             help="Frequencies of a whole record that are used, Hz.  [default: the band in which the rig moves]",
         ),
         option(
-            "--transients", type=click.Choice(["auto", "estimate", "none"]), default="auto", show_default=True,
-            group=RECORDS,
+            "--transients", type=click.Choice(["auto", "estimate", "settle", "none"]), default="auto",
+            show_default=True, group=RECORDS,
             help="Use records whole and estimate their transients: records of any excitation always, dwells where a "
-            "test finds them unsettled (auto), always (estimate) or never (none).",
+            "test finds them unsettled (auto), always (estimate) or never (none); settle: where the test finds them "
+            "unsettled, drop their transients, as auto does for methods that know none.",
         ),
         option(
             "--noise-record", type=INPUT_FILE, multiple=True, metavar="FILE", group=RECORDS,

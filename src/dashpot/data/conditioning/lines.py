@@ -96,6 +96,8 @@ def _of_dwells(dwells: Sequence[Record], settings: Conditioning) -> Spectrum:
         dwells = [record for record, _ in evened]
         notes += [note for _, note in evened if note is not None]
     uncut, of_stamps = dwells, list(notes)
+    if settings.transients == "settle" and settings.settle == "none" and _unsettled(dwells):
+        settings = settings.changed(settle="auto")
     dwells, cut = driven_parts(dwells, settings)
     notes += cut
     wanders = False
@@ -118,7 +120,7 @@ def _of_dwells(dwells: Sequence[Record], settings: Conditioning) -> Spectrum:
     if (
         settings.settle == "none"
         and settings.refine != "always"
-        and settings.transients in ("auto", "ignored")
+        and settings.transients in ("auto", "settle")
     ):
         notes += taken_as_settled(dwells)
     return replace(lines, notes=(*notes, *lines.notes), unsettled=_as_unsettled(dwells, settings))
@@ -191,9 +193,14 @@ def _why_whole(dwells: Sequence[Record], settings: Conditioning, wanders: bool) 
         return None
     if wanders:
         return "not steady (the drive frequency wanders)"
-    if transients_matter(dwells) or not all(driven_throughout(record) for record in dwells):
+    if _unsettled(dwells):
         return "not settled"
     return "no steady sines" if short_dwells_bend(dwells) else None
+
+
+def _unsettled(dwells: Sequence[Record]) -> bool:
+    """Whether dwells have transients that spoil their amplitudes, or rest for a part."""
+    return transients_matter(dwells) or not all(driven_throughout(record) for record in dwells)
 
 
 def driven_parts(dwells: Sequence[Record], settings: Conditioning) -> tuple[list[Record], list[Notice]]:

@@ -16,7 +16,7 @@ Drift = int | Literal["auto", "none"] | None
 Settle = bool | float | Literal["auto", "none"]
 Refine = bool | Literal["auto", "always", "none"]
 SampleMoments = bool | Literal["auto"]
-Transients = Literal["auto", "estimate", "none", "ignored"]
+Transients = Literal["auto", "estimate", "settle", "none"]
 Band = tuple[float, float] | Literal["auto"]
 
 USUAL_DRIFT = 1
@@ -61,8 +61,8 @@ class Conditioning:
                together show that it is off; "always" (or True): the most likely one near it; "none" (or False): stated
     settle     "auto" (or True): drop the transient of each record; a number: drop that many seconds; "none" (or False)
     transients "auto": records without a frequency and dwells that follow each other in time are whole records, and so
-               are dwells that have not settled; "estimate": every dwell is; "none": every dwell counts as settled;
-               "ignored": so too, and a note says where that is wrong or not known
+               are dwells that have not settled; "estimate": every dwell is; "settle": no dwell is, and where some have
+               not settled the transient of each is dropped; "none": every dwell counts as settled
     band_hz    lowest and highest frequency of the lines of whole records, "auto": as far as something moves
     still      the noise that a record at rest shows, for whole records
 
@@ -140,7 +140,7 @@ class Conditioning:
     def dwells_may_be_whole(self) -> bool:
         """Whether dwells may count as whole records: nothing is asked of them that is a steady state's."""
         plain = self.wanted == (1,) and self.settle == "none" and self.refine != "always"
-        return plain and not self.moments and self.transients not in ("none", "ignored")
+        return plain and not self.moments and self.transients in ("auto", "estimate")
 
     def changed(self, **treatments: Unpack[Treatments]) -> Conditioning:
         """The same with some treatments changed."""

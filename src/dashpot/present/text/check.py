@@ -12,6 +12,8 @@ from dashpot.data.spectrum import Spectrum
 from dashpot.io.words import joined, listed
 from dashpot.present.text.numbers import alike, short
 
+MOST_LISTED = 20  # frequencies that are listed one by one
+
 
 def structure_in_words(structure: Structure, channels: Sequence[str], lines: int | None = None) -> list[str]:
     """What a structure without deficiencies means, one paragraph each."""
@@ -55,9 +57,18 @@ def collinearity_in_words(collinearity: Collinearity, spectrum: Spectrum, units:
     if not paragraphs:
         paragraphs.append("No strong collinearity: no interval is inflated tenfold.")
     if collinearity.idle:
-        idle = joined(f"{spectrum.frequency_hz[line]:.4g}" for line in collinearity.idle)
-        paragraphs.append(f"Frequencies that add almost no information on any unknown: {idle} Hz.")
+        idle = [float(spectrum.frequency_hz[line]) for line in collinearity.idle]
+        paragraphs.append(_idle_in_words(idle, spectrum.frequency_hz.tolist()))
     return paragraphs
+
+
+def _idle_in_words(idle: Sequence[float], all_hz: Sequence[float]) -> str:
+    """Frequencies without information one by one; of many, how many, and between which the others lie."""
+    if len(idle) <= MOST_LISTED:
+        return f"Frequencies that add almost no information on any unknown: {joined(f'{f:.4g}' for f in idle)} Hz."
+    telling = sorted(set(all_hz) - set(idle))
+    where = f"; what tells most lies from {telling[0]:.4g} to {telling[-1]:.4g} Hz" if telling else ""
+    return f"{len(idle)} of the {len(all_hz)} frequencies add almost no information on any unknown{where}."
 
 
 def profile_in_words(profile: Profile) -> str:

@@ -262,7 +262,7 @@ _ALL: tuple[tuple[str, str, str, str], ...] = (
     ),
     (
         "transients_ignored", _RECORDS,
-        "A test over all dwells found them unsettled; settled dwells were asked for, or the method knows no others.",
+        "A test over all dwells found them unsettled, and what was asked for (orders, frequencies) is of settled ones.",
         "Use `--transients auto` and the method `ml`, or discard the starts of the dwells (`--settle`).",
     ),
     (

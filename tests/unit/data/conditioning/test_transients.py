@@ -7,6 +7,7 @@ import pytest
 
 from dashpot.arrays import Real
 from dashpot.data.conditioning.lines import spectrum
+from dashpot.data.conditioning.settings import Conditioning
 from dashpot.data.conditioning.transients import (
     continuous,
     first_to_last,
@@ -17,6 +18,9 @@ from dashpot.data.conditioning.transients import (
 from dashpot.data.record import Record
 from dashpot.data.stretch import SettledDwell, WholeRecord
 from dashpot.estimate.identify import identify
+from dashpot.estimate.likelihood.maximum_likelihood import MaximumLikelihood
+from dashpot.estimate.linear.instrumental_variables import OptimalIV
+from dashpot.estimate.method import conditioning_for
 from dashpot.model.motion import channel_samples, integrator
 from dashpot.model.observation import observation_model
 from tests.whole_rigs import chain, record_of
@@ -145,3 +149,17 @@ def test_what_builds_up_slowly_is_used_from_its_start() -> None:
     assert [notice.code for notice in lines.notes] == ["dwells_with_transients"]
     samples = [shared.samples for shared in lines.stretches if isinstance(shared, WholeRecord)]
     assert samples == [len(record.time) for record in records]
+
+
+def test_methods_that_know_no_transients_get_what_has_settled() -> None:
+    """Taken as settled, a whole dwell gave dampers that were wrong by several deviations, with a fit."""
+    records = stepped(0.002, periods=30)
+    settings = conditioning_for(MODEL, [OptimalIV.traits], Conditioning())
+    lines = spectrum(records, settings)
+    assert {"transient_discarded"} <= {notice.code for notice in lines.notes}
+    estimate = identify(MODEL, lines, OptimalIV())
+    assert np.all(np.abs(estimate.values - THETA) < 4 * estimate.sd)
+    settled = spectrum(stepped(0.05, settle=4.0), settings)
+    assert "transient_discarded" not in {notice.code for notice in settled.notes}
+    assert conditioning_for(MODEL, [MaximumLikelihood.traits], Conditioning()).transients == "auto"
+    assert conditioning_for(MODEL, [OptimalIV.traits], Conditioning(transients="none")).transients == "none"
