@@ -19,11 +19,10 @@ import numpy as np
 from dashpot.arrays import Bools, Real
 from dashpot.errors import DashpotError, UsageError
 from dashpot.estimate.identify import identify
-from dashpot.estimate.registry import method, method_class
+from dashpot.estimate.registry import method
 from dashpot.estimate.result import Estimate
 from dashpot.numerics.kernel import description
 from dashpot.study.scenario import Scenario
-from dashpot.study.simulate import simulate_spectrum
 from dashpot.study.store import Label, State, read_block, state_of, write_block
 from dashpot.study.summary import Repeats, Summary, all_repeats, summarise
 
@@ -103,17 +102,7 @@ def _write(task: Task, block: Block) -> None:
 def estimates(task: Task) -> Iterable[tuple[str, Estimate]]:
     """The block's Estimates, method by method, all of the same draws."""
     scenario = task.scenario
-    spectrum = simulate_spectrum(
-        scenario.model,
-        scenario.p,
-        scenario.channels,
-        scenario.test,
-        generator(task.seed, scenario.key, task.index),
-        draws=task.size,
-        noise=scenario.noise,
-        moments=any(method_class(name).traits.moments for name in scenario.methods),
-        drift=scenario.drift,
-    )
+    spectrum = scenario.drawn(generator(task.seed, scenario.key, task.index), task.size)
     for name in scenario.methods:
         yield name, identify(scenario.model, spectrum, method(name))
 

@@ -107,18 +107,24 @@ def settled_records(motion: SettledMotion, test: Dwells, rng: np.random.Generato
     return records
 
 
-def settled_spectrum(motion: SettledMotion, test: Dwells, rng: np.random.Generator) -> Spectrum:
-    """Amplitudes of the first harmonics of each dwell, as white noise on the samples of whole periods leaves them."""
+def settled_spectrum(
+    motion: SettledMotion, test: Dwells, rng: np.random.Generator | None, *, draws: int | None = None
+) -> Spectrum:
+    """Amplitudes of the first harmonics of each dwell, as white noise on the samples of whole periods leaves them.
+
+    `draws` repeats make a leading axis; without `rng` the amplitudes are exact and the covariance is that of noise.
+    """
     channels, dwells = motion.channels, len(test.frequency_hz)
     count = min(SEEN, motion.harmonics.shape[1] - 1)
     sd = noise_sd(channels, motion.harmonics[:, 1]) * np.sqrt(2 / test.samples)[:, None]  # of Re and Im, each
     Y = motion.harmonics[:, 1 : count + 1].reshape(dwells * count, -1)
     spread = np.repeat(sd, count, axis=0)
-    draws = rng.standard_normal((2, *Y.shape))
+    shape = (2, *(() if draws is None else (draws,)), *Y.shape)
+    error = np.zeros(shape) if rng is None else rng.standard_normal(shape)
     return Spectrum(
         channels,
         np.outer(test.frequency_hz, np.arange(1, count + 1)).ravel(),
-        Y + spread * (draws[0] + 1j * draws[1]),
+        Y + spread * (error[0] + 1j * error[1]),
         ((2 * spread[..., None] ** 2) * np.eye(len(channels))).astype(np.complex128),
         np.repeat(test.samples, count),
         np.full(len(Y), np.inf),

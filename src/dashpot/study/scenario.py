@@ -10,12 +10,18 @@ from functools import cached_property
 from types import MappingProxyType
 from typing import Any
 
+import numpy as np
+
 from dashpot.arrays import Real, freeze
 from dashpot.channel import Channel
+from dashpot.data.spectrum import Spectrum
+from dashpot.errors import UsageError
 from dashpot.estimate.identify import automatic, identify
+from dashpot.estimate.registry import method_class
 from dashpot.model.network import Model
 from dashpot.study.fingerprint import fields_of, fingerprint_of
-from dashpot.study.simulate import Dwells, NoiseBasis, clean_spectrum
+from dashpot.study.nonlinear_motion import SettledMotion, settled_motion, settled_spectrum
+from dashpot.study.simulate import Dwells, NoiseBasis, clean_spectrum, simulate_spectrum
 
 
 @dataclass(frozen=True)
@@ -91,5 +97,29 @@ class Scenario:
 
         Raises DashpotError where the test does not determine the unknowns.
         """
-        clean = clean_spectrum(self.model, self.p, self.channels, self.test, drift=self.drift)
+        if len(self.model.nonlinear):
+            clean = settled_spectrum(self._settled(), self.test, None)
+        else:
+            clean = clean_spectrum(self.model, self.p, self.channels, self.test, drift=self.drift)
         return identify(self.model, clean, automatic(self.model, clean)).bound_sd
+
+    def drawn(self, rng: np.random.Generator, draws: int) -> Spectrum:
+        """Repeats of the test, drawn for all methods alike.
+
+        Raises DataError where a dwell has too few samples, UsageError where a nonlinear rig is to be told noise by its
+        residuals or sample moments, ConvergenceError where it has no settled motion.
+        """
+        moments = any(method_class(name).traits.moments for name in self.methods)
+        if not len(self.model.nonlinear):
+            return simulate_spectrum(
+                self.model, self.p, self.channels, self.test, rng,
+                draws=draws, noise=self.noise, moments=moments, drift=self.drift,
+            )  # fmt: skip
+        if self.noise != "given":
+            raise UsageError(
+                "studies of nonlinear rigs know noise that is given only", cure='write covariance = "given"'
+            )
+        return settled_spectrum(self._settled(), self.test, rng, draws=draws)
+
+    def _settled(self) -> SettledMotion:
+        return settled_motion(self.model, self.theta, self.channels, self.test)

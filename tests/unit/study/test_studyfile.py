@@ -324,3 +324,18 @@ def test_what_is_no_share_is_told(folder, wrong, message):
         parsed(folder, STUDY.replace("noise = [0.1]", wrong))
     assert message in str(caught.value)
     assert len(str(caught.value).splitlines()) == 1
+
+
+def test_nonlinear_rigs_need_the_size_of_their_drive(folder):
+    bent = RIG.replace("[channels]", 'k3 = { between = ["x", "u"], law = "cubic", guess = 1e9 }\n[channels]')
+    (folder / "rig.toml").write_text(bent)
+    with pytest.raises(UsageError, match=r"depends on the size of its drive.*give the amplitude of u"):
+        parsed(folder, STUDY)
+    assert (
+        len(
+            scenarios(
+                parsed(folder, STUDY.replace("[frequencies]", "[amplitudes]\nu = 0.001\n[frequencies]"))
+            )
+        )
+        == 1
+    )

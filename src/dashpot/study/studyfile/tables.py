@@ -151,6 +151,11 @@ def read_input_amplitudes(values: StudyValues, rigs: Mapping[str, TrueRig]) -> d
             continue
         quantity, angular = quantities[name]
         amplitudes[name] = values.quantity(place, raw, partial(scale, quantity=quantity, angular=angular))
+    for rig_name, rig in rigs.items():
+        missing = [source.name for source in rig.model.inputs if source.name not in amplitudes]
+        if len(rig.model.nonlinear) and missing:
+            what = f"the motion of {rig_name} depends on the size of its drive: it has nonlinear elements"
+            values.report.add(("amplitudes",), what, f"give the amplitude of {listed(missing)}")
     return amplitudes
 
 
