@@ -80,7 +80,7 @@ class Profile:
 
     @property
     def misleads(self) -> Bools:
-        """Whether the normal interval is off by more than a tenth of its length."""
+        """Whether the normal interval is off by more than a tenth of its length, (...,)."""
         return np.asarray(self.difference > MISLEADS)
 
 

@@ -43,7 +43,7 @@ def standing_out(left: Residuals, spectrum: Spectrum, outputs: Bools) -> list[No
 
 
 def hum_notices(left: Residuals, spectrum: Spectrum, outputs: Bools) -> list[Notice]:
-    """Outputs that carry the tone of the mains."""
+    """Outputs that carry the tone of the mains; outputs (channels,)."""
     hums = mains_hum(left, spectrum) & outputs & (np.abs(np.nan_to_num(left.normalised)) ** 2 / 2 > 16)
     names = tuple(name for name, hum in zip(left.channels, np.any(hums, axis=0), strict=True) if hum)
     if not names:

@@ -44,7 +44,7 @@ class Clock:
     middle: float = 0.0
 
     def on_reference(self, time: Real) -> Real:
-        """Times of the sensor's clock on the reference's, s."""
+        """Times of the sensor's clock on the reference's, (samples,), s."""
         moved: Real = time + self.offset + self.drift * (time - self.middle)
         return moved
 

@@ -129,7 +129,7 @@ class TestSetup:
         return replace(self, channels=tuple(channels))
 
     def with_scenarios(self, theta: Real, probability: Real | None = None) -> TestSetup:
-        """The same setup with other values of the unknowns, equally likely unless said."""
+        """The same setup with other values of the unknowns, (scenarios, unknowns), equally likely unless said."""
         p = np.full(len(theta), 1 / len(theta)) if probability is None else probability
         return replace(self, theta=theta, probability=p)
 
@@ -172,7 +172,7 @@ class TestSetup:
             return _scaled(frequency_hz, unit, 1 / self.limits.use(omega, motion, force))
 
     def seen(self, frequency_hz: Real, pattern: Ints, scenario: int = 0) -> Outputs:
-        """What the channels show at each line."""
+        """What the channels show at each line; frequency_hz and pattern (lines,)."""
         drive = self.drive(frequency_hz, pattern)
         return outputs(self.model, self.p[scenario], self.channels, 2 * np.pi * frequency_hz, drive)
 

@@ -86,7 +86,7 @@ class Fit:
 
     @property
     def rejected(self) -> Bools:
-        """Whether the residuals are larger than the noise allows: the model, not the sensors, limits the answer."""
+        """Whether residuals exceed the noise, (...,): the model, not the sensors, limits the answer."""
         return np.asarray(self.p < 1e-3)
 
     @property

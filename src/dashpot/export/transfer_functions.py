@@ -37,11 +37,11 @@ class TransferFunctions:
 
     @property
     def denominator(self) -> Real:
-        """Coefficients of the denominator, highest power first."""
+        """Coefficients of the denominator, (order + 1,), highest power of s first."""
         return np.real(np.poly(self.poles))
 
     def numerator(self, output: int, source: int) -> Real:
-        """Coefficients of a numerator, highest power first."""
+        """Coefficients of a numerator, (order + 1,) or fewer, highest power of s first."""
         numerator: Real = self.gain[output, source] * np.real(np.poly(self.zeros[output][source]))
         return np.atleast_1d(numerator)
 

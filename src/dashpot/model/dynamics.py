@@ -106,7 +106,7 @@ def no_steady_response() -> ModelError:
 
 
 def amplitudes(model: Model, p: Real, omega: Real, U: Complex, f: Complex | None = None) -> Complex:
-    """As `response`, with NaN where the rig has no steady response: for searches, which may pass through anything."""
+    """As `response`, (..., lines, n), with NaN where there is no steady response: searches pass through anything."""
     if model.n >= FROM:
         return sparse_amplitudes(model, p, omega, U, f)
     both = stiffness(model, p, omega)

@@ -29,12 +29,12 @@ class Modes:
 
     @property
     def frequency_hz(self) -> Real:
-        """|λ| / 2π."""
+        """|λ| / 2π, (..., modes), Hz."""
         return np.abs(self.eigenvalues) / (2 * np.pi)
 
     @property
     def damping_ratio(self) -> Real:
-        """−Re λ / |λ|."""
+        """−Re λ / |λ|, (..., modes)."""
         magnitude = np.abs(self.eigenvalues)
         with np.errstate(invalid="ignore", divide="ignore"):
             return np.where(magnitude > 0, -self.eigenvalues.real / magnitude, 0.0) + 0.0  # no −0

@@ -170,7 +170,7 @@ class Model:
 
     @cached_property
     def nonlinear(self) -> Ints:
-        """Indices of the elements with a nonlinear law."""
+        """Indices of the elements with a nonlinear law, (e,)."""
         return frozen([i for i, e in enumerate(self.elements) if e.force_law is not None], np.int64)
 
     @cached_property
@@ -300,7 +300,7 @@ class Model:
         return unit_of(element.force_law.exponents[1].get(constant.name, (0.0, 0.0)), angle=angular)
 
     def theta(self, values: Mapping[str, float]) -> Real:
-        """θ, (unknowns,), from values by name; what is not named takes its value or its guess from the model."""
+        """θ, (unknowns,), from values by name, else the model's values or guesses.  Raises ModelError where none is."""
         theta = np.empty(len(self.unknowns))
         for j, unknown in enumerate(self.unknowns):
             choices = (values.get(unknown.name), unknown.prior, unknown.guess)
@@ -349,7 +349,7 @@ class Model:
 
     @cached_property
     def by_matrix(self) -> Mapping[str, Ints]:
-        """Indices of the elements that enter M, C, K and the hysteretic H."""
+        """Indices of the elements that enter M, C, K and the hysteretic H, (elements of it,) each."""
         return {
             letter: frozen(
                 [i for i, e in enumerate(self.elements) if e.law.matrix == letter and e.force_law is None],

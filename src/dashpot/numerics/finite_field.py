@@ -27,7 +27,7 @@ def residue(number: float) -> int:
 
 
 def residues(numbers: Sequence[float]) -> Ints:
-    """`residue` of each."""
+    """`residue` of each, (numbers,)."""
     return np.array([residue(number) for number in numbers], dtype=np.int64)
 
 

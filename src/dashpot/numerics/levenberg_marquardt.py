@@ -29,7 +29,7 @@ class QuadraticModel:
     free: Real
 
     def where(self, chosen: Bools, other: QuadraticModel) -> QuadraticModel:
-        """This where chosen, else the other."""
+        """This where chosen (K,), else the other."""
         one, two = chosen[:, None], chosen[:, None, None]
         return QuadraticModel(
             np.where(chosen, self.cost, other.cost),
@@ -39,7 +39,7 @@ class QuadraticModel:
         )
 
     def rows(self, keep: Bools) -> QuadraticModel:
-        """Some of the points."""
+        """Some of the points, keep (K,)."""
         return QuadraticModel(self.cost[keep], self.gradient[keep], self.symmetric[keep], self.free[keep])
 
 
@@ -54,11 +54,14 @@ class OptimizeResult:
     history: Real
 
     def worse(self, rows: Ints, other: OptimizeResult) -> Bools:
-        """For which of `rows` another search over them ended lower, or settled where this one did not."""
+        """For which of `rows` (k,) another search over them ended lower, or settled where this one did not."""
         return (other.cost < self.cost[rows] * (1 - 1e-9)) | (other.converged & ~self.converged[rows])
 
     def improved(self, rows: Ints, other: OptimizeResult) -> OptimizeResult:
-        """With what another search over some of the repeats found, where `worse` prefers it.  Iterations add up."""
+        """With what another search over some of the repeats, rows (k,), found where `worse` prefers it.
+
+        Iterations add up.
+        """
         better = self.worse(rows, other)
         x, cost, converged = self.x.copy(), self.cost.copy(), self.converged.copy()
         iterations = self.iterations.copy()

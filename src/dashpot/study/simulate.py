@@ -62,7 +62,7 @@ class Dwells:
         return 2 * np.pi * self.frequency_hz
 
     def time(self, line: int) -> Real:
-        """Sample times of one dwell, s."""
+        """Sample times of one dwell, (samples,), s."""
         count = int(self.samples[line])
         step = self.periods[line] / (count * self.frequency_hz[line])
         times: Real = np.arange(count) * step

@@ -175,7 +175,7 @@ def with_open_constants(element: Element) -> Element:
 
 
 def motions_of(data: Prepared, psi: Real) -> Motions:
-    """How far any two points move against each other by the rig at ψ; {} where the inputs are not seen."""
+    """How far any two points move against each other by the rig at ψ (M,); {} where the inputs are not seen."""
     model, both = data.model, moving_pairs(data.model)
     probes = [
         replace(between(f"probe_{a}_{b}", Kind.SPRING, a, b, value=0.0), force_law=force_law("cubic"))

@@ -135,7 +135,7 @@ class Monitor(Protocol):
     """What sees the residual as it streams by."""
 
     def next_rows(self, t: Real, A: Real) -> None:
-        """The samples that `see` shows next: their times and design rows."""
+        """The samples that `see` shows next: their times (samples,) and design rows (samples, terms)."""
 
     def see(self, part: slice, e: Real) -> None:
         """Residuals (batch, rows, channels) of the present rows."""

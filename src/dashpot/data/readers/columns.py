@@ -228,7 +228,7 @@ def _factors(unit: str, quantity: str) -> list[float]:
 
 
 def columns_of_block(columns: Sequence[int], together: Sequence[int], rows: int) -> dict[int, Real]:
-    """Arrays to be filled: those of `together` are the columns of one array, which need not be copied to stand so."""
+    """Arrays (rows,) to be filled; those of `together` are the columns of one, which need not be copied."""
     block = np.empty((rows, len(together)), order="F")
     at = {column: block[:, i] for i, column in enumerate(together)}
     return {column: at[column] if column in at else np.empty(rows) for column in columns}

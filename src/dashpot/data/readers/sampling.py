@@ -63,7 +63,7 @@ def read_time(
     rate_hz: float | None,
     together: Sequence[int] = (),
 ) -> tuple[Real, dict[int, Real]]:
-    """Time in s, and the other columns.
+    """Time in s, (samples,), and the other columns.
 
     Without a column of time the samples are 1/rate_hz apart; `together` as of Columns.numbers, and so are errors.
     """

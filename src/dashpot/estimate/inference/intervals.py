@@ -59,7 +59,7 @@ def profile_interval(
 
 
 def truncated_reach(beyond: Real, dof: Real, level: float) -> Real:
-    """How far from its centre a standard t distribution cut off at `beyond` > 0 holds `level` of what is left."""
+    """How far from its centre a t distribution cut off at `beyond` > 0 holds `level` of what is left, (...,)."""
     from scipy.special import stdtr, stdtrit
 
     beyond = np.where(np.isfinite(beyond), np.maximum(beyond, 0.0), 0.0)

@@ -37,7 +37,7 @@ def of_records(model: Model, theta: Real, spectrum: Spectrum, few: str | None) -
 
 
 def short_records(model: Model, theta: Real, spectrum: Spectrum) -> list[Notice]:
-    """A warning where no whole record lasts for one period of the slowest mode found."""
+    """A warning where no whole record lasts for one period of the slowest mode found.  theta (m,) or longer."""
     durations = [value.duration_s for value in spectrum.stretches if isinstance(value, WholeRecord)]
     if not durations or len(durations) < len(spectrum.stretches):
         return []

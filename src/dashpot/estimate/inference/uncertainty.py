@@ -52,7 +52,7 @@ class Linearised:
 
     @cached_property
     def lines(self) -> tuple[Real, Real, Real]:
-        """What `by_line` gives."""
+        """What `by_line` gives: (K, lines, M, M), (K, lines, M) and (K, lines)."""
         return self.by_line()
 
     @property

@@ -69,7 +69,7 @@ class Measured:
         return replace(self, W=self.W / size, root=None if self.root is None else self.root / np.sqrt(size))
 
     def rows_of(self, count: int) -> Ints:
-        """Which repeat each of `count` parameter sets belongs to: its own, or the only one."""
+        """Which repeat each of `count` parameter sets belongs to, (count,): its own, or the only one."""
         return np.arange(count) if len(self.y) > 1 else np.zeros(count, dtype=np.int64)
 
     def at_lines(self, lines: slice) -> Measured:

@@ -79,7 +79,7 @@ class Likelihood:
     def descend_in(
         self, data: Measured, start: Real, sign: Real, limit: int | None = None, repeats: Ints | None = None
     ) -> OptimizeResult:
-        """As `descend`, in other data of the same channels: softened, or with more harmonics."""
+        """As `descend`, from start (k, M), in other data of the same channels: softened, or with more harmonics."""
         most = self.effort.max_iterations if limit is None else limit
         rows = data.rows_of(len(start)) if repeats is None or len(data.y) == 1 else repeats
         # What depends on what among a record's columns is decided anew at each step: no nearer than that.

@@ -60,7 +60,10 @@ class LocalMinima:
         return LocalMinima(np.empty((0, unknowns)), np.empty((0, channels)), np.empty(0))
 
     def with_ends(self, psi: Real, sign: Real, cost: Real) -> LocalMinima:
-        """With more ends; those within 2 % of a lower one in every unknown are the same minimum and left out."""
+        """With more ends, (k, M), (k, channels) and (k,).
+
+        Those within 2 % of a lower one in every unknown are left out.
+        """
         psi, sign = np.concatenate([self.psi, psi]), np.concatenate([self.sign, sign])
         cost = np.concatenate([self.cost, cost])
         kept: list[int] = []
@@ -82,7 +85,7 @@ class LocalMinima:
 def from_minima(
     likelihood: Likelihood, minima: LocalMinima
 ) -> tuple[OptimizeResult, Real, tuple[Notice, ...]]:
-    """Each repeat from the lowest minimum and those competing with it: its lowest end, signs, and a warning.
+    """Each repeat from the lowest minimum and those competing with it: its end, signs (K, channels), and a warning.
 
     The warning is of another minimum that fits nearly as well; of repeats it says in how many there is one.
     """
@@ -159,7 +162,7 @@ def apart(psi: Real, other: Real, sd: Real) -> bool:
 
 
 def not_unique(names: Sequence[str], units: Sequence[str], psi: Real, other: Real, above: float) -> Notice:
-    """The notice that another minimum, whose χ² lies `above` that of `psi`, fits alike."""
+    """The notice that another minimum, whose χ² lies `above` that of `psi`, fits alike.  Both (M,)."""
     change = np.abs(other - psi) / np.maximum(np.maximum(np.abs(psi), np.abs(other)), 1e-300)
     largest = [j for j in np.argsort(-change)[:4] if change[j] > SAME * np.max(change)]
     values = ", ".join(f"{names[j]} = {other[j]:.4g} {units[j]}" for j in largest)

@@ -103,12 +103,12 @@ class RecordPieces:
 
     @cached_property
     def of_inputs(self) -> Ints:
-        """The polynomials of channels that give exact inputs."""
+        """Indices of the polynomials of channels that give exact inputs, (k,)."""
         return np.flatnonzero(np.any(self.ends.by_input != 0, axis=(0, 1)))
 
     @cached_property
     def fitted(self) -> Ints:
-        """The polynomials that are fitted with the loads: of those that each channel has alone none."""
+        """Indices of the polynomials fitted with the loads, (k,): of those that each channel has alone none."""
         if self.apart:
             return np.zeros(0, dtype=np.int64)
         silent = set(self.of_inputs.tolist())
@@ -126,7 +126,7 @@ class RecordPieces:
 
     @cached_property
     def powers(self) -> Ints:
-        """The powers of jω among the polynomials, ascending."""
+        """The powers of jω among the polynomials, (k,), ascending."""
         return np.unique(self.ends.power)
 
     @cached_property

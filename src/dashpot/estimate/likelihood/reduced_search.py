@@ -42,8 +42,9 @@ def reduced_search(
 ) -> tuple[Likelihood, OptimizeResult, Real, tuple[Notice, ...]]:
     """The minimum of one repeat of a large rig, with the likelihood on the basis there.
 
-    Returns that likelihood, the minimum, the signs of its channels, and a notice where it is not unique.  Raises
-    ConvergenceError where no start leads to a minimum.
+    Returns that likelihood, the minimum, the signs of its channels (1, channels), and a notice where it is not unique.
+
+    Raises ConvergenceError where no start leads to a minimum.
     """
     view = likelihood.view
     psi, sign = candidates(likelihood.data, 1, np.random.default_rng(likelihood.effort.seed))

@@ -48,7 +48,7 @@ class Sampled:
     moments: Real | None
 
     def rows(self, rows: Ints) -> Sampled:
-        """Some of the repeats."""
+        """Some of the repeats, rows (k,)."""
 
         def pick(part: np.ndarray) -> np.ndarray:
             return part if len(part) == 1 else part[rows]
@@ -168,7 +168,7 @@ def sums_with_samples(looks: Sampled) -> tuple[Real, Real]:
 
 
 def least_squares_sums(looks: Sampled) -> tuple[Real, Real]:
-    """The sums of least squares: over samples where their moments are there, else over amplitudes."""
+    """N (K, elements, elements) and r (K, elements) of least squares: over samples where there are moments."""
     if looks.moments is not None and looks.coefficients is not None:
         return sums_with_samples(looks)
     return sums_with_harmonics(looks, looks.a)

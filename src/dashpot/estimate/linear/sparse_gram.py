@@ -193,7 +193,7 @@ class MeetingPairs:
         return N + sparse.diags_array(model.prior_precision, format="csc")
 
     def solved(self, model: Model, motion: SeenMotion, w: Complex, a: Complex, weight: Real) -> Real:
-        """θ of the normal equations, N θ = Σ Re Ψᴴ W h.  Raises IdentifiabilityError where N is singular."""
+        """θ (m,) of the normal equations, N θ = Σ Re Ψᴴ W h.  Raises IdentifiabilityError where N is singular."""
         right = model.prior_precision * model.prior_mean
         for line in range(len(a)):
             h = model.S @ motion.f[line] - model.sparse_B.T @ (a[line] * model.p0)

@@ -103,7 +103,7 @@ def _first_frequency(model: Model, theta: Real) -> float:
 
 
 def usual_parts(model: Model, data: ModalData) -> Real:
-    """A usual value of every unknown: its guess or prior, else that of its kind beside the known ones."""
+    """A usual value of every unknown, (m,): its guess or prior, else that of its kind beside the known ones."""
     per_mass, mass = _sizes(model, data)
     kinds = {element.name: element.kind for element in model.elements}
     return np.array(

@@ -34,7 +34,7 @@ class HarmonicEquations:
     states: States
 
     def rows(self, rows: Ints) -> HarmonicEquations:
-        """Some of the repeats."""
+        """Some of the repeats, rows (k,)."""
         motion = self.motion
         picked = replace(
             motion, elongations=motion.elongations[rows], linear=motion.linear[rows], f=motion.f[rows]
@@ -142,7 +142,7 @@ class HarmonicEquations:
         return mean
 
     def weighted(self) -> tuple[Real, Real]:
-        """θ weighted by the inverse covariance of the rows at least squares, and its covariance."""
+        """θ (K, m) weighted by the inverse covariance of the rows at least squares, and its covariance (K, m, m)."""
         Phi, h = self.regression(self.motion.unit_forces(self.constants))
         weight = scaled_inverse(self.noise(self.least_squares()))
         model = self.motion.model
@@ -152,7 +152,7 @@ class HarmonicEquations:
         return solve_scaled(N, right), scaled_inverse(N)
 
     def completed(self, theta: Real) -> tuple[Complex, HarmonicEquations]:
-        """Unit forces of the model's own motion at θ, and the equations with unmeasured harmonics taken from it."""
+        """Unit forces of the model's own motion at θ (K, m), and the equations with its harmonics where unmeasured."""
         model, dwells, elongations = self.motion.model, self.motion.dwells, self.motion.elongations
         K, R = elongations.shape[:2]
         p = np.repeat(model.parameters(theta), R, axis=0)
@@ -168,7 +168,7 @@ class HarmonicEquations:
         return dwells.lines(harmonic_unit_forces(model, drive, at), K), whole
 
     def with_instruments(self, theta: Real) -> Real:
-        """θ with the model's own motion at `theta` as instruments."""
+        """θ with the model's own motion at `theta` as instruments, (K, m)."""
         a, whole = self.completed(theta)
         Phi, h = whole.regression(whole.motion.unit_forces(self.constants))
         return whole.solved(whole.regression(a)[0], Phi, h, theta)

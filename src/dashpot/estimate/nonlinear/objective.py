@@ -57,7 +57,7 @@ class NonlinearPart:
     patient: bool = True
 
     def pick(self, rows: Ints) -> NonlinearPart:
-        """Some of the repeats."""
+        """Some of the repeats, rows (k,)."""
         start = None if self.start is None else self.start[rows]
         return replace(self, start=start, q=self.q[rows], repeat=self.repeat[rows])
 
@@ -92,7 +92,10 @@ def evaluate(
     start: Real | None,
     noisy: bool,
 ) -> Evaluated:
-    """Channels, their slopes along ψ and, where the inputs are `noisy`, along the inputs' lines of the dwell."""
+    """Channels, their slopes along ψ and, where the inputs are `noisy`, along the inputs' lines of the dwell.
+
+    psi (K, M), sign (K, channels), q (K, lines, r + s), start as `Periodic.delta` or None.
+    """
     model, dwells, K, m = view.model, part.dwells, len(psi), view.m
     R, nq, r = len(dwells.omega), q.shape[-1], view.model.D.shape[1]
     theta = psi[:, :m]
@@ -125,7 +128,7 @@ def evaluate(
 
 
 def must_be_positive(model: Model) -> Ints:
-    """Indices of inner constants that are lengths or speeds: gaps, slips and smoothing speeds."""
+    """Indices of inner constants that are lengths or speeds, (k,): gaps, slips and smoothing speeds."""
     lengths = [
         j
         for j, (element, constant) in enumerate(model.constants)
@@ -203,7 +206,7 @@ def predict_harmonics(
 
 
 def nonlinear_part(data: Prepared, y: Complex, q: Complex | None) -> NonlinearPart:
-    """Dwells, measured elongations and inputs of prepared data.
+    """Dwells, measured elongations and inputs of prepared data; y (K, lines, channels), q (K, lines, r + s) if known.
 
     Raises DataError where an input is not measured, or the lines do not belong to dwells.
     """

@@ -26,7 +26,7 @@ def record_estimate(
     history: Real,
     limits: tuple[Real, Real],
 ) -> Estimate:
-    """Values, and intervals that count the colour of the residuals."""
+    """Values ψ (M,), and intervals that count the colour of the residuals; history (iterations + 1, M)."""
     model, inner = problem.model, problem.inner
     white, coloured, dof = record_covariances(problem, psi)
     names, units = record_unknowns(problem)

@@ -41,13 +41,13 @@ class States:
         return {}
 
     def rows(self, rows: Ints) -> States:
-        """Some of the repeats; what all repeats share stays shared."""
+        """Some of the repeats, rows (k,); what all repeats share stays shared."""
         covariance = self.covariance if len(self.covariance) == 1 else self.covariance[rows]
         P = self.reconstruction if len(self.reconstruction) == 1 else self.reconstruction[rows]
         return States(self.omega, self.z[rows], covariance, P, self.n, self.r)
 
     def lines(self, lines: Ints) -> States:
-        """Some of the lines."""
+        """Some of the lines, (l,)."""
         return States(
             self.omega[lines],
             self.z[:, lines],

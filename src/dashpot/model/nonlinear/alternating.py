@@ -35,7 +35,7 @@ class Alternated:
         return Alternated(self.a[keep], self.slope[keep], by_constant, tuple(z[keep] for z in self.states))
 
     def put(self, rows: Ints, other: Alternated) -> None:
-        """Write `other` into some of the dwells."""
+        """Write `other` into some of the dwells, rows (k,)."""
         self.a[rows], self.slope[rows] = other.a, other.slope
         for mine, new in zip(
             (*self.by_constant, *self.states), (*other.by_constant, *other.states), strict=True

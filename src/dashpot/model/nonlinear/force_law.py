@@ -125,7 +125,7 @@ class ForceLaw:
         return self.expression(self.values(d, v, z, constants))
 
     def values(self, d: Real, v: Real, z: Real, constants: Real) -> dict[str, Real]:
-        """All that expressions of this law may name."""
+        """All that expressions of this law may name; d, v, z of one shape (...,), constants (..., constants of it)."""
         named = {name: constants[..., j, None] for j, name in enumerate(self.constant_names)}
         return {"d": d, "v": v, "z": z, **named}
 

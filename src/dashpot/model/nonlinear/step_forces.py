@@ -50,7 +50,10 @@ class StepForces:
 
 
 def held_states(law: ForceLaw, d: Real, v: Real, z: Real, z0: Real, g: Real, h: float) -> HeldStates:
-    """The state of a law over one step, from z0: collocation of its rate, or the operator from node to node."""
+    """The state of a law over one step, from z0: collocation of its rate, or the operator from node to node.
+
+    d, v, z (S, nodes), z0 (S,) at the start, g the constants of the law, h in s.
+    """
     S, K = d.shape
     if law.operator:
         return _operated_nodes(law, d, z0, g)
@@ -104,7 +107,10 @@ def _operated_nodes(law: ForceLaw, d: Real, z0: Real, g: Real) -> HeldStates:
 def clipped(
     free: Real, tangent: Real, centre: Real, tangent_centre: Real, width: Real, column: int
 ) -> tuple[Real, Real]:
-    """`free` held within centre ± width, and its tangent; the width is the unknown of `column`."""
+    """`free` (...,) held within centre ± width, and its tangent (..., columns).
+
+    The width is the unknown of `column`.
+    """
     above, below = free > centre + width, free < centre - width
     z = np.where(above, centre + width, np.where(below, centre - width, free))
     edge = np.broadcast_to(tangent_centre, tangent.shape).copy()

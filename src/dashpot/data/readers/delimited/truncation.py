@@ -12,7 +12,10 @@ from dashpot.notices import Notice
 
 
 def with_checked_end(table: Table) -> Table:
-    """A last row without line end may have been cut off within its last number: refused where that shows."""
+    """The table, whose last row, where it has no line end, may have been cut off within its last number.
+
+    Raises DataError where that shows.
+    """
     if bytes(table.body[-1:]) == b"\n":
         return table
     tail = bytes(table.body[-(1 << 16) :]).decode("utf-8", errors="replace").splitlines()
