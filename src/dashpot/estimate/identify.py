@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -13,6 +14,7 @@ from dashpot.data.spectrum import Spectrum
 from dashpot.errors import DataError, UsageError
 from dashpot.estimate.inference import diagnostics, record_findings
 from dashpot.estimate.inference.derived import known_values, linear_modes, tied_values
+from dashpot.estimate.inference.residual_jumps import residual_jumps
 from dashpot.estimate.inference.uncertainty import Inference, inference, with_noise_of_residuals
 from dashpot.estimate.likelihood.boundary_loads import carries_loads
 from dashpot.estimate.likelihood.maximum_likelihood import MaximumLikelihood
@@ -117,7 +119,10 @@ def _identified(model: Model, spectrum: Spectrum, method: Method) -> Inference:
     require_suited(method, data)
     if not data.noise_known and np.any(model.prior_precision):
         data = with_noise_of_residuals(data, method)
-    return inference(data, method.solve(data), method)
+    solution = method.solve(data)
+    if spectrum.records:
+        solution = replace(solution, warnings=(*solution.warnings, *residual_jumps(data, solution)))
+    return inference(data, solution, method)
 
 
 def _estimate(

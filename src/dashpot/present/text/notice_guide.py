@@ -205,6 +205,12 @@ _ALL: tuple[tuple[str, str, str, str], ...] = (
         "Widen `--band`, or record for longer.",
     ),
     (
+        "residual_jump", _ESTIMATE,
+        ("The residuals of a whole record are loud for a moment and decay: samples were lost although the time stamps "
+        "are even, or something struck the rig."),
+        "Cut the record there and give the parts as separate files; measure the blow as an input.",
+    ),
+    (
         "unrelated_inputs", _ESTIMATE,
         ("No output of the whole records goes with what the inputs measure, at any frequency of the band (F tests, "
         "p > 0.01): the estimate is one of noise."),
