@@ -2,12 +2,17 @@
 
 Both turn the same CSV into columns of doubles; dashpot also checks them, finds what each is and makes records in SI
 units of it.  pyarrow runs once with one thread, as dashpot does, and once with all.
+
+`--memory MIB` reads a file of that size in each format instead, each in a process of its own, and tells what it needs
+beyond the samples that it gives.
 """
 
 from __future__ import annotations
 
 import argparse
 import statistics
+import subprocess
+import sys
 import tempfile
 import time
 from collections.abc import Callable
@@ -16,9 +21,14 @@ from pathlib import Path
 import numpy as np
 import pyarrow as pa
 import pyarrow.csv
+import pyarrow.feather
+import pyarrow.parquet
 
+from dashpot.arrays import Real
 from dashpot.channel import Channel
 from dashpot.data.readers import read
+from dashpot.data.readers.uff.writer import write_uff_records
+from dashpot.data.record import Record
 
 
 def seconds(task: Callable[[], object], repeats: int) -> float:
@@ -31,12 +41,118 @@ def seconds(task: Callable[[], object], repeats: int) -> float:
     return statistics.median(times)
 
 
+NAMES = ("x1", "x2", "u")
+RATE = 1000.0
+COLUMNS = 'columns = { x1 = "channel_1", x2 = "channel_2", u = "channel_3" }'
+PEAK = f"""
+import sys
+from pathlib import Path
+from dashpot.channel import Channel
+from dashpot.data.readers import read
+
+def memory(word):
+    lines = Path("/proc/self/status").read_text().splitlines()
+    return next(int(line.split()[1]) / 1024 for line in lines if line.startswith(word))
+
+channels = tuple(Channel(name, {{name: 1}}) for name in {NAMES})
+read(sys.argv[1], channels)
+before = memory("VmRSS")
+records = read(sys.argv[2], channels).records
+result = sum(record.values.nbytes + record.time.nbytes for record in records) / 2**20
+print(result, memory("VmHWM") - before - result)
+"""
+
+
+def write_matlab(path: Path, table: dict[str, Real]) -> None:
+    from scipy.io import savemat
+
+    savemat(path, table)
+
+
+def write_hdf5(path: Path, table: dict[str, Real]) -> None:
+    import h5py
+
+    with h5py.File(path, "w") as file:
+        for name, column in table.items():
+            file[name] = column
+
+
+def write_tdms(path: Path, table: dict[str, Real]) -> None:
+    from nptdms import ChannelObject, TdmsWriter
+
+    with TdmsWriter(str(path)) as writer:
+        step = {"wf_increment": 1 / RATE}
+        writer.write_segment([ChannelObject("test", name, table[name], properties=step) for name in NAMES])
+
+
+def write_mdf(path: Path, table: dict[str, Real]) -> None:
+    from asammdf import MDF, Signal
+
+    with MDF(version="4.10") as file:
+        file.append([Signal(table[name], table["time_s"], name=name) for name in NAMES])
+        file.save(path, overwrite=True)
+
+
+def write_uff(path: Path, table: dict[str, Real]) -> None:
+    channels = tuple(Channel(name, {name: 1}) for name in NAMES)
+    samples = np.column_stack([table[name] for name in NAMES])
+    write_uff_records([Record(channels, table["time_s"], samples)], path)
+
+
+def write_wav(path: Path, table: dict[str, Real]) -> None:
+    from scipy.io import wavfile
+
+    wavfile.write(path, int(RATE), np.column_stack([table[name] for name in NAMES]).astype(np.float32))
+
+
+WRITERS: dict[str, Callable[[Path, dict[str, Real]], object]] = {
+    "csv": lambda path, table: pa.csv.write_csv(pa.table(table), path),
+    "parquet": lambda path, table: pyarrow.parquet.write_table(pa.table(table), path),
+    "feather": lambda path, table: pyarrow.feather.write_feather(pa.table(table), str(path)),
+    "npz": lambda path, table: np.savez(path, **table),  # type: ignore[arg-type]
+    "mat": write_matlab, "h5": write_hdf5, "tdms": write_tdms, "mf4": write_mdf, "uff": write_uff, "wav": write_wav,
+}  # fmt: skip
+
+
+def show_memory(mebibytes: float, formats: list[str]) -> None:
+    """What reading a file of each format needs beyond the samples that it gives."""
+    rows = int(mebibytes * 2**20 / (8 * (len(NAMES) + 1)))
+    rng = np.random.default_rng(1)
+    print(f"{rows} rows of {len(NAMES)} channels; MiB: file, samples, memory beyond them")
+    for suffix in formats:
+        with tempfile.TemporaryDirectory() as folder:
+            paths = []
+            for stem, count in (("small", 1000), ("large", rows)):
+                path = Path(folder) / f"{stem}.{suffix}"
+                columns = {name: rng.normal(size=count) for name in NAMES}
+                WRITERS[suffix](path, {"time_s": np.arange(count) / RATE, **columns})
+                size = path.stat().st_size / 2**20
+                if suffix == "wav":
+                    path = path.with_suffix(".toml")
+                    path.write_text(f'[[files]]\nname = "{stem}.wav"\n{COLUMNS}\n')
+                paths.append(str(path))
+            done = subprocess.run(
+                [sys.executable, "-c", PEAK, *paths], capture_output=True, text=True, check=False
+            )
+        said = done.stdout.split() or done.stderr.splitlines()[-1:]
+        print(
+            f"{suffix:8} {size:8.0f}",
+            *(f"{float(word):8.0f}" for word in said) if done.stdout else said,
+            flush=True,
+        )
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--rows", type=int, default=1_000_000)
     parser.add_argument("--columns", type=int, default=6)
     parser.add_argument("--repeats", type=int, default=5)
+    parser.add_argument("--memory", type=float, metavar="MIB")
+    parser.add_argument("--formats", nargs="+", choices=tuple(WRITERS), default=list(WRITERS))
     chosen = parser.parse_args()
+    if chosen.memory is not None:
+        show_memory(chosen.memory, chosen.formats)
+        return
     names = [f"x{i + 1}" for i in range(chosen.columns)]
     rng = np.random.default_rng(1)
     columns = [np.arange(chosen.rows) / 1000, *rng.normal(size=(chosen.columns, chosen.rows))]

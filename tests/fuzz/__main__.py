@@ -20,7 +20,7 @@ from tests.fuzz.runner import finding, limit_memory
 
 FINDINGS = Path(__file__).parent / "findings"
 STUCK = 60.0  # s of processor time without a word from a worker, which is then in code that no signal ends
-ASLEEP = 300.0  # s without a word from a worker, which then waits for something
+ASLEEP = 300.0  # s without a word from a worker and without work, which then waits for something
 
 
 def main() -> int:
@@ -63,10 +63,14 @@ class Word:
     def __init__(self, process: int, index: int, running: bool) -> None:
         self.process, self.index, self.running = process, index, running
         self.moment, self.spent = time.monotonic(), self._processor_time()
+        self.busy = 0.0
 
     def overdue(self) -> bool:
         """Whether the next word should have come: by the processor's time, for others may keep it busy."""
-        return time.monotonic() - self.moment > ASLEEP or self._processor_time() - self.spent > STUCK
+        busy = self._processor_time() - self.spent
+        if busy > self.busy:
+            self.moment, self.busy = time.monotonic(), busy
+        return time.monotonic() - self.moment > ASLEEP or busy > STUCK
 
     def _processor_time(self) -> float:
         """Seconds of the worker on the processor; 0 where it has ended."""
