@@ -26,6 +26,7 @@ from dashpot.errors import DataError
 
 LEAD = 28  # bytes that begin a segment: tag, contents, version, its length, the length of its description
 UNFINISHED = 2**64 - 1
+BIG_ENDIAN = 1 << 6  # among the contents
 
 
 @dataclass(frozen=True)
@@ -73,7 +74,8 @@ def _refuse_cut_off(stream: BinaryIO, source: str) -> None:
     while True:
         stream.seek(start)
         lead = stream.read(LEAD)
-        length = int.from_bytes(lead[12:20], "little")
+        big = int.from_bytes(lead[4:8], "little") & BIG_ENDIAN
+        length = int.from_bytes(lead[12:20], "big" if big else "little")
         if not lead or length == UNFINISHED:
             break
         start += LEAD + length

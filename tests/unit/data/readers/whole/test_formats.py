@@ -1,5 +1,6 @@
 """Every format gives the same samples, whole or packed; what is damaged gives a right answer or one clear line."""
 
+import struct
 import time
 from pathlib import Path
 
@@ -128,6 +129,34 @@ def test_wav_by_a_manifest(tmp_path):
     wavfile.write(tmp_path / "int.wav", 100, whole)
     part = next(iter(reader_of(open_file(tmp_path / "int.wav")).parts(open_file(tmp_path / "int.wav"))))
     assert part.numbers([1])[1] == pytest.approx(whole / 2**15)
+
+
+def test_tdms_of_machines_that_write_the_high_byte_first(tmp_path):
+    """A file by hand, as LabVIEW writes it there: two segments, of which the second only goes on."""
+
+    def text(word):
+        return struct.pack(">I", len(word)) + word.encode()
+
+    samples = [np.arange(8.0) * (k + 1) for k in range(3)]
+    objects = b"".join(
+        text(f"/'run'/'{name}'") + struct.pack(">IIIQ", 20, 10, 1, 8) + struct.pack(">I", 2)
+        + text("wf_increment") + struct.pack(">Id", 10, 0.125) + text("frequency_hz") + struct.pack(">Id", 10, 2.0)
+        for name in ("x1", "x2", "u")
+    )  # fmt: skip
+    raw = b"".join(x.astype(">f8").tobytes() for x in samples)
+    first = struct.pack(">I", 3) + objects
+    data = b""
+    for contents, described in ((2 + 4 + 8 + 64, first), (8 + 64, b"")):
+        length = struct.pack(">IQQ", 4713, len(described) + len(raw), len(described))
+        data += b"TDSm" + struct.pack("<I", contents) + length + described + raw
+    path = tmp_path / "big.tdms"
+    path.write_bytes(data)
+    (record,) = as_read(path)
+    assert record.frequency_hz == 2.0
+    assert record.values == pytest.approx(np.concatenate([np.column_stack(samples)] * 2) * 1e-3, rel=1e-15)
+    path.write_bytes(data[:-1])
+    with pytest.raises(DataError, match="cut off"):
+        as_read(path)
 
 
 def test_units_of_files_count(tmp_path):
