@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.special import chdtrc
 
 from dashpot.data.conditioning.regression import check_length, duration, solve_harmonics, window
 from dashpot.data.conditioning.settings import USUAL_DRIFT, Conditioning, Drift
@@ -12,6 +13,7 @@ from dashpot.data.record import Record
 from dashpot.errors import DataError
 
 FEW_PERIODS = 2.0  # below which the peak of a periodogram is as wide as the frequency is high
+CONTRADICTED = 1e-3  # level of the test whether the channels agree on the frequency
 
 
 @dataclass(frozen=True)
@@ -94,7 +96,8 @@ def frequency_step(record: Record, f: float, degree: int) -> tuple[float, float]
     """Gauss-Newton step of the frequency and its standard deviation, Hz.
 
     With the columns s cos, s sin (s = (t − centre)/half) added, a frequency error δ shows as their coefficients
-    κ (b, −a), κ = 2π half δ, of a signal a cos + b sin.
+    κ (b, −a), κ = 2π half δ, of a signal a cos + b sin.  The deviation is that of white noise, unless the channels
+    contradict each other by more: they share one drive, and what each finds beside it is a transient of its own.
     """
     _, half = window(record.time)
     free = len(record.time) - degree - 5
@@ -107,8 +110,15 @@ def frequency_step(record: Record, f: float, degree: int) -> tuple[float, float]
     weight = np.where(size > 0, 1 / np.maximum(variance, np.where(floor > 0, floor, 1.0)), 0.0)
     g = np.stack([b, -a], axis=1)
     inside = np.linalg.solve(solution.P[-2:, -2:], g)
-    information = float(np.sum(weight * np.sum(g * inside, axis=1)))
+    each = weight * np.sum(g * inside, axis=1)
+    information = float(np.sum(each))
     if information <= 0:
         return 0.0, np.inf
-    kappa = float(np.sum(weight * np.sum(ramp * inside, axis=1))) / information
-    return kappa / (2 * np.pi * half), float(1 / (2 * np.pi * half * np.sqrt(information)))
+    by_channel = weight * np.sum(ramp * inside, axis=1)
+    kappa = float(np.sum(by_channel)) / information
+    telling = each > 0
+    apart = float(np.sum((by_channel[telling] - each[telling] * kappa) ** 2 / each[telling]))
+    others = int(np.sum(telling)) - 1
+    contradicted = others > 0 and float(chdtrc(others, apart)) < CONTRADICTED
+    widened = np.sqrt(apart / others) if contradicted else 1.0
+    return kappa / (2 * np.pi * half), float(widened / (2 * np.pi * half * np.sqrt(information)))

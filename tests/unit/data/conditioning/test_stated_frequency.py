@@ -13,6 +13,7 @@ from dashpot.data.conditioning.stated_frequency import drive_frequencies, moves_
 from dashpot.data.record import Record
 from dashpot.errors import DataError
 from tests import rigs
+from tests.unit.data.conditioning.signals import X1, U
 
 RIG = rigs.paper_rig()
 CHANNELS = rigs.channels(RIG, (Quantity.DISPLACEMENT,))
@@ -91,3 +92,16 @@ def test_frequencies_that_are_right_are_left_alone() -> None:
     """60 tests of 25 dwells, p < 1e-3 each: at most one false alarm with a probability of 0.998."""
     alarms = sum(drive_frequencies(dwells(100 + k)).kind != "stated" for k in range(60))
     assert alarms <= 1
+
+
+def test_a_transient_of_one_channel_is_no_frequency_of_the_drive() -> None:
+    """A free motion near the drive turns one channel's phase; the drive itself, and the others, do not move."""
+    rng = np.random.default_rng(3)
+    time = np.arange(400) / 200
+    records = []
+    for f in (4.6, 5.0, 5.4):
+        drive = np.sin(2 * np.pi * f * time)
+        free = 0.5 * np.exp(-0.8 * time) * np.cos(2 * np.pi * 5.2 * time)
+        values = np.stack([3 * drive + free, drive], axis=-1) + 0.002 * rng.normal(size=(400, 2))
+        records.append(Record((X1, U), time, values, f))
+    assert drive_frequencies(records).frequency_hz == (4.6, 5.0, 5.4)
