@@ -215,9 +215,14 @@ def _amplitude(question: Question, channels: tuple[Channel, ...], notes: list[st
     if question.amplitude is not None:
         return question.amplitude
     floors = [c.name for c in channels if c.noise > 0]
-    if question.limits.given or not floors:
+    if question.limits.given or not (floors or len(question.model.nonlinear)):
         return 1.0
     measured = None if question.after is None else amplitude_from(question.model, question.after)
+    if measured is None and len(question.model.nonlinear):
+        raise UsageError(
+            "the motion of a rig with nonlinear elements depends on the size of its drive",
+            cure="state the drive's amplitude or the shaker's limits",
+        )
     whence = "is assumed" if measured is None else "is the median of the data's"
     size = 1.0 if measured is None else measured
     unit = "/".join(dict.fromkeys(drive_units(question.model).values()))

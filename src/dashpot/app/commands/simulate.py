@@ -113,6 +113,8 @@ def command(
     values_si = parameter_values(rig_read, merged(values, "--set"))
     require_values(rig_read, values_si)
     drive = input_amplitudes(model, amplitudes)
+    if frequencies is not None:
+        _require_drive(rig_read, drive)
 
     import numpy as np
 
@@ -218,6 +220,19 @@ def _write_dwells(
         write_amplitudes(study.simulate_spectrum(model, p, channels, test, rng, drift=1), out)
     else:
         write_records(study.simulate_records(model, p, channels, test, rng), out)
+
+
+def _require_drive(rig: Rig, drive: Mapping[str, complex]) -> None:
+    """Raises UsageError where an input of a nonlinear rig has no amplitude: its motion is not proportional to it."""
+    from dashpot.errors import UsageError
+
+    missing = [given.name for given in rig.model.inputs if given.name not in drive]
+    if len(rig.model.nonlinear) and missing:
+        raise UsageError(
+            "the motion of a rig with nonlinear elements depends on the size of its drive",
+            rig.path,
+            f"add --amplitude {missing[0]}=1mm or whatever drives it",
+        )
 
 
 def require_values(rig: Rig, values: Mapping[str, float]) -> None:
