@@ -9,16 +9,18 @@ import numpy as np
 from dashpot.check.branches import several_motions
 from dashpot.check.curvature import with_profile_intervals
 from dashpot.check.diagnosis.causes import causes
+from dashpot.check.diagnosis.directed import directed_causes
 from dashpot.check.diagnosis.search import Workbench
 from dashpot.check.diagnosis.steady_lines import carries_transients, steady_lines
 from dashpot.check.diagnosis.wording import finding
 from dashpot.check.verdict import assess
 from dashpot.data.spectrum import Spectrum
-from dashpot.estimate.assessment import Finding
+from dashpot.estimate.assessment import Assessment, Finding
 from dashpot.estimate.likelihood.starting_values import candidates
 from dashpot.estimate.preparation.prepared import prepare
 from dashpot.estimate.result import Estimate
 from dashpot.model.network import Model
+from dashpot.notices import Notice
 
 LARGEST = 12  # coordinates of the rigs that are diagnosed: trials of larger ones take too long to wait for
 SHOWN = 2.0  # χ² per degree of freedom of whole records below which their steady part shows no misfit
@@ -62,6 +64,8 @@ def examined(model: Model, spectrum: Spectrum, estimate: Estimate, *, seed: int 
     linear = not len(model.nonlinear)  # the remedies are tried on linear rigs
     if linear and (assessment.verdict == "does not fit" or not bool(estimate.converged)):
         assessment = replace(assessment, findings=diagnose(model, spectrum, estimate, seed=seed))
+    if assessment.verdict == "fits":
+        assessment = _looked_at_closely(model, spectrum, estimate, assessment)
     if not linear:
         estimate = replace(
             estimate, warnings=(*estimate.warnings, *several_motions(model, spectrum, estimate))
@@ -69,3 +73,17 @@ def examined(model: Model, spectrum: Spectrum, estimate: Estimate, *, seed: int 
     if assessment.verdict != "does not fit":
         estimate = with_profile_intervals(model, spectrum, estimate)
     return replace(estimate, assessment=assessment)
+
+
+def _looked_at_closely(
+    model: Model, spectrum: Spectrum, estimate: Estimate, assessment: Assessment
+) -> Assessment:
+    """The assessment of a fit, which is none where a gain, a delay or an element is off beyond doubt."""
+    findings = tuple(
+        finding(model, spectrum.channels, cause) for cause in directed_causes(model, spectrum, estimate)
+    )
+    if not findings:
+        return assessment
+    text = f"{findings[0].text}, too little for χ² to show and more than noise explains"
+    reasons = (Notice("directed", text, findings[0].of), *assessment.reasons)
+    return replace(assessment, verdict="does not fit", reasons=reasons, findings=findings)

@@ -6,8 +6,9 @@ Many suppositions are judged by one evaluation of the likelihood, each by itself
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
+from types import MappingProxyType
 
 import numpy as np
 
@@ -28,20 +29,26 @@ class Promise:
 
 
 def promises(
-    view: ObservationModel, data: Measured, psi: Real, sign: Real, added: Collection[str], apart: float
-) -> list[Promise]:
+    view: ObservationModel, data: Measured, psi: Real, sign: Real, added: Collection[str], apart: float,
+    together: Mapping[str, Collection[str]] = MappingProxyType({}),
+) -> list[Promise]:  # fmt: skip
     """What each of the unknowns `added` promises at ψ (M,), the best fit of the others.
 
-    Left out is what the others can do as well: where less than `apart` of its column is its own.
+    Left out is what the others can do as well: where less than `apart` of its column is its own.  Each name of
+    `together` is one more unknown, by which some of the added move alike.
     """
     with np.errstate(all="ignore"):
         at = local(view, data, psi[None], sign[None])
     information, score = at.symmetric[0], at.gradient[0]
     if not (np.all(np.isfinite(information)) and np.all(np.isfinite(score))):
         return []
+    names = (*view.names, *together)
+    alike = [[float(name in members) for name in view.names] for members in together.values()]
+    moves = np.concatenate([np.eye(len(psi)), np.reshape(alike, (-1, len(psi)))])
+    information, score = moves @ information @ moves.T, moves @ score
     scale = np.sqrt(np.maximum(np.diag(information), 1e-300))
     information, score = information / np.outer(scale, scale), score / scale
-    fixed = [j for j, name in enumerate(view.names) if name in added]
+    fixed = [j for j, name in enumerate(names) if name in added or name in together]
     free = [j for j in range(len(psi)) if j not in set(fixed)]
     inverse = np.linalg.pinv(information[np.ix_(free, free)], rcond=1e-12)
     listed = []
@@ -51,5 +58,5 @@ def promises(
         if left > apart**2:
             push = score[j] - cross @ inverse @ score[free]
             step = float(push / left / scale[j])
-            listed.append(Promise(view.names[j], float(push**2 / left), float(at.cost[0]), step))
+            listed.append(Promise(names[j], float(push**2 / left), float(at.cost[0]), step))
     return listed

@@ -101,7 +101,8 @@ def _other_unit(channel: Channel, number: float) -> tuple[Channel, str]:
             scale = units.scale(unit, channel.quantity.value, unit in ("deg", "rad", "rpm"))
         except DashpotError:
             continue
-        if number > 0 and abs(scale * number / channel.scale - 1) < CLOSE:
+        another = abs(scale / channel.scale - 1) > 2 * CLOSE
+        if another and number > 0 and abs(scale * number / channel.scale - 1) < CLOSE:
             stated = channel.unit if channel.unit else units.si_unit(channel.quantity.value)
             return replace(channel, unit=unit, scale=scale), f"{text}: {unit}, not {stated}?"
     gain = (1.0 if channel.gain is None else channel.gain) * number

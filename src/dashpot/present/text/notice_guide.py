@@ -51,6 +51,12 @@ _ALL: tuple[tuple[str, str, str, str], ...] = (
         "Look at them in the report; a delay gives a phase that grows with frequency, a missing mode a bump.",
     ),
     (
+        "directed", _VERDICT,
+        ("One thing, the gain or delay of a channel or an element between two points, is off by more than noise "
+        "explains (score test, p < 0.002 for all together), though χ², which spreads it over all data, passes."),
+        "Small as it is, it may move parameters by several standard deviations: check that channel or joint.",
+    ),
+    (
         "standing_out", _VERDICT,
         ("A line of a whole record is further off than noise of the size of the other lines would ever be. The noise "
         "is read from the residuals, so their mean size cannot test the fit; a single line can."),
