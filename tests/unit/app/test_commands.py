@@ -201,6 +201,16 @@ def test_help_names_all_commands_and_imports_none(dashpot: Command) -> None:
     assert all(name in done.stdout for name in COMMANDS)
 
 
+def test_identification_loads_nothing_that_only_others_need() -> None:
+    code = (
+        "import sys, dashpot.data.readers, dashpot.estimate.automatic, dashpot.check.diagnosis.diagnose;"
+        "heavy = {'scipy.interpolate', 'scipy.optimize', 'scipy.stats', 'pandas', 'matplotlib'};"
+        "print(sorted(heavy & set(sys.modules)))"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"
+
+
 @pytest.mark.parametrize("name", list(COMMANDS))
 def test_every_command_has_help(dashpot: Command, name: str) -> None:
     done = dashpot(name, "--help")

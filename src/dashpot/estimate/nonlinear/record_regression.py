@@ -10,7 +10,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.interpolate import CubicSpline
 
 from dashpot.arrays import Ints, Real
 from dashpot.errors import DataError
@@ -48,6 +47,8 @@ class WeakForm:
 
 def weak_form(model: Model, step_s: float, x: Real, u: Real, f: Real) -> WeakForm:
     """x (samples, n), u (samples, r) m and the force inputs f (samples, s) N of one record."""
+    from scipy.interpolate import CubicSpline  # with it comes all of scipy.optimize
+
     d = x @ model.B.T + u @ model.D.T
     time = step_s * np.arange(len(x))
     rate = CubicSpline(time, d, axis=0)(time, 1)

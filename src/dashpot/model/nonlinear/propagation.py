@@ -9,7 +9,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.interpolate import CubicSpline
 
 from dashpot.arrays import Real
 from dashpot.errors import ModelError
@@ -36,6 +35,8 @@ class Forcing:
 
 def forcing(step_s: float, inputs: Real) -> Forcing:
     """Cubic splines through the samples (samples, r + s) of the inputs, `step_s` apart."""
+    from scipy.interpolate import CubicSpline  # with it comes all of scipy.optimize
+
     time = np.arange(len(inputs), dtype=float)
     spline = CubicSpline(time, inputs, axis=0)
     return Forcing(step_s, np.moveaxis(np.asarray(spline.c)[::-1], 0, 1))
