@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.special import fdtrc
 
-from dashpot.arrays import Bools, Complex, Real
+from dashpot.arrays import Bools, Complex, Ints, Real
 from dashpot.data.spectrum import Spectrum
 from dashpot.data.stretch import WholeRecord
 from dashpot.io.words import joined
@@ -104,7 +104,7 @@ def _p_values(X: Complex, inputs: Bools) -> list[Real]:
         return []
     starts = np.arange(0, len(X) - each + 1, each)
     values = []
-    for start in starts[:: -(-len(starts) // BINS) if len(starts) else 1].tolist():
+    for start in _most_driven(X[:, inputs], starts).tolist():
         part = X[start : start + each]
         run = np.linspace(-1, 1, each)[:, None]
         transient = np.concatenate([np.ones((each, 1)), run], axis=1)
@@ -115,6 +115,18 @@ def _p_values(X: Complex, inputs: Bools) -> list[Real]:
             F = np.where(left > 0, (without - left) / more / (left / free), np.inf)
         values.append(fdtrc(2 * more, 2 * free, F))
     return values
+
+
+def _most_driven(inputs: Complex, starts: Ints) -> Ints:
+    """The starts of those BINS bins in which the inputs are strongest; inputs (lines, inputs).
+
+    A few tones in a long record are in few of its bins, and the others tell nothing of them.
+    """
+    if len(starts) <= BINS:
+        return starts
+    power = np.abs(inputs) ** 2
+    total = np.sum(power / np.maximum(np.mean(power, axis=0), np.finfo(float).tiny), axis=1)
+    return starts[np.sort(np.argsort(np.add.reduceat(total, starts))[-BINS:])]
 
 
 def _left(columns: Complex, Y: Complex) -> Real:
