@@ -5,10 +5,13 @@ from __future__ import annotations
 import json
 import os
 import signal
+import subprocess
 import sys
 import time
 from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import replace
+from importlib import import_module
 from multiprocessing import active_children
 from pathlib import Path
 from types import ModuleType
@@ -28,6 +31,7 @@ from dashpot.study.simulate import dwells, simulate_spectrum
 from tests.unit.app.conftest import RIG, VALUES, Command
 
 COUNT = 8
+PATIENCE_S = 200  # for programs to start on a busy machine
 
 
 @pytest.fixture
@@ -185,6 +189,57 @@ def test_a_cluster_gives_the_same_bits_and_survives_a_killed_worker(dashpot: Com
 
     with cluster_mapping("local", 2) as mapper:
         assert sorted(mapper(squared, ((k, str(data)) for k in range(12)))) == [k**2 for k in range(12)]
+    assert (data / "killed").exists()
+
+
+@contextmanager
+def scheduler_with_workers(folder: Path, workers: int) -> Iterator[str]:
+    """Address of a scheduler of Dask with that many workers, processes as one starts them by hand."""
+    quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
+    env = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}  # tasks of this module must be found
+    told, dask = folder / "scheduler.json", [sys.executable, "-m", "dask"]
+    here = [
+        *dask,
+        "scheduler",
+        "--host",
+        "127.0.0.1",
+        "--port",
+        "0",
+        "--no-dashboard",
+        "--scheduler-file",
+        str(told),
+    ]
+    started = [subprocess.Popen(here, env=env, **quiet)]
+    try:
+        while not told.exists():
+            assert started[0].poll() is None
+            time.sleep(0.1)
+        address = json.loads(told.read_text(encoding="utf-8"))["address"]
+        worker = [*dask, "worker", address, "--nthreads", "1", "--no-dashboard", "--no-nanny"]
+        worker += ["--local-directory", str(folder / "scratch")]
+        started += [subprocess.Popen(worker, env=env, **quiet) for _ in range(workers)]
+        with import_module("distributed").Client(address, timeout=PATIENCE_S) as client:
+            client.wait_for_workers(workers, timeout=PATIENCE_S)
+        yield address
+    finally:
+        for process in started[::-1]:
+            process.kill()
+            process.wait()
+
+
+@pytest.mark.long
+def test_a_scheduler_elsewhere_gives_the_same_bits(dashpot: Command, data: Path, tmp_path: Path) -> None:
+    pytest.importorskip("distributed")
+    assert dashpot("fleet", "rig.toml", "data/*.csv", "--out", "a.parquet", "-q").code == 0
+    from dashpot.app.cluster import cluster_mapping
+
+    with scheduler_with_workers(tmp_path, 2) as address:
+        assert address.startswith("tcp://")
+        ran = dashpot("fleet", "rig.toml", "data/*.csv", "--out", "b.parquet", "-q", "--dask", address)
+        assert ran.code == 0, ran.err
+        assert (data / "a.parquet").read_bytes() == (data / "b.parquet").read_bytes()
+        with cluster_mapping(address) as mapper:  # one of the two workers ends, and is not started again
+            assert sorted(mapper(squared, ((k, str(data)) for k in range(12)))) == [k**2 for k in range(12)]
     assert (data / "killed").exists()
 
 
