@@ -26,7 +26,7 @@ from dashpot.model.elements import Element
 from dashpot.model.network import Model
 from dashpot.model.observation import measures_input
 
-LEVEL = 2e-3  # of all directions together: two clean tests in a thousand
+LEVEL = 1e-3  # of all directions together: one clean test in a thousand
 APART = 0.03  # part of a column that the rig's own unknowns must leave
 LARGEST = 12  # coordinates
 MOST_AMPLITUDES = 20_000

@@ -53,7 +53,7 @@ _ALL: tuple[tuple[str, str, str, str], ...] = (
     (
         "directed", _VERDICT,
         ("One thing, the gain or delay of a channel or an element between two points, is off by more than noise "
-        "explains (score test, p < 0.002 for all together), though χ², which spreads it over all data, passes."),
+        "explains (score test, p < 0.001 for all together), though χ², which spreads it over all data, passes."),
         "Small as it is, it may move parameters by several standard deviations: check that channel or joint.",
     ),
     (

@@ -78,7 +78,7 @@ def test_a_spring_that_is_missing_is_found() -> None:
 
 
 def test_clean_data_raise_no_alarm() -> None:
-    """Two in a thousand by design: more than two of sixty have a chance of 3e-4."""
+    """One in a thousand by design: more than two of sixty have a chance of 4e-5."""
     alarms = 0
     for seed in range(60):
         spectrum = clean(1000 + seed, 0.01, 0.01)
