@@ -24,6 +24,7 @@ from dashpot.data.conditioning.steady_state import settled, without_start
 from dashpot.data.record import Record
 from dashpot.data.spectrum import Spectrum
 from dashpot.errors import DataError
+from dashpot.io.words import counted
 from dashpot.notices import Notice
 
 PIECES = 8  # of the recording, each with a lag of its own
@@ -111,7 +112,7 @@ def joined_sensors(
         return ClockedRecords(tuple(parts), (0.0,) * len(parts)), [Notice("own_times", text, (source,))]
     notes = []
     if common < shortest:
-        text = f"{source}: {shortest - common} samples that not all sensors have are left out"
+        text = f"{source}: {counted(shortest - common, 'sample')} left out that not all sensors have"
         notes.append(Notice("samples_not_shared", text, (source,)))
     values = np.concatenate(
         [sensor.values[at[shared]] for sensor, at in zip(sensors, nearest, strict=True)], axis=-1

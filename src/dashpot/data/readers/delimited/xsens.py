@@ -22,7 +22,7 @@ from dashpot.data.readers.delimited.table import Table
 from dashpot.data.readers.sampling import TIME
 from dashpot.data.record import Record
 from dashpot.errors import DataError
-from dashpot.io.words import shown
+from dashpot.io.words import counted, shown
 from dashpot.notices import Notice
 
 COUNTER, CLOCK = "PacketCounter", "SampleTimeFine"
@@ -74,7 +74,7 @@ def read_xsens(
             "give files of one recording, made by sensors that were synchronised before it",
         )
     if len(common) < shortest:
-        text = f"{source}: {shortest - len(common)} samples that not all sensors have are left out"
+        text = f"{source}: {counted(shortest - len(common), 'sample')} left out that not all sensors have"
         notes.append(Notice("samples_not_shared", text, (source,)))
     values = np.stack([x[np.searchsorted(clock, common)] for clock, x in sensors], axis=-1)
     time = (common - common[0]) * 1e-6
