@@ -18,7 +18,7 @@ from dashpot.data.stretch import SettledDwell, WholeRecord
 from dashpot.errors import DashpotError, DataError
 from dashpot.estimate.likelihood.maximum_likelihood import MaximumLikelihood
 from dashpot.estimate.likelihood.objective import local, measured, nuisance_columns, predict
-from dashpot.estimate.likelihood.record_noise import with_record_noise
+from dashpot.estimate.likelihood.record_noise import noise_is_sought, with_record_noise
 from dashpot.estimate.preparation.prepared import Prepared, prepare
 from dashpot.model.network import Model
 from dashpot.model.observation import calibrated_transfer
@@ -35,7 +35,7 @@ def with_settling_decided(model: Model, spectrum: Spectrum) -> Spectrum:
     """
     whole = spectrum.unsettled
     if whole is None:
-        return spectrum
+        return _with_needed_slopes(model, spectrum)
     as_settled = replace(spectrum, unsettled=None)
     if spectrum.batch or len(model.nonlinear):
         return as_settled
@@ -85,18 +85,35 @@ class _Fit:
 
 
 def _test(model: Model, as_settled: Spectrum, whole: Spectrum) -> tuple[Spectrum, float]:
-    """The dwells as whole records, with the noise of their residuals, and the p-value of there being no transient.
+    """The dwells as whole records, with the noise of their residuals, and the p-value of there being no transient."""
+    known, fit, method = _slopes_decided(model, whole)
+    psi, sign = _solved(_from(method, fit), prepare(model, as_settled, states=False))
+    steady = prepare(model, _beyond_steady_motion(model, known, psi, sign), states=False)
+    return known, fit.beside(_Fit.at(steady, psi, sign))
 
-    Slopes of the sensors, which short transients look like, are among the columns only where loads do not explain them.
+
+def _with_needed_slopes(model: Model, spectrum: Spectrum) -> Spectrum:
+    """Dwells used whole with the noise of their residuals, and columns for slopes of the sensors only if needed."""
+    sloping = any(value.ramp for value in _dwells(spectrum))
+    if not sloping or spectrum.batch or len(model.nonlinear) or not noise_is_sought(spectrum):
+        return spectrum
+    try:
+        return _slopes_decided(model, spectrum)[0]
+    except (DashpotError, np.linalg.LinAlgError):
+        return spectrum
+
+
+def _slopes_decided(model: Model, whole: Spectrum) -> tuple[Spectrum, _Fit, MaximumLikelihood]:
+    """As `_with_noise`; slopes, which short transients look like, have columns only where loads do not explain them.
+
+    Not needed, they make the intervals of dwells of one period three times as wide.
     """
     known, fit, method = _with_noise(model, _changed(whole, ramp=False))
     if any(value.ramp for value in _dwells(whole)):
         sloping = _fitted(_from(method, fit), prepare(model, _changed(known, ramp=True), states=False))
         if sloping.beside(fit) < SLOPE_LEVEL:
-            known, fit, method = _with_noise(model, whole)
-    psi, sign = _solved(_from(method, fit), prepare(model, as_settled, states=False))
-    steady = prepare(model, _beyond_steady_motion(model, known, psi, sign), states=False)
-    return known, fit.beside(_Fit.at(steady, psi, sign))
+            return _with_noise(model, whole)
+    return known, fit, method
 
 
 def _with_noise(model: Model, whole: Spectrum) -> tuple[Spectrum, _Fit, MaximumLikelihood]:
