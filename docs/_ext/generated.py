@@ -104,7 +104,7 @@ def _table(head: str, rows: list[tuple[str, str]]) -> list[str]:
 
 def notices() -> str:
     """A section for each place where notices arise: code, what it says, what to do."""
-    from dashpot.present.text.notice_guide import GUIDE
+    from dashpot.present.text.explained import GUIDE
 
     lines = []
     for place in dict.fromkeys(entry.place for entry in GUIDE.values()):

@@ -191,9 +191,9 @@ def __getattr__(name: str) -> object:
         return version("dashpot")
     if name not in _HOME:
         raise AttributeError(f"module 'dashpot' has no attribute {name!r}")
-    found = getattr(import_module(f"dashpot.{_HOME[name]}"), name)
-    globals()[name] = found
-    return found
+    attribute = getattr(import_module(f"dashpot.{_HOME[name]}"), name)
+    globals()[name] = attribute
+    return attribute
 
 
 def __dir__() -> list[str]:

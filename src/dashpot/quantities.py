@@ -79,8 +79,8 @@ def quantity(text: str, kind: str, angular: bool = False) -> float:
 def frequency(text: str, unit: str | None = None) -> float:
     """A frequency in Hz; `unit` is what a bare number is in (None: Hz).  Raises UsageError."""
     try:
-        found = amount(text)
-        value = Amount(found.number, found.unit or unit).si("frequency")
+        given = amount(text)
+        value = Amount(given.number, given.unit or unit).si("frequency")
     except UsageError:
         if re.fullmatch(_NUMBER, text.strip()):
             raise  # a number, but out of range
@@ -115,15 +115,15 @@ def frequencies(text: str) -> tuple[float, ...]:
     "1:10/25log" evenly on a logarithmic scale.  A unit behind the last number of a part holds for the whole part.
     Raises UsageError.
     """
-    found: list[float] = []
+    listed: list[float] = []
     for part in text.split(","):
-        found.extend(_frequencies_of_part(part))
-        if len(found) > MOST_FREQUENCIES:
+        listed.extend(_frequencies_of_part(part))
+        if len(listed) > MOST_FREQUENCIES:
             raise UsageError(
                 f"{part.strip()!r} makes more than {MOST_FREQUENCIES:,} frequencies",
                 cure="take a larger step",
             )
-    return tuple(found)
+    return tuple(listed)
 
 
 def _frequencies_of_part(part: str) -> list[float]:

@@ -22,7 +22,7 @@ class InNotebooks:
         return cast(str, call("html", self))
 
 
-class Printed(InNotebooks):
+class Printable(InNotebooks):
     """A result that prints as its command does, and can be drawn."""
 
     def __str__(self) -> str:

@@ -162,10 +162,10 @@ def sensitivity(text: str, unit: str, quantity: str, angular: bool = False) -> f
 
 
 def _quantity(quantity: str, angular: bool) -> _Quantity:
-    found = _QUANTITIES.get((quantity, angular)) or _QUANTITIES.get((quantity, False))
-    if found is None:
+    known = _QUANTITIES.get((quantity, angular)) or _QUANTITIES.get((quantity, False))
+    if known is None:
         raise UsageError(f"{_quoted(quantity)} is not a quantity", cure=f"there are {', '.join(QUANTITIES)}")
-    return found
+    return known
 
 
 def _described(quantity: str, angular: bool) -> str:
@@ -310,9 +310,9 @@ def _times(dimension: Dimension, other: Dimension, power: int) -> Dimension:
 
 def _symbol(text: str, quantity: str) -> tuple[float, Dimension]:
     text = text.replace("μ", "µ")
-    found = _meaning_of(text, quantity)
-    if found is not None:
-        return found
+    meaning = _meaning_of(text, quantity)
+    if meaning is not None:
+        return meaning
     raise _UnreadableError(f"{_quoted(text)} is not known", _suggestion(text, quantity))
 
 

@@ -46,7 +46,7 @@ def read_data(
 
     Second moments of the samples are kept where one of the methods named by `moments_for` needs them and the files
     hold samples; unsettled dwells are cut to what has settled where one of them knows no transients.  `part` is the
-    share of every record's samples that is used, from where to where; `with_dwells` keeps the samples, for pictures.
+    share of every record's samples that is used, from where to where; `with_dwells` keeps them, for pictures.
     Raises DataError.
     """
     from dashpot.app.nonlinear_records import usual_orders
@@ -71,14 +71,12 @@ def read_data(
     if part != (0.0, 1.0):
         reading = _part_of(reading, part)
     with progress("amplitudes", quiet):
-        spectrum = reading.spectrum(conditioning)
-        spectrum = with_settling_decided(rig.model, spectrum)
+        spectrum = with_settling_decided(rig.model, reading.spectrum(conditioning))
     if options.get("record_band") is not None and not spectrum.records:
-        raise UsageError(
-            "--band chooses frequencies of whole records, and these data hold dwells", cure="leave it out"
-        )
+        cause = "--band chooses frequencies of whole records, and these data hold dwells"
+        raise UsageError(cause, cure="leave it out")
     tell_notes(spectrum.notes, quiet)
-    dwells: tuple[UsedDwell, ...] = ()
+    dwells = tuple[UsedDwell, ...]()
     if with_dwells:
         from dashpot.data.conditioning.used_dwells import used_dwells
 

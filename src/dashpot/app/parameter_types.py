@@ -68,9 +68,9 @@ def _not_negative(kind: str) -> Callable[[str], float]:
 
 
 def _positive_amount(text: str) -> Amount:
-    found = quantities.amount(text)
-    quantities.positive(found.number, text)
-    return found
+    given = quantities.amount(text)
+    quantities.positive(given.number, text)
+    return given
 
 
 def _positive_share(text: str) -> float:
@@ -92,10 +92,10 @@ def _part(text: str) -> float:
 
 
 def _number(text: str) -> float:
-    found = quantities.amount(text)
-    if found.unit is not None:
+    given = quantities.amount(text)
+    if given.unit is not None:
         raise UsageError(f"{text.strip()!r} is not a plain number", cure="write it without a unit")
-    return quantities.positive(found.number, text)
+    return quantities.positive(given.number, text)
 
 
 def _level(text: str) -> float:

@@ -75,8 +75,8 @@ def validate(model: Model, estimate: Estimate, spectrum: Spectrum) -> tuple[Reco
     psi, sign = of_channels(view, theta, calibrations_of(model, estimate))
     outputs = ~view.inputs_alone
     V, known = _weights(spectrum, outputs)
-    one = replace(spectrum, amplitudes=spectrum.amplitudes[None], covariance=V[None], moments=None)
-    data = measured(Prepared(view, one, V[None], None, True, np.ones(1, dtype=bool)))
+    single = replace(spectrum, amplitudes=spectrum.amplitudes[None], covariance=V[None], moments=None)
+    data = measured(Prepared(view, single, V[None], None, True, np.ones(1, dtype=bool)))
     if data.q is None:
         raise DataError(
             "the channels do not show every input, so that nothing can be predicted",

@@ -228,8 +228,6 @@ def concatenate(spectra: Sequence[Spectrum]) -> Spectrum:
     def joined(name: str) -> np.ndarray:
         return np.concatenate([getattr(spectrum, name) for spectrum in spectra])
 
-    undecided = any(spectrum.unsettled is not None for spectrum in spectra)
-
     return Spectrum(
         channels,
         joined("frequency_hz"),
@@ -242,8 +240,15 @@ def concatenate(spectra: Sequence[Spectrum]) -> Spectrum:
         _moments(spectra, [channel.name for channel in channels], batch),
         tuple(dict.fromkeys(note for spectrum in spectra for note in spectrum.notes)),
         *joined_stretches([(spectrum.stretch, spectrum.stretches) for spectrum in spectra]),
-        concatenate([spectrum.unsettled or spectrum for spectrum in spectra]) if undecided else None,
+        _unsettled(spectra),
     )
+
+
+def _unsettled(spectra: Sequence[Spectrum]) -> Spectrum | None:
+    """The same lines with dwells of which it is not decided as whole records; None where there are none."""
+    if all(spectrum.unsettled is None for spectrum in spectra):
+        return None
+    return concatenate([spectrum.unsettled or spectrum for spectrum in spectra])
 
 
 def _channels_of_all(spectra: Sequence[Spectrum]) -> tuple[Channel, ...]:

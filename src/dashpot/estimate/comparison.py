@@ -15,11 +15,11 @@ from dashpot.estimate.modal.identify_modal import NAME, identify_modal
 from dashpot.estimate.result import FORMAT, Estimate
 from dashpot.io.json_document import from_json, to_json
 from dashpot.model.network import Model
-from dashpot.shorthand import Printed
+from dashpot.shorthand import Printable
 
 
 @dataclass(frozen=True)
-class Comparison(Printed):
+class Comparison(Printable):
     """Estimates by the name of the method, in the order asked for, and why others gave none.
 
     names, units: the unknowns of the rig; truth: their true values, as far as known; most_likely: the estimates that

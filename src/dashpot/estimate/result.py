@@ -19,7 +19,7 @@ from dashpot.io.json_document import from_json, to_json
 from dashpot.io.ledger import noted
 from dashpot.io.words import shown
 from dashpot.notices import Notice
-from dashpot.shorthand import Printed, call
+from dashpot.shorthand import Printable, call
 
 if TYPE_CHECKING:
     from dashpot.export.state_space import StateSpace
@@ -96,7 +96,7 @@ class Fit:
 
 
 @dataclass(frozen=True)
-class Estimate(Printed):
+class Estimate(Printable):
     """Values of the unknowns with their full covariance; every array may have leading batch axes.
 
     names, units        of the unknowns, in order; gains and delays that were estimated follow as channel.gain …
@@ -208,10 +208,10 @@ class Estimate(Printed):
 
     def parameters(self) -> dict[str, Value]:
         """All parameters of the rig by name: unknown, tied and known."""
-        found = {value.name: value for value in self}
-        everything = dict(found)
+        by_name = {value.name: value for value in self}
+        everything = dict(by_name)
         for name, root, times, unit in self.tied:
-            v = found[root]
+            v = by_name[root]
             ends = sorted(times * end for end in v.interval95)
             everything[name] = Value(
                 name, times * v.value, abs(times) * v.sd, (ends[0], ends[1]), abs(times) * v.bound_sd, unit

@@ -59,8 +59,8 @@ def exported_parameters(rig: IdentifiedRig) -> list[ExportedParameter]:
     for k, (element, constant) in enumerate(model.constants):
         name, value = f"{element.name}.{constant.name}", float(constants[k])
         sd = float(np.abs(slope[k]) @ sd_theta)
-        found = of_unknowns.get(name)
-        interval = _interval(value, sd) if found is None else found.interval95
+        estimated = of_unknowns.get(name)
+        interval = _interval(value, sd) if estimated is None else estimated.interval95
         unit = model.constant_unit(element, constant)
         rows.append(
             ExportedParameter(name, "constant", value, sd, interval, unit, not constant.unknown, element.name)

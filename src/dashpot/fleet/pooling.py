@@ -108,8 +108,8 @@ def _spread(y: Real, s: Real) -> tuple[float, tuple[float, float]]:
     coarse = np.concatenate([[0.0], np.geomspace(1e-4, most, 60)])
     best = int(np.argmax(restricted_likelihood(y, s, coarse)))
     low, high = coarse[max(best - 1, 0)], coarse[min(best + 1, len(coarse) - 1)]
-    found = minimize_scalar(cost, bounds=(low, high), method="bounded", options={"xatol": 1e-9})
-    tau = 0.0 if cost(0.0) <= float(found.fun) else float(found.x)
+    minimum = minimize_scalar(cost, bounds=(low, high), method="bounded", options={"xatol": 1e-9})
+    tau = 0.0 if cost(0.0) <= float(minimum.fun) else float(minimum.x)
     fall = 0.5 * float(chdtri(1, 0.05))
     return tau, (_end(y, s, tau, fall, 0.0), _end(y, s, tau, fall, most))
 

@@ -274,7 +274,7 @@ def _make(folder: Path) -> None:
     """Make the folder, or see that nothing else lies in it.  Raises UsageError."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        strangers = [
+        foreign = [
             path for path in folder.iterdir() if path.suffix != ".parquet" and not path.name.startswith(".")
         ]
     except OSError as error:
@@ -283,9 +283,9 @@ def _make(folder: Path) -> None:
             str(folder),
             "name another file for the result",
         ) from None
-    if strangers:
+    if foreign:
         raise UsageError(
-            f"the folder for finished blocks holds {strangers[0].name}",
+            f"the folder for finished blocks holds {foreign[0].name}",
             str(folder),
             "name another file for the result",
         )

@@ -331,11 +331,11 @@ def calibrated_transfer(view: ObservationModel, psi: Real, sign: Real) -> Channe
 
 
 def _calibrated_reduced(view: ObservationModel, rig: Reduced, psi: Real, sign: Real) -> ChannelTransfer:
-    found = rig.transfer(view, psi[..., : view.m])
+    plain = rig.transfer(view, psi[..., : view.m])
     if not (view.gains or view.delays) and np.all(sign == 1):
-        return found
+        return plain
     kappa = calibration_factors(view, psi, sign)[..., None]
-    return found.calibrated(kappa, psi)
+    return plain.calibrated(kappa, psi)
 
 
 def small(model: Model) -> bool:

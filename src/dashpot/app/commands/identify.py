@@ -94,31 +94,28 @@ def command(
         return _of_modes(of_modes, json_out, level, strict, quiet)
     with failure_reported(report, rig):
         rig_read = _rig(rig, chosen, positive, matrices)
-        estimate, spectrum = None, None
-        dwells: tuple[UsedDwell, ...] = ()
+        estimate, spectrum, dwells = None, None, tuple[UsedDwell, ...]()
         if len(rig_read.model.nonlinear):
             from dashpot.app.nonlinear_records import whole_record_estimate
 
             estimate = whole_record_estimate(rig_read, data, conditioning, chosen, quiet)
-        records, used = True, (0.0, 1.0 if hold_out is None else 1.0 - hold_out)
+        records, used = True, (0.0, 1.0 - (hold_out or 0.0))
         if estimate is None:
             from dashpot.app.data_files import read_data
             from dashpot.estimate.automatic import suited_method
 
             measured = read_data(
-                rig_read, data, conditioning, quiet, moments_for=[chosen], part=used,
-                with_dwells=report is not None,
+                rig_read, data, conditioning, quiet, moments_for=[chosen], part=used, with_dwells=report is not None,
             )  # fmt: skip
-            named = None if chosen == "auto" else chosen
-            method = suited_method(named, rig_read.model, measured.spectrum, seed=seed, positive=positive)
-            estimate, spectrum = _estimated(rig, rig_read, measured.spectrum, method, chosen, seed, quiet)
-            records, dwells = measured.records, measured.dwells
+            lines, records, dwells = measured.spectrum, measured.records, measured.dwells
+            wanted = None if chosen == "auto" else chosen
+            method = suited_method(wanted, rig_read.model, lines, seed=seed, positive=positive)
+            estimate, spectrum = _estimated(rig, rig_read, lines, method, chosen, seed, quiet)
     held = () if hold_out is None else _held_out(rig_read, estimate, data, conditioning, used[1])
     if report is not None:
         _write_report(report, rig_read, spectrum, estimate, level, held, records, dwells)
     write_result(json_out, estimate.to_json())
-    if apply is not None:
-        _apply(rig_read, estimate, apply)
+    _apply(rig_read, estimate, apply)
     if not quiet and json_out != STDOUT:
         _show(rig_read, estimate, level, matrices, records, held)
     return _ending(estimate, strict)
@@ -229,8 +226,10 @@ def _explained(
     return type(error)([*error.problems, Problem(f"a likely cause: {best.text}", cure=best.change)])
 
 
-def _apply(rig: Rig, estimate: Estimate, path: str) -> None:
-    """Write the rig file with the first finding's remedy taken."""
+def _apply(rig: Rig, estimate: Estimate, path: str | None) -> None:
+    """Write the rig file with the first finding's remedy taken, if to a path."""
+    if path is None:
+        return
     from dataclasses import replace
 
     from dashpot.errors import UsageError

@@ -247,19 +247,19 @@ def _dwells(bench: Workbench, base: Trial, pool: Sequence[Real]) -> list[Cause]:
         if lines > 3
     ]
     outcomes = bench.refitted(trials, pool)
-    found = [_of_outcome(outcome) for outcome in outcomes]
+    causes_found = [_of_outcome(outcome) for outcome in outcomes]
     if outcomes:
         best = min(outcomes, key=lambda outcome: outcome.reduced)
         # Outcomes hold arrays, so they are told apart by what they are, not by comparison.
         line = sorted(worst.tolist())[next(i for i, outcome in enumerate(outcomes) if outcome is best)]
         number, left = bench.other_frequency(best.psi, base, line)
         if left < RELABELLED * base.y.shape[1] * 2:
-            found.append(Cause("frequency", best.trial.of, best.reduced, number))
-    return found
+            causes_found.append(Cause("frequency", best.trial.of, best.reduced, number))
+    return causes_found
 
 
 def _points(element: Element, model: Model) -> tuple[str, ...]:
-    if element.name in {own.name for own in model.elements}:
+    if element.name in {existing.name for existing in model.elements}:
         return (element.name,)
     points = tuple(element.along)
     return points if len(points) > 1 else (*points, "ground")
@@ -268,11 +268,11 @@ def _points(element: Element, model: Model) -> tuple[str, ...]:
 def _rates(bench: Workbench, base: Trial, seed: int) -> list[Cause]:
     """All frequencies times one factor: rad/s for Hz, a time base that is twice too fast."""
     spectrum = bench.data.spectrum
-    found = []
+    relabelled = []
     for rate in RATES:
         shifted = replace(spectrum, frequency_hz=spectrum.frequency_hz * rate)
         view = observation_model(bench.data.model, spectrum.channels, shifted.omega)
         data = replace(bench.data, view=view, spectrum=shifted, states=None)
         outcome = Workbench(data, bench.psi, bench.sign).searched([base], seed)[0]
-        found.append(Cause("frequency", (), outcome.reduced, rate))
-    return found
+        relabelled.append(Cause("frequency", (), outcome.reduced, rate))
+    return relabelled

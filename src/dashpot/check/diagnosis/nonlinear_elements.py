@@ -264,6 +264,6 @@ def fitted_in_full(
     values = dict(zip(names, best[: len(names)].tolist(), strict=True))
     law = candidate.element.force_law
     constants = [replace(c, value=values[f"{element.name}.{c.name}"]) for c in law.constants]
-    found = replace(candidate.element, force_law=law.with_constants(constants))
+    fitted_element = replace(candidate.element, force_law=law.with_constants(constants))
     fall = max(chi2 - least, 0.0)
-    return replace(candidate, element=found, fall=fall, chi2=chi2, value=values[element.name])
+    return replace(candidate, element=fitted_element, fall=fall, chi2=chi2, value=values[element.name])

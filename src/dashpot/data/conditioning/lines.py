@@ -90,11 +90,7 @@ def _may_repeat(settings: Conditioning) -> bool:
 
 def _of_dwells(dwells: Sequence[Record], settings: Conditioning) -> Spectrum:
     """The lines of dwells, treated as all of them together ask for: what was driven, frequency, settling, drift."""
-    notes: list[Notice] = []
-    if settings.refine != "none":
-        evened = [with_even_stamps(record) for record in dwells]
-        dwells = [record for record, _ in evened]
-        notes += [note for _, note in evened if note is not None]
+    dwells, notes = _evened(dwells, settings)
     uncut, of_stamps = dwells, list(notes)
     if settings.transients == "settle" and settings.settle == "none" and _unsettled(dwells):
         settings = settings.changed(settle="auto")
@@ -124,6 +120,14 @@ def _of_dwells(dwells: Sequence[Record], settings: Conditioning) -> Spectrum:
     ):
         notes += taken_as_settled(dwells)
     return replace(lines, notes=(*notes, *lines.notes), unsettled=_as_unsettled(dwells, settings))
+
+
+def _evened(dwells: Sequence[Record], settings: Conditioning) -> tuple[Sequence[Record], list[Notice]]:
+    """The dwells on even stamps where those are even but for rounding, and notes; as they are with "none"."""
+    if settings.refine == "none":
+        return dwells, []
+    evened = [with_even_stamps(record) for record in dwells]
+    return [record for record, _ in evened], [note for _, note in evened if note is not None]
 
 
 def _as_unsettled(dwells: Sequence[Record], settings: Conditioning) -> Spectrum | None:

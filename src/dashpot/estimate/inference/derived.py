@@ -62,9 +62,9 @@ def mode_values(model: Model, theta: Real, covariance: Real) -> ModeValues:
     NaN where a standard deviation is lost in the rounding of terms that are far larger.
     theta (m,), covariance (m, m).
     """
-    found = modes(model, model.parameters(theta))
-    slope = found.sensitivity @ model.T
-    values = found.eigenvalues
+    of_rig = modes(model, model.parameters(theta))
+    slope = of_rig.sensitivity @ model.T
+    values = of_rig.eigenvalues
     size = np.abs(values)[:, None]
     size = np.where(size > 0, size, 1.0)
     grow = (values.conj()[:, None] * slope).real / size
@@ -76,4 +76,6 @@ def mode_values(model: Model, theta: Real, covariance: Real) -> ModeValues:
     terms = ((reach @ np.abs(covariance)) * reach).sum(axis=-1)
     lost = (variance <= LOST * terms) & (terms > 0)
     frequency_sd, damping_sd = np.sqrt(np.where(lost, np.nan, np.maximum(variance, 0.0)))
-    return ModeValues(values, found.frequency_hz, found.damping_ratio, frequency_sd, damping_sd, found.shapes)
+    return ModeValues(
+        values, of_rig.frequency_hz, of_rig.damping_ratio, frequency_sd, damping_sd, of_rig.shapes
+    )

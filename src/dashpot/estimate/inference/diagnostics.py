@@ -79,8 +79,8 @@ def prior_conflict(model: Model, theta: Real, noise_covariance: Real) -> list[No
     notices = []
     for j in np.flatnonzero(model.prior_precision):
         stated, variance = 1 / model.prior_precision[j], noise_covariance[j, j]
-        own = max(stated - variance, (1 - MOST_TOLD) * stated)
-        apart = abs(theta[j] - model.prior_mean[j]) / np.sqrt(own)
+        spread = max(stated - variance, (1 - MOST_TOLD) * stated)
+        apart = abs(theta[j] - model.prior_mean[j]) / np.sqrt(spread)
         if not apart > APART:
             continue
         alone = (theta[j] - model.prior_mean[j] * variance / stated) / (1 - min(variance / stated, MOST_TOLD))
@@ -145,8 +145,8 @@ def _of_fit(fit: Fit) -> list[Notice]:
 
 def _beyond_bounds(model: Model, theta: Real) -> list[Notice]:
     lower, upper = model.bounds
-    own = theta[: len(lower)]
-    names = [model.unknowns[j].name for j in np.flatnonzero((own < lower) | (own > upper))]
+    values = theta[: len(lower)]
+    names = [model.unknowns[j].name for j in np.flatnonzero((values < lower) | (values > upper))]
     return [
         Notice(
             "beyond_bound", f"{name} lies beyond its bounds; of all methods only ml keeps to them", (name,)

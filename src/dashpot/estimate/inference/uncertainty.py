@@ -95,15 +95,15 @@ def inference(data: Prepared, solution: Solution, method: Method) -> Inference:
     """
     best = most_likely(data, solution, method.traits)
     linearised = linearise(data, best, method.traits)
-    found = uncertainty(data, best, linearised, method.traits)
+    worth = uncertainty(data, best, linearised, method.traits)
     if method.traits.maximum_likelihood:
         # What runs off to infinity takes steps below its deviations, too, and is nowhere near a minimum.
-        least = np.maximum(found.chi2 / max(linearised.dof, 1), 1.0 if data.noise_known else 0.0)
-        solution = replace(solution, converged=solution.converged & (found.above <= UNSETTLED * least))
+        least = np.maximum(worth.chi2 / max(linearised.dof, 1), 1.0 if data.noise_known else 0.0)
+        solution = replace(solution, converged=solution.converged & (worth.above <= UNSETTLED * least))
     if len(solution.theta) == 1 and data.noise_known and best is not solution:
-        warnings = (*solution.warnings, *bias(linearised.names, solution, best, found.covariance, method))
+        warnings = (*solution.warnings, *bias(linearised.names, solution, best, worth.covariance, method))
         solution = replace(solution, warnings=warnings)
-    return Inference(solution, linearised, found)
+    return Inference(solution, linearised, worth)
 
 
 def with_noise_of_residuals(data: Prepared, method: Method) -> Prepared:

@@ -160,17 +160,17 @@ def _predict_records(
     free = without_inputs(columns)
     of_ends = projector(ends, root @ free)
     residual = data.y - np.einsum("...cq,...q->...c", G, driven)
-    found = of_ends.coefficients(root @ residual[..., None])[..., 0]
-    residual = residual - np.einsum("...cz,...z->...c", free, found)
+    loads = of_ends.coefficients(root @ residual[..., None])[..., 0]
+    residual = residual - np.einsum("...cz,...z->...c", free, loads)
     n = ends.n
-    load = found[..., :n] + ends.s[:, None] * found[..., n : 2 * n]
-    q = driven + np.einsum("lqp,...lp->...lq", ends.by_input, found[..., 2 * n :])
+    load = loads[..., :n] + ends.s[:, None] * loads[..., n : 2 * n]
+    q = driven + np.einsum("lqp,...lp->...lq", ends.by_input, loads[..., 2 * n :])
     if half is not None:
-        q = q - np.einsum("...cq,...cz,...z->...q", np.conj(half), columns, found)
+        q = q - np.einsum("...cq,...cz,...z->...q", np.conj(half), columns, loads)
     motion = np.concatenate([q, load], axis=-1)
     J = without_inputs(rig.slopes(motion))
     J = J - free @ of_ends.coefficients(root @ J)
-    at_ends = np.einsum("...cz,...z->...c", columns, found)
+    at_ends = np.einsum("...cz,...z->...c", columns, loads)
     prediction = _prediction(data, residual, J, data.W @ J, q, int(of_ends.rank[0]))
     return replace(prediction, at_ends=at_ends)
 

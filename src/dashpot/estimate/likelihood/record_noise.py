@@ -58,15 +58,17 @@ def with_record_noise(model: Model, spectrum: Spectrum, method: Method) -> tuple
     """
     if not noise_is_sought(spectrum) or not isinstance(method, MaximumLikelihood):
         return spectrum, method
-    found = [noise_from_residuals(model, repeat, method) for repeat in in_chunks(flattened(spectrum), 1)]
-    repeats = [each[0] for each in found]
+    each_repeat = [
+        noise_from_residuals(model, repeat, method) for repeat in in_chunks(flattened(spectrum), 1)
+    ]
+    repeats = [each[0] for each in each_repeat]
     V = np.concatenate([repeat.covariance for repeat in repeats])
     dof = np.min([repeat.dof for repeat in repeats], axis=0)
     covariance = V.reshape(*spectrum.batch, *V.shape[1:])
     known = replace(spectrum, covariance=covariance, noise=repeats[0].noise, dof=dof)
     if spectrum.batch:
         return known, method
-    _, psi, sign = found[0]
+    _, psi, sign = each_repeat[0]
     return known, replace(method, start=tuple(psi[0].tolist()), start_sign=tuple(sign[0].tolist()))
 
 

@@ -72,8 +72,8 @@ def _equation_noise(model: Model, p: Real, data: States) -> tuple[Complex, Compl
     spread = data.covariance @ hermitian(H)
     Se = H @ spread
     # Channels that are exact beside noisy ones would make Se singular: a floor far below the noise keeps it regular.
-    own = np.diagonal(Se, axis1=-2, axis2=-1).real
-    floor = SINGULAR * np.where(own > 0, own, np.max(own, axis=-1, keepdims=True))
+    variance = np.diagonal(Se, axis1=-2, axis2=-1).real
+    floor = SINGULAR * np.where(variance > 0, variance, np.max(variance, axis=-1, keepdims=True))
     return H, spread, Se + floor[..., None] * np.eye(model.n)
 
 

@@ -149,12 +149,12 @@ def search(
     equation = compiled_equation(model, states)
     if equation is None:
         evaluate = objective(model, states, repeats)
-        found = minimise(
+        minimum = minimise(
             evaluate, start[repeats], limit=limit, tolerance=tolerance, lower=-reach, upper=reach
         )
     else:
-        found = compiled_search(equation, start[repeats], repeats, limit, tolerance, -reach, reach)
-    return replace(found, converged=found.converged & np.all(np.abs(found.x) < reach, axis=-1))
+        minimum = compiled_search(equation, start[repeats], repeats, limit, tolerance, -reach, reach)
+    return replace(minimum, converged=minimum.converged & np.all(np.abs(minimum.x) < reach, axis=-1))
 
 
 def objective(model: Model, states: States, repeats: Ints) -> Callable[[Real, Ints], QuadraticModel]:

@@ -313,8 +313,8 @@ def noise_sums(model: Model, data: States, Se: Complex) -> tuple[Real, Real]:
     reading = model.factors(data.omega)[:, :, None] * np.concatenate([model.B, model.D], axis=1)
     meeting = model.B @ solve_small(Se, np.broadcast_to(np.eye(model.n, dtype=complex), Se.shape))
     spread = reading @ data.covariance[..., :q, :]
-    own = np.conj(spread[..., :q] @ hermitian(reading))
-    pairs = 2 * np.sum(((meeting @ model.B.T) * own).real, axis=-3)
+    crossed = np.conj(spread[..., :q] @ hermitian(reading))
+    pairs = 2 * np.sum(((meeting @ model.B.T) * crossed).real, axis=-3)
     forces = 2 * np.sum(((meeting @ model.S) * np.conj(spread[..., q:])).real, axis=(-1, -3))
     return model.T.T @ pairs @ model.T, (forces - pairs @ model.p0) @ model.T
 

@@ -110,13 +110,13 @@ def _channels_for(
     chosen = []
     for k in sorted({0, *(element.law.power for element in view.model.elements)}):
         tries = [derivative == k, derivative == 2 - k] if k != 1 else [derivative == 1]
-        found = next((t for t in tries if not unseen(view, spectrum, drive | t)), None)
-        if found is None:
+        chosen_channels = next((t for t in tries if not unseen(view, spectrum, drive | t)), None)
+        if chosen_channels is None:
             if spectrum.moments is not None and k != 1:
-                found = (derivative == 0) | (derivative == 2)
-            if found is None or unseen(view, spectrum, drive | found):
-                found = derivative >= 0
-        chosen.append((k, found))
+                chosen_channels = (derivative == 0) | (derivative == 2)
+            if chosen_channels is None or unseen(view, spectrum, drive | chosen_channels):
+                chosen_channels = derivative >= 0
+        chosen.append((k, chosen_channels))
     return chosen
 
 

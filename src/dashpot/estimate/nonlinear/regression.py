@@ -97,14 +97,14 @@ def scale_of_lines(motion: MeasuredMotion) -> Real:
 def regression(motion: MeasuredMotion, constants: Real, weight: Real) -> tuple[Real, Real]:
     """(parameters (K, unknown elements), relative residual (K,)) of weighted least squares at given constants."""
     model = motion.model
-    own = np.any(model.T, axis=0)
+    strengths = np.any(model.T, axis=0)
     a = motion.unit_forces(constants)
-    Phi = regressors_of(model, a)[..., own]
+    Phi = regressors_of(model, a)[..., strengths]
     h = known_side(model, a, motion.f)
     rows = Phi.shape[-3] * Phi.shape[-2]
     scaled = (Phi * weight[:, None, None]).reshape(len(Phi), rows, -1)
     left = hermitian(scaled)
-    N = (left @ Phi.reshape(len(Phi), rows, -1)).real + np.diag(1e-18 * model.prior_precision[own])
+    N = (left @ Phi.reshape(len(Phi), rows, -1)).real + np.diag(1e-18 * model.prior_precision[strengths])
     right = (left @ h.reshape(len(Phi), rows, 1)).real[..., 0]
     p = solve_scaled(N, right)
     e = h - np.einsum("klnu,ku->kln", Phi, p)

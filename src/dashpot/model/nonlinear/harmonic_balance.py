@@ -204,10 +204,10 @@ def _by_constants(model: Model, at: Periodic, along: Real) -> Complex:
     """∂a/∂g dg of the nonlinear elements at fixed motion, (N, H + 1, e, Q)."""
     N, e, W = at.delta.shape
     real = np.zeros((N, e, W, along.shape[1]))
-    for row, (index, own) in enumerate(zip(model.nonlinear, model.constant_slices, strict=True)):
+    for row, (index, inner) in enumerate(zip(model.nonlinear, model.constant_slices, strict=True)):
         del index
-        if own.stop > own.start:
-            real[:, row] = np.einsum("nwg,gq->nwq", at.forces.by_constant[row], along[own])
+        if inner.stop > inner.start:
+            real[:, row] = np.einsum("nwg,gq->nwq", at.forces.by_constant[row], along[inner])
     return complex_rows(real)
 
 

@@ -25,16 +25,16 @@ def mirrored(model: Model, theta: Real) -> Real | None:
     """
     image = theta.copy()
     constants, slope = model.inner_constants(theta), model.constants_map[0]
-    for index, own in zip(model.nonlinear, model.constant_slices, strict=True):
+    for index, inner in zip(model.nonlinear, model.constant_slices, strict=True):
         law = model.elements[int(index)].force_law
         assert law is not None
-        turned = _turned(law, constants[own])
+        turned = _turned(law, constants[inner])
         if turned is None:
             return None
         strength, flips = turned
         columns = [
             (np.flatnonzero(model.T[index]), strength),
-            *((np.flatnonzero(row), sign) for row, sign in zip(slope[own], flips, strict=True)),
+            *((np.flatnonzero(row), sign) for row, sign in zip(slope[inner], flips, strict=True)),
         ]
         for column, sign in columns:
             if sign < 0 and (len(column) != 1 or model.prior_precision[column[0]] > 0):

@@ -60,17 +60,19 @@ def hover_cells(
 
 def interactive_svg(figure: Figure) -> str:
     """The SVG element of a figure, with a description of the axes whose values can be told, if there are any."""
-    told = [(axes, axes._dashpot_hover) for axes in figure.axes if hasattr(axes, "_dashpot_hover")]
+    hovering = [(axes, axes._dashpot_hover) for axes in figure.axes if hasattr(axes, "_dashpot_hover")]
     series = []
-    for number, (axes, _) in enumerate(told):
+    for number, (axes, _) in enumerate(hovering):
         axes.set_gid(f"panel-{number}")
         series.append(_series(axes, f"panel-{number}"))
         for place, note in enumerate(axes.texts):
             note.set_gid(f"panel-{number}-note-{place}")
     text = svg(figure)  # lays the axes out: only then their place and limits stand
-    if not told:
+    if not hovering:
         return text
-    panels = [_panel(figure, axes, shown, own) for (axes, shown), own in zip(told, series, strict=True)]
+    panels = [
+        _panel(figure, axes, shown, lines) for (axes, shown), lines in zip(hovering, series, strict=True)
+    ]
     content = escape(json.dumps(panels, ensure_ascii=False, separators=(",", ":")), quote=True)
     return text.replace("<svg ", f'<svg data-panels="{content}" ', 1)
 

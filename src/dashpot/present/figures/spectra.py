@@ -36,8 +36,8 @@ def frequency_axis(axes: Axes, f: Real) -> None:
 
 def degrees(values: Complex) -> Real:
     """Phases in degrees, (−180, 180]."""
-    found: Real = np.degrees(np.angle(values))
-    return found
+    phase: Real = np.degrees(np.angle(values))
+    return phase
 
 
 def amplitude_and_phase(

@@ -221,16 +221,16 @@ def profiles_block(model: Model, spectrum: Spectrum, estimate: Estimate, level: 
     differing = []
     for name in estimate.names:
         try:
-            found = profile(model, spectrum, name, level, estimate)
+            profiled = profile(model, spectrum, name, level, estimate)
         except DashpotError:
             return None  # nothing is said of the surface of such a rig
-        if bool(found.misleads):
-            differing.append(found)
+        if bool(profiled.misleads):
+            differing.append(profiled)
     return _drawn(differing) if differing else None
 
 
 def _drawn(profiles: Sequence[Profile]) -> Block:
-    names = joined([found.name for found in profiles])
+    names = joined([each.name for each in profiles])
     picture = figure_picture(
         profile_figure(profiles), f"Rise of χ² along {names}, beside the parabola of ± sd"
     )
@@ -238,7 +238,7 @@ def _drawn(profiles: Sequence[Profile]) -> Block:
     return Block(
         "Profiles that differ",
         texts,
-        items=tuple(profile_in_words(found) for found in profiles),
+        items=tuple(profile_in_words(each) for each in profiles),
         pictures=(picture,),
     )
 

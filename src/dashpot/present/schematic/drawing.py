@@ -82,23 +82,23 @@ def schematic(
     `doubtful` names parameters that are marked as such.  Of more than MOST_ELEMENTS elements only the kinds and names
     are drawn.  Raises UsageError where there are too many bodies for a drawing.
     """
-    found = connections(model, channels)
-    if len(found.bodies) > MOST_BODIES:
+    parts = connections(model, channels)
+    if len(parts.bodies) > MOST_BODIES:
         raise UsageError(
-            f"{len(found.bodies)} bodies are too many for a drawing (at most {MOST_BODIES})",
+            f"{len(parts.bodies)} bodies are too many for a drawing (at most {MOST_BODIES})",
             cure="draw a part of the rig",
         )
     small = len(model.elements) <= MOST_ELEMENTS
-    between = [link.item for link in found.links if link.kind == "sensor"]
+    between = [link.item for link in parts.links if link.kind == "sensor"]
     said = labels(model, channels if small else (), estimate, doubtful, between, level, numbers=small)
-    layout = Placer(model, channels, forest(model, found), found.pushes, said).layout()
+    layout = Placer(model, channels, forest(model, parts), parts.pushes, said).layout()
     note = "" if small else f"{len(model.elements)} elements: values are left out."
-    if found.free:
+    if parts.free:
         note = sentence("Entries of matrices are not elements and are not drawn")
     drawn, width, height = framed(
         layout, scene_parts(layout, model, said), model, said, estimate is not None, level, note
     )
-    return Drawing(model.name or "Rig", model, said, found, layout, tuple(drawn), width, height)
+    return Drawing(model.name or "Rig", model, said, parts, layout, tuple(drawn), width, height)
 
 
 def drawing_description(drawing: Drawing) -> str:

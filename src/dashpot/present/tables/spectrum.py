@@ -94,13 +94,13 @@ def record_html(record: Record) -> str:
 def rig_html(rig: Rig) -> str:
     """A rig for a notebook: its elements with what is known of them, and its channels."""
     model = rig.model
-    told = [element for element in model.elements if not element.is_entry]
+    parts = [element for element in model.elements if not element.is_entry]
     elements = [
-        TableColumn("element", tuple(element.name for element in told)),
-        TableColumn("kind", tuple(str(element.kind.value) for element in told)),
-        TableColumn("joins", tuple(_points(element.along) for element in told)),
-        TableColumn("value", tuple(_known(element.value, element.sd) for element in told), "right"),
-        TableColumn("unit", tuple(model.unit(element) for element in told)),
+        TableColumn("element", tuple(element.name for element in parts)),
+        TableColumn("kind", tuple(str(element.kind.value) for element in parts)),
+        TableColumn("joins", tuple(_points(element.along) for element in parts)),
+        TableColumn("value", tuple(_known(element.value, element.sd) for element in parts), "right"),
+        TableColumn("unit", tuple(model.unit(element) for element in parts)),
     ]  # fmt: skip
     channels = [
         TableColumn("channel", tuple(channel.name for channel in rig.channels)),

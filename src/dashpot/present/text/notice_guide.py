@@ -6,27 +6,14 @@ stands here, and nothing else does.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
-from types import MappingProxyType
-
-
-@dataclass(frozen=True)
-class Explained:
-    """place: where such notices arise; meaning and cure in Markdown."""
-
-    place: str
-    meaning: str
-    cure: str
-
-
 _VERDICT = "Reasons of a verdict"
 _ESTIMATE = "Warnings of an estimate"
 _RECORDS = "Notes on records and their conditioning"
 _FILES = "Notes on data files"
 _STUDIES = "Notes on studies"
 
-_ALL: tuple[tuple[str, str, str, str], ...] = (
+# code, place, meaning and cure
+NOTICES: tuple[tuple[str, str, str, str], ...] = (
     # ------------------------------------------------------------ verdict
     (
         "chi2", _VERDICT,
@@ -412,7 +399,3 @@ _ALL: tuple[tuple[str, str, str, str], ...] = (
         "Nothing.",
     ),
 )  # fmt: skip
-
-GUIDE: Mapping[str, Explained] = MappingProxyType(
-    {code: Explained(place, meaning, cure) for code, place, meaning, cure in _ALL}
-)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import ast
 from pathlib import Path
 
-from dashpot.present.text.notice_guide import GUIDE
+from dashpot.present.text.explained import GUIDE
 from dashpot.present.text.notices import RECORD_REMEDIES
 
 SOURCE = Path(__file__).parents[4] / "src" / "dashpot"
