@@ -76,7 +76,7 @@ def read_data(
         cause = "--band chooses frequencies of whole records, and these data hold dwells"
         raise UsageError(cause, cure="leave it out")
     tell_notes(spectrum.notes, quiet)
-    dwells = tuple[UsedDwell, ...]()
+    dwells: tuple[UsedDwell, ...] = ()
     if with_dwells:
         from dashpot.data.conditioning.used_dwells import used_dwells
 

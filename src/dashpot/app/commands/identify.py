@@ -94,7 +94,8 @@ def command(
         return _of_modes(of_modes, json_out, level, strict, quiet)
     with failure_reported(report, rig):
         rig_read = _rig(rig, chosen, positive, matrices)
-        estimate, spectrum, dwells = None, None, tuple[UsedDwell, ...]()
+        estimate, spectrum = None, None
+        dwells: tuple[UsedDwell, ...] = ()
         if len(rig_read.model.nonlinear):
             from dashpot.app.nonlinear_records import whole_record_estimate
 
@@ -112,8 +113,7 @@ def command(
             method = suited_method(wanted, rig_read.model, lines, seed=seed, positive=positive)
             estimate, spectrum = _estimated(rig, rig_read, lines, method, chosen, seed, quiet)
     held = () if hold_out is None else _held_out(rig_read, estimate, data, conditioning, used[1])
-    if report is not None:
-        _write_report(report, rig_read, spectrum, estimate, level, held, records, dwells)
+    _write_report(report, rig_read, spectrum, estimate, level, held, records, dwells)
     write_result(json_out, estimate.to_json())
     _apply(rig_read, estimate, apply)
     if not quiet and json_out != STDOUT:
@@ -122,9 +122,12 @@ def command(
 
 
 def _write_report(
-    path: str, rig: Rig, spectrum: Spectrum | None, estimate: Estimate, level: float,
+    path: str | None, rig: Rig, spectrum: Spectrum | None, estimate: Estimate, level: float,
     held: tuple[RecordPrediction, ...], records: bool, dwells: tuple[UsedDwell, ...],
 ) -> None:  # fmt: skip
+    """Write the report, if to a path."""
+    if path is None:
+        return
     from dashpot.app.report_files import provenance, write_report
     from dashpot.present.pages.report import identification_report
 

@@ -14,7 +14,6 @@ _STUDIES = "Notes on studies"
 
 # code, place, meaning and cure
 NOTICES: tuple[tuple[str, str, str, str], ...] = (
-    # ------------------------------------------------------------ verdict
     (
         "chi2", _VERDICT,
         "The residuals are larger than the noise explains (χ² test, p < 0.01).",
@@ -79,7 +78,6 @@ NOTICES: tuple[tuple[str, str, str, str], ...] = (
         "A channel is below three standard deviations of its noise at most lines; any model would fit it.",
         "Drive more strongly, use a better sensor, or leave the channel out.",
     ),
-    # ------------------------------------------------------------ estimate
     (
         "model_misfit", _ESTIMATE,
         ("The model does not fit; ± and intervals are widened by the ratio of residuals to noise. Widened intervals "
@@ -225,7 +223,6 @@ NOTICES: tuple[tuple[str, str, str, str], ...] = (
         "The stated noise is too large to be taken out; `cls` leaves its bias in.",
         "Check the stated noise; use `oiv` or `ml`.",
     ),
-    # ------------------------------------------------------------ records
     (
         "colour_unresolved", _RECORDS,
         ("The residual of a dwell is not white, but there are too few periods to measure its colour: intervals treat "
@@ -295,7 +292,6 @@ NOTICES: tuple[tuple[str, str, str, str], ...] = (
         "The first periods of a periodic record were left out, as the manifest says.",
         "Nothing.",
     ),
-    # ------------------------------------------------------------ files
     (
         "columns_not_read", _FILES,
         "Columns that the rig file does not list as channels.",
@@ -387,7 +383,6 @@ NOTICES: tuple[tuple[str, str, str, str], ...] = (
         "Short dwells determine their noise poorly, so its estimate also draws on the other dwells.",
         "Nothing; `--noise own` uses each dwell by itself.",
     ),
-    # ------------------------------------------------------------ studies
     (
         "damaged_blocks", _STUDIES,
         "Blocks of a study did not match their checksum or their place and were computed again.",
