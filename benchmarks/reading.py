@@ -45,21 +45,28 @@ NAMES = ("x1", "x2", "u")
 RATE = 1000.0
 COLUMNS = 'columns = { x1 = "channel_1", x2 = "channel_2", u = "channel_3" }'
 PEAK = f"""
-import sys
+import sys, threading, time
 from pathlib import Path
 from dashpot.channel import Channel
 from dashpot.data.readers import read
 
-def memory(word):
+def memory():  # without the pages of a file that is mapped, which the system takes back as it likes
     lines = Path("/proc/self/status").read_text().splitlines()
-    return next(int(line.split()[1]) / 1024 for line in lines if line.startswith(word))
+    return next(int(line.split()[1]) / 1024 for line in lines if line.startswith("RssAnon"))
+
+def watch():
+    while True:
+        peak[0] = max(peak[0], memory())
+        time.sleep(0.005)
 
 channels = tuple(Channel(name, {{name: 1}}) for name in {NAMES})
 read(sys.argv[1], channels)
-before = memory("VmRSS")
+before = memory()
+peak = [before]
+threading.Thread(target=watch, daemon=True).start()
 records = read(sys.argv[2], channels).records
 result = sum(record.values.nbytes + record.time.nbytes for record in records) / 2**20
-print(result, memory("VmHWM") - before - result)
+print(result, peak[0] - before - result)
 """
 
 

@@ -58,7 +58,7 @@ def interrupted_at(shown: bytes, arguments: list[str], folder: Path) -> tuple[in
 
 
 def test_a_check_of_many_coordinates(tmp_path: Path) -> None:
-    (tmp_path / "rig.toml").write_text(chain(120))
+    (tmp_path / "rig.toml").write_text(chain(200))  # which takes several times as long as is waited for
     code, output = interrupted_at(b"0:00:01", ["check", "rig.toml"], tmp_path)
     assert code == 130
     assert b"check" in output
