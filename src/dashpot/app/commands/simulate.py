@@ -90,9 +90,8 @@ NOISE = "Noise"
 @quiet_option
 def command(
     rig: str, out: str, values: Sequence[Mapping[str, Amount]], frequencies: tuple[float, ...] | None,
-    input_file: str | None, estimate: str | None, samples: int, rate: float | None, periods: float,
-    amplitudes: Sequence[Amount | Mapping[str, Amount]],
-    relative_noise: float | None, table: bool, seed: int, quiet: bool,
+    input_file: str | None, estimate: str | None, samples: int, rate: float | None, periods: float, seed: int,
+    amplitudes: Sequence[Amount | Mapping[str, Amount]], relative_noise: float | None, table: bool, quiet: bool,
 ) -> None:  # fmt: skip
     """Write the test data that RIG would yield: stepped sine, or its motion under a record of its inputs.
 
