@@ -8,12 +8,12 @@ import numpy as np
 
 from dashpot.check.branches import several_motions
 from dashpot.check.curvature import with_profile_intervals
-from dashpot.check.diagnosis.causes import causes
+from dashpot.check.diagnosis.causes import Cause, causes
 from dashpot.check.diagnosis.directed import directed_causes
 from dashpot.check.diagnosis.search import Workbench
 from dashpot.check.diagnosis.steady_lines import carries_transients, steady_lines
 from dashpot.check.diagnosis.wording import finding
-from dashpot.check.verdict import assess
+from dashpot.check.verdict import BEYOND, assess
 from dashpot.data.spectrum import Spectrum
 from dashpot.estimate.assessment import Assessment, Finding
 from dashpot.estimate.likelihood.starting_values import candidates
@@ -33,8 +33,9 @@ def diagnose(
 
     `spectrum` has no batch axes.  The estimate, where there is one, is one more start.  Nothing is applied.
     """
-    if model.n > LARGEST:
-        return ()
+    turned = _pushed_backwards(model, spectrum, estimate)
+    if turned or model.n > LARGEST:
+        return turned
     transients = carries_transients(spectrum)
     if transients:
         if not model.inputs:  # a free decay is nothing but a transient
@@ -51,6 +52,19 @@ def diagnose(
     if transients and as_is < SHOWN:
         return ()
     return tuple(finding(model, spectrum.channels, cause) for cause in found)
+
+
+def _pushed_backwards(model: Model, spectrum: Spectrum, estimate: Estimate | None) -> tuple[Finding, ...]:
+    """A force that counts the other way: every part is negative and χ² the same, where forces alone set the scale."""
+    forces = [channel for channel in spectrum.channels if set(channel.of) & set(model.force_inputs)]
+    scaled = any(element.value for element in model.elements) or model.displacement_inputs
+    if estimate is None or scaled or len(forces) != 1:
+        return ()
+    theta, sd = (values[: len(model.unknowns)] for values in (estimate.values, estimate.noise_sd))
+    if not np.all(theta < -BEYOND * sd):
+        return ()
+    turned = Cause("sign", (forces[0].name,), float(estimate.fit.misfit) ** 2, -1.0)
+    return (finding(model, spectrum.channels, turned),)
 
 
 def examined(model: Model, spectrum: Spectrum, estimate: Estimate, *, seed: int = 0) -> Estimate:

@@ -100,7 +100,12 @@ def reversed_phase(model: Model, theta: Real, noise_covariance: Real) -> list[No
     """
     dissipative = {element.name for element in model.elements if element.law.dissipative}
     dampers = [j for j, unknown in enumerate(model.unknowns) if unknown.name in dissipative]
-    if not dampers or np.any(theta[dampers] > -APART * np.sqrt(np.diagonal(noise_covariance)[dampers])):
+    beyond = theta < -APART * np.sqrt(np.diagonal(noise_covariance))
+    if not dampers or not np.all(beyond[dampers]):
+        return []
+    if np.all(beyond) and len(beyond) > len(
+        dampers
+    ):  # masses and springs as well: what drives them counts backwards
         return []
     text = (
         "all unknown dampers are negative: the phases may have the opposite sign; dashpot reads amplitudes as "

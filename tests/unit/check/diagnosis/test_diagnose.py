@@ -5,12 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from dashpot.channel import Quantity
+from dashpot.channel import Channel, Quantity
 from dashpot.check.diagnosis.diagnose import diagnose, examined
 from dashpot.data.spectrum import Spectrum
 from dashpot.estimate.assessment import applied
 from dashpot.estimate.identify import identify
-from dashpot.model.network import Model
+from dashpot.model.elements import Kind, between, mass
+from dashpot.model.network import Input, Model
 from tests import partly_seen, rigs
 from tests.mistakes import MISTAKES
 
@@ -113,6 +114,30 @@ def test_negative_dampers_never_fit_and_the_phases_are_blamed():
     # Amplitudes that were made of samples here count as they should.
     of_samples = replace(other_way, noise=("white",) * other_way.lines, dof=np.full(other_way.lines, 500.0))
     assert all(finding.kind != "conjugate" for finding in diagnose(model, of_samples, estimate))
+
+
+def test_a_force_that_counts_backwards_is_named_though_it_changes_no_chi2():
+    rng = np.random.default_rng(7)
+    model = Model(
+        ("x",), (Input("f", "force", {"x": 1.0}),),
+        (mass("m", "x"), between("c", Kind.DAMPER, "x", "ground"), between("k", Kind.SPRING, "x", "ground")),
+    )  # fmt: skip
+    hz = np.linspace(2.0, 15.0, 14)
+    omega = 2 * np.pi * hz
+    X = (1 / (4000 - 2.0 * omega**2 + 12j * omega))[:, None]
+    Y = np.concatenate([X, -np.ones((14, 1))], axis=-1)
+    sd = 0.01 * np.abs(Y)
+    noise = (rng.normal(size=Y.shape) + 1j * rng.normal(size=Y.shape)) * sd
+    channels = (Channel("x", {"x": 1.0}), Channel("f", {"f": 1.0}, Quantity.FORCE))
+    spectrum = Spectrum(
+        channels, hz, Y + noise, 2 * (sd**2)[:, :, None] * np.eye(2), np.ones(14, dtype=int), np.full(14, np.inf),
+        ("given",) * 14, np.zeros(14, dtype=int),
+    )  # fmt: skip
+    estimate = examined(model, spectrum, identify(model, spectrum))
+    assert estimate.assessment is not None
+    assert estimate.assessment.verdict == "does not fit"
+    assert [(f.kind, f.of) for f in estimate.assessment.findings] == [("sign", ("f",))]
+    assert "reversed_phase" not in {notice.code for notice in estimate.warnings}
 
 
 def test_the_json_carries_verdict_and_diagnosis_and_reads_back():
