@@ -33,9 +33,9 @@ def diagnose(
 
     `spectrum` has no batch axes.  The estimate, where there is one, is one more start.  Nothing is applied.
     """
-    turned = _pushed_backwards(model, spectrum, estimate)
-    if turned or model.n > LARGEST:
-        return turned
+    backwards = _pushed_backwards(model, spectrum, estimate)
+    if backwards or model.n > LARGEST:
+        return backwards
     transients = carries_transients(spectrum)
     if transients:
         if not model.inputs:  # a free decay is nothing but a transient
