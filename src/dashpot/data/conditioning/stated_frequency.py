@@ -30,6 +30,7 @@ MOST_REPEATS = 4
 SIGNIFICANT = 1e-3
 OWN = 3.3  # standard deviations by which a dwell must differ from the common ratio to have a frequency of its own
 LEAST_PERIODS = 0.98  # of a dwell that has a say
+REPEATS_OF_SHORT = 4.0  # of a dwell of less than two periods that have one
 EVEN = 1e-7  # relative: what is nearer is the same frequency, however small the noise
 USUAL = ((2 * np.pi, "rad/s"), (1 / (2 * np.pi), "Hz in the place of rad/s"), (60.0, "per minute"))
 ALIKE = 0.05  # relative
@@ -171,6 +172,9 @@ def _evidence(record: Record) -> tuple[float, float] | None:
         step, sd = frequency_step(record, f, 1)
     except DataError:
         return None
+    if periods_of(record) < FEW_PERIODS:
+        # The step is off by a tenth of its deviation, with the square of the noise: repeats do not average that out.
+        sd *= max(1.0, float(np.sqrt(np.prod(record.values.shape[:-2]) / REPEATS_OF_SHORT)))
     return (step, sd) if np.isfinite(sd) and sd > 0 else None
 
 
