@@ -46,6 +46,7 @@ def test_noise_free_records_give_the_truth(n: int, kind: str, force: bool, movin
     assert np.max(np.abs(estimate.values / theta - 1)) < 5e-4
 
 
+@pytest.mark.long
 def test_a_coordinate_that_is_not_seen() -> None:
     model, theta = chain(4, 0.03, seed=4)
     guessed = replace(

@@ -108,7 +108,7 @@ def test_a_motion_that_starts_on_the_settled_one_stays_on_it(law, tolerance):
     assert np.max(np.abs(motion.state[:, :2] - settled)) < tolerance * np.max(np.abs(settled))
 
 
-@pytest.mark.parametrize("law", ["cubic", "bouc-wen"])
+@pytest.mark.parametrize("law", ["cubic", pytest.param("bouc-wen", marks=pytest.mark.long)])
 def test_slopes_are_differences(law):
     assert law in LAWS
     model, theta = two_masses(law)

@@ -196,7 +196,12 @@ def outcome(path: Path) -> str:
     return said
 
 
-@pytest.mark.parametrize("name", WRITERS)
+DAMAGED = [
+    pytest.param(name, marks=pytest.mark.long) if name == "MDF" else name for name in WRITERS
+]  # asammdf is slow
+
+
+@pytest.mark.parametrize("name", DAMAGED)
 @pytest.mark.filterwarnings("ignore")
 def test_files_cut_off(tmp_path, name):
     suffix, write = WRITERS[name]
@@ -221,7 +226,7 @@ def test_files_cut_off(tmp_path, name):
             same(as_read(path), expected)
 
 
-@pytest.mark.parametrize("name", WRITERS)
+@pytest.mark.parametrize("name", DAMAGED)
 @pytest.mark.filterwarnings("ignore")
 def test_flipped_bytes(tmp_path, name):
     suffix, write = WRITERS[name]
