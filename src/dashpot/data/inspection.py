@@ -17,6 +17,8 @@ from dashpot.data.readers.datafile import open_file
 from dashpot.data.readers.registry import reader_of
 from dashpot.data.readers.sampling import frequency_column, read_time, time_column
 from dashpot.errors import DashpotError, DataError
+from dashpot.io.toml_document import toml_key
+from dashpot.io.words import quoted
 
 MOST_COLUMNS = 64
 MOST_PARTS = 200
@@ -105,19 +107,9 @@ class Inspection:
                     continue
                 seen.add(column.name)
                 quantity = f', quantity = "{column.quantity}"' if column.quantity else ""
-                unit = f', unit = "{column.unit}"' if column.unit else ""
-                key = (
-                    column.name
-                    if column.name.replace("_", "").replace("-", "").isalnum()
-                    else _quoted(column.name)
-                )
-                key = key if key.isascii() else _quoted(column.name)
-                lines.append(f'{key} = {{ of = "?"{quantity}{unit} }}')
+                unit = f", unit = {quoted(column.unit)}" if column.unit else ""
+                lines.append(f'{toml_key(column.name)} = {{ of = "?"{quantity}{unit} }}')
         return "\n".join(lines) + "\n"
-
-
-def _quoted(text: str) -> str:
-    return '"' + text.replace("\\", "\\\\").replace('"', '\\"') + '"'
 
 
 def inspect_file(path: str | os.PathLike[str]) -> Inspection:

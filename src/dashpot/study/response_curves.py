@@ -89,7 +89,7 @@ def backbone_curve(
 ) -> MotionCurve:
     """The free undamped motions that start from a mode (0 the lowest); see `backbone`."""
     path = backbone(model, theta, mode, largest)
-    harmonics = channel_harmonics(model, model.parameters(theta), channels, path.drive, path.motion)
+    harmonics = channel_harmonics(path.rig, path.rig.p0, channels, path.drive, path.motion)
     count = len(path.drive.omega)
     return MotionCurve(
         label, tuple(c.name for c in channels), path.drive.omega / (2 * np.pi), np.zeros(count), swing(harmonics),

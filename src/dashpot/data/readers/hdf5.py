@@ -44,7 +44,7 @@ class Hdf5Reader:
             for name, group in groups:
                 with damaged(file.name, self.format):
                     variables, units = _scalars(group), {}
-                    for key, item in group.items():
+                    for key, item in _named(group):
                         if isinstance(item, h5py.Group) and not key.startswith("#"):
                             groups.append((f"{name}/{key}" if name else key, item))
                         elif isinstance(item, h5py.Dataset):
@@ -65,6 +65,12 @@ class Hdf5Reader:
                 raise DataError(
                     "there are no datasets of numbers", file.name, "save the channels as datasets"
                 )
+
+
+def _named(group: Any) -> Iterator[tuple[str, Any]]:
+    """What a group holds by name; names that are no text, which h5py gives as bytes, as far as they are."""
+    for key, item in group.items():
+        yield key.decode("utf-8", errors="replace") if isinstance(key, bytes) else key, item
 
 
 @contextmanager

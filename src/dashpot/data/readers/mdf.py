@@ -74,12 +74,13 @@ def _group(content: Any, number: int, group: Any) -> tuple[dict[str, Any], dict[
     columns: dict[str, Any] = {}
     units: dict[str, str | None] = {}
     master = content.masters_db.get(number)
-    for index, channel in enumerate(group.channels):
-        if index == master:
-            continue
+    for channel in group.channels:
         end = getattr(channel, "byte_offset", 0) + getattr(channel, "bit_count", 0) // 8
         if end > getattr(group.channel_group, "samples_byte_nr", end):
             raise ValueError(f"channel {channel.name} lies outside its record")  # where asammdf would read on
+    for index, channel in enumerate(group.channels):
+        if index == master:
+            continue
         signal = content.get(group=number, index=index, raw=False)
         samples = np.asarray(signal.samples)
         if samples.ndim == 1 and samples.dtype.kind in "fiub" and len(samples):

@@ -63,7 +63,7 @@ class MaximumLikelihood(Method):
             found, exact, warnings = search_harmonics(likelihood)
             sign = np.ones((likelihood.repeats, len(view.channels)))
             likelihood = replace(likelihood, exact=exact)
-        elif self.start and likelihood.repeats == 1:
+        elif self.start and likelihood.repeats == 1 and len(self.start) == len(view.names):  # of this rig
             sign = np.array([self.start_sign])
             found = likelihood.descend(np.array([self.start]), sign)
         elif data.states is not None and seen_directly(data) and not self.thorough:

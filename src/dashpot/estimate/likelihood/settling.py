@@ -25,7 +25,7 @@ from dashpot.model.observation import calibrated_transfer
 from dashpot.notices import Notice
 
 SLOPE_LEVEL = 1e-3  # of the test for slopes of the sensors beside transients, which are nearly alike
-LEVEL = 0.05  # of the test: loads too many cost precision, loads too few the truth
+LEVEL = 1e-3  # of the test: loads too many cost precision, loads too few the truth
 
 
 def with_settling_decided(model: Model, spectrum: Spectrum) -> Spectrum:

@@ -31,8 +31,10 @@ SETTLED = 1e-10
 
 @dataclass(frozen=True)
 class Backbone:
-    """Free motions from small to large: drive (no input, ω of each) and motion of P points."""
+    """Free motions, small to large, of the `rig` without what dissipates: drive (no input, ω of each) and motion of P
+    points."""
 
+    rig: Model
     drive: Drive
     motion: Periodic
 
@@ -62,7 +64,7 @@ def backbone(model: Model, theta: Real, mode: int, largest: float, *, orders: in
     if not points:
         raise UsageError("the backbone of this mode cannot be followed", cure="give a smaller amplitude")
     drive = joined_drives([solver.still(omega) for _, omega in points])
-    return Backbone(drive, solver.motion(drive, np.array([X for X, _ in points])))
+    return Backbone(free, drive, solver.motion(drive, np.array([X for X, _ in points])))
 
 
 def _undamped(model: Model, theta: Real) -> Model:

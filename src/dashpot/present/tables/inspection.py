@@ -8,6 +8,7 @@ from rich.console import Console
 from rich.text import Text
 
 from dashpot.data.inspection import InspectedColumn, InspectedPart, Inspection
+from dashpot.errors import printable
 from dashpot.present.tables.layout import TableColumn, show_table
 
 BARS = " ▁▂▃▄▅▆▇█"
@@ -24,7 +25,7 @@ def show_inspection(out: Console, inspection: Inspection) -> None:
         show_table(out, part_table(part))
         if part.others:
             shown = ", ".join(part.others[:10]) + (" …" if len(part.others) > 10 else "")
-            out.print(Text(f"  Not numbers, or not shown: {shown}"))
+            out.print(Text(f"  Not numbers, or not shown: {printable(shown)}"))
     if inspection.more:
         out.print(Text(f"  … and {inspection.more} more parts"))
 
@@ -57,8 +58,8 @@ def part_table(part: InspectedPart) -> list[TableColumn]:
     content = "content" if part.rate_hz is None else f"0 to {part.rate_hz / 2:.4g} Hz"
     columns = part.columns
     table = [
-        TableColumn("column", tuple(c.name for c in columns)),
-        TableColumn("unit", tuple(c.unit or "" for c in columns)),
+        TableColumn("column", tuple(printable(c.name) for c in columns)),
+        TableColumn("unit", tuple(printable(c.unit or "") for c in columns)),
         TableColumn("rms", tuple(f"{c.rms:.3g}" for c in columns), "right"),
         TableColumn("least", tuple(f"{c.least:.3g}" for c in columns), "right"),
         TableColumn("greatest", tuple(f"{c.greatest:.3g}" for c in columns), "right"),
