@@ -19,6 +19,9 @@ from dashpot.data.readers.optional import damaged, library
 from dashpot.data.readers.sampling import TIME
 from dashpot.errors import DataError
 
+HEADER = 64  # bytes before the first block
+DEEPEST = 2  # data groups, channel groups, channels
+
 
 @dataclass(frozen=True)
 class MdfReader:
@@ -35,6 +38,7 @@ class MdfReader:
         """The groups that hold numbers.  Raises DataError where the file cannot be read."""
         asammdf = library("asammdf", "mdf", file.name, self.format)
         with damaged(file.name, self.format), _quiet_ends():
+            _refuse_rings(file.contents)
             content = asammdf.MDF(io.BytesIO(file.contents))
         count = 0
         for number, group in enumerate(content.groups):
@@ -46,6 +50,32 @@ class MdfReader:
                 yield array_columns(place, columns, units)
         if not count:
             raise DataError("there are no channels with samples", file.name, "record something")
+
+
+def _refuse_rings(content: bytes) -> None:
+    """Raises ValueError where the blocks of an MDF4 file lead back to themselves: asammdf would walk for ever.
+
+    The header leads to data groups, these to channel groups, these to channels; each to the next of its kind first.
+    """
+    if content[8:9] != b"4":
+        return
+    seen: set[int] = set()
+    ahead = [(position, 0) for position in _links(content, HEADER)[:1]]
+    while ahead:
+        position, depth = ahead.pop()
+        if position in seen:
+            raise ValueError("its blocks lead back to themselves")
+        seen.add(position)
+        links = _links(content, position)
+        ahead += [(link, depth) for link in links[:1] if link]
+        ahead += [(link, depth + 1) for link in links[1:2] if link and depth < DEEPEST]
+
+
+def _links(content: bytes, position: int) -> tuple[int, ...]:
+    """Where the first two links of the block at `position` lead; () beyond the end."""
+    count = int.from_bytes(content[position + 16 : position + 24], "little")
+    at = [position + 24 + 8 * k for k in range(min(count, 2))]
+    return tuple(int.from_bytes(content[k : k + 8], "little") for k in at if k + 8 <= len(content))
 
 
 @contextmanager
