@@ -327,10 +327,8 @@ def _spectrum(
                 "a spectrum has been conditioned already", cure="leave frequency_hz and conditioning out"
             )
         return data
-    usual, traits = (
-        Conditioning() if conditioning is None else conditioning,
-        [each.traits for each in methods],
-    )
+    usual = Conditioning() if conditioning is None else conditioning
+    traits = [method.traits for method in methods]
     if isinstance(data, Record):
         data = (data,)
     if not isinstance(data, Reading | str | os.PathLike):

@@ -63,9 +63,7 @@ def chi2_surface(model: Model, spectrum: Spectrum, estimate: Estimate) -> Surfac
             "the estimate is of other unknowns than the rig and the channels have", cure="identify once more"
         )
     psi = estimate.values.reshape(-1, len(view.names))
-    sign = np.ones((len(psi), len(view.channels)))
-    for name, flips in estimate.signs.items():
-        sign[:, spectrum.index(name)] = flips.ravel()
+    sign = spectrum.signs(estimate.signs, len(psi))
     exact = measured(data)
     if not data.noise_known and np.any(model.prior_precision):
         # Priors weigh against noise of the right size: that which makes χ² its degrees of freedom.

@@ -58,16 +58,14 @@ def bent_unknowns(model: Model, spectrum: Spectrum, estimate: Estimate) -> Bools
     """(unknowns,): whether χ² at ± 2 standard deviations is far from what the covariance says (no batch axes)."""
     data = prepare(model, spectrum)
     stage = Stage(data.view, measured(data))
-    sign = np.ones(len(data.view.channels))
-    for name, turned in estimate.signs.items():
-        sign[spectrum.index(name)] = float(turned)
     sd = estimate.noise_sd
     with np.errstate(all="ignore"):
         away = REACH * estimate.noise_covariance / sd
         points = np.concatenate([estimate.values[None], estimate.values + away.T, estimate.values - away.T])
         # Intervals of estimated noise are wider than the parabola of that noise.
         widened = np.where(estimate.bound_sd > 0, sd / estimate.bound_sd, 1.0)
-        cost = stage.cost(points, np.tile(sign, (len(points), 1)), np.zeros(len(points), dtype=np.int64))
+        sign = spectrum.signs(estimate.signs, len(points))
+        cost = stage.cost(points, sign, np.zeros(len(points), dtype=np.int64))
         scale = 1.0 if data.noise_known else cost[0] / max(estimate.fit.dof, 1)
         root: Real = np.sqrt(np.maximum(cost[1:] - cost[0], 0.0) / scale).reshape(2, -1) / widened
     bent: Bools = ~np.all(np.abs(root / REACH - 1) < BENT, axis=0)

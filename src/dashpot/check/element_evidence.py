@@ -100,9 +100,7 @@ def compare_in_dwells(model: Model, spectrum: Spectrum) -> ElementComparison:
     """From settled dwells.  Raises what `identify` raises, and UsageError where no candidate can be tried."""
     estimate = identify(model, spectrum, "ml")
     data = prepare(model, spectrum)
-    sign = np.ones(len(spectrum.channels))
-    for name, turned in estimate.signs.items():
-        sign[spectrum.index(name)] = float(turned)
+    (sign,) = spectrum.signs(estimate.signs)
     start = softened(data, estimate.values, sign)
     motions = motions_of(data, start)
     scored = scored_in_dwells(data, start, sign, candidate_elements(model, motions, further=True), SOFT)

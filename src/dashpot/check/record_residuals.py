@@ -17,8 +17,8 @@ MAINS_HZ = (50.0, 60.0)
 UNDRIVEN = 0.3  # of an amplitude: what the rig can explain of a tone that nothing drives
 
 
-def standing_out(left: Residuals, spectrum: Spectrum, outputs: Bools) -> list[Notice]:
-    """Outputs with a line that noise of the size of all the others would not show; mains hum apart.
+def standing_out(left: Residuals, spectrum: Spectrum, outputs: Bools, hum: Bools) -> list[Notice]:
+    """Outputs with a line that noise of the size of all the others would not show; `hum` (lines, channels) apart.
 
     Where the mean of n squares scales them, the largest of N exceeds s² with a chance of about N (1 − s²/n)ⁿ⁻¹
     (Fisher 1929).
@@ -27,7 +27,7 @@ def standing_out(left: Residuals, spectrum: Spectrum, outputs: Bools) -> list[No
     if not np.any(told):
         return []
     square = np.where(told[:, None] & outputs, np.nan_to_num(np.abs(left.normalised)) ** 2 / 2, 0.0)
-    square[mains_hum(left, spectrum)] = 0.0
+    square[hum] = 0.0
     square[_slight(left)] = 0.0
     n = np.maximum(spectrum.dof / 2, 2.0)[:, None]
     with np.errstate(divide="ignore"):
@@ -42,13 +42,13 @@ def standing_out(left: Residuals, spectrum: Spectrum, outputs: Bools) -> list[No
     return notices
 
 
-def hum_notices(left: Residuals, spectrum: Spectrum, outputs: Bools) -> list[Notice]:
-    """Outputs that carry the tone of the mains; outputs (channels,)."""
-    hums = mains_hum(left, spectrum) & outputs & (np.abs(np.nan_to_num(left.normalised)) ** 2 / 2 > 16)
-    names = tuple(name for name, hum in zip(left.channels, np.any(hums, axis=0), strict=True) if hum)
+def hum_notices(left: Residuals, outputs: Bools, hum: Bools) -> list[Notice]:
+    """Outputs (channels,) that carry the tone of the mains, `hum` (lines, channels)."""
+    hums = hum & outputs & (np.abs(np.nan_to_num(left.normalised)) ** 2 / 2 > 16)
+    names = tuple(name for name, there in zip(left.channels, np.any(hums, axis=0), strict=True) if there)
     if not names:
         return []
-    at = sorted({_multiple(f) for f in left.frequency_hz[np.any(hums, axis=1)]})
+    at = np.unique(_multiple(left.frequency_hz[np.any(hums, axis=1)]))
     where = joined(f"{f:g}" for f in at)
     carry = "carries" if len(names) == 1 else "carry"
     text = f"{joined(names)} {carry} a tone at {where} Hz that nothing drives: mains hum?"
@@ -60,12 +60,8 @@ def mains_hum(left: Residuals, spectrum: Spectrum) -> Bools:
 
     (lines, channels).
     """
-    near = np.array(
-        [
-            abs(f - _multiple(f)) * getattr(spectrum.stretches[int(k)], "duration_s", 0.0)
-            for f, k in zip(left.frequency_hz, spectrum.stretch, strict=True)
-        ]
-    )
+    duration_s = np.array([getattr(stretch, "duration_s", 0.0) for stretch in spectrum.stretches])
+    near = np.abs(left.frequency_hz - _multiple(left.frequency_hz)) * duration_s[spectrum.stretch]
     whole = np.isin(spectrum.stretch, spectrum.records)
     with np.errstate(invalid="ignore"):
         undriven = np.abs(left.predicted) < UNDRIVEN * np.abs(left.measured)
@@ -73,10 +69,13 @@ def mains_hum(left: Residuals, spectrum: Spectrum) -> Bools:
     return hum
 
 
-def _multiple(frequency_hz: float) -> float:
-    """The multiple of a mains frequency that is nearest."""
-    around: Real = np.array([mains * max(round(frequency_hz / mains), 1) for mains in MAINS_HZ])
-    return float(around[int(np.argmin(np.abs(around - frequency_hz)))])
+def _multiple(frequency_hz: Real) -> Real:
+    """The multiples of a mains frequency that are nearest, (lines,)."""
+    mains = np.array(MAINS_HZ)
+    around = mains * np.maximum(np.round(frequency_hz[:, None] / mains), 1)
+    nearest = np.argmin(np.abs(around - frequency_hz[:, None]), axis=1)
+    multiple: Real = around[np.arange(len(around)), nearest]
+    return multiple
 
 
 def _slight(left: Residuals) -> Bools:

@@ -45,12 +45,12 @@ def assess(model: Model, spectrum: Spectrum, estimate: Estimate) -> Assessment:
         *_rejected(estimate),
         *_silent(model, spectrum),
         *(notice for notice in estimate.warnings if notice.code == DISAGREE),
-        *standing_out(left, spectrum, motions),
+        *standing_out(left, spectrum, motions, tones),
         *_smooth(quiet, motions, least=1.0 if _sized_elsewhere(estimate, spectrum) else 0.5),
     ]
     unheard = [] if spectrum.records else _unheard(left, motions, _fundamentals(spectrum))
     untested = [] if against else _powerless(estimate, spectrum)
-    doubts = [*untested, *hum_notices(left, spectrum, motions), *unheard]
+    doubts = [*untested, *hum_notices(left, motions, tones), *unheard]
     verdict: Judgement = "does not fit" if against else "cannot tell" if doubts else "fits"
     return Assessment(verdict, (*against, *doubts), _relative(left, motions), _worst(left))
 

@@ -5,7 +5,7 @@ Wherever amplitudes come from (records, tables, FRF files, simulation), estimati
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
@@ -200,6 +200,13 @@ class Spectrum(InNotebooks):
             self.notes,
             *selected(self.stretch[i], self.stretches),
         )
+
+    def signs(self, given: Mapping[str, Any], repeats: int = 1) -> Real:
+        """Signs of all channels, (repeats, channels): as `given` by name, one or one a repeat; 1 of the others."""
+        signs = np.ones((repeats, len(self.channels)))
+        for name, sign in given.items():
+            signs[:, self.index(name)] = np.ravel(sign)
+        return signs
 
     def with_channels(self, channels: tuple[Channel, ...]) -> Spectrum:
         """The same numbers under other channel descriptions, one for one."""

@@ -7,15 +7,21 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from dashpot.arrays import Complex
+from dashpot.arrays import Bools, Complex
 from dashpot.channel import Channel
-from dashpot.check.record_residuals import IMPROBABLE, hum_notices, standing_out
+from dashpot.check.record_residuals import IMPROBABLE, hum_notices, mains_hum
+from dashpot.check.record_residuals import standing_out as standing_out_of
 from dashpot.check.residuals import Residuals
 from dashpot.data.spectrum import Spectrum
 from dashpot.data.stretch import WholeRecord
+from dashpot.notices import Notice
 
 LINES, DURATION = 400, 10.0  # so that lines are 0.1 Hz apart
 OUTPUTS = np.array([True, False])
+
+
+def standing_out(left: Residuals, lines: Spectrum, outputs: Bools) -> list[Notice]:
+    return standing_out_of(left, lines, outputs, mains_hum(left, lines))
 
 
 def record(noise: Complex) -> tuple[Residuals, Spectrum]:
@@ -82,7 +88,7 @@ def test_hum_is_named_and_is_no_misfit() -> None:
     measured[line, 0], normalised[line, 0] = 30.0, 20.0
     left = replace(left, frequency_hz=f, measured=measured, normalised=normalised)
     lines = replace(lines, frequency_hz=f, amplitudes=measured)
-    (notice,) = hum_notices(left, lines, OUTPUTS)
+    (notice,) = hum_notices(left, OUTPUTS, mains_hum(left, lines))
     assert notice.of == ("x",)
     assert "50 Hz" in notice.text
     assert standing_out(left, lines, OUTPUTS) == []

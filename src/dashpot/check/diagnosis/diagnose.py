@@ -11,11 +11,12 @@ from dashpot.check.curvature import with_profile_intervals
 from dashpot.check.diagnosis.causes import Cause, causes
 from dashpot.check.diagnosis.directed import directed_causes
 from dashpot.check.diagnosis.search import Workbench
-from dashpot.check.diagnosis.steady_lines import carries_transients, steady_lines
+from dashpot.check.diagnosis.steady_lines import steady_lines
 from dashpot.check.diagnosis.wording import finding
 from dashpot.check.verdict import BEYOND, assess
 from dashpot.data.spectrum import Spectrum
 from dashpot.estimate.assessment import Assessment, Finding
+from dashpot.estimate.likelihood.boundary_loads import carries_loads
 from dashpot.estimate.likelihood.starting_values import candidates
 from dashpot.estimate.preparation.prepared import prepare
 from dashpot.estimate.result import Estimate
@@ -36,7 +37,7 @@ def diagnose(
     backwards = _pushed_backwards(model, spectrum, estimate)
     if backwards or model.n > LARGEST:
         return backwards
-    transients = carries_transients(spectrum)
+    transients = carries_loads(spectrum)
     if transients:
         if not model.inputs:  # a free decay is nothing but a transient
             return ()

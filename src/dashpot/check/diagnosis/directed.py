@@ -54,9 +54,7 @@ def directed_causes(model: Model, spectrum: Spectrum, estimate: Estimate) -> lis
     view = data.view
     known = dict(zip(estimate.names, estimate.values.tolist(), strict=True))
     usual = [known.get(name, 1.0 if name.endswith(".gain") else 0.0) for name in view.names]
-    sign = np.ones(len(channels))
-    for name, turned in estimate.signs.items():
-        sign[spectrum.index(name)] = float(turned)
+    (sign,) = spectrum.signs(estimate.signs)
     added = set(view.names) - known.keys()
     # An input without noise is late where all that it moves is early.
     together = {

@@ -12,8 +12,10 @@ from dataclasses import replace
 import numpy as np
 
 from dashpot.arrays import Complex, Ints, Real
+from dashpot.data.conditioning.whole_record import FLOOR
 from dashpot.data.spectrum import Spectrum
 from dashpot.data.stretch import SettledDwell, WholeRecord
+from dashpot.estimate.likelihood.record_noise import RESIDUAL
 from dashpot.estimate.likelihood.thinning import loudest
 from dashpot.model.network import Model
 from dashpot.model.observation import measures_input
@@ -25,11 +27,6 @@ TONAL = 0.8  # share of the inputs' power above which a record moves at one freq
 SEARCHED = np.linspace(-1.0, 1.0, 81)  # lines on either side of the loudest in which its frequency lies
 LOUD = 0.1  # of the inputs' greatest amplitude: what a window lets through of neighbours drowns quieter lines
 LINES = 90  # of all records that do not move at one frequency
-
-
-def carries_transients(spectrum: Spectrum) -> bool:
-    """Whether some lines are of whole records with boundary loads."""
-    return any(isinstance(stretch, WholeRecord) and stretch.loads for stretch in spectrum.stretches)
 
 
 def steady_lines(model: Model, spectrum: Spectrum) -> Spectrum:
@@ -79,7 +76,7 @@ def _noise(spectrum: Spectrum) -> Real:
     variance = np.diagonal(spectrum.covariance, axis1=-2, axis2=-1).real
     size = np.nanmean(np.abs(spectrum.amplitudes) ** 2, axis=0)
     quietest = np.min(np.where(np.isfinite(variance), variance, np.inf), axis=0)
-    from_fit = np.array([kind in ("residual", "floor") for kind in spectrum.noise])
+    from_fit = np.array([kind in (RESIDUAL, FLOOR) for kind in spectrum.noise])
     told = np.where(from_fit[:, None], np.minimum(variance, quietest), variance)
     least: Real = np.nan_to_num(told) + LEAST**2 * np.nan_to_num(size)
     return least

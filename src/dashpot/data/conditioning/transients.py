@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import cast
 
 import numpy as np
 from scipy.special import chdtrc, chdtri, fdtrc
@@ -193,7 +194,13 @@ def _block(record: Record) -> tuple[int, int] | None:
 
 
 def _first_to_last(record: Record) -> DwellChange | None:
-    """The change of a dwell's amplitudes; None where it has no two blocks to compare."""
+    """The change of a dwell's amplitudes, kept with the record; None where it has no two blocks to compare."""
+    if _first_to_last not in record.kept:
+        record.kept[_first_to_last] = _change(record)
+    return cast("DwellChange | None", record.kept[_first_to_last])
+
+
+def _change(record: Record) -> DwellChange | None:
     block = _block(record)
     if block is None:
         return None

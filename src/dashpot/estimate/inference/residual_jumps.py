@@ -37,10 +37,7 @@ def residual_jumps(data: Prepared, solution: Solution) -> list[Notice]:
     exact = measured(data)
     if exact.ends is None:
         return []
-    sign = np.ones((1, len(spectrum.channels)))
-    for name, of_channel in solution.signs.items():
-        sign[:, spectrum.index(name)] = of_channel
-    residual, _ = record_residuals(exact.record_pieces, solution.theta, sign)
+    residual, _ = record_residuals(exact.record_pieces, solution.theta, spectrum.signs(solution.signs))
     size = np.sqrt(np.diagonal(exact.W[0], axis1=-2, axis2=-1).real)
     found = []
     for number in spectrum.records:

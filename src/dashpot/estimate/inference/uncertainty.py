@@ -143,9 +143,7 @@ def _of_channels(data: Prepared, solution: Solution) -> Linearised:
     view, exact = data.view, measured(data)
     if exact.nonlinear is not None and solution.harmonics is not None:
         exact = replace(exact, nonlinear=exact.nonlinear.with_harmonics(solution.harmonics))
-    sign = np.ones((len(exact.y), len(view.channels)))
-    for name, signs in solution.signs.items():
-        sign[:, data.spectrum.index(name)] = signs
+    sign = data.spectrum.signs(solution.signs, len(exact.y))
     lines = per_line(view, exact, solution.theta, sign)
     rows = exact.rows - nuisance_columns(view, exact, solution.theta, sign)
     precision = prior_precision(view)

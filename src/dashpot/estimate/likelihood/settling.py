@@ -148,11 +148,7 @@ def _changed(whole: Spectrum, *, ramp: bool) -> Spectrum:
 def _solved(method: MaximumLikelihood, data: Prepared) -> tuple[Real, Real]:
     """ψ and the channels' signs at the maximum of the likelihood, (1, …) each."""
     solution = method.solve(data)
-    names = [channel.name for channel in data.spectrum.channels]
-    sign = np.ones((1, len(names)))
-    for name, of_channel in solution.signs.items():
-        sign[:, names.index(name)] = of_channel
-    return solution.theta, sign
+    return solution.theta, data.spectrum.signs(solution.signs)
 
 
 def _beyond_steady_motion(model: Model, whole: Spectrum, psi: Real, sign: Real) -> Spectrum:

@@ -13,7 +13,6 @@ from dashpot.check.diagnosis.diagnose import diagnose, examined
 from dashpot.check.diagnosis.steady_lines import (
     _seen_through,
     _seen_through_all,
-    carries_transients,
     steady_lines,
 )
 from dashpot.data.conditioning.lines import spectrum
@@ -22,6 +21,7 @@ from dashpot.data.spectrum import Spectrum
 from dashpot.errors import IdentifiabilityError
 from dashpot.estimate.assessment import Assessment
 from dashpot.estimate.identify import identify
+from dashpot.estimate.likelihood.boundary_loads import carries_loads
 from dashpot.estimate.likelihood.maximum_likelihood import MaximumLikelihood
 from dashpot.estimate.likelihood.record_noise import with_record_noise
 from dashpot.model.dynamics import response
@@ -65,7 +65,7 @@ def noisy(records: Sequence[Record], seed: int, mistake: Callable[[Record], Reco
 
 def assessed(model: Model, records: Sequence[Record]) -> Assessment:
     lines = spectrum(records)
-    assert carries_transients(lines)
+    assert carries_loads(lines)
     lines, method = with_record_noise(model, lines, MaximumLikelihood())
     assessment = examined(model, lines, identify(model, lines, method)).assessment
     assert assessment is not None
