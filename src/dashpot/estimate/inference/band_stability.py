@@ -1,5 +1,8 @@
 """Whether parts of the band agree on the parameters, and how far they move when one part is left out (THEORY §11).
 
+What χ² rejects moves parameters by more than χ²/dof tells: over 60 random rigs with eight kinds of misfit, intervals
+widened by χ²/dof hold the truth in 74 %, widened to the scatter of the parts, too, in 92 %.
+
 A record whose noise is read from its own residuals has no χ² that could fail: what the model lacks counts as noise.  A
 wrong model still asks each part of the band for parameters of its own, which noise does not.  Both figures come from
 the information and the scores of the lines at the estimate, so that nothing is fitted again.
@@ -8,11 +11,12 @@ the information and the scores of the lines at the estimate, so that nothing is 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from scipy.special import chdtrc
 
-from dashpot.arrays import Bools, Ints, Real
+from dashpot.arrays import Bools, Real
 from dashpot.io.words import joined
 from dashpot.notices import Notice
 from dashpot.numerics.small_systems import scaled_inverse
@@ -25,29 +29,67 @@ TELLING = 0.02  # of what the whole band knows of a direction: parts that know l
 
 @dataclass(frozen=True)
 class BandStability:
-    """Agreement of the parts of the band, for K repeats.
+    """What parts of the band know at an estimate, for K repeats.
 
-    p (K,): tail probability that noise alone makes them differ as much
-    covariance (K, M, M) of the estimate by leaving out one part at a time, with `dof` degrees of freedom
-    apart (K, M): by how many of its standard deviations from noise each unknown moves, at most
+    information (K, parts, M, M) and scores (K, parts, M) of each part; total (K, M, M): their sum with the priors
     """
 
-    p: Real
-    covariance: Real
-    apart: Real
-    dof: int = PARTS - 1
+    information: Real
+    scores: Real
+    total: Real
+
+    @property
+    def dof(self) -> Real:
+        """Degrees of freedom behind `covariance`, (K, 1): a line that knows more than a part's share leaves parts empty."""
+        filled = np.any(_variances(self.information) > 0, axis=-1)
+        return np.maximum(np.sum(filled, axis=-1, keepdims=True) - 1.0, 1.0)
+
+    @cached_property
+    def p(self) -> Real:
+        """Tail probability that noise alone makes the parts differ as much, (K,)."""
+        each = zip(self.information, self.scores, self.total, strict=True)
+        return np.array([_agreement(*repeat) for repeat in each])
 
     @property
     def disagree(self) -> Bools:
         """Where the parts differ by more than noise makes them, (K,)."""
         return self.p < LEVEL
 
-    def widened(self, noise: Real) -> Real:
-        """Covariances from noise (K, M, M), with the scatter of the parts where they disagree and it is larger."""
+    @cached_property
+    def moved(self) -> Real:
+        """How far the unknowns move when each of the parts is left out, (K, parts, M)."""
+        without = np.nan_to_num(scaled_inverse(self.total[:, None] - self.information))
+        moved: Real = -np.einsum("kgij,kgj->kgi", without, self.scores)
+        return moved
+
+    @property
+    def covariance(self) -> Real:
+        """Of the estimate by leaving out one part at a time, (K, M, M)."""
+        away = self.moved - np.mean(self.moved, axis=1, keepdims=True)
+        parts = away.shape[1]
+        jackknife: Real = (parts - 1) / parts * np.einsum("kgi,kgj->kij", away, away)
+        return jackknife
+
+    @property
+    def apart(self) -> Real:
+        """By how many of its standard deviations from noise each unknown moves, at most, (K, M)."""
+        noise = np.sqrt(np.abs(_variances(scaled_inverse(self.total))))
+        apart: Real = np.max(np.abs(self.moved), axis=1) / noise
+        return apart
+
+    def widened(self, covariance: Real, degrees: Real, where: Bools) -> tuple[Real, Real]:
+        """Covariances (K, M, M) with their degrees of freedom (K, M), by the scatter of the parts where it is larger.
+
+        where (K,): the repeats for which the parts count
+        """
         with np.errstate(invalid="ignore", divide="ignore"):
-            ratio = np.diagonal(self.covariance, axis1=1, axis2=2) / np.diagonal(noise, axis1=1, axis2=2)
-        factor = np.sqrt(np.where(self.disagree[:, None], np.maximum(np.nan_to_num(ratio), 1.0), 1.0))
-        return noise * factor[:, :, None] * factor[:, None, :]
+            ratio = _variances(self.covariance) / _variances(covariance)
+        larger = where[:, None] & (np.nan_to_num(ratio) > 1.0)
+        factor = np.sqrt(np.where(larger, ratio, 1.0))
+        return (
+            covariance * factor[:, :, None] * factor[:, None, :],
+            np.where(larger, np.minimum(degrees, self.dof), degrees),
+        )
 
     def notices(self, names: tuple[str, ...]) -> list[Notice]:
         """What the first repeat shows."""
@@ -63,36 +105,31 @@ class BandStability:
 
 
 def band_stability(frequency_hz: Real, information: Real, scores: Real, prior: Real) -> BandStability:
-    """Agreement of six parts of the band that know equally much of the unknowns.
+    """Six parts of the band that know equally much of the unknowns; as many as there are lines where these are fewer.
 
     frequency_hz (lines,); information (K, lines, M, M) and scores (K, lines, M), minus half the slope of the cost, at
     the estimate; prior (M, M) precision.
     """
-    K, _, M = scores.shape
-    p, covariance, apart = np.ones(K), np.zeros((K, M, M)), np.zeros((K, M))
-    for k in range(K):
-        total = np.sum(information[k], axis=0) + prior
-        part = _parts(frequency_hz, information[k], total)
-        by_part = np.stack([np.sum(information[k][part == g], axis=0) for g in range(PARTS)])
-        score = np.stack([np.sum(scores[k][part == g], axis=0) for g in range(PARTS)])
-        p[k] = _agreement(by_part, score, total)
-        without = scaled_inverse(total - by_part)
-        moved = -np.einsum("gij,gj->gi", np.nan_to_num(without), score)
-        away = moved - np.mean(moved, axis=0)
-        covariance[k] = (PARTS - 1) / PARTS * away.T @ away
-        noise = np.sqrt(np.abs(np.diagonal(scaled_inverse(total))))
-        apart[k] = np.max(np.abs(moved), axis=0) / noise
-    return BandStability(p, covariance, apart)
+    total = np.sum(information, axis=1) + prior
+    belongs = _parts(frequency_hz, information, total)
+    return BandStability(
+        np.einsum("klg,klij->kgij", belongs, information), np.einsum("klg,kli->kgi", belongs, scores), total
+    )
 
 
-def _parts(frequency_hz: Real, information: Real, total: Real) -> Ints:
-    """Which of the parts each line belongs to, (lines,): ascending in frequency, with equal shares of information."""
-    share = np.einsum("lij,ji->l", information, scaled_inverse(total))
+def _variances(covariance: Real) -> Real:
+    return np.diagonal(covariance, axis1=-2, axis2=-1)
+
+
+def _parts(frequency_hz: Real, information: Real, total: Real) -> Real:
+    """1 where a line belongs to a part, (K, lines, parts): ascending in frequency, with equal shares of information."""
+    share = np.einsum("klij,kji->kl", information, scaled_inverse(total))
     order = np.argsort(frequency_hz, kind="stable")
-    run = np.cumsum(np.maximum(np.nan_to_num(share[order]), 0.0))
-    part = np.zeros(len(order), dtype=np.int64)
-    part[order] = np.minimum((PARTS * run / max(float(run[-1]), 1e-300)).astype(int), PARTS - 1)
-    return part
+    run = np.cumsum(np.maximum(np.nan_to_num(share[:, order]), 0.0), axis=1)
+    parts = min(PARTS, len(order))
+    part = np.empty(share.shape, dtype=np.int64)
+    part[:, order] = np.minimum((parts * run / np.maximum(run[:, -1:], 1e-300)).astype(int), parts - 1)
+    return (part[..., None] == np.arange(parts)).astype(float)
 
 
 def _agreement(information: Real, scores: Real, total: Real) -> float:

@@ -143,7 +143,8 @@ def _of_fit(fit: Fit) -> list[Notice]:
         return []
     text = (
         f"the model does not fit: residuals are {float(fit.misfit):.3g} times the sensors' noise "
-        f"(χ² {float(fit.chi2):.4g} with {fit.dof} degrees of freedom); intervals are widened by that factor"
+        f"(χ² {float(fit.chi2):.4g} with {fit.dof} degrees of freedom); intervals are widened by that "
+        "factor, further where parts of the band disagree more"
     )
     return [Notice("model_misfit", text)]
 

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import cached_property, partial
+from functools import cached_property
 
 import numpy as np
 
-from dashpot.arrays import Real
+from dashpot.arrays import Ints, Real
 from dashpot.data.spectrum import Spectrum
 from dashpot.estimate.inference.band_stability import BandStability, band_stability
 from dashpot.estimate.inference.diagnostics import bias
@@ -20,6 +20,7 @@ from dashpot.estimate.likelihood.objective import (
     prior_mean,
     prior_precision,
 )
+from dashpot.estimate.likelihood.record_noise import RESIDUAL
 from dashpot.estimate.linear.auxiliary_model import equation_by_line, equation_sums, sums_of_lines
 from dashpot.estimate.linear.instrumental_variables import likeliest
 from dashpot.estimate.method import Method, Solution, Traits
@@ -39,21 +40,25 @@ class Linearised:
     """Information and residuals at an estimate, for K repeats and M unknowns.
 
     sums: cost, slope and information of all lines with the rows of the priors; by_line gives those of each line
-    alone: information (K, lines, M, M), scores (K, lines, M), cost (K, lines).  rows: how many real equations the
-    lines hold; precision (M,) of the priors.
+    alone for chosen repeats.  rows: how many real equations the lines hold; precision (M,) of the priors.
     """
 
     names: tuple[str, ...]
     units: tuple[str, ...]
     sums: QuadraticModel
-    by_line: Callable[[], tuple[Real, Real, Real]]
+    by_line: Callable[[Ints], tuple[Real, Real, Real]]
     rows: int
     precision: Real
 
     @cached_property
     def lines(self) -> tuple[Real, Real, Real]:
-        """What `by_line` gives: (K, lines, M, M), (K, lines, M) and (K, lines)."""
-        return self.by_line()
+        """Information (K, lines, M, M), scores (K, lines, M) and cost (K, lines) of each line."""
+        return self.by_line(np.arange(len(self.sums.cost)))
+
+    def bands(self, repeats: Ints, frequency_hz: Real) -> BandStability:
+        """What parts of the band know, of chosen repeats."""
+        information, scores, _ = self.by_line(repeats)
+        return band_stability(frequency_hz, information, scores, np.diag(self.precision))
 
     @property
     def dof(self) -> int:
@@ -148,14 +153,24 @@ def _of_channels(data: Prepared, solution: Solution) -> Linearised:
     rows = exact.rows - nuisance_columns(view, exact, solution.theta, sign)
     precision = prior_precision(view)
     sums = sums_of_lines(*lines, solution.theta, precision, prior_mean(view))
-    return Linearised(view.names, view.units, sums, lambda: lines, rows, precision)
+
+    def by_line(repeats: Ints) -> tuple[Real, Real, Real]:
+        information, scores, cost = lines
+        return information[repeats], scores[repeats], cost[repeats]
+
+    return Linearised(view.names, view.units, sums, by_line, rows, precision)
 
 
 def _of_equation(data: Prepared, solution: Solution) -> Linearised:
     model, states, theta = data.model, data.seen_states, solution.theta
+
+    def by_line(repeats: Ints) -> tuple[Real, Real, Real]:
+        chosen = states if len(repeats) == len(theta) else states.rows(repeats)
+        return equation_by_line(model, chosen, theta[repeats])
+
     return Linearised(
         tuple(u.name for u in model.unknowns), tuple(u.unit for u in model.unknowns),
-        equation_sums(model, states, theta), partial(equation_by_line, model, states, theta),
+        equation_sums(model, states, theta), by_line,
         2 * model.n * data.spectrum.lines, model.prior_precision,
     )  # fmt: skip
 
@@ -165,8 +180,9 @@ def uncertainty(data: Prepared, solution: Solution, around: Linearised, traits: 
 
     `solution` and `around` are to be those of the most likely parameters, to which one Gauss-Newton step leads, with
     the covariance of the method.  Where the noise is unknown, χ² supplies its size; where it was estimated, weights and
-    intervals pay for that; where the model does not fit, the covariance grows by χ²/dof.  Where the residuals of whole
-    records are all that tells the noise, it counts by how much parts of the band disagree.  Where bounds hold unknowns,
+    intervals pay for that; where the model does not fit, the covariance grows by χ²/dof, or to the scatter over parts
+    of the band where that is larger.  Where the residuals of whole records are all that tells the noise, that scatter
+    counts where the parts disagree.  Where bounds hold unknowns,
     χ² is that of the values held: bounds that the data contradict are no fit.
     """
     sums, prior = around.sums, np.diag(around.precision)
@@ -192,16 +208,19 @@ def uncertainty(data: Prepared, solution: Solution, around: Linearised, traits: 
     p = _p_value(chi2, dof, around.rows, data.spectrum)
     if not traits.weighted:
         noise = solution.covariance
-    misfit = (p < MISFIT_LEVEL) & (chi2 > dof)
-    factor = np.where(misfit, chi2 / usable, 1.0)
-    degrees = np.where(misfit[:, None], np.minimum(degrees, usable), degrees)
-    covariance = noise * factor[:, None, None]
-    if "residual" not in data.spectrum.noise or not traits.weighted:
-        return Uncertainty(covariance, noise, bound, degrees, chi2, p, excess)
-    information, scores, _ = around.lines
-    bands = band_stability(data.spectrum.frequency_hz, information, scores, prior)
-    degrees = np.where(bands.disagree[:, None], np.minimum(degrees, bands.dof), degrees)
-    return Uncertainty(bands.widened(covariance), noise, bound, degrees, chi2, p, excess, bands)
+    frequency_hz = data.spectrum.frequency_hz
+    if RESIDUAL in data.spectrum.noise and traits.weighted:
+        bands = around.bands(np.arange(len(chi2)), frequency_hz)
+        covariance, degrees = bands.widened(noise, degrees, bands.disagree)
+        return Uncertainty(covariance, noise, bound, degrees, chi2, p, excess, bands)
+    misfit = np.flatnonzero((p < MISFIT_LEVEL) & (chi2 > dof))
+    covariance = noise.copy()
+    if len(misfit):
+        wide = noise[misfit] * (chi2[misfit] / usable)[:, None, None]
+        few = np.minimum(degrees[misfit], usable)
+        bands = around.bands(misfit, frequency_hz)
+        covariance[misfit], degrees[misfit] = bands.widened(wide, few, np.ones(len(misfit), dtype=bool))
+    return Uncertainty(covariance, noise, bound, degrees, chi2, p, excess)
 
 
 def _excess(sums: QuadraticModel, solution: Solution) -> Real:
@@ -256,7 +275,7 @@ def _p_value(chi2: Real, dof: int, rows: int, spectrum: Spectrum) -> Real:
     """
     from scipy.special import chdtrc
 
-    if dof <= 0 or "residual" in spectrum.noise:  # noise sized by these very residuals tests nothing
+    if dof <= 0 or RESIDUAL in spectrum.noise:  # noise sized by these very residuals tests nothing
         return np.full(len(chi2), np.nan)
     if np.all(np.isinf(spectrum.dof)):
         return np.asarray(chdtrc(float(dof), chi2), dtype=float)

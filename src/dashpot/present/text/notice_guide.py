@@ -80,9 +80,10 @@ NOTICES: tuple[tuple[str, str, str, str], ...] = (
     ),
     (
         "model_misfit", _ESTIMATE,
-        ("The model does not fit; ± and intervals are widened by the ratio of residuals to noise. Widened intervals "
-        "carry no guarantee: they miss a parameter's true value when what the model lacks acts like that "
-        "parameter."),
+        ("The model does not fit; ± and intervals are widened by the ratio of residuals to noise, and further where "
+        "leaving out a sixth of the band at a time moves the parameter more. Widened intervals carry no guarantee: "
+        "in 60 random rigs with eight kinds of misfit they held the true value in 92 % instead of 95, and they miss "
+        "it when what the model lacks acts like that parameter over the whole band."),
         "Correct the model first ([When the model does not fit](../explain/misfit.md)).",
     ),
     (

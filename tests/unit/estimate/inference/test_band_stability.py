@@ -42,7 +42,8 @@ def test_a_parameter_that_changes_within_the_band_is_found_and_counted() -> None
     assert np.all(found.disagree)
     assert np.all(found.apart[:, 0] > 2)
     noise = np.broadcast_to(np.eye(UNKNOWNS) * 1e-12, (40, UNKNOWNS, UNKNOWNS))
-    wide = found.widened(noise)
+    many = np.full((40, UNKNOWNS), 100.0)
+    wide, degrees = found.widened(noise, many, found.disagree)
     np.testing.assert_allclose(
         np.diagonal(wide, axis1=1, axis2=2), np.diagonal(found.covariance, axis1=1, axis2=2), rtol=1e-9
     )
@@ -52,5 +53,7 @@ def test_a_parameter_that_changes_within_the_band_is_found_and_counted() -> None
     assert "parts of the band disagree" in notice.text
     calm, _ = stability(1, 0.0)
     assert calm.notices(("k1", "k2", "c1")) == []
-    np.testing.assert_array_equal(calm.widened(noise[:1]), noise[:1])
-    assert calm.dof == PARTS - 1
+    np.testing.assert_array_equal(degrees, PARTS - 1)
+    covariance, degrees = calm.widened(noise[:1], many[:1], calm.disagree)
+    np.testing.assert_array_equal(covariance, noise[:1])
+    np.testing.assert_array_equal(degrees, many[:1])
