@@ -40,9 +40,10 @@ class BandStability:
 
     @property
     def dof(self) -> Real:
-        """Degrees of freedom behind `covariance`, (K, 1): a line that knows more than a part's share leaves parts empty."""
+        """Degrees of freedom behind `covariance`, (K, 1); a line that knows more than a share leaves parts empty."""
         filled = np.any(_variances(self.information) > 0, axis=-1)
-        return np.maximum(np.sum(filled, axis=-1, keepdims=True) - 1.0, 1.0)
+        degrees: Real = np.maximum(np.sum(filled, axis=-1, keepdims=True) - 1.0, 1.0)
+        return degrees
 
     @cached_property
     def p(self) -> Real:
@@ -118,7 +119,8 @@ def band_stability(frequency_hz: Real, information: Real, scores: Real, prior: R
 
 
 def _variances(covariance: Real) -> Real:
-    return np.diagonal(covariance, axis1=-2, axis2=-1)
+    variances: Real = np.diagonal(covariance, axis1=-2, axis2=-1)
+    return variances
 
 
 def _parts(frequency_hz: Real, information: Real, total: Real) -> Real:
@@ -129,7 +131,8 @@ def _parts(frequency_hz: Real, information: Real, total: Real) -> Real:
     parts = min(PARTS, len(order))
     part = np.empty(share.shape, dtype=np.int64)
     part[:, order] = np.minimum((parts * run / np.maximum(run[:, -1:], 1e-300)).astype(int), parts - 1)
-    return (part[..., None] == np.arange(parts)).astype(float)
+    belongs: Real = (part[..., None] == np.arange(parts)).astype(float)
+    return belongs
 
 
 def _agreement(information: Real, scores: Real, total: Real) -> float:

@@ -16,7 +16,7 @@ from tests.rigs import Rig, channels, covariance, noisy, random_rig
 
 
 def with_a_forgotten_spring(seed: int) -> tuple[Rig, Spectrum]:
-    """A random rig of two coordinates, and a test of it with a spring more: a tenth of the median one, to the ground."""
+    """A random rig of two coordinates, and a test of it with one spring more, a tenth of the median one."""
     rng = np.random.default_rng(seed)
     rig = random_rig(rng, 2, worst=100.0)
     springs = [k for element, k in zip(rig.model.elements, rig.p, strict=True) if element.kind is Kind.SPRING]
