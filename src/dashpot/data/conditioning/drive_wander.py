@@ -2,18 +2,20 @@
 
 A frequency that wanders turns the phase of all channels together and leaves their amplitudes nearly as they are.
 Noise, whatever its colour and however alike in the channels, and transients do as much to the one as to the other: so
-the scatter of the common phase over blocks of whole periods is tested against that of the common amplitude.
+the scatter of the common phase over blocks of whole periods is tested against that of the common amplitude.  Stamps
+that jitter turn the phase, too, but from sample to sample: what that explains of the scatter is no wandering.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.special import fdtrc
 
 from dashpot.arrays import Complex, Real
-from dashpot.data.conditioning.period_blocks import PeriodBlocks, period_blocks
+from dashpot.data.conditioning.period_blocks import period_blocks
 from dashpot.data.record import Record
 from dashpot.numerics.combined_tests import fishers_product
 
@@ -35,36 +37,59 @@ def _steady(record: Record) -> float | None:
     blocks = None if f is None or record.values.ndim != 2 else period_blocks(record, f)
     if f is None or blocks is None or not np.any(np.ptp(record.values, axis=0)):
         return None
-    Z = _windowed(record, f, blocks)
+    windows = [
+        _Window.of(record, f, *edges) for edges in zip(blocks.starts[:-1], blocks.ends[1:], strict=True)
+    ]
+    Z = np.array([each.amplitude for each in windows])
     noise = np.median(blocks.rms, axis=0)
     size = np.mean(np.abs(Z), axis=0)
-    moving = size > 0
-    Z, weight = Z[:, moving], 1 / (noise**2 + (ROUNDED * size) ** 2)[moving]
+    weight = np.where(size > 0, 1 / np.where(size > 0, noise**2 + (ROUNDED * size) ** 2, 1.0), 0.0)
     turns = np.angle(np.sum(weight * Z[1:] * np.conj(Z[:-1]), axis=1))
     phase = np.concatenate([[0.0], np.cumsum(turns)])
-    still = Z * np.exp(-1j * phase)[:, None]
-    mean = np.mean(still, axis=0)
-    common = (still * np.conj(mean)) @ weight / float(np.abs(mean) ** 2 @ weight)
+    mean = np.mean(Z * np.exp(-1j * phase)[:, None], axis=0)
+    look = weight * np.conj(mean) / float(np.abs(mean) ** 2 @ weight)
+    common = np.exp(-1j * phase) * (Z @ look)
     phase = phase + np.angle(common)
+    looks = look * np.exp(-1j * phase)[:, None]
+    jitter = max(float(np.mean([each.jitter(way) for each, way in zip(windows, looks, strict=True)])), 0.0)
     freedom = len(Z) - 2
     of_phase, of_amplitude = (_about_a_line(x) / freedom + ROUNDED**2 for x in (phase, np.abs(common)))
-    return float(fdtrc(freedom, freedom, of_phase / of_amplitude))
+    return float(fdtrc(freedom, freedom, of_phase / (of_amplitude + jitter)))
 
 
-def _windowed(record: Record, f: float, blocks: PeriodBlocks) -> Complex:
-    """Amplitudes of two neighbouring blocks at a time under Hann's window, (blocks − 1, channels).
+@dataclass(frozen=True)
+class _Window:
+    """Two neighbouring blocks under Hann's window.
 
-    The window keeps noise at low frequencies, and a slope, from doing more to one phase than to the other.
+    It keeps noise at low frequencies, and a slope, from doing more to one phase than to the other.
+
+    amplitude (channels,): at the drive's frequency; left (samples, channels): what each sample adds to it beyond a
+    steady sine
     """
-    values = record.values - np.mean(record.values, axis=0)
-    amplitudes = []
-    for first, last in zip(blocks.starts[:-1].tolist(), blocks.ends[1:].tolist(), strict=True):
+
+    amplitude: Complex
+    left: Complex
+
+    @staticmethod
+    def of(record: Record, f: float, first: int, last: int) -> _Window:
         t = record.time[first:last]
+        values = record.values[first:last] - np.mean(record.values, axis=0)
         share = (np.arange(len(t)) + 0.5) / len(t)
-        window = np.sin(np.pi * share) ** 2
-        carrier = window * np.exp(-2j * np.pi * f * t)
-        amplitudes.append(2 * carrier @ values[first:last] / np.sum(window))
-    return np.array(amplitudes)
+        hann = np.sin(np.pi * share) ** 2
+        turned = np.exp(-2j * np.pi * f * t)
+        carrier = (2 * hann * turned / np.sum(hann))[:, None]
+        even = values - np.mean(values, axis=0)
+        steady = np.outer(np.conj(turned), 2 * np.mean(turned[:, None] * even, axis=0)).real
+        return _Window(np.sum(carrier * values, axis=0), carrier * (even - steady))
+
+    def jitter(self, look: Complex) -> float:
+        """Variance of the common phase that samples out of time with each other explain, look (channels,).
+
+        Stamps that jitter turn the phase from sample to sample, in all channels alike; noise beside them is as large
+        in phase as in amplitude.
+        """
+        each = self.left @ look
+        return float(np.sum(each.imag**2) - np.sum(each.real**2))
 
 
 def _about_a_line(x: Real) -> float:
