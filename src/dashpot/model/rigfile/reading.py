@@ -23,6 +23,17 @@ from dashpot.model.rigfile.schema import (
 )
 
 
+def _example(section: str, raw: object) -> str:
+    """How an entry of the section is written, of the points that stand there where they are all that does."""
+    points = raw if isinstance(raw, list) else [raw]
+    if all(isinstance(point, str) for point in points):
+        if len(points) == 1 and section in ("masses", "channels"):
+            return f"{{ {'of' if section == 'channels' else 'at'} = {written(points[0])} }}"
+        if len(points) == 2 and section in SECTIONS and section != "masses":
+            return f"{{ between = [{', '.join(map(written, points))}] }}"
+    return EXAMPLES.get(section, TWO_POINTS)
+
+
 class RigReading:
     """A document, the report of its problems, and the names of inputs and elements that could not be read whole."""
 
@@ -69,15 +80,18 @@ class RigReading:
             yield from table.items()
             return
         self.faulty.add(section)
-        example = f"[{section}] and below it name = {EXAMPLES.get(section, TWO_POINTS)}"
-        what = "a list of tables" if isinstance(table, list) else written(table)
+        names = [name for name in table if isinstance(name, str)] if isinstance(table, list) else []
+        name = names[0] if names and section in ("inputs", "channels") else "name"
+        example = f"[{section}] and below it {name} = {EXAMPLES.get(section, TWO_POINTS)}"
+        tables = isinstance(table, list) and table and all(isinstance(entry, dict) for entry in table)
+        what = "a list of tables" if tables else written(table)
         self.report.add((section,), f"{what} is not a section", f"write {example}")
 
     def entry(self, entry: type[AnyEntry], section: str, name: str, raw: object) -> AnyEntry | None:
         """One entry of a section; None, and its problems reported, where it cannot be read."""
         if isinstance(raw, dict):
             return self.validated(entry, raw, (section, name))
-        example = EXAMPLES.get(section, TWO_POINTS)
+        example = _example(section, raw)
         if isinstance(raw, int | float) and not isinstance(raw, bool) and section in SECTIONS:
             example = example.replace(" }", f", value = {written(raw)} }}")
         cure = f"write {name} = {example}"

@@ -284,12 +284,20 @@ def explained(error: ErrorDetails, entry: type[Entry]) -> tuple[str, str | None]
     key = str(error["loc"][-1])
     if error["type"] == "extra_forbidden":
         known = tuple(entry.model_fields)
-        return "unknown key", f"{did_you_mean(key, known)}there are {listed(known)}"
+        meant = [name for name in _ALSO_CALLED.get(key.lower(), ()) if name in known]
+        return "unknown key", f"{did_you_mean(meant[0] if meant else key, known)}there are {listed(known)}"
     if error["type"] == "missing":
         return "missing", f"add {_MISSING_EXAMPLES.get(key, key)}"
     return shown(str(error["msg"]), 200), None
 
 
+# What people write for a key.
+_ALSO_CALLED = {
+    "at": ("of",), "of": ("at", "between"), "point": ("at", "of"), "points": ("between",), "nodes": ("between",),
+    "type": ("quantity", "kind"), "kind": ("quantity",), "units": ("unit",), "sensitivity": ("gain",),
+    "mass": ("value",), "stiffness": ("value",), "damping": ("value",), "start": ("guess",), "initial": ("guess",),
+    "lower": ("min",), "upper": ("max",), "std": ("sd", "noise"), "sigma": ("sd", "noise"),
+}  # fmt: skip
 _MISSING_EXAMPLES = {
     "coordinates": 'coordinates = ["x1"]',
     "of": 'of = "x1"',

@@ -358,6 +358,10 @@ class TestFaultyEntries:
             ),
             ("k = true", "springs.k: true is not a table"),
             ('k = "x1"', 'springs.k: "x1" is not a table'),
+            (
+                'k = ["x2", "x1"]',
+                'springs.k: a list is not a table; write k = { between = ["x2", "x1"] }',
+            ),
             ('name = "x"', "name stands above the first [section]"),
             (
                 'k = { between = ["x1", "x3"] }',
@@ -477,6 +481,8 @@ class TestFaultyEntries:
         [
             ("a = {}", 'channels.a.of: missing; add of = "x1"'),
             ("a = 3", "channels.a: 3 is not a table"),
+            ('a = "x2"', 'channels.a: "x2" is not a table; write a = { of = "x2" }'),
+            ('a = { of = "x1", at = "x1" }', 'channels.a.at: unknown key; did you mean "of"?'),
             (
                 'a = { of = "xx1" }',
                 'channels.a.of: "xx1" is not a point, input or element; did you mean "x1"?',
