@@ -146,7 +146,12 @@ def write_table(
     # A dictionary of numbers that hardly repeat costs twice the time, and space.
     words = [field.name for field in table.schema if pa.types.is_string(field.type)]
     parquet.write_table(
-        table, sink, compression="zstd", use_dictionary=words, write_statistics=False, write_page_checksum=True
+        table,
+        sink,
+        compression="zstd",
+        use_dictionary=words,
+        write_statistics=False,
+        write_page_checksum=True,
     )
     write_bytes(path, sink.getvalue().to_pybytes())
 
