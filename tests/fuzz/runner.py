@@ -39,7 +39,6 @@ FACTORS = {
     "design": 6,
     "check": 6,
     "study": 6,
-    "response": 6,  # through all folds, of a rig that is driven as hard as it may be
 }  # of several estimates, or by maximum likelihood
 MEMORY = 1 << 30  # bytes beside those that this process had at its start
 CODES = {0, 2, 3, 4}

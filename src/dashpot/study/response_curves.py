@@ -14,7 +14,7 @@ from dashpot.model.network import Model
 from dashpot.model.nonlinear.backbone import backbone
 from dashpot.model.nonlinear.channel_motion import channel_harmonics, swing
 from dashpot.model.nonlinear.continuation import ResponseBranch, amplitude_sweep, followed, frequency_sweep
-from dashpot.model.nonlinear.harmonic_balance import periodic_response, samples_of, truncation
+from dashpot.model.nonlinear.harmonic_balance import periodic_response, truncation
 from dashpot.model.nonlinear.harmonics import Drive, complex_of
 
 ORDERS = {True: 7, False: 21}  # harmonics to begin with, of laws that are smooth and that are not
@@ -29,7 +29,8 @@ class MotionCurve:
     label: what is the same at all of them; frequency_hz and share (P,): frequency and size of the drive over that of
     the test; swing (P, channels): half of what each channel moves from lowest to highest, SI units; fundamental (P,
     channels): amplitudes at the drive's frequency; stable (P,), None where nothing tells; folds (…,): points where the
-    curve turns; stretch: largest fundamental of a nonlinear element's elongation, m.
+    curve turns; stretch: largest fundamental of a nonlinear element's elongation, m; orders: harmonics of the motion;
+    missing: largest truncation error of the elongations on the curve, over their size.
     """
 
     label: str
@@ -41,6 +42,8 @@ class MotionCurve:
     stable: Bools | None
     folds: Ints
     stretch: float = 0.0
+    orders: int = 0
+    missing: float = 0.0
 
 
 def drive_of(model: Model, amplitudes: Mapping[str, float], frequency_hz: float, orders: int) -> Drive:
@@ -107,16 +110,18 @@ def enough_orders(
     smooth = all(e.force_law is None or e.force_law.smooth for e in model.elements)
     orders = ORDERS[smooth]
     p, constants = model.parameters(theta)[None], model.inner_constants(theta)[None]
-    while orders < MOST:
-        worst = 0.0
-        for frequency in np.geomspace(*band_hz, 5):
-            drive = drive_of(model, amplitudes, float(frequency), orders)
-            at = periodic_response(model, p, constants, drive, times=samples_of(model, orders))
-            if at.converged[0]:
-                worst = max(worst, float(truncation(model, p, constants, drive, at)[0]))
-        if worst <= FINEST:
-            break
-        orders = min(2 * orders + 1, MOST)
+    coarse = np.geomspace(*band_hz, 5)
+    while len(coarse) and orders < MOST:
+        errors = []
+        for frequency in coarse.tolist():
+            drive = drive_of(model, amplitudes, frequency, orders)
+            at = periodic_response(model, p, constants, drive, grow=False)
+            # Where no response is found at once, none is looked for again: folds leave such places.
+            error = truncation(model, p, constants, drive, at)[0] if at.converged[0] else 0.0
+            errors.append(float(error))
+        coarse = coarse[np.array(errors) > FINEST]
+        if len(coarse):
+            orders = min(2 * orders + 1, MOST)
     return orders
 
 
@@ -138,10 +143,16 @@ def _curve(
     share: Real | None = None,
 ) -> MotionCurve:
     harmonics = channel_harmonics(model, model.parameters(theta), channels, branch.drive, branch.motion)
+    p, constants = (
+        np.tile(part, (len(branch.along), 1))
+        for part in (model.parameters(theta), model.inner_constants(theta))
+    )
+    missing = truncation(model, p, constants, branch.drive, branch.motion)
     return MotionCurve(
         label, tuple(c.name for c in channels), branch.drive.omega / (2 * np.pi),
         np.ones(len(branch.along)) if share is None else share, swing(harmonics), harmonics[:, 1], branch.stable,
-        branch.folds, float(np.max(np.abs(complex_of(branch.motion.delta)[..., 1]))),
+        branch.folds, float(np.max(np.abs(complex_of(branch.motion.delta)[..., 1]))), branch.drive.orders,
+        float(np.max(missing)),
     )  # fmt: skip
 
 

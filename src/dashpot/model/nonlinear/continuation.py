@@ -24,6 +24,10 @@ from dashpot.model.nonlinear.stability import stable_motions
 FIRST, SMALLEST, LARGEST = 0.01, 1e-6, 0.05  # steps, of the way
 POINTS = 3000  # on one curve at most
 NEWTON = 10
+TURNS, ROWS = (
+    450,
+    80_000,
+)  # of Newton's method on one curve: as many turns, or more while they have few equations
 SETTLED = 1e-8  # of the elongation
 TURN = 0.9  # cosine between tangents below which a step is halved
 WEAKEST = 0.01  # of the drive, from which a first point is followed where nothing else leads to it
@@ -96,7 +100,9 @@ class _Tracer:
     def __init__(self, model: Model, theta: Real, drive_at: DriveAt) -> None:
         self.model, self.theta, self.drive_at = model, theta, drive_at
         self.p, self.constants = model.parameters(theta)[None], model.inner_constants(theta)[None]
-        self.times = samples_of(model, drive_at(0.0).orders)
+        orders = drive_at(0.0).orders
+        self.times = samples_of(model, orders)
+        self.turns_left = max(TURNS, ROWS // (len(model.nonlinear) * (2 * orders + 1)))
 
     def first(self, start: Real | None) -> Real:
         """Elongations at λ = 0, (e, W), followed from a weak drive where Newton's method misses them.
@@ -115,6 +121,7 @@ class _Tracer:
                     cure="begin elsewhere, or drive less",
                 )
             first = grown.trace(weak.delta[0], POINTS)[-1][0]
+            self.turns_left = grown.turns_left
         return first
 
     def equations(self, share: float, secant: Complex) -> Balance:
@@ -145,6 +152,7 @@ class _Tracer:
         """
         point = guess.copy()
         for turn in range(NEWTON):
+            self.turns_left -= 1
             r, by_q, secant = self.state(size * point[:-1].reshape(self.shape), float(point[-1]))
             if turn == 1:
                 by_share = self.along(size * point[:-1].reshape(self.shape), float(point[-1]), secant)
@@ -166,7 +174,7 @@ class _Tracer:
         by_share = self.along(q, 0.0, secant)
         direction = _tangent(by_q * size, by_share, np.eye(len(point))[-1])
         step, path = FIRST, [(q, 0.0)]
-        while len(path) < points and direction is not None and step >= SMALLEST:
+        while len(path) < points and self.turns_left > 0 and direction is not None and step >= SMALLEST:
             target, plane = point + step * direction, direction
             ending = target[-1] >= 1.0
             if ending:  # the last point lies on λ = 1 itself

@@ -75,16 +75,18 @@ def periodic_response(
     start: Real | None = None,
     *,
     times: int | None = None,
+    grow: bool = True,
 ) -> Periodic:
     """The motion that each dwell settles to, from `start` (N, e, W) or, without one, from the linear response.
 
     p (N, elements), constants (N, inner constants).  Where Newton's method does not settle the drive is raised step
-    by step from a small one.  Which of several responses is found depends on the start: give the measured elongations.
+    by step from a small one, if `grow`.  Which of several responses is found depends on the start: give the measured
+    elongations.
     """
     count = samples_of(model, drive.orders) if times is None else times
     first = start if start is not None else _linear_start(model, p, constants, drive, count)
     at = balanced(model, p, constants, drive, first, count)
-    if not np.all(at.converged):
+    if grow and not np.all(at.converged):
         at = _grown(model, p, constants, drive, at, count)
     return periodic_at(model, at)
 

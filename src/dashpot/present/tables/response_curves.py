@@ -9,6 +9,8 @@ from rich.console import Console
 
 from dashpot.study.response_curves import MotionCurve
 
+COARSE = 1e-3  # share of the motion in harmonics left out from which it is said
+
 
 def show_curves(console: Console, curves: Sequence[MotionCurve], by_amplitude: bool) -> None:
     """A paragraph for each curve: where it turns, and between which points motions are unstable."""
@@ -28,6 +30,8 @@ def _in_words(curve: MotionCurve, by_amplitude: bool) -> str:
         parts.append("stable throughout")
     else:
         parts.append(f"unstable {_runs(x, curve.stable)} {unit}")
+    if curve.missing > COARSE:
+        parts.append(f"{curve.orders} harmonics leave out up to {100 * curve.missing:.2g} % of the motion")
     return "; ".join(part for part in parts if part)
 
 

@@ -10,10 +10,11 @@ from scipy.optimize import fsolve
 from scipy.special import ellipk
 
 from dashpot.channel import Channel
-from dashpot.errors import UsageError
+from dashpot.errors import ConvergenceError, UsageError
 from dashpot.model.elements import Kind, between, mass
 from dashpot.model.modes import modes
 from dashpot.model.network import Input, Model
+from dashpot.model.nonlinear import continuation, stability
 from dashpot.model.nonlinear.backbone import backbone
 from dashpot.model.nonlinear.channel_motion import channel_harmonics, swing
 from dashpot.model.nonlinear.continuation import amplitude_sweep, followed, frequency_sweep
@@ -113,3 +114,30 @@ def test_the_backbone_of_a_duffing_oscillator_is_elliptic():
 def test_a_rig_without_a_nonlinear_spring_has_no_backbone():
     with pytest.raises(UsageError, match="no nonlinear spring"):
         backbone(duffing("v**3"), DUFFING, 0, 1.0)
+
+
+@pytest.mark.parametrize("law", ["cubic", "v*abs(v)", "coulomb"])
+def test_multipliers_along_the_motion_are_those_of_integration(law, monkeypatch):
+    model, theta = two_masses(law)
+    U = np.zeros((2, 12, 1), dtype=complex)
+    U[:, 1] = 2e-3
+    drive = Drive(2 * np.pi * np.array([3.0, 7.0]), U, np.zeros((2, 12, 0), dtype=complex))
+    rows = np.tile(model.parameters(theta), (2, 1)), np.tile(model.inner_constants(theta), (2, 1))
+    at = periodic_response(model, *rows, drive)
+    along = floquet_multipliers(model, theta, drive, at)
+    monkeypatch.setattr(stability, "_along_motions", stability._integrated)
+    integrated = floquet_multipliers(model, theta, drive, at)
+    assert np.allclose(np.abs(along), np.abs(integrated), rtol=0, atol=1e-6)
+    assert np.all(np.abs(along) < 1)
+
+
+def test_a_motion_that_is_lost_is_not_called_stable():
+    infinite = np.full((1, 2, 2), np.nan)
+    assert np.all(np.isinf(stability._eigenvalues(infinite)))
+
+
+def test_a_curve_that_winds_on_and_on_is_refused(monkeypatch):
+    monkeypatch.setattr(continuation, "TURNS", 20)
+    monkeypatch.setattr(continuation, "ROWS", 20)
+    with pytest.raises(ConvergenceError, match="cannot be followed beyond"):
+        followed(duffing(), DUFFING, frequency_sweep(pushed(0.8, 0.3, 1), 3.0))
