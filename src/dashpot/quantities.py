@@ -18,7 +18,7 @@ HIGHEST_FREQUENCY = 1e12  # Hz
 FREQUENCY_SYNTAX = "1,2,5, or a range start:stop:step or start:stop/points (1:10:0.5, 1:10/25; Hz)"
 
 _NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
-_AMOUNT = re.compile(rf"\s*({_NUMBER})\s*([^\s\d:].*?)?\s*", re.DOTALL)
+_AMOUNT = re.compile(rf"\s*({_NUMBER})\s*([^\s\d:,].*?)?\s*", re.DOTALL)
 _POINTS = re.compile(rf"\s*({_NUMBER}\s*[^\d:]*?)\s*/\s*(\d+)\s*(log)?\s*")
 
 

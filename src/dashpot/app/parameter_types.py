@@ -19,6 +19,7 @@ from dashpot.errors import UsageError
 from dashpot.quantities import Amount
 
 MOST_ORDERS = 1000
+_THOUSANDS = re.compile(r"\d{1,3}(,\d{3})+")
 
 Value = TypeVar("Value")
 
@@ -204,7 +205,7 @@ class Count(click.ParamType[int]):
             return value
         text = str(value).strip()
         try:
-            number = float(text.replace(",", ""))
+            number = float(text.replace(",", "") if _THOUSANDS.fullmatch(text) else text)
         except ValueError:
             number = float("nan")
         if not self.least <= number <= self.most or number != int(number):

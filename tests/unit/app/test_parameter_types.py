@@ -3,26 +3,30 @@
 from __future__ import annotations
 
 import os
+from contextlib import suppress
 from importlib import import_module
 from pathlib import Path
 
 import click
 import pytest
 
+from dashpot import quantities
 from dashpot.app.commands import COMMANDS
 from dashpot.app.files import InputFile, OutputFile, OutputFolder
-from dashpot.app.parameter_types import TextType
+from dashpot.app.parameter_types import Count, TextType
+from dashpot.errors import UsageError
 from tests.unit.app.conftest import Command
 
-EXTREMES = ["1e308", "-1e308", "nan", "inf", "-inf", "1e999", ""]
+EXTREMES = ["1e200", "1e308", "-1e308", "nan", "-inf", "1e999", ""]
+FORMS = ["{}", "m1={}", "1,{},5", "0.1:{}", "0.1:{}/5", "{}mm", "pick {} of x1,x2"]
 
 
 def commands() -> dict[str, click.Command]:
     return {name: import_module(f"dashpot.app.commands.{name}").command for name in COMMANDS}
 
 
-def numeric_options() -> list[tuple[str, str]]:
-    """(command, option) for every option that takes a number or a quantity."""
+def numeric_options() -> list[tuple[str, str, str]]:
+    """(command, option, form) for every option that takes a number or a quantity, in every form that it takes."""
     found = []
     for name, command in commands().items():
         for parameter in command.params:
@@ -31,15 +35,25 @@ def numeric_options() -> list[tuple[str, str]]:
                 parameter.type,
                 InputFile | OutputFile | OutputFolder | click.Choice | click.types.StringParamType,
             ):
-                found.append((name, parameter.opts[0]))
+                found += [(name, parameter.opts[0], form) for form in FORMS if taken(parameter, form)]
     return found
 
 
-@pytest.mark.parametrize(("command", "option"), numeric_options())
+def taken(parameter: click.Parameter, form: str) -> bool:
+    """Whether a parameter takes numbers in a form: for 1, 2 or 10 of something."""
+    for number in ("1", "2", "10", "10%"):
+        with suppress(click.BadParameter):
+            parameter.type.convert(form.format(number), parameter, None)
+            return True
+    return False
+
+
+@pytest.mark.parametrize(("command", "option", "form"), numeric_options())
 def test_extreme_numbers_are_refused_in_one_line(
-    dashpot: Command, data: Path, command: str, option: str
+    dashpot: Command, rig: Path, command: str, option: str, form: str
 ) -> None:
-    Path("estimate.json").write_text("{}", encoding="utf-8")
+    for name in ("data.csv", "estimate.json"):  # never read
+        Path(name).write_text("{}", encoding="utf-8")
     before = sorted(os.listdir())
     needed = {
         "identify": ["rig.toml", "data.csv"], "compare": ["rig.toml", "data.csv"], "check": ["rig.toml", "data.csv"],
@@ -50,16 +64,13 @@ def test_extreme_numbers_are_refused_in_one_line(
         "fleet": ["rig.toml", "data.csv", "--out", "o.parquet"],
     }  # fmt: skip
     for extreme in EXTREMES:
-        values = [extreme]
-        if option in ("--set", "--truth", "--amplitude"):
-            values = [f"m1={extreme}"]
-        for value in values:
-            done = dashpot(command, *needed[command], f"{option}={value}")
-            assert done.code == 2, (option, value, done)
-            assert done.out == ""
-            assert len(done.err) == 1
-            assert done.err[0].startswith("dashpot: ")
-            assert "Traceback" not in done.err[0]
+        value = form.format(extreme)
+        done = dashpot(command, *needed[command], f"{option}={value}")
+        assert done.code == 2, (option, value, done)
+        assert done.out == ""
+        assert len(done.err) == 1
+        assert done.err[0].startswith("dashpot: ")
+        assert "Traceback" not in done.err[0]
     assert sorted(os.listdir()) == before
 
 
@@ -104,6 +115,16 @@ def test_words_of_a_type_stand_beside_its_values() -> None:
     kind = TextType("time", float, words=("auto", "none"))
     assert kind.convert(" auto ", None, None) == "auto"
     assert kind.convert("2", None, None) == 2.0
+
+
+def test_commas_of_whole_numbers_part_thousands() -> None:
+    """A comma that is a decimal sign elsewhere made 15 of 1,5."""
+    assert Count(0).convert("1,000,000", None, None) == 1_000_000
+    for text in ("1,5", "1,,5", "12,34", "1,0000", ",1"):
+        with pytest.raises(click.BadParameter, match="is not a whole number"):
+            Count(0).convert(text, None, None)
+        with pytest.raises(UsageError, match="is not a quantity"):
+            quantities.amount(text)
 
 
 @pytest.mark.parametrize(("option", "value"), [("--settle", "auto"), ("--refine", "always")])

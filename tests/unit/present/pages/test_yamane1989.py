@@ -6,7 +6,8 @@ from io import StringIO
 import pytest
 from rich.console import Console
 
-from dashpot.errors import DataError
+from dashpot.errors import DataError, UsageError
+from dashpot.io import ledger
 from dashpot.present.pages.yamane1989.figures import images
 from dashpot.present.pages.yamane1989.findings import sentences
 from dashpot.present.pages.yamane1989.page import show_reproduction, write_reproduction
@@ -57,6 +58,12 @@ def test_it_can_be_shown_and_written(found, tmp_path):
     (tmp_path / "file").write_text("")
     with pytest.raises(DataError, match="folder cannot be made"):
         write_reproduction(found, figures=tmp_path / "file" / "deeper")
+
+
+def test_the_report_does_not_replace_a_figure(found, tmp_path):
+    with ledger.opened(), pytest.raises(UsageError, match="two outputs have this name"):
+        write_reproduction(found, tmp_path / "figure2.png", tmp_path)
+    assert (tmp_path / "figure2.png").read_bytes().startswith(b"\x89PNG")
 
 
 def test_pictures_are_the_same_bytes_again(found):
