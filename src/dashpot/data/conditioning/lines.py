@@ -10,6 +10,7 @@ import numpy as np
 
 from dashpot.arrays import Real
 from dashpot.data.calibration import calibration
+from dashpot.data.conditioning.account import account_of_dwells
 from dashpot.data.conditioning.clock import FEWEST, with_even_stamps
 from dashpot.data.conditioning.drift import LEVEL as DRIFT_LEVEL
 from dashpot.data.conditioning.drift import slope_costs, slopes_show
@@ -112,7 +113,7 @@ def _of_dwells(dwells: Sequence[Record], settings: Conditioning) -> Spectrum:
     if settings.drift == "auto" and slope_costs(dwells):
         settings, evidence = _with_drift(dwells, settings)
         notes.append(evidence)
-    lines = _of_settled(dwells, settings)
+    lines = _of_settled(dwells, uncut, settings)
     if (
         settings.settle == "none"
         and settings.refine != "always"
@@ -145,7 +146,7 @@ def _as_unsettled(dwells: Sequence[Record], settings: Conditioning) -> Spectrum 
     except DashpotError:
         return None
     rest = [record for record in dwells if shows_settling(record)]
-    return concatenate([_of_settled(rest, settings), whole]) if rest else whole
+    return concatenate([_of_settled(rest, rest, settings), whole]) if rest else whole
 
 
 def _at_drive_frequencies(
@@ -168,17 +169,17 @@ def _with_drift(dwells: Sequence[Record], settings: Conditioning) -> tuple[Condi
     return settings.changed(drift=0 if p > DRIFT_LEVEL else 1), Notice("drift_by_evidence", text)
 
 
-def _of_settled(dwells: Sequence[Record], settings: Conditioning) -> Spectrum:
-    """The lines of settled dwells, of the multiples that were driven."""
+def _of_settled(dwells: Sequence[Record], given: Sequence[Record], settings: Conditioning) -> Spectrum:
+    """The lines of settled dwells, which were `given` as recorded, of the multiples that were driven."""
     notes: list[Notice] = []
     driven = [DrivenOrders(settings.wanted)] * len(dwells)
     if settings.orders == "auto" and not settings.moments:
         driven = driven_orders(dwells, settings)
         notes = orders_used(driven)
     steps = rounding_steps(dwells)
-    lines = concatenate(
-        [_lines(record, settings, of, steps) for record, of in zip(dwells, driven, strict=True)]
-    )
+    each = [_lines(record, settings, of, steps) for record, of in zip(dwells, driven, strict=True)]
+    notes.insert(0, account_of_dwells(given, each, settings))
+    lines = concatenate(each)
     if settings.wanted == (1,) and settings.noise == "auto":
         lines = moderated(lines)
     return replace(lines, notes=(*notes, *lines.notes))

@@ -145,13 +145,10 @@ NOTICES: tuple[tuple[str, str, str, str], ...] = (
         "Add a sensor at another point, fix a parameter or give a guess of every unknown.",
     ),
     (
-        "bands_disagree",
-        _ESTIMATE,
-        (
-            "The band was divided into six parts; leaving one out moves the values by more than noise explains, even "
-            "where χ² finds nothing. Intervals are widened to the scatter of the parts. It is a reason of the verdict, "
-            "too."
-        ),
+        "bands_disagree", _ESTIMATE,
+        ("The band was divided into six parts; leaving one out moves the values by more than noise explains, even "
+        "where χ² finds nothing. Intervals are widened to the scatter of the parts. It is a reason of the verdict, "
+        "too."),
         "Something in the model depends on frequency: look for a missing part, a delay or a nonlinearity.",
     ),
     (
@@ -244,6 +241,12 @@ NOTICES: tuple[tuple[str, str, str, str], ...] = (
         "transient_undetectable", _RECORDS,
         "Too few periods, or too many gaps, to see a transient or where it ends: the whole dwell is used as settled.",
         "State the settling time (`--settle 2s`), or use `--transients estimate`.",
+    ),
+    (
+        "settled_dwells", _RECORDS,
+        ("What was done to all dwells that have settled: how many samples are used, at which frequency, without which "
+        "drift. Other notes give the reasons. Of dwells with transients and whole records their notes say as much."),
+        "Nothing. `--settle`, `--refine`, `--drift` and `--transients` choose otherwise, each with `none`.",
     ),
     (
         "dwells_with_transients", _RECORDS,

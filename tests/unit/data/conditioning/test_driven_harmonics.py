@@ -27,7 +27,7 @@ def test_harmonics_that_every_channel_shows_are_lines() -> None:
     lines = spectrum([dwell(f, HARMONICS, seed=k) for k, f in enumerate((1.0, 1.7))])
     assert np.allclose(lines.frequency_hz, np.outer([1.0, 1.7], list(HARMONICS)).ravel())
     assert np.allclose(np.abs(lines.amplitudes), 2 * list(HARMONICS.values()), atol=5e-4)
-    assert [note.code for note in lines.notes] == ["harmonics_driven"]
+    assert [note.code for note in lines.notes] == ["settled_dwells", "harmonics_driven"]
     assert spectrum([dwell(1.0, HARMONICS)], orders=(1,)).lines == 1
 
 

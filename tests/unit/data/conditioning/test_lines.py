@@ -54,8 +54,12 @@ def test_options_reach_the_fit():
     lines = spectrum([record], settle=True, refine=True)
     assert lines.samples[0] < 4000
     assert lines.frequency_hz[0] == pytest.approx(2.0, abs=1e-4)
-    assert lines.notes[0].code == "transient_discarded"
-    assert "not at 2.004 Hz" in lines.notes[1].text
+    assert [note.code for note in lines.notes] == [
+        "transient_discarded",
+        "settled_dwells",
+        "frequency_refined",
+    ]
+    assert "not at 2.004 Hz" in lines.notes[2].text
 
 
 def test_merged_repeats_are_as_good_as_one_long_record():

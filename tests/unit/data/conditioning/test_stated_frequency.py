@@ -65,7 +65,7 @@ def test_one_ratio_of_clocks_is_found_and_taken_out() -> None:
     assert drive.ratio == pytest.approx(1 / 1.004, abs=2e-5)
     lines = spectrum(records)
     np.testing.assert_allclose(lines.frequency_hz, RIG.frequency_hz, rtol=2e-5)
-    assert [note.code for note in lines.notes] == ["clock_refined"]
+    assert [note.code for note in lines.notes] == ["clock_refined", "settled_dwells"]
 
 
 def test_dwells_of_little_more_than_a_period_show_their_clock_together() -> None:
@@ -85,7 +85,7 @@ def test_one_dwell_gets_a_frequency_of_its_own() -> None:
     records[3] = replace(records[3], frequency_hz=1.01 * (records[3].frequency_hz or 0.0))
     lines = spectrum(records)
     assert lines.frequency_hz[3] == pytest.approx(RIG.frequency_hz[3], rel=1e-3)
-    assert [note.code for note in lines.notes] == ["frequency_refined"]
+    assert [note.code for note in lines.notes] == ["frequency_refined", "settled_dwells"]
 
 
 def test_frequencies_that_are_right_are_left_alone() -> None:
