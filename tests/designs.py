@@ -6,13 +6,18 @@ import numpy as np
 
 from dashpot.channel import Channel, Quantity
 from dashpot.data.spectrum import Spectrum
+from dashpot.design.advise import Answer, Question, answer
+from dashpot.design.criteria import AOptimal
 from dashpot.design.test_setup import ShakerLimits, TestSetup, nominal_setup
 from dashpot.quantities import frequencies
 from dashpot.study.simulate import dwells, simulate_spectrum
 from tests.rigs import paper_rig
+from tests.whole_rigs import chain
 
 CASE3 = "1,1.5,2:4:0.25,5,6,7,8:12:0.5,13,14"
 BAND = (0.25, 25.0)
+RATE = 120.0
+AMPLITUDE = 1e-3
 
 
 def paper_setup(
@@ -45,3 +50,21 @@ def setup_in_scenarios(scenarios: int) -> TestSetup:
     setup = paper_setup()
     growth = np.linspace(1, 1.3, scenarios)[:, None]
     return setup.with_scenarios(np.tile(setup.theta, (scenarios, 1)) * growth)
+
+
+def light_setup(floor: float, relative: float, zeta: float = 0.01) -> TestSetup:
+    """Two masses on a shaken base with little damping."""
+    model, theta = chain(2, zeta, seed=2)
+    channels = [Channel(x, {x: 1.0}, noise=floor, relative_noise=relative) for x in model.coordinates]
+    return nominal_setup(model, [*channels, Channel("u", {"u": 1.0})], theta, amplitude=AMPLITUDE)
+
+
+def advised(own: TestSetup, settle: float, time: float = 40.0) -> Answer:
+    """The planner's answer for its dwells within `time` s, each after `settle` s."""
+    return answer(
+        Question(
+            model=own.model, channels=own.channels, criterion=AOptimal(), band=(3.0, 20.0), rate=RATE, time=time,
+            values=dict(zip(own.model.unknown_names, own.theta[0].tolist(), strict=True)), settle=settle,
+            amplitude=AMPLITUDE,
+        )
+    )  # fmt: skip

@@ -42,6 +42,7 @@ from dashpot.design.stopping import (
     values_after,
 )
 from dashpot.design.test_setup import ShakerLimits, TestSetup, drive_units, nominal_setup
+from dashpot.design.transients import UnsettledTest, unsettled_test
 from dashpot.errors import IdentifiabilityError, UsageError
 from dashpot.estimate.identify import identify
 from dashpot.estimate.result import Estimate
@@ -102,7 +103,8 @@ class Question:
 class Answer:
     """What is advised; `plan` is None where the target is reached already.
 
-    known (scenarios, q, q) is the information before the test, in parts of the setup's sizes.
+    known (scenarios, q, q) is the information before the test, in parts of the setup's sizes; unsettled, what the same
+    test tells from all samples, None where that cannot be said.
     """
 
     setup: TestSetup
@@ -118,6 +120,7 @@ class Answer:
     verdict: Verdict | None
     robustness: Robustness
     notes: tuple[str, ...]
+    unsettled: UnsettledTest | None = None
 
 
 @dataclass(frozen=True)
@@ -165,12 +168,15 @@ def answer(question: Question) -> Answer:
     robustness: Robustness = "worst" if robust is None else question.robustness
     comparison = _comparison(question, setup, advised, knowledge, robustness, notes)
     so_far, verdict = _stopping(question, knowledge.estimate)
-    notes += () if advised is None else advised.notes
+    unsettled = None
+    if advised is not None:
+        notes += advised.notes
+        unsettled = unsettled_test(setup, question.criterion, advised, rate, knowledge.of(setup))
     if advised is not None and len(setup.model.nonlinear):
         notes += drives_that_show(setup, advised.schedule, knowledge.of(setup))
     return Answer(
         setup, question.criterion, grid_of(setup), knowledge.of(setup), advised, comparison, choice, robust,
-        knowledge.estimate, so_far, verdict, robustness, tuple(dict.fromkeys(notes)),
+        knowledge.estimate, so_far, verdict, robustness, tuple(dict.fromkeys(notes)), unsettled,
     )  # fmt: skip
 
 

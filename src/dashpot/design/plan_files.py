@@ -21,6 +21,12 @@ def answer_to_json(answer: Answer) -> str:
     extra: dict[str, Any] = {"notes": list(answer.notes)}
     if answer.comparison is not None:
         extra["against"] = _against(answer.comparison)
+    if answer.unsettled is not None:
+        whole = answer.unsettled
+        extra["used_whole"] = {
+            "predicted": _spreads(whole.predicted), "figure": whole.predicted.figure, "samples": whole.samples,
+            "thrown_away": whole.thrown_away, "one_record": whole.joined,
+        }  # fmt: skip
     if answer.choice is not None:
         ranking = answer.choice.ranking[:20]
         extra["sensors"] = {
@@ -44,15 +50,16 @@ def answer_to_json(answer: Answer) -> str:
     return plan_to_json(plan, extra)
 
 
-def _against(other: Alternative) -> dict[str, Any]:
-    def spreads(p: ExpectedPrecision) -> dict[str, Any]:
-        return {name: {"sd": float(sd)} for name, sd in zip(p.names, p.sd, strict=True)}
+def _spreads(p: ExpectedPrecision) -> dict[str, Any]:
+    return {name: {"sd": float(sd)} for name, sd in zip(p.names, p.sd, strict=True)}
 
+
+def _against(other: Alternative) -> dict[str, Any]:
     return {
         "frequencies_hz": other.schedule.frequency_hz.tolist(),
-        "predicted": spreads(other.predicted),
+        "predicted": _spreads(other.predicted),
         "figure": other.predicted.figure,
-        "iv": None if other.iv is None else spreads(other.iv),
+        "iv": None if other.iv is None else _spreads(other.iv),
         "sample_factor": other.factor,
         "sample_factor_iv": other.factor_iv,
     }

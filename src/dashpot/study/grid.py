@@ -67,6 +67,7 @@ class Study:
     unknowns    sets of parameters that are to be found; all others are known exactly
     amplitudes  of the inputs, SI units, 1 where not named;   periods  time of a dwell
     drift       degree of the trend that the harmonic regression solves for, None for none
+    transients  whether dwells follow each other without settling, and are used whole
     """
 
     name: str
@@ -78,6 +79,7 @@ class Study:
     amplitudes: Mapping[str, complex] = field(default_factory=dict)
     periods: float = 1.0
     drift: int | None = None
+    transients: bool = False
 
     def __post_init__(self) -> None:
         for name in ("rigs", "frequencies", "unknowns", "amplitudes"):
@@ -134,6 +136,7 @@ def _points(study: Study, grid: ScenarioGrid) -> Iterator[Scenario]:
             grid.draws,
             basis,
             study.drift,
+            study.transients,
         )
 
 

@@ -15,13 +15,15 @@ import numpy as np
 from dashpot.arrays import Real, freeze
 from dashpot.channel import Channel
 from dashpot.data.spectrum import Spectrum
+from dashpot.design.transients import lines_of_dwells, unsettled_dwells
 from dashpot.errors import UsageError
 from dashpot.estimate.identify import automatic, identify
+from dashpot.estimate.likelihood.maximum_likelihood import MaximumLikelihood
 from dashpot.estimate.registry import method_class
 from dashpot.model.network import Model
 from dashpot.study.fingerprint import fields_of, fingerprint_of
 from dashpot.study.nonlinear_motion import SettledMotion, settled_motion, settled_spectrum
-from dashpot.study.simulate import Dwells, NoiseBasis, clean_spectrum, simulate_spectrum
+from dashpot.study.simulate import Dwells, NoiseBasis, clean_spectrum, simulate_spectrum, with_noise_drawn
 
 
 @dataclass(frozen=True)
@@ -32,6 +34,7 @@ class Scenario:
     theta      true unknowns, (unknowns,)
     noise      whether the methods are given the covariance of the noise or estimate it from residuals
     drift      degree of the trend solved for with the fundamental; None is none
+    transients whether dwells follow each other without settling, from rest, and are used whole
     """
 
     factors: Mapping[str, str | float | int]
@@ -43,6 +46,7 @@ class Scenario:
     draws: int
     noise: NoiseBasis = "given"
     drift: int | None = None
+    transients: bool = False
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "factors", MappingProxyType(dict(self.factors)))
@@ -85,7 +89,7 @@ class Scenario:
             for channel in self.channels
         ]
         parts = (model, self.theta, channels, self.test, self.noise, self.drift)
-        return fingerprint_of(parts)
+        return fingerprint_of((*parts, "transients") if self.transients else parts)
 
     @property
     def p(self) -> Real:
@@ -97,6 +101,9 @@ class Scenario:
 
         Raises DashpotError where the test does not determine the unknowns.
         """
+        if self.transients:
+            start = MaximumLikelihood(start=tuple(self.theta.tolist()))
+            return identify(self.model, self._unsettled, start).bound_sd
         if len(self.model.nonlinear):
             clean = settled_spectrum(self._settled(), self.test, None)
         else:
@@ -107,8 +114,11 @@ class Scenario:
         """Repeats of the test, drawn for all methods alike.
 
         Raises DataError where a dwell has too few samples, UsageError where a nonlinear rig is to be told noise by its
-        residuals or sample moments, ConvergenceError where it has no settled motion.
+        residuals or sample moments, or a test with transients more than they know, ConvergenceError where a rig has no
+        settled motion.
         """
+        if self.transients:
+            return with_noise_drawn(self._unsettled, rng, draws)
         moments = any(method_class(name).traits.moments for name in self.methods)
         if not len(self.model.nonlinear):
             return simulate_spectrum(
@@ -120,6 +130,21 @@ class Scenario:
                 "studies of nonlinear rigs know noise that is given only", cure='write covariance = "given"'
             )
         return settled_spectrum(self._settled(), self.test, rng, draws=draws)
+
+    @cached_property
+    def _unsettled(self) -> Spectrum:
+        """The lines of the dwells with their transients, without noise."""
+        if len(self.model.nonlinear) or self.noise != "given" or self.drift is not None:
+            raise UsageError(
+                "studies with transients know linear rigs, noise that is given, and no drift",
+                cure='write covariance = "given" and no drift, or leave transients out',
+            )
+        test = self.test
+        records = unsettled_dwells(
+            self.model, self.p, self.channels, test.frequency_hz, np.concatenate([test.U, test.f], axis=-1),
+            test.samples.tolist(), (test.periods / test.frequency_hz / test.samples).tolist(),
+        )  # fmt: skip
+        return lines_of_dwells(records, self.channels, joined=False)
 
     def _settled(self) -> SettledMotion:
         return settled_motion(self.model, self.theta, self.channels, self.test)

@@ -274,6 +274,14 @@ def clean_spectrum(
     )
 
 
+def with_noise_drawn(clean: Spectrum, rng: np.random.Generator, draws: int) -> Spectrum:
+    """Repeats of amplitudes without noise, with noise of their covariance, which is shared, (lines, c, c), diagonal."""
+    sd = np.sqrt(np.diagonal(clean.covariance, axis1=-2, axis2=-1).real / 2)
+    shape = (draws, *clean.amplitudes.shape)
+    error = sd * (rng.standard_normal(shape) + 1j * rng.standard_normal(shape))
+    return replace(clean, amplitudes=clean.amplitudes + error)
+
+
 def _covariance(spread: Real, sd: Real) -> Complex:
     """E[Δ Δᴴ] = tr P · diag σ², (lines, channels, channels)."""
     V = (spread[:, None] * sd**2)[:, :, None] * np.eye(sd.shape[-1])

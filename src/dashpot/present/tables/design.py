@@ -99,6 +99,8 @@ def expected_columns(answer: Answer) -> list[TableColumn]:
         now = {n: percent(float(sd), float(v)) for n, sd, v in zip(e.names, e.sd, e.values, strict=True)}
         cells = tuple(now.get(name, NOTHING) for name in expected.names)
         columns.append(TableColumn("now\n± %", cells, "right"))
+    if answer.unsettled is not None:
+        columns.append(TableColumn("whole\n± %", _relative(answer.unsettled.predicted, expected), "right"))
     if answer.comparison is not None:
         other = answer.comparison
         columns.append(TableColumn("other\n± %", _relative(other.predicted, expected), "right"))

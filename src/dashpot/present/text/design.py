@@ -8,10 +8,12 @@ from collections.abc import Sequence
 from dashpot.design.advise import Answer
 from dashpot.design.criteria import Criterion
 from dashpot.design.plan import Plan
+from dashpot.design.transients import UnsettledTest
 from dashpot.io.words import joined
 from dashpot.present.text.numbers import short
 
 NEGLIGIBLE = 0.01  # per cent that rounding may cost for a test to be called optimal
+WASTE = 0.05  # of the information: what waiting for the steady state may cost
 _SCENARIOS = {"worst": "worst of", "average": "average over"}
 
 
@@ -37,7 +39,28 @@ def plan_in_words(answer: Answer, plan: Plan) -> list[str]:
         if other.factor_iv is not None:
             line += f", {_times(other.factor_iv)} with the paper's instrumental variables"
         lines.append(f"{line}.")
+    if answer.unsettled is not None:
+        lines.append(_used_whole(plan, answer.unsettled))
     return lines
+
+
+def _used_whole(plan: Plan, whole: UnsettledTest) -> str:
+    """What the same test gives if nothing is left out, and so what it costs to wait."""
+    gives = figure_in_words(plan.criterion, whole.predicted.figure)
+    if not any(dwell.settle_s for dwell in plan.dwells):
+        return (
+            f"No dwell waits for the steady state: with the transients in it the test gives {gives}, and the motion "
+            "would have to be settled for the figures above."
+        )
+    if whole.thrown_away > WASTE:
+        return (
+            f"Waiting for the steady state is a waste: recorded from the first sample on and used whole, transients "
+            f"included, the same test gives {gives}; the settled parts alone throw away "
+            f"{100 * whole.thrown_away:.0f} % of the information."
+        )
+    if whole.thrown_away < -WASTE:
+        return f"Waiting pays: used whole, with noise in proportion to the transients, the same test gives {gives}."
+    return f"Waiting costs little: used whole, transients included, the same test gives {gives}."
 
 
 def _result(answer: Answer, plan: Plan) -> str:

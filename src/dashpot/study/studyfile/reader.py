@@ -14,6 +14,7 @@ from dashpot.study.studyfile.values import StudyValues
 
 HEAD = (
     "name", "seed", "draws", "methods", "periods", "drift", "amplitudes", "rigs", "frequencies", "unknowns", "grid",
+    "transients",
 )  # fmt: skip
 _WANTED = Wanted("study file", "describe a study, starting with [rigs.NAME]")
 
@@ -41,13 +42,14 @@ def _study(document: TomlDocument) -> Study:
     seed = values.whole(("seed",), table.get("seed", 0), 0, 2**63)
     drift = values.whole(("drift",), table["drift"], 0, 5) if "drift" in table else None
     periods = values.number(("periods",), table.get("periods", 1.0), positive=True)
+    transients = values.flag(("transients",), table.get("transients", False))
     rigs = read_rigs(values)
     lines = read_frequencies(values)
     unknowns = read_unknowns(values, rigs)
     amplitudes = read_input_amplitudes(values, rigs)
     grids = read_grids(values, Tables(*(values.names_in(key) for key in ("rigs", "frequencies", "unknowns"))))
     values.report.raise_any()
-    study = Study(name, seed, rigs, lines, tuple(grids), unknowns, amplitudes, periods, drift)
+    study = Study(name, seed, rigs, lines, tuple(grids), unknowns, amplitudes, periods, drift, transients)
     for k, grid in enumerate(study.grids):
         try:
             points(study, grid)

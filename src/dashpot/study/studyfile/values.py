@@ -47,6 +47,15 @@ class StudyValues:
         self.report.add(place, f"{written(raw)} is not text", "write it in quotes")
         return ""
 
+    def flag(self, place: Place, raw: object) -> bool:
+        """true or false."""
+        if isinstance(raw, bool):
+            return raw
+        self.report.add(
+            place, f"{written(raw)} is neither true nor false", "write true or false, without quotes"
+        )
+        return False
+
     def number(self, place: Place, raw: object, *, positive: bool = False) -> float:
         """A finite number."""
         if isinstance(raw, bool) or not isinstance(raw, int | float):
