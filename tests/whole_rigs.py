@@ -6,6 +6,7 @@ tested against closed forms); nothing of it is in the frequency domain.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -154,6 +155,33 @@ def record_of(
     view = observation_model(model, channels, np.ones(1))
     values = channel_samples(view, p, motion)[::FINER]
     return WholeTest(model, theta, Record(tuple(channels), np.arange(samples) / rate, values))
+
+
+def stepped_sine(
+    model: Model, theta: Real, channels: Sequence[Channel], frequencies: Sequence[float], noise: float, *,
+    periods: float = 5, settle: float = 0.0, seed: int = 0,
+) -> list[Record]:  # fmt: skip
+    """Dwells of 20 samples a period of the one input, each from the state that the last one left, clocks restarted.
+
+    noise of every channel but the last, against its own size; the first `settle` seconds of each dwell are left out.
+    """
+    rng = np.random.default_rng(seed)
+    p = model.parameters(theta)
+    view = observation_model(model, channels, np.ones(1))
+    state: Real = np.zeros(2 * model.n)
+    records = []
+    for f in frequencies:
+        step = 1 / (20 * f)
+        wait = int(settle * 20 * f)
+        count = wait + int(20 * periods)
+        fine = np.arange(8 * count + 1) * step / 8
+        motion = integrator(model, p, step / 8).motion(np.sin(2 * np.pi * f * fine)[:, None] * 1e-3, state)
+        state = np.concatenate([motion.x[-1], motion.v[-1]])
+        values = channel_samples(view, p, motion)[:-1:8][wait:]
+        noisy = np.arange(len(channels)) < len(channels) - 1
+        values = values + noise * np.std(values, axis=0) * rng.normal(size=values.shape) * noisy
+        records.append(Record(tuple(channels), step * np.arange(len(values)), values, f))
+    return records
 
 
 @dataclass(frozen=True)

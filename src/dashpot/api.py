@@ -19,7 +19,6 @@ import numpy as np
 from dashpot.channel import Channel
 from dashpot.check.identifiability import Structure, structure
 from dashpot.data import readers
-from dashpot.data.conditioning.lines import spectrum as spectrum_of_records
 from dashpot.data.conditioning.settings import Conditioning
 from dashpot.data.modal_data import ModalData
 from dashpot.data.readers import Reading
@@ -28,10 +27,12 @@ from dashpot.data.spectrum import Spectrum
 from dashpot.errors import DashpotError, UsageError
 from dashpot.estimate import comparison as comparisons
 from dashpot.estimate import identify as identification
+from dashpot.estimate.amplitudes import amplitudes_for
 from dashpot.estimate.automatic import identify_automatically
 from dashpot.estimate.comparison import Comparison
 from dashpot.estimate.likelihood.settling import with_settling_decided
-from dashpot.estimate.method import Method, conditioning_for
+from dashpot.estimate.method import Method
+from dashpot.estimate.nonlinear.whole_record import identify_records
 from dashpot.estimate.registry import method as named_method
 from dashpot.estimate.registry import methods_for
 from dashpot.estimate.result import Estimate
@@ -89,13 +90,17 @@ def identify(
     the method needs, IdentifiabilityError where they do not determine the unknowns.
     """
     chosen = named_method(method) if isinstance(method, str) else method
+    if not isinstance(data, Spectrum):
+        data = _reading(rig, data, frequency_hz)
+        if data.continuous and len(_model(rig).nonlinear):
+            name = None if chosen is None else chosen.name
+            return _of_rig(rig, identify_records(_model(rig), data.records, name, progress=progress))
     spectrum = _spectrum(rig, data, frequency_hz, conditioning, [] if chosen is None else [chosen])
     if isinstance(rig, Rig):
         from dashpot.present.text.identifiability import require_identifiable
 
         require_identifiable(rig.model, spectrum.channels, rig.path or None, spectrum)
-    if chosen is None or chosen.traits.transients:
-        spectrum = with_settling_decided(_model(rig), spectrum)
+    spectrum = with_settling_decided(_model(rig), spectrum, chosen)
     if chosen is None:
         estimate = identify_automatically(_model(rig), spectrum, progress=progress)
     else:
@@ -104,7 +109,7 @@ def identify(
         from dashpot.check.diagnosis.diagnose import examined
 
         estimate = examined(_model(rig), spectrum, estimate)
-    return replace(estimate, rig=rig.path) if isinstance(rig, Rig) and rig.path else estimate
+    return _of_rig(rig, estimate)
 
 
 def compare(
@@ -309,6 +314,11 @@ def plot(value: Estimate | Comparison, level: float = 0.95) -> Any:
     return comparison_figure(value, level) if isinstance(value, Comparison) else estimate_figure(value, level)
 
 
+def _of_rig(rig: Rig | Model, estimate: Estimate) -> Estimate:
+    """The estimate with the name of its rig file, where it has one."""
+    return replace(estimate, rig=rig.path) if isinstance(rig, Rig) and rig.path else estimate
+
+
 def _model(rig: Rig | Model) -> Model:
     return rig.model if isinstance(rig, Rig) else rig
 
@@ -327,21 +337,25 @@ def _spectrum(
                 "a spectrum has been conditioned already", cure="leave frequency_hz and conditioning out"
             )
         return data
-    usual = Conditioning() if conditioning is None else conditioning
-    traits = [method.traits for method in methods]
-    if isinstance(data, Record):
-        data = (data,)
-    if not isinstance(data, Reading | str | os.PathLike):
-        if data and all(isinstance(item, Record) for item in data):
-            records = [item for item in data if isinstance(item, Record)]
-            return spectrum_of_records(records, conditioning_for(_model(rig), traits, usual))
-        data = read(
-            [item for item in data if not isinstance(item, Record)], _channels(rig), frequency_hz=frequency_hz
-        )
-    if not isinstance(data, Reading):
-        data = read(data, _channels(rig), frequency_hz=frequency_hz)
-    of_samples = data.amplitudes is None
-    return data.spectrum(conditioning_for(_model(rig), traits, usual, of_samples=of_samples))
+    reading = _reading(rig, data, frequency_hz)
+    usual = Conditioning(**reading.conditioning) if conditioning is None else conditioning
+    return amplitudes_for(_model(rig), reading, usual, [method.traits for method in methods])
+
+
+def _reading(
+    rig: Rig | Model,
+    data: Reading | Record | AnyPath | Sequence[Record] | Sequence[AnyPath],
+    frequency_hz: float | None,
+) -> Reading:
+    """Files read by the channels of the rig, or what was read before."""
+    if isinstance(data, Reading):
+        return data
+    several = [data] if isinstance(data, Record | str | os.PathLike) else list(data)
+    records = [item for item in several if isinstance(item, Record)]
+    if records and len(records) == len(several):
+        return Reading(tuple(records), None, ())
+    paths = [item for item in several if not isinstance(item, Record)]
+    return read(paths, _channels(rig), frequency_hz=frequency_hz)
 
 
 def _channels(rig: Rig | Model) -> Sequence[Channel]:

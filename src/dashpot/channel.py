@@ -28,9 +28,10 @@ class Quantity(StrEnum):
 class Channel:
     """One channel, and how its raw numbers relate to the physical quantity in SI units.
 
-    raw(t) · (unit in SI) = sign · gain · quantity(t − delay).  Known calibrations are taken out when raw numbers
+    raw(t) · scale = sign · gain · quantity(t − delay).  Known calibrations are taken out when raw numbers
     become a Spectrum; `gain`, `delay` or `sign` None means unknown, to be estimated with the rest.
 
+    `name` is that of its column in data files, `unit` what its raw numbers are written in, and `scale` that unit in SI.
     `of` maps points (coordinates, displacement inputs) to factors.  With quantity "force", `of` names one force
     input (the applied force), one displacement input (the reaction force that moves it) or elements (the force in
     them).  `noise` (in `unit`) and `relative_noise` (of the amplitude) are standard deviations of one sample, `rate`

@@ -121,7 +121,7 @@ def factor_between(unit: str, wanted: str) -> float:
             f"{_quoted(unit)} cannot be turned into {wanted}", cure="write a number in it"
         ) from None
     if dimension != same:
-        raise UsageError(f"{_quoted(unit)} has not the dimension of {wanted}", cure=cure)
+        raise UsageError(f"{_quoted(unit)} does not have the dimension of {wanted}", cure=cure)
     return factor / of_wanted
 
 
@@ -200,7 +200,7 @@ def _remedy(dimension: Dimension, wanted: _Quantity) -> str:
     if dimension[4] or dimension[5]:
         if dimension in (VOLTAGE, COUNT):
             return f'say gain = "unknown" to estimate it, or a sensitivity, or use {wanted.accepted}'
-        return f'a sensitivity belongs into gain, with unit = "V"; or use {wanted.accepted}'
+        return f'a sensitivity belongs in gain, with unit = "V"; or use {wanted.accepted}'
     return f"use {wanted.accepted}"
 
 

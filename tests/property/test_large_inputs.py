@@ -63,7 +63,7 @@ def test_a_chain_of_ties() -> None:
 
 def test_a_circle_of_ties_is_told_in_short() -> None:
     def attempt() -> None:
-        with pytest.raises(ModelError, match="a tie in a circle") as error:
+        with pytest.raises(ModelError, match="a circular tie") as error:
             parse_rig(_ties(2000, "d0"))
         assert max(len(str(problem)) for problem in error.value.problems) < 400
 

@@ -72,12 +72,14 @@ def test_what_is_printed_is_what_the_command_prints(rig: Rig, capsys: pytest.Cap
 def test_one_line_each(rig: Rig) -> None:
     estimate = rig.identify("data.csv")
     records = rig.read("data.csv").records
-    for value in (rig, estimate, records[0], rig.read("data.csv").spectrum()):
+    reading = rig.read("data.csv")
+    for value in (rig, estimate, estimate["m1"], records[0], reading, reading.spectrum()):
         text = repr(value)
         assert "\n" not in text
         assert len(text) < 400
         assert "array(" not in text
     assert "m1 = 3" in repr(estimate)
+    assert "m1 = 3" in repr(estimate["m1"])
 
 
 def test_a_batch_is_one_line(rig: Rig) -> None:
@@ -130,3 +132,25 @@ def test_values_saved_before_are_shown_again(rig: Rig) -> None:
     estimate = rig.identify("data.csv")
     Path("e.json").write_text(estimate.to_json(), encoding="utf-8")
     assert repr(Estimate.load("e.json")) == repr(estimate)
+
+
+NONLINEAR = RIG.replace(
+    "[dampers]", 'k3 = { between = ["x1", "u"], law = "cubic", guess = 4e7 }\n\n[dampers]', 1
+)
+
+
+def test_nonlinear_dwells_and_manifests_are_treated_as_by_the_command(
+    rig: Rig, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Python once took the fundamentals of nonlinear dwells alone, and left what a manifest says unread."""
+    Path("bent.toml").write_text(NONLINEAR, encoding="utf-8")
+    Path("test.toml").write_text('[conditioning]\norders = [1, 2]\n[[files]]\nname = "data.csv"\n')
+    values = "m1=3,c1=20,c2=30,k3=4e7"
+    made = ["simulate", "bent.toml", "--set", values, "--frequencies", "2:12/8", "--amplitude", "2mm"]
+    assert run([*made, "--out", "bent.csv", "-q"]) == 0
+    for name, file in (("bent.toml", "bent.csv"), ("rig.toml", "test.toml")):
+        assert run(["identify", name, file, "--json", "e.json", "-q"]) == 0
+        command, python = Estimate.load("e.json"), dashpot.read_rig(name).identify(file)
+        np.testing.assert_allclose(python.values, command.values, rtol=1e-12)
+        assert python.fit.dof == command.fit.dof
+    capsys.readouterr()

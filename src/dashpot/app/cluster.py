@@ -41,7 +41,7 @@ def cluster_mapping(address: str, processes: int | None = None) -> Iterator[Map]
     A worker that is lost costs the tasks it was at, which others compute again.  Raises UsageError where Dask is not
     installed, no scheduler answers, it has no workers, or they have another version of dashpot.
     """
-    distributed = optional_library("distributed", "scale", "a cluster of Dask")
+    distributed = optional_library("distributed", "scale", "a Dask cluster")
     if address == LOCAL:
         one_thread()
         cluster = distributed.LocalCluster(
@@ -62,7 +62,7 @@ def _client(distributed: Any, address: str) -> Any:
     except (OSError, ValueError, TypeError) as error:
         cause = " ".join(str(error).split())[:150]
         raise UsageError(
-            f"no scheduler of Dask answers ({cause})", address,
+            f"the Dask scheduler does not answer ({cause})", address,
             "start one: dask scheduler, and workers: dask worker ADDRESS --nworkers auto --nthreads 1",
         ) from None  # fmt: skip
 
@@ -96,7 +96,7 @@ def _require_alike(client: Any, address: str) -> None:
             if has.get(name) != value:
                 raise UsageError(
                     f"the worker {worker} has {name} {has.get(name)}, here it is {value}", address,
-                    "install the same on all machines",
+                    "install the same versions on all machines",
                 )  # fmt: skip
 
 
@@ -120,7 +120,7 @@ def _mapper(distributed: Any, client: Any) -> Map:
             except distributed.KilledWorker as error:
                 raise UsageError(
                     f"workers were killed several times at the same task ({str(error)[:100]})",
-                    cure="their memory may be too small: give fewer of them on each machine",
+                    cure="their memory may be too small: start fewer on each machine",
                 ) from None
             future.release()
             submit()

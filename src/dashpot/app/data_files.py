@@ -32,9 +32,21 @@ class MeasuredData:
     dwells: tuple[UsedDwell, ...] = ()
 
 
-def read_data(
+def read_files(rig: Rig, paths: Sequence[str], options: Mapping[str, Any], quiet: bool) -> Reading:
+    """What data files hold, with what was noticed told.  Raises DataError, and UsageError for --frequency unused."""
+    from dashpot.app.progress import progress
+    from dashpot.data.readers import read
+
+    with progress(reading_of(paths), quiet):
+        reading = read(paths, rig.channels, frequency_hz=options["frequency"])
+    _require_use_of_frequency(reading, options["frequency"])
+    tell_notes(reading.notes, quiet)
+    return reading
+
+
+def measured_data(
     rig: Rig,
-    paths: Sequence[str],
+    reading: Reading,
     options: Mapping[str, Any],
     quiet: bool,
     *,
@@ -42,36 +54,26 @@ def read_data(
     part: tuple[float, float] = (0.0, 1.0),
     with_dwells: bool = False,
 ) -> MeasuredData:
-    """The amplitudes of data files, with the options of `conditioning_options` by name.
+    """The amplitudes of what was read, with the options of `conditioning_options` by name.
 
     Second moments of the samples are kept where one of the methods named by `moments_for` needs them and the files
     hold samples; unsettled dwells are cut to what has settled where one of them knows no transients.  `part` is the
     share of every record's samples that is used, from where to where; `with_dwells` keeps them, for pictures.
     Raises DataError.
     """
-    from dashpot.app.nonlinear_records import usual_orders
     from dashpot.app.progress import progress
-    from dashpot.data.readers import read
-    from dashpot.estimate.likelihood.settling import with_settling_decided
-    from dashpot.estimate.method import conditioning_for
+    from dashpot.estimate.amplitudes import amplitudes_for, conditioning_for
     from dashpot.estimate.registry import method_class
 
-    with progress(reading_of(paths), quiet):
-        reading = read(paths, rig.channels, frequency_hz=options["frequency"])
-    _require_use_of_frequency(reading, options["frequency"])
-    tell_notes(reading.notes, quiet)
     traits = [method_class(name).traits for name in moments_for if name != "auto"]
-    changes: dict[str, Any] = {}
-    if len(rig.model.nonlinear) and not _was_given("orders"):
-        changes["orders"] = usual_orders(rig, reading)
-    changes |= {name: value for name, value in reading.conditioning.items() if not _was_given(name)}
-    conditioning = replace(conditioning_from(options), **changes)
-    conditioning = conditioning_for(rig.model, traits, conditioning, of_samples=reading.amplitudes is None)
-    conditioning = with_noise_record(conditioning, rig, options, quiet)
+    stated: dict[str, Any] = {
+        name: value for name, value in reading.conditioning.items() if not _was_given(name)
+    }
+    conditioning = with_noise_record(replace(conditioning_from(options), **stated), rig, options, quiet)
     if part != (0.0, 1.0):
         reading = _part_of(reading, part)
     with progress("amplitudes", quiet):
-        spectrum = with_settling_decided(rig.model, reading.spectrum(conditioning))
+        spectrum = amplitudes_for(rig.model, reading, conditioning, traits)
     if options.get("record_band") is not None and not spectrum.records:
         cause = "--band chooses frequencies of whole records, and these data hold dwells"
         raise UsageError(cause, cure="leave it out")
@@ -80,7 +82,8 @@ def read_data(
     if with_dwells:
         from dashpot.data.conditioning.used_dwells import used_dwells
 
-        dwells = used_dwells(reading.records, spectrum, conditioning)
+        treated = conditioning_for(rig.model, reading, conditioning, traits)
+        dwells = used_dwells(reading.records, spectrum, treated)
     return MeasuredData(spectrum, bool(reading.records), dwells)
 
 
@@ -100,8 +103,9 @@ def read_spectrum(
     moments_for: Iterable[str] = (),
     part: tuple[float, float] = (0.0, 1.0),
 ) -> Spectrum:
-    """The amplitudes alone, as `read_data` reads them."""
-    return read_data(rig, paths, options, quiet, moments_for=moments_for, part=part).spectrum
+    """The amplitudes of data files alone, as `measured_data` makes them."""
+    reading = read_files(rig, paths, options, quiet)
+    return measured_data(rig, reading, options, quiet, moments_for=moments_for, part=part).spectrum
 
 
 def with_noise_record(

@@ -59,9 +59,7 @@ class OutputFile(click.ParamType[str]):
             return target
         _require_writable(target)
         if self.new and os.path.isfile(target):
-            raise UsageError(
-                "there is a file of this name", target, "name another file, or take this one away"
-            )
+            raise UsageError("a file of this name exists", target, "name another file, or remove this one")
         entries = ledger.current()
         if entries is not None:
             entries.claim(target, id(self) if param is None else param.name)
@@ -83,7 +81,7 @@ def _require_writable(target: str) -> None:
     there = os.path.exists(target)
     folder = Path(target).parent if there else Path(os.path.realpath(target)).parent
     if not os.path.isdir(folder):
-        raise UsageError(f"the folder {folder} does not exist", target, "make it, or name another file")
+        raise UsageError(f"the folder {folder} does not exist", target, "create it, or name another file")
     special = there and not os.path.isfile(target)
     writable = os.access(target if special else folder, os.W_OK)
     if not writable or (there and not os.access(target, os.W_OK)):
@@ -113,12 +111,12 @@ class OutputFolder(click.ParamType[str]):
 def check_folder(target: str) -> None:
     """Refuse a folder for output that cannot be made: its parent must exist.  Raises UsageError."""
     if not target or "\0" in target:
-        raise UsageError("this names no folder", target or '""', "name another folder")
+        raise UsageError("this is not the name of a folder", target or '""', "name another folder")
     path = Path(target)
     if os.path.exists(target) and not os.path.isdir(target):
         raise UsageError("this is a file, not a folder", target, "name another folder")
     if not os.path.exists(target) and not os.path.isdir(path.absolute().parent):
-        raise UsageError(f"the folder {path.parent} does not exist", target, "make it, or name another")
+        raise UsageError(f"the folder {path.parent} does not exist", target, "create it, or name another")
 
 
 def write_result(target: str | None, text: str) -> None:

@@ -29,7 +29,7 @@ DOES_NOT_FIT = 4  # exit code of a verdict that was asked to count
 OUTPUT = "Output"
 CHOICES = ["auto", *METHODS]  # of --method
 DATA_HELP = "Data files of any format, or a manifest (TOML): time records, amplitudes, frequency responses."
-VALUES = "Values of the unknowns (else the guess or value of the rig file)"
+VALUES = "Values of the unknowns, in place of those of the rig file"
 RECORDS = "Time records (tables of amplitudes are used as they are)"
 
 Function = TypeVar("Function", bound=Callable[..., Any])
@@ -69,9 +69,9 @@ def json_option(what: str) -> Callable[[Function], Function]:
     )  # fmt: skip
 
 
-def file_option(name: str, metavar: str, help_text: str) -> Callable[[Function], Function]:
-    """An output file that is named by what it holds."""
-    return option(name, type=OutputFile(), metavar=metavar, group=OUTPUT, help=help_text)
+def file_option(name: str, metavar: str, help_text: str, *also: str) -> Callable[[Function], Function]:
+    """An output file that is named by what it holds; `also` are other spellings of the option."""
+    return option(name, *also, type=OutputFile(), metavar=metavar, group=OUTPUT, help=help_text)
 
 
 level_option = option(
@@ -128,48 +128,52 @@ def modal_sd_option(group: str) -> Callable[[Function], Function]:
     return option(
         "--modal-sd", type=MODAL_SD, default="1%,20%,5%", show_default=True, metavar="FREQUENCY,DAMPING,SHAPE",
         group=group,
-        help="Standard deviations of modes in universal files, which have none: of frequencies, of damping ratios, of "
-        "shapes against their largest entry.",
+        help="Standard deviations of modes in universal files, which hold none: of frequencies, of damping ratios, and "
+        "of shapes relative to their largest entry.",
     )  # fmt: skip
 
 
-processes_option = option(
-    "--processes", type=Count(1, 1024), metavar="N", help="Worker processes.  [default: one per processor]"
-)
-
 workers_option = option(
-    "--workers", type=Count(1, 1024), metavar="N", help="Worker processes.  [default: one per processor]"
-)
+    "--workers", "--processes", "workers", type=Count(1, 1024), metavar="N",
+    help="Worker processes.  [default: one per processor]",
+)  # fmt: skip
 
 dask_option = option(
     "--dask", metavar="local|ADDRESS",
-    help="Compute on a cluster of Dask: its scheduler's address, such as tcp://host:8786, or local for one on this "
-    "machine. Needs the extra dashpot[scale].",
+    help="Compute on a Dask cluster: the address of its scheduler, such as tcp://host:8786, or local for one on this "
+    "machine.  Needs the extra dashpot[scale].",
 )  # fmt: skip
 
 
-def whole_record_options(function: Function) -> Function:
-    """How records with transients are used: --band, --transients and --noise-record."""
+record_band_option = option(
+    "--band", "record_band", type=BAND, metavar="LOWER:UPPER", group=RECORDS,
+    help="Frequencies of a whole record that are used, Hz.  [default: the band in which the rig moves]",
+)  # fmt: skip
+
+
+def transient_options(function: Function) -> Function:
+    """What is done about transients, and what is known of the noise: --transients and --noise-record."""
     options = [
-        option(
-            "--band", "record_band", type=BAND, metavar="LOWER:UPPER", group=RECORDS,
-            help="Frequencies of a whole record that are used, Hz.  [default: the band in which the rig moves]",
-        ),
         option(
             "--transients", type=click.Choice(["auto", "estimate", "settle", "none"]), default="auto",
             show_default=True, group=RECORDS,
-            help="Use records whole and estimate their transients: records of any excitation always, dwells where a "
-            "test finds them unsettled (auto), always (estimate) or never (none); settle: where the test finds them "
-            "unsettled, drop their transients, as auto does for methods that know none.",
+            help="Transients of dwells: estimate them where a test finds the dwells unsettled (auto), always "
+            "(estimate) or never (none), or drop them where the test finds them (settle; auto does so for methods that "
+            "cannot estimate them).  Records of other excitation always have theirs estimated.",
         ),
         option(
             "--noise-record", type=INPUT_FILE, multiple=True, metavar="FILE", group=RECORDS,
-            help="A record at rest, which gives the noise of every channel; may be repeated.",
+            help="A record at rest, which gives the noise of every channel.  May be repeated.",
         ),
     ]  # fmt: skip
     for decorate in reversed(options):
         function = decorate(function)
     return function
+
+
+def whole_record_options(function: Function) -> Function:
+    """How whole records are used: --band, --transients and --noise-record."""
+    return record_band_option(transient_options(function))
 
 
 def conditioning_options(function: Function) -> Function:
@@ -181,12 +185,12 @@ def conditioning_options(function: Function) -> Function:
         ),
         option(
             "--orders", type=ORDERS, default="auto", show_default=True, metavar="auto|1,3,…", group=RECORDS,
-            help="Multiples of the drive frequency whose amplitudes are used as data; auto is 1 and, of long dwells, "
-            "the harmonics that drive every channel.",
+            help="Multiples of the drive frequency whose amplitudes are used as data; auto is 1 and, in long dwells, "
+            "the harmonics that show in every channel.",
         ),
         option(
             "--harmonics", type=HARMONICS, default="auto", show_default=True, metavar="auto|none|2,3,…",
-            group=RECORDS, help="Further multiples that are fitted so that they do not count as noise.",
+            group=RECORDS, help="Further multiples, fitted so that they do not count as noise.",
         ),
         option(
             "--drift", type=click.Choice(["auto", "none", "0", "1", "2", "3"]), default="auto", show_default=True,
@@ -197,9 +201,9 @@ def conditioning_options(function: Function) -> Function:
         option(
             "--noise", type=click.Choice(["auto", "own", "white", "blocks"]), default="auto", show_default=True,
             group=RECORDS,
-            help="How the noise of the amplitudes is estimated from the residuals: as white, from blocks of "
-            "neighbouring frequencies (blocks), whichever a test of whiteness asks for (own), or as own, with short "
-            "dwells pooled (auto).",
+            help="How the noise of the amplitudes is estimated from the residuals: as white noise (white), from "
+            "neighbouring frequencies (blocks), as a test of whiteness decides for each dwell (own), or likewise with "
+            "short dwells pooled (auto).",
         ),
         option(
             "--refine", type=click.Choice(["auto", "always", "none"]), alone="always", default="auto",
@@ -210,8 +214,8 @@ def conditioning_options(function: Function) -> Function:
         option(
             "--settle", type=SETTLING, alone="auto", default="none", show_default=True,
             metavar="auto|none|2s", group=RECORDS,
-            help="Discard the start of each dwell: as long as the transient lasts, or that time; --settle alone is "
-            "auto.",
+            help="Discard the start of each dwell: as long as the transient lasts (auto), or the time given; --settle "
+            "alone is auto.",
         ),
     ]  # fmt: skip
     for decorate in reversed(options):

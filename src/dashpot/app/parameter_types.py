@@ -172,6 +172,7 @@ FREQUENCIES = TextType("frequencies", quantities.frequencies)
 FREQUENCY = TextType("frequency", quantities.frequency)
 BAND = TextType("lower:upper", quantities.band)
 TIME = TextType("time", _positive("time"))
+MASS = TextType("mass", _positive("mass"))
 SETTLING = TextType("time", _not_negative("time"), words=("auto", "none"))
 AMOUNT = TextType("quantity", _positive_amount)  # in SI only where the rig is known: an angle or a length
 AMOUNTS = TextType("name=value", _amounts)

@@ -15,12 +15,12 @@ if TYPE_CHECKING:
 
 
 def require_bounds_held(method: str) -> None:
-    """Refuse --positive, before the work, with a method that holds no bounds.  Raises UsageError."""
+    """Refuse --positive, before the work, with a method that cannot hold bounds.  Raises UsageError."""
     from dashpot.estimate.registry import method_class
 
     if method != "auto" and not method_class(method).traits.bounds:
         raise UsageError(
-            f"the method {method} holds no bounds", cure="leave out --positive, or use --method ml"
+            f"the method {method} cannot hold bounds", cure="leave out --positive, or use --method ml"
         )
 
 

@@ -62,7 +62,7 @@ def write_picture(predictions: Sequence[RecordPrediction], path: str) -> None:
 
     records = [part for part in predictions if part.samples]
     if not records:
-        raise UsageError("settled lines have no history to draw", cure="leave --picture out")
+        raise UsageError("settled lines have no history to draw", cure="leave --figure out")
     part = records[0]
     time, measured, predicted = part.histories()
     figure = histories_and_spectra(

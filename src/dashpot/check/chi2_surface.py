@@ -60,7 +60,7 @@ def chi2_surface(model: Model, spectrum: Spectrum, estimate: Estimate) -> Surfac
     view = data.view
     if view.names != estimate.names:
         raise DataError(
-            "the estimate is of other unknowns than the rig and the channels have", cure="identify once more"
+            "the unknowns of the estimate are not those of the rig and its channels", cure="identify again"
         )
     psi = estimate.values.reshape(-1, len(view.names))
     sign = spectrum.signs(estimate.signs, len(psi))

@@ -70,7 +70,7 @@ def collinearity(base: Surface, covariance: Real) -> Collinearity:
     if not np.all(known):
         lost = [name for name, fine in zip(base.view.names, known, strict=True) if not fine]
         raise IdentifiabilityError(
-            f"at the values of the estimate the data say nothing of {listed(lost)}",
+            f"at the estimated values the data say nothing about {listed(lost)}",
             cure="check units and signs of the channels, or give values",
         )
     sd = np.sqrt(np.diagonal(total))

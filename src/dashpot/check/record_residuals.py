@@ -37,7 +37,7 @@ def standing_out(left: Residuals, spectrum: Spectrum, outputs: Bools, hum: Bools
     for c in np.flatnonzero(np.min(chance, axis=0) < IMPROBABLE):
         name, line = left.channels[c], worst[c]
         off = f"{np.sqrt(square[line, c]):.2g} sd off"
-        text = f"{name} at {left.frequency_hz[line]:.4g} Hz is {off}, which noise would not be"
+        text = f"{name} at {left.frequency_hz[line]:.4g} Hz is {off}, more than noise explains"
         notices.append(Notice("standing_out", text, (name,)))
     return notices
 

@@ -39,6 +39,9 @@ Calibrations = Mapping[str, float]
 class Residuals:
     """Measured against predicted, all (lines, channels) unless said; SI units.
 
+    channels, units       names, and SI units of their amplitudes
+    input_names, input_units  of the inputs
+    frequency_hz, experiment  of the lines, (lines,)
     measured, predicted   complex amplitudes; NaN where a channel was not measured
     sd                    of the real (and of the imaginary) part of the measured amplitude
     normalised            (measured − predicted) over the sd that this difference has after v was fitted; NaN where it

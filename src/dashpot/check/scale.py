@@ -51,15 +51,15 @@ def require_scale(model: Model, channels: Sequence[Channel], where: str | None =
     for group in groups:
         if len(group) == 1:
             what = (
-                f"any value of {group[0]} gives the same motion: no other force is known to compare it with"
+                f"any value of {group[0]} gives the same motion: there is no known force to compare it with"
             )
         elif whole:
             what = (
                 "nothing is known and only displacements go in, so all forces scale together: "
-                f"{listed(group)} times any factor move alike"
+                f"{listed(group)} times any factor give the same motion"
             )
         else:
-            what = f"the forces of {listed(group)} scale together: times any factor they move alike"
+            what = f"the forces of {listed(group)} scale together: times any factor they give the same motion"
         problems.append(
             Problem(
                 what, where, "give one of them a value, or measure a force (the one that moves an input, say)"

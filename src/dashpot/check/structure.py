@@ -331,7 +331,7 @@ def floating(
         g = g / np.where(size > 0, size, 1.0)
         if not np.all(np.isfinite(g)):
             raise ModelError(
-                "the rig's numbers are too far apart for floating point",
+                "the rig's numbers differ too much in size for floating point",
                 cure="check units and sizes of the values",
             )
         u, s, _ = np.linalg.svd(g, full_matrices=False)

@@ -79,7 +79,7 @@ def validate(model: Model, estimate: Estimate, spectrum: Spectrum) -> tuple[Reco
     data = measured(Prepared(view, single, V[None], None, True, np.ones(1, dtype=bool)))
     if data.q is None:
         raise DataError(
-            "the channels do not show every input, so that nothing can be predicted",
+            "some input is not measured, so nothing can be predicted",
             cure="record the inputs as well",
         )
     at = predict(view, data, psi[None], sign[None])

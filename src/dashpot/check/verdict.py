@@ -70,9 +70,9 @@ def _rejected(estimate: Estimate) -> list[Notice]:
 def _powerless(estimate: Estimate, spectrum: Spectrum) -> list[Notice]:
     fit = estimate.fit
     if not fit.known_noise:
-        return [Notice("no_noise", "the noise is not known, so that nothing says how large residuals may be")]
+        return [Notice("no_noise", "the noise is not known, so the size of the residuals cannot be judged")]
     if RESIDUAL in spectrum.noise:
-        text = "the noise is read from the residuals themselves; a record at rest would make the fit testable"
+        text = "the noise is estimated from the residuals themselves; a record at rest would make the fit testable"
         return [Notice("noise_from_residuals", text)]
     if fit.dof < FEWEST:
         return [Notice("few_degrees", f"{fit.dof} degrees of freedom are too few to test the fit")]
@@ -82,7 +82,7 @@ def _powerless(estimate: Estimate, spectrum: Spectrum) -> list[Notice]:
 def _silent(model: Model, spectrum: Spectrum) -> list[Notice]:
     """Channels of moving points that do not move: they fit a rig that stands still."""
     return [
-        Notice("silent_channel", f"{name} shows nothing at any line", (name,))
+        Notice("silent_channel", f"{name} shows no motion at any line", (name,))
         for name in dead_channels(model, spectrum)
     ]
 

@@ -127,7 +127,7 @@ def _between(
     inside = (sensor.time >= start) & (sensor.time <= end)
     name = f"{source} ({sensor.name})"
     if np.sum(inside) < 2:
-        raise DataError("there are less than two samples that all sensors share in time", name)
+        raise DataError("the sensors have fewer than two samples in common", name)
     time = sensor.time[inside] - start
     return Record(sensor.channels, time, sensor.values[inside], frequency_hz, experiment, name)
 
@@ -158,24 +158,24 @@ def aligned_sensors(
 def estimated_clock(reference: Sensor, sensor: Sensor, source: str) -> Clock:
     """Offset and drift of a sensor's clock, from the first channel of both.
 
-    Raises DataError where the two see nothing alike, or a motion so regular that the lag is ambiguous.
+    Raises DataError where the two share no motion, or a motion so regular that the lag is ambiguous.
     """
     step = min(float(np.median(np.diff(s.time))) for s in (reference, sensor))
     coarse, margin = _coarse_lag(reference, sensor, step)
     if margin > ALIKE:
         raise DataError(
-            f"the clock of {sensor.name} cannot be set: the motion repeats itself too regularly",
+            f"the clock of {sensor.name} cannot be aligned: the motion repeats itself too regularly",
             source,
-            "record something that does not repeat, a start or a knock, or synchronise the sensors before",
+            "record something that does not repeat, a start or a knock, or synchronise the sensors beforehand",
         )
     clock = Clock(offset=coarse, middle=float(np.mean(sensor.time)))
     for _ in range(ROUNDS):  # the lag is a first-order term: exact once it is small
         lags, variances, centres = _lags_of_pieces(reference, sensor, clock, step)
         if len(lags) < 3:
             raise DataError(
-                f"the clock of {sensor.name} cannot be set: it and {reference.name} see nothing alike",
+                f"the clock of {sensor.name} cannot be set: it and {reference.name} share no motion",
                 source,
-                "give sensors that move together, or synchronise them before",
+                "use sensors that share some motion, or synchronise them beforehand",
             )
         clock = _corrected(clock, lags, variances, centres)
     return clock
@@ -270,7 +270,7 @@ def clocked_lines(joint: ClockedRecords, settings: Conditioning) -> Spectrum:
     if settings.moments:
         cure = "choose a method that works on amplitudes"
         raise DataError(
-            "sensors with clocks of their own have no moments of samples", joint.parts[0].source, cure
+            "sensors with clocks of their own have no sample moments", joint.parts[0].source, cure
         )
     parts = _treated(joint.parts, settings)
     fits = [fit_harmonics(part, None, settings) for part in parts]

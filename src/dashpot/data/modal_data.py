@@ -49,7 +49,7 @@ class ModalData:
         damping = self.damping_ratio[~np.isnan(self.damping_ratio)]
         if not np.all((damping > -1) & (damping < 1)):
             raise DataError(
-                "a damping ratio is not between −1 and 1: such a mode does not swing", cure="leave it out"
+                "a damping ratio is not between −1 and 1: such a mode does not oscillate", cure="leave it out"
             )
 
     @property

@@ -48,7 +48,7 @@ def one_period(record: Record, period_s: float, orders: Sequence[int]) -> Spectr
     each = samples_of_period(record, period_s)
     if len(record.time) < each or record.values.ndim != 2:
         what = f"the record is shorter than its period of {period_s:g} s"
-        raise DataError(what, record.source, "record one period at least, after the transient")
+        raise DataError(what, record.source, "record at least one period, after the transient")
     wanted = np.array(sorted({int(order) for order in orders}))
     if wanted[-1] >= each / 2:
         what = f"line {wanted[-1]} is beyond half the sampling rate"
@@ -60,7 +60,7 @@ def one_period(record: Record, period_s: float, orders: Sequence[int]) -> Spectr
         np.arange(max(1, int(wanted[0]) - 2 * NEIGHBOURS), min(each // 2, int(wanted[-1]) + 1)), wanted
     )
     if len(silent) < NEIGHBOURS:
-        cure = f"record two periods at least, or leave {NEIGHBOURS} lines unexcited"
+        cure = f"record at least two periods, or leave {NEIGHBOURS} lines unexcited"
         raise DataError("nothing shows the noise of a single period", record.source, cure)
     start = np.clip(np.searchsorted(silent, wanted) - NEIGHBOURS // 2, 0, len(silent) - NEIGHBOURS)
     J = F[silent[start[:, None] + np.arange(NEIGHBOURS)]]
@@ -89,7 +89,9 @@ def average_periods(
     a period is not a whole number of samples, or fewer than two periods are left.
     """
     if record.values.ndim != 2:
-        raise DataError("repeats of a periodic record are not averaged", record.source, "give one at a time")
+        raise DataError(
+            "repeats of a periodic record cannot be averaged", record.source, "give one at a time"
+        )
     time = record.time
     each = samples_of_period(record, period_s)
     count = len(time) // each - skip
@@ -97,7 +99,7 @@ def average_periods(
         raise DataError(
             f"the record holds {len(time) // each} periods of {period_s:g} s, {skip} of them skipped",
             record.source,
-            "two periods at least must be left",
+            "at least two periods must be left",
         )
     first = skip * each
     values = record.values[first : first + count * each].reshape(count, each, -1)

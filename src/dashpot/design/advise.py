@@ -149,7 +149,7 @@ def answer(question: Question) -> Answer:
     rate = question.rate if question.rate is not None else _rate(setup.channels)
     low, high = question.band if question.band is not None else natural_band(setup, rate)
     if question.band is None:
-        notes.append(f"the band is {low:.4g} to {high:.4g} Hz, about the rig's resonances, as none is stated")
+        notes.append(f"the band is {low:.4g} to {high:.4g} Hz, around the rig's resonances, as none is given")
     choice = None
     if question.pick is not None:
         choice = _pick(question, setup, band_grid(setup, low, high, question.step), knowledge, rate)
@@ -193,7 +193,7 @@ def _start(question: Question, notes: list[str]) -> tuple[TestSetup, _Knowledge]
     )  # fmt: skip
     if estimate is not None and bool(np.any(estimate.fit.rejected)):
         notes.append(
-            "the model does not fit the earlier data: intervals to expect count the sensors' noise alone, and what the "
+            "the model does not fit the earlier data: expected intervals count the sensors' noise alone, and what the "
             "model lacks will make the true ones wider"
         )
     return setup, _Knowledge(estimate, None if estimate is None else known_after(setup, estimate))

@@ -53,7 +53,7 @@ class Budget:
             if not 0 <= number <= ENOUGH:
                 raise UsageError(f"a {name} of {number:g} s", cure="give a time of 0 s or more")
         if self.most is not None and self.most < 1:
-            raise UsageError(f"at most {self.most} frequencies", cure="allow one at least")
+            raise UsageError(f"at most {self.most} frequencies", cure="allow at least one")
 
     def measured(self, dwells: int) -> float:
         """Samples that are left for measuring with that many dwells; not positive where settling eats the time."""

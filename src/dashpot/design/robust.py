@@ -99,7 +99,7 @@ def gaussian_prior_of(model: Model, estimate: Estimate) -> GaussianPrior:
     missing = [name for name in names if name not in estimate.names]
     if missing:
         raise UsageError(
-            f"the estimate says nothing of {', '.join(missing)}", cure="give an estimate of this rig"
+            f"the estimate says nothing about {', '.join(missing)}", cure="give an estimate of this rig"
         )
     i = [estimate.names.index(name) for name in names]
     covariance = estimate.covariance[np.ix_(i, i)]

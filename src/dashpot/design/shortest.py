@@ -31,7 +31,9 @@ def shortest(
     1e9 would be needed.
     """
     if not (np.isfinite(figure) and figure > 0):
-        raise UsageError(f"a target of {figure:g}", cure="state a positive part of the value, such as 1 %")
+        raise UsageError(
+            f"a target of {figure:g}", cure="state a positive fraction of the value, such as 1 %"
+        )
     prior = setup.prior if known is None else known
     already = criterion.figure(criterion_value(criterion.terms(setup, robustness), prior).F)
     if already <= figure:

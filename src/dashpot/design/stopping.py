@@ -34,7 +34,7 @@ def known_after(setup: TestSetup, estimate: Estimate) -> Real:
     missing = [name for name in names if name not in estimate.names]
     if missing:
         raise UsageError(
-            f"the estimate says nothing of {', '.join(missing)}",
+            f"the estimate says nothing about {', '.join(missing)}",
             cure="give the estimate of this rig, or its data",
         )
     i = [estimate.names.index(name) for name in names]

@@ -43,7 +43,7 @@ NOISY = 0.02  # noise over motion at the middle line, below which there is one v
 def suited_method(name: str | None, model: Model, spectrum: Spectrum, *, seed: int, positive: bool) -> Method:
     """The method of that name, None: the one that suits; `positive` holds every unknown at or above 0.
 
-    Raises UsageError where there is no such method, or where it holds no bounds.
+    Raises UsageError where there is no such method, or where it cannot hold bounds.
     """
     chosen = automatic(model, spectrum, bounded=positive).name if name is None else name
     return method_named(chosen, seed=seed, positive=True) if positive else method_named(chosen, seed=seed)
@@ -61,8 +61,7 @@ def identify_automatically(
 
     Repeats are estimated by the first alone.  Raises as `identify`.
     """
-    if method is None or method.traits.transients:
-        spectrum = with_settling_decided(model, spectrum)
+    spectrum = with_settling_decided(model, spectrum, method)
     first = automatic(model, spectrum) if method is None else method
     plain = MaximumLikelihood(seed=seed)
     if spectrum.batch or first.traits.by_output:
@@ -129,7 +128,7 @@ def _in_place_of(
     estimate = _searched(model, spectrum, plain) if model.n <= LARGEST else _converged(model, spectrum, plain)
     if estimate is None:
         raise error
-    text = f"{first.name} finds no answer here; ml is taken in its place"
+    text = f"{first.name} finds no solution here; ml is used instead"
     return replace(estimate, warnings=(*estimate.warnings, Notice("another_method", text)))
 
 
@@ -201,6 +200,6 @@ def _likelier(model: Model, first: Estimate, second: Estimate) -> Estimate:
 def _replacing(first: Estimate, second: Estimate, rivals: Sequence[Notice], ended: bool) -> Estimate:
     """The second estimate, with `rivals` told and why the first is not taken: whether it had ended at all."""
     failing = "ended in another minimum" if ended else "did not converge"
-    changed = Notice("another_method", f"{first.method} {failing}; ml, from many starts, is taken")
+    changed = Notice("another_method", f"{first.method} {failing}; ml, from many starts, is used instead")
     rest = (notice for notice in second.warnings if notice.code != "not_unique")
     return replace(second, warnings=(*rivals, *rest, changed))

@@ -22,8 +22,12 @@ from dashpot.shorthand import Printable
 class Comparison(Printable):
     """Estimates by the name of the method, in the order asked for, and why others gave none.
 
-    names, units: the unknowns of the rig; truth: their true values, as far as known; most_likely: the estimates that
-    maximise the likelihood, the one that uses the data best first.
+    model         name of the rig
+    names, units  of its unknowns
+    estimates     by the name of the method
+    refused       why a method gave none, by its name
+    truth         true values of the unknowns, as far as known
+    most_likely   the estimates that maximise the likelihood, the one that uses the data best first
     """
 
     model: str

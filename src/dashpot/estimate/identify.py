@@ -55,8 +55,7 @@ def identify(
         raise DataError("there are no lines in the data", cure="give at least one frequency")
     if isinstance(method, str):
         method = method_named(method)
-    if method is None or method.traits.transients:
-        spectrum = with_settling_decided(model, spectrum)
+    spectrum = with_settling_decided(model, spectrum, method)
     chosen = automatic(model, spectrum) if method is None else method
     _require_able(model, spectrum, chosen)
     spectrum, chosen = with_record_noise(model, spectrum, chosen)
@@ -96,12 +95,12 @@ def _require_able(model: Model, spectrum: Spectrum, method: Method) -> None:
     """Raises UsageError where the method does not know the rig's elements or the data's transients."""
     if len(model.nonlinear) and not method.traits.nonlinear:
         raise UsageError(
-            f"the method {method.name} does not know nonlinear elements",
+            f"the method {method.name} cannot handle nonlinear elements",
             cure="use the method ml, oiv, iv, wls, ls or hls",
         )
     if carries_loads(spectrum) and len(model.nonlinear):
         raise UsageError(
-            "the transients of whole records are known of linear rigs only",
+            "transients of whole records can be estimated for linear rigs only",
             cure="give settled dwells with their frequencies, or leave the nonlinear elements out",
         )
     if carries_loads(spectrum) and not method.traits.transients:

@@ -3,17 +3,15 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Collection, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import ClassVar, Literal
 
 import numpy as np
 
 from dashpot.arrays import Bools, Ints, Real
-from dashpot.data.conditioning.settings import Conditioning, SampleMoments
 from dashpot.errors import UsageError
 from dashpot.estimate.preparation.prepared import Prepared
-from dashpot.model.network import Model
 from dashpot.notices import Notice
 
 
@@ -42,23 +40,6 @@ class Traits:
     transients: bool = False
     nonlinear: bool = False
     definite: bool = False
-
-
-def conditioning_for(
-    model: Model, methods: Collection[Traits], settings: Conditioning, *, of_samples: bool = True
-) -> Conditioning:
-    """The settings with what the methods declare to need of samples (`of_samples`: there are some).
-
-    Second moments: a single method that cannot do without insists on them.  Dwells that have not settled are cut to
-    what has, rather than used whole, where one of the methods knows no transients or the rig is not linear.
-    """
-    needs = [traits.moments for traits in methods]
-    moments: SampleMoments = False
-    if of_samples and any(needs):
-        moments = needs[0] if len(needs) == 1 else "auto"
-    settings = settings.changed(moments=moments)
-    whole = not len(model.nonlinear) and all(traits.transients for traits in methods)
-    return settings.changed(transients="settle") if settings.transients == "auto" and not whole else settings
 
 
 @dataclass(frozen=True)

@@ -30,6 +30,11 @@ SHOWN = 8  # values in the one-line form
 REMEDY = "write one with dashpot identify"
 
 
+def _with_sd(name: str, value: float, sd: float, unit: str) -> str:
+    """ "m1 = 2.995 ± 0.012 kg"."""
+    return f"{name} = {value:.4g} ± {sd:.2g}{'' if unit == '1' else ' ' + unit}"
+
+
 @dataclass(frozen=True)
 class Value:
     """One parameter, SI units.
@@ -48,6 +53,11 @@ class Value:
     bound_sd: float
     unit: str
     known: bool = False
+
+    def __repr__(self) -> str:
+        """One line: name, value, standard deviation, interval."""
+        low, high = self.interval95
+        return f"<{_with_sd(self.name, self.value, self.sd, self.unit)}, 95 %: {low:.4g} … {high:.4g}>"
 
 
 @dataclass(frozen=True)
@@ -74,9 +84,12 @@ class ModeValues:
 
 @dataclass(frozen=True)
 class Fit:
-    """χ² of the residuals against the noise that was given or measured, (...,), and its p-value.
+    """How the residuals compare with the noise.
 
-    `known_noise` is False where the noise was unknown: then χ² is dof by construction and p is NaN.
+    chi2 (...,)  χ² of the residuals against the noise that was given or measured
+    dof          its degrees of freedom: real measured numbers less everything that was estimated
+    p (...,)     probability of a larger χ² if the model is right
+    known_noise  False where the noise was unknown: then χ² is dof by construction and p is NaN
     """
 
     chi2: Real
@@ -99,6 +112,7 @@ class Fit:
 class Estimate(Printable):
     """Values of the unknowns with their full covariance; every array may have leading batch axes.
 
+    model, method       names of the rig and of the estimator
     names, units        of the unknowns, in order; gains and delays that were estimated follow as channel.gain …
     values (..., m)     estimates
     covariance          (..., m, m)
@@ -108,9 +122,14 @@ class Estimate(Printable):
     lower, upper (m,)   bounds that the estimate was held to, ±inf where there is none
     free_values (..., m)  where it would lie without bounds, to first order; the same where none holds
     basis               what the intervals count: "sensor noise", "residuals" or "model misfit"
+    converged (...,)    whether the iterations ended; where they did not, values are those of the last one
+    iterations (...,)   how many there were, 0 for closed forms
+    history             unknowns after each iteration of the first repeat, (iterations + 1, unknowns)
+    fit                 χ² and its p-value
     known               (name, value, unit) of the exactly known parameters
     tied                (name, unknown, times, unit) of the parameters that are a multiple of an unknown
-    signs               ±1 of the channels whose sign was found
+    modes               of the estimated rig; None for batches, and for rigs of more than 400 coordinates
+    signs               ±1 of the channels whose sign was found, by name
     warnings, notes     notices of the estimate, and of the data it was made from
     assessment          verdict and diagnosis, where they were made
     rig                 name of the rig file, where it came from one
@@ -152,12 +171,8 @@ class Estimate(Printable):
         if self.values.ndim > 1:
             shape = " × ".join(map(str, self.values.shape[:-1]))
             return f"<{shape} estimates by {self.method} of {', '.join(self.names)}: {self.status}>"
-        values = ", ".join(
-            f"{name} = {value:.4g} ± {sd:.2g}{'' if unit == '1' else ' ' + unit}"
-            for name, value, sd, unit in list(
-                zip(self.names, self.values.tolist(), self.sd.tolist(), self.units, strict=True)
-            )[:SHOWN]
-        )
+        each = zip(self.names, self.values.tolist(), self.sd.tolist(), self.units, strict=True)
+        values = ", ".join(_with_sd(*one) for one in list(each)[:SHOWN])
         more = f", … ({len(self.names)} in all)" if len(self.names) > SHOWN else ""
         return f"<Estimate by {self.method}, {self.status}: {values}{more}>"
 
@@ -273,12 +288,10 @@ class Estimate(Printable):
         try:
             estimate = estimate_from(from_json(text))
         except KeyError as error:
-            raise DataError(
-                f"this is not an estimate of dashpot ({error} is missing)", where, REMEDY
-            ) from error
+            raise DataError(f"this is not a dashpot estimate ({error} is missing)", where, REMEDY) from error
         except (TypeError, ValueError, AttributeError, IndexError, OverflowError) as error:
             cause = shown(str(error), 100)
-            raise DataError(f"this is not an estimate of dashpot ({cause})", where, REMEDY) from error
+            raise DataError(f"this is not a dashpot estimate ({cause})", where, REMEDY) from error
         require_sound(estimate, where)
         return estimate
 

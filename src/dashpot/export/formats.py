@@ -110,7 +110,9 @@ def format_of(path: str, content: str | None = None) -> ExportFormat:
     if not fitting:
         ends = sorted({end for each in FORMATS for end in each.suffixes})
         cause = (
-            f"no export has the ending {suffix}" if suffix else "the name has no ending that tells the format"
+            f"no export has the extension {suffix}"
+            if suffix
+            else "the name has no extension to tell the format"
         )
         raise UsageError(cause, path, f"use {', '.join(ends)}")
     return fitting[0]

@@ -37,6 +37,7 @@ class Port:
 class StateSpace:
     """ż = A z + B w, y = C z + D w; SI units.
 
+    name        of the rig
     inputs      displacement inputs (u, u_rate or u_acceleration: what makes all outputs proper), then forces
     outputs     the channels that show more than inputs, as an ideal sensor would see them
     states      displacements and velocities of the coordinates (less a share of w where `shifts` is not 0), then

@@ -25,7 +25,11 @@ NEGLIGIBLE = 1e-10  # of a Markov parameter, relative
 class TransferFunctions:
     """H_ij(s) = gain_ij Π (s − zero) / Π (s − pole) from input j to output i, all over the same poles.
 
-    poles (K,), 1/s; zeros[i][j] (any number,); gain (outputs, inputs)
+    name             of the rig
+    inputs, outputs  as of the state space
+    poles            (K,), 1/s
+    zeros            zeros[i][j] (any number,), 1/s
+    gain             (outputs, inputs)
     """
 
     name: str

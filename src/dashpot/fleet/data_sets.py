@@ -61,9 +61,7 @@ def expanded(patterns: Iterable[str], order: Order = "name") -> list[str]:
                 (path for path in glob(pattern, recursive=True) if os.path.isfile(path)), key=natural
             )
             if not found:
-                raise UsageError(
-                    "no file has a name of this pattern", pattern, "correct the pattern or the folder"
-                )
+                raise UsageError("no file matches this pattern", pattern, "correct the pattern or the folder")
         elif not os.path.exists(pattern):
             raise UsageError("there is no such file", pattern, "correct the name or the folder")
         files.update(dict.fromkeys(found))
@@ -118,7 +116,7 @@ def of_tables(paths: Sequence[str], column: str) -> Source:
     """The rows of tables (Parquet, CSV) of which a column names the rig, those of one rig together.
 
     A table is read twice and never held whole: once for the names, once for the rows.  Raises DataError where a table
-    has no such column or is damaged, and where rows of one rig do not stand together.
+    has no such column or is damaged, and where rows of one rig are not together in the file.
     """
     seen: dict[str, str] = {}
     for path in paths:
@@ -130,7 +128,7 @@ def of_tables(paths: Sequence[str], column: str) -> Source:
                 if name in seen:
                     place = "" if seen[name] == path else f" and in {shown(seen[name])}"
                     raise DataError(
-                        f"the rows of {shown(name)} do not stand together{place}", path,
+                        f"the rows of {shown(name)} are not together in the file{place}", path,
                         f"sort the table by {column}, or give rigs names of their own",
                     )  # fmt: skip
                 seen[name] = path

@@ -16,9 +16,9 @@ from dashpot.data.readers.delimited.stepped_sine import Circumstances
 from dashpot.data.readers.interpretation import interpret
 from dashpot.data.spectrum import Spectrum, concatenate
 from dashpot.errors import DashpotError
+from dashpot.estimate.amplitudes import amplitudes_for
 from dashpot.estimate.automatic import suited_method
 from dashpot.estimate.identify import identify
-from dashpot.estimate.likelihood.settling import with_settling_decided
 from dashpot.estimate.method import Method
 from dashpot.estimate.registry import method_class
 from dashpot.estimate.result import Estimate
@@ -45,14 +45,10 @@ class Treatment:
         """The method that one data set is identified by."""
         return suited_method(self.method, rig.model, spectrum, seed=self.seed, positive=self.positive)
 
-    def settings(self, reading: Reading) -> Conditioning:
-        """How the records of a data set become amplitudes; what its manifest says counts first."""
-        traits = None if self.method is None else method_class(self.method).traits
-        moments = False if traits is None or reading.amplitudes is not None else traits.moments
-        settings = self.conditioning.changed(**reading.conditioning).changed(moments=moments)
-        if settings.transients == "auto" and traits is not None and not traits.transients:
-            return settings.changed(transients="none")
-        return settings
+    def spectrum(self, rig: Rig, reading: Reading) -> Spectrum:
+        """The amplitudes of a data set; what its manifest says of conditioning counts first.  Raises DataError."""
+        methods = [] if self.method is None else [method_class(self.method).traits]
+        return amplitudes_for(rig.model, reading, self.conditioning.changed(**reading.conditioning), methods)
 
 
 @dataclass(frozen=True)
@@ -119,7 +115,7 @@ def spectrum_of(rig: Rig, data_set: DataSet, treatment: Treatment) -> Spectrum:
         reading = Reading(content.records, lines, content.notes, content.joint)
     else:
         reading = read(data_set.source, rig.channels, frequency_hz=treatment.frequency_hz)
-    return with_settling_decided(rig.model, reading.spectrum(treatment.settings(reading)))
+    return treatment.spectrum(rig, reading)
 
 
 def estimated_names(rig: Rig) -> tuple[str, ...]:

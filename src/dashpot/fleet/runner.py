@@ -155,7 +155,7 @@ def outcome_of(rig: Rig, blocks: Sequence[Columns], pool: bool, kept: int = 0) -
     Raises UsageError where there are no data sets.
     """
     if not blocks:
-        raise UsageError("there are no data sets", cure="name one file at least")
+        raise UsageError("there are no data sets", cure="name at least one file")
     columns = {name: np.concatenate([block[name] for block in blocks]) for name in blocks[0]}
     view = observation_model(rig.model, rig.channels, np.ones(1))
     names = estimated_names(rig)

@@ -110,7 +110,7 @@ def _replace(target: str, parts: Iterable[bytes | memoryview]) -> None:
         flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | _BINARY | _NO_LINK
         size = _fill(os.open(temporary, flags, 0o666), parts, sync=True)  # the system takes its umask off
         if os.stat(temporary).st_size != size:
-            raise OSError(errno.EIO, "the disk has not kept what was written")
+            raise OSError(errno.EIO, "the disk did not keep what was written")
         if before is not None:
             if hasattr(os, "chown"):
                 with suppress(PermissionError):

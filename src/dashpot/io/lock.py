@@ -28,7 +28,7 @@ def locked(folder: AnyPath) -> Iterator[None]:
         ) from None
     if descriptor is None:
         raise UsageError(
-            f"another dashpot {_holder(path)}works in this folder",
+            f"another dashpot {_holder(path)}is working in this folder",
             os.fspath(folder),
             "wait until it has finished, or name another folder",
         )

@@ -37,7 +37,7 @@ def channel_incidence(model: Model, channels: Sequence[Channel]) -> tuple[Real, 
             else:
                 what, names = ("the force of ", [*moved, *forces]) if is_force else ("", list(points))
                 raise DataError(
-                    f"channel {channel.name} measures {what}{name}, which the rig has not",
+                    f"channel {channel.name} measures {what}{name}, which the rig does not have",
                     cure=f"it has {', '.join(names)}",
                 )
     on_x, on_q, force = (frozen(part, np.float64) for part in parts)

@@ -191,7 +191,7 @@ def _tied_problems(
     if end is None:
         circle = _circle(element, by_name)
         if circle is not None:
-            yield Problem(f"a tie in a circle: {circle}", element.name, "let one of them stand alone")
+            yield Problem(f"a circular tie: {circle}", element.name, "let one of them stand alone")
     elif end in by_name:
         root = by_name[end]
         unit, root_unit = element.unit(angles), root.unit(angles)

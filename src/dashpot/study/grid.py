@@ -194,7 +194,7 @@ def truth(rig: TrueRig, name: str) -> float:
     for number in (element.value, element.guess):
         if number is not None:
             return float(number)
-    raise UsageError(f"the true value of {name} is not said", cure=f"add {name} to the values of the rig")
+    raise UsageError(f"the true value of {name} is not given", cure=f"add {name} to the values of the rig")
 
 
 def with_unknowns(rig: TrueRig, names: Sequence[str]) -> Model:

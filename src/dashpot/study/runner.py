@@ -196,7 +196,5 @@ def _earlier(manifest: Path, content: dict[str, Any]) -> dict[str, Any]:
     for key, entry in content["scenarios"].items():
         if key in prints and prints[key] != entry["fingerprint"]:
             named = " ".join(f"{name}={value}" for name, value in entry["factors"].items())
-            raise UsageError(
-                f"the folder holds another study: {named} was something else", str(manifest), another
-            )
+            raise UsageError(f"the folder holds another study: {named} is different", str(manifest), another)
     return old

@@ -127,7 +127,7 @@ class Scenario:
             )  # fmt: skip
         if self.noise != "given":
             raise UsageError(
-                "studies of nonlinear rigs know noise that is given only", cure='write covariance = "given"'
+                "studies of nonlinear rigs need the noise to be given", cure='write covariance = "given"'
             )
         return settled_spectrum(self._settled(), self.test, rng, draws=draws)
 

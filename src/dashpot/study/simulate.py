@@ -54,7 +54,7 @@ class Dwells:
                 f"frequency {self.frequency_hz[bad][0]:g} Hz", cure="frequencies must be positive and finite"
             )
         if np.any(self.samples < 1) or not np.all((self.periods > 0) & np.isfinite(self.periods)):
-            raise DataError("a dwell without samples or without time", cure="give it one sample at least")
+            raise DataError("a dwell without samples or without time", cure="give it at least one sample")
 
     @property
     def omega(self) -> Real:

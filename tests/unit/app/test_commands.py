@@ -106,7 +106,7 @@ def test_positive_holds_what_noise_makes_negative(dashpot: Command, rig: Path) -
     assert any("bound" in warning for warning in held["warnings"])
     wrong = dashpot("identify", "rig.toml", f"{seed}.csv", "--positive", "--method", "oiv")
     assert wrong.code == 2
-    assert "holds no bounds" in wrong.err[0]
+    assert "cannot hold bounds" in wrong.err[0]
 
 
 def test_auto_is_ml_where_a_coordinate_is_not_seen(dashpot: Command, data: Path) -> None:

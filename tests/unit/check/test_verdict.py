@@ -99,7 +99,7 @@ def test_a_misfit_excuses_no_negative_mass() -> None:
     (beyond,) = wrong_signs(PAPER.model, theta, noise)
     assert (beyond.code, beyond.of) == ("negative", ("m1",))
     (loose,) = wrong_signs(PAPER.model, theta, np.diag(np.full(6, 30.0**2)))
-    assert loose.text == "m1 is negative (-32.8 kg): the data say next to nothing of it (± 30 kg)"
+    assert loose.text == "m1 is negative (-32.8 kg): the data say next to nothing about it (± 30 kg)"
     theta[0] = -0.5
     (near,) = wrong_signs(PAPER.model, theta, np.diag(np.full(6, 30.0**2)))
     assert near.text.endswith("0 is within its interval")

@@ -99,5 +99,5 @@ def test_every_format_is_inspected(tmp_path, name):
 
 def test_what_cannot_be_read_is_said(tmp_path):
     (tmp_path / "a.csv").write_bytes(b"\x00\x01\x02\x03")
-    with pytest.raises(DataError, match="no format that is known"):
+    with pytest.raises(DataError, match="its format is not known"):
         inspect_file(tmp_path / "a.csv")

@@ -24,7 +24,7 @@ def test_patterns_in_natural_order(tmp_path: Path) -> None:
     assert [Path(path).name for path in expanded([pattern], "time")] == ["run10.csv", "run2.csv", "run1.csv"]
     given = [str(tmp_path / "run2.csv"), pattern]
     assert [Path(path).name for path in expanded(given, "given")] == ["run2.csv", "run1.csv", "run10.csv"]
-    with pytest.raises(UsageError, match="no file has a name of this pattern"):
+    with pytest.raises(UsageError, match="no file matches this pattern"):
         expanded([str(tmp_path / "*.parquet")])
 
 
@@ -81,7 +81,7 @@ def test_checksums_do_not_depend_on_how_a_table_is_cut(
 def test_what_is_wrong_with_a_table_is_said(tmp_path: Path) -> None:
     path = tmp_path / "all.parquet"
     table_of(path, ["a", "b", "a"])
-    with pytest.raises(DataError, match="the rows of a do not stand together; sort the table by rig"):
+    with pytest.raises(DataError, match="the rows of a are not together in the file; sort the table by rig"):
         of_tables([str(path)], "rig")
     with pytest.raises(DataError, match="column serial: missing"):
         of_tables([str(path)], "serial")

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from dashpot.data.readers import write_amplitudes
+from dashpot.data.readers import write_amplitudes, write_records
 from dashpot.errors import UsageError
 from dashpot.estimate.identify import identify
 from dashpot.fleet import runner
@@ -21,6 +21,7 @@ from dashpot.model.channel_noise import with_relative_noise
 from dashpot.model.rigfile import Rig, parse_rig
 from dashpot.study.simulate import dwells, simulate_spectrum
 from tests.unit.app.conftest import RIG, VALUES
+from tests.whole_rigs import chain, record_of, stepped_sine
 
 COUNT = 12
 
@@ -151,3 +152,15 @@ def test_a_folder_of_other_files_is_refused(rig: Rig, files: list[str], tmp_path
         run_fleet(rig, of_files(files), tmp_path)
     with pytest.raises(UsageError, match="no data sets"):
         run_fleet(rig, Source(0, lambda: iter(tuple[DataSet, ...]())))
+
+
+def test_unsettled_dwells_are_cut_for_methods_that_know_no_transients(tmp_path: Path) -> None:
+    """As identify does; whole, taken as settled, they give dampers that are wrong by several deviations."""
+    model, theta = chain(2, 0.08, seed=1)
+    channels = record_of(model, theta, "random", decay_times=0.1).record.channels
+    records = stepped_sine(model, theta, channels, (4.0, 6.0, 9.0, 13.0, 18.0), 0.002, periods=30)
+    write_records(records, tmp_path / "a.csv")
+    outcome = run_fleet(Rig(model, channels), of_files([str(tmp_path / "a.csv")]), None, Treatment("oiv"))
+    for j, name in enumerate(outcome.names):
+        value, sd = (outcome.columns[f"{name}:{key}"][0] for key in ("value", "sd"))
+        assert abs(value - theta[j]) < 4 * sd

@@ -198,7 +198,7 @@ REFUSED: list[tuple[Callable[[], Model], str | None, str]] = [
     (lambda: model(spring("k"), spring("q", same_as="k", times=0.0)), "q", "times is 0"),
     (lambda: model(spring("k"), spring("q", same_as="k", value=1.0)), "q", "a tied parameter has a value"),
     (lambda: model(spring("q", same_as="k")), "q", "same_as names k, which is not an element"),
-    (lambda: model(spring("q", same_as="q")), "q", "a tie in a circle: q → q"),
+    (lambda: model(spring("q", same_as="q")), "q", "a circular tie: q → q"),
     (
         lambda: model(spring("k"), mass("m", "x1", same_as="k")),
         "m",

@@ -210,7 +210,9 @@ def test_a_folder_is_one_processs_at_a_time(study: Study, tmp_path: Path) -> Non
     assert holder.stdout.readline() == "held\n"
     part = folder / "draws" / ".dashpot-0.part"
     part.write_text("being written by the other")
-    with pytest.raises(UsageError, match=rf"another dashpot \(process {holder.pid}\) works in this folder"):
+    with pytest.raises(
+        UsageError, match=rf"another dashpot \(process {holder.pid}\) is working in this folder"
+    ):
         run_study(study, folder, block=10)
     assert part.exists()
     holder.kill()

@@ -61,7 +61,7 @@ WHAT = "What to compare"
 @modal_sd_option(WHAT)
 @option(
     "--elements", is_flag=True, group=WHAT,
-    help="In place of methods: nonlinear elements that the rig might have, ranked by their evidence.",
+    help="Compare nonlinear elements that the rig might have, ranked by evidence, instead of methods.",
 )  # fmt: skip
 @file_option("--figure", "FILE.png", "Draw the intervals.")
 @report_option
@@ -121,32 +121,31 @@ def _check_elements(data: Sequence[str], *others: object) -> None:
     from dashpot.errors import UsageError
 
     if not data:
-        raise UsageError("elements are compared by data, and none are given", "--elements", "give DATA")
+        raise UsageError("--elements needs data, and none are given", "--elements", "give DATA")
     if any(other is not None for other in others):
         cure = "leave out --methods, --modal, --truth, --figure and --report"
-        raise UsageError("elements are compared by ml alone", "--elements", cure)
+        raise UsageError("--elements works with ml only", "--elements", cure)
 
 
 def _elements(
     rig: str, data: Sequence[str], json_out: str | None, quiet: bool, conditioning: dict[str, Any]
 ) -> int:
     """Nonlinear elements by evidence: from whole records by integration, else from the harmonics of dwells."""
-    from dashpot.app.data_files import read_spectrum
+    from dashpot.app.data_files import measured_data, read_files
     from dashpot.app.files import write_result
-    from dashpot.app.nonlinear_records import continuous_records
     from dashpot.app.progress import progress
     from dashpot.check.element_evidence import compare_in_dwells, compare_in_records
     from dashpot.model.rigfile import read_rig
 
     rig_read = read_rig(rig)
     rig_read.model.require_unknowns(rig)
-    records = continuous_records(rig_read, data, conditioning, quiet)
-    if records is None:
-        spectrum = read_spectrum(rig_read, data, conditioning, quiet, moments_for=["hls"])
-        evidence = compare_in_dwells(rig_read.model, spectrum)
-    else:
+    reading = read_files(rig_read, data, conditioning, quiet)
+    if reading.continuous:
         with progress("compare", quiet) as moved:
-            evidence = compare_in_records(rig_read.model, records, progress=moved)
+            evidence = compare_in_records(rig_read.model, reading.records, progress=moved)
+    else:
+        measured = measured_data(rig_read, reading, conditioning, quiet, moments_for=["hls"])
+        evidence = compare_in_dwells(rig_read.model, measured.spectrum)
     write_result(json_out, evidence.to_json())
     if not quiet and json_out != STDOUT:
         from dashpot.present.tables.element_evidence import show_elements

@@ -18,6 +18,7 @@ from dashpot.app.options import (
     relative_noise_option,
     rig_argument,
     set_option,
+    transient_options,
 )
 from dashpot.app.parameter_types import (
     AMOUNT,
@@ -47,7 +48,7 @@ if TYPE_CHECKING:
     from dashpot.model.rigfile import Rig
     from dashpot.quantities import Amount
 
-BUDGET, AIM = "How much test", "What it is for"
+BUDGET, AIM = "Size of the test", "Aim of the test"
 BASIS = "What is known"
 TEST, SHAKER, ROBUST = "The test", "The shaker", "Robustness"
 
@@ -70,7 +71,7 @@ TEST, SHAKER, ROBUST = "The test", "The shaker", "Robustness"
 )  # fmt: skip
 @option(
     "--for", "wanted", default="all", show_default=True, metavar="all|worst|volume|NAME,…", group=AIM,
-    help="What is to be precise: all unknowns on average, the worst one, the volume of the confidence region, or the "
+    help="What should be precise: all unknowns on average, the worst one, the volume of the confidence region, or the "
     "unknowns named.",
 )  # fmt: skip
 @option(
@@ -132,10 +133,11 @@ TEST, SHAKER, ROBUST = "The test", "The shaker", "Robustness"
 )  # fmt: skip
 @json_option("the plan")
 @file_option("--csv", "FILE.csv", "Write the dwells for the shaker's controller.")
-@file_option("--figure", "FILE.png", "Draw dwells, information and the intervals to expect.")
+@file_option("--figure", "FILE.png", "Draw dwells, information and the expected intervals.")
 @file_option("--progress", "FILE.png", "Draw how the intervals shrank as the data of --after came in.")
 @report_option
 @conditioning_options
+@transient_options
 @quiet_option
 def command(rig: str, json_out: str | None, report: str | None, quiet: bool, **options: Any) -> int:
     """Design the next test of RIG: at which frequencies to dwell, for how long, with which sensors.
@@ -182,7 +184,7 @@ def _question(rig: Rig, options: Mapping[str, Any], quiet: bool) -> Question:
     from dashpot.errors import UsageError
 
     if options["samples"] is not None and options["time"] is not None:
-        raise UsageError("both --samples and --time are given", cure="give one of them: it is the budget")
+        raise UsageError("both --samples and --time are given", cure="give one of them as the budget")
     data, earlier = _earlier(rig, options, quiet)
     if options["progress"] is not None and data is None:
         raise UsageError("--progress draws data as they came in", cure="give the data with --after DATA")
@@ -274,7 +276,8 @@ def _criterion(wanted: str, target: float | Mapping[str, float] | None) -> tuple
     if isinstance(target, Mapping):
         if wanted != "all":
             raise UsageError(
-                "--for and a --target by names are both given", cure="the targets say what is to be precise"
+                "--for and a --target by names are both given",
+                cure="the targets already say what should be precise",
             )
         return MinimaxTargets(target), 1.0
     criteria: dict[str, Criterion] = {"all": AOptimal(), "worst": Minimax(), "volume": DOptimal()}

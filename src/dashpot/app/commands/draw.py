@@ -28,7 +28,7 @@ WHAT = "What to draw"
 )  # fmt: skip
 @option(
     "--mode", type=Count(1, 10_000), metavar="N", group=WHAT,
-    help="Draw mode N: of the estimate, or of a rig file that gives every value or guess.  As SVG it is animated.",
+    help="Draw mode N: of the estimate, or of a rig file that gives every value or guess.  In SVG it is animated.",
 )  # fmt: skip
 @out_option("FILE.svg", "The drawing, as .svg, .png or .pdf.")
 @level_option

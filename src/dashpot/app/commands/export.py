@@ -53,7 +53,7 @@ RIG = "The rig"
 )  # fmt: skip
 @option(
     "--to", "content", type=click.Choice(CONTENTS), metavar="CONTENT", group=WHAT,
-    help=f"What to write, where the file's ending may mean several: {', '.join(CONTENTS)}.",
+    help=f"What to write, where the extension allows several: {', '.join(CONTENTS)}.",
 )  # fmt: skip
 @option(
     "--input-quantity", "given", type=click.Choice(MOTIONS), metavar="QUANTITY", group=WHAT,
@@ -66,7 +66,7 @@ RIG = "The rig"
 )  # fmt: skip
 @option("--no-binary", is_flag=True, group=WHAT, help="Leave the compiled binary out of an FMU.")
 @out_option(
-    "FILE", "The file to write; its ending tells the format: .mat .json (state space), .fmu, .uff .unv (modes, "
+    "FILE", "The file to write; its extension sets the format: .mat .json (state space), .fmu, .uff .unv (modes, "
     "frequency responses), .mtx (M, C, K: one file each), .xml (MuJoCo), .csv .parquet .m (parameters).",
 )  # fmt: skip
 @conditioning_options
@@ -110,11 +110,11 @@ def _loaded(
 
     if source.lower().endswith(".toml"):
         if rig_file is not None:
-            raise UsageError("--rig belongs to an estimate, and this is a rig file", source, "leave it out")
+            raise UsageError("--rig goes with an estimate, and this is a rig file", source, "leave it out")
         rig = read_rig(source)
         return rig, identified_rig(rig, None, parameter_values(rig, merged(values, "--set")))
     if values:
-        raise UsageError("--set belongs to a rig file, and this is an estimate", source, "leave it out")
+        raise UsageError("--set goes with a rig file, and this is an estimate", source, "leave it out")
     estimate, rig = estimate_and_rig(source, rig_file)
     return rig, identified_rig(rig, estimate)
 

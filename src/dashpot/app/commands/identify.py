@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -32,6 +33,7 @@ from dashpot.app.report_files import failure_reported, report_option
 if TYPE_CHECKING:
     from dashpot.check.validation import RecordPrediction
     from dashpot.data.conditioning.used_dwells import UsedDwell
+    from dashpot.data.record import Record
     from dashpot.data.spectrum import Spectrum
     from dashpot.errors import ConvergenceError, DashpotError, IdentifiabilityError
     from dashpot.estimate.method import Method
@@ -57,7 +59,7 @@ ESTIMATION = "Estimation"
 )  # fmt: skip
 @option(
     "--hold-out", type=PART, metavar="25%", group=RECORDS,
-    help="Leave that share of every record, its end, out of the fit and predict it.",
+    help="Hold out this share of every record, at its end, and predict it.",
 )  # fmt: skip
 @modal_sd_option("Measured modes")
 @json_option("the estimate")
@@ -83,6 +85,7 @@ def command(
     Exit codes: 0 done, whatever the verdict; 2 bad usage, model or data; 3 the data do not determine the unknowns, or
     the iteration did not converge; 4 with --strict, the model does not fit.
     """
+    from dashpot.app.data_files import measured_data, read_files
     from dashpot.app.measured_modes import modal_estimate
 
     unsuited = {
@@ -94,22 +97,20 @@ def command(
         return _of_modes(of_modes, json_out, level, strict, quiet)
     with failure_reported(report, rig):
         rig_read = _rig(rig, chosen, positive, matrices)
-        estimate, spectrum = None, None
+        spectrum: Spectrum | None = None
         dwells: tuple[UsedDwell, ...] = ()
-        if len(rig_read.model.nonlinear):
-            from dashpot.app.nonlinear_records import whole_record_estimate
-
-            estimate = whole_record_estimate(rig_read, data, conditioning, chosen, quiet)
+        wanted = None if chosen == "auto" else chosen
         records, used = True, (0.0, 1.0 - (hold_out or 0.0))
-        if estimate is None:
-            from dashpot.app.data_files import read_data
+        reading = read_files(rig_read, data, conditioning, quiet)
+        if len(rig_read.model.nonlinear) and reading.continuous:
+            estimate = _of_whole_records(rig_read, reading.records, wanted, quiet)
+        else:
             from dashpot.estimate.automatic import suited_method
 
-            measured = read_data(
-                rig_read, data, conditioning, quiet, moments_for=[chosen], part=used, with_dwells=report is not None,
+            measured = measured_data(
+                rig_read, reading, conditioning, quiet, moments_for=[chosen], part=used, with_dwells=report is not None,
             )  # fmt: skip
             lines, records, dwells = measured.spectrum, measured.records, measured.dwells
-            wanted = None if chosen == "auto" else chosen
             method = suited_method(wanted, rig_read.model, lines, seed=seed, positive=positive)
             estimate, spectrum = _estimated(rig, rig_read, lines, method, chosen, seed, quiet)
     held = () if hold_out is None else _held_out(rig_read, estimate, data, conditioning, used[1])
@@ -173,6 +174,15 @@ def _rig(path: str, chosen: str, positive: bool, matrices: bool) -> Rig:
     if chosen != "auto":
         require_scale_seen(method_class(chosen), rig.model, rig.channels, path)
     return rig
+
+
+def _of_whole_records(rig: Rig, records: Sequence[Record], method: str | None, quiet: bool) -> Estimate:
+    """The estimate from continuous records of a nonlinear rig."""
+    from dashpot.app.progress import progress
+    from dashpot.estimate.nonlinear.whole_record import identify_records
+
+    with progress("identify", quiet) as moved:
+        return identify_records(rig.model, records, method, progress=moved)
 
 
 def _estimated(
@@ -243,7 +253,7 @@ def _apply(rig: Rig, estimate: Estimate, path: str | None) -> None:
     findings = () if estimate.assessment is None else estimate.assessment.findings
     useful = [finding for finding in findings if finding.channels or finding.elements]
     if not useful:
-        raise UsageError("there is no change of the rig file to apply", "--apply", "leave the option out")
+        raise UsageError("there is no change to the rig file to apply", "--apply", "leave the option out")
     model, channels = applied(rig.model, rig.channels, useful[0])
     write_text(path, write_rig(replace(rig, model=model, channels=channels)))
 
@@ -279,7 +289,9 @@ def _check_matrices(rig: Rig, wanted: bool) -> None:
     from dashpot.errors import UsageError
 
     if wanted and len(rig.model.by_matrix["H"]):
-        raise UsageError("hysteretic dampers are in none of M, C and K", "--matrices", "leave the option out")
+        raise UsageError(
+            "hysteretic dampers have no place in M, C or K", "--matrices", "leave the option out"
+        )
     if wanted and 0 < len(rig.model.angles & set(rig.model.coordinates)) < rig.model.n:
         raise UsageError(
             "the entries of matrices over displacements and angles have different units",

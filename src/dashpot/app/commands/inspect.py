@@ -34,5 +34,5 @@ def command(files: tuple[str, ...], channels: str | None) -> None:
     if channels is not None:
         write_text(channels, table)
     else:
-        click.echo("Suggested channels (write what each is of in the place of ?):\n")
+        click.echo("Suggested channels (replace each ? by the point that is measured):\n")
         click.echo(table, nl=False)

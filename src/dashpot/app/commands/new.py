@@ -6,34 +6,38 @@ import click
 
 from dashpot.app.files import OutputFile
 from dashpot.app.help import dashpot_command, option
-from dashpot.app.parameter_types import NUMBER, Count
+from dashpot.app.parameter_types import MASS, Count
 from dashpot.errors import UsageError
 
 HEAVIEST = 1e9  # kg
+CHAIN = "The rig"
 MOTIONS = ("displacement", "velocity", "acceleration")
 
 
 @dashpot_command(
     "new",
     "dashpot new rig.toml",
-    "dashpot new rig.toml --masses 3 --driven-by base --motion acceleration --unit g --first-mass 1.25",
+    "dashpot new rig.toml --masses 3 --driven-by base --motion acceleration --unit g --first-mass 1.25kg",
 )
 @click.argument("rig", type=OutputFile(new=True), help="Rig file to write.")
-@option("--name", default=None, metavar="TEXT", help="Name of the rig.")
-@option("--masses", type=Count(1, 50), default=None, metavar="N", help="Masses in a row.")
+@option("--name", default=None, metavar="TEXT", group=CHAIN, help="Name of the rig.")
+@option("--masses", type=Count(1, 50), default=None, metavar="N", group=CHAIN, help="Masses in a row.")
 @option(
     "--driven-by",
     "drive",
     type=click.Choice(["base", "force"]),
     default=None,
+    group=CHAIN,
     help="The base moves, or a force acts.",
 )
-@option("--motion", type=click.Choice(MOTIONS), default=None, help="What the sensors measure.")
-@option("--unit", default=None, metavar="UNIT", help="Unit of the sensors, such as mm, m/s or g.")
+@option("--motion", type=click.Choice(MOTIONS), default=None, group=CHAIN, help="What the sensors measure.")
+@option(
+    "--unit", default=None, metavar="UNIT", group=CHAIN, help="Unit of the sensors, such as mm, m/s or g."
+)
 @option(
     "--first-mass",
     "known",
-    type=NUMBER,
+    type=MASS,
     default=None,
     metavar="KG",
     help="The first mass, where it has been weighed.",
@@ -51,8 +55,8 @@ def command(
 
     Asks for whatever no option gives.
     """
-    if known is not None and not 0 < known < HEAVIEST:
-        raise UsageError(f"a mass of {known:g} kg", "--first-mass", "give a positive number of kilograms")
+    if known is not None and not known < HEAVIEST:
+        raise UsageError(f"a mass of {known:g} kg", "--first-mass", "give one below 1e9 kg")
     import sys
     from typing import Any, cast
 
@@ -70,7 +74,7 @@ def command(
     drive = drive or _answer(ask, "What drives it: base or force", usual.drive, ("base", "force"))
     motion = motion or _answer(ask, "What the sensors measure", usual.motion, MOTIONS)
     si = {"displacement": "m", "velocity": "m/s", "acceleration": "m/s²"}[motion]
-    unit = unit or _answer(ask, "In which unit", si)
+    unit = unit or _answer(ask, "Unit of the sensors", si)
     scale(unit, motion, uncalibrated=True)  # refused here, before a rig file has it in three places
     text = starter_text(
         Chain(name, masses, cast(Any, drive), cast(Any, motion), unit, usual.force_unit, known)

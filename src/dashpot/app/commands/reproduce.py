@@ -5,7 +5,7 @@ from __future__ import annotations
 import click
 
 from dashpot.app.help import dashpot_command, option
-from dashpot.app.options import processes_option, quiet_option, seed_option
+from dashpot.app.options import quiet_option, seed_option, workers_option
 from dashpot.app.parameter_types import FOLDER, Count
 from dashpot.app.report_files import report_option
 from dashpot.errors import printable
@@ -23,7 +23,7 @@ FEW = 200  # draws below which starting processes costs more than they save
 @report_option
 @option("--figures", type=FOLDER, metavar="FOLDER", group="Output", help="Write the figures there, as PNG.")
 @seed_option("the noise", 1989)
-@processes_option
+@workers_option
 @quiet_option
 def command(
     paper: str,
@@ -31,10 +31,10 @@ def command(
     report: str | None,
     figures: str | None,
     seed: int,
-    processes: int | None,
+    workers: int | None,
     quiet: bool,
 ) -> None:
-    """Redo the tables and figures of PAPER (yamane1989), beside what it printed and what it left open.
+    """Reproduce the tables and figures of PAPER (yamane1989), beside what it printed and what it left open.
 
     The same seed gives the same numbers, whatever the number of processes.
     """
@@ -45,7 +45,7 @@ def command(
     from dashpot.present.tables.layout import console
     from dashpot.reproduce.yamane1989.reproduction import reproduce
 
-    count = processes if processes is not None else 1 if draws < FEW else cores()
+    count = workers if workers is not None else 1 if draws < FEW else cores()
     with mapping(count) as mapper, progress(paper, quiet) as moved:
         reproduction = reproduce(draws, seed, moved, mapper=mapper)
     how = None if report is None else provenance()

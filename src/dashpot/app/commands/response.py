@@ -29,16 +29,16 @@ TEST = "The drive"
 @option("--band", type=BAND, metavar="LOWER:UPPER", group=TEST, help="Frequencies of the curves, Hz.")
 @option(
     "--at", type=FREQUENCY, metavar="HZ", group=TEST,
-    help="In place of --band: one frequency, at which the drive grows from a hundredth of --amplitude to all of it.",
+    help="In place of --band: one frequency, at which the drive grows from 1 % of --amplitude to all of it.",
 )  # fmt: skip
 @option(
     "--amplitude", "amplitudes", type=AMPLITUDE, multiple=True, metavar="[INPUT=]VALUE", group=TEST,
-    help="Amplitude of all inputs (2mm, 10N), one curve for each time it is given; or of one input (u=2mm).  "
+    help="Amplitude of all inputs (2mm, 10N) or of one (u=2mm).  May be repeated: one curve for each.  "
     "[default: 1 m, rad, N or N·m]",
 )  # fmt: skip
 @option(
     "--backbone", type=Count(1, 1000), multiple=True, metavar="MODE", group=TEST,
-    help="Add the free undamped motions that start from that mode (1 is the lowest).  May be repeated.",
+    help="Add the backbone of that mode, its free undamped motions (1 is the lowest).  May be repeated.",
 )  # fmt: skip
 @option(
     "--out", "-o", "out", type=OutputFile(), metavar="FILE.csv", group=OUTPUT,
@@ -53,8 +53,8 @@ def command(
 ) -> None:  # fmt: skip
     """Follow the settled motion of a nonlinear RIG along the frequency or the size of the drive.
 
-    The curves go through folds; which parts are stable, and where they turn, is told.  Every unknown needs a value:
-    from --set, or the value or guess of the rig file.
+    The curves go through folds; the text says which parts are stable and where they turn.  Every unknown needs a
+    value: from --set, or the value or guess of the rig file.
     """
     from dashpot.app.commands.simulate import require_values
     from dashpot.app.parameters import merged, parameter_values
@@ -66,7 +66,7 @@ def command(
         raise UsageError("--band and --at exclude each other", cure="leave one of them out")
     if band is None and at is None:
         cure = "give --band 1:10 to follow the frequency, or --at 5 to follow the amplitude"
-        raise UsageError("it is not said what changes along the curves", cure=cure)
+        raise UsageError("nothing says what varies along the curves", cure=cure)
     rig_read = read_rig(rig)
     values_si = parameter_values(rig_read, merged(values, "--set"))
     require_values(rig_read, values_si)

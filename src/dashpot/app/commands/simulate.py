@@ -62,8 +62,8 @@ NOISE = "Noise"
 )  # fmt: skip
 @option(
     "--estimate", type=INPUT_FILE, metavar="FILE.json", group="The rig",
-    help="Values of an estimate, with --input: writes what it predicts, without noise, and as NAME_sd of each output "
-    "what the uncertainty of the estimate makes of it.",
+    help="Take the values of an estimate, with --input: writes its prediction without noise, and the uncertainty of "
+    "each predicted output as NAME_sd.",
 )  # fmt: skip
 @option(
     "--samples", type=Count(4, 100_000_000), default=200, show_default=True, metavar="N", group=TEST,
@@ -79,7 +79,7 @@ NOISE = "Noise"
 )  # fmt: skip
 @option(
     "--amplitude", "amplitudes", type=AMPLITUDE, multiple=True, metavar="[INPUT=]VALUE", group=TEST,
-    help="Amplitude of all inputs (2mm, 10N) or of one (u=2mm); may be repeated.  [default: 1 m, rad, N or N·m]",
+    help="Amplitude of all inputs (2mm, 10N) or of one (u=2mm).  May be repeated.  [default: 1 m, rad, N or N·m]",
 )  # fmt: skip
 @relative_noise_option(NOISE)
 @seed_option("the noise")
@@ -95,10 +95,8 @@ def command(
 ) -> None:  # fmt: skip
     """Write the test data that RIG would yield: stepped sine, or its motion under a record of its inputs.
 
-    Noise is what the channels of the rig file state.
-
-    Every unknown needs a value: from --set, or the value or guess of the rig file.  The noise of a channel is its
-    `noise` (in its unit) and its `relative_noise` in the rig file.
+    Every unknown needs a value: from --set, or the value or guess of the rig file.  Each channel gets
+    the noise that the rig file states for it: `noise` (in its unit) and `relative_noise`.
     """
     from dashpot.app.parameters import input_amplitudes, merged, parameter_values
     from dashpot.model.rigfile import read_rig
@@ -173,7 +171,7 @@ def _check_test(frequencies: tuple[float, ...] | None, input_file: str | None, t
         what = "nothing drives the rig" if frequencies is None else "the rig is driven in two ways"
         raise UsageError(what, cure="give --frequencies, or --input with a record of the inputs")
     if table and frequencies is None:
-        raise UsageError("--table is of stepped sine", cure="leave it out, or give --frequencies")
+        raise UsageError("--table is for stepped sine", cure="leave it out, or give --frequencies")
 
 
 def _input_record(rig: Rig, path: str) -> Record:

@@ -11,7 +11,7 @@ import click
 from dashpot.app.cli import resumable
 from dashpot.app.data_files import tell_notes
 from dashpot.app.help import dashpot_command, option
-from dashpot.app.options import dask_option, processes_option, quiet_option
+from dashpot.app.options import dask_option, quiet_option, workers_option
 from dashpot.app.parameter_types import FOLDER, INPUT_FILE, Count
 from dashpot.app.report_files import report_option
 from dashpot.errors import printable
@@ -33,12 +33,12 @@ FEW = 2000  # identifications below which starting processes costs more than the
     help="Draws of each scenario, in place of those in the file.",
 )  # fmt: skip
 @report_option
-@processes_option
+@workers_option
 @dask_option
 @quiet_option
 @click.pass_context
 def command(
-    ctx: click.Context, study: str, out: str | None, draws: int | None, report: str | None, processes: int | None,
+    ctx: click.Context, study: str, out: str | None, draws: int | None, report: str | None, workers: int | None,
     dask: str | None, quiet: bool,
 ) -> None:  # fmt: skip
     """Run the Monte Carlo study that the file STUDY describes, or continue one that was interrupted.
@@ -71,7 +71,7 @@ def command(
     work = sum(point.draws * len(point.methods) for point in scenarios(description))
     with (
         resumable(ctx, f"finished draws are kept in {folder}"),
-        shared_out(dask, processes, work < FEW) as mapper,
+        shared_out(dask, workers, work < FEW) as mapper,
         progress(description.name, quiet) as moved,
     ):
         outcome = run_study(description, Path(folder), mapper=mapper, progress=moved, remote=dask is not None)

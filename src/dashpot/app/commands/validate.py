@@ -22,7 +22,7 @@ from dashpot.app.report_files import report_option
 @dashpot_command(
     "validate",
     "dashpot validate estimate.json other_run.csv",
-    "dashpot validate estimate.json run3.csv --rig rig.toml --picture prediction.svg",
+    "dashpot validate estimate.json run3.csv --rig rig.toml --figure prediction.svg",
 )
 @data_argument(
     "The estimate (JSON of identify), then data files as for identify.", name="files", required=True
@@ -33,17 +33,20 @@ from dashpot.app.report_files import report_option
 )  # fmt: skip
 @json_option("the figures")
 @file_option(
-    "--picture", "FILE.svg", "Draw measured and predicted histories and spectra of the first record."
+    "--figure",
+    "FILE.svg",
+    "Draw measured and predicted histories and spectra of the first record.",
+    "--picture",
 )
 @report_option
 @conditioning_options
 @whole_record_options
 @quiet_option
 def command(
-    files: tuple[str, ...], rig: str | None, json_out: str | None, picture: str | None, report: str | None, quiet: bool,
+    files: tuple[str, ...], rig: str | None, json_out: str | None, figure: str | None, report: str | None, quiet: bool,
     **conditioning: Any,
 ) -> None:  # fmt: skip
-    """Predict records from their inputs with an estimate made of others: FIT and χ² of every channel.
+    """Predict records from their inputs with an estimate made from other records: FIT and χ² of every channel.
 
     FILES are the estimate, as identify writes it with --json, and the records.
     """
@@ -58,8 +61,8 @@ def command(
     estimate, rig_read = estimate_and_rig(files[0], rig)
     spectrum = read_spectrum(rig_read, files[1:], conditioning, quiet)
     predictions = validate(rig_read.model, estimate, spectrum)
-    if picture is not None:
-        write_picture(predictions, picture)
+    if figure is not None:
+        write_picture(predictions, figure)
     if report is not None:
         from dashpot.app.report_files import provenance, write_report
         from dashpot.present.pages.others import validation_report

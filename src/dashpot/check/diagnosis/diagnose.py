@@ -99,6 +99,6 @@ def _looked_at_closely(
     )
     if not findings:
         return assessment
-    text = f"{findings[0].text}, too little for χ² to show and more than noise explains"
+    text = f"{findings[0].text}, too small for χ² to show, yet more than noise explains"
     reasons = (Notice("directed", text, findings[0].of), *assessment.reasons)
     return replace(assessment, verdict="does not fit", reasons=reasons, findings=findings)

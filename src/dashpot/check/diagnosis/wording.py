@@ -167,7 +167,7 @@ def _of_data(cause: Cause) -> tuple[str, str]:
             name = cause.of[0] if cause.of else "one channel"
             return (
                 f"{name} contradicts all other channels, for no simple reason",
-                f"leave {name} out, or look at its sensor and its place",
+                f"leave {name} out, or check its sensor and where it is mounted",
             )
 
 

@@ -29,7 +29,5 @@ def account_of_dwells(given: Sequence[Record], lines: Sequence[Spectrum], settin
     frequency = "as stated" if not moved else f"refined in {moved}" if moved < len(given) else "refined"
     drift = DRIFTS.get(settings.degree, f"a polynomial of degree {settings.degree}")
     dwells = f"{len(given)} dwell{'' if len(given) == 1 else 's'}"
-    text = (
-        f"{dwells} as steady sines: {share} {samples} samples used, frequency {frequency}, {drift} taken out"
-    )
+    text = f"{dwells} as steady sines: {share} {samples} samples used, frequency {frequency}, {drift} removed"
     return Notice(SETTLED, text)

@@ -22,7 +22,7 @@ def even_step(record: Record) -> float:
         raise DataError(
             f"a record of {len(time)} samples",
             record.source,
-            f"{FEWEST} samples are the least that can be used",
+            f"{FEWEST} samples are the fewest that can be used",
         )
     index = np.arange(len(time)) - (len(time) - 1) / 2
     step = float(index @ (time - time[0]) / (index @ index))
@@ -33,7 +33,7 @@ def even_step(record: Record) -> float:
         raise DataError(
             f"the samples are not evenly spaced: row {row} is {np.max(away) / step:.3g} steps of {step:.4g} s off",
             record.source,
-            "record with a steady clock; a resampled record would have errors that nobody can tell from motion",
+            "record with a steady clock; resampling adds errors that look like motion",
         )
     return step
 

@@ -54,7 +54,7 @@ def refine_frequency(
         if abs(step) * T < 1e-9 or abs(step) < 1e-3 * sd:
             return RefinedFrequency(f, sd, nominal)
     raise DataError(
-        f"no frequency of the drive is found within {search:.3g} Hz of {nominal:g} Hz",
+        f"no drive frequency is found within {search:.3g} Hz of {nominal:g} Hz",
         record.source,
         "correct the nominal frequency, or use it as it is",
     )

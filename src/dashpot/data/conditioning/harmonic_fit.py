@@ -37,11 +37,13 @@ HIGHEST_HARMONIC = 10  # looked for
 class HarmonicFit:
     """The harmonics of one record, x(t) = Re(X e^{jkωt}), t being the record's own time stamps; units of its values.
 
+    samples, periods     of the record, periods at frequency_hz
     orders               which multiples of frequency_hz were solved for, ascending
     amplitudes           (..., orders, channels)
     covariance           (..., orders, channels, channels)  V = E[Δ Δᴴ]; circular: Re and Im have Re V / 2 each
     real_covariance      (..., orders, channels, 2, 2)  of (Re X, Im X), exact also where the periods are not whole
     trend                (..., degree + 1, channels)  Legendre coefficients over (t − centre)/half; no offset: no rows
+    centre, half         of the time stamps, s
     residual_covariance  (..., channels, channels)  of one sample, exact channels 0
     dof                  (orders,)  real degrees of freedom behind the covariance
     noise                "white": residual covariance times the exact covariance of least squares;

@@ -46,7 +46,7 @@ from dashpot.data.stretch import SettledDwell
 from dashpot.errors import DashpotError, DataError
 from dashpot.notices import Notice
 
-WANDERS = "the drive frequency wanders within a dwell, which counts as steady all the same"
+WANDERS = "the drive frequency wanders within a dwell, which is nevertheless treated as steady"
 LONG_ENOUGH = 8  # periods that must be left of a dwell that rests for a part
 
 
@@ -63,7 +63,7 @@ def spectrum(
     """
     settings = conditioning_of(conditioning, treatments)
     if not records:
-        raise DataError("there are no records", cure="give one record at least")
+        raise DataError("there are no records", cure="give at least one record")
     joined = continuous(records) if settings.dwells_may_be_whole else list(records)
     parts, rest = [], []
     for record in joined:
@@ -164,8 +164,8 @@ def _at_drive_frequencies(
 def _with_drift(dwells: Sequence[Record], settings: Conditioning) -> tuple[Conditioning, Notice]:
     """The settings with the drift that all dwells together call for."""
     p = slopes_show(dwells, settings.wanted)
-    what = "an offset alone is" if p > DRIFT_LEVEL else "offset and slope are"
-    text = f"{what} taken out of each dwell: drift over all dwells has p = {p:.2g}"
+    what = "only an offset is" if p > DRIFT_LEVEL else "an offset and a slope are"
+    text = f"{what} removed from each dwell (drift over all dwells: p = {p:.2g})"
     return settings.changed(drift=0 if p > DRIFT_LEVEL else 1), Notice("drift_by_evidence", text)
 
 
@@ -200,7 +200,7 @@ def _why_whole(dwells: Sequence[Record], settings: Conditioning, wanders: bool) 
         return "not steady (the drive frequency wanders)"
     if _unsettled(dwells):
         return "not settled"
-    return "no steady sines" if short_dwells_bend(dwells) else None
+    return "not steady sines" if short_dwells_bend(dwells) else None
 
 
 def _unsettled(dwells: Sequence[Record]) -> bool:

@@ -50,8 +50,8 @@ def moderated(spectrum: Spectrum) -> Spectrum:
     dof[chosen] = enough
     few = int(np.sum(short))
     text = (
-        f"the noise of {few} short dwell{'s' if few > 1 else ''} ({np.min(nu):.3g} degrees of freedom) leans on that "
-        f"of all {len(nu)}, as if each had {d0:.3g} more"
+        f"the noise of {few} short dwell{'s' if few > 1 else ''} ({np.min(nu):.3g} degrees of freedom) is pooled with "
+        f"that of all {len(nu)}, as if each had {d0:.3g} more"
     )
     note = Notice("noise_moderated", text)
     return replace(spectrum, covariance=covariance, dof=dof, notes=(*spectrum.notes, note))

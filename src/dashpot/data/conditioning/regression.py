@@ -48,7 +48,7 @@ def check_length(record: Record, f: float, orders: tuple[int, ...], degree: int)
         raise DataError(
             f"the record holds {periods:.3g} of a period at {f:g} Hz",
             record.source,
-            "record one whole period at least, better ten, or correct the frequency",
+            "record at least one whole period, better ten, or correct the frequency",
         )
     rate = 1 / float(np.min(np.diff(record.time)))
     highest = max(orders)

@@ -117,7 +117,7 @@ class LocalNoise:
             raise DataError(
                 f"{periods:.3g} periods are too few to see the colour of the noise at {f:g} Hz",
                 record.source,
-                'record eight periods at least, or take the noise as "white"',
+                'record at least eight periods, or take the noise as "white"',
             )
         coloured = is_coloured(self.whiteness)
         if noise == "blocks" or (coloured and enough):

@@ -20,7 +20,7 @@ def second_moments(record: Record, drift: Drift = USUAL_DRIFT) -> Moments:
     for channel in record.channels:
         if channel.delay is not None and channel.delay != 0:
             raise DataError(
-                f"channel {channel.name} has a delay of {channel.delay:g} s, which samples cannot be freed of",
+                f"channel {channel.name} has a delay of {channel.delay:g} s, which cannot be removed from samples",
                 record.source,
                 "shift its samples beforehand, or choose a method that works on amplitudes",
             )

@@ -47,7 +47,7 @@ def noise_at_rest(records: Sequence[Record], half_window: int = HALF_WINDOW) -> 
     dof = 0.0
     for part in parts:
         if part.power.shape[1:] != total.shape[1:]:
-            raise DataError("the records at rest have other channels than each other", longest.source)
+            raise DataError("the records at rest have different channels", longest.source)
         total += part.dof * part.covariance(grid, 1)
         dof += part.dof
     return Still(grid, total / dof, dof)

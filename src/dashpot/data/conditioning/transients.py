@@ -127,9 +127,7 @@ def taken_as_settled(records: Sequence[Record]) -> list[Notice]:
     """What is to be said where dwells count as settled, of those that have not and those too short to show it."""
     dwells = [record for record in records if record.frequency_hz is not None and record.values.ndim == 2]
     if transients_matter(dwells) or short_dwells_bend(dwells):
-        return [
-            Notice("transients_ignored", "the dwells have not settled, and count as settled all the same")
-        ]
+        return [Notice("transients_ignored", "the dwells have not settled, but are treated as settled")]
     brief = tuple(record.source for record in dwells if not shows_settling(record))
     if not brief:
         return []
@@ -256,7 +254,7 @@ def dwells_with_transients(
     for record in records:
         if len(record.time) < FEWEST:
             raise DataError(
-                f"a dwell of {len(record.time)} samples is too short to tell its transient from its motion",
+                f"a dwell of {len(record.time)} samples is too short to separate its transient from its motion",
                 record.source,
                 f"record {FEWEST} samples at least, or wait until it has settled",
             )

@@ -70,7 +70,7 @@ def without_gaps(record: Record) -> tuple[list[Record], tuple[Notice, ...]]:
             f"the samples are not evenly spaced: {len(cuts)} of {len(steps)} steps are longer than {GAP:g} × "
             "the usual one",
             record.source,
-            "record with a steady clock; a resampled record would have errors that nobody can tell from motion",
+            "record with a steady clock; resampling adds errors that look like motion",
         )
     if not pieces:
         raise DataError(
@@ -103,7 +103,7 @@ def whole_record(
     Raises DataError for uneven samples, a band without lines or without signal, and channels that do not move.
     """
     if record.values.ndim != 2:
-        raise DataError("repeats of a record are not put together", record.source, "give one at a time")
+        raise DataError("repeats of a record cannot be combined", record.source, "give one at a time")
     step = even_step(record)
     record, remaining = _aligned(record, step)
     samples = len(record.time)
@@ -227,8 +227,8 @@ def _require_motion(record: Record) -> None:
             raise DataError(
                 f"{channel.name} stays at {column[0]:g} throughout",
                 record.source,
-                "see whether the sensor is connected, or leave the channel out of the rig file; an input that rests "
-                "through a free decay is ground there, not an input",
+                "check that the sensor is connected, or leave the channel out of the rig file; an input that stays "
+                "at rest during a free decay is ground, not an input",
             )
 
 

@@ -22,6 +22,7 @@ from dashpot.data.readers.registry import reader_of
 from dashpot.data.record import Record
 from dashpot.data.spectrum import Spectrum, concatenate
 from dashpot.errors import DataError
+from dashpot.io.words import counted
 from dashpot.notices import Notice
 
 __all__ = ["Reading", "read", "write_amplitudes", "write_records"]
@@ -29,8 +30,11 @@ __all__ = ["Reading", "read", "write_amplitudes", "write_records"]
 
 @dataclass(frozen=True)
 class Reading:
-    """What the files hold: time records, lines that were amplitudes already (None: no such file), and what to tell.
+    """What the files hold.
 
+    records       time records, in the order of the files
+    amplitudes    lines that were amplitudes already; None: no such file
+    notes         what was noticed on the way
     joint         records of sensors with sample times of their own
     conditioning  how a manifest says that records become amplitudes; fields of Conditioning
     """
@@ -40,6 +44,20 @@ class Reading:
     notes: tuple[Notice, ...]
     joint: tuple[ClockedRecords, ...] = ()
     conditioning: Treatments = field(default_factory=lambda: Treatments())
+
+    def __repr__(self) -> str:
+        """One line: how many records and lines there are, and of which channels."""
+        held = [counted(len(self.records) + len(self.joint), "record")]
+        if self.amplitudes is not None:
+            held.append(counted(self.amplitudes.lines, "line"))
+        owner = self.records[0] if self.records else self.amplitudes
+        names = "" if owner is None else f" of {', '.join(channel.name for channel in owner.channels)}"
+        return f"<Reading: {', '.join(held)}{names}>"
+
+    @property
+    def continuous(self) -> bool:
+        """Whether there are records, and none names a drive frequency: of any excitation, in one piece each."""
+        return bool(self.records) and all(record.frequency_hz is None for record in self.records)
 
     def spectrum(
         self, conditioning: Conditioning | None = None, **treatments: Unpack[Treatments]
@@ -76,7 +94,7 @@ def read(
     """
     several = [paths] if isinstance(paths, str | os.PathLike) else list(paths)
     if not several:
-        raise DataError("there are no data", cure="give one file at least")
+        raise DataError("there are no data", cure="give at least one file")
     if not channels:
         raise DataError(
             "no channels are listed", cure="say in [channels] of the rig file what the columns are"

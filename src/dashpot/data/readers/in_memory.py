@@ -62,7 +62,7 @@ def record(
         raise DataError(
             f"the data are {len(records)} records: the time starts again, or the frequency changes",
             source,
-            "take them apart, or use records_of",
+            "separate them, or use records_of",
         )
     return records[0]
 

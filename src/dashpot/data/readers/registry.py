@@ -43,4 +43,4 @@ def reader_of(file: DataFile) -> Reader:
         if reader.sniff(file):
             return reader
     known = ", ".join(reader.format for reader in READERS)
-    raise DataError("the file is of no format that is known, and not text", file.name, f"there are {known}")
+    raise DataError("the file is not text, and its format is not known", file.name, f"there are {known}")

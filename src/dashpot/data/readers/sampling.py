@@ -75,7 +75,9 @@ def read_time(
         numbers = columns.numbers(others, together=together)
         time, wrong = seconds_of(columns.texts(time_at))
         if wrong is not None:
-            raise columns.error(wrong, time_at, "is not a moment", "write it as 2025-03-06 12:21:16.125")
+            raise columns.error(
+                wrong, time_at, "is not a date and time", "write it as 2025-03-06 12:21:16.125"
+            )
         return time, numbers
     numbers = columns.numbers(list(dict.fromkeys([time_at, *others])), together=together)
     scale = _time_scale(columns, time_at)

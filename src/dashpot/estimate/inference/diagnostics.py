@@ -181,7 +181,7 @@ def wrong_signs(model: Model, theta: Real, noise_covariance: Real) -> list[Notic
             within = value > -ZERO * sd[j]
             why = "0 is within its interval" if within else "the model or the data are wrong somewhere"
             if within and -value > largest.get(unknown.name, np.inf):
-                why = f"the data say next to nothing of it (± {sd[j]:.2g} {unknown.unit})"
+                why = f"the data say next to nothing about it (± {sd[j]:.2g} {unknown.unit})"
             text = f"{unknown.name} is negative ({value:.4g} {unknown.unit}): {why}"
             notices.append(Notice("negative_but_zero" if within else "negative", text, (unknown.name,)))
     if not free:
@@ -286,7 +286,7 @@ def require_determined(
         raise IdentifiabilityError(
             f"the data do not determine {', '.join(lost) if lost else 'the unknowns'}, for {', '.join(dead)} "
             f"show{'s' if len(dead) == 1 else ''} no motion at any line",
-            cure="see whether the sensor is connected, or leave the channel out of the rig file",
+            cure="check that the sensor is connected, or leave the channel out of the rig file",
         )
     if few_lines is not None:
         raise IdentifiabilityError(

@@ -32,7 +32,7 @@ def of_records(model: Model, theta: Real, spectrum: Spectrum, few: str | None) -
         return []
     notices = short_records(model, theta, spectrum)
     if few is not None:
-        notices.append(Notice("few_lines", f"{few}: hardly more; widen the band or record for longer"))
+        notices.append(Notice("few_lines", f"{few}, hardly more; widen the band or record for longer"))
     return notices + unrelated_inputs(model, spectrum)
 
 
@@ -47,7 +47,7 @@ def short_records(model: Model, theta: Real, spectrum: Spectrum) -> list[Notice]
         return []
     text = (
         f"the longest record, {max(durations):.4g} s, is shorter than one period of the slowest mode, "
-        f"{1 / slowest:.4g} s: its transient and its motion are hardly told apart"
+        f"{1 / slowest:.4g} s: its transient can hardly be separated from its motion"
     )
     return [Notice("short_record", text)]
 
@@ -91,7 +91,7 @@ def unrelated_inputs(model: Model, spectrum: Spectrum) -> list[Notice]:
     low, high = float(np.min(spectrum.frequency_hz)), float(np.max(spectrum.frequency_hz))
     text = (
         f"from {low:.3g} to {high:.3g} Hz no channel moves with {joined(names)}: a dead sensor, another clock, no "
-        "drive in this band, or a free decay, in which what rests is ground and no input"
+        "drive in this band, or a free decay, where a resting input is ground"
     )
     return [Notice("unrelated_inputs", text, tuple(names))]
 

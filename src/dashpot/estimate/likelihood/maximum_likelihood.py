@@ -35,9 +35,10 @@ class MaximumLikelihood(Method):
     rigs of sensible size are ranked by the logarithms of their responses, and the best `starts` of them searched, first
     in logarithms, then with weights that harden step by step, for at most `rounds` rounds.  Repeats share the minima
     that the first one finds, and look for their own where these do not lead to a fit.  `positive` holds the parts of
-    the rig at or above 0, not what belongs to a free matrix; bounds of the model hold always.  With
-    a `start`, values of all unknowns, and signs of the channels, one descent from there takes the search's place; a
-    `thorough` search draws its starts where all is seen as well.
+    the rig at or above 0, not what belongs to a free matrix; bounds of the model hold always.  With a `start`, values
+    of all unknowns, and `start_sign`, signs of the channels, one descent from there takes the search's place; a
+    `thorough` search draws its starts where all is seen as well.  `seed` is that of the random rigs.  A descent ends
+    where no unknown moves by more than `tolerance` standard deviations, after `max_iterations` at the latest.
     """
 
     starts: int = 64

@@ -122,7 +122,7 @@ def _require_decay(model: Model, residual: Complex, data: Measured) -> None:
             f"no free decay explains the motion ({100 * share:.0f} % of its power is left over): something drives the "
             "rig that was not recorded",
             cure="record what drives it, a force or the motion of the base, and name it as an input; a response alone "
-            "tells modes, not masses, dampers and springs",
+            "gives modes, not masses, dampers and springs",
         )
 
 

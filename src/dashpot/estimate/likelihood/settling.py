@@ -19,6 +19,7 @@ from dashpot.errors import DashpotError, DataError
 from dashpot.estimate.likelihood.maximum_likelihood import MaximumLikelihood
 from dashpot.estimate.likelihood.objective import local, measured, nuisance_columns, predict
 from dashpot.estimate.likelihood.record_noise import noise_is_sought, with_record_noise
+from dashpot.estimate.method import Method
 from dashpot.estimate.preparation.prepared import Prepared, prepare
 from dashpot.model.network import Model
 from dashpot.model.observation import calibrated_transfer
@@ -28,11 +29,14 @@ SLOPE_LEVEL = 1e-3  # of the test for slopes of the sensors beside transients, w
 LEVEL = 1e-3  # of the test: loads too many cost precision, loads too few the truth
 
 
-def with_settling_decided(model: Model, spectrum: Spectrum) -> Spectrum:
+def with_settling_decided(model: Model, spectrum: Spectrum, method: Method | None = None) -> Spectrum:
     """The spectrum with its short dwells as steady motion or as whole records, whichever one test of all of them says.
 
-    As it is where that is decided, and where no fit with boundary loads can tell: then a notice stands in `notes`.
+    As it is where that is decided, where the method (None: any) knows no transients, and where no fit with boundary
+    loads can tell: then a notice stands in `notes`.
     """
+    if method is not None and not method.traits.transients:
+        return spectrum
     whole = spectrum.unsettled
     if whole is None:
         return _with_needed_slopes(model, spectrum)

@@ -26,9 +26,12 @@ TIE = 1e-4  # of χ²: more than the barrier costs, less than matters
 
 @dataclass(frozen=True)
 class FreeMatrices:
-    """M, C, K, (..., n, n), and the joint covariance of their entries.
+    """M, C, K, and the joint covariance of their entries.
 
-    entries: (letter, i, j), i ≤ j, of every entry that some unknown moves; covariance (..., entries, entries).
+    coordinates  of rows and columns, in order
+    M, C, K      (..., n, n)
+    entries      (letter, i, j), i ≤ j, of every entry that some unknown moves
+    covariance   (..., entries, entries)
     """
 
     coordinates: tuple[str, ...]
@@ -62,7 +65,9 @@ def matrices_of(model: Model, estimate: Estimate) -> FreeMatrices:
     if estimate.names[:m] != names:
         raise ModelError("the estimate is of another model", cure="give the model that was identified")
     if len(model.by_matrix["H"]):
-        raise ModelError("hysteretic dampers are in none of M, C and K", cure="take them out, or use dampers")
+        raise ModelError(
+            "hysteretic dampers have no place in M, C or K", cure="take them out, or use dampers"
+        )
     p = model.parameters(estimate.values[..., :m])
     B = model.B
     upper = [(i, j) for i in range(model.n) for j in range(i, model.n)]
@@ -95,6 +100,9 @@ class DefiniteOptimalIV(Method):
     holds the truth is never farther from it than the free estimate.
     A matrix that its elements cannot make definite (a coordinate without mass, a chain without ground) is to be so on
     the subspace that they span.
+
+    Iterations end where no unknown moves by more than `tolerance` of its standard deviation, after `max_iterations` at
+    the latest.
     """
 
     letters: str = "MCK"

@@ -33,7 +33,7 @@ ASTRAY = 1e-4  # χ² so unlikely may mean a local minimum: other starts are tri
 class InstrumentalVariables(Method):
     """The paper's bootstrap: instruments from the auxiliary model, unweighted, from least squares (eq. 17-20).
 
-    Stops when no unknown moves by more than `tolerance` of its size.
+    Stops when no unknown moves by more than `tolerance` of its size, after `max_iterations` at the latest.
     """
 
     max_iterations: int = 100
@@ -108,6 +108,8 @@ class OptimalIV(Method):
 
     Its fixed point is the maximum of the likelihood where all coordinates are seen, so it sits on the Cramér-Rao
     bound.  A step that does not lower Σ eᴴ Ω e is replaced by damped Gauss-Newton steps, which do.
+
+    Stops when no unknown moves by more than `tolerance` of its size, after `max_iterations` at the latest.
     """
 
     max_iterations: int = 200

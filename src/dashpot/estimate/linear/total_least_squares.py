@@ -44,7 +44,7 @@ HIDDEN = 0.95  # of the noise that makes least squares singular: as close as com
 class TotalLeastSquares(Method):
     """Generalised total least squares: the noise must be known up to one factor, which it finds.
 
-    Stops when the factor moves by less than `tolerance` of itself.
+    Stops when the factor moves by less than `tolerance` of itself, after `max_iterations` at the latest.
     """
 
     max_iterations: int = 60
@@ -65,7 +65,7 @@ class TotalLeastSquares(Method):
             text = "the noise factor did not converge: the noise hides at least one unknown"
             warnings.append(Notice("noise_factor_diverged", text))
         elif np.any(ends.size > HIDDEN * sums.largest()):
-            text = "tls is not to be trusted here: the noise almost hides a combination of unknowns"
+            text = "do not trust tls here: the noise almost hides a combination of unknowns"
             warnings.append(Notice("noise_near_singular", text))
         return Solution(
             ends.theta,
@@ -124,9 +124,7 @@ class CompensatedLeastSquares(Method):
         theta = theta + sums.correction(theta, size)
         with np.errstate(all="ignore"):
             covariance = _covariance(data, sums, theta, size, total=False)
-        kept = Notice(
-            "noise_not_compensated", "the noise is too large to be compensated: cls leaves its bias in"
-        )
+        kept = Notice("noise_not_compensated", "the noise is too large to be compensated: cls remains biased")
         warnings = () if np.all(usable) else (kept,)
         solved = np.all(np.isfinite(theta), axis=-1)
         history = np.stack([plain[0], start[0], theta[0]])

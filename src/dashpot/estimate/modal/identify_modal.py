@@ -131,7 +131,7 @@ def _check(model: Model, data: ModalData) -> None:
         )
     if data.modes > model.n:
         raise DataError(
-            f"{data.modes} modes are measured, and the rig has no more than {model.n} that swing",
+            f"{data.modes} modes are measured, and the rig has no more than {model.n} that oscillate",
             cure="leave modes out, or give the rig more coordinates",
         )
 

@@ -192,7 +192,7 @@ def require_direct(data: Prepared) -> None:
         if not direct:
             raise UsageError(
                 f"channel {channel.name} measures a force of elements, or its calibration is unknown, which the"
-                " equation of motion of a nonlinear rig does not know",
+                " equation of motion of a nonlinear rig cannot take",
                 cure="use the method ml",
             )
     _ = data.seen_states

@@ -54,7 +54,9 @@ def predict_record(model: Model, estimate: Estimate, record: Record) -> Predicte
     for _ in range(2):
         residual, J = problem.residuals(np.concatenate([fixed, start]))[0]
         if J is None:
-            raise DataError("the motion cannot be followed", record.source, "see whether it is of this rig")
+            raise DataError(
+                "the motion cannot be followed", record.source, "check that it is a record of this rig"
+            )
         by_inner = J[..., problem.inner :].reshape(-1, machine.states)
         seen = 2 * machine.model.n  # states of laws keep what they began with
         start[:seen] += np.linalg.lstsq(by_inner[:, :seen], residual.ravel(), rcond=1e-8)[0]

@@ -100,8 +100,8 @@ def _calibration(record: Record) -> Real:
     for channel in record.channels:
         if channel.delay is None or channel.delay != 0 or (channel.sign is None and channel.gain is not None):
             raise DataError(
-                f"channel {channel.name} has a delay or an unknown sign, which whole records of nonlinear rigs do not "
-                "know",
+                f"channel {channel.name} has a delay or an unknown sign, which whole records of nonlinear rigs "
+                "cannot have",
                 record.source,
                 'shift the record, or write gain = "unknown" for the sign',
             )

@@ -29,6 +29,7 @@ from dashpot.model.nonlinear.integration import Integrator
 from dashpot.model.nonlinear.propagation import forcing
 from dashpot.numerics.levenberg_marquardt import QuadraticModel, minimise
 
+METHOD = "ml"  # what the search is
 LIMIT = 60  # iterations
 EXACT = 1e-6  # of a channel's rms: residuals below it count no less
 TOLERANCE = 1e-4  # standard deviations
@@ -53,13 +54,22 @@ class FittedRecords:
 
 
 def identify_records(
-    model: Model, records: Sequence[Record], *, progress: Callable[[int, int], None] | None = None
+    model: Model,
+    records: Sequence[Record],
+    method: str | None = None,
+    *,
+    progress: Callable[[int, int], None] | None = None,
 ) -> Estimate:
-    """Estimate the unknowns of a nonlinear rig from whole records of any excitation.
+    """Estimate the unknowns of a nonlinear rig from whole records of any excitation, by maximum likelihood.
 
-    Raises DataError where an input or all motion is not measured, or an unknown needs a guess: where not all
-    coordinates are measured as displacements, every unknown does.
+    Raises UsageError where another `method` is named, DataError where an input or all motion is not measured, or an
+    unknown needs a guess: where not all coordinates are measured as displacements, every unknown does.
     """
+    if method not in (None, METHOD):
+        raise UsageError(
+            f"the method {method} cannot handle whole records of nonlinear rigs",
+            cure=f"use the method {METHOD}",
+        )
     return fit_records(model, records, progress=progress).estimate()
 
 

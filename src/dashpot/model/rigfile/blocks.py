@@ -51,7 +51,7 @@ def _points_known(reading: RigReading, name: str, entry: BlockEntry, points: Col
     place = ("blocks", name, "coordinates")
     rows = entry.coordinates or []
     if len(set(rows)) < len(rows):
-        reading.report.add(place, "a coordinate stands twice", "name each row of the matrix once")
+        reading.report.add(place, "a coordinate appears twice", "name each row of the matrix once")
         return False
     return reading.points_known(place, dict.fromkeys(rows, 1.0), points, False)
 
@@ -67,7 +67,7 @@ def _matrix(path: Path, array: str | None) -> Any:
             return mmread(noted(path))
     except (OSError, ValueError, KeyError, TypeError, OverflowError, BadZipFile) as error:
         what = f"{shown(path.name, 60)} cannot be read: {shown(str(error), 80)}"
-        raise ModelError(what, cure="see whether the file is there and whole") from error
+        raise ModelError(what, cure="check that the file exists and is complete") from error
     raise ModelError(
         f"{shown(path.name, 60)} has no known ending", cure="save it as Matrix Market (.mtx) or NumPy (.npz)"
     )

@@ -171,7 +171,7 @@ def _numbers_good(reading: RigReading, place: Place, entry: ChannelEntry) -> boo
     if entry.gain == 0:
         faults.append(("gain", "a gain of 0 measures nothing", 'give another one, or "unknown"'))
     if entry.sign is not None and entry.sign not in (1.0, -1.0):
-        cure = 'write 1, -1 or "unknown"; a factor belongs into gain'
+        cure = 'write 1, -1 or "unknown"; a factor belongs in gain'
         faults.append(("sign", f"the sign is {entry.sign:g}", cure))
     if entry.bits is not None and entry.full_scale is None:
         faults.append(("bits", "bits without a full scale", 'add full_scale, such as "50 g"'))

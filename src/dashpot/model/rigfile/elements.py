@@ -129,7 +129,7 @@ def _way_of_attachment(reading: RigReading, place: Place, entry: ElementEntry) -
         reading.report.add(place, what, "keep the one that is right")
     else:
         usual = 'at = "x1"' if place[0] == "masses" else 'between = ["x1", "ground"]'
-        reading.report.add(place, "it is not said what it is attached to", f"add {usual}")
+        reading.report.add(place, "nothing says what it is attached to", f"add {usual}")
     return None
 
 
@@ -137,7 +137,7 @@ def _two_points(reading: RigReading, place: Place, pair: list[str]) -> bool:
     place_of_pair = (*place, "between")
     if place[0] == "masses":
         first = next((point for point in pair if point != GROUND), "x1")
-        cure = f"write at = {quoted(first)}; an inertance between two points belongs into [inerters]"
+        cure = f"write at = {quoted(first)}; an inertance between two points belongs in [inerters]"
         reading.report.add(place_of_pair, "a mass has one place, not two", cure)
         return False
     if pair[0] == pair[1]:

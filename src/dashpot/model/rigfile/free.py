@@ -57,7 +57,7 @@ def _pairs(reading: RigReading, letter: Letter, entries: object, coordinates: Se
         return []
     if not isinstance(entries, list):
         cure = 'write "full", "diagonal" or the pairs that are joined: [["x1", "x2"], ["x2", "x3"]]'
-        reading.report.add(("free", letter), f"{written(entries)} says nothing of its entries", cure)
+        reading.report.add(("free", letter), f"{written(entries)} does not describe its entries", cure)
         return None
     pairs = []
     for k, pair in enumerate(entries):
@@ -65,7 +65,7 @@ def _pairs(reading: RigReading, letter: Letter, entries: object, coordinates: Se
         if not known or pair[0] == pair[1]:
             text = ", ".join(map(str, pair)) if isinstance(pair, list) else written(pair)
             cure = f"name two different coordinates: {listed(coordinates)}"
-            reading.report.add(("free", letter, k), f"{shown(text, 60)}: no pair of coordinates", cure)
+            reading.report.add(("free", letter, k), f"{shown(text, 60)}: not a pair of coordinates", cure)
             return None
         pairs.append((pair[0], pair[1]))
     return pairs

@@ -82,7 +82,7 @@ def _codes(entry: ChannelEntry, unit: str) -> float:
             f"a full scale of a channel in {unit}", cure='say unit = "counts" or "FS", or leave it out'
         )
     if entry.bits is None:
-        raise UsageError("how many counts the full scale is, is not said", cure="add bits, such as bits = 16")
+        raise UsageError("the counts at full scale are not given", cure="add bits, such as bits = 16")
     if entry.bits != int(entry.bits) or not 2 <= entry.bits <= MOST_BITS:
         raise UsageError(
             f"a converter of {entry.bits:g} bits", cure=f"give a whole number from 2 to {MOST_BITS}"

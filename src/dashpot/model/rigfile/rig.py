@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Rig(InNotebooks):
-    """A model, the channels that its data files are made of, and the file it was read from."""
+    """A model, the channels that its data files are made of, and the `path` of the file it was read from ("": none)."""
 
     model: Model
     channels: tuple[Channel, ...]

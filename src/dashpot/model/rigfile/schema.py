@@ -124,7 +124,7 @@ def _coordinates(value: object) -> list[str]:
         cure = (
             f"write a range such as {quoted('q1:q1200')} of at most {MOST_COORDINATES:,} names, or list them"
         )
-        raise _wrong(f"{written(value)} is no range of names", cure)
+        raise _wrong(f"{written(value)} is not a range of names", cure)
     return [f"{ends[1]}{k}" for k in range(first, last + 1)]
 
 
@@ -143,7 +143,7 @@ def _one_or_table(value: object) -> dict[str, Any]:
         return {value: 1.0}
     if isinstance(value, list):
         raise _wrong(
-            "a list says no factors", "name one point, or write a table of factors { x1 = 1, x2 = -1 }"
+            "a list has no factors", "name one point, or write a table of factors { x1 = 1, x2 = -1 }"
         )
     if not isinstance(value, dict):
         raise _wrong(
@@ -161,7 +161,7 @@ def _one_or_many(value: object) -> dict[str, Any]:
         if not all(isinstance(name, str) for name in value):
             raise _wrong("the list holds more than names", 'list names, such as ["x1", "x2"]')
         if len(set(value)) < len(value):
-            raise _wrong("a name stands twice in the list", "write a table of factors, such as { x1 = 2 }")
+            raise _wrong("a name appears twice in the list", "write a table of factors, such as { x1 = 2 }")
         return dict.fromkeys(value, 1.0)
     return _one_or_table(value)
 
@@ -180,7 +180,7 @@ def _one_of(*choices: str) -> BeforeValidator:
             return str(value)
         guess = did_you_mean(str(value), choices)
         raise _wrong(
-            f"{written(value)} is none of the choices", f"{guess}use {' or '.join(map(quoted, choices))}"
+            f"{written(value)} is not one of the choices", f"{guess}use {' or '.join(map(quoted, choices))}"
         )
 
     return BeforeValidator(chosen)

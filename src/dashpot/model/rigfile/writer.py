@@ -26,7 +26,7 @@ def write_rig(rig: Rig) -> str:
     model = rig.model
     if any(element.block is not None for element in model.elements):
         raise ModelError(
-            "a rig with [blocks] is not written: its matrices are in files of their own",
+            "a rig with [blocks] cannot be written: its matrices are in files of their own",
             cure="copy the rig file",
         )
     lines = [f"name = {quoted(model.name)}"] if model.name else []

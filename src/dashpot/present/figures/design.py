@@ -48,7 +48,7 @@ def plan_figure(
     bars: Sequence[str],
     tests: Sequence[Bars],
 ) -> Figure:
-    """Where to dwell and for how long, what each frequency tells of each parameter, and the intervals to expect.
+    """Where to dwell and for how long, what each frequency tells of each parameter, and the expected intervals.
 
     frequency_hz (f,); curves: directional derivatives over it, one for each pattern of the drive, (f,); dwells_hz,
     dwells (d,); shares (f, parameters): 1 is what the average sample of the test adds.
@@ -128,7 +128,7 @@ def _heat(axes: Axes, f: Real, names: Sequence[str], shares: Real, dwells_hz: Re
     axes.set_yticklabels(list(names))
     axes.tick_params(axis="y", length=0)
     axes.grid(False)
-    axes.set_title("What a sample at each frequency tells of each parameter")
+    axes.set_title("What a sample at each frequency tells about each parameter")
     _axis(axes, f)
     axes.set_xlabel("frequency, Hz")
     bar = axes.figure.colorbar(mesh, ax=axes, pad=0.01, ticks=[0, 1, 2, 3])
@@ -168,8 +168,8 @@ def _intervals(axes: Axes, names: Sequence[str], tests: Sequence[Bars]) -> None:
         axes.set_xlim(smallest / 2, largest * 2)
     else:
         axes.set_xlim(0, 1.14 * largest)
-    axes.set_xlabel("standard deviation to expect, per cent of the value")
-    axes.set_title("Intervals to expect")
+    axes.set_xlabel("expected standard deviation, per cent of the value")
+    axes.set_title("Expected intervals")
     if len(tests) > 1:
         axes.legend(loc="best", **FRAME)
 
@@ -191,7 +191,7 @@ def progress_figure(
         for target in np.unique(targets[np.isfinite(targets)]):
             axes.axhline(float(target), color=INK, lw=0.9)
             axes.annotate(
-                f"wanted: {target:.3g} %", (1, float(target)), xycoords=("axes fraction", "data"), fontsize=8,
+                f"target: {target:.3g} %", (1, float(target)), xycoords=("axes fraction", "data"), fontsize=8,
                 textcoords="offset points", xytext=(-2, 3), ha="right",
             )  # fmt: skip
         axes.set_yscale("log")
@@ -202,6 +202,6 @@ def progress_figure(
             axis.set_minor_formatter(NullFormatter())
         axes.set_xlabel("samples")
         axes.set_ylabel("standard deviation, per cent")
-        axes.set_title("Intervals as data come, and with more of the same (dashed)")
+        axes.set_title("Intervals as data come in, and with more of the same (dashed)")
         axes.legend(ncols=2 if len(names) > 5 else 1, loc="upper right")
     return figure

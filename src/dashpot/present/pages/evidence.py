@@ -101,7 +101,7 @@ def _responses(model: Model, spectrum: Spectrum, estimate: Estimate, found: Resi
     responses = responses_of_channels(model, estimate, spectrum, found)[:MOST_PANELS]
     if responses:
         channels = joined([shown.channel for shown in responses])
-        text = "Output over input, as measured and as the estimated rig answers."
+        text = "Output over input, measured and predicted by the estimated rig."
         panels = figure_picture(
             response_figure(responses), f"Amplitude and phase of {channels}, measured and model"
         )
@@ -153,7 +153,7 @@ def _dwells(dwells: Sequence[UsedDwell], found: Residuals) -> list[Block]:
     if not histories:
         return []
     cut = [one for one in histories if one.begin > 0 or one.end < one.time[-1]]
-    shaded = "Of each of these dwells all was used."
+    shaded = "Each of these dwells was used whole."
     if cut:
         places = [
             f"at {short(one.frequency_hz, 4)} Hz {short(one.begin, 3)} to {short(one.end, 3)} s of "

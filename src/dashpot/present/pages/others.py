@@ -57,7 +57,7 @@ def comparison_report(
     headline = (
         f"Take the values of {best}: of these methods it uses the data best."
         if best is not None and best not in wrong
-        else "None of these methods is the most likely one: compare the intervals."
+        else "None of these methods uses the data fully: compare the intervals."
     )
     cautions = [f"{joined(wrong)} did not converge: do not use those values."] if wrong else []
     page = Page(
@@ -104,17 +104,17 @@ def design_report(answer: Answer, provenance: Provenance | None = None) -> str:
     answers: Block | None = None
     evidence: tuple[Block, ...] = ()
     if plan is None:
-        headline = "No test is needed: what is known reaches the target already."
+        headline = "No test is needed: what is already known reaches the target."
     else:
         said = plan_in_words(answer, plan)
         headline = f"{counted(len(plan.dwells), 'dwell')}, {plan.samples} samples. {said[0]}"
         statements += said[1:]
         answers = Block("Dwells", (), (tuple(dwell_columns(plan, drive_units(model))),))
         figure = figure_picture(
-            planned_test_figure(answer), "Dwells, what each frequency tells, and the intervals to expect"
+            planned_test_figure(answer), "Dwells, what each frequency tells, and the expected intervals"
         )
         evidence = (
-            Block("Intervals to expect", (), (tuple(expected_columns(answer)),)),
+            Block("Expected intervals", (), (tuple(expected_columns(answer)),)),
             Block("Why these frequencies", pictures=(figure,)),
         )
     page = Page(
@@ -159,7 +159,7 @@ def validation_report(
     columns = tuple(validation_columns(predictions))
     page = Page(
         model.name or "Validation",
-        "Records that the estimate was not made of, predicted from their inputs.",
+        "Records that the estimate was not made from, predicted from their inputs.",
         "bad" if not fits or worst[0] < POOR else "open",
         headline,
         (EXPLANATION,),

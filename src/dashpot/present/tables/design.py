@@ -1,4 +1,4 @@
-"""A planned test as tables: its dwells, and the intervals to expect."""
+"""A planned test as tables: its dwells, and the expected intervals."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ NORMAL_95 = 1.96
 
 
 def show_answer(answer: Answer, out: Console) -> None:
-    """Print the dwells, the intervals to expect, and what they are worth."""
+    """Print the dwells, the expected intervals, and what they are worth."""
     out.print()
     if answer.setup.model.name:
         show_paragraph(out, answer.setup.model.name, "bold")
@@ -31,7 +31,7 @@ def show_answer(answer: Answer, out: Console) -> None:
         for k, line in enumerate(sensors_in_words(answer)):
             show_paragraph(out, line, "dim" if k else "")
     if answer.plan is None:
-        show_paragraph(out, "No test is needed: what is known reaches the target already.", "green")
+        show_paragraph(out, "No test is needed: what is already known reaches the target.", "green")
         return
     out.print()
     columns = dwell_columns(answer.plan, drive_units(answer.setup.model))
@@ -77,7 +77,7 @@ def _amplitude(z: complex) -> str:
 
 
 def expected_columns(answer: Answer) -> list[TableColumn]:
-    """Values, the ± to expect with its interval, and what is known now and what another test would give."""
+    """Values, the expected ± with its interval, and what is known now and what another test would give."""
     assert answer.plan is not None
     expected = answer.plan.predicted
     values, spreads, intervals = [], [], []
@@ -89,7 +89,7 @@ def expected_columns(answer: Answer) -> list[TableColumn]:
     columns = [
         TableColumn("parameter", tuple(expected.names)),
         TableColumn("value", tuple(values), "right"),
-        TableColumn("± to expect", tuple(spreads), "right"),
+        TableColumn("expected ±", tuple(spreads), "right"),
         TableColumn("unit", tuple("" if unit == "1" else unit for unit in expected.units)),
         TableColumn("± %", _relative(expected, expected), "right"),
         TableColumn("95 % interval", tuple(intervals), "right"),

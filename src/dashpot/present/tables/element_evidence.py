@@ -18,12 +18,14 @@ def show_elements(console: Console, comparison: ElementComparison) -> None:
         TableColumn("ln evidence", tuple(f"{row.evidence:+.4g}" for row in rows), "right"),
     ]
     show_table(console, columns)
-    console.print("Residuals are those left, of the rig as it is; ln evidence is over the rig as it is.")
+    console.print("Residuals and ln evidence are relative to the rig as it is.")
     chosen = comparison.chosen
     if chosen is None:
         console.print("The data call for none of them.")
         return
-    console.print(f"The data call for {' and '.join(_named(chosen))}. Nothing is added; to do so, write")
+    console.print(
+        f"The data call for {' and '.join(_named(chosen))}. Nothing has been added; to add it, write"
+    )
     for element in chosen.elements:
         console.print(f"  [{element.kind.section}] {element_line(element)}")
 

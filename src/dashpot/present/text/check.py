@@ -38,7 +38,7 @@ def combination_in_words(combination: Combination, units: dict[str, str]) -> str
     wide = short(max(combination.widening.tolist()), 2)
     if len(combination.names) == 1:
         name = combination.names[0]
-        return f"{name} can hardly be separated from the other unknowns: its interval is {wide} times wider for it."
+        return f"{name} can hardly be separated from the other unknowns: that makes its interval {wide} times wider."
     moves = ", ".join(
         f"{name} {x:+.2g}" + (" s" if units.get(name) == "s" else "")
         for name, x in zip(combination.names, combination.direction.tolist(), strict=True)
@@ -67,7 +67,7 @@ def _idle_in_words(idle: Sequence[float], all_hz: Sequence[float]) -> str:
     if len(idle) <= MOST_LISTED:
         return f"Frequencies that add almost no information on any unknown: {joined(f'{f:.4g}' for f in idle)} Hz."
     telling = sorted(set(all_hz) - set(idle))
-    where = f"; what tells most lies from {telling[0]:.4g} to {telling[-1]:.4g} Hz" if telling else ""
+    where = f"; the most informative lie from {telling[0]:.4g} to {telling[-1]:.4g} Hz" if telling else ""
     return f"{len(idle)} of the {len(all_hz)} frequencies add almost no information on any unknown{where}."
 
 
@@ -88,7 +88,7 @@ def profile_in_words(profile: Profile) -> str:
         f"normal {left} … {right}"
     )
     if bool(profile.improved):
-        return f"{text}. There is a better fit than the estimate on the way: give guesses, or more starting values."
+        return f"{text}. On the way there is a better fit than the estimate: give guesses, or more starting values."
     if math.isinf(ends[0]) or math.isinf(ends[1]):
         return f"{text}. The normal interval misleads: the data set no limit on one side."
     if bool(profile.misleads):

@@ -59,8 +59,8 @@ def profiles_in_words(estimate: Estimate) -> str:
         return ""
     verb = "Profile interval" if len(names) == 1 else "Profile intervals"
     open_ended = [name for name in names if not all(map(math.isfinite, estimate.profiles[name][0]))]
-    limit = f" The data set no limit to {joined(open_ended)} on one side." if open_ended else ""
-    return f"{verb}: {joined(names)} (χ² is no parabola there, ± misleads).{limit}"
+    limit = f" The data set no limit on {joined(open_ended)} on one side." if open_ended else ""
+    return f"{verb}: {joined(names)} (χ² is not parabolic there, so ± misleads).{limit}"
 
 
 def bound_in_words(estimate: Estimate) -> str:

@@ -70,7 +70,7 @@ NOTICES: tuple[tuple[str, str, str, str], ...] = (
     ),
     (
         "silent_channel", _VERDICT,
-        "A channel of a moving point is constant, as of a sensor that is off or not connected.",
+        "A channel of a moving point is constant, as if its sensor were off or not connected.",
         "Look at the sensor and its cable, or leave the channel out.",
     ),
     (
@@ -189,8 +189,8 @@ NOTICES: tuple[tuple[str, str, str, str], ...] = (
     ),
     (
         "few_lines", _ESTIMATE,
-        ("The lines of a whole record in the band are hardly more than the terms that its two ends take: little is "
-        "left to tell the rig from."),
+        ("The lines of a whole record in the band hardly outnumber the terms that its two ends need: little "
+        "information about the rig is left."),
         "Widen `--band`, or record for longer.",
     ),
     (
@@ -201,9 +201,9 @@ NOTICES: tuple[tuple[str, str, str, str], ...] = (
     ),
     (
         "unrelated_inputs", _ESTIMATE,
-        ("No output of the whole records goes with what the inputs measure, at any frequency of the band (F tests, "
+        ("No output of the whole records is related to what the inputs measure, at any frequency of the band (F tests, "
         "p > 0.01): the estimate is one of noise."),
-        ("See whether the input's sensor is connected, and on the same clock as the others; choose the band that was "
+        ("Check that the input's sensor is connected, and on the same clock as the others; choose the band that was "
         "driven; for a free decay leave the input out and join its elements to the ground."),
     ),
     (
@@ -262,7 +262,7 @@ NOTICES: tuple[tuple[str, str, str, str], ...] = (
     ),
     (
         "transients_ignored", _RECORDS,
-        "A test over all dwells found them unsettled, and what was asked for (orders, frequencies) is of settled ones.",
+        "A test over all dwells found them unsettled, and what was asked for (orders, frequencies) needs settled ones.",
         "Use `--transients auto` and the method `ml`, or discard the starts of the dwells (`--settle`).",
     ),
     (

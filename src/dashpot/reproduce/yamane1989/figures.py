@@ -38,7 +38,7 @@ class ErrorCurve:
 
 @dataclass(frozen=True)
 class PrintedPoint:
-    """A value of the tables that belongs into a figure."""
+    """A value of the tables that belongs in a figure."""
 
     method: str
     parameter: str

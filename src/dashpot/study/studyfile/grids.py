@@ -98,7 +98,7 @@ def _draws(values: StudyValues, place: Place, raw: Mapping[str, Any]) -> int:
         return values.whole((*place, "draws"), raw["draws"], 2, MOST_DRAWS)
     if "draws" in values.document:
         return values.whole(("draws",), values.document["draws"], 2, MOST_DRAWS)
-    values.report.add(place, "the number of draws is not said", "add draws = 1000")
+    values.report.add(place, "the number of draws is not given", "add draws = 1000")
     return 0
 
 
@@ -115,7 +115,7 @@ def _levels(
                 values.report.add(place_of_noise, f"a noise of {level:g}", cure)
         return tuple(levels)
     if kind != ("channels",):
-        values.report.add(place, "the noise is not said", "add noise = [0.01, 0.1]")
+        values.report.add(place, "the noise is not given", "add noise = [0.01, 0.1]")
     return (1.0,)
 
 
@@ -127,7 +127,7 @@ def _samples(values: StudyValues, place: Place, raw: Mapping[str, Any]) -> tuple
         values.report.add(place, "samples and samples_in_all are both given", "keep the one that is meant")
         return (), in_all
     if key not in raw:
-        values.report.add(place, "the number of samples is not said", "add samples = [56], per frequency")
+        values.report.add(place, "the number of samples is not given", "add samples = [56], per frequency")
         return (), in_all
     place_of_samples = (*place, key)
     items = values.entries(place_of_samples, raw[key])

@@ -71,7 +71,7 @@ def _true_rig(values: StudyValues, place: Place, file: str, true_values: Mapping
     for unknown in rig.model.unknowns:
         if unknown.name not in true_values and unknown.prior is None and unknown.guess is None:
             cure = f"add values = {{ {unknown.name} = … }}, in {unknown.unit}"
-            values.report.add(place, f"the true value of {unknown.name} is not said", cure)
+            values.report.add(place, f"the true value of {unknown.name} is not given", cure)
     return TrueRig(rig.model, truth, rig.channels)
 
 

@@ -109,12 +109,12 @@ class StudyValues:
         """A list without repetitions; a single value stands for a list of one."""
         items = raw if isinstance(raw, list) else [raw]
         if not items:
-            self.report.add(place, "the list is empty", "give one entry at least")
+            self.report.add(place, "the list is empty", "give at least one entry")
         seen: set[object] = set()
         for item in items:
             if isinstance(item, str | int | float):
                 if item in seen:
-                    self.report.add(place, f"{written(item)} stands twice in the list", "remove one of them")
+                    self.report.add(place, f"{written(item)} appears twice in the list", "remove one of them")
                     return list(dict.fromkeys(i for i in items if isinstance(i, str | int | float)))
                 seen.add(item)
         return items

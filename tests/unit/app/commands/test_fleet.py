@@ -98,12 +98,12 @@ def test_a_failed_data_set_has_its_reason(dashpot: Command, data: Path) -> None:
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (("none/*.csv", "--out", "f.parquet"), "none/*.csv: no file has a name of this pattern"),
+        (("none/*.csv", "--out", "f.parquet"), "none/*.csv: no file matches this pattern"),
         (("all.parquet", "--rig-column", "number", "--out", "f.parquet"), "column number: missing"),
         (("data/*.csv", "--out", "data/rig4.csv"), "data/rig4.csv: this would overwrite a file that is read"),
         (
             ("data/*.csv", "--out", "f.parquet", "--method", "oiv", "--positive"),
-            "the method oiv holds no bounds",
+            "the method oiv cannot hold bounds",
         ),
     ],
 )
@@ -264,4 +264,4 @@ def test_a_scheduler_that_is_not_there(dashpot: Command, data: Path, monkeypatch
     ran = dashpot("fleet", "rig.toml", "data/*.csv", "--out", "b.parquet", "--dask", "tcp://127.0.0.1:9")
     assert ran.code == 2
     assert len(ran.err) == 1
-    assert "no scheduler of Dask answers" in ran.err[0]
+    assert "the Dask scheduler does not answer" in ran.err[0]

@@ -49,10 +49,10 @@ BAD_RIGS = {
         ["rig.toml:", "m1", "2 times"],
     ),
     "key twice": ('m1 = { at = "x1" }', 'm1 = { at = "x1" }\nm1 = { at = "x2" }', ["rig.toml:7", "m1", "twice"]),
-    "tie in a circle": (
+    "circular tie": (
         'c1 = { between = ["x1", "x2"] }\nc2 = { between = ["x2", "u"] }',
         'c1 = { between = ["x1", "x2"], same_as = "c2" }\nc2 = { between = ["x2", "u"], same_as = "c1" }',
-        ["circle"],
+        ["circular"],
     ),
     "wrong unit": ('unit = "mm", noise = 0.02 }\nu', 'unit = "kg", noise = 0.02 }\nu', ["rig.toml:", "x2", "kg"]),
     "broken syntax": ("[masses]", "[masses", ["rig.toml:5"]),
@@ -271,7 +271,7 @@ BAD_USAGE = {
     "rig as data": (["identify", "rig.toml", "rig.toml"], "this is a rig file, not a manifest of data"),
     "no file of a fleet": (["fleet", "rig.toml", "none.csv", "-o", "f.parquet"], "none.csv: there is no such file"),
     "inspect a rig": (["inspect", "rig.toml"], "rig.toml: no column holds numbers"),
-    "new over old": (["new", "rig.toml", "--masses", "2"], "rig.toml: there is a file of this name"),
+    "new over old": (["new", "rig.toml", "--masses", "2"], "rig.toml: a file of this name exists"),
     "new in bananas": (["new", "new.toml", "--unit", "bananas"], '"bananas" is not a unit'),
     "no curve": (["response", "rig.toml"], "--band 1:10 to follow the frequency"),
     "two curves": (["response", "rig.toml", "--band", "1:9", "--at", "3"], "--band and --at exclude each other"),

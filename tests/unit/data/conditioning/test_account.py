@@ -26,10 +26,10 @@ def account(settings: Conditioning | None = None, off: float = 1.0) -> str:
 
 def test_the_line_says_how_much_is_used_and_what_was_taken_out() -> None:
     assert account() == (
-        "5 dwells as steady sines: all 2000 samples used, frequency as stated, offset and slope taken out"
+        "5 dwells as steady sines: all 2000 samples used, frequency as stated, offset and slope removed"
     )
     plain = account(Conditioning(drift=0, refine="none", transients="none"))
-    assert "an offset taken out" in plain
+    assert "an offset removed" in plain
     assert "nothing taken out" in account(Conditioning(drift="none", transients="none"))
 
 

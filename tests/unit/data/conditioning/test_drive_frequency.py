@@ -31,5 +31,5 @@ def test_refined_frequency_of_a_clean_record_is_exact(nominal):
 def test_no_frequency_to_find():
     t = np.arange(3000) / 100
     record = Record((X1,), t, wave(t, 5.9, [1.0]), 5.0)
-    with pytest.raises(DataError, match="no frequency"):
+    with pytest.raises(DataError, match="no drive frequency"):
         refine_frequency(record)

@@ -5,7 +5,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from dashpot.arrays import Real
 from dashpot.data.conditioning.lines import spectrum
 from dashpot.data.conditioning.settings import Conditioning
 from dashpot.data.conditioning.transients import (
@@ -15,15 +14,14 @@ from dashpot.data.conditioning.transients import (
     transients_matter,
     transients_show,
 )
+from dashpot.data.readers import Reading
 from dashpot.data.record import Record
 from dashpot.data.stretch import SettledDwell, WholeRecord
+from dashpot.estimate.amplitudes import conditioning_for
 from dashpot.estimate.identify import identify
 from dashpot.estimate.likelihood.maximum_likelihood import MaximumLikelihood
 from dashpot.estimate.linear.instrumental_variables import OptimalIV
-from dashpot.estimate.method import conditioning_for
-from dashpot.model.motion import channel_samples, integrator
-from dashpot.model.observation import observation_model
-from tests.whole_rigs import chain, record_of
+from tests.whole_rigs import chain, record_of, stepped_sine
 
 MODEL, THETA = chain(2, 0.08, seed=1)
 CHANNELS = record_of(MODEL, THETA, "random", decay_times=0.1).record.channels
@@ -32,22 +30,7 @@ FREQUENCIES = (4.0, 6.0, 9.0, 13.0, 18.0)
 
 def stepped(noise: float, *, periods: float = 5, settle: float = 0.0, seed: int = 0) -> list[Record]:
     """Dwells of 20 samples a period, each from the state that the last one left, clocks restarted."""
-    rng = np.random.default_rng(seed)
-    p = MODEL.parameters(THETA)
-    view = observation_model(MODEL, CHANNELS, np.ones(1))
-    state: Real = np.zeros(2 * MODEL.n)
-    records = []
-    for f in FREQUENCIES:
-        step = 1 / (20 * f)
-        wait = int(settle * 20 * f)
-        count = wait + int(20 * periods)
-        fine = np.arange(8 * count + 1) * step / 8
-        motion = integrator(MODEL, p, step / 8).motion(np.sin(2 * np.pi * f * fine)[:, None] * 1e-3, state)
-        state = np.concatenate([motion.x[-1], motion.v[-1]])
-        values = channel_samples(view, p, motion)[:-1:8][wait:]
-        values = values + noise * np.std(values, axis=0) * rng.normal(size=values.shape) * [1, 1, 0]
-        records.append(Record(CHANNELS, step * np.arange(len(values)), values, f))
-    return records
+    return stepped_sine(MODEL, THETA, CHANNELS, FREQUENCIES, noise, periods=periods, settle=settle, seed=seed)
 
 
 def test_transients_are_found_and_nothing_where_none_are() -> None:
@@ -154,12 +137,15 @@ def test_what_builds_up_slowly_is_used_from_its_start() -> None:
 def test_methods_that_know_no_transients_get_what_has_settled() -> None:
     """Taken as settled, a whole dwell gave dampers that were wrong by several deviations, with a fit."""
     records = stepped(0.002, periods=30)
-    settings = conditioning_for(MODEL, [OptimalIV.traits], Conditioning())
+    reading = Reading(tuple(records), None, ())
+    settings = conditioning_for(MODEL, reading, Conditioning(), [OptimalIV.traits])
     lines = spectrum(records, settings)
     assert {"transient_discarded"} <= {notice.code for notice in lines.notes}
     estimate = identify(MODEL, lines, OptimalIV())
     assert np.all(np.abs(estimate.values - THETA) < 4 * estimate.sd)
     settled = spectrum(stepped(0.05, settle=4.0), settings)
     assert "transient_discarded" not in {notice.code for notice in settled.notes}
-    assert conditioning_for(MODEL, [MaximumLikelihood.traits], Conditioning()).transients == "auto"
-    assert conditioning_for(MODEL, [OptimalIV.traits], Conditioning(transients="none")).transients == "none"
+    whole = conditioning_for(MODEL, reading, Conditioning(), [MaximumLikelihood.traits])
+    assert whole.transients == "auto"
+    stated = conditioning_for(MODEL, reading, Conditioning(transients="none"), [OptimalIV.traits])
+    assert stated.transients == "none"

@@ -52,7 +52,7 @@ def test_what_has_no_node_is_refused(tmp_path: Path) -> None:
     ):
         read_modes(path, ("a", "b", "c"))
     write_universal_file(path, (), [NodalMode(-1 - 5j, (1,), np.ones((1, 3)))])
-    with pytest.raises(DataError, match="no mode that swings"):
+    with pytest.raises(DataError, match="no oscillating mode"):
         read_modes(path, ("a",))
 
 

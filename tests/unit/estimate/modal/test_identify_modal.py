@@ -451,7 +451,7 @@ def test_what_does_not_suit_is_said() -> None:
     ("change", "said"),
     [
         ({"frequency_hz": np.array([1.0, -2.0, 3.0])}, "not positive"),
-        ({"damping_ratio": np.array([0.1, 1.0, 0.1])}, "does not swing"),
+        ({"damping_ratio": np.array([0.1, 1.0, 0.1])}, "does not oscillate"),
         ({"shapes": np.zeros((3, 2), dtype=complex)}, "must be"),
         ({"covariance": np.zeros((2, 2, 2))}, "must be"),
     ],

@@ -175,8 +175,8 @@ def test_endings_tell_formats(tmp_path):
     assert format_of("a.json").content == "state-space"
     assert format_of("a.json", "transfer-functions").content == "transfer-functions"
     for path, content, said in (
-        ("a.xyz", None, "no export has the ending .xyz; use .csv, .fmu"),
-        ("a", None, "the name has no ending"),
+        ("a.xyz", None, "no export has the extension .xyz; use .csv, .fmu"),
+        ("a", None, "the name has no extension"),
         ("a.mat", "fmu", "fmu is not written to .mat files; use .fmu"),
         ("a.mat", "poem", "nothing is exported as poem"),
     ):

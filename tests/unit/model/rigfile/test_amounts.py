@@ -108,7 +108,10 @@ def test_parameters_of_nonlinear_laws(law: str, value: str, si: float) -> None:
         ('value = "1e40 N/m"', "springs.k.value: '1e40 N/m' is out of range"),
         ('value = "4.6.1 N/m"', "springs.k.value"),
         ('value = "N/m"', 'springs.k.value: "N/m" is text; write a number'),
-        ('law = "d**3", value = "2 N/m"', 'springs.k.value: "N/m" has not the dimension of N/m³; use N/m³'),
+        (
+            'law = "d**3", value = "2 N/m"',
+            'springs.k.value: "N/m" does not have the dimension of N/m³; use N/m³',
+        ),
         ('same_as = "q", times = "3 m"', 'springs.k.times: "3 m" is not a share; write a number or per cent'),
     ],
 )
@@ -147,6 +150,6 @@ def test_inner_constants_of_laws_take_units() -> None:
         for number, wanted in zip((v0.value, v0.sd, v0.guess), expected, strict=True):
             assert number == (None if wanted is None else pytest.approx(wanted))
     with pytest.raises(
-        ModelError, match=r'rig.toml:5: dampers.fc.v0.value: "mm" has not the dimension of m/s'
+        ModelError, match=r'rig.toml:5: dampers.fc.v0.value: "mm" does not have the dimension of m/s'
     ):
         parse_rig(f'{text}{law}"2 mm" }}\n')

@@ -71,7 +71,7 @@ def test_rows_may_be_named(folder):
         ("K.csv", "", "blocks.k.file: K.csv has no known ending"),
         ("K.mtx", ', coordinates = ["q1", "q2"]', "the matrix of k is 3 × 3, for 2 points"),
         ("K.mtx", ', coordinates = ["q1", "q2", "q9"]', 'blocks.k.coordinates: "q9" is not a point'),
-        ("K.mtx", ', coordinates = ["q1", "q2", "q2"]', "stands twice"),
+        ("K.mtx", ', coordinates = ["q1", "q2", "q2"]', "appears twice"),
         ("K.mtx", ', unit = "N/m"', "blocks.k.unit: unknown key"),
     ],
 )

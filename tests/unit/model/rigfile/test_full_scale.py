@@ -50,7 +50,7 @@ def test_raw_numbers_become_si(tmp_path, line, raw, expected):
 @pytest.mark.parametrize(
     ("line", "said"),
     [
-        ('unit = "counts", full_scale = "50 g"', "how many counts the full scale is, is not said; add bits"),
+        ('unit = "counts", full_scale = "50 g"', "the counts at full scale are not given; add bits"),
         ("bits = 16", "bits without a full scale"),
         ('bits = 16.5, full_scale = "50 g"', "a converter of 16.5 bits; give a whole number from 2 to 64"),
         ('bits = 16, unit = "FS", full_scale = "50 g"', "bits of a channel in shares"),

@@ -94,7 +94,7 @@ def _layout(table: Columns, coordinates: Sequence[str]) -> _Layout:
     strangers = [bare(name)[0] for i, name in enumerate(table.header) if i not in layout.columns]
     if strangers:
         raise DataError(
-            f"column {listed(strangers)}: no coordinate of the rig",
+            f"column {listed(strangers)}: not a coordinate of the rig",
             table.heading,
             f"shapes are read as NAME_re, NAME_im, NAME_sd at {listed(coordinates)}; remove the others",
         )
@@ -122,7 +122,7 @@ def _check_modes(
     """Raises DataError at the first frequency, damping ratio or sd that is out of range."""
     f, f_sd = values[layout.frequency], values[layout.frequency_sd]
     not_positive, above = "a standard deviation that is not positive", "give one above 0"
-    unseen = "give it as a fraction; such a mode does not swing"
+    unseen = "give it as a fraction; such a mode does not oscillate"
     for wrong, at, cause, cure in (
         (~(f > 0), layout.frequency, "a frequency that is not positive", "give it in Hz"),
         (~(f_sd > 0), layout.frequency_sd, not_positive, above),

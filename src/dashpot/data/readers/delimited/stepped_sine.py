@@ -236,7 +236,7 @@ def write_records(
 def _check_writable(records: Sequence[Record]) -> None:
     """Raises DataError for what does not fit into one file of stepped sine."""
     if not records:
-        raise DataError("there are no records", cure="give one record at least")
+        raise DataError("there are no records", cure="give at least one record")
     channels = records[0].channels
     for record in records:
         if record.channels != channels or record.values.ndim != 2:

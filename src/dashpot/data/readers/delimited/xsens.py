@@ -62,7 +62,7 @@ def read_xsens(
         sensors.append((clock, values))
         notes.extend(told)
     if not sensors:
-        raise DataError("no channels are listed", source, "name one channel at least")
+        raise DataError("no channels are listed", source, "name at least one channel")
     common = sensors[0][0]
     for clock, _ in sensors[1:]:
         common = np.intersect1d(common, clock, assume_unique=True)

@@ -42,7 +42,7 @@ def read_uff_modes(
     """
     measured = [mode for mode in modes_of(file) if mode.eigenvalue.imag > 0]
     if not measured:
-        raise DataError("there is no mode that swings in the file", file.name, "export datasets 55 of modes")
+        raise DataError("the file has no oscillating mode", file.name, "export datasets 55 of modes")
     places = _places(measured)
     matched, in_order = _matched(measured, places, coordinates, channels, file.name)
     points = [name for name in coordinates if name in matched]

@@ -79,7 +79,7 @@ BAD_CSV = {
     "damping without sd": (HEADER.replace("damping_sd", "ds"), ROWS, ["damping_sd"]),
     "shape without sd": (HEADER.replace("x3_sd", "x3_s"), ROWS, ["x3_sd"]),
     "real part without imaginary": (HEADER.replace("x3_im", "x3_i"), ROWS, ["x3_im"]),
-    "unknown point": (HEADER.replace("x3", "y3"), ROWS, ["y3", "no coordinate"]),
+    "unknown point": (HEADER.replace("x3", "y3"), ROWS, ["y3", "not a coordinate"]),
     "point twice": (HEADER.replace("x3_re", "x1"), ROWS, ["x1", "twice"]),
     "no rows": (HEADER, [], ["modes.csv"]),
     "no number": (HEADER, [ROWS[0], ROWS[1].replace("7.5", "high")], ["modes.csv:3", "frequency_hz", "high"]),

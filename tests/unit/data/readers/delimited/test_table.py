@@ -109,7 +109,7 @@ def test_units_of_the_file_count_where_the_rig_says_none(tmp_path):
         (PLAIN.replace("x1,u\n", "x1,u\ns,N,mm\n"), "column x1: N is not a unit of displacement"),
         (PLAIN.replace("time_s", "time [mm]"), "time .mm.: mm is not a unit of time"),
         (PLAIN.replace("time_s,x1", "time,t"), "column x1: missing|several columns"),
-        (SHAPES["moments"].replace("23:59:59.800", "then"), "is not a moment"),
+        (SHAPES["moments"].replace("23:59:59.800", "then"), "is not a date and time"),
         (SHAPES["preamble"].replace("0.5,1.0\n", "0.5,\n"), "test.csv:9: column u: the cell is empty"),
     ],
 )

@@ -341,7 +341,7 @@ def test_an_estimate_survives_json() -> None:
     np.testing.assert_array_equal(again.covariance, estimate.covariance)
     assert again.parameters()["c2"].value == pytest.approx(0.4 * estimate["c1"].value)
     assert again.parameters()["k2"].known
-    with pytest.raises(DataError, match="not an estimate"):
+    with pytest.raises(DataError, match="not a dashpot estimate"):
         Estimate.from_json(estimate.to_json()[:-40])
     with pytest.raises(ValueError, match="read-only"):
         estimate.values[0] = 1.0
