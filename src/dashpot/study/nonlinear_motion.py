@@ -8,23 +8,17 @@ from dataclasses import dataclass
 import numpy as np
 
 from dashpot.arrays import Complex, Real
-from dashpot.channel import Channel, Quantity
+from dashpot.channel import Channel
 from dashpot.data.record import Record
 from dashpot.data.spectrum import Spectrum
 from dashpot.data.stretch import SettledDwell
-from dashpot.errors import ConvergenceError, DataError
-from dashpot.estimate.nonlinear.record_problem import enough_substeps
-from dashpot.estimate.nonlinear.records import RecordData, measured_inputs, shown_outputs, uniform_step
+from dashpot.errors import ConvergenceError
 from dashpot.model.channel_noise import noise_sd
 from dashpot.model.network import Model
 from dashpot.model.nonlinear.channel_motion import channel_harmonics
 from dashpot.model.nonlinear.continuation import grown_from_rest
 from dashpot.model.nonlinear.harmonic_balance import Periodic, periodic_response, settled_orders
 from dashpot.model.nonlinear.harmonics import Drive
-from dashpot.model.nonlinear.integration import Integrator
-from dashpot.model.nonlinear.propagation import forcing
-from dashpot.model.nonlinear.shooting import integrate
-from dashpot.model.observation import measures_input, observation_model
 from dashpot.study.simulate import Dwells
 
 ORDERS = 7  # harmonics to begin with
@@ -133,49 +127,3 @@ def settled_spectrum(
         stretch=np.repeat(np.arange(dwells), count),
         stretches=tuple(SettledDwell(float(f)) for f in test.frequency_hz),
     )
-
-
-def driven_record(
-    model: Model, theta: Real, channels: Sequence[Channel], drive: Record, rng: np.random.Generator
-) -> Record:
-    """What the channels show while the inputs do what `drive` measured, from rest; noise included.
-
-    Noise is that of each channel's `noise`, and its `relative_noise` of the channel's largest value.  Raises DataError
-    where an input is not in `drive`, a channel measures forces in elements, or the motion cannot be followed.
-    theta (unknowns,), SI units.
-    """
-    channels = tuple(channels)
-    step = uniform_step(drive)
-    inputs = measured_inputs(model, drive)
-    forces = [c.name for c in channels if c.quantity is Quantity.FORCE and not measures_input(model, c)]
-    if forces:
-        raise DataError(
-            f"channel {forces[0]} measures the force in elements, which records in time do not show",
-            cure="leave it out of the rig file",
-        )
-    machine = Integrator(model, theta, forcing(step, inputs), 2 * enough_substeps(model, theta, step))
-    motion = integrate(machine, np.zeros(machine.states))
-    if not motion.closed:
-        raise ConvergenceError("the motion cannot be followed", cure="sample the input faster, or drive less")
-    view = observation_model(model, channels, np.ones(1))
-    moves = [not measures_input(model, channel) for channel in channels]
-    values = np.empty((len(inputs), len(channels)))
-    outputs = np.flatnonzero(moves)
-    if len(outputs):
-        derivative = tuple(int(view.derivative[c]) for c in outputs)
-        data = RecordData(
-            drive.source, step, tuple(channels[int(c)].name for c in outputs), inputs,
-            np.zeros((len(inputs), len(outputs))), view.on_x[outputs], view.on_q[outputs], derivative,
-            (-1,) * len(outputs), (False,) * len(outputs),
-        )  # fmt: skip
-        values[:, outputs] = shown_outputs(machine, data, motion)[0]
-    rates = [inputs[:, : model.D.shape[1]], *machine.input_rates()]
-    for c in np.flatnonzero(np.logical_not(moves)):
-        if channels[int(c)].quantity is Quantity.FORCE:
-            values[:, c] = inputs @ view.on_q[c]
-        else:
-            values[:, c] = rates[int(view.derivative[c])] @ view.on_q[c, : model.D.shape[1]]
-    sd = noise_sd(channels, np.max(np.abs(values), axis=0)[None].astype(complex))[0]
-    factor = np.array([channel.factor for channel in channels])
-    values = values + sd * rng.standard_normal(values.shape)
-    return Record(channels, drive.time, factor * values, source="simulation")

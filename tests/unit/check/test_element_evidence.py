@@ -14,7 +14,7 @@ from dashpot.estimate.nonlinear.whole_record import identify_records
 from dashpot.model.elements import Kind, between, mass
 from dashpot.model.network import Input, Model
 from dashpot.model.nonlinear.force_law import force_law
-from dashpot.study.nonlinear_motion import driven_record
+from dashpot.study.driven import driven_record
 from tests.nonlinear_rigs import motions
 
 TRUTH = np.array([1.0, 900.0, 2.0, 4e6])

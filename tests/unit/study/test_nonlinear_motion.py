@@ -7,14 +7,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from dashpot.channel import Channel, Quantity
 from dashpot.data.record import Record
-from dashpot.errors import DataError, UsageError
+from dashpot.errors import UsageError
 from dashpot.estimate.identify import identify
-from dashpot.estimate.nonlinear.whole_record import identify_records
-from dashpot.model.motion import integrator
+from dashpot.study.driven import driven_record
 from dashpot.study.montecarlo import run_scenarios
-from dashpot.study.nonlinear_motion import driven_record, settled_motion, settled_records, settled_spectrum
+from dashpot.study.nonlinear_motion import settled_motion, settled_records, settled_spectrum
 from dashpot.study.response_curves import frequency_curve
 from dashpot.study.scenario import Scenario
 from dashpot.study.simulate import dwells
@@ -42,60 +40,6 @@ def test_a_table_of_amplitudes_gives_the_parameters_back():
     spectrum = settled_spectrum(motion, test, np.random.default_rng(0))
     assert spectrum.lines == 5 * len(test.frequency_hz)
     assert np.max(np.abs(identify(model, spectrum).values / theta - 1)) < 1e-6
-
-
-def test_velocities_and_accelerations_are_derivatives_and_noise_is_as_stated():
-    model, theta = two_masses("cubic")
-    channels = (
-        Channel("v1", {"x1": 1.0}, Quantity.VELOCITY), Channel("a2", {"x2": 1.0}, Quantity.ACCELERATION),
-        Channel("du", {"u": 1.0}, Quantity.VELOCITY), replace(ALL[0], name="noisy", noise=1e-4), *ALL,
-    )  # fmt: skip
-    time = np.arange(1500) / 500
-    u = 1e-3 * np.sin(2 * np.pi * 3 * time) ** 2
-    shown = driven_record(
-        model, theta, channels, Record((ALL[2],), time, u[:, None]), np.random.default_rng(0)
-    )
-    v1, a2, du, noisy, x1, x2, same = shown.values.T
-    inner = slice(20, -20)
-    assert np.allclose(np.gradient(x1, time)[inner], v1[inner], atol=2e-3 * np.max(np.abs(v1)))
-    assert np.allclose(
-        np.gradient(np.gradient(x2, time), time)[inner], a2[inner], atol=1e-2 * np.max(np.abs(a2))
-    )
-    assert np.allclose(np.gradient(u, time)[inner], du[inner], atol=2e-3 * np.max(np.abs(du)))
-    assert np.array_equal(same, u)
-    assert np.std(noisy - x1) == pytest.approx(1e-4, rel=0.1)
-
-
-def test_a_linear_rig_moves_under_a_record_as_its_own_integrator_says():
-    model, theta = two_masses("cubic")
-    linear = replace(model, elements=model.elements[:-1])
-    time = np.arange(400) / 200
-    u = 1e-3 * np.sin(2 * np.pi * 3 * time)[:, None]
-    shown = driven_record(linear, theta[:5], ALL, Record((ALL[2],), time, u), np.random.default_rng(0))
-    x = integrator(linear, linear.parameters(theta[:5]), 1 / 200).motion(u).x
-    assert np.allclose(shown.values[:, :2], x, atol=1e-9 * np.max(np.abs(x)))
-
-
-def test_a_simulated_record_gives_the_parameters_back():
-    model, theta = two_masses("quintic")
-    rng = np.random.default_rng(2)
-    time = np.arange(600) / 200
-    u = 4e-4 * np.sum(
-        np.cos(2 * np.pi * rng.uniform(1, 15, 20) * time[:, None] + rng.uniform(0, 6, 20)), axis=1
-    )
-    shown = driven_record(model, theta, ALL, Record((ALL[2],), time, u[:, None]), rng)
-    assert np.max(np.abs(identify_records(model, [shown]).values / theta - 1)) < 1e-4
-
-
-def test_forces_in_elements_and_missing_inputs_are_refused():
-    model, theta = two_masses("cubic")
-    time = np.arange(50) / 200
-    drive, rng = Record((ALL[2],), time, np.zeros((50, 1))), np.random.default_rng(0)
-    with pytest.raises(DataError, match="force in elements"):
-        driven_record(model, theta, (Channel("R", {"u": 1.0}, Quantity.FORCE),), drive, rng)
-    blind = Record((ALL[0],), time, np.zeros((50, 1)))
-    with pytest.raises(DataError, match="input"):
-        driven_record(model, theta, ALL, blind, rng)
 
 
 def test_curves_tell_the_swing_of_every_channel_and_need_a_nonlinear_rig():

@@ -124,7 +124,7 @@ def command(
         channels = with_relative_noise(model, channels, relative_noise)
     theta, rng = model.theta(values_si), np.random.default_rng(seed)
     if frequencies is None:
-        from dashpot.study.nonlinear_motion import driven_record
+        from dashpot.study.driven import driven_record
 
         record = driven_record(model, theta, channels, _input_record(rig_read, str(input_file)), rng)
         write_records([record], out)
