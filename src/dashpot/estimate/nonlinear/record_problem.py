@@ -5,7 +5,7 @@ Unknown are θ, gains, a constant offset of every force input and the state at t
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -14,7 +14,7 @@ from dashpot.errors import ConvergenceError
 from dashpot.estimate.nonlinear.records import RecordData, shown_outputs
 from dashpot.model.dynamics import matrices
 from dashpot.model.network import Model
-from dashpot.model.nonlinear.integration import Integrator
+from dashpot.model.nonlinear.integration import Integrator, Motion
 from dashpot.model.nonlinear.propagation import forcing
 from dashpot.model.nonlinear.shooting import integrate
 from dashpot.numerics.levenberg_marquardt import QuadraticModel
@@ -26,14 +26,14 @@ MOST = 1000  # steps between samples
 
 @dataclass
 class RecordProblem:
-    """All that one evaluation needs; `starts` holds the last motion of each record, from which the next is found."""
+    """All that one evaluation needs; `last` holds the last motion of each record, from which the next is found."""
 
     model: Model
     records: tuple[RecordData, ...]
     gains: int
     sd: Real
     substeps: tuple[int, ...]
-    starts: dict[int, Real] = field(default_factory=dict)
+    last: dict[int, Motion] = field(default_factory=dict)
     states: int = 0
 
     @property
@@ -54,7 +54,7 @@ class RecordProblem:
             first = self.inner + k * self.states
             start = psi[first : first + self.states]
             try:
-                motion = integrate(machine, start, self.starts.get(k), slopes=slopes)
+                motion = integrate(machine, start, self.last.get(k), slopes=slopes)
             except np.linalg.LinAlgError:  # the forces of a step have no one answer for such parameters
                 motion = None
             if motion is None or not motion.closed:
@@ -77,7 +77,7 @@ class RecordProblem:
                 if g >= 0:
                     total[:, c, m + g] = y[:, c]
             total = total - np.where(zero[:, None], np.mean(total, axis=0), 0.0)
-            self.starts[k] = motion.starts
+            self.last[k] = replace(motion, slope=None)
             results.append((residual / self.sd, total / self.sd[:, None]))
         return results
 

@@ -19,29 +19,38 @@ from dashpot.model.nonlinear.step_forces import NEWTON, StepForces, held_states
 SETTLED = 1e-13  # of the forces of a step
 
 
+PointForces = tuple[Real, Real]  # unit forces (S, 4, e) and states of laws (S, 4, z) at the points of a step
+
+
 @dataclass(frozen=True)
 class Stepped:
     """One step of all segments: the state behind it and, where asked for, its slopes along Q directions.
 
-    state (S, 2 n + z), slope (S, 2 n + z, Q); the states of laws that have one follow the motion's.
+    state (S, 2 n + z), slope (S, 2 n + z, Q); the states of laws that have one follow the motion's.  forces: those at
+    the points of the step, from which the same step of a motion nearby is found sooner.
     """
 
     state: Real
     slope: Real
+    forces: PointForces
 
 
 @dataclass(frozen=True)
 class Motion:
     """States at all samples, (samples, states), with slopes along the start's states, unknowns and force offsets.
 
-    slope (samples, states, states + directions), None where it was not asked for; starts (S, states) of the segments;
-    closed: whether the jumps between segments vanished.  `forces` (samples, e): unit forces are found from states.
+    slope (samples, states, states + directions), None where it was not asked for; closed: whether the jumps between
+    segments vanished.  For a motion nearby: starts (S, states) of the segments, along (S, states, Q) their slopes where
+    asked for, at (Q,) where on these directions this motion is, and the forces of each step of the segments.
     """
 
     state: Real
     slope: Real | None
     starts: Real
     closed: bool
+    along: Real | None
+    at: Real
+    forces: dict[int, PointForces]
 
 
 class Integrator:
@@ -51,11 +60,12 @@ class Integrator:
         self, model: Model, theta: Real, drive: Forcing, substeps: int, offset: Real | None = None
     ) -> None:
         self.model, self.substeps, self.drive = model, substeps, drive
+        self.theta = theta
         self.p, self.constants = model.parameters(theta), model.inner_constants(theta)
         self.step = propagator(model, self.p, drive.step_s / substeps)
         force, self.inputs = loads(model, self.p, drive, substeps)
-        constant = np.zeros(model.S.shape[1]) if offset is None else offset
-        self.force = force + model.S @ constant
+        self.offset = np.zeros(model.S.shape[1]) if offset is None else offset
+        self.force = force + model.S @ self.offset
         self.laws: tuple[ForceLaw, ...] = tuple(
             e.force_law for e in model.elements if e.force_law is not None
         )
@@ -79,20 +89,25 @@ class Integrator:
         """Columns of slopes beyond those of the starting state: unknowns of the rig and offsets of the forces."""
         return len(self.model.unknowns) + int(self.offsets.shape[1])
 
-    def advance(self, state: Real, slope: Real, index: Ints, with_unknowns: bool) -> Stepped:
-        """One step of the segments at the steps `index` (S,); slope (S, states, Q) may have no columns."""
+    def advance(
+        self, state: Real, slope: Real, index: Ints, with_unknowns: bool, guess: PointForces | None = None
+    ) -> Stepped:
+        """One step of the segments at the steps `index` (S,); slope (S, states, Q) may have no columns.
+
+        guess: the forces of the same step of a motion nearby.
+        """
         n, S = self.model.n, len(state)
         base = (state[:, : 2 * n] @ self.grown).reshape(S, 4, 2 * n) + self.forced[index]
         free_d = base[..., :n] @ self.Bn.T + self.moved_d[index]
         free_v = base[..., n:] @ self.Bn.T + self.moved_v[index]
-        at = self._solve(free_d, free_v, state[:, 2 * n :])
+        at = self._solve(free_d, free_v, state[:, 2 * n :], guess)
         flat = at.a.reshape(S, -1)
         if not slope.shape[-1]:
             end = base[:, 3] + flat @ self.pulled[3].T
-            return Stepped(np.concatenate([end, at.z[:, 3]], axis=1), slope)
+            return Stepped(np.concatenate([end, at.z[:, 3]], axis=1), slope, (at.a, at.z))
         nodes = base + (flat @ self.pulled.reshape(8 * n, flat.shape[1]).T).reshape(base.shape)
         after = np.concatenate([nodes[:, 3], at.z[:, 3]], axis=1)
-        return Stepped(after, self._slopes(slope, nodes, at, index, with_unknowns))
+        return Stepped(after, self._slopes(slope, nodes, at, index, with_unknowns), (at.a, at.z))
 
     def input_rates(self) -> list[Real]:
         """Rates and accelerations of the displacement inputs at the samples, (samples, r) each."""
@@ -147,20 +162,27 @@ class Integrator:
             by_g.append(np.stack(columns, axis=-1) if columns else np.zeros((S, K, 0)))
         return StepForces(a, by_d.reshape(S, -1), by_v.reshape(S, -1), by_z0, tuple(by_g), z, (), False)
 
-    def _solve(self, free_d: Real, free_v: Real, z0: Real) -> StepForces:
-        """Forces at the nodes of a step, from elongations and rates without them, by Newton's method on the forces."""
+    def _solve(self, free_d: Real, free_v: Real, z0: Real, guess: PointForces | None) -> StepForces:
+        """Forces at the points of a step, from elongations and rates without them, by Newton's method on the forces."""
         S = len(free_d)
-        z = np.repeat(z0[:, None], 4, axis=1)
-        at = self._forces(free_d, free_v, z, z0)
-        a = at.a.reshape(S, -1)
+        if guess is None or not np.all(np.isfinite(guess[0])):
+            first = self._forces(free_d, free_v, np.repeat(z0[:, None], 4, axis=1), z0)
+            a, z = first.a.reshape(S, -1), first.z
+        else:
+            a, z = guess[0].reshape(S, -1), guess[1]
         for _ in range(NEWTON):
             d = free_d + (a @ self.reach_d.T).reshape(free_d.shape)
             v = free_v + (a @ self.reach_v.T).reshape(free_v.shape)
-            at = self._forces(d, v, at.z, z0)
+            at = self._forces(d, v, z, z0)
+            z = at.z
             change = np.linalg.solve(self._matrix(at), (at.a.reshape(S, -1) - a)[..., None])[..., 0]
             a = a + change
-            if not np.max(np.abs(change), initial=0.0) > SETTLED * (np.max(np.abs(a), initial=0.0) + 1e-300):
+            left = np.max(np.abs(change), initial=0.0) / (np.max(np.abs(a), initial=0.0) + 1e-300)
+            if not max([left, *(held.step for held in at.held)]) > SETTLED:
                 break
+        else:
+            if guess is not None:
+                return self._solve(free_d, free_v, z0, None)
         return replace(at, a=a.reshape(at.a.shape))
 
     def _matrix(self, at: StepForces) -> Real:

@@ -10,11 +10,12 @@ from __future__ import annotations
 import numpy as np
 
 from dashpot.arrays import Ints, Real
-from dashpot.model.nonlinear.integration import Integrator, Motion
+from dashpot.model.nonlinear.integration import Integrator, Motion, PointForces
 
 CLOSED = 1e-10  # jumps between segments over the size of the motion
+NEARLY = 1e-5  # jumps that one more step of Newton's method closes
 SWEEPS = 30
-SEGMENT = 32  # samples of a segment, about
+SEGMENT = 16  # samples of a segment, about
 
 
 def segments_of(intervals: int, length: int = SEGMENT) -> Ints:
@@ -23,49 +24,94 @@ def segments_of(intervals: int, length: int = SEGMENT) -> Ints:
 
 
 def integrate(
-    machine: Integrator, start: Real, starts: Real | None = None, *, slopes: bool = False
+    machine: Integrator, start: Real, near: Motion | None = None, *, slopes: bool = False
 ) -> Motion:
-    """The motion from `start` (states,).
-
-    `starts` (S, states): states of the segments to begin with, such as those of a motion nearby.
-    """
+    """The motion from `start` (states,); `near` is one of the same record, from which it is found sooner."""
     length = SEGMENT
     first = segments_of(machine.drive.intervals, length)
-    begun = np.zeros((len(first), machine.states)) if starts is None else starts.copy()
+    at = np.concatenate([start, machine.theta, machine.offset])
+    begun, forces = np.zeros((len(first), machine.states)), {}
+    if near is not None:
+        begun, forces = near.starts.copy(), near.forces.copy()
+        if near.along is not None:
+            begun += near.along @ (at - near.at)
     begun[0] = start
+    chain = _Chain(machine, begun, length, forces)
     with np.errstate(all="ignore"):
-        states, closed = _close(machine, begun, length)
+        closed = chain.close(slopes)
         if not closed:
-            begun = _marched(machine, start, length)
-            states, closed = _close(machine, begun, length)
+            chain.begun, chain.forces = _marched(machine, start, length), {}
+            closed = chain.close(slopes)
     if not slopes:
-        return Motion(_in_order(states, machine.drive.intervals, length), None, begun, closed)
-    states, along = _pass(machine, begun, length, "all")
-    return Motion(
-        _in_order(states, machine.drive.intervals, length),
-        _chained(along, machine, length), begun, closed,
-    )  # fmt: skip
+        return Motion(chain.motion(), None, chain.begun, closed, None, at, chain.forces)
+    slope = chain.slopes()
+    return Motion(chain.motion(), slope, chain.begun, closed, slope[first], at, chain.forces)
 
 
-def _close(machine: Integrator, begun: Real, length: int) -> tuple[Real, bool]:
-    """Newton's method on the jumps between segments, whose starts `begun` are changed; states, and whether it ends."""
-    best, states = np.inf, begun[None]
-    for _ in range(SWEEPS):
-        states, slope = _pass(machine, begun, length, "states")
-        jumps = states[-1][:-1] - begun[1:]
-        size = np.max(np.abs(begun), axis=0) + 1e-300
-        gap = float(np.max(np.abs(jumps) / np.maximum(size, 1e-6 * np.max(size)), initial=0.0))
-        if gap <= CLOSED:
-            return states, True
-        if not np.isfinite(gap) or gap > 1e3 * max(best, 1.0):
-            break
-        factor = 1.0 if gap < best * 2 else 0.5
-        best = min(best, gap)
-        change = np.zeros(machine.states)
-        for k in range(len(begun) - 1):
-            change = slope[k] @ change + jumps[k]
-            begun[k + 1] += factor * change
-    return states, False
+class _Chain:
+    """Segments of a record, integrated side by side from their own states `begun` (S, states).
+
+    states (length + 1, S, states) of the last pass; along: slopes of their ends or, `whole`, of all samples.
+    """
+
+    def __init__(self, machine: Integrator, begun: Real, length: int, forces: dict[int, PointForces]) -> None:
+        self.machine, self.begun, self.length, self.forces = machine, begun, length, forces
+        self.states, self.along, self.whole = begun[None], np.zeros((0, 0, 0)), False
+
+    def close(self, slopes: bool) -> bool:
+        """Newton's method on the jumps between segments, of which `begun` changes; whether it ends.
+
+        With `slopes`, the last pass has them of all samples.
+        """
+        best = last = np.inf
+        for _ in range(SWEEPS):
+            self.run(slopes and last <= NEARLY)
+            jumps = self.states[-1][:-1] - self.begun[1:]
+            size = np.max(np.abs(self.begun), axis=0) + 1e-300
+            gap = float(np.max(np.abs(jumps) / np.maximum(size, 1e-6 * np.max(size)), initial=0.0))
+            if gap <= CLOSED:
+                if slopes and not self.whole:
+                    self.run(True)
+                return True
+            if not np.isfinite(gap) or gap > 1e3 * max(best, 1.0):
+                break
+            factor = 1.0 if gap < best * 2 else 0.5
+            best, last = min(best, gap), gap
+            ends = self.along[-1] if self.whole else self.along
+            change = np.zeros(self.machine.states)
+            for k in range(len(self.begun) - 1):
+                change = ends[k][:, : len(change)] @ change + jumps[k]
+                self.begun[k + 1] += factor * change
+        return False
+
+    def run(self, whole: bool) -> None:
+        """One pass over all segments from their own states."""
+        machine, (S, x) = self.machine, self.begun.shape
+        first = segments_of(machine.drive.intervals, self.length)
+        state, slope = self.begun, np.zeros((S, x, x + (machine.directions if whole else 0)))
+        slope[:, range(x), range(x)] = 1.0
+        states, along = [state], [slope]
+        last = machine.drive.intervals * machine.substeps - 1
+        for step in range(self.length * machine.substeps):
+            index = np.minimum(first * machine.substeps + step, last)
+            stepped = machine.advance(state, slope, index, whole, self.forces.get(step))
+            state, slope, self.forces[step] = stepped.state, stepped.slope, stepped.forces
+            if (step + 1) % machine.substeps == 0:
+                states.append(state)
+                if whole:
+                    along.append(slope)
+        self.states, self.whole = np.array(states), whole
+        self.along = np.array(along) if whole else slope
+
+    def motion(self) -> Real:
+        """States at all samples, (samples, states)."""
+        return _in_order(self.states, self.machine.drive.intervals, self.length)
+
+    def slopes(self) -> Real:
+        """Slopes of all samples with respect to the record's start, unknowns and offsets."""
+        if not self.whole:  # the jumps did not close
+            self.run(True)
+        return _chained(self.along, self.machine, self.length)
 
 
 def _marched(machine: Integrator, start: Real, length: int) -> Real:
@@ -79,26 +125,6 @@ def _marched(machine: Integrator, start: Real, length: int) -> Real:
                 state, nothing, np.array([interval * machine.substeps + sub]), False
             ).state
     return np.array(begun)
-
-
-def _pass(machine: Integrator, begun: Real, length: int, what: str) -> tuple[Real, Real]:
-    """All segments from their own states: states (length + 1, S, states), slopes of the ends or of all samples."""
-    S, x = begun.shape
-    first = segments_of(machine.drive.intervals, length)
-    Q = x + (machine.directions if what == "all" else 0)
-    state, slope = begun, np.zeros((S, x, Q))
-    slope[:, range(x), range(x)] = 1.0
-    states, kept = [state], [slope]
-    steps = machine.drive.intervals * machine.substeps
-    for sample in range(length):
-        for sub in range(machine.substeps):
-            index = np.minimum((first + sample) * machine.substeps + sub, steps - 1)
-            stepped = machine.advance(state, slope, index, what == "all")
-            state, slope = stepped.state, stepped.slope
-        states.append(state)
-        if what == "all":
-            kept.append(slope)
-    return np.array(states), np.array(kept) if what == "all" else slope
 
 
 def _in_order(states: Real, intervals: int, length: int) -> Real:

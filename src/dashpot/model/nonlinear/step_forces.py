@@ -10,14 +10,18 @@ from dashpot.arrays import Real
 from dashpot.model.nonlinear.force_law import ForceLaw
 from dashpot.model.nonlinear.propagation import WITHIN
 
-NEWTON = 12
+NEWTON = 24
 
 
 @dataclass(frozen=True)
 class HeldStates:
-    """States of a law at the nodes, (S, 4), and their slopes along d and v at all nodes (S, 4, 4), z0 and constants."""
+    """States of a law at the nodes, (S, 4), and their slopes along d and v at all nodes (S, 4, 4), z0 and constants.
+
+    step: the largest last change of z over its size.
+    """
 
     z: Real
+    step: float
     by_d: Real
     by_v: Real
     by_z0: Real
@@ -52,32 +56,26 @@ class StepForces:
 def held_states(law: ForceLaw, d: Real, v: Real, z: Real, z0: Real, g: Real, h: float) -> HeldStates:
     """The state of a law over one step, from z0: collocation of its rate, or the operator from node to node.
 
-    d, v, z (S, nodes), z0 (S,) at the start, g the constants of the law, h in s.
+    One step of Newton's method from z (S, nodes) on the collocation, with the slopes there: the caller's steps for the
+    forces bring both to their end.  d, v (S, nodes), z0 (S,) at the start, g the constants of the law, h in s.
     """
-    S, K = d.shape
     if law.operator:
         return _operated_nodes(law, d, z0, g)
     assert law.rate is not None
+    S, K = d.shape
     Q = h * WITHIN
-    for _ in range(NEWTON):
-        at = law.rate(law.values(d, v, z, g))
-        rate = np.broadcast_to(at.value, (S, K))
-        by_z = np.broadcast_to(at.slopes.get("z", np.zeros((S, K))), (S, K))
-        missing = z - z0[:, None] - rate @ Q.T
-        matrix = np.eye(K) - Q[None] * by_z[:, None, :]
-        change = np.linalg.solve(matrix, missing[..., None])[..., 0]
-        z = z - change
-        if not np.max(np.abs(change)) > 1e-14 * (np.max(np.abs(z)) + 1e-300):
-            break
     at = law.rate(law.values(d, v, z, g))
     nothing = np.zeros((S, K))
-    by_z = np.broadcast_to(at.slopes.get("z", nothing), (S, K))
-    inverse = np.linalg.inv(np.eye(K) - Q[None] * by_z[:, None, :])
-    by_d = inverse @ (Q[None] * np.broadcast_to(at.slopes.get("d", nothing), (S, K))[:, None, :])
-    by_v = inverse @ (Q[None] * np.broadcast_to(at.slopes.get("v", nothing), (S, K))[:, None, :])
-    columns = [np.broadcast_to(at.slopes.get(name, nothing), (S, K)) @ Q.T for name in law.constant_names]
-    by_g: Real = (inverse @ np.stack(columns, axis=-1)).astype(np.float64) if columns else np.zeros((S, K, 0))
-    return HeldStates(z, by_d, by_v, inverse.sum(axis=-1), by_g)
+    along = {name: np.broadcast_to(slope, (S, K)) for name, slope in at.slopes.items()}
+    inverse: Real = np.linalg.inv(np.eye(K) - Q * along.get("z", nothing)[:, None, :]).astype(np.float64)
+    missing = z - z0[:, None] - np.broadcast_to(at.value, (S, K)) @ Q.T
+    change = (inverse @ missing[..., None])[..., 0]
+    z = z - change
+    by_d, by_v = (inverse @ (Q * along.get(name, nothing)[:, None, :]) for name in ("d", "v"))
+    columns = [along.get(name, nothing) @ Q.T for name in law.constant_names]
+    by_g = inverse @ np.stack(columns, axis=-1) if columns else np.zeros((S, K, 0))
+    step = float(np.max(np.abs(change)) / (np.max(np.abs(z)) + 1e-300))
+    return HeldStates(z, step, by_d, by_v, inverse.sum(axis=-1), by_g)
 
 
 def _operated_nodes(law: ForceLaw, d: Real, z0: Real, g: Real) -> HeldStates:
@@ -100,7 +98,7 @@ def _operated_nodes(law: ForceLaw, d: Real, z0: Real, g: Real) -> HeldStates:
         tangents.append(tangent)
     total = np.stack(tangents, axis=1)
     return HeldStates(
-        np.stack(states, axis=1), total[..., :K], np.zeros((S, K, K)), total[..., K], total[..., K + 1 :]
+        np.stack(states, axis=1), 0.0, total[..., :K], np.zeros((S, K, K)), total[..., K], total[..., K + 1 :]
     )
 
 

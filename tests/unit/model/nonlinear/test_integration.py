@@ -123,7 +123,7 @@ def test_slopes_are_differences(law):
         for sign in (1, -1):
             moved = theta.copy()
             moved[j] += sign * step
-            ends.append(integrate(Integrator(model, moved, forcing(STEP, u), 2), start, motion.starts).state)
+            ends.append(integrate(Integrator(model, moved, forcing(STEP, u), 2), start, motion).state)
         difference = (ends[0] - ends[1])[:, :2] / (2 * step)
         own = motion.slope[:, :2, machine.states + j]
         # Loads of linear elements are interpolated, so slopes are those of the motion, not of its discretisation.
@@ -133,7 +133,7 @@ def test_slopes_are_differences(law):
         for sign in (1, -1):
             moved = start.copy()
             moved[j] += sign * 1e-9
-            ends.append(integrate(machine, moved, motion.starts).state[:, :2])
+            ends.append(integrate(machine, moved, motion).state[:, :2])
         own = motion.slope[:, :2, j]
         assert np.max(np.abs((ends[0] - ends[1]) / 2e-9 - own)) < 1e-3 * np.max(np.abs(own))
 
