@@ -43,27 +43,35 @@ LAWS: Mapping[str, tuple[Mapping[str, float], float]] = {
 
 def two_masses(law: str, known: bool = False) -> tuple[Model, Real]:
     """Two masses on a shaken base with a nonlinear element from the upper to the base, and its true unknowns."""
+    return chain(law, 2, known)
+
+
+def chain(law: str, count: int, known: bool = False) -> tuple[Model, Real]:
+    """Masses in a row, the last of which hangs on a shaken base by a nonlinear element too, and the true unknowns."""
     constants, p = LAWS[law]
     inner = [Constant(name, value if known else None) for name, value in constants.items()]
-    element = between("q", Kind.SPRING, "x2", "u")
+    last = f"x{count}"
+    element = between("q", Kind.SPRING, last, "u")
     nonlinear = type(element)("q", Kind.SPRING, element.along, force_law=force_law(law, inner))
     along = (
         4600.0 if law == "bilinear" else None
     )  # in parallel with an unknown spring it has one slope too many
+    points = [f"x{k}" for k in range(1, count + 1)]
+    links = list(zip(points, [*points[1:], "u"], strict=True))
     model = Model(
-        ("x1", "x2"),
+        tuple(points),
         (Input("u"),),
         (
-            mass("m1", "x1"),
-            mass("m2", "x2", value=2.7),
-            between("k1", Kind.SPRING, "x1", "x2"),
-            between("k2", Kind.SPRING, "x2", "u", value=along),
-            between("c1", Kind.DAMPER, "x1", "x2"),
-            between("c2", Kind.DAMPER, "x2", "u"),
+            *(mass(f"m{k}", point) for k, point in enumerate(points[:-1], 1)),
+            mass(f"m{count}", last, value=2.7),
+            *(between(f"k{k}", Kind.SPRING, *link) for k, link in enumerate(links[:-1], 1)),
+            between(f"k{count}", Kind.SPRING, last, "u", value=along),
+            *(between(f"c{k}", Kind.DAMPER, *link) for k, link in enumerate(links, 1)),
             nonlinear,
         ),
     )
-    theta = [3.0, 4600.0, *([] if along else [4600.0]), 20.0, 20.0, p, *([] if known else constants.values())]
+    springs = [4600.0] * (count - bool(along))
+    theta = [*[3.0] * (count - 1), *springs, *[20.0] * count, p, *([] if known else constants.values())]
     return model, np.array(theta)
 
 

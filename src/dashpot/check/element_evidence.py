@@ -31,7 +31,6 @@ from dashpot.data.record import Record
 from dashpot.data.spectrum import Spectrum
 from dashpot.errors import DashpotError, UsageError
 from dashpot.estimate.identify import identify
-from dashpot.estimate.nonlinear.record_problem import RecordProblem
 from dashpot.estimate.nonlinear.records import measured_coordinates
 from dashpot.estimate.nonlinear.whole_record import FittedRecords, fit_records
 from dashpot.estimate.preparation.prepared import prepare
@@ -195,15 +194,7 @@ def _forward(fitted: FittedRecords, candidates: Sequence[Element]) -> list[int]:
     problem, psi = fitted.problem, fitted.psi
     base, m = problem.model, len(problem.model.unknowns)
     extended = replace(base, elements=(*base.elements, *(_free(e) for e in candidates)))
-    larger = RecordProblem(
-        extended,
-        problem.records,
-        problem.gains,
-        problem.sd,
-        problem.substeps,
-        dict(problem.starts),
-        problem.states,
-    )
+    larger = replace(problem, model=extended, last=problem.begun())
     before = dict(zip((u.name for u in base.unknowns), psi[:m].tolist(), strict=True))
     theta = [before.get(u.name, 0.0) for u in extended.unknowns]
     at = np.concatenate([theta, psi[m:]])

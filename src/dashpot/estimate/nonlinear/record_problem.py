@@ -41,6 +41,15 @@ class RecordProblem:
         """Unknowns before the starts of the records: θ, gains, offsets."""
         return len(self.model.unknowns) + self.gains + int(self.model.S.shape[1])
 
+    def begun(self) -> dict[int, Motion]:
+        """The last motions as starts for other rigs of the same states."""
+        return {k: replace(motion, along=None, forces={}) for k, motion in self.last.items()}
+
+    def finer(self) -> RecordProblem:
+        """The same with half the steps."""
+        last = {k: replace(motion, forces={}) for k, motion in self.last.items()}
+        return replace(self, substeps=tuple(2 * count for count in self.substeps), last=last)
+
     def residuals(self, psi: Real, slopes: bool = True) -> list[tuple[Real, Real | None]]:
         """For each record: measured less shown, in standard deviations, and slopes of what is shown, (…, unknowns)."""
         m, s = len(self.model.unknowns), self.model.S.shape[1]

@@ -27,12 +27,16 @@ from dashpot.estimate.result import Estimate
 from dashpot.model.network import Model
 from dashpot.model.nonlinear.integration import Integrator
 from dashpot.model.nonlinear.propagation import forcing
-from dashpot.numerics.levenberg_marquardt import QuadraticModel, minimise
+from dashpot.numerics.levenberg_marquardt import OptimizeResult, QuadraticModel, minimise
+from dashpot.numerics.small_systems import scaled_inverse, solve_scaled
 
 METHOD = "ml"  # what the search is
 LIMIT = 60  # iterations
 EXACT = 1e-6  # of a channel's rms: residuals below it count no less
 TOLERANCE = 1e-4  # standard deviations
+HALVINGS = 3  # of the integration's steps, at most
+MOVED = 0.05  # standard deviations by which half steps may move an estimate
+FAR = 3.0  # standard deviations beyond which one step of Gauss and Newton is not enough
 
 
 @dataclass(frozen=True)
@@ -91,16 +95,9 @@ def fit_records(
     problem, psi = _begun(model, data)
     history = [psi[: problem.inner]]
     sizes = 100 * problem.sd
-    lower, upper = _bounds(problem, psi)
+    limits = _bounds(problem, psi)
     for turn in range(3):
-
-        def evaluate(x: Real, rows: Ints) -> QuadraticModel:
-            del rows
-            return problem.quadratic(x)
-
-        end = minimise(
-            evaluate, psi[None], limit=LIMIT, tolerance=TOLERANCE, lower=lower, upper=upper, patience=LIMIT
-        )  # fmt: skip
+        end = _descended(problem, psi, limits)
         psi = end.x[0]
         history.append(psi[: problem.inner])
         left = np.concatenate([residual for residual, _ in problem.residuals(psi, slopes=False)])
@@ -112,9 +109,42 @@ def fit_records(
             progress(turn + 1, 3)
         if len(problem.sd) == 1 or np.all(np.abs(ratio / ratio[0] - 1) < 0.02):
             break
+    problem, psi = _refined(problem, psi, limits)
+    history.append(psi[: problem.inner])
     return FittedRecords(
-        problem, psi, bool(end.converged[0]), int(end.iterations[0]), np.array(history), (lower, upper)
+        problem, psi, bool(end.converged[0]), int(end.iterations[0]), np.array(history), limits
     )
+
+
+def _descended(problem: RecordProblem, psi: Real, limits: tuple[Real, Real]) -> OptimizeResult:
+    """The least misfit from ψ (M,) on, within bounds."""
+
+    def evaluate(x: Real, rows: Ints) -> QuadraticModel:
+        del rows
+        return problem.quadratic(x)
+
+    lower, upper = limits
+    return minimise(
+        evaluate, psi[None], limit=LIMIT, tolerance=TOLERANCE, lower=lower, upper=upper, patience=LIMIT
+    )
+
+
+def _refined(problem: RecordProblem, psi: Real, limits: tuple[Real, Real]) -> tuple[RecordProblem, Real]:
+    """The problem with steps halved until that moves the estimate no more, and where it ends, ψ (M,).
+
+    Kinks of laws make the integration's error fall with the square of the step only.
+    """
+    for _ in range(HALVINGS):
+        finer = problem.finer()
+        around = finer.quadratic(psi[None])
+        step = solve_scaled(around.symmetric, around.gradient)[0]
+        sd = np.sqrt(np.abs(np.diagonal(scaled_inverse(around.symmetric)[0])))
+        moved = np.max(np.abs(step) / sd)
+        if not moved > MOVED:
+            break
+        problem = finer
+        psi = np.clip(psi + step, *limits) if moved < FAR else _descended(finer, psi, limits).x[0]
+    return problem, psi
 
 
 def _bounds(problem: RecordProblem, psi: Real) -> tuple[Real, Real]:

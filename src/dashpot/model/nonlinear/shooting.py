@@ -15,10 +15,15 @@ from dashpot.model.nonlinear.integration import Integrator, Motion, PointForces
 CLOSED = 1e-10  # jumps between segments over the size of the motion
 NEARLY = 1e-5  # jumps that one more step of Newton's method closes
 SWEEPS = 30
-SEGMENT = 16  # samples of a segment, about
+SHORTEST, LONGEST, SHARE = 4, 32, 1 / 16  # samples of a segment, a share of the root of those of the record
 
 
-def segments_of(intervals: int, length: int = SEGMENT) -> Ints:
+def segment_length(intervals: int) -> int:
+    """Intervals of a segment: as long as passing along one and joining all of them take about the same time."""
+    return int(np.clip(SHARE * np.sqrt(intervals), SHORTEST, LONGEST))
+
+
+def segments_of(intervals: int, length: int) -> Ints:
     """First intervals of the segments, the last of which may be shorter; (S,)."""
     return np.arange(0, intervals, length)
 
@@ -27,7 +32,7 @@ def integrate(
     machine: Integrator, start: Real, near: Motion | None = None, *, slopes: bool = False
 ) -> Motion:
     """The motion from `start` (states,); `near` is one of the same record, from which it is found sooner."""
-    length = SEGMENT
+    length = segment_length(machine.drive.intervals)
     first = segments_of(machine.drive.intervals, length)
     at = np.concatenate([start, machine.theta, machine.offset])
     begun, forces = np.zeros((len(first), machine.states)), {}
