@@ -21,14 +21,13 @@ from pathlib import Path
 import numpy as np
 import pyarrow as pa
 import pyarrow.csv
-import pyarrow.feather
-import pyarrow.parquet
 
 from dashpot.arrays import Real
 from dashpot.channel import Channel
 from dashpot.data.readers import read
-from dashpot.data.readers.uff.writer import write_uff_records
-from dashpot.data.record import Record
+
+sys.path.insert(0, str(Path(__file__).parents[1]))  # for the writers of the tests
+from tests.unit.data.readers.column_files import TABLES, mdf, tdms, uff
 
 
 def seconds(task: Callable[[], object], repeats: int) -> float:
@@ -70,55 +69,25 @@ print(result, peak[0] - before - result)
 """
 
 
-def write_matlab(path: Path, table: dict[str, Real]) -> None:
-    from scipy.io import savemat
-
-    savemat(path, table)
-
-
-def write_hdf5(path: Path, table: dict[str, Real]) -> None:
-    import h5py
-
-    with h5py.File(path, "w") as file:
-        for name, column in table.items():
-            file[name] = column
-
-
-def write_tdms(path: Path, table: dict[str, Real]) -> None:
-    from nptdms import ChannelObject, TdmsWriter
-
-    with TdmsWriter(str(path)) as writer:
-        step = {"wf_increment": 1 / RATE}
-        writer.write_segment([ChannelObject("test", name, table[name], properties=step) for name in NAMES])
-
-
-def write_mdf(path: Path, table: dict[str, Real]) -> None:
-    from asammdf import MDF, Signal
-
-    with MDF(version="4.10") as file:
-        file.append([Signal(table[name], table["time_s"], name=name) for name in NAMES])
-        file.save(path, overwrite=True)
-
-
-def write_uff(path: Path, table: dict[str, Real]) -> None:
-    channels = tuple(Channel(name, {name: 1}) for name in NAMES)
-    samples = np.column_stack([table[name] for name in NAMES])
-    write_uff_records([Record(channels, table["time_s"], samples)], path)
-
-
 def write_wav(path: Path, table: dict[str, Real]) -> None:
     from scipy.io import wavfile
 
     wavfile.write(path, int(RATE), np.column_stack([table[name] for name in NAMES]).astype(np.float32))
 
 
+def channels_of(table: dict[str, Real]) -> dict[str, Real]:
+    """Without the time, for formats that sample by themselves."""
+    return {name: table[name] for name in NAMES}
+
+
 WRITERS: dict[str, Callable[[Path, dict[str, Real]], object]] = {
+    **{suffix.removeprefix("."): write for suffix, write in TABLES.items() if suffix != ".xlsx"},
     "csv": lambda path, table: pa.csv.write_csv(pa.table(table), path),
-    "parquet": lambda path, table: pyarrow.parquet.write_table(pa.table(table), path),
-    "feather": lambda path, table: pyarrow.feather.write_feather(pa.table(table), str(path)),
-    "npz": lambda path, table: np.savez(path, **table),  # type: ignore[arg-type]
-    "mat": write_matlab, "h5": write_hdf5, "tdms": write_tdms, "mf4": write_mdf, "uff": write_uff, "wav": write_wav,
-}  # fmt: skip
+    "tdms": lambda path, table: tdms(path, channels_of(table), wf_increment=1 / RATE),
+    "mf4": lambda path, table: mdf(path, channels_of(table), table["time_s"]),
+    "uff": lambda path, table: uff(path, channels_of(table), table["time_s"]),
+    "wav": write_wav,
+}
 
 
 def show_memory(mebibytes: float, formats: list[str]) -> None:

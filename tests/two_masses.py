@@ -1,4 +1,4 @@
-"""Rig files that many tests share: two masses on a shaken base, and a rig whose springs cannot be told apart."""
+"""Files that many tests share: two masses on a shaken base, a study of it, a rig whose springs are alike."""
 
 from dashpot.model.elements import Kind, between, mass
 from dashpot.model.network import Input, Model
@@ -24,6 +24,20 @@ x2 = { of = "x2", unit = "mm", noise = 0.02 }
 u = { of = "u", unit = "mm" }
 """
 VALUES = {"m1": 3.0, "c1": 20.0, "c2": 30.0}
+TWO_SCENARIOS = """\
+name = "noise"
+seed = 5
+[rigs.two]
+file = "rig.toml"
+values = { m1 = 3.0, c1 = 20.0, c2 = 30.0 }
+[frequencies]
+few = [2, 4, 6, 8, 10, 12]
+[[grid]]
+methods = ["wls", "oiv"]
+noise = [0.01, 0.1]
+samples = 20
+draws = 4
+"""
 UNDETERMINED = """\
 coordinates = ["x"]
 [inputs]

@@ -87,21 +87,6 @@ x2 = { of = "x2", unit = "mm" }
 u = { of = "u", unit = "counts", bits = 16, full_scale = "20 mm" }
 """
 
-STUDY = """\
-name = "noise"
-seed = 5
-[rigs.two]
-file = "rig.toml"
-values = { m1 = 3.0, c1 = 20.0, c2 = 30.0 }
-[frequencies]
-few = [2, 4, 6, 8, 10, 12]
-[[grid]]
-methods = ["wls", "oiv"]
-noise = [0.01, 0.1]
-samples = 20
-draws = 4
-"""
-
 MODES_CSV = """\
 frequency_hz,frequency_sd,damping_ratio,damping_sd,x1_re,x1_im,x1_sd,x2_re,x2_im,x2_sd
 3.9,0.01,0.1,0.001,1,0,0.01,0.6,-0.01,0.02
@@ -159,9 +144,9 @@ XSENS = "sep=,\nDeviceTag:,Xsens DOT\n\nPacketCounter,SampleTimeFine,Euler_X,Acc
 def files() -> dict[str, bytes]:
     """All sound files by their names; data are simulated from the rigs."""
     texts = {
-        "rig.toml": BASE, "forced.toml": FORCED, "free.toml": FREE, "study.toml": STUDY, "modes.csv": MODES_CSV,
-        "modes.json": MODES_JSON, "frf.csv": FRF, "nonlinear.toml": NONLINEAR, "a.lvm": LVM, "xsens.csv": XSENS,
-        "test.toml": MANIFEST,
+        "rig.toml": BASE, "forced.toml": FORCED, "free.toml": FREE, "study.toml": two_masses.TWO_SCENARIOS,
+        "modes.csv": MODES_CSV, "modes.json": MODES_JSON, "frf.csv": FRF, "nonlinear.toml": NONLINEAR, "a.lvm": LVM,
+        "xsens.csv": XSENS, "test.toml": MANIFEST,
     }  # fmt: skip
     unknowns = "m1=3,c1=20,c2=30"
     with tempfile.TemporaryDirectory() as folder, contextlib.chdir(folder):

@@ -19,21 +19,9 @@ from dashpot.study.grid import Study
 from dashpot.study.runner import run_study
 from dashpot.study.store import Label, read_block, state_of, write_block
 from dashpot.study.studyfile import parse_study
-from tests.unit.app.conftest import RIG
+from tests.two_masses import RIG, TWO_SCENARIOS
 
-STUDY = """\
-seed = 5
-[rigs.two]
-file = "rig.toml"
-values = { m1 = 3.0, c1 = 20.0, c2 = 30.0 }
-[frequencies]
-few = [2, 4, 6, 8, 10, 12]
-[[grid]]
-methods = ["wls", "oiv"]
-noise = [0.02, 0.1]
-samples = 20
-draws = 30
-"""
+STUDY = TWO_SCENARIOS.replace("draws = 4", "draws = 30")
 LABEL = Label("f" * 64, 7, 3, 5, ("wls", "oiv"), 2, "1.0")
 
 

@@ -51,12 +51,42 @@ class FeatherReader:
 
     def parts(self, file: DataFile) -> Iterator[ArrayColumns]:
         """The table."""
-        import pyarrow.feather as feather
-
         with damaged(file.name, self.format):
-            table = feather.read_table(_source(file), memory_map=not file.packed)
-            loads = tuple(partial(_array, table, i, file.name) for i in range(table.num_columns))
-            yield _columns(file, table.schema, table.num_rows, loads)
+            if file.head.startswith(b"FEA1"):  # of before 2020
+                import pyarrow.feather as feather
+
+                table = feather.read_table(_source(file))
+                loads = tuple(partial(_numpy, table.column(i)) for i in range(table.num_columns))
+                yield _columns(file, table.schema, table.num_rows, loads)
+                return
+            batches = _batch_reader(file)
+            rows = sum(len(batch) for batch in _feather_batches(file, 0)) if batches.schema.names else 0
+            loads = tuple(partial(_feather_column, file, i, rows) for i in range(len(batches.schema)))
+            yield _columns(file, batches.schema, rows, loads)
+
+
+def _batch_reader(file: DataFile, *columns: int) -> Any:
+    """Of all columns, or of the numbered ones alone: the others are neither read nor unpacked."""
+    options = pa.ipc.IpcReadOptions(included_fields=list(columns))
+    source = pa.BufferReader(file.contents) if file.packed else pa.memory_map(str(noted(file.path)))
+    return pa.ipc.open_file(source, options=options)
+
+
+def _feather_batches(file: DataFile, index: int) -> Iterator[Any]:
+    with damaged(file.name, "Feather"):
+        batches = _batch_reader(file, index)
+        for k in range(batches.num_record_batches):
+            yield batches.get_batch(k).column(0)
+
+
+def _feather_column(file: DataFile, index: int, rows: int) -> Any:
+    with damaged(file.name, "Feather"):
+        kind = _batch_reader(file).schema.field(index).type
+        if rows >= LONG and (pa.types.is_floating(kind) or pa.types.is_integer(kind)):
+            return Streamed(
+                rows, lambda: (_numpy(pa.chunked_array([x])) for x in _feather_batches(file, index))
+            )
+        return _numpy(pa.chunked_array(list(_feather_batches(file, index)), type=kind))
 
 
 def _source(file: DataFile) -> Any:
@@ -84,15 +114,6 @@ def _batches(content: Any, name: str, source: str) -> Iterator[Any]:
     with damaged(source, "Parquet"):
         for batch in content.iter_batches(batch_size=PIECE, columns=[name]):
             yield _numpy(pa.chunked_array([batch.column(0)]))
-
-
-def _array(table: Any, index: int, source: str) -> Any:
-    with damaged(source, "Feather"):
-        column = table.column(index)
-        if len(column) >= LONG and (pa.types.is_floating(column.type) or pa.types.is_integer(column.type)):
-            starts = range(0, len(column), PIECE)
-            return Streamed(len(column), lambda: (_numpy(column.slice(at, PIECE)) for at in starts))
-        return _numpy(column)
 
 
 def _numpy(column: Any) -> Any:

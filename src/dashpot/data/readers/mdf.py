@@ -4,22 +4,25 @@ from __future__ import annotations
 
 import gc
 import io
+import mmap
 import sys
 import traceback
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager, redirect_stdout
 from dataclasses import dataclass
-from typing import Any
+from functools import partial
+from typing import Any, BinaryIO
 
 import numpy as np
 
-from dashpot.data.readers.array_columns import ArrayColumns, array_columns
+from dashpot.data.readers.array_columns import LONG, ArrayColumns, Streamed, array_columns
 from dashpot.data.readers.datafile import DataFile
 from dashpot.data.readers.optional import damaged, library
 from dashpot.data.readers.sampling import TIME
 from dashpot.errors import DataError
 
 HEADER = 64  # bytes before the first block
+FRAGMENT = 1 << 24  # bytes of records that are read at once
 DEEPEST = 2  # data groups, channel groups, channels
 
 
@@ -37,22 +40,29 @@ class MdfReader:
     def parts(self, file: DataFile) -> Iterator[ArrayColumns]:
         """The groups that hold numbers.  Raises DataError where the file cannot be read."""
         asammdf = library("asammdf", "mdf", file.name, self.format)
-        with damaged(file.name, self.format), _quiet_ends():
-            _refuse_rings(file.contents)
-            content = asammdf.MDF(io.BytesIO(file.contents))
-        count = 0
-        for number, group in enumerate(content.groups):
-            with damaged(file.name, self.format):
-                columns, units = _group(content, number, group)
-            if columns:
-                count += 1
-                place = f"{file.name} (group {number + 1})" if len(content.groups) > 1 else file.name
-                yield array_columns(place, columns, units)
-        if not count:
-            raise DataError("there are no channels with samples", file.name, "record something")
+        with _stream(file) as stream:
+            with damaged(file.name, self.format), _quiet_ends():
+                _refuse_rings(file.contents if file.mapped is None else file.mapped)
+                content = asammdf.MDF(stream)
+                content.configure(read_fragment_size=FRAGMENT)
+            count = 0
+            for number, group in enumerate(content.groups):
+                with damaged(file.name, self.format):
+                    columns, units = _group(content, number, group, file.name)
+                if columns:
+                    count += 1
+                    place = f"{file.name} (group {number + 1})" if len(content.groups) > 1 else file.name
+                    yield array_columns(place, columns, units)
+            if not count:
+                raise DataError("there are no channels with samples", file.name, "record something")
 
 
-def _refuse_rings(content: bytes) -> None:
+def _stream(file: DataFile) -> AbstractContextManager[BinaryIO]:
+    """What asammdf reads from: the file, or what is held of a small or packed one."""
+    return io.BytesIO(file.contents) if file.mapped is None else file.reading()
+
+
+def _refuse_rings(content: bytes | mmap.mmap) -> None:
     """Raises ValueError where the blocks of an MDF4 file lead back to themselves: asammdf would walk for ever.
 
     The header leads to data groups, these to channel groups, these to channels; each to the next of its kind first.
@@ -71,7 +81,7 @@ def _refuse_rings(content: bytes) -> None:
         ahead += [(link, depth + 1) for link in links[1:2] if link and depth < DEEPEST]
 
 
-def _links(content: bytes, position: int) -> tuple[int, ...]:
+def _links(content: bytes | mmap.mmap, position: int) -> tuple[int, ...]:
     """Where the first two links of the block at `position` lead; () beyond the end."""
     count = int.from_bytes(content[position + 16 : position + 24], "little")
     at = [position + 24 + 8 * k for k in range(min(count, 2))]
@@ -99,7 +109,9 @@ def _quiet_ends() -> Iterator[None]:
     raise ValueError(reason)
 
 
-def _group(content: Any, number: int, group: Any) -> tuple[dict[str, Any], dict[str, str | None]]:
+def _group(
+    content: Any, number: int, group: Any, source: str
+) -> tuple[dict[str, Any], dict[str, str | None]]:
     """Samples and units of a group; nothing where there are none."""
     columns: dict[str, Any] = {}
     units: dict[str, str | None] = {}
@@ -108,13 +120,35 @@ def _group(content: Any, number: int, group: Any) -> tuple[dict[str, Any], dict[
         end = getattr(channel, "byte_offset", 0) + getattr(channel, "bit_count", 0) // 8
         if end > getattr(group.channel_group, "samples_byte_nr", end):
             raise ValueError(f"channel {channel.name} lies outside its record")  # where asammdf would read on
+    rows = group.channel_group.cycles_nr
+    # Samples that are marked as invalid are left out, channel by channel: how many remain, only reading tells.
+    streamed = (
+        rows >= LONG and master is not None and not getattr(group.channel_group, "invalidation_bytes_nr", 0)
+    )
     for index, channel in enumerate(group.channels):
         if index == master:
             continue
-        signal = content.get(group=number, index=index, raw=False)
-        samples = np.asarray(signal.samples)
+        signal = content.get(group=number, index=index, record_count=1 if streamed else None)
+        samples: Any = np.asarray(signal.samples)
         if samples.ndim == 1 and samples.dtype.kind in "fiub" and len(samples):
-            columns.setdefault(TIME, np.asarray(signal.timestamps))
+            times: Any = np.asarray(signal.timestamps)
+            if streamed:
+                times, samples = (
+                    Streamed(rows, partial(_pieces, content, number, at, source)) for at in (master, index)
+                )
+            columns.setdefault(TIME, times)
             columns[channel.name] = samples
             units[channel.name] = signal.unit or None
     return columns, units
+
+
+def _pieces(content: Any, number: int, index: int, source: str) -> Iterator[Any]:
+    """Samples of a channel."""
+    pieces = content.iter_get(group=number, index=index, samples_only=True)
+    while True:
+        # asammdf prints how fast it is to stdout where it is slow.
+        with damaged(source, "MDF"), redirect_stdout(io.StringIO()):
+            piece = next(pieces, None)
+        if piece is None:
+            return
+        yield np.asarray(piece[0])

@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
+import io
 import warnings
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 
-from dashpot.data.readers.array_columns import ArrayColumns, array_columns, steps
+from dashpot.data.readers.array_columns import LONG, PIECE, ArrayColumns, Streamed, array_columns, steps
 from dashpot.data.readers.datafile import DataFile
 from dashpot.data.readers.optional import damaged
 from dashpot.data.readers.sampling import TIME
 from dashpot.errors import DataError
+from dashpot.io.ledger import noted
 
 
 @dataclass(frozen=True)
@@ -29,18 +32,31 @@ class WavReader:
 
     def parts(self, file: DataFile) -> Iterator[ArrayColumns]:
         """All channels.  Raises DataError where the file ends before its last sample."""
-        from scipy.io import wavfile
+        from scipy.io.wavfile import WavFileWarning
 
-        with file.reading() as stream, damaged(file.name, self.format), warnings.catch_warnings():
+        with damaged(file.name, self.format), warnings.catch_warnings():
             warnings.filterwarnings("error", message=".*(EOF|end of file|incomplete).*")
-            warnings.filterwarnings("ignore", category=wavfile.WavFileWarning)
-            rate, samples = wavfile.read(cast(Any, stream))
+            warnings.filterwarnings("ignore", category=WavFileWarning)
+            rate, samples = _read(file)
         if rate <= 0:
             raise DataError(f"the sampling rate is {rate} Hz", file.name, "the file is damaged")
         values = samples[:, None] if samples.ndim == 1 else samples
         loads: dict[str, Any] = {f"channel_{i + 1}": _Channel(values, i) for i in range(values.shape[1])}
         columns = array_columns(file.name, {TIME: steps(0.0, 1 / rate, len(values)), **loads})
         yield ArrayColumns(columns.source, columns.header, columns.units, (), len(values), columns.loads)
+
+
+def _read(file: DataFile) -> tuple[int, Any]:
+    """Rate and samples; those of a large file are mapped, but for whole numbers of 24 bits."""
+    from scipy.io import wavfile
+
+    if file.mapped is not None:
+        with suppress(ValueError):
+            return wavfile.read(noted(file.path), mmap=True)
+    if file.packed:  # of a stream that unpacks, NumPy would read the packed bytes
+        return wavfile.read(io.BytesIO(file.contents))
+    with file.reading() as stream:
+        return wavfile.read(stream)
 
 
 @dataclass(frozen=True)
@@ -51,7 +67,13 @@ class _Channel:
     index: int
 
     def __call__(self) -> Any:
-        x = self.values[:, self.index]
+        rows = len(self.values)
+        if rows < LONG:
+            return self._between(0, rows)
+        return Streamed(rows, lambda: (self._between(at, at + PIECE) for at in range(0, rows, PIECE)))
+
+    def _between(self, start: int, stop: int) -> Any:
+        x = self.values[start:stop, self.index]
         if x.dtype == np.uint8:
             return (x.astype(float) - 128) / 128
         if x.dtype.kind == "i":

@@ -62,11 +62,8 @@ class RecordProblem:
             )
             first = self.inner + k * self.states
             start = psi[first : first + self.states]
-            try:
-                motion = integrate(machine, start, self.last.get(k), slopes=slopes)
-            except np.linalg.LinAlgError:  # the forces of a step have no one answer for such parameters
-                motion = None
-            if motion is None or not motion.closed:
+            motion = integrate(machine, start, self.last.get(k), slopes=slopes)
+            if not motion.closed:
                 results.append((np.full_like(data.outputs, np.inf), None))
                 continue
             y, J = shown_outputs(machine, data, motion)

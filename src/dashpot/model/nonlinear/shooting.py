@@ -42,14 +42,18 @@ def integrate(
             begun += near.along @ (at - near.at)
     begun[0] = start
     chain = _Chain(machine, begun, length, forces)
-    with np.errstate(all="ignore"):
-        closed = chain.close(slopes)
-        if not closed:
-            chain.begun, chain.forces = _marched(machine, start, length), {}
+    try:
+        with np.errstate(all="ignore"):
             closed = chain.close(slopes)
-    if not slopes:
+            if not closed:
+                chain.begun, chain.forces = _marched(machine, start, length), {}
+                closed = chain.close(slopes)
+            slope = chain.slopes() if closed and slopes else None
+    except np.linalg.LinAlgError:  # the forces of a step have no one answer for such parameters
+        nowhere = np.full((machine.drive.intervals + 1, machine.states), np.nan)
+        return Motion(nowhere, None, chain.begun, False, None, at, {})
+    if slope is None:
         return Motion(chain.motion(), None, chain.begun, closed, None, at, chain.forces)
-    slope = chain.slopes()
     return Motion(chain.motion(), slope, chain.begun, closed, slope[first], at, chain.forces)
 
 

@@ -138,6 +138,15 @@ def test_slopes_are_differences(law):
         assert np.max(np.abs((ends[0] - ends[1]) / 2e-9 - own)) < 1e-3 * np.max(np.abs(own))
 
 
+@pytest.mark.parametrize("samples", [5, 301])
+def test_forces_that_a_step_cannot_follow_leave_the_motion_open(samples, monkeypatch):
+    """A hardening so steep that Newton's matrix of a step is singular; one segment, and many."""
+    model, theta = two_masses("cubic")
+    machine = Integrator(model, theta, forcing(STEP, sweep(samples)[1]), 1)
+    monkeypatch.setattr(machine, "_matrix", lambda at: np.zeros((len(at.by_d), 4, 4)))
+    assert not integrate(machine, np.zeros(4)).closed
+
+
 def test_a_rig_without_mass_is_refused():
     from dashpot.errors import ModelError
 

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import hashlib
 import itertools
 import struct
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -23,6 +25,7 @@ LINES = 11  # of text in front of the numbers
 OF_TIME, OF_FREQUENCY = 17, 18  # specific data types
 EXACT = "ABSCISSA"  # word of ID line 5 in front of start and step with all their digits
 MOST_VALUES = 1 << 40
+Block = tuple[Real | None, Real]  # abscissas, None where they are even; numbers, (values, 1 or 2)
 
 
 @dataclass(frozen=True)
@@ -41,16 +44,14 @@ class Point:
 
 @dataclass(frozen=True)
 class LongSamples:
-    """Evenly spaced samples over time that are not held, but read again when they are asked for."""
+    """Samples over time that are not held, but read again when they are asked for.
 
-    start: float
-    step: float
+    abscissa  tells those over the same times from others: start and step, or a digest of the times
+    """
+
+    time: Streamed
     values: Streamed
-
-    @property
-    def time(self) -> Streamed:
-        """Of each sample, s."""
-        return steps(self.start, self.step, len(self.values))
+    abscissa: tuple[float, float] | bytes
 
 
 @dataclass(frozen=True)
@@ -86,7 +87,7 @@ class NodalFunction:
         if self.long is None or other.long is None:
             return self.long is other.long and bool(np.array_equal(self.abscissa, other.abscissa))
         first, second = self.long, other.long
-        return (first.start, first.step, len(first.values)) == (second.start, second.step, len(second.values))
+        return (first.abscissa, len(first.values)) == (second.abscissa, len(second.values))
 
 
 @dataclass(frozen=True)
@@ -109,7 +110,7 @@ class _Shape:
 def read_function(stream: UffStream, start: DatasetStart) -> NodalFunction:
     """The function of a dataset 58 or 58b.  Raises DataError, with file and line, for what is damaged or cut off."""
     lines = [stream.line() for _ in range(LINES)]
-    ids = tuple(_text(line, 0, 80) for line in lines[:5])
+    ids = tuple(_words(line, 0, 80) for line in lines[:5])
     try:
         kind, response, reference = _points(lines[5])
         shape = _shape(lines[6], ids[4])
@@ -119,13 +120,14 @@ def read_function(stream: UffStream, start: DatasetStart) -> NodalFunction:
         raise stream.wrong("the header of a function is damaged") from None
     if not 0 <= shape.count <= MOST_VALUES:
         raise stream.wrong(f"{shape.count} values cannot be")
-    long = _long(stream, start, shape) if start.binary and kind == TIME_RESPONSE else None
+    long = _long(stream, start, shape) if kind == TIME_RESPONSE else None
     if long is not None:
         abscissa, ordinate = np.zeros(0), np.zeros(0)
     else:
-        uneven, numbers = _binary(stream, start, shape) if start.binary else _text_numbers(stream, shape)
+        uneven, numbers = _binary(stream, start, shape) if start.binary else _text(stream, shape)
         even = shape.start + shape.step * np.arange(shape.count)
         abscissa = np.asarray(even if uneven is None else uneven, dtype=np.float64)
+        _require_finite(abscissa, stream.place)
         ordinate = numbers[:, 0] + 1j * numbers[:, 1] if shape.complex else numbers[:, 0]
     return NodalFunction(
         kind, response, reference, abscissa, ordinate,
@@ -133,21 +135,21 @@ def read_function(stream: UffStream, start: DatasetStart) -> NodalFunction:
     )  # fmt: skip
 
 
-def _text(line: bytes, start: int, end: int) -> str:
+def _words(line: bytes, start: int, end: int) -> str:
     text = line[start:end].decode("utf-8", errors="replace").strip()
     return "" if text == "NONE" else text
 
 
 def _label(line: bytes) -> str:
     """The units label of an axis."""
-    return _text(line, 46, 67)
+    return _words(line, 46, 67)
 
 
 def _points(line: bytes) -> tuple[int, Point, Point]:
     """Kind of the function, response and reference."""
     kind = int(line[0:5])
-    response = Point(_text(line, 30, 41), int(line[41:51]), int(line[51:55]))
-    reference = Point(_text(line, 55, 66), int(line[66:76] or b"0"), int(line[76:80] or b"0"))
+    response = Point(_words(line, 30, 41), int(line[41:51]), int(line[51:55]))
+    reference = Point(_words(line, 55, 66), int(line[66:76] or b"0"), int(line[76:80] or b"0"))
     return kind, response, reference
 
 
@@ -162,8 +164,31 @@ def _shape(line: bytes, exact: str) -> _Shape:
     return _Shape(data_type in (4, 6), data_type in (5, 6), spacing == 1, count, start, step)
 
 
-def _text_numbers(stream: UffStream, shape: _Shape) -> tuple[Real | None, Real]:
-    """Abscissa (None where even) and numbers, (values, 1 or 2), of a dataset in text."""
+def _require_finite(abscissa: Real, place: str) -> None:
+    """Raises DataError where the abscissa is not finite."""
+    if not np.all(np.isfinite(abscissa)):
+        raise DataError("the abscissa of a function is not finite", place, "export the file again")
+
+
+def _text(stream: UffStream, shape: _Shape) -> Block:
+    """All values of a dataset in text."""
+    blocks = list(_text_blocks(stream, shape))
+    numbers = np.concatenate([np.zeros((0, shape.of_value)), *(numbers for _, numbers in blocks)])
+    if shape.even:
+        return None, numbers
+    return np.concatenate([np.zeros(0), *(x for x, _ in blocks if x is not None)]), numbers
+
+
+def _text_blocks(stream: UffStream, shape: _Shape) -> Iterator[Block]:
+    """Values of a dataset in text, which is read to its end."""
+    for cells in _cells(stream, shape):
+        numbers = _parsed(cells, stream)
+        table = numbers.reshape(-1, shape.of_value if shape.even else shape.of_value + 1)
+        yield (None, table) if shape.even else (table[:, 0], table[:, 1:])
+
+
+def _cells(stream: UffStream, shape: _Shape) -> Iterator[list[bytes]]:
+    """The numbers of a dataset in text, as they are written, of so many whole values at a time; and its end."""
     widths = [20 if shape.double else 13] * shape.of_value
     if not shape.even:
         widths.insert(0, 13)
@@ -171,7 +196,6 @@ def _text_numbers(stream: UffStream, shape: _Shape) -> tuple[Real | None, Real]:
     at_most = 4 * len(widths) if shape.double else 6
     needed = shape.count * len(widths)
     cells: list[bytes] = []
-    blocks: list[Real] = []
     read = 0
     while read < needed:
         fields = _fields(stream.line(), ends, at_most)
@@ -179,14 +203,13 @@ def _text_numbers(stream: UffStream, shape: _Shape) -> tuple[Real | None, Real]:
             raise stream.wrong(f"the dataset holds {read} of {needed} numbers")
         cells += fields
         read += len(fields)
-        if len(cells) > 1 << 16 or read >= needed:
-            blocks.append(_parsed(cells, stream))
-            cells = []
-    if read > needed:
-        raise stream.wrong(f"the dataset holds more than {needed} numbers")
+        if read > needed:
+            raise stream.wrong(f"the dataset holds more than {needed} numbers")
+        if len(cells) > 1 << 16 or read == needed:
+            whole = len(cells) // len(widths) * len(widths)
+            yield cells[:whole]
+            del cells[:whole]
     expect_end(stream)
-    table = (np.concatenate(blocks) if blocks else np.zeros(0)).reshape(shape.count, len(widths))
-    return (None, table) if shape.even else (table[:, 0], table[:, 1:])
 
 
 MARKER = b"-1"
@@ -232,33 +255,59 @@ def _layout(stream: UffStream, start: DatasetStart) -> tuple[int, int, int]:
 
 
 def _long(stream: UffStream, start: DatasetStart, shape: _Shape) -> LongSamples | None:
-    """Many real, evenly spaced numbers of a dataset 58b, which are passed over; None for others."""
-    order, floats, size = _layout(stream, start)
-    row = 8 if shape.double else 4
-    if shape.count < LONG or shape.complex or not shape.even or size != shape.count * row:
+    """Many real numbers, which are passed over; None for others, and where the number of bytes is wrong."""
+    if shape.count < LONG or shape.complex:
         return None
-    at = stream.skip(size)
+    blocks: Callable[[UffStream], Iterator[Block]] = partial(_text_blocks, shape=shape)
+    if start.binary:
+        order, floats, size = _layout(stream, start)
+        row = next((row for row in _rows(shape) if row * shape.count == size), None)
+        if row is None:
+            return None
+        blocks = partial(_binary_blocks, shape=shape, row=row, order=order, floats=floats)
+    at, line = stream.position, stream.number
+
+    def again() -> Iterator[Block]:
+        with stream.file.reading() as raw:
+            raw.seek(at)
+            yield from blocks(UffStream(raw, stream.file, line))
+
+    values = Streamed(shape.count, lambda: (numbers[:, 0] for _, numbers in again()))
+    if not shape.even:
+        digest = hashlib.blake2b()
+        for times, _ in blocks(stream):
+            assert times is not None
+            _require_finite(times, stream.place)
+            digest.update(times.tobytes())
+        return LongSamples(Streamed(shape.count, lambda: (x for x, _ in again())), values, digest.digest())
+    if start.binary:
+        stream.skip(size)
+        expect_end(stream)
+    else:
+        for _ in _cells(stream, shape):
+            pass
+    _require_finite(np.array([shape.start, shape.step]), stream.place)
+    return LongSamples(steps(shape.start, shape.step, shape.count), values, (shape.start, shape.step))
+
+
+def _binary_blocks(stream: UffStream, shape: _Shape, row: int, order: int, floats: int) -> Iterator[Block]:
+    """Values of a dataset 58b in rows of so many bytes, which is read to its end."""
+    for first in range(0, shape.count, PIECE):
+        count = min(PIECE, shape.count - first)
+        yield _decoded(stream.block(count * row), row, order, floats, shape)
     expect_end(stream)
 
-    def pieces() -> Iterator[Any]:
-        with stream.file.reading() as raw:
-            again = UffStream(raw, stream.file)
-            raw.seek(at)
-            for first in range(0, shape.count, PIECE):
-                count = min(PIECE, shape.count - first)
-                yield _decoded(again.block(count * row), row, order, floats, shape)[1][:, 0]
 
-    return LongSamples(shape.start, shape.step, Streamed(shape.count, pieces))
-
-
-def _binary(stream: UffStream, start: DatasetStart, shape: _Shape) -> tuple[Real | None, Real]:
-    """Abscissa (None where even) and numbers, (values, 1 or 2), of a dataset 58b."""
-    order, floats, size = _layout(stream, start)
+def _rows(shape: _Shape) -> list[int]:
+    """Bytes that a value may take: its abscissa is in single precision, which some write like the ordinate."""
     width = 8 if shape.double else 4
-    # The abscissa is in single precision by the format; some programs write it like the ordinate.
-    rows = [
-        shape.of_value * width + (0 if shape.even else x) for x in ((4, width) if not shape.even else (0,))
-    ]
+    return [shape.of_value * width + x for x in ((0,) if shape.even else (4, width))]
+
+
+def _binary(stream: UffStream, start: DatasetStart, shape: _Shape) -> Block:
+    """All values of a dataset 58b."""
+    order, floats, size = _layout(stream, start)
+    rows = _rows(shape)
     row = next((r for r in rows if r * shape.count == size), None)
     data = stream.block(shape.count * (rows[0] if row is None else row))
     if row is None and len(rows) > 1 and rows[1] != rows[0]:
@@ -272,7 +321,7 @@ def _binary(stream: UffStream, start: DatasetStart, shape: _Shape) -> tuple[Real
     return _decoded(data, row or rows[0], order, floats, shape)
 
 
-def _decoded(data: bytes, row: int, order: int, floats: int, shape: _Shape) -> tuple[Real | None, Real]:
+def _decoded(data: bytes, row: int, order: int, floats: int, shape: _Shape) -> Block:
     """Numbers from bytes of one row for each value."""
     mark, width = "<" if order == 1 else ">", 8 if shape.double else 4
     of_abscissa = row - shape.of_value * width
@@ -291,14 +340,6 @@ def _floats(raw: Any, mark: str, width: int, floats: int) -> Real:
         return np.frombuffer(data, dtype=f"{mark}f{width}").astype(float)
     whole = np.frombuffer(data, dtype=f"{mark}u{width}")
     return from_ibm(whole, width) if floats == 3 else from_vax(np.frombuffer(data, dtype="<u2"), width)
-
-
-def check_finite(function: NodalFunction, place: str) -> None:
-    """Raises DataError where the abscissa is not finite."""
-    long = function.long
-    abscissa = function.abscissa if long is None else np.array([long.start, long.step])
-    if not np.all(np.isfinite(abscissa)):
-        raise DataError("the abscissa of a function is not finite", place, "export the file again")
 
 
 def packed_size(count: int, double: bool, complex_values: bool) -> int:

@@ -19,7 +19,6 @@ from dashpot.data.readers.uff.function import (
     TRANSMISSIBILITY,
     NodalFunction,
     Point,
-    check_finite,
     read_function,
 )
 from dashpot.data.readers.uff.stream import MARK, UffStream, dataset_starts, skip_dataset
@@ -74,7 +73,6 @@ def functions_of(file: DataFile) -> Iterator[NodalFunction]:
         for start in dataset_starts(stream):
             if start.number == 58:
                 before = function = _sharing(read_function(stream, start), before)
-                check_finite(function, stream.place)
                 yield function
             else:
                 skip_dataset(stream)

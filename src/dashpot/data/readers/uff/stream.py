@@ -17,10 +17,10 @@ PIECE = 1 << 24  # bytes that are read at once
 class UffStream:
     """Lines and blocks of bytes of a universal file, with the number of the line for messages."""
 
-    def __init__(self, stream: BinaryIO, file: DataFile) -> None:
+    def __init__(self, stream: BinaryIO, file: DataFile, number: int = 0) -> None:
         self._stream = stream
         self.file = file
-        self.number = 0
+        self.number = number
 
     @property
     def place(self) -> str:
@@ -45,12 +45,15 @@ class UffStream:
         """So many bytes.  Raises DataError where there are fewer."""
         return b"".join(self._pieces(size))
 
-    def skip(self, size: int) -> int:
-        """Pass over so many bytes; where they begin.  Raises DataError where there are fewer."""
-        start = self._stream.tell()
+    @property
+    def position(self) -> int:
+        """The byte of the file that comes next."""
+        return self._stream.tell()
+
+    def skip(self, size: int) -> None:
+        """Pass over so many bytes.  Raises DataError where there are fewer."""
         for _ in self._pieces(size):
             pass
-        return start
 
     def _pieces(self, missing: int) -> Iterator[bytes]:
         while missing:

@@ -7,13 +7,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from dashpot.data.readers import read
+from dashpot.data.readers import read, write_records
 from dashpot.data.readers.datafile import open_file
 from dashpot.data.readers.optional import library
 from dashpot.data.readers.registry import reader_of
+from dashpot.data.readers.uff.function import FRF, NodalFunction, Point
+from dashpot.data.readers.uff.writer import write_functions
+from dashpot.data.record import Record
 from dashpot.errors import DashpotError, DataError
 from dashpot.estimate.identify import identify
 from dashpot.model.rigfile import parse_rig
+from tests.unit.data.readers.column_files import TABLES
 from tests.unit.data.readers.famos_bytes import dwell
 from tests.unit.data.readers.written import (
     CHANNELS,
@@ -49,17 +53,25 @@ def rig():
     return parse_rig(RIG, "rig.toml")
 
 
-@pytest.mark.parametrize("name", [name for name in WRITERS if name != "CSV"])
-def test_the_same_estimate(tmp_path, rig, name):
-    csv, other = tmp_path / "test.csv", tmp_path / f"test{WRITERS[name][0]}"
-    WRITERS["CSV"][1](csv, recording())
-    WRITERS[name][1](other, recording())
-    treatments = {"harmonics": "none", "noise": "white", "transients": "none"}
-    first, second = (
-        identify(rig.model, read(path, rig.channels).spectrum(**treatments)) for path in (csv, other)
-    )
+TREATMENTS = {"harmonics": "none", "noise": "white", "transients": "none"}
+
+
+def same_estimate(rig, *paths):
+    first, second = (identify(rig.model, read(path, rig.channels).spectrum(**TREATMENTS)) for path in paths)
     for parameter in first.names:
         assert second[parameter].value == pytest.approx(first[parameter].value, rel=1e-9)
+
+
+def csv_of_recording(folder: Path) -> Path:
+    WRITERS["CSV"][1](folder / "whole.csv", recording())
+    return folder / "whole.csv"
+
+
+@pytest.mark.parametrize("name", [name for name in WRITERS if name != "CSV"])
+def test_the_same_estimate(tmp_path, rig, name):
+    other = tmp_path / f"test{WRITERS[name][0]}"
+    WRITERS[name][1](other, recording())
+    same_estimate(rig, csv_of_recording(tmp_path), other)
 
 
 @pytest.mark.parametrize("way", ["pattern", "manifest"])
@@ -85,14 +97,7 @@ def test_the_same_estimate_from_a_file_for_each_dwell(tmp_path, rig, name, way):
     if way == "manifest" or columns:
         path = tmp_path / "test.toml"
         path.write_text(f'[[files]]\nname = "{{frequency}}Hz{suffix}"\n{columns}')
-    WRITERS["CSV"][1](tmp_path / "whole.csv", recording())
-    treatments = {"harmonics": "none", "noise": "white", "transients": "none"}
-    first, second = (
-        identify(rig.model, read(source, rig.channels).spectrum(**treatments))
-        for source in (tmp_path / "whole.csv", path)
-    )
-    for parameter in first.names:
-        assert second[parameter].value == pytest.approx(first[parameter].value, rel=1e-9)
+    same_estimate(rig, csv_of_recording(tmp_path), path)
 
 
 def lvm(time, values):
@@ -113,6 +118,71 @@ def lvm(time, values):
     ]
     rows = ["\t".join(map(repr, row)) for row in np.column_stack([time, values]).tolist()]
     return "\n".join([*head, *rows]) + "\n"
+
+
+def test_the_same_estimate_from_synchronised_sensors(tmp_path):
+    """Xsens: a file for each sensor and dwell, accelerations on a clock of whole µs."""
+    rig = parse_rig(RIG.replace('unit = "mm"', 'quantity = "acceleration"'), "rig.toml")
+    records = []
+    for record in recording():
+        ticks = np.round(1e6 * record.time).astype(int)
+        records.append(Record(rig.channels, 1e-6 * ticks, 1e3 * record.values, record.frequency_hz))
+        for i, channel in enumerate(rig.channels):
+            lines = ["sep=,", "DeviceTag:,Xsens DOT", "", "PacketCounter,SampleTimeFine,Acc_X,Acc_Y,Acc_Z"]
+            samples = records[-1].values[:, i].tolist()
+            lines += [
+                f"{k},{clock},{x!r},1,9.8" for k, (clock, x) in enumerate(zip(ticks, samples, strict=True))
+            ]
+            path = tmp_path / f"{record.frequency_hz:g}Hz_{channel.name}.csv"
+            path.write_text("\n".join(lines) + "\n")
+    write_records(records, tmp_path / "whole.csv")
+    sensors = "".join(f'{channel.name} = {{ {channel.name} = "Acc_X" }}\n' for channel in rig.channels)
+    manifest = tmp_path / "test.toml"
+    manifest.write_text(f'[[files]]\nname = "{{frequency}}Hz_{{sensor}}.csv"\n[files.sensors]\n{sensors}')
+    same_estimate(rig, tmp_path / "whole.csv", manifest)
+
+
+def responses_by_phase(path: Path, columns: dict[str, np.ndarray]) -> None:
+    """A table of FRFs by amplitude and phase."""
+    polar = {"frequency_hz": columns["frequency_hz"]}
+    for name in ("x1/u", "x2/u"):
+        H = columns[f"{name}_re"] + 1j * columns[f"{name}_im"]
+        polar |= {f"{name}_amplitude": np.abs(H), f"{name}_phase [deg]": np.degrees(np.angle(H))}
+    TABLES[".csv"](path, polar)
+
+
+def responses_in_a_universal_file(path: Path, columns: dict[str, np.ndarray]) -> None:
+    write_functions(
+        [
+            NodalFunction(
+                FRF, Point(name, k + 1, 1), Point("u", 3, 1), columns["frequency_hz"],
+                columns[f"{name}/u_re"] + 1j * columns[f"{name}/u_im"], "m", "m", even=False,
+            )
+            for k, name in enumerate(("x1", "x2"))
+        ],
+        path,
+    )  # fmt: skip
+
+
+RESPONSES = {
+    **{
+        suffix: write for suffix, write in TABLES.items() if suffix not in (".csv", ".h5")
+    },  # / parts groups of HDF5
+    "_by_phase.csv": responses_by_phase,
+    ".uff": responses_in_a_universal_file,
+}
+
+
+@pytest.mark.parametrize("suffix", RESPONSES)
+def test_the_same_estimate_from_responses(tmp_path, rig, suffix):
+    lines = read(csv_of_recording(tmp_path), rig.channels).spectrum(**TREATMENTS)
+    X = lines.amplitudes
+    columns = {"frequency_hz": np.asarray(lines.frequency_hz)}
+    for k, name in enumerate(("x1", "x2")):
+        columns |= {f"{name}/u_re": (X[:, k] / X[:, 2]).real, f"{name}/u_im": (X[:, k] / X[:, 2]).imag}
+    TABLES[".csv"](tmp_path / "frf.csv", columns)
+    RESPONSES[suffix](tmp_path / f"frf{suffix}", columns)
+    same_estimate(rig, tmp_path / "frf.csv", tmp_path / f"frf{suffix}")
 
 
 def test_wav_by_a_manifest(tmp_path):
@@ -196,6 +266,14 @@ def outcome(path: Path) -> str:
     return said
 
 
+def whole(folder: Path, name: str) -> tuple[Path, bytes]:
+    """A path for a file of the format, and what a sound one holds."""
+    suffix, write = WRITERS[name]
+    path = folder / f"whole{suffix}"
+    write(path, recording(64))
+    return path, path.read_bytes()
+
+
 DAMAGED = [
     pytest.param(name, marks=pytest.mark.long) if name == "MDF" else name for name in WRITERS
 ]  # asammdf is slow
@@ -204,10 +282,7 @@ DAMAGED = [
 @pytest.mark.parametrize("name", DAMAGED)
 @pytest.mark.filterwarnings("ignore")
 def test_files_cut_off(tmp_path, name):
-    suffix, write = WRITERS[name]
-    whole, path = tmp_path / f"whole{suffix}", tmp_path / f"cut{suffix}"
-    write(whole, recording(64))
-    data = whole.read_bytes()
+    path, data = whole(tmp_path, name)
     expected = recording(64)
     rng = np.random.default_rng(0)
     for length in {
@@ -229,10 +304,7 @@ def test_files_cut_off(tmp_path, name):
 @pytest.mark.parametrize("name", DAMAGED)
 @pytest.mark.filterwarnings("ignore")
 def test_flipped_bytes(tmp_path, name):
-    suffix, write = WRITERS[name]
-    whole, path = tmp_path / f"whole{suffix}", tmp_path / f"flipped{suffix}"
-    write(whole, recording(64))
-    data = bytearray(whole.read_bytes())
+    path, data = whole(tmp_path, name)
     rng = np.random.default_rng(1)
     for k in range(25):
         broken = bytearray(data)

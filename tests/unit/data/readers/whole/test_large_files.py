@@ -13,23 +13,29 @@ from dashpot.data.readers import (
     datafile,
     hdf5,
     matlab_vectors,
+    mdf,
     numpy_files,
     read,
     tdms,
+    wav,
 )
 from dashpot.data.readers.delimited import table
 from dashpot.data.readers.uff import function
+from dashpot.data.readers.uff.function import TIME_RESPONSE, NodalFunction, Point
+from dashpot.data.readers.uff.reader import functions_of
+from dashpot.data.readers.uff.writer import write_functions
 from dashpot.errors import DataError
+from tests.unit.data.readers import written
 from tests.unit.data.readers.written import CHANNELS, WRITERS, as_read, recording
 
 
 @pytest.fixture
 def _small(monkeypatch: pytest.MonkeyPatch) -> None:
     """Everything is large: pieces of 100 numbers, text in blocks of 4 kB."""
-    for module in (array_columns, arrow_files, function, hdf5, matlab_vectors, numpy_files, tdms):
-        monkeypatch.setattr(module, "PIECE", 100)
-        if hasattr(module, "LONG"):
-            monkeypatch.setattr(module, "LONG", 200)
+    for module in (array_columns, arrow_files, function, hdf5, matlab_vectors, mdf, numpy_files, tdms, wav):
+        for name, value in (("PIECE", 100), ("LONG", 200)):
+            if hasattr(module, name):
+                monkeypatch.setattr(module, name, value)
     monkeypatch.setattr(array_columns, "LARGE", 1)
     monkeypatch.setattr(datafile, "LARGE", 1)
     monkeypatch.setattr(table, "STREAMED", 4096)
@@ -78,6 +84,49 @@ def test_channels_that_are_read_twice_are_not_changed_in_place(tmp_path: Path) -
     (record,) = read(path, twice).records
     assert record.frequency_hz == 2.0
     assert record.values[3] == pytest.approx([2e-3, 3e-3])
+
+
+@pytest.mark.parametrize("even", [True, False])
+@pytest.mark.parametrize("binary", [True, False])
+def test_long_functions_of_universal_files_are_not_held(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, binary: bool, even: bool
+) -> None:
+    rng = np.random.default_rng(4)
+    count, path = 40_000, tmp_path / "a.uff"
+    times = np.arange(count) / 100 if even else (np.arange(count) / 100 + 0.003 * (np.arange(count) % 2))
+    written = [
+        NodalFunction(
+            TIME_RESPONSE, Point("", k, 1), Point(), times, rng.normal(size=count), ids=(name,), even=even
+        )
+        for k, name in enumerate(("x1", "x2", "u"))
+    ]
+    write_functions(written, path, binary=binary)
+    (held,) = as_read(path)
+    monkeypatch.setattr(function, "LONG", 200)
+    assert all(read_back.long is not None for read_back in functions_of(datafile.open_file(path)))
+    (record,) = as_read(path)
+    assert np.array_equal(record.values, held.values)
+    assert np.array_equal(record.time, held.time)
+    path.write_bytes(path.read_bytes()[:-4000])
+    with pytest.raises(DataError, match="cut off"):
+        as_read(path)
+
+
+@pytest.mark.usefixtures("_small")
+@pytest.mark.parametrize("packed", [False, True])
+@pytest.mark.parametrize("kind", ["u1", "i2", "i4", "f4"])
+def test_long_sound_is_mapped(tmp_path: Path, packed: bool, kind: str) -> None:
+    from scipy.io import wavfile
+
+    from dashpot.channel import Channel
+
+    path = tmp_path / "a.wav"
+    numbers = (np.arange(2000).reshape(1000, 2) % 100).astype(kind)
+    wavfile.write(path, 100, numbers)
+    path = written.packed(path) if packed else path
+    (record,) = read(path, tuple(Channel(f"channel_{k}", {"x": 1}) for k in (1, 2))).records
+    offset, scale = {"u1": (128, 128), "i2": (0, 2**15), "i4": (0, 2**31), "f4": (0, 1)}[kind]
+    assert np.array_equal(record.values, (numbers.astype(float) - offset) / scale)
 
 
 @pytest.mark.usefixtures("_small")

@@ -1,0 +1,119 @@
+"""What is written reads back to the last bit, in every format that can hold it: samples, amplitudes, responses."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from dashpot.arrays import Real
+from dashpot.channel import Channel
+from dashpot.data.readers import read, write_amplitudes, write_records
+from dashpot.data.readers.uff.function import FRF, NodalFunction, Point
+from dashpot.data.readers.uff.writer import write_functions
+from dashpot.data.record import Record
+from dashpot.data.spectrum import Spectrum
+from tests.unit.data.readers.column_files import TABLES, famos, mdf, uff
+
+CHANNELS = (Channel("x", {"x": 1}), Channel("u", {"u": 1}))
+COUNT = 50
+RNG = np.random.default_rng(7)
+TIMES = np.sort(RNG.uniform(-3, 7, COUNT))
+EVEN = np.arange(COUNT) / 128
+# All digits, and sizes from far below every measurement to the largest that is taken for one.
+SAMPLES = RNG.normal(size=(COUNT, 2)) * 10.0 ** RNG.integers(-95, 95, (COUNT, 2))
+LINES = np.sort(RNG.uniform(1, 90, COUNT))
+AMPLITUDES = RNG.normal(size=(COUNT, 2)) + 1j * RNG.normal(size=(COUNT, 2))
+# Workbooks get 16 digits of openpyxl.
+EXACT = {suffix: write for suffix, write in TABLES.items() if suffix != ".xlsx"}
+
+
+def columns_of_samples() -> dict[str, Real]:
+    return {"x": SAMPLES[:, 0], "u": SAMPLES[:, 1]}
+
+
+def same_record(path: Path, times: Real) -> None:
+    (record,) = read(path, CHANNELS).records
+    assert np.array_equal(record.time, times)
+    assert np.array_equal(record.values, SAMPLES)
+
+
+@pytest.mark.parametrize("suffix", EXACT)
+def test_samples(tmp_path: Path, suffix: str) -> None:
+    EXACT[suffix](tmp_path / f"a{suffix}", {"time_s": TIMES, **columns_of_samples()})
+    same_record(tmp_path / f"a{suffix}", TIMES)
+
+
+SAMPLED: dict[str, Callable[[Path], None]] = {
+    ".mf4": lambda path: mdf(path, columns_of_samples(), EVEN),
+    ".uff": lambda path: uff(path, columns_of_samples(), EVEN),
+    ".raw": lambda path: famos(path, columns_of_samples(), 1 / 128),
+}
+
+
+@pytest.mark.parametrize("suffix", SAMPLED)
+def test_samples_on_the_clock_of_the_format(tmp_path: Path, suffix: str) -> None:
+    SAMPLED[suffix](tmp_path / f"a{suffix}")
+    same_record(tmp_path / f"a{suffix}", EVEN)
+
+
+@pytest.mark.parametrize("suffix", [".csv", ".csv.gz"])
+def test_records_that_dashpot_writes(tmp_path: Path, suffix: str) -> None:
+    write_records([Record(CHANNELS, TIMES, SAMPLES)], tmp_path / f"a{suffix}")
+    same_record(tmp_path / f"a{suffix}", TIMES)
+
+
+@pytest.mark.parametrize("suffix", EXACT)
+def test_amplitudes(tmp_path: Path, suffix: str) -> None:
+    deviations = RNG.uniform(0.5, 2, (COUNT, 2))
+    columns = {"frequency_hz": LINES}
+    for k, name in enumerate(("x", "u")):
+        X = AMPLITUDES[:, k]
+        columns |= {f"{name}_re": X.real, f"{name}_im": X.imag, f"{name}_sd": deviations[:, k]}
+    EXACT[suffix](tmp_path / f"a{suffix}", columns)
+    lines = read(tmp_path / f"a{suffix}", CHANNELS).spectrum()
+    assert np.array_equal(lines.frequency_hz, LINES)
+    assert np.array_equal(lines.amplitudes, AMPLITUDES)
+    variances = np.einsum("lcc->lc", lines.covariance)
+    assert np.array_equal(variances, 2 * deviations**2)
+
+
+@pytest.mark.parametrize("suffix", [".csv", ".csv.gz"])
+def test_amplitudes_that_dashpot_writes(tmp_path: Path, suffix: str) -> None:
+    factors = RNG.normal(size=(COUNT, 2, 2)) + 1j * RNG.normal(size=(COUNT, 2, 2))
+    covariance = factors @ factors.conj().swapaxes(1, 2)
+    written = Spectrum(
+        CHANNELS, LINES, AMPLITUDES, covariance, [9] * COUNT, [7.0] * COUNT, ("given",) * COUNT, [0] * COUNT
+    )
+    write_amplitudes(written, tmp_path / f"a{suffix}")
+    lines = read(tmp_path / f"a{suffix}", CHANNELS).spectrum()
+    assert np.array_equal(lines.frequency_hz, written.frequency_hz)
+    assert np.array_equal(lines.amplitudes, written.amplitudes)
+    # Standard deviations and correlations are what the table holds.
+    assert lines.covariance == pytest.approx(written.covariance, rel=1e-14)
+
+
+def same_response(path: Path) -> None:
+    lines = read(path, CHANNELS).spectrum()
+    assert np.array_equal(lines.frequency_hz, LINES)
+    assert np.array_equal(lines.amplitudes[:, 0], AMPLITUDES[:, 0])
+
+
+@pytest.mark.parametrize(
+    "suffix", [suffix for suffix in EXACT if suffix != ".h5"]
+)  # where x/u is u in group x
+def test_frequency_responses(tmp_path: Path, suffix: str) -> None:
+    H = AMPLITUDES[:, 0]
+    EXACT[suffix](tmp_path / f"a{suffix}", {"frequency_hz": LINES, "x/u_re": H.real, "x/u_im": H.imag})
+    same_response(tmp_path / f"a{suffix}")
+
+
+@pytest.mark.parametrize("little", [True, False])
+def test_frequency_responses_of_universal_files(tmp_path: Path, little: bool) -> None:
+    response = NodalFunction(
+        FRF, Point("x", 1, 1), Point("u", 2, 1), LINES, AMPLITUDES[:, 0], "m", "m", even=False
+    )
+    write_functions([response], tmp_path / "a.uff", little=little)
+    same_response(tmp_path / "a.uff")
