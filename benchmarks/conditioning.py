@@ -54,10 +54,10 @@ OPTIONS = {
 WORST = 10.0  # times the bound: beyond it a treatment has failed
 
 
-def dwells(rng: np.random.Generator, troubles: frozenset[str]) -> list[Record]:
-    """One test."""
+def dwells(rng: np.random.Generator, troubles: frozenset[str], most: float = 50.0) -> list[Record]:
+    """One test, of one to `most` periods a dwell."""
     p, view = MODEL.parameters(THETA), observation_model(MODEL, CHANNELS, np.ones(1))
-    periods = float(np.exp(rng.uniform(0, np.log(50))))
+    periods = float(np.exp(rng.uniform(0, np.log(most))))
     each, noise = int(rng.integers(12, 41)), float(np.exp(rng.uniform(np.log(0.003), np.log(0.05))))
     stated = 1 + rng.uniform(-0.02, 0.02) * ("frequency" in troubles)
     slope, bits = rng.uniform(0.02, 0.3) * ("slope" in troubles), int(rng.integers(8, 17))
@@ -130,6 +130,7 @@ def main() -> None:
     options.add_argument("--tests", type=int, default=60)
     options.add_argument("--seed", type=int, default=0)
     options.add_argument("--only", choices=TROUBLES, help="nothing but this trouble, in every test")
+    options.add_argument("--periods", type=float, default=50.0, help="of a dwell, at most")
     options.add_argument(
         "--coverage", action="store_true", help="the defaults alone, ten times as many in a time"
     )
@@ -142,7 +143,7 @@ def main() -> None:
         rng = np.random.default_rng(settings.seed + k)
         drawn = frozenset(t for t in TROUBLES if rng.random() < 0.25)
         chosen = frozenset([settings.only]) if settings.only else drawn
-        records = dwells(rng, chosen)
+        records = dwells(rng, chosen, settings.periods)
         usual = answer(records, None)
         if usual is None:
             refused += 1

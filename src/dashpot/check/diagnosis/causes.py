@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -12,7 +12,7 @@ from dashpot.channel import Quantity
 from dashpot.check.diagnosis.likeness import RATIOS, Likeness, likeness
 from dashpot.check.diagnosis.nonlinear_elements import ENOUGH, called_for
 from dashpot.check.diagnosis.rig_changes import changes
-from dashpot.check.diagnosis.search import Workbench
+from dashpot.check.diagnosis.search import DRAWS, Workbench
 from dashpot.check.diagnosis.trials import (
     Outcome,
     Trial,
@@ -22,6 +22,7 @@ from dashpot.check.diagnosis.trials import (
     untouched,
     without,
 )
+from dashpot.estimate.preparation.state_reconstruction import states_if_seen
 from dashpot.model.elements import Element, Kind
 from dashpot.model.network import Model
 from dashpot.model.observation import measures_input, observation_model
@@ -37,9 +38,10 @@ OF_SAMPLES = {"white", "blocks", "periods"}  # kinds of noise that were read fro
 # What is left out explains little.
 PARTICULAR = tuple(kind for kind in ORDER if kind not in ("dwell", "channel"))
 HELPS = 0.5  # χ² per degree of freedom must fall below this part of what it was
-LEFT_OUT = 2.0  # handicap of leaving a channel out
+LEFT_OUT, LEFT_OUT_INPUT = 2.0, 4.0  # handicap of leaving a channel out, and that of an input
 ALIKE = 1.6  # ratio of what is left within which two causes explain alike
 RATES = (2 * np.pi, 1 / (2 * np.pi), 2.0, 0.5, 60.0, 1 / 60)
+FEWER = 200  # rigs drawn for each of them, where all is seen
 MOST_DWELLS = 40
 RELABELLED = 6.0  # χ² for each number of a dwell below which it belongs to another frequency
 SIGN = Likeness(-1.0, 0, 0.0, False, 0.0)
@@ -88,11 +90,15 @@ def causes(bench: Workbench, seed: int = 0) -> tuple[float, list[Cause]]:
         for change in changes(bench, as_is.psi)
     ]
     found += _phases(bench, as_is, found)
-    if not _explained(found, ORDER[: ORDER.index("frequency")]):
+    # Where one dwell alone is wrong, neither the time base nor the amplitude is to blame.
+    if not _explained(found, (*ORDER[: ORDER.index("frequency")], "dwell")):
         found += _rates(bench, base, seed)
-    if not _explained(found, PARTICULAR):
+    if not _explained(found, (*PARTICULAR, "dwell")):
         found += _nonlinear(bench, as_is)
-    return as_is.reduced, ranked(found, as_is.reduced)
+    inputs_alone = {
+        channel.name for channel in bench.view.channels if measures_input(bench.data.model, channel)
+    }
+    return as_is.reduced, ranked(found, as_is.reduced, inputs_alone)
 
 
 def _explained(found: Sequence[Cause], kinds: Sequence[str]) -> bool:
@@ -127,8 +133,11 @@ def _dampers(model: Model) -> Ints:
     return np.flatnonzero([unknown.name in lossy for unknown in model.unknowns])
 
 
-def ranked(found: Sequence[Cause], start: float) -> list[Cause]:
-    """Those that explain half of the misfit or more; what explains alike in the order of ORDER."""
+def ranked(found: Sequence[Cause], start: float, inputs: Collection[str] = ()) -> list[Cause]:
+    """Those that explain half of the misfit or more; what explains alike in the order of ORDER.
+
+    Without the channel of an input (`inputs`) it moves as it likes at every line, which explains nearly anything.
+    """
     helpful = [cause for cause in found if cause.remaining < HELPS * start]
     if not helpful:
         return []
@@ -136,7 +145,8 @@ def ranked(found: Sequence[Cause], start: float) -> list[Cause]:
 
     def place(cause: Cause) -> tuple[float, int, float]:
         # Leaving a channel out leaves less to explain: what keeps it and explains nearly as much says more.
-        left = cause.remaining * (LEFT_OUT if cause.kind == "channel" else 1.0)
+        handicap = LEFT_OUT_INPUT if set(cause.of) & set(inputs) else LEFT_OUT
+        left = cause.remaining * (handicap if cause.kind == "channel" else 1.0)
         tier = np.floor(np.log(max(left, best) / best) / np.log(ALIKE))
         return float(tier), ORDER.index(cause.kind), cause.remaining
 
@@ -272,7 +282,11 @@ def _rates(bench: Workbench, base: Trial, seed: int) -> list[Cause]:
     for rate in RATES:
         shifted = replace(spectrum, frequency_hz=spectrum.frequency_hz * rate)
         view = observation_model(bench.data.model, spectrum.channels, shifted.omega)
-        data = replace(bench.data, view=view, spectrum=shifted, states=None)
-        outcome = Workbench(data, bench.psi, bench.sign).searched([base], seed)[0]
+        seen = bench.data.states is not None
+        states = states_if_seen(view, shifted, bench.data.covariance) if seen else None
+        data = replace(bench.data, view=view, spectrum=shifted, states=states)
+        # What all coordinates show gives a start that drawn rigs hardly better.
+        draws = FEWER if seen else DRAWS
+        outcome = Workbench(data, bench.psi, bench.sign).searched([base], seed, draws)[0]
         relabelled.append(Cause("frequency", (), outcome.reduced, rate))
     return relabelled

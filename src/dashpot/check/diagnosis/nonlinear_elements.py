@@ -14,19 +14,22 @@ from itertools import combinations
 import numpy as np
 from scipy.special import fdtrc
 
-from dashpot.arrays import Real
-from dashpot.check.diagnosis.score_test import promises
+from dashpot.arrays import Complex, Real, hermitian
+from dashpot.check.diagnosis.score_test import Promise, promised, promises
 from dashpot.check.diagnosis.search import descended
 from dashpot.errors import DashpotError
 from dashpot.estimate.likelihood.chunks import Measured
-from dashpot.estimate.likelihood.objective import local, measured
+from dashpot.estimate.likelihood.nuisance import estimated_inputs
+from dashpot.estimate.likelihood.objective import local, measured, predict
+from dashpot.estimate.nonlinear.dwells import dwells_of
 from dashpot.estimate.preparation.prepared import Prepared
 from dashpot.model.elements import Element, Kind, between
 from dashpot.model.network import Model
+from dashpot.model.nonlinear.alternating import alternate
 from dashpot.model.nonlinear.force_law import Constant, force_law
-from dashpot.model.nonlinear.harmonic_balance import periodic_response
-from dashpot.model.nonlinear.harmonics import complex_of
-from dashpot.model.observation import ObservationModel
+from dashpot.model.nonlinear.harmonic_balance import periodic_response, samples_of
+from dashpot.model.nonlinear.harmonics import complex_of, real_of
+from dashpot.model.observation import ObservationModel, Transfer, calibrated_transfer
 
 # Kind, law and the share of the motion that its constant is, if it has one.
 LAWS: tuple[tuple[Kind, str, str, float], ...] = (
@@ -55,6 +58,7 @@ LIMIT = 15  # iterations of such a fit
 HINT = 0.4  # share of the misfit that a candidate must promise to be followed
 FALLEN = 0.1  # share by which the softened misfit must have fallen for a fit to go on
 SOFT = 0.05  # relative noise of the softened data
+ROUNDED = 1e-9  # of the largest harmonic of a force: what is smaller is none
 
 
 @dataclass(frozen=True)
@@ -120,6 +124,11 @@ def scored_in_dwells(
     data: of one repeat, settled dwells.  Softened, all amplitudes have a say: beside a small noise those near
     resonance, where a wrong rig fails most, would decide alone.  [] where none can be had.
     """
+    if not len(data.model.nonlinear):
+        try:
+            return _best_first(_scored_beside_linear(data, psi, sign, elements, softness))
+        except DashpotError:
+            return []
     scored = []
     for rough in (False, True):  # laws that are not smooth take many instants of each period
         alike = [e for e in elements if e.force_law is not None and e.force_law.smooth is not rough]
@@ -128,7 +137,77 @@ def scored_in_dwells(
                 scored += _scored(data, psi, sign, alike[first : first + TOGETHER], softness)
             except DashpotError:
                 continue
+    return _best_first(scored)
+
+
+def _best_first(scored: Sequence[ScoredElement]) -> list[ScoredElement]:
     return sorted(scored, key=lambda candidate: -candidate.fall)
+
+
+def _scored_beside_linear(
+    data: Prepared, psi: Real, sign: Real, elements: Sequence[Element], softness: float
+) -> list[ScoredElement]:
+    """As `_scored`, of a linear rig: its motion is that without the candidates, so that nothing is balanced.
+
+    The column of a candidate is what its forces under that motion do to the channels.
+    """
+    if not elements:
+        return []
+    exact = measured(replace(data, states=None), softness)
+    here, turned = psi[None], sign[None]
+    with np.errstate(all="ignore"):
+        at, base = predict(data.view, exact, here, turned), local(data.view, exact, here, turned)
+    added = _columns(data, psi, sign, elements, at.q)
+    weighted = exact.W @ added
+    if exact.q is None:
+        G = calibrated_transfer(data.view, here, turned).G
+        _, half = estimated_inputs(G, exact.W, exact.y)
+        weighted = weighted - half @ (hermitian(G) @ weighted)
+    each = hermitian(added)
+    cross = 2 * np.sum((each @ at.PJ).real, axis=1)[0]
+    within = 2 * np.sum((each @ weighted).real, axis=1)[0]
+    score = 2 * np.sum((each @ at.weighted[..., None]).real, axis=1)[0, :, 0]
+    names = [*data.view.names, *(element.name for element in elements)]
+    fixed = [False] * len(psi) + [True] * len(elements)
+    listed = promised(
+        names, fixed, np.block([[base.symmetric[0], cross.T], [cross, within]]),
+        np.concatenate([base.gradient[0], score]), float(base.cost[0]), APART,
+    )  # fmt: skip
+    return _as_scored(data, len(psi), elements, listed)
+
+
+def _columns(data: Prepared, psi: Real, sign: Real, elements: Sequence[Element], q: Complex) -> Complex:
+    """What the candidates do to the channels per unit of their parameters, (1, lines, channels, candidates).
+
+    q (1, lines, r + s): the inputs.
+    """
+    bent = replace(data.model, elements=(*data.model.elements, *elements))
+    straight = replace(
+        data.model, elements=(*data.model.elements, *(replace(e, force_law=None) for e in elements))
+    )
+    rig = calibrated_transfer(
+        data.of_rig(straight).view,
+        _with_elements(straight, {element.name: 0.0 for element in elements}, psi)[None], sign[None],
+    )  # fmt: skip
+    assert isinstance(rig, Transfer)
+    r, chosen = data.model.D.shape[1], bent.nonlinear
+    X = np.einsum("...nq,...q->...n", rig.X, q)[0]
+    lines = X @ bent.B[chosen].T + q[0, :, :r] @ bent.D[chosen].T
+    dwells = dwells_of(bent, data.spectrum)
+    harmonics = np.zeros((len(dwells.omega), dwells.orders + 1, len(chosen)), dtype=np.complex128)
+    harmonics[dwells.dwell, dwells.order] = lines
+    constants = np.tile(bent.inner_constants(np.zeros(len(bent.unknowns))), (len(dwells.omega), 1))
+    forces = alternate(
+        bent, constants, dwells.omega, real_of(np.moveaxis(harmonics, 1, -1)), samples_of(bent, dwells.orders),
+        slopes=False,
+    )  # fmt: skip
+    at_harmonics = np.moveaxis(complex_of(forces.a), -1, 1)
+    unit_forces = at_harmonics[dwells.dwell, dwells.order]
+    # The square of a sine has no fundamental but rounding.
+    rounding = ROUNDED * np.max(np.abs(at_harmonics), axis=1)[dwells.dwell]
+    unit_forces = np.where(np.abs(unit_forces) > rounding, unit_forces, 0.0)
+    columns: Complex = rig.E[..., chosen] * unit_forces[:, None, :]
+    return columns
 
 
 def _scored(
@@ -138,12 +217,16 @@ def _scored(
     larger = replace(data.of_rig(extended), states=None)
     exact = measured(larger, softness)
     start = _with_elements(extended, {element.name: 0.0 for element in elements}, psi)
-    dof = max(2 * int(np.sum(np.isfinite(data.spectrum.amplitudes))) - len(psi) - 1, 1)
+    names = {element.name for element in elements}
+    return _as_scored(data, len(psi), elements, promises(larger.view, exact, start, sign, names, APART))
+
+
+def _as_scored(
+    data: Prepared, unknowns: int, elements: Sequence[Element], listed: Sequence[Promise]
+) -> list[ScoredElement]:
+    dof = max(2 * int(np.sum(np.isfinite(data.spectrum.amplitudes))) - unknowns - 1, 1)
     by_name = {element.name: element for element in elements}
-    return [
-        ScoredElement(by_name[p.name], min(p.fall, p.chi2), p.chi2, dof, p.step)
-        for p in promises(larger.view, exact, start, sign, by_name.keys(), APART)
-    ]
+    return [ScoredElement(by_name[p.name], min(p.fall, p.chi2), p.chi2, dof, p.step) for p in listed]
 
 
 def _with_elements(model: Model, added: Mapping[str, float], psi: Real) -> Real:

@@ -6,7 +6,7 @@ Many suppositions are judged by one evaluation of the likelihood, each by itself
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
 
@@ -40,23 +40,31 @@ def promises(
     with np.errstate(all="ignore"):
         at = local(view, data, psi[None], sign[None])
     information, score = at.symmetric[0], at.gradient[0]
-    if not (np.all(np.isfinite(information)) and np.all(np.isfinite(score))):
-        return []
     names = (*view.names, *together)
     alike = [[float(name in members) for name in view.names] for members in together.values()]
     moves = np.concatenate([np.eye(len(psi)), np.reshape(alike, (-1, len(psi)))])
-    information, score = moves @ information @ moves.T, moves @ score
+    fixed = [name in added or name in together for name in names]
+    return promised(names, fixed, moves @ information @ moves.T, moves @ score, float(at.cost[0]), apart)
+
+
+def promised(
+    names: Sequence[str], fixed: Sequence[bool], information: Real, score: Real, chi2: float, apart: float
+) -> list[Promise]:
+    """What each of those that are `fixed` promises, by the information (N, N) and score (N,) of all `names`.
+
+    chi2 and apart as in `promises`.
+    """
+    if not (np.all(np.isfinite(information)) and np.all(np.isfinite(score))):
+        return []
     scale = np.sqrt(np.maximum(np.diag(information), 1e-300))
     information, score = information / np.outer(scale, scale), score / scale
-    fixed = [j for j, name in enumerate(names) if name in added or name in together]
-    free = [j for j in range(len(psi)) if j not in set(fixed)]
+    free = np.flatnonzero(~np.array(fixed))
     inverse = np.linalg.pinv(information[np.ix_(free, free)], rcond=1e-12)
     listed = []
-    for j in fixed:
+    for j in np.flatnonzero(fixed).tolist():
         cross = information[free, j]
         left = information[j, j] - cross @ inverse @ cross
         if left > apart**2:
             push = score[j] - cross @ inverse @ score[free]
-            step = float(push / left / scale[j])
-            listed.append(Promise(names[j], float(push**2 / left), float(at.cost[0]), step))
+            listed.append(Promise(names[j], float(push**2 / left), chi2, float(push / left / scale[j])))
     return listed

@@ -43,11 +43,11 @@ class Workbench:
         """What the channels show."""
         return self.data.view
 
-    def searched(self, trials: Sequence[Trial], seed: int = 0) -> list[Outcome]:
+    def searched(self, trials: Sequence[Trial], seed: int = 0, draws: int = DRAWS) -> list[Outcome]:
         """Each trial from the estimate, its own least squares and drawn rigs: thorough, for the few that need it."""
         arranged = [self._arranged(trial) for trial in trials]
         own = self._own(trials)
-        drawn, _ = candidates(self.data, DRAWS, np.random.default_rng(seed))
+        drawn, _ = candidates(self.data, draws, np.random.default_rng(seed))
         drawn = drawn[np.all(np.isfinite(drawn), axis=1)]
         with np.errstate(all="ignore"):
             G = transfer(self.view, self.data.model.parameters(drawn[:, : self.view.m])).G

@@ -8,7 +8,12 @@ import numpy as np
 import pytest
 
 from dashpot.check.diagnosis.diagnose import examined
-from dashpot.check.diagnosis.nonlinear_elements import called_for
+from dashpot.check.diagnosis.nonlinear_elements import (
+    called_for,
+    candidate_elements,
+    motions_of,
+    scored_in_dwells,
+)
 from dashpot.estimate.assessment import applied
 from dashpot.estimate.identify import identify
 from dashpot.estimate.preparation.prepared import prepare
@@ -49,12 +54,12 @@ def test_the_element_that_the_data_call_for_is_named_and_mends_the_fit(law, orde
 
 
 @pytest.mark.long
-def test_friction_in_fundamentals_alone_is_seen_between_the_right_points():
-    """Its law is not told from other damping that falls with speed, and a channel left out explains as much."""
+def test_friction_in_fundamentals_alone_is_named_first_between_the_right_points():
+    """Its law is not told from other damping that falls with speed; the input left out explains as much."""
     linear, _, spectrum, estimate = linear_fit("coulomb", (1,))
     assessment = examined(linear, spectrum, estimate).assessment
     assert assessment.verdict == "does not fit"
-    assert ("nonlinear", ("x2", "u")) in [(finding.kind, finding.of) for finding in assessment.findings[:3]]
+    assert (assessment.findings[0].kind, assessment.findings[0].of) == ("nonlinear", ("x2", "u"))
 
 
 @pytest.mark.long
@@ -65,3 +70,30 @@ def test_data_of_a_linear_rig_call_for_no_nonlinear_element():
     assert bool(estimate.converged)
     assert np.allclose(estimate.values, theta[:5], rtol=0.05)
     assert called_for(data, estimate.values, np.ones(3)) == []
+
+
+@pytest.mark.parametrize("softness", [0.0, 0.05])
+def test_scores_beside_a_linear_rig_are_those_of_the_harmonic_balance(softness):
+    """A nonlinear element of strength 0 changes nothing but the way in which the scores are found."""
+    linear, _, spectrum, estimate = linear_fit("cubic", (1, 3))
+    chosen = [
+        element
+        for element in candidate_elements(linear, motions_of(prepare(linear, spectrum), estimate.values))
+        if set(element.along) == {"x2", "u"}
+    ]
+    bent = replace(chosen[0], name="none", value=0.0)
+    beside_nonlinear = replace(linear, elements=(*linear.elements, bent))
+    quick, full = (
+        {
+            scored.element.name: scored
+            for scored in scored_in_dwells(
+                prepare(model, spectrum), estimate.values, np.ones(3), chosen[1:], softness
+            )
+        }
+        for model in (linear, beside_nonlinear)
+    )
+    assert len(quick) >= 5
+    for name, scored in quick.items():
+        assert scored.fall == pytest.approx(full[name].fall, rel=1e-6), name
+        assert scored.value == pytest.approx(full[name].value, rel=1e-6), name
+        assert (scored.chi2, scored.dof) == (pytest.approx(full[name].chi2, rel=1e-9), full[name].dof)
