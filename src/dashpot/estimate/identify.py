@@ -201,5 +201,5 @@ def _notices(model: Model, method: Method, spectrum: Spectrum, part: Inference, 
     notices += diagnostics.of_estimate(model, theta, part.uncertainty.covariance[0], noise, fit)
     if method.traits.maximum_likelihood:
         notices += diagnostics.prior_conflict(model, theta, noise)
-    notices += record_findings.of_records(model, theta, spectrum, few)
+    notices += record_findings.of_records(model, theta, noise, spectrum, few)
     return notices if bounds is None else notices + diagnostics.held(names, theta, bounds)

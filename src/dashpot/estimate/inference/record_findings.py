@@ -23,25 +23,33 @@ BIN = 12  # lines in which a response is nearly constant and a transient straigh
 BINS = 400  # looked at, at most
 SPARE = 4  # lines that a bin must have beyond its columns
 CHANCE = 0.01  # p-value above which no relation shows
+OPEN = 0.1  # of a value: a standard deviation, by the noise alone, from which on it is open
 FEW = 4  # equations for each term of the ends and each unknown, below which little is left for the rig
 
 
-def of_records(model: Model, theta: Real, spectrum: Spectrum, few: str | None) -> list[Notice]:
-    """What is to be said of an estimate that whole records have given (no batch axes); `few` as `few_lines` says."""
+def of_records(
+    model: Model, theta: Real, covariance: Real, spectrum: Spectrum, few: str | None
+) -> list[Notice]:
+    """What is to be said of an estimate that whole records have given (no batch axes); `few` as `few_lines` says.
+
+    theta (m,) or longer with its covariance by the noise alone.
+    """
     if not spectrum.records:
         return []
-    notices = short_records(model, theta, spectrum)
+    frequency = modes(model, model.parameters(theta[: len(model.unknowns)])).frequency_hz
+    notices = short_records(frequency, spectrum) + modes_outside(
+        model, theta, covariance, frequency, spectrum
+    )
     if few is not None:
         notices.append(Notice("few_lines", f"{few}, hardly more; widen the band or record for longer"))
     return notices + unrelated_inputs(model, spectrum)
 
 
-def short_records(model: Model, theta: Real, spectrum: Spectrum) -> list[Notice]:
-    """A warning where no whole record lasts for one period of the slowest mode found.  theta (m,) or longer."""
+def short_records(frequency: Real, spectrum: Spectrum) -> list[Notice]:
+    """A warning where no whole record lasts for one period of the slowest mode found, of those at `frequency`, Hz."""
     durations = [value.duration_s for value in spectrum.stretches if isinstance(value, WholeRecord)]
     if not durations or len(durations) < len(spectrum.stretches):
         return []
-    frequency = modes(model, model.parameters(theta[: len(model.unknowns)])).frequency_hz
     slowest = float(np.min(frequency[frequency > 0], initial=np.inf))
     if max(durations) * slowest >= 1:
         return []
@@ -50,6 +58,25 @@ def short_records(model: Model, theta: Real, spectrum: Spectrum) -> list[Notice]
         f"{1 / slowest:.4g} s: its transient can hardly be separated from its motion"
     )
     return [Notice("short_record", text)]
+
+
+def modes_outside(
+    model: Model, theta: Real, covariance: Real, frequency: Real, spectrum: Spectrum
+) -> list[Notice]:
+    """A warning where the band holds some modes of the rig only, and leaves unknowns open for that."""
+    low, high = float(np.min(spectrum.frequency_hz)), float(np.max(spectrum.frequency_hz))
+    moving = frequency[frequency > 0]
+    inside = int(np.sum((moving >= low) & (moving <= high)))
+    count = len(model.unknowns)
+    sd = np.sqrt(np.diagonal(covariance)[:count])
+    open_ones = [u.name for u, s, v in zip(model.unknowns, sd, theta, strict=False) if not s < OPEN * abs(v)]
+    if inside == len(moving) or not open_ones:
+        return []
+    text = (
+        f"the band from {low:.3g} to {high:.3g} Hz holds {inside} of the rig's {len(moving)} modes, which leaves "
+        f"{joined(open_ones)} open: widen the band to the others, or give values"
+    )
+    return [Notice("modes_outside", text, tuple(open_ones))]
 
 
 def few_lines(model: Model, spectrum: Spectrum) -> str | None:

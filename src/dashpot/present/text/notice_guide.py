@@ -188,6 +188,12 @@ NOTICES: tuple[tuple[str, str, str, str], ...] = (
         "Record for several periods of the slowest mode.",
     ),
     (
+        "modes_outside", _ESTIMATE,
+        ("The band of a whole record holds some modes of the rig only, and unknowns that the others would tell stay "
+        "open; the iteration may run off."),
+        "Widen `--band`, or give values to what it cannot show.",
+    ),
+    (
         "few_lines", _ESTIMATE,
         ("The lines of a whole record in the band hardly outnumber the terms that its two ends need: little "
         "information about the rig is left."),

@@ -9,7 +9,9 @@ from dashpot.data.conditioning.whole_record import whole_record
 from dashpot.data.stretch import WholeRecord
 from dashpot.errors import IdentifiabilityError
 from dashpot.estimate.identify import identify
-from dashpot.estimate.inference.record_findings import unrelated_inputs
+from dashpot.estimate.inference.record_findings import modes_outside, unrelated_inputs
+from dashpot.model.modes import modes
+from dashpot.notices import Notice
 from tests.whole_rigs import chain, record_of
 
 MODEL, THETA = chain(1, 0.04)
@@ -70,3 +72,29 @@ def test_narrow_bands_are_named() -> None:
     with pytest.raises(IdentifiabilityError, match="5 lines in the band carry 6 terms") as refused:
         codes(noisy, (middle - 2.2 / T, middle + 2.2 / T))
     assert "widen the band" in str(refused.value)
+
+
+def test_a_band_without_some_modes_is_named_where_that_leaves_unknowns_open() -> None:
+    model, theta = chain(3, 0.02)
+    record = record_of(model, theta, "random", decay_times=3).record
+    frequency = modes(model, model.parameters(theta)).frequency_hz
+    sd = np.array([0.2 if name == "k3" else 0.01 for name in model.unknown_names]) * theta
+
+    def named(band: tuple[float, float], covariance: np.ndarray) -> list[Notice]:
+        return modes_outside(model, theta, covariance, frequency, whole_record(record, band_hz=band))
+
+    (notice,) = named((2.0, 6.0), np.diag(sd**2))
+    assert "1 of the rig's 3 modes, which leaves k3 open" in notice.text
+    assert named((2.0, 30.0), np.diag(sd**2)) == []
+    assert named((2.0, 6.0), np.diag((0.01 * theta) ** 2)) == []
+
+
+@pytest.mark.parametrize(("periods", "named"), [(0.8, True), (1.5, False)])
+def test_a_record_shorter_than_a_period_is_named(periods: float, named: bool) -> None:
+    slowest = float(modes(MODEL, MODEL.parameters(THETA)).frequency_hz[0])
+    samples = int(periods / slowest / TEST.record.time[1])
+    record = TEST.noisy(np.random.default_rng(4), 1e-4 * TEST.size)
+    short = replace(record, time=record.time[:samples], values=record.values[:samples])
+    notices = [n for n in identify(MODEL, whole_record(short)).warnings if n.code == "short_record"]
+    assert len(notices) == named
+    assert not named or "shorter than one period of the slowest mode" in notices[0].text
