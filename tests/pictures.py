@@ -12,23 +12,12 @@ from PIL import Image
 
 from dashpot.app.cli import run
 from tests.browser import chromium, served
+from tests.two_masses import UNDETERMINED
 
 ROOT = Path(__file__).parents[1]
 IMAGES, SITE = ROOT / "docs" / "images", ROOT / "docs" / "_build" / "html"
 METHODS = ROOT / "examples" / "05_methods"
 PHONE = 390  # px; narrower than a window can be, so a frame in a page
-UNDETERMINED = """
-name = "A mass between two walls"
-coordinates = ["x"]
-inputs = { u = {} }
-channels = { x = { of = "x" }, u = { of = "u" } }
-[springs]
-k1 = { between = ["x", "ground"] }
-k2 = { between = ["x", "ground"] }
-k3 = { between = ["x", "u"] }
-[masses]
-m = { at = "x", value = 1.0 }
-"""
 
 
 def take(address: str, width: int, height: int, to: Path, scratch: Path) -> None:
@@ -55,7 +44,9 @@ def main() -> None:
             page = f"{address}/gallery/01_first_fit/index.html"
             take(page, 1400, 1000, IMAGES / "site_wide.png", scratch)
             take((scratch / "frame.html").as_uri(), PHONE, 844, IMAGES / "site_phone.png", scratch)
-        (scratch / "rig.toml").write_text(UNDETERMINED, encoding="utf-8")
+        (scratch / "rig.toml").write_text(
+            f'name = "A mass between two walls"\n{UNDETERMINED}', encoding="utf-8"
+        )
         with contextlib.chdir(METHODS):  # the report names its files as they were typed
             run(["identify", "rig.toml", "amplitudes.csv", "-q", "--report", str(scratch / "report.html")])
         run(["check", str(scratch / "rig.toml"), "--report", str(scratch / "undetermined.html")])

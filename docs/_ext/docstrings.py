@@ -53,7 +53,15 @@ def _convert(app: Sphinx, what: str, name: str, obj: object, options: Any, lines
     lines[:] = [line for paragraph in paragraphs if paragraph for line in _paragraph(paragraph)]
 
 
+def _plain_defaults(
+    app: Sphinx, what: str, name: str, obj: object, options: Any, signature: str | None, returns: str | None
+) -> tuple[str | None, str | None]:
+    """Defaults that are no expressions, such as <factory>, keep Sphinx from reading the signature: they become "…"."""
+    return None if signature is None else re.sub(r"<[^<>]*>", "...", signature), returns
+
+
 def setup(app: Sphinx) -> dict[str, bool]:
     """Called by Sphinx."""
     app.connect("autodoc-process-docstring", _convert)
+    app.connect("autodoc-process-signature", _plain_defaults)
     return {"parallel_read_safe": True, "parallel_write_safe": True}

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import hashlib
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,6 +20,7 @@ from dashpot.present.tables.layout import TableColumn
 from dashpot.present.text.glossary import EXPLANATIONS
 
 TEMPLATES = Path(__file__).parents[1] / "templates"
+_COMMAND = re.compile(r"\bdashpot [a-z]+ [^()]*?(?=\.(?:\s|$)| writes |$)")
 Verdict = Literal["good", "bad", "open"]
 
 
@@ -114,7 +116,8 @@ def page_html(page: Page) -> str:
     script = loader.get_source(environment, "figures.js")[0] if told else ""
     allowed = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode("ascii")
     return environment.get_template("report.html").render(
-        page=page, explanations=explanations, inline=_inline, rows=_rows, script=Markup(script), allowed=allowed
+        page=page, explanations=explanations, inline=_inline, rows=_rows, with_code=_with_code, allowed=allowed,
+        script=Markup(script),
     )  # fmt: skip
 
 
@@ -125,6 +128,12 @@ def _inline(picture: Picture) -> Markup:
     if text.startswith("<svg") and "role=" not in text[: text.index(">")]:
         text = text.replace("<svg ", f'<svg role="img" aria-label="{label}" ', 1)
     return Markup(text)
+
+
+def _with_code(text: str) -> Markup:
+    """The text with its commands set as code, in which no option is broken at its hyphens."""
+    marked = re.sub(r"(?<!\S)--[\w-]+", r'<span class="option">\g<0></span>', str(escape(text)))
+    return Markup(_COMMAND.sub(r"<code>\g<0></code>", marked))
 
 
 def _rows(columns: Sequence[TableColumn]) -> list[list[tuple[str, str]]]:

@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 
 from dashpot.app.cli import run
+from tests.two_masses import UNDETERMINED
 from tests.unit.present.pages.browser import CHROMIUM, probed
 
 ROOT = Path(__file__).parents[4]
@@ -21,17 +22,6 @@ pytestmark = [
 LEAST_CONTRAST = 4.5  # WCAG 2, level AA
 MISFIT = str(EXAMPLES["shake_table"] / "rig.toml"), str(EXAMPLES["shake_table"] / "amplitudes.csv")
 METHODS = str(EXAMPLES["methods"] / "rig.toml"), str(EXAMPLES["methods"] / "amplitudes.csv")
-UNDETERMINED = """
-coordinates = ["x"]
-inputs = { u = {} }
-channels = { x = { of = "x" }, u = { of = "u" } }
-[springs]
-k1 = { between = ["x", "ground"] }
-k2 = { between = ["x", "ground"] }
-k3 = { between = ["x", "u"] }
-[masses]
-m = { at = "x", value = 1.0 }
-"""
 REPORTS = {
     "misfit": (0, "identify", *MISFIT),
     "fits": (0, "identify", *METHODS, "--json", "estimate.json"),
@@ -42,7 +32,7 @@ REPORTS = {
     "undetermined": (3, "check", "undetermined.toml"),
     "design": (0, "design", METHODS[0], "--after", "estimate.json", "--samples", "2000"),
     "validate": (0, "validate", "estimate.json", METHODS[1], "--rig", METHODS[0]),
-    "reproduce": (0, "reproduce", "yamane1989", "--draws", "20", "--processes", "1"),
+    "reproduce": (0, "reproduce", "yamane1989", "--draws", "20", "--workers", "1"),
 }
 
 

@@ -14,6 +14,7 @@ import numpy as np
 from dashpot import Estimate, IdentifiabilityError, identify, parse_rig
 from dashpot.check.diagnosis.diagnose import examined
 from dashpot.check.residuals import residuals
+from dashpot.present.pages import page as pages
 from dashpot.present.pages.page import Provenance, SourceFile
 from dashpot.present.pages.report import _on_law, failure_report, identification_report
 from dashpot.present.tables.estimate import parameter_rows
@@ -101,7 +102,7 @@ def test_the_report_stands_alone(good: Estimate) -> None:
         "dashpot 9.9",
         "identify rig.toml",
         "/home/me",
-        "<b>--seed 7</b>",
+        '<b><span class="option">--seed</span> 7</b>',
         "0123abcd",
         "a&amp;b.csv",
     ):
@@ -174,3 +175,11 @@ def test_a_nonlinear_rig_is_said_to_be_one() -> None:
         )
     ]
     assert _on_law(RIG.model) == []
+
+
+def test_commands_in_steps_are_code_and_no_option_is_broken() -> None:
+    step = "Fall to 7.6 × <b>. dashpot identify --apply NEW.toml writes it. See dashpot check rig.toml."
+    page = pages.page_html(pages.Page("a", "b", "open", "c", steps=(step,)))
+    assert '<code>dashpot identify <span class="option">--apply</span> NEW.toml</code> writes' in page
+    assert "<code>dashpot check rig.toml</code>." in page
+    assert "&lt;b&gt;" in page
