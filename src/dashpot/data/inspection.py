@@ -12,6 +12,7 @@ import numpy as np
 from dashpot import units
 from dashpot.arrays import Real, freeze
 from dashpot.channel import Quantity
+from dashpot.data.clipping import samples_at_limit
 from dashpot.data.readers.columns import Columns, bare
 from dashpot.data.readers.datafile import open_file
 from dashpot.data.readers.registry import reader_of
@@ -208,23 +209,11 @@ def _column(name: str, unit: str | None, values: Real, rate: float | None) -> In
         float(np.min(good)),
         float(np.max(good)),
         len(values) - len(good),
-        _clipped(good),
+        samples_at_limit(good),
         float(np.min(steps)) if len(steps) else np.nan,
         bands,
         level,
     )
-
-
-def _clipped(values: Real) -> int:
-    """Samples at the greatest or least value, where three in a row are and they are 1 % of all."""
-    count = 0
-    if np.ptp(values) == 0:
-        return 0
-    for limit in (np.min(values), np.max(values)):
-        at = values == limit
-        if np.sum(at) >= max(3, 0.01 * len(values)) and np.any(at[2:] & at[1:-1] & at[:-2]):
-            count += int(np.sum(at))
-    return count
 
 
 def _content(values: Real, rate: float | None) -> tuple[Real, Real]:

@@ -16,6 +16,7 @@ import numpy as np
 
 from dashpot.arrays import Ints, Real
 from dashpot.channel import Channel
+from dashpot.data.clipping import samples_at_limit
 from dashpot.data.readers.columns import LARGEST, Columns, bare, whole_block
 from dashpot.data.readers.delimited.writing import write_rows
 from dashpot.data.readers.sampling import (
@@ -173,24 +174,16 @@ def _blocks(
 
 
 def _clipped(record: Record) -> list[Notice]:
-    """Channels that rest at their limit: three samples in a row and 1 % of all at exactly the greatest or least value,
-    eight times as many as at the value next to it."""
+    """Channels that rest at their limit."""
     notes: list[Notice] = []
-    for channel, x in zip(record.channels, record.values.T, strict=True):
-        greatest, least = np.max(x), np.min(x)
-        for limit, other in ((greatest, least), (least, greatest)):
-            at = x == limit
-            count = int(np.count_nonzero(at))
-            if count < max(3, 0.01 * len(x)) or other == limit or not np.any(at[2:] & at[1:-1] & at[:-2]):
-                continue
-            following = (np.max if limit == greatest else np.min)(x, where=~at, initial=other)
-            if count >= 8 * np.sum(x == following):
-                text = (
-                    f"{record.source}: {channel.name} rests at its limit in {count} of {len(x)} samples: "
-                    "if it is clipped, its amplitude is too small; widen the range or drive less"
-                )
-                notes.append(Notice("clipped", text, (channel.name,)))
-                break
+    for channel, values in zip(record.channels, record.values.T, strict=True):
+        count = samples_at_limit(values)
+        if count:
+            text = (
+                f"{record.source}: {channel.name} rests at its limit in {count} of {len(values)} samples: "
+                "if it is clipped, its amplitude is too small; widen the range or drive less"
+            )
+            notes.append(Notice("clipped", text, (channel.name,)))
     return notes
 
 
