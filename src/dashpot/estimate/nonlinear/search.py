@@ -55,11 +55,12 @@ def search_harmonics(likelihood: Likelihood) -> tuple[OptimizeResult, Measured, 
     ends = _ends(one, first, descend)
     best, warm = min(ends, key=lambda end: float(end[0].cost[0]))
     warnings = _rivals(view, first, best, [end for end, _ in ends], data.noise_known)
-    start = np.repeat(best.x, len(exact.y), axis=0)
     sign = np.repeat(signs, len(exact.y), axis=0)
     exact = _fresh(exact)
     _remember(exact, warm)
-    found = descend(exact, start, sign, None)
+    found = best
+    if len(exact.y) > 1 or not best.converged[0]:
+        found = descend(exact, np.repeat(best.x, len(exact.y), axis=0), sign, None)
     if _regained(view, exact, found.x):
         found = descend(exact, found.x, sign, None)
     while True:

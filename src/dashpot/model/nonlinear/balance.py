@@ -43,12 +43,12 @@ class Balance:
     def rest(self, q: Real, unit: Real) -> Complex:
         """p a − s δ, (N, H + 1, e)."""
         rest = complex_of(self.strength * unit)
-        return np.moveaxis(rest, -1, 1) - self.linear.share * np.moveaxis(complex_of(q), -1, 1)
+        return rest.swapaxes(1, 2) - self.linear.share * complex_of(q).swapaxes(1, 2)
 
     def residual(self, q: Real, unit: Real) -> Real:
         """What is left over at elongations q with the harmonics `unit` of the unit forces, (N, e, W)."""
         pulled = (self.linear.receptance @ self.rest(q, unit)[..., None])[..., 0]
-        r: Real = q - self.free + real_of(np.moveaxis(pulled, 1, -1))
+        r: Real = q - self.free + real_of(pulled.swapaxes(1, 2))
         return r
 
     def matrix(self, slope: Real) -> Real:

@@ -108,9 +108,9 @@ def share_blocks(share: Complex) -> Real:
 
 def rows_of(X: Complex) -> Real:
     """(N, H + 1, e, Q) complex as (N, e, W, Q) real."""
-    return np.moveaxis(real_of(np.moveaxis(X, 1, -1)), -1, -2)
+    return real_of(X.transpose(0, 2, 3, 1)).swapaxes(-1, -2)
 
 
 def complex_rows(q: Real) -> Complex:
     """(N, e, W, Q) real as (N, H + 1, e, Q) complex."""
-    return np.moveaxis(complex_of(np.moveaxis(q, -2, -1)), -1, 1)
+    return complex_of(q.swapaxes(-1, -2)).transpose(0, 3, 1, 2)

@@ -14,7 +14,7 @@ from dashpot.model.nonlinear.integration import Integrator, Motion, PointForces
 
 CLOSED = 1e-10  # jumps between segments over the size of the motion
 NEARLY = 1e-5  # jumps that one more step of Newton's method closes
-SWEEPS = 30
+PATIENCE = 6  # passes in which the jumps do not fall to half
 SHORTEST, LONGEST, SHARE = 4, 32, 1 / 16  # samples of a segment, a share of the root of those of the record
 
 
@@ -31,21 +31,24 @@ def segments_of(intervals: int, length: int) -> Ints:
 def integrate(
     machine: Integrator, start: Real, near: Motion | None = None, *, slopes: bool = False
 ) -> Motion:
-    """The motion from `start` (states,); `near` is one of the same record, from which it is found sooner."""
+    """The motion from `start` (states,); `near` is one of the same record, from which it is found sooner.
+
+    Where it is too far from `near` it does not close; without one it is then followed from sample to sample.
+    """
     length = segment_length(machine.drive.intervals)
     first = segments_of(machine.drive.intervals, length)
     at = np.concatenate([start, machine.theta, machine.offset])
     begun, forces = np.zeros((len(first), machine.states)), {}
     if near is not None:
         begun, forces = near.starts.copy(), near.forces.copy()
-        if near.along is not None:
+        if near.along is not None and np.all(np.isfinite(near.along)):
             begun += near.along @ (at - near.at)
     begun[0] = start
     chain = _Chain(machine, begun, length, forces)
     try:
         with np.errstate(all="ignore"):
             closed = chain.close(slopes)
-            if not closed:
+            if near is None and not closed:
                 chain.begun, chain.forces = _marched(machine, start, length), {}
                 closed = chain.close(slopes)
             slope = chain.slopes() if closed and slopes else None
@@ -73,7 +76,8 @@ class _Chain:
         With `slopes`, the last pass has them of all samples.
         """
         best = last = np.inf
-        for _ in range(SWEEPS):
+        idle = 0
+        while idle < PATIENCE:
             self.run(slopes and last <= NEARLY)
             jumps = self.states[-1][:-1] - self.begun[1:]
             size = np.max(np.abs(self.begun), axis=0) + 1e-300
@@ -85,6 +89,7 @@ class _Chain:
             if not np.isfinite(gap) or gap > 1e3 * max(best, 1.0):
                 break
             factor = 1.0 if gap < best * 2 else 0.5
+            idle = 0 if gap < best / 2 else idle + 1
             best, last = min(best, gap), gap
             ends = self.along[-1] if self.whole else self.along
             change = np.zeros(self.machine.states)
