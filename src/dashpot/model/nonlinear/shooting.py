@@ -122,9 +122,7 @@ class _Chain:
         return _in_order(self.states, self.machine.drive.intervals, self.length)
 
     def slopes(self) -> Real:
-        """Slopes of all samples with respect to the record's start, unknowns and offsets."""
-        if not self.whole:  # the jumps did not close
-            self.run(True)
+        """Slopes of all samples with respect to the record's start, unknowns and offsets, once the jumps are closed."""
         return _chained(self.along, self.machine, self.length)
 
 
