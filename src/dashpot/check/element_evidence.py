@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from itertools import combinations
 from typing import Any
 
 import numpy as np
@@ -42,7 +43,8 @@ from dashpot.model.nonlinear.force_law import force_law
 from dashpot.model.rigfile import element_line
 
 FOLLOWED = 4  # single candidates that are fitted in full
-TOGETHER = 3  # elements that are added to one rig at most
+TOGETHER = (2, 1)  # sets of two and of three elements that are
+PROMISING = 20  # single candidates of which sets are made
 DECISIVE = 5.0  # ln E above which an element is worth its unknowns
 
 
@@ -133,16 +135,19 @@ def compare_in_records(
     estimate = fitted.estimate()
     numbers = _independent(fitted, estimate)
     candidates = _candidates(base, fitted)
-    order = _forward(fitted, candidates)
-    if not order:
+    scored = _scored(fitted, candidates)
+    if scored is None or not candidates:
         raise UsageError(
             "no nonlinear element can be tried on these records", cure="measure more coordinates"
         )
-    trials: list[tuple[int, ...]] = [(index,) for index in order[:FOLLOWED]]
-    trials += [tuple(order[:count]) for count in range(2, min(TOGETHER, len(order)) + 1)]
+    trials = scored.trials()
     fits = []
     for done, chosen in enumerate(trials):
-        evidence = _evidence(base, estimate, fitted, [candidates[i] for i in chosen], records, numbers)
+        tried = [
+            replace(candidates[i], guess=value)
+            for i, value in zip(chosen, scored.values(chosen).tolist(), strict=True)
+        ]
+        evidence = _evidence(base, estimate, fitted, tried, records, numbers)
         if evidence is not None:
             fits.append(evidence)
         if progress is not None:
@@ -189,62 +194,80 @@ def _candidates(model: Model, fitted: FittedRecords) -> list[Element]:
     return [e for e in every if x is not None or (e.force_law is not None and not e.force_law.constants)]
 
 
-def _forward(fitted: FittedRecords, candidates: Sequence[Element]) -> list[int]:
-    """Candidates in the order in which they lower the squared residuals most, each beside those before it."""
+@dataclass(frozen=True)
+class _Scored:
+    """Normal equations of a rig with all candidates, at the fit of the rig as it is; scaled.
+
+    matrix (M, M), right (M,), scale (M,); kept: columns of the rig as it is, added: those of the candidates.
+    """
+
+    matrix: Real
+    right: Real
+    scale: Real
+    kept: tuple[int, ...]
+    added: tuple[int, ...]
+
+    def trials(self) -> list[tuple[int, ...]]:
+        """Candidates, and sets of some, that lower the squared residuals most."""
+        single: list[tuple[int, ...]] = [(i,) for i in range(len(self.added))]
+        single.sort(key=self.fall, reverse=True)
+        trials = single[:FOLLOWED]
+        promising = sorted(i for (i,) in single[:PROMISING])
+        for size, count in enumerate(TOGETHER, 2):
+            trials += sorted(combinations(promising, size), key=self.fall, reverse=True)[:count]
+        return trials
+
+    def fall(self, chosen: tuple[int, ...]) -> float:
+        """By how much the squared residuals fall with these candidates more, in a linear rig."""
+        columns = self._columns(chosen)
+        return float(self._solution(chosen) @ self.right[columns])
+
+    def values(self, chosen: tuple[int, ...]) -> Real:
+        """Parameters that the candidates would have, (count,)."""
+        own: Real = (self._solution(chosen) / self.scale[self._columns(chosen)])[len(self.kept) :]
+        return own
+
+    def _columns(self, chosen: tuple[int, ...]) -> list[int]:
+        return [*self.kept, *(self.added[i] for i in chosen)]
+
+    def _solution(self, chosen: tuple[int, ...]) -> Real:
+        columns = self._columns(chosen)
+        solution: Real = (
+            np.linalg.pinv(self.matrix[np.ix_(columns, columns)], rcond=1e-12) @ self.right[columns]
+        )
+        return solution
+
+
+def _scored(fitted: FittedRecords, candidates: Sequence[Element]) -> _Scored | None:
+    """What the slopes along the candidates say, None where no motion follows."""
     problem, psi = fitted.problem, fitted.psi
     base, m = problem.model, len(problem.model.unknowns)
-    extended = replace(base, elements=(*base.elements, *(_free(e) for e in candidates)))
+    extended = replace(base, elements=(*base.elements, *(replace(e, guess=0.0) for e in candidates)))
     larger = replace(problem, model=extended, last=problem.begun())
     before = dict(zip((u.name for u in base.unknowns), psi[:m].tolist(), strict=True))
-    theta = [before.get(u.name, 0.0) for u in extended.unknowns]
-    at = np.concatenate([theta, psi[m:]])
-    added = [[u.name for u in extended.unknowns].index(e.name) for e in candidates]
+    names = [u.name for u in extended.unknowns]
+    at = np.concatenate([[before.get(name, 0.0) for name in names], psi[m:]])
+    added = tuple(names.index(e.name) for e in candidates)
     gram, right = np.zeros((len(at), len(at))), np.zeros(len(at))
     for residual, J in larger.residuals(at):
         if J is None:
-            return []
+            return None
         flat = J.reshape(-1, len(at))
         gram += flat.T @ flat
         right += flat.T @ residual.ravel()
     scale = np.sqrt(np.maximum(np.diag(gram), 1e-300))
-    return _greedy(gram / np.outer(scale, scale), right / scale, added)
-
-
-def _free(element: Element) -> Element:
-    """The candidate with its parameter unknown and its constants as they are."""
-    return replace(element, guess=0.0)
-
-
-def _greedy(gram: Real, right: Real, added: Sequence[int]) -> list[int]:
-    """Indices into `added` by forward selection."""
-    kept = [j for j in range(len(right)) if j not in set(added)]
-    order: list[int] = []
-    while len(order) < min(len(added), FOLLOWED):
-        half = np.linalg.pinv(gram[np.ix_(kept, kept)], rcond=1e-12)
-        falls = np.full(len(added), -1.0)
-        for i, j in enumerate(added):
-            if i in order:
-                continue
-            cross = gram[kept, j]
-            left = gram[j, j] - cross @ half @ cross
-            if left > 1e-8:
-                falls[i] = (right[j] - cross @ half @ right[kept]) ** 2 / left
-        best = int(np.argmax(falls))
-        if falls[best] <= 0:
-            break
-        order.append(best)
-        kept.append(added[best])
-    return order
+    kept = tuple(j for j in range(len(at)) if j not in added)
+    return _Scored(gram / np.outer(scale, scale), right / scale, scale, kept, added)
 
 
 def _evidence(
     base: Model, estimate: Estimate, fitted: FittedRecords, chosen: Sequence[Element], records: Sequence[Record],
     numbers: float,
 ) -> ElementEvidence | None:  # fmt: skip
-    """The rig with the candidates fitted in full; None where that fails."""
+    """The rig with the candidates fitted in full, from their guesses; None where that fails."""
     model, names = base, []
     for element in chosen:
-        named = replace(with_open_constants(element), name=free_name(model, element), guess=0.0)
+        named = replace(with_open_constants(element), name=free_name(model, element))
         names.append(named.name)
         model = replace(model, elements=(*model.elements, named))
     try:
@@ -252,6 +275,8 @@ def _evidence(
     except DashpotError:
         return None
     share = found.problem.sd / fitted.problem.sd
+    if float(np.mean(np.log(share))) > 0:  # a larger rig fits no worse: its search has gone astray
+        return None
     unknowns = [u.name for u in found.problem.model.unknowns]
     added = len(unknowns) - len(base.unknowns)
     weight = numbers / len(share)
