@@ -7,9 +7,12 @@ import re
 import subprocess
 import sys
 from pathlib import Path
+from types import ModuleType
 
+import click
 import pytest
 
+from dashpot.app import cli
 from tests.unit.app.conftest import RIG, Command
 
 CONTROL = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f]")
@@ -78,3 +81,13 @@ def test_python_without_docstrings_and_asserts(data: Path, tmp_path: Path) -> No
     done = subprocess.run(words, capture_output=True, text=True, cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     assert "converged" in done.stdout
+
+
+def test_a_new_command_is_a_module_and_a_line(dashpot: Command, monkeypatch: pytest.MonkeyPatch) -> None:
+    module = ModuleType("dashpot.app.commands.greet")
+    module.command = click.Command("greet", callback=lambda: click.echo("hello"))  # type: ignore[attr-defined]
+    monkeypatch.setitem(sys.modules, module.__name__, module)
+    monkeypatch.setattr(cli, "COMMANDS", {**cli.COMMANDS, "greet": "Say hello."})
+    assert dashpot("greet").out == "hello\n"
+    assert "Say hello." in dashpot("--help").out
+    assert "did you mean greet?" in dashpot("gret").err[0]

@@ -23,7 +23,7 @@ from dashpot.check.diagnosis.trials import (
     without,
 )
 from dashpot.estimate.preparation.state_reconstruction import states_if_seen
-from dashpot.model.elements import Element, Kind
+from dashpot.model.elements import Element
 from dashpot.model.network import Model
 from dashpot.model.observation import measures_input, observation_model
 
@@ -129,7 +129,7 @@ def _nonlinear(bench: Workbench, as_is: Outcome) -> list[Cause]:
 
 
 def _dampers(model: Model) -> Ints:
-    lossy = {element.name for element in model.elements if element.kind in (Kind.DAMPER, Kind.HYSTERETIC)}
+    lossy = {element.name for element in model.elements if element.law.dissipative}
     return np.flatnonzero([unknown.name in lossy for unknown in model.unknowns])
 
 

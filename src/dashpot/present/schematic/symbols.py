@@ -65,20 +65,21 @@ def inerter(length: float) -> Symbol:
     ]
 
 
+def box(length: float) -> Symbol:
+    """A box: an element of a kind that has no symbol of its own."""
+    left, right = 0.26 * length, 0.74 * length
+    return [_line((0, 0), (left, 0)), _line((right, 0), (length, 0)), _box(left, right)]
+
+
 def hysteretic(length: float) -> Symbol:
     """A box with a hysteresis loop."""
-    left, right, middle = 0.26 * length, 0.74 * length, length / 2
+    middle = length / 2
     loop = []
     for k in range(24):
         angle = 2 * math.pi * k / 24
         x, y = 9.5 * math.cos(angle), 2.6 * math.sin(angle)
         loop.append((middle + 0.87 * x + 0.5 * y, -0.5 * x + 0.87 * y))
-    return [
-        _line((0, 0), (left, 0)),
-        _line((right, 0), (length, 0)),
-        _box(left, right),
-        Stroke(tuple(loop), closed=True),
-    ]
+    return [*box(length), Stroke(tuple(loop), closed=True)]
 
 
 def slider(length: float) -> Symbol:
@@ -185,7 +186,7 @@ _NAMED: Mapping[str, Callable[[float], Symbol]] = {
 
 def symbol_of(element: Element, length: float) -> Symbol:
     """The strokes of an element: its own symbol where its law has one, else that of its kind with an arrow."""
-    linear = _LINEAR[element.kind](length)
+    linear = _LINEAR.get(element.kind, box)(length)
     if element.force_law is None:
         return linear
     named = _NAMED.get(element.force_law.text.strip().lower())

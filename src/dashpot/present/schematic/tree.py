@@ -9,7 +9,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
-from dashpot.model.elements import Kind
 from dashpot.model.network import Model
 from dashpot.present.schematic.connections import GROUND, Body, Connections, Link
 
@@ -108,7 +107,7 @@ class _Planner:
     def _held(self, body: int) -> bool:
         """Whether a spring joins it to the ground."""
         return any(
-            link.kind == "element" and self.model.elements[link.item].kind in (Kind.SPRING, Kind.HYSTERETIC)
+            link.kind == "element" and self.model.elements[link.item].law.power == 0
             for link in self._to_ground(body)
         )
 
