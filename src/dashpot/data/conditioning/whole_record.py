@@ -37,6 +37,8 @@ FLOOR = "floor"  # kind of noise: white, as the top of the spectrum shows it, un
 LOWEST = 10  # line up to which a linear drift is felt
 MANY = 200  # lines from which on a column for it costs nothing to speak of
 TOP = (0.6, 0.98)  # of half the sampling rate: where that floor is read
+MANY_LINES = 300_000  # from which on a narrower band is worth stating
+BYTES = 650  # of memory that an identification takes for each line of a channel
 FAR_BELOW = 0.1  # of the mean power of the lines: a floor is noise, not motion
 
 
@@ -191,6 +193,13 @@ def whole_records(
         f"{low:.4g} to {high:.4g} Hz, transients at both ends estimated with the rest"
     )
     notes.append(Notice("whole_records", text))
+    if band_hz is None and joined.lines > MANY_LINES:
+        gib = joined.lines * len(joined.channels) * BYTES / 2**30
+        text = (
+            f"{joined.lines} lines, for something stands out of the noise up to {high:.4g} Hz, take some {gib:.2g} GiB "
+            "to identify: a band that ends above the rig's highest mode tells the same for less"
+        )
+        notes.append(Notice("many_lines", text))
     return replace(joined, notes=(*joined.notes, *notes))
 
 

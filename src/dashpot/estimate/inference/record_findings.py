@@ -130,18 +130,17 @@ def _p_values(X: Complex, inputs: Bools) -> list[Real]:
     if not np.all(np.isfinite(X)):
         return []
     starts = np.arange(0, len(X) - each + 1, each)
-    values = []
-    for start in _most_driven(X[:, inputs], starts).tolist():
-        part = X[start : start + each]
-        run = np.linspace(-1, 1, each)[:, None]
-        transient = np.concatenate([np.ones((each, 1)), run], axis=1)
-        driven = np.concatenate([transient, part[:, inputs]], axis=1)
-        without, left = _left(transient, part[:, ~inputs]), _left(driven, part[:, ~inputs])
-        more, free = columns - 2, each - columns
-        with np.errstate(divide="ignore", invalid="ignore"):
-            F = np.where(left > 0, (without - left) / more / (left / free), np.inf)
-        values.append(fdtrc(2 * more, 2 * free, F))
-    return values
+    if not len(starts):
+        return []
+    part = X[_most_driven(X[:, inputs], starts)[:, None] + np.arange(each)]
+    run = np.linspace(-1, 1, each)[:, None]
+    transient = np.broadcast_to(np.concatenate([np.ones((each, 1)), run], axis=1), (len(part), each, 2))
+    driven = np.concatenate([transient, part[..., inputs]], axis=-1)
+    without, left = _left(transient, part[..., ~inputs]), _left(driven, part[..., ~inputs])
+    more, free = columns - 2, each - columns
+    with np.errstate(divide="ignore", invalid="ignore"):
+        F = np.where(left > 0, (without - left) / more / (left / free), np.inf)
+    return list(fdtrc(2 * more, 2 * free, F))
 
 
 def _most_driven(inputs: Complex, starts: Ints) -> Ints:
@@ -157,7 +156,10 @@ def _most_driven(inputs: Complex, starts: Ints) -> Ints:
 
 
 def _left(columns: Complex, Y: Complex) -> Real:
-    """Sums of squares of what columns leave of Y, (outputs,)."""
-    scaled = columns / np.maximum(np.linalg.norm(columns, axis=0), np.finfo(float).tiny)
-    left: Real = np.sum(np.abs(Y - scaled @ np.linalg.lstsq(scaled, Y, rcond=None)[0]) ** 2, axis=0)
+    """Sums of squares of what columns (bins, lines, columns) leave of Y (bins, lines, outputs), (bins, outputs)."""
+    size = np.linalg.norm(columns, axis=-2, keepdims=True)
+    scaled = columns / np.maximum(size, np.finfo(float).tiny)
+    rounding = scaled.shape[-2] * np.finfo(float).eps
+    shown = scaled @ (np.linalg.pinv(scaled, rcond=rounding) @ Y)
+    left: Real = np.sum(np.abs(Y - shown) ** 2, axis=-2)
     return left

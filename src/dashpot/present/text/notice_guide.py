@@ -283,6 +283,12 @@ NOTICES: tuple[tuple[str, str, str, str], ...] = (
         "Nothing; `--band` changes the band.",
     ),
     (
+        "many_lines", _RECORDS,
+        ("Something stands out of the noise of a long record up to high frequencies, and all its lines are used: the "
+        "memory that this takes grows with them."),
+        "Give a `--band` that ends above the rig's highest mode: lines far above it tell nothing.",
+    ),
+    (
         "gaps", _RECORDS,
         "Samples are missing, or the clock slips by part of a step; the pieces are used as separate records.",
         "Nothing, if the gaps are real; else export the file again.",

@@ -147,3 +147,10 @@ def test_refusals() -> None:
     time = np.sort(rng.uniform(0, 20, 2000))
     with pytest.raises(DataError, match="the samples are not evenly spaced"):
         whole_record(Record((A, B), time, values))
+
+
+def test_a_band_of_very_many_lines_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("dashpot.data.conditioning.whole_record.MANY_LINES", 100)
+    long = record(resonant(4000, np.random.default_rng(1)))
+    assert "many_lines" in [note.code for note in whole_records([long]).notes]
+    assert "many_lines" not in [note.code for note in whole_records([long], band_hz=(0.5, 10)).notes]
