@@ -18,6 +18,8 @@ HEADER = 128
 MATRIX, COMPRESSED, INT32 = 14, 15, 5
 KINDS = {*range(1, 8), 9, *range(12, 19)}  # of data elements
 CELL, STRUCTURE, OBJECT, SPARSE, OPAQUE = 1, 2, 3, 5, 17
+NUMERIC = range(6, 16)  # classes of arrays, from double to uint64
+COMPLEX = 0x0800
 MOST_COMPRESSED = 1100  # times, by deflate
 DEEPEST = 20
 HEAD = 1 << 16  # bytes of a compressed element that are looked at
@@ -76,15 +78,19 @@ def _check_compressed(data: bytes | mmap.mmap, element: Tag, order: str, source:
     packed = data[element.start : min(element.end, element.start + HEAD)]
     try:
         head = zlib.decompressobj().decompress(packed, HEAD)
-    except zlib.error:
-        raise DataError("the MATLAB file is damaged", source, "copy it again") from None
-    if len(head) < 8:
-        raise _lie(source)
-    kind, size = struct.unpack_from(f"{order}II", head, 0)
-    if kind == MATRIX:
+        if len(head) < 8:
+            raise _lie(source)
+        kind, size = struct.unpack_from(f"{order}II", head, 0)
+        if kind != MATRIX:
+            return
         if size > MOST_COMPRESSED * element.size:
             raise _lie(source)
-        _check_matrix(head, 8, 8 + size, order, source, 0)
+        kind_of_array = struct.unpack_from(f"{order}I", head, 16)[0] & 0xFF if len(head) == HEAD else 0
+        if kind_of_array in (CELL, STRUCTURE, OBJECT):  # arrays inside are looked at as well
+            head = zlib.decompressobj().decompress(data[element.start : element.end], 8 + size)
+    except zlib.error:
+        raise DataError("the MATLAB file is damaged", source, "copy it again") from None
+    _check_matrix(head, 8, 8 + size, order, source, 0)
 
 
 def _check_matrix(data: bytes | mmap.mmap, start: int, end: int, order: str, source: str, depth: int) -> None:
@@ -92,14 +98,15 @@ def _check_matrix(data: bytes | mmap.mmap, start: int, end: int, order: str, sou
     if start == end:
         return
     position, number = start, 0
-    kind_of_array, elements = 0, 0
+    flags, kind_of_array, elements = 0, 0, 0
     while position + 8 <= min(end, len(data)):
         tag = Tag.at(data, position, order)
         size, content = tag.size, tag.start
         if tag.end > end or tag.kind not in KINDS:  # SciPy looks kinds up without asking whether they exist
             raise _lie(source)
         if number == 0 and size >= 4 and content < len(data):
-            kind_of_array = struct.unpack_from(f"{order}I", data, content)[0] & 0xFF
+            flags = struct.unpack_from(f"{order}I", data, content)[0]
+            kind_of_array = flags & 0xFF
             if kind_of_array == OPAQUE:
                 return
         elif number == 1 and tag.kind == INT32 and content + size <= len(data):
@@ -109,6 +116,9 @@ def _check_matrix(data: bytes | mmap.mmap, start: int, end: int, order: str, sou
         elif tag.kind == MATRIX and depth < DEEPEST:
             _check_matrix(data, content, content + size, order, source, depth + 1)
         position, number = tag.following, number + 1
+    parts = 4 if kind_of_array in NUMERIC else 6 if kind_of_array == SPARSE else None
+    if parts is not None and end <= len(data) and number != parts + bool(flags & COMPLEX):
+        raise _lie(source)  # SciPy reads on where it should find an imaginary part
 
 
 def _lie(source: str) -> DataError:

@@ -15,11 +15,9 @@ import numpy as np
 
 from dashpot.data.readers.array_columns import LONG, PIECE, Streamed
 from dashpot.data.readers.datafile import DataFile
-from dashpot.data.readers.matlab_layout import COMPRESSED, HEAD, MATRIX, Tag, elements_of
+from dashpot.data.readers.matlab_layout import COMPLEX, COMPRESSED, HEAD, MATRIX, NUMERIC, Tag, elements_of
 from dashpot.errors import DataError
 
-NUMERIC = range(6, 16)  # classes of arrays, from double to uint64
-COMPLEX = 0x0800
 TYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 9: "f8", 12: "i8", 13: "u8"}
 READ = 1 << 20  # bytes
 
