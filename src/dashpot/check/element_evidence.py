@@ -224,8 +224,8 @@ class _Scored:
 
     def values(self, chosen: tuple[int, ...]) -> Real:
         """Parameters that the candidates would have, (count,)."""
-        own: Real = (self._solution(chosen) / self.scale[self._columns(chosen)])[len(self.kept) :]
-        return own
+        all_values: Real = self._solution(chosen) / self.scale[self._columns(chosen)]
+        return all_values[len(self.kept) :]
 
     def _columns(self, chosen: tuple[int, ...]) -> list[int]:
         return [*self.kept, *(self.added[i] for i in chosen)]

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from dashpot.check.element_evidence import compare_in_records
+from dashpot.check.element_evidence import _Scored, compare_in_records
 from dashpot.data.record import Record
 from dashpot.estimate.nonlinear.whole_record import identify_records
 from dashpot.model.elements import Kind, between, mass
@@ -54,3 +54,21 @@ def test_the_law_that_made_the_record_has_the_most_evidence_and_one_that_is_ther
     assert identify_records(whole, [data]).converged
     again = compare_in_records(whole, [data])
     assert again.chosen is None or again.chosen.evidence < 0.02 * found.chosen.evidence
+
+
+def test_sets_of_candidates_are_tried_by_what_they_explain_together():
+    """Two of six candidates carry the signal but nearly cancel, so that others explain more alone."""
+    rng = np.random.default_rng(2)
+    J = rng.standard_normal((400, 8))  # two unknowns of the rig, six candidates
+    J[:, 3] = -J[:, 2] + 0.1 * J[:, 3]
+    residual = 5 * (J[:, 2] + J[:, 3]) + 0.2 * J[:, 5] + 0.01 * rng.standard_normal(400)
+    gram, right = J.T @ J, J.T @ residual
+    scale = np.sqrt(np.diag(gram))
+    scored = _Scored(gram / np.outer(scale, scale), right / scale, scale, (0, 1), (2, 3, 4, 5, 6, 7))
+    trials = scored.trials()
+    assert len(set(trials)) == len(trials)
+    assert max(trials, key=scored.fall) == (0, 1, 3)
+    assert (0, 1) in trials
+    left = residual - J[:, [0, 1, 2, 3]] @ np.linalg.lstsq(J[:, [0, 1, 2, 3]], residual, rcond=None)[0]
+    assert scored.fall((0, 1)) == pytest.approx(residual @ residual - left @ left, rel=1e-9)
+    assert np.allclose(scored.values((0, 1, 3)), [5, 5, 0.2], atol=0.1)

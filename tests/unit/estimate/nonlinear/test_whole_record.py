@@ -11,7 +11,8 @@ from dashpot.channel import Channel, Quantity
 from dashpot.data.record import Record
 from dashpot.errors import ConvergenceError, DataError
 from dashpot.estimate.nonlinear.record_prediction import predict_record
-from dashpot.estimate.nonlinear.whole_record import identify_records
+from dashpot.estimate.nonlinear.record_problem import enough_substeps
+from dashpot.estimate.nonlinear.whole_record import fit_records, identify_records
 from dashpot.model.nonlinear.integration import Integrator
 from dashpot.model.nonlinear.propagation import forcing
 from dashpot.model.nonlinear.shooting import integrate
@@ -66,6 +67,16 @@ def test_intervals_hold_and_unused_records_are_predicted_to_the_noise():
     prediction = predict_record(model, estimate, fresh)
     assert prediction.names == ("x1", "x2")
     assert np.all(prediction.relative < 0.03)
+
+
+@pytest.mark.long
+def test_steps_are_halved_where_kinks_of_a_law_would_move_the_estimate():
+    model, theta, data = record("gap", ALL, noise=1e-4, samples=400)
+    fitted = fit_records(with_guesses(model, theta, 1.01), [data])
+    coarse = enough_substeps(model, theta, STEP)
+    assert fitted.problem.substeps[0] > coarse
+    estimate = fitted.estimate()
+    assert np.all(np.abs(estimate.values - theta) < 4 * estimate.sd)
 
 
 def test_acceleration_of_one_point_is_enough_with_guesses():

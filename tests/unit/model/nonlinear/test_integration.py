@@ -147,6 +147,20 @@ def test_forces_that_a_step_cannot_follow_leave_the_motion_open(samples, monkeyp
     assert not integrate(machine, np.zeros(4)).closed
 
 
+@pytest.mark.parametrize("law", ["cubic", "coulomb", "bouc-wen"])
+def test_a_motion_nearby_leads_to_the_same_motion(law):
+    model, theta = two_masses(law)
+    _, u = sweep(81)
+    near = integrate(
+        Integrator(model, theta, forcing(STEP, u), 2), np.zeros(4 + (law == "bouc-wen")), slopes=True
+    )
+    machine = Integrator(model, 1.02 * theta, forcing(STEP, u), 2)
+    start = np.full(machine.states, 1e-5)
+    alone, led = integrate(machine, start), integrate(machine, start, near)
+    assert led.closed
+    assert np.max(np.abs(led.state - alone.state) / np.max(np.abs(alone.state), axis=0)) < 1e-8
+
+
 def test_a_rig_without_mass_is_refused():
     from dashpot.errors import ModelError
 
