@@ -56,7 +56,7 @@ def test_exact_records_give_all_parameters_back_without_guesses(law):
     model, theta, data = record(law, ALL, start=np.array([1e-3, 0.0, 0.0, 0.02]))
     estimate = identify_records(model, [data])
     assert bool(estimate.converged)
-    assert np.max(np.abs(estimate.values / theta - 1)) < (1e-5 if law == "cubic" else 1e-3)
+    assert np.max(np.abs(estimate.values / theta - 1)) < (1e-6 if law == "cubic" else 1e-5)
 
 
 def test_intervals_hold_and_unused_records_are_predicted_to_the_noise():
