@@ -1,0 +1,193 @@
+"""The notices on data explained: records and their conditioning, files, studies.  `notice_guide` has all of them."""
+
+from __future__ import annotations
+
+RECORDS = "Notes on records and their conditioning"
+FILES = "Notes on data files"
+STUDIES = "Notes on studies"
+
+# code, place, meaning and cure
+DATA_NOTICES: tuple[tuple[str, str, str, str], ...] = (
+    (
+        "colour_unresolved", RECORDS,
+        ("The residual of a dwell is not white, but there are too few periods to measure its colour: intervals treat "
+        "it as white and may be too small."),
+        "Use longer dwells, or `--settle auto` if a transient is the cause.",
+    ),
+    (
+        "frequency_refined", RECORDS,
+        "The true drive frequency differs from the stated one; the true one is used.",
+        "Nothing, unless the difference is surprising: then check the generator or the sampling rate.",
+    ),
+    (
+        "transient_discarded", RECORDS,
+        "The start or end of a dwell was not steady and was discarded.",
+        "Nothing. `--transients estimate` would use those samples too.",
+    ),
+    (
+        "transient_undetectable", RECORDS,
+        "Too few periods, or too many gaps, to see a transient or where it ends: the whole dwell is used as settled.",
+        "State the settling time (`--settle 2s`), or use `--transients estimate`.",
+    ),
+    (
+        "settled_dwells", RECORDS,
+        ("What was done to all dwells that have settled: how many samples are used, at which frequency, without which "
+        "drift. Other notes give the reasons. Of dwells with transients and whole records their notes say as much."),
+        "Nothing. `--settle`, `--refine`, `--drift` and `--transients` choose otherwise, each with `none`.",
+    ),
+    (
+        "dwells_with_transients", RECORDS,
+        ("A test over all dwells found them unsettled, or their drive frequency wandering: each is used whole, its "
+        "transient estimated with the rig."),
+        "Nothing. `--transients none` treats them as settled regardless.",
+    ),
+    (
+        "settled_by_evidence", RECORDS,
+        ("Dwells of less than two periods show no transient by themselves; the fit with the loads of their ends, "
+        "tested over all dwells against steady motion, finds none."),
+        "Nothing. `--transients estimate` keeps the transients (wider intervals), `--transients none` skips the test.",
+    ),
+    (
+        "transients_ignored", RECORDS,
+        "A test over all dwells found them unsettled, and what was asked for (orders, frequencies) needs settled ones.",
+        "Use `--transients auto` and the method `ml`, or discard the starts of the dwells (`--settle`).",
+    ),
+    (
+        "drive_wanders", RECORDS,
+        ("The phase of all channels turns together within a dwell: its drive frequency is not constant. A steady sine "
+        "does not describe it; noise counts as larger than it is."),
+        "Leave out `--settle` and `--refine always`: dwells whose frequency wanders are then used as whole records.",
+    ),
+    (
+        "whole_records", RECORDS,
+        "A record without `frequency_hz` is used whole; the text gives lines and band.",
+        "Nothing; `--band` changes the band.",
+    ),
+    (
+        "many_lines", RECORDS,
+        ("Something stands out of the noise of a long record up to high frequencies, and all its lines are used: the "
+        "memory that this takes grows with them."),
+        "Give a `--band` that ends above the rig's highest mode: lines far above it carry no information.",
+    ),
+    (
+        "gaps", RECORDS,
+        "Samples are missing, or the clock slips by part of a step; the pieces are used as separate records.",
+        "Nothing, if the gaps are real; else export the file again.",
+    ),
+    (
+        "record_residuals", RECORDS,
+        "The rms residual of a nonlinear fit in each channel.",
+        "Nothing; compare it with the noise of the sensor.",
+    ),
+    (
+        "clipped", RECORDS,
+        "A channel stays at its largest value: it is probably clipped, and its amplitude too small.",
+        "Widen the range or drive less.",
+    ),
+    (
+        "periods_skipped", RECORDS,
+        "The first periods of a periodic record were left out, as the manifest says.",
+        "Nothing.",
+    ),
+    (
+        "columns_not_read", FILES,
+        "Columns that the rig file does not list as channels.",
+        "Nothing, unless one should be a channel: then its name in `[channels]` is spelt differently.",
+    ),
+    (
+        "decimal_comma", FILES,
+        "Commas in numbers were read as decimal commas although they could separate thousands.",
+        "If they separate thousands, export the file without such commas.",
+    ),
+    (
+        "columns_chosen", FILES,
+        "A manifest chooses columns; the others are left out without a note. This code is not shown.",
+        "Nothing.",
+    ),
+    (
+        "frequency_from_name", FILES,
+        "The drive frequency was taken from the file's name.",
+        "If the number in the name is something else, give `--frequency`.",
+    ),
+    (
+        "no_line_end", FILES,
+        "The last row has no line ending: if the file was cut off, its last number may be wrong.",
+        "Compare the file's length with the original.",
+    ),
+    (
+        "modes_without_sd", FILES,
+        "A universal file of modes has no standard deviations; typical ones are assumed.",
+        "State them with `--modal-sd`.",
+    ),
+    (
+        "modes_in_order", FILES,
+        "No node of the modes has the name of a coordinate; nodes and coordinates were paired in order.",
+        'Check the pairs in the note; a channel of the node\'s name says it for certain: `"3+Z" = { of = "x1" }`.',
+    ),
+    (
+        "samples_not_shared", FILES,
+        "Some samples are missing from the files of some sensors and were left out.",
+        "Nothing, if they are few.",
+    ),
+    (
+        "packets_lost", FILES,
+        "A wireless sensor lost packets; the other samples keep their true times.",
+        "Nothing, if they are few.",
+    ),
+    (
+        "own_times", FILES,
+        "The sensors sampled at different moments; each channel keeps its own times and nothing is resampled.",
+        "Nothing.",
+    ),
+    (
+        "clock_estimated", FILES,
+        "The clock of a sensor was aligned by the motion it shares with another sensor; offset and drift are given.",
+        "Check that they are plausible; use synchronised files if you have them.",
+    ),
+    (
+        "stamps_rounded", FILES,
+        "Time stamps are evenly spaced times, coarsely rounded; evenly spaced times are used.",
+        "Record with finer stamps; `--refine none` uses the stamps as they are.",
+    ),
+    (
+        "clock_refined", FILES,
+        "All dwells are off their stated frequencies by one factor: two clocks differ; that of the records is used.",
+        "Nothing; `--refine none` keeps the stated frequencies.",
+    ),
+    (
+        "harmonics_driven", FILES,
+        "Every channel shows multiples of the drive's frequency in most dwells: the drive makes them; they are data.",
+        "Nothing; `--orders 1` uses the fundamentals alone.",
+    ),
+    (
+        "noise_from_neighbours", FILES,
+        "No noise is given, but lines are so dense that their scatter about smooth curves shows it.",
+        "Give the standard deviations (columns NAME_sd) where they are known.",
+    ),
+    (
+        "periods_averaged", FILES,
+        "The record repeats, as under a multisine: its periods are averaged and their scatter is the noise.",
+        "Nothing; `--transients estimate` uses the record whole.",
+    ),
+    (
+        "drift_by_evidence", FILES,
+        ("Estimating a slope costs short dwells much precision; one test over all dwells and channels decides whether "
+        "there is one."),
+        "Nothing; `--drift` sets it.",
+    ),
+    (
+        "noise_moderated", FILES,
+        "Short dwells determine their noise poorly, so its estimate also draws on the other dwells.",
+        "Nothing; `--noise own` uses each dwell by itself.",
+    ),
+    (
+        "damaged_blocks", STUDIES,
+        "Blocks of a study did not match their checksum or their place and were computed again.",
+        "Nothing; check the disk if it happens again.",
+    ),
+    (
+        "outdated_blocks", STUDIES,
+        "Blocks computed by another version of dashpot were computed again.",
+        "Nothing.",
+    ),
+)  # fmt: skip
