@@ -196,8 +196,8 @@ def whole_records(
     if band_hz is None and joined.lines > MANY_LINES:
         gib = joined.lines * len(joined.channels) * BYTES / 2**30
         text = (
-            f"{joined.lines} lines, for something stands out of the noise up to {high:.4g} Hz, take some {gib:.2g} GiB "
-            "to identify: a band that ends above the rig's highest mode tells the same for less"
+            f"the record rises above its noise up to {high:.4g} Hz: its {joined.lines} lines take some {gib:.2g} GiB "
+            "to identify; a band that ends just above the rig's highest mode gives the same result for less"
         )
         notes.append(Notice("many_lines", text))
     return replace(joined, notes=(*joined.notes, *notes))

@@ -65,8 +65,8 @@ DATA_NOTICES: tuple[tuple[str, str, str, str], ...] = (
     ),
     (
         "many_lines", RECORDS,
-        ("Something stands out of the noise of a long record up to high frequencies, and all its lines are used: the "
-        "memory that this takes grows with them."),
+        ("A long record rises above its noise up to high frequencies, and all of its lines are used: the memory needed "
+        "grows with them."),
         "Give a `--band` that ends above the rig's highest mode: lines far above it carry no information.",
     ),
     (
