@@ -11,17 +11,22 @@ from dashpot.arrays import Bools, Ints, Real
 from dashpot.channel import Quantity
 from dashpot.check.diagnosis.likeness import RATIOS, Likeness, likeness
 from dashpot.check.diagnosis.nonlinear_elements import ENOUGH, called_for
+from dashpot.check.diagnosis.open_calibrations import as_stated, with_open_calibrations
 from dashpot.check.diagnosis.rig_changes import changes
+from dashpot.check.diagnosis.score_test import promises
 from dashpot.check.diagnosis.search import DRAWS, Workbench
 from dashpot.check.diagnosis.trials import (
     Outcome,
     Trial,
     conjugated,
+    prepared,
     scaled,
     swapped,
     untouched,
     without,
 )
+from dashpot.estimate.likelihood.objective import measured
+from dashpot.estimate.preparation.prepared import Prepared
 from dashpot.estimate.preparation.state_reconstruction import states_if_seen
 from dashpot.model.elements import Element
 from dashpot.model.network import Model
@@ -42,6 +47,8 @@ LEFT_OUT, LEFT_OUT_INPUT = 2.0, 4.0  # handicap of leaving a channel out, and th
 ALIKE = 1.6  # ratio of what is left within which two causes explain alike
 RATES = (2 * np.pi, 1 / (2 * np.pi), 2.0, 0.5, 60.0, 1 / 60)
 FEWER = 200  # rigs drawn for each of them, where all is seen
+OF_ITS_OWN = 0.01  # part of the column of a gain or a delay that the rig's own unknowns must leave
+SLIGHT = 0.5  # change of a gain by which its score is followed
 MOST_DWELLS = 40
 RELABELLED = 6.0  # χ² for each number of a dwell below which it belongs to another frequency
 SIGN = Likeness(-1.0, 0, 0.0, False, 0.0)
@@ -78,6 +85,8 @@ def causes(bench: Workbench, seed: int = 0) -> tuple[float, list[Cause]]:
     found += _mended_channels(bench, base, without_one, pool)
     usual = [*_rearranged(bench, base, channels), *_usual_mistakes(bench, base)]
     found += [_of_outcome(outcome) for outcome in bench.refitted(usual, pool)]
+    if not _explained(found, ORDER[: ORDER.index("gain") + 1]):
+        found += _slightly_off(bench, base, as_is, pool)
     found += _dwells(bench, base, pool)
     found += [
         Cause(
@@ -200,6 +209,48 @@ def _usual_mistakes(bench: Workbench, base: Trial) -> list[Trial]:
                 scaled(base, "delay", name, c, np.exp(1j * omega * delay).astype(np.complex128), delay)
             )
     return trials
+
+
+def _slightly_off(bench: Workbench, base: Trial, as_is: Outcome, pool: Sequence[Real]) -> list[Cause]:
+    """Gains and delays between those that are usual, each as large as its score says, at the best fit and again."""
+    steps = _calibration_steps(bench, bench.data, as_is.psi)
+    trials = [_recalibrated(bench, base, name, word, step) for (name, word), step in steps.items()]
+    outcomes = bench.refitted(trials, pool)
+    again = []
+    for (name, word), outcome in zip(steps, outcomes, strict=True):
+        step = _calibration_steps(bench, prepared(bench.data, outcome.trial), outcome.psi).get(
+            (name, word), 0.0
+        )
+        first = outcome.trial.value
+        value = first + step if word == "delay" else first * (1.0 + step) - 1.0
+        again.append(_recalibrated(bench, base, name, word, value))
+    return [_of_outcome(outcome) for outcome in bench.refitted(again, [outcome.psi for outcome in outcomes])]
+
+
+def _recalibrated(bench: Workbench, base: Trial, name: str, word: str, step: float) -> Trial:
+    """One channel with a delay of `step` s, or with a gain of 1 + `step`."""
+    column = [channel.name for channel in bench.view.channels].index(name)
+    if word == "delay":
+        late = np.exp(1j * bench.view.omega * step).astype(np.complex128)
+        return scaled(base, word, name, column, late, step)
+    return scaled(base, word, name, column, 1 / (1.0 + step), 1.0 + step)
+
+
+def _calibration_steps(bench: Workbench, data: Prepared, psi: Real) -> dict[tuple[str, str], float]:
+    """By channel and "gain" or "delay", the step that its score promises at the best fit ψ (M,) of one repeat."""
+    channels, _ = with_open_calibrations(data.model, data.spectrum)
+    view = observation_model(data.model, channels, data.view.omega)
+    added = set(view.names) - set(data.view.names)
+    if not added or not np.all(np.isfinite(psi)):
+        return {}
+    opened = replace(data, view=view, spectrum=replace(data.spectrum, channels=channels), states=None)
+    start = as_stated(view.names, dict(zip(data.view.names, psi.tolist(), strict=True)))
+    steps = {}
+    for promise in promises(view, measured(opened), start, bench.sign, added, OF_ITS_OWN):
+        name, _, word = promise.name.rpartition(".")
+        if word == "delay" or abs(promise.step) < SLIGHT:
+            steps[name, word] = promise.step
+    return steps
 
 
 def _mended_channels(

@@ -12,8 +12,8 @@ from dataclasses import replace
 import numpy as np
 from scipy.special import chdtrc
 
-from dashpot.channel import Channel
 from dashpot.check.diagnosis.causes import Cause
+from dashpot.check.diagnosis.open_calibrations import as_stated, with_open_calibrations
 from dashpot.check.diagnosis.rig_changes import missing_elements
 from dashpot.check.diagnosis.score_test import Promise, promises
 from dashpot.data.spectrum import Spectrum
@@ -24,7 +24,6 @@ from dashpot.estimate.preparation.prepared import prepare
 from dashpot.estimate.result import Estimate
 from dashpot.model.elements import Element
 from dashpot.model.network import Model
-from dashpot.model.observation import measures_input
 
 LEVEL = 1e-3  # of all directions together: one clean test in a thousand
 APART = 0.03  # part of a column that the rig's own unknowns must leave
@@ -45,7 +44,7 @@ def directed_causes(model: Model, spectrum: Spectrum, estimate: Estimate) -> lis
         return []
     elements = missing_elements(model)
     extended = replace(model, elements=(*model.elements, *elements))
-    channels, exact_inputs = _with_open_calibrations(model, spectrum)
+    channels, exact_inputs = with_open_calibrations(model, spectrum)
     try:
         data = prepare(extended, replace(spectrum, channels=channels, moments=None), states=False)
         exact = measured(data)
@@ -53,7 +52,6 @@ def directed_causes(model: Model, spectrum: Spectrum, estimate: Estimate) -> lis
         return []  # channels that contradict each other, say
     view = data.view
     known = dict(zip(estimate.names, estimate.values.tolist(), strict=True))
-    usual = [known.get(name, 1.0 if name.endswith(".gain") else 0.0) for name in view.names]
     (sign,) = spectrum.signs(estimate.signs)
     added = set(view.names) - known.keys()
     # An input without noise is late where all that it moves is early.
@@ -65,27 +63,12 @@ def directed_causes(model: Model, spectrum: Spectrum, estimate: Estimate) -> lis
     # Where the noise was estimated, χ² scatters as much more as the intervals are wider.
     with np.errstate(invalid="ignore", divide="ignore"):
         widened = float(np.nanmax(np.append((estimate.noise_sd / estimate.bound_sd) ** 2, 1.0)))
-    tested = promises(view, exact, np.array(usual), sign, added, APART, together)
+    tested = promises(view, exact, as_stated(view.names, known), sign, added, APART, together)
     certain = [
         promise for promise in tested if float(chdtrc(1, promise.fall / widened)) * len(tested) < LEVEL
     ]
     certain.sort(key=lambda promise: -promise.fall)
     return [_cause(promise, promise.name in together, estimate, elements) for promise in certain[:MOST]]
-
-
-def _with_open_calibrations(model: Model, spectrum: Spectrum) -> tuple[tuple[Channel, ...], tuple[str, ...]]:
-    """The channels with gain and delay to be found where they have noise, and the names of inputs that have none."""
-    noisy = np.any(np.diagonal(spectrum.covariance, axis1=-2, axis2=-1).real > 0, axis=0).tolist()
-    channels = tuple(
-        replace(channel, gain=None, delay=None) if heard and channel.same_gain_as is None else channel
-        for channel, heard in zip(spectrum.channels, noisy, strict=True)
-    )
-    exact = [
-        c.name
-        for c, heard in zip(spectrum.channels, noisy, strict=True)
-        if not heard and measures_input(model, c)
-    ]
-    return channels, tuple(exact)
 
 
 def _cause(promise: Promise, opposite: bool, estimate: Estimate, elements: Sequence[Element]) -> Cause:

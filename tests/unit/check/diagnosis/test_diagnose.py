@@ -155,3 +155,40 @@ def test_the_json_carries_verdict_and_diagnosis_and_reads_back():
     assert [f.content() for f in again.assessment.findings] == [
         f.content() for f in estimate.assessment.findings
     ]
+
+
+def test_a_gain_between_the_usual_ones_is_named_where_nothing_else_shows_the_channel():
+    """One mass on a shaken base: the gain of its motion is one over that of the base."""
+    model = Model(
+        ("x1",),
+        (Input("u"),),
+        (
+            mass("m1", "x1", value=2.0),
+            between("k1", Kind.SPRING, "x1", "u"),
+            between("c1", Kind.DAMPER, "x1", "u"),
+        ),
+    )
+    f = np.linspace(2.0, 9.0, 10)
+    H = (3000 + 12j * 2 * np.pi * f) / (3000 + 12j * 2 * np.pi * f - 2.0 * (2 * np.pi * f) ** 2)
+    Y = np.stack([1.05 * H, np.ones(len(f))], axis=1) * 1e-3
+    noise = 1e-3 * np.abs(Y[:, 0])
+    rng = np.random.default_rng(6)
+    Y[:, 0] += noise * (rng.standard_normal(len(f)) + 1j * rng.standard_normal(len(f)))
+    V = np.zeros((len(f), 2, 2), dtype=complex)
+    V[:, 0, 0] = 2 * noise**2
+    channels = (Channel("x1", {"x1": 1.0}), Channel("u", {"u": 1.0}))
+    lines = len(f)
+    spectrum = Spectrum(
+        channels,
+        f,
+        Y,
+        V,
+        np.full(lines, 100),
+        np.full(lines, np.inf),
+        ("given",) * lines,
+        np.zeros(lines, int),
+    )
+    finding = diagnose(model, spectrum)[0]
+    assert (finding.kind, finding.of) == ("gain", ("x1",))
+    assert finding.number == pytest.approx(1.05, rel=2e-3)
+    assert finding.remaining < 2.0
