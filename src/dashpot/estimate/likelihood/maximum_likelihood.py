@@ -17,6 +17,7 @@ from dashpot.estimate.likelihood.global_search import (
 )
 from dashpot.estimate.likelihood.record_start import record_starts
 from dashpot.estimate.likelihood.reduced_search import is_reducible, reduced_search
+from dashpot.estimate.likelihood.starting_values import candidates
 from dashpot.estimate.linear.least_squares import compensated
 from dashpot.estimate.method import HeldBounds, Method, Solution, Traits
 from dashpot.estimate.nonlinear.search import search_harmonics
@@ -111,7 +112,8 @@ def _start(likelihood: Likelihood, states: States) -> Real:
     model, ends = likelihood.data.model, likelihood.exact.ends
     if ends is None:
         return compensated(model, states)
-    starts = record_starts(model, states, ends)
+    (typical,), _ = candidates(likelihood.data, 1, np.random.default_rng(likelihood.effort.seed))
+    starts = np.concatenate([record_starts(model, states, ends, rig) for rig in (None, typical)])
     sign = np.ones((likelihood.repeats, len(likelihood.view.channels)))
     with np.errstate(all="ignore"):
         costs = np.stack([likelihood.model_at(start, sign).cost for start in starts])

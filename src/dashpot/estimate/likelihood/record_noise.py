@@ -20,6 +20,7 @@ from dashpot.data.spectrum import Spectrum
 from dashpot.data.stretch import WholeRecord
 from dashpot.errors import DataError
 from dashpot.estimate.likelihood.chunks import Measured
+from dashpot.estimate.likelihood.input_noise import input_noise
 from dashpot.estimate.likelihood.maximum_likelihood import MaximumLikelihood
 from dashpot.estimate.likelihood.objective import bounds, local, measured, predict
 from dashpot.estimate.likelihood.record_sums import record_residuals
@@ -77,12 +78,15 @@ def noise_from_residuals(
 ) -> tuple[Spectrum, Real, Real]:
     """The spectrum of one repeat, (1, lines, channels), with the noise that its residuals show; ψ and signs with it.
 
-    The channels that measure inputs alone keep the noise they have (none, where it could not be told from motion).
+    The channels that measure inputs alone keep the noise that their own spectra show; where these show none, they get
+    what all outputs have in common.
     """
     view = observation_model(model, spectrum.channels, spectrum.omega)
     sought = np.array([kind == FLOOR for kind in spectrum.noise])
     outputs = ~view.inputs_alone
     V = _first(spectrum, sought, outputs)
+    blind = view.inputs_alone & ~np.any(np.diagonal(V[0, sought], axis1=-2, axis2=-1).real > 0, axis=0)
+    level = np.zeros(len(blind))
     psi: Real | None = None
     sign: Real = np.ones((1, len(spectrum.channels)))
     used, dof = 0.0, np.array(spectrum.dof)
@@ -98,12 +102,12 @@ def noise_from_residuals(
         used = (columns + len(view.names)) / (2 * np.sum(sought) * max(np.sum(outputs), 1))
         power = np.abs(residual) ** 2 + _explained(view, exact.W[0], exact.q is None, psi, sign)
         variance, dof = _smoothed(spectrum, power / max(1 - used, 0.1), V[0], sought, outputs)
-        before = np.diagonal(V[0], axis1=-2, axis2=-1).real[sought][:, outputs]
-        after = variance[sought][:, outputs]
-        V = _diagonal(
-            np.where(sought[:, None] & outputs, variance, np.diagonal(V[0], axis1=-2, axis2=-1).real)
-        )
-        if np.all(np.abs(after - before) <= 2 * SETTLED * after):
+        level = blind * input_noise(view, spectrum, sought, min(used, 0.9), exact, residual, psi, sign, level)
+        variance = np.where(blind, level / spectrum.samples[:, None], variance)
+        before = np.diagonal(V[0], axis1=-2, axis2=-1).real
+        variance = np.where(sought[:, None] & (outputs | blind), variance, before)
+        V = _diagonal(variance)
+        if np.all(np.abs(variance - before) <= 2 * SETTLED * variance):
             break
     kinds = tuple(RESIDUAL if s else kind for s, kind in zip(sought.tolist(), spectrum.noise, strict=True))
     weighted = replace(spectrum, covariance=V, noise=kinds, dof=dof * (1 - used))

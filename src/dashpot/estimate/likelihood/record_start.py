@@ -20,20 +20,26 @@ from dashpot.numerics.small_systems import solve_scaled
 PASSES = 4
 
 
-def record_starts(model: Model, data: States, ends: RecordEnds) -> Real:
+def record_starts(model: Model, data: States, ends: RecordEnds, rig: Real | None = None) -> Real:
     """Values of the unknowns to begin with, (starts, K, unknowns): after each pass, with the noise in and taken out.
+
+    The first pass takes the noise of the equation from a `rig`, (unknowns,), or as even at all lines, which where lines
+    of motion are few or displacements are integrated is far from it.
 
     Where little but transients moves, taking the noise out may lead astray, and leaving it in is biased: what they fit
     decides.
     """
     Phi, h = equation(model, data)
-    even = np.broadcast_to(np.eye(model.n, dtype=complex), (*Phi.shape[:2], model.n, model.n))
     prior = np.diag(model.prior_precision)
     stated = model.prior_precision * model.prior_mean
-    N, right = _sums(Phi, h, even, _loads(model, data, ends), ends)
-    # Without weights the sums have no unit noise: stated values count as much as the data do.
-    scale = np.diagonal(N, axis1=-2, axis2=-1) * (model.prior_precision > 0)
-    theta = solve_scaled(N + scale[..., None] * np.eye(len(prior)), right + scale * model.prior_mean)
+    if rig is None:
+        even = np.broadcast_to(np.eye(model.n, dtype=complex), (*Phi.shape[:2], model.n, model.n))
+        N, right = _sums(Phi, h, even, _loads(model, data, ends), ends)
+        # Without weights the sums have no unit noise: stated values count as much as the data do.
+        scale = np.diagonal(N, axis1=-2, axis2=-1) * (model.prior_precision > 0)
+        theta = solve_scaled(N + scale[..., None] * np.eye(len(prior)), right + scale * model.prior_mean)
+    else:
+        theta = np.broadcast_to(rig, (len(data.z), len(rig)))
     starts = [theta]
     for _ in range(PASSES):
         p = model.parameters(theta)

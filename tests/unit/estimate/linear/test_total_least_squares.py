@@ -149,7 +149,7 @@ def test_total_least_squares_is_oiv_where_all_lines_weigh_alike() -> None:
 def test_total_least_squares_needs_the_noise_up_to_a_factor_only() -> None:
     """Noise stated a hundred times too small or too large: the same values, sd in its units.
 
-    Where it is too small, χ² sees it and widens the intervals by the right factor.
+    Where it is too small, χ² sees it, and what parts of the band tell widens the intervals to about the right size.
     """
     rig = paper_rig()
     ch = channels(rig)
@@ -162,7 +162,7 @@ def test_total_least_squares_needs_the_noise_up_to_a_factor_only() -> None:
         assert np.allclose(found.values, same.values, rtol=1e-8)
         assert np.allclose(found.noise_sd, same.noise_sd / np.sqrt(factor), rtol=1e-6)
         if factor < 1:
-            assert np.allclose(found.sd * found.fit.misfit, same.sd, rtol=1e-6)
+            assert np.all(np.abs(np.log(same.sd / (found.sd * found.fit.misfit))) < np.log(2))
     off = identify(rig.model, wrong, CompensatedLeastSquares()).values - found.values
     assert np.max(np.abs(off) / found.sd) > 0.1
 

@@ -1,0 +1,72 @@
+"""The noise of channels that measure inputs of whole records, where their own spectra do not show it.
+
+An error Δ of a measured input moves all outputs as the rig would move them, t Δ; no other error does.  Where Σ is the
+covariance of a line's equations and e what the fit leaves over, the likelihood of a variance s of Δ has the slope
+|tᴴ Σ⁻¹ e|² − tᴴ Σ⁻¹ t and the information (tᴴ Σ⁻¹ t)²: a step of Fisher's scoring finds s.  It is taken as white, of
+one size per sample in all records, and is never more than the quietest part of the channel's own spectrum.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from dashpot.arrays import Bools, Complex, Real, hermitian
+from dashpot.data.conditioning.still import HALF_WINDOW, smoothed
+from dashpot.data.spectrum import Spectrum
+from dashpot.estimate.likelihood.chunks import Measured
+from dashpot.estimate.likelihood.nuisance import estimated_inputs, inputs_by_channel
+from dashpot.model.observation import ObservationModel, calibrated_transfer
+
+SHOWS = 3.0  # standard deviations of a variance, from which on it is one
+ROOM = 1 + SHOWS / (2 * HALF_WINDOW + 1) ** 0.5  # the least of many means, over the mean
+
+
+def input_noise(
+    view: ObservationModel, spectrum: Spectrum, sought: Bools, lost: float, data: Measured, residual: Complex,
+    psi: Real, sign: Real, before: Real,
+) -> Real:  # fmt: skip
+    """Variance times samples of channels that measure inputs alone, (channels,): the next after `before`, 0 where none.
+
+    sought (lines,): of the records whose noise is to be found; lost: share of the equations that the fit has used up;
+    residual (lines, channels) at ψ (1, unknowns).
+    """
+    score, scale = _slopes(view, data, residual, psi, sign)
+    each = sought / spectrum.samples
+    information = np.sum((each[:, None] * scale) ** 2, axis=0)
+    usable = view.inputs_alone & view.is_direct & (information > 0)
+    information = np.where(usable, information, 1.0)
+    step = np.sum(each[:, None] * (score / (1 - lost) - scale), axis=0) / information
+    level = np.clip(before + step, 0.0, ROOM * _quietest(spectrum, sought))
+    shown: Real = np.where(usable & (level * np.sqrt(information) > SHOWS), level, 0.0)
+    return shown
+
+
+def _slopes(
+    view: ObservationModel, data: Measured, residual: Complex, psi: Real, sign: Real
+) -> tuple[Real, Real]:
+    """|tᴴ Σ⁻¹ e|² and tᴴ Σ⁻¹ t of an error in each channel, both (lines, channels)."""
+    G, W = calibrated_transfer(view, psi, sign).G[0], data.W[0]
+    weighted = (W @ residual[..., None])[..., 0]
+    if data.q is None:
+        _, half = estimated_inputs(G, W, residual)
+        unit = W - half @ hermitian(G) @ W
+        return np.abs(weighted) ** 2, np.diagonal(unit, axis1=-2, axis2=-1).real
+    by_channel = inputs_by_channel(view, view.inputs_alone & view.is_direct)
+    if by_channel is None:
+        return np.zeros(weighted.shape), np.zeros(weighted.shape)
+    t = G @ by_channel
+    unit = hermitian(t) @ W @ t
+    along = (hermitian(t) @ weighted[..., None])[..., 0]
+    return np.abs(along) ** 2, np.diagonal(unit, axis1=-2, axis2=-1).real
+
+
+def _quietest(spectrum: Spectrum, sought: Bools) -> Real:
+    """Least mean power of neighbouring lines times samples, (channels,)."""
+    least = np.full(len(spectrum.channels), np.inf)
+    for number in spectrum.records:
+        lines = np.flatnonzero((spectrum.stretch == number) & sought)
+        if len(lines):
+            power = np.nan_to_num(np.abs(spectrum.amplitudes[0, lines])) ** 2
+            around = smoothed(power.astype(np.complex128), HALF_WINDOW).real
+            least = np.minimum(least, np.min(around, axis=0) * spectrum.samples[lines[0]])
+    return least
