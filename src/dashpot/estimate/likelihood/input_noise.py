@@ -18,24 +18,28 @@ from dashpot.estimate.likelihood.nuisance import estimated_inputs, inputs_by_cha
 from dashpot.model.observation import ObservationModel, calibrated_transfer
 
 SHOWS = 3.0  # standard deviations of a variance, from which on it is one
+LEAST_LEFT = 0.5  # of the freedom of those lines that tell
 ROOM = 1 + SHOWS / (2 * HALF_WINDOW + 1) ** 0.5  # the least of many means, over the mean
 
 
 def input_noise(
-    view: ObservationModel, spectrum: Spectrum, sought: Bools, lost: float, data: Measured, residual: Complex,
-    psi: Real, sign: Real, before: Real,
+    view: ObservationModel, spectrum: Spectrum, sought: Bools, data: Measured, residual: Complex, psi: Real,
+    sign: Real, before: Real,
 ) -> Real:  # fmt: skip
     """Variance times samples of channels that measure inputs alone, (channels,): the next after `before`, 0 where none.
 
-    sought (lines,): of the records whose noise is to be found; lost: share of the equations that the fit has used up;
-    residual (lines, channels) at ψ (1, unknowns).
+    sought (lines,): of the records whose noise is to be found; residual (lines, channels) at ψ (1, unknowns).
     """
     score, scale = _slopes(view, data, residual, psi, sign)
-    each = sought / spectrum.samples
-    information = np.sum((each[:, None] * scale) ** 2, axis=0)
+    each = (sought / spectrum.samples)[:, None]
+    information = np.sum((each * scale) ** 2, axis=0)
     usable = view.inputs_alone & view.is_direct & (information > 0)
     information = np.where(usable, information, 1.0)
-    step = np.sum(each[:, None] * (score / (1 - lost) - scale), axis=0) / information
+    # The few lines that tell are those at resonances, from which the fit has its unknowns and boundary loads as well.
+    telling = information / np.maximum(np.max((each * scale) ** 2, axis=0), 1e-300)
+    fitted = len(view.names) + 2 * view.model.n * len(spectrum.records)
+    left = np.maximum(1 - fitted / (2 * telling), LEAST_LEFT)
+    step = np.sum(each * (score / left - scale), axis=0) / information
     level = np.clip(before + step, 0.0, ROOM * _quietest(spectrum, sought))
     shown: Real = np.where(usable & (level * np.sqrt(information) > SHOWS), level, 0.0)
     return shown

@@ -102,7 +102,7 @@ def noise_from_residuals(
         used = (columns + len(view.names)) / (2 * np.sum(sought) * max(np.sum(outputs), 1))
         power = np.abs(residual) ** 2 + _explained(view, exact.W[0], exact.q is None, psi, sign)
         variance, dof = _smoothed(spectrum, power / max(1 - used, 0.1), V[0], sought, outputs)
-        level = blind * input_noise(view, spectrum, sought, min(used, 0.9), exact, residual, psi, sign, level)
+        level = blind * input_noise(view, spectrum, sought, exact, residual, psi, sign, level)
         variance = np.where(blind, level / spectrum.samples[:, None], variance)
         before = np.diagonal(V[0], axis1=-2, axis2=-1).real
         variance = np.where(sought[:, None] & (outputs | blind), variance, before)

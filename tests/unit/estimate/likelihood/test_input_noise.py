@@ -1,0 +1,67 @@
+"""The noise of a measured base that moves at all frequencies, from what the outputs have in common."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from dashpot.channel import Quantity
+from dashpot.data.conditioning.whole_record import whole_record
+from dashpot.data.spectrum import Spectrum
+from dashpot.estimate.identify import identify
+from dashpot.estimate.likelihood.maximum_likelihood import MaximumLikelihood
+from dashpot.estimate.likelihood.record_noise import with_record_noise
+from tests.whole_rigs import WholeTest, chain, record_of
+
+BASE = 4  # of the channels: x1, x2, their velocities, and the base
+
+
+@pytest.fixture(scope="module")
+def bench() -> WholeTest:
+    model, theta = chain(2, 0.05, seed=1)
+    quantities = (Quantity.DISPLACEMENT, Quantity.VELOCITY)
+    return record_of(model, theta, "sweep", decay_times=12, quantities=quantities, seed=1)
+
+
+def unshown(test: WholeTest, sd: np.ndarray, seed: int) -> Spectrum:
+    """Lines of a noisy record as if the base moved up to the highest: its spectrum shows no noise."""
+    lines = whole_record(test.noisy(np.random.default_rng(seed), sd))
+    covariance = np.array(lines.covariance)
+    covariance[:, BASE, BASE] = 0.0
+    return replace(lines, covariance=covariance)
+
+
+def base_noise(test: WholeTest, lines: Spectrum) -> float:
+    """Standard deviation of a sample of the base, of its size."""
+    known, _ = with_record_noise(test.model, lines, MaximumLikelihood())
+    variance = known.covariance[:, BASE, BASE].real * known.samples / 4
+    assert np.ptp(variance) <= 1e-12 * np.max(variance)  # white
+    return float(np.sqrt(variance[0]) / test.size[BASE])
+
+
+def test_the_noise_of_the_base_is_found(bench: WholeTest) -> None:
+    sd = 0.02 * bench.size * np.array([1, 2, 1, 0.5, 2.5])
+    assert base_noise(bench, unshown(bench, sd, 4)) == pytest.approx(0.05, rel=0.1)
+
+
+def test_an_exact_base_stays_exact(bench: WholeTest) -> None:
+    sd = 0.05 * bench.size * np.array([1, 1, 1, 1, 0])
+    assert base_noise(bench, unshown(bench, sd, 5)) == 0.0
+
+
+def test_a_gain_that_is_wrong_is_no_noise(bench: WholeTest) -> None:
+    """Of what a rig that is not this one leaves over, noise of the base explains no more than the base itself shows."""
+    sd = 0.01 * bench.size * np.array([1, 1, 1, 1, 0.2])
+    lines = unshown(bench, sd, 6)
+    wrong = replace(lines, amplitudes=lines.amplitudes * np.array([1, 1, 1, 1.3, 1]))
+    assert base_noise(bench, wrong) < 0.01
+
+
+def test_parameters_are_as_good_as_with_the_noise_stated(bench: WholeTest) -> None:
+    sd = 0.05 * bench.size
+    lines = unshown(bench, sd, 7)
+    stated = np.broadcast_to(np.diag(4 * sd**2 / lines.samples[0]).astype(complex), lines.covariance.shape)
+    found = identify(bench.model, lines)
+    known = identify(bench.model, replace(lines, covariance=stated, noise=("given",) * lines.lines))
+    assert np.max(np.abs(found.values - known.values) / known.sd) < 0.5
+    assert np.max(np.abs(found.sd / known.sd - 1)) < 0.15
