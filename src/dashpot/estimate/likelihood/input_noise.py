@@ -17,9 +17,10 @@ from dashpot.estimate.likelihood.chunks import Measured
 from dashpot.estimate.likelihood.nuisance import estimated_inputs, inputs_by_channel
 from dashpot.model.observation import ObservationModel, calibrated_transfer
 
-SHOWS = 3.0  # standard deviations of a variance, from which on it is one
+SHOWS = 4.0  # standard deviations of a variance, from which on it is one; few lines may tell it
+STAYS = 3.0  # and up to which it is given up again
 LEAST_LEFT = 0.5  # of the freedom of those lines that tell
-ROOM = 1 + SHOWS / (2 * HALF_WINDOW + 1) ** 0.5  # the least of many means, over the mean
+ROOM = 1 + STAYS / (2 * HALF_WINDOW + 1) ** 0.5  # the least of many means, over the mean
 
 
 def input_noise(
@@ -38,10 +39,11 @@ def input_noise(
     # The few lines that tell are those at resonances, from which the fit has its unknowns and boundary loads as well.
     telling = information / np.maximum(np.max((each * scale) ** 2, axis=0), 1e-300)
     fitted = len(view.names) + 2 * view.model.n * len(spectrum.records)
-    left = np.maximum(1 - fitted / (2 * telling), LEAST_LEFT)
+    left = np.where(before > 0, np.maximum(1 - fitted / (2 * telling), LEAST_LEFT), 1.0)
     step = np.sum(each * (score / left - scale), axis=0) / information
     level = np.clip(before + step, 0.0, ROOM * _quietest(spectrum, sought))
-    shown: Real = np.where(usable & (level * np.sqrt(information) > SHOWS), level, 0.0)
+    least = np.where(before > 0, STAYS, SHOWS) / np.sqrt(information)
+    shown: Real = np.where(usable & (level > least), level, 0.0)
     return shown
 
 

@@ -86,7 +86,7 @@ def noise_from_residuals(
     outputs = ~view.inputs_alone
     V = _first(spectrum, sought, outputs)
     blind = view.inputs_alone & ~np.any(np.diagonal(V[0, sought], axis1=-2, axis2=-1).real > 0, axis=0)
-    level = np.zeros(len(blind))
+    in_common, level = blind, np.zeros(len(blind))
     psi: Real | None = None
     sign: Real = np.ones((1, len(spectrum.channels)))
     used, dof = 0.0, np.array(spectrum.dof)
@@ -102,7 +102,11 @@ def noise_from_residuals(
         used = (columns + len(view.names)) / (2 * np.sum(sought) * max(np.sum(outputs), 1))
         power = np.abs(residual) ** 2 + _explained(view, exact.W[0], exact.q is None, psi, sign)
         variance, dof = _smoothed(spectrum, power / max(1 - used, 0.1), V[0], sought, outputs)
-        level = blind * input_noise(view, spectrum, sought, exact, residual, psi, sign, level)
+        known, level = (
+            level,
+            in_common * input_noise(view, spectrum, sought, exact, residual, psi, sign, level),
+        )
+        in_common = in_common & ((known == 0) | (level > 0))  # what is given up once does not come back
         variance = np.where(blind, level / spectrum.samples[:, None], variance)
         before = np.diagonal(V[0], axis1=-2, axis2=-1).real
         variance = np.where(sought[:, None] & (outputs | blind), variance, before)
