@@ -149,6 +149,8 @@ mass = ["m"]
 
 
 WRONG = [
+    ("[rigs.one]", '[rigs."\\u202eone"]', '3: rigs."\\u202eone": "\\u202eone" is not a usable name'),
+    ("draws = 100", 'draws = 100\nname = "a\\u001bb"', '2: name: "a\\u001bb" is not a usable name'),
     ("draws = 100", "draw = 100", '1: draw: unknown key; did you mean "draws"?'),
     ("draws = 100", "", "8: grid[0]: the number of draws is not given; add draws = 1000"),
     ("draws = 100", "draws = 1", "1: draws: 1 is out of range; write a whole number from 2"),

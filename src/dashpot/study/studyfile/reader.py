@@ -7,6 +7,7 @@ from pathlib import Path
 
 from dashpot.errors import DashpotError, UsageError
 from dashpot.io.toml_document import TomlDocument, Wanted, parse_toml, read_toml
+from dashpot.io.words import written
 from dashpot.study.grid import Study, points
 from dashpot.study.studyfile.grids import Tables, read_grids
 from dashpot.study.studyfile.tables import read_frequencies, read_input_amplitudes, read_rigs, read_unknowns
@@ -39,6 +40,8 @@ def _study(document: TomlDocument) -> Study:
     values, table = StudyValues(document), document.table
     values.keys((), table, HEAD)
     name = values.text(("name",), table.get("name", Path(document.path).stem))
+    if not name.isprintable():
+        values.report.add(("name",), f"{written(name)} is not a usable name", "use one line of plain text")
     seed = values.whole(("seed",), table.get("seed", 0), 0, 2**63)
     drift = values.whole(("drift",), table["drift"], 0, 5) if "drift" in table else None
     periods = values.number(("periods",), table.get("periods", 1.0), positive=True)

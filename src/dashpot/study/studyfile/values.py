@@ -28,9 +28,13 @@ class StudyValues:
                 self.report.add((*place, key), "unknown key", cure)
 
     def table(self, key: str) -> dict[str, Any]:
-        """A table of the document; empty where it is missing or none."""
+        """A table of the document, whose names can be shown; empty where it is missing or none."""
         raw = self.document.get(key, {})
         if isinstance(raw, dict):
+            for name in raw:
+                if not name.isprintable():
+                    cure = "use a name without line breaks, tabs and what steers a terminal"
+                    self.report.add((key, name), f"{written(name)} is not a usable name", cure)
             return raw
         self.report.add((key,), "this is not a table", f"write [{key}] and below it name = …")
         return {}
