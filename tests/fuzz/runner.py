@@ -36,10 +36,8 @@ SECONDS = 5.0  # of processor time, after which a case hangs
 FACTORS = {
     "identify": 6,  # a search without guesses on a rig that does not fit
     "compare": 6,
-    "design": 6,
-    "check": 6,
-    "study": 6,
-}  # of several estimates, or by maximum likelihood
+    "response": 6,  # through all folds, of a rig that is driven as hard as it may be
+}
 MEMORY = 1 << 30  # bytes beside those that this process had at its start
 CODES = {0, 2, 3, 4}
 MOST_LINES = 40  # on stderr

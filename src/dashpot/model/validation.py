@@ -11,6 +11,7 @@ from dashpot.errors import Problem
 from dashpot.io.words import listed
 from dashpot.model.elements import Element
 from dashpot.model.inputs import Input
+from dashpot.quantities import LARGEST, SMALLEST
 
 MOST_TOLD = 20  # links of a circle of ties
 
@@ -101,10 +102,14 @@ def _input_problems(source: Input, coordinates: Sequence[str], complete: bool) -
         if complete and coordinate not in coordinates:
             cure = f"a force acts at coordinates: {listed(coordinates)}"
             yield Problem(f"the force acts at {coordinate}, which is not a coordinate", source.name, cure)
-        elif not np.isfinite(factor) or factor == 0:
-            yield Problem(
-                f"the factor of {coordinate} is {factor:g}", source.name, "give a finite factor other than 0"
-            )
+        else:
+            yield from _factor_problems(coordinate, factor, source.name)
+
+
+def _factor_problems(point: str, factor: float, name: str) -> Iterator[Problem]:
+    if not SMALLEST <= abs(factor) <= LARGEST:
+        cure = f"give a factor other than 0, from {SMALLEST:g} to {LARGEST:g} in size"
+        yield Problem(f"the factor of {point} is {factor:g}", name, cure)
 
 
 def _element_problems(element: Element, points: Collection[str], complete: bool) -> Iterator[Problem]:
@@ -115,8 +120,8 @@ def _element_problems(element: Element, points: Collection[str], complete: bool)
         if complete and point not in points:
             cure = f"there are {listed(points)}"
             yield Problem(f"{point} is neither a coordinate nor a displacement input", name, cure)
-        elif not np.isfinite(factor) or factor == 0:
-            yield Problem(f"the factor of {point} is {factor:g}", name, "give a finite factor other than 0")
+        else:
+            yield from _factor_problems(point, factor, name)
     numbers = _numbers(element)
     for key, number in numbers.items():
         if not np.isfinite(number):
