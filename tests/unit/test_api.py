@@ -9,7 +9,7 @@ import pytest
 from matplotlib.figure import Figure
 
 import dashpot
-from dashpot import Estimate, Rig
+from dashpot import Estimate, Rig, api
 from dashpot.app.cli import run
 from dashpot.data.readers import write_records
 from tests.two_masses import RIG, VALUES
@@ -154,3 +154,21 @@ def test_nonlinear_dwells_and_manifests_are_treated_as_by_the_command(
         np.testing.assert_allclose(python.values, command.values, rtol=1e-12)
         assert python.fit.dof == command.fit.dof
     capsys.readouterr()
+
+
+def test_continuous_records_of_nonlinear_rigs_are_integrated(
+    rig: Rig, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    bent, answer = dashpot.parse_rig(NONLINEAR), rig.identify("data.csv")
+    asked: list[object] = []
+
+    def integrated(model: object, records: object, method: object, *, progress: object) -> Estimate:
+        asked[:] = [model, records, method]
+        return answer
+
+    monkeypatch.setattr(api, "identify_records", integrated)
+    table = {name: np.zeros(50) for name in ("x1", "x2", "u")} | {"time_s": np.arange(50) / 100}
+    record = dashpot.record(table, bent.channels)
+    assert bent.identify(record).values is answer.values
+    assert asked == [bent.model, (record,), None]
+    assert rig.read("data.csv").continuous is False
