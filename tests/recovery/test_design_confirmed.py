@@ -10,6 +10,7 @@ import pytest
 from benchmarks import sequential_design
 from dashpot.channel import Channel
 from dashpot.data.conditioning.lines import spectrum as conditioned
+from dashpot.data.spectrum import Spectrum
 from dashpot.design.alternative import compare_tests
 from dashpot.design.budget import Budget
 from dashpot.design.criteria import AOptimal
@@ -116,12 +117,19 @@ def test_next_best_dwells_against_a_uniform_sweep() -> None:
     assert np.sqrt(np.mean(errors**2)) < 1.5 * sequential_design.TARGET
 
 
+def drive_known(lines: Spectrum) -> Spectrum:
+    """The lines with an exact drive: what is no sine in it, as it passes from dwell to dwell, counts as its noise."""
+    V = np.array(lines.covariance)
+    V[..., -1, :] = V[..., :, -1] = 0.0
+    return replace(lines, covariance=V)
+
+
 @pytest.mark.long
 @pytest.mark.parametrize(("floor", "relative"), [(2e-3, 0.0), (0.0, 0.03)], ids=["constant", "relative"])
 def test_a_test_without_settling_gives_what_is_planned(floor: float, relative: float) -> None:
-    """Samples in time, identified as anybody would; seed 31, 40 draws of 5 unknowns, taken as two independent ones.
+    """Samples in time, drive known; seed 31, 20 draws of 5 unknowns, taken as two independent ones.
 
-    Rms error over the planned sd: 1 ± 3 / √(2 · 80) = ± 0.24.  The stated sd hardly scatters; where dwells are records
+    Rms error over the planned sd: 1 ± 3 / √(2 · 40) = ± 0.34.  The stated sd hardly scatters; where dwells are records
     of their own, their noise is known from few lines, and the band found is narrower than the plan's: within 8 %.
     """
     own = light_setup(floor, relative)
@@ -135,14 +143,14 @@ def test_a_test_without_settling_gives_what_is_planned(floor: float, relative: f
         own.model, own.p[0], own.channels, lines.frequency_hz, drive, counts, [1 / RATE] * len(counts)
     )
     rng, errors, stated = np.random.default_rng(31), [], []
-    for _ in range(40):
+    for _ in range(20):
         noisy = []
         for record in records:
             noise = sample_noise(record, own.channels) * rng.standard_normal(record.values.shape)
             start = 0.0 if planned.unsettled.joined else record.time[0]
             noisy.append(replace(record, time=record.time - start, values=record.values + noise))
-        found = identify(own.model, conditioned(noisy))
+        found = identify(own.model, drive_known(conditioned(noisy)))
         errors.append((found.values - own.theta[0]) / planned.unsettled.predicted.sd)
         stated.append(found.sd / planned.unsettled.predicted.sd)
-    assert np.sqrt(np.mean(np.square(errors))) == pytest.approx(1.0, abs=0.24)
+    assert np.sqrt(np.mean(np.square(errors))) == pytest.approx(1.0, abs=0.34)
     assert np.sqrt(np.mean(np.square(stated))) == pytest.approx(1.0, abs=0.08)
