@@ -92,7 +92,7 @@ def test_one_clock_is_as_one_record():
     assert split.amplitudes == pytest.approx(whole.amplitudes, rel=1e-3)
     diagonal = np.diagonal(whole.covariance[0]).real
     assert np.diagonal(split.covariance[0]).real == pytest.approx(diagonal, rel=1e-2)
-    with pytest.raises(DataError, match="no moments"):
+    with pytest.raises(DataError, match="no sample moments"):
         clocked_lines(ClockedRecords(parts, (0.0, 0.0)), Conditioning(moments=True))
     with pytest.raises(DataError, match="drive frequency is not known"):
         clocked_lines(ClockedRecords((Record((A,), t, y[:, :1]),), (0.0,)), settings)
