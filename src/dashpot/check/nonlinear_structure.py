@@ -17,7 +17,7 @@ from dashpot.check.directions import Deficiency
 from dashpot.check.identifiability import Structure
 from dashpot.data.spectrum import Spectrum
 from dashpot.data.stretch import SettledDwell
-from dashpot.errors import DashpotError, IdentifiabilityError
+from dashpot.errors import DashpotError, IdentifiabilityError, ModelError
 from dashpot.estimate.nonlinear.dwells import WarmStart
 from dashpot.estimate.nonlinear.objective import NonlinearPart, evaluate, nonlinear_part
 from dashpot.estimate.preparation.prepared import prepare
@@ -45,6 +45,8 @@ def nonlinear_structure(
     Raises IdentifiabilityError where no settled motion is found at the nominal values, DataError where an input is not
     measured.
     """
+    if not channels:
+        raise ModelError("no channels are listed", cure="say in [channels] of the rig file what is measured")
     given = _settled_test(model, channels) if spectrum is None else spectrum
     data = prepare(model, given)
     view = data.view
