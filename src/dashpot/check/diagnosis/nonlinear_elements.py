@@ -322,6 +322,12 @@ def misfit(data: Prepared, psi: Real, sign: Real) -> float:
     return float(at.cost[0])
 
 
+def _without_raising(data: Measured) -> Measured:
+    """The same data, in which a dwell that a candidate keeps from settling counts as lost: it is not what is wrong."""
+    assert data.nonlinear is not None
+    return replace(data, nonlinear=replace(data.nonlinear, patient=False, raised=False))
+
+
 def fitted_in_full(
     data: Prepared, psi: Real, sign: Real, candidate: ScoredElement, chi2: float, softness: float
 ) -> ScoredElement:
@@ -330,12 +336,12 @@ def fitted_in_full(
     element = with_open_constants(candidate.element)
     extended = replace(data.model, elements=(*data.model.elements, element))
     larger = replace(data.of_rig(extended), states=None)
-    view, exact = larger.view, measured(larger)
+    view, exact = larger.view, _without_raising(measured(larger))
     best, least = _with_elements(extended, {element.name: 0.0}, psi), np.inf
     for value in (candidate.value, 0.3 * candidate.value):
         start = _with_elements(extended, {element.name: value}, psi)
         if softness > 0:
-            start, left = _descended(view, measured(larger, softness), start, sign, LIMIT)
+            start, left = _descended(view, _without_raising(measured(larger, softness)), start, sign, LIMIT)
             if left > (1 - FALLEN) * candidate.chi2:
                 continue  # what does not help there leads nowhere in sharper data
         ended, cost = _descended(view, exact, start, sign, LIMIT)

@@ -46,7 +46,8 @@ class NonlinearPart:
 
     start (K, dwells, e, W): elongations to start from, None where they were not measured; q (K, lines, r + s): the
     inputs to start from; repeat (K,): which repeats these are; patient: whether lost dwells are followed from rest
-    where nothing else tells their motion.
+    where nothing else tells their motion; raised: whether the drive of those that Newton's method loses is raised step
+    by step, which takes long.
     """
 
     dwells: DwellLines
@@ -55,6 +56,7 @@ class NonlinearPart:
     repeat: Ints
     warm: WarmStart
     patient: bool = True
+    raised: bool = True
 
     def pick(self, rows: Ints) -> NonlinearPart:
         """Some of the repeats, rows (k,)."""
@@ -104,7 +106,7 @@ def evaluate(
     impossible = np.any(constants[:, must_be_positive(model)] <= 0, axis=-1)
     constants = np.where(impossible[:, None], 1.0, constants)
     drive = dwells.drive(q, r)
-    at = periodic_response(model, p, constants, drive, start)
+    at = periodic_response(model, p, constants, drive, start, grow=part.raised)
     a = harmonic_unit_forces(model, drive, at)
     X = dwells.lines(at.X, K)
     forces = model.parameters(theta)[:, None, :] * dwells.lines(a, K)
