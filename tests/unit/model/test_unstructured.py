@@ -91,10 +91,10 @@ BAD: Mapping[str, tuple[str, list[str]]] = {
     "true": (TABLE + "K = true\n", ["rig.toml:5", "free.K", "true"]),
     "no such point": (TABLE + 'K = [["x1", "y"]]\n', ["rig.toml:5", "free.K[0]", "x1, y", "x1, x2, x3"]),
     "a point with itself": (TABLE + 'K = [["x1", "x1"]]\n', ["rig.toml:5", "x1, x1", "two different"]),
-    "three points": (TABLE + 'K = [["x1", "x2", "x3"]]\n', ["rig.toml:5", "no pair"]),
-    "a flat list": (TABLE + 'K = ["x1", "x2"]\n', ["rig.toml:5", "no pair"]),
+    "three points": (TABLE + 'K = [["x1", "x2", "x3"]]\n', ["rig.toml:5", "not a pair"]),
+    "a flat list": (TABLE + 'K = ["x1", "x2"]\n', ["rig.toml:5", "not a pair"]),
     "numbers": (TABLE + "K = [[1, 2]]\n", ["rig.toml:5", "1, 2"]),
-    "tables in the pair": (TABLE + "K = [[{}, {}]]\n", ["rig.toml:5", "no pair"]),
+    "tables in the pair": (TABLE + "K = [[{}, {}]]\n", ["rig.toml:5", "not a pair"]),
     "the name of an element": (
         FILE + '[springs]\nk_x1 = { between = ["x1", "ground"] }\n', ["rig.toml:6", "k_x1", "2 times"],
     ),
