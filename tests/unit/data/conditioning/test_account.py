@@ -30,7 +30,7 @@ def test_the_line_says_how_much_is_used_and_what_was_taken_out() -> None:
     )
     plain = account(Conditioning(drift=0, refine="none", transients="none"))
     assert "an offset removed" in plain
-    assert "nothing taken out" in account(Conditioning(drift="none", transients="none"))
+    assert "nothing removed" in account(Conditioning(drift="none", transients="none"))
 
 
 def test_refined_frequencies_and_discarded_samples_are_counted() -> None:
