@@ -27,6 +27,8 @@ from dashpot.notices import Notice
 from dashpot.numerics.levenberg_marquardt import without_bounds
 from dashpot.numerics.small_systems import scaled_inverse
 
+LITTLE = 4.0  # χ² over its degrees of freedom up to which a start fits
+
 
 @dataclass(frozen=True)
 class MaximumLikelihood(Method):
@@ -112,11 +114,19 @@ def _start(likelihood: Likelihood, states: States) -> Real:
     model, ends = likelihood.data.model, likelihood.exact.ends
     if ends is None:
         return compensated(model, states)
-    (typical,), _ = candidates(likelihood.data, 1, np.random.default_rng(likelihood.effort.seed))
-    starts = np.concatenate([record_starts(model, states, ends, rig) for rig in (None, typical)])
+    starts = record_starts(model, states, ends)
+    costs = _costs(likelihood, starts)
+    if np.any(np.min(costs, axis=0) > LITTLE * likelihood.exact.rows):
+        (typical,), _ = candidates(likelihood.data, 1, np.random.default_rng(likelihood.effort.seed))
+        more = record_starts(model, states, ends, typical)
+        starts, costs = np.concatenate([starts, more]), np.concatenate([costs, _costs(likelihood, more)])
+    best: Real = starts[np.argmin(costs, axis=0), np.arange(likelihood.repeats)]
+    return best
+
+
+def _costs(likelihood: Likelihood, starts: Real) -> Real:
+    """Cost of each start (starts, K, unknowns), (starts, K); inf where it is not finite."""
     sign = np.ones((likelihood.repeats, len(likelihood.view.channels)))
     with np.errstate(all="ignore"):
         costs = np.stack([likelihood.model_at(start, sign).cost for start in starts])
-    costs = np.where(np.isfinite(costs), costs, np.inf)
-    best: Real = starts[np.argmin(costs, axis=0), np.arange(likelihood.repeats)]
-    return best
+    return np.where(np.isfinite(costs), costs, np.inf)

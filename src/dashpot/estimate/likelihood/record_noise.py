@@ -21,7 +21,7 @@ from dashpot.data.stretch import WholeRecord
 from dashpot.errors import DataError
 from dashpot.estimate.likelihood.chunks import Measured
 from dashpot.estimate.likelihood.input_noise import input_noise
-from dashpot.estimate.likelihood.maximum_likelihood import MaximumLikelihood
+from dashpot.estimate.likelihood.maximum_likelihood import LITTLE, MaximumLikelihood
 from dashpot.estimate.likelihood.objective import bounds, local, measured, predict
 from dashpot.estimate.likelihood.record_sums import record_residuals
 from dashpot.estimate.likelihood.thinning import thinned
@@ -34,6 +34,7 @@ from dashpot.numerics.levenberg_marquardt import minimise
 
 RESIDUAL = "residual"
 ROUNDS = 12
+ROUNDS_OF_NO_FIT = 3  # for a fit that leaves most of the outputs' power over
 STEPS = 30  # of each descent: the next round goes on from its end, and a search to the end follows them
 SETTLED = 3e-3  # change of a standard deviation at which the rounds end
 FIRST = 1e-2  # of a channel's size: its noise before the first fit, where nothing else is known
@@ -41,8 +42,7 @@ SMALLEST = 1e-7  # of a channel's size: below it noise is rounding
 WHITE_LEVEL = 0.01  # of the test for coloured noise
 EACH_TO_START = 12  # lines of each part of the band that a first fit is made from
 EACH_IN_DOUBT = 80  # and where that fit may be a wrong valley
-LITTLE = 4.0  # χ² over its degrees of freedom up to which it is none
-UNEXPLAINED_DECAY = 0.5  # of the power of a motion without input: more is no free decay
+UNEXPLAINED_MOST = 0.5  # of the power of the channels: of a motion without input this is no free decay
 UNEXPLAINED = 0.2  # of a channel's power: what may be left over by a fit whose noise is not known yet
 POOL_LEVEL = 1e-3  # of the test whether short records share the size of their noise
 
@@ -90,7 +90,7 @@ def noise_from_residuals(
     psi: Real | None = None
     sign: Real = np.ones((1, len(spectrum.channels)))
     used, dof = 0.0, np.array(spectrum.dof)
-    for _ in range(ROUNDS):
+    for turn in range(ROUNDS):
         data = Prepared(view, spectrum, V, None, True, np.ones(1, dtype=bool))
         exact = measured(data)
         if psi is None:
@@ -113,6 +113,8 @@ def noise_from_residuals(
         V = _diagonal(variance)
         if np.all(np.abs(variance - before) <= 2 * SETTLED * variance):
             break
+        if turn + 1 == ROUNDS_OF_NO_FIT and np.mean(_left(residual, exact)[outputs]) > UNEXPLAINED_MOST:
+            break
     kinds = tuple(RESIDUAL if s else kind for s, kind in zip(sought.tolist(), spectrum.noise, strict=True))
     weighted = replace(spectrum, covariance=V, noise=kinds, dof=dof * (1 - used))
     return weighted, np.zeros((1, 0)) if psi is None else psi, sign
@@ -122,10 +124,8 @@ def _require_decay(model: Model, residual: Complex, data: Measured) -> None:
     """Raises DataError where nothing is said to drive the rig, and yet its motion is no free decay."""
     if model.inputs:
         return
-    power = np.sum(np.abs(data.y[0]) ** 2, axis=0)
-    left = np.sum(np.abs(residual) ** 2, axis=0)
-    share = float(np.median((left / np.where(power > 0, power, 1.0))[power > 0]))
-    if share > UNEXPLAINED_DECAY:
+    share = float(np.median(_left(residual, data)))
+    if share > UNEXPLAINED_MOST:
         raise DataError(
             f"no free decay explains the motion ({100 * share:.0f} % of its power is left over): something drives the "
             "rig that was not recorded",
@@ -157,8 +157,14 @@ def _with_states(data: Prepared) -> Prepared:
 def _explains(view: ObservationModel, data: Measured, psi: Real, sign: Real) -> bool:
     """Whether a fit leaves little of what each channel shows."""
     residual, _ = _residuals(view, data, psi, sign)
-    left = np.sum(np.abs(residual) ** 2, axis=0)
-    return bool(np.all(left <= UNEXPLAINED * np.sum(np.abs(data.y[0]) ** 2, axis=0)))
+    return bool(np.all(_left(residual, data) <= UNEXPLAINED))
+
+
+def _left(residual: Complex, data: Measured) -> Real:
+    """What a fit leaves over of each channel's power, (channels,); 0 of channels without any."""
+    power = np.sum(np.abs(data.y[0]) ** 2, axis=0)
+    left: Real = np.sum(np.abs(residual) ** 2, axis=0) / np.where(power > 0, power, 1.0)
+    return np.where(power > 0, left, 0.0)
 
 
 def _residuals(view: ObservationModel, data: Measured, psi: Real, sign: Real) -> tuple[Complex, int]:
