@@ -17,6 +17,7 @@ from dashpot.errors import IdentifiabilityError
 from dashpot.estimate.method import HeldBounds, Method, Solution
 from dashpot.estimate.result import Fit
 from dashpot.model.dynamics import matrices
+from dashpot.model.elements import Kind
 from dashpot.model.network import Model
 from dashpot.model.observation import is_direct
 from dashpot.model.unstructured import free_entries, free_names
@@ -200,16 +201,13 @@ def wrong_signs(model: Model, theta: Real, noise_covariance: Real) -> list[Notic
 
 def _largest_of_kind(model: Model, theta: Real) -> dict[str, float]:
     """The largest positive part of its kind for each unknown that has one."""
-    p = model.parameters(theta[: len(model.unknowns)])
-    return {
-        element.name: max(others)
-        for element in model.elements
-        if (
-            others := [
-                v for e, v in zip(model.elements, p.tolist(), strict=True) if e.kind is element.kind and v > 0
-            ]
-        )
-    }
+    largest: dict[Kind, float] = {}
+    for element, value in zip(
+        model.elements, model.parameters(theta[: len(model.unknowns)]).tolist(), strict=True
+    ):
+        if value > largest.get(element.kind, 0.0):
+            largest[element.kind] = value
+    return {element.name: largest[element.kind] for element in model.elements if element.kind in largest}
 
 
 def held(names: tuple[str, ...], theta: Real, bounds: HeldBounds) -> list[Notice]:
