@@ -27,8 +27,6 @@ from dashpot.notices import Notice
 from dashpot.numerics.levenberg_marquardt import without_bounds
 from dashpot.numerics.small_systems import scaled_inverse
 
-LITTLE = 4.0  # χ² over its degrees of freedom up to which a start fits
-
 
 @dataclass(frozen=True)
 class MaximumLikelihood(Method):
@@ -92,12 +90,16 @@ class MaximumLikelihood(Method):
             warnings=warnings, bounds=bounds, harmonics=None if part is None else part.dwells.orders,
         )  # fmt: skip
 
-    def rough(self, data: Prepared) -> tuple[Real, Real]:
-        """ψ and signs of one repeat by one descent where all is seen, whatever it ends in; (1, …) each."""
+    def rough(self, data: Prepared, *, typical: bool = False) -> tuple[Real, Real]:
+        """ψ and signs of one repeat by one descent where all is seen, whatever it ends in; (1, …) each.
+
+        From the equation of motion weighted evenly, or as a `typical` rig has it.
+        """
         likelihood = Likelihood.of(data, self.effort)
         if data.states is not None and seen_directly(data):
             sign = np.ones((1, len(likelihood.view.channels)))
-            end = likelihood.descend(_start(likelihood, data.states), sign, limit=ROUGH)
+            start = _start(likelihood, data.states, typical=typical)
+            end = likelihood.descend(start, sign, limit=ROUGH)
             if np.all(np.isfinite(end.cost)):
                 return end.x, sign
         end, sign, _ = from_minima(likelihood, global_minima(likelihood, 0))
@@ -109,24 +111,21 @@ class MaximumLikelihood(Method):
         return Effort(**{entry.name: getattr(self, entry.name) for entry in fields(Effort)})
 
 
-def _start(likelihood: Likelihood, states: States) -> Real:
-    """Where all is seen: least squares less its noise, (K, unknowns), boundary loads of whole records solved for."""
+def _start(likelihood: Likelihood, states: States, *, typical: bool = False) -> Real:
+    """Where all is seen: least squares less its noise, (K, unknowns), boundary loads of whole records solved for.
+
+    These begin with even weights, or with those of a `typical` rig.
+    """
     model, ends = likelihood.data.model, likelihood.exact.ends
     if ends is None:
         return compensated(model, states)
-    starts = record_starts(model, states, ends)
-    costs = _costs(likelihood, starts)
-    if np.any(np.min(costs, axis=0) > LITTLE * likelihood.exact.rows):
-        (typical,), _ = candidates(likelihood.data, 1, np.random.default_rng(likelihood.effort.seed))
-        more = record_starts(model, states, ends, typical)
-        starts, costs = np.concatenate([starts, more]), np.concatenate([costs, _costs(likelihood, more)])
-    best: Real = starts[np.argmin(costs, axis=0), np.arange(likelihood.repeats)]
-    return best
-
-
-def _costs(likelihood: Likelihood, starts: Real) -> Real:
-    """Cost of each start (starts, K, unknowns), (starts, K); inf where it is not finite."""
+    rig: Real | None = None
+    if typical:
+        (rig,), _ = candidates(likelihood.data, 1, np.random.default_rng(likelihood.effort.seed))
+    starts = record_starts(model, states, ends, rig)
     sign = np.ones((likelihood.repeats, len(likelihood.view.channels)))
     with np.errstate(all="ignore"):
         costs = np.stack([likelihood.model_at(start, sign).cost for start in starts])
-    return np.where(np.isfinite(costs), costs, np.inf)
+    costs = np.where(np.isfinite(costs), costs, np.inf)
+    best: Real = starts[np.argmin(costs, axis=0), np.arange(likelihood.repeats)]
+    return best

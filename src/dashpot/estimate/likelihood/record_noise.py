@@ -21,7 +21,7 @@ from dashpot.data.stretch import WholeRecord
 from dashpot.errors import DataError
 from dashpot.estimate.likelihood.chunks import Measured
 from dashpot.estimate.likelihood.input_noise import input_noise
-from dashpot.estimate.likelihood.maximum_likelihood import LITTLE, MaximumLikelihood
+from dashpot.estimate.likelihood.maximum_likelihood import MaximumLikelihood
 from dashpot.estimate.likelihood.objective import bounds, local, measured, predict
 from dashpot.estimate.likelihood.record_sums import record_residuals
 from dashpot.estimate.likelihood.thinning import thinned
@@ -40,6 +40,7 @@ SETTLED = 3e-3  # change of a standard deviation at which the rounds end
 FIRST = 1e-2  # of a channel's size: its noise before the first fit, where nothing else is known
 SMALLEST = 1e-7  # of a channel's size: below it noise is rounding
 WHITE_LEVEL = 0.01  # of the test for coloured noise
+LITTLE = 4.0  # χ² over its degrees of freedom up to which it is none
 EACH_TO_START = 12  # lines of each part of the band that a first fit is made from
 EACH_IN_DOUBT = 80  # and where that fit may be a wrong valley
 UNEXPLAINED_MOST = 0.5  # of the power of the channels: of a motion without input this is no free decay
@@ -135,19 +136,26 @@ def _require_decay(model: Model, residual: Complex, data: Measured) -> None:
 
 
 def _begun(data: Prepared, exact: Measured, method: MaximumLikelihood) -> tuple[Real, Real]:
-    """A first fit: from some of the lines, and where that leaves much over from many of them."""
+    """A first fit: from some of the lines; where that leaves much over, the best of what many of them give as well.
+
+    Even weights are far from the noise of the equation where lines of motion are few among those that hold noise only,
+    or where displacements come from accelerations.
+    """
     view = data.view
     few = thinned(data, EACH_TO_START)
     psi, sign = method.rough(_with_states(few))
-    if few is data:
-        return psi, sign
-    psi = _descended(view, exact, psi, sign, method)
+    if few is not data:
+        psi = _descended(view, exact, psi, sign, method)
     cost = local(view, exact, psi, sign).cost[0]
     if cost <= LITTLE * exact.rows or _explains(view, exact, psi, sign):
         return psi, sign
-    again, flips = method.rough(_with_states(thinned(data, EACH_IN_DOUBT)))
-    better = local(view, exact, again, flips).cost[0] < cost or not np.isfinite(cost)
-    return (again, flips) if better else (psi, sign)
+    many = _with_states(thinned(data, EACH_IN_DOUBT))
+    others = [] if few is data else [method.rough(many)]
+    for again, flips in (method.rough(many, typical=True), *others):
+        other = local(view, exact, again, flips).cost[0]
+        if other < cost or not np.isfinite(cost):
+            psi, sign, cost = again, flips, other
+    return psi, sign
 
 
 def _with_states(data: Prepared) -> Prepared:
