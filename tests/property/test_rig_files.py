@@ -19,7 +19,7 @@ NAMES = st.one_of(
     st.from_regex(r"[a-zA-Z_][a-zA-Z0-9_]{0,6}", fullmatch=True),
     st.text(st.characters(exclude_categories=("C", "Z")), min_size=1, max_size=6),
 ).filter(lambda name: name.isprintable() and name == name.strip() and name != "ground")
-FACTORS = st.floats(-1e6, 1e6, allow_subnormal=False).filter(bool) | st.sampled_from([1.0, -1.0])
+FACTORS = st.floats(-1e6, 1e6).filter(lambda x: abs(x) >= 1e-30) | st.sampled_from([1.0, -1.0])
 SIZES = st.floats(1e-12, 1e15)
 UNITS = {
     (Quantity.DISPLACEMENT, False): ["m", "mm", "µm", "in"],

@@ -47,7 +47,9 @@ def test_a_noisy_base_that_moves_at_all_frequencies() -> None:
     """
     model, theta = chain(3, 0.03, seed=4)
     sensor = Quantity.ACCELERATION
-    test = record_of(model, theta, "random", decay_times=25, quantities=(sensor,), input_quantity=sensor, seed=4)
+    test = record_of(
+        model, theta, "random", decay_times=25, quantities=(sensor,), input_quantity=sensor, seed=4
+    )
     sd = 0.03 * test.size
     errors, stated, held = [], [], []
     for draw in range(40):

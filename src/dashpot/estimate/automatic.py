@@ -17,14 +17,13 @@ from dashpot.arrays import Bools
 from dashpot.data.spectrum import Spectrum
 from dashpot.errors import ConvergenceError, DashpotError, IdentifiabilityError
 from dashpot.estimate.identify import automatic, identify
-from dashpot.estimate.inference.diagnostics import nonlinear_names
+from dashpot.estimate.inference.diagnostics import largest_of_kind, nonlinear_names
 from dashpot.estimate.likelihood.global_search import DOUBT, TIE, apart, not_unique
 from dashpot.estimate.likelihood.maximum_likelihood import MaximumLikelihood
 from dashpot.estimate.likelihood.settling import with_settling_decided
 from dashpot.estimate.method import Method
 from dashpot.estimate.registry import method as method_named
 from dashpot.estimate.result import Estimate
-from dashpot.model.elements import Kind
 from dashpot.model.network import Model
 from dashpot.model.observation import measures_input
 from dashpot.model.unstructured import free_names
@@ -87,10 +86,7 @@ def plausible(model: Model, estimate: Estimate) -> bool:
 def _endless(model: Model, estimate: Estimate) -> bool:
     """Whether an unknown has run off to infinity, where the likelihood is flat: no end of a search."""
     sizes = np.abs(model.parameters(estimate.values[: len(model.unknowns)]))
-    largest: dict[Kind, float] = {}
-    for element, size in zip(model.elements, sizes.tolist(), strict=True):
-        largest[element.kind] = max(largest.get(element.kind, 0.0), size)
-    limits = {element.name: OPEN * largest[element.kind] for element in model.elements}
+    limits = {name: OPEN * largest for name, largest in largest_of_kind(model, sizes).items()}
     deviations = zip(model.unknowns, estimate.noise_sd.tolist(), strict=False)
     return any(not sd <= limits.get(unknown.name, np.inf) for unknown, sd in deviations)
 

@@ -175,7 +175,7 @@ def wrong_signs(model: Model, theta: Real, noise_covariance: Real) -> list[Notic
     """
     free, any_sign = free_names(model), nonlinear_names(model)
     sd = standard_deviations(noise_covariance)
-    largest = _largest_of_kind(model, theta)
+    largest = largest_of_kind(model, model.parameters(theta[: len(model.unknowns)]))
     notices = []
     for j, (unknown, value) in enumerate(zip(model.unknowns, theta, strict=False)):
         if value < 0 and unknown.name not in free and unknown.name not in any_sign:
@@ -199,12 +199,10 @@ def wrong_signs(model: Model, theta: Real, noise_covariance: Real) -> list[Notic
     return notices
 
 
-def _largest_of_kind(model: Model, theta: Real) -> dict[str, float]:
-    """The largest positive part of its kind for each unknown that has one."""
+def largest_of_kind(model: Model, p: Real) -> dict[str, float]:
+    """The largest positive part of its kind for each element whose kind has one.  p (elements,)."""
     largest: dict[Kind, float] = {}
-    for element, value in zip(
-        model.elements, model.parameters(theta[: len(model.unknowns)]).tolist(), strict=True
-    ):
+    for element, value in zip(model.elements, p.tolist(), strict=True):
         if value > largest.get(element.kind, 0.0):
             largest[element.kind] = value
     return {element.name: largest[element.kind] for element in model.elements if element.kind in largest}
