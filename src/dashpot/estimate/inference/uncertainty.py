@@ -261,7 +261,8 @@ def _noise(information: Real, quality: NoiseQuality, bread: Real, prior: Real) -
         degrees = interval_dof(shared, quality.dof, np.diagonal(stated, axis1=-2, axis2=-1))
         return bread @ summed @ bread + stated, degrees
     each = bread[:, None]
-    shares = each @ (information * quality.inflation[..., None, None]) @ each
+    with np.errstate(invalid="ignore"):  # noise of which nothing is known is infinite, times information of 0
+        shares = each @ (information * quality.inflation[..., None, None]) @ each
     exact = np.diagonal(stated, axis1=-2, axis2=-1)
     degrees = interval_dof(np.diagonal(shares, axis1=-2, axis2=-1), quality.dof, exact)
     return np.sum(shares, axis=-3) + stated, degrees
