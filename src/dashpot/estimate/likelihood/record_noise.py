@@ -36,6 +36,7 @@ RESIDUAL = "residual"
 ROUNDS = 12
 ROUNDS_OF_NO_FIT = 3  # for a fit that leaves most of the outputs' power over
 STEPS = 30  # of each descent: the next round goes on from its end, and a search to the end follows them
+LAST_STEPS = 60  # of that search: what has not settled after all rounds is no fit
 SETTLED = 3e-3  # change of a standard deviation at which the rounds end
 FIRST = 1e-2  # of a channel's size: its noise before the first fit, where nothing else is known
 SMALLEST = 1e-7  # of a channel's size: below it noise is rounding
@@ -71,7 +72,10 @@ def with_record_noise(model: Model, spectrum: Spectrum, method: Method) -> tuple
     if spectrum.batch:
         return known, method
     _, psi, sign = each_repeat[0]
-    return known, replace(method, start=tuple(psi[0].tolist()), start_sign=tuple(sign[0].tolist()))
+    steps = min(method.max_iterations, LAST_STEPS)
+    return known, replace(
+        method, start=tuple(psi[0].tolist()), start_sign=tuple(sign[0].tolist()), max_iterations=steps
+    )
 
 
 def noise_from_residuals(
