@@ -97,28 +97,35 @@ def _check_matrix(data: bytes | mmap.mmap, start: int, end: int, order: str, sou
     """An array: what it claims to hold, and the arrays inside it as far as the bytes go."""
     if start == end:
         return
-    position, number = start, 0
-    flags, kind_of_array, elements = 0, 0, 0
-    while position + 8 <= min(end, len(data)):
-        tag = Tag.at(data, position, order)
+    number, flags = 0, 0
+    for tag in _parts(data, start, end, order, source):
         size, content = tag.size, tag.start
-        if tag.end > end or tag.kind not in KINDS:  # SciPy looks kinds up without asking whether they exist
-            raise _lie(source)
         if number == 0 and size >= 4 and content < len(data):
             flags = struct.unpack_from(f"{order}I", data, content)[0]
-            kind_of_array = flags & 0xFF
-            if kind_of_array == OPAQUE:
+            if flags & 0xFF == OPAQUE:
                 return
         elif number == 1 and tag.kind == INT32 and content + size <= len(data):
             elements = prod(struct.unpack_from(f"{order}{size // 4}i", data, content))
-            if kind_of_array != SPARSE and not 0 <= elements <= end - start:
+            if flags & 0xFF != SPARSE and not 0 <= elements <= end - start:
                 raise _lie(source)
         elif tag.kind == MATRIX and depth < DEEPEST:
             _check_matrix(data, content, content + size, order, source, depth + 1)
-        position, number = tag.following, number + 1
+        number += 1
+    kind_of_array = flags & 0xFF
     parts = 4 if kind_of_array in NUMERIC else 6 if kind_of_array == SPARSE else None
     if parts is not None and end <= len(data) and number != parts + bool(flags & COMPLEX):
         raise _lie(source)  # SciPy reads on where it should find an imaginary part
+
+
+def _parts(data: bytes | mmap.mmap, start: int, end: int, order: str, source: str) -> Iterator[Tag]:
+    """The elements of an array, as far as the bytes go."""
+    position = start
+    while position + 8 <= min(end, len(data)):
+        tag = Tag.at(data, position, order)
+        if tag.end > end or tag.kind not in KINDS:  # SciPy looks kinds up without asking whether they exist
+            raise _lie(source)
+        yield tag
+        position = tag.following
 
 
 def _lie(source: str) -> DataError:

@@ -15,7 +15,7 @@ from dashpot.data.conditioning.still import HALF_WINDOW, smoothed
 from dashpot.data.spectrum import Spectrum
 from dashpot.estimate.likelihood.chunks import Measured
 from dashpot.estimate.likelihood.nuisance import estimated_inputs, inputs_by_channel
-from dashpot.model.observation import ObservationModel, calibrated_transfer
+from dashpot.model.observation import ObservationModel
 
 SHOWS = 4.0  # standard deviations of a variance, from which on it is one; few lines may tell it
 STAYS = 3.0  # and up to which it is given up again
@@ -24,14 +24,15 @@ ROOM = 1 + STAYS / (2 * HALF_WINDOW + 1) ** 0.5  # the least of many means, over
 
 
 def input_noise(
-    view: ObservationModel, spectrum: Spectrum, sought: Bools, data: Measured, residual: Complex, psi: Real,
-    sign: Real, before: Real,
+    view: ObservationModel, spectrum: Spectrum, sought: Bools, data: Measured, residual: Complex, G: Complex,
+    before: Real, most: Real,
 ) -> Real:  # fmt: skip
     """Variance times samples of channels that measure inputs alone, (channels,): the next after `before`, 0 where none.
 
-    sought (lines,): of the records whose noise is to be found; residual (lines, channels) at ψ (1, unknowns).
+    sought (lines,): of the records whose noise is to be found; residual (lines, channels); G (lines, channels, inputs)
+    calibrated; most (channels,): as `most_noise` says.
     """
-    score, scale = _slopes(view, data, residual, psi, sign)
+    score, scale = _slopes(view, data, residual, G)
     each = (sought / spectrum.samples)[:, None]
     information = np.sum((each * scale) ** 2, axis=0)
     usable = view.inputs_alone & view.is_direct & (information > 0)
@@ -41,17 +42,15 @@ def input_noise(
     fitted = len(view.names) + 2 * view.model.n * len(spectrum.records)
     left = np.where(before > 0, np.maximum(1 - fitted / (2 * telling), LEAST_LEFT), 1.0)
     step = np.sum(each * (score / left - scale), axis=0) / information
-    level = np.clip(before + step, 0.0, ROOM * _quietest(spectrum, sought))
+    level = np.clip(before + step, 0.0, most)
     least = np.where(before > 0, STAYS, SHOWS) / np.sqrt(information)
     shown: Real = np.where(usable & (level > least), level, 0.0)
     return shown
 
 
-def _slopes(
-    view: ObservationModel, data: Measured, residual: Complex, psi: Real, sign: Real
-) -> tuple[Real, Real]:
+def _slopes(view: ObservationModel, data: Measured, residual: Complex, G: Complex) -> tuple[Real, Real]:
     """|tᴴ Σ⁻¹ e|² and tᴴ Σ⁻¹ t of an error in each channel, both (lines, channels)."""
-    G, W = calibrated_transfer(view, psi, sign).G[0], data.W[0]
+    W = data.W[0]
     weighted = (W @ residual[..., None])[..., 0]
     if data.q is None:
         _, half = estimated_inputs(G, W, residual)
@@ -66,8 +65,8 @@ def _slopes(
     return np.abs(along) ** 2, np.diagonal(unit, axis1=-2, axis2=-1).real
 
 
-def _quietest(spectrum: Spectrum, sought: Bools) -> Real:
-    """Least mean power of neighbouring lines times samples, (channels,)."""
+def most_noise(spectrum: Spectrum, sought: Bools) -> Real:
+    """The variance times samples that white noise of a channel can have, (channels,): the quietest lines show it."""
     least = np.full(len(spectrum.channels), np.inf)
     for number in spectrum.records:
         lines = np.flatnonzero((spectrum.stretch == number) & sought)
@@ -75,4 +74,5 @@ def _quietest(spectrum: Spectrum, sought: Bools) -> Real:
             power = np.nan_to_num(np.abs(spectrum.amplitudes[0, lines])) ** 2
             around = smoothed(power.astype(np.complex128), HALF_WINDOW).real
             least = np.minimum(least, np.min(around, axis=0) * spectrum.samples[lines[0]])
-    return least
+    most: Real = ROOM * least
+    return most

@@ -20,7 +20,7 @@ from dashpot.data.spectrum import Spectrum
 from dashpot.data.stretch import WholeRecord
 from dashpot.errors import DataError
 from dashpot.estimate.likelihood.chunks import Measured
-from dashpot.estimate.likelihood.input_noise import input_noise
+from dashpot.estimate.likelihood.input_noise import input_noise, most_noise
 from dashpot.estimate.likelihood.maximum_likelihood import MaximumLikelihood
 from dashpot.estimate.likelihood.objective import bounds, local, measured, predict
 from dashpot.estimate.likelihood.record_sums import record_residuals
@@ -91,7 +91,7 @@ def noise_from_residuals(
     outputs = ~view.inputs_alone
     V = _first(spectrum, sought, outputs)
     blind = view.inputs_alone & ~np.any(np.diagonal(V[0, sought], axis1=-2, axis2=-1).real > 0, axis=0)
-    in_common, level = blind, np.zeros(len(blind))
+    in_common, level, most = blind, np.zeros(len(blind)), most_noise(spectrum, sought)
     psi: Real | None = None
     sign: Real = np.ones((1, len(spectrum.channels)))
     used, dof = 0.0, np.array(spectrum.dof)
@@ -105,13 +105,16 @@ def noise_from_residuals(
         residual, columns = _residuals(view, exact, psi, sign)
         _require_decay(model, residual, exact)
         used = (columns + len(view.names)) / (2 * np.sum(sought) * max(np.sum(outputs), 1))
-        power = np.abs(residual) ** 2 + _explained(view, exact.W[0], exact.q is None, psi, sign)
+        power = np.abs(residual) ** 2
+        if exact.q is None or np.any(in_common):
+            G = calibrated_transfer(view, psi, sign).G[0]
+        if exact.q is None:
+            power += _explained(G, exact.W[0])
         variance, dof = _smoothed(spectrum, power / max(1 - used, 0.1), V[0], sought, outputs)
-        known, level = (
-            level,
-            in_common * input_noise(view, spectrum, sought, exact, residual, psi, sign, level),
-        )
-        in_common = in_common & ((known == 0) | (level > 0))  # what is given up once does not come back
+        if np.any(in_common):
+            known = level
+            level = in_common * input_noise(view, spectrum, sought, exact, residual, G, known, most)
+            in_common = in_common & ((known == 0) | (level > 0))  # what is given up once does not come back
         variance = np.where(blind, level / spectrum.samples[:, None], variance)
         before = np.diagonal(V[0], axis1=-2, axis2=-1).real
         variance = np.where(sought[:, None] & (outputs | blind), variance, before)
@@ -220,11 +223,8 @@ def _descended(
     return minimum.x
 
 
-def _explained(view: ObservationModel, W: Complex, fitted: bool, psi: Real, sign: Real) -> Real:
+def _explained(G: Complex, W: Complex) -> Real:
     """What fitting the inputs takes out of the residual's power: diagonal of G (Gᴴ W G)⁻¹ Gᴴ, (lines, channels)."""
-    if not fitted:
-        return np.zeros(W.shape[:2])
-    G = calibrated_transfer(view, psi, sign).G[0]
     normal = hermitian(G) @ W @ G
     spread = np.linalg.pinv(normal, hermitian=True)
     taken: Real = np.einsum("lcq,lqp,lcp->lc", G, spread, np.conj(G)).real

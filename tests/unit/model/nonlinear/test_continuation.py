@@ -88,14 +88,19 @@ def test_multipliers_are_those_of_the_modes_where_the_nonlinear_force_is_nothing
     assert np.allclose(np.sort(np.abs(found)), np.sort(np.abs(expected)), rtol=1e-9)
 
 
+def driven(model, theta, amplitude, orders):
+    """The drive and the motions of a base that moves at 3 and at 7 Hz."""
+    U = np.zeros((2, orders + 1, 1), dtype=complex)
+    U[:, 1] = amplitude
+    drive = Drive(2 * np.pi * np.array([3.0, 7.0]), U, np.zeros((2, orders + 1, 0), dtype=complex))
+    rows = np.tile(model.parameters(theta), (2, 1)), np.tile(model.inner_constants(theta), (2, 1))
+    return drive, periodic_response(model, *rows, drive)
+
+
 @pytest.mark.parametrize("law", ["jenkins", "coulomb", "bouc-wen"])
 def test_motions_that_lose_energy_are_stable(law):
     model, theta = two_masses(law)
-    U = np.zeros((2, 22, 1), dtype=complex)
-    U[:, 1] = 1e-3
-    drive = Drive(2 * np.pi * np.array([3.0, 7.0]), U, np.zeros((2, 22, 0), dtype=complex))
-    rows = np.tile(model.parameters(theta), (2, 1)), np.tile(model.inner_constants(theta), (2, 1))
-    at = periodic_response(model, *rows, drive)
+    drive, at = driven(model, theta, 1e-3, orders=21)
     assert np.all(stable_motions(model, theta, drive, at))
 
 
@@ -119,11 +124,7 @@ def test_a_rig_without_a_nonlinear_spring_has_no_backbone():
 @pytest.mark.parametrize("law", ["cubic", "v*abs(v)", "coulomb"])
 def test_multipliers_along_the_motion_are_those_of_integration(law, monkeypatch):
     model, theta = two_masses(law)
-    U = np.zeros((2, 12, 1), dtype=complex)
-    U[:, 1] = 2e-3
-    drive = Drive(2 * np.pi * np.array([3.0, 7.0]), U, np.zeros((2, 12, 0), dtype=complex))
-    rows = np.tile(model.parameters(theta), (2, 1)), np.tile(model.inner_constants(theta), (2, 1))
-    at = periodic_response(model, *rows, drive)
+    drive, at = driven(model, theta, 2e-3, orders=11)
     along = floquet_multipliers(model, theta, drive, at)
     monkeypatch.setattr(stability, "_along_motions", stability._integrated)
     integrated = floquet_multipliers(model, theta, drive, at)
