@@ -251,6 +251,7 @@ def _value(
             if parameter.required
             else ("out", "out.json")
         )
+        usual += tuple(f"out.{each}" for each in kind.formats)
         return rng.choice((*usual * 2, "-", "/dev/null", positional[0] if extreme else usual[0]))
     if isinstance(kind, OutputFolder):
         return "folder"

@@ -7,7 +7,7 @@ each input and output is entered in the run's ledger, whichever comes first, and
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import click
@@ -15,6 +15,7 @@ from click.shell_completion import CompletionItem
 
 from dashpot.errors import DataError, UsageError
 from dashpot.io import ledger
+from dashpot.io.name_endings import chosen_format
 
 STDOUT = "-"  # as the name of a file to write
 
@@ -45,12 +46,15 @@ class InputFileOr(InputFile):
 
 
 class OutputFile(click.ParamType[str]):
-    """A file to write; with `stdout`, - is standard output; with `new`, one that is there already is not replaced."""
+    """A file to write; with `stdout`, - is standard output; with `new`, one that is there already is not replaced.
+
+    Where there are `formats`, its name ends in one of them.
+    """
 
     name = "file"
 
-    def __init__(self, stdout: bool = False, new: bool = False) -> None:
-        self.stdout, self.new = stdout, new
+    def __init__(self, stdout: bool = False, new: bool = False, formats: Sequence[str] = ()) -> None:
+        self.stdout, self.new, self.formats = stdout, new, tuple(formats)
 
     def convert(self, value: object, param: click.Parameter | None, ctx: click.Context | None) -> str:
         """The path.  Raises UsageError where it could not be written after the work, or must not be."""
@@ -63,6 +67,8 @@ class OutputFile(click.ParamType[str]):
         entries = ledger.current()
         if entries is not None:
             entries.claim(target, id(self) if param is None else param.name)
+        if self.formats:
+            chosen_format(target, self.formats)
         return target
 
     def shell_complete(

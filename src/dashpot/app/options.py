@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, TypeVar
 
 import click
@@ -23,6 +23,7 @@ from dashpot.app.parameter_types import (
     Count,
 )
 from dashpot.estimate.registry import METHODS
+from dashpot.io.name_endings import PICTURES
 
 NOT_CONVERGED = 3  # exit code
 DOES_NOT_FIT = 4  # exit code of a verdict that was asked to count
@@ -47,13 +48,15 @@ def data_argument(
     return click.argument(name, type=INPUT_FILE, nargs=-1, required=required, help=help_text)
 
 
-def out_option(metavar: str, help_text: str, *, required: bool = True) -> Callable[[Function], Function]:
-    """--out, -o: what the command is there to write."""
+def out_option(
+    metavar: str, help_text: str, *, required: bool = True, formats: Sequence[str] = ()
+) -> Callable[[Function], Function]:
+    """--out, -o: what the command is there to write; `formats` as of OutputFile."""
     return option(
         "--out",
         "-o",
         "out",
-        type=OutputFile(),
+        type=OutputFile(formats=formats),
         metavar=metavar,
         required=required,
         group=OUTPUT,
@@ -69,9 +72,17 @@ def json_option(what: str) -> Callable[[Function], Function]:
     )  # fmt: skip
 
 
-def file_option(name: str, metavar: str, help_text: str, *also: str) -> Callable[[Function], Function]:
-    """An output file that is named by what it holds; `also` are other spellings of the option."""
-    return option(name, *also, type=OutputFile(), metavar=metavar, group=OUTPUT, help=help_text)
+def file_option(name: str, metavar: str, help_text: str) -> Callable[[Function], Function]:
+    """An output file that is named by what it holds."""
+    return option(name, type=OutputFile(), metavar=metavar, group=OUTPUT, help=help_text)
+
+
+def figure_option(what: str, *names: str) -> Callable[[Function], Function]:
+    """--figure, or an option of another name that draws."""
+    return option(
+        *(names or ("--figure",)), type=OutputFile(formats=PICTURES), metavar="FILE.svg|png|pdf", group=OUTPUT,
+        help=what,
+    )  # fmt: skip
 
 
 level_option = option(

@@ -14,6 +14,7 @@ from dashpot.app.files import OutputFile
 from dashpot.app.help import option
 from dashpot.app.options import OUTPUT
 from dashpot.errors import UsageError
+from dashpot.io.name_endings import REPORTS, chosen_format
 
 if TYPE_CHECKING:
     from dashpot.present.pages.page import Provenance, SourceFile
@@ -33,6 +34,9 @@ Function = TypeVar("Function", bound=Callable[..., Any])
 class ReportFile(OutputFile):
     """A report to write: .html, or .pdf where there is a browser that prints it."""
 
+    def __init__(self) -> None:
+        super().__init__(formats=REPORTS)
+
     def convert(self, value: object, param: click.Parameter | None, ctx: click.Context | None) -> str:
         """The path.  Raises UsageError where it could not be written after the work."""
         target = super().convert(value, param, ctx)
@@ -49,7 +53,7 @@ report_option = option(
 
 def is_pdf(target: str) -> bool:
     """Whether a report of that name is to be a PDF file."""
-    return Path(target).suffix.lower() == ".pdf"
+    return chosen_format(target, REPORTS) == "pdf"
 
 
 def browser() -> str:

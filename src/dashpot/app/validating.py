@@ -54,13 +54,12 @@ def figures_of(predictions: Sequence[RecordPrediction]) -> str:
 
 
 def write_picture(predictions: Sequence[RecordPrediction], path: str) -> None:
-    """Histories and spectra of the first whole record as SVG, or PNG by the path's name.
+    """Histories and spectra of the first whole record, in the format of the path's name.
 
     Raises UsageError where there is none.
     """
     from dashpot.errors import UsageError
-    from dashpot.io.atomic import write_bytes, write_text
-    from dashpot.present.figures.style import png, svg
+    from dashpot.present.figures.style import write_figure
     from dashpot.present.figures.validation import histories_and_spectra
 
     records = [part for part in predictions if part.samples]
@@ -71,7 +70,4 @@ def write_picture(predictions: Sequence[RecordPrediction], path: str) -> None:
     figure = histories_and_spectra(
         part.channels, part.units, time, measured, predicted, part.frequency_hz, part.measured, part.predicted
     )
-    if path.lower().endswith(".png"):
-        write_bytes(path, png(figure))
-    else:
-        write_text(path, svg(figure))
+    write_figure(path, figure)

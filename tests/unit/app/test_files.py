@@ -58,20 +58,20 @@ def _arguments(command: click.Command, given: dict[str, str]) -> list[str]:
 @pytest.mark.parametrize("kind", ["same", "spelling", "symlink", "hard link"])
 @pytest.mark.parametrize(("name", "output", "source"), list(_pairs()))
 def test_no_output_is_an_input(dashpot: Command, name: str, output: str, source: str, kind: str) -> None:
-    Path("precious.csv").write_text("measured", encoding="utf-8")
+    Path("precious.pdf").write_text("measured", encoding="utf-8")
     other = {
-        "same": "precious.csv",
-        "spelling": f"../{Path.cwd().name}/./precious.csv",
-        "symlink": "soft",
-        "hard link": "hard",
+        "same": "precious.pdf",
+        "spelling": f"../{Path.cwd().name}/./precious.pdf",
+        "symlink": "soft.pdf",
+        "hard link": "hard.pdf",
     }[kind]
-    os.symlink("precious.csv", "soft")
-    os.link("precious.csv", "hard")
-    ran = dashpot(name, *_arguments(_command(name), {output: other, source: "precious.csv"}))
+    os.symlink("precious.pdf", "soft.pdf")
+    os.link("precious.pdf", "hard.pdf")
+    ran = dashpot(name, *_arguments(_command(name), {output: other, source: "precious.pdf"}))
     assert ran.code == 2, ran.err
     assert "this would overwrite a file that is read" in ran.err[0]
     assert len(ran.err) == 1
-    assert Path("precious.csv").read_text(encoding="utf-8") == "measured"
+    assert Path("precious.pdf").read_text(encoding="utf-8") == "measured"
 
 
 def test_two_outputs_are_two_files(dashpot: Command) -> None:
@@ -80,9 +80,39 @@ def test_two_outputs_are_two_files(dashpot: Command) -> None:
         for one in outputs:
             for other in outputs:
                 if one != other:
-                    ran = dashpot(name, *_arguments(_command(name), {one: "x", other: "x", "rig": "r"}))
+                    ran = dashpot(
+                        name, *_arguments(_command(name), {one: "x.pdf", other: "x.pdf", "rig": "r"})
+                    )
                     assert ran.code == 2
                     assert "two outputs have this name" in ran.err[0]
+
+
+def _of_formats() -> Iterator[tuple[str, str]]:
+    for name in COMMANDS:
+        for parameter in _command(name).params:
+            if isinstance(parameter.type, OutputFile) and parameter.type.formats and parameter.name:
+                yield name, parameter.name
+
+
+def test_figures_and_reports_have_formats() -> None:
+    assert {name for name, parameter in _of_formats() if parameter == "report"} >= {
+        "identify", "compare", "check", "design", "validate", "study", "reproduce",
+    }  # fmt: skip
+    assert {name for name, parameter in _of_formats() if parameter in ("figure", "out")} == {
+        "compare", "design", "draw", "response", "validate",
+    }  # fmt: skip
+
+
+@pytest.mark.parametrize(("name", "output"), list(_of_formats()))
+def test_a_name_that_ends_in_no_format_is_refused_before_anything_is_read(
+    dashpot: Command, name: str, output: str
+) -> None:
+    for target in ("out", "out.docx", "out.png.txt"):
+        ran = dashpot(name, *_arguments(_command(name), {output: target}))  # of files that do not exist
+        assert ran.code == 2
+        assert len(ran.err) == 1
+        assert f"{target}: the end of the name chooses the format; end it in ." in ran.err[0]
+        assert not Path(target).exists()
 
 
 def test_every_parameter_that_names_a_file_has_a_type_that_says_so() -> None:

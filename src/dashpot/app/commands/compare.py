@@ -14,7 +14,7 @@ from dashpot.app.options import (
     NOT_CONVERGED,
     conditioning_options,
     data_argument,
-    file_option,
+    figure_option,
     json_option,
     level_option,
     modal_sd_option,
@@ -63,7 +63,7 @@ WHAT = "What to compare"
     "--elements", is_flag=True, group=WHAT,
     help="Compare nonlinear elements that the rig might have, ranked by evidence, instead of methods.",
 )  # fmt: skip
-@file_option("--figure", "FILE.png", "Draw the intervals.")
+@figure_option("Draw the intervals.")
 @report_option
 @json_option("all estimates")
 @level_option
@@ -219,11 +219,10 @@ def _compared(
 
 
 def _draw(comparison: Comparison, level: float, figure: str) -> None:
-    from dashpot.io.atomic import write_bytes
     from dashpot.present.figures.comparison import comparison_figure
-    from dashpot.present.figures.style import png
+    from dashpot.present.figures.style import write_figure
 
-    write_bytes(figure, png(comparison_figure(comparison, level)))
+    write_figure(figure, comparison_figure(comparison, level))
 
 
 def _ending(comparison: Comparison) -> int:

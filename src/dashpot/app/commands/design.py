@@ -12,6 +12,7 @@ from dashpot.app.files import STDOUT
 from dashpot.app.help import dashpot_command, option
 from dashpot.app.options import (
     conditioning_options,
+    figure_option,
     file_option,
     json_option,
     quiet_option,
@@ -133,8 +134,8 @@ TEST, SHAKER, ROBUST = "The test", "The shaker", "Robustness"
 )  # fmt: skip
 @json_option("the plan")
 @file_option("--csv", "FILE.csv", "Write the dwells for the shaker's controller.")
-@file_option("--figure", "FILE.png", "Draw dwells, information and the expected intervals.")
-@file_option("--progress", "FILE.png", "Draw how the intervals shrank as the data of --after came in.")
+@figure_option("Draw dwells, information and the expected intervals.")
+@figure_option("Draw how the intervals shrank as the data of --after came in.", "--progress")
 @report_option
 @conditioning_options
 @transient_options
@@ -346,15 +347,14 @@ def _against(rig: Rig, options: Mapping[str, Any], quiet: bool) -> tuple[float, 
 def _draw(result: Answer, figure_out: str | None, progress_out: str | None, question: Question) -> None:
     if figure_out is None and progress_out is None:
         return
-    from dashpot.io.atomic import write_bytes
     from dashpot.present.figures.planned_test import planned_test_figure, sequential_figure
-    from dashpot.present.figures.style import png
+    from dashpot.present.figures.style import write_figure
 
     if figure_out is not None and result.plan is not None:
-        write_bytes(figure_out, png(planned_test_figure(result)))
+        write_figure(figure_out, planned_test_figure(result))
     if progress_out is not None:
         aim = question.target
         targets = {} if aim is None else question.criterion.targets_for(question.model, aim)
         drawn = sequential_figure(result, targets)
         if drawn is not None:
-            write_bytes(progress_out, png(drawn))
+            write_figure(progress_out, drawn)

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 from dashpot.app.help import dashpot_command, option
 from dashpot.app.options import level_option, out_option, rig_argument
 from dashpot.app.parameter_types import INPUT_FILE, Count
+from dashpot.io.name_endings import PICTURES
 
 if TYPE_CHECKING:
     from dashpot.estimate.result import Estimate
@@ -30,7 +31,7 @@ WHAT = "What to draw"
     "--mode", type=Count(1, 10_000), metavar="N", group=WHAT,
     help="Draw mode N: of the estimate, or of a rig file that gives every value or guess.  In SVG it is animated.",
 )  # fmt: skip
-@out_option("FILE.svg", "The drawing, as .svg, .png or .pdf.")
+@out_option("FILE.svg|png|pdf", "The drawing.", formats=PICTURES)
 @level_option
 def command(rig: str, estimate_file: str | None, mode: int | None, out: str, level: float) -> None:
     """Draw RIG: masses, springs, dampers, inputs and sensors.
@@ -41,9 +42,8 @@ def command(rig: str, estimate_file: str | None, mode: int | None, out: str, lev
     from dashpot.check.doubt import doubtful, undetermined
     from dashpot.estimate.result import Estimate
     from dashpot.model.rigfile import read_rig
-    from dashpot.present.schematic.drawing import file_format, schematic
+    from dashpot.present.schematic.drawing import schematic
 
-    file_format(out)
     rig_read = read_rig(rig)
     estimate = None if estimate_file is None else Estimate.load(estimate_file)
     if estimate is not None:

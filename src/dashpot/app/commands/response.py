@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from dashpot.app.files import OutputFile
 from dashpot.app.help import dashpot_command, option
-from dashpot.app.options import OUTPUT, VALUES, file_option, quiet_option, rig_argument, set_option
+from dashpot.app.options import OUTPUT, VALUES, figure_option, quiet_option, rig_argument, set_option
 from dashpot.app.parameter_types import AMPLITUDE, BAND, FREQUENCY, Count
 
 if TYPE_CHECKING:
@@ -44,7 +44,7 @@ TEST = "The drive"
     "--out", "-o", "out", type=OutputFile(), metavar="FILE.csv", group=OUTPUT,
     help="Write the points of the curves as a table.",
 )  # fmt: skip
-@file_option("--figure", "FILE.png", "Draw the curves, unstable motions dashed.")
+@figure_option("Draw the curves, unstable motions dashed.")
 @quiet_option
 def command(
     rig: str, values: Sequence[Mapping[str, Amount]], band: tuple[float, float] | None, at: float | None,
@@ -161,10 +161,9 @@ def _draw(
 ) -> None:
     import numpy as np
 
-    from dashpot.io.atomic import write_bytes
     from dashpot.model.observation import measures_input
     from dashpot.present.figures.response_curves import DrawnCurve, response_curves
-    from dashpot.present.figures.style import png
+    from dashpot.present.figures.style import write_figure
 
     moving = [c for c, channel in enumerate(rig.channels) if not measures_input(rig.model, channel)]
     scale = np.array([rig.channels[c].scale for c in moving])
@@ -178,4 +177,4 @@ def _draw(
     names = [rig.channels[c].name for c in moving]
     units = [rig.channels[c].unit or "SI" for c in moving]
     label = "drive / stated amplitude" if by_amplitude else "frequency, Hz"
-    write_bytes(path, png(response_curves(names, units, drawn, label)))
+    write_figure(path, response_curves(names, units, drawn, label))

@@ -10,7 +10,7 @@ from dashpot.app.options import (
     RECORDS,
     conditioning_options,
     data_argument,
-    file_option,
+    figure_option,
     json_option,
     quiet_option,
     whole_record_options,
@@ -32,11 +32,8 @@ from dashpot.app.report_files import report_option
     help="The rig file of the estimate.  [default: the one that the estimate names]",
 )  # fmt: skip
 @json_option("the figures")
-@file_option(
-    "--figure",
-    "FILE.svg",
-    "Draw measured and predicted histories and spectra of the first record.",
-    "--picture",
+@figure_option(
+    "Draw measured and predicted histories and spectra of the first record.", "--figure", "--picture"
 )
 @report_option
 @conditioning_options

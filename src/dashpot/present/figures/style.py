@@ -3,18 +3,23 @@
 from __future__ import annotations
 
 import io
+import os
 import re
 from collections.abc import Iterator
 from contextlib import contextmanager
+from typing import Any
 
 import matplotlib as mpl
 from matplotlib.figure import Figure
 from matplotlib.text import Text
 
 from dashpot.estimate.registry import METHODS
+from dashpot.io.atomic import write_bytes
+from dashpot.io.name_endings import PICTURES, chosen_format
 
 INK, MUTED, GRID = "#1f2933", "#7b8794", "#e4e7eb"
 MODEL, DATA, BAD = "#0b6e99", "#1f2933", "#b5372b"
+_UNSAID = {"svg": ("Date", "Creator"), "png": ("Software",), "pdf": ("CreationDate", "Creator", "Producer")}
 COLOURS = ("#0b6e99", "#c4661f", "#4a7c3a", "#8a4f9e", "#b5372b", "#5c6b7a", "#b08a1e", "#2f8f83")
 DPI = 180
 
@@ -82,20 +87,27 @@ def _as_written(figure: Figure) -> None:
 
 def svg(figure: Figure) -> str:
     """The figure as an SVG element for a page: no XML head, no date."""
-    out = io.StringIO()
-    with style():
-        _as_written(figure)
-        figure.savefig(out, format="svg", metadata={"Date": None, "Creator": None}, transparent=True)
-    text = out.getvalue()
+    text = _saved(figure, "svg", transparent=True).decode("utf-8")
     return text[text.index("<svg") :]
 
 
 def png(figure: Figure) -> bytes:
     """The figure as a PNG file, the same bytes for the same figure."""
+    return _saved(figure, "png", dpi=DPI)
+
+
+def write_figure(path: str | os.PathLike[str], figure: Figure) -> None:
+    """Write the figure as SVG, PNG or PDF by the end of the name.  Raises UsageError, DataError."""
+    kind = chosen_format(path, PICTURES)
+    write_bytes(path, png(figure) if kind == "png" else _saved(figure, kind))
+
+
+def _saved(figure: Figure, kind: str, **settings: Any) -> bytes:
+    """The content of a file of that kind, without the day and the program that would change it."""
     out = io.BytesIO()
     with style():
         _as_written(figure)
-        figure.savefig(out, format="png", dpi=DPI, metadata={"Software": None})
+        figure.savefig(out, format=kind, metadata=dict.fromkeys(_UNSAID[kind]), **settings)
     return out.getvalue()
 
 

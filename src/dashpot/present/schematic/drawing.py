@@ -5,13 +5,13 @@ from __future__ import annotations
 import os
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Literal
 
 from dashpot.channel import Channel
 from dashpot.errors import UsageError
 from dashpot.estimate.result import Estimate
 from dashpot.io.atomic import write_bytes
+from dashpot.io.name_endings import PICTURES, chosen_format
 from dashpot.model.network import Model
 from dashpot.present.schematic.connections import Connections, connections
 from dashpot.present.schematic.frame import framed
@@ -25,7 +25,6 @@ from dashpot.present.schematic.tree import forest
 from dashpot.present.text.estimate import sentence
 
 MOST_ELEMENTS, MOST_BODIES = 60, 40
-FORMATS = ("svg", "png", "pdf")
 
 
 @dataclass(frozen=True)
@@ -55,19 +54,9 @@ class Drawing:
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write it; the end of the name says how: .svg, .png or .pdf.  Raises UsageError, DataError."""
-        kind = file_format(path)
+        kind = chosen_format(path, PICTURES)
         content = self.svg().encode() if kind == "svg" else self.raster("png" if kind == "png" else "pdf")
         write_bytes(path, content)
-
-
-def file_format(path: str | os.PathLike[str]) -> str:
-    """ "svg", "png" or "pdf" by the end of a name.  Raises UsageError."""
-    kind = Path(path).suffix.lower().removeprefix(".")
-    if kind not in FORMATS:
-        raise UsageError(
-            "a drawing is written as SVG, PNG or PDF", str(path), "end the name in .svg, .png or .pdf"
-        )
-    return kind
 
 
 def schematic(

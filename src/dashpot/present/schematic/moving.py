@@ -11,10 +11,11 @@ from dashpot.arrays import Complex
 from dashpot.errors import UsageError
 from dashpot.estimate.result import Estimate
 from dashpot.io.atomic import write_bytes
+from dashpot.io.name_endings import PICTURES, chosen_format
 from dashpot.model.modes import modes
 from dashpot.model.network import Model
 from dashpot.present.schematic.connections import Connections, connections
-from dashpot.present.schematic.drawing import MOST_BODIES, file_format
+from dashpot.present.schematic.drawing import MOST_BODIES
 from dashpot.present.schematic.frame import titled
 from dashpot.present.schematic.labels import labels
 from dashpot.present.schematic.layout import Placer
@@ -50,7 +51,7 @@ class ModeDrawing:
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write it as .svg, which moves, or as .png or .pdf of its largest.  Raises UsageError, DataError."""
-        kind = file_format(path)
+        kind = chosen_format(path, PICTURES)
         if kind == "svg":
             write_bytes(path, self.svg().encode())
         else:

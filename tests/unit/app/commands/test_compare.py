@@ -151,10 +151,8 @@ BAD = {
     "no such data": (["rig.toml", "none.csv"], ["none.csv"]),
     "no such modes": (["rig.toml", "data.csv", "--modal", "none.csv"], ["none.csv"]),
     "modes that are data": (["rig.toml", "data.csv", "--modal", "data.csv"], ["data.csv", "frequency_sd"]),
-    "picture over data": (["rig.toml", "data.csv", "--figure", "data.csv"], ["data.csv", "overwrite"]),
-    "picture over modes": (["rig.toml", "--modal", "rig2.csv", "--figure", "rig2.csv"], ["overwrite"]),
     "two outputs in one": (
-        ["rig.toml", "data.csv", "--figure", "out.x", "--json", "out.x"],
+        ["rig.toml", "data.csv", "--figure", "out.svg", "--json", "out.svg"],
         ["two outputs have this name"],
     ),
     "no folder": (["rig.toml", "data.csv", "--figure", "no/out.png"], ["no", "does not exist"]),

@@ -324,7 +324,9 @@ def test_outputs_are_checked_before_the_work(dashpot: Command, data: Path, targe
 
 
 def test_two_outputs_of_one_name(dashpot: Command, data: Path) -> None:
-    refused(dashpot("identify", "rig.toml", "data.csv", "--json", "o", "--report", "./o"), "two outputs")
+    refused(
+        dashpot("identify", "rig.toml", "data.csv", "--json", "o.html", "--report", "./o.html"), "two outputs"
+    )
 
 
 def test_many_problems_are_summed_up(dashpot: Command, rig: Path) -> None:

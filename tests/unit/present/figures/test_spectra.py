@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import matplotlib as mpl
 import numpy as np
+import pytest
 
+from dashpot.errors import UsageError
 from dashpot.present.figures import spectra as figures
-from dashpot.present.figures.style import svg
+from dashpot.present.figures.style import svg, write_figure
 
 
 def test_figures_leave_no_settings_behind() -> None:
@@ -18,6 +22,20 @@ def test_figures_leave_no_settings_behind() -> None:
     svg(figures.residual_plot(["a"], f, np.full((3, 1), np.nan)))
     svg(figures.residual_plot(["a"], f, np.array([[1.0], [2.0], [40.0]]), [("a", 5.0, 40.0)]))
     assert dict(mpl.rcParams) == before
+
+
+@pytest.mark.parametrize(("end", "head"), [("svg", b"<?xml"), ("PNG", b"\x89PNG"), ("pdf", b"%PDF")])
+def test_the_end_of_a_name_chooses_the_format(tmp_path: Path, end: str, head: bytes) -> None:
+    path = tmp_path / f"figure.{end}"
+    contents = set()
+    for _ in range(2):
+        figure = figures.residual_plot(["a"], np.array([1.0, 2]), np.array([[1.0], [2.0]]))
+        write_figure(path, figure)
+        contents.add(path.read_bytes())
+    (content,) = contents
+    assert content.startswith(head)
+    with pytest.raises(UsageError, match="chooses the format"):
+        write_figure(tmp_path / "figure.jpg", figure)
 
 
 def test_phases_stay_in_the_turn_of_the_model() -> None:
