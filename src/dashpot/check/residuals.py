@@ -295,10 +295,3 @@ def correlation(covariance: Real) -> Real:
     with np.errstate(divide="ignore", invalid="ignore"):
         matrix: Real = covariance / np.outer(sd, sd)
     return matrix
-
-
-def distance_from_end(history: Real, sd: Real) -> Real:
-    """|θ_k − θ_end| / sd of each iteration but the last, (iterations, unknowns)."""
-    with np.errstate(divide="ignore", invalid="ignore"):
-        distance: Real = np.abs(history[:-1] - history[-1]) / sd
-    return distance

@@ -59,9 +59,10 @@ class Solution:
     """What a method found, for K repeats.
 
     theta (K, unknowns), followed by gains and delays where the method estimates them; covariance of the noise given
-    in the spectrum, (K, unknowns, unknowns); converged and iterations (K,); history: θ after each iteration of the
-    first repeat, (iterations + 1, unknowns).  `signs`: channels whose sign was found, ±1 for each repeat.
-    `bounds`: those that were held, if any.  `harmonics` of the response of a nonlinear rig that it rests on.
+    in the spectrum, (K, unknowns, unknowns); converged and iterations (K,), from all starts together; history: θ at the
+    start and after each iteration of the descent that ended there, of the first repeat, (points, unknowns).  `signs`:
+    channels whose sign was found, ±1 for each repeat.  `bounds`: those that were held, if any.  `harmonics` of the
+    response of a nonlinear rig that it rests on.
     """
 
     theta: Real

@@ -123,8 +123,9 @@ class Estimate(Printable):
     free_values (..., m)  where it would lie without bounds, to first order; the same where none holds
     basis               what the intervals count: "sensor noise", "residuals" or "model misfit"
     converged (...,)    whether the iterations ended; where they did not, values are those of the last one
-    iterations (...,)   how many there were, 0 for closed forms
-    history             unknowns after each iteration of the first repeat, (iterations + 1, unknowns)
+    iterations (...,)   how many there were from all starts together, 0 for closed forms
+    history             start, and unknowns after each iteration of the descent that ended in the values, of the first
+                        repeat, (points, unknowns): at most iterations + 1
     fit                 χ² and its p-value
     known               (name, value, unit) of the exactly known parameters
     tied                (name, unknown, times, unit) of the parameters that are a multiple of an unknown

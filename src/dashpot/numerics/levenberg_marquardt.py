@@ -45,7 +45,10 @@ class QuadraticModel:
 
 @dataclass(frozen=True)
 class OptimizeResult:
-    """Where the search ended, for K repeats; history of the first one, (iterations + 1, m)."""
+    """Where the search ended, for K repeats; iterations from all starts together.
+
+    history of the first repeat: the start and the steps of the descent that ended there, (points, m).
+    """
 
     x: Real
     cost: Real

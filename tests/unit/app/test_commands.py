@@ -185,12 +185,19 @@ def test_not_converged_is_told_written_and_ends_with_3(
     from dashpot.estimate import automatic
 
     monkeypatch.setattr(automatic, "method_named", lambda name, **_: method(name, max_iterations=1))
-    done = dashpot("identify", "rig.toml", "data.csv", "--method", "oiv", "--json", "out.json")
+    done = dashpot(
+        "identify", "rig.toml", "data.csv", "--method", "oiv", "--json", "out.json", "--report", "out.html"
+    )
     assert done.code == 3
     assert done.err[:-1] == [STEADY]
     assert "did not converge" in done.err[-1]
     assert "NOT CONVERGED" in done.out
     assert json.loads(Path("out.json").read_text(encoding="utf-8"))["status"] == "not converged"
+    page = Path("out.html").read_text(encoding="utf-8")
+    said = page.index("<strong>No answer: the iteration did not converge.")
+    assert said < page.index("<svg") < page.index("<h2>What next")
+    assert "Do not use these values" in page
+    assert 'class="verdict bad"' in page[:said]
 
 
 def test_help_names_all_commands_and_imports_none(dashpot: Command) -> None:

@@ -28,7 +28,6 @@ from dashpot.check.residuals import (
     calibrations_of,
     channel_response,
     correlation,
-    distance_from_end,
     residuals,
     response_curve,
 )
@@ -225,8 +224,5 @@ def test_the_curve_passes_through_the_predictions() -> None:
     assert response_curve(two, THETA, spectrum, found) is None
 
 
-def test_small_matters() -> None:
+def test_correlation_of_a_covariance() -> None:
     np.testing.assert_allclose(correlation(np.array([[4.0, 1.0], [1.0, 1.0]])), [[1, 0.5], [0.5, 1]])
-    np.testing.assert_allclose(
-        distance_from_end(np.array([[1.0], [3.0], [2.0]]), np.array([0.5])), [[2], [2]]
-    )

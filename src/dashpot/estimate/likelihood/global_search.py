@@ -189,7 +189,7 @@ def searched_again(
     x, cost, converged, iterations = (
         found.x.copy(), found.cost.copy(), found.converged.copy(), found.iterations.copy(),
     )  # fmt: skip
-    sign, notices = sign.copy(), tuple[Notice, ...]()
+    sign, notices, history = sign.copy(), tuple[Notice, ...](), found.history
     for repeat in np.flatnonzero(poor):
         minima = global_minima(likelihood, int(repeat))
         end, flips, told = from_minima(likelihood.only(int(repeat)), minima)
@@ -198,7 +198,8 @@ def searched_again(
             iterations[repeat] += end.iterations[0]
             sign[repeat] = flips[0]
             notices = told if len(poor) == 1 else ()
-    return OptimizeResult(x, cost, converged, iterations, found.history), sign, notices
+            history = end.history if repeat == 0 else history
+    return OptimizeResult(x, cost, converged, iterations, history), sign, notices
 
 
 # From nothing to minima

@@ -135,7 +135,7 @@ def _unbroken(phase: Real) -> Real:
 
 
 def residual_plot(
-    names: Sequence[str], lines_hz: Real, size: Real, worst: Sequence[tuple[str, float, float]] = ()
+    names: Sequence[str], lines_hz: Real, size: Real, worst: tuple[str, float, float] | None = None
 ) -> Figure:
     """Residuals over frequency, |measured − predicted| / sd of the amplitude, (lines, channels), the worst named.
 
@@ -158,7 +158,8 @@ def residual_plot(
         if largest > 12:
             axes.set_yscale("symlog", linthresh=2)
         axes.set_ylim(0, (1.25 if largest <= 12 else 2.0) * largest)
-        for name, f, value in worst:
+        if worst is not None:
+            name, f, value = worst
             right = f > float(np.sqrt(np.max(lines_hz) * max(np.min(lines_hz), 1e-12)))
             axes.annotate(
                 f"{name}, {f:.4g} Hz: {short(value, 2)}", (f, value), textcoords="offset points",

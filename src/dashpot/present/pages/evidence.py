@@ -52,7 +52,7 @@ def evidence_blocks(
         blocks += _responses(model, spectrum, estimate, found)
         blocks += _histories(model, spectrum, estimate)
         blocks += _dwells(dwells, found)
-        blocks += _residuals(estimate, found)
+        blocks += _residuals(found)
     if len(estimate.names) <= MOST_NAMES:
         text = "Each unknown with its 95 % interval; shaded, the interval at the Cramér-Rao bound."
         if any(unknown.sd is not None for unknown in model.unknowns):
@@ -98,10 +98,11 @@ def _part_shown(record: RecordPrediction) -> str:
 
 
 def _responses(model: Model, spectrum: Spectrum, estimate: Estimate, found: Residuals) -> list[Block]:
-    responses = responses_of_channels(model, estimate, spectrum, found)[:MOST_PANELS]
+    every = responses_of_channels(model, estimate, spectrum, found)
+    responses = every[:MOST_PANELS]
     if responses:
         channels = joined([shown.channel for shown in responses])
-        text = "Output over input, measured and predicted by the estimated rig."
+        text = f"Output over input, measured and predicted by the estimated rig.{_first(MOST_PANELS, len(every))}"
         panels = figure_picture(
             response_figure(responses), f"Amplitude and phase of {channels}, measured and model"
         )
@@ -111,7 +112,11 @@ def _responses(model: Model, spectrum: Spectrum, estimate: Estimate, found: Resi
         )
         return [
             Block("Measured and model", (text,), pictures=(panels,), whole=True),
-            Block("In the complex plane", ("Each resonance is a circle.",), pictures=(plane,)),
+            Block(
+                "In the complex plane",
+                (f"Each resonance is a circle.{_first(MOST_PLANES, len(every))}",),
+                pictures=(plane,),
+            ),
         ]
     driven = [i for i, name in enumerate(found.channels) if np.any(np.isfinite(found.normalised[:, i]))]
     chosen = driven[:MOST_PANELS]
@@ -124,15 +129,19 @@ def _responses(model: Model, spectrum: Spectrum, estimate: Estimate, found: Resi
         names, [found.units[i] for i in chosen], found.frequency_hz, found.measured[:, chosen],
         found.sd[:, chosen], None, None, predicted,
     )  # fmt: skip
-    more = f" The first {MOST_PANELS} of {len(driven)} channels." if len(driven) > MOST_PANELS else ""
-    text = f"Amplitude and phase of each channel, as measured and as predicted from the inputs.{more}"
+    text = "Amplitude and phase of each channel, as measured and as predicted from the inputs."
     return [
         Block(
-            "Measured and model", (text,),
+            "Measured and model", (text + _first(MOST_PANELS, len(driven)),),
             pictures=(figure_picture(figure, f"Amplitude and phase of {joined(names)}, measured and predicted"),),
             whole=True,
         )
     ]  # fmt: skip
+
+
+def _first(most: int, channels: int) -> str:
+    """That not all channels are drawn."""
+    return f" Drawn are the first {most} of {channels} channels." if channels > most else ""
 
 
 def _histories(model: Model, spectrum: Spectrum, estimate: Estimate) -> list[Block]:
@@ -175,7 +184,7 @@ def _dwells(dwells: Sequence[UsedDwell], found: Residuals) -> list[Block]:
     return [Block("Dwells in time", (shaded, choice), pictures=pictures, whole=True)]
 
 
-def _residuals(estimate: Estimate, found: Residuals) -> list[Block]:
+def _residuals(found: Residuals) -> list[Block]:
     size = np.abs(found.normalised) / np.sqrt(2)
     if not np.any(np.isfinite(size)):
         return []
@@ -183,21 +192,17 @@ def _residuals(estimate: Estimate, found: Residuals) -> list[Block]:
     texts = [
         f"Size of measured minus predicted amplitude over {unit}; where the model fits, 95 % lie in the band."
     ]
-    assessed = () if estimate.assessment is None else estimate.assessment.worst
-    worst = [(entry.channel, entry.frequency_hz, entry.sd) for entry in assessed]
-    largest = found.worst()
-    if not worst and largest is not None:
-        worst = [largest]
     rms = [
         f"{name} {short(value, 2)}"
         for name, value in zip(found.channels, found.rms().tolist(), strict=True)
         if np.isfinite(value)
     ]
     texts.append(f"Rms of each channel: {joined(rms)}.")
-    if worst:
-        name, f, value = worst[0]
+    worst = found.worst()
+    if worst is not None:
+        name, f, value = worst
         texts.append(f"The largest is {short(value, 2)}: {name} at {short(f, 4)} Hz.")
-    figure = figures.residual_plot(found.channels, found.frequency_hz, size, worst[:1])
+    figure = figures.residual_plot(found.channels, found.frequency_hz, size, worst)
     picture = figure_picture(figure, f"Residuals by frequency and channel. {texts[-1]}")
     return [Block("Residuals", tuple(texts), pictures=(picture,))]
 

@@ -20,7 +20,7 @@ def test_figures_leave_no_settings_behind() -> None:
     figure = figures.amplitude_and_phase(["a"], ["m"], f, z, np.full((3, 1), 0.1), None, None, z)
     assert svg(figure).startswith("<svg")
     svg(figures.residual_plot(["a"], f, np.full((3, 1), np.nan)))
-    svg(figures.residual_plot(["a"], f, np.array([[1.0], [2.0], [40.0]]), [("a", 5.0, 40.0)]))
+    svg(figures.residual_plot(["a"], f, np.array([[1.0], [2.0], [40.0]]), ("a", 5.0, 40.0)))
     assert dict(mpl.rcParams) == before
 
 

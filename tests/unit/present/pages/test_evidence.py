@@ -5,12 +5,16 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
 from dashpot import Spectrum, dwells, identify, simulate_spectrum
 from dashpot.check.profile import profile
 from dashpot.check.validation import RecordPrediction
+from dashpot.present.pages import evidence
 from dashpot.present.pages.evidence import prediction_block, profiles_block
+from dashpot.present.pages.page import Picture
 from dashpot.present.pages.report import identification_report
+from dashpot.present.text.numbers import short
 from tests.unit.present.conftest import RIG, VALUES
 
 
@@ -55,6 +59,28 @@ def test_histories_say_which_part_of_a_record_they_hold() -> None:
     )
     block = prediction_block("In time", (record,))
     assert any("2.000 s and hold the 3 lines from 1.000 to 2.000 Hz" in text for text in block.paragraphs)
+
+
+def test_the_fit_in_words_is_that_of_the_curves(monkeypatch: pytest.MonkeyPatch) -> None:
+    rng = np.random.default_rng(5)
+    truth = rng.standard_normal((40, 2)) + 1j * rng.standard_normal((40, 2))
+    off = 0.1 * (rng.standard_normal((40, 2)) + 1j * rng.standard_normal((40, 2)))
+    fit = 1 - np.linalg.norm(off, axis=0) / np.linalg.norm(truth, axis=0)
+    record = RecordPrediction(
+        ("x", "y"), ("m", "m"), np.arange(1, 41) / 2.0, truth, truth - off, fit, np.ones(2), np.full(2, 80.0), 2.0, 400,
+    )  # fmt: skip
+    figures = []
+    monkeypatch.setattr(
+        evidence, "figure_picture", lambda figure, text: figures.append(figure) or Picture("", text)
+    )
+    block = prediction_block("In time", (record,))
+    (figure,) = figures
+    for axes in figure.axes:
+        drawn = {line.get_label(): np.asarray(line.get_ydata()) for line in axes.get_lines()}
+        channel = record.channels.index(axes.get_title(loc="left") or axes.get_ylabel()[:1])
+        away = np.linalg.norm(drawn["difference"]) / np.linalg.norm(drawn["measured"])
+        assert 1 - away == pytest.approx(fit[channel], rel=1e-9)
+        assert f"{record.channels[channel]} {short(100 * (1 - float(away)), 3)} %" in block.paragraphs[0]
 
 
 def test_profiles_of_estimates_that_are_no_minimum_are_left_out() -> None:

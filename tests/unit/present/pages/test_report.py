@@ -7,17 +7,21 @@ import hashlib
 import json
 import re
 from dataclasses import replace
+from html import unescape
 from html.parser import HTMLParser
+from typing import Any
 
 import numpy as np
+import pytest
 
-from dashpot import Estimate, IdentifiabilityError, identify, parse_rig
+from dashpot import Estimate, IdentifiabilityError, identify, method, parse_rig
 from dashpot.check.diagnosis.diagnose import examined
 from dashpot.check.residuals import residuals
 from dashpot.present.pages import page as pages
 from dashpot.present.pages.page import Provenance, SourceFile
 from dashpot.present.pages.report import _on_law, failure_report, identification_report
 from dashpot.present.tables.estimate import parameter_rows
+from dashpot.present.text.numbers import short
 from tests.unit.present.conftest import RIG, measured
 
 
@@ -126,6 +130,54 @@ def test_numbers_are_those_of_the_json_and_of_the_pictures() -> None:
     for name, value in content["parameters"].items():
         shown = next(row for row in parameter_rows(estimate) if row.name == name)
         assert abs(float(shown.value) - value["value"]) <= max(0.06 * value["sd"], 1e-9 * abs(value["value"]))
+
+
+def drawn_panels(html: str, name: str) -> list[dict[str, Any]]:
+    """The panels of a page's figures whose vertical axis has that name, as the script reads them."""
+    figures = [json.loads(unescape(text)) for text in re.findall('data-panels="([^"]*)"', html)]
+    return [panel for panels in figures for panel in panels if panel["y"].get("name") == name]
+
+
+@pytest.mark.parametrize("case", ["fits", "misfit", "not converged"])
+def test_the_largest_residual_in_words_is_that_of_the_plot(case: str, good: Estimate, bad: Estimate) -> None:
+    spectrum = measured(extra=0.2 if case == "misfit" else 0.0)
+    estimate = {
+        "fits": examined(RIG.model, spectrum, good),
+        "misfit": examined(RIG.model, spectrum, bad),
+        "not converged": replace(good, values=1.3 * good.values, converged=np.asarray(False)),
+    }[case]
+    html = identification_report(RIG.model, spectrum, estimate)
+    (panel,) = drawn_panels(html, "residual")
+    points = [
+        (size, series["name"], f)
+        for series in panel["series"]
+        for f, size in zip(series["x"], series["y"], strict=True)
+    ]
+    size, name, f = max(points)
+    assert f"The largest is {short(size, 2)}: {name} at {short(f, 4)} Hz." in html
+    assert f"{name}, {f:.4g} Hz: {short(size, 2)}<" in html
+    assert panel["y"]["limits"][1] > size  # which the axis shows
+    for series in panel["series"]:
+        rms = np.sqrt(np.mean(np.square(series["y"])))
+        assert f"{series['name']} {short(float(rms), 2)}" in html
+    assert all(panel["x"]["limits"][0] <= f <= panel["x"]["limits"][1] for _, _, f in points)
+    low, high = (short(float(end), 4) for end in (spectrum.frequency_hz.min(), spectrum.frequency_hz.max()))
+    assert f"{spectrum.lines} lines from {low} to {high} Hz" in html
+
+
+@pytest.mark.parametrize("name", ["oiv", "ml", "wls"])
+def test_iterations_are_said_as_they_were_and_none_are_drawn(name: str) -> None:
+    """A plot of them once ended before their number."""
+    estimate = identify(RIG.model, measured(), method(name))
+    html = identification_report(RIG.model, measured(), estimate)
+    count = json.loads(estimate.to_json())["iterations"]
+    assert ("in closed form" if count == 0 else f"converged in {count} iteration") in html
+    panels = [json.loads(unescape(text)) for text in re.findall('data-panels="([^"]*)"', html)]
+    axes = {panel["x"].get("name") for figure in panels for panel in figure if "x" in panel}
+    assert axes
+    assert not any("iteration" in (name or "") for name in axes)
+    assert len(estimate.history) <= count + 1
+    np.testing.assert_allclose(estimate.history[-1], estimate.values, rtol=1e-6)
 
 
 def test_not_converged_is_loud(good: Estimate) -> None:
