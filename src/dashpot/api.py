@@ -87,7 +87,8 @@ def identify(
     diagnose  judge the fit and, where it fails, look for causes, as the command does (no batch axes): `print` tells
 
     `progress(done, all)` is called between chunks of repeats.  Raises DataError or UsageError where the data lack what
-    the method needs, IdentifiabilityError where they do not determine the unknowns.
+    the method needs, IdentifiabilityError where they do not determine the unknowns, ConvergenceError where no search
+    comes to an end, ModelError where the rig has no steady response.
     """
     chosen = named_method(method) if isinstance(method, str) else method
     if not isinstance(data, Spectrum):
@@ -174,7 +175,8 @@ def simulate(
     samples      of each dwell, spread over `periods`, or taken at `rate` (Hz)
     amplitudes   of the inputs by name, SI units; 1 where not given
 
-    Raises UsageError where an unknown has no value or an input does not exist.
+    Raises UsageError where an unknown has no value or an input does not exist, ModelError where the rig has no steady
+    response, DataError where a channel measures what the rig has not.
     """
     chosen = frequencies_of(frequencies) if isinstance(frequencies, str) else frequencies
     model = rig.model
@@ -192,7 +194,8 @@ def draw(
     mode      the number of a mode that is drawn in their place, 1 the slowest: of the estimate, or of the values and
               guesses that the rig states
 
-    Raises UsageError where the rig has too many bodies for a drawing, or no such mode.
+    Raises UsageError where the rig has too many bodies for a drawing, or no such mode, ModelError or DataError where
+    the rig or its channels cannot be.
     """
     from dashpot.check.doubt import doubtful, undetermined
     from dashpot.present.schematic.drawing import schematic
@@ -219,7 +222,8 @@ def state_space(
     given        as what displacement inputs are given, "displacement", "velocity" or "acceleration", of all or by
                  name; else as they are measured, differentiated as often as it takes to make all channels proper
 
-    Raises ModelError for nonlinear and hysteretic elements and coordinates without mass.
+    Raises ModelError for nonlinear and hysteretic elements and coordinates without mass, UsageError where values are
+    missing or `given` is not possible, DataError where the estimate is of another rig.
     """
     return state_space_of(_identified(rig, source), given)
 
@@ -232,7 +236,7 @@ def transfer_functions(
 ) -> TransferFunctions:
     """Poles, zeros, gains and polynomials from each input to each channel.
 
-    Arguments, and what is raised, as of `state_space`.
+    SI units; arguments, and what is raised, as of `state_space`.
     """
     return transfer_functions_of(state_space(rig, source, given=given))
 

@@ -37,15 +37,16 @@ Calibrations = Mapping[str, float]
 
 @dataclass(frozen=True)
 class Residuals:
-    """Measured against predicted, all (lines, channels) unless said; SI units.
+    """Measured against predicted, SI units.
 
     channels, units       names, and SI units of their amplitudes
     input_names, input_units  of the inputs
     frequency_hz, experiment  of the lines, (lines,)
-    measured, predicted   complex amplitudes; NaN where a channel was not measured
-    sd                    of the real (and of the imaginary) part of the measured amplitude
-    normalised            (measured − predicted) over the sd that this difference has after v was fitted; NaN where it
-                          has none.  Re and Im have variance 1 where the model is right and the noise as stated.
+    measured, predicted   complex amplitudes, (lines, channels); NaN where a channel was not measured
+    sd                    of the real (and of the imaginary) part of the measured amplitude, (lines, channels)
+    normalised            (measured − predicted) over the sd that this difference has after v was fitted,
+                          (lines, channels); NaN where it has none.  Re and Im have variance 1 where the model is right
+                          and the noise as stated.
     inputs                v̂, (lines, inputs), in the order of `input_names`
     scaled                whether the noise was unknown and is scaled so that `normalised` has variance 1 on the whole
     """
@@ -111,9 +112,9 @@ def calibrations_of(model: Model, estimate: Estimate) -> dict[str, float]:
 def residuals(
     model: Model, theta: Real, spectrum: Spectrum, calibrations: Calibrations | None = None
 ) -> Residuals:
-    """Residuals of one spectrum (no batch axes) at θ, (unknowns,).
+    """Residuals of one spectrum (no batch axes) at θ (unknowns,), SI units.
 
-    Raises DataError where a channel measures what the rig has not.
+    Raises DataError where a channel measures what the rig has not, ModelError where the rig has no steady response.
     """
     p = model.parameters(np.asarray(theta, dtype=float))
     known = noise_is_known(spectrum)

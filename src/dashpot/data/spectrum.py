@@ -168,7 +168,7 @@ class Spectrum(InNotebooks):
         )
 
     def sd(self) -> Real:
-        """Standard deviation of the real (and of the imaginary) part of each amplitude, (..., lines, channels)."""
+        """Standard deviation of the real (and of the imaginary) part of each amplitude, (..., lines, channels), SI."""
         diagonal = np.diagonal(self.covariance, axis1=-2, axis2=-1).real
         return np.sqrt(np.maximum(diagonal, 0.0) / 2)
 
@@ -185,7 +185,7 @@ class Spectrum(InNotebooks):
         return other
 
     def select(self, lines: Sequence[int] | Ints) -> Spectrum:
-        """The same spectrum with only some lines, in the order given."""
+        """The same spectrum with only some lines (count,), in the order given."""
         i = np.asarray(lines, dtype=np.int64)
         return Spectrum(
             self.channels,
@@ -202,7 +202,10 @@ class Spectrum(InNotebooks):
         )
 
     def signs(self, given: Mapping[str, Any], repeats: int = 1) -> Real:
-        """Signs of all channels, (repeats, channels): as `given` by name, one or one a repeat; 1 of the others."""
+        """Signs of all channels, (repeats, channels): as `given` by name, one or one a repeat; 1 of the others.
+
+        Raises DataError where there is no channel of such a name.
+        """
         signs = np.ones((repeats, len(self.channels)))
         for name, sign in given.items():
             signs[:, self.index(name)] = np.ravel(sign)
@@ -214,7 +217,10 @@ class Spectrum(InNotebooks):
         return replace(self, channels=channels, unsettled=unsettled)
 
     def to_xarray(self) -> Any:
-        """An xarray Dataset of amplitudes and covariance with their names; needs xarray (extra "analysis")."""
+        """An xarray Dataset of amplitudes and covariance with their names.
+
+        Raises UsageError without xarray (extra "analysis").
+        """
         return labelled_spectrum(self)
 
     def __add__(self, other: Spectrum) -> Spectrum:

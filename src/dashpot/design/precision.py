@@ -48,7 +48,7 @@ class ExpectedPrecision:
 def expected_precision(
     setup: TestSetup, criterion: Criterion, information: Real, robustness: Robustness = "worst"
 ) -> ExpectedPrecision:
-    """What information (scenarios, q, q), prior included, will give.
+    """What information (scenarios, q, q) in parts of the parameters' sizes, prior included, will give.
 
     Raises IdentifiabilityError where it leaves some parameter open.
     """

@@ -43,14 +43,17 @@ class ShakerLimits:
 
     @property
     def given(self) -> dict[str, float]:
-        """The limits that are there, by name."""
+        """The limits that are there, by name, SI units."""
         every = {
             "stroke": self.stroke, "velocity": self.velocity, "acceleration": self.acceleration, "force": self.force,
         }  # fmt: skip
         return {name: value for name, value in every.items() if value is not None}
 
     def use(self, omega: Real, motion: Complex, force: Complex) -> Real:
-        """Largest part of a limit that is used, (..., lines), of motion and force (..., lines, inputs)."""
+        """Largest part of a limit that is used, (..., lines), of motion and force (..., lines, inputs), SI units.
+
+        omega (lines,), rad/s.
+        """
         X, F = np.abs(motion), np.abs(force)
         w = omega[:, None]
         sizes = {"stroke": X, "velocity": w * X, "acceleration": w**2 * X, "force": F}
@@ -111,16 +114,16 @@ class TestSetup:
 
     @cached_property
     def sizes(self) -> Real:
-        """What errors are relative to, (scenarios, parameters): |θ|, 1 for ln gain and where θ is 0."""
+        """What errors are relative to, (scenarios, parameters), SI units: |θ|, 1 for ln gain and where θ is 0."""
         return self.sizes_of(self.theta)
 
     def sizes_of(self, theta: Real) -> Real:
-        """The same for any θ (scenarios, unknowns)."""
+        """What errors at θ (scenarios, unknowns) are relative to, (scenarios, parameters), SI units."""
         size = np.where(theta == 0, 1.0, np.abs(theta))
         return np.concatenate([size, np.ones((len(size), len(self.names) - size.shape[1]))], axis=1)
 
     def known(self, information: Real) -> Real:
-        """Information (q, q) in SI units of ψ, in parts of the sizes of each scenario, (scenarios, q, q)."""
+        """An information (q, q) in SI units of ψ, in parts of the sizes of each scenario, (scenarios, q, q)."""
         relative: Real = information * self.sizes[:, :, None] * self.sizes[:, None, :]
         return relative
 
@@ -129,14 +132,18 @@ class TestSetup:
         return replace(self, channels=tuple(channels))
 
     def with_scenarios(self, theta: Real, probability: Real | None = None) -> TestSetup:
-        """The same setup with other values of the unknowns, (scenarios, unknowns), equally likely unless said."""
+        """The same setup with other values of the unknowns, theta (scenarios, unknowns), SI units.
+
+        They are equally likely without a probability (scenarios,).
+        """
         p = np.full(len(theta), 1 / len(theta)) if probability is None else probability
         return replace(self, theta=theta, probability=p)
 
     def drive(self, frequency_hz: Real, pattern: Ints) -> Complex:
-        """Amplitudes (U, f) of each line, (lines, r + s): at the first limit met in any scenario.
+        """Amplitudes (U, f) of each line, (lines, r + s), SI units: at the first limit met in any scenario.
 
-        Raises UsageError where the shaker meets none of its limits.
+        frequency_hz and pattern (lines,).  Raises UsageError where the shaker meets none of its limits, DataError where
+        a channel shares a gain that is known.
         """
         omega = 2 * np.pi * frequency_hz
         unit = self.drives[pattern]
@@ -172,14 +179,19 @@ class TestSetup:
             return _scaled(frequency_hz, unit, 1 / self.limits.use(omega, motion, force))
 
     def seen(self, frequency_hz: Real, pattern: Ints, scenario: int = 0) -> Outputs:
-        """What the channels show at each line; frequency_hz and pattern (lines,)."""
+        """What the channels show at each line; frequency_hz and pattern (lines,).
+
+        Raises UsageError as `drive`, DataError where a channel measures what the rig has not.
+        """
         drive = self.drive(frequency_hz, pattern)
         return outputs(self.model, self.p[scenario], self.channels, 2 * np.pi * frequency_hz, drive)
 
     def information(self, frequency_hz: Real, pattern: Ints) -> Real:
         """What one sample at each line tells about ψ in parts of its size, (scenarios, lines, q, q).
 
-        Nothing within 1 % of a resonance that nothing damps: no test can dwell there.
+        Nothing within 1 % of a resonance that nothing damps: no test can dwell there.  frequency_hz and pattern
+        (lines,).  Raises UsageError as `drive`, DataError where a channel measures what the rig has not, ModelError
+        where all parameters are 0.
         """
         every = self.per_sample(frequency_hz, self.drive(frequency_hz, pattern))
         for f in self.undamped:
@@ -187,7 +199,11 @@ class TestSetup:
         return every
 
     def per_sample(self, frequency_hz: Real, drive: Complex) -> Real:
-        """The same at a given drive (lines, r + s), near resonances as well."""
+        """`information` (scenarios, lines, q, q) at a given drive (lines, r + s), SI units, near resonances as well.
+
+        frequency_hz (lines,).  Raises DataError where a channel measures what the rig has not, UsageError where one
+        has noise in proportion to an amplitude that is 0.
+        """
         omega = 2 * np.pi * frequency_hz
         lines, q = len(omega), len(self.names)
         numbers = max(1, lines * (len(self.channels) * q + len(self.model.elements) * self.model.n))
@@ -205,7 +221,7 @@ class TestSetup:
 
     @cached_property
     def undamped(self) -> tuple[float, ...]:
-        """Resonances, Hz, that nothing damps in some scenario."""
+        """Resonances, Hz, that nothing damps in some scenario.  Raises ModelError where all parameters are 0."""
         return tuple(f for f, zeta in self.resonances() if zeta < UNDAMPED)
 
     @cached_property
@@ -217,7 +233,10 @@ class TestSetup:
         return diagonal
 
     def resonances(self) -> list[tuple[float, float]]:
-        """(frequency in Hz, damping ratio) of all oscillating modes of all scenarios."""
+        """(frequency in Hz, damping ratio) of all oscillating modes of all scenarios.
+
+        Raises ModelError where all parameters are 0.
+        """
         every = []
         for p in self.p:
             rig = modes(self.model, p)
@@ -229,8 +248,9 @@ class TestSetup:
     def settling(self) -> float:
         """Time in which the slowest transient falls to 1e-3, s, in the worst scenario.
 
-        Raises UsageError where a mode never dies out.  Hysteretic dampers damp a mode as e^{−Im √… t} near its
-        frequency; a rigid-body motion (a zero eigenvalue) is no vibration and is left out.
+        Raises UsageError where a mode never dies out, ModelError where all parameters are 0.  Hysteretic dampers damp
+        a mode as e^{−Im √… t} near its frequency; a rigid-body motion (a zero eigenvalue) is no vibration and is left
+        out.
         """
         slowest = np.inf
         for p in self.p:
@@ -309,7 +329,8 @@ def nominal_setup(
 ) -> TestSetup:
     """A setup with one scenario: the nominal values of the unknowns, θ or by name.
 
-    θ (unknowns,).  Raises ModelError where there are more or fewer values than unknowns.
+    theta (unknowns,), SI units.  Raises ModelError where there are more or fewer values than unknowns, UsageError where
+    `drives` or the channels' noise cannot be meant.
     """
     nominal = model.theta(theta) if isinstance(theta, Mapping) else np.asarray(theta, dtype=float)
     if nominal.shape != (len(model.unknowns),):

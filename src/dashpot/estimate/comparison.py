@@ -26,7 +26,7 @@ class Comparison(Printable):
     names, units  of its unknowns
     estimates     by the name of the method
     refused       why a method gave none, by its name
-    truth         true values of the unknowns, as far as known
+    truth         true values of the unknowns, SI units, as far as known
     most_likely   the estimates that maximise the likelihood, the one that uses the data best first
     """
 
@@ -45,7 +45,7 @@ class Comparison(Printable):
         return min(bounds) if bounds else None
 
     def centre(self, name: str) -> float | None:
-        """The true value of an unknown, else the most likely one; None where no method gives that."""
+        """The true value of an unknown, SI units, else the most likely one; None where no method gives that."""
         if name in self.truth:
             return self.truth[name]
         return self.estimates[self.most_likely[0]][name].value if self.most_likely else None

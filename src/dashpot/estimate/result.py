@@ -104,7 +104,7 @@ class Fit:
 
     @property
     def misfit(self) -> Real:
-        """√(χ²/dof): how many times larger than the noise the residuals are."""
+        """√(χ²/dof), (...,): how many times larger than the noise the residuals are."""
         return np.sqrt(self.chi2 / max(self.dof, 1))
 
 
@@ -130,7 +130,7 @@ class Estimate(Printable):
     known               (name, value, unit) of the exactly known parameters
     tied                (name, unknown, times, unit) of the parameters that are a multiple of an unknown
     modes               of the estimated rig; None for batches, and for rigs of more than 400 coordinates
-    signs               ±1 of the channels whose sign was found, by name
+    signs               ±1 (...,) of the channels whose sign was found, by name
     warnings, notes     notices of the estimate, and of the data it was made from
     assessment          verdict and diagnosis, where they were made
     rig                 name of the rig file, where it came from one
@@ -186,12 +186,12 @@ class Estimate(Printable):
 
     @property
     def sd(self) -> Real:
-        """Standard deviations, (..., m)."""
+        """Standard deviations, (..., m), SI units."""
         return np.sqrt(np.diagonal(self.covariance, axis1=-2, axis2=-1))
 
     @property
     def noise_sd(self) -> Real:
-        """Standard deviations from the sensors' noise alone, (..., m)."""
+        """Standard deviations from the sensors' noise alone, (..., m), SI units."""
         return np.sqrt(np.diagonal(self.noise_covariance, axis1=-2, axis2=-1))
 
     def interval(self, level: float = 0.95) -> tuple[Real, Real]:
@@ -258,15 +258,24 @@ class Estimate(Printable):
         return to_json(content_of(self))
 
     def to_dataframe(self, level: float = 0.95) -> Any:
-        """A pandas DataFrame with a row for each parameter of the rig; needs pandas (extra "analysis")."""
+        """A pandas DataFrame with a row for each parameter of the rig, SI units; ends of intervals at `level`.
+
+        Raises UsageError without pandas (extra "analysis"), and for a batch.
+        """
         return dataframe(self, level)
 
     def to_uncertainties(self) -> dict[str, Any]:
-        """Numbers of the package uncertainties by name, correlations kept; needs it (extra "analysis")."""
+        """Numbers of the package uncertainties by name, SI units, correlations kept.
+
+        Raises UsageError without it (extra "analysis"), and for a batch.
+        """
         return correlated_numbers(self)
 
     def to_xarray(self) -> Any:
-        """An xarray Dataset of values and covariance, batch axes kept; needs xarray (extra "analysis")."""
+        """An xarray Dataset of values and covariance, SI units, batch axes kept.
+
+        Raises UsageError without xarray (extra "analysis").
+        """
         return dataset(self)
 
     def to_state_space(self, rig: Any = None, **options: Any) -> StateSpace:

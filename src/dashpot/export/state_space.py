@@ -124,7 +124,7 @@ class StateSpace:
         return out.getvalue()
 
     def to_control(self) -> Any:
-        """A StateSpace of python-control; needs it (extra "control")."""
+        """A StateSpace of python-control.  Raises UsageError without it (extra "control")."""
         control = optional_library("control", "control", "to_control")
         names = {"states": list(self.states), "name": "rig"}
         names |= {

@@ -28,7 +28,7 @@ class TransferFunctions:
     name             of the rig
     inputs, outputs  as of the state space
     poles            (K,), 1/s
-    zeros            zeros[i][j] (any number,), 1/s
+    zeros            (any number,), 1/s, of output i and input j as zeros[i][j]
     gain             (outputs, inputs)
     """
 
@@ -88,7 +88,7 @@ class TransferFunctions:
         return to_json(content)
 
     def to_control(self) -> Any:
-        """A TransferFunction of python-control; needs it (extra "control")."""
+        """A TransferFunction of python-control.  Raises UsageError without it (extra "control")."""
         control = optional_library("control", "control", "to_control")
         count = range(len(self.inputs))
         numerators = [[self.numerator(i, j) for j in count] for i in range(len(self.outputs))]

@@ -42,11 +42,17 @@ class Treatment:
     seed: int = 0
 
     def chosen(self, rig: Rig, spectrum: Spectrum) -> Method:
-        """The method that one data set is identified by."""
+        """The method that one data set is identified by.
+
+        Raises UsageError where there is no such method, DataError where a channel measures what the rig has not.
+        """
         return suited_method(self.method, rig.model, spectrum, seed=self.seed, positive=self.positive)
 
     def spectrum(self, rig: Rig, reading: Reading) -> Spectrum:
-        """The amplitudes of a data set; what its manifest says of conditioning counts first.  Raises DataError."""
+        """The amplitudes of a data set; what its manifest says of conditioning counts first.
+
+        Raises DataError where its samples cannot be used, UsageError where there is no such method.
+        """
         methods = [] if self.method is None else [method_class(self.method).traits]
         return amplitudes_for(rig.model, reading, self.conditioning.changed(**reading.conditioning), methods)
 

@@ -22,8 +22,8 @@ from dashpot.numerics.small_systems import solve_small
 class Matrices:
     """M ẍ + C ẋ + K x = F u̇ + G u + J ü + S f (paper eq. 1), and H of the hysteretic dampers (K + jH at ω > 0).
 
-    M, C, K, H: (..., n, n); F, G, J: (..., n, r).  J is not in the paper: it belongs to masses and inerters that
-    hang on an input.
+    M, C, K, H: (..., n, n); F, G, J: (..., n, r); SI units.  J is not in the paper: it belongs to masses and
+    inerters that hang on an input.
     """
 
     M: Real
@@ -119,8 +119,8 @@ def amplitudes(model: Model, p: Real, omega: Real, U: Complex, f: Complex | None
 def response(model: Model, p: Real, omega: Real, U: Complex, f: Complex | None = None) -> Complex:
     """Amplitudes X of the coordinates, (..., lines, n), m, to inputs U (..., lines, r) and forces f (..., lines, s).
 
-    Raises ModelError where the rig has no steady response: an undamped resonance is hit, or nothing holds a
-    coordinate.
+    p (..., elements), SI units; omega (lines,), rad/s.  Raises ModelError where the rig has no steady response: an
+    undamped resonance is hit, or nothing holds a coordinate.
     """
     X = amplitudes(model, p, omega, U, f)
     if not np.all(np.isfinite(X)):
@@ -145,8 +145,8 @@ def unit_forces(model: Model, omega: Real, X: Complex, U: Complex) -> Complex:
 def sensitivities(model: Model, p: Real, omega: Real, X: Complex, U: Complex) -> Complex:
     """∂X/∂p_i = −D⁻¹ b_iᵀ a_i, shape (..., lines, n, elements), m per unit of p_i.  THEORY §4.
 
-    X (..., lines, n) is the response to U (..., lines, r) at omega (lines,), rad/s.  NaN, and no error, where the rig
-    has no steady response.
+    p (..., elements), SI units; X (..., lines, n) is the response to U (..., lines, r) at omega (lines,), rad/s.  NaN,
+    and no error, where the rig has no steady response.
     """
     forces = model.B.T * unit_forces(model, omega, X, U)[..., None, :]
     return -solve_small(dynamic_stiffness(model, p, omega), forces)

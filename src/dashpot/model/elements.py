@@ -145,6 +145,9 @@ def mass(name: str, at: str, **known: float | str | None) -> Element:
 
 
 def between(name: str, kind: Kind, first: str, second: str, **known: float | str | None) -> Element:
-    """A two-point element; either point may be "ground".  A Model raises ModelError where it has no such point."""
+    """A two-point element; either point may be "ground", `known` are fields of Element, SI units.
+
+    A Model raises ModelError where it has no such point.
+    """
     along = {point: factor for point, factor in ((first, 1.0), (second, -1.0)) if point != "ground"}
     return Element(name, kind, along, **known)  # type: ignore[arg-type]

@@ -16,7 +16,7 @@ class Input:
 
     name  of the input
     kind  "displacement" or "force"
-    at    of a force: coordinates and their factors
+    at    of a force: coordinates and their factors, or arms in m
     """
 
     name: str

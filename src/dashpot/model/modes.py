@@ -19,8 +19,9 @@ REGULAR = 1e-3  # least eigenvalue of the inertia, its diagonal scaled to 1, up 
 class Modes:
     """Eigenvalues with Im ≥ 0 (one of each conjugate pair, and the real ones), in order of magnitude.
 
-    eigenvalues: (..., modes), 1/s; shapes: (..., modes, n), largest entry 1; `sensitivity` is ∂λ/∂p,
-    (..., modes, elements).
+    eigenvalues  λ, (..., modes), 1/s
+    shapes       (..., modes, n), largest entry 1
+    sensitivity  ∂λ/∂p, (..., modes, elements)
     """
 
     eigenvalues: Complex

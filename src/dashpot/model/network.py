@@ -129,7 +129,7 @@ class Model:
 
     @cached_property
     def B(self) -> Real:
-        """Incidence over the coordinates, (elements, n).  THEORY (E)."""
+        """Incidence over the coordinates, (elements, n): factors, or arms in m.  THEORY (E)."""
         return frozen(self.sparse_B.toarray(), np.float64)
 
     @cached_property
@@ -139,12 +139,12 @@ class Model:
 
     @cached_property
     def D(self) -> Real:
-        """Incidence over the displacement inputs, (elements, r).  THEORY (E)."""
+        """Incidence over the displacement inputs, (elements, r): factors, or arms in m.  THEORY (E)."""
         return frozen(self.sparse_D.toarray(), np.float64)
 
     @cached_property
     def S(self) -> Real:
-        """Where the force inputs act, (n, s).  THEORY (E)."""
+        """Where the force inputs act, (n, s): factors, or arms in m.  THEORY (E)."""
         S = np.zeros((self.n, len(self.force_inputs)))
         index = {name: i for i, name in enumerate(self.coordinates)}
         for column, source in enumerate(source for source in self.inputs if source.kind == "force"):
@@ -193,7 +193,7 @@ class Model:
         return phi
 
     def pole_factors(self, poles: Complex) -> Complex:
-        """φ_i(λ) at complex rates λ, 1/s, of shape (...); shape (..., elements)."""
+        """φ_i(λ), (..., elements), at complex rates (poles) λ (...,), 1/s."""
         phi = np.zeros((*poles.shape, len(self.elements)), dtype=np.complex128)
         for kind, chosen in self._by_kind.items():
             phi[..., chosen] = kind.law.pole_factor(poles)[..., None]
@@ -258,7 +258,7 @@ class Model:
 
     @cached_property
     def p0(self) -> Real:
-        """p⁰, the known part of the parameters, (elements,); zero where unknown."""
+        """p⁰, the known part of the parameters, (elements,), SI units; zero where unknown."""
         p0 = np.zeros(len(self.elements))
         unknown = set(self._unknown_roots)
         for i, tie in enumerate(self.ties):
@@ -268,7 +268,7 @@ class Model:
         return frozen(p0, np.float64)
 
     def parameters(self, theta: Real) -> Real:
-        """p = T θ + p⁰ for θ of shape (..., unknowns); shape (..., elements)."""
+        """p = T θ + p⁰, (..., elements), of θ (..., unknowns), SI units."""
         if len(self.elements) * len(self.unknowns) <= DENSE:
             return theta @ self.T.T + self.p0
         flat: Real = theta.reshape(-1, theta.shape[-1]) @ self.sparse_T.T
@@ -276,7 +276,7 @@ class Model:
 
     @cached_property
     def constants_map(self) -> tuple[Real, Real]:
-        """(∂g/∂θ (G, unknowns), g⁰ (G,)): inner constants g of the nonlinear laws from the unknowns."""
+        """(∂g/∂θ (G, unknowns), g⁰ (G,)): inner constants g of the nonlinear laws, SI units, from the unknowns."""
         slope, known = np.zeros((len(self.constants), len(self.unknowns))), np.zeros(len(self.constants))
         column = len(self._unknown_roots)
         for row, (_, constant) in enumerate(self.constants):
@@ -288,7 +288,7 @@ class Model:
         return frozen(slope, np.float64), frozen(known, np.float64)
 
     def inner_constants(self, theta: Real) -> Real:
-        """Inner constants of the nonlinear laws for θ of shape (..., unknowns); shape (..., G)."""
+        """Inner constants of the nonlinear laws, (..., G), of θ (..., unknowns), SI units."""
         slope, known = self.constants_map
         constants: Real = theta @ slope.T + known
         return constants
@@ -336,7 +336,7 @@ class Model:
 
     @cached_property
     def bounds(self) -> tuple[Real, Real]:
-        """Least and largest values allowed to the unknowns, each (unknowns,); −inf and inf where there is no bound."""
+        """Least and largest values allowed to the unknowns, (unknowns,) each, SI units; ∓inf where none is."""
         low = [-np.inf if u.lower is None else u.lower for u in self.unknowns]
         high = [np.inf if u.upper is None else u.upper for u in self.unknowns]
         return frozen(low, np.float64), frozen(high, np.float64)
@@ -349,7 +349,7 @@ class Model:
 
     @cached_property
     def by_matrix(self) -> Mapping[str, Ints]:
-        """Indices of the elements that enter M, C, K and the hysteretic H, (elements of it,) each."""
+        """Indices of the elements that enter M, C, K and the hysteretic H, (elements,) each."""
         return {
             letter: frozen(
                 [i for i, e in enumerate(self.elements) if e.law.matrix == letter and e.force_law is None],
@@ -366,7 +366,7 @@ class Model:
 
     @cached_property
     def products(self) -> Mapping[str, Real | sparse.csr_array]:
-        """b_iᵀ [b_i | d_i] of the elements of M, C, K and H, flattened: (elements of it, n (n + r)).
+        """b_iᵀ [b_i | d_i] of the elements of M, C, K and H, flattened: (elements, columns) each, n (n + r) columns.
 
         Sparse where the rig is large: an element joins few points.
         """

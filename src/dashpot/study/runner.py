@@ -89,7 +89,8 @@ def run_study(
     `remote` the mapper's processes do not see the folder, and blocks come back to be written here.
 
     Raises UsageError where the folder holds something else, another process works in it, or a method cannot do what is
-    asked of it; IdentifiabilityError where a test does not determine the unknowns.
+    asked of it; DataError where the folder cannot be written; ModelError where a rig has no steady response;
+    IdentifiabilityError where a test does not determine the unknowns.
     """
     points = scenarios(study)
     rehearse(points)

@@ -80,8 +80,9 @@ def dwells(
 ) -> Dwells:
     """The test that drives every input of `model` at each frequency.
 
-    `amplitudes` of the inputs by name in SI units, 1 where not named.  Samples are spread over `periods`, or taken at
-    `rate` (Hz).  Raises UsageError for an input that the rig has not.
+    frequency_hz (lines,); samples and periods of each dwell (lines,), or one number for all.  `amplitudes` of the
+    inputs by name in SI units, 1 where not named.  Samples are spread over `periods`, or taken at `rate` (Hz).  Raises
+    UsageError for an input that the rig has not.
     """
     frequencies = np.atleast_1d(np.asarray(frequency_hz, dtype=float))
     lines = len(frequencies)
@@ -171,7 +172,7 @@ def simulate_records(
 ) -> list[Record]:
     """One steady record for each dwell, noise and calibrations of the channels included.
 
-    p (elements,); `draws` repeats make a leading axis of the values; `offset` (channels,) is added, SI units.
+    p (elements,), SI units; `draws` repeats make a leading axis of the values; `offset` (channels,) is added, SI units.
     Unknown gains, delays and signs are simulated as 1, 0 and 1.  Raises ModelError where the rig has no steady
     response, DataError where a channel measures what the rig has not.
     """
@@ -217,7 +218,8 @@ def simulate_spectrum(
     with its degrees of freedom.  `drift` is the degree of the trend solved for (None: not even an offset), `moments`
     adds the second moments for the methods that work on samples.  The amplitudes depend on neither.
 
-    p (elements,); `draws` repeats make a leading axis.  Raises DataError where a dwell has too few samples.
+    p (elements,), SI units; `draws` repeats make a leading axis.  Raises DataError where a dwell has too few samples or
+    a channel measures what the rig has not, ModelError where the rig has no steady response.
     """
     channels = tuple(channels)
     Y = clean_amplitudes(model, p, channels, test)

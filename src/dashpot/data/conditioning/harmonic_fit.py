@@ -48,7 +48,7 @@ class HarmonicFit:
     dof                  (orders,)  real degrees of freedom behind the covariance
     noise                "white": residual covariance times the exact covariance of least squares;
                          "blocks": cross-spectrum of the residual on lines beside each harmonic
-    whiteness            (...)  p-value of a white residual, smallest over channels (Bonferroni); NaN where not tested
+    whiteness            (...,)  p-value of a white residual, smallest over channels (Bonferroni); NaN where not tested
     notes                what was found on the way
     """
 

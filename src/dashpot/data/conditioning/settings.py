@@ -133,7 +133,7 @@ class Conditioning:
 
     @property
     def band(self) -> tuple[float, float] | None:
-        """The band of whole records; None: as far as something moves."""
+        """The band of whole records, Hz; None: as far as something moves."""
         return None if self.band_hz == "auto" else self.band_hz
 
     @property

@@ -58,7 +58,11 @@ class MaximumLikelihood(Method):
     )
 
     def solve(self, data: Prepared) -> Solution:
-        """θ, gains and delays at the maximum of the likelihood."""
+        """θ, gains and delays at the maximum of the likelihood.
+
+        Raises ConvergenceError where no start leads anywhere, DataError or UsageError where a nonlinear rig's dwells
+        lack the harmonics or the motions that its search needs.
+        """
         likelihood = Likelihood.of(data, self.effort)
         view, warnings = likelihood.view, tuple[Notice, ...]()
         if likelihood.exact.nonlinear is not None:
@@ -91,9 +95,10 @@ class MaximumLikelihood(Method):
         )  # fmt: skip
 
     def rough(self, data: Prepared, *, typical: bool = False) -> tuple[Real, Real]:
-        """ψ and signs of one repeat by one descent where all is seen, whatever it ends in; (1, …) each.
+        """ψ (1, parameters), SI units, and signs (1, channels) of one repeat, whatever a descent ends in.
 
-        From the equation of motion weighted evenly, or as a `typical` rig has it.
+        One descent where all is seen, from the equation of motion weighted evenly, or as a `typical` rig has it.
+        Raises as `solve`.
         """
         likelihood = Likelihood.of(data, self.effort)
         if data.states is not None and seen_directly(data):

@@ -26,7 +26,7 @@ TIE = 1e-4  # of χ²: more than the barrier costs, less than matters
 
 @dataclass(frozen=True)
 class FreeMatrices:
-    """M, C, K, and the joint covariance of their entries.
+    """M, C, K, and the joint covariance of their entries, SI units.
 
     coordinates  of rows and columns, in order
     M, C, K      (..., n, n)

@@ -45,6 +45,7 @@ class InstrumentalVariables(Method):
         """θ from (G) with instruments from the response of the auxiliary model, of nonlinear rigs by harmonic balance.
 
         Nonlinear laws of the noisy motion are biased themselves, so that instruments take out a part only (THEORY §9).
+        Raises DataError or UsageError where the channels do not show what this needs.
         """
         if len(data.model.nonlinear):
             return self._of_harmonics(harmonic_equations(data))
@@ -121,7 +122,8 @@ class OptimalIV(Method):
         """θ at the minimum of Σ eᴴ Ω(θ) e with the priors' rows.
 
         Of nonlinear rigs a is that of the model's own motion, and the best instruments are the slopes of the equation's
-        error through that motion: what they make zero is the slope of the likelihood (THEORY §9).
+        error through that motion: what they make zero is the slope of the likelihood (THEORY §9).  Raises DataError or
+        UsageError where the channels do not show every coordinate and input.
         """
         model, states = data.model, data.seen_states
         if len(model.nonlinear):

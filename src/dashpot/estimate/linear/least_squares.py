@@ -33,7 +33,8 @@ class LeastSquares(Method):
     def solve(self, data: Prepared) -> Solution:
         """θ in closed form; the covariance is the estimator's own spread, not its distance from the truth.
 
-        Of nonlinear rigs from the measured harmonics, as Yasuda and Watanabe (1989) do.
+        Of nonlinear rigs from the measured harmonics, as Yasuda and Watanabe (1989) do.  Raises UsageError or DataError
+        where there are no samples, or no channels of the motions that they need.
         """
         if len(data.model.nonlinear):
             equations = harmonic_equations(data)
@@ -55,7 +56,10 @@ class HarmonicLeastSquares(Method):
     traits: ClassVar[Traits] = Traits(nonlinear=True)
 
     def solve(self, data: Prepared) -> Solution:
-        """θ in closed form from the combined amplitudes; of nonlinear rigs by Yasuda and Watanabe's way."""
+        """θ in closed form from the combined amplitudes; of nonlinear rigs by Yasuda and Watanabe's way.
+
+        Raises DataError or UsageError where the channels do not show what this needs.
+        """
         if len(data.model.nonlinear):
             return harmonic_least_squares(data)
         looks = combined(data)
@@ -76,7 +80,10 @@ class WeightedLeastSquares(Method):
     traits: ClassVar[Traits] = Traits(weighted=True, nonlinear=True)
 
     def solve(self, data: Prepared) -> Solution:
-        """θ in closed form, given the weight; of nonlinear rigs from the measured harmonics."""
+        """θ in closed form, given the weight; of nonlinear rigs from the measured harmonics.
+
+        Raises DataError or UsageError where the channels do not show what this needs.
+        """
         model = data.model
         if len(model.nonlinear):
             return closed_form(*harmonic_equations(data).weighted())

@@ -54,7 +54,8 @@ def identify_modal(model: Model, data: ModalData, *, starts: int = STARTS, seed:
     Covariance and bound are the inverse of the information, widened by χ²/dof where χ² rejects the model.
 
     Raises DataError or UsageError where the data do not suit the rig, IdentifiabilityError where they do not determine
-    the unknowns, ConvergenceError where no search ends near the scale of what is known.
+    the unknowns, ConvergenceError where no search ends near the scale of what is known, ModelError where all values
+    that it ends in are 0.
     """
     _check(model, data)
     batch = data.frequency_hz.shape[:-1]

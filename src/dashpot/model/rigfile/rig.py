@@ -52,7 +52,7 @@ class Rig(InNotebooks):
         return cast("Structure", call("check", self, data, **options))
 
     def simulate(self, values: Mapping[str, float], frequencies: Any, **options: Any) -> tuple[Record, ...]:
-        """The records that the rig would yield: `dashpot.simulate(rig, values, frequencies, …)`."""
+        """The records that the rig would yield with values in SI units: `dashpot.simulate(rig, values, …)`."""
         return cast("tuple[Record, ...]", call("simulate", self, values, frequencies, **options))
 
     def draw(self, estimate: Estimate | None = None, *, mode: int | None = None) -> Any:
