@@ -16,10 +16,11 @@ from dataclasses import replace
 from pathlib import Path
 
 from tests.fuzz.cases import Case, made
-from tests.fuzz.runner import finding, limit_memory
+from tests.fuzz.runner import finding, limit_memory, outcome
 
 FINDINGS = Path(__file__).parent / "findings"
 STUCK = 60.0  # s of processor time without a word from a worker, which is then in code that no signal ends
+TOO_LONG = ("hang", "deaf", "no progress", "the process", "memory")  # findings that are kept as they are
 ASLEEP = 300.0  # s without a word from a worker and without work, which then waits for something
 
 
@@ -50,9 +51,10 @@ def _work(seed: int, first: int, end: int, step: int) -> int:
         if index == first:
             limit_memory()  # once what is needed is loaded
         print(json.dumps({"begins": index}), file=tell, flush=True)
-        what = finding(case)
-        if what is not None:
-            print(json.dumps({"index": index, "what": what}), file=tell, flush=True)
+        ended = outcome(case)
+        if ended.slow or ended.what is not None:
+            said = {"index": index, "what": ended.what, "slow": ended.slow}
+            print(json.dumps(said), file=tell, flush=True)
     print(json.dumps({"begins": -1}), file=tell, flush=True)
     return 0
 
@@ -90,6 +92,7 @@ class Campaign:
         self.seed, self.end, self.step, self.keep = seed, first + inputs, processes, keep
         self.until = float("inf") if minutes is None else time.monotonic() + 60 * minutes
         self.found: dict[str, list[int]] = {}
+        self.slow: list[int] = []  # that took over the limit, were interrupted and then run to their end
         self.done = 0
         self.selector = selectors.DefaultSelector()
         self.heard: dict[subprocess.Popen[str], Word] = {}
@@ -138,6 +141,8 @@ class Campaign:
         for worker in self.heard:
             worker.kill()
         print(f"{self.done} inputs in {time.monotonic() - began:.0f} s, {len(self.found)} kinds of findings")
+        if self.slow:
+            print(f"{len(self.slow)} slow, with progress and obedient to Ctrl-C: {str(self.slow)[1:-1]}")
         for what, indices in sorted(self.found.items(), key=lambda item: -len(item[1])):
             print(
                 f"{len(indices):6} {what}: {_keep(made(self.seed, indices[0]), what, self.keep)}", flush=True
@@ -153,7 +158,10 @@ class Campaign:
             return
         said = json.loads(line)
         if "what" in said:
-            self._found(said["what"], said["index"])
+            if said["slow"]:
+                self.slow.append(said["index"])
+            if said["what"] is not None:
+                self._found(said["what"], said["index"])
             return
         self.done += word.running
         self.heard[worker] = Word(worker.pid, said["begins"], True)
@@ -178,7 +186,11 @@ class Campaign:
 def _keep(case: Case, what: str, folder: Path) -> str:
     """Write the case, made small, into the folder; its name."""
     with contextlib.redirect_stdout(io.StringIO()):
-        case = _small(case, what) if not what.startswith(("hang", "the process", "memory")) else case
+        case = (
+            _small(case, what)
+            if not what.startswith(("hang", "deaf", "no progress", "the process", "memory"))
+            else case
+        )
     case = replace(case, what=what)
     folder.mkdir(exist_ok=True)
     (folder / f"{case.name}.json").write_text(case.to_json(), encoding="ascii")

@@ -13,8 +13,10 @@ import shutil
 import signal
 import sys
 import tempfile
+import time
 import traceback
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from types import FrameType
 
@@ -32,20 +34,53 @@ from dashpot.study.studyfile import read_study
 from tests.fuzz import corpus
 from tests.fuzz.cases import Case
 
-SECONDS = 5.0  # of processor time, after which a case hangs
-FACTORS = {
+SECONDS = 5.0  # of processor time, after which Ctrl-C is sent; a case that only reads then hangs
+OBEYS = 2.0  # seconds of processor time in which Ctrl-C ends a run
+FACTORS = {  # how many times as long a run may take that shows a terminal how it goes on
     "identify": 6,  # a search without guesses on a rig that does not fit
     "compare": 6,
-    "response": 6,  # through all folds, of a rig that is driven as hard as it may be
 }
+QUIET = ("--quiet", "-q")  # options that forbid to show how it goes on
 MEMORY = 1 << 30  # bytes beside those that this process had at its start
 CODES = {0, 2, 3, 4}
 MOST_LINES = 40  # on stderr
+_PASSING_TIME = re.compile(r"0:00:0[3-9]|0:00:[1-9]")  # beside the bar: seconds gone by, more than two
 _CONTROL = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f\u2028\u2029\u202a-\u202e\u2066-\u2069]")
 
 
 class Hang(BaseException):
     """The time is up."""
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """How a case ended.
+
+    what  what is wrong with that: a signature that is the same for the same fault; None where all is well
+    slow  whether it took over SECONDS: stopped then by Ctrl-C, and run once more to its end
+    """
+
+    what: str | None
+    slow: bool = False
+
+
+@dataclass(frozen=True)
+class _Run:
+    """What a run gave: its exit code, or what it raised; the text of both streams; whether Ctrl-C was sent."""
+
+    code: int | None
+    fault: str | None
+    out: str
+    err: str
+    strangers: tuple[str, ...]
+    interrupted: bool
+
+
+class _Terminal(io.StringIO):
+    """A stream that is watched."""
+
+    def isatty(self) -> bool:
+        return True
 
 
 def limit_memory() -> None:
@@ -56,56 +91,93 @@ def limit_memory() -> None:
 
 
 def finding(case: Case) -> str | None:
-    """What is wrong with how a case ends: a signature that is the same for the same fault; None where all is well."""
+    """What is wrong with how a case ends; None where all is well."""
+    return outcome(case).what
+
+
+def outcome(case: Case) -> Outcome:
+    """How a case ends.
+
+    Over SECONDS of processor time it gets Ctrl-C, and has to end at once with nothing half-written.  Then it is run
+    again before a terminal: it has to show how it goes on, and to end within what FACTORS grant its command.
+    """
     before = os.environ.get(cli.TRACEBACK)
     os.environ[cli.TRACEBACK] = "1"
-    folder = tempfile.mkdtemp(prefix="dashpot-fuzz-")
     try:
-        with contextlib.chdir(folder):
-            for name, content in case.files.items():
-                Path(name).write_bytes(content)
-            return _finding(case)
+        with _folder_of(case):
+            run = _run(case, SECONDS, io.StringIO())
+            what = _wrong(case, run)
+        if not run.interrupted or what is not None:
+            return Outcome(what, run.interrupted)
+        factor = FACTORS.get(case.arguments[0], 1)
+        watched = replace(case, arguments=tuple(word for word in case.arguments if word not in QUIET))
+        with _folder_of(case):
+            run = _run(watched, SECONDS * factor, _Terminal(), interrupted=False)
+        if run.fault is None and not _PASSING_TIME.search(run.err):
+            return Outcome(f"no progress in {case.arguments[0]}", slow=True)
+        return Outcome(run.fault, slow=True)
     finally:
-        shutil.rmtree(folder, ignore_errors=True)
         if before is None:
             os.environ.pop(cli.TRACEBACK, None)
         else:
             os.environ[cli.TRACEBACK] = before
 
 
-def _finding(case: Case) -> str | None:
-    out, err = io.StringIO(), io.StringIO()
-    seconds = SECONDS * FACTORS.get(case.arguments[0], 1)
+@contextlib.contextmanager
+def _folder_of(case: Case) -> Iterator[None]:
+    """Inside a new folder with the files of a case."""
+    folder = tempfile.mkdtemp(prefix="dashpot-fuzz-")
     try:
-        with (
-            contextlib.redirect_stdout(out),
-            contextlib.redirect_stderr(err),
-            _strangers() as strangers,
-            _time_limit(seconds),
-        ):
-            code = _read(case.arguments) if case.arguments[0] in READERS else cli.run(case.arguments)
-    except Hang as error:
-        return f"hang in {_place(error)}"
-    except BaseException as error:
-        return f"{type(error).__name__} in {_place(error)}"
-    told = err.getvalue().splitlines()
-    if code not in CODES:
-        return f"exit code {code}"
+        with contextlib.chdir(folder):
+            for name, content in case.files.items():
+                Path(name).write_bytes(content)
+            yield
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
+
+
+def _run(case: Case, seconds: float, err: io.StringIO, interrupted: bool = True) -> _Run:
+    """Run a case in this folder; where it is to be `interrupted`, Ctrl-C comes after so many seconds, else Hang."""
+    out, fault, code = io.StringIO(), None, None
+    reads = case.arguments[0] in READERS
+    with (
+        contextlib.redirect_stdout(out),
+        contextlib.redirect_stderr(err),
+        _strangers() as strangers,
+    ):
+        try:
+            with _time_limit(seconds, interrupted and not reads) as sent:
+                code = _read(case.arguments) if reads else cli.run(case.arguments)
+        except Hang as error:
+            fault = f"{'deaf to Ctrl-C' if sent else 'hang'} in {_place(error)}"
+        except BaseException as error:
+            fault = f"{type(error).__name__} in {_place(error)}"
+    return _Run(code, fault, out.getvalue(), err.getvalue(), tuple(strangers), bool(sent))
+
+
+def _wrong(case: Case, run: _Run) -> str | None:
+    told = run.err.splitlines()
+    if run.fault is not None:
+        return run.fault
+    if run.interrupted and run.code != cli.INTERRUPTED and run.code not in CODES:
+        return f"exit code {run.code} after Ctrl-C"
+    if not run.interrupted and run.code not in CODES:
+        return f"exit code {run.code}"
     if any("out of memory" in line for line in told):
         gc.collect()
         return "memory"
-    if strangers:
-        return f"a library writes to stderr: {strangers[0]}"
-    if code == 2 and not told:
+    if run.strangers:
+        return f"a library writes to stderr: {run.strangers[0]}"
+    if run.code == 2 and not told:
         return "refused without a word"
     if len(told) > MOST_LINES:
         return f"{len(told) // 100 * 100 or MOST_LINES} lines and more on stderr"
     if any("Traceback" in line or "internal error" in line for line in told):
         return "internal error"
-    for kind, text in (("stdout", out.getvalue()), ("stderr", err.getvalue())):
+    for kind, text in (("stdout", run.out), ("stderr", run.err)):
         if _CONTROL.search(text):
             return f"control character on {kind}"
-    return _wrong_files(case, code, out.getvalue())
+    return _wrong_files(case, run.out)
 
 
 def _read(arguments: Sequence[str]) -> int:
@@ -143,7 +215,7 @@ READERS: Mapping[str, Callable[..., object]] = {
 }
 
 
-def _wrong_files(case: Case, code: int, out: str) -> str | None:
+def _wrong_files(case: Case, out: str) -> str | None:
     for name, content in case.files.items():
         if Path(name).read_bytes() != content:
             return f"{name} was changed"
@@ -183,18 +255,32 @@ def _strangers() -> Iterator[list[str]]:
 
 
 @contextlib.contextmanager
-def _time_limit(seconds: float) -> Iterator[None]:
+def _time_limit(seconds: float, interrupted: bool) -> Iterator[list[float]]:
+    """Hang after so many seconds of processor time; or Ctrl-C then, once, and Hang where it is not obeyed.
+
+    Gives a list that holds an entry once Ctrl-C has been sent.
+    """
+    sent: list[float] = []
+
     def end(_: int, __: FrameType | None) -> None:
+        if interrupted and not sent:
+            sent.append(time.process_time())
+            signal.setitimer(signal.ITIMER_PROF, OBEYS)
+            signal.raise_signal(signal.SIGINT)
+            return
         signal.setitimer(signal.ITIMER_PROF, 1.0)  # again, where an `except` has caught it
         raise Hang
 
-    before = signal.signal(signal.SIGPROF, end)
+    # Under nohup, and in the background of a shell, Ctrl-C is ignored from the start.
+    answers = (signal.SIGPROF, end), (signal.SIGINT, signal.default_int_handler)
+    before = [signal.signal(number, answer) for number, answer in answers]
     signal.setitimer(signal.ITIMER_PROF, seconds)
     try:
-        yield
+        yield sent
     finally:
         signal.setitimer(signal.ITIMER_PROF, 0.0)
-        signal.signal(signal.SIGPROF, before)
+        for (number, _), answer in zip(answers, before, strict=True):
+            signal.signal(number, answer)
 
 
 def _place(error: BaseException) -> str:

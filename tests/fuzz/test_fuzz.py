@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import pytest
@@ -63,6 +65,29 @@ def test_the_runner_sees_what_it_is_for(monkeypatch: pytest.MonkeyPatch) -> None
         while True:
             pass
 
+    def stops(_: object) -> int:
+        with contextlib.suppress(KeyboardInterrupt):
+            spins(_)
+        return 130
+
+    def deaf(_: object) -> int:
+        with contextlib.suppress(KeyboardInterrupt):
+            spins(_)
+        return spins(_)
+
+    def leaves_a_part(_: object) -> int:
+        Path(".dashpot-1.part").write_text("", encoding="ascii")
+        return stops(_)
+
+    def ends_unseen(_: object) -> int:
+        """Obedient to Ctrl-C, and done soon after it would come."""
+        end = time.process_time() + 0.5
+        with contextlib.suppress(KeyboardInterrupt):
+            while time.process_time() < end:
+                pass
+            return 0
+        return 130
+
     def stranger(_: object) -> int:
         os.write(2, b"it went past dashpot\n")
         return 0
@@ -93,7 +118,12 @@ def test_the_runner_sees_what_it_is_for(monkeypatch: pytest.MonkeyPatch) -> None
     assert planted(stranger) == "a library writes to stderr: it went past dashpot"
     assert planted(prints("dashpot: out of memory; give fewer")) == "memory"
     monkeypatch.setattr("tests.fuzz.runner.SECONDS", 0.2)
-    assert planted(spins) == "hang in test_fuzz.py:spins"
+    monkeypatch.setattr("tests.fuzz.runner.OBEYS", 0.2)
+    assert planted(spins) == "KeyboardInterrupt in test_fuzz.py:spins"
+    assert planted(deaf) == "deaf to Ctrl-C in test_fuzz.py:spins"
+    assert planted(leaves_a_part) == "a temporary file is left"
+    assert planted(stops) == "hang in test_fuzz.py:spins"  # not in less than what its command is granted
+    assert planted(ends_unseen) == "no progress in identify"
 
 
 def test_kept_findings_are_small() -> None:

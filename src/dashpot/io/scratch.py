@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+import os
+import shutil
 import tempfile
-from collections.abc import Iterator
+import weakref
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+
+from dashpot.errors import DataError
 
 
 @dataclass(frozen=True)
@@ -15,10 +20,18 @@ class Scratch:
 
     folder: Path
 
-    def write(self, name: str, content: bytes) -> Path:
-        """Where the content now stands."""
+    def write(self, name: str, content: bytes | Iterable[bytes]) -> Path:
+        """Where the content, whole or in pieces, now stands.  Raises DataError where there is no room for it."""
         path = self.folder / name
-        path.write_bytes(content)
+        with path.open("wb") as file:
+            for piece in (content,) if isinstance(content, bytes) else content:
+                try:
+                    file.write(piece)
+                    file.flush()
+                except OSError as error:
+                    what = f"there is no room for a file in between ({error.strerror})"
+                    cure = "make room there, or set TMPDIR to a folder on a larger disk"
+                    raise DataError(what, str(self.folder), cure) from None
         return path
 
     def read(self, name: str) -> bytes:
@@ -31,3 +44,16 @@ def scratch() -> Iterator[Scratch]:
     """A folder for files in between, removed at the end whatever happens."""
     with tempfile.TemporaryDirectory(prefix="dashpot-") as folder:
         yield Scratch(Path(folder))
+
+
+def lasting_scratch() -> Scratch:
+    """A folder for files that are read until their reader is let go: removed with it, or when the process ends."""
+    folder = tempfile.mkdtemp(prefix="dashpot-")
+    lasting = Scratch(Path(folder))
+    weakref.finalize(lasting, _remove, folder, os.getpid())
+    return lasting
+
+
+def _remove(folder: str, process: int) -> None:
+    if os.getpid() == process:  # not in processes that were forked from it
+        shutil.rmtree(folder, ignore_errors=True)

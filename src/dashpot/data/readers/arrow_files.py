@@ -32,7 +32,7 @@ class ParquetReader:
         import pyarrow.parquet as pq
 
         with damaged(file.name, self.format):
-            content = pq.ParquetFile(_source(file))
+            content = pq.ParquetFile(noted(file.path))
             schema = content.schema_arrow
             loads = tuple(partial(_parquet_column, content, name, file.name) for name in schema.names)
             yield _columns(file, schema, content.metadata.num_rows, loads)
@@ -55,7 +55,7 @@ class FeatherReader:
             if file.head.startswith(b"FEA1"):  # of before 2020
                 import pyarrow.feather as feather
 
-                table = feather.read_table(_source(file))
+                table = feather.read_table(noted(file.path))
                 loads = tuple(partial(_numpy, table.column(i)) for i in range(table.num_columns))
                 yield _columns(file, table.schema, table.num_rows, loads)
                 return
@@ -68,8 +68,7 @@ class FeatherReader:
 def _batch_reader(file: DataFile, *columns: int) -> Any:
     """Of all columns, or of the numbered ones alone: the others are neither read nor unpacked."""
     options = pa.ipc.IpcReadOptions(included_fields=list(columns))
-    source = pa.BufferReader(file.contents) if file.packed else pa.memory_map(str(noted(file.path)))
-    return pa.ipc.open_file(source, options=options)
+    return pa.ipc.open_file(pa.memory_map(str(noted(file.path))), options=options)
 
 
 def _feather_batches(file: DataFile, index: int) -> Iterator[Any]:
@@ -87,11 +86,6 @@ def _feather_column(file: DataFile, index: int, rows: int) -> Any:
                 rows, lambda: (_numpy(pa.chunked_array([x])) for x in _feather_batches(file, index))
             )
         return _numpy(pa.chunked_array(list(_feather_batches(file, index)), type=kind))
-
-
-def _source(file: DataFile) -> Any:
-    """What pyarrow reads from: the file itself, or the unpacked bytes."""
-    return pa.BufferReader(file.contents) if file.packed else str(noted(file.path))
 
 
 def _columns(file: DataFile, schema: Any, rows: int, loads: tuple[Any, ...]) -> ArrayColumns:

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import gzip
 import io
+import itertools
 import mmap
 import os
 import stat
-import tempfile
 import zlib
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cached_property
@@ -17,8 +17,8 @@ from pathlib import Path
 from typing import BinaryIO, cast
 
 from dashpot.errors import DataError
-from dashpot.io.atomic import write_bytes
 from dashpot.io.ledger import noted
+from dashpot.io.scratch import Scratch, lasting_scratch
 from dashpot.io.words import shown
 
 HEAD = 1 << 16  # bytes by which formats are told apart
@@ -28,53 +28,58 @@ LARGE = 1 << 28  # bytes from which a file is not held in memory
 
 @dataclass(frozen=True)
 class DataFile:
-    """A file that can be read; `head` is its first bytes, unpacked where it is packed by gzip."""
+    """A file that can be read.
 
+    given    the path that the user gave
+    path     where its bytes are: there, or in a scratch file of what came packed by gzip or out of a pipe
+    head     the first of them
+    scratch  keeps the scratch file for as long as the file may be read
+    """
+
+    given: Path
     path: Path
     head: bytes
-    packed: bool
+    scratch: Scratch | None = None
 
     @property
     def name(self) -> str:
-        """The path, for messages."""
-        return shown(str(self.path), 200)
+        """The path that was given, for messages."""
+        return shown(str(self.given), 200)
 
     @property
     def suffix(self) -> str:
         """The ending of the name in small letters, such as .csv, without .gz."""
-        name = self.path.name.lower().removesuffix(".gz")
-        return Path(name).suffix
+        return Path(self.given.name.lower().removesuffix(".gz")).suffix
 
     @cached_property
-    def contents(self) -> bytes:
-        """All bytes, unpacked.  Raises DataError where they cannot be read or are damaged."""
+    def contents(self) -> bytes | mmap.mmap:
+        """All bytes; those of a large file are mapped, not held.  Raises DataError where they cannot be read."""
         with self.reading() as stream:
-            return stream.read()
-
-    @cached_property
-    def mapped(self) -> mmap.mmap | None:
-        """The bytes of a file that is too large to be held; None for every other."""
-        if self.packed or not self.path.is_file() or self.path.stat().st_size < LARGE:
-            return None
-        with _said(self.name), Path(noted(self.path)).open("rb") as raw:
-            return mmap.mmap(raw.fileno(), 0, access=mmap.ACCESS_READ)
+            if os.fstat(stream.fileno()).st_size < LARGE:
+                return stream.read()
+            return mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ)
 
     @contextmanager
     def reading(self) -> Iterator[BinaryIO]:
-        """The unpacked bytes as a stream.  Raises DataError where they cannot be read or are damaged."""
-        with _said(self.name), _stream(self.path, self.packed, self.head) as stream:
+        """The bytes as a stream.  Raises DataError where they cannot be read."""
+        with _said(self.name), Path(noted(self.path)).open("rb") as stream:
             yield stream
 
-    @contextmanager
-    def unpacked(self) -> Iterator[Path]:
-        """A path to the unpacked file, for libraries that want one; temporary where the file is packed."""
-        if not self.packed and self.path.is_file():
-            yield self.path
-            return
-        with tempfile.TemporaryDirectory(prefix="dashpot-") as folder, self.reading() as source:
-            target = Path(folder) / f"data{self.suffix}"
-            write_bytes(target, iter(lambda: source.read(PIECE), b""))
-            yield target
+    def rewritten(self, pieces: Iterable[bytes]) -> DataFile:
+        """The file as it is read once it is written otherwise, in a scratch file; for those too large to be held."""
+        scratch = lasting_scratch()
+        return DataFile(self.given, scratch.write("data", pieces), self.head, scratch)
+
+
+def whole_lines(data: bytes | mmap.mmap, start: int, end: int | None = None) -> Iterator[bytes]:
+    """The bytes between two places, some lines at a time."""
+    end = len(data) if end is None else end
+    while start < end:
+        stop = data.rfind(b"\n", start, min(start + PIECE, end)) + 1
+        if stop == 0:  # a line that is longer
+            stop = data.find(b"\n", start, end) + 1 or end
+        yield data[start:stop]
+        start = stop
 
 
 def open_file(path: str | os.PathLike[str]) -> DataFile:
@@ -90,38 +95,25 @@ def open_file(path: str | os.PathLike[str]) -> DataFile:
             raise DataError(f"the file cannot be read ({error})", name, "check the path") from None
         if stat.S_ISDIR(kind):
             raise DataError("is a directory", name, "give the files in it")
-        if stat.S_ISREG(kind):
-            with Path(noted(path)).open("rb") as raw:
-                packed = raw.read(2) == b"\x1f\x8b"
-            with _stream(Path(path), packed, b"") as stream:
-                head = stream.read(HEAD)
-        elif stat.S_ISFIFO(kind):
-            return _from_pipe(Path(path))
-        else:
-            # Of the devices only this one ends.
-            head, packed = b"", False
-            if os.path.realpath(path) != os.devnull:
-                raise DataError("is a device, not a file", name, "give a file")
-    if not head.strip():
+        if not (stat.S_ISREG(kind) or stat.S_ISFIFO(kind) or os.path.realpath(path) == os.devnull):
+            raise DataError("is a device, not a file", name, "give a file")
+        with Path(noted(path)).open("rb") as raw:
+            file = _opened(Path(path), raw, stat.S_ISFIFO(kind))
+    if not file.head.strip():
         raise DataError("the file is empty", name, "give a file with a header row and data")
-    return DataFile(Path(path), head, packed)
-
-
-def _from_pipe(path: Path) -> DataFile:
-    """All that comes out of a pipe, held in memory."""
-    data = Path(noted(path)).read_bytes()
-    data = gzip.decompress(data) if data[:2] == b"\x1f\x8b" else data
-    if not data.strip():
-        raise DataError("the file is empty", shown(str(path), 200), "give a file with a header row and data")
-    file = DataFile(path, data[:HEAD], packed=False)
-    file.__dict__["contents"] = data  # the cached property: a pipe is read once
     return file
 
 
-def _stream(path: Path, packed: bool, held: bytes) -> BinaryIO:
-    if not path.is_file() and held:
-        return io.BytesIO(held)
-    return cast(BinaryIO, gzip.open(noted(path), "rb") if packed else Path(noted(path)).open("rb"))
+def _opened(path: Path, raw: io.BufferedReader, pipe: bool) -> DataFile:
+    """The file whose bytes come from a stream."""
+    packed = raw.peek(2)[:2] == b"\x1f\x8b"
+    if not packed and not pipe:
+        return DataFile(path, path, raw.read(HEAD))
+    source: BinaryIO = cast(BinaryIO, gzip.GzipFile(fileobj=raw)) if packed else raw
+    head = source.read(HEAD)
+    scratch = lasting_scratch()
+    pieces = itertools.chain([head], iter(lambda: source.read(PIECE), b""))
+    return DataFile(path, scratch.write("data", pieces), head, scratch)
 
 
 @contextmanager

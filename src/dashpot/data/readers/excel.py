@@ -37,7 +37,7 @@ class ExcelReader:
         """The sheets that hold anything.  Raises DataError where the file cannot be read."""
         fastexcel = library("fastexcel", "formats", file.name, self.format)
         with damaged(file.name, self.format):
-            book = fastexcel.read_excel(file.contents)
+            book = fastexcel.read_excel(bytes(file.contents))
             names = list(book.sheet_names)
         count = 0
         for name in names:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import mmap
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass, field
@@ -9,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from dashpot.data.readers.array_columns import ArrayColumns, array_columns
+from dashpot.data.readers.array_columns import LONG, PIECE, ArrayColumns, Streamed, array_columns, steps
 from dashpot.data.readers.datafile import DataFile
 from dashpot.data.readers.sampling import TIME
 from dashpot.errors import DataError
@@ -17,6 +18,7 @@ from dashpot.errors import DataError
 _KEY = re.compile(rb"\|([A-Za-z]{2}),\s*(\d{1,3}),\s*(\d{1,15}),")
 NUMBERS = {1: "u1", 2: "i1", 3: "u2", 4: "i2", 5: "u4", 6: "i4", 7: "f4", 8: "f8", 13: "48 bits"}
 SAMPLES = b"CS"
+Content = bytes | mmap.mmap
 
 
 @dataclass
@@ -82,11 +84,11 @@ class FamosReader:
         if not count:
             raise DataError("there are no channels with samples", file.name, "record something")
         for (rows, step, start), columns in together.items():
-            time = {TIME: start + step * np.arange(rows)} if step > 0 else {}
+            time = {TIME: steps(start, step, rows)} if step > 0 else {}
             yield array_columns(file.name, {**time, **columns}, units)
 
 
-def _read(data: bytes, source: str) -> tuple[list[_Group], dict[int, tuple[int, int]]]:
+def _read(data: Content, source: str) -> tuple[list[_Group], dict[int, tuple[int, int]]]:
     """The channels, and where each block of samples begins and ends.  Raises DataError, with the place."""
     groups: list[_Group] = []
     blocks: dict[int, tuple[int, int]] = {}
@@ -104,8 +106,8 @@ def _read(data: bytes, source: str) -> tuple[list[_Group], dict[int, tuple[int, 
             raise DataError(f"the file is {what} at byte {position + 1}", source, "copy it again")
         try:
             if match[1] == SAMPLES:
-                mark = data.index(b",", start, min(end, start + 20))
-                blocks[int(data[start:mark])] = (mark + 1, end)
+                mark = data.find(b",", start, min(end, start + 20))
+                blocks[int(data[start : max(mark, start)])] = (mark + 1, end)
             else:
                 _note(match[1], data[start:end], groups)
         except (ValueError, IndexError):
@@ -156,7 +158,7 @@ def _text(content: bytes, at: int) -> str:
     return parts[at + 1][: int(parts[at])].decode("utf-8", errors="replace").strip()
 
 
-def _values(component: _Component, data: bytes, blocks: dict[int, tuple[int, int]], source: str) -> Any:
+def _values(component: _Component, data: Content, blocks: dict[int, tuple[int, int]], source: str) -> Any:
     """The samples of a component as numbers.  Raises DataError where they are not there."""
     begin, end = blocks.get(component.block, (0, 0))
     first, last = begin + component.first, begin + component.first + component.size
@@ -167,13 +169,22 @@ def _values(component: _Component, data: bytes, blocks: dict[int, tuple[int, int
             f"the samples of {component.name or 'a channel'} are not where the file says, or of no known kind"
         )
         raise DataError(what, source, "the file is damaged; copy it again")
-    raw = data[first:last]
-    raw = raw[: len(raw) // width * width]
+    rows = component.size // width
+    split = component.rotated // width if 0 < component.rotated < rows * width else 0
+    ranges = ((first + split * width, first + rows * width), (first, first + split * width))
+
+    def pieces() -> Iterator[Any]:
+        for start, stop in ranges:
+            for at in range(start, stop, PIECE * width):
+                yield _numbers(component, data[at : min(at + PIECE * width, stop)])
+
+    return Streamed(rows, pieces) if rows >= LONG else np.concatenate([*pieces(), np.zeros(0)])
+
+
+def _numbers(component: _Component, raw: bytes) -> Any:
     if component.kind == 13:
         words = np.frombuffer(raw, dtype="<u2").reshape(-1, 3).astype(float)
         numbers = words[:, 0] + 65536.0 * words[:, 1] + 65536.0**2 * words[:, 2]
     else:
-        numbers = np.frombuffer(raw, dtype=f"<{kind}").astype(float)
-    if 0 < component.rotated < len(raw):
-        numbers = np.roll(numbers, -(component.rotated // width))
+        numbers = np.frombuffer(raw, dtype=f"<{NUMBERS[component.kind]}").astype(float)
     return numbers * component.factor + component.offset

@@ -15,6 +15,7 @@ from dashpot.data.readers.datafile import DataFile
 from dashpot.data.readers.optional import damaged, library
 from dashpot.data.readers.variables import parts_of_variables
 from dashpot.errors import DataError
+from dashpot.io.ledger import noted
 
 SIGNATURE = b"\x89HDF\r\n\x1a\n"
 UNITS = ("unit", "units", "Unit", "Units", "unit_string")
@@ -76,26 +77,13 @@ def _named(group: Any) -> Iterator[tuple[str, Any]]:
 @contextmanager
 def _opened(h5py: Any, file: DataFile) -> Iterator[Any]:
     with damaged(file.name, "HDF5"):
-        _refuse_endless_heaps(file)
-        if file.packed:
-            stream = file.reading()
-            with stream as raw, h5py.File(raw, "r") as content:
-                yield content
-        else:
-            with h5py.File(file.path, "r") as content:
-                yield content
+        _refuse_endless_heaps(file.contents)
+        with h5py.File(noted(file.path), "r") as content:
+            yield content
 
 
-def _refuse_endless_heaps(file: DataFile) -> None:
+def _refuse_endless_heaps(content: bytes | mmap.mmap) -> None:
     """Raises ValueError where libhdf5 would walk for ever through a heap of texts whose objects have no size."""
-    if file.packed or not file.path.is_file():
-        _refuse_endless(file.contents)
-        return
-    with file.reading() as raw, mmap.mmap(raw.fileno(), 0, access=mmap.ACCESS_READ) as content:
-        _refuse_endless(content)
-
-
-def _refuse_endless(content: bytes | mmap.mmap) -> None:
     start = content.find(HEAP)
     while start >= 0:
         size = int.from_bytes(content[start + 8 : start + 16], "little")

@@ -38,7 +38,7 @@ class MatlabReader:
         """
         from scipy.io import loadmat
 
-        data = file.contents if file.mapped is None else file.mapped
+        data = file.contents
         check_layout(data, file.name)
         with damaged(file.name, self.format):
             long = long_vectors(file, data)

@@ -42,7 +42,7 @@ class MdfReader:
         asammdf = library("asammdf", "mdf", file.name, self.format)
         with _stream(file) as stream:
             with damaged(file.name, self.format), _quiet_ends():
-                _refuse_rings(file.contents if file.mapped is None else file.mapped)
+                _refuse_rings(file.contents)
                 content = asammdf.MDF(stream)
                 content.configure(read_fragment_size=FRAGMENT)
             count = 0
@@ -58,8 +58,8 @@ class MdfReader:
 
 
 def _stream(file: DataFile) -> AbstractContextManager[BinaryIO]:
-    """What asammdf reads from: the file, or what is held of a small or packed one."""
-    return io.BytesIO(file.contents) if file.mapped is None else file.reading()
+    """What asammdf reads from: the file, or what is held of a small one."""
+    return io.BytesIO(file.contents) if isinstance(file.contents, bytes) else file.reading()
 
 
 def _refuse_rings(content: bytes | mmap.mmap) -> None:

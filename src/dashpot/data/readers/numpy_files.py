@@ -15,6 +15,7 @@ from dashpot.data.readers.datafile import DataFile
 from dashpot.data.readers.optional import damaged
 from dashpot.data.readers.variables import parts_of_variables
 from dashpot.errors import DataError
+from dashpot.io.ledger import noted
 
 LARGEST_RATIO = 1100  # of unpacked to packed size: more than deflate can do honestly
 
@@ -38,7 +39,7 @@ class NumpyReader:
         units: dict[str, str | None] = {}
         with damaged(file.name, self.format):
             if file.head.startswith(b"\x93NUMPY"):
-                variables = _fields(np.load(io.BytesIO(file.contents), allow_pickle=False))
+                variables = _fields(np.load(noted(file.path), mmap_mode="r", allow_pickle=False))
             else:
                 _check_sizes(file)
                 with file.reading() as stream, np.load(cast(Any, stream), allow_pickle=False) as archive:
@@ -63,9 +64,9 @@ def _fields(array: Any) -> dict[str, Any]:
 
 
 def _streamed_member(file: DataFile, archive: zipfile.ZipFile, name: str) -> Streamed | None:
-    """A long column of numbers in an archive that is not packed once more; None for everything else."""
+    """A long column of numbers in an archive; None for everything else."""
     member = f"{name}.npy"
-    if file.packed or member not in archive.namelist() or archive.getinfo(member).file_size < 8 * LONG:
+    if member not in archive.namelist() or archive.getinfo(member).file_size < 8 * LONG:
         return None
     with archive.open(member) as raw:
         shape, kind = _header(raw)

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import io
 import warnings
 from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -17,6 +16,8 @@ from dashpot.data.readers.optional import damaged
 from dashpot.data.readers.sampling import TIME
 from dashpot.errors import DataError
 from dashpot.io.ledger import noted
+
+UNKNOWN = 2**32 - 1  # a size that stands elsewhere
 
 
 @dataclass(frozen=True)
@@ -47,16 +48,43 @@ class WavReader:
 
 
 def _read(file: DataFile) -> tuple[int, Any]:
-    """Rate and samples; those of a large file are mapped, but for whole numbers of 24 bits."""
+    """Rate and samples; those of a large file are mapped."""
     from scipy.io import wavfile
 
-    if file.mapped is not None:
-        with suppress(ValueError):
+    if not isinstance(file.contents, bytes):
+        with suppress(ValueError):  # of whole numbers of 24 bits
             return wavfile.read(noted(file.path), mmap=True)
-    if file.packed:  # of a stream that unpacks, NumPy would read the packed bytes
-        return wavfile.read(io.BytesIO(file.contents))
+        return _of_24_bits(file)
     with file.reading() as stream:
         return wavfile.read(stream)
+
+
+def _of_24_bits(file: DataFile) -> tuple[int, Any]:
+    """Rate and samples of 24 bits, (samples, channels, 3 bytes), mapped.  Raises ValueError where there are none."""
+    order: Literal["little", "big"] = "big" if file.head[:4] == b"RIFX" else "little"
+
+    def number(at: int, size: int) -> int:
+        return int.from_bytes(file.contents[at : at + size], order)
+
+    at, rate, channels, long_size, end = 12, 0, 0, 0, len(file.contents)
+    while at + 8 <= end:
+        name, size, at = file.contents[at : at + 4], number(at + 4, 4), at + 8
+        if name == b"ds64":  # where 32 bits do not hold the size
+            long_size = number(at + 8, 8)
+        elif name == b"fmt ":
+            channels, rate = number(at + 2, 2), number(at + 4, 4)
+            if number(at + 12, 2) != 3 * channels or number(at + 14, 2) != 24:
+                raise ValueError("its samples are of no known kind")
+        elif name == b"data" and channels:
+            size = long_size if size == UNKNOWN else size
+            if at + size > end:
+                raise ValueError("it ends before its last sample")
+            rows = size // (3 * channels)
+            shape = (rows, channels, 3)
+            samples: Any = np.memmap(noted(file.path), np.uint8, "r", offset=at, shape=shape)
+            return rate, samples if order == "little" else samples[..., ::-1]
+        at += size + size % 2
+    raise ValueError("it has no samples")
 
 
 @dataclass(frozen=True)
@@ -74,6 +102,8 @@ class _Channel:
 
     def _between(self, start: int, stop: int) -> Any:
         x = self.values[start:stop, self.index]
+        if x.ndim == 2:  # bytes of numbers of 24 bits, the least first
+            return (x[:, 0] + 256.0 * x[:, 1] + 65536.0 * x[:, 2].astype(np.int8)) / 2**23
         if x.dtype == np.uint8:
             return (x.astype(float) - 128) / 128
         if x.dtype.kind == "i":

@@ -4,10 +4,19 @@ import numpy as np
 import pytest
 
 from dashpot.channel import Channel
-from dashpot.data.readers import read
+from dashpot.data.readers import famos, read
 from dashpot.errors import DashpotError, DataError
 from tests.unit.data.readers.famos_bytes import HEAD, channel, dwell
 from tests.unit.data.readers.written import CHANNELS, recording
+
+
+@pytest.fixture(params=[False, True], ids=["small", "large"], autouse=True)
+def _size(request, monkeypatch):
+    """Every file as it is, and as if it were too large to be held."""
+    if request.param:
+        monkeypatch.setattr("dashpot.data.readers.datafile.LARGE", 1)
+        monkeypatch.setattr(famos, "LONG", 2)
+        monkeypatch.setattr(famos, "PIECE", 2)
 
 
 def test_a_dwell(tmp_path):

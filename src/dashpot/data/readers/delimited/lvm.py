@@ -13,8 +13,8 @@ import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 
-from dashpot.data.readers.datafile import DataFile, open_file
-from dashpot.data.readers.delimited.opening import table_of
+from dashpot.data.readers.datafile import LARGE, DataFile, open_file, whole_lines
+from dashpot.data.readers.delimited.opening import Text, table_of
 from dashpot.data.readers.delimited.table import Table
 from dashpot.data.readers.sampling import TIME
 from dashpot.errors import DataError
@@ -45,14 +45,21 @@ class LabViewReader:
         ends = [match.end() for match in _END.finditer(data)]
         heads = [i for i, end in enumerate(ends) if data[end : end + len(FIRST)] == FIRST.encode()]
         if not heads:  # what is missing is said
-            yield _segment(data, file.name, 0, ())
+            yield _segment(bytes(data[:LARGE]), file.name, 0, ())
+        counted = above = 0
         for number, i in enumerate(heads, start=1):
             end = ends[i]
             next_head = _HEAD.search(data, end)
             source = file.name if len(heads) == 1 else f"{file.name} (segment {number})"
-            above = data.count(b"\n", 0, end)
+            above += sum(lines.count(b"\n") for lines in whole_lines(data, counted, end))
+            counted = end
             units = _units(data[ends[i - 1] if i else 0 : end].decode("utf-8", errors="replace"))
-            yield _segment(data[end : next_head.start() if next_head else len(data)], source, above, units)
+            stop = next_head.start() if next_head else len(data)
+            if isinstance(data, bytes):
+                yield _segment(data[end:stop], source, above, units)
+            else:
+                part = file.rewritten(_rows_alone(data, end, stop))
+                yield replace(_segment(part.contents, source, above, units), file=part)
 
 
 def open_lvm(path: str | os.PathLike[str], names: Mapping[str, str] | None = None) -> Table:
@@ -77,21 +84,32 @@ def _units(header: str) -> tuple[str | None, ...]:
     return ()
 
 
-def _segment(data: bytes, source: str, above: int, units: tuple[str | None, ...]) -> Table:
+def _rows_alone(data: Text, start: int, end: int) -> Iterator[bytes]:
+    """A segment in pieces, without comments: its header row, which may still name them, and its rows."""
+    head_end = data.find(b"\n", start, end) + 1 or end
+    header = data[start:head_end]
+    yield header
+    names = header.decode("utf-8", errors="replace").rstrip("\r\n").split("\t")
+    for lines in whole_lines(data, head_end, end):
+        yield _without_comments(lines, "\t", len(names) - 1) if names[-1] == COMMENT else lines
+
+
+def _segment(data: Text, source: str, above: int, units: tuple[str | None, ...]) -> Table:
     """One segment: `above` rows of the file stand above its bytes."""
     table = table_of(data, source, FIRST)
     table = replace(table, first_row=table.first_row + above)
-    body = bytes(table.body)
+    body = table.body
     if table.header.count(FIRST) > 1:
         cure = "save it with one column of time (X_Columns One)"
         raise DataError("there is a column of time for each channel", shown(source, 200), cure)
     width = len(table.header)
     if table.header[-1] == COMMENT:  # filled in few rows, or none, and left away in the others
         width -= 1
-        body = _without_comments(body, table.delimiter, width)
+        if isinstance(data, bytes):
+            body = memoryview(_without_comments(bytes(body), table.delimiter, width))
     header = (TIME, *table.header[1:width])
     of_columns = (None, *units[: width - 1], *[None] * (width - 1 - len(units)))
-    return replace(table, header=header, units=of_columns, body=memoryview(body))
+    return replace(table, header=header, units=of_columns, body=body)
 
 
 def _without_comments(body: bytes, delimiter: str, width: int) -> bytes:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import codecs
 import csv
+import itertools
 import mmap
 import os
 import re
@@ -10,7 +12,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from dashpot.data.readers.columns import MOST_COLUMNS, is_unit
-from dashpot.data.readers.datafile import DataFile, open_file
+from dashpot.data.readers.datafile import PIECE, DataFile, open_file, whole_lines
 from dashpot.data.readers.delimited.table import Table
 from dashpot.data.readers.delimited.timestamps import is_timestamp
 from dashpot.data.readers.delimited.truncation import with_checked_end
@@ -21,6 +23,7 @@ HEAD = 1 << 20  # bytes in which the header row must end
 MOST_LEADING = 400  # rows in front of the data that are looked through
 _DELIMITERS = (",", ";", "\t", "|")
 Text = bytes | mmap.mmap
+MARKS = (b"\xff\xfe", b"\xfe\xff")  # that begin a text in UTF-16
 _BLANKS = " "  # as a delimiter: any number of blanks and tabs
 
 
@@ -41,41 +44,78 @@ def open_table(path: str | os.PathLike[str] | DataFile, first_column: str | None
     Raises DataError where the file cannot be read, is not text, is empty, or has a header and no rows.
     """
     file = path if isinstance(path, DataFile) else open_file(path)
-    if file.mapped is not None and file.head[:2] not in (b"\xff\xfe", b"\xfe\xff") and b"\n" in file.head:
-        table = table_of(file.mapped, file.name, first_column)
-        return replace(table, file=file) if isinstance(table.body.obj, mmap.mmap) else table
-    return table_of(file.contents, file.name, first_column)
+    if isinstance(file.contents, bytes):
+        return table_of(file.contents, file.name, first_column)
+    file = _plain(file, file.contents)
+    header = _header(file.contents, file.name, first_column)
+    if header.delimiter == _BLANKS:
+        rows = (_tabbed(lines) for lines in whole_lines(file.contents, header.row.end))
+        file = file.rewritten([b"\n" * (header.row.number - 1), _tabbed_row(header.row), *rows])
+    return replace(table_of(file.contents, file.name, first_column), file=file)
 
 
-def table_of(data: Text, source: str, first_column: str | None = None) -> Table:
-    """The table in the bytes of a file; as `open_table`.  Raises DataError where there is no table."""
-    data = _as_utf8(data, source) if isinstance(data, bytes) else data
+def _plain(file: DataFile, data: Text) -> DataFile:
+    """A large file, as UTF-8 with line feeds.  Raises DataError where it is said to be UTF-16 and is not."""
+    pieces = (data[at : at + PIECE] for at in range(0, len(data), PIECE))
+    if data[:2] in MARKS:
+        decode = codecs.getincrementaldecoder("utf-16")().decode
+        ends = itertools.chain((False for _ in range(PIECE, len(data), PIECE)), [True])
+        try:
+            return file.rewritten(
+                decode(piece, end).encode() for piece, end in zip(pieces, ends, strict=True)
+            )
+        except UnicodeError:
+            raise _damaged_utf16(file.name) from None
+    if b"\n" not in data[:HEAD] and b"\r" in data[:HEAD]:
+        return file.rewritten(piece.replace(b"\r", b"\n") for piece in pieces)
+    return file
+
+
+def _damaged_utf16(source: str) -> DataError:
+    return DataError("the file is damaged UTF-16", source, "save it as UTF-8")
+
+
+@dataclass(frozen=True)
+class _Header:
+    """The header row of a table, and what parts its cells."""
+
+    row: _Row
+    delimiter: str
+
+
+def _header(data: Text, source: str, first_column: str | None) -> _Header:
     rows, delimiter = _leading_rows(data, source, first_column)
     header_at = len(rows) - 1
     if first_column is None:
         rows, header_at = _with_header(data, rows, delimiter)
     row = rows[header_at]
-    if delimiter is None:
-        delimiter = _delimiter(row.text)
+    return _Header(row, _delimiter(row.text) if delimiter is None else delimiter)
+
+
+def table_of(data: Text, source: str, first_column: str | None = None) -> Table:
+    """The table in the bytes of a file; as `open_table`.  Raises DataError where there is no table."""
+    data = _as_utf8(data, source) if isinstance(data, bytes) else data
+    header = _header(data, source, first_column)
+    row, delimiter = header.row, header.delimiter
     place = f"{source}:{row.number}"
     if delimiter == _BLANKS:
         data = data[: row.end] + _tabbed(data[row.end :])
-        row = _Row(row.number, row.end, "\t".join(row.text.split()))
+        row = _Row(row.number, row.end, _tabbed_row(row).decode().rstrip("\n"))
         delimiter = "\t"
-    header = _names(row.text, delimiter, place)
+    names = _names(row.text, delimiter, place)
     units: tuple[str | None, ...] = ()
     start, first_row = row.end, row.number + 1
     if first_column is None:
-        start, first_row, units = _behind_units(data, row, delimiter, len(header))
+        start, first_row, units = _behind_units(data, row, delimiter, len(names))
     first_data = _next_row(data, start, first_row - 1)
     if first_data is None:
         raise DataError("the file has a header and no rows", place, "give a file with data")
     width = len(_cells(first_data.text, delimiter))
-    if width == len(header) - 1 and not header[-1]:  # a delimiter at the end of the header alone
-        header, units = header[:-1], units[:width]
+    if width == len(names) - 1 and not names[-1]:  # a delimiter at the end of the header alone
+        names, units = names[:-1], units[:width]
     decimal, notes = _decimal(data[start : start + 4096].decode("utf-8", errors="replace"), delimiter, source)
     body = memoryview(data)[start:]
-    return with_checked_end(Table(source, header, units, notes, body, first_row, delimiter, decimal))
+    return with_checked_end(Table(source, names, units, notes, body, first_row, delimiter, decimal))
 
 
 def _behind_units(
@@ -112,11 +152,11 @@ def _as_utf8(data: bytes, source: str) -> bytes:
     """The text as UTF-8 without a mark, with line feeds.  Raises DataError where it is not text."""
     if not data.strip():
         raise DataError("the file is empty", source, "give a file with a header row and data")
-    if data[:2] in (b"\xff\xfe", b"\xfe\xff"):
+    if data[:2] in MARKS:
         try:
             data = data.decode("utf-16").encode()
         except UnicodeError:
-            raise DataError("the file is damaged UTF-16", source, "save it as UTF-8") from None
+            raise _damaged_utf16(source) from None
     data = data.removeprefix(b"\xef\xbb\xbf")
     if b"\0" in data[:HEAD]:
         raise DataError("the file is not text", source, "give a CSV file")
@@ -248,6 +288,10 @@ def _unit(cell: str) -> str | None:
     """The unit in a cell of a row of units."""
     text = re.sub(r"^[\[(](.*)[\])]$", r"\1", cell).strip()
     return None if text in ("", "-") else text
+
+
+def _tabbed_row(row: _Row) -> bytes:
+    return "\t".join(row.text.split()).encode() + b"\n"
 
 
 def _tabbed(body: bytes) -> bytes:

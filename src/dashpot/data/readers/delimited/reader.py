@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 from dashpot.data.readers.datafile import DataFile
-from dashpot.data.readers.delimited.opening import open_table
+from dashpot.data.readers.delimited.opening import MARKS, open_table
 from dashpot.data.readers.delimited.table import Table
 
 
@@ -19,7 +19,7 @@ class TextReader:
 
     def sniff(self, file: DataFile) -> bool:
         """No byte is zero, or the text is in UTF-16."""
-        return b"\0" not in file.head or file.head[:2] in (b"\xff\xfe", b"\xfe\xff")
+        return b"\0" not in file.head or file.head[:2] in MARKS
 
     def parts(self, file: DataFile) -> Iterator[Table]:
         """The table."""

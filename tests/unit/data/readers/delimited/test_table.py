@@ -66,17 +66,26 @@ def test_the_same_samples(tmp_path, shape, packed):
     assert record.values == pytest.approx(1e-3 * np.array([X1, U]).T, rel=1e-14)
 
 
-@pytest.mark.parametrize(
-    "shape", [shape for shape in SHAPES if shape not in ("old line ends", "UTF-16", "a mark")]
-)
-def test_large_files_are_read_as_they_come(tmp_path, shape, monkeypatch):
+@pytest.mark.parametrize("shape", SHAPES)
+@pytest.mark.parametrize("piece", [6, 50, 1000])
+def test_large_files_are_not_held(tmp_path, shape, piece, monkeypatch):
     monkeypatch.setattr("dashpot.data.readers.datafile.LARGE", 1)
+    monkeypatch.setattr("dashpot.data.readers.datafile.PIECE", piece)
+    monkeypatch.setattr("dashpot.data.readers.delimited.opening.PIECE", piece)
+    content = SHAPES[shape]
     path = tmp_path / "test.txt"
-    path.write_text(SHAPES[shape])
+    path.write_bytes(content if isinstance(content, bytes) else content.encode())
+    assert open_table(path).file is not None
     (record,) = read(path, MM, frequency_hz=2.0).records
     assert record.values == pytest.approx(1e-3 * np.array([X1, U]).T, rel=1e-14)
     path.write_text(PLAIN.replace("-0.75", "bad"))
     with pytest.raises(DataError, match=r"test.txt:4: column u: .bad. is not a number"):
+        read(path, MM)
+    path.write_text("# of blanks\n\n" + SHAPES["blanks"].replace("-0.75", "bad"))
+    with pytest.raises(DataError, match=r"test.txt:6: column u: .bad. is not a number"):
+        read(path, MM)
+    path.write_bytes(PLAIN.encode("utf-16")[:-1])
+    with pytest.raises(DataError, match=r"test.txt: the file is damaged UTF-16"):
         read(path, MM)
 
 

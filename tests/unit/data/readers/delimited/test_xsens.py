@@ -119,6 +119,14 @@ def lvm(rows=100, comment=""):
 
 
 class TestLabview:
+    @pytest.fixture(params=[False, True], ids=["small", "large"], autouse=True)
+    def _size(self, request, monkeypatch):
+        """Every file as it is, and as if it were too large to be held."""
+        if request.param:
+            monkeypatch.setattr("dashpot.data.readers.datafile.LARGE", 1)
+            monkeypatch.setattr("dashpot.data.readers.datafile.PIECE", 300)
+            monkeypatch.setattr("dashpot.data.readers.delimited.lvm.LARGE", 1 << 20)
+
     @pytest.mark.parametrize("comment", ["", "\t", "\tstarted by hand"])
     def test_told_by_its_first_row_and_driven_as_its_name_says(self, tmp_path, comment):
         path = tmp_path / "3Hz_tmp_001.txt"

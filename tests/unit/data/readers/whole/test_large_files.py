@@ -2,11 +2,20 @@
 
 from __future__ import annotations
 
+import contextlib
+import gc
+import gzip
+import os
+import struct
+import tempfile
+import threading
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from dashpot.channel import Channel
 from dashpot.data.readers import (
     array_columns,
     arrow_files,
@@ -25,6 +34,7 @@ from dashpot.data.readers.uff.function import TIME_RESPONSE, NodalFunction, Poin
 from dashpot.data.readers.uff.reader import functions_of
 from dashpot.data.readers.uff.writer import write_functions
 from dashpot.errors import DataError
+from dashpot.io.scratch import Scratch
 from tests.unit.data.readers import written
 from tests.unit.data.readers.written import CHANNELS, WRITERS, as_read, recording
 
@@ -42,17 +52,53 @@ def _small(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(table, "COUNTED", 1000)
 
 
+@contextlib.contextmanager
+def piped(path: Path) -> Iterator[Path]:
+    """A pipe, of the same ending, through which the file comes once."""
+    pipe = path.with_name(f"pipe{path.suffix}")
+    os.mkfifo(pipe)
+    filling = threading.Thread(target=lambda: pipe.write_bytes(path.read_bytes()))
+    filling.start()
+    yield pipe
+    filling.join()
+
+
 @pytest.mark.usefixtures("_small")
 @pytest.mark.parametrize("name", WRITERS)
-def test_streamed_files_hold_the_same(tmp_path: Path, name: str) -> None:
+@pytest.mark.parametrize("way", ["file", "packed", "pipe"])
+def test_streamed_files_hold_the_same(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str, way: str
+) -> None:
+    """From the file itself; and from the scratch file of what is packed or comes through a pipe, which then goes."""
+    scratch = tmp_path / "scratch"
+    scratch.mkdir()
+    monkeypatch.setattr(tempfile, "tempdir", str(scratch))
     suffix, write = WRITERS[name]
     expected = recording()
-    write(tmp_path / f"a{suffix}", expected)
-    records = as_read(tmp_path / f"a{suffix}")
+    path = tmp_path / f"a{suffix}"
+    write(path, expected)
+    if way == "packed":
+        path = written.packed(path)
+    with piped(path) if way == "pipe" else contextlib.nullcontext(path) as source:
+        records = as_read(source)
+    gc.collect()
+    assert list(scratch.iterdir()) == []
     assert len(records) == len(expected)
     for record, wanted in zip(records, expected, strict=True):
         assert record.values == pytest.approx(wanted.values, rel=1e-15)
         assert record.time - record.time[0] == pytest.approx(wanted.time, abs=1e-12)
+
+
+def test_what_finds_no_room_to_be_unpacked_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "a.csv.gz"
+    path.write_bytes(gzip.compress(b"time_s,x1,x2,u\n" + b"0,0,0,0\n" * 1000))
+    scratch = Scratch(tmp_path)
+    (tmp_path / "data").symlink_to("/dev/full")
+    monkeypatch.setattr(datafile, "lasting_scratch", lambda: scratch)
+    with pytest.raises(
+        DataError, match=r"no room for a file in between \(No space left on device\); make room"
+    ):
+        as_read(path)
 
 
 @pytest.mark.usefixtures("_small")
@@ -75,9 +121,6 @@ def test_text_with_blank_rows_and_without_a_last_line_end(tmp_path: Path, blanks
 @pytest.mark.usefixtures("_small")
 def test_channels_that_are_read_twice_are_not_changed_in_place(tmp_path: Path) -> None:
     """A column that is a channel and the frequency as well keeps its numbers."""
-    from dashpot.channel import Channel
-    from dashpot.data.readers import read
-
     path = tmp_path / "a.csv"
     path.write_text("time_s,frequency_hz,x1\n" + "".join(f"{k / 10},2,{k % 7}\n" for k in range(500)))
     twice = (Channel("frequency_hz", {"u": 1}, unit="mm", scale=1e-3), CHANNELS[0])
@@ -118,8 +161,6 @@ def test_long_functions_of_universal_files_are_not_held(
 def test_long_sound_is_mapped(tmp_path: Path, packed: bool, kind: str) -> None:
     from scipy.io import wavfile
 
-    from dashpot.channel import Channel
-
     path = tmp_path / "a.wav"
     numbers = (np.arange(2000).reshape(1000, 2) % 100).astype(kind)
     wavfile.write(path, 100, numbers)
@@ -130,13 +171,42 @@ def test_long_sound_is_mapped(tmp_path: Path, packed: bool, kind: str) -> None:
 
 
 @pytest.mark.usefixtures("_small")
+@pytest.mark.parametrize("tag", ["RIFF", "RIFX", "RF64"])
+def test_sound_of_24_bits_is_as_scipy_reads_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, tag: str
+) -> None:
+    path = tmp_path / "a.wav"
+    order = ">" if tag == "RIFX" else "<"
+    numbers = np.random.default_rng(1).integers(-(2**23), 2**23, size=(500, 2))
+    numbers[:2] = [[-(2**23), 2**23 - 1], [-1, 0]]
+    wide = numbers.astype(f"{order}i4").view(np.uint8).reshape(500, 2, 4)
+    data = (wide[..., 1:] if order == ">" else wide[..., :3]).tobytes()
+    size = 2**32 - 1 if tag == "RF64" else len(data)
+    chunks = b"WAVE" + b"LIST" + struct.pack(f"{order}I", 3) + b"abc\0"
+    if tag == "RF64":
+        chunks = b"WAVE" + b"ds64" + struct.pack("<IQQQI", 28, len(data) + 100, len(data), 500, 0) + chunks[4:]
+    chunks += b"fmt " + struct.pack(f"{order}IHHIIHH", 16, 1, 2, 100, 600, 6, 24)
+    chunks += b"data" + struct.pack(f"{order}I", size) + data
+    path.write_bytes(tag.encode() + struct.pack(f"{order}I", len(chunks)) + chunks)
+    channels = tuple(Channel(f"channel_{k}", {"x": 1}) for k in (1, 2))
+    (record,) = read(path, channels).records
+    assert np.array_equal(record.values, numbers / 2**23)
+    monkeypatch.setattr(datafile, "LARGE", 1 << 28)
+    (held,) = read(path, channels).records
+    assert np.array_equal(record.values, held.values)
+    assert np.array_equal(record.time, held.time)
+    monkeypatch.setattr(datafile, "LARGE", 1)
+    path.write_bytes(path.read_bytes()[:-7])
+    with pytest.raises(DataError, match="WAV file is damaged or cut off"):
+        read(path, channels)
+
+
+@pytest.mark.usefixtures("_small")
 @pytest.mark.parametrize("packed", [False, True])
 @pytest.mark.parametrize("kind", ["f8", "f4", "i2", "u1", ">f8"])
 def test_long_vectors_of_matlab_are_not_held(tmp_path: Path, packed: bool, kind: str) -> None:
     """Whatever the numbers, and beside scalars, texts and complex vectors, which SciPy reads."""
     from scipy.io import savemat
-
-    from dashpot.channel import Channel
 
     path = tmp_path / "a.mat"
     numbers = (np.arange(1000) % 100).astype(kind)
