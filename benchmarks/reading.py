@@ -3,13 +3,15 @@
 Both turn the same CSV into columns of doubles; dashpot also checks them, finds what each is and makes records in SI
 units of it.  pyarrow runs once with one thread, as dashpot does, and once with all.
 
-`--memory MIB` reads a file of that size in each format instead, each in a process of its own, and tells what it needs
-beyond the samples that it gives.
+`--memory MIB` reads a file of that size in each format instead, `--packed` by gzip, each in a process of its own, and
+tells what it needs beyond the samples that it gives.
 """
 
 from __future__ import annotations
 
 import argparse
+import gzip
+import shutil
 import statistics
 import subprocess
 import sys
@@ -27,7 +29,7 @@ from dashpot.channel import Channel
 from dashpot.data.readers import read
 
 sys.path.insert(0, str(Path(__file__).parents[1]))  # for the writers of the tests
-from tests.unit.data.readers.column_files import TABLES, mdf, tdms, uff
+from tests.unit.data.readers.column_files import TABLES, famos, mdf, tdms, uff
 
 
 def seconds(task: Callable[[], object], repeats: int) -> float:
@@ -75,6 +77,15 @@ def write_wav(path: Path, table: dict[str, Real]) -> None:
     wavfile.write(path, int(RATE), np.column_stack([table[name] for name in NAMES]).astype(np.float32))
 
 
+def _packed(path: Path) -> Path:
+    """The file packed by gzip in its place, in pieces."""
+    target = path.with_name(f"{path.name}.gz")
+    with path.open("rb") as source, gzip.open(target, "wb", compresslevel=1) as packing:
+        shutil.copyfileobj(source, packing, 1 << 24)
+    path.unlink()
+    return target
+
+
 def channels_of(table: dict[str, Real]) -> dict[str, Real]:
     """Without the time, for formats that sample by themselves."""
     return {name: table[name] for name in NAMES}
@@ -87,10 +98,11 @@ WRITERS: dict[str, Callable[[Path, dict[str, Real]], object]] = {
     "mf4": lambda path, table: mdf(path, channels_of(table), table["time_s"]),
     "uff": lambda path, table: uff(path, channels_of(table), table["time_s"]),
     "wav": write_wav,
+    "raw": lambda path, table: famos(path, channels_of(table), 1 / RATE),
 }
 
 
-def show_memory(mebibytes: float, formats: list[str]) -> None:
+def show_memory(mebibytes: float, formats: list[str], packed: bool) -> None:
     """What reading a file of each format needs beyond the samples that it gives."""
     rows = int(mebibytes * 2**20 / (8 * (len(NAMES) + 1)))
     rng = np.random.default_rng(1)
@@ -102,10 +114,12 @@ def show_memory(mebibytes: float, formats: list[str]) -> None:
                 path = Path(folder) / f"{stem}.{suffix}"
                 columns = {name: rng.normal(size=count) for name in NAMES}
                 WRITERS[suffix](path, {"time_s": np.arange(count) / RATE, **columns})
+                if packed:
+                    path = _packed(path)
                 size = path.stat().st_size / 2**20
                 if suffix == "wav":
-                    path = path.with_suffix(".toml")
-                    path.write_text(f'[[files]]\nname = "{stem}.wav"\n{COLUMNS}\n')
+                    path = path.with_name(f"{stem}.toml")
+                    path.write_text(f'[[files]]\nname = "{stem}.wav*"\n{COLUMNS}\n')
                 paths.append(str(path))
             done = subprocess.run(
                 [sys.executable, "-c", PEAK, *paths], capture_output=True, text=True, check=False
@@ -125,9 +139,10 @@ def main() -> None:
     parser.add_argument("--repeats", type=int, default=5)
     parser.add_argument("--memory", type=float, metavar="MIB")
     parser.add_argument("--formats", nargs="+", choices=tuple(WRITERS), default=list(WRITERS))
+    parser.add_argument("--packed", action="store_true", help="with --memory: files that gzip has packed")
     chosen = parser.parse_args()
     if chosen.memory is not None:
-        show_memory(chosen.memory, chosen.formats)
+        show_memory(chosen.memory, chosen.formats, chosen.packed)
         return
     names = [f"x{i + 1}" for i in range(chosen.columns)]
     rng = np.random.default_rng(1)

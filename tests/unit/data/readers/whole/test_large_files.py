@@ -184,7 +184,9 @@ def test_sound_of_24_bits_is_as_scipy_reads_it(
     size = 2**32 - 1 if tag == "RF64" else len(data)
     chunks = b"WAVE" + b"LIST" + struct.pack(f"{order}I", 3) + b"abc\0"
     if tag == "RF64":
-        chunks = b"WAVE" + b"ds64" + struct.pack("<IQQQI", 28, len(data) + 100, len(data), 500, 0) + chunks[4:]
+        chunks = (
+            b"WAVE" + b"ds64" + struct.pack("<IQQQI", 28, len(data) + 100, len(data), 500, 0) + chunks[4:]
+        )
     chunks += b"fmt " + struct.pack(f"{order}IHHIIHH", 16, 1, 2, 100, 600, 6, 24)
     chunks += b"data" + struct.pack(f"{order}I", size) + data
     path.write_bytes(tag.encode() + struct.pack(f"{order}I", len(chunks)) + chunks)
