@@ -1,31 +1,23 @@
-"""Which formats a rig can be exported to, by the end of a file's name or by name."""
+"""Which formats a rig can be exported to, by the end of a file's name or by name: a new one is a line here.
+
+The names alone load neither NumPy nor a writer.
+"""
 
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from importlib import import_module
 from pathlib import Path
+from typing import TYPE_CHECKING, cast
 
-import numpy as np
-
-from dashpot.arrays import Real
-from dashpot.data.readers.delimited.writing import write_rows
-from dashpot.data.spectrum import Spectrum
 from dashpot.errors import UsageError
-from dashpot.export.fmu.archive import write_fmu
-from dashpot.export.identified_rig import IdentifiedRig
-from dashpot.export.matrix_market import write_matrix_market
-from dashpot.export.mujoco import mujoco_model
-from dashpot.export.parameter_tables import (
-    write_matlab_parameters,
-    write_parameter_csv,
-    write_parameter_parquet,
-)
-from dashpot.export.state_space import state_space_of
-from dashpot.export.transfer_functions import frequency_response_table, transfer_functions_of
-from dashpot.export.universal_file import write_rig_universal_file
-from dashpot.io.atomic import write_bytes, write_text
+
+if TYPE_CHECKING:
+    from dashpot.arrays import Real
+    from dashpot.data.spectrum import Spectrum
+    from dashpot.export.identified_rig import IdentifiedRig
 
 
 @dataclass(frozen=True)
@@ -51,13 +43,19 @@ IN_WORDS = {"given": "quantities of inputs", "frequency_hz": "frequencies", "dat
 class ExportFormat:
     """One kind of content in one kind of file.
 
-    `write` returns the names of the files, and what to tell of them; `takes` names the options that it looks at.
+    writer  module of this package and function, (rig, path, options) → Written
+    takes   names of the options that it looks at
     """
 
     content: str
     suffixes: tuple[str, ...]
-    write: Callable[[IdentifiedRig, str, ExportOptions], Written]
+    writer: str
     takes: tuple[str, ...] = ()
+
+    def write(self, rig: IdentifiedRig, path: str, options: ExportOptions) -> Written:
+        """Write the file.  Raises ModelError where it cannot hold the rig, DataError where it cannot be written."""
+        module, _, function = self.writer.partition(".")
+        return cast(Written, getattr(import_module(f"dashpot.export.{module}"), function)(rig, path, options))
 
     def require_use(self, path: str, given: Iterable[str]) -> None:
         """Raises UsageError where it does not look at one of the options that are given."""
@@ -123,70 +121,19 @@ def contents() -> tuple[str, ...]:
     return tuple(dict.fromkeys(each.content for each in FORMATS))
 
 
-def _frequencies(options: ExportOptions) -> Real:
-    if options.frequency_hz is not None:
-        return np.asarray(options.frequency_hz, dtype=float)
-    if options.data is None:
-        raise UsageError(
-            "frequency responses need frequencies", cure="give frequencies, or data that have some"
-        )
-    return np.unique(options.data.frequency_hz)
-
-
-def _state_space_json(rig: IdentifiedRig, path: str, options: ExportOptions) -> Written:
-    write_text(path, state_space_of(rig, options.given).to_json())
-    return Written((path,))
-
-
-def _state_space_mat(rig: IdentifiedRig, path: str, options: ExportOptions) -> Written:
-    write_bytes(path, state_space_of(rig, options.given).to_mat())
-    return Written((path,))
-
-
-def _transfer_functions(rig: IdentifiedRig, path: str, options: ExportOptions) -> Written:
-    write_text(path, transfer_functions_of(state_space_of(rig, options.given)).to_json())
-    return Written((path,))
-
-
-def _frequency_responses(rig: IdentifiedRig, path: str, options: ExportOptions) -> Written:
-    header, columns = frequency_response_table(rig, _frequencies(options))
-    write_rows(path, header, columns)
-    return Written((path,))
-
-
-def _universal_file(rig: IdentifiedRig, path: str, options: ExportOptions) -> Written:
-    write_rig_universal_file(rig, path, options.frequency_hz, options.data)
-    return Written((path,))
-
-
-def _fmu(rig: IdentifiedRig, path: str, options: ExportOptions) -> Written:
-    return Written((path,), write_fmu(rig, path, options.given, compiled=options.compiled))
-
-
-def _mujoco(rig: IdentifiedRig, path: str, options: ExportOptions) -> Written:
-    write_text(path, mujoco_model(rig))
-    return Written((path,))
-
-
-def _matrices(rig: IdentifiedRig, path: str, options: ExportOptions) -> Written:
-    return Written(tuple(write_matrix_market(rig, path)))
-
-
-def _parameters(rig: IdentifiedRig, path: str, options: ExportOptions) -> Written:
-    write = {".parquet": write_parameter_parquet, ".m": write_matlab_parameters}
-    write.get(Path(path).suffix.lower(), write_parameter_csv)(rig, path)
-    return Written((path,))
-
-
 # The first with an ending is what it means without more words.
 FORMATS: tuple[ExportFormat, ...] = (
-    ExportFormat("state-space", (".json",), _state_space_json, ("given",)),
-    ExportFormat("state-space", (".mat",), _state_space_mat, ("given",)),
-    ExportFormat("transfer-functions", (".json",), _transfer_functions, ("given",)),
-    ExportFormat("parameters", (".csv", ".parquet", ".m"), _parameters),
-    ExportFormat("frequency-responses", (".csv",), _frequency_responses, ("frequency_hz", "data")),
-    ExportFormat("matrices", (".mtx",), _matrices),
-    ExportFormat("universal-file", (".uff", ".unv"), _universal_file, ("frequency_hz", "data")),
-    ExportFormat("fmu", (".fmu",), _fmu, ("given",)),
-    ExportFormat("mujoco", (".xml",), _mujoco),
+    ExportFormat("state-space", (".json",), "writers.write_state_space_json", ("given",)),
+    ExportFormat("state-space", (".mat",), "writers.write_state_space_mat", ("given",)),
+    ExportFormat("transfer-functions", (".json",), "writers.write_transfer_functions", ("given",)),
+    ExportFormat("parameters", (".csv", ".parquet", ".m"), "writers.write_parameters"),
+    ExportFormat(
+        "frequency-responses", (".csv",), "writers.write_frequency_responses", ("frequency_hz", "data")
+    ),
+    ExportFormat("matrices", (".mtx",), "writers.write_matrices"),
+    ExportFormat(
+        "universal-file", (".uff", ".unv"), "writers.write_universal_file", ("frequency_hz", "data")
+    ),
+    ExportFormat("fmu", (".fmu",), "writers.write_fmu", ("given",)),
+    ExportFormat("mujoco", (".xml",), "writers.write_mujoco"),
 )

@@ -15,6 +15,7 @@ from dashpot.app.options import (
     whole_record_options,
 )
 from dashpot.app.parameter_types import AMOUNTS, FREQUENCIES, INPUT_FILE
+from dashpot.export.formats import contents
 
 if TYPE_CHECKING:
     from dashpot.data.spectrum import Spectrum
@@ -24,10 +25,6 @@ if TYPE_CHECKING:
     from dashpot.quantities import Amount
 
 WHAT = "What to write"
-CONTENTS = (
-    "state-space", "transfer-functions", "frequency-responses", "parameters", "matrices", "universal-file", "fmu",
-    "mujoco",
-)  # fmt: skip
 MOTIONS = ("displacement", "velocity", "acceleration")
 RIG = "The rig"
 
@@ -52,8 +49,8 @@ RIG = "The rig"
     help="Values of unknowns where SOURCE is a rig file; others take their guess.  May be repeated.",
 )  # fmt: skip
 @option(
-    "--to", "content", type=click.Choice(CONTENTS), metavar="CONTENT", group=WHAT,
-    help=f"What to write, where the extension allows several: {', '.join(CONTENTS)}.",
+    "--to", "content", type=click.Choice(contents()), metavar="CONTENT", group=WHAT,
+    help=f"What to write, where the extension allows several: {', '.join(contents())}.",
 )  # fmt: skip
 @option(
     "--input-quantity", "given", type=click.Choice(MOTIONS), metavar="QUANTITY", group=WHAT,
