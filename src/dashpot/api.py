@@ -3,8 +3,9 @@
     rig = read_rig("rig.toml")
     estimate = identify(rig, "data.csv")        # or rig.identify("data.csv")
 
-The order of arguments is the same in all: the rig, what is known of it, the data, how.  Methods of Rig, Spectrum and
-Estimate with these names are short for them (`dashpot.shorthand`).
+The order of arguments is the same in all: the rig, what is known of it, the data, how; what reads begins with what it
+reads and the channels that say what that is.  Methods of Rig, Spectrum and Estimate with these names are short for
+them (`dashpot.shorthand`).
 """
 
 from __future__ import annotations

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 from pathlib import Path
 
 import numpy as np
@@ -39,6 +40,28 @@ def test_every_way_to_say_it_gives_the_same(rig: Rig) -> None:
     ):
         np.testing.assert_array_equal(estimate.values, plain.values)
         np.testing.assert_array_equal(estimate.covariance, plain.covariance)
+
+
+READS = {"read", "read_modes", "record", "records_of"}  # begin with what is read, then the channels
+
+
+def test_arguments_come_in_one_order_everywhere() -> None:
+    """The rig or the model, what is known of it, the channels, the data, how; channels once, where they were read."""
+    order = [
+        "rig", "model", "estimate", "theta", "p", "values", "channels", "spectrum", "data", "test", "rng", "method",
+    ]  # fmt: skip
+    for name in dashpot.__all__:
+        value = getattr(dashpot, name)
+        if not inspect.isfunction(value) or name in READS:
+            continue
+        places = [
+            order.index(argument) for argument in inspect.signature(value).parameters if argument in order
+        ]
+        assert places == sorted(places), name
+    for name in READS:
+        first, second, *_ = inspect.signature(getattr(dashpot, name)).parameters
+        assert first in {"paths", "path", "data"}, name
+        assert second in {"channels", "coordinates"}, name
 
 
 def test_a_record_alone_is_data(rig: Rig) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 from contextlib import suppress
 from importlib import import_module
@@ -11,10 +12,12 @@ import click
 import pytest
 
 from dashpot import quantities
+from dashpot.app import parameter_types as types
 from dashpot.app.commands import COMMANDS
 from dashpot.app.files import InputFile, OutputFile, OutputFolder
 from dashpot.app.parameter_types import Count, TextType
 from dashpot.errors import UsageError
+from dashpot.model.rigfile import read_rig
 from tests.unit.app.conftest import Command
 
 EXTREMES = ["1e200", "1e308", "-1e308", "nan", "-inf", "1e999", ""]
@@ -85,6 +88,107 @@ def test_an_option_means_the_same_in_every_command() -> None:
         "--out": {"file, flag: False", "folder, flag: False"},
         "-o": {"file, flag: False", "folder, flag: False"},
     }
+
+
+# What each type of a quantity takes, the same value in other words.
+IN_OTHER_WORDS = {
+    types.FREQUENCIES: ("1000,1500,2000", "1:2:0.5 kHz", "1:2 kHz/3", "1000, 1.5 kHz, 2e3"),
+    types.FREQUENCY: ("2500", "2.5 kHz", "2500 Hz", "0.0025 MHz"),
+    types.BAND: ("500:2500", "0.5:2.5 kHz"),
+    types.TIME: ("0.09", "90 ms", "0.0015 min"),
+    types.SETTLING: ("0.09", "90 ms"),
+    types.MASS: ("0.25", "250 g"),
+    types.SHARE: ("0.05", "5%", "5 %"),
+    types.SHARE_OR_ZERO: ("0", "0%"),
+    types.PART: ("0.2", "20%"),
+    types.LEVEL: ("0.95", "95%", "95"),
+    types.TARGET: ("m1=0.01,c1=0.05", "m1=1%,c1=5%"),
+    types.MODAL_SD: ("0.01,0.2,0.05", "1%,20%,5%"),
+}
+IN_UNITS_OF_THE_RIG = {  # an angle or a length: only the rig tells
+    types.AMOUNT: lambda text: types.AMOUNT.convert(text, None, None).si("displacement"),
+    types.AMPLITUDE: lambda text: types.AMPLITUDE.convert(f"u={text}", None, None)["u"].si("displacement"),
+    types.AMOUNTS: lambda text: types.AMOUNTS.convert(f"m1={text}", None, None)["m1"].si("displacement"),
+}
+COUNTED = (types.NUMBER, types.ORDERS, types.HARMONICS, types.SENSORS)  # periods, multiples, sensors
+
+
+def test_every_quantity_of_every_command_takes_units_or_per_cent() -> None:
+    """A new type of option has to be added above; no option takes a quantity as bare text."""
+    texts = set[str]()
+    for command in commands().values():
+        for parameter in command.params:
+            kind = parameter.type
+            if isinstance(kind, TextType):
+                assert kind in {*IN_OTHER_WORDS, *IN_UNITS_OF_THE_RIG, *COUNTED}, parameter.name
+            elif isinstance(kind, click.types.StringParamType):
+                texts.add(parameter.opts[0])
+    assert texts == {
+        "--methods", "--profile", "--for",  # names of methods, parameters and criteria
+        "--name", "--unit", "--rig-column", "--dask", "--drive",
+    }  # fmt: skip
+
+
+@pytest.mark.parametrize("kind", IN_OTHER_WORDS, ids=lambda kind: str(kind.name))
+def test_the_same_quantity_in_other_words(kind: TextType) -> None:
+    plain, *others = (kind.convert(text, None, None) for text in IN_OTHER_WORDS[kind])
+    for other in others:
+        assert other == pytest.approx(plain, rel=1e-12)
+
+
+@pytest.mark.parametrize("kind", IN_UNITS_OF_THE_RIG, ids=lambda kind: str(kind.name))
+def test_the_same_quantity_of_a_rig_in_other_words(kind: TextType) -> None:
+    read = IN_UNITS_OF_THE_RIG[kind]
+    assert read("2 mm") == pytest.approx(read("0.002"), rel=1e-12)
+
+
+def test_a_range_is_by_its_step_in_every_command(dashpot: Command, rig: Path) -> None:
+    """1:10:3 was three points in one command and a step of 3 in another."""
+    assert types.FREQUENCIES.convert("1:10:3", None, None) == (1.0, 4.0, 7.0, 10.0)
+    by_command = {
+        "simulate": ("-q", "-o", "out.csv", "--frequencies"),
+        "export": ("-q", "-o", "out.csv", "--to", "frequency-responses", "--frequencies"),
+        "design": ("--samples", "400", "--json", "out.csv", "--against"),
+    }
+    for command, words in by_command.items():
+        outputs = []
+        for text in ("1:10:3", "1,4,7,10", "1:10/4"):
+            done = dashpot(command, "rig.toml", "--set", "m1=3,c1=20,c2=30", *words, text)
+            assert done.code == 0, (command, done.err)
+            outputs.append(Path("out.csv").read_text(encoding="utf-8"))
+        assert len(set(outputs)) == 1, command
+
+
+def test_records_are_conditioned_alike_in_every_command() -> None:
+    """Whoever reads records has all options that `identify` has for them, and those mean the same (above)."""
+    own = {"--hold-out", "--modal-sd"}
+    parameters = {name: command.params for name, command in commands().items()}
+    conditioning = {
+        parameter.opts[0]
+        for parameter in parameters["spectrum"]
+        if isinstance(parameter, click.Option) and parameter.opts[0].startswith("--")
+    } - {"--out", "--quiet", "--help", *own}
+    assert conditioning >= {"--settle", "--refine", "--drift", "--noise", "--orders", "--frequency", "--band"}
+    for name in ("identify", "compare", "check", "validate", "export", "fleet", "design"):
+        taken = {option for parameter in parameters[name] for option in parameter.opts}
+        assert conditioning <= taken, name
+
+
+def test_design_after_records_conditions_them_as_identify_does(dashpot: Command, data: Path) -> None:
+    """What --settle discards counts as measured in neither."""
+    counted = {}
+    for settle in ("none", "200 ms"):
+        told = dashpot(
+            "design", "rig.toml", "--samples", "400", "--after", "data.csv", "--target", "1%", "--json", "-",
+            "--settle", settle,
+        )  # fmt: skip
+        assert told.code == 0, told.err
+        assert dashpot("spectrum", "rig.toml", "data.csv", "-o", "a.csv", "--settle", settle).code == 0
+        spectrum = read_rig("rig.toml").read("a.csv").spectrum()
+        counted[settle] = (json.loads(told.out)["so_far"]["samples"][-1], int(spectrum.samples.sum()))
+    for design, identify in counted.values():
+        assert design == identify
+    assert counted["200 ms"][0] < counted["none"][0]
 
 
 def test_per_cent_and_units_are_read_wherever_a_quantity_is(dashpot: Command, rig: Path) -> None:
