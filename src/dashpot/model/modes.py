@@ -50,8 +50,9 @@ def modes(model: Model, p: Real) -> Modes:
     coincide.  Raises ModelError where all parameters are zero.
     """
     parts = matrices(model, p)
-    rate = _typical_rate(parts)
-    poles, shapes = _upper_half(parts, rate)
+    sizes = _sizes(parts)
+    rate = _typical_rate(*sizes)
+    poles, shapes = _upper_half(parts, sizes, rate)
     poles = poles * rate
     order = np.lexsort((poles.imag, np.round(np.abs(poles), 9)))
     poles, shapes = poles[order], shapes[order]
@@ -60,14 +61,15 @@ def modes(model: Model, p: Real) -> Modes:
     return Modes(poles, shapes, _eigenvalue_sensitivity(model, parts, poles, shapes))
 
 
-def _upper_half(parts: Matrices, rate: float) -> tuple[Complex, Complex]:
+def _upper_half(parts: Matrices, sizes: tuple[float, float, float], rate: float) -> tuple[Complex, Complex]:
     """Eigenvalues with Im ≥ 0 of one rig in units of its typical `rate`, (modes,), and shapes (modes, n).
 
     Time is scaled to make stiffness and inertia alike in size: the pencil's rank decisions depend on it.
     """
     n = parts.M.shape[-1]
     K = parts.K + 1j * parts.H if parts.H.any() else parts.K
-    scale = np.abs(K).max() + rate * np.abs(parts.C).max() + rate**2 * np.abs(parts.M).max()
+    inertia, damping, stiffness = sizes
+    scale = stiffness + rate * damping + rate**2 * inertia
     if scale == 0:
         raise ModelError(
             "the rig has no modes: all its parameters are zero", cure="give it mass and stiffness"
@@ -118,9 +120,14 @@ def _floats(K: Complex | Real) -> bool:
     return bool(singular[-1] < 1e-13 * len(K) * singular[0])
 
 
-def _typical_rate(parts: Matrices) -> float:
+def _sizes(parts: Matrices) -> tuple[float, float, float]:
+    """The largest entries of M, C and K + jH."""
     stiffness = np.hypot(parts.K, parts.H) if parts.H.any() else parts.K
-    M, C, K = (float(np.abs(matrix).max()) for matrix in (parts.M, parts.C, stiffness))
+    inertia, damping, stiff = (float(np.abs(matrix).max()) for matrix in (parts.M, parts.C, stiffness))
+    return inertia, damping, stiff
+
+
+def _typical_rate(M: float, C: float, K: float) -> float:
     if M > 0 and K > 0:
         return float(np.sqrt(K / M))
     if C > 0 and K > 0:

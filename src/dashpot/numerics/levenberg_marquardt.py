@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -27,6 +28,11 @@ class QuadraticModel:
     gradient: Real
     symmetric: Real
     free: Real
+
+    @cached_property
+    def inverse(self) -> Real:
+        """The inverse of `symmetric`, (k, m, m); NaN where that is singular to rounding."""
+        return scaled_inverse(self.symmetric)
 
     def where(self, chosen: Bools, other: QuadraticModel) -> QuadraticModel:
         """This where chosen (K,), else the other."""

@@ -198,7 +198,7 @@ def uncertainty(data: Prepared, solution: Solution, around: Linearised, traits: 
         return Uncertainty(
             covariance, covariance, bound, degrees, np.full(len(chi2), usable), nothing, excess
         )
-    bread = scaled_inverse(sums.symmetric)
+    bread = sums.inverse
     quality = noise_quality(data.spectrum, data.correlated)
     if quality.given:
         chi2, bound, noise = np.maximum(sums.cost - excess, 0.0), bread, bread
@@ -225,13 +225,15 @@ def uncertainty(data: Prepared, solution: Solution, around: Linearised, traits: 
 
 def _excess(sums: QuadraticModel, solution: Solution) -> Real:
     """What χ² at θ lies above its minimum, (K,), unknowns held at a bound staying there."""
-    total, gradient = sums.symmetric, sums.gradient
-    if solution.bounds is not None:
+    gradient = sums.gradient
+    if solution.bounds is None:
+        step = np.matvec(sums.inverse, gradient)
+    else:
         held = (solution.theta <= solution.bounds.lower) | (solution.theta >= solution.bounds.upper)
         gradient = np.where(held, 0.0, gradient)
         apart = (held[:, :, None] | held[:, None, :]) & ~np.eye(held.shape[-1], dtype=bool)
-        total = np.where(apart, 0.0, total)
-    excess: Real = np.sum(gradient * solve_scaled(total, gradient), axis=-1)
+        step = solve_scaled(np.where(apart, 0.0, sums.symmetric), gradient)
+    excess: Real = np.sum(gradient * step, axis=-1)
     return excess
 
 

@@ -131,7 +131,7 @@ def _not_unique(
 ) -> tuple[Notice, ...]:
     """A warning where another minimum of one repeat fits nearly as well as the one that the search ended in."""
     view = likelihood.view
-    sd = np.sqrt(np.abs(np.diagonal(scaled_inverse(likelihood.model_at(best.x, sign).symmetric[0]))))
+    sd = np.sqrt(np.abs(np.diagonal(likelihood.model_at(best.x, sign).inverse[0])))
     for psi, cost in zip(competing.psi, competing.cost, strict=True):
         above = float(cost - best.cost[0])
         if above <= doubt and apart(best.x[0], psi, sd):

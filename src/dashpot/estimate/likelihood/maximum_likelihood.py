@@ -25,7 +25,6 @@ from dashpot.estimate.preparation.prepared import Prepared
 from dashpot.estimate.preparation.state_reconstruction import States
 from dashpot.notices import Notice
 from dashpot.numerics.levenberg_marquardt import without_bounds
-from dashpot.numerics.small_systems import scaled_inverse
 
 
 @dataclass(frozen=True)
@@ -89,7 +88,7 @@ class MaximumLikelihood(Method):
             free = without_bounds(found.x, around, likelihood.lower, likelihood.upper)
             bounds = HeldBounds(likelihood.lower, likelihood.upper, free)
         return Solution(
-            found.x, scaled_inverse(around.symmetric), found.converged, found.iterations, found.history,
+            found.x, around.inverse, found.converged, found.iterations, found.history,
             signs={view.channels[int(c)].name: sign[:, c] for c in np.flatnonzero(view.flips)},
             warnings=warnings, bounds=bounds, harmonics=None if part is None else part.dwells.orders,
         )  # fmt: skip

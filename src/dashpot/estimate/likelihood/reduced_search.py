@@ -18,7 +18,7 @@ from dashpot.model.observation import ObservationModel
 from dashpot.model.reduced import extended, line_motions, reduced
 from dashpot.notices import Notice
 from dashpot.numerics.levenberg_marquardt import OptimizeResult
-from dashpot.numerics.small_systems import scaled_inverse, solve_scaled
+from dashpot.numerics.small_systems import solve_scaled
 
 FROM = 400  # coordinates from which the search is on a basis
 MOST_UNKNOWNS = 100  # each has a projected matrix of its own
@@ -94,7 +94,7 @@ def _basis(V: Real, view: ObservationModel, psi: Real, lines: Ints) -> Real:
 def _steps(step: Real, likelihood: Likelihood, psi: Real, sign: Real) -> float:
     """A step (1, M) in standard deviations, the largest; steps within rounding of the value count as none."""
     around = likelihood.model_at(psi, sign)
-    spread = np.sqrt(np.abs(np.diagonal(scaled_inverse(around.symmetric)[0])))
+    spread = np.sqrt(np.abs(np.diagonal(around.inverse[0])))
     rounding = np.abs(step[0]) <= ROUNDING * np.abs(psi[0])
     with np.errstate(divide="ignore", invalid="ignore"):
         sizes = np.where(rounding, 0.0, np.abs(step[0]) / spread)

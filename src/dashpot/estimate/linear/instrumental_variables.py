@@ -23,7 +23,6 @@ from dashpot.estimate.preparation.state_reconstruction import States
 from dashpot.model.dynamics import amplitudes, unit_forces
 from dashpot.model.network import Model
 from dashpot.numerics.levenberg_marquardt import OptimizeResult, QuadraticModel, minimise
-from dashpot.numerics.small_systems import scaled_inverse
 
 FAR = 1e9  # times the start
 ASTRAY = 1e-4  # χ² so unlikely may mean a local minimum: other starts are tried
@@ -136,8 +135,8 @@ class OptimalIV(Method):
             if not len(astray):
                 break
             found = found.improved(astray, self._search(model, states, start, astray))
-        bread = scaled_inverse(equation_sums(model, states, found.x).symmetric)
-        return Solution(found.x, bread, found.converged, found.iterations, found.history)
+        covariance = equation_sums(model, states, found.x).inverse
+        return Solution(found.x, covariance, found.converged, found.iterations, found.history)
 
     def _search(self, model: Model, states: States, start: Real, repeats: Ints) -> OptimizeResult:
         return search(model, states, start, repeats, limit=self.max_iterations, tolerance=self.tolerance)

@@ -28,7 +28,7 @@ from dashpot.model.network import Model
 from dashpot.model.nonlinear.integration import Integrator
 from dashpot.model.nonlinear.propagation import forcing
 from dashpot.numerics.levenberg_marquardt import OptimizeResult, QuadraticModel, minimise
-from dashpot.numerics.small_systems import scaled_inverse, solve_scaled
+from dashpot.numerics.small_systems import solve_scaled
 
 METHOD = "ml"  # what the search is
 LIMIT = 60  # iterations
@@ -138,7 +138,7 @@ def _refined(problem: RecordProblem, psi: Real, limits: tuple[Real, Real]) -> tu
         finer = problem.finer()
         around = finer.quadratic(psi[None])
         step = solve_scaled(around.symmetric, around.gradient)[0]
-        sd = np.sqrt(np.abs(np.diagonal(scaled_inverse(around.symmetric)[0])))
+        sd = np.sqrt(np.abs(np.diagonal(around.inverse[0])))
         moved = np.max(np.abs(step) / sd)
         if not moved > MOVED:
             break
