@@ -31,6 +31,7 @@ from dashpot.estimate import identify as identification
 from dashpot.estimate.amplitudes import amplitudes_for
 from dashpot.estimate.automatic import identify_automatically
 from dashpot.estimate.comparison import Comparison
+from dashpot.estimate.likelihood.record_noise import with_record_noise
 from dashpot.estimate.likelihood.settling import with_settling_decided
 from dashpot.estimate.method import Method
 from dashpot.estimate.nonlinear.whole_record import identify_records
@@ -102,15 +103,19 @@ def identify(
         from dashpot.present.text.identifiability import require_identifiable
 
         require_identifiable(rig.model, spectrum.channels, rig.path or None, spectrum)
-    spectrum = with_settling_decided(_model(rig), spectrum, chosen)
+    model = _model(rig)
+    spectrum = with_settling_decided(model, spectrum, chosen)
+    suited = identification.automatic(model, spectrum) if chosen is None else chosen
+    # What judges the fit wants the noise that the fit rests on.
+    spectrum, suited = with_record_noise(model, spectrum, suited)
     if chosen is None:
-        estimate = identify_automatically(_model(rig), spectrum, progress=progress)
+        estimate = identify_automatically(model, spectrum, suited, progress=progress)
     else:
-        estimate = identification.identify(_model(rig), spectrum, chosen, progress=progress)
+        estimate = identification.identify(model, spectrum, suited, progress=progress)
     if diagnose:
         from dashpot.check.diagnosis.diagnose import examined
 
-        estimate = examined(_model(rig), spectrum, estimate)
+        estimate = examined(model, spectrum, estimate)
     return _of_rig(rig, estimate)
 
 

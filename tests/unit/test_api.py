@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +15,7 @@ from dashpot import Estimate, Rig, api
 from dashpot.app.cli import run
 from dashpot.data.readers import write_records
 from tests.two_masses import RIG, VALUES
+from tests.whole_rigs import chain, record_of
 
 
 @pytest.fixture
@@ -195,3 +197,22 @@ def test_continuous_records_of_nonlinear_rigs_are_integrated(
     assert bent.identify(record).values is answer.values
     assert asked == [bent.model, (record,), None]
     assert rig.read("data.csv").continuous is False
+
+
+def test_a_whole_record_is_judged_by_the_noise_that_its_fit_rests_on() -> None:
+    """Python once judged by none: a channel that read 1.3 times as much from the middle on passed as a fit."""
+    model, theta = chain(2, 0.05, base=True, seed=2)
+    record = record_of(model, theta, "random", decay_times=40, seed=1).record
+    rng = np.random.default_rng(4)
+    noise = 0.02 * record.values.std(axis=0) * rng.normal(size=record.values.shape) * [1, 1, 0]
+    estimate = dashpot.identify(model, replace(record, values=record.values + noise), diagnose=True)
+    assert estimate.assessment is not None
+    assert estimate.assessment.verdict == "cannot tell"
+    values = record.values + noise
+    values[len(values) // 2 :, 1] *= 1.3
+    estimate = dashpot.identify(model, replace(record, values=values), diagnose=True)
+    assert estimate.assessment is not None
+    assert estimate.assessment.verdict == "does not fit"
+    first = estimate.assessment.findings[0]
+    assert (first.kind, first.of) == ("time", ("x2_dis",))
+    assert first.number == pytest.approx(record.time[len(values) // 2], rel=0.02)

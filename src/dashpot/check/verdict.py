@@ -10,6 +10,7 @@ import numpy as np
 from dashpot.arrays import Bools, Complex, Real
 from dashpot.check.record_residuals import hum_notices, mains_hum, standing_out
 from dashpot.check.residuals import Residuals, calibrations_of, residuals
+from dashpot.check.time_course import finding, notice, time_changes
 from dashpot.data.spectrum import Spectrum
 from dashpot.data.stretch import SettledDwell
 from dashpot.estimate.assessment import Assessment, Judgement, Misfit
@@ -39,12 +40,14 @@ def assess(model: Model, spectrum: Spectrum, estimate: Estimate) -> Assessment:
     tones = mains_hum(left, spectrum)
     quiet = replace(left, normalised=np.where(tones, np.nan, left.normalised))
     motions = np.array([not measures_input(model, channel) for channel in spectrum.channels])
+    changes, records = time_changes(quiet, spectrum, motions), len(spectrum.records)
     against = [
         *_unphysical(model, estimate),
         *_unstable(estimate),
         *_rejected(estimate),
         *_silent(model, spectrum),
         *(notice for notice in estimate.warnings if notice.code == DISAGREE),
+        *(notice(change, records) for change in changes),
         *standing_out(left, spectrum, motions, tones),
         *_smooth(quiet, motions, least=1.0 if _sized_elsewhere(estimate, spectrum) else 0.5),
     ]
@@ -52,7 +55,10 @@ def assess(model: Model, spectrum: Spectrum, estimate: Estimate) -> Assessment:
     untested = [] if against else _powerless(estimate, spectrum)
     doubts = [*untested, *hum_notices(left, motions, tones), *unheard]
     verdict: Judgement = "does not fit" if against else "cannot tell" if doubts else "fits"
-    return Assessment(verdict, (*against, *doubts), _relative(left, motions), _worst(left))
+    return Assessment(
+        verdict, (*against, *doubts), _relative(left, motions), _worst(left),
+        findings=tuple(finding(change, records) for change in changes),
+    )  # fmt: skip
 
 
 def _sized_elsewhere(estimate: Estimate, spectrum: Spectrum) -> bool:

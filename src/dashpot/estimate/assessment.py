@@ -29,11 +29,11 @@ class Finding:
     """One possible cause of a misfit.
 
     kind       "sign", "unit", "swap", "conjugate", "quantity", "frequency", "dwell", "delay", "gain", "value",
-               "element", "nonlinear" or "channel"
+               "element", "nonlinear", "time" or "channel"
     of         what is meant: the channel, both channels of a swap, the frequency of a dwell, the points that an element
                would join; empty where it concerns everything
     text, change  in words, and what to write in the rig file or to do with the data
-    remaining  χ² over its degrees of freedom with the remedy taken
+    remaining  χ² over its degrees of freedom with the remedy taken; None where it was not tried
     number     what was found: a gain, a delay in s, a frequency in Hz, a parameter
     channels, elements  entries of the rig file as they would be; () where the data must be mended
     """
@@ -42,7 +42,7 @@ class Finding:
     of: tuple[str, ...]
     text: str
     change: str
-    remaining: float
+    remaining: float | None
     number: float | None = None
     channels: tuple[Channel, ...] = ()
     elements: tuple[Element, ...] = ()
@@ -103,7 +103,7 @@ def assessment_from(fit: Mapping[str, Any], diagnosis: Sequence[Mapping[str, Any
     )
     worst = tuple(Misfit(w["channel"], float(w["frequency_hz"]), float(w["sd"])) for w in fit["worst"])
     findings = tuple(
-        Finding(d["kind"], tuple(d["of"]), d["text"], d["change"], float(d["remaining"]), d["number"])
+        Finding(d["kind"], tuple(d["of"]), d["text"], d["change"], d["remaining"], d["number"])
         for d in diagnosis
     )
     return Assessment(fit["verdict"], reasons, fit["relative_residual"], worst, findings)

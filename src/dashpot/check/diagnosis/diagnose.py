@@ -24,6 +24,7 @@ from dashpot.model.network import Model
 from dashpot.notices import Notice
 
 LARGEST = 12  # coordinates of the rigs that are diagnosed: trials of larger ones take too long to wait for
+PLAIN = ("sign", "unit", "swap", "conjugate", "quantity", "frequency", "delay")  # mistakes of another kind
 SHOWN = 2.0  # χ² per degree of freedom of whole records below which their steady part shows no misfit
 
 
@@ -78,7 +79,8 @@ def examined(model: Model, spectrum: Spectrum, estimate: Estimate, *, seed: int 
     assessment = assess(model, spectrum, estimate)
     linear = not len(model.nonlinear)  # the remedies are tried on linear rigs
     if linear and (assessment.verdict == "does not fit" or not bool(estimate.converged)):
-        assessment = replace(assessment, findings=diagnose(model, spectrum, estimate, seed=seed))
+        causes_found = diagnose(model, spectrum, estimate, seed=seed)
+        assessment = replace(assessment, findings=_ranked(causes_found, assessment.findings))
     if assessment.verdict == "fits":
         assessment = _looked_at_closely(model, spectrum, estimate, assessment)
     if not linear:
@@ -88,6 +90,12 @@ def examined(model: Model, spectrum: Spectrum, estimate: Estimate, *, seed: int 
     if assessment.verdict != "does not fit":
         estimate = with_profile_intervals(model, spectrum, estimate)
     return replace(estimate, assessment=assessment)
+
+
+def _ranked(causes_found: tuple[Finding, ...], in_time: tuple[Finding, ...]) -> tuple[Finding, ...]:
+    """Plain mistakes first, then what changes in the course of a record, then what could be many things."""
+    plain = tuple(each for each in causes_found if each.kind in PLAIN)
+    return (*plain, *in_time, *(each for each in causes_found if each.kind not in PLAIN))
 
 
 def _looked_at_closely(

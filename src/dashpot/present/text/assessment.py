@@ -53,6 +53,13 @@ def diagnosis_in_words(findings: tuple[Finding, ...]) -> list[str]:
     lines = []
     for rank, finding in enumerate(findings[: 1 + ALTERNATIVES]):
         lead = "Likely cause" if rank == 0 else "Or"
-        left = f"residuals would fall to {short(max(finding.remaining, 0.0) ** 0.5, 2)} × the noise"
-        lines.append(f"{lead}: {finding.text} ({left}). To change: {finding.change}")
+        outlook = remaining_in_words(finding)
+        lines.append(f"{lead}: {finding.text}{outlook and f' ({outlook})'}. To change: {finding.change}")
     return lines
+
+
+def remaining_in_words(finding: Finding) -> str:
+    """What residuals the remedy would leave; nothing where it was not tried."""
+    if finding.remaining is None:
+        return ""
+    return f"residuals would fall to {short(max(finding.remaining, 0.0) ** 0.5, 2)} × the noise"

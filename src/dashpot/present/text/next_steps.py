@@ -7,7 +7,8 @@ from collections.abc import Sequence
 from dashpot.check.collinearity import Collinearity
 from dashpot.estimate.result import Estimate
 from dashpot.io.words import joined
-from dashpot.present.text.numbers import percent, short
+from dashpot.present.text.assessment import remaining_in_words
+from dashpot.present.text.numbers import percent
 
 MOST_NAMES = 4
 NOISE = (
@@ -78,8 +79,10 @@ def _on_fit(estimate: Estimate) -> list[str]:
         return ["Measure where the rig moves more, or longer: these data cannot confirm the model."]
     if assessment.findings:
         best = assessment.findings[0]
-        left = short(max(best.remaining, 0.0) ** 0.5, 2)
-        step = f"Try the most likely cause: {best.change}. Residuals would fall to {left} × the noise."
+        outlook = remaining_in_words(best)
+        step = f"Try the most likely cause: {best.change}."
+        if outlook:
+            step += f" {outlook.capitalize()}."
         if best.channels or best.elements:
             step += " dashpot identify --apply NEW.toml writes that rig file."
         return [step]

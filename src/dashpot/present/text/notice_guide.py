@@ -48,6 +48,12 @@ NOTICES: tuple[tuple[str, str, str, str], ...] = (
         "Read the likely causes below the verdict; look at the channel at that frequency: clipping, a delay, play.",
     ),
     (
+        "time_change", _VERDICT,
+        ("In the course of a whole record a channel jumps off the prediction, or reads more from some time on than "
+        "before. Over all lines that would count as noise; in time it stands out."),
+        "Look at the channel at that time: a spike, lost samples, a loose sensor, another range. Cut the record there.",
+    ),
+    (
         "mains_hum", _VERDICT,
         "A channel carries a tone at a multiple of 50 or 60 Hz that the inputs do not drive. It does not test the fit.",
         "Mend the shielding or the ground loop, or end the band below it with `--band`.",
