@@ -23,7 +23,7 @@ from dashpot.io.words import quoted
 
 MOST_COLUMNS = 64
 MOST_PARTS = 200
-MOST_SAMPLES = 1 << 22  # of a column that are looked at
+MOST_SAMPLES = 1 << 22  # of a column of which the resolution is sought
 BANDS = 60  # of the frequency content
 GAP = 1.5  # steps
 WORDS = {
@@ -75,6 +75,7 @@ class InspectedPart:
     rate_hz      mean sampling rate; None where the samples have no time
     uneven       largest departure of a step from the mean one, over the mean one
     gaps         steps that are longer than usual
+    longest_gap  (from, to), s: the longest of them; None where there is none
     duration_s   from the first sample to the last
     frequencies  drive frequencies that the part names, Hz
     """
@@ -84,6 +85,7 @@ class InspectedPart:
     rate_hz: float | None
     uneven: float
     gaps: int
+    longest_gap: tuple[float, float] | None
     duration_s: float
     frequencies: tuple[float, ...]
     columns: tuple[InspectedColumn, ...]
@@ -138,7 +140,7 @@ def _part(columns: Columns) -> InspectedPart:
     driven: Real = np.zeros(0)
     if f_at is not None:
         driven = _values(partial(_numbers, columns, f_at))
-    rate, uneven, gaps = _sampling(time)
+    rate, uneven, gaps, longest_gap = _sampling(time)
     inspected: list[InspectedColumn] = []
     others, samples = [], len(time)
     for i, name in enumerate(columns.header):
@@ -154,7 +156,16 @@ def _part(columns: Columns) -> InspectedPart:
     duration = float(time[-1] - time[0]) if len(time) > 1 else 0.0
     known = tuple(np.unique(driven[np.isfinite(driven)]).tolist()[:1000])
     return InspectedPart(
-        columns.source, samples, rate, uneven, gaps, duration, known, tuple(inspected), tuple(others)
+        columns.source,
+        samples,
+        rate,
+        uneven,
+        gaps,
+        longest_gap,
+        duration,
+        known,
+        tuple(inspected),
+        tuple(others),
     )
 
 
@@ -177,28 +188,29 @@ def _or_none(find: Callable[[], int | None]) -> int | None:
 def _values(load: Callable[[], Real]) -> Real:
     """Numbers, none where the column holds something else."""
     try:
-        values: Real = load()
+        return load()
     except DashpotError:
         return np.zeros(0)
-    return values[:MOST_SAMPLES]
 
 
-def _sampling(time: Real) -> tuple[float | None, float, int]:
-    """Rate in Hz, unevenness and gaps; steps back are starts of other records."""
+def _sampling(time: Real) -> tuple[float | None, float, int, tuple[float, float] | None]:
+    """Rate in Hz, unevenness, gaps and the longest one; steps back are starts of other records."""
     steps = np.diff(time)
-    steps = steps[steps > 0]
-    if not len(steps):
-        return None, 0.0, 0
-    usual = float(np.median(steps))
-    regular = steps[steps <= GAP * usual]
+    onward = steps[steps > 0]
+    if not len(onward):
+        return None, 0.0, 0, None
+    usual = float(np.median(onward))
+    regular = onward[onward <= GAP * usual]
     mean = float(np.mean(regular))
-    return 1 / mean, float(np.max(np.abs(regular - mean))) / mean, int(np.sum(steps > GAP * usual))
+    uneven, gaps = float(np.max(np.abs(regular - mean))) / mean, len(onward) - len(regular)
+    at = int(np.argmax(steps))
+    return 1 / mean, uneven, gaps, (float(time[at]), float(time[at + 1])) if gaps else None
 
 
 def _column(name: str, unit: str | None, values: Real, rate: float | None) -> InspectedColumn:
     good = values[np.isfinite(values)]
     plain, _ = bare(name)
-    steps = np.diff(np.unique(good))
+    steps = np.diff(np.unique(good[:MOST_SAMPLES]))
     bands, level = _content(good, rate)
     return InspectedColumn(
         plain,

@@ -36,6 +36,7 @@ def test_what_is_told(noisy):
     assert part.samples == 996
     assert part.rate_hz == pytest.approx(100)
     assert part.gaps == 3
+    assert part.longest_gap == pytest.approx((2.99, 3.02))
     assert part.duration_s == pytest.approx(9.99)
     assert part.others == ("label",)
     acc, y, z = part.columns
@@ -57,7 +58,7 @@ def test_what_is_shown(noisy):
         show_inspection(out, inspection)
     text = capture.get()
     assert "996 samples, 100 Hz over 9.99 s" in text
-    assert "3 gaps" in text
+    assert "3 gaps, the longest from 2.99 to" in text
     assert "clipped?" in text
     assert "label" in text
     assert max(len(line) for line in text.splitlines()) <= 80
@@ -101,3 +102,17 @@ def test_what_cannot_be_read_is_said(tmp_path):
     (tmp_path / "a.csv").write_bytes(b"\x00\x01\x02\x03")
     with pytest.raises(DataError, match="its format is not known"):
         inspect_file(tmp_path / "a.csv")
+
+
+def test_all_samples_of_long_files_count(tmp_path, monkeypatch):
+    """Only the resolution and the content are sought in a part of them."""
+    monkeypatch.setattr("dashpot.data.inspection.MOST_SAMPLES", 100)
+    path = tmp_path / "long.csv"
+    path.write_text(
+        "time_s,x\n" + "".join(f"{k / 10:.1f},{k % 7 + (9 if k == 800 else 0)}\n" for k in range(1000))
+    )
+    (part,) = inspect_file(path).parts
+    assert part.samples == 1000
+    assert part.duration_s == pytest.approx(99.9)
+    assert part.longest_gap is None
+    assert part.columns[0].greatest == 800 % 7 + 9

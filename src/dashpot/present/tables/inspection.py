@@ -9,6 +9,7 @@ from rich.text import Text
 
 from dashpot.data.inspection import InspectedColumn, InspectedPart, Inspection
 from dashpot.errors import printable
+from dashpot.io.words import counted
 from dashpot.present.tables.layout import TableColumn, show_table
 
 BARS = " ▁▂▃▄▅▆▇█"
@@ -33,7 +34,7 @@ def show_inspection(out: Console, inspection: Inspection) -> None:
 def part_in_words(part: InspectedPart, source: str) -> str:
     """Samples, rate, duration, gaps and drive frequencies of a part, in one line."""
     name = part.source.removeprefix(source).strip(" :()")
-    words = [f"{part.samples} samples"]
+    words = [counted(part.samples, "sample")]
     if part.rate_hz is None:
         words.append("no times")
     else:
@@ -41,8 +42,10 @@ def part_in_words(part: InspectedPart, source: str) -> str:
         words.append(
             "evenly spaced" if part.uneven < 1e-3 else f"steps differ by up to {100 * part.uneven:.2g} %"
         )
-        if part.gaps:
-            words.append(f"{part.gaps} gaps")
+        if part.longest_gap is not None:
+            start, end = part.longest_gap
+            which = "from" if part.gaps == 1 else "the longest from"
+            words.append(f"{counted(part.gaps, 'gap')}, {which} {start:.6g} to {end:.6g} s")
     if part.frequencies:
         several = (
             f"{len(part.frequencies)} drive frequencies, " if len(part.frequencies) > 1 else "driven at "
