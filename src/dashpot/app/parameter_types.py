@@ -32,6 +32,10 @@ class TextType(click.ParamType[Any]):
         self._parse = parse
         self.words = tuple(words)
 
+    def or_words(self, *words: str) -> TextType:
+        """The same type that also takes some words."""
+        return TextType(self.name, self._parse, words)
+
     def convert(self, value: object, param: click.Parameter | None, ctx: click.Context | None) -> Any:
         """The value, or one of `words` as it is; values that are not text were converted before."""
         if not isinstance(value, str):

@@ -2,15 +2,21 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import click
 
 from dashpot.app.files import OutputFile
 from dashpot.app.help import dashpot_command, option
-from dashpot.app.parameter_types import MASS, Count
-from dashpot.errors import UsageError
+from dashpot.app.parameter_types import MASS, Count, TextType
+from dashpot.errors import DashpotError, UsageError
 
 HEAVIEST = 1e9  # kg
 CHAIN = "The rig"
+UNKNOWN = "unknown"
+WEIGHED = MASS.or_words(UNKNOWN)
+DRIVES = ("base", "force")
+MASSES = Count(1, 50)
 MOTIONS = ("displacement", "velocity", "acceleration")
 
 
@@ -21,11 +27,11 @@ MOTIONS = ("displacement", "velocity", "acceleration")
 )
 @click.argument("rig", type=OutputFile(new=True), help="Rig file to write.")
 @option("--name", default=None, metavar="TEXT", group=CHAIN, help="Name of the rig.")
-@option("--masses", type=Count(1, 50), default=None, metavar="N", group=CHAIN, help="Masses in a row.")
+@option("--masses", type=MASSES, default=None, metavar="N", group=CHAIN, help="Masses in a row.")
 @option(
     "--driven-by",
     "drive",
-    type=click.Choice(["base", "force"]),
+    type=click.Choice(DRIVES),
     default=None,
     group=CHAIN,
     help="The base moves, or a force acts.",
@@ -58,23 +64,24 @@ def command(
     if known is not None and not known < HEAVIEST:
         raise UsageError(f"a mass of {known:g} kg", "--first-mass", "give one below 1e9 kg")
     import sys
-    from typing import Any, cast
+    from functools import partial
+    from typing import cast
 
     from dashpot.io.atomic import write_text
     from dashpot.model.rigfile import parse_rig
     from dashpot.model.rigfile.starter import Chain, starter_text
     from dashpot.units import scale
 
-    ask = sys.stdin.isatty()
+    ask = _asked if sys.stdin.isatty() else _usual
     usual = Chain()
-    name = name if name is not None else _answer(ask, "Name of the rig", usual.name)
-    masses = (
-        masses if masses is not None else int(_answer(ask, "How many masses in a row", str(usual.masses)))
-    )
-    drive = drive or _answer(ask, "What drives it: base or force", usual.drive, ("base", "force"))
-    motion = motion or _answer(ask, "What the sensors measure", usual.motion, MOTIONS)
+    name = name if name is not None else ask("Name of the rig", usual.name)
+    masses = masses if masses is not None else ask("How many masses in a row", usual.masses, MASSES)
+    drive = drive or ask("What drives it", usual.drive, click.Choice(DRIVES))
+    motion = motion or ask("What the sensors measure", usual.motion, click.Choice(MOTIONS))
     si = {"displacement": "m", "velocity": "m/s", "acceleration": "m/s²"}[motion]
-    unit = unit or _answer(ask, "Unit of the sensors", si)
+    unit = unit or ask("Unit of the sensors", si, TextType("unit", partial(_unit, motion)))
+    if known is None and (first := ask("Mass of x1, where it has been weighed", UNKNOWN, WEIGHED)) != UNKNOWN:
+        known = first
     scale(unit, motion, uncalibrated=True)  # refused here, before a rig file has it in three places
     text = starter_text(
         Chain(name, masses, cast(Any, drive), cast(Any, motion), unit, usual.force_unit, known)
@@ -84,10 +91,22 @@ def command(
     click.echo(f"Written: {rig}. Next: dashpot check {rig}")
 
 
-def _answer(ask: bool, question: str, usual: str, allowed: tuple[str, ...] = ()) -> str:
-    """The answer to a question; the usual one where nobody can be asked."""
-    if not ask:
-        return usual
-    if allowed:
-        return str(click.prompt(question, default=usual, type=click.Choice(allowed)))
-    return str(click.prompt(question, default=usual))
+def _unit(motion: str, text: str) -> str:
+    """A unit of the motion.  Raises UsageError where it is none."""
+    from dashpot.units import scale
+
+    try:
+        scale(text, motion)
+    except DashpotError as error:
+        raise UsageError(error.problems[0].what, cure=error.problems[0].cure) from None
+    return text
+
+
+def _asked(question: str, usual: Any, kind: click.ParamType[Any] = click.STRING) -> Any:
+    """The answer to a question, which is asked again until it is one."""
+    return click.prompt(question, default=usual, type=kind)
+
+
+def _usual(question: str, usual: Any, kind: click.ParamType[Any] = click.STRING) -> Any:
+    """The usual answer, where nobody can be asked."""
+    return usual

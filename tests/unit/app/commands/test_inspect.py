@@ -8,6 +8,7 @@ import pytest
 from click.testing import CliRunner
 
 from dashpot.app.cli import cli
+from dashpot.app.commands import new
 from tests.unit.data.readers.written import RIG, WRITERS, recording
 
 
@@ -41,6 +42,20 @@ def test_new_writes_a_rig_that_checks(folder):
     assert run("check", "mine.toml").exit_code == 0
     assert tomllib.loads((folder / "mine.toml").read_text())["coordinates"] == ["x1", "x2"]
     assert not (folder / "bad.toml").exists()
+
+
+def test_new_asks_again_for_what_is_no_answer(folder, monkeypatch):
+    """Each wrong answer is told, and what was said before is kept."""
+    monkeypatch.setattr(new, "_usual", new._asked)  # as at a terminal
+    answers = ["Mine", "three", "0", "3", "bas", "base", "", "bananas", "mm", "g", "-1", "1.25 kg"]
+    result = CliRunner().invoke(cli, ["new", "mine.toml"], input="\n".join(answers) + "\n")
+    assert result.exit_code == 0
+    assert result.output.count("Error: ") == 6
+    rig = tomllib.loads((folder / "mine.toml").read_text())
+    assert rig["name"] == "Mine"
+    assert rig["coordinates"] == ["x1", "x2", "x3"]
+    assert rig["masses"]["m1"] == {"at": "x1", "value": 1.25}
+    assert rig["channels"]["x3"] == {"of": "x3", "quantity": "acceleration", "unit": "g"}
 
 
 def test_identify_takes_a_manifest_and_its_conditioning(folder):
