@@ -10,16 +10,18 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.linalg import expm
 from scipy.optimize import least_squares
 
-from dashpot.arrays import Real
+from dashpot.arrays import Complex, Real
 from dashpot.channel import Channel, Quantity
 from dashpot.data.record import Record
+from dashpot.model.dynamics import matrices
 from dashpot.model.elements import Kind, between, mass
 from dashpot.model.modes import modes
 from dashpot.model.motion import channel_samples, integrator
 from dashpot.model.network import Input, Model
-from dashpot.model.observation import observation_model
+from dashpot.model.observation import ObservationModel, observation_model
 
 FINER = 8  # samples of the integration in one of the record
 DWELLS = 8  # of a stepped sine
@@ -182,6 +184,22 @@ def stepped_sine(
         values = values + noise * np.std(values, axis=0) * rng.normal(size=values.shape) * noisy
         records.append(Record(tuple(channels), step * np.arange(len(values)), values, f))
     return records
+
+
+def sampled_free_motion(view: ObservationModel, p: Real, step: float, jw: complex) -> Complex:
+    """h Σ y(kh) e^{−jωkh} of the channels' motion after an impulse at each coordinate, and after a doublet at each.
+
+    (channels, 2 n); exact, from the matrix exponential of the state, at one line jω.
+    """
+    at, n = matrices(view.model, p), view.model.n
+    inverse = np.linalg.inv(at.M)
+    A = np.block([[np.zeros((n, n)), np.eye(n)], [-inverse @ at.K, -inverse @ at.C]])
+    impulse = np.concatenate([np.zeros((n, n)), inverse])
+    start = np.concatenate([impulse, A @ impulse], axis=1)
+    states = step * np.linalg.solve(np.eye(2 * n) - np.exp(-jw * step) * expm(A * step), start)
+    motions = np.stack([states[:n], states[n:], (A @ states)[n:]])
+    shown: Complex = np.stack([on_x @ motions[d] for on_x, d in zip(view.on_x, view.derivative, strict=True)])
+    return shown
 
 
 @dataclass(frozen=True)

@@ -1,9 +1,10 @@
 """Boundary loads of whole records: what the two ends of a record add to all of its lines (THEORY §8, W).
 
 D X = R U + S f + a + jω b, with a, b ∈ Rⁿ free: an impulse and a doublet at every coordinate.  What the ends alias, and
-what they add to velocities and accelerations, are the real columns 1, jω, (jω)² of each output channel.  All of them
-enter linearly; they are projected out of each record after the inputs have been out of each line, by a basis that
-leaves out columns which depend on each other.
+what they add to velocities and accelerations, is known where no input is elsewhere at the end than at the beginning
+(`sampled_loads`); else it is taken by the real columns 1, jω, (jω)² … of each output channel.  All of them enter
+linearly; they are projected out of each record after the inputs have been out of each line, by a basis that leaves out
+columns which depend on each other.
 
 The loads are force inputs of a larger rig, one at every coordinate, so that its transfer gives their response, and its
 unit forces are those of the whole motion.  Slopes by the driven motion alone lead the iteration astray: slowly, and
@@ -21,11 +22,15 @@ from dashpot.arrays import Bools, Complex, Ints, Real, frozen
 from dashpot.data.spectrum import Spectrum
 from dashpot.data.stretch import WholeRecord
 from dashpot.errors import DataError
+from dashpot.estimate.likelihood.sampled_loads import SampledLoads, sampled_loads, shows_sampled_loads
 from dashpot.model.network import Input, Model
 from dashpot.model.observation import ObservationModel, observation_model
 from dashpot.numerics.projection import orthonormal, real_rows
 
 RAMP = -1  # the power of jω that a linear drift has
+AT_ENDS = 8  # half periods of the band's highest line about the ends in which an input may move
+FEW = 10_000  # lines at a time, of a sum over all of them
+AT_REST = 0.02  # of its rms, up to which it rests there
 
 
 @dataclass(frozen=True)
@@ -41,6 +46,8 @@ class RecordEnds:
     channel, power (polynomials,): a column is s^power in one channel
     by_input (lines, r + s, polynomials): how inputs that are taken as exact follow from a channel's polynomial; 0
              where the channel is one of the data
+    sampled  (records, channels): where all that sampling folds back is known from the free motion (`sampled_loads`)
+    step, highest (records,) sampling step, s, and highest ω, rad/s
     """
 
     rig: ObservationModel
@@ -53,6 +60,9 @@ class RecordEnds:
     channel: Ints
     power: Ints
     by_input: Complex
+    sampled: Bools
+    step: Real
+    highest: Real
 
     @property
     def n(self) -> int:
@@ -63,6 +73,13 @@ class RecordEnds:
     def count(self) -> int:
         """Columns: two loads for each coordinate, and the polynomials."""
         return 2 * self.n + len(self.channel)
+
+    def sampled_loads(self, psi: Real) -> SampledLoads | None:
+        """What sampling adds to the loads of a rig with unknowns ψ (K, M); None where it is known of no channel."""
+        if not np.any(self.sampled):
+            return None
+        p = self.rig.model.parameters(psi[:, : self.rig.m])
+        return sampled_loads(self.rig, self.sampled, p, self.step, self.highest)
 
     def polynomials(self) -> Complex:
         """Columns of the polynomials in the channels that are data, (lines, channels, polynomials)."""
@@ -125,23 +142,19 @@ def record_ends(
     if not records:
         return None
     outputs = ~view.inputs_alone
-    most = max(value.polynomial for value, _ in records)
-    drift = [RAMP] if any(value.ramp for value, _ in records) else []
-    channel, power = [], []
-    for c, output in enumerate(outputs):
-        # A moved base measured as velocity or acceleration has end terms of its own; other inputs have none.
-        powers = [*range(most), *drift] if output else list(range(int(view.derivative[c])))
-        channel += [c] * len(powers)
-        power += powers
-    of = np.array(channel, dtype=np.int64)
-    height = np.array(power, dtype=np.int64)
+    of, height = _polynomial_columns(view, [value for value, _ in records])
     s = np.zeros(spectrum.lines, dtype=np.complex128)
+    highest = np.array([np.max(spectrum.omega[lines]) for _, lines in records])
+    sampled = np.zeros((len(records), len(outputs)), dtype=bool)
     terms_used = np.zeros((len(records), len(of)), dtype=bool)
     measured = np.any(np.isfinite(spectrum.amplitudes.reshape(-1, *spectrum.amplitudes.shape[-2:])), axis=0)
     for number, (value, lines) in enumerate(records):
-        s[lines] = 1j * spectrum.omega[lines] / np.max(spectrum.omega[lines])
+        s[lines] = 1j * spectrum.omega[lines] / highest[number]
         there = np.any(measured[lines], axis=0)
         wanted = np.where(height == RAMP, value.ramp, height < value.polynomial)
+        if value.loads and not _inputs_jump(view, spectrum, lines):
+            sampled[number] = shows_sampled_loads(view)
+        wanted &= (height == RAMP) | ~sampled[number, of]
         terms_used[number] = (wanted | ~outputs[of]) & there[of]
     _require_lines(records, view, loads=2 * view.model.n, terms=terms_used)
     by_input = np.zeros((spectrum.lines, view.on_q.shape[1], len(of)), dtype=np.complex128)
@@ -158,7 +171,45 @@ def record_ends(
         of,
         height,
         by_input,
+        sampled,
+        np.array([value.step_s for value, _ in records]),
+        highest,
     )
+
+
+def _polynomial_columns(view: ObservationModel, records: list[WholeRecord]) -> tuple[Ints, Ints]:
+    """Channel and power of jω of every polynomial column that some record may have, (polynomials,) each."""
+    most = max(value.polynomial for value in records)
+    drift = [RAMP] if any(value.ramp for value in records) else []
+    channel, power = [], []
+    for c, output in enumerate(~view.inputs_alone):
+        # A moved base measured as velocity or acceleration has end terms of its own; other inputs have none.
+        powers = [*range(most), *drift] if output else list(range(int(view.derivative[c])))
+        channel += [c] * len(powers)
+        power += powers
+    return np.array(channel, dtype=np.int64), np.array(power, dtype=np.int64)
+
+
+def _inputs_jump(view: ObservationModel, spectrum: Spectrum, lines: Ints) -> bool:
+    """Whether inputs may be elsewhere at the end of a record than at its beginning, so that sampling folds them back.
+
+    Base motions are taken to; forces are where they move about the ends as far as the band shows them.
+    """
+    if view.model.D.shape[1]:
+        return True
+    if not view.model.S.shape[1]:
+        return False
+    inputs = spectrum.amplitudes[..., lines, :][..., view.inputs_alone]
+    if not np.any(view.inputs_alone) or not np.all(np.isfinite(inputs)):
+        return True
+    phase = spectrum.omega[lines] / np.max(spectrum.omega[lines]) * np.pi
+    times = np.linspace(-AT_ENDS, AT_ENDS, 4 * AT_ENDS + 1)[:, None]
+    ends = np.zeros((*inputs.shape[:-2], len(times), inputs.shape[-1]))
+    for first in range(0, len(lines), FEW):
+        some = slice(first, first + FEW)
+        ends += (np.exp(1j * times * phase[some]) @ inputs[..., some, :]).real
+    size = np.sqrt(np.sum(np.abs(inputs) ** 2, axis=-2, keepdims=True) / 2)
+    return bool(np.any(np.ptp(ends, axis=-2, keepdims=True) > AT_REST * size))
 
 
 def _require_lines(

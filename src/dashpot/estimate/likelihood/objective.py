@@ -157,18 +157,29 @@ def _predict_records(
 
     polynomials = ends.polynomials() + G @ ends.by_input
     columns = np.concatenate([by_load, ends.s[:, None, None] * by_load, polynomials], axis=-1)
+    folded = ends.sampled_loads(psi)
+    n = ends.n
+    if folded is not None:
+        for record in np.flatnonzero(ends.loads).tolist():
+            at = ends.lines[record]
+            columns[:, at, :, : 2 * n] += np.moveaxis(folded.at(record, ends.s[at]), -1, 1)
     free = without_inputs(columns)
     of_ends = projector(ends, root @ free)
     residual = data.y - np.einsum("...cq,...q->...c", G, driven)
     loads = of_ends.coefficients(root @ residual[..., None])[..., 0]
     residual = residual - np.einsum("...cz,...z->...c", free, loads)
-    n = ends.n
     load = loads[..., :n] + ends.s[:, None] * loads[..., n : 2 * n]
     q = driven + np.einsum("lqp,...lp->...lq", ends.by_input, loads[..., 2 * n :])
     if half is not None:
         q = q - np.einsum("...cq,...cz,...z->...q", np.conj(half), columns, loads)
     motion = np.concatenate([q, load], axis=-1)
-    J = without_inputs(rig.slopes(motion))
+    J = rig.slopes(motion)
+    if folded is not None:
+        for record in np.flatnonzero(ends.loads).tolist():
+            at = ends.lines[record]
+            of_record = folded.slopes_at(record, ends.s[at], loads[:, at[0], : 2 * n])
+            J[:, at, :, : view.m] += np.moveaxis(of_record, -1, 1)
+    J = without_inputs(J)
     J = J - free @ of_ends.coefficients(root @ J)
     at_ends = np.einsum("...cz,...z->...c", columns, loads)
     prediction = _prediction(data, residual, J, data.W @ J, q, int(of_ends.rank[0]))

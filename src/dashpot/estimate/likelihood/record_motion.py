@@ -13,6 +13,7 @@ import numpy as np
 
 from dashpot.arrays import Complex, Real
 from dashpot.estimate.likelihood.record_pieces import NO_RECORD, RecordPiece, RecordPieces
+from dashpot.estimate.likelihood.sampled_loads import SampledLoads
 from dashpot.model.dynamics import stiffness_over_lines
 from dashpot.model.observation import calibration_factors, calibration_slopes
 
@@ -73,6 +74,7 @@ class PieceAt:
     effect (K, channels, elements, lines): ∂y/∂p = effect · unit force
     response (K, channels, r + s + n, lines) to inputs and loads, where calibrations are unknown, else None
     columns (K, channels, f, lines): loads and polynomials; residual (K, channels, lines) of the rig without them
+    folded: what sampling adds to the loads, where that is known of a channel
     """
 
     piece: RecordPiece
@@ -84,6 +86,7 @@ class PieceAt:
     inputs: EstimatedInputs | None
     columns: Complex
     residual: Complex
+    folded: SampledLoads | None
 
     def slopes(self, z: Real) -> Complex:
         """∂y/∂ψ under the whole motion with coefficients z (K, f, lines) of the columns: (K, channels, M, lines)."""
@@ -105,6 +108,9 @@ class PieceAt:
             elongation = elongation + over_rows(model.D, q[:, : model.D.shape[1]])
         unit_forces = piece.factors * elongation
         J = over_rows(model.T.T, self.effect * unit_forces[:, None])
+        if self.folded is not None:
+            for record, part in piece.segments_with_loads:
+                J[..., part] += self.folded.slopes_at(record, piece.s[part], z[:, : 2 * n, part.start])
         if self.response is not None:
             shown = np.sum(self.response * np.concatenate([q, load], axis=1)[:, None], axis=2)
             by_calibration = calibration_slopes(view, self.psi, np.swapaxes(shown, -1, -2))
@@ -120,11 +126,14 @@ def _known(piece: RecordPiece) -> Complex:
 
 def evaluated(pieces: RecordPieces, psi: Real, sign: Real) -> Iterator[PieceAt]:
     """Every piece at ψ (K, M) with signs (K, channels)."""
+    folded = pieces.ends.sampled_loads(psi)
     for piece in pieces:
-        yield _piece_at(pieces, piece, psi, sign)
+        yield _piece_at(pieces, piece, psi, sign, folded)
 
 
-def _piece_at(pieces: RecordPieces, piece: RecordPiece, psi: Real, sign: Real) -> PieceAt:
+def _piece_at(
+    pieces: RecordPieces, piece: RecordPiece, psi: Real, sign: Real, folded: SampledLoads | None
+) -> PieceAt:
     view, K = piece.view, len(psi)
     model = view.model
     p = model.parameters(psi[:, : view.m])
@@ -141,7 +150,11 @@ def _piece_at(pieces: RecordPieces, piece: RecordPiece, psi: Real, sign: Real) -
         kappa = np.swapaxes(calibration_factors(view, psi, sign), -1, -2)[:, :, None]
         by_load, effect, G = by_load * kappa, effect * kappa, G * kappa
         response = np.concatenate([G, by_load], axis=2) if view.gains or view.delays else None
-    columns = [by_load * piece.loaded, (piece.s * piece.loaded) * by_load]
+    loads = np.concatenate([by_load * piece.loaded, (piece.s * piece.loaded) * by_load], axis=2)
+    if folded is not None:
+        for record, part in piece.segments_with_loads:
+            loads[..., part] += folded.at(record, piece.s[part])
+    columns = [loads]
     if piece.by_input is not None:
         columns.append(times(G, np.broadcast_to(piece.by_input, (K, *piece.by_input.shape))))
     white = [piece.weights.whitened(np.concatenate(columns, axis=2))]
@@ -153,11 +166,11 @@ def _piece_at(pieces: RecordPieces, piece: RecordPiece, psi: Real, sign: Real) -
     if piece.q is not None:
         known = np.broadcast_to(piece.q, (K, *piece.q.shape[1:]))[:, :, None]
         residual = data - times(G, known) if known.shape[1] else data
-        return PieceAt(piece, psi, Z, driven, effect, response, None, F, residual[:, :, 0])
+        return PieceAt(piece, psi, Z, driven, effect, response, None, F, residual[:, :, 0], folded)
     together = np.concatenate([F, data], axis=2)
     inputs = EstimatedInputs.of(G, together)
     left = together - times(inputs.basis, inputs.coefficients)
-    return PieceAt(piece, psi, Z, driven, effect, response, inputs, left[:, :, :-1], left[:, :, -1])
+    return PieceAt(piece, psi, Z, driven, effect, response, inputs, left[:, :, :-1], left[:, :, -1], folded)
 
 
 def _masked(columns: Complex, pieces: RecordPieces, piece: RecordPiece) -> Complex:

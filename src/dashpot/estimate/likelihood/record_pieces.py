@@ -81,6 +81,11 @@ class RecordPiece:
     columns: Complex | None
     basis: Complex | None
 
+    @cached_property
+    def segments_with_loads(self) -> tuple[tuple[int, slice], ...]:
+        """Those of records that have boundary loads."""
+        return tuple((record, part) for record, part in self.segments if self.loaded[part.start])
+
 
 @dataclass(frozen=True)
 class RecordPieces:
