@@ -41,6 +41,11 @@ def record_estimate(
         for name, at in zip(names, held, strict=True)
         if at
     ]
+    if problem.pieces > 1:
+        cut = (
+            f"the motion depends too much on its start to be followed whole: cut into {problem.pieces} pieces"
+        )
+        warnings.append(Notice("cut_record", cut))
     rms = ", ".join(f"{n} {s:.3g}" for n, s in zip(problem.records[0].names, problem.sd, strict=True))
     notes = (Notice("record_residuals", f"residuals of the whole records, rms in SI units: {rms}"),)
     return Estimate(

@@ -13,8 +13,6 @@ from dashpot.estimate.nonlinear.record_problem import RecordProblem, enough_subs
 from dashpot.estimate.nonlinear.records import arranged, measured_coordinates
 from dashpot.estimate.result import Estimate
 from dashpot.model.network import Model
-from dashpot.model.nonlinear.integration import Integrator
-from dashpot.model.nonlinear.propagation import forcing
 
 
 @dataclass(frozen=True)
@@ -43,12 +41,12 @@ def predict_record(model: Model, estimate: Estimate, record: Record) -> Predicte
     gains = [values[f"{n}.gain"] for n, g in zip(data.names, data.gain, strict=True) if g >= 0]
     offset = np.array([values.get(f"{name}.offset", 0.0) for name in model.force_inputs])
     sd = np.ones(len(data.names))
-    problem = RecordProblem(model, (data,), len(gains), sd, (enough_substeps(model, theta, data.step_s),))
-    machine = Integrator(model, theta, forcing(data.step_s, data.inputs[:8]), 1)
-    problem.states = machine.states
-    fixed = np.concatenate([theta, gains, offset])
-    start = np.zeros(machine.states)
     x = measured_coordinates(model, data)
+    motion = None if x is None else (x, data.inputs[:, : model.D.shape[1]])
+    substeps = enough_substeps(model, theta, data.step_s, motion)
+    problem = RecordProblem(model, (data,), len(gains), sd, (substeps,))
+    fixed = np.concatenate([theta, gains, offset])
+    start = np.zeros(problem.states)
     if x is not None:
         start[: model.n] = x[0]
     for _ in range(2):
@@ -57,8 +55,8 @@ def predict_record(model: Model, estimate: Estimate, record: Record) -> Predicte
             raise DataError(
                 "the motion cannot be followed", record.source, "check that it is a record of this rig"
             )
-        by_inner = J[..., problem.inner :].reshape(-1, machine.states)
-        seen = 2 * machine.model.n  # states of laws keep what they began with
+        by_inner = J[..., problem.inner :].reshape(-1, problem.states)
+        seen = 2 * model.n  # states of laws keep what they began with
         start[:seen] += np.linalg.lstsq(by_inner[:, :seen], residual.ravel(), rcond=1e-8)[0]
     residual = problem.residuals(np.concatenate([fixed, start]), slopes=False)[0][0]
     spread = np.sqrt(np.mean((data.outputs - np.mean(data.outputs, axis=0)) ** 2, axis=0))

@@ -34,7 +34,13 @@ class RecordProblem:
     sd: Real
     substeps: tuple[int, ...]
     last: dict[int, Motion] = field(default_factory=dict)
-    states: int = 0
+    pieces: int = 1  # into which each record was cut
+
+    @property
+    def states(self) -> int:
+        """Numbers at the start of a record: coordinates, their rates, and the states of laws that have one."""
+        laws = (element.force_law for element in self.model.elements)
+        return 2 * self.model.n + sum(law is not None and law.has_state for law in laws)
 
     @property
     def inner(self) -> int:
@@ -87,6 +93,10 @@ class RecordProblem:
             results.append((residual / self.sd, total / self.sd[:, None]))
         return results
 
+    def misfit(self, psi: Real) -> float:
+        """Sum of squared residuals at ψ (M,), inf where no motion follows."""
+        return float(sum(np.sum(residual**2) for residual, _ in self.residuals(psi, slopes=False)))
+
     def quadratic(self, psi: Real) -> QuadraticModel:
         """Cost with priors, slope and curvature at ψ (1, M)."""
         M = psi.shape[-1]
@@ -112,18 +122,23 @@ class RecordProblem:
         return QuadraticModel(np.array([total]), (gradient - prior * away)[None], matrix[None], matrix[None])
 
 
-def enough_substeps(model: Model, theta: Real, step_s: float) -> int:
+def enough_substeps(model: Model, theta: Real, step_s: float, motion: tuple[Real, Real] | None = None) -> int:
     """Steps between samples: enough for the fastest mode of the linear part, and for kinks of the laws.
 
-    theta (unknowns,).  Raises ConvergenceError where those are more than MOST.
+    theta (unknowns,); with a `motion`, coordinates (samples, n) and displacement inputs (samples, r), springs count as
+    stiff as they are anywhere in it.  Raises ConvergenceError where steps are more than MOST.
     """
     parts = matrices(model, model.parameters(theta))
     n = model.n
+    K = parts.K
+    if motion is not None:
+        chosen = model.nonlinear
+        K = K + (model.B[chosen].T * _stiffest(model, theta, step_s, *motion)) @ model.B[chosen]
     try:
         inverse = np.linalg.inv(parts.M)
     except np.linalg.LinAlgError:
         return 1
-    A = np.block([[np.zeros((n, n)), np.eye(n)], [-inverse @ parts.K, -inverse @ parts.C]])
+    A = np.block([[np.zeros((n, n)), np.eye(n)], [-inverse @ K, -inverse @ parts.C]])
     fastest = float(np.max(np.abs(np.linalg.eigvals(A)), initial=0.0)) if np.all(np.isfinite(A)) else np.inf
     if not fastest * step_s <= MOST * STEP:
         raise ConvergenceError(
@@ -132,3 +147,19 @@ def enough_substeps(model: Model, theta: Real, step_s: float) -> int:
         )
     rough = any(e.force_law is not None and not e.force_law.smooth for e in model.elements)
     return max(1, int(np.ceil(fastest * step_s / STEP))) * (ROUGH if rough else 1)
+
+
+def _stiffest(model: Model, theta: Real, step_s: float, x: Real, u: Real) -> Real:
+    """Largest slope of each nonlinear element's force along its elongation in a motion, (e,); 0 of softening ones."""
+    chosen = model.nonlinear
+    d = x @ model.B[chosen].T + u @ model.D[chosen].T
+    v = np.gradient(d, step_s, axis=0)
+    p, constants = model.parameters(theta)[chosen], model.inner_constants(theta)
+    stiffest = np.zeros(len(chosen))
+    for row, (index, inner) in enumerate(zip(chosen, model.constant_slices, strict=True)):
+        law = model.elements[int(index)].force_law
+        assert law is not None
+        at = law(d[:, row], v[:, row], np.zeros(len(d)), constants[inner])
+        slopes = p[row] * np.broadcast_to(at.slopes.get("d", 0.0), len(d))
+        stiffest[row] = np.max(slopes, initial=0.0, where=np.isfinite(slopes))
+    return stiffest

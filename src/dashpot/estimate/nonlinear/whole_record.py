@@ -8,13 +8,14 @@ white for the fit and of whatever colour the residuals have for the intervals (a
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from dashpot.arrays import Ints, Real
 from dashpot.data.record import Record
 from dashpot.errors import DataError, UsageError
+from dashpot.estimate.nonlinear.held_records import released
 from dashpot.estimate.nonlinear.record_inference import record_estimate
 from dashpot.estimate.nonlinear.record_problem import RecordProblem, enough_substeps
 from dashpot.estimate.nonlinear.record_regression import first_record_values
@@ -22,16 +23,19 @@ from dashpot.estimate.nonlinear.records import (
     RecordData,
     arranged,
     measured_coordinates,
+    total_samples,
 )
 from dashpot.estimate.result import Estimate
 from dashpot.model.network import Model
-from dashpot.model.nonlinear.integration import Integrator
-from dashpot.model.nonlinear.propagation import forcing
 from dashpot.numerics.levenberg_marquardt import OptimizeResult, QuadraticModel, minimise
 from dashpot.numerics.small_systems import solve_scaled
 
 METHOD = "ml"  # what the search is
 LIMIT = 60  # iterations
+ROUNDS = 3  # of the search, with the noise that the one before has left
+FIRST_NOISE = 0.01  # of a channel's rms: its noise before anything is known
+UNLIKE = 0.2  # of the channels' rms: residuals of the first motion that is far off
+HELD, ROUGHLY = 12, 0.1  # iterations with a held motion, and the standard deviations at which they end
 EXACT = 1e-6  # of a channel's rms: residuals below it count no less
 TOLERANCE = 1e-4  # standard deviations
 HALVINGS = 3  # of the integration's steps, at most
@@ -93,10 +97,44 @@ def fit_records(
             "the records have different channels", cure="identify those of one set of channels together"
         )
     problem, psi = _begun(model, data)
-    history = [psi[: problem.inner]]
-    sizes = 100 * problem.sd
+    far = _far_off(problem, psi)
+    if far:
+        problem, psi = _released(problem, psi)
+    search = _searched(problem, psi, progress)
+    if not (far or search.converged[0]):
+        problem, psi = _released(*_begun(model, data))
+        search = _searched(problem, psi, progress)
+    limits = _bounds(problem, search.x[0])
+    problem, psi = _refined(problem, search.x[0], limits)
+    history = np.concatenate([search.history, psi[None, : problem.inner]])
+    return FittedRecords(problem, psi, bool(search.converged[0]), int(search.iterations[0]), history, limits)
+
+
+def _far_off(problem: RecordProblem, psi: Real) -> bool:
+    """Whether the motion at the start ψ (M,) is so unlike the measured one that the search might end anywhere."""
+    power = problem.misfit(psi) * FIRST_NOISE**2 / total_samples(problem.records)
+    return not power < UNLIKE**2
+
+
+def _released(problem: RecordProblem, psi: Real) -> tuple[RecordProblem, Real]:
+    """The problem, perhaps in pieces, and ψ (M,) that follow from holding the motion near the measured one."""
     limits = _bounds(problem, psi)
-    for turn in range(3):
+    return released(problem, psi, lambda held, x: _descended(held, x, limits, HELD, ROUGHLY).x[0])
+
+
+def _searched(
+    problem: RecordProblem,
+    psi: Real,
+    progress: Callable[[int, int], None] | None,
+) -> OptimizeResult:
+    """The least misfit from ψ (M,) on, and the noise of the channels, which `problem` learns.
+
+    history (rounds + 1, unknowns before the starts).
+    """
+    limits = _bounds(problem, psi)
+    history = [psi[: problem.inner]]
+    sizes = problem.sd / FIRST_NOISE
+    for turn in range(ROUNDS):
         end = _descended(problem, psi, limits)
         psi = end.x[0]
         history.append(psi[: problem.inner])
@@ -106,17 +144,19 @@ def fit_records(
             break
         problem.sd = np.maximum(problem.sd * ratio, EXACT * sizes)
         if progress is not None:
-            progress(turn + 1, 3)
+            progress(turn + 1, ROUNDS)
         if len(problem.sd) == 1 or np.all(np.abs(ratio / ratio[0] - 1) < 0.02):
             break
-    problem, psi = _refined(problem, psi, limits)
-    history.append(psi[: problem.inner])
-    return FittedRecords(
-        problem, psi, bool(end.converged[0]), int(end.iterations[0]), np.array(history), limits
-    )
+    return replace(end, history=np.array(history))
 
 
-def _descended(problem: RecordProblem, psi: Real, limits: tuple[Real, Real]) -> OptimizeResult:
+def _descended(
+    problem: RecordProblem,
+    psi: Real,
+    limits: tuple[Real, Real],
+    limit: int = LIMIT,
+    tolerance: float = TOLERANCE,
+) -> OptimizeResult:
     """The least misfit from ψ (M,) on, within bounds."""
 
     def evaluate(x: Real, rows: Ints) -> QuadraticModel:
@@ -125,7 +165,7 @@ def _descended(problem: RecordProblem, psi: Real, limits: tuple[Real, Real]) -> 
 
     lower, upper = limits
     return minimise(
-        evaluate, psi[None], limit=LIMIT, tolerance=TOLERANCE, lower=lower, upper=upper, patience=LIMIT
+        evaluate, psi[None], limit=limit, tolerance=tolerance, lower=lower, upper=upper, patience=limit
     )
 
 
@@ -159,15 +199,18 @@ def _begun(model: Model, records: tuple[RecordData, ...]) -> tuple[RecordProblem
     theta = first_record_values(model, records)
     gains = max((g for record in records for g in record.gain), default=-1) + 1
     sd = np.sqrt(np.mean(np.concatenate([record.outputs for record in records]) ** 2, axis=0))
-    sd = np.where(sd > 0, 0.01 * sd, 1.0)
-    substeps = tuple(enough_substeps(model, theta, record.step_s) for record in records)
+    sd = np.where(sd > 0, FIRST_NOISE * sd, 1.0)
+    measured = [measured_coordinates(model, record) for record in records]
+    substeps = tuple(
+        enough_substeps(
+            model, theta, record.step_s, None if x is None else (x, record.inputs[:, : model.D.shape[1]])
+        )
+        for record, x in zip(records, measured, strict=True)
+    )
     problem = RecordProblem(model, records, gains, sd, substeps)
     starts = []
-    for record in records:
-        machine = Integrator(model, theta, forcing(record.step_s, record.inputs[:8]), 1)
-        problem.states = machine.states
-        start = np.zeros(machine.states)
-        x = measured_coordinates(model, record)
+    for record, x in zip(records, measured, strict=True):
+        start = np.zeros(problem.states)
         if x is not None:
             start[: model.n] = x[0]
             start[model.n : 2 * model.n] = (-3 * x[0] + 4 * x[1] - x[2]) / (2 * record.step_s)

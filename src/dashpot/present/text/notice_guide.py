@@ -114,6 +114,12 @@ NOTICES: tuple[tuple[str, str, str, str], ...] = (
         "For time records, try `--settle auto` and `--refine always`. For tables of amplitudes, nothing.",
     ),
     (
+        "cut_record", _ESTIMATE,
+        ("The motion of a strongly nonlinear rig depends so much on its start that no free motion follows the whole "
+        "record. It was cut into pieces with starts of their own; the intervals count these as unknowns."),
+        "Nothing need be done. A smaller drive or shorter records show whether the parameters stay what they are.",
+    ),
+    (
         "coloured_residuals", _ESTIMATE,
         "Residuals of a nonlinear fit to whole records are correlated in time; intervals include that.",
         "The model or the measured input lacks something: look at the residuals' frequencies.",

@@ -6,6 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
+from scipy.interpolate import CubicSpline
 
 from dashpot.channel import Channel, Quantity
 from dashpot.data.record import Record
@@ -13,6 +15,9 @@ from dashpot.errors import ConvergenceError, DataError
 from dashpot.estimate.nonlinear.record_prediction import predict_record
 from dashpot.estimate.nonlinear.record_problem import enough_substeps
 from dashpot.estimate.nonlinear.whole_record import fit_records, identify_records
+from dashpot.model.elements import Element, Kind, between, mass
+from dashpot.model.network import Input, Model
+from dashpot.model.nonlinear.force_law import force_law
 from dashpot.model.nonlinear.integration import Integrator
 from dashpot.model.nonlinear.propagation import forcing
 from dashpot.model.nonlinear.shooting import integrate
@@ -67,6 +72,45 @@ def test_intervals_hold_and_unused_records_are_predicted_to_the_noise():
     prediction = predict_record(model, estimate, fresh)
     assert prediction.names == ("x1", "x2")
     assert np.all(prediction.relative < 0.03)
+
+
+def chaotic(samples):
+    """A mass on a light damper and a spring that stiffens tenfold, under a force of many tones: chaotic motion."""
+    rng = np.random.default_rng(2)
+    along = between("q", Kind.SPRING, "x", "ground").along
+    model = Model(
+        ("x",),
+        (Input("f", "force", {"x": 1.0}),),
+        (
+            mass("m", "x"), between("k", Kind.SPRING, "x", "ground"), between("c", Kind.DAMPER, "x", "ground"),
+            Element("q", Kind.SPRING, along, force_law=force_law("cubic")),
+        ),
+    )  # fmt: skip
+    theta = np.array([1.0, 50.0, 0.2, 5e6])
+    time = np.arange(samples) / 40
+    tones, phases = rng.uniform(0.2, 3, 40), rng.uniform(0, 6.3, 40)
+    force = 0.15 * np.sum(np.cos(2 * np.pi * tones * time[:, None] + phases), axis=1)
+    drive = CubicSpline(time, force)
+
+    def rates(t, s):
+        return [s[1], drive(t) - 50.0 * s[0] - 0.2 * s[1] - 5e6 * s[0] ** 3]
+
+    x = solve_ivp(rates, (0, time[-1]), [0, 0], "DOP853", time, rtol=1e-8, atol=1e-12).y[0]
+    noisy = x + 0.01 * np.std(x) * rng.standard_normal(samples)
+    channels = (Channel("f", {"f": 1.0}, Quantity.FORCE), *motions("x"))
+    return model, theta, Record(channels, time, np.column_stack([force, noisy]))
+
+
+@pytest.mark.parametrize("samples", [250, pytest.param(1000, marks=pytest.mark.long)])
+def test_motions_that_no_free_motion_follows_from_afar_are_held_near_the_measured_one(samples):
+    model, theta, data = chaotic(samples)
+    estimate = identify_records(model, [data])
+    assert bool(estimate.converged)
+    for value, sd, true in zip(estimate.values, estimate.sd, theta, strict=False):
+        assert abs(value - true) < 4 * sd
+        assert sd < 0.03 * true
+    if samples == 1000:
+        assert "cut_record" in [notice.code for notice in estimate.warnings]
 
 
 @pytest.mark.long
