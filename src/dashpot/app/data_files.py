@@ -25,10 +25,10 @@ CONDITIONING = ("orders", "harmonics", "drift", "noise", "refine", "settle")
 
 @dataclass(frozen=True)
 class MeasuredData:
-    """The amplitudes of data files, whether any file held time records, and the dwells behind them, where asked for."""
+    """The amplitudes of data files, treatments of time records not chosen, and the dwells used, where asked for."""
 
     spectrum: Spectrum
-    records: bool
+    untried: tuple[str, ...]
     dwells: tuple[UsedDwell, ...] = ()
 
 
@@ -84,7 +84,7 @@ def measured_data(
 
         treated = conditioning_for(rig.model, reading, conditioning, traits)
         dwells = used_dwells(reading.records, spectrum, treated)
-    return MeasuredData(spectrum, bool(reading.records), dwells)
+    return MeasuredData(spectrum, conditioning.untried if reading.records else (), dwells)
 
 
 def _require_use_of_frequency(reading: Reading, stated: float | None) -> None:

@@ -100,7 +100,8 @@ def command(
         spectrum: Spectrum | None = None
         dwells: tuple[UsedDwell, ...] = ()
         wanted = None if chosen == "auto" else chosen
-        records, used = True, (0.0, 1.0 - (hold_out or 0.0))
+        untried: tuple[str, ...] = ()
+        used = (0.0, 1.0 - (hold_out or 0.0))
         reading = read_files(rig_read, data, conditioning, quiet)
         if len(rig_read.model.nonlinear) and reading.continuous:
             estimate = _of_whole_records(rig_read, reading.records, wanted, quiet)
@@ -110,21 +111,21 @@ def command(
             measured = measured_data(
                 rig_read, reading, conditioning, quiet, moments_for=[chosen], part=used, with_dwells=report is not None,
             )  # fmt: skip
-            lines, records, dwells = measured.spectrum, measured.records, measured.dwells
+            lines, untried, dwells = measured.spectrum, measured.untried, measured.dwells
             method = suited_method(wanted, rig_read.model, lines, seed=seed, positive=positive)
             estimate, spectrum = _estimated(rig, rig_read, lines, method, chosen, seed, quiet)
     held = () if hold_out is None else _held_out(rig_read, estimate, data, conditioning, used[1])
-    _write_report(report, rig_read, spectrum, estimate, level, held, records, dwells)
+    _write_report(report, rig_read, spectrum, estimate, level, held, untried, dwells)
     write_result(json_out, estimate.to_json())
     _apply(rig_read, estimate, apply)
     if not quiet and json_out != STDOUT:
-        _show(rig_read, estimate, level, matrices, records, held)
+        _show(rig_read, estimate, level, matrices, untried, held)
     return _ending(estimate, strict)
 
 
 def _write_report(
     path: str | None, rig: Rig, spectrum: Spectrum | None, estimate: Estimate, level: float,
-    held: tuple[RecordPrediction, ...], records: bool, dwells: tuple[UsedDwell, ...],
+    held: tuple[RecordPrediction, ...], untried: tuple[str, ...], dwells: tuple[UsedDwell, ...],
 ) -> None:  # fmt: skip
     """Write the report, if to a path."""
     if path is None:
@@ -140,7 +141,7 @@ def _write_report(
         provenance(),
         channels=rig.channels,
         held_out=held,
-        records=records,
+        untried=untried,
         dwells=dwells,
     )
     write_report(path, page)
@@ -153,7 +154,7 @@ def _of_modes(estimate: Estimate, json_out: str | None, level: float, strict: bo
         from dashpot.present.tables.estimate import show_estimate
         from dashpot.present.tables.layout import console
 
-        show_estimate(console(), estimate, level, records=False)
+        show_estimate(console(), estimate, level, untried=())
     return _ending(estimate, strict)
 
 
@@ -259,12 +260,13 @@ def _apply(rig: Rig, estimate: Estimate, path: str | None) -> None:
 
 
 def _show(
-    rig: Rig, estimate: Estimate, level: float, matrices: bool, records: bool, held: tuple[RecordPrediction, ...]
+    rig: Rig, estimate: Estimate, level: float, matrices: bool, untried: tuple[str, ...],
+    held: tuple[RecordPrediction, ...],
 ) -> None:  # fmt: skip
     from dashpot.present.tables.estimate import show_estimate
     from dashpot.present.tables.layout import console
 
-    show_estimate(console(), estimate, level, records=records)
+    show_estimate(console(), estimate, level, untried=untried)
     if matrices or _of_free_matrices(rig):
         from dashpot.estimate.linear.definite import matrices_of
         from dashpot.present.tables.matrices import show_matrices

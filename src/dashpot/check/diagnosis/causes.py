@@ -9,10 +9,12 @@ import numpy as np
 
 from dashpot.arrays import Bools, Ints, Real
 from dashpot.channel import Quantity
+from dashpot.check.diagnosis.crosstalk import cross_talk
 from dashpot.check.diagnosis.likeness import RATIOS, Likeness, likeness
 from dashpot.check.diagnosis.nonlinear_elements import ENOUGH, called_for
 from dashpot.check.diagnosis.open_calibrations import as_stated, with_open_calibrations
 from dashpot.check.diagnosis.rig_changes import changes
+from dashpot.check.diagnosis.run_groups import run_groups
 from dashpot.check.diagnosis.score_test import promises
 from dashpot.check.diagnosis.search import DRAWS, Workbench
 from dashpot.check.diagnosis.trials import (
@@ -23,6 +25,7 @@ from dashpot.check.diagnosis.trials import (
     scaled,
     swapped,
     untouched,
+    with_phases_times,
     without,
 )
 from dashpot.estimate.likelihood.objective import measured
@@ -37,20 +40,24 @@ DELAYS = (-0.4, -0.2, -0.1, -0.05, -0.02, 0.02, 0.05, 0.1, 0.2, 0.4)  # periods 
 # What explains as much and is more particular is named first.
 ORDER = (
     "sign", "unit", "swap", "conjugate", "quantity", "frequency", "dwell", "delay", "gain", "value", "element",
-    "nonlinear", "channel",
+    "crosstalk", "nonlinear", "changed", "channel",
 )  # fmt: skip
 OF_SAMPLES = {"white", "blocks", "periods"}  # kinds of noise that were read from samples
 # What is left out explains little.
 PARTICULAR = tuple(kind for kind in ORDER if kind not in ("dwell", "channel"))
 HELPS = 0.5  # χ² per degree of freedom must fall below this part of what it was
-LEFT_OUT, LEFT_OUT_INPUT = 2.0, 4.0  # handicap of leaving a channel out, and that of an input
+# Handicap of leaving out a dwell, a channel, or an input.
+LEFT_OUT_DWELL, LEFT_OUT, LEFT_OUT_INPUT = 1.7, 2.0, 4.0
 ALIKE = 1.6  # ratio of what is left within which two causes explain alike
 RATES = (2 * np.pi, 1 / (2 * np.pi), 2.0, 0.5, 60.0, 1 / 60)
 FEWER = 200  # rigs drawn for each of them, where all is seen
 OF_ITS_OWN = 0.01  # part of the column of a gain or a delay that the rig's own unknowns must leave
 SLIGHT = 0.5  # change of a gain by which its score is followed
+GROSS = 0.02  # part of the misfit that a gross mistake leaves, beside which nothing finer is looked for
+BY_CHANCE = 5.0  # standard deviations by which noise alone may leave more
 MOST_DWELLS = 40
 RELABELLED = 6.0  # χ² for each number of a dwell below which it belongs to another frequency
+RADIANS = 180 / np.pi  # times which phases are radians that were read as degrees
 SIGN = Likeness(-1.0, 0, 0.0, False, 0.0)
 MOST = 5  # findings that are named
 
@@ -65,6 +72,7 @@ class Cause:
     number: float | None = None
     likeness: Likeness | None = None
     element: Element | None = None
+    where: str = ""
 
 
 def causes(bench: Workbench, seed: int = 0) -> tuple[float, list[Cause]]:
@@ -102,7 +110,11 @@ def causes(bench: Workbench, seed: int = 0) -> tuple[float, list[Cause]]:
     # Where one dwell alone is wrong, neither the time base nor the amplitude is to blame.
     if not _explained(found, (*ORDER[: ORDER.index("frequency")], "dwell")):
         found += _rates(bench, base, seed)
-    if not _explained(found, (*PARTICULAR, "dwell")):
+    noise = max(1 + BY_CHANCE * (2 / max(as_is.dof, 1)) ** 0.5, GROSS * as_is.reduced)
+    if not _explained(found, (*PARTICULAR, "dwell"), noise):
+        found += [_of_outcome(outcome) for outcome in cross_talk(bench, base, without_one, pool)]
+        found += _changed(bench, base, pool)
+    if not _explained(found, (*PARTICULAR, "dwell"), max(ENOUGH, GROSS * as_is.reduced)):
         found += _nonlinear(bench, as_is)
     inputs_alone = {
         channel.name for channel in bench.view.channels if measures_input(bench.data.model, channel)
@@ -110,9 +122,9 @@ def causes(bench: Workbench, seed: int = 0) -> tuple[float, list[Cause]]:
     return as_is.reduced, ranked(found, as_is.reduced, inputs_alone)
 
 
-def _explained(found: Sequence[Cause], kinds: Sequence[str]) -> bool:
+def _explained(found: Sequence[Cause], kinds: Sequence[str], noise: float = ENOUGH) -> bool:
     """Whether one of these kinds leaves little more than noise."""
-    return any(cause.remaining < ENOUGH and cause.kind in kinds for cause in found)
+    return any(cause.remaining < noise and cause.kind in kinds for cause in found)
 
 
 def _phases(bench: Workbench, as_is: Outcome, found: Sequence[Cause]) -> list[Cause]:
@@ -137,6 +149,16 @@ def _nonlinear(bench: Workbench, as_is: Outcome) -> list[Cause]:
     ]  # fmt: skip
 
 
+def _changed(bench: Workbench, base: Trial, pool: Sequence[Real]) -> list[Cause]:
+    """A part of the rig that is not the same in all runs, where two groups of them fit each by itself."""
+    groups = run_groups(bench, base, pool)
+    if groups is None:
+        return []
+    of = () if groups.element is None else _points(groups.element, bench.data.model)
+    step = None if groups.element is None else groups.step
+    return [Cause("changed", of, groups.chi2 / groups.dof, step, element=groups.element, where=groups.where)]
+
+
 def _dampers(model: Model) -> Ints:
     lossy = {element.name for element in model.elements if element.law.dissipative}
     return np.flatnonzero([unknown.name in lossy for unknown in model.unknowns])
@@ -153,9 +175,9 @@ def ranked(found: Sequence[Cause], start: float, inputs: Collection[str] = ()) -
     best = max(min(cause.remaining for cause in helpful), 1.0)
 
     def place(cause: Cause) -> tuple[float, int, float]:
-        # Leaving a channel out leaves less to explain: what keeps it and explains nearly as much says more.
-        handicap = LEFT_OUT_INPUT if set(cause.of) & set(inputs) else LEFT_OUT
-        left = cause.remaining * (handicap if cause.kind == "channel" else 1.0)
+        # Leaving data out leaves less to explain: what keeps them and explains nearly as much says more.
+        channel = LEFT_OUT_INPUT if set(cause.of) & set(inputs) else LEFT_OUT
+        left = cause.remaining * {"channel": channel, "dwell": LEFT_OUT_DWELL}.get(cause.kind, 1.0)
         tier = np.floor(np.log(max(left, best) / best) / np.log(ALIKE))
         return float(tier), ORDER.index(cause.kind), cause.remaining
 
@@ -283,11 +305,13 @@ def _number(relation: Likeness) -> float:
 
 
 def _rearranged(bench: Workbench, base: Trial, channels: Sequence[str]) -> list[Trial]:
-    """All phases turned, and two channels swapped; amplitudes made of samples here count as they should."""
+    """All phases turned or in radians, two channels swapped; the phases of samples are as they should be."""
     count = len(channels)
     trials = []
     if not set(bench.data.spectrum.noise) <= OF_SAMPLES:
         trials.append(conjugated(base, "conjugate", (), np.ones(count, dtype=bool)))
+        if np.max(np.abs(np.angle(base.y[base.kept])), initial=0.0) < 1.01 * np.pi / RADIANS:
+            trials.append(with_phases_times(base, "unit", RADIANS))
     trials += [
         swapped(base, (channels[i], channels[j]), i, j)
         for j in range(count)

@@ -79,21 +79,20 @@ def changes(bench: Workbench, psi: Real) -> list[Change]:
     return [_fitted(bench, psi, kind, element) for fall, kind, element in scored[:FOLLOWED] if fall > 0]
 
 
-def _extended(model: Model, kind: str, elements: Sequence[Element]) -> tuple[Model, dict[str, float]]:
-    """The model with the candidates as unknowns, and the value of each that changes nothing."""
-    if kind == "value":
-        by_name = {element.name: element for element in elements}
-        before = {e.name: float(e.value) for e in model.elements if e.name in by_name and e.value is not None}
-        return replace(model, elements=tuple(by_name.get(e.name, e) for e in model.elements)), before
-    return replace(model, elements=(*model.elements, *elements)), dict.fromkeys(
-        (e.name for e in elements), 0.0
-    )
+def extended(model: Model, elements: Sequence[Element]) -> tuple[Model, dict[str, float]]:
+    """The model with the candidates, its own or new ones, as unknowns; and the value of each that changes nothing."""
+    candidates = {element.name: element for element in elements}
+    before = dict.fromkeys(candidates, 0.0)
+    before |= {e.name: float(e.value) for e in model.elements if e.name in candidates and e.value is not None}
+    there = tuple(candidates.pop(e.name, e) for e in model.elements)
+    return replace(model, elements=(*there, *candidates.values())), before
 
 
-def _start(bench: Workbench, psi: Real, extended: Model, before: dict[str, float]) -> Real:
+def start_of(bench: Workbench, psi: Real, larger: Model, before: dict[str, float]) -> Real:
+    """ψ of the larger model at which it is the bench's at ψ (M,)."""
     m = len(bench.data.model.unknowns)
     known = dict(zip((u.name for u in bench.data.model.unknowns), psi[:m].tolist(), strict=True)) | before
-    return np.array([*(known[unknown.name] for unknown in extended.unknowns), *psi[m:]])
+    return np.array([*(known[unknown.name] for unknown in larger.unknowns), *psi[m:]])
 
 
 def _scores(
@@ -102,18 +101,18 @@ def _scores(
     """(fall of χ² that the score promises, kind, element) of each candidate."""
     if not elements:
         return []
-    extended, before = _extended(bench.data.model, kind, elements)
-    start = _start(bench, psi, extended, before)
-    larger = bench.data.of_rig(extended)
+    larger_model, before = extended(bench.data.model, elements)
+    start = start_of(bench, psi, larger_model, before)
+    larger = bench.data.of_rig(larger_model)
     by_name = {element.name: element for element in elements}
     listed = promises(larger.view, measured(larger), start, bench.sign, by_name.keys(), APART)
     return [(promise.fall, kind, by_name[promise.name]) for promise in listed]
 
 
 def _fitted(bench: Workbench, psi: Real, kind: str, element: Element) -> Change:
-    extended, before = _extended(bench.data.model, kind, [element])
-    start = _start(bench, psi, extended, before)
-    larger = bench.data.of_rig(extended)
+    larger_model, before = extended(bench.data.model, [element])
+    start = start_of(bench, psi, larger_model, before)
+    larger = bench.data.of_rig(larger_model)
     view, data = larger.view, measured(larger)
     end, chi2 = descended(view, data, start[None], bench.sign[None], np.zeros(1, dtype=np.int64), 2 * LONG)
     number = float(end[0, view.names.index(element.name)])

@@ -75,6 +75,12 @@ def conjugated(base: Trial, kind: str, of: tuple[str, ...], chosen: Bools) -> Tr
     return Trial(kind, of, 1.0, y, V, base.kept)
 
 
+def with_phases_times(base: Trial, kind: str, factor: float) -> Trial:
+    """All phases times a factor: those of another unit."""
+    y = np.abs(base.y) * np.exp(1j * factor * np.angle(base.y))
+    return Trial(kind, (), factor, y, base.V, base.kept)
+
+
 def without(base: Trial, kind: str, of: tuple[str, ...], dropped: Bools) -> Trial:
     """Some amplitudes left out, (lines, channels)."""
     return Trial(kind, of, 1.0, base.y, base.V, base.kept & ~dropped)

@@ -30,7 +30,10 @@ RATIOS_IN_WORDS = {
 def finding(model: Model, channels: tuple[Channel, ...], cause: Cause) -> Finding:
     """A cause in words.  Texts name no option of any command."""
     by_name = {channel.name: channel for channel in channels}
-    if cause.kind in ("sign", "unit", "gain", "delay", "quantity") and cause.of[0] in by_name:
+    if (
+        cause.kind in ("sign", "unit", "gain", "delay", "quantity")
+        and by_name.keys() >= set(cause.of) > set()
+    ):
         return _of_channel(model, by_name[cause.of[0]], cause)
     if cause.kind == "swap":
         return _swap(model, by_name[cause.of[0]], by_name[cause.of[1]], cause)
@@ -38,6 +41,8 @@ def finding(model: Model, channels: tuple[Channel, ...], cause: Cause) -> Findin
         return _of_rig(model, cause, cause.element)
     if cause.kind == "nonlinear" and cause.element is not None:
         return nonlinear_finding(model, cause.of, cause.element, cause.number, cause.remaining)
+    if cause.kind == "changed":
+        return _changed(model, cause)
     text, change = _of_data(cause)
     return Finding(cause.kind, cause.of, text, change, cause.remaining, cause.number)
 
@@ -142,6 +147,21 @@ def _of_rig(model: Model, cause: Cause, element: Element) -> Finding:
     return Finding(cause.kind, cause.of, text, change, cause.remaining, cause.number, elements=(mended,))
 
 
+def _changed(model: Model, cause: Cause) -> Finding:
+    """A rig that is another in some of the runs."""
+    text = f"{cause.where} show another rig than the others"
+    if cause.where.startswith("experiment"):
+        text = f"{cause.where} shows another rig than the others"
+    if cause.element is not None and cause.number is not None:
+        unit = cause.element.unit(model.angles)
+        place = cause.element.name
+        if place not in {element.name for element in model.elements}:
+            place = f"a {cause.element.kind.value} between {' and '.join(cause.of)}"
+        text += f": {place} differs by {cause.number:+.3g} {unit}".replace("-", "−")
+    change = f"identify {cause.where} by itself, or find out what was changed"
+    return Finding(cause.kind, cause.of, text, change, cause.remaining, cause.number)
+
+
 def _of_data(cause: Cause) -> tuple[str, str]:
     match cause.kind:
         case "conjugate" if cause.of:
@@ -151,6 +171,15 @@ def _of_data(cause: Cause) -> tuple[str, str]:
                 "all phases have the opposite sign: the data use e^(−jωt)",
                 "change the sign of the imaginary parts",
             )
+        case "crosstalk":
+            first, second = cause.of
+            share = 0.0 if cause.number is None else cause.number
+            return (
+                f"{first} shows {_number(share)} × {second} beside its own signal: cross-talk?",
+                f"subtract {_number(share)} × {second} from {first}, or check cables and amplifier",
+            )
+        case "unit":
+            return "the phases are radians, read as degrees", "give the phases in rad, as NAME_phase_rad"
         case "dwell":
             return (
                 f"the dwell at {cause.of[0]} contradicts all others",

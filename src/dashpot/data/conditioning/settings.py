@@ -142,6 +142,12 @@ class Conditioning:
         plain = self.wanted == (1,) and self.settle == "none" and self.refine != "always"
         return plain and not self.moments and self.transients in ("auto", "estimate")
 
+    @property
+    def untried(self) -> tuple[str, ...]:
+        """Treatments that help where residuals are coloured and that were not chosen: "settle", "refine"."""
+        chosen = (("settle", self.settle != "none"), ("refine", self.refine == "always"))
+        return tuple(name for name, is_chosen in chosen if not is_chosen)
+
     def changed(self, **treatments: Unpack[Treatments]) -> Conditioning:
         """The same with some treatments changed."""
         return replace(self, **treatments) if treatments else self

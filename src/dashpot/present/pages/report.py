@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
 from dashpot.channel import Channel
@@ -75,13 +75,13 @@ def identification_report(
     *,
     channels: Sequence[Channel] = (),
     held_out: Sequence[RecordPrediction] = (),
-    records: bool = False,
+    untried: Collection[str] = (),
     dwells: Sequence[UsedDwell] = (),
 ) -> str:
     """HTML page of an estimate and the spectrum it came from, if it came from one (no batch axes).
 
-    `channels` are drawn where there is no spectrum; `held_out` are predictions of what was not used; `records`:
-    whether the data were time records; `dwells`: those behind the spectrum's lines, some of which are drawn.
+    `channels` are drawn where there is no spectrum; `held_out` are predictions of what was not used; `untried`:
+    treatments of time records that were not chosen; `dwells`: those behind the spectrum's lines, some are drawn.
     """
     shown = channels if spectrum is None else spectrum.channels
     found = _findings(model, spectrum, estimate)
@@ -92,7 +92,7 @@ def identification_report(
         _verdict(estimate),
         headline(estimate, unsure),
         (*_statements(estimate), *_on_law(model)),
-        tuple(capitalised(text) for text in warnings_in_words(estimate, records=records)),
+        tuple(capitalised(text) for text in warnings_in_words(estimate, untried=untried)),
         Block("Parameters", tuple(_below_parameters(estimate)), (tuple(parameter_columns(estimate, level)),)),
         rig_picture(model, shown, estimate, unsure, level),
         tuple(next_steps(estimate, unsure, found.collinearity, plannable=not len(model.nonlinear))),

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from typing import TypeVar
 
@@ -29,6 +29,7 @@ from dashpot.present.text.estimate import (
     profiles_in_words,
     warnings_in_words,
 )
+from dashpot.present.text.notices import OPTIONS
 from dashpot.present.text.numbers import aligned, alike, percent, plain, rounded, short
 
 MOST_ROWS = 200  # of tied or of known parameters; of more the table shows the first few
@@ -134,8 +135,10 @@ def mode_columns(modes: ModeValues) -> list[TableColumn]:
     return columns
 
 
-def show_estimate(out: Console, estimate: Estimate, level: float = 0.95, *, records: bool = True) -> None:
-    """Print an estimate (no batch axes); `records`: whether it was made from time records."""
+def show_estimate(
+    out: Console, estimate: Estimate, level: float = 0.95, *, untried: Collection[str] = tuple(OPTIONS)
+) -> None:
+    """Print an estimate (no batch axes); `untried` as `warnings_in_words` has it."""
     out.print()
     if estimate.model:
         show_paragraph(out, estimate.model, "bold")
@@ -157,7 +160,7 @@ def show_estimate(out: Console, estimate: Estimate, level: float = 0.95, *, reco
         show_paragraph(out, text, style)
     for text in remarks(estimate):
         show_paragraph(out, text)
-    for warning in warnings_in_words(estimate, records=records):
+    for warning in warnings_in_words(estimate, untried=untried):
         show_paragraph(out, f"Warning: {warning}", "yellow")
 
 
@@ -193,7 +196,7 @@ def estimate_text(estimate: Estimate, level: float = 0.95) -> str:
     """What the command prints of an estimate; of a batch, one line."""
     if estimate.values.ndim > 1:
         return repr(estimate)
-    return printed(lambda out: show_estimate(out, estimate, level, records=False))
+    return printed(lambda out: show_estimate(out, estimate, level, untried=()))
 
 
 def estimate_html(estimate: Estimate, level: float = 0.95) -> str:
@@ -204,7 +207,7 @@ def estimate_html(estimate: Estimate, level: float = 0.95) -> str:
         assert estimate.modes is not None
         parts.append(html_table(mode_columns(estimate.modes)))
     texts = [*(text for text, _ in fit_paragraphs(estimate)), *remarks(estimate)]
-    texts += [f"Warning: {warning}" for warning in warnings_in_words(estimate, records=False)]
+    texts += [f"Warning: {warning}" for warning in warnings_in_words(estimate, untried=())]
     return "".join([*parts, *map(html_paragraph, texts)])
 
 

@@ -95,6 +95,12 @@ DATA_NOTICES: tuple[tuple[str, str, str, str], ...] = (
         "Nothing, unless one should be a channel: then its name in `[channels]` is spelt differently.",
     ),
     (
+        "phase_unit", FILES,
+        ("Phases count in degrees where no unit is stated, and all of these lie within ±π: they are radians, or the "
+        "rig moves far below its first mode."),
+        "If they are radians, name the columns `NAME_phase_rad`.",
+    ),
+    (
         "decimal_comma", FILES,
         "Commas in numbers were read as decimal commas although they could separate thousands.",
         "If they separate thousands, export the file without such commas.",

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Collection
 
 import numpy as np
 
 from dashpot.estimate.result import Estimate, Fit
 from dashpot.io.words import joined
-from dashpot.present.text.notices import with_remedy
+from dashpot.present.text.notices import OPTIONS, with_remedy
 from dashpot.present.text.numbers import probability, short
 
 MISFIT = "model misfit"
@@ -79,17 +80,17 @@ def convergence_in_words(estimate: Estimate) -> str:
     return f"{estimate.method}: {how}."
 
 
-def warnings_in_words(estimate: Estimate, *, records: bool = True) -> tuple[str, ...]:
+def warnings_in_words(estimate: Estimate, *, untried: Collection[str] = tuple(OPTIONS)) -> tuple[str, ...]:
     """Warnings beside what fit and verdict say anyway, each with what to do about it.
 
-    `records`: whether the data were time records, which options can condition otherwise; amplitudes are as they are.
+    `untried`: treatments of time records that were not chosen; amplitudes are as they are.
     """
     said = set(SAID_BY_THE_FIT)
     if estimate.assessment is not None:
         said |= {notice.code for notice in estimate.assessment.reasons}
         said |= {"reversed_phase"} if estimate.assessment.findings else set()
     return tuple(
-        sentence(with_remedy(notice, records=records))
+        sentence(with_remedy(notice, untried=untried))
         for notice in estimate.warnings
         if notice.code not in said
     )

@@ -2,23 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from types import MappingProxyType
+from collections.abc import Collection
 
+from dashpot.io.words import joined
 from dashpot.notices import Notice
 
-# Of data that are time records: how they become amplitudes can be changed.
-RECORD_REMEDIES: Mapping[str, str] = MappingProxyType(
-    {
-        "coloured_noise": (
-            "a transient or a slightly wrong drive frequency looks the same: try --settle auto and --refine always"
-        ),
-        "transient_undetectable": "state the settling time, such as --settle 2s",
-    }
-)
+REMEDIED = "coloured_noise"
+# Treatments of records that may help there, and how they are asked for.
+OPTIONS = {"settle": "--settle auto", "refine": "--refine always"}
 
 
-def with_remedy(notice: Notice, *, records: bool = True) -> str:
-    """The notice, followed by the option that helps where there is one; `records`: whether it concerns time records."""
-    remedy = RECORD_REMEDIES.get(notice.code) if records else None
-    return notice.text if remedy is None else f"{notice.text}; {remedy}"
+def with_remedy(notice: Notice, *, untried: Collection[str] = tuple(OPTIONS)) -> str:
+    """The notice, followed by the options that may help; `untried`: treatments of records that were not chosen."""
+    options = [option for treatment, option in OPTIONS.items() if treatment in untried]
+    if notice.code != REMEDIED or not options:
+        return notice.text
+    same = "a transient or a slightly wrong drive frequency looks the same"
+    return f"{notice.text}; {same}: try {joined(options)}"

@@ -116,6 +116,16 @@ def test_negative_dampers_never_fit_and_the_phases_are_blamed():
     assert all(finding.kind != "conjugate" for finding in diagnose(model, of_samples, estimate))
 
 
+def test_radians_read_as_degrees_are_named():
+    model, spectrum = clean("paper", np.random.default_rng(3))
+    Y = spectrum.amplitudes
+    read = replace(spectrum, amplitudes=np.abs(Y) * np.exp(1j * np.radians(np.angle(Y))))
+    best = diagnose(model, read)[0]
+    assert (best.kind, best.of) == ("unit", ())
+    assert best.remaining < 1.5
+    assert "NAME_phase_rad" in best.change
+
+
 def test_a_force_that_counts_backwards_is_named_though_it_changes_no_chi2():
     rng = np.random.default_rng(7)
     model = Model(

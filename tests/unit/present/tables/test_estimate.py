@@ -10,6 +10,7 @@ import pytest
 from rich.console import Console
 
 from dashpot import Estimate, dwells, identify, parse_rig, simulate_spectrum
+from dashpot.data.conditioning.settings import Conditioning
 from dashpot.notices import Notice
 from dashpot.present.tables.estimate import (
     estimate_html,
@@ -125,7 +126,10 @@ def test_motions_that_do_not_oscillate() -> None:
 def test_coloured_noise_is_answered_with_options_only_where_there_are_records(good: Estimate) -> None:
     coloured = replace(good, warnings=(Notice("coloured_noise", "coloured noise at 3 of 8 frequencies"),))
     assert "--settle auto" in warnings_in_words(coloured)[0]
-    assert "--settle" not in warnings_in_words(coloured, records=False)[0]
+    assert "--settle" not in warnings_in_words(coloured, untried=())[0]
+    (other,) = warnings_in_words(coloured, untried=Conditioning(settle="auto").untried)
+    assert "--settle" not in other
+    assert "--refine always" in other
 
 
 def test_the_text_of_an_estimate_is_what_the_command_prints(good: Estimate) -> None:

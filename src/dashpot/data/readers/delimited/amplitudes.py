@@ -20,6 +20,7 @@ from dashpot.arrays import Bools, Complex, Ints, Real
 from dashpot.channel import Channel
 from dashpot.data.calibration import calibration
 from dashpot.data.readers.columns import LARGEST, Columns, bare
+from dashpot.data.readers.delimited.polar import RectangularColumns
 from dashpot.data.readers.delimited.stepped_sine import EXPERIMENT, check_frequency, whole_numbers
 from dashpot.data.readers.delimited.writing import write_rows
 from dashpot.data.readers.sampling import FREQUENCY, frequency_column, frequency_scale
@@ -213,6 +214,8 @@ def _covariance(
 def _notes(columns: Columns, layout: _Layout) -> list[Notice]:
     """The notes of the file, and what is not read of it."""
     read = {*layout.numeric, *layout.more.values()}
+    if isinstance(columns, RectangularColumns):
+        read |= columns.sources(read)
     extra = [bare(name)[0] for i, name in enumerate(columns.header) if i not in read]
     notes = list(columns.notes)
     if extra:

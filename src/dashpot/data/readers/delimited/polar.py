@@ -6,7 +6,7 @@ NAME_phase_deg and NAME_phase_rad say it in the name.  Responses to inputs are O
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,9 +16,16 @@ from dashpot.arrays import Real
 from dashpot.data.readers.columns import Columns, bare
 from dashpot.errors import DashpotError, DataError
 from dashpot.io.words import shown
+from dashpot.notices import Notice
 
 AMPLITUDES = ("_amplitude", "_amp", "_abs", "_magnitude", "_mag")
 PHASES = ("_phase", "_phase_deg", "_phase_rad", "_ph", "_arg")
+HALF_TURN, TURN = (
+    3.2,
+    6.5,
+)  # slightly more than π and 2π: what phases in rad do not exceed unless they are unwrapped
+LEAP = 5.0  # between neighbouring frequencies, in rad: more than unwrapped phases move
+FEW = 4  # lines from which on phases are judged
 
 
 @dataclass(frozen=True)
@@ -61,8 +68,8 @@ class RectangularColumns(Columns):
         del together  # what is computed is new
         plain = len(self.base.header)
         computed = [column for column in columns if column >= plain]
-        sources = {at for column in computed for at in self._sources(column)}
-        gaps = {at for column in computed if column in optional for at in self._sources(column)}
+        sources = self.sources(computed)
+        gaps = self.sources(column for column in computed if column in optional)
         wanted = list(dict.fromkeys([*(column for column in columns if column < plain), *sorted(sources)]))
         values = self.base.numbers(wanted, [*(c for c in optional if c < plain), *gaps], infinite)
         for column in computed:
@@ -71,9 +78,11 @@ class RectangularColumns(Columns):
             values[column] = values[pair.amplitude] * wave(values[pair.phase] * pair.to_radian)
         return values
 
-    def _sources(self, column: int) -> tuple[int, int]:
-        pair = self.pairs[(column - len(self.base.header)) // 2]
-        return pair.amplitude, pair.phase
+    def sources(self, columns: Iterable[int]) -> set[int]:
+        """The columns of amplitude and phase behind those of these columns that are computed."""
+        plain = len(self.base.header)
+        pairs = [self.pairs[(column - plain) // 2] for column in columns if column >= plain]
+        return {at for pair in pairs for at in (pair.amplitude, pair.phase)}
 
     def texts(self, column: int) -> list[str]:
         """As of Columns."""
@@ -107,6 +116,44 @@ def with_real_and_imaginary(columns: Columns) -> Columns:
     return RectangularColumns(
         columns.source, tuple(header), tuple(unit_of), columns.notes, columns, tuple(pairs)
     )
+
+
+def phase_notices(columns: Columns, frequency_hz: Real) -> list[Notice]:
+    """What is said of phases whose numbers look like another unit than theirs; [] where there are none.
+
+    Phases in rad that go beyond a turn are unwrapped, and so move by little from one frequency to the next: others are
+    degrees, which is refused.  Degrees that never exceed π may be radians, or a rig far below its first mode.
+    Raises DataError.
+    """
+    if not isinstance(columns, RectangularColumns) or len(frequency_hz) < FEW:
+        return []
+    places = [pair.phase for pair in columns.pairs]
+    phases = columns.base.numbers(places, places)
+    rows = len(phases[places[0]])
+    order = np.argsort(frequency_hz[:rows], kind="stable")  # frequency responses repeat theirs for each input
+    for pair in columns.pairs:
+        numbers = phases[pair.phase][order]
+        numbers = numbers[np.isfinite(numbers)]
+        if pair.to_radian == 1.0 and np.max(np.abs(numbers), initial=0.0) > TURN:
+            _require_unwrapped(columns, pair.phase, numbers)
+    in_degrees = [pair.phase for pair in columns.pairs if pair.to_radian != 1.0]
+    largest = max((float(np.nanmax(np.abs(phases[place]), initial=0.0)) for place in in_degrees), default=0.0)
+    if not 0 < largest < HALF_TURN:
+        return []
+    text = f"phases are read as degrees, and none exceeds {largest:.3g}: they may be radians"
+    return [Notice("phase_unit", text, tuple(columns.header[place] for place in in_degrees))]
+
+
+def _require_unwrapped(columns: Columns, place: int, numbers: Real) -> None:
+    """Raises DataError for phases in rad, in order of frequency, that are neither wrapped nor unwrapped."""
+    leap = float(np.max(np.abs(np.diff(numbers)), initial=0.0))
+    if leap > LEAP:
+        name, largest = shown(columns.header[place]), float(np.max(np.abs(numbers)))
+        what = (
+            f"column {name}: phases of up to {largest:.4g} rad that leap by {leap:.3g} rad look like degrees"
+        )
+        stem = bare(columns.header[place])[0].removesuffix("_rad").removesuffix("_deg")
+        raise DataError(what, columns.heading, f"name the column {stem}_deg, or unwrap the phases")
 
 
 def _to_radian(columns: Columns, column: int) -> float:

@@ -1,0 +1,53 @@
+"""A rig that is changed between runs."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from dashpot.check.diagnosis.diagnose import diagnose
+from dashpot.check.residuals import channel_response
+from dashpot.data.spectrum import Spectrum
+from dashpot.estimate.assessment import Finding
+from dashpot.model.network import Model
+from tests import rigs
+from tests.unit.check.diagnosis.test_diagnose import clean
+
+
+def changed(model: Model, spectrum: Spectrum, element: str, factor: float, where: np.ndarray) -> Spectrum:
+    """The paper's rig with one part times a factor at the lines `where`; the base moves alike, noise as it was."""
+    p = model.parameters(rigs.paper_rig().theta)
+    other = np.where([e.name == element for e in model.elements], factor * p, p)
+    base = spectrum.amplitudes[:, spectrum.index("u")]
+    away = [
+        (channel_response(model, parts, spectrum.channels, spectrum.omega)[..., 0].T * base).T
+        for parts in (p, other)
+    ]
+    return replace(spectrum, amplitudes=spectrum.amplitudes + where[:, None] * (away[1] - away[0]))
+
+
+def named(element: str, *, by_experiment: bool) -> Finding:
+    model, spectrum = clean("paper", np.random.default_rng(3))
+    late = np.arange(spectrum.lines) % 2 == 1 if by_experiment else np.arange(spectrum.lines) >= 13
+    data = changed(model, spectrum, element, 1.2, late)
+    return diagnose(model, replace(data, experiment=late.astype(int)) if by_experiment else data)[0]
+
+
+@pytest.mark.parametrize("by_experiment", [False, True], ids=["from some run on", "experiment"])
+@pytest.mark.parametrize("element", ["m2", "k2"])
+def test_what_is_not_the_same_in_all_runs_is_named(element: str, by_experiment: bool) -> None:
+    """A part that is sought (m2) and one whose value is stated (k2)."""
+    best = named(element, by_experiment=by_experiment)
+    assert (best.kind, best.of) == ("changed", (element,))
+    assert best.number is not None
+    value = dict(zip(*_parts(), strict=True))[element]
+    assert abs(best.number) == pytest.approx(0.2 * value, rel=0.15)
+    assert ("experiment" if by_experiment else "Hz on") in best.text
+    assert best.remaining < 1.5
+
+
+def _parts() -> tuple[list[str], list[float]]:
+    rig = rigs.paper_rig()
+    return [e.name for e in rig.model.elements], rig.model.parameters(rig.theta).tolist()
