@@ -155,12 +155,14 @@ def command(rig: str, json_out: str | None, report: str | None, quiet: bool, **o
     rig_read = read_rig(rig)
     require_scale(rig_read.model, rig_read.channels, rig)
 
+    from dashpot.app.progress import progress
     from dashpot.design.advise import answer
     from dashpot.design.plan_files import answer_to_json, plan_to_csv
     from dashpot.design.test_setup import drive_units
 
     question = _question(rig_read, options, quiet)
-    result = answer(question)
+    with progress("design", quiet):
+        result = answer(question)
     write_result(json_out, answer_to_json(result))
     if options["csv"] is not None and result.plan is not None:
         write_text(options["csv"], plan_to_csv(result.plan, drive_units(rig_read.model)))

@@ -79,6 +79,7 @@ def command(
     All numbers are in SI units, except in universal files and tables of frequency responses, in the units of the rig
     file.  Channels are written as ideal sensors would show them.
     """
+    from dashpot.app.progress import progress
     from dashpot.export.formats import ExportOptions, export_rig, format_of
 
     format_of(out, content).require_use(out, ["data"] if data else [])
@@ -90,7 +91,8 @@ def command(
     options = ExportOptions(
         given, None if frequencies is None else np.array(frequencies), spectrum, compiled=not no_binary
     )
-    written = export_rig(of_rig, out, content, options)
+    with progress("export", quiet):
+        written = export_rig(of_rig, out, content, options)
     if not quiet:
         _tell(written, no_binary)
 

@@ -20,6 +20,8 @@ def command(files: tuple[str, ...], channels: str | None) -> None:
     """
     import click
 
+    from dashpot.app.data_files import reading_of
+    from dashpot.app.progress import progress
     from dashpot.data.inspection import inspect_file, suggested_channels
     from dashpot.io.atomic import write_text
     from dashpot.present.tables.inspection import show_inspection
@@ -27,7 +29,8 @@ def command(files: tuple[str, ...], channels: str | None) -> None:
 
     out, inspections = console(), []
     for path in files:
-        inspection = inspect_file(path)
+        with progress(reading_of([path])):
+            inspection = inspect_file(path)
         inspections.append(inspection)
         show_inspection(out, inspection)
     table = suggested_channels(inspections)

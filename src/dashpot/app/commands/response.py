@@ -58,6 +58,7 @@ def command(
     """
     from dashpot.app.commands.simulate import require_values
     from dashpot.app.parameters import merged, parameter_values
+    from dashpot.app.progress import progress
     from dashpot.errors import UsageError
     from dashpot.model.rigfile import read_rig
     from dashpot.study.response_curves import require_nonlinear
@@ -71,8 +72,9 @@ def command(
     values_si = parameter_values(rig_read, merged(values, "--set"))
     require_values(rig_read, values_si)
     require_nonlinear(rig_read.model)
-    curves = _curves(rig_read, values_si, band, at, amplitudes)
-    bones = _backbones(rig_read, values_si, backbone, curves)
+    with progress("response", quiet):
+        curves = _curves(rig_read, values_si, band, at, amplitudes)
+        bones = _backbones(rig_read, values_si, backbone, curves)
     if out is not None:
         _write(rig_read, [*curves, *bones], out)
     if figure is not None:

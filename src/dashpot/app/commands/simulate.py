@@ -99,6 +99,7 @@ def command(
     the noise that the rig file states for it: `noise` (in its unit) and `relative_noise`.
     """
     from dashpot.app.parameters import input_amplitudes, merged, parameter_values
+    from dashpot.app.progress import progress
     from dashpot.model.rigfile import read_rig
 
     _check_test(frequencies, input_file, table)
@@ -126,12 +127,14 @@ def command(
     if frequencies is None:
         from dashpot.study.driven import driven_record
 
-        record = driven_record(model, theta, channels, _input_record(rig_read, str(input_file)), rng)
-        write_records([record], out)
+        with progress("simulate", quiet):
+            record = driven_record(model, theta, channels, _input_record(rig_read, str(input_file)), rng)
+            write_records([record], out)
         what = f"{len(record.time)} samples"
     else:
         test = study.dwells(model, frequencies, samples, amplitudes=drive, periods=periods, rate=rate)
-        _write_dwells(model, theta, channels, test, rng, table, out)
+        with progress("simulate", quiet):
+            _write_dwells(model, theta, channels, test, rng, table, out)
         many = "1 frequency" if len(frequencies) == 1 else f"{len(frequencies)} frequencies"
         what = f"{many}, {'amplitudes' if table else f'{samples} samples at each'}"
     if not quiet:
@@ -142,6 +145,7 @@ def _write_prediction(
     rig: Rig, estimate: str, input_file: str | None, with_values: bool, out: str, quiet: bool
 ) -> None:
     """The response that an estimate predicts, with its standard deviation.  Raises UsageError and DataError."""
+    from dashpot.app.progress import progress
     from dashpot.data.readers import write_records
     from dashpot.errors import UsageError
     from dashpot.estimate.result import Estimate
@@ -152,9 +156,9 @@ def _write_prediction(
             "an estimate predicts the response to a record",
             cure="give --input, and no --set beside --estimate",
         )
-    predicted, sd = response_band(
-        rig.model, Estimate.load(estimate), rig.channels, _input_record(rig, input_file)
-    )
+    with progress("simulate", quiet):
+        inputs = _input_record(rig, input_file)
+        predicted, sd = response_band(rig.model, Estimate.load(estimate), rig.channels, inputs)
     write_records([predicted], out, [sd])
     if not quiet:
         names = ", ".join(channel.name for channel in rig.channels)

@@ -49,6 +49,7 @@ def command(
     """
     from dashpot.app.data_files import read_spectrum
     from dashpot.app.files import write_result
+    from dashpot.app.progress import progress
     from dashpot.app.validating import estimate_and_rig, figures_of, write_picture
     from dashpot.check.validation import validate
     from dashpot.errors import UsageError
@@ -57,7 +58,8 @@ def command(
         raise UsageError("there is no record to predict", cure="name data files after the estimate")
     estimate, rig_read = estimate_and_rig(files[0], rig)
     spectrum = read_spectrum(rig_read, files[1:], conditioning, quiet)
-    predictions = validate(rig_read.model, estimate, spectrum)
+    with progress("validate", quiet):
+        predictions = validate(rig_read.model, estimate, spectrum)
     if figure is not None:
         write_picture(predictions, figure)
     if report is not None:
