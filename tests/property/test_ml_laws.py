@@ -9,11 +9,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dashpot.channel import Channel, Quantity
+from dashpot.data.repeats import flattened
 from dashpot.estimate.identify import identify
 from dashpot.estimate.likelihood.maximum_likelihood import MaximumLikelihood
 from dashpot.estimate.likelihood.objective import local, measured
 from dashpot.estimate.linear.instrumental_variables import OptimalIV
-from dashpot.estimate.preparation.prepared import flattened, prepare
+from dashpot.estimate.preparation.prepared import prepare
 from dashpot.model.observation import observation_model
 from tests.partly_seen import Bench
 from tests.rigs import channels, covariance, noisy, random_rig

@@ -15,7 +15,6 @@ from dashpot.arrays import Complex, Real, freeze
 from dashpot.channel import Channel, Quantity
 from dashpot.check.residuals import Residuals, calibrations_of, channel_response
 from dashpot.data.spectrum import Spectrum
-from dashpot.estimate.likelihood.boundary_loads import carries_loads
 from dashpot.estimate.result import Estimate
 from dashpot.model.network import Model
 
@@ -62,7 +61,7 @@ def responses_of_channels(
     None for nonlinear rigs, for whole records, whose transients belong to no response, and where several inputs drive
     a channel at once.
     """
-    if len(model.nonlinear) or carries_loads(spectrum):
+    if len(model.nonlinear) or spectrum.carries_loads:
         return ()
     chosen = []
     for c, channel in enumerate(spectrum.channels):

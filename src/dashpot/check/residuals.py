@@ -15,11 +15,10 @@ import numpy as np
 from dashpot.arrays import Bools, Complex, Ints, Real, freeze, hermitian
 from dashpot.channel import Channel
 from dashpot.data.spectrum import Spectrum
-from dashpot.estimate.likelihood.boundary_loads import carries_loads
 from dashpot.estimate.likelihood.objective import FLOOR, measured, predict
 from dashpot.estimate.nonlinear.prediction import predicted_lines
 from dashpot.estimate.preparation.prepared import Prepared
-from dashpot.estimate.preparation.weighting import noise_is_known, working_covariance
+from dashpot.estimate.preparation.weighting import working_covariance
 from dashpot.estimate.result import Estimate
 from dashpot.model.dynamics import no_steady_response
 from dashpot.model.network import Model
@@ -117,7 +116,7 @@ def residuals(
     Raises DataError where a channel measures what the rig has not, ModelError where the rig has no steady response.
     """
     p = model.parameters(np.asarray(theta, dtype=float))
-    known = noise_is_known(spectrum)
+    known = spectrum.noise_known
     y = spectrum.amplitudes
     V = working_covariance(observation_model(model, spectrum.channels, spectrum.omega), spectrum)
     if not known:
@@ -164,7 +163,7 @@ def _transients(
     model: Model, theta: Real, spectrum: Spectrum, V: Complex, calibrations: Calibrations | None
 ) -> Complex:
     """What the two ends of whole records add to the channels, (lines, channels); 0 at settled lines."""
-    if not carries_loads(spectrum):
+    if not spectrum.carries_loads:
         return np.zeros(spectrum.amplitudes.shape, dtype=np.complex128)
     view = observation_model(model, spectrum.channels, spectrum.omega)
     psi, sign = of_channels(view, np.asarray(theta, dtype=float), calibrations)

@@ -177,6 +177,19 @@ class Spectrum(InNotebooks):
         """Indices of the stretches that are whole records."""
         return tuple(i for i, value in enumerate(self.stretches) if isinstance(value, WholeRecord))
 
+    @property
+    def carries_loads(self) -> bool:
+        """Whether some lines carry the transients of whole records."""
+        return any(isinstance(value, WholeRecord) and value.loads for value in self.stretches)
+
+    @property
+    def noise_known(self) -> bool:
+        """Whether the covariance of the amplitudes is given or was estimated from samples, at every line.
+
+        A covariance of 0 throughout says nothing of the size of residuals either: it counts as unknown.
+        """
+        return not np.isnan(self.covariance).any() and bool(self.covariance.any())
+
     def derived(self, **changes: Any) -> Spectrum:
         """The same with other arrays, read-only and of the right shapes, taken from one that has been checked."""
         other = object.__new__(Spectrum)

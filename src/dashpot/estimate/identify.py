@@ -4,32 +4,30 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from functools import partial
 from typing import Any
 
 import numpy as np
 
 from dashpot.arrays import Real
+from dashpot.data.repeats import flattened, in_chunks
 from dashpot.data.spectrum import Spectrum
 from dashpot.errors import DataError, UsageError
-from dashpot.estimate.inference import diagnostics, record_findings
 from dashpot.estimate.inference.derived import known_values, linear_modes, tied_values
+from dashpot.estimate.inference.notices import notices
 from dashpot.estimate.inference.residual_jumps import residual_jumps
 from dashpot.estimate.inference.uncertainty import Inference, inference, with_noise_of_residuals
-from dashpot.estimate.likelihood.boundary_loads import carries_loads
 from dashpot.estimate.likelihood.maximum_likelihood import MaximumLikelihood
 from dashpot.estimate.likelihood.record_noise import with_record_noise
 from dashpot.estimate.likelihood.settling import with_settling_decided
 from dashpot.estimate.method import Method, Solution, require_suited
-from dashpot.estimate.preparation.prepared import flattened, in_chunks, prepare
+from dashpot.estimate.preparation.prepared import prepare
 from dashpot.estimate.preparation.state_reconstruction import unseen
-from dashpot.estimate.preparation.weighting import noise_is_known
 from dashpot.estimate.registry import AUTOMATIC, method_class
 from dashpot.estimate.registry import method as method_named
 from dashpot.estimate.result import Estimate, Fit
 from dashpot.model.network import Model
 from dashpot.model.observation import observation_model
-from dashpot.notices import Notice
+from dashpot.numerics.small_systems import standard_deviations
 
 CHUNK = 2_000_000  # complex numbers of amplitudes at once: keeps the working set of a batch near 1 GB
 MODES_TO = 400  # coordinates: the modes of larger rigs would take longer than all else
@@ -79,7 +77,7 @@ def automatic(model: Model, spectrum: Spectrum, *, bounded: bool = False) -> Met
     view = observation_model(model, spectrum.channels, spectrum.omega)
     bounded = bounded or bool(np.any(np.isfinite(model.bounds)))
     by_output = not view.is_direct.all() or bool(unseen(view, spectrum))
-    transients = carries_loads(spectrum)
+    transients = spectrum.carries_loads
     for name in AUTOMATIC:
         traits = method_class(name).traits
         asked = (
@@ -98,12 +96,12 @@ def _require_able(model: Model, spectrum: Spectrum, method: Method) -> None:
             f"the method {method.name} cannot handle nonlinear elements",
             cure="use the method ml, oiv, iv, wls, ls or hls",
         )
-    if carries_loads(spectrum) and len(model.nonlinear):
+    if spectrum.carries_loads and len(model.nonlinear):
         raise UsageError(
             "transients of whole records can be estimated for linear rigs only",
             cure="give settled dwells with their frequencies, or leave the nonlinear elements out",
         )
-    if carries_loads(spectrum) and not method.traits.transients:
+    if spectrum.carries_loads and not method.traits.transients:
         raise UsageError(
             f"the method {method.name} works on settled lines; whole records carry transients",
             cure="use the method ml, or give settled dwells with their frequencies",
@@ -136,13 +134,12 @@ def _estimate(
     around, first = parts[0].linearised, parts[0].solution
     theta, covariance = join(lambda part: part.solution.theta), join(lambda part: part.uncertainty.covariance)
     chi2, p = join(lambda part: part.uncertainty.chi2), join(lambda part: part.uncertainty.p)
-    fit = Fit(chi2, around.dof, p, noise_is_known(spectrum))
+    fit = Fit(chi2, around.dof, p, spectrum.noise_known)
     lower, upper = (-np.inf, np.inf) if first.bounds is None else (first.bounds.lower, first.bounds.upper)
     m, unknowns = len(model.unknowns), len(around.names)
-    warnings = list(dict.fromkeys(notice for part in parts for notice in part.solution.warnings))
+    warnings = dict.fromkeys(notice for part in parts for notice in part.solution.warnings)
     bands = [part.uncertainty.bands for part in parts if part.uncertainty.bands is not None]
-    if not batch:
-        warnings += _notices(model, method, spectrum, parts[0], fit)
+    shown = notices(model, spectrum, None if batch else parts[0], fit)
     return Estimate(
         model=model.name,
         method=method.name,
@@ -151,7 +148,7 @@ def _estimate(
         values=theta,
         covariance=covariance,
         noise_covariance=join(lambda part: part.uncertainty.noise),
-        bound_sd=diagnostics.standard_deviations(join(lambda part: part.uncertainty.bound)),
+        bound_sd=standard_deviations(join(lambda part: part.uncertainty.bound)),
         dof=join(lambda part: part.uncertainty.dof),
         lower=np.full(unknowns, lower),
         upper=np.full(unknowns, upper),
@@ -165,7 +162,7 @@ def _estimate(
         tied=tied_values(model),
         modes=None if batch or model.n > MODES_TO else linear_modes(model, theta[:m], covariance[:m, :m]),
         signs={name: join(_sign_of(name)) for name in first.signs},
-        warnings=(*warnings, *diagnostics.of_data(model, spectrum)),
+        warnings=(*warnings, *shown),
         notes=spectrum.notes,
     )
 
@@ -185,21 +182,3 @@ def _basis(fit: Fit, bands_disagree: bool) -> str:
     if np.any(fit.rejected) or bands_disagree:
         return "model misfit"
     return "sensor noise" if fit.known_noise else "residuals"
-
-
-def _notices(model: Model, method: Method, spectrum: Spectrum, part: Inference, fit: Fit) -> list[Notice]:
-    """What one estimate, without batch axes, shows of itself.
-
-    Raises IdentifiabilityError where the data do not determine it.
-    """
-    names, bands, bounds = part.linearised.names, part.uncertainty.bands, part.solution.bounds
-    theta, noise = part.solution.theta[0], part.uncertainty.noise[0]
-    few = record_findings.few_lines(model, spectrum)
-    dead = partial(diagnostics.dead_channels, model, spectrum)
-    diagnostics.require_determined(names, theta, noise, dead, few)
-    notices = [] if bands is None else bands.notices(names)
-    notices += diagnostics.of_estimate(model, theta, part.uncertainty.covariance[0], noise, fit)
-    if method.traits.maximum_likelihood:
-        notices += diagnostics.prior_conflict(model, theta, noise)
-    notices += record_findings.of_records(model, theta, noise, spectrum, few)
-    return notices if bounds is None else notices + diagnostics.held(names, theta, bounds)

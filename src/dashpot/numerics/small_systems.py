@@ -87,3 +87,12 @@ def _solve_or_nan(matrix: Real, right: Real) -> Real:
         out = np.full_like(sides, np.nan)
         out[regular] = np.linalg.solve(flat[regular], sides[regular])
         return out.reshape(*matrix.shape[:-2], *right.shape[-2:])
+
+
+def standard_deviations(covariance: Real) -> Real:
+    """Square roots of the variances, (..., m); NaN where rounding has made one negative.
+
+    covariance (..., m, m).
+    """
+    variance = np.diagonal(covariance, axis1=-2, axis2=-1)
+    return np.sqrt(np.where(variance >= 0, variance, np.nan))

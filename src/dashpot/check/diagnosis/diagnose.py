@@ -16,7 +16,6 @@ from dashpot.check.diagnosis.wording import finding
 from dashpot.check.verdict import BEYOND, assess
 from dashpot.data.spectrum import Spectrum
 from dashpot.estimate.assessment import Assessment, Finding
-from dashpot.estimate.likelihood.boundary_loads import carries_loads
 from dashpot.estimate.likelihood.starting_values import candidates
 from dashpot.estimate.preparation.prepared import prepare
 from dashpot.estimate.result import Estimate
@@ -38,7 +37,7 @@ def diagnose(
     backwards = _pushed_backwards(model, spectrum, estimate)
     if backwards or model.n > LARGEST:
         return backwards
-    transients = carries_loads(spectrum)
+    transients = spectrum.carries_loads
     if transients:
         if not model.inputs:  # a free decay is nothing but a transient
             return ()

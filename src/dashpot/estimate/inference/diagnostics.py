@@ -14,7 +14,7 @@ from dashpot.arrays import Real
 from dashpot.channel import Quantity
 from dashpot.data.spectrum import Spectrum
 from dashpot.errors import IdentifiabilityError
-from dashpot.estimate.method import HeldBounds, Method, Solution
+from dashpot.estimate.method import HeldBounds, Method
 from dashpot.estimate.result import Fit
 from dashpot.model.dynamics import matrices
 from dashpot.model.elements import Kind
@@ -22,6 +22,7 @@ from dashpot.model.network import Model
 from dashpot.model.observation import is_direct
 from dashpot.model.unstructured import free_entries, free_names
 from dashpot.notices import Notice
+from dashpot.numerics.small_systems import standard_deviations
 
 ZERO = 1.96  # standard deviations within which a negative part may be none
 BIASED = 3.0  # standard deviations
@@ -220,21 +221,22 @@ def held(names: tuple[str, ...], theta: Real, bounds: HeldBounds) -> list[Notice
     ]
 
 
-def bias(
-    names: tuple[str, ...], solution: Solution, best: Solution, covariance: Real, method: Method
-) -> tuple[Notice, ...]:
-    """A warning where an estimate lies further from the most likely one than its spread explains (Hausman 1978)."""
-    sd = np.sqrt(np.maximum(np.diagonal(covariance[0]), 0.0))
+def bias(names: tuple[str, ...], theta: Real, best: Real, covariance: Real, method: Method) -> list[Notice]:
+    """A warning where an estimate lies further from the most likely one than its spread explains (Hausman 1978).
+
+    theta and best (m,), covariance (m, m).
+    """
+    sd = np.sqrt(np.maximum(np.diagonal(covariance), 0.0))
     with np.errstate(invalid="ignore", divide="ignore"):
-        away = np.where(sd > 0, np.abs(solution.theta[0] - best.theta[0]) / sd, 0.0)
+        away = np.where(sd > 0, np.abs(theta - best) / sd, 0.0)
     worst = int(np.argmax(np.nan_to_num(away)))
     if not away[worst] > BIASED:
-        return ()
+        return []
     text = (
         f"{method.name} is biased by the noise of these data: {names[worst]} lies {away[worst]:.3g} standard "
         "deviations from the maximum-likelihood value, which oiv gives"
     )
-    return (Notice("biased", text, (names[worst],)),)
+    return [Notice("biased", text, (names[worst],))]
 
 
 def _coloured(spectrum: Spectrum) -> list[Notice]:
@@ -267,7 +269,7 @@ def require_determined(
     theta: Real,
     covariance: Real,
     dead_channels: Callable[[], Sequence[str]] = tuple,
-    few_lines: str | None = None,
+    few_lines: Callable[[], str | None] = lambda: None,
 ) -> None:
     """Raises IdentifiabilityError, which names `dead_channels` or `few_lines`, where an unknown has no interval.
 
@@ -284,21 +286,13 @@ def require_determined(
             f"show{'s' if len(dead) == 1 else ''} no motion at any line",
             cure="check that the sensor is connected, or leave the channel out of the rig file",
         )
-    if few_lines is not None:
+    few = few_lines()
+    if few is not None:
         raise IdentifiabilityError(
-            f"the data do not determine {', '.join(lost) if lost else 'the unknowns'}: {few_lines}",
+            f"the data do not determine {', '.join(lost) if lost else 'the unknowns'}: {few}",
             cure="widen the band, or record for longer",
         )
     raise IdentifiabilityError(
         f"the data do not determine {', '.join(lost) if lost else 'the unknowns'}",
         cure="give one of them a value, add frequencies, or ask `dashpot check` which combinations can be found",
     )
-
-
-def standard_deviations(covariance: Real) -> Real:
-    """NaN where rounding has made a variance negative: the data do not determine that unknown.
-
-    covariance (..., m, m).
-    """
-    variance = np.diagonal(covariance, axis1=-2, axis2=-1)
-    return np.sqrt(np.where(variance >= 0, variance, np.nan))

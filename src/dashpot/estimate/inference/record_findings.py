@@ -27,10 +27,8 @@ OPEN = 0.1  # of a value: a standard deviation, by the noise alone, from which o
 FEW = 4  # equations for each term of the ends and each unknown, below which little is left for the rig
 
 
-def of_records(
-    model: Model, theta: Real, covariance: Real, spectrum: Spectrum, few: str | None
-) -> list[Notice]:
-    """What is to be said of an estimate that whole records have given (no batch axes); `few` as `few_lines` says.
+def of_records(model: Model, theta: Real, covariance: Real, spectrum: Spectrum) -> list[Notice]:
+    """What is to be said of an estimate that whole records have given (no batch axes).
 
     theta (m,) or longer with its covariance by the noise alone.
     """
@@ -40,6 +38,7 @@ def of_records(
     notices = short_records(frequency, spectrum) + modes_outside(
         model, theta, covariance, frequency, spectrum
     )
+    few = few_lines(model, spectrum)
     if few is not None:
         notices.append(Notice("few_lines", f"{few}, hardly more; widen the band or record for longer"))
     return notices + unrelated_inputs(model, spectrum)

@@ -11,7 +11,6 @@ import numpy as np
 from dashpot.arrays import Ints, Real
 from dashpot.data.spectrum import Spectrum
 from dashpot.estimate.inference.band_stability import BandStability, band_stability
-from dashpot.estimate.inference.diagnostics import bias
 from dashpot.estimate.likelihood.maximum_likelihood import MaximumLikelihood
 from dashpot.estimate.likelihood.objective import (
     measured,
@@ -86,15 +85,17 @@ class Uncertainty:
 
 @dataclass(frozen=True)
 class Inference:
-    """A method's solution, what the data say around it and how uncertain it is."""
+    """A method's solution, what the data say around it and how uncertain it is; the most likely θ, (K, unknowns)."""
 
+    method: Method
     solution: Solution
+    most_likely: Real
     linearised: Linearised
     uncertainty: Uncertainty
 
 
 def inference(data: Prepared, solution: Solution, method: Method) -> Inference:
-    """Uncertainty of what `method` found, with a warning where the noise has biased it.
+    """Uncertainty of what `method` found.
 
     χ² and bound are the model's, not the method's: they belong to the most likely parameters near θ.
     """
@@ -105,10 +106,7 @@ def inference(data: Prepared, solution: Solution, method: Method) -> Inference:
         # What runs off to infinity takes steps below its deviations, too, and is nowhere near a minimum.
         least = np.maximum(worth.chi2 / max(linearised.dof, 1), 1.0 if data.noise_known else 0.0)
         solution = replace(solution, converged=solution.converged & (worth.above <= UNSETTLED * least))
-    if len(solution.theta) == 1 and data.noise_known and best is not solution:
-        warnings = (*solution.warnings, *bias(linearised.names, solution, best, worth.covariance, method))
-        solution = replace(solution, warnings=warnings)
-    return Inference(solution, linearised, worth)
+    return Inference(method, solution, best.theta, linearised, worth)
 
 
 def with_noise_of_residuals(data: Prepared, method: Method) -> Prepared:

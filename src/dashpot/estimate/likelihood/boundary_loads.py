@@ -97,11 +97,6 @@ class RecordEnds:
         return np.concatenate([loads, self.terms[record]])
 
 
-def carries_loads(spectrum: Spectrum) -> bool:
-    """Whether some lines carry the transients of whole records."""
-    return any(isinstance(value, WholeRecord) and value.loads for value in spectrum.stretches)
-
-
 def with_loads(view: ObservationModel) -> ObservationModel:
     """The same channels of the rig with a force input at every coordinate, behind its own inputs."""
     model = view.model

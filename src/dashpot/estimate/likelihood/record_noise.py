@@ -16,6 +16,7 @@ from scipy.special import chdtri
 from dashpot.arrays import Bools, Complex, Ints, Real, hermitian
 from dashpot.data.conditioning.still import HALF_WINDOW, smoothed
 from dashpot.data.conditioning.whole_record import FLOOR
+from dashpot.data.repeats import flattened, in_chunks
 from dashpot.data.spectrum import Spectrum
 from dashpot.data.stretch import WholeRecord
 from dashpot.errors import DataError
@@ -26,7 +27,7 @@ from dashpot.estimate.likelihood.objective import bounds, local, measured, predi
 from dashpot.estimate.likelihood.record_sums import record_residuals
 from dashpot.estimate.likelihood.thinning import thinned
 from dashpot.estimate.method import Method
-from dashpot.estimate.preparation.prepared import Prepared, flattened, in_chunks
+from dashpot.estimate.preparation.prepared import Prepared
 from dashpot.estimate.preparation.state_reconstruction import states_if_seen
 from dashpot.model.network import Model
 from dashpot.model.observation import ObservationModel, calibrated_transfer, observation_model, small

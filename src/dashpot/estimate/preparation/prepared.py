@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from dashpot.arrays import Bools, Complex
-from dashpot.data.spectrum import Moments, Spectrum
+from dashpot.data.repeats import flattened
+from dashpot.data.spectrum import Spectrum
 from dashpot.errors import DataError
 from dashpot.estimate.preparation.noise_quality import channels_correlate, without_correlation
 from dashpot.estimate.preparation.state_reconstruction import States, require_seen, states_if_seen
-from dashpot.estimate.preparation.weighting import noise_is_known, with_unknown_noise, working_covariance
+from dashpot.estimate.preparation.weighting import with_unknown_noise, working_covariance
 from dashpot.model.network import Model
 from dashpot.model.observation import ObservationModel, observation_model
 
@@ -76,7 +76,7 @@ def prepare(model: Model, spectrum: Spectrum, *, moments: bool = False, states: 
     flat = flattened(spectrum)
     if not moments and flat.moments is not None:
         flat = replace(flat, moments=None)
-    known = noise_is_known(flat)
+    known = flat.noise_known
     if not known:
         flat = with_unknown_noise(flat)
     view = observation_model(model, flat.channels, flat.omega)
@@ -93,35 +93,3 @@ def without_priors(model: Model) -> Model:
     if not np.any(model.prior_precision):
         return model
     return replace(model, elements=tuple(replace(element, sd=None) for element in model.elements))
-
-
-def flattened(spectrum: Spectrum) -> Spectrum:
-    """The same spectrum with exactly one leading axis of repeats on amplitudes, covariance (or 1) and moments."""
-    if len(spectrum.batch) == 1 and spectrum.covariance.ndim == 4 and spectrum.moments is None:
-        return spectrum
-    repeats = int(np.prod(spectrum.batch, dtype=int))
-    V = spectrum.covariance
-    if V.ndim == 3:
-        V = V[None]
-    elif V.shape[:-3] != (1,):
-        V = np.broadcast_to(V, (*spectrum.batch, *V.shape[-3:])).reshape(repeats, *V.shape[-3:])
-    moments = None
-    if spectrum.moments is not None:
-        M = spectrum.moments.products
-        moments = Moments(
-            np.broadcast_to(M, (*spectrum.batch, *M.shape[-3:])).reshape(repeats, *M.shape[-3:])
-        )
-    amplitudes = spectrum.amplitudes.reshape(repeats, *spectrum.amplitudes.shape[-2:])
-    return spectrum.derived(amplitudes=amplitudes, covariance=V, moments=moments)
-
-
-def in_chunks(flat: Spectrum, size: int) -> Iterator[Spectrum]:
-    """The repeats of a flat spectrum, `size` at a time."""
-    if len(flat.amplitudes) <= size:
-        yield flat
-        return
-    for first in range(0, len(flat.amplitudes), size):
-        rows = slice(first, first + size)
-        V = flat.covariance if len(flat.covariance) == 1 else flat.covariance[rows]
-        moments = None if flat.moments is None else Moments(flat.moments.products[rows])
-        yield flat.derived(amplitudes=flat.amplitudes[rows], covariance=V, moments=moments)

@@ -11,14 +11,6 @@ from dashpot.data.spectrum import Spectrum
 from dashpot.model.observation import ObservationModel
 
 
-def noise_is_known(spectrum: Spectrum) -> bool:
-    """Whether the covariance of the amplitudes is given or was estimated from samples, at every line.
-
-    A covariance of 0 throughout says nothing of the size of residuals either: it counts as unknown.
-    """
-    return not np.isnan(spectrum.covariance).any() and bool(spectrum.covariance.any())
-
-
 def with_unknown_noise(spectrum: Spectrum) -> Spectrum:
     """The same amplitudes with unknown noise."""
     nothing = np.full_like(spectrum.covariance, np.nan)

@@ -21,7 +21,6 @@ from dashpot.data.spectrum import Spectrum
 from dashpot.errors import IdentifiabilityError
 from dashpot.estimate.assessment import Assessment
 from dashpot.estimate.identify import identify
-from dashpot.estimate.likelihood.boundary_loads import carries_loads
 from dashpot.estimate.likelihood.maximum_likelihood import MaximumLikelihood
 from dashpot.estimate.likelihood.record_noise import with_record_noise
 from dashpot.model.dynamics import response
@@ -65,7 +64,7 @@ def noisy(records: Sequence[Record], seed: int, mistake: Callable[[Record], Reco
 
 def assessed(model: Model, records: Sequence[Record]) -> Assessment:
     lines = spectrum(records)
-    assert carries_loads(lines)
+    assert lines.carries_loads
     lines, method = with_record_noise(model, lines, MaximumLikelihood())
     assessment = examined(model, lines, identify(model, lines, method)).assessment
     assert assessment is not None
