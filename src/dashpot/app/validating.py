@@ -51,23 +51,3 @@ def figures_of(predictions: Sequence[RecordPrediction]) -> str:
         for part in predictions
     ]
     return json.dumps({"records": rows}, indent=1, ensure_ascii=False) + "\n"
-
-
-def write_picture(predictions: Sequence[RecordPrediction], path: str) -> None:
-    """Histories and spectra of the first whole record, in the format of the path's name.
-
-    Raises UsageError where there is none.
-    """
-    from dashpot.errors import UsageError
-    from dashpot.present.figures.style import write_figure
-    from dashpot.present.figures.validation import histories_and_spectra
-
-    records = [part for part in predictions if part.samples]
-    if not records:
-        raise UsageError("settled lines have no history to draw", cure="leave --figure out")
-    part = records[0]
-    time, measured, predicted = part.histories()
-    figure = histories_and_spectra(
-        part.channels, part.units, time, measured, predicted, part.frequency_hz, part.measured, part.predicted
-    )
-    write_figure(path, figure)

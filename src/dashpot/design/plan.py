@@ -17,6 +17,7 @@ from dashpot.design.rounding import DesignProblem, DwellShares
 from dashpot.design.schedule import Dwell, Schedule
 from dashpot.design.test_setup import TestSetup
 from dashpot.errors import UsageError
+from dashpot.io.words import joined
 
 
 @dataclass(frozen=True)
@@ -192,13 +193,13 @@ def _remarks(setup: TestSetup, schedule: Schedule) -> tuple[str, ...]:
     seen = setup.seen(schedule.frequency_hz, schedule.pattern)
     size = np.abs(seen.Y)
     largest = np.max(size, axis=0, initial=0.0)
-    remarks = []
+    still: dict[float, list[str]] = {}
     for i, channel in enumerate(setup.channels):
         faint = (size[:, i] > 0) & (size[:, i] < 1e-3 * largest[i])
         if channel.noise == 0 and channel.relative_noise > 0 and np.any(faint):
-            f = schedule.frequency_hz[int(np.argmax(faint))]
-            remarks.append(
-                f"{channel.name} hardly moves at {f:.4g} Hz, where purely relative noise makes it look perfect: "
-                "state its noise floor too"
-            )
-    return tuple(remarks)
+            still.setdefault(float(schedule.frequency_hz[int(np.argmax(faint))]), []).append(channel.name)
+    return tuple(
+        f"{joined(names)} hardly {'moves' if len(names) == 1 else 'move'} at {f:.4g} Hz, where purely relative noise "
+        "looks like none: state a noise floor too"
+        for f, names in still.items()
+    )

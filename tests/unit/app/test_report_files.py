@@ -56,7 +56,7 @@ def test_compare_check_design_validate(dashpot: Command, data: Path) -> None:
         "compare rig.toml data.csv --methods oiv,wls",
         "check rig.toml data.csv --known --profile m1",
         "design rig.toml --after e.json --samples 500 --rate 100 --relative-noise 5%",
-        "validate e.json data.csv",
+        "validate e.json data.csv --figure v.pdf",
     ):
         command = line.split()[0]
         done = dashpot(*line.split(), "--report", f"{command}.html", "-q")
@@ -68,6 +68,7 @@ def test_compare_check_design_validate(dashpot: Command, data: Path) -> None:
     assert "All unknowns can be found" in words("check.html")
     assert re.search(r"\d+ dwells?, \d+ samples", words("design.html"))
     assert "FIT of every channel" in words("validate.html")
+    assert Path("v.pdf").read_bytes().startswith(b"%PDF")
 
 
 def test_study(dashpot: Command, tmp_path: Path) -> None:

@@ -33,7 +33,7 @@ from dashpot.app.report_files import report_option
 )  # fmt: skip
 @json_option("the figures")
 @figure_option(
-    "Draw measured and predicted histories and spectra of the first record.", "--figure", "--picture"
+    "Draw the first record, or the settled lines, measured and predicted.", "--figure", "--picture"
 )
 @report_option
 @conditioning_options
@@ -50,7 +50,7 @@ def command(
     from dashpot.app.data_files import read_spectrum
     from dashpot.app.files import write_result
     from dashpot.app.progress import progress
-    from dashpot.app.validating import estimate_and_rig, figures_of, write_picture
+    from dashpot.app.validating import estimate_and_rig, figures_of
     from dashpot.check.validation import validate
     from dashpot.errors import UsageError
 
@@ -61,7 +61,10 @@ def command(
     with progress("validate", quiet):
         predictions = validate(rig_read.model, estimate, spectrum)
     if figure is not None:
-        write_picture(predictions, figure)
+        from dashpot.present.figures.style import write_figure
+        from dashpot.present.figures.validation import prediction_figure
+
+        write_figure(figure, prediction_figure(predictions))
     if report is not None:
         from dashpot.app.report_files import provenance, write_report
         from dashpot.present.pages.others import validation_report

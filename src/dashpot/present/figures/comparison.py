@@ -13,7 +13,7 @@ from dashpot.arrays import Real
 from dashpot.estimate.comparison import Comparison
 from dashpot.estimate.result import Estimate
 from dashpot.model.network import Model
-from dashpot.present.figures.style import BAD, COLOURS, INK, MODEL, style
+from dashpot.present.figures.style import BAD, COLOURS, HALF_PAGE, INK, MODEL, style
 
 ROW, PANEL = 0.24, 2.45  # inches a method, and a panel
 WIDE = 6.0  # times the narrowest interval: wider ones run out of the picture, for the others would be dots
@@ -65,6 +65,7 @@ def estimate_figure(estimate: Estimate, level: float = 0.95, model: Model | None
         {},
         bands,
         level,
+        (HALF_PAGE - 0.6) / 3,
     )
 
 
@@ -78,18 +79,20 @@ def interval_plot(
     truth: Mapping[str, float],
     bands: Mapping[str, tuple[float, float]],
     level: float = 0.95,
+    panel: float = PANEL,
 ) -> Figure:
     """`values`, `low`, `high`: (methods, names).
 
     Intervals that miss the truth are red, with an open dot; those that run out of the picture end in an arrow.
 
-    bands: name → (centre, standard deviation) at the Cramér-Rao bound, drawn as wide as an interval.
+    bands: name → (centre, standard deviation) at the Cramér-Rao bound, drawn as wide as an interval.  panel: width of
+    one unknown, inches.
     """
     columns = min(len(names), 3)
     rows = -(-len(names) // columns)
     reach, wider = _reach(level), False
     with style():
-        figure = Figure(figsize=(0.6 + PANEL * columns, rows * (0.75 + ROW * len(methods)) + 0.35))
+        figure = Figure(figsize=(0.6 + panel * columns, rows * (0.75 + ROW * len(methods)) + 0.35))
         grid = np.atleast_2d(figure.subplots(rows, columns, sharey=True, squeeze=False))
         for k, axes in enumerate(grid.flat):
             if k >= len(names):
@@ -101,6 +104,7 @@ def interval_plot(
                 centre, half = bands[name][0], reach * bands[name][1]
                 band = (centre - half, centre + half)
             wider |= _panel(axes, methods, values[:, k], low[:, k], high[:, k], truth.get(name), band)
+            axes.xaxis.set_major_locator(MaxNLocator(4 if panel >= PANEL else 3, min_n_ticks=2))
             axes.set_title(name)
             unit = "" if units[k] == "1" else units[k]
             axes.set_xlabel(unit, labelpad=1)
@@ -149,7 +153,6 @@ def _panel(
     axes.tick_params(axis="y", length=0)
     axes.grid(visible=False, axis="y")
     axes.spines["left"].set_visible(False)
-    axes.xaxis.set_major_locator(MaxNLocator(4, min_n_ticks=2))
     axes.ticklabel_format(axis="x", useOffset=False, scilimits=(-4, 6))
     return wider
 

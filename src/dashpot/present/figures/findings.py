@@ -12,17 +12,17 @@ from dashpot.arrays import Real
 from dashpot.check.profile import Profile
 from dashpot.present.figures.design import HEAT
 from dashpot.present.figures.interactive import AxisLabel, hover, hover_cells
-from dashpot.present.figures.style import BAD, INK, MODEL, MUTED, style
+from dashpot.present.figures.style import BAD, HALF_PAGE, INK, MODEL, MUTED, style
 from dashpot.present.text.numbers import short
 
-TICKS = 12
+TICKS = 10
 
 
 def shares_figure(names: Sequence[str], frequency_hz: Real, shares: Real) -> Figure:
     """What lines (or bands, by their middle) tell of each unknown, per cent; shares (lines, unknowns)."""
     lines = len(frequency_hz)
     with style():
-        figure = Figure(figsize=(8.6, max(1.6, 0.26 * len(names) + 1.0)))
+        figure = Figure(figsize=(HALF_PAGE, max(1.6, 0.26 * len(names) + 1.0)))
         axes = figure.subplots()
         top = max(float(np.nanmax(shares, initial=0.0)), 1e-9)
         mesh = axes.pcolormesh(
@@ -49,10 +49,10 @@ def shares_figure(names: Sequence[str], frequency_hz: Real, shares: Real) -> Fig
 
 def profile_figure(profiles: Sequence[Profile]) -> Figure:
     """Rise of χ² along each unknown, all others fitted again, beside the parabola of the normal interval."""
-    columns = min(len(profiles), 3)
+    columns = min(len(profiles), 2)
     rows = -(-len(profiles) // columns)
     with style():
-        figure = Figure(figsize=(0.4 + 2.8 * columns, 0.6 + 2.3 * rows))
+        figure = Figure(figsize=(HALF_PAGE if columns == 2 else 3.2, 0.6 + 2.2 * rows))
         grid = np.atleast_2d(figure.subplots(rows, columns, squeeze=False))
         for axes, shown in zip(grid.flat, profiles, strict=False):
             axes.plot(shown.points, shown.rise, color=MODEL, lw=1.4, label="profile")

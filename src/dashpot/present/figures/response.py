@@ -16,7 +16,7 @@ from dashpot.present.figures.style import DATA, MODEL, MUTED, style
 from dashpot.present.text.numbers import short
 
 REACH = 1.96  # standard deviations of a 95 % band
-MOST_PLANES = 6
+MOST_PLANES = 8
 
 
 def response_figure(responses: Sequence[FrequencyResponse]) -> Figure:
@@ -93,10 +93,11 @@ def _phase(axes: Axes, shown: FrequencyResponse) -> None:
 def nyquist_figure(responses: Sequence[FrequencyResponse]) -> Figure:
     """The first responses in the complex plane: each resonance is a circle; lines join measured and model."""
     shown = responses[:MOST_PLANES]
-    columns = min(len(shown), 3)
+    columns = min(len(shown), 4)
     rows = -(-len(shown) // columns)
     with style():
-        figure = Figure(figsize=(0.5 + 2.8 * columns, 0.5 + 2.7 * rows))
+        width = 8.6 if columns > 2 else 0.4 + 2.6 * columns
+        figure = Figure(figsize=(width, 0.3 + width / columns * rows))
         grid = np.atleast_2d(figure.subplots(rows, columns, squeeze=False))
         for axes, response in zip(grid.flat, shown, strict=False):
             H, curve, many = response.measured, response.response, len(response.measured) > MANY

@@ -12,7 +12,7 @@ from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
 
 from dashpot.arrays import Complex, Real
 from dashpot.present.figures.interactive import AxisLabel, hover, hover_cells
-from dashpot.present.figures.style import COLOURS, DATA, INK, MODEL, style
+from dashpot.present.figures.style import COLOURS, DATA, HALF_PAGE, INK, MODEL, style
 from dashpot.present.text.numbers import short
 
 FREQUENCY, PHASE = AxisLabel("frequency", "Hz"), AxisLabel("phase", "°")
@@ -97,7 +97,7 @@ def _draw_measured(
     dots: dict[str, Any] = {
         "fmt": "o",
         "color": DATA,
-        "label": "measured, ±2 sd",
+        "label": "measured, ±2 sd" if np.any(sd > 0) else "measured",
         "zorder": 3,
         "rasterized": many,
     }
@@ -143,7 +143,7 @@ def residual_plot(
     """
     marks = "os^Dv<>P"
     with style():
-        figure = Figure(figsize=(8.6, 2.9))
+        figure = Figure(figsize=(HALF_PAGE, 2.7))
         axes = figure.subplots()
         axes.axhspan(0, RAYLEIGH_95, color=MODEL, alpha=0.08, lw=0)
         for k, name in enumerate(names):
@@ -171,7 +171,9 @@ def residual_plot(
         frequency_axis(axes, lines_hz)
         handles, labels = axes.get_legend_handles_labels()
         if handles and len(labels) <= 12:
-            axes.legend(handles, labels, loc="upper left", bbox_to_anchor=(1.0, 1.0))
+            figure.legend(
+                handles, labels, loc="outside upper left", ncols=6, handletextpad=0.1, columnspacing=1.2
+            )
     return figure
 
 
@@ -202,6 +204,7 @@ def correlation_plot(names: Sequence[str], matrix: Real) -> Figure:
                     if np.isfinite(value):
                         ink = "white" if _luminance(colours[i, j]) < 0.18 else INK
                         text = f"{value:.2f}".replace("0.", ".").replace("-", "−") if i != j else "1"
+                        text = "0" if abs(value) < 0.005 else text
                         axes.text(j, i, text, ha="center", va="center", color=ink, fontsize=7.5)
         if count <= 40:
             axes.set_xticks(range(count), names, rotation=45 if max(map(len, names)) > 3 else 0)

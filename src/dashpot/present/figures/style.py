@@ -22,6 +22,7 @@ MODEL, DATA, BAD = "#0b6e99", "#1f2933", "#b5372b"
 _UNSAID = {"svg": ("Date", "Creator"), "png": ("Software",), "pdf": ("CreationDate", "Creator", "Producer")}
 COLOURS = ("#0b6e99", "#c4661f", "#4a7c3a", "#8a4f9e", "#b5372b", "#5c6b7a", "#b08a1e", "#2f8f83")
 DPI = 180
+HALF_PAGE = 6.2  # inches of a figure that stands in half of a wide page: its text is as large as the page's
 
 _STYLE = {
     "font.family": "sans-serif",

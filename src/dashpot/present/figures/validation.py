@@ -1,4 +1,4 @@
-"""Measured and predicted histories and spectra, from arrays alone."""
+"""Measured and predicted histories, spectra and lines."""
 
 from __future__ import annotations
 
@@ -8,9 +8,24 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from dashpot.arrays import Complex, Real
+from dashpot.check.validation import RecordPrediction
 from dashpot.present.figures.interactive import AxisLabel, hover
-from dashpot.present.figures.spectra import FREQUENCY
+from dashpot.present.figures.spectra import FREQUENCY, amplitude_and_phase
 from dashpot.present.figures.style import BAD, DATA, MODEL, style
+
+
+def prediction_figure(predictions: Sequence[RecordPrediction]) -> Figure:
+    """The first whole record in time and by frequency, or, where there is none, the settled lines."""
+    part = next((each for each in predictions if each.samples), predictions[0])
+    if not part.samples:
+        unknown = np.full(part.measured.shape, np.nan)
+        return amplitude_and_phase(
+            part.channels, part.units, part.frequency_hz, part.measured, unknown, None, None, part.predicted
+        )
+    time, measured, predicted = part.histories()
+    return histories_and_spectra(
+        part.channels, part.units, time, measured, predicted, part.frequency_hz, part.measured, part.predicted
+    )
 
 
 def histories_and_spectra(

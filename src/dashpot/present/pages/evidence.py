@@ -24,7 +24,7 @@ from dashpot.present.figures.comparison import estimate_figure
 from dashpot.present.figures.dwells import beginnings, whole_dwells
 from dashpot.present.figures.findings import profile_figure, shares_figure
 from dashpot.present.figures.response import MOST_PLANES, nyquist_figure, response_figure
-from dashpot.present.figures.validation import histories_and_spectra
+from dashpot.present.figures.validation import prediction_figure
 from dashpot.present.pages.page import Block, figure_picture
 from dashpot.present.text.check import profile_in_words
 from dashpot.present.text.numbers import short
@@ -76,16 +76,13 @@ def prediction_block(title: str, predictions: Sequence[RecordPrediction]) -> Blo
         ]
         texts.append(f"{'Record ' + str(k + 1) if len(predictions) > 1 else 'FIT'}: {joined(fits)}.")
     records = [part for part in predictions if part.samples]
-    pictures = []
+    shown = "Histories and spectra" if records else "Amplitudes and phases"
+    picture = figure_picture(
+        prediction_figure(predictions), f"{shown}, measured and predicted: {' '.join(texts)}"
+    )
     if records:
-        time, measured, predicted = records[0].histories()
-        figure = histories_and_spectra(
-            records[0].channels, records[0].units, time, measured, predicted, records[0].frequency_hz,
-            records[0].measured, records[0].predicted,
-        )  # fmt: skip
-        pictures.append(figure_picture(figure, f"Histories and spectra: {' '.join(texts)}"))
         texts.append(_part_shown(records[0]))
-    return Block(title, tuple(texts), pictures=tuple(pictures), whole=True)
+    return Block(title, tuple(texts), pictures=(picture,), whole=True)
 
 
 def _part_shown(record: RecordPrediction) -> str:
@@ -109,6 +106,7 @@ def _responses(model: Model, spectrum: Spectrum, estimate: Estimate, found: Resi
         plane = figure_picture(
             nyquist_figure(responses),
             f"{joined([r.channel for r in responses[:MOST_PLANES]])} in the complex plane",
+            wide=len(responses) > 2,
         )
         return [
             Block("Measured and model", (text,), pictures=(panels,), whole=True),
@@ -116,6 +114,7 @@ def _responses(model: Model, spectrum: Spectrum, estimate: Estimate, found: Resi
                 "In the complex plane",
                 (f"Each resonance is a circle.{_first(MOST_PLANES, len(every))}",),
                 pictures=(plane,),
+                whole=True,
             ),
         ]
     driven = [i for i, name in enumerate(found.channels) if np.any(np.isfinite(found.normalised[:, i]))]
@@ -171,8 +170,8 @@ def _dwells(dwells: Sequence[UsedDwell], found: Residuals) -> list[Block]:
         ]
         shaded = f"Shaded is the part that was used: {joined(places)}."
     choice = (
-        f"Shown are {len(histories)} of {len(dwells)} dwells: the one with the largest residual, the one of which "
-        "least was used, and the first, last or middle one. Offsets are taken out; predicted is the steady motion."
+        f"Shown are {len(histories)} of {len(dwells)} dwells, with them the one with the largest residual and the one "
+        "of which least was used. Offsets are taken out; predicted is the steady motion."
     )
     channels = joined(histories[0].channels)
     pictures = (

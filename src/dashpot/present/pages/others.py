@@ -27,7 +27,7 @@ from dashpot.present.pages.page import (
     image_picture,
     page_html,
 )
-from dashpot.present.pages.report import capitalised, rig_picture
+from dashpot.present.pages.report import capitalised, names_of, rig_picture
 from dashpot.present.tables.comparison import comparison_columns, comparison_remarks
 from dashpot.present.tables.design import dwell_columns, expected_columns
 from dashpot.present.tables.study import study_columns
@@ -96,6 +96,7 @@ def comparison_report(
 def design_report(answer: Answer, provenance: Provenance | None = None) -> str:
     """HTML page of a planned test."""
     model, plan, estimate = answer.setup.model, answer.plan, answer.estimate
+    names = names_of(model, answer.setup.channels)
     statements = list(sensors_in_words(answer)) if answer.choice is not None else []
     verdict: Verdict = "open"
     if answer.verdict is not None:
@@ -123,7 +124,7 @@ def design_report(answer: Answer, provenance: Provenance | None = None) -> str:
         verdict,
         headline,
         tuple(statements),
-        tuple(sentence(capitalised(note)) for note in answer.notes),
+        tuple(sentence(capitalised(note, names)) for note in answer.notes),
         answers,
         rig_picture(
             model, answer.setup.channels, estimate, () if estimate is None else doubtful(estimate), 0.95

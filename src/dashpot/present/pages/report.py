@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
@@ -40,7 +41,7 @@ from dashpot.present.text.next_steps import next_steps
 from dashpot.present.text.numbers import short
 
 MOST_MODES = 4
-HALF = 760.0  # px of a drawing that still has room beside the parameters
+HALF = 640.0  # px of a drawing that still has room beside the parameters
 NO_ANSWER = {
     "identifiable": "No answer: the channels and data do not determine the unknowns.",
     "converged": "No answer: the iteration did not converge.",
@@ -86,13 +87,14 @@ def identification_report(
     shown = channels if spectrum is None else spectrum.channels
     found = _findings(model, spectrum, estimate)
     unsure = doubtful(estimate, level)
+    names = names_of(model, shown)
     page = Page(
         estimate.model or "Identification",
         _subtitle(estimate, spectrum),
         _verdict(estimate),
         headline(estimate, unsure),
-        (*_statements(estimate), *_on_law(model)),
-        tuple(capitalised(text) for text in warnings_in_words(estimate, untried=untried)),
+        (*_statements(estimate, names), *_on_law(model)),
+        tuple(capitalised(text, names) for text in warnings_in_words(estimate, untried=untried)),
         Block("Parameters", tuple(_below_parameters(estimate)), (tuple(parameter_columns(estimate, level)),)),
         rig_picture(model, shown, estimate, unsure, level),
         tuple(next_steps(estimate, unsure, found.collinearity, plannable=not len(model.nonlinear))),
@@ -110,8 +112,9 @@ def failure_report(
     provenance: Provenance | None = None,
 ) -> str:
     """HTML page of an identification that gave nothing: why, what would help, and the rig."""
-    problems = [sentence(problem.what[:1].upper() + problem.what[1:]) for problem in error.problems]
-    cures = [sentence(capitalised(problem.cure)) for problem in error.problems if problem.cure]
+    names = names_of(model, channels)
+    problems = [sentence(capitalised(problem.what, names)) for problem in error.problems]
+    cures = [sentence(capitalised(problem.cure, names)) for problem in error.problems if problem.cure]
     page = Page(
         model.name or "Identification",
         "No parameters were estimated.",
@@ -153,9 +156,17 @@ def headline(estimate: Estimate, unsure: Sequence[str]) -> str:
     return sentence(VERDICTS[verdict]) + rest
 
 
-def capitalised(text: str) -> str:
-    """The text with a capital letter first."""
-    return text[:1].upper() + text[1:]
+def capitalised(text: str, names: Collection[str]) -> str:
+    """The text with a capital letter first, unless it begins with one of the names: x1 is not X1."""
+    word = re.split(r"[^\w$]", text, maxsplit=1)[0]
+    return text if word in names else text[:1].upper() + text[1:]
+
+
+def names_of(model: Model, channels: Sequence[Channel]) -> frozenset[str]:
+    """Every name of a rig that a sentence may begin with."""
+    elements = (element.name for element in model.elements)
+    inputs = (drive.name for drive in model.inputs)
+    return frozenset((*model.coordinates, *inputs, *elements, *(channel.name for channel in channels)))
 
 
 def _subtitle(estimate: Estimate, spectrum: Spectrum | None) -> str:
@@ -177,7 +188,7 @@ def _verdict(estimate: Estimate) -> Verdict:
     return "bad" if bool(estimate.fit.rejected) else "good"
 
 
-def _statements(estimate: Estimate) -> list[str]:
+def _statements(estimate: Estimate, names: Collection[str]) -> list[str]:
     """The verdict with its numbers and the motion that is left over."""
     assessment = estimate.assessment
     if assessment is None:
@@ -185,7 +196,7 @@ def _statements(estimate: Estimate) -> list[str]:
     causes = set(diagnosis_in_words(assessment.findings))
     texts = [text for text, _ in fit_paragraphs(estimate) if text not in causes]
     # The headline has said the verdict.
-    return [capitalised(text.removeprefix(f"{VERDICTS[assessment.verdict]}: ")) for text in texts]
+    return [capitalised(text.removeprefix(f"{VERDICTS[assessment.verdict]}: "), names) for text in texts]
 
 
 def _on_law(model: Model) -> list[str]:

@@ -14,6 +14,7 @@ from dashpot.io.atomic import write_bytes
 from dashpot.io.name_endings import PICTURES, chosen_format
 from dashpot.model.network import Model
 from dashpot.present.schematic.connections import Connections, connections
+from dashpot.present.schematic.folded import folded
 from dashpot.present.schematic.frame import framed
 from dashpot.present.schematic.labels import Labels, labels
 from dashpot.present.schematic.layout import Placer
@@ -29,7 +30,7 @@ MOST_ELEMENTS, MOST_BODIES = 60, 40
 
 @dataclass(frozen=True)
 class Drawing:
-    """A drawing of a rig: plain geometry, and what is drawn of it (title and legend included)."""
+    """A drawing of a rig: plain geometry, and what is drawn of it: in rows, with title and legend."""
 
     title: str
     model: Model
@@ -84,9 +85,8 @@ def schematic(
     note = "" if small else f"{len(model.elements)} elements: values are left out."
     if parts.free:
         note = sentence("Entries of matrices are not elements and are not drawn")
-    drawn, width, height = framed(
-        layout, scene_parts(layout, model, said), model, said, estimate is not None, level, note
-    )
+    rows, *size = folded(scene_parts(layout, model, said), layout.width, layout.height)
+    drawn, width, height = framed(rows, (size[0], size[1]), model, said, estimate is not None, level, note)
     return Drawing(model.name or "Rig", model, said, parts, layout, tuple(drawn), width, height)
 
 

@@ -8,7 +8,7 @@ from dataclasses import replace
 from dashpot.model.network import Model
 from dashpot.present.schematic.geometry import SMALL, TITLE, Anchor, Line, Text, Tone, block_width
 from dashpot.present.schematic.labels import BADGES, Knowledge, Labels
-from dashpot.present.schematic.placed import MARGIN, Layout
+from dashpot.present.schematic.placed import MARGIN
 from dashpot.present.schematic.scene import Part, Shape
 
 SAMPLE = 26.0  # length of a sample of a line in the legend
@@ -23,17 +23,17 @@ WORDS = {
 
 
 def framed(
-    layout: Layout,
     drawn: Sequence[Part],
+    size: tuple[float, float],
     model: Model,
     labels: Labels,
     estimated: bool,
     level: float,
     note: str = "",
 ) -> tuple[list[Part], float, float]:
-    """The parts with a title above and a legend below; width and height of it all."""
-    heading, width, head = titled(drawn, model.name, layout.width)
-    legend, height = _legend(labels, estimated, level, note, width, head + layout.height)
+    """The parts of a drawing of that width and height with a title above and a legend below; width and height of it."""
+    heading, width, head = titled(drawn, model.name, size[0])
+    legend, height = _legend(labels, estimated, level, note, width, head + size[1])
     return [*heading, legend], width, height
 
 
@@ -45,7 +45,7 @@ def titled(drawn: Sequence[Part], title: str, width: float) -> tuple[list[Part],
     wide = max([width, LEAST_WIDTH, *(line.width + 2 * MARGIN for line in lines)])
     texts = [Text(line, Anchor(MARGIN, MARGIN + TITLE * (0.9 + 1.3 * k))) for k, line in enumerate(lines)]
     parts = [Part("", (), tuple(texts))] if texts else []
-    return [*parts, *(_shifted(part, (wide - width) / 2, head) for part in drawn)], wide, head
+    return [*parts, *(part.shifted((wide - width) / 2, head) for part in drawn)], wide, head
 
 
 def _wrapped(line: Line, width: float) -> list[Line]:
@@ -57,13 +57,6 @@ def _wrapped(line: Line, width: float) -> list[Line]:
         else:
             lines[-1] = longer
     return [replace(line, text=text) for text in lines]
-
-
-def _shifted(part: Part, dx: float, dy: float) -> Part:
-    shapes = tuple(
-        replace(shape, points=tuple((x + dx, y + dy) for x, y in shape.points)) for shape in part.shapes
-    )
-    return Part(part.title, shapes, tuple(text.shifted(dx, dy) for text in part.texts))
 
 
 def _legend(

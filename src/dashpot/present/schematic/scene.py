@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from dashpot.model.network import Model
 from dashpot.present.schematic import symbols
@@ -39,6 +39,13 @@ class Part:
     title: str
     shapes: tuple[Shape, ...]
     texts: tuple[Text, ...] = ()
+
+    def shifted(self, dx: float, dy: float) -> Part:
+        """The part in another place."""
+        shapes = tuple(
+            replace(shape, points=tuple((x + dx, y + dy) for x, y in shape.points)) for shape in self.shapes
+        )
+        return Part(self.title, shapes, tuple(text.shifted(dx, dy) for text in self.texts))
 
 
 def scene_parts(

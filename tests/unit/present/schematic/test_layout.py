@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import replace
 from itertools import combinations
 from pathlib import Path
@@ -12,8 +13,9 @@ import pytest
 from dashpot import Element, Estimate, Input, Kind, Model, between, mass, parse_rig, read_rig
 from dashpot.channel import Channel, Quantity
 from dashpot.present.schematic.drawing import Drawing, schematic
+from dashpot.present.schematic.folded import WIDEST, folded
 from dashpot.present.schematic.geometry import Box, text_width
-from dashpot.present.schematic.scene import visible
+from dashpot.present.schematic.scene import Part, Shape, visible
 from tests import rigs
 from tests.unit.present.conftest import RIG
 
@@ -184,3 +186,53 @@ def test_many_elements_are_drawn_with_names_only_and_too_many_bodies_are_refused
 def test_text_widths_are_those_of_the_font() -> None:
     assert text_width("m" * 10, 10) == pytest.approx(2 * text_width("m" * 5, 10))
     assert text_width("i", 10) < text_width("m", 10) < text_width("m", 10, bold=True)
+
+
+def storeys(count: int, bays: int) -> Model:
+    """A frame: masses in storeys, each held by the one below and, within a storey, by the next."""
+    elements, names = [], []
+    for i in range(count):
+        for j in range(bays):
+            names.append(f"x{i}_{j}")
+            below = f"x{i - 1}_{j}" if i else "u"
+            elements += [mass(f"m{i}_{j}", names[-1]), between(f"k{i}_{j}", Kind.SPRING, below, names[-1])]
+            if j:
+                elements.append(between(f"h{i}_{j}", Kind.SPRING, names[-2], names[-1]))
+    return Model(tuple(names), (Input("u"),), tuple(elements), "frame")
+
+
+@pytest.mark.parametrize(
+    "model", [chain_with((), 18), chain_with((), 39), storeys(8, 3)], ids=["chain 18", "chain 39", "frame 24"]
+)
+def test_wide_drawings_are_cut_into_rows_that_can_be_read(model: Model) -> None:
+    drawing = schematic(model)
+    assert faults(drawing) == []
+    assert drawing.layout.width > 1.5 * WIDEST
+    assert drawing.width <= 1.15 * WIDEST
+    planned = Counter(text.line.text for text in drawing.layout.texts() if text.line.text)
+    written = Counter(text.line.text for part in drawing.parts for text in part.texts)
+    assert planned <= written
+    symbols = [part.title for part in drawing.parts if part.title.endswith(": spring")]
+    assert len(set(symbols)) == sum(element.kind is Kind.SPRING for element in model.elements)
+
+
+def test_cut_lines_go_on_at_the_same_height() -> None:
+    line = Part("", (Shape(((0.0, 50.0), (2000.0, 50.0), (2000.0, 90.0)), "ink"),))
+    boxes = [
+        Part(f"box {k}", (Shape(((x, 0.0), (x + 80, 0.0), (x + 80, 40.0), (x, 40.0)), "ink", closed=True),))
+        for k, x in enumerate(range(10, 2000, 200))
+    ]
+    parts, width, _ = folded([line, *boxes], 2010.0, 100.0)
+    assert width < 1.15 * WIDEST
+    kept = [shape for part in parts if part.title for shape in part.shapes]
+    assert len(kept) == len(boxes)
+    pieces = [
+        shape
+        for part in parts
+        if not part.title
+        for shape in part.shapes
+        if shape.points[0][1] == shape.points[1][1]
+    ]
+    assert sum(shape.points[1][0] - shape.points[0][0] for shape in pieces) == pytest.approx(2000.0)
+    rows = sorted({shape.points[0][1] for shape in pieces})
+    assert len(rows) == len(pieces) == 3
