@@ -6,18 +6,20 @@ Names are those of columns or variables.  Units are in brackets behind names, in
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from typing import Any, Protocol
 
 import numpy as np
 
 from dashpot.channel import Channel
 from dashpot.data.readers.array_columns import ArrayColumns
+from dashpot.data.readers.columns import bare
 from dashpot.data.readers.delimited.stepped_sine import Circumstances, read_records
-from dashpot.data.readers.sampling import TIME
+from dashpot.data.readers.sampling import TIME, TIME_NAMES, time_column
 from dashpot.data.readers.variables import parts_of_variables
 from dashpot.data.record import Record
 from dashpot.errors import DataError
+from dashpot.io.words import shown
 
 
 class HasChannels(Protocol):
@@ -46,8 +48,8 @@ def record(
     time      (samples,), s; else the column `time_s` (or an index or coordinate of that or a usual name), else
               `rate_hz` in Hz
 
-    Raises DataError where a channel or the time is missing, something is not a finite number, or there are several
-    records.
+    Raises DataError where a channel or the time is missing or told twice, something is not a finite number or is
+    masked, or there are several records.
     """
     records = records_of(
         data,
@@ -82,34 +84,64 @@ def records_of(
     Raises DataError as `record`.
     """
     named = channels.channels if hasattr(channels, "channels") else channels
-    variables, units = _variables(data, source)
+    for what, number in (("frequency_hz", frequency_hz), ("rate_hz", rate_hz)):
+        if number is not None and not 0 < number < 1e12:
+            raise DataError(f"{what} is {number:g}", source, "give a positive number")
+    values, units = _variables(data, source)
+    variables = {name: _array(name, value, source) for name, value in values.items()}
     if time is not None:
-        variables[TIME] = np.asarray(time)
+        variables[TIME] = _array("time", time, source)
+    _check_columns(variables, {TIME, *(channel.name for channel in named)}, source)
     parts = [
         part
         for part in parts_of_variables(source, variables, units)
         if all(part.find(channel.name) is not None for channel in named)
     ]
     part: ArrayColumns = parts[0] if parts else next(parts_of_variables(source, variables, units))
+    if rate_hz is not None and time_column(part, named, may_lack=True) is not None:
+        raise DataError("there are times as well as rate_hz", source, "leave one of them out")
     circumstances = Circumstances(frequency_hz, experiment, rate_hz)
     return tuple(read_records(part, named, circumstances)[0])
+
+
+def _array(name: str, values: Any, source: str) -> Any:
+    """An array; what is masked is a gap.  Raises DataError for what is none."""
+    if isinstance(values, np.ma.MaskedArray) and values.dtype.kind in "fiub":
+        return np.ma.filled(values.astype(float), np.nan)
+    try:
+        return np.asarray(values)
+    except ValueError:
+        raise DataError(f"{shown(name)} is not an array", source, "give one number for each sample") from None
+
+
+def _check_columns(variables: Mapping[str, Any], wanted: Collection[str], source: str) -> None:
+    """Raises DataError where columns that are wanted hold no numbers, or differ in length."""
+    lengths = {}
+    for name, array in variables.items():
+        if bare(name)[0] not in wanted:
+            continue
+        if array.dtype.kind not in "fiubcmM":
+            cure = f"convert it to numbers, not {array.dtype}"
+            raise DataError(f"column {shown(name)}: holds no numbers", source, cure)
+        if array.size > 1 and array.size == max(array.shape):
+            lengths[name] = array.size
+    if len(set(lengths.values())) > 1:
+        told = ", ".join(f"{shown(name)}: {length}" for name, length in lengths.items())
+        raise DataError(f"the columns differ in length ({told})", source, "give one number for each sample")
 
 
 def _variables(data: Any, source: str) -> tuple[dict[str, Any], dict[str, str | None]]:
     """Arrays and units by name."""
     module = type(data).__module__.partition(".")[0]
+    frame = type(data).__name__ == "DataFrame"
     if module == "xarray":
         return _of_xarray(data, source)
-    if module == "pandas":
-        units = dict(getattr(data, "attrs", {}).get("units") or {})
-        variables = {str(name): data[name].to_numpy() for name in data.columns}
-        if data.index.name is not None and data.index.name not in variables:
-            variables[str(data.index.name)] = data.index.to_numpy()
-        return variables, units
-    if module == "polars":
+    if module == "pandas" and frame:
+        return _of_pandas(data, source)
+    if module == "polars" and frame:
         return {name: data[name].to_numpy() for name in data.columns}, {}
     if isinstance(data, Mapping):
-        return {str(name): np.asarray(values) for name, values in data.items()}, {}
+        return {str(name): values for name, values in data.items()}, {}
     if isinstance(data, np.ndarray) and data.dtype.names:
         return {name: data[name] for name in data.dtype.names}, {}
     raise DataError(
@@ -117,6 +149,27 @@ def _variables(data: Any, source: str) -> tuple[dict[str, Any], dict[str, str | 
         source,
         "give a mapping of names to arrays, a data frame, an xarray Dataset or a structured array",
     )
+
+
+def _of_pandas(data: Any, source: str) -> tuple[dict[str, Any], dict[str, str | None]]:
+    """Columns of a data frame, and its index where that has a name or holds moments, which then are the time."""
+    columns = data.columns[data.columns.duplicated()]
+    if len(columns):
+        raise DataError(f"column {shown(str(columns[0]))}: named twice", source, "rename one of them")
+    variables = {str(name): _naive(data[name]) for name in data.columns}
+    index = data.index
+    moments = type(index).__name__ in ("DatetimeIndex", "TimedeltaIndex")
+    timed = any(bare(name)[0].lower() in TIME_NAMES for name in variables)
+    name = TIME if moments and not timed else index.name
+    if name is not None and str(name) not in variables:
+        variables[str(name)] = _naive(index.to_series())
+    return variables, dict(getattr(data, "attrs", {}).get("units") or {})
+
+
+def _naive(series: Any) -> Any:
+    """Its values; moments with a time zone in universal time."""
+    zoned = getattr(series.dtype, "tz", None) is not None
+    return (series.dt.tz_convert("UTC").dt.tz_localize(None) if zoned else series).to_numpy()
 
 
 def _of_xarray(data: Any, source: str) -> tuple[dict[str, Any], dict[str, str | None]]:

@@ -74,12 +74,20 @@ def test_several_records():
     ("data", "what"),
     [
         ({"time_s": T, "x1": X["x1"]}, "column u: missing"),
-        ({"time_s": T, "x1": X["x1"], "u": T[:5]}, "column u: missing"),
+        (
+            {"time_s": T, "x1": X["x1"], "u": T[:5]},
+            r"the columns differ in length \(time_s: 64, x1: 64, u: 5\)",
+        ),
         (
             {"time_s": T, "x1": np.where(T == 1, np.nan, T), "u": T},
             "record: sample 17: column x1: nan is not a finite",
         ),
-        ({"time_s": T, "x1": ["a"] * 64, "u": T}, "column x1: missing"),
+        ({"time_s": T, "x1": ["a"] * 64, "u": T}, "column x1: holds no numbers"),
+        ({"time_s": T, "x1": [[1.0], [1.0, 2.0]], "u": T}, "x1 is not an array"),
+        (
+            {"time_s": T, "x1": np.ma.array(T, mask=T > 1), "u": T},
+            "sample 18: column x1: nan is not a finite",
+        ),
         (X, "column time_s: missing"),
         ({"time_s": T[::-1], **X}, r"does not increase|one sample"),
         (np.zeros((4, 4)), "ndarray is not a table with names"),
@@ -99,3 +107,43 @@ def test_a_rig_stands_for_its_channels():
 
     check(record({"time_s": T, **X}, Rig()))
     assert NAMES == ("x1", "x2", "u")
+
+
+@pytest.mark.parametrize("zone", [None, "Europe/Berlin"])
+@pytest.mark.parametrize("place", ["index", "column"])
+def test_moments_of_pandas_are_the_time(zone, place):
+    """Also of an index without a name, and with a time zone."""
+    pandas = pytest.importorskip("pandas")
+    start = pandas.Timestamp("2025-03-30 00:59:59", tz="UTC")  # a second before summer time
+    moments = pandas.Series(start + pandas.to_timedelta(T, unit="s")).dt.tz_convert(zone)
+    table = pandas.DataFrame(X)
+    if place == "index":
+        table.index = pandas.DatetimeIndex(moments)
+    else:
+        table["timestamp"] = moments
+    got = record(table, TWO)
+    assert got.time - got.time[0] == pytest.approx(T - T[0], abs=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("options", "what"),
+    [
+        ({"rate_hz": 0.0}, "rate_hz is 0; give a positive"),
+        ({"rate_hz": float("nan")}, "rate_hz is nan"),
+        ({"frequency_hz": -1.0, "time": T}, "frequency_hz is -1"),
+        ({"rate_hz": 16.0, "time": T}, "there are times as well as rate_hz"),
+        ({"time": T[:-1]}, "differ in length"),
+    ],
+)
+def test_options_that_cannot_be_meant_are_refused(options, what):
+    with pytest.raises(DataError, match=what):
+        record(X, TWO, **options)
+
+
+def test_a_column_that_comes_twice_is_named():
+    pandas = pytest.importorskip("pandas")
+    table = pandas.DataFrame({"time_s": T, **X})
+    with pytest.raises(DataError, match="column x1: named twice"):
+        record(pandas.concat([table, table[["x1"]]], axis=1), TWO)
+    with pytest.raises(DataError, match="a Series is not a table"):
+        record(table["x1"], TWO)
