@@ -2,16 +2,22 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from dashpot.data.conditioning.lines import spectrum
 from dashpot.design.allocation import Allocation
-from dashpot.design.budget import Budget
+from dashpot.design.budget import MIN_SAMPLES, Budget
 from dashpot.design.criteria import AOptimal
 from dashpot.design.frequency_grid import band_grid
+from dashpot.design.plan import plan
 from dashpot.design.precision import expected_precision
 from dashpot.design.rounding import DesignProblem, DwellShares
 from dashpot.design.schedule import Schedule
+from dashpot.estimate.identify import identify
+from tests import rigs
 from tests.designs import BAND, paper_setup
 
 
@@ -43,3 +49,25 @@ def test_dwells_that_crowd_are_one() -> None:
     shares = DwellShares(DesignProblem(own, terms, own.prior, budget, fixed), apart)
     shares.join()
     assert shares.f.tolist() == [3.75, 9.5, 25.0]
+
+
+def test_identify_can_use_every_dwell_of_a_small_plan() -> None:
+    """As few samples as dwells may have, each over one period."""
+    own = paper_setup()
+    schedule = plan(own, AOptimal(), Budget(samples=32), band_grid(own, *BAND)).schedule
+    assert np.min(schedule.samples) == MIN_SAMPLES
+    rig = rigs.paper_rig()
+    test = replace(
+        rig, frequency_hz=schedule.frequency_hz, U=np.ones((len(schedule.samples), 1), dtype=complex),
+        f=np.zeros((len(schedule.samples), 0), dtype=complex),
+    )  # fmt: skip
+    for seed in range(5):
+        rng = np.random.default_rng(seed)
+        records = [
+            rigs.records(test, own.channels, rng, samples=int(samples), relative=0.02)[line]
+            for line, samples in enumerate(schedule.samples)
+        ]
+        estimate = identify(rig.model, spectrum(records))
+        assert bool(estimate.converged)
+        assert np.all(estimate.sd < 0.5 * rig.theta)
+        assert np.all(np.abs(estimate.values - rig.theta) < 6 * estimate.sd)

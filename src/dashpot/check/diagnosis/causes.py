@@ -212,13 +212,14 @@ def _inputs_otherwise(bench: Workbench, base: Trial) -> list[Trial]:
 
 
 def _usual_mistakes(bench: Workbench, base: Trial) -> list[Trial]:
-    """Each channel with its sign turned, in another unit, with another gain, earlier or later."""
+    """Each channel with its sign or its phases turned, in another unit, with another gain, earlier or later."""
     omega = bench.view.omega
     period = 2 * np.pi / np.max(omega)
     trials = []
     for c, channel in enumerate(bench.view.channels):
         name = channel.name
         trials.append(scaled(base, "sign", name, c, -1.0, -1.0))
+        trials.append(conjugated(base, "conjugate", (name,), np.arange(base.y.shape[1]) == c))
         trials += [scaled(base, "unit", name, c, 1 / ratio, ratio) for ratio in RATIOS]
         trials += [scaled(base, "gain", name, c, 1 / gain, gain) for gain in GAINS]
         trials += [

@@ -12,6 +12,7 @@ from dashpot.channel import Quantity
 from dashpot.data.conditioning.drift import slopes_show
 from dashpot.data.conditioning.lines import spectrum
 from dashpot.data.record import Record
+from dashpot.estimate.identify import identify
 from tests import rigs
 
 RIG = rigs.paper_rig()
@@ -46,3 +47,32 @@ def test_short_dwells_lose_a_slope_only_where_there_is_one(slope: float, degree:
 def test_long_dwells_lose_a_slope_always() -> None:
     records = dwells(3, samples=100, periods=6.0)
     np.testing.assert_array_equal(spectrum(records).amplitudes, spectrum(records, drift=1).amplitudes)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(("slope", "most"), [(0.0, 1.14), (0.02, 1.3), (0.05, 1.5), (0.2, 1.5)])
+def test_slopes_cost_what_the_theory_says(slope: float, most: float) -> None:
+    """Rms error over the bound of no drift, one-period dwells at 5 % noise; THEORY §11 has 1.09, 1.23, 1.42, 1.35.
+
+    60 tests of six unknowns that move together in threes: ± 6 %.  Coverage 93-95 % there, here ± 3.5 %.
+    """
+    samples = 20
+    Y = rigs.amplitudes(RIG, CHANNELS)
+    V = np.zeros((RIG.lines, 3, 3), dtype=complex)
+    V[:, [0, 1], [0, 1]] = (0.05 * np.abs(Y[:, :2])) ** 2 * 4 / samples
+    bound = identify(RIG.model, rigs.perfect(RIG, CHANNELS, V)).noise_sd
+    errors, held = [], []
+    for seed in range(60):
+        rng = np.random.default_rng([seed, 7])
+        records = rigs.records(RIG, CHANNELS, rng, samples=samples, relative=0.05)
+        slopes = slope * rng.choice([-1, 1], (len(records), 3)) * np.abs(Y) * [1, 1, 0]
+        ramp = np.linspace(-0.5, 0.5, samples)[:, None]
+        estimate = identify(
+            RIG.model,
+            spectrum([replace(r, values=r.values + ramp * s) for r, s in zip(records, slopes, strict=True)]),
+        )
+        errors.append(((estimate.values - RIG.theta) / bound) ** 2)
+        low, high = np.array([estimate[name].interval95 for name in RIG.names]).T
+        held.append((low < RIG.theta) & (high > RIG.theta))
+    assert np.sqrt(np.mean(errors)) < most
+    assert np.mean(held) == pytest.approx(0.945, abs=0.04)
