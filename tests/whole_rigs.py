@@ -212,7 +212,9 @@ class Twin:
 
 
 def twin(test: WholeTest, record: Record, sd: Real, start: Real) -> Twin:
-    """Least squares of the samples over θ and the unknown starting state, inputs exact: slow, and nobody's code path.
+    """Least squares of the samples over θ, the unknown starting state and the offset of each channel, inputs exact.
+
+    Slow, and nobody's code path.
 
     The inputs are splines through the record's own samples; the last channels are those of the inputs (displacement
     or force), which have no noise.
@@ -234,7 +236,8 @@ def twin(test: WholeTest, record: Record, sd: Real, start: Real) -> Twin:
             channel_samples(view, p, steps.motion(np.zeros_like(inputs), each)) for each in np.eye(2 * model.n)
         ])  # fmt: skip
         r = ((record.values[:, : len(outputs)] - forced) * weight).ravel()
-        A = (free * weight).reshape(2 * model.n, -1).T
+        offsets = np.tile(np.eye(len(outputs)), (len(record.time), 1))
+        A = np.concatenate([(free * weight).reshape(2 * model.n, -1).T, offsets], axis=1)
         size = np.linalg.norm(A, axis=0)
         state = np.linalg.lstsq(A / size, r, rcond=1e-12)[0]
         return r - (A / size) @ state

@@ -257,6 +257,12 @@ class Model:
         return frozen(self.sparse_T.toarray(), np.float64)
 
     @cached_property
+    def pushes(self) -> Real:
+        """−Bᵀ diag(T): the forces on the coordinates that unit forces make by each unknown, (n · unknowns, elements)."""
+        each = -self.B.T[:, None, :] * self.T.T[None, :, :]
+        return frozen(each.reshape(-1, len(self.elements)), np.float64)
+
+    @cached_property
     def p0(self) -> Real:
         """p⁰, the known part of the parameters, (elements,), SI units; zero where unknown."""
         p0 = np.zeros(len(self.elements))

@@ -85,7 +85,8 @@ def few_lines(model: Model, spectrum: Spectrum) -> str | None:
         return None
     outputs = int(np.sum([not measures_input(model, channel) for channel in spectrum.channels]))
     lines = spectrum.lines
-    terms = sum(2 * model.n * value.loads + value.polynomial * outputs for value in records)
+    fitted = outputs if model.inputs else 0  # free motion alone is known between the samples as well
+    terms = sum(2 * model.n * value.loads + value.polynomial * fitted for value in records)
     if 2 * lines * outputs >= FEW * (terms + len(model.unknowns)):
         return None
     whose = "records'" if len(records) > 1 else "record's"

@@ -154,7 +154,8 @@ def record_ends(
     _require_lines(records, view, loads=2 * view.model.n, terms=terms_used)
     by_input = np.zeros((spectrum.lines, view.on_q.shape[1], len(of)), dtype=np.complex128)
     if exact is not None:
-        by_input = -exact[:, :, of] * (s[:, None] ** height)[:, None, :]
+        given = np.flatnonzero(np.any(exact != 0, axis=(0, 1))[of])
+        by_input[:, :, given] = -exact[:, :, of[given]] * (s[:, None] ** height[given])[:, None, :]
     return RecordEnds(
         view,
         with_loads(view),

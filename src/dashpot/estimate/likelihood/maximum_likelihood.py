@@ -126,10 +126,12 @@ def _start(likelihood: Likelihood, states: States, *, typical: bool = False) -> 
     rig: Real | None = None
     if typical:
         (rig,), _ = candidates(likelihood.data, 1, np.random.default_rng(likelihood.effort.seed))
-    starts = record_starts(model, states, ends, rig)
-    sign = np.ones((likelihood.repeats, len(likelihood.view.channels)))
+    starts, channels = record_starts(model, states, ends, rig), len(likelihood.view.channels)
+    # Those of one repeat together: a call costs more than its few numbers.
+    together = [starts[:, 0]] if likelihood.repeats == 1 else list(starts)
     with np.errstate(all="ignore"):
-        costs = np.stack([likelihood.model_at(start, sign).cost for start in starts])
+        costs = np.stack([likelihood.model_at(some, np.ones((len(some), channels))).cost for some in together])
+    costs = costs.reshape(starts.shape[:2])
     costs = np.where(np.isfinite(costs), costs, np.inf)
     best: Real = starts[np.argmin(costs, axis=0), np.arange(likelihood.repeats)]
     return best

@@ -71,7 +71,8 @@ class PieceAt:
     """One piece at ψ (K, M), whitened, what estimated inputs explain taken out; lines last.
 
     Z (K, n, n, lines) D⁻¹; driven (K, n, r + s, lines) forces on the coordinates per unit of each input
-    effect (K, channels, elements, lines): ∂y/∂p = effect · unit force
+    by_load (K, channels, n, lines): response to a force at each coordinate, not whitened
+    force (K, channels, elements, lines): how channels show unit forces themselves, None where none does
     response (K, channels, r + s + n, lines) to inputs and loads, where calibrations are unknown, else None
     columns (K, channels, f, lines): loads and polynomials; residual (K, channels, lines) of the rig without them
     folded: what sampling adds to the loads, where that is known of a channel
@@ -81,7 +82,8 @@ class PieceAt:
     psi: Real
     Z: Complex
     driven: Complex
-    effect: Complex
+    by_load: Complex
+    force: Complex | None
     response: Complex | None
     inputs: EstimatedInputs | None
     columns: Complex
@@ -107,7 +109,11 @@ class PieceAt:
         if model.D.shape[1]:
             elongation = elongation + over_rows(model.D, q[:, : model.D.shape[1]])
         unit_forces = piece.factors * elongation
-        J = over_rows(model.T.T, self.effect * unit_forces[:, None])
+        # A change of an unknown is a force on the coordinates, which the channels show as any other: −Bᵀ (T ∘ a).
+        pushes = over_rows(model.pushes, unit_forces).reshape(len(z), n, -1, unit_forces.shape[-1])
+        J = times(self.by_load, pushes)
+        if self.force is not None:
+            J = J + over_rows(model.T.T, self.force * unit_forces[:, None])
         if self.folded is not None:
             for record, part in piece.segments_with_loads:
                 J[..., part] += self.folded.slopes_at(record, piece.s[part], z[:, : 2 * n, part.start])
@@ -140,7 +146,8 @@ def _piece_at(
     n = model.n
     both = stiffness_over_lines(model, p, view.omega)
     Z = _inverse(both[:, :, :n])
-    by_load, effect, G = _observed(piece, p, Z)
+    by_load, G = _observed(piece, p, Z)
+    force = view.force[:, :, None].astype(np.complex128)[None] if view.has_forces else None
     pushed = np.broadcast_to(model.S[:, :, None], (K, n, model.S.shape[1], both.shape[-1]))
     driven = np.concatenate([-both[:, :, n:], pushed], axis=2) if pushed.shape[2] else -both[:, :, n:]
     if driven.shape[2]:
@@ -148,7 +155,8 @@ def _piece_at(
     response = None
     if view.gains or view.delays or not np.all(sign == 1):
         kappa = np.swapaxes(calibration_factors(view, psi, sign), -1, -2)[:, :, None]
-        by_load, effect, G = by_load * kappa, effect * kappa, G * kappa
+        by_load, G = by_load * kappa, G * kappa
+        force = None if force is None else force * kappa
         response = np.concatenate([G, by_load], axis=2) if view.gains or view.delays else None
     loads = np.concatenate([by_load * piece.loaded, (piece.s * piece.loaded) * by_load], axis=2)
     if folded is not None:
@@ -166,11 +174,11 @@ def _piece_at(
     if piece.q is not None:
         known = np.broadcast_to(piece.q, (K, *piece.q.shape[1:]))[:, :, None]
         residual = data - times(G, known) if known.shape[1] else data
-        return PieceAt(piece, psi, Z, driven, effect, response, None, F, residual[:, :, 0], folded)
+        return PieceAt(piece, psi, Z, driven, by_load, force, response, None, F, residual[:, :, 0], folded)
     together = np.concatenate([F, data], axis=2)
     inputs = EstimatedInputs.of(G, together)
     left = together - times(inputs.basis, inputs.coefficients)
-    return PieceAt(piece, psi, Z, driven, effect, response, inputs, left[:, :, :-1], left[:, :, -1], folded)
+    return PieceAt(piece, psi, Z, driven, by_load, force, response, inputs, left[:, :, :-1], left[:, :, -1], folded)
 
 
 def _masked(columns: Complex, pieces: RecordPieces, piece: RecordPiece) -> Complex:
@@ -186,9 +194,9 @@ def _masked(columns: Complex, pieces: RecordPieces, piece: RecordPiece) -> Compl
     return columns
 
 
-def _observed(piece: RecordPiece, p: Real, Z: Complex) -> tuple[Complex, Complex, Complex]:
-    """What the channels show of a force at each coordinate (K, channels, n, lines), of an internal force in each
-    element (K, channels, elements, lines), and of the inputs themselves (K, channels, r + s, lines)."""
+def _observed(piece: RecordPiece, p: Real, Z: Complex) -> tuple[Complex, Complex]:
+    """What the channels show of a force at each coordinate (K, channels, n, lines), and of the inputs themselves
+    (K, channels, r + s, lines)."""
     view = piece.view
     model, rates = view.model, piece.rates
     K, n, lines = len(Z), Z.shape[1], Z.shape[-1]
@@ -199,7 +207,7 @@ def _observed(piece: RecordPiece, p: Real, Z: Complex) -> tuple[Complex, Complex
         by_load = by_load + times(over_rows(model.B.T, rows), Z)
         if model.D.shape[1]:
             direct[:, :, : model.D.shape[1]] += over_rows(model.D.T, rows)
-    return by_load, view.force[:, :, None] - over_rows(model.B, by_load), direct
+    return by_load, direct
 
 
 def _inverse(D: Complex) -> Complex:

@@ -102,7 +102,7 @@ def noise_from_residuals(
         if psi is None:
             psi, sign = _begun(data, exact, method)
         else:
-            psi = _descended(view, exact, psi, sign, method)
+            psi, _ = _descended(view, exact, psi, sign, method)
         residual, columns = _residuals(view, exact, psi, sign)
         _require_decay(model, residual, exact)
         used = (columns + len(view.names)) / (2 * np.sum(sought) * max(np.sum(outputs), 1))
@@ -152,9 +152,10 @@ def _begun(data: Prepared, exact: Measured, method: MaximumLikelihood) -> tuple[
     view = data.view
     few = thinned(data, EACH_TO_START)
     psi, sign = method.rough(_with_states(few))
-    if few is not data:
-        psi = _descended(view, exact, psi, sign, method)
-    cost = local(view, exact, psi, sign).cost[0]
+    if few is data:
+        cost = local(view, exact, psi, sign).cost[0]
+    else:
+        psi, cost = _descended(view, exact, psi, sign, method)
     if cost <= LITTLE * exact.rows or _explains(view, exact, psi, sign):
         return psi, sign
     many = _with_states(thinned(data, EACH_IN_DOUBT))
@@ -215,13 +216,14 @@ def _diagonal(variance: Real) -> Complex:
 
 def _descended(
     view: ObservationModel, data: Measured, psi: Real, sign: Real, method: MaximumLikelihood
-) -> Real:
+) -> tuple[Real, float]:
+    """Where a descent from ψ ends, and its cost."""
     lower, upper = bounds(view, method.positive)
     minimum = minimise(
         lambda x, rows: local(view, data, x, sign[rows]),
         psi, limit=min(method.max_iterations, STEPS), tolerance=1e-3, lower=lower, upper=upper,
     )  # fmt: skip
-    return minimum.x
+    return minimum.x, float(minimum.cost[0])
 
 
 def _explained(G: Complex, W: Complex) -> Real:
