@@ -246,6 +246,8 @@ def concatenate(spectra: Sequence[Spectrum]) -> Spectrum:
 
     Raises DataError where channels of one name are described differently, or the batches do not match.
     """
+    if len(spectra) == 1:
+        return spectra[0]
     channels = _channels_of_all(spectra)
     batch = np.broadcast_shapes(*(spectrum.batch for spectrum in spectra))
     shared = all(spectrum.covariance.ndim == 3 for spectrum in spectra)

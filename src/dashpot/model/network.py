@@ -258,7 +258,7 @@ class Model:
 
     @cached_property
     def pushes(self) -> Real:
-        """−Bᵀ diag(T): the forces on the coordinates that unit forces make by each unknown, (n · unknowns, elements)."""
+        """−Bᵀ ∘ T: forces on the coordinates that unit forces make by each unknown, (n · unknowns, elements)."""
         each = -self.B.T[:, None, :] * self.T.T[None, :, :]
         return frozen(each.reshape(-1, len(self.elements)), np.float64)
 

@@ -130,7 +130,9 @@ def _start(likelihood: Likelihood, states: States, *, typical: bool = False) -> 
     # Those of one repeat together: a call costs more than its few numbers.
     together = [starts[:, 0]] if likelihood.repeats == 1 else list(starts)
     with np.errstate(all="ignore"):
-        costs = np.stack([likelihood.model_at(some, np.ones((len(some), channels))).cost for some in together])
+        costs = np.stack(
+            [likelihood.model_at(some, np.ones((len(some), channels))).cost for some in together]
+        )
     costs = costs.reshape(starts.shape[:2])
     costs = np.where(np.isfinite(costs), costs, np.inf)
     best: Real = starts[np.argmin(costs, axis=0), np.arange(likelihood.repeats)]

@@ -178,7 +178,9 @@ def _piece_at(
     together = np.concatenate([F, data], axis=2)
     inputs = EstimatedInputs.of(G, together)
     left = together - times(inputs.basis, inputs.coefficients)
-    return PieceAt(piece, psi, Z, driven, by_load, force, response, inputs, left[:, :, :-1], left[:, :, -1], folded)
+    return PieceAt(
+        piece, psi, Z, driven, by_load, force, response, inputs, left[:, :, :-1], left[:, :, -1], folded
+    )
 
 
 def _masked(columns: Complex, pieces: RecordPieces, piece: RecordPiece) -> Complex:

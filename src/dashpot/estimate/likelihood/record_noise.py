@@ -66,9 +66,11 @@ def with_record_noise(model: Model, spectrum: Spectrum, method: Method) -> tuple
         noise_from_residuals(model, repeat, method) for repeat in in_chunks(flattened(spectrum), 1)
     ]
     repeats = [each[0] for each in each_repeat]
-    V = np.concatenate([repeat.covariance for repeat in repeats])
     dof = np.min([repeat.dof for repeat in repeats], axis=0)
-    covariance = V.reshape(*spectrum.batch, *V.shape[1:])
+    covariance = repeats[0].covariance[0]
+    if spectrum.batch:
+        V = np.concatenate([repeat.covariance for repeat in repeats])
+        covariance = V.reshape(*spectrum.batch, *V.shape[1:])
     known = replace(spectrum, covariance=covariance, noise=repeats[0].noise, dof=dof)
     if spectrum.batch:
         return known, method
@@ -144,7 +146,8 @@ def _require_decay(model: Model, residual: Complex, data: Measured) -> None:
 
 
 def _begun(data: Prepared, exact: Measured, method: MaximumLikelihood) -> tuple[Real, Real]:
-    """A first fit: from some of the lines; where that leaves much over, the best of what many of them give as well.
+    """A first fit: from some of the lines; where that leaves much over or has parts below zero, the best of what many
+    of them give as well.
 
     Even weights are far from the noise of the equation where lines of motion are few among those that hold noise only,
     or where displacements come from accelerations.
@@ -156,7 +159,8 @@ def _begun(data: Prepared, exact: Measured, method: MaximumLikelihood) -> tuple[
         cost = local(view, exact, psi, sign).cost[0]
     else:
         psi, cost = _descended(view, exact, psi, sign, method)
-    if cost <= LITTLE * exact.rows or _explains(view, exact, psi, sign):
+    possible = bool(np.all(psi[0] > bounds(view, positive=True)[0]))
+    if possible and (cost <= LITTLE * exact.rows or _explains(view, exact, psi, sign)):
         return psi, sign
     many = _with_states(thinned(data, EACH_IN_DOUBT))
     others = [] if few is data else [method.rough(many)]

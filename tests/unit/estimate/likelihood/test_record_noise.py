@@ -1,16 +1,20 @@
 """The noise of whole records from the residuals of a fit: its size, its colour, and what noisy inputs hide of it."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.signal import lfilter
 
 from dashpot.channel import Quantity
+from dashpot.data.conditioning.lines import spectrum
 from dashpot.data.conditioning.whole_record import whole_record
 from dashpot.data.record import Record
 from dashpot.errors import UsageError
 from dashpot.estimate.identify import automatic, identify
 from dashpot.estimate.likelihood.maximum_likelihood import MaximumLikelihood
 from dashpot.estimate.likelihood.record_noise import with_record_noise
+from tests.record_draws import CASES
 from tests.whole_rigs import WholeTest, chain, record_of
 
 
@@ -73,3 +77,14 @@ def test_one_call_does_it_all() -> None:
     assert np.max(np.abs(estimate.values / test.theta - 1)) < 0.05
     with pytest.raises(UsageError, match="the method oiv works on settled lines"):
         identify(test.model, lines, "oiv")
+
+
+def test_a_fit_with_negative_parts_is_no_start() -> None:
+    """A free decay whose even weights lead to parts a thousand times too large and below zero, which fit the noise that
+    is reckoned with before the first fit."""
+    case = CASES[3]
+    test = case.test()
+    noise = np.random.default_rng((3, 1073)).normal(size=test.record.values.shape)
+    record = replace(test.record, values=test.record.values + case.noise * test.size * noise)
+    found = identify(test.model, spectrum([record]))
+    assert np.all(np.abs(found.values - test.theta) < 4 * found.sd)
