@@ -13,6 +13,8 @@ from pathlib import Path
 
 from dashpot.errors import DataError
 
+_lasting: dict[str, int] = {}  # folders that are there until they are let go, and the process that made each
+
 
 @dataclass(frozen=True)
 class Scratch:
@@ -23,11 +25,12 @@ class Scratch:
     def write(self, name: str, content: bytes | Iterable[bytes]) -> Path:
         """Where the content, whole or in pieces, now stands.  Raises DataError where there is no room for it."""
         path = self.folder / name
-        with path.open("wb") as file:
+        with path.open("wb", buffering=0) as file:
             for piece in (content,) if isinstance(content, bytes) else content:
+                left = memoryview(piece)
                 try:
-                    file.write(piece)
-                    file.flush()
+                    while left:
+                        left = left[file.write(left) :]
                 except OSError as error:
                     what = f"there is no room for a file in between ({error.strerror})"
                     cure = "make room there, or set TMPDIR to a folder on a larger disk"
@@ -50,10 +53,17 @@ def lasting_scratch() -> Scratch:
     """A folder for files that are read until their reader is let go: removed with it, or when the process ends."""
     folder = tempfile.mkdtemp(prefix="dashpot-")
     lasting = Scratch(Path(folder))
-    weakref.finalize(lasting, _remove, folder, os.getpid())
+    _lasting[folder] = os.getpid()
+    weakref.finalize(lasting, _remove, folder)
     return lasting
 
 
-def _remove(folder: str, process: int) -> None:
-    if os.getpid() == process:  # not in processes that were forked from it
+def clear_away() -> None:
+    """Remove the folders that last: for a signal handler that ends the process at once."""
+    for folder in tuple(_lasting):
+        _remove(folder)
+
+
+def _remove(folder: str) -> None:
+    if _lasting.pop(folder, None) == os.getpid():  # not in processes that were forked from it
         shutil.rmtree(folder, ignore_errors=True)
