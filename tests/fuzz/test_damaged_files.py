@@ -6,6 +6,7 @@ import json
 import os
 import subprocess
 import sys
+import zipfile
 from pathlib import Path
 
 import pytest
@@ -60,3 +61,13 @@ def test_what_is_no_file_is_refused_in_one_line(tmp_path: Path) -> None:
         lines.append(str(refused.value))
     assert all("\n" not in line for line in lines)
     assert "the header row is over 1 MB long" in lines[-1]
+
+
+def test_an_archive_of_very_many_arrays_is_refused_at_once(tmp_path: Path) -> None:
+    """30,000 took 33 s once: each was looked for in a list of all."""
+    path = tmp_path / "many.npz"
+    with zipfile.ZipFile(path, "w") as archive:
+        for k in range(20_001):
+            archive.writestr(f"c{k}.npy", b"")
+    with pytest.raises(DataError, match="there are 20001 arrays; give a file with fewer"):
+        read(path, parse_rig(corpus.BASE).channels)

@@ -11,6 +11,7 @@ from typing import Any, cast
 import numpy as np
 
 from dashpot.data.readers.array_columns import LONG, PIECE, ArrayColumns, Streamed
+from dashpot.data.readers.columns import MOST_COLUMNS
 from dashpot.data.readers.datafile import DataFile
 from dashpot.data.readers.optional import damaged
 from dashpot.data.readers.variables import parts_of_variables
@@ -43,6 +44,9 @@ class NumpyReader:
             else:
                 _check_sizes(file)
                 with file.reading() as stream, np.load(cast(Any, stream), allow_pickle=False) as archive:
+                    if len(archive.files) > 2 * MOST_COLUMNS:  # units among them
+                        what = f"there are {len(archive.files)} arrays"
+                        raise DataError(what, file.name, "give a file with fewer")
                     for name in archive.files:
                         array = _streamed_member(file, archive.zip, name)
                         array = archive[name] if array is None else array
@@ -66,7 +70,7 @@ def _fields(array: Any) -> dict[str, Any]:
 def _streamed_member(file: DataFile, archive: zipfile.ZipFile, name: str) -> Streamed | None:
     """A long column of numbers in an archive; None for everything else."""
     member = f"{name}.npy"
-    if member not in archive.namelist() or archive.getinfo(member).file_size < 8 * LONG:
+    if member not in archive.NameToInfo or archive.getinfo(member).file_size < 8 * LONG:
         return None
     with archive.open(member) as raw:
         shape, kind = _header(raw)
