@@ -16,7 +16,7 @@ from tests.two_masses import UNDETERMINED
 
 ROOT = Path(__file__).parents[1]
 IMAGES, SITE = ROOT / "docs" / "images", ROOT / "docs" / "_build" / "html"
-METHODS = ROOT / "examples" / "05_methods"
+METHODS, SHAKE_TABLE = ROOT / "examples" / "05_methods", ROOT / "examples" / "02_shake_table"
 PHONE = 390  # px; narrower than a window can be, so a frame in a page
 
 
@@ -34,23 +34,32 @@ def take(address: str, width: int, height: int, to: Path, scratch: Path) -> None
         picture.crop((0, 0, width, height)).save(to, optimize=True)
 
 
+def take_on_a_phone(address: str, to: Path, scratch: Path) -> None:
+    """One page as a phone shows it."""
+    frame = f'<iframe src="{address}" style="width:{PHONE}px;height:844px;border:0">'
+    (scratch / "frame.html").write_text(f'<!DOCTYPE html><body style="margin:0">{frame}</iframe>')
+    take((scratch / "frame.html").as_uri(), PHONE, 844, to, scratch)
+
+
 def main() -> None:
     """Take all of them."""
     with tempfile.TemporaryDirectory() as folder:
         scratch = Path(folder)
         with served(SITE) as address:
-            frame = f'<iframe src="{address}/tutorial.html" style="width:{PHONE}px;height:844px;border:0">'
-            (scratch / "frame.html").write_text(f'<!DOCTYPE html><body style="margin:0">{frame}</iframe>')
-            page = f"{address}/gallery/01_first_fit/index.html"
-            take(page, 1400, 1000, IMAGES / "site_wide.png", scratch)
-            take((scratch / "frame.html").as_uri(), PHONE, 844, IMAGES / "site_phone.png", scratch)
+            take(f"{address}/gallery/01_first_fit/index.html", 1400, 1000, IMAGES / "site_wide.png", scratch)
+            take_on_a_phone(f"{address}/tutorial.html", IMAGES / "site_phone.png", scratch)
         (scratch / "rig.toml").write_text(
             f'name = "A mass between two walls"\n{UNDETERMINED}', encoding="utf-8"
         )
         with contextlib.chdir(METHODS):  # the report names its files as they were typed
             run(["identify", "rig.toml", "amplitudes.csv", "-q", "--report", str(scratch / "report.html")])
+        with contextlib.chdir(SHAKE_TABLE):
+            run(["identify", "rig.toml", "amplitudes.csv", "-q", "--report", str(scratch / "misfit.html")])
         run(["check", str(scratch / "rig.toml"), "--report", str(scratch / "undetermined.html")])
         take((scratch / "report.html").as_uri(), 1400, 1000, IMAGES / "report.png", scratch)
+        misfit = (scratch / "misfit.html").as_uri()
+        take(misfit, 1280, 1000, IMAGES / "report_misfit.png", scratch)
+        take_on_a_phone(misfit, IMAGES / "report_phone.png", scratch)
         undetermined = IMAGES / "report_undetermined.png"
         take((scratch / "undetermined.html").as_uri(), 1000, 400, undetermined, scratch)
 

@@ -127,6 +127,7 @@ def test_notebooks_get_tables_without_scripts(rig: Rig) -> None:
 
 def test_a_plot_has_a_panel_for_each_unknown(rig: Rig) -> None:
     figure = rig.identify("data.csv").plot()
+    assert "<svg" in figure._repr_svg_()  # what notebooks show
     assert isinstance(figure, Figure)
     assert [axes.get_title(loc="left") for axes in figure.axes if axes.get_visible()] == ["m1", "c1", "c2"]
 

@@ -13,7 +13,7 @@ from dashpot.arrays import Real
 from dashpot.estimate.comparison import Comparison
 from dashpot.estimate.result import Estimate
 from dashpot.model.network import Model
-from dashpot.present.figures.style import BAD, COLOURS, HALF_PAGE, INK, MODEL, style
+from dashpot.present.figures.style import BAD, COLOURS, HALF_PAGE, INK, MODEL, ShownFigure, style
 
 ROW, PANEL = 0.24, 2.45  # inches a method, and a panel
 WIDE = 6.0  # times the narrowest interval: wider ones run out of the picture, for the others would be dots
@@ -92,7 +92,7 @@ def interval_plot(
     rows = -(-len(names) // columns)
     reach, wider = _reach(level), False
     with style():
-        figure = Figure(figsize=(0.6 + panel * columns, rows * (0.75 + ROW * len(methods)) + 0.35))
+        figure = ShownFigure(figsize=(0.6 + panel * columns, rows * (0.75 + ROW * len(methods)) + 0.35))
         grid = np.atleast_2d(figure.subplots(rows, columns, sharey=True, squeeze=False))
         for k, axes in enumerate(grid.flat):
             if k >= len(names):

@@ -86,6 +86,13 @@ def _as_written(figure: Figure) -> None:
             text.set_parse_math(False)
 
 
+class ShownFigure(Figure):
+    """A figure that a notebook shows where pyplot was not imported."""
+
+    def _repr_svg_(self) -> str:
+        return _saved(self, "svg").decode("utf-8")
+
+
 def svg(figure: Figure) -> str:
     """The figure as an SVG element for a page: no XML head, no date."""
     text = _saved(figure, "svg", transparent=True).decode("utf-8")

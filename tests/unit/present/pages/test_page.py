@@ -3,51 +3,27 @@
 from __future__ import annotations
 
 import re
-import runpy
 import shutil
 from pathlib import Path
 
 import pytest
 
 from dashpot.app.cli import run
-from tests.two_masses import UNDETERMINED
+from tests.reports import METHODS, REPORTS, make_reports
 from tests.unit.present.pages.browser import CHROMIUM, probed
 
-ROOT = Path(__file__).parents[4]
-EXAMPLES = {path.name.partition("_")[2]: path for path in (ROOT / "examples").glob("[0-9]*")}
 pytestmark = [
     pytest.mark.long,
     pytest.mark.skipif(CHROMIUM is None, reason="no Chromium or Chrome to open pages with"),
 ]
 LEAST_CONTRAST = 4.5  # WCAG 2, level AA
-MISFIT = str(EXAMPLES["shake_table"] / "rig.toml"), str(EXAMPLES["shake_table"] / "amplitudes.csv")
-METHODS = str(EXAMPLES["methods"] / "rig.toml"), str(EXAMPLES["methods"] / "amplitudes.csv")
-REPORTS = {
-    "misfit": (0, "identify", *MISFIT),
-    "fits": (0, "identify", *METHODS, "--json", "estimate.json"),
-    "compare": (0, "compare", *METHODS),
-    "no answer": (3, "identify", "undetermined.toml", METHODS[1]),
-    "nonlinear dwells": (0, "identify", str(EXAMPLES["friction"] / "rig.toml"), "dwells.csv"),
-    "check": (0, "check", *METHODS, "--profile", "k1,c1", "--known"),
-    "undetermined": (3, "check", "undetermined.toml"),
-    "design": (0, "design", METHODS[0], "--after", "estimate.json", "--samples", "2000"),
-    "validate": (0, "validate", "estimate.json", METHODS[1], "--rig", METHODS[0]),
-    "reproduce": (0, "reproduce", "yamane1989", "--draws", "20", "--workers", "1"),
-}
 
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """All reports as NAME.html."""
     made = tmp_path_factory.mktemp("reports")
-    (made / "undetermined.toml").write_text(UNDETERMINED, encoding="utf-8")
-    runpy.run_path(str(EXAMPLES["friction"] / "make_dwells.py"))["main"](str(made / "dwells.csv"))
-    with pytest.MonkeyPatch.context() as patched:
-        patched.chdir(made)
-        for name, (code, *words) in REPORTS.items():
-            assert (
-                run([*words, "--report", f"{name}.html", *(("-q",) if words[0] != "check" else ())]) == code
-            ), name
+    make_reports(made)
     return made
 
 
