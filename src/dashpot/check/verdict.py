@@ -40,7 +40,9 @@ def assess(model: Model, spectrum: Spectrum, estimate: Estimate) -> Assessment:
     tones = mains_hum(left, spectrum)
     quiet = replace(left, normalised=np.where(tones, np.nan, left.normalised))
     motions = np.array([not measures_input(model, channel) for channel in spectrum.channels])
-    changes, records = time_changes(quiet, spectrum, motions), len(spectrum.records)
+    # A search that has not ended predicts no history.
+    changes = time_changes(quiet, spectrum, motions) if bool(estimate.converged) else ()
+    records = len(spectrum.records)
     against = [
         *_unphysical(model, estimate),
         *_unstable(estimate),

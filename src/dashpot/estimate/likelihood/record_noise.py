@@ -225,7 +225,7 @@ def _descended(
     lower, upper = bounds(view, method.positive)
     minimum = minimise(
         lambda x, rows: local(view, data, x, sign[rows]),
-        psi, limit=min(method.max_iterations, STEPS), tolerance=1e-3, lower=lower, upper=upper,
+        psi, limit=min(method.max_iterations, STEPS), tolerance=1e-3, lower=lower, upper=upper, patience=STEPS,
     )  # fmt: skip
     return minimum.x, float(minimum.cost[0])
 
