@@ -16,8 +16,8 @@ import numpy as np
 from dashpot.estimate.identify import identify
 
 sys.path.insert(0, str(Path(__file__).parents[1]))  # for the rigs of the tests
-from tests.nonlinear_rigs import motions, settled, two_masses
-from tests.unit.estimate.nonlinear.test_equations import ALL, FREQUENCIES, noisy, rig
+from tests.nonlinear_rigs import motions, noisy, settled, two_masses
+from tests.unit.estimate.nonlinear.test_equations import ALL, FREQUENCIES, rig
 
 NOISE = 0.004  # of the rms amplitude
 FEW = 4  # timed runs, of which the fastest counts

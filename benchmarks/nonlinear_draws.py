@@ -19,7 +19,7 @@ from dashpot.estimate.identify import identify
 from dashpot.model.network import Input
 
 sys.path.insert(0, str(Path(__file__).parents[1]))  # for the rigs of the tests
-from tests.nonlinear_rigs import motions, settled, two_masses
+from tests.nonlinear_rigs import motions, noisy, settled, two_masses
 from tests.unit.estimate.nonlinear.test_equations import ALL, FREQUENCIES
 
 PART = motions("x2", "u")
@@ -85,16 +85,6 @@ def pushed(model):
         replace(e, along={point: b for point, b in e.along.items() if point != "u"}) for e in model.elements
     )
     return replace(model, inputs=(Input("f", "force", {"x1": 1.0}),), elements=elements)
-
-
-def noisy(spectrum, noise, repeats, seed):
-    """Repeats with noise relative to each channel's rms fundamental; the input is exact."""
-    rng = np.random.default_rng(seed)
-    size = np.sqrt(np.mean(np.abs(spectrum.amplitudes) ** 2, axis=0))
-    sd = noise * size * np.array([channel.name not in ("u", "f") for channel in spectrum.channels])
-    draws = rng.standard_normal((2, repeats, *spectrum.amplitudes.shape))
-    V = np.broadcast_to(np.diag(2 * sd**2) + 0j, (spectrum.lines, len(sd), len(sd)))
-    return replace(spectrum, amplitudes=spectrum.amplitudes + sd * (draws[0] + 1j * draws[1]), covariance=V)
 
 
 if __name__ == "__main__":

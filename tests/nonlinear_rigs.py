@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -75,6 +76,21 @@ def chain(law: str, count: int, known: bool = False) -> tuple[Model, Real]:
     return model, np.array(theta)
 
 
+def guessed(model: Model, theta: Real, factor: float = 1.05) -> Model:
+    """The same rig with guesses beside the truth for its elements and the constants of their laws."""
+    values = dict(zip([u.name for u in model.unknowns], factor * theta, strict=True))
+    elements = []
+    for element in model.elements:
+        if element.name in values:
+            element = replace(element, guess=values[element.name])
+        law = element.force_law
+        if law is not None:
+            constants = [replace(c, guess=values.get(f"{element.name}.{c.name}")) for c in law.constants]
+            element = replace(element, force_law=law.with_constants(constants))
+        elements.append(element)
+    return replace(model, elements=tuple(elements))
+
+
 def motions(*points: str) -> tuple[Channel, ...]:
     """Displacements of the points."""
     return tuple(Channel(point, {point: 1.0}) for point in points)
@@ -128,3 +144,13 @@ def settled(
         np.ones(count, dtype=int), np.full(count, np.inf), ("given",) * count, np.zeros(count, dtype=int),
         stretch=np.repeat(np.arange(len(f)), len(orders)), stretches=tuple(SettledDwell(float(x)) for x in f),
     )  # fmt: skip
+
+
+def noisy(spectrum: Spectrum, noise: float, repeats: int, seed: int) -> Spectrum:
+    """Repeats of exact amplitudes with noise relative to each channel's rms; inputs, called u or f, are exact."""
+    rng = np.random.default_rng(seed)
+    size = np.sqrt(np.mean(np.abs(spectrum.amplitudes) ** 2, axis=0))
+    sd = noise * size * np.array([channel.name not in ("u", "f") for channel in spectrum.channels])
+    draws = rng.standard_normal((2, repeats, *spectrum.amplitudes.shape))
+    V = np.broadcast_to(np.diag(2 * sd**2) + 0j, (spectrum.lines, len(sd), len(sd)))
+    return replace(spectrum, amplitudes=spectrum.amplitudes + sd * (draws[0] + 1j * draws[1]), covariance=V)

@@ -19,17 +19,18 @@ from dashpot.estimate.nonlinear.records import RecordData
 from dashpot.model.dynamics import matrices
 from dashpot.model.elements import Element, Kind
 from dashpot.model.network import Input, Model
+from dashpot.numerics.levenberg_marquardt import OptimizeResult
 
 HOLDS = (3.0, 1.0, 0.3, 0.1, 0.03)  # natural frequency of a channel on its spring over that of its motion
 DAMPING = 0.7  # of that spring
 NEAR = 4.0  # misfit of the free motion over that of the held one at which it need be held no more
-FOLLOWED = 100.0  # the same of pieces, which are short enough for the search to go on from there
+FOLLOWED = 30.0  # the same of pieces, which are short enough for the search to go on from there
 CUTS = 5  # halvings of a record, at most
 SHORTEST = 32  # samples of a piece
 
 
 def released(
-    problem: RecordProblem, psi: Real, descend: Callable[[RecordProblem, Real], Real]
+    problem: RecordProblem, psi: Real, descend: Callable[[RecordProblem, Real], OptimizeResult]
 ) -> tuple[RecordProblem, Real]:
     """(problem, ψ) from which the free motion's misfit leads to its least; `descend` finds the least of a held problem.
 
@@ -45,11 +46,10 @@ def released(
         held = replace(problem, model=_held(problem, psi, shown, hold), records=records, last=problem.begun())
         if not np.isfinite(held.misfit(psi)):
             held.last = {}
-        there = descend(held, psi)
-        misfit = held.misfit(there)
-        if not misfit < NEAR * least:  # too weak to hold this motion
+        end = descend(held, psi)
+        if not (end.converged[0] and end.cost[0] < NEAR * least):  # too weak to hold this motion
             break
-        psi, least, problem.last = there, misfit, held.begun()
+        psi, least, problem.last = end.x[0], float(end.cost[0]), held.begun()
         if problem.misfit(psi) < NEAR * least:
             return problem, psi
     states = [problem.last[k].state for k in range(len(problem.records)) if k in problem.last]

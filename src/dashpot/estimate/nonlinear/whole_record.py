@@ -119,7 +119,7 @@ def _far_off(problem: RecordProblem, psi: Real) -> bool:
 def _released(problem: RecordProblem, psi: Real) -> tuple[RecordProblem, Real]:
     """The problem, perhaps in pieces, and ψ (M,) that follow from holding the motion near the measured one."""
     limits = _bounds(problem, psi)
-    return released(problem, psi, lambda held, x: _descended(held, x, limits, HELD, ROUGHLY).x[0])
+    return released(problem, psi, lambda held, x: _descended(held, x, limits, HELD, ROUGHLY))
 
 
 def _searched(

@@ -14,7 +14,7 @@ from dashpot.estimate.nonlinear.equations import harmonic_equations
 from dashpot.estimate.preparation.prepared import prepare
 from dashpot.model.elements import Kind, between
 from dashpot.model.nonlinear.force_law import force_law
-from tests.nonlinear_rigs import motions, settled, two_masses
+from tests.nonlinear_rigs import motions, noisy, settled, two_masses
 
 FREQUENCIES = [2, 3, 4, 5, 6, 7, 8, 9.5, 11, 12.5, 14]
 ALL = motions("x1", "x2", "u")
@@ -25,15 +25,6 @@ def rig():
     model, theta = two_masses("cubic")
     damper = replace(between("cq", Kind.DAMPER, "x2", "u"), force_law=force_law("v*abs(v)", damper=True))
     return replace(model, elements=(*model.elements, damper)), np.array([*theta, 400.0])
-
-
-def noisy(spectrum, noise, repeats, seed):
-    """Repeats of exact amplitudes with noise relative to each coordinate's rms; the input is exact."""
-    rng = np.random.default_rng(seed)
-    sd = noise * np.sqrt(np.mean(np.abs(spectrum.amplitudes) ** 2, axis=0)) * [1, 1, 0]
-    draws = rng.standard_normal((2, repeats, *spectrum.amplitudes.shape))
-    V = np.broadcast_to(np.diag(2 * sd**2) + 0j, (spectrum.lines, len(sd), len(sd)))
-    return replace(spectrum, amplitudes=spectrum.amplitudes + sd * (draws[0] + 1j * draws[1]), covariance=V)
 
 
 @pytest.mark.parametrize(("method", "within"), [("ls", 1e-3), ("wls", 1e-3), ("iv", 2e-3), ("oiv", 1e-6)])

@@ -10,17 +10,10 @@ import pytest
 from dashpot.errors import DataError
 from dashpot.estimate.identify import identify
 from dashpot.model.nonlinear.force_law import force_law
-from tests.nonlinear_rigs import LAWS, chain, motions, settled, two_masses
+from tests.nonlinear_rigs import LAWS, chain, guessed, motions, settled, two_masses
 
 FREQUENCIES = [2, 3, 4, 5, 6, 7, 8, 9.5, 11, 12.5, 14]
 ALL = motions("x1", "x2", "u")
-
-
-def guessed(model, theta, factor=1.05):
-    """The same rig with guesses beside the truth for its elements."""
-    values = dict(zip([u.name for u in model.unknowns], theta, strict=True))
-    elements = [replace(e, guess=factor * values[e.name]) if e.name in values else e for e in model.elements]
-    return replace(model, elements=tuple(elements))
 
 
 FEW_MASSES = [(1, "gap"), (2, "square"), (2, "bilinear"), (3, "cubic"), (4, "v**3"), (5, "square")]
@@ -40,6 +33,18 @@ def test_exact_harmonics_give_all_parameters_of_every_law_back(count, law):
     assert bool(estimate.converged)
     assert np.max(np.abs(estimate.values / theta - 1)) < 1e-6
     assert "not_unique" not in [notice.code for notice in estimate.warnings]
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("count", [1, 2])
+def test_stribecks_friction_is_given_back_from_guesses(count):
+    """Without them its four constants may end elsewhere."""
+    model, theta = chain("stribeck", count)
+    channels = motions(*model.coordinates, "u")
+    spectrum = settled(model, theta, channels, FREQUENCIES, orders=(1, 3), most=63)
+    estimate = identify(guessed(model, theta, 1.1), spectrum, "ml")
+    assert bool(estimate.converged)
+    assert np.max(np.abs(estimate.values / theta - 1)) < 1e-6
 
 
 def test_odd_harmonics_do_not_tell_the_sign_of_an_even_law_and_it_is_said():

@@ -21,19 +21,9 @@ from dashpot.model.nonlinear.force_law import force_law
 from dashpot.model.nonlinear.integration import Integrator
 from dashpot.model.nonlinear.propagation import forcing
 from dashpot.model.nonlinear.shooting import integrate
-from tests.nonlinear_rigs import motions, two_masses
+from tests.nonlinear_rigs import guessed, motions, two_masses
 
 STEP = 1 / 200
-
-
-def with_guesses(model, theta, factor):
-    elements = []
-    for element in model.elements:
-        for unknown, value in zip(model.unknowns, theta, strict=True):
-            if unknown.name == element.name:
-                element = replace(element, guess=factor * value)
-        elements.append(element)
-    return replace(model, elements=tuple(elements))
 
 
 def record(law, channels, *, noise=0.0, samples=800, seed=0, start=None):
@@ -114,21 +104,30 @@ def test_motions_that_no_free_motion_follows_from_afar_are_held_near_the_measure
 
 
 @pytest.mark.long
+@pytest.mark.parametrize(("law", "within"), [("jenkins", 1e-3), ("backlash", 1e-3)])
+def test_laws_with_a_state_are_given_back_from_exact_records_as_far_as_the_integration_allows(law, within):
+    model, theta, data = record(law, ALL, samples=400)
+    estimate = identify_records(guessed(model, theta, 1.1), [data])
+    assert bool(estimate.converged)
+    assert np.max(np.abs(estimate.values / theta - 1)) < within
+
+
+@pytest.mark.long
 def test_steps_are_halved_where_kinks_of_a_law_would_move_the_estimate():
     model, theta, data = record("gap", ALL, noise=1e-4, samples=400)
-    fitted = fit_records(with_guesses(model, theta, 1.01), [data])
+    fitted = fit_records(guessed(model, theta, 1.01), [data])
     coarse = enough_substeps(model, theta, STEP)
     assert fitted.problem.substeps[0] > coarse
     estimate = fitted.estimate()
     assert np.all(np.abs(estimate.values - theta) < 4 * estimate.sd)
 
 
-def test_acceleration_of_one_point_is_enough_with_guesses():
+def test_acceleration_of_one_point_is_enough_guessed():
     channels = (Channel("a1", {"x1": 1.0}, Quantity.ACCELERATION), Channel("u", {"u": 1.0}))
     model, theta, data = record("cubic", channels, noise=0.01)
     with pytest.raises(DataError, match="guess"):
         identify_records(model, [data])
-    estimate = identify_records(with_guesses(model, theta, 1.05), [data])
+    estimate = identify_records(guessed(model, theta, 1.05), [data])
     assert np.all(np.abs(estimate.values - theta) < 4 * estimate.sd)
 
 
@@ -142,8 +141,6 @@ def test_an_input_that_is_not_measured_is_named():
 def test_values_too_stiff_for_the_samples_are_refused():
     """Steps enough for them would not fit into any memory."""
     model, theta, data = record("cubic", ALL, samples=50)
-    stiff = [
-        replace(e, guess=1e30) if e.name == "k1" else e for e in with_guesses(model, theta, 1.0).elements
-    ]
+    stiff = [replace(e, guess=1e30) if e.name == "k1" else e for e in guessed(model, theta, 1.0).elements]
     with pytest.raises(ConvergenceError, match="too fast for 200 samples"):
         identify_records(replace(model, elements=tuple(stiff)), [data])
