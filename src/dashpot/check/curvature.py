@@ -40,8 +40,8 @@ def with_profile_intervals(model: Model, spectrum: Spectrum, estimate: Estimate)
     if not _profiled(model, spectrum, estimate):
         return estimate
     try:
-        told = estimate.noise_sd < OPEN * np.abs(estimate.values)
-        bent = np.flatnonzero(bent_unknowns(model, spectrum, estimate) & told)[:MOST_PROFILES]
+        precise = estimate.noise_sd < OPEN * np.abs(estimate.values)
+        bent = np.flatnonzero(bent_unknowns(model, spectrum, estimate) & precise)[:MOST_PROFILES]
         if not len(bent):
             return estimate
         surface = chi2_surface(model, spectrum, estimate)

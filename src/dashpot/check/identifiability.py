@@ -102,9 +102,9 @@ def parallel_unknowns(model: Model, channels: Sequence[Channel]) -> tuple[tuple[
     It needs no ranks, so it is for rigs of any size.  Priors, ties and channels of an element's own force tell them
     apart, or may.
     """
-    told = {point for channel in channels if channel.quantity is Quantity.FORCE for point in channel.of}
-    told |= {element.same_as for element in model.elements if element.same_as is not None}
-    free = {unknown.name for unknown in model.unknowns if unknown.sd is None} - told
+    referred = {point for channel in channels if channel.quantity is Quantity.FORCE for point in channel.of}
+    referred |= {element.same_as for element in model.elements if element.same_as is not None}
+    free = {unknown.name for unknown in model.unknowns if unknown.sd is None} - referred
     groups: dict[object, list[str]] = {}
     for element in model.elements:
         if element.name in free and element.force_law is None:

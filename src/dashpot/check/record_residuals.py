@@ -23,15 +23,15 @@ def standing_out(left: Residuals, spectrum: Spectrum, outputs: Bools, hum: Bools
     Where the mean of n squares scales them, the largest of N exceeds s² with a chance of about N (1 − s²/n)ⁿ⁻¹
     (Fisher 1929).
     """
-    told = np.array([kind == RESIDUAL for kind in spectrum.noise])
-    if not np.any(told):
+    of_residuals = np.array([kind == RESIDUAL for kind in spectrum.noise])
+    if not np.any(of_residuals):
         return []
-    square = np.where(told[:, None] & outputs, np.nan_to_num(np.abs(left.normalised)) ** 2 / 2, 0.0)
+    square = np.where(of_residuals[:, None] & outputs, np.nan_to_num(np.abs(left.normalised)) ** 2 / 2, 0.0)
     square[hum] = 0.0
     square[_slight(left)] = 0.0
     n = np.maximum(spectrum.dof / 2, 2.0)[:, None]
     with np.errstate(divide="ignore"):
-        chance = np.sum(told) * np.exp((n - 1) * np.log1p(-np.minimum(square / n, 1.0)))
+        chance = np.sum(of_residuals) * np.exp((n - 1) * np.log1p(-np.minimum(square / n, 1.0)))
     worst: Ints = np.argmin(chance, axis=0)
     notices = []
     for c in np.flatnonzero(np.min(chance, axis=0) < IMPROBABLE):

@@ -92,10 +92,10 @@ def time_changes(left: Residuals, spectrum: Spectrum, outputs: Bools) -> tuple[T
 def _histories(left: Residuals, lines: Ints, c: int, duration_s: float) -> _Histories | None:
     """Of one channel and record; None where too few lines are left."""
     away = left.measured[lines, c] - left.predicted[lines, c]
-    told = np.isfinite(left.normalised[lines, c]) & (away != 0)
-    if np.count_nonzero(told) < FEWEST:
+    counted = np.isfinite(left.normalised[lines, c]) & (away != 0)
+    if np.count_nonzero(counted) < FEWEST:
         return None
-    lines, away = lines[told], away[told]
+    lines, away = lines[counted], away[counted]
     weight = np.abs(left.normalised[lines, c] / away)
     order = np.rint(left.frequency_hz[lines] * duration_s).astype(np.int64)
     samples = int(
@@ -198,7 +198,7 @@ def _together(jumps: list[TimeChange], near_s: float) -> list[TimeChange]:
     return groups
 
 
-def in_words(change: TimeChange, records: int) -> str:
+def change_in_words(change: TimeChange, records: int) -> str:
     """What changes, in words; of how many records it is one."""
     where = f"{change.time_s:.4g} s" + (f" in record {change.record + 1}" if records > 1 else "")
     names = joined(change.channels)
@@ -209,14 +209,14 @@ def in_words(change: TimeChange, records: int) -> str:
     return f"{names} jump{'' if several else 's'} off the prediction at {where} ({change.size:.0f} sd){again}"
 
 
-def notice(change: TimeChange, records: int) -> Notice:
+def change_notice(change: TimeChange, records: int) -> Notice:
     """The change as a reason why a rig does not fit."""
-    return Notice("time_change", in_words(change, records), change.channels)
+    return Notice("time_change", change_in_words(change, records), change.channels)
 
 
-def finding(change: TimeChange, records: int) -> Finding:
+def change_finding(change: TimeChange, records: int) -> Finding:
     """The change as what may be wrong."""
-    text = in_words(change, records)
+    text = change_in_words(change, records)
     if change.kind == "gain":
         text += ": another range, a loose sensor, or a rig that changed?"
         remedy = "give the parts before and after as two records, the gain of one of them unknown"

@@ -10,7 +10,7 @@ import numpy as np
 from dashpot.arrays import Bools, Complex, Real
 from dashpot.check.record_residuals import hum_notices, mains_hum, standing_out
 from dashpot.check.residuals import Residuals, calibrations_of, residuals
-from dashpot.check.time_course import finding, notice, time_changes
+from dashpot.check.time_course import change_finding, change_notice, time_changes
 from dashpot.data.spectrum import Spectrum
 from dashpot.data.stretch import SettledDwell
 from dashpot.estimate.assessment import Assessment, Judgement, Misfit
@@ -49,7 +49,7 @@ def assess(model: Model, spectrum: Spectrum, estimate: Estimate) -> Assessment:
         *_rejected(estimate),
         *_silent(model, spectrum),
         *(notice for notice in estimate.warnings if notice.code == DISAGREE),
-        *(notice(change, records) for change in changes),
+        *(change_notice(change, records) for change in changes),
         *standing_out(left, spectrum, motions, tones),
         *_smooth(quiet, motions, least=1.0 if _sized_elsewhere(estimate, spectrum) else 0.5),
     ]
@@ -59,7 +59,7 @@ def assess(model: Model, spectrum: Spectrum, estimate: Estimate) -> Assessment:
     verdict: Judgement = "does not fit" if against else "cannot tell" if doubts else "fits"
     return Assessment(
         verdict, (*against, *doubts), _relative(left, motions), _worst(left),
-        findings=tuple(finding(change, records) for change in changes),
+        findings=tuple(change_finding(change, records) for change in changes),
     )  # fmt: skip
 
 

@@ -160,8 +160,8 @@ def _with_endless(first: Estimate, second: Estimate) -> Estimate:
     above = float(second.fit.chi2 - first.fit.chi2)
     if not above <= DOUBT:
         return first
-    told = not_unique(first.names, first.units, first.values, second.values, above)
-    return replace(first, warnings=(told, *first.warnings))
+    rival = not_unique(first.names, first.units, first.values, second.values, above)
+    return replace(first, warnings=(rival, *first.warnings))
 
 
 def _ended(model: Model, estimate: Estimate) -> bool:

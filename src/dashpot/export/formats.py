@@ -123,17 +123,17 @@ def contents() -> tuple[str, ...]:
 
 # The first with an ending is what it means without more words.
 FORMATS: tuple[ExportFormat, ...] = (
-    ExportFormat("state-space", (".json",), "writers.write_state_space_json", ("given",)),
-    ExportFormat("state-space", (".mat",), "writers.write_state_space_mat", ("given",)),
-    ExportFormat("transfer-functions", (".json",), "writers.write_transfer_functions", ("given",)),
-    ExportFormat("parameters", (".csv", ".parquet", ".m"), "writers.write_parameters"),
+    ExportFormat("state-space", (".json",), "writers.export_state_space_json", ("given",)),
+    ExportFormat("state-space", (".mat",), "writers.export_state_space_mat", ("given",)),
+    ExportFormat("transfer-functions", (".json",), "writers.export_transfer_functions", ("given",)),
+    ExportFormat("parameters", (".csv", ".parquet", ".m"), "writers.export_parameters"),
     ExportFormat(
-        "frequency-responses", (".csv",), "writers.write_frequency_responses", ("frequency_hz", "data")
+        "frequency-responses", (".csv",), "writers.export_frequency_responses", ("frequency_hz", "data")
     ),
-    ExportFormat("matrices", (".mtx",), "writers.write_matrices"),
+    ExportFormat("matrices", (".mtx",), "writers.export_matrices"),
     ExportFormat(
-        "universal-file", (".uff", ".unv"), "writers.write_universal_file", ("frequency_hz", "data")
+        "universal-file", (".uff", ".unv"), "writers.export_universal_file", ("frequency_hz", "data")
     ),
-    ExportFormat("fmu", (".fmu",), "writers.write_fmu", ("given",)),
-    ExportFormat("mujoco", (".xml",), "writers.write_mujoco"),
+    ExportFormat("fmu", (".fmu",), "writers.export_fmu", ("given",)),
+    ExportFormat("mujoco", (".xml",), "writers.export_mujoco"),
 )

@@ -141,7 +141,7 @@ def line_motions(view: ObservationModel, p: Real, line: int) -> Complex:
     return solve_stiffness(model, weight, right)
 
 
-def extended(V: Real, motions: Complex) -> Real:
+def extended_basis(V: Real, motions: Complex) -> Real:
     """The columns of V and an orthonormal basis of what real and imaginary parts of `motions` (n, …) add to them."""
     columns = np.concatenate([motions.real, motions.imag], axis=1)
     size = np.linalg.norm(columns, axis=0)

@@ -217,7 +217,6 @@ def simulate_spectrum(
     `noise` "given" states the true covariance, "estimated" the one that white residuals of the records would give,
     with its degrees of freedom.  `drift` is the degree of the trend solved for (None: not even an offset), `moments`
     adds the second moments for the methods that work on samples.  The amplitudes depend on neither.
-
     p (elements,), SI units; `draws` repeats make a leading axis.  Raises DataError where a dwell has too few samples or
     a channel measures what the rig has not, ModelError where the rig has no steady response.
     """

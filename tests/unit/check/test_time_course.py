@@ -8,7 +8,7 @@ import pytest
 from dashpot.arrays import Real
 from dashpot.channel import Channel
 from dashpot.check.residuals import Residuals
-from dashpot.check.time_course import TimeChange, finding, in_words, time_changes
+from dashpot.check.time_course import TimeChange, change_finding, change_in_words, time_changes
 from dashpot.data.spectrum import Spectrum
 from dashpot.data.stretch import WholeRecord
 
@@ -68,7 +68,8 @@ def test_a_step_of_one_gain_is_found_with_its_time_and_size(at_s: float, ratio: 
     assert change.time_s == pytest.approx(at_s, abs=0.1)
     assert change.size == pytest.approx(ratio, abs=0.02)
     assert (
-        in_words(change, 1) == f"x2 reads {change.size:.3g} × as much after {change.time_s:.4g} s as before"
+        change_in_words(change, 1)
+        == f"x2 reads {change.size:.3g} × as much after {change.time_s:.4g} s as before"
     )
 
 
@@ -89,7 +90,7 @@ def test_spikes_are_counted() -> None:
     (change,) = changes(y, x)
     assert (change.kind, change.channels, change.times) == ("jump", ("x1",), 3)
     assert change.time_s == pytest.approx(3.0, abs=0.02)
-    assert finding(change, 1).change == "leave those samples out: the record is then used in pieces"
+    assert change_finding(change, 1).change == "leave those samples out: the record is then used in pieces"
 
 
 def test_a_jump_of_all_channels_is_one() -> None:
@@ -102,5 +103,7 @@ def test_a_jump_of_all_channels_is_one() -> None:
     (change,) = changes(y, x)
     assert (change.kind, sorted(change.channels)) == ("jump", ["x1", "x2"])
     assert change.time_s == pytest.approx(12.0, abs=0.1)
-    assert finding(change, 2).text.startswith(" and ".join(change.channels) + " jump off the prediction at 1")
-    assert "in record 1" in finding(change, 2).text
+    assert change_finding(change, 2).text.startswith(
+        " and ".join(change.channels) + " jump off the prediction at 1"
+    )
+    assert "in record 1" in change_finding(change, 2).text

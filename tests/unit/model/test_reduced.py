@@ -9,7 +9,7 @@ import pytest
 
 from dashpot.channel import Channel, Quantity
 from dashpot.model.observation import ObservationModel, calibrated_transfer, input_channels, observation_model
-from dashpot.model.reduced import ReducedRig, extended, line_motions, reduced
+from dashpot.model.reduced import ReducedRig, extended_basis, line_motions, reduced
 from tests.partly_seen import calibrations
 from tests.rigs import random_rig
 
@@ -17,7 +17,7 @@ from tests.rigs import random_rig
 def on_basis(view: ObservationModel, p: np.ndarray) -> ReducedRig:
     """The rig on the motions at all lines of `view`, at p (elements,)."""
     motions = np.concatenate([line_motions(view, p, line) for line in range(len(view.omega))], axis=1)
-    return reduced(view, extended(np.zeros((view.model.n, 0)), motions))
+    return reduced(view, extended_basis(np.zeros((view.model.n, 0)), motions))
 
 
 def viewed(seed: int, n: int = 12, lines: int = 2) -> tuple[ObservationModel, np.ndarray]:
@@ -81,11 +81,11 @@ def test_calibrations_are_those_of_the_whole_rig() -> None:
 def test_a_basis_grows_by_what_is_new() -> None:
     rng = np.random.default_rng(4)
     first = rng.normal(size=(50, 3)) + 1j * rng.normal(size=(50, 3))
-    V = extended(np.zeros((50, 0)), first)
+    V = extended_basis(np.zeros((50, 0)), first)
     assert V.shape == (50, 6)
-    again = extended(
+    again = extended_basis(
         V, np.concatenate([first @ rng.normal(size=(3, 4)), rng.normal(size=(50, 1)) + 0j], axis=1)
     )
     assert again.shape == (50, 7)
     np.testing.assert_allclose(again.T @ again, np.eye(7), atol=1e-12)
-    assert extended(V, np.full((50, 1), np.nan + 0j)).shape == (50, 6)
+    assert extended_basis(V, np.full((50, 1), np.nan + 0j)).shape == (50, 6)

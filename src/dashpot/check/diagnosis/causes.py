@@ -89,14 +89,14 @@ def causes(bench: Workbench, seed: int = 0) -> tuple[float, list[Cause]]:
         searched[1 + len(channels) :],
     )
     pool = [outcome.psi for outcome in searched]
-    found = [_of_outcome(outcome) for outcome in (*without_one, *inputs)]
-    found += _mended_channels(bench, base, without_one, pool)
+    candidates = [_of_outcome(outcome) for outcome in (*without_one, *inputs)]
+    candidates += _mended_channels(bench, base, without_one, pool)
     usual = [*_rearranged(bench, base, channels), *_usual_mistakes(bench, base)]
-    found += [_of_outcome(outcome) for outcome in bench.refitted(usual, pool)]
-    if not _explained(found, ORDER[: ORDER.index("gain") + 1]):
-        found += _slightly_off(bench, base, as_is, pool)
-    found += _dwells(bench, base, pool)
-    found += [
+    candidates += [_of_outcome(outcome) for outcome in bench.refitted(usual, pool)]
+    if not _explained(candidates, ORDER[: ORDER.index("gain") + 1]):
+        candidates += _slightly_off(bench, base, as_is, pool)
+    candidates += _dwells(bench, base, pool)
+    candidates += [
         Cause(
             change.kind,
             _points(change.element, bench.data.model),
@@ -106,31 +106,31 @@ def causes(bench: Workbench, seed: int = 0) -> tuple[float, list[Cause]]:
         )
         for change in changes(bench, as_is.psi)
     ]
-    found += _phases(bench, as_is, found)
+    candidates += _phases(bench, as_is, candidates)
     # Where one dwell alone is wrong, neither the time base nor the amplitude is to blame.
-    if not _explained(found, (*ORDER[: ORDER.index("frequency")], "dwell")):
-        found += _rates(bench, base, seed)
+    if not _explained(candidates, (*ORDER[: ORDER.index("frequency")], "dwell")):
+        candidates += _rates(bench, base, seed)
     noise = max(1 + BY_CHANCE * (2 / max(as_is.dof, 1)) ** 0.5, GROSS * as_is.reduced)
-    if not _explained(found, (*PARTICULAR, "dwell"), noise):
-        found += [_of_outcome(outcome) for outcome in cross_talk(bench, base, without_one, pool)]
-        found += _changed(bench, base, pool)
-    if not _explained(found, (*PARTICULAR, "dwell"), max(ENOUGH, GROSS * as_is.reduced)):
-        found += _nonlinear(bench, as_is)
+    if not _explained(candidates, (*PARTICULAR, "dwell"), noise):
+        candidates += [_of_outcome(outcome) for outcome in cross_talk(bench, base, without_one, pool)]
+        candidates += _changed(bench, base, pool)
+    if not _explained(candidates, (*PARTICULAR, "dwell"), max(ENOUGH, GROSS * as_is.reduced)):
+        candidates += _nonlinear(bench, as_is)
     inputs_alone = {
         channel.name for channel in bench.view.channels if measures_input(bench.data.model, channel)
     }
-    return as_is.reduced, ranked(found, as_is.reduced, inputs_alone)
+    return as_is.reduced, ranked(candidates, as_is.reduced, inputs_alone)
 
 
-def _explained(found: Sequence[Cause], kinds: Sequence[str], noise: float = ENOUGH) -> bool:
+def _explained(candidates: Sequence[Cause], kinds: Sequence[str], noise: float = ENOUGH) -> bool:
     """Whether one of these kinds leaves little more than noise."""
-    return any(cause.remaining < noise and cause.kind in kinds for cause in found)
+    return any(cause.remaining < noise and cause.kind in kinds for cause in candidates)
 
 
-def _phases(bench: Workbench, as_is: Outcome, found: Sequence[Cause]) -> list[Cause]:
+def _phases(bench: Workbench, as_is: Outcome, candidates: Sequence[Cause]) -> list[Cause]:
     """Phases that count the other way fit as well, with negative dampers: a cause though χ² is the same."""
     damping = _dampers(bench.data.model)
-    turned = [cause for cause in found if cause.kind == "conjugate" and not cause.of]
+    turned = [cause for cause in candidates if cause.kind == "conjugate" and not cause.of]
     if not len(damping) or not turned or np.any(as_is.psi[damping] > 0):
         return []
     return [replace(cause, remaining=min(cause.remaining, HELPS * as_is.reduced * 0.99)) for cause in turned]
@@ -164,12 +164,12 @@ def _dampers(model: Model) -> Ints:
     return np.flatnonzero([unknown.name in lossy for unknown in model.unknowns])
 
 
-def ranked(found: Sequence[Cause], start: float, inputs: Collection[str] = ()) -> list[Cause]:
+def ranked(candidates: Sequence[Cause], start: float, inputs: Collection[str] = ()) -> list[Cause]:
     """Those that explain half of the misfit or more; what explains alike in the order of ORDER.
 
     Without the channel of an input (`inputs`) it moves as it likes at every line, which explains nearly anything.
     """
-    helpful = [cause for cause in found if cause.remaining < HELPS * start]
+    helpful = [cause for cause in candidates if cause.remaining < HELPS * start]
     if not helpful:
         return []
     best = max(min(cause.remaining for cause in helpful), 1.0)

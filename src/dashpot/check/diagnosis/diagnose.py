@@ -49,10 +49,10 @@ def diagnose(
         psi = estimate.values
         for name, turned in estimate.signs.items():
             sign[spectrum.index(name)] = float(turned)
-    as_is, found = causes(Workbench(data, psi, sign), seed)
+    as_is, ranked_causes = causes(Workbench(data, psi, sign), seed)
     if transients and as_is < SHOWN:
         return ()
-    return tuple(finding(model, spectrum.channels, cause) for cause in found)
+    return tuple(finding(model, spectrum.channels, cause) for cause in ranked_causes)
 
 
 def _pushed_backwards(model: Model, spectrum: Spectrum, estimate: Estimate | None) -> tuple[Finding, ...]:

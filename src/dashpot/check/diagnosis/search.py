@@ -46,7 +46,7 @@ class Workbench:
     def searched(self, trials: Sequence[Trial], seed: int = 0, draws: int = DRAWS) -> list[Outcome]:
         """Each trial from the estimate, its own least squares and drawn rigs: thorough, for the few that need it."""
         arranged = [self._arranged(trial) for trial in trials]
-        own = self._own(trials)
+        by_equation = self._own(trials)
         drawn, _ = candidates(self.data, draws, np.random.default_rng(seed))
         drawn = drawn[np.all(np.isfinite(drawn), axis=1)]
         with np.errstate(all="ignore"):
@@ -60,7 +60,7 @@ class Workbench:
         ]
         if self.data.states is None:
             best = self._from_afar(trials, arranged, best)
-        starts = [_finite([self.psi[None], *own[t], best[t]]) for t in range(len(trials))]
+        starts = [_finite([self.psi[None], *by_equation[t], best[t]]) for t in range(len(trials))]
         return self._followed(trials, arranged, starts)
 
     def refitted(self, trials: Sequence[Trial], pool: Sequence[Real]) -> list[Outcome]:
@@ -68,8 +68,8 @@ class Workbench:
         if not trials:
             return []
         arranged = [self._arranged(trial) for trial in trials]
-        own = self._own(trials)
-        starts = [_finite([np.array(pool), *own[t]]) for t in range(len(trials))]
+        by_equation = self._own(trials)
+        starts = [_finite([np.array(pool), *by_equation[t]]) for t in range(len(trials))]
         first = self._fitted(arranged, starts, 0)
         glance = self._fitted(arranged, [x[None] for x, _ in first], GLANCE)
         dof = np.array([max(one.rows - len(self.psi), 1) for one in arranged])
@@ -124,9 +124,9 @@ class Workbench:
 
     def _own(self, trials: Sequence[Trial]) -> list[list[Real]]:
         """Noise-compensated least squares of each trial's own lines, (1, M), where all is seen there; else nothing."""
-        own: list[list[Real]] = [[] for _ in trials]
+        by_equation: list[list[Real]] = [[] for _ in trials]
         if self.data.states is None:
-            return own
+            return by_equation
         whole = np.isfinite(self.data.spectrum.amplitudes[0])
         groups: dict[bytes, list[int]] = {}
         for t, trial in enumerate(trials):
@@ -146,8 +146,8 @@ class Workbench:
             with np.errstate(all="ignore"):
                 theta = compensated(self.data.model, states)
             for t, values in zip(rows, theta, strict=True):
-                own[t] = [np.concatenate([values, self.psi[len(values) :]])[None]]
-        return own
+                by_equation[t] = [np.concatenate([values, self.psi[len(values) :]])[None]]
+        return by_equation
 
     def _from_afar(
         self, trials: Sequence[Trial], arranged: Sequence[Measured], starts: Sequence[Real]

@@ -77,8 +77,8 @@ def _noise(spectrum: Spectrum) -> Real:
     size = np.nanmean(np.abs(spectrum.amplitudes) ** 2, axis=0)
     quietest = np.min(np.where(np.isfinite(variance), variance, np.inf), axis=0)
     from_fit = np.array([kind in (RESIDUAL, FLOOR) for kind in spectrum.noise])
-    told = np.where(from_fit[:, None], np.minimum(variance, quietest), variance)
-    least: Real = np.nan_to_num(told) + LEAST**2 * np.nan_to_num(size)
+    working = np.where(from_fit[:, None], np.minimum(variance, quietest), variance)
+    least: Real = np.nan_to_num(working) + LEAST**2 * np.nan_to_num(size)
     return least
 
 

@@ -39,7 +39,7 @@ def residual_jumps(data: Prepared, solution: Solution) -> list[Notice]:
         return []
     residual, _ = record_residuals(exact.record_pieces, solution.theta, spectrum.signs(solution.signs))
     size = np.sqrt(np.diagonal(exact.W[0], axis1=-2, axis2=-1).real)
-    found = []
+    moments = []
     for number in spectrum.records:
         lines = np.flatnonzero(spectrum.stretch == number)
         value = spectrum.stretches[number]
@@ -53,10 +53,10 @@ def residual_jumps(data: Prepared, solution: Solution) -> list[Notice]:
             )
             channels = int(np.sum(np.any(residual[0, lines] != 0, axis=0)))
             j = _jump(_Powers(power, motion, 2 * len(lines) * channels / blocks))
-            found += [] if j is None else [f"{(j + 0.5) * value.duration_s / blocks:.4g} s"]
-    if not found:
+            moments += [] if j is None else [f"{(j + 0.5) * value.duration_s / blocks:.4g} s"]
+    if not moments:
         return []
-    at = ", ".join(found[:MOST]) + (", …" if len(found) > MOST else "")
+    at = ", ".join(moments[:MOST]) + (", …" if len(moments) > MOST else "")
     text = (
         f"the residuals jump near {at} of the record and decay again: samples may be missing there although the time "
         "stamps are even, or something struck the rig that no input shows"

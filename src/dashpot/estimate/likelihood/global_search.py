@@ -192,12 +192,12 @@ def searched_again(
     sign, notices, history = sign.copy(), tuple[Notice, ...](), found.history
     for repeat in np.flatnonzero(poor):
         minima = global_minima(likelihood, int(repeat))
-        end, flips, told = from_minima(likelihood.only(int(repeat)), minima)
+        end, flips, notices_of_end = from_minima(likelihood.only(int(repeat)), minima)
         if not end.cost[0] >= cost[repeat]:
             x[repeat], cost[repeat], converged[repeat] = end.x[0], end.cost[0], end.converged[0]
             iterations[repeat] += end.iterations[0]
             sign[repeat] = flips[0]
-            notices = told if len(poor) == 1 else ()
+            notices = notices_of_end if len(poor) == 1 else ()
             history = end.history if repeat == 0 else history
     return OptimizeResult(x, cost, converged, iterations, history), sign, notices
 

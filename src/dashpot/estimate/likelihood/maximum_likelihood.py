@@ -65,30 +65,30 @@ class MaximumLikelihood(Method):
         likelihood = Likelihood.of(data, self.effort)
         view, warnings = likelihood.view, tuple[Notice, ...]()
         if likelihood.exact.nonlinear is not None:
-            found, exact, warnings = search_harmonics(likelihood)
+            minimum, exact, warnings = search_harmonics(likelihood)
             sign = np.ones((likelihood.repeats, len(view.channels)))
             likelihood = replace(likelihood, exact=exact)
         elif self.start and likelihood.repeats == 1 and len(self.start) == len(view.names):  # of this rig
             sign = np.array([self.start_sign])
-            found = likelihood.descend(np.array([self.start]), sign)
+            minimum = likelihood.descend(np.array([self.start]), sign)
         elif data.states is not None and seen_directly(data) and not self.thorough:
             start = _start(likelihood, data.states)
             sign = np.ones((likelihood.repeats, len(view.channels)))
-            found = likelihood.descend(start, sign)
+            minimum = likelihood.descend(start, sign)
         elif is_reducible(likelihood):
-            likelihood, found, sign, warnings = reduced_search(likelihood)
+            likelihood, minimum, sign, warnings = reduced_search(likelihood)
         else:
-            found, sign, warnings = from_minima(likelihood, global_minima(likelihood, 0))
+            minimum, sign, warnings = from_minima(likelihood, global_minima(likelihood, 0))
         if likelihood.exact.nonlinear is None and not self.start and not self.thorough:
-            found, sign, again = searched_again(likelihood, found, sign)
+            minimum, sign, again = searched_again(likelihood, minimum, sign)
             warnings += again
-        around, part = likelihood.model_at(found.x, sign), likelihood.exact.nonlinear
+        around, part = likelihood.model_at(minimum.x, sign), likelihood.exact.nonlinear
         bounds = None
         if np.any(np.isfinite(likelihood.lower) | np.isfinite(likelihood.upper)):
-            free = without_bounds(found.x, around, likelihood.lower, likelihood.upper)
+            free = without_bounds(minimum.x, around, likelihood.lower, likelihood.upper)
             bounds = HeldBounds(likelihood.lower, likelihood.upper, free)
         return Solution(
-            found.x, around.inverse, found.converged, found.iterations, found.history,
+            minimum.x, around.inverse, minimum.converged, minimum.iterations, minimum.history,
             signs={view.channels[int(c)].name: sign[:, c] for c in np.flatnonzero(view.flips)},
             warnings=warnings, bounds=bounds, harmonics=None if part is None else part.dwells.orders,
         )  # fmt: skip

@@ -15,7 +15,7 @@ from dashpot.estimate.likelihood.global_search import from_minima, global_minima
 from dashpot.estimate.likelihood.objective import per_line
 from dashpot.estimate.likelihood.starting_values import candidates
 from dashpot.model.observation import ObservationModel
-from dashpot.model.reduced import extended, line_motions, reduced
+from dashpot.model.reduced import extended_basis, line_motions, reduced
 from dashpot.notices import Notice
 from dashpot.numerics.levenberg_marquardt import OptimizeResult
 from dashpot.numerics.small_systems import solve_scaled
@@ -87,8 +87,8 @@ def _basis(V: Real, view: ObservationModel, psi: Real, lines: Ints) -> Real:
     """The basis with the motions at ψ; where it would grow too wide, they take its place."""
     p = view.model.parameters(psi[: view.m])
     motions = np.concatenate([line_motions(view, p, int(line)) for line in lines], axis=1)
-    wider = extended(V, motions)
-    return wider if wider.shape[1] <= WIDEST or not V.shape[1] else extended(V[:, :0], motions)
+    wider = extended_basis(V, motions)
+    return wider if wider.shape[1] <= WIDEST or not V.shape[1] else extended_basis(V[:, :0], motions)
 
 
 def _steps(step: Real, likelihood: Likelihood, psi: Real, sign: Real) -> float:

@@ -48,19 +48,19 @@ class InstrumentalVariables(Method):
         """
         if len(data.model.nonlinear):
             return self._of_harmonics(harmonic_equations(data))
-        looks = sampled(data)
-        N, r = least_squares_sums(looks)
-        theta = solve_sums(looks, N, r)
+        observed = sampled(data)
+        N, r = least_squares_sums(observed)
+        theta = solve_sums(observed, N, r)
 
         def step(theta: Real, rows: Ints) -> Real:
-            part = looks.rows(rows)
+            part = observed.rows(rows)
             N, r = sums_with_harmonics(part, instruments(part, theta))
             return solve_sums(part, N, r, theta)
 
         theta, converged, iterations, history = fixed_point(step, theta, self.tolerance, self.max_iterations)
-        w = instruments(looks, theta)
-        N, _ = sums_with_harmonics(looks, w)
-        return Solution(theta, sandwich(looks, N, w, theta), converged, iterations, history)
+        w = instruments(observed, theta)
+        N, _ = sums_with_harmonics(observed, w)
+        return Solution(theta, sandwich(observed, N, w, theta), converged, iterations, history)
 
     def _of_harmonics(self, equations: HarmonicEquations) -> Solution:
         def step(theta: Real, rows: Ints) -> Real:
@@ -72,11 +72,11 @@ class InstrumentalVariables(Method):
         return Solution(theta, equations.spread(theta, instruments=True), converged, iterations, history)
 
 
-def instruments(looks: Sampled, theta: Real) -> Complex:
+def instruments(observed: Sampled, theta: Real) -> Complex:
     """w_i of eq. 18-19, amplitudes (K, lines, elements): unit forces of the auxiliary model's response."""
-    model = looks.model
-    X = amplitudes(model, model.parameters(theta), looks.omega, looks.U, looks.f)
-    return unit_forces(model, looks.omega, X, looks.U)
+    model = observed.model
+    X = amplitudes(model, model.parameters(theta), observed.omega, observed.U, observed.f)
+    return unit_forces(model, observed.omega, X, observed.U)
 
 
 def fixed_point(
@@ -129,14 +129,14 @@ class OptimalIV(Method):
             require_direct(data)
             return MaximumLikelihood(max_iterations=self.max_iterations, tolerance=self.tolerance).solve(data)
         first, *others = starts(model, states)
-        found = self._search(model, states, first, np.arange(len(first)))
+        ends = self._search(model, states, first, np.arange(len(first)))
         for start in others:
-            astray = np.flatnonzero(~found.converged | (_tail(model, states, found.cost) < ASTRAY))
+            astray = np.flatnonzero(~ends.converged | (_tail(model, states, ends.cost) < ASTRAY))
             if not len(astray):
                 break
-            found = found.improved(astray, self._search(model, states, start, astray))
-        covariance = equation_sums(model, states, found.x).inverse
-        return Solution(found.x, covariance, found.converged, found.iterations, found.history)
+            ends = ends.improved(astray, self._search(model, states, start, astray))
+        covariance = equation_sums(model, states, ends.x).inverse
+        return Solution(ends.x, covariance, ends.converged, ends.iterations, ends.history)
 
     def _search(self, model: Model, states: States, start: Real, repeats: Ints) -> OptimizeResult:
         return search(model, states, start, repeats, limit=self.max_iterations, tolerance=self.tolerance)

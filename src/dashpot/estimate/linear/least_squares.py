@@ -40,11 +40,11 @@ class LeastSquares(Method):
             equations = harmonic_equations(data)
             theta = equations.least_squares()
             return closed_form(theta, equations.spread(theta, instruments=False))
-        looks = sampled(data)
-        N, r = sums_with_samples(looks)
-        theta = solve_sums(looks, N, r)
+        observed = sampled(data)
+        N, r = sums_with_samples(observed)
+        theta = solve_sums(observed, N, r)
         return closed_form(
-            theta, sandwich(looks, N, looks.a, theta, noisy_instruments=True, bins=looks.weight)
+            theta, sandwich(observed, N, observed.a, theta, noisy_instruments=True, bins=observed.weight)
         )
 
 
@@ -62,14 +62,14 @@ class HarmonicLeastSquares(Method):
         """
         if len(data.model.nonlinear):
             return harmonic_least_squares(data)
-        looks = combined(data)
+        observed = combined(data)
         N, r = (
-            gram(data.model, looks.a, looks.a, looks.weight),
-            gram_force(data.model, looks.a, looks.f, looks.weight),
+            gram(data.model, observed.a, observed.a, observed.weight),
+            gram_force(data.model, observed.a, observed.f, observed.weight),
         )
-        theta = solve_sums(looks, N, r)
-        bins = np.ones_like(looks.weight)
-        return closed_form(theta, sandwich(looks, N, looks.a, theta, noisy_instruments=True, bins=bins))
+        theta = solve_sums(observed, N, r)
+        bins = np.ones_like(observed.weight)
+        return closed_form(theta, sandwich(observed, N, observed.a, theta, noisy_instruments=True, bins=bins))
 
 
 @dataclass(frozen=True)
@@ -87,10 +87,13 @@ class WeightedLeastSquares(Method):
         model = data.model
         if len(model.nonlinear):
             return closed_form(*harmonic_equations(data).weighted())
-        looks = combined(data)
-        N, r = gram(model, looks.a, looks.a, looks.weight), gram_force(model, looks.a, looks.f, looks.weight)
-        Se = equation_covariance(model, model.parameters(solve_sums(looks, N, r)), data.seen_states)
-        Phi, h = regressors(model, looks.a), known_side(model, looks.a, looks.f)
+        observed = combined(data)
+        N, r = (
+            gram(model, observed.a, observed.a, observed.weight),
+            gram_force(model, observed.a, observed.f, observed.weight),
+        )
+        Se = equation_covariance(model, model.parameters(solve_sums(observed, N, r)), data.seen_states)
+        Phi, h = regressors(model, observed.a), known_side(model, observed.a, observed.f)
         bread, right = with_priors(model, *normal_sums(Se, Phi, h))
         theta = solve_scaled(bread, right)
         # One round of refinement by the residual: near a resonance Ω spans many powers of ten.
@@ -99,12 +102,12 @@ class WeightedLeastSquares(Method):
         theta = theta + solve_scaled(
             bread, normal_sums(Se, Phi, left)[1] + prior * (model.prior_mean - theta)
         )
-        Q = equation_map(looks, model.parameters(theta))
-        e = np.einsum("...nc,...c->...n", Q, looks.y)
-        Gamma = noise_map(looks)
+        Q = equation_map(observed, model.parameters(theta))
+        e = np.einsum("...nc,...c->...n", Q, observed.y)
+        Gamma = noise_map(observed)
         meat = score_covariance(
-            solve_small(Se, Phi), Q, solve_small(Se, e[..., None])[..., 0], Gamma, solve_small(Se, Q), looks.V,
-            np.full_like(looks.weight, 2.0), np.ones_like(looks.weight),
+            solve_small(Se, Phi), Q, solve_small(Se, e[..., None])[..., 0], Gamma, solve_small(Se, Q), observed.V,
+            np.full_like(observed.weight, 2.0), np.ones_like(observed.weight),
         )  # fmt: skip
         half = scaled_inverse(bread)
         return closed_form(theta, half @ (meat + np.diag(model.prior_precision)) @ half)
@@ -141,12 +144,12 @@ def combined(data: Prepared) -> Sampled:
     )  # fmt: skip
 
 
-def solve_sums(looks: Sampled, N: Real, r: Real, theta: Real | None = None) -> Real:
+def solve_sums(observed: Sampled, N: Real, r: Real, theta: Real | None = None) -> Real:
     """θ from N and r of (G), priors as further rows scaled by the equation error's variance at `theta`.
 
     Without `theta` the parameters with a prior are held at it first, to learn that variance.
     """
-    model = looks.model
+    model = observed.model
     T = model.T
     matrix, right = T.T @ N @ T, (r - N @ model.p0) @ T
     if not np.any(model.prior_precision):
@@ -156,30 +159,30 @@ def solve_sums(looks: Sampled, N: Real, r: Real, theta: Real | None = None) -> R
         chosen = model.prior_precision > 0
         held = 1e8 * np.max(diagonal[..., chosen] / model.prior_precision[chosen], axis=-1)
         theta = _solve_prior(model, matrix, right, held)
-    return _solve_prior(model, matrix, right, equation_variance(looks, theta))
+    return _solve_prior(model, matrix, right, equation_variance(observed, theta))
 
 
 def _solve_prior(model: Model, matrix: Real, right: Real, variance: Real) -> Real:
     return solve_scaled(*with_priors(model, matrix / variance[..., None, None], right / variance[..., None]))
 
 
-def equation_map(looks: Sampled, p: Real) -> Complex:
+def equation_map(observed: Sampled, p: Real) -> Complex:
     """Q with e = Q y, (K, lines, n, channels): Bᵀ diag(p) reading − S force."""
-    model = looks.model
-    forces = (model.B.T * p[:, None, None, :]) @ looks.reading
-    return forces - model.S @ looks.force if looks.force.shape[-2] else forces
+    model = observed.model
+    forces = (model.B.T * p[:, None, None, :]) @ observed.reading
+    return forces - model.S @ observed.force if observed.force.shape[-2] else forces
 
 
-def equation_variance(looks: Sampled, theta: Real) -> Real:
+def equation_variance(observed: Sampled, theta: Real) -> Real:
     """Mean variance of the equation error per sample, (K,), N²: what one row of the unweighted sums is worth."""
-    Q = equation_map(looks, looks.model.parameters(theta))
-    power = np.einsum("...lnc,...lcd,...lnd->...l", Q, looks.V, np.conj(Q)).real
-    variance: Real = np.mean(power * looks.weight, axis=-1) / (2 * looks.model.n)
+    Q = equation_map(observed, observed.model.parameters(theta))
+    power = np.einsum("...lnc,...lcd,...lnd->...l", Q, observed.V, np.conj(Q)).real
+    variance: Real = np.mean(power * observed.weight, axis=-1) / (2 * observed.model.n)
     return np.where(variance > 0, variance, 1.0)
 
 
 def sandwich(
-    looks: Sampled,
+    observed: Sampled,
     N: Real,
     w: Complex,
     theta: Real,
@@ -193,26 +196,26 @@ def sandwich(
     forms of Gaussian noise, once for each independent `bin` of frequency in which the noise enters (samples / 2 for
     sums over samples, 1 for amplitudes).
     """
-    model = looks.model
-    Q = equation_map(looks, model.parameters(theta))
-    Gamma = noise_map(looks) if noisy_instruments else None
-    e = np.einsum("...nc,...c->...n", Q, looks.y)
-    one = np.ones_like(looks.weight) if bins is None else bins
-    meat = score_covariance(regressors(model, w), Q, e, Gamma, Q, looks.V, looks.weight, one)
+    model = observed.model
+    Q = equation_map(observed, model.parameters(theta))
+    Gamma = noise_map(observed) if noisy_instruments else None
+    e = np.einsum("...nc,...c->...n", Q, observed.y)
+    one = np.ones_like(observed.weight) if bins is None else bins
+    meat = score_covariance(regressors(model, w), Q, e, Gamma, Q, observed.V, observed.weight, one)
     T = model.T
     bread = T.T @ N @ T
     if np.any(model.prior_precision):
-        variance = equation_variance(looks, theta)[..., None, None]
+        variance = equation_variance(observed, theta)[..., None, None]
         bread = bread / variance + np.diag(model.prior_precision)
         meat = meat / variance**2 + np.diag(model.prior_precision)
     half = scaled_inverse(bread)
     return half @ meat @ np.swapaxes(half, -1, -2)
 
 
-def noise_map(looks: Sampled) -> Complex:
+def noise_map(observed: Sampled) -> Complex:
     """Γ with ΔΦ = Γ Δy, (K or 1, lines, n, unknowns, channels)."""
     Gamma: Complex = np.einsum(
-        "in,iu,...lic->...lnuc", looks.model.B, looks.model.T, looks.reading, optimize=True
+        "in,iu,...lic->...lnuc", observed.model.B, observed.model.T, observed.reading, optimize=True
     )
     return Gamma
 

@@ -133,19 +133,19 @@ def _time_coefficients(reading: Complex, y: Complex, drive: np.ndarray) -> Real 
     return np.concatenate([real, driven.real[..., None], -driven.imag[..., None]], axis=-1)
 
 
-def _moments_and_coefficients(looks: Sampled) -> tuple[Real, Real]:
+def _moments_and_coefficients(observed: Sampled) -> tuple[Real, Real]:
     """What the sums over samples need.  Raises UsageError or DataError where it is missing."""
-    if looks.moments is None:
+    if observed.moments is None:
         raise UsageError(
             "ls is the paper's least squares on samples, and these data are amplitudes",
             cure="give the records themselves, or use hls, least squares on amplitudes",
         )
-    if looks.coefficients is None:
+    if observed.coefficients is None:
         raise DataError(
             "ls reads dampers from velocity channels, and some velocity is not measured",
             cure="add the velocity channels, or use hls, which works on amplitudes",
         )
-    return looks.moments, looks.coefficients
+    return observed.moments, observed.coefficients
 
 
 def _harmonic(w: Complex) -> Real:
@@ -153,32 +153,32 @@ def _harmonic(w: Complex) -> Real:
     return np.stack([w.real, -w.imag], axis=-1)
 
 
-def sums_with_harmonics(looks: Sampled, w: Complex) -> tuple[Real, Real]:
+def sums_with_harmonics(observed: Sampled, w: Complex) -> tuple[Real, Real]:
     """N and r of (G) over samples, with harmonic instruments of amplitudes w (..., lines, elements)."""
-    model = looks.model
-    if looks.moments is None or looks.coefficients is None:
-        return gram(model, w, looks.a, looks.weight), gram_force(model, w, looks.f, looks.weight)
-    return _sums(looks, _harmonic(w) @ looks.moments[..., -2:, :], looks.coefficients)
+    model = observed.model
+    if observed.moments is None or observed.coefficients is None:
+        return gram(model, w, observed.a, observed.weight), gram_force(model, w, observed.f, observed.weight)
+    return _sums(observed, _harmonic(w) @ observed.moments[..., -2:, :], observed.coefficients)
 
 
-def sums_with_samples(looks: Sampled) -> tuple[Real, Real]:
+def sums_with_samples(observed: Sampled) -> tuple[Real, Real]:
     """N and r of (G) over samples with w = a: the paper's least squares (eq. 17, Q = I)."""
-    moments, coefficients = _moments_and_coefficients(looks)
-    return _sums(looks, coefficients @ moments, coefficients)
+    moments, coefficients = _moments_and_coefficients(observed)
+    return _sums(observed, coefficients @ moments, coefficients)
 
 
-def least_squares_sums(looks: Sampled) -> tuple[Real, Real]:
+def least_squares_sums(observed: Sampled) -> tuple[Real, Real]:
     """N (K, elements, elements) and r (K, elements) of least squares: over samples where there are moments."""
-    if looks.moments is not None and looks.coefficients is not None:
-        return sums_with_samples(looks)
-    return sums_with_harmonics(looks, looks.a)
+    if observed.moments is not None and observed.coefficients is not None:
+        return sums_with_samples(observed)
+    return sums_with_harmonics(observed, observed.a)
 
 
-def _sums(looks: Sampled, left: Real, coefficients: Real) -> tuple[Real, Real]:
+def _sums(observed: Sampled, left: Real, coefficients: Real) -> tuple[Real, Real]:
     """N, r from `left` = coefficients of the instruments times the moments, (..., lines, elements, channels + 2)."""
-    model = looks.model
+    model = observed.model
     products = np.sum(left @ np.swapaxes(coefficients, -1, -2), axis=-3)
     N = (model.B @ model.B.T) * products
-    force = _harmonic(looks.f @ (model.B @ model.S).T)
+    force = _harmonic(observed.f @ (model.B @ model.S).T)
     r = np.sum(left[..., -2:] * force, axis=(-1, -3))
     return N, r

@@ -58,18 +58,18 @@ def search_harmonics(likelihood: Likelihood) -> tuple[OptimizeResult, Measured, 
     sign = np.repeat(signs, len(exact.y), axis=0)
     exact = _fresh(exact)
     _remember(exact, warm)
-    found = best
+    minimum = best
     if len(exact.y) > 1 or not best.converged[0]:
-        found = descend(exact, np.repeat(best.x, len(exact.y), axis=0), sign, None)
-    if _regained(view, exact, found.x):
-        found = descend(exact, found.x, sign, None)
+        minimum = descend(exact, np.repeat(best.x, len(exact.y), axis=0), sign, None)
+    if _regained(view, exact, minimum.x):
+        minimum = descend(exact, minimum.x, sign, None)
     while True:
         part = measured_part(exact)
-        allowed = _allowed(data, float(found.cost[0]) / max(first.rows, 1))
-        if _missing(view, exact, found.x) <= allowed or part.dwells.orders >= MOST:
-            return found, exact, warnings
+        allowed = _allowed(data, float(minimum.cost[0]) / max(first.rows, 1))
+        if _missing(view, exact, minimum.x) <= allowed or part.dwells.orders >= MOST:
+            return minimum, exact, warnings
         exact = replace(exact, nonlinear=part.with_harmonics(min(2 * part.dwells.orders + 1, MOST)))
-        found = descend(exact, found.x, sign, None)
+        minimum = descend(exact, minimum.x, sign, None)
 
 
 def _remember(exact: Measured, warm: WarmStart) -> None:
