@@ -92,9 +92,9 @@ def examined(model: Model, spectrum: Spectrum, estimate: Estimate, *, seed: int 
 
 
 def _ranked(causes_found: tuple[Finding, ...], in_time: tuple[Finding, ...]) -> tuple[Finding, ...]:
-    """Plain mistakes first, then what changes in the course of a record, then what could be many things."""
-    plain = tuple(each for each in causes_found if each.kind in PLAIN)
-    return (*plain, *in_time, *(each for each in causes_found if each.kind not in PLAIN))
+    """What changes in the course of a record stands after the plain mistakes that lead, before all others."""
+    leading = next((k for k, each in enumerate(causes_found) if each.kind not in PLAIN), len(causes_found))
+    return (*causes_found[:leading], *in_time, *causes_found[leading:])
 
 
 def _looked_at_closely(

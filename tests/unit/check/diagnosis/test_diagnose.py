@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from dashpot.channel import Channel, Quantity
-from dashpot.check.diagnosis.diagnose import diagnose, examined
+from dashpot.check.diagnosis.diagnose import _ranked, diagnose, examined
 from dashpot.data.spectrum import Spectrum
-from dashpot.estimate.assessment import applied
+from dashpot.estimate.assessment import Finding, applied
 from dashpot.estimate.identify import identify
 from dashpot.model.elements import Kind, between, mass
 from dashpot.model.network import Input, Model
@@ -202,3 +202,12 @@ def test_a_gain_between_the_usual_ones_is_named_where_nothing_else_shows_the_cha
     assert (finding.kind, finding.of) == ("gain", ("x1",))
     assert finding.number == pytest.approx(1.05, rel=2e-3)
     assert finding.remaining < 2.0
+
+
+def test_what_is_seen_in_time_does_not_reorder_the_rest():
+    """A sign that explains little stays behind the element that explains all; findings in time follow what leads."""
+    element, sign = (Finding(kind, ("x",), "", "", left) for kind, left in (("element", 1.0), ("sign", 50.0)))
+    jump = Finding("time", ("x",), "", "", 2.0)
+    assert _ranked((element, sign), ()) == (element, sign)
+    assert _ranked((element, sign), (jump,)) == (jump, element, sign)
+    assert _ranked((sign, element), (jump,)) == (sign, jump, element)
