@@ -107,16 +107,19 @@ def _part(source: str, channels: list[Any], rows: int, scalars: dict[str, Any]) 
     return ArrayColumns(source, columns.header, columns.units, (), rows, columns.loads)
 
 
-def _slices(channel: Any, source: str) -> Iterator[Any]:
+def _chunks(channel: Any, source: str) -> Iterator[Any]:
+    """The samples as they stand in the file; of a slice, nptdms reads all of its chunk, which may be the whole file."""
     with damaged(source, "TDMS"):
-        for at in range(0, len(channel), PIECE):
-            yield channel[at : at + PIECE]
+        for chunk in channel.data_chunks():
+            samples = chunk[:]
+            for at in range(0, len(samples), PIECE):
+                yield samples[at : at + PIECE]
 
 
 def _samples(channel: Any, source: str) -> Any:
     with damaged(source, "TDMS"):
         if len(channel) >= LONG:
-            return Streamed(len(channel), partial(_slices, channel, source))
+            return Streamed(len(channel), partial(_chunks, channel, source))
         samples = channel[:]
         if len(samples) != len(channel):
             raise DataError(f"channel {channel.name} is cut off", source, "copy the file again")
