@@ -224,10 +224,7 @@ class Model:
 
     @cached_property
     def unknowns(self) -> tuple[Unknown, ...]:
-        """The unknowns of θ: parameters in the order of the elements, then inner constants of nonlinear laws.
-
-        Those with a prior are known with an sd.
-        """
+        """The unknowns of θ: parameters in the order of the elements, then inner constants of nonlinear laws."""
         chosen = (self.elements[i] for i in self._unknown_roots)
         parts = [Unknown(e.name, self.unit(e), e.value, e.sd, e.guess, e.lower, e.upper) for e in chosen]
         inner = [
@@ -258,9 +255,8 @@ class Model:
 
     @cached_property
     def pushes(self) -> Real:
-        """−Bᵀ ∘ T: forces on the coordinates that unit forces make by each unknown, (n · unknowns, elements)."""
-        each = -self.B.T[:, None, :] * self.T.T[None, :, :]
-        return frozen(each.reshape(-1, len(self.elements)), np.float64)
+        """−Bᵀ ∘ T, N per unit force: by each unknown on each coordinate, (forces, elements), n · unknowns forces."""
+        return frozen((-self.B.T[:, None, :] * self.T.T).reshape(-1, len(self.elements)), np.float64)
 
     @cached_property
     def p0(self) -> Real:
@@ -296,8 +292,7 @@ class Model:
     def inner_constants(self, theta: Real) -> Real:
         """Inner constants of the nonlinear laws, (..., G), of θ (..., unknowns), SI units."""
         slope, known = self.constants_map
-        constants: Real = theta @ slope.T + known
-        return constants
+        return np.asarray(theta @ slope.T + known)
 
     def constant_unit(self, element: Element, constant: Constant) -> str:
         """SI unit of an inner constant."""
