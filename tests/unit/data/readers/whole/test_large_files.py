@@ -193,11 +193,12 @@ def test_sound_of_24_bits_is_as_scipy_reads_it(
     channels = tuple(Channel(f"channel_{k}", {"x": 1}) for k in (1, 2))
     (record,) = read(path, channels).records
     assert np.array_equal(record.values, numbers / 2**23)
-    monkeypatch.setattr(datafile, "LARGE", 1 << 28)
-    (held,) = read(path, channels).records
-    assert np.array_equal(record.values, held.values)
-    assert np.array_equal(record.time, held.time)
-    monkeypatch.setattr(datafile, "LARGE", 1)
+    if tag != "RF64":  # which older versions of SciPy do not know
+        with monkeypatch.context() as small:
+            small.setattr(datafile, "LARGE", 1 << 28)
+            (held,) = read(path, channels).records
+        assert np.array_equal(record.values, held.values)
+        assert np.array_equal(record.time, held.time)
     path.write_bytes(path.read_bytes()[:-7])
     with pytest.raises(DataError, match="WAV file is damaged or cut off"):
         read(path, channels)
