@@ -29,7 +29,7 @@ from tests.reports import make_reports  # noqa: E402
 
 SITE = ROOT / "docs" / "_build" / "html"
 LONGEST_S = 900.0
-VISIT = """<!DOCTYPE html><meta charset="utf-8"><title>visit</title><script>
+VISIT = """<!DOCTYPE html><meta charset="utf-8"><title>visit</title><body><script>
 const pages = PAGES, times = {};
 const painted = () => new Promise(done => requestAnimationFrame(() => requestAnimationFrame(done)));
 function open(page) {
@@ -52,7 +52,7 @@ function open(page) {
     await fetch("/times", { method: "POST", body: JSON.stringify(times) });
   }
 })();
-</script><body></body>"""
+</script></body>"""
 
 
 def opening_times(folder: Path, pages: list[str], repeats: int, browser: str) -> dict[str, list[float]]:
