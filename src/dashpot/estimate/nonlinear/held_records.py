@@ -80,8 +80,9 @@ def _halved(problem: RecordProblem, states: list[Real]) -> tuple[RecordProblem, 
 
 
 def _shown(data: RecordData) -> list[int]:
-    """Outputs that are displacements with known gains."""
-    return [c for c in range(len(data.names)) if data.derivative[c] == 0 and data.gain[c] < 0]
+    """Outputs that are displacements with known gains, and move."""
+    moves = np.ptp(data.outputs, axis=0) > 0
+    return [c for c in range(len(data.names)) if data.derivative[c] == 0 and data.gain[c] < 0 and moves[c]]
 
 
 def _with_measured_motion(model: Model, data: RecordData, shown: list[int]) -> RecordData:
