@@ -32,7 +32,7 @@ class ParquetReader:
         import pyarrow.parquet as pq
 
         with damaged(file.name, self.format):
-            content = pq.ParquetFile(noted(file.path))
+            content = pq.ParquetFile(noted(file.path), pre_buffer=False)  # else whole columns are held
             schema = content.schema_arrow
             loads = tuple(partial(_parquet_column, content, name, file.name) for name in schema.names)
             yield _columns(file, schema, content.metadata.num_rows, loads)
