@@ -96,7 +96,11 @@ class ArrayColumns(Columns):
     ) -> dict[int, Real]:
         """As of Columns."""
         large = self.rows * len(together) >= LARGE
-        values = columns_of_block(columns, together if large else (), self.rows)
+        try:
+            values = columns_of_block(columns, together if large else (), self.rows)
+        except MemoryError:
+            what = f"{self.rows} samples ask for more memory than there is"
+            raise DataError(what, self.source, "the file may be damaged") from None
         for column, numbers in values.items():
             self._fill(column, numbers)
             if _all_usable(numbers):
