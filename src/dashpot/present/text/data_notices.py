@@ -31,14 +31,14 @@ DATA_NOTICES: tuple[tuple[str, str, str, str], ...] = (
     ),
     (
         "settled_dwells", RECORDS,
-        ("What was done to all dwells that have settled: how many samples are used, at which frequency, without which "
-        "drift. Other notes give the reasons. Of dwells with transients and whole records their notes say as much."),
-        "Nothing. `--settle`, `--refine`, `--drift` and `--transients` choose otherwise, each with `none`.",
+        ("What was done to all dwells that have settled: how many samples are used, at which frequency, with which "
+        "drift removed. Other notes give the reasons; dwells with transients and whole records have their own notes."),
+        "Nothing. `--settle`, `--refine`, `--drift` and `--transients` change this; each accepts `none`.",
     ),
     (
         "dwells_with_transients", RECORDS,
-        ("A test over all dwells found them unsettled, or their drive frequency wandering: each is used whole, its "
-        "transient estimated with the rig."),
+        ("A test over all dwells found them unsettled, or their drive frequency wandering: each is used whole, and "
+        "its transient is estimated with the rig."),
         "Nothing. `--transients none` treats them as settled regardless.",
     ),
     (
@@ -55,7 +55,7 @@ DATA_NOTICES: tuple[tuple[str, str, str, str], ...] = (
     (
         "drive_wanders", RECORDS,
         ("The phase of all channels turns together within a dwell: its drive frequency is not constant. A steady sine "
-        "does not describe it; noise counts as larger than it is."),
+        "does not describe it; the noise is overestimated."),
         "Leave out `--settle` and `--refine always`: dwells whose frequency wanders are then used as whole records.",
     ),
     (
@@ -72,7 +72,7 @@ DATA_NOTICES: tuple[tuple[str, str, str, str], ...] = (
     (
         "gaps", RECORDS,
         "Samples are missing, or the clock slips by part of a step; the pieces are used as separate records.",
-        "Nothing, if the gaps are real; else export the file again.",
+        "Nothing, if the gaps are real; otherwise export the file again.",
     ),
     (
         "record_residuals", RECORDS,
@@ -96,8 +96,8 @@ DATA_NOTICES: tuple[tuple[str, str, str, str], ...] = (
     ),
     (
         "phase_unit", FILES,
-        ("Phases count in degrees where no unit is stated, and all of these lie within ±π: they are radians, or the "
-        "rig moves far below its first mode."),
+        ("Phases without a stated unit are read as degrees, but all of these lie within ±π: they are in radians, or "
+        "the rig moves far below its first mode."),
         "If they are radians, name the columns `NAME_phase_rad`.",
     ),
     (
@@ -128,7 +128,7 @@ DATA_NOTICES: tuple[tuple[str, str, str, str], ...] = (
     (
         "modes_in_order", FILES,
         "No node of the modes has the name of a coordinate; nodes and coordinates were paired in order.",
-        'Check the pairs in the note; a channel of the node\'s name says it for certain: `"3+Z" = { of = "x1" }`.',
+        'Check the pairs in the note; a channel with the node\'s name settles it: `"3+Z" = { of = "x1" }`.',
     ),
     (
         "samples_not_shared", FILES,
@@ -152,12 +152,12 @@ DATA_NOTICES: tuple[tuple[str, str, str, str], ...] = (
     ),
     (
         "stamps_rounded", FILES,
-        "Time stamps are evenly spaced times, coarsely rounded; evenly spaced times are used.",
+        "The time stamps are coarsely rounded; evenly spaced times are used instead.",
         "Record with finer stamps; `--refine none` uses the stamps as they are.",
     ),
     (
         "clock_refined", FILES,
-        "All dwells are off their stated frequencies by one factor: two clocks differ; that of the records is used.",
+        "All dwells are off their stated frequencies by one factor: two clocks differ; the records' clock is used.",
         "Nothing; `--refine none` keeps the stated frequencies.",
     ),
     (
@@ -167,7 +167,7 @@ DATA_NOTICES: tuple[tuple[str, str, str, str], ...] = (
     ),
     (
         "noise_from_neighbours", FILES,
-        "No noise is given, but lines are so dense that their scatter about smooth curves shows it.",
+        "No noise is given, but the lines are dense enough for their scatter about smooth curves to show it.",
         "Give the standard deviations (columns NAME_sd) where they are known.",
     ),
     (

@@ -1,7 +1,7 @@
 """Every notice explained: what its code means and what to do about it.
 
-The manual's page "What can go wrong" is made of this, and a test holds it complete: each code that the package gives
-stands here, and nothing else does.
+The manual's page "What can go wrong" is generated from this. A test checks that it has every code that the package
+gives, and no others.
 """
 
 from __future__ import annotations
@@ -43,14 +43,14 @@ NOTICES: tuple[tuple[str, str, str, str], ...] = (
     ),
     (
         "standing_out", _VERDICT,
-        ("A line of a whole record is further off than noise of the size of the other lines would ever be. The noise "
-        "is read from the residuals, so their mean size cannot test the fit; a single line can."),
+        ("A line of a whole record deviates more than noise of the other lines' size ever would. The noise is "
+        "read from the residuals, so their mean size cannot test the fit; a single line can."),
         "Read the likely causes below the verdict; look at the channel at that frequency: clipping, a delay, play.",
     ),
     (
         "time_change", _VERDICT,
-        ("In the course of a whole record a channel jumps off the prediction, or reads more from some time on than "
-        "before. Over all lines that would count as noise; in time it stands out."),
+        ("In the course of a whole record a channel suddenly departs from the prediction, or reads more from some time "
+        "on than before. Across the lines that would pass for noise; in time it stands out."),
         "Look at the channel at that time: a spike, lost samples, a loose sensor, another range. Cut the record there.",
     ),
     (
@@ -115,9 +115,9 @@ NOTICES: tuple[tuple[str, str, str, str], ...] = (
     ),
     (
         "cut_record", _ESTIMATE,
-        ("The motion of a strongly nonlinear rig depends so much on its start that no free motion follows the whole "
-        "record. It was cut into pieces with starts of their own; the intervals count these as unknowns."),
-        "Nothing need be done. A smaller drive or shorter records show whether the parameters stay what they are.",
+        ("The motion of a strongly nonlinear rig depends so much on its start that no single simulation follows the "
+        "whole record. It was cut into pieces with starts of their own; the intervals count these as unknowns."),
+        "Nothing need be done. A smaller drive or shorter records show whether the parameters stay the same.",
     ),
     (
         "coloured_residuals", _ESTIMATE,
@@ -158,8 +158,8 @@ NOTICES: tuple[tuple[str, str, str, str], ...] = (
     (
         "bands_disagree", _ESTIMATE,
         ("The band was divided into six parts; leaving one out moves the values by more than noise explains, even "
-        "where χ² finds nothing. Intervals are widened to the scatter of the parts. It is a reason of the verdict, "
-        "too."),
+        "where χ² finds nothing. Intervals are widened to the scatter of the parts. It is also "
+        "a reason of the verdict."),
         "Something in the model depends on frequency: look for a missing part, a delay or a nonlinearity.",
     ),
     (
@@ -189,7 +189,7 @@ NOTICES: tuple[tuple[str, str, str, str], ...] = (
     ),
     (
         "input_not_measured", _ESTIMATE,
-        "An input is measured at some lines and missing at others, where it is unknown.",
+        "An input is measured at some lines and missing at others, where it is treated as unknown.",
         "If it was at rest there, write 0 in its column.",
     ),
     (
@@ -200,9 +200,9 @@ NOTICES: tuple[tuple[str, str, str, str], ...] = (
     ),
     (
         "modes_outside", _ESTIMATE,
-        ("The band of a whole record holds some modes of the rig only, and unknowns that the others would tell stay "
-        "open; the iteration may run off."),
-        "Widen `--band`, or give values to what it cannot show.",
+        ("The band of a whole record holds only some modes of the rig; unknowns that depend on the others stay "
+        "undetermined, and the iteration may diverge."),
+        "Widen `--band`, or give values to the parameters that the band cannot determine.",
     ),
     (
         "few_lines", _ESTIMATE,
@@ -212,15 +212,15 @@ NOTICES: tuple[tuple[str, str, str, str], ...] = (
     ),
     (
         "residual_jump", _ESTIMATE,
-        ("The residuals of a whole record are loud for a moment and decay: samples were lost although the time stamps "
+        ("The residuals of a whole record are large for a moment and decay: samples were lost although the time stamps "
         "are even, or something struck the rig."),
-        "Cut the record there and give the parts as separate files; measure the blow as an input.",
+        "Cut the record there and give the parts as separate files; if it was a blow, measure it as an input.",
     ),
     (
         "unrelated_inputs", _ESTIMATE,
         ("No output of the whole records is related to what the inputs measure, at any frequency of the band (F tests, "
-        "p > 0.01): the estimate is one of noise."),
-        ("Check that the input's sensor is connected, and on the same clock as the others; choose the band that was "
+        "p > 0.01): the estimate reflects noise only."),
+        ("Check that the input's sensor is connected, and is on the same clock as the others; choose the band that was "
         "driven; for a free decay leave the input out and join its elements to the ground."),
     ),
     (
