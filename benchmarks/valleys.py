@@ -1,9 +1,9 @@
 """How often a fully seen rig ends in a wrong valley, and how often without a word.
 
-`python3 dev.py bench valleys`, or with `--draws 500` the number that is claimed: so many random rigs of two to five
-coordinates at 20 % relative noise each, and as many at 5 % of each channel's rms.  An end is wrong whose χ² lies above
-that of the minimum beside the truth, where that minimum makes no part negative beyond doubt; it is silent if it is
-said to have converged and nothing else is said to fit alike.
+`python3 dev.py bench valleys --draws 500`: so many random rigs of two to five coordinates at 20 % relative noise
+each, and as many at 5 % of each channel's rms.  An end is wrong whose χ² lies above that of the minimum
+beside the truth, where that minimum makes no part negative beyond doubt; it is silent if it is said to have converged
+and nothing else is said to fit alike.
 """
 
 from __future__ import annotations

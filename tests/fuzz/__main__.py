@@ -186,11 +186,7 @@ class Campaign:
 def _keep(case: Case, what: str, folder: Path) -> str:
     """Write the case, made small, into the folder; its name."""
     with contextlib.redirect_stdout(io.StringIO()):
-        case = (
-            _small(case, what)
-            if not what.startswith(("hang", "deaf", "no progress", "the process", "memory"))
-            else case
-        )
+        case = case if what.startswith(TOO_LONG) else _small(case, what)
     case = replace(case, what=what)
     folder.mkdir(exist_ok=True)
     (folder / f"{case.name}.json").write_text(case.to_json(), encoding="ascii")

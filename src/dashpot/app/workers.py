@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING, Any
 
 from dashpot.app.signals import ENDING, end_at_once, held_back
 from dashpot.errors import UsageError
-from dashpot.io.atomic import clear_away
 
 if TYPE_CHECKING:
     from concurrent.futures import Future, ProcessPoolExecutor
@@ -179,5 +178,4 @@ def _end_with_parent() -> None:
     connection.wait([parent.sentinel])
     os.kill(os.getpid(), signal.SIGTERM)
     time.sleep(PATIENCE)
-    clear_away()
-    os._exit(1)
+    end_at_once(signal.SIGTERM, None)

@@ -44,8 +44,10 @@ def test_a_new_export_is_a_writer_and_a_line(tmp_path: Path, monkeypatch: pytest
     assert Path("python.values").read_text(encoding="utf-8").split() == [
         f"{given[name]:g}" for name in rig.model.unknown_names
     ]
-    # The command's choices are made when its module is loaded.
-    monkeypatch.delitem(sys.modules, "dashpot.app.commands.export", raising=False)
+    # The command's choices are made when its module is loaded: the usual one stands again after the test.
+    command = "dashpot.app.commands.export"
+    monkeypatch.setattr(command, import_module(command))
+    monkeypatch.delitem(sys.modules, command)
     values = ",".join(f"{name}={value}" for name, value in given.items())
     assert run(["export", "rig.toml", "--set", values, "--to", "values", "-o", "command.values", "-q"]) == 0
     assert Path("command.values").read_bytes() == Path("python.values").read_bytes()

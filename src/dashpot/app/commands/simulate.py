@@ -107,8 +107,7 @@ def command(
     if estimate is not None:
         _write_prediction(rig_read, estimate, input_file, bool(values), out, quiet)
         return
-    model = rig_read.model
-    values_si = parameter_values(rig_read, merged(values, "--set"))
+    model, values_si = rig_read.model, parameter_values(rig_read, merged(values, "--set"))
     require_values(rig_read, values_si)
     drive = input_amplitudes(model, amplitudes)
     if frequencies is not None:

@@ -19,6 +19,7 @@ MATRIX, COMPRESSED, INT32 = 14, 15, 5
 KINDS = {*range(1, 8), 9, *range(12, 19)}  # of data elements
 CELL, STRUCTURE, OBJECT, SPARSE, OPAQUE = 1, 2, 3, 5, 17
 NUMERIC = range(6, 16)  # classes of arrays, from double to uint64
+PARTS = {SPARSE: 6, **dict.fromkeys(NUMERIC, 4)}  # of an array that is not complex, by class
 COMPLEX = 0x0800
 MOST_COMPRESSED = 1100  # times, by deflate
 DEEPEST = 20
@@ -111,8 +112,7 @@ def _check_matrix(data: bytes | mmap.mmap, start: int, end: int, order: str, sou
         elif tag.kind == MATRIX and depth < DEEPEST:
             _check_matrix(data, content, content + size, order, source, depth + 1)
         number += 1
-    kind_of_array = flags & 0xFF
-    parts = 4 if kind_of_array in NUMERIC else 6 if kind_of_array == SPARSE else None
+    parts = PARTS.get(flags & 0xFF)
     if parts is not None and end <= len(data) and number != parts + bool(flags & COMPLEX):
         raise _lie(source)  # SciPy reads on where it should find an imaginary part
 

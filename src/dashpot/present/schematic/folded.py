@@ -76,7 +76,7 @@ def _uncut(drawn: Sequence[Part]) -> list[tuple[float, float]]:
         upright = [
             x
             for shape in part.shapes
-            for a, b in _segments(shape)
+            for a, b in pairwise(shape.points)
             if shape.closed or a[1] != b[1]
             for x in (a[0], b[0])
         ]
@@ -84,10 +84,6 @@ def _uncut(drawn: Sequence[Part]) -> list[tuple[float, float]]:
             spans.append((min(upright), max(upright)))
         spans += [(x, x) for x in upright]
     return [(left - CLEAR, right + CLEAR) for left, right in spans]
-
-
-def _segments(shape: Shape) -> Iterator[tuple[XY, XY]]:
-    yield from pairwise(shape.points)
 
 
 def _within(part: Part, window: _Window) -> Part:
@@ -103,22 +99,20 @@ def _pieces(shape: Shape, window: _Window) -> Iterator[Shape]:
         yield shape
         return
     run: list[XY] = []
-    for a, b in _segments(shape):
-        (x0, y0), (x1, y1) = a, b
-        start, end = (min(max(x, window.left), window.right) for x in (x0, x1))
-        inside = (start, end) if x0 != x1 else (x0, x1)
+    for (x0, y0), (x1, y1) in pairwise(shape.points):
         if max(x0, x1) <= window.left or min(x0, x1) >= window.right:
             continue
-        if not run or run[-1] != (inside[0], y0):
-            if len(run) > 1:
+        start, end = (min(max(x, window.left), window.right) for x in (x0, x1))
+        if run[-1:] != [(start, y0)]:
+            if run:
                 yield replace(shape, points=tuple(run))
-            run = [(inside[0], y0)]
-        run.append((inside[1], y1))
+            run = [(start, y0)]
+        run.append((end, y1))
         for x, clipped in ((x0, start), (x1, end)):
             if x != clipped:
                 mark = ((clipped - 2, y0 + MARK), (clipped + 2, y0 - MARK))
                 yield replace(shape, points=mark, weight=1.0, dashed=False)
-    if len(run) > 1:
+    if run:
         yield replace(shape, points=tuple(run))
 
 

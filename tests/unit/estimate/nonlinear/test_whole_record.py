@@ -122,7 +122,7 @@ def test_steps_are_halved_where_kinks_of_a_law_would_move_the_estimate():
     assert np.all(np.abs(estimate.values - theta) < 4 * estimate.sd)
 
 
-def test_acceleration_of_one_point_is_enough_guessed():
+def test_acceleration_of_one_point_is_enough_with_guesses():
     channels = (Channel("a1", {"x1": 1.0}, Quantity.ACCELERATION), Channel("u", {"u": 1.0}))
     model, theta, data = record("cubic", channels, noise=0.01)
     with pytest.raises(DataError, match="guess"):

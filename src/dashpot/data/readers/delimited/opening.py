@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import codecs
 import csv
-import itertools
 import mmap
 import os
 import re
@@ -58,12 +57,8 @@ def _plain(file: DataFile, data: Text) -> DataFile:
     """A large file, as UTF-8 with line feeds.  Raises DataError where it is said to be UTF-16 and is not."""
     pieces = (data[at : at + PIECE] for at in range(0, len(data), PIECE))
     if data[:2] in MARKS:
-        decode = codecs.getincrementaldecoder("utf-16")().decode
-        ends = itertools.chain((False for _ in range(PIECE, len(data), PIECE)), [True])
         try:
-            return file.rewritten(
-                decode(piece, end).encode() for piece, end in zip(pieces, ends, strict=True)
-            )
+            return file.rewritten(text.encode() for text in codecs.iterdecode(pieces, "utf-16"))
         except UnicodeError:
             raise _damaged_utf16(file.name) from None
     if b"\n" not in data[:HEAD] and b"\r" in data[:HEAD]:

@@ -20,10 +20,8 @@ from dashpot.notices import Notice
 
 AMPLITUDES = ("_amplitude", "_amp", "_abs", "_magnitude", "_mag")
 PHASES = ("_phase", "_phase_deg", "_phase_rad", "_ph", "_arg")
-HALF_TURN, TURN = (
-    3.2,
-    6.5,
-)  # slightly more than π and 2π: what phases in rad do not exceed unless they are unwrapped
+# Slightly more than π and 2π: what phases in rad do not exceed unless they are unwrapped.
+HALF_TURN, TURN = 3.2, 6.5
 LEAP = 5.0  # between neighbouring frequencies, in rad: more than unwrapped phases move
 FEW = 4  # lines from which on phases are judged
 
