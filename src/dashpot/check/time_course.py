@@ -14,7 +14,7 @@ import numpy as np
 from scipy.fft import irfft, next_fast_len
 from scipy.special import chdtrc, ndtri
 
-from dashpot.arrays import Bools, Ints, Real
+from dashpot.arrays import Bools, Complex, Ints, Real
 from dashpot.check.residuals import Residuals
 from dashpot.data.spectrum import Spectrum
 from dashpot.data.stretch import WholeRecord
@@ -26,10 +26,8 @@ FEWEST = 200  # lines of a record whose parts can be compared
 PARTS = 8  # of a record, each with a gain of its own
 IMPROBABLE = 1e-4  # chance of the largest departure of a right rig
 LEAST = 8.0  # deviations that a departure must have at the least: noise of real sensors has tails
-NEARBY, AT_ONCE = (
-    200,
-    6,
-)  # independent samples on either side: that tell the usual size, that a departure lasts
+NEARBY = 200  # independent samples on either side that show the usual size
+AT_ONCE = 6  # of them that one departure lasts
 HEAVY = 16.0  # times the usual power: more is no noise
 STEP_LEVEL = 1e-6  # p-value of parts that read alike
 STEP_SHARE = 0.7  # of the differences of the parts that one step must explain
@@ -98,11 +96,10 @@ def _histories(left: Residuals, lines: Ints, c: int, duration_s: float) -> _Hist
     lines, away = lines[counted], away[counted]
     weight = np.abs(left.normalised[lines, c] / away)
     order = np.rint(left.frequency_hz[lines] * duration_s).astype(np.int64)
-    samples = int(
-        next_fast_len(4 * (int(order.max()) + 1), real=True)
-    )  # twice what the band asks for: no peak is missed
+    # Twice what the band asks for: no peak is missed.
+    samples = int(next_fast_len(4 * (int(order.max()) + 1), real=True))
 
-    def history(amplitudes: Real) -> Real:
+    def history(amplitudes: Complex) -> Real:
         whole = np.zeros(samples // 2 + 1, dtype=np.complex128)
         whole[order] = amplitudes
         in_time: Real = irfft(whole, samples)
@@ -226,4 +223,4 @@ def change_finding(change: TimeChange, records: int) -> Finding:
     else:
         text += ": samples lost, a spike, or a blow that no channel shows?"
         remedy = "give the parts before and after it as two records"
-    return Finding("time", change.channels, text, remedy, float("nan"), change.time_s)
+    return Finding("time", change.channels, text, remedy, None, change.time_s)

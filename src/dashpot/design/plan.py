@@ -197,7 +197,8 @@ def _remarks(setup: TestSetup, schedule: Schedule) -> tuple[str, ...]:
     for i, channel in enumerate(setup.channels):
         faint = (size[:, i] > 0) & (size[:, i] < 1e-3 * largest[i])
         if channel.noise == 0 and channel.relative_noise > 0 and np.any(faint):
-            still.setdefault(float(schedule.frequency_hz[int(np.argmax(faint))]), []).append(channel.name)
+            first = float(schedule.frequency_hz[int(np.argmax(faint))])
+            still.setdefault(first, []).append(channel.name)
     return tuple(
         f"{joined(names)} hardly {'moves' if len(names) == 1 else 'move'} at {f:.4g} Hz, where purely relative noise "
         "looks like none: state a noise floor too"

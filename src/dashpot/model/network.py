@@ -255,7 +255,7 @@ class Model:
 
     @cached_property
     def pushes(self) -> Real:
-        """−Bᵀ ∘ T, N per unit force: by each unknown on each coordinate, (forces, elements), n · unknowns forces."""
+        """−Bᵀ ∘ T, (n · unknowns, elements): forces by an unknown on a coordinate, per unit force of each element."""
         return frozen((-self.B.T[:, None, :] * self.T.T).reshape(-1, len(self.elements)), np.float64)
 
     @cached_property

@@ -34,6 +34,11 @@ class QuadraticModel:
         """The inverse of `symmetric`, (k, m, m); NaN where that is singular to rounding."""
         return scaled_inverse(self.symmetric)
 
+    @property
+    def sd(self) -> Real:
+        """Standard deviations by `inverse`, (k, m); of the size of a variance that rounding made negative."""
+        return np.sqrt(np.abs(np.diagonal(self.inverse, axis1=-2, axis2=-1)))
+
     def where(self, chosen: Bools, other: QuadraticModel) -> QuadraticModel:
         """This where chosen (K,), else the other."""
         one, two = chosen[:, None], chosen[:, None, None]

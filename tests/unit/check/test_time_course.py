@@ -91,6 +91,7 @@ def test_spikes_are_counted() -> None:
     assert (change.kind, change.channels, change.times) == ("jump", ("x1",), 3)
     assert change.time_s == pytest.approx(3.0, abs=0.02)
     assert change_finding(change, 1).change == "leave those samples out: the record is then used in pieces"
+    assert change_finding(change, 1).remaining is None  # that remedy is not tried
 
 
 def test_a_jump_of_all_channels_is_one() -> None:

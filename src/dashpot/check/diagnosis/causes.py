@@ -155,8 +155,8 @@ def _changed(bench: Workbench, base: Trial, pool: Sequence[Real]) -> list[Cause]
     if groups is None:
         return []
     of = () if groups.element is None else _points(groups.element, bench.data.model)
-    step = None if groups.element is None else groups.step
-    return [Cause("changed", of, groups.chi2 / groups.dof, step, element=groups.element, where=groups.where)]
+    left = groups.chi2 / groups.dof
+    return [Cause("changed", of, left, groups.step, element=groups.element, where=groups.where)]
 
 
 def _dampers(model: Model) -> Ints:

@@ -23,14 +23,13 @@ def cross_talk(
     trials = []
     for c, outcome in enumerate(without_one):
         away = np.where(base.kept[:, c], base.y[:, c] - bench.expected(outcome)[:, c], 0.0)
-        weight = 1 / np.maximum(base.V[:, c, c].real, 1e-300) if np.all(base.V[:, c, c].real > 0) else 1.0
-        for other in range(base.y.shape[1]):
-            y = base.y[:, other]
-            power = float(np.sum(weight * np.abs(y) ** 2))
-            share = float(np.sum(weight * (np.conj(y) * away).real)) / power if power > 0 else 0.0
-            relative = abs(share) * np.sqrt(
-                power / max(float(np.sum(weight * np.abs(base.y[:, c]) ** 2)), 1e-300)
-            )
+        variance = base.V[:, c, c].real
+        weight = 1 / variance if np.all(variance > 0) else np.ones(len(variance))
+        power = weight @ np.abs(base.y) ** 2
+        shared = weight @ (np.conj(base.y) * away[:, None]).real
+        for other in np.flatnonzero(power > 0).tolist():
+            share = float(shared[other] / power[other])
+            relative = abs(share) * np.sqrt(power[other] / max(power[c], np.finfo(float).tiny))
             if other != c and LEAST < relative < MOST:
                 trials.append(_cleared(bench, base, c, other, share))
     outcomes = bench.refitted(trials, pool)

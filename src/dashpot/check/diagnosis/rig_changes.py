@@ -16,6 +16,7 @@ from dashpot.arrays import Real
 from dashpot.check.diagnosis.score_test import promises
 from dashpot.check.diagnosis.search import LONG, Workbench, descended
 from dashpot.estimate.likelihood.objective import measured
+from dashpot.estimate.preparation.prepared import Prepared
 from dashpot.model.elements import Element, Kind, between, mass
 from dashpot.model.network import Model
 
@@ -79,20 +80,20 @@ def changes(bench: Workbench, psi: Real) -> list[Change]:
     return [_fitted(bench, psi, kind, element) for fall, kind, element in scored[:FOLLOWED] if fall > 0]
 
 
-def extended(model: Model, elements: Sequence[Element]) -> tuple[Model, dict[str, float]]:
-    """The model with the candidates, its own or new ones, as unknowns; and the value of each that changes nothing."""
+def extended(bench: Workbench, psi: Real, elements: Sequence[Element]) -> tuple[Prepared, Real]:
+    """The bench's data of a rig with the candidates as unknowns, and the ψ there that means the same as ψ (M,).
+
+    Candidates are elements of the bench's own rig or new ones.
+    """
+    model = bench.data.model
     candidates = {element.name: element for element in elements}
-    before = dict.fromkeys(candidates, 0.0)
-    before |= {e.name: float(e.value) for e in model.elements if e.name in candidates and e.value is not None}
+    start = dict.fromkeys(candidates, 0.0)
+    start |= {e.name: float(e.value) for e in model.elements if e.name in candidates and e.value is not None}
+    m = len(model.unknowns)
+    start |= zip((unknown.name for unknown in model.unknowns), psi[:m].tolist(), strict=True)
     there = tuple(candidates.pop(e.name, e) for e in model.elements)
-    return replace(model, elements=(*there, *candidates.values())), before
-
-
-def start_of(bench: Workbench, psi: Real, larger: Model, before: dict[str, float]) -> Real:
-    """ψ of the larger model at which it is the bench's at ψ (M,)."""
-    m = len(bench.data.model.unknowns)
-    known = dict(zip((u.name for u in bench.data.model.unknowns), psi[:m].tolist(), strict=True)) | before
-    return np.array([*(known[unknown.name] for unknown in larger.unknowns), *psi[m:]])
+    larger = bench.data.of_rig(replace(model, elements=(*there, *candidates.values())))
+    return larger, np.array([*(start[unknown.name] for unknown in larger.model.unknowns), *psi[m:]])
 
 
 def _scores(
@@ -101,18 +102,14 @@ def _scores(
     """(fall of χ² that the score promises, kind, element) of each candidate."""
     if not elements:
         return []
-    larger_model, before = extended(bench.data.model, elements)
-    start = start_of(bench, psi, larger_model, before)
-    larger = bench.data.of_rig(larger_model)
+    larger, start = extended(bench, psi, elements)
     by_name = {element.name: element for element in elements}
     listed = promises(larger.view, measured(larger), start, bench.sign, by_name.keys(), APART)
     return [(promise.fall, kind, by_name[promise.name]) for promise in listed]
 
 
 def _fitted(bench: Workbench, psi: Real, kind: str, element: Element) -> Change:
-    larger_model, before = extended(bench.data.model, [element])
-    start = start_of(bench, psi, larger_model, before)
-    larger = bench.data.of_rig(larger_model)
+    larger, start = extended(bench, psi, [element])
     view, data = larger.view, measured(larger)
     end, chi2 = descended(view, data, start[None], bench.sign[None], np.zeros(1, dtype=np.int64), 2 * LONG)
     number = float(end[0, view.names.index(element.name)])

@@ -13,7 +13,7 @@ import numpy as np
 
 from dashpot.arrays import Bools, Real
 from dashpot.check.diagnosis.nonlinear_elements import ENOUGH
-from dashpot.check.diagnosis.rig_changes import changes, extended, missing_elements, start_of, stated_values
+from dashpot.check.diagnosis.rig_changes import changes, extended, missing_elements, stated_values
 from dashpot.check.diagnosis.search import Workbench
 from dashpot.check.diagnosis.trials import Outcome, Trial, prepared, without
 from dashpot.estimate.likelihood.objective import local, measured
@@ -31,13 +31,13 @@ class RunGroups:
 
     where     the second group in words
     element   what differs, None where no one part of the rig explains it
-    step      of its parameter, from the other runs to these
+    step      of its parameter, from the other runs to these; None where there is no such element
     chi2, dof of both groups together, each fitted by itself
     """
 
     where: str
     element: Element | None
-    step: float
+    step: float | None
     chi2: float
     dof: int
 
@@ -55,7 +55,7 @@ def run_groups(bench: Workbench, base: Trial, pool: Sequence[Real]) -> RunGroups
     pairs = list(zip(again[::2], again[1::2], strict=True))
     best = min(pairs, key=lambda pair: pair[0].chi2 + pair[1].chi2)
     if best[0].chi2 + best[1].chi2 < ENOUGH * (best[0].dof + best[1].dof):
-        return _told(bench, *best)
+        return _with_what_differs(bench, *best)
     both_ways = (*zip(first, second, strict=True), *zip(second, first, strict=True))
     fitting = sorted((pair for pair in both_ways if pair[0].reduced < ENOUGH), key=lambda pair: -pair[0].dof)
     otherwise = [_one_part_otherwise(bench, *pair) for pair in fitting[:FOLLOWED]]
@@ -103,24 +103,22 @@ def _part(base: Trial, where: str, lines: Bools) -> Trial:
     return without(base, "changed", (where,), np.broadcast_to(~lines[:, None], base.y.shape))
 
 
-def _told(bench: Workbench, first: Outcome, second: Outcome) -> RunGroups:
+def _with_what_differs(bench: Workbench, first: Outcome, second: Outcome) -> RunGroups:
     """The groups with the one part of the rig that explains the difference of their parameters."""
     (where,) = second.trial.of
     chi2, dof = first.chi2 + second.chi2, first.dof + second.dof
-    none = RunGroups(where, None, np.nan, chi2, dof)
     model = bench.data.model
     sign = bench.sign[None]
     at_first = local(bench.view, measured(prepared(bench.data, first.trial)), first.psi[None], sign)
     elements = [*missing_elements(model), *stated_values(model)]
-    larger_model, before = extended(model, elements)
-    larger = prepared(bench.data.of_rig(larger_model), second.trial)
-    start = start_of(bench, second.psi, larger_model, before)
+    larger, start = extended(bench, second.psi, elements)
+    larger = prepared(larger, second.trial)
     at_second = local(larger.view, measured(larger), start[None], sign)
     names = list(larger.view.names)
     free = [names.index(name) for name in bench.view.names]
     information = at_second.symmetric[0]
-    own = information[np.ix_(free, free)]
-    inverse, inverse_first = (np.linalg.pinv(each, rcond=1e-12) for each in (own, at_first.symmetric[0]))
+    inverse = np.linalg.pinv(information[np.ix_(free, free)], rcond=1e-12)
+    inverse_first = np.linalg.pinv(at_first.symmetric[0], rcond=1e-12)
     # What moves the parameters of the second group: one of them, or what the rig has not got or takes as known.
     moves = {name: np.eye(len(free))[j] for j, name in enumerate(bench.view.names)}
     moves |= {e.name: inverse @ information[free, names.index(e.name)] for e in elements}
@@ -136,5 +134,5 @@ def _told(bench: Workbench, first: Outcome, second: Outcome) -> RunGroups:
     by_name = {e.name: e for e in (*model.elements, *elements)}
     explained, step, name = max(listed, default=(0.0, 0.0, ""))
     if not explained > EXPLAINED * whole or name not in by_name:
-        return none
+        return RunGroups(where, None, None, chi2, dof)
     return RunGroups(where, by_name[name], float(step), chi2, dof)

@@ -30,10 +30,8 @@ RATIOS_IN_WORDS = {
 def finding(model: Model, channels: tuple[Channel, ...], cause: Cause) -> Finding:
     """A cause in words.  Texts name no option of any command."""
     by_name = {channel.name: channel for channel in channels}
-    if (
-        cause.kind in ("sign", "unit", "gain", "delay", "quantity")
-        and by_name.keys() >= set(cause.of) > set()
-    ):
+    of_channels = bool(cause.of) and all(name in by_name for name in cause.of)
+    if of_channels and cause.kind in ("sign", "unit", "gain", "delay", "quantity"):
         return _of_channel(model, by_name[cause.of[0]], cause)
     if cause.kind == "swap":
         return _swap(model, by_name[cause.of[0]], by_name[cause.of[1]], cause)
@@ -149,15 +147,14 @@ def _of_rig(model: Model, cause: Cause, element: Element) -> Finding:
 
 def _changed(model: Model, cause: Cause) -> Finding:
     """A rig that is another in some of the runs."""
-    text = f"{cause.where} show another rig than the others"
-    if cause.where.startswith("experiment"):
-        text = f"{cause.where} shows another rig than the others"
+    shows = "shows" if cause.where.startswith("experiment") else "show"
+    text = f"{cause.where} {shows} another rig than the others"
     if cause.element is not None and cause.number is not None:
         unit = cause.element.unit(model.angles)
         place = cause.element.name
         if place not in {element.name for element in model.elements}:
             place = f"a {cause.element.kind.value} between {' and '.join(cause.of)}"
-        text += f": {place} differs by {cause.number:+.3g} {unit}".replace("-", "−")
+        text += f": {place} differs by {_number(cause.number, '+.3g')} {unit}"
     change = f"identify {cause.where} by itself, or find out what was changed"
     return Finding(cause.kind, cause.of, text, change, cause.remaining, cause.number)
 
@@ -214,9 +211,8 @@ def _rate(number: float) -> tuple[str, str]:
     return text, f"multiply the frequencies by {number:.6g}"
 
 
-def _number(value: float) -> str:
-    text = f"{value:.4g}"
-    return text.replace("-", "−")
+def _number(value: float, form: str = ".4g") -> str:
+    return f"{value:{form}}".replace("-", "−")
 
 
 CHARACTER = {

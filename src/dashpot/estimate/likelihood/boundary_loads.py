@@ -29,7 +29,7 @@ from dashpot.numerics.projection import orthonormal, real_rows
 
 RAMP = -1  # the power of jω that a linear drift has
 AT_ENDS = 8  # half periods of the band's highest line about the ends in which an input may move
-FEW = 10_000  # lines at a time, of a sum over all of them
+CHUNK = 10_000  # lines at a time, of a sum over all of them
 AT_REST = 0.02  # of its rms, up to which it rests there
 
 
@@ -201,8 +201,8 @@ def _inputs_jump(view: ObservationModel, spectrum: Spectrum, lines: Ints) -> boo
     phase = spectrum.omega[lines] / np.max(spectrum.omega[lines]) * np.pi
     times = np.linspace(-AT_ENDS, AT_ENDS, 4 * AT_ENDS + 1)[:, None]
     ends = np.zeros((*inputs.shape[:-2], len(times), inputs.shape[-1]))
-    for first in range(0, len(lines), FEW):
-        some = slice(first, first + FEW)
+    for first in range(0, len(lines), CHUNK):
+        some = slice(first, first + CHUNK)
         ends += (np.exp(1j * times * phase[some]) @ inputs[..., some, :]).real
     size = np.sqrt(np.sum(np.abs(inputs) ** 2, axis=-2, keepdims=True) / 2)
     return bool(np.any(np.ptp(ends, axis=-2, keepdims=True) > AT_REST * size))

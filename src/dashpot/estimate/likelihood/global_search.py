@@ -131,7 +131,7 @@ def _not_unique(
 ) -> tuple[Notice, ...]:
     """A warning where another minimum of one repeat fits nearly as well as the one that the search ended in."""
     view = likelihood.view
-    sd = np.sqrt(np.abs(np.diagonal(likelihood.model_at(best.x, sign).inverse[0])))
+    sd = likelihood.model_at(best.x, sign).sd[0]
     for psi, cost in zip(competing.psi, competing.cost, strict=True):
         above = float(cost - best.cost[0])
         if above <= doubt and apart(best.x[0], psi, sd):
@@ -198,7 +198,8 @@ def searched_again(
             iterations[repeat] += end.iterations[0]
             sign[repeat] = flips[0]
             notices = notices_of_end if len(poor) == 1 else ()
-            history = end.history if repeat == 0 else history
+            if repeat == 0:
+                history = end.history
     return OptimizeResult(x, cost, converged, iterations, history), sign, notices
 
 

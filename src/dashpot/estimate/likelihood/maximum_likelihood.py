@@ -126,7 +126,8 @@ def _start(likelihood: Likelihood, states: States, *, typical: bool = False) -> 
     rig: Real | None = None
     if typical:
         (rig,), _ = candidates(likelihood.data, 1, np.random.default_rng(likelihood.effort.seed))
-    starts, channels = record_starts(model, states, ends, rig), len(likelihood.view.channels)
+    starts = record_starts(model, states, ends, rig)
+    channels = len(likelihood.view.channels)
     # Those of one repeat together: a call costs more than its few numbers.
     together = [starts[:, 0]] if likelihood.repeats == 1 else list(starts)
     with np.errstate(all="ignore"):

@@ -158,18 +158,8 @@ def _piece_at(
         by_load, G = by_load * kappa, G * kappa
         force = None if force is None else force * kappa
         response = np.concatenate([G, by_load], axis=2) if view.gains or view.delays else None
-    loads = np.concatenate([by_load * piece.loaded, (piece.s * piece.loaded) * by_load], axis=2)
-    if folded is not None:
-        for record, part in piece.segments_with_loads:
-            loads[..., part] += folded.at(record, piece.s[part])
-    columns = [loads]
-    if piece.by_input is not None:
-        columns.append(times(G, np.broadcast_to(piece.by_input, (K, *piece.by_input.shape))))
-    white = [piece.weights.whitened(np.concatenate(columns, axis=2))]
-    if piece.columns is not None:
-        white.append(np.broadcast_to(piece.columns, (K, *piece.columns.shape[1:])))
+    F = _masked(_of_ends(piece, by_load, G, folded), pieces, piece)
     data = np.broadcast_to(piece.y[:, :, None], (K, len(view.channels), 1, len(view.omega)))
-    F = _masked(np.concatenate(white, axis=2) if len(white) > 1 else white[0], pieces, piece)
     G = piece.weights.whitened(G)
     if piece.q is not None:
         known = np.broadcast_to(piece.q, (K, *piece.q.shape[1:]))[:, :, None]
@@ -181,6 +171,22 @@ def _piece_at(
     return PieceAt(
         piece, psi, Z, driven, by_load, force, response, inputs, left[:, :, :-1], left[:, :, -1], folded
     )
+
+
+def _of_ends(piece: RecordPiece, by_load: Complex, G: Complex, folded: SampledLoads | None) -> Complex:
+    """Whitened columns of loads and polynomials in all records, (K, channels, f, lines)."""
+    loads = np.concatenate([by_load * piece.loaded, (piece.s * piece.loaded) * by_load], axis=2)
+    if folded is not None:
+        for record, part in piece.segments_with_loads:
+            loads[..., part] += folded.at(record, piece.s[part])
+    columns = [loads]
+    if piece.by_input is not None:
+        columns.append(times(G, np.broadcast_to(piece.by_input, (len(by_load), *piece.by_input.shape))))
+    white = piece.weights.whitened(np.concatenate(columns, axis=2))
+    if piece.columns is None:
+        return white
+    polynomials = np.broadcast_to(piece.columns, (len(by_load), *piece.columns.shape[1:]))
+    return np.concatenate([white, polynomials], axis=2)
 
 
 def _masked(columns: Complex, pieces: RecordPieces, piece: RecordPiece) -> Complex:

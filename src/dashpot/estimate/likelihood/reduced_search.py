@@ -94,10 +94,9 @@ def _basis(V: Real, view: ObservationModel, psi: Real, lines: Ints) -> Real:
 def _steps(step: Real, likelihood: Likelihood, psi: Real, sign: Real) -> float:
     """A step (1, M) in standard deviations, the largest; steps within rounding of the value count as none."""
     around = likelihood.model_at(psi, sign)
-    spread = np.sqrt(np.abs(np.diagonal(around.inverse[0])))
     rounding = np.abs(step[0]) <= ROUNDING * np.abs(psi[0])
     with np.errstate(divide="ignore", invalid="ignore"):
-        sizes = np.where(rounding, 0.0, np.abs(step[0]) / spread)
+        sizes = np.where(rounding, 0.0, np.abs(step[0]) / around.sd[0])
     return float(np.max(np.nan_to_num(sizes, nan=np.inf)))
 
 

@@ -19,6 +19,7 @@ from dashpot.arrays import Bools, Complex, Real
 from dashpot.model.dynamics import matrices
 from dashpot.model.network import Model
 from dashpot.model.observation import ObservationModel, small
+from dashpot.numerics.small_systems import scaled_inverse
 
 # Power of h, derivative of f, factor.
 SUM_BEYOND_INTEGRAL = (
@@ -66,11 +67,12 @@ def shows_sampled_loads(view: ObservationModel) -> Bools:
     if not small(model):
         return np.zeros(len(view.channels), dtype=bool)
     masses = matrices(model, np.ones(len(model.elements))).M
-    regular = np.linalg.matrix_rank(masses) == model.n
+    if np.linalg.matrix_rank(masses) < model.n:
+        return np.zeros(len(view.channels), dtype=bool)
     on_time = np.array([channel.delay == 0 for channel in view.channels], dtype=bool)
     known = on_time & (view.gain < 0) & ~view.flips & ~np.any(view.force, axis=-1)
     moved: Bools = known & np.any(view.on_x, axis=-1)
-    return moved if regular else np.zeros_like(moved)
+    return moved
 
 
 def sampled_loads(view: ObservationModel, known: Bools, p: Real, step: Real, highest: Real) -> SampledLoads:
@@ -95,7 +97,7 @@ def _derivatives(model: Model, p: Real) -> tuple[Real, Real]:
     """Γ_0 … Γ_LAST (LAST + 1, K, n, n), and their slopes by the unknowns (LAST + 1, K, unknowns, n, n)."""
     at, by = matrices(model, p), matrices(model, np.ascontiguousarray(model.T.T))
     with np.errstate(all="ignore"):
-        inverse = _inverses(at.M)
+        inverse = scaled_inverse(at.M)
     shape = (LAST + 1, len(p), model.n, model.n)
     gamma = np.zeros(shape)
     slopes = np.zeros((*shape[:2], len(by.M), *shape[2:]))
@@ -107,16 +109,6 @@ def _derivatives(model: Model, p: Real) -> tuple[Real, Real]:
         right += at.C[:, None] @ slopes[q - 1] + at.K[:, None] @ slopes[q - 2]
         slopes[q] = -inverse[:, None] @ right
     return gamma, slopes
-
-
-def _inverses(M: Real) -> Real:
-    """M⁻¹ of (K, n, n), NaN where singular."""
-    try:
-        inverse = np.linalg.inv(M)
-    except np.linalg.LinAlgError:
-        regular = np.linalg.det(M) != 0
-        inverse = np.linalg.inv(np.where(regular[:, None, None], M, np.nan))
-    return inverse.astype(np.float64, copy=False)
 
 
 def _beyond(step: Real, highest: Real) -> Real:

@@ -10,8 +10,8 @@ import numpy as np
 from dashpot.arrays import Bools, Complex, Real, hermitian
 from dashpot.estimate.linear.auxiliary_model import equation_covariance
 from dashpot.estimate.linear.compiled import compiled_equation
-from dashpot.estimate.linear.gram import gram, gram_force, known_side, regressors, weighted_normal
-from dashpot.estimate.linear.sample_moments import Sampled, sampled, sums_with_samples
+from dashpot.estimate.linear.gram import known_side, regressors, weighted_normal
+from dashpot.estimate.linear.sample_moments import Sampled, least_squares_sums, sampled, sums_with_samples
 from dashpot.estimate.method import Method, Solution, Traits, closed_form
 from dashpot.estimate.nonlinear.equations import harmonic_equations
 from dashpot.estimate.nonlinear.regression import harmonic_least_squares
@@ -63,10 +63,7 @@ class HarmonicLeastSquares(Method):
         if len(data.model.nonlinear):
             return harmonic_least_squares(data)
         observed = combined(data)
-        N, r = (
-            gram(data.model, observed.a, observed.a, observed.weight),
-            gram_force(data.model, observed.a, observed.f, observed.weight),
-        )
+        N, r = least_squares_sums(observed)
         theta = solve_sums(observed, N, r)
         bins = np.ones_like(observed.weight)
         return closed_form(theta, sandwich(observed, N, observed.a, theta, noisy_instruments=True, bins=bins))
@@ -88,10 +85,7 @@ class WeightedLeastSquares(Method):
         if len(model.nonlinear):
             return closed_form(*harmonic_equations(data).weighted())
         observed = combined(data)
-        N, r = (
-            gram(model, observed.a, observed.a, observed.weight),
-            gram_force(model, observed.a, observed.f, observed.weight),
-        )
+        N, r = least_squares_sums(observed)
         Se = equation_covariance(model, model.parameters(solve_sums(observed, N, r)), data.seen_states)
         Phi, h = regressors(model, observed.a), known_side(model, observed.a, observed.f)
         bread, right = with_priors(model, *normal_sums(Se, Phi, h))

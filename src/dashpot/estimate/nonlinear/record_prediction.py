@@ -9,7 +9,7 @@ import numpy as np
 from dashpot.arrays import Real
 from dashpot.data.record import Record
 from dashpot.errors import DataError
-from dashpot.estimate.nonlinear.record_problem import RecordProblem, enough_substeps
+from dashpot.estimate.nonlinear.record_problem import RecordProblem, enough_for_record
 from dashpot.estimate.nonlinear.records import arranged, measured_coordinates
 from dashpot.estimate.result import Estimate
 from dashpot.model.network import Model
@@ -42,9 +42,7 @@ def predict_record(model: Model, estimate: Estimate, record: Record) -> Predicte
     offset = np.array([values.get(f"{name}.offset", 0.0) for name in model.force_inputs])
     sd = np.ones(len(data.names))
     x = measured_coordinates(model, data)
-    motion = None if x is None else (x, data.inputs[:, : model.D.shape[1]])
-    substeps = enough_substeps(model, theta, data.step_s, motion)
-    problem = RecordProblem(model, (data,), len(gains), sd, (substeps,))
+    problem = RecordProblem(model, (data,), len(gains), sd, (enough_for_record(model, theta, data, x),))
     fixed = np.concatenate([theta, gains, offset])
     start = np.zeros(problem.states)
     if x is not None:

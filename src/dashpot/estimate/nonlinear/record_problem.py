@@ -149,6 +149,12 @@ def enough_substeps(model: Model, theta: Real, step_s: float, motion: tuple[Real
     return max(1, int(np.ceil(fastest * step_s / STEP))) * (ROUGH if rough else 1)
 
 
+def enough_for_record(model: Model, theta: Real, data: RecordData, x: Real | None) -> int:
+    """`enough_substeps` of a record, in the motion x (samples, n) of its coordinates where that is measured."""
+    motion = None if x is None else (x, data.inputs[:, : model.D.shape[1]])
+    return enough_substeps(model, theta, data.step_s, motion)
+
+
 def _stiffest(model: Model, theta: Real, step_s: float, x: Real, u: Real) -> Real:
     """Largest slope of each nonlinear element's force along its elongation in a motion, (e,); 0 of softening ones."""
     chosen = model.nonlinear

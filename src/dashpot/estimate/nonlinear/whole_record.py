@@ -17,7 +17,7 @@ from dashpot.data.record import Record
 from dashpot.errors import DataError, UsageError
 from dashpot.estimate.nonlinear.held_records import released
 from dashpot.estimate.nonlinear.record_inference import record_estimate
-from dashpot.estimate.nonlinear.record_problem import RecordProblem, enough_substeps
+from dashpot.estimate.nonlinear.record_problem import RecordProblem, enough_for_record
 from dashpot.estimate.nonlinear.record_regression import first_record_values
 from dashpot.estimate.nonlinear.records import (
     RecordData,
@@ -97,12 +97,13 @@ def fit_records(
             "the records have different channels", cure="identify those of one set of channels together"
         )
     problem, psi = _begun(model, data)
+    before = replace(problem, last={})  # a search changes the noise and the last motions of its problem
     far = _far_off(problem, psi)
     if far:
         problem, psi = _released(problem, psi)
     search = _searched(problem, psi, progress)
     if not (far or search.converged[0]):
-        problem, psi = _released(*_begun(model, data))
+        problem, psi = _released(before, psi)
         search = _searched(problem, psi, progress)
     limits = _bounds(problem, search.x[0])
     problem, psi = _refined(problem, search.x[0], limits)
@@ -178,8 +179,7 @@ def _refined(problem: RecordProblem, psi: Real, limits: tuple[Real, Real]) -> tu
         finer = problem.finer()
         around = finer.quadratic(psi[None])
         step = solve_scaled(around.symmetric, around.gradient)[0]
-        sd = np.sqrt(np.abs(np.diagonal(around.inverse[0])))
-        moved = np.max(np.abs(step) / sd)
+        moved = np.max(np.abs(step) / around.sd[0])
         if not moved > MOVED:
             break
         problem = finer
@@ -202,10 +202,7 @@ def _begun(model: Model, records: tuple[RecordData, ...]) -> tuple[RecordProblem
     sd = np.where(sd > 0, FIRST_NOISE * sd, 1.0)
     measured = [measured_coordinates(model, record) for record in records]
     substeps = tuple(
-        enough_substeps(
-            model, theta, record.step_s, None if x is None else (x, record.inputs[:, : model.D.shape[1]])
-        )
-        for record, x in zip(records, measured, strict=True)
+        enough_for_record(model, theta, record, x) for record, x in zip(records, measured, strict=True)
     )
     problem = RecordProblem(model, records, gains, sd, substeps)
     starts = []

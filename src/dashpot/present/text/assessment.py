@@ -7,6 +7,7 @@ import math
 from dashpot.estimate.assessment import Assessment, Finding
 from dashpot.estimate.result import Fit
 from dashpot.io.words import joined
+from dashpot.present.text.estimate import sentence
 from dashpot.present.text.numbers import probability, short
 
 ALTERNATIVES = 2  # causes named beside the first
@@ -54,7 +55,8 @@ def diagnosis_in_words(findings: tuple[Finding, ...]) -> list[str]:
     for rank, finding in enumerate(findings[: 1 + ALTERNATIVES]):
         lead = "Likely cause" if rank == 0 else "Or"
         outlook = remaining_in_words(finding)
-        lines.append(f"{lead}: {finding.text}{outlook and f' ({outlook})'}. To change: {finding.change}")
+        cause = sentence(f"{lead}: {finding.text}{outlook and f' ({outlook})'}")
+        lines.append(f"{cause} To change: {finding.change}")
     return lines
 
 

@@ -7,7 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from dashpot.check.diagnosis.causes import Cause
 from dashpot.check.diagnosis.diagnose import diagnose
+from dashpot.check.diagnosis.wording import finding
 from dashpot.check.residuals import channel_response
 from dashpot.data.spectrum import Spectrum
 from dashpot.estimate.assessment import Finding
@@ -46,6 +48,18 @@ def test_what_is_not_the_same_in_all_runs_is_named(element: str, by_experiment: 
     assert abs(best.number) == pytest.approx(0.2 * value, rel=0.15)
     assert ("experiment" if by_experiment else "Hz on") in best.text
     assert best.remaining < 1.5
+
+
+def test_hyphens_in_names_are_no_minus_signs() -> None:
+    model = rigs.paper_rig().model
+    named_apart = replace(
+        model, elements=tuple(replace(e, name=e.name.replace("k2", "k-2")) for e in model.elements)
+    )
+    spring = next(e for e in named_apart.elements if e.name == "k-2")
+    cause = Cause("changed", ("x1", "x2"), 1.0, -30.0, element=spring, where="experiment 2")
+    assert finding(named_apart, (), cause).text == (
+        "experiment 2 shows another rig than the others: k-2 differs by −30 N/m"
+    )
 
 
 def _parts() -> tuple[list[str], list[float]]:
