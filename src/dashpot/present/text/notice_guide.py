@@ -55,7 +55,7 @@ NOTICES: tuple[tuple[str, str, str, str], ...] = (
     ),
     (
         "mains_hum", _VERDICT,
-        "A channel carries a tone at a multiple of 50 or 60 Hz that the inputs do not drive. It does not test the fit.",
+        "A channel carries a tone at a multiple of 50 or 60 Hz that no input drives. The test of fit leaves it out.",
         "Mend the shielding or the ground loop, or end the band below it with `--band`.",
     ),
     (
