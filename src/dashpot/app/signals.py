@@ -13,7 +13,8 @@ from contextlib import contextmanager
 from threading import Timer, current_thread, main_thread
 from types import FrameType
 
-from dashpot.io import atomic, scratch
+from dashpot.io.atomic import clear_away
+from dashpot.io.scratch import clear_scratch
 
 ENDING = tuple(getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name))
 
@@ -79,8 +80,8 @@ def held_back() -> Iterator[None]:
 
 def end_at_once(number: int, _: FrameType | None) -> None:
     """End without unwinding, but for temporary files: where a signal has begun that already, and in workers."""
-    atomic.clear_away()
-    scratch.clear_away()
+    clear_away()
+    clear_scratch()
     os._exit(128 + number)
 
 

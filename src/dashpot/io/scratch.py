@@ -58,7 +58,7 @@ def lasting_scratch() -> Scratch:
     return lasting
 
 
-def clear_away() -> None:
+def clear_scratch() -> None:
     """Remove the folders that last: for a signal handler that ends the process at once."""
     for folder in tuple(_lasting):
         _remove(folder)
