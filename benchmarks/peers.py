@@ -418,7 +418,11 @@ def main() -> None:
         for tool, start, solve, count in rows:
             row = None if tool in endless else measure(count, solve, given.limit)
             endless |= {tool} if row is None else set()
-            figures = f"no fit ended in {given.limit} s | – | – | – | – | –" if row is None else row.figures()
+            figures = (
+                f"not every fit ended in {given.limit} s | – | – | – | – | –"
+                if row is None
+                else row.figures()
+            )
             print(f"| {tool} | {start} | {count} | {figures} |", flush=True)
         if not exact_base:
             print("| mujoco.sysid | – | – | its control is an exact motion | – | – | – | – | – |")
