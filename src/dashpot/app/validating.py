@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
+
+from dashpot.io.json_document import to_json
 
 if TYPE_CHECKING:
     from dashpot.check.validation import RecordPrediction
@@ -41,8 +42,8 @@ def figures_of(predictions: Sequence[RecordPrediction]) -> str:
             "samples": part.samples,
             "channels": {
                 name: {
-                    "fit_percent": 100 * float(part.fit[c]),
-                    "chi2": None if part.chi2[c] != part.chi2[c] else float(part.chi2[c]),
+                    "fit_percent": 100 * part.fit[c],
+                    "chi2": part.chi2[c],
                     "dof": int(part.dof[c]),
                 }
                 for c, name in enumerate(part.channels)
@@ -50,4 +51,4 @@ def figures_of(predictions: Sequence[RecordPrediction]) -> str:
         }
         for part in predictions
     ]
-    return json.dumps({"records": rows}, indent=1, ensure_ascii=False) + "\n"
+    return to_json({"records": rows})

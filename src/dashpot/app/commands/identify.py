@@ -213,6 +213,7 @@ def _estimated(
                 estimate = identify(rig.model, spectrum, method, progress=moved)
         except (IdentifiabilityError, ConvergenceError) as error:
             raise _explained(error, rig.model, spectrum, seed) from error
+    with progress("examine", quiet):
         return replace(examined(rig.model, spectrum, estimate, seed=seed), rig=path), spectrum
 
 

@@ -33,7 +33,8 @@ def validation_columns(predictions: Sequence[RecordPrediction]) -> list[TableCol
             name = f"{number} ({part.duration_s:.4g} s)" if part.samples else "settled lines"
             ratio = float(part.chi2[c]) / max(float(part.dof[c]), 1.0)
             test = short(ratio) if np.isfinite(ratio) else "–"
-            rows.append((name, channel, str(len(part.frequency_hz)), f"{100 * part.fit[c]:.2f}", test))
+            fit = f"{100 * part.fit[c]:.2f}" if np.isfinite(part.fit[c]) else "–"
+            rows.append((name, channel, str(len(part.frequency_hz)), fit, test))
     names, channels, lines, fits, tests = (tuple(cells) for cells in zip(*rows, strict=True))
     return [
         TableColumn("record", names),
