@@ -6,6 +6,7 @@ import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
+from itertools import pairwise
 
 import numpy as np
 
@@ -26,6 +27,8 @@ MOST_PARTS = 200
 MOST_SAMPLES = 1 << 22  # of a column of which the resolution is sought
 BANDS = 60  # of the frequency content
 GAP = 1.5  # steps
+MOST_STRETCHES = 10_000  # that are looked at: more are no recording
+FEWEST_FOR_CONTENT, LONGEST_FOR_CONTENT = 16, 1 << 16  # samples of a stretch whose frequency content is shown
 WORDS = {
     Quantity.FORCE: ("force", "load", "kraft", "hammer", "torque"),
     Quantity.ACCELERATION: ("acc", "beschl", "a_"),
@@ -72,17 +75,19 @@ class InspectedColumn:
 class InspectedPart:
     """One part of a file: a table, group, block, sheet or segment.
 
-    rate_hz      mean sampling rate; None where the samples have no time
+    rates_hz     lowest and highest sampling rate of its stretches; None where there is no time
+    stretches    how often the clock starts again or the drive changes its frequency
     uneven       largest departure of a step from the mean one, over the mean one
     gaps         steps that are longer than usual
     longest_gap  (from, to), s: the longest of them; None where there is none
-    duration_s   from the first sample to the last
+    duration_s   of all stretches together
     frequencies  drive frequencies that the part names, Hz
     """
 
     source: str
     samples: int
-    rate_hz: float | None
+    rates_hz: tuple[float, float] | None
+    stretches: int
     uneven: float
     gaps: int
     longest_gap: tuple[float, float] | None
@@ -140,7 +145,8 @@ def _part(columns: Columns) -> InspectedPart:
     driven: Real = np.zeros(0)
     if f_at is not None:
         driven = _values(partial(_numbers, columns, f_at))
-    rate, uneven, gaps, longest_gap = _sampling(time)
+    stretches = _stretches(time, driven)
+    rates = [stretch.rate_hz for stretch in stretches]
     inspected: list[InspectedColumn] = []
     others, samples = [], len(time)
     for i, name in enumerate(columns.header):
@@ -152,17 +158,17 @@ def _part(columns: Columns) -> InspectedPart:
                 others.append(name)
             continue
         samples = max(samples, len(values))
-        inspected.append(_column(name, columns.unit(i), values, rate))
-    duration = float(time[-1] - time[0]) if len(time) > 1 else 0.0
+        inspected.append(_column(name, columns.unit(i), values, stretches))
     known = tuple(np.unique(driven[np.isfinite(driven)]).tolist()[:1000])
     return InspectedPart(
         columns.source,
         samples,
-        rate,
-        uneven,
-        gaps,
-        longest_gap,
-        duration,
+        (min(rates), max(rates)) if rates else None,
+        len(stretches),
+        max((stretch.uneven for stretch in stretches), default=0.0),
+        sum(stretch.gaps for stretch in stretches),
+        _longest([stretch.longest_gap for stretch in stretches if stretch.longest_gap is not None]),
+        sum(stretch.duration_s for stretch in stretches),
         known,
         tuple(inspected),
         tuple(others),
@@ -193,25 +199,48 @@ def _values(load: Callable[[], Real]) -> Real:
         return np.zeros(0)
 
 
-def _sampling(time: Real) -> tuple[float | None, float, int, tuple[float, float] | None]:
-    """Rate in Hz, unevenness, gaps and the longest one; steps back are starts of other records."""
-    steps = np.diff(time)
-    onward = steps[steps > 0]
-    if not len(onward):
-        return None, 0.0, 0, None
-    usual = float(np.median(onward))
-    regular = onward[onward <= GAP * usual]
-    mean = float(np.mean(regular))
-    uneven, gaps = float(np.max(np.abs(regular - mean))) / mean, len(onward) - len(regular)
-    at = int(np.argmax(steps))
-    return 1 / mean, uneven, gaps, (float(time[at]), float(time[at + 1])) if gaps else None
+@dataclass(frozen=True)
+class _Stretch:
+    """Samples from begin to end on one clock: a record, or a dwell at one drive frequency."""
+
+    begin: int
+    end: int
+    rate_hz: float
+    uneven: float
+    gaps: int
+    longest_gap: tuple[float, float] | None
+    duration_s: float
 
 
-def _column(name: str, unit: str | None, values: Real, rate: float | None) -> InspectedColumn:
+def _stretches(time: Real, driven: Real) -> list[_Stretch]:
+    """Where the drive changes its frequency or the clock starts again another stretch begins."""
+    new = np.diff(time) <= 0
+    if len(driven) == len(time):
+        new |= driven[1:] != driven[:-1]
+    edges = [0, *(np.flatnonzero(new) + 1).tolist(), len(time)]
+    ends = [(begin, end) for begin, end in pairwise(edges) if end > begin + 1]
+    return [_stretch(time, begin, end) for begin, end in ends[:MOST_STRETCHES]]
+
+
+def _stretch(time: Real, begin: int, end: int) -> _Stretch:
+    steps = np.diff(time[begin:end])
+    regular = steps[steps <= GAP * float(np.median(steps))]
+    mean, gaps = float(np.mean(regular)), len(steps) - len(regular)
+    at = begin + int(np.argmax(steps))
+    longest = (float(time[at]), float(time[at + 1])) if gaps else None
+    uneven = float(np.max(np.abs(regular - mean))) / mean
+    return _Stretch(begin, end, 1 / mean, uneven, gaps, longest, float(time[end - 1] - time[begin]))
+
+
+def _longest(gaps: Sequence[tuple[float, float]]) -> tuple[float, float] | None:
+    return max(gaps, key=lambda gap: gap[1] - gap[0], default=None)
+
+
+def _column(name: str, unit: str | None, values: Real, stretches: Sequence[_Stretch]) -> InspectedColumn:
     good = values[np.isfinite(values)]
     plain, _ = bare(name)
     steps = np.diff(np.unique(good[:MOST_SAMPLES]))
-    bands, level = _content(good, rate)
+    bands, level = _content(values, stretches)
     return InspectedColumn(
         plain,
         unit,
@@ -228,17 +257,25 @@ def _column(name: str, unit: str | None, values: Real, rate: float | None) -> In
     )
 
 
-def _content(values: Real, rate: float | None) -> tuple[Real, Real]:
-    """Power in bands from 0 to half the sampling rate, dB below the strongest."""
-    if rate is None or len(values) < 16 or np.ptp(values) == 0:
+def _content(values: Real, stretches: Sequence[_Stretch]) -> tuple[Real, Real]:
+    """Power of all stretches in bands from 0 to half the highest sampling rate, dB below the strongest."""
+    shown = [stretch for stretch in stretches if stretch.end - stretch.begin >= FEWEST_FOR_CONTENT]
+    if not shown or len(values) < shown[-1].end:
         return np.zeros(0), np.zeros(0)
-    count = min(len(values), 1 << 16)
-    x = values[:count] - np.mean(values[:count])
-    power = np.abs(np.fft.rfft(x * np.hanning(count))) ** 2
-    bands = min(BANDS, len(power))
-    edges = np.linspace(0, len(power), bands + 1).astype(int)
-    sums = np.maximum(np.add.reduceat(power, edges[:-1]), 1e-300)
-    return edges[1:] / len(power) * rate / 2, 10 * np.log10(sums / np.max(sums))
+    highest = max(stretch.rate_hz for stretch in shown) / 2
+    count = min(BANDS, max(stretch.end - stretch.begin for stretch in shown) // 2 + 1)
+    sums = np.zeros(count)
+    for stretch in shown:
+        x = values[stretch.begin : min(stretch.end, stretch.begin + LONGEST_FOR_CONTENT)]
+        x = x[np.isfinite(x)]
+        if len(x) < FEWEST_FOR_CONTENT:
+            continue
+        power = np.abs(np.fft.rfft((x - np.mean(x)) * np.hanning(len(x)))) ** 2 / len(x)
+        frequency_hz = np.arange(len(power)) / len(power) * stretch.rate_hz / 2
+        sums += np.bincount((frequency_hz / highest * count).astype(int), power, minlength=count)[:count]
+    if not np.any(sums > 0):
+        return np.zeros(0), np.zeros(0)
+    return np.arange(1, count + 1) / count * highest, 10 * np.log10(np.maximum(sums / np.max(sums), 1e-30))
 
 
 def guessed_quantity(name: str, unit: str | None) -> str | None:

@@ -255,7 +255,7 @@ class Model:
 
     @cached_property
     def pushes(self) -> Real:
-        """−Bᵀ ∘ T, (n · unknowns, elements): forces by an unknown on a coordinate, per unit force of each element."""
+        """−Bᵀ ∘ T, (n · unknowns, elements): N on a coordinate by an unknown, per N of an element's unit force."""
         return frozen((-self.B.T[:, None, :] * self.T.T).reshape(-1, len(self.elements)), np.float64)
 
     @cached_property

@@ -1,6 +1,7 @@
 """What is told of a data file: sampling, gaps, clipping, resolution, content, and the channels it suggests."""
 
 import tomllib
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -34,7 +35,7 @@ def test_what_is_told(noisy):
     (part,) = inspection.parts
     assert inspection.format == "text"
     assert part.samples == 996
-    assert part.rate_hz == pytest.approx(100)
+    assert part.rates_hz == pytest.approx((100, 100))
     assert part.gaps == 3
     assert part.longest_gap == pytest.approx((2.99, 3.02))
     assert part.duration_s == pytest.approx(9.99)
@@ -95,7 +96,7 @@ def test_every_format_is_inspected(tmp_path, name):
     names = {column.name for part in inspection.parts for column in part.columns}
     assert {"x1", "x2", "u"} <= names
     assert {f for part in inspection.parts for f in part.frequencies} == {2.0, 4.0, 8.0}
-    assert any(part.rate_hz == pytest.approx(128) for part in inspection.parts)
+    assert any(part.rates_hz == pytest.approx((128, 128)) for part in inspection.parts)
 
 
 def test_what_cannot_be_read_is_said(tmp_path):
@@ -116,3 +117,22 @@ def test_all_samples_of_long_files_count(tmp_path, monkeypatch):
     assert part.duration_s == pytest.approx(99.9)
     assert part.longest_gap is None
     assert part.columns[0].greatest == 800 % 7 + 9
+
+
+def test_dwells_are_stretches_on_clocks_of_their_own(tmp_path: Path) -> None:
+    """Ten periods each at 2 and 8 Hz, 20 samples a period: one rate for all had made gaps of the slow dwell's steps."""
+    path, rows = tmp_path / "dwells.csv", ["frequency_hz,time_s,x"]
+    for hz in (2.0, 8.0):
+        for i in range(200):
+            rows.append(f"{hz},{i / (20 * hz)},{np.sin(2 * np.pi * i / 20)}")
+    path.write_text("\n".join(rows) + "\n", encoding="utf-8")
+    (part,) = inspect_file(path).parts
+    assert part.stretches == 2
+    assert part.rates_hz == pytest.approx((40, 160))
+    assert part.gaps == 0
+    assert part.uneven < 1e-9
+    assert part.duration_s == pytest.approx(199 / 40 + 199 / 160)
+    (x,) = part.columns
+    loud = x.bands_hz[x.level_db > -10]
+    assert loud.min() < 4.1
+    assert 8 < loud.max() < 12

@@ -35,10 +35,15 @@ def part_in_words(part: InspectedPart, source: str) -> str:
     """Samples, rate, duration, gaps and drive frequencies of a part, in one line."""
     name = part.source.removeprefix(source).strip(" :()")
     words = [counted(part.samples, "sample")]
-    if part.rate_hz is None:
+    if part.rates_hz is None:
         words.append("no times")
     else:
-        words.append(f"{part.rate_hz:.6g} Hz over {part.duration_s:.4g} s")
+        lowest, highest = (f"{rate:.6g}" for rate in part.rates_hz)
+        words.append(
+            f"{lowest if lowest == highest else f'{lowest} to {highest}'} Hz over {part.duration_s:.4g} s"
+        )
+        if part.stretches > 1:
+            words.append(f"in {part.stretches} stretches")
         words.append(
             "evenly spaced" if part.uneven < 1e-3 else f"steps differ by up to {100 * part.uneven:.2g} %"
         )
@@ -58,7 +63,7 @@ def part_in_words(part: InspectedPart, source: str) -> str:
 
 def part_table(part: InspectedPart) -> list[TableColumn]:
     """A row for each column."""
-    content = "content" if part.rate_hz is None else f"0 to {part.rate_hz / 2:.4g} Hz"
+    content = "content" if part.rates_hz is None else f"0 to {part.rates_hz[1] / 2:.4g} Hz"
     columns = part.columns
     table = [
         TableColumn("column", tuple(printable(c.name) for c in columns)),
