@@ -11,13 +11,13 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
-from scipy.fft import irfft, next_fast_len
+from scipy.fft import next_fast_len
 from scipy.special import chdtrc, ndtri
 
-from dashpot.arrays import Bools, Complex, Ints, Real
+from dashpot.arrays import Bools, Ints, Real
 from dashpot.check.residuals import Residuals
 from dashpot.data.spectrum import Spectrum
-from dashpot.data.stretch import WholeRecord
+from dashpot.data.stretch import WholeRecord, history_of_lines
 from dashpot.estimate.assessment import Finding
 from dashpot.io.words import joined
 from dashpot.notices import Notice
@@ -99,13 +99,8 @@ def _histories(left: Residuals, lines: Ints, c: int, duration_s: float) -> _Hist
     # Twice what the band asks for: no peak is missed.
     samples = int(next_fast_len(4 * (int(order.max()) + 1), real=True))
 
-    def history(amplitudes: Complex) -> Real:
-        whole = np.zeros(samples // 2 + 1, dtype=np.complex128)
-        whole[order] = amplitudes
-        in_time: Real = irfft(whole, samples)
-        return in_time
-
-    residual, prediction = history(away * weight), history(left.predicted[lines, c] * weight)
+    residual = history_of_lines(away * weight, order, samples)
+    prediction = history_of_lines(left.predicted[lines, c] * weight, order, samples)
     return _Histories(residual, prediction, duration_s / samples, samples / (2 * len(lines)))
 
 

@@ -14,7 +14,7 @@ from dashpot.arrays import Bools, Complex, Ints, Real, freeze
 from dashpot.check.residuals import calibrations_of, of_channels
 from dashpot.data.conditioning.whole_record import FLOOR
 from dashpot.data.spectrum import Spectrum
-from dashpot.data.stretch import Stretch, WholeRecord
+from dashpot.data.stretch import Stretch, WholeRecord, history_of_lines
 from dashpot.errors import DataError
 from dashpot.estimate.likelihood.objective import measured, predict
 from dashpot.estimate.preparation.prepared import Prepared
@@ -55,13 +55,11 @@ class RecordPrediction:
     def histories(self) -> tuple[Real, Real, Real]:
         """Time (samples,) s, and measured and predicted histories (samples, channels) of the lines in the band."""
         lines = np.rint(self.frequency_hz * self.duration_s).astype(int)
-        both = []
-        for values in (self.measured, self.predicted):
-            spectrum = np.zeros((self.samples // 2 + 1, values.shape[1]), dtype=np.complex128)
-            spectrum[lines] = values * self.samples / 2
-            both.append(np.fft.irfft(spectrum, self.samples, axis=0))
+        measured_motion, predicted_motion = (
+            history_of_lines(values, lines, self.samples) for values in (self.measured, self.predicted)
+        )
         time = np.arange(self.samples, dtype=np.float64) * (self.duration_s / self.samples)
-        return time, both[0], both[1]
+        return time, measured_motion, predicted_motion
 
 
 def validate(model: Model, estimate: Estimate, spectrum: Spectrum) -> tuple[RecordPrediction, ...]:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dashpot.arrays import Ints, Real
+from dashpot.arrays import Complex, Ints, Real
 from dashpot.errors import DataError
 
 MOST_TERMS = 6  # of a polynomial
@@ -63,6 +63,17 @@ class WholeRecord:
 
 
 Stretch = SettledDwell | WholeRecord
+
+
+def history_of_lines(amplitudes: Complex, order: Ints, samples: int) -> Real:
+    """The motion of a record whose lines k/T are those of `order` (lines,), without all others, (samples, ...).
+
+    amplitudes (lines, ...), peak, in any unit: the history has the same.  Other than the record's own number of samples
+    show the same motion more or less finely.
+    """
+    lines = np.zeros((samples // 2 + 1, *amplitudes.shape[1:]), dtype=np.complex128)
+    lines[order] = amplitudes * samples / 2
+    return np.fft.irfft(lines, samples, axis=0)
 
 
 def joined_stretches(

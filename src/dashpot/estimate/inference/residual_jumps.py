@@ -12,7 +12,7 @@ import numpy as np
 from scipy.special import fdtrc
 
 from dashpot.arrays import Complex, Real
-from dashpot.data.stretch import WholeRecord
+from dashpot.data.stretch import WholeRecord, history_of_lines
 from dashpot.estimate.likelihood.objective import measured
 from dashpot.estimate.likelihood.record_sums import record_residuals
 from dashpot.estimate.method import Solution
@@ -79,9 +79,7 @@ def _powers(amplitudes: Complex, k: np.ndarray, samples: int, blocks: int) -> Re
     power = np.zeros(blocks)
     for channel in amplitudes.T:
         if np.any(channel):
-            lines = np.zeros(samples // 2 + 1, dtype=np.complex128)
-            lines[k] = channel
-            power += np.add.reduceat((np.fft.irfft(lines, samples) * samples) ** 2, starts)
+            power += np.add.reduceat(history_of_lines(channel, k, samples) ** 2, starts)
     return power / np.diff(np.append(starts, samples))
 
 
