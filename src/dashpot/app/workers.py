@@ -58,11 +58,11 @@ def mapping(processes: int) -> Iterator[Map]:
     pool = _Pool(processes)
     try:
         yield pool.map
+        pool.executor.shutdown(cancel_futures=True)
     except BaseException:
         pool.end()
         raise
     finally:
-        pool.executor.shutdown(wait=False, cancel_futures=True)
         for name, value in before.items():
             if value is None:
                 os.environ.pop(name, None)
@@ -132,14 +132,22 @@ class _Pool:
                 self.executor = self._begun()
 
     def end(self) -> None:
-        """End the processes at once."""
+        """End the processes at once, then the thread that looks after them.
+
+        Were it left to the interpreter's end, that would at times wake it through a pipe it has just closed, and print
+        a traceback (also in Python 3.13).
+        """
         _hush_cancelled_futures()
+        keeper: Thread | None = self.executor._executor_manager_thread  # type: ignore[assignment]  # stubs err
         workers = list((self.executor._processes or {}).values())  # Python 3.14 has a public name for this
         for process in workers:
             process.terminate()
         for process in workers:
             process.join(PATIENCE)
             process.kill()
+        self.executor.shutdown(wait=False, cancel_futures=True)
+        if keeper is not None:
+            keeper.join(PATIENCE)
 
 
 def _hush_cancelled_futures() -> None:
