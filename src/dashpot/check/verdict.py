@@ -10,12 +10,12 @@ import numpy as np
 from dashpot.arrays import Bools, Complex, Real
 from dashpot.check.record_residuals import hum_notices, mains_hum, standing_out
 from dashpot.check.residuals import Residuals, calibrations_of, residuals
-from dashpot.check.time_course import change_finding, change_notice, time_changes
 from dashpot.data.spectrum import Spectrum
 from dashpot.data.stretch import SettledDwell
-from dashpot.estimate.assessment import Assessment, Judgement, Misfit
+from dashpot.estimate.assessment import Assessment, Finding, Judgement, Misfit
 from dashpot.estimate.inference.band_stability import DISAGREE
 from dashpot.estimate.inference.diagnostics import dead_channels, nonlinear_names
+from dashpot.estimate.inference.time_course import GAIN_STEP, JUMP, SPIKES, TIME_CHANGES
 from dashpot.estimate.likelihood.record_noise import RESIDUAL
 from dashpot.estimate.result import Estimate
 from dashpot.io.words import joined
@@ -31,6 +31,21 @@ HEARD = 3.0  # standard deviations that an amplitude must have to be more than n
 MOSTLY = 0.5  # share of a channel's lines
 SMOOTH = 4.5  # standard deviations of the correlation of neighbouring residuals
 WORST = 3  # amplitudes that are named
+# What a change in the course of a record may be, and what to do about it, by its code.
+IN_TIME = {
+    GAIN_STEP: (
+        "another range, a loose sensor, or a rig that changed?",
+        "give the parts before and after as two records, the gain of one of them unknown",
+    ),
+    SPIKES: (
+        "spikes of a loose contact?",
+        "leave those samples out: the record is then used in pieces",
+    ),
+    JUMP: (
+        "samples lost, a spike, or a blow that no channel shows?",
+        "give the parts before and after it as two records",
+    ),
+}
 
 
 def assess(model: Model, spectrum: Spectrum, estimate: Estimate) -> Assessment:
@@ -40,16 +55,14 @@ def assess(model: Model, spectrum: Spectrum, estimate: Estimate) -> Assessment:
     tones = mains_hum(left, spectrum)
     quiet = replace(left, normalised=np.where(tones, np.nan, left.normalised))
     motions = np.array([not measures_input(model, channel) for channel in spectrum.channels])
-    # A search that has not ended predicts no history.
-    changes = time_changes(quiet, spectrum, motions) if bool(estimate.converged) else ()
-    records = len(spectrum.records)
+    in_time = [notice for notice in estimate.warnings if notice.code in TIME_CHANGES]
     against = [
         *_unphysical(model, estimate),
         *_unstable(estimate),
         *_rejected(estimate),
         *_silent(model, spectrum),
         *(notice for notice in estimate.warnings if notice.code == DISAGREE),
-        *(change_notice(change, records) for change in changes),
+        *in_time,
         *standing_out(left, spectrum, motions, tones),
         *_smooth(quiet, motions, least=1.0 if _sized_elsewhere(estimate, spectrum) else 0.5),
     ]
@@ -59,8 +72,14 @@ def assess(model: Model, spectrum: Spectrum, estimate: Estimate) -> Assessment:
     verdict: Judgement = "does not fit" if against else "cannot tell" if doubts else "fits"
     return Assessment(
         verdict, (*against, *doubts), _relative(left, motions), _worst(left),
-        findings=tuple(change_finding(change, records) for change in changes),
+        findings=tuple(_finding_in_time(notice) for notice in in_time),
     )  # fmt: skip
+
+
+def _finding_in_time(notice: Notice) -> Finding:
+    """A change in the course of a record as what may be wrong; its remedy is not tried."""
+    question, remedy = IN_TIME[notice.code]
+    return Finding("time", notice.of, f"{notice.text}: {question}", remedy, None)
 
 
 def _sized_elsewhere(estimate: Estimate, spectrum: Spectrum) -> bool:

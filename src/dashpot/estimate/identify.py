@@ -14,7 +14,7 @@ from dashpot.data.spectrum import Spectrum
 from dashpot.errors import DataError, UsageError
 from dashpot.estimate.inference.derived import known_values, linear_modes, tied_values
 from dashpot.estimate.inference.notices import notices
-from dashpot.estimate.inference.residual_jumps import residual_jumps
+from dashpot.estimate.inference.time_course import time_change_notices
 from dashpot.estimate.inference.uncertainty import Inference, inference, with_noise_of_residuals
 from dashpot.estimate.likelihood.maximum_likelihood import MaximumLikelihood
 from dashpot.estimate.likelihood.record_noise import with_record_noise
@@ -116,10 +116,12 @@ def _identified(model: Model, spectrum: Spectrum, method: Method) -> Inference:
     require_suited(method, data)
     if not data.noise_known and np.any(model.prior_precision):
         data = with_noise_of_residuals(data, method)
-    solution = method.solve(data)
-    if spectrum.records:
-        solution = replace(solution, warnings=(*solution.warnings, *residual_jumps(data, solution)))
-    return inference(data, solution, method)
+    part = inference(data, method.solve(data), method)
+    if not spectrum.records:
+        return part
+    solution = part.solution
+    warnings = (*solution.warnings, *time_change_notices(data, solution))
+    return replace(part, solution=replace(solution, warnings=warnings))
 
 
 def _estimate(

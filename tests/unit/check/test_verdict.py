@@ -21,6 +21,7 @@ from dashpot.estimate.inference.diagnostics import wrong_signs
 from dashpot.model.dynamics import response
 from dashpot.model.elements import Kind, between, mass
 from dashpot.model.network import Input, Model
+from dashpot.notices import Notice
 from dashpot.present.text.identifiability import require_identifiable
 from tests import rigs
 from tests.nonlinear_rigs import motions, settled, two_masses
@@ -80,6 +81,17 @@ def test_a_damped_bump_is_not_one_mode(sd: float | None) -> None:
     assessment = assess(model, data, estimate)
     assert assessment.verdict == "does not fit"
     assert "smooth_residuals" in {reason.code for reason in assessment.reasons}
+
+
+def test_a_change_in_the_course_of_a_record_is_reason_and_cause() -> None:
+    model, data = bump(40, 0.02)
+    warned = replace(identify(model, data), warnings=(Notice("spikes", "x1 jumps at 3 s", ("x1",)),))
+    judged = assess(model, data, warned)
+    assert judged.verdict == "does not fit"
+    assert "spikes" in [reason.code for reason in judged.reasons]
+    (cause,) = judged.findings
+    assert (cause.kind, cause.of, cause.remaining) == ("time", ("x1",), None)
+    assert cause.text == "x1 jumps at 3 s: spikes of a loose contact?"
 
 
 def test_an_unstable_rig_does_not_fit_where_no_noise_is_given() -> None:

@@ -105,7 +105,7 @@ def noise_from_residuals(
             psi, sign = _begun(data, exact, method)
         else:
             psi, _ = _descended(view, exact, psi, sign, method)
-        residual, columns = _residuals(view, exact, psi, sign)
+        residual, columns = residuals_of_records(view, exact, psi, sign)
         _require_decay(model, residual, exact)
         used = (columns + len(view.names)) / (2 * np.sum(sought) * max(np.sum(outputs), 1))
         power = np.abs(residual) ** 2
@@ -177,7 +177,7 @@ def _with_states(data: Prepared) -> Prepared:
 
 def _explains(view: ObservationModel, data: Measured, psi: Real, sign: Real) -> bool:
     """Whether a fit leaves little of what each channel shows."""
-    residual, _ = _residuals(view, data, psi, sign)
+    residual, _ = residuals_of_records(view, data, psi, sign)
     return bool(np.all(_left(residual, data) <= UNEXPLAINED))
 
 
@@ -188,7 +188,9 @@ def _left(residual: Complex, data: Measured) -> Real:
     return np.where(power > 0, left, 0.0)
 
 
-def _residuals(view: ObservationModel, data: Measured, psi: Real, sign: Real) -> tuple[Complex, int]:
+def residuals_of_records(
+    view: ObservationModel, data: Measured, psi: Real, sign: Real
+) -> tuple[Complex, int]:
     """Residuals of one repeat, (lines, channels), and how many columns the ends of its records take out."""
     if not small(view.model):
         at = predict(view, data, psi, sign)

@@ -48,12 +48,6 @@ NOTICES: tuple[tuple[str, str, str, str], ...] = (
         "Read the likely causes below the verdict; look at the channel at that frequency: clipping, a delay, play.",
     ),
     (
-        "time_change", _VERDICT,
-        ("In the course of a whole record a channel suddenly departs from the prediction, or reads more from some time "
-        "on than before. Across the lines that would pass for noise; in time it stands out."),
-        "Look at the channel at that time: a spike, lost samples, a loose sensor, another range. Cut the record there.",
-    ),
-    (
         "mains_hum", _VERDICT,
         "A channel carries a tone at a multiple of 50 or 60 Hz that no input drives. The test of fit leaves it out.",
         "Mend the shielding or the ground loop, or end the band below it with `--band`.",
@@ -212,9 +206,21 @@ NOTICES: tuple[tuple[str, str, str, str], ...] = (
     ),
     (
         "residual_jump", _ESTIMATE,
-        ("The residuals of a whole record are large for a moment and decay: samples were lost although the time stamps "
-        "are even, or something struck the rig."),
+        ("At one moment of a whole record a channel departs from the prediction, or all residuals are loud for a "
+        "while: samples were lost although the time stamps are even, or something struck the rig. Across the lines "
+        "that would pass for noise; in time it stands out."),
         "Cut the record there and give the parts as separate files; if it was a blow, measure it as an input.",
+    ),
+    (
+        "spikes", _ESTIMATE,
+        "A channel departs from the prediction for single moments of a whole record, as with a loose contact.",
+        "Leave those samples out: the record is then used in pieces.",
+    ),
+    (
+        "gain_step", _ESTIMATE,
+        "From some time of a whole record on a channel reads more, or less, of the prediction than before.",
+        ("Look for another range, a loose sensor or a rig that changed; give the parts before and after as two "
+        "records, the gain of one of them unknown."),
     ),
     (
         "unrelated_inputs", _ESTIMATE,
