@@ -7,14 +7,19 @@ up to 2 %, jitter of the stamps, mains hum, transients from dwell to dwell. Prin
 95 % intervals hold the truth and the rms error over that of whichever of ten sets of options does best there, known
 afterwards. Errors are counted in deviations of the Cramér-Rao bound (the median of all answers to the test): a test
 whose answers happen to lie near the truth then decides no row.
+
+With `--kept FILE` each test is a line of that file, and those already in it are not done again: a long run may be cut
+and go on, or be shared out to processes of which each has its own `--tests` and `--seed`, and the table is of all.
 """
 
 from __future__ import annotations
 
 import argparse
+import json
 import sys
-from collections import defaultdict
-from dataclasses import dataclass
+import time
+from collections.abc import Iterable
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
@@ -125,6 +130,51 @@ def over_the_best(errors: Real, rng: np.random.Generator) -> tuple[float, float,
     return float(rms[0] / rms[best]), float(np.std(np.sqrt(drawn[:, 0] / drawn[:, best]))), best - 1
 
 
+@dataclass(frozen=True)
+class Tried:
+    """What one test gave: its troubles, whether the defaults' intervals hold the truth, and errors of all options.
+
+    held is empty where the defaults gave no answer.
+    """
+
+    seed: int
+    troubles: list[str]
+    held: list[bool]
+    errors: list[float]
+
+
+def tried(seed: int, only: str | None, periods: float, others: Iterable[Conditioning]) -> Tried:
+    """One test, by the defaults and by other options."""
+    rng = np.random.default_rng(seed)
+    drawn = frozenset(t for t in TROUBLES if rng.random() < 0.25)
+    chosen = frozenset([only]) if only else drawn
+    records = dwells(rng, chosen, periods)
+    usual = answer(records, None)
+    if usual is None:
+        return Tried(seed, sorted(chosen), [], [])
+    answers = [usual, *(answer(records, conditioning) for conditioning in others)]
+    return Tried(seed, sorted(chosen), usual.held.tolist(), sizes(answers).tolist())
+
+
+def show(tests: list[Tried], coverage: bool) -> None:
+    """The table of all tests."""
+    print(
+        f"{'':12}{'tests':>6}{'coverage':>10}" + ("" if coverage else f"{'over the best':>21}  best option")
+    )
+    answered = [test for test in tests if test.held]
+    for trouble in ("nothing", *TROUBLES, "all"):
+        some = [test for test in answered if trouble in (*(test.troubles or ["nothing"]), "all")]
+        if not some:
+            continue
+        row = f"{trouble:12}{len(some):6}{100 * np.mean([test.held for test in some]):9.1f}%"
+        if not coverage:
+            errors = np.array([test.errors for test in some])
+            ratio, spread, best = over_the_best(errors, np.random.default_rng(0))
+            row += f"{ratio:13.3f} ± {spread:5.3f}  {list(OPTIONS)[best]}"
+        print(row)
+    print(f"{len(tests) - len(answered)} without an answer")
+
+
 def main() -> None:
     options = argparse.ArgumentParser(description=__doc__)
     options.add_argument("--tests", type=int, default=60)
@@ -134,34 +184,24 @@ def main() -> None:
     options.add_argument(
         "--coverage", action="store_true", help="the defaults alone, ten times as many in a time"
     )
+    options.add_argument("--kept", type=Path, help="file of tests done, which is added to")
+    options.add_argument("--minutes", type=float, default=60.0, help="after which no other test is begun")
     settings = options.parse_args()
-    others = {} if settings.coverage else OPTIONS
-    held: dict[str, list[Bools]] = defaultdict(list)
-    errors: dict[str, list[Real]] = defaultdict(list)
-    refused = 0
-    for k in range(settings.tests):
-        rng = np.random.default_rng(settings.seed + k)
-        drawn = frozenset(t for t in TROUBLES if rng.random() < 0.25)
-        chosen = frozenset([settings.only]) if settings.only else drawn
-        records = dwells(rng, chosen, settings.periods)
-        usual = answer(records, None)
-        if usual is None:
-            refused += 1
+    done: list[Tried] = []
+    if settings.kept is not None and settings.kept.exists():
+        done = [Tried(**json.loads(line)) for line in settings.kept.read_text().splitlines()]
+    known, start = {test.seed for test in done}, time.perf_counter()
+    for seed in range(settings.seed, settings.seed + settings.tests):
+        if time.perf_counter() - start > 60 * settings.minutes:
+            break
+        if seed in known:
             continue
-        answers = [usual, *(answer(records, conditioning) for conditioning in others.values())]
-        for trouble in (*(sorted(chosen) or ["nothing"]), "all"):
-            held[trouble].append(usual.held)
-            errors[trouble].append(sizes(answers))
-    print(f"{'':12}{'tests':>6}{'coverage':>10}{'over the best':>21}  best option")
-    for trouble in ("nothing", *TROUBLES, "all"):
-        if held[trouble]:
-            cover = f"{trouble:12}{len(held[trouble]):6}{100 * np.mean(held[trouble]):9.1f}%"
-            if settings.coverage:
-                print(cover)
-                continue
-            ratio, spread, best = over_the_best(np.array(errors[trouble]), np.random.default_rng(0))
-            print(f"{cover}{ratio:13.3f} ± {spread:5.3f}  {list(OPTIONS)[best]}")
-    print(f"{refused} without an answer")
+        others = () if settings.coverage else OPTIONS.values()
+        done.append(tried(seed, settings.only, settings.periods, others))
+        if settings.kept is not None:
+            with settings.kept.open("a") as file:
+                file.write(json.dumps(asdict(done[-1])) + "\n")
+    show(done, settings.coverage)
 
 
 if __name__ == "__main__":

@@ -147,12 +147,22 @@ def _searched(model: Model, spectrum: Spectrum, plain: MaximumLikelihood) -> Est
         held = identify(model, spectrum, replace(plain, positive=True, thorough=True))
     except (IdentifiabilityError, ConvergenceError):
         return None
-    start, signs = tuple(held.values.tolist()), (1.0,) * len(spectrum.channels)
-    free = _converged(model, spectrum, replace(plain, start=start, start_sign=signs))
+    begun = replace(plain, start=tuple(held.values.tolist()), start_sign=(1.0,) * len(spectrum.channels))
+    free = _converged(model, spectrum, begun)
     if free is None or _endless(model, free):
         return held
-    rivals = [notice for notice in held.warnings if notice.code == "not_unique"]
-    return replace(free, warnings=(*rivals, *free.warnings))
+    rivals = _rivals(held)
+    wider = _converged(model, spectrum, replace(begun, start=tuple(free.values.tolist()), thorough=True))
+    if wider is not None and not _endless(model, wider):
+        taken, others = _preferred(model, free, wider)
+        free, rivals = wider if taken else free, others or rivals
+    rest = (notice for notice in free.warnings if notice.code != "not_unique")
+    return replace(free, warnings=(*rivals, *rest))
+
+
+def _rivals(estimate: Estimate) -> tuple[Notice, ...]:
+    """The notice of another minimum that fits alike, where there is one."""
+    return tuple(notice for notice in estimate.warnings if notice.code == "not_unique")
 
 
 def _with_endless(first: Estimate, second: Estimate) -> Estimate:
@@ -170,27 +180,35 @@ def _ended(model: Model, estimate: Estimate) -> bool:
 
 
 def _likelier(model: Model, first: Estimate, second: Estimate) -> Estimate:
-    """The better of two ends, with the other told where it fits alike.
-
-    Among those that fit alike it is the one with fewer negative parts, else the one with the lower χ².
-    """
+    """The better of two ends, with the other told where it fits alike."""
     first_ended = _ended(model, first)
     if not _ended(model, second):
         return _with_endless(first, second) if first_ended else first
-    scale = max(1.0, float(second.fit.chi2) / max(second.fit.dof, 1))
-    above = float(first.fit.chi2 - second.fit.chi2) if first_ended else np.inf
-    rivals = tuple(notice for notice in second.warnings if notice.code == "not_unique")
-    if abs(above) <= TIE * scale and not apart(second.values, first.values, second.noise_sd):
+    taken, rivals = _preferred(model, first, second)
+    if not taken:
         return replace(first, warnings=(*rivals, *first.warnings))
+    return _replacing(first, second, rivals, first_ended)
+
+
+def _preferred(model: Model, first: Estimate, second: Estimate) -> tuple[bool, tuple[Notice, ...]]:
+    """Whether the second of two ends is the better one, and the notice of what else fits alike.
+
+    Among those that fit alike it is the one with fewer negative parts, else the one with the lower χ².
+    """
+    scale = max(1.0, float(second.fit.chi2) / max(second.fit.dof, 1))
+    above = float(first.fit.chi2 - second.fit.chi2) if _ended(model, first) else np.inf
+    rivals = _rivals(second)
+    if abs(above) <= TIE * scale and not apart(second.values, first.values, second.noise_sd):
+        return False, rivals
     alike = abs(above) <= DOUBT * scale
     negative = [int(np.sum(_below(model, estimate, -BEYOND))) for estimate in (first, second)]
     taken = negative[1] < negative[0] if alike and negative[0] != negative[1] else above > 0
-    better, other = (second, first) if taken else (first, second)
-    if alike and not rivals:
+    if not alike:
+        return taken, rivals if taken else ()
+    if not rivals:
+        better, other = (second, first) if taken else (first, second)
         rivals = (not_unique(better.names, better.units, better.values, other.values, abs(above)),)
-    if not taken:
-        return replace(first, warnings=(*(rivals if alike else ()), *first.warnings))
-    return _replacing(first, second, rivals, first_ended)
+    return taken, rivals
 
 
 def _replacing(first: Estimate, second: Estimate, rivals: Sequence[Notice], ended: bool) -> Estimate:

@@ -37,6 +37,8 @@ LEAST = 16  # starts of the largest rigs, and where all is seen
 SEEN = 0.25  # share of the usual starts and candidates where all is seen: the equation of motion starts near
 REACH = 1e4  # times the largest start: where all is seen, an end beyond it is on its way to infinity
 SMALL_PART = 0.1  # of the middle candidate, below which a start by the equation of motion is no part of a rig
+DRAWS = 8  # about an end whose parts noise leaves uncertain, where all is seen
+AROUND = 2.0  # of its standard deviations: minima whose parts differ in sign were found from half of them
 DEEPEST = 8  # minima that are followed to the bottom
 COMPETING = (
     60.0  # χ² by which a minimum may lie above the lowest one of one repeat and be the lowest of another
@@ -204,6 +206,23 @@ def searched_again(
 
 
 # From nothing to minima
+
+
+def minima_around(likelihood: Likelihood, start: Real, sign: Real) -> LocalMinima:
+    """Where `start` (1, M) leads, and draws about that end, AROUND standard deviations wide; sign (1, channels)."""
+    end = likelihood.descend(start, sign)
+    minima = LocalMinima.none(start.shape[1], sign.shape[1]).with_ends(end.x, sign, end.cost)
+    around = likelihood.model_at(end.x, sign)
+    covariance, sd = around.inverse[0], around.sd[0]
+    if not np.all(np.isfinite(sd)):
+        return minima
+    share, directions = np.linalg.eigh(covariance / np.outer(sd, sd))
+    drawn = np.random.default_rng(likelihood.effort.seed).standard_normal((DRAWS, len(sd)))
+    away = (drawn * np.sqrt(np.maximum(share, 0.0))) @ directions.T
+    signs = np.repeat(sign, DRAWS, axis=0)
+    others = likelihood.descend(end.x + AROUND * sd * away, signs)
+    ended = others.converged
+    return minima.with_ends(others.x[ended], signs[ended], others.cost[ended])
 
 
 def global_minima(likelihood: Likelihood, repeat: int) -> LocalMinima:

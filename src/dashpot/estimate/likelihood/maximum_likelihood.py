@@ -12,6 +12,7 @@ from dashpot.estimate.likelihood.descent import ROUGH, Effort, Likelihood
 from dashpot.estimate.likelihood.global_search import (
     from_minima,
     global_minima,
+    minima_around,
     searched_again,
     seen_directly,
 )
@@ -36,8 +37,9 @@ class MaximumLikelihood(Method):
     in logarithms, then with weights that harden step by step, for at most `rounds` rounds.  Repeats share the minima
     that the first one finds, and look for their own where these do not lead to a fit.  `positive` holds the parts of
     the rig at or above 0, not what belongs to a free matrix; bounds of the model hold always.  With a `start`, values
-    of all unknowns, and `start_sign`, signs of the channels, one descent from there takes the search's place; a
-    `thorough` search draws its starts where all is seen as well.  `seed` is that of the random rigs.  A descent ends
+    of all unknowns, and `start_sign`, signs of the channels, one descent from there takes the search's place, and
+    some about its end if it is to be `thorough`; without, a `thorough` search draws its starts where all is seen as
+    well.  `seed` is that of the random rigs.  A descent ends
     where no unknown moves by more than `tolerance` standard deviations, after `max_iterations` at the latest.
     """
 
@@ -69,8 +71,11 @@ class MaximumLikelihood(Method):
             sign = np.ones((likelihood.repeats, len(view.channels)))
             likelihood = replace(likelihood, exact=exact)
         elif self.start and likelihood.repeats == 1 and len(self.start) == len(view.names):  # of this rig
-            sign = np.array([self.start_sign])
-            minimum = likelihood.descend(np.array([self.start]), sign)
+            start, sign = np.array([self.start]), np.array([self.start_sign])
+            if self.thorough:
+                minimum, sign, warnings = from_minima(likelihood, minima_around(likelihood, start, sign))
+            else:
+                minimum = likelihood.descend(start, sign)
         elif data.states is not None and seen_directly(data) and not self.thorough:
             start = _start(likelihood, data.states)
             sign = np.ones((likelihood.repeats, len(view.channels)))
