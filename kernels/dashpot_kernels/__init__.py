@@ -3,6 +3,7 @@
 from dashpot_kernels._core import (
     Equation,
     Output,
+    Records,
     Rig,
     harmonic_sums,
     instruction_set,
@@ -14,6 +15,7 @@ from dashpot_kernels._core import (
 __all__ = [
     "Equation",
     "Output",
+    "Records",
     "Rig",
     "harmonic_sums",
     "instruction_set",
@@ -21,4 +23,4 @@ __all__ = [
     "line_shares",
     "set_instructions",
 ]
-__version__ = "0.1.1"
+__version__ = "0.2.0"

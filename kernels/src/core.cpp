@@ -329,37 +329,31 @@ struct Equation {
     }
 };
 
-struct Output {
+// What the channels show of a rig, without any data.
+struct Channels {
     std::shared_ptr<Rig> rig;
-    Complexes y, W;
-    std::optional<Complexes> inputs;
     dashpot::Output output{};
     Memory<double> rate;
     std::vector<double> on_x, on_q, force, precision, mean;
     std::vector<unsigned char> turned, sees, has_force;
     std::vector<int> gain, delay;
-    size_t M, channels, repeats;
+    size_t M, count;
 
-    Output(std::shared_ptr<Rig> rig_, Complexes y_, Complexes W_, std::optional<Complexes> inputs_,
-           Integers derivative, Reals on_x_, Reals on_q_, Reals force_, Integers gain_, Integers delay_, bool calibrated,
-           Reals precision_, Reals mean_)
-        : rig(std::move(rig_)), y(std::move(y_)), W(std::move(W_)), inputs(std::move(inputs_)) {
+    Channels(std::shared_ptr<Rig> rig_, const Integers &derivative, const Reals &on_x_, const Reals &on_q_,
+             const Reals &force_, const Integers &gain_, const Integers &delay_, bool calibrated,
+             const Reals &precision_, const Reals &mean_)
+        : rig(std::move(rig_)) {
         const dashpot::Rig &own = rig->rig;
-        const size_t n = own.n, nq = own.r + own.s, L = own.lines;
-        require(y.ndim() == 3 && W.ndim() == 4, "data are of another size than their rig");
-        channels = y.shape(2), repeats = y.shape(0);
-        require(y.shape(1) == L && W.shape(1) == L && W.shape(2) == channels && W.shape(3) == channels &&
-                    (W.shape(0) == 1 || W.shape(0) == repeats) &&
-                    (!inputs || (inputs->ndim() == 3 && inputs->shape(0) == repeats && inputs->shape(1) == L &&
-                                 inputs->shape(2) == nq)) &&
-                    derivative.size() == channels && on_x_.size() == channels * n && on_q_.size() == channels * nq &&
-                    force_.size() == channels * own.elements && gain_.size() == channels && delay_.size() == channels,
-                "data are of another size than their rig");
+        const size_t n = own.n, nq = own.r + own.s;
+        count = derivative.size();
+        require(on_x_.size() == count * n && on_q_.size() == count * nq && force_.size() == count * own.elements &&
+                    gain_.size() == count && delay_.size() == count,
+                "channels are of another size than their rig");
         on_x.assign(on_x_.data(), on_x_.data() + on_x_.size()), on_q.assign(on_q_.data(), on_q_.data() + on_q_.size());
         force.assign(force_.data(), force_.data() + force_.size());
-        rate = memory<double>(channels * own.stride);
+        rate = memory<double>(count * own.stride);
         int gains = 0, delays = 0;
-        for (size_t c = 0; c < channels; ++c) {
+        for (size_t c = 0; c < count; ++c) {
             const int64_t power = derivative.data()[c];
             turned.push_back(power == 1);
             for (int l = 0; l < own.stride; ++l) {
@@ -376,20 +370,47 @@ struct Output {
         M = own.unknowns + gains + delays;
         require(precision_.size() == M && mean_.size() == M, "priors are of another number of unknowns");
         precision.assign(precision_.data(), precision_.data() + M), mean.assign(mean_.data(), mean_.data() + M);
+        output.rig = &own, output.channels = static_cast<int>(count);
+        output.gains = gains, output.delays = delays, output.all = static_cast<int>(M), output.rate = rate.get();
+        output.turned = turned.data(), output.omega = rig->omega.get(), output.on_x = on_x.data();
+        output.on_q = on_q.data(), output.force = force.data(), output.sees = sees.data();
+        output.has_force = has_force.data(), output.gain = gain.data(), output.delay = delay.data();
+        output.calibrated = calibrated || gains || delays, output.precision = precision.data(), output.mean = mean.data();
+    }
+    Channels(const Channels &) = delete;
+};
+
+struct Output {
+    Channels shown;
+    Complexes y, W;
+    std::optional<Complexes> inputs;
+    dashpot::Output output{};
+    size_t M, channels, repeats;
+    const std::shared_ptr<Rig> &rig;
+
+    Output(std::shared_ptr<Rig> rig_, Complexes y_, Complexes W_, std::optional<Complexes> inputs_,
+           Integers derivative, Reals on_x, Reals on_q, Reals force, Integers gain, Integers delay, bool calibrated,
+           Reals precision, Reals mean)
+        : shown(std::move(rig_), derivative, on_x, on_q, force, gain, delay, calibrated, precision, mean),
+          y(std::move(y_)), W(std::move(W_)), inputs(std::move(inputs_)), output(shown.output), M(shown.M),
+          channels(shown.count), rig(shown.rig) {
+        const size_t nq = rig->rig.r + rig->rig.s, L = rig->rig.lines;
+        require(y.ndim() == 3 && W.ndim() == 4, "data are of another size than their rig");
+        repeats = y.shape(0);
+        require(y.shape(1) == L && y.shape(2) == channels && W.shape(1) == L && W.shape(2) == channels &&
+                    W.shape(3) == channels && (W.shape(0) == 1 || W.shape(0) == repeats) &&
+                    (!inputs || (inputs->ndim() == 3 && inputs->shape(0) == repeats && inputs->shape(1) == L &&
+                                 inputs->shape(2) == nq)),
+                "data are of another size than their rig");
         bool diagonal = true;
         const std::complex<double> *weight = W.data();
         for (size_t k = 0, at = 0; k < W.shape(0) * L; ++k)
             for (size_t i = 0; i < channels; ++i)
                 for (size_t j = 0; j < channels; ++j, ++at)
                     if (i != j && weight[at] != std::complex<double>(0)) diagonal = false;
-        output.rig = &own, output.repeats = static_cast<int>(repeats), output.channels = static_cast<int>(channels);
-        output.gains = gains, output.delays = delays, output.all = static_cast<int>(M);
+        output.repeats = static_cast<int>(repeats);
         output.y = numbers(y), output.W = numbers(W), output.inputs = inputs ? numbers(*inputs) : nullptr;
-        output.shared = W.shape(0) == 1, output.diagonal = diagonal, output.rate = rate.get();
-        output.turned = turned.data(), output.omega = rig->omega.get(), output.on_x = on_x.data();
-        output.on_q = on_q.data(), output.force = force.data(), output.sees = sees.data();
-        output.has_force = has_force.data(), output.gain = gain.data(), output.delay = delay.data();
-        output.calibrated = calibrated || gains || delays, output.precision = precision.data(), output.mean = mean.data();
+        output.shared = W.shape(0) == 1, output.diagonal = diagonal;
     }
     Output(const Output &) = delete;
 
@@ -450,6 +471,146 @@ struct Output {
             });
         }
         return ending.result();
+    }
+};
+
+// Whole records among the lines; arrays over lines hold them side by side, records filled up to a multiple of 8.
+struct Records {
+    Channels shown;
+    Memory<double> s, y, by_input, sd, root, q;
+    std::vector<int> start, owner, line, fitted_channel, fitted_power, powers;
+    std::vector<unsigned char> loads, used;
+    dashpot::Records records{};
+    size_t M, f, terms, count, repeats, lines = 0;
+
+    Records(std::shared_ptr<Rig> rig, Integers start_, Integers owner_, Integers line_, Reals s_, Flags loads_,
+            Flags used_, std::optional<Reals> by_inputs, Integers fitted_channel_, Integers fitted_power_,
+            Integers powers_, Reals ys, std::optional<Reals> sds, std::optional<Reals> roots, std::optional<Reals> qs,
+            Integers derivative, Reals on_x, Reals on_q, Reals force, Integers gain, Integers delay, bool calibrated,
+            Reals precision, Reals mean)
+        : shown(std::move(rig), derivative, on_x, on_q, force, gain, delay, calibrated, precision, mean),
+          s(copied(s_)), y(copied(ys)), by_input(copied(by_inputs)), sd(copied(sds)), root(copied(roots)),
+          q(copied(qs)), start(list(start_)), owner(list(owner_)), line(list(line_)),
+          fitted_channel(list(fitted_channel_)), fitted_power(list(fitted_power_)), powers(list(powers_)),
+          loads(loads_.data(), loads_.data() + loads_.size()), used(used_.data(), used_.data() + used_.size()) {
+        const dashpot::Rig &own = shown.rig->rig;
+        const size_t Cs = shown.count, nq = own.r + own.s, stride = own.stride;
+        require(used_.ndim() == 2 && used_.shape(0) == loads.size() && ys.ndim() == 4 && (sds || roots),
+                "records are of another size than their rig");
+        M = shown.M, f = used_.shape(1), terms = powers.size(), count = loads.size(), repeats = ys.shape(0);
+        const size_t of_inputs = f - 2 * own.n - fitted_channel.size();
+        auto fits = [&](const std::optional<Reals> &values, size_t each) {
+            return !values || (values->size() == values->shape(0) * each &&
+                               (values->shape(0) == 1 || values->shape(0) == repeats));
+        };
+        require(own.lines == own.stride && s_.size() == stride && line.size() == stride && fits(ys, 2 * Cs * stride) &&
+                    fits(sds, Cs * stride) && fits(roots, 2 * Cs * Cs * stride) && fits(qs, 2 * nq * stride) &&
+                    start.size() == owner.size() + 1 && start.front() == 0 &&
+                    start.back() == static_cast<int>(stride) && fitted_power.size() == fitted_channel.size() &&
+                    f >= 2 * own.n + fitted_channel.size() &&
+                    (of_inputs == 0 || (by_inputs && qs && by_inputs->size() == 2 * nq * of_inputs * stride)) &&
+                    (terms == 0 || sds),
+                "records are of another size than their rig");
+        for (size_t k = 0; k < owner.size(); ++k)
+            require(start[k] % 8 == 0 && start[k] <= start[k + 1] && owner[k] < static_cast<int>(count),
+                    "segments of records are none");
+        for (int place : line) lines = std::max(lines, static_cast<size_t>(place + 1));
+        records.output = &shown.output, records.records = static_cast<int>(count);
+        records.segments = static_cast<int>(owner.size()), records.columns = static_cast<int>(f);
+        records.of_inputs = static_cast<int>(of_inputs), records.fitted = static_cast<int>(fitted_channel.size());
+        records.terms = static_cast<int>(terms), records.start = start.data(), records.owner = owner.data();
+        records.line = line.data(), records.lines = static_cast<int>(lines), records.s = s.get();
+        records.loads = loads.data(), records.used = used.data();
+        records.by_input = by_input.get(), records.fitted_channel = fitted_channel.data();
+        records.fitted_power = fitted_power.data(), records.powers = powers.data(), records.one = repeats == 1;
+        records.shared = (sds ? sds : roots)->shape(0) == 1, records.y = y.get(), records.sd = sd.get();
+        records.root = root.get(), records.q = q.get();
+    }
+    Records(const Records &) = delete;
+
+    static std::vector<int> list(const Integers &numbers) {
+        return std::vector<int>(numbers.data(), numbers.data() + numbers.size());
+    }
+
+    // Null where there is nothing.
+    static Memory<double> copied(const std::optional<Reals> &numbers) {
+        if (!numbers) return nullptr;
+        Memory<double> place = memory<double>(numbers->size());
+        std::copy_n(numbers->data(), numbers->size(), place.get());
+        return place;
+    }
+
+    using Fit = std::optional<Reals>;
+    dashpot::RecordsAt at(const Reals &psi, const Reals &sign, const Fit &folded, const Fit &z, const Fit &t,
+                          const Fit &folded_slopes) const {
+        const dashpot::Rig &own = shown.rig->rig;
+        const size_t K = psi.shape(0), Cs = shown.count;
+        auto fits = [&](const Fit &values, size_t each) { return !values || values->size() == K * count * each; };
+        require(psi.ndim() == 2 && psi.shape(1) == M && sign.ndim() == 2 && sign.shape(0) == K &&
+                    sign.shape(1) == Cs && (repeats == 1 || repeats == K) && fits(folded, Cs * 2 * own.n * 8) &&
+                    fits(z, f) && fits(t, Cs * terms) && fits(folded_slopes, Cs * own.unknowns * 8),
+                "psi, signs or coefficients are of another size");
+        return {psi.data(), sign.data(), folded ? folded->data() : nullptr, z ? z->data() : nullptr,
+                t ? t->data() : nullptr, folded_slopes ? folded_slopes->data() : nullptr};
+    }
+
+    nb::tuple columns(Reals psi, Reals sign, Fit folded, int threads) const {
+        const dashpot::RecordsAt given = at(psi, sign, folded, std::nullopt, std::nullopt, std::nullopt);
+        const size_t K = psi.shape(0), Cs = shown.count;
+        auto products = array({K, count, f + 1, f + 1}), basis = array({K, count, Cs, terms, f + 1});
+        {
+            nb::gil_scoped_release released;
+            share(K, threads, chosen->records_workspace(records), [&](long from, long to, char *place) {
+                chosen->records_columns(records, given, from, to, products.data, basis.data, place);
+            });
+        }
+        return nb::make_tuple(products.array, basis.array);
+    }
+
+    nb::tuple slopes(Reals psi, Reals sign, Fit folded, Reals z, Reals t, Fit folded_slopes, int threads) const {
+        const dashpot::RecordsAt given = at(psi, sign, folded, z, t, folded_slopes);
+        const size_t K = psi.shape(0), Cs = shown.count;
+        auto products = array({K, M + 1, M + 1}), columns = array({K, count, f, M + 1});
+        auto basis = array({K, count, Cs, terms, M + 1});
+        {
+            nb::gil_scoped_release released;
+            share(K, threads, chosen->records_workspace(records), [&](long from, long to, char *place) {
+                chosen->records_slopes(records, given, from, to, products.data, columns.data, basis.data, place);
+            });
+        }
+        return nb::make_tuple(products.array, columns.array, basis.array);
+    }
+
+    nb::tuple by_line(Reals psi, Reals sign, Fit folded, Reals z, Reals t, Fit folded_slopes, Reals of_columns,
+                      Reals of_basis, int threads) const {
+        const dashpot::RecordsAt given = at(psi, sign, folded, z, t, folded_slopes);
+        const size_t K = psi.shape(0);
+        require(of_columns.size() == K * count * f * (M + 1) &&
+                    of_basis.size() == K * count * shown.count * terms * (M + 1),
+                "coefficients are of another size");
+        auto information = array({K, lines, M, M}), scores = array({K, lines, M}), cost = array({K, lines});
+        {
+            nb::gil_scoped_release released;
+            share(K, threads, chosen->records_workspace(records), [&](long from, long to, char *place) {
+                chosen->records_lines(records, given, of_columns.data(), of_basis.data(), from, to, information.data,
+                                      scores.data, cost.data, place);
+            });
+        }
+        return nb::make_tuple(information.array, scores.array, cost.array);
+    }
+
+    nb::ndarray<nb::numpy, std::complex<double>> residuals(Reals psi, Reals sign, Fit folded, Reals z, Reals t,
+                                                           int threads) const {
+        const dashpot::RecordsAt given = at(psi, sign, folded, z, t, std::nullopt);
+        const size_t K = psi.shape(0);
+        auto residual = array<std::complex<double>>({K, lines, shown.count});
+        {
+            nb::gil_scoped_release released;
+            share(K, threads, chosen->records_workspace(records), [&](long from, long to, char *place) {
+                chosen->records_residuals(records, given, from, to, reinterpret_cast<double *>(residual.data), place);
+            });
+        }
+        return residual.array;
     }
 };
 
@@ -546,6 +707,20 @@ NB_MODULE(_core, module) {
         .def("lines", &Output::lines, "psi"_a, "sign"_a, "threads"_a = 1)
         .def("descend", &Output::descend, "start"_a, "sign"_a, "rows"_a, "weight"_a.none(), "lower"_a, "upper"_a,
              "longest"_a, "logarithmic"_a.none(), "limit"_a, "tolerance"_a, "patience"_a, "threads"_a = 1);
+    nb::class_<Records>(module, "Records", "Whole records among the lines: their sums, beside loads and polynomials.")
+        .def(nb::init<std::shared_ptr<Rig>, Integers, Integers, Integers, Reals, Flags, Flags, std::optional<Reals>,
+                      Integers, Integers, Integers, Reals, std::optional<Reals>, std::optional<Reals>,
+                      std::optional<Reals>, Integers, Reals, Reals, Reals, Integers, Integers, bool, Reals, Reals>(),
+             "rig"_a, "start"_a, "owner"_a, "line"_a, "s"_a, "loads"_a, "used"_a, "by_input"_a.none(),
+             "fitted_channel"_a, "fitted_power"_a, "powers"_a, "y"_a, "sd"_a.none(), "root"_a.none(), "q"_a.none(),
+             "derivative"_a, "on_x"_a, "on_q"_a, "force"_a, "gain"_a, "delay"_a, "calibrated"_a, "precision"_a,
+             "mean"_a)
+        .def("columns", &Records::columns, "psi"_a, "sign"_a, "folded"_a.none(), "threads"_a = 1)
+        .def("slopes", &Records::slopes, "psi"_a, "sign"_a, "folded"_a.none(), "z"_a, "t"_a, "folded_slopes"_a.none(),
+             "threads"_a = 1)
+        .def("by_line", &Records::by_line, "psi"_a, "sign"_a, "folded"_a.none(), "z"_a, "t"_a,
+             "folded_slopes"_a.none(), "of_columns"_a, "of_basis"_a, "threads"_a = 1)
+        .def("residuals", &Records::residuals, "psi"_a, "sign"_a, "folded"_a.none(), "z"_a, "t"_a, "threads"_a = 1);
     module.def("line_shares", &line_shares, "information"_a, "inflation"_a, "bread"_a, "threads"_a = 1);
     module.def("harmonic_sums", &harmonic_sums, "values"_a, "turns"_a, "origin"_a, "threads"_a = 1);
     module.def("instruction_sets", [] {

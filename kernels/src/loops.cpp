@@ -2,6 +2,7 @@
 #include "equation.hpp"
 #include "harmonics.hpp"
 #include "output.hpp"
+#include "records.hpp"
 
 #define TEXT_OF(x) #x
 #define TEXT(x) TEXT_OF(x)
@@ -11,8 +12,9 @@ namespace DASHPOT_SET {
 extern const dashpot::Loops LOOPS;
 const dashpot::Loops LOOPS = {
     TEXT(DASHPOT_SET), equation_workspace, equation_evaluate, equation_lines, equation_starts, equation_descend,
-    output_workspace,  output_evaluate,    output_lines,      output_descend, line_shares,
-    harmonic_sums,
+    output_workspace,  output_evaluate,    output_lines,      output_descend, records_workspace,
+    records_columns,   records_slopes,     records_lines,     records_residuals,
+    line_shares,       harmonic_sums,
 };
 
 }  // namespace DASHPOT_SET

@@ -18,11 +18,10 @@ struct OutputWork {
     double *p, *A, *y, *W, *inputs, *weight;
     C *both, *factors, *sides, *looks, *kappa, *G, *WG, *normal, *half, *q, *x, *r, *Wr, *J, *PJ, *onto, *force, *shown;
     V *gradient, *symmetric, *scale;
-    int *slopes_of, slope_channels, seeing, *seen;
+    int *slopes_of, slope_channels, seeing, *seen, sides_count;
     long packed_y, packed_W;
 
     int count_inputs() const { return problem->rig->r + problem->rig->s; }
-    int sides_count() const { return seeing + (problem->inputs ? 1 : count_inputs()); }
 
     void lay(Arena &arena, const dashpot::Output &output) {
         problem = &output;
@@ -31,10 +30,11 @@ struct OutputWork {
         search.lay(arena, M);
         p = arena.take<double>(rig.elements);
         A = arena.take<double>(4 * n * (n + rig.r));
-        y = arena.take<double>(2l * Cs * stride);
-        W = arena.take<double>(2l * (output.diagonal ? Cs : Cs * Cs) * stride);
-        inputs = arena.take<double>(2l * nq * stride);
-        weight = arena.take<double>(1l * Cs * stride);
+        const long packed = output.y ? stride : 0;
+        y = arena.take<double>(2l * Cs * packed);
+        W = arena.take<double>(2l * (output.diagonal ? Cs : Cs * Cs) * packed);
+        inputs = arena.take<double>(2l * nq * packed);
+        weight = arena.take<double>(1l * Cs * packed);
         both = arena.take<C>(n * (n + rig.r));
         factors = arena.take<C>(n * n);
         sides = arena.take<C>(n * (Cs + nq + 1));
@@ -47,7 +47,7 @@ struct OutputWork {
         gradient = arena.take<V>(M), symmetric = arena.take<V>(M * M), scale = arena.take<V>(nq);
         slopes_of = arena.take<int>(Cs), seen = arena.take<int>(Cs);
         packed_y = packed_W = -1;
-        slope_channels = seeing = 0;
+        slope_channels = seeing = sides_count = 0;
         if (!arena.base) return;
         for (int k = 0; k < n * (n + rig.r); ++k) both[k] = zero();
         for (int c = 0; c < Cs; ++c) {
@@ -218,15 +218,34 @@ struct OutputWork {
         }
     }
 
+    // Force on coordinate i per unit of input j.
+    C push(int i, int j) const {
+        const dashpot::Rig &rig = *problem->rig;
+        return j < rig.r ? -both[i * (rig.n + rig.r) + rig.n + j] : C{all(rig.S[i * rig.s + j - rig.r]), V{}};
+    }
+
+    // G: what the channels show of each input, whose response stands in `sides` from column `first` on.
+    void respond_to_inputs(int first, int at) {
+        const dashpot::Output &output = *problem;
+        const int n = output.rig->n, nq = count_inputs();
+        for (int c = 0; c < output.channels; ++c)
+            for (int j = 0; j < nq; ++j) {
+                C sum = direct(c, j, at);
+                if (output.sees[c])
+                    for (int i = 0; i < n; ++i) add(sum, looks[c * n + i], sides[i * sides_count + first + j]);
+                G[c * nq + j] = output.calibrated ? kappa[c] * sum : sum;
+            }
+    }
+
     // Shown amplitudes, residuals, motion x and inputs q at some lines; the adjoints stand in `sides`.
     void respond(const double *psi, const double *sign, int at, bool adjoint) {
         const dashpot::Output &output = *problem;
         const dashpot::Rig &rig = *output.rig;
-        const int n = rig.n, nq = count_inputs(), points = n + rig.r, Cs = output.channels;
+        const int n = rig.n, nq = count_inputs(), Cs = output.channels;
         const bool given = output.inputs != nullptr;
         stiffness(rig, A, at, both);
         look(at);
-        const int first = adjoint ? seeing : 0, count = first + (given ? 1 : nq);
+        const int first = adjoint ? seeing : 0, count = sides_count = first + (given ? 1 : nq);
         if (given)
             for (int j = 0; j < nq; ++j) q[j] = complex_at(inputs, j, at);
         for (int i = 0; i < n; ++i) {
@@ -235,9 +254,8 @@ struct OutputWork {
                 for (int k = 0; k < seeing; ++k) row[k] = looks[seen[k] * n + i];
             C driven = zero();
             for (int j = 0; j < nq; ++j) {
-                const C push = j < rig.r ? -both[i * points + n + j] : C{all(rig.S[i * rig.s + j - rig.r]), V{}};
-                if (given) add(driven, push, q[j]);
-                else row[first + j] = push;
+                if (given) add(driven, push(i, j), q[j]);
+                else row[first + j] = push(i, j);
             }
             if (given) row[first] = driven;
         }
@@ -253,13 +271,7 @@ struct OutputWork {
                 shown[c] = output.calibrated ? kappa[c] * sum : sum;
             }
         } else {
-            for (int c = 0; c < Cs; ++c)
-                for (int j = 0; j < nq; ++j) {
-                    C sum = direct(c, j, at);
-                    if (output.sees[c])
-                        for (int i = 0; i < n; ++i) add(sum, looks[c * n + i], sides[i * count + first + j]);
-                    G[c * nq + j] = output.calibrated ? kappa[c] * sum : sum;
-                }
+            respond_to_inputs(first, at);
             estimate_inputs(at);
             for (int c = 0; c < Cs; ++c) {
                 C sum = zero();
@@ -344,7 +356,7 @@ struct OutputWork {
     void slopes(const double *psi, int at) {
         const dashpot::Output &output = *problem;
         const dashpot::Rig &rig = *output.rig;
-        const int n = rig.n, m = rig.unknowns, M = output.all, count = sides_count();
+        const int n = rig.n, m = rig.unknowns, M = output.all, count = sides_count;
         for (int a = 0; a < rig.active; ++a) {
             const int e = rig.active_element[a];
             C sum = zero();

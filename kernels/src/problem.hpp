@@ -64,6 +64,31 @@ struct Output {
     const double *precision, *mean; // (all,)
 };
 
+// Whole records among the lines of an Output that has no data of its own.  The lines of a record stand side by side,
+// filled up to a multiple of 8 by lines that weigh nothing.
+struct Records {
+    const Output *output;
+    int records, segments, columns, of_inputs, fitted, terms;
+    const int *start, *owner;            // (segments + 1,) first lines; (segments,) records, -1 of settled lines
+    const int *line;                     // (stride,) which line of the spectrum, -1 of those that fill up
+    int lines;                           // of the spectrum
+    const double *s;                     // (stride,) omega over the highest of its record
+    const unsigned char *loads, *used;   // (records,), (records, columns)
+    const double *by_input;              // (r + s, of_inputs, 2, stride)
+    const int *fitted_channel, *fitted_power, *powers;  // (fitted,), (fitted,), (terms,)
+    bool one, shared;                    // one repeat, and one set of weights, for all parameter sets
+    // (K or 1, channels, 2, stride); (K or 1, channels, stride), or null where channels are correlated and
+    // (K or 1, channels, channels, 2, stride) is their root; (K or 1, r + s, 2, stride), null where inputs are estimated
+    const double *y, *sd, *root, *q;
+};
+
+// K parameter sets.  What sampling folds back per load (K, records, channels, 2 n, 8) and, under the loads, by the
+// unknowns of the rig (K, records, channels, unknowns, 8), in powers of s, may be null.  Coefficients of the columns
+// (K, records, columns) and of each channel's powers (K, records, channels, terms) are null in the first pass.
+struct RecordsAt {
+    const double *psi, *sign, *folded, *z, *t, *folded_slopes;
+};
+
 struct Limits {
     const double *lower, *upper, *longest;  // (unknowns,)
     int limit, patience;
@@ -101,6 +126,14 @@ struct Loops {
                          double *information, double *scores, double *cost, char *work);
     void (*output_descend)(const Output &, const double *start, const double *sign, const long long *rows, long from,
                            long to, int kind, const double *weight, const Limits &, const Ends &, char *work);
+    unsigned long (*records_workspace)(const Records &);
+    void (*records_columns)(const Records &, const RecordsAt &, long from, long to, double *columns, double *basis,
+                            char *work);
+    void (*records_slopes)(const Records &, const RecordsAt &, long from, long to, double *products, double *columns,
+                           double *basis, char *work);
+    void (*records_lines)(const Records &, const RecordsAt &, const double *z, const double *t, long from, long to,
+                          double *information, double *scores, double *cost, char *work);
+    void (*records_residuals)(const Records &, const RecordsAt &, long from, long to, double *residuals, char *work);
     void (*line_shares)(const double *information, const double *inflation, const double *bread, long lines, int m,
                         double *shares, double *diagonals);
     void (*harmonic_sums)(const double *values, long from, long to, int channels, const double *turns,

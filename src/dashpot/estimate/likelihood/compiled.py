@@ -18,7 +18,8 @@ from dashpot.numerics.levenberg_marquardt import OptimizeResult, QuadraticModel
 def compiled_output(view: ObservationModel, data: Measured) -> Any | None:
     """The kernel's view of the channels, made once for each `data`; None where NumPy is to do the work or must.
 
-    The kernel knows small linear rigs and settled lines; whole records' loads and nonlinear laws are NumPy's.
+    The kernel knows small linear rigs; nonlinear laws are NumPy's, and whole records have passes of their own
+    (`record_kernel.py`).
     """
     core = kernel()
     if core is None or data.ends is not None or data.nonlinear is not None or not small(view.model):
@@ -35,11 +36,17 @@ def _output(core: Any, view: ObservationModel, data: Measured) -> Any | None:
     rig = kernel_rig(core, view.model, view.omega) if view.model.n and len(view.omega) else None
     if rig is None:
         return None
-    extra = np.zeros(view.gains + view.delays)
     return core.Output(
         rig, np.ascontiguousarray(data.y), np.ascontiguousarray(data.W),
-        None if data.q is None else np.ascontiguousarray(data.q), view.derivative, view.on_x, view.on_q, view.force,
-        view.gain, view.delay, bool(np.any(view.flips)),
+        None if data.q is None else np.ascontiguousarray(data.q), *kernel_channels(view),
+    )  # fmt: skip
+
+
+def kernel_channels(view: ObservationModel) -> tuple[Any, ...]:
+    """What the channels show and the priors of ψ, in the kernel's order."""
+    extra = np.zeros(view.gains + view.delays)
+    return (
+        view.derivative, view.on_x, view.on_q, view.force, view.gain, view.delay, bool(np.any(view.flips)),
         np.concatenate([view.model.prior_precision, extra]), np.concatenate([view.model.prior_mean, extra]),
     )  # fmt: skip
 

@@ -16,7 +16,7 @@ from dashpot.estimate.likelihood.boundary_loads import RecordEnds, projector, re
 from dashpot.estimate.likelihood.chunks import Measured, Piece, Sums, pieces
 from dashpot.estimate.likelihood.compiled import compiled_local, compiled_output
 from dashpot.estimate.likelihood.nuisance import estimated_inputs, inputs_by_channel, inputs_seen
-from dashpot.estimate.likelihood.record_sums import by_record_line, record_residuals, record_sums
+from dashpot.estimate.likelihood.record_sums import by_record_line, ends_rank, record_sums
 from dashpot.estimate.nonlinear.objective import nonlinear_part, predict_harmonics
 from dashpot.estimate.preparation.prepared import Prepared
 from dashpot.model.observation import (
@@ -34,6 +34,15 @@ LOG_RESIDUAL = 0.5  # nepers beyond which a residual of logarithms counts no lon
 
 def measured(data: Prepared, softness: float = 0.0) -> Measured:
     """The data with inverse covariances; `softness` adds that relative noise to every channel (for starts)."""
+    if softness:
+        return _measured(data, softness)
+    if "measured" not in data.kept:
+        data.kept["measured"] = _measured(data, softness)
+    kept: Measured = data.kept["measured"]
+    return kept
+
+
+def _measured(data: Prepared, softness: float) -> Measured:
     view, spectrum = data.view, data.spectrum
     present = np.all(np.isfinite(spectrum.amplitudes), axis=0)
     y = np.nan_to_num(spectrum.amplitudes)
@@ -77,7 +86,11 @@ def _weights(V: Complex, variance: Real, kept: Real, size: Real, present: Bools)
 
 def _is_diagonal(matrices: Complex) -> bool:
     C = matrices.shape[-1]
-    return not any(np.any(matrices[..., i, j]) for i in range(C) for j in range(C) if i != j)
+    if C == 1:
+        return True
+    # Row after row without the last number, what lies C + 1 apart is the diagonal.
+    rest = matrices.reshape(*matrices.shape[:-2], C * C)[..., :-1].reshape(*matrices.shape[:-2], C - 1, C + 1)
+    return not np.any(rest[..., 1:])
 
 
 def directly_driven(view: ObservationModel, data: Measured) -> Measured | None:
@@ -281,7 +294,7 @@ def nuisance_columns(view: ObservationModel, data: Measured, psi: Real, sign: Re
         return 0
     one = data.pick(slice(0, 1))
     if small(view.model):
-        return int(record_residuals(one.record_pieces, psi[:1], sign[:1])[1][0])
+        return int(ends_rank(one.record_pieces, psi[:1], sign[:1])[0])
     return predict(view, one, psi[:1], sign[:1]).columns
 
 

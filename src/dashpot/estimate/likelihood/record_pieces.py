@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -165,7 +166,7 @@ class RecordPieces:
     @property
     def apart_rank(self) -> Ints:
         """How many polynomials are taken out of single channels, (K or 1,)."""
-        return self._orthogonal[1] if self.terms else np.zeros(1, dtype=np.int64)
+        return self.orthogonal[1] if self.terms else np.zeros(1, dtype=np.int64)
 
     @cached_property
     def _kept(self) -> list[RecordPiece]:
@@ -185,19 +186,32 @@ class RecordPieces:
         return channels * (2 * elements + 2 * self.count + self.terms + len(view.names)) + 4 * view.model.n**2
 
     @cached_property
+    def compiled(self) -> dict[int, Any]:
+        """What the compiled kernel has made of these lines, by kernel."""
+        return {}
+
+    @cached_property
+    def latest(self) -> dict[object, Any]:
+        """What the passes said at the last ψ: a search ends where its result is asked for again."""
+        return {}
+
+    @property
+    def owners(self) -> list[tuple[int, Ints]]:
+        """The lines of each record, and those of none."""
+        outside = np.ones(len(self.ends.rig.omega), dtype=bool)
+        for lines in self.ends.lines:
+            outside[lines] = False
+        return [*enumerate(self.ends.lines), (NO_RECORD, np.flatnonzero(outside))]
+
+    @cached_property
     def _parts(self) -> list[tuple[slice | Ints, tuple[tuple[int, slice], ...]]]:
         """Lines and segments of each piece: records one after another, long ones cut."""
         most = max(1, NUMBERS // self._each)
-        ends, total = self.ends, len(self.ends.rig.omega)
-        outside = np.ones(total, dtype=bool)
-        for lines in ends.lines:
-            outside[lines] = False
-        owners = [*enumerate(ends.lines), (NO_RECORD, np.flatnonzero(outside))]
         parts: list[tuple[slice | Ints, tuple[tuple[int, slice], ...]]] = []
         chosen: list[Ints] = []
         segments: list[tuple[int, slice]] = []
         filled = 0
-        for record, lines in owners:
+        for record, lines in self.owners:
             for first in range(0, len(lines), most):
                 few = lines[first : first + most]
                 if filled + len(few) > most:
@@ -249,22 +263,25 @@ class RecordPieces:
         basis = np.zeros_like(powers)
         for record, part in segments:
             if record != NO_RECORD:
-                basis[..., part] = np.swapaxes(self._orthogonal[0][:, record], -1, -2) @ powers[..., part]
+                basis[..., part] = np.swapaxes(self.orthogonal[0][:, record], -1, -2) @ powers[..., part]
         return basis
 
     @cached_property
-    def _orthogonal(self) -> tuple[Real, Ints]:
+    def orthogonal(self) -> tuple[Real, Ints]:
         """What makes the polynomials orthonormal over the lines of each record, (K or 1, records, channels, terms,
         terms), and how many there are, (K or 1,)."""
         ends, channels = self.ends, len(self.ends.rig.channels)
         products = np.zeros((len(self.W), len(ends.lines), channels, self.terms, self.terms))
+        # Re(conj(jσ)ᵖ (jσ)^q) is σ^(p + q) or its negative, and 0 where only one of the powers is odd.
+        apart = self.powers - self.powers[:, None]
+        turn = np.where(apart % 2 == 0, 1 - np.abs(apart) % 4, 0)
+        height, of = np.unique(self.powers + self.powers[:, None], return_inverse=True)
         for record, lines in enumerate(ends.lines):
             for first in range(0, len(lines), NUMBERS // 10):
                 few = lines[first : first + NUMBERS // 10]
                 weight = np.diagonal(self.W[:, few], axis1=-2, axis2=-1).real
-                powers = _powers(ends.s[few], self.powers).view(np.float64)
-                weighted = np.repeat(np.swapaxes(weight, -1, -2), 2, axis=-1)[:, :, None, :] * powers
-                products[:, record] += weighted @ powers.T
+                moments = np.swapaxes(weight, -1, -2) @ ends.s[few, None].imag ** height
+                products[:, record] += turn * moments[..., of.reshape(turn.shape)]
         used = self.apart_used[None]
         products = np.where(used[..., :, None] & used[..., None, :], products, 0.0)
         B, rank = independent(products)

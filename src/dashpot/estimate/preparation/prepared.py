@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -39,6 +41,11 @@ class Prepared:
     def model(self) -> Model:
         """The rig."""
         return self.view.model
+
+    @cached_property
+    def kept(self) -> dict[str, Any]:
+        """What later stages have made of these very data, by name."""
+        return {}
 
     def of_rig(self, model: Model) -> Prepared:
         """The same data of a rig with the same coordinates and inputs."""

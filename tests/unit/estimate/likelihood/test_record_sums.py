@@ -13,12 +13,17 @@ from dashpot.channel import Quantity
 from dashpot.data.conditioning.whole_record import whole_record
 from dashpot.data.record import Record
 from dashpot.data.spectrum import Spectrum, concatenate
-from dashpot.estimate.likelihood import record_pieces, record_sums
+from dashpot.estimate.likelihood import record_passes, record_pieces, record_sums
 from dashpot.estimate.likelihood.chunks import Measured
 from dashpot.estimate.likelihood.objective import local, measured, nuisance_columns, per_line, predict
+from dashpot.estimate.likelihood.record_kernel import compiled_passes
 from dashpot.estimate.preparation.prepared import prepare
 from dashpot.model.observation import ObservationModel, observation_model
+from dashpot.numerics.kernel import using
+from tests.kernels import apart, compiled, instruction_sets, instructions
 from tests.whole_rigs import WholeTest, chain, record_of
+
+TWINS = 1e-12
 
 
 @dataclass(frozen=True)
@@ -70,6 +75,43 @@ def exact_inputs(test: WholeTest, share: float = 0.05) -> Real:
 
 
 def require_twins(given: Case) -> None:
+    """NumPy's passes say what goes line by line says, and the kernel's say it to rounding."""
+    with using("numpy"):
+        require_as_line_by_line(given)
+        twin = numbers_of(given)
+    for name in instruction_sets():
+        if not knows_records():
+            continue
+        with instructions(name), using("compiled"):
+            fresh = replace(given, data=replace(given.data))
+            assert compiled_passes(fresh.data.record_pieces, fresh.psi, fresh.sign) is not None
+            for values, expected in zip(numbers_of(fresh), twin, strict=True):
+                assert apart(values, expected) < TWINS
+
+
+def knows_records() -> bool:
+    """Whether the kernel that is installed has passes over whole records."""
+    try:
+        return hasattr(compiled(), "Records")
+    except pytest.skip.Exception:
+        return False
+
+
+def numbers_of(given: Case) -> tuple[Real, ...]:
+    """What the passes say, in units in which the largest of each is about 1: K rows each."""
+    sums = record_sums.record_sums(given.data.record_pieces, given.psi, given.sign)
+    size = np.sqrt(np.diagonal(sums.information, axis1=1, axis2=2))
+    both, root = size[:, :, None] * size[:, None, :], np.sqrt(sums.cost)
+    information, scores, cost = record_sums.by_record_line(given.data.record_pieces, given.psi, given.sign)
+    white, rank = record_sums.record_residuals(given.data.record_pieces, given.psi, given.sign)
+    return (
+        sums.cost[:, None], sums.gradient / size / root[:, None] + 1, sums.information / both,
+        information / both[:, None], scores / size[:, None] / root[:, None, None] + 1, cost, np.abs(white),
+        white.real + root[:, None, None], rank[:, None], sums.rank[:, None],
+    )  # fmt: skip
+
+
+def require_as_line_by_line(given: Case) -> None:
     slow = predict(given.view, given.data, given.psi, given.sign)
     K = len(given.psi)
     J, PJ, weighted = (
@@ -146,7 +188,7 @@ def test_pieces_do_not_change_the_sums(monkeypatch: pytest.MonkeyPatch) -> None:
     pieces = len(list(whole.data.record_pieces))
     monkeypatch.setattr(record_pieces, "NUMBERS", 2000)
     monkeypatch.setattr(record_pieces, "KEPT", 0)
-    monkeypatch.setattr(record_sums, "KEPT", 0)
+    monkeypatch.setattr(record_passes, "KEPT", 0)
     cut = replace(whole, data=replace(whole.data))
     assert len(list(cut.data.record_pieces)) > 10 * pieces
     require_twins(cut)
