@@ -20,7 +20,7 @@ import numpy as np
 from dashpot.estimate.identify import identify
 from dashpot.estimate.likelihood.maximum_likelihood import MaximumLikelihood
 from dashpot.estimate.linear.compiled import compiled_equation, compiled_search
-from dashpot.estimate.linear.instrumental_variables import OptimalIV
+from dashpot.estimate.linear.instrumental_variables import FAR, OptimalIV
 from dashpot.estimate.preparation.prepared import prepare
 from dashpot.numerics.harmonic_sums import even_gram, harmonic_sums
 from dashpot.numerics.kernel import kernel, using
@@ -53,11 +53,11 @@ def batches(repeats: int) -> None:
         model, truth = chain(n)
         spectrum = data(model, truth, np.linspace(1, 20, 25), repeats)
         states = prepare(model, spectrum).seen_states
-        equation, endless = compiled_equation(model, states), np.full(len(truth), np.inf)
+        equation = compiled_equation(model, states)
         first, everyone = equation.starts()[0], np.arange(repeats)
 
-        def descend(equation=equation, first=first, everyone=everyone, endless=endless) -> object:
-            return compiled_search(equation, first, everyone, 200, 1e-9, -endless, endless)
+        def descend(model=model, equation=equation, states=states, first=first, everyone=everyone) -> object:
+            return compiled_search(equation, model, states, first, everyone, FAR, 200, 1e-9)
 
         alone = shortest(descend, 3)
         taken, values = {}, {}

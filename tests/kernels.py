@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import tomllib
 from collections.abc import Iterator
 from contextlib import contextmanager
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -11,10 +13,18 @@ import pytest
 
 from dashpot.arrays import Real
 
+SOURCES = Path(__file__).parents[1] / "kernels" / "pyproject.toml"
+
 
 def compiled() -> Any:
-    """The module dashpot_kernels; skips where it is not installed."""
-    return pytest.importorskip("dashpot_kernels", reason="the compiled kernel is not installed (dev.py env)")
+    """The module dashpot_kernels; skips where it is absent or of another version than the sources."""
+    module = pytest.importorskip(
+        "dashpot_kernels", reason="the compiled kernel is not installed (dev.py env)"
+    )
+    wanted = tomllib.loads(SOURCES.read_text(encoding="utf-8"))["project"]["version"]
+    if module.__version__ != wanted:
+        pytest.skip(f"the compiled kernel is {module.__version__}, its sources {wanted} (dev.py env)")
+    return module
 
 
 def instruction_sets() -> list[str]:

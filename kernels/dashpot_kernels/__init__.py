@@ -9,6 +9,9 @@ from dashpot_kernels._core import (
     instruction_set,
     instruction_sets,
     line_shares,
+    mode_values,
+    point_states,
+    scaled_inverse,
     set_instructions,
 )
 
@@ -21,6 +24,9 @@ __all__ = [
     "instruction_set",
     "instruction_sets",
     "line_shares",
+    "mode_values",
+    "point_states",
+    "scaled_inverse",
     "set_instructions",
 ]
-__version__ = "0.2.0"
+__version__ = "0.2.1"

@@ -1,6 +1,7 @@
 // The module: arrays in, arrays out; which instruction set; threads.
 #include <algorithm>
 #include <atomic>
+#include <cmath>
 #include <complex>
 #include <cstdint>
 #include <cstdlib>
@@ -20,6 +21,7 @@
 #include <nanobind/stl/string.h>
 #include <nanobind/stl/vector.h>
 
+#include "arrays.hpp"
 #include "problem.hpp"
 
 namespace nb = nanobind;
@@ -33,13 +35,8 @@ namespace avx512 { extern const dashpot::Loops LOOPS; }
 
 namespace {
 
-using Reals = nb::ndarray<const double, nb::c_contig, nb::device::cpu>;
-using Complexes = nb::ndarray<const std::complex<double>, nb::c_contig, nb::device::cpu>;
-using Integers = nb::ndarray<const int64_t, nb::c_contig, nb::device::cpu>;
-using Flags = nb::ndarray<const bool, nb::c_contig, nb::device::cpu>;
-using Found = nb::ndarray<nb::numpy, double>;
-
-const double *numbers(const Complexes &array) { return reinterpret_cast<const double *>(array.data()); }
+using dashpot::Array, dashpot::array, dashpot::Complexes, dashpot::Flags, dashpot::Integers, dashpot::numbers,
+    dashpot::Reals, dashpot::require;
 
 // Numbers on the boundaries of cache lines.
 struct Free {
@@ -50,18 +47,6 @@ template <class T> Memory<T> memory(size_t count) {
     void *place = std::aligned_alloc(64, (std::max<size_t>(count, 1) * sizeof(T) + 63) / 64 * 64);
     if (!place) throw std::bad_alloc();
     return Memory<T>(static_cast<T *>(place));
-}
-
-template <class T = double> struct Array {
-    T *data;
-    nb::ndarray<nb::numpy, T> array;
-};
-template <class T = double> Array<T> array(std::vector<size_t> shape) {
-    size_t count = 1;
-    for (size_t size : shape) count *= size;
-    T *data = new T[std::max<size_t>(count, 1)]();
-    nb::capsule owner(data, [](void *p) noexcept { delete[] static_cast<T *>(p); });
-    return {data, nb::ndarray<nb::numpy, T>(data, shape.size(), shape.data(), owner)};
 }
 
 std::vector<const dashpot::Loops *> available() {
@@ -77,10 +62,6 @@ std::vector<const dashpot::Loops *> available() {
 }
 
 const dashpot::Loops *chosen = nullptr;
-
-void require(bool right, const char *what) {
-    if (!right) throw std::invalid_argument(what);
-}
 
 // Rows shared out to threads; each piece gets a workspace of its own.
 template <class Work> void share(long rows, int threads, size_t workspace, Work work) {
@@ -215,7 +196,7 @@ struct Limits {
 
 // Where a search ends, as arrays: x, cost, converged, iterations, history of the first row.
 struct Ending {
-    Array<double> x, cost, history;
+    Array<double> x, cost, history, sum{}, gradient{}, symmetric{}, free{};
     Array<bool> converged;
     Array<int64_t> iterations;
     int rows = 0;
@@ -228,6 +209,13 @@ struct Ending {
         ends = {x.data, cost.data, reinterpret_cast<unsigned char *>(converged.data),
                 reinterpret_cast<long long *>(iterations.data), history.data, &rows};
     }
+    void with_sums() {
+        const size_t count = x.array.shape(0);
+        sum = array({count}), gradient = array({count, unknowns}), symmetric = array({count, unknowns, unknowns});
+        free = array({count, unknowns, unknowns});
+        ends.sum = sum.data, ends.gradient = gradient.data, ends.symmetric = symmetric.data, ends.free = free.data;
+    }
+    nb::tuple sums() { return nb::make_tuple(sum.array, gradient.array, symmetric.array, free.array); }
     nb::tuple result() {
         return nb::make_tuple(x.array, cost.array, converged.array, iterations.array, history.array, rows);
     }
@@ -312,20 +300,35 @@ struct Equation {
         return nb::make_tuple(clean.array, weighted.array, plain.array);
     }
 
-    nb::tuple descend(Reals start, Integers rows, Reals lower, Reals upper, Reals longest, int limit, double tolerance,
-                      int patience, int threads) const {
-        require(start.ndim() == 2 && start.shape(1) == m, "the start is of another number of unknowns");
-        const size_t K = start.shape(0);
+    // From rows of the start of all repeats, within `far` times their largest starts; what runs off that far has not
+    // converged.  With cost, slope and matrices at the end.
+    nb::tuple search(Reals start, Integers rows, double far, int limit, double tolerance, int patience,
+                     int threads) const {
+        require(start.ndim() == 2 && start.shape(1) == m && start.shape(0) == repeats, "the start is of another size");
+        const size_t K = rows.size();
         const long long *of = rows_of(rows, K, equation.repeats);
-        const Limits limits(lower, upper, longest, std::nullopt, limit, tolerance, patience, m);
+        std::vector<double> upper(m, 0.0), lower(m), endless(m, INFINITY), from(K * m);
+        for (size_t k = 0; k < repeats * m; ++k)
+            upper[k % m] = std::max(upper[k % m], std::fabs(start.data()[k]));  // NaN is no larger
+        for (size_t j = 0; j < m; ++j) {
+            upper[j] = upper[j] > 0 ? far * upper[j] : INFINITY;
+            lower[j] = -upper[j];
+        }
+        for (size_t k = 0; k < K * m; ++k) from[k] = start.data()[of[k / m] * m + k % m];
+        dashpot::Limits limits{};
+        limits.lower = lower.data(), limits.upper = upper.data(), limits.longest = endless.data();
+        limits.limit = limit, limits.patience = patience, limits.tolerance = tolerance;
         Ending ending(K, m, limit);
+        ending.with_sums();
         {
             nb::gil_scoped_release released;
-            share(K, threads, chosen->equation_workspace(equation), [&](long from, long to, char *place) {
-                chosen->equation_descend(equation, start.data(), of, from, to, limits.limits, ending.ends, place);
+            share(K, threads, chosen->equation_workspace(equation), [&](long first, long last, char *place) {
+                chosen->equation_descend(equation, from.data(), of, first, last, limits, ending.ends, place);
             });
         }
-        return ending.result();
+        for (size_t k = 0; k < K * m; ++k)
+            if (!(std::fabs(ending.x.data[k]) < upper[k % m])) ending.converged.data[k / m] = false;
+        return nb::make_tuple(ending.result(), ending.sums());
     }
 };
 
@@ -695,8 +698,8 @@ NB_MODULE(_core, module) {
         .def("evaluate", &Equation::evaluate, "theta"_a, "rows"_a, "threads"_a = 1)
         .def("lines", &Equation::lines, "theta"_a, "threads"_a = 1)
         .def("starts", &Equation::starts, "threads"_a = 1)
-        .def("descend", &Equation::descend, "start"_a, "rows"_a, "lower"_a, "upper"_a, "longest"_a, "limit"_a,
-             "tolerance"_a, "patience"_a, "threads"_a = 1);
+        .def("search", &Equation::search, "start"_a, "rows"_a, "far"_a, "limit"_a, "tolerance"_a, "patience"_a,
+             "threads"_a = 1);
     nb::class_<Output>(module, "Output", "The channels of K repeats with their weights.")
         .def(nb::init<std::shared_ptr<Rig>, Complexes, Complexes, std::optional<Complexes>, Integers, Reals, Reals,
                       Reals, Integers, Integers, bool, Reals, Reals>(),
@@ -721,6 +724,7 @@ NB_MODULE(_core, module) {
         .def("by_line", &Records::by_line, "psi"_a, "sign"_a, "folded"_a.none(), "z"_a, "t"_a,
              "folded_slopes"_a.none(), "of_columns"_a, "of_basis"_a, "threads"_a = 1)
         .def("residuals", &Records::residuals, "psi"_a, "sign"_a, "folded"_a.none(), "z"_a, "t"_a, "threads"_a = 1);
+    dashpot::bind_small_rigs(module);
     module.def("line_shares", &line_shares, "information"_a, "inflation"_a, "bread"_a, "threads"_a = 1);
     module.def("harmonic_sums", &harmonic_sums, "values"_a, "turns"_a, "origin"_a, "threads"_a = 1);
     module.def("instruction_sets", [] {

@@ -102,6 +102,7 @@ struct Ends {
     long long *iterations;
     double *history;     // of the first row, (limit + 1, unknowns); may be null
     int *history_rows;
+    double *sum = nullptr, *gradient = nullptr, *symmetric = nullptr, *free = nullptr;  // at the end; all or none
 };
 
 enum Kind { SQUARES = 0, LOGARITHMS = 1 };

@@ -136,7 +136,7 @@ static void minimise(Searcher &w, Evaluate &evaluate, const double *start, const
     };
     write();
     double cost = INFINITE, damping = 0;
-    bool converged = false;
+    bool converged = false, curvature = false;
     long long iterations = 0;
     if (usable && limits.limit > 0) {
         evaluate_at(w, limits, evaluate, w.x, w.around);
@@ -146,6 +146,7 @@ static void minimise(Searcher &w, Evaluate &evaluate, const double *start, const
             bool newton = false;
             if (turn >= limits.patience) {
                 newton = curved(w, limits, evaluate);
+                curvature = true;
                 if (newton && turn == limits.patience) damping = 0;
             }
             next_step(w, limits, damping, newton);
@@ -182,6 +183,16 @@ static void minimise(Searcher &w, Evaluate &evaluate, const double *start, const
             write();
             if (done) converged = true;
             if (done || damping > 1e14) break;
+        }
+    }
+    if (ends.symmetric) {
+        // The search may have put Newton's matrix in the place of `free`.
+        if (iterations == 0 || curvature || !__builtin_isfinite(cost)) evaluate(w.x, w.around);
+        ends.sum[row] = w.around.cost;
+        for (int j = 0; j < m; ++j) ends.gradient[row * m + j] = w.around.gradient[j];
+        for (int j = 0; j < m * m; ++j) {
+            ends.symmetric[row * m * m + j] = w.around.symmetric[j];
+            ends.free[row * m * m + j] = w.around.free[j];
         }
     }
     for (int j = 0; j < m; ++j) ends.x[row * m + j] = w.x[j];

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from math import prod
 
 import numpy as np
 
@@ -13,7 +14,7 @@ def flattened(spectrum: Spectrum) -> Spectrum:
     """The same spectrum with exactly one leading axis of repeats on amplitudes, covariance (or 1) and moments."""
     if len(spectrum.batch) == 1 and spectrum.covariance.ndim == 4 and spectrum.moments is None:
         return spectrum
-    repeats = int(np.prod(spectrum.batch, dtype=int))
+    repeats = prod(spectrum.batch)
     V = spectrum.covariance
     if V.ndim == 3:
         V = V[None]

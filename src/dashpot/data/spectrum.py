@@ -183,6 +183,11 @@ class Spectrum(InNotebooks):
         return any(isinstance(value, WholeRecord) and value.loads for value in self.stretches)
 
     @property
+    def noise_given(self) -> bool:
+        """Whether the noise of every line is as it was given: no estimate of so many samples."""
+        return bool(np.isinf(self.dof).all())
+
+    @cached_property
     def noise_known(self) -> bool:
         """Whether the covariance of the amplitudes is given or was estimated from samples, at every line.
 
@@ -194,7 +199,8 @@ class Spectrum(InNotebooks):
         """The same with other arrays, read-only and of the right shapes, taken from one that has been checked."""
         other = object.__new__(Spectrum)
         other.__dict__.update(self.__dict__, **changes)
-        other.__dict__.pop("present", None)  # of the old amplitudes
+        for fact in ("present", "noise_known"):  # of the old arrays
+            other.__dict__.pop(fact, None)
         return other
 
     def select(self, lines: Sequence[int] | Ints) -> Spectrum:

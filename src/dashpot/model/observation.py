@@ -176,6 +176,18 @@ class ObservationModel:
         return frozen(both * self.is_direct[:, None], np.float64)
 
     @cached_property
+    def single_entries(self) -> tuple[Complex, Ints] | None:
+        """What each direct channel shows, (lines, channels), and of which entry of z, (channels,), −1 where of none.
+
+        None where some channel shows several.
+        """
+        shows = self.direct_incidence != 0
+        if (np.count_nonzero(shows, axis=-1) > 1).any():
+            return None
+        entry = np.where(shows.any(axis=-1), shows.argmax(axis=-1), -1)
+        return frozen(self.direct.sum(axis=-1), np.complex128), frozen(entry, np.int64)
+
+    @cached_property
     def undetermined(self) -> dict[bytes, Bools]:
         """Entries of z = (X, U, f) that the channels of a line leave undetermined, by which of them are there."""
         return {}
@@ -322,20 +334,13 @@ def transfer(view: ObservationModel, p: Real) -> Transfer:
 
 def calibrated_transfer(view: ObservationModel, psi: Real, sign: Real) -> ChannelTransfer:
     """The same with calibrations, at ψ (..., M) and signs (..., channels); of the reduced rig where there is one."""
-    if view.reduced is not None:
-        return _calibrated_reduced(view, view.reduced, psi, sign)
-    rig = transfer(view, view.model.parameters(psi[..., : view.m]))
+    theta, rig = psi[..., : view.m], view.reduced
+    known: ChannelTransfer = (
+        transfer(view, view.model.parameters(theta)) if rig is None else rig.transfer(view, theta)
+    )
     if not (view.gains or view.delays) and np.all(sign == 1):
-        return rig
-    return rig.calibrated(calibration_factors(view, psi, sign)[..., None], psi)
-
-
-def _calibrated_reduced(view: ObservationModel, rig: Reduced, psi: Real, sign: Real) -> ChannelTransfer:
-    plain = rig.transfer(view, psi[..., : view.m])
-    if not (view.gains or view.delays) and np.all(sign == 1):
-        return plain
-    kappa = calibration_factors(view, psi, sign)[..., None]
-    return plain.calibrated(kappa, psi)
+        return known
+    return known.calibrated(calibration_factors(view, psi, sign)[..., None], psi)
 
 
 def small(model: Model) -> bool:

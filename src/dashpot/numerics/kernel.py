@@ -42,6 +42,11 @@ def kernel() -> Any | None:
     return module
 
 
+def kernel_function(name: str) -> Any | None:
+    """A function of the compiled module; None where NumPy is to do the work, or where that module is older than it."""
+    return getattr(kernel(), name, None)
+
+
 @contextmanager
 def using(choice: str) -> Iterator[None]:
     """Let `kernel` answer as `choice` says for as long as this context lasts.

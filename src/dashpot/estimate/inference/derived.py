@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from typing import TypeVar, cast
+
 import numpy as np
 
 from dashpot.arrays import Real
@@ -9,12 +12,31 @@ from dashpot.errors import ModelError
 from dashpot.estimate.result import ModeValues
 from dashpot.model.modes import modes
 from dashpot.model.network import Model
+from dashpot.numerics.kernel import kernel_function
 
+COMPILED_TO = 12  # coordinates up to which the kernel's eigenvalues take less time than LAPACK's
 LOST = 1e-13  # of the terms of a variance: below it the sum is rounding
+Values = TypeVar("Values")
 
 
 def known_values(model: Model) -> tuple[tuple[str, float, str], ...]:
     """(name, value, unit) of the parameters and constants that are exactly known."""
+    return _kept(model, _known_values)
+
+
+def tied_values(model: Model) -> tuple[tuple[str, str, float, str], ...]:
+    """(name, unknown, times, unit) of the parameters that are a multiple of an unknown."""
+    return _kept(model, _tied_values)
+
+
+def _kept(model: Model, make: Callable[[Model], Values]) -> Values:
+    """What `make` says of a model, kept with it."""
+    if (make,) not in model.views:
+        model.views[make,] = make(model)
+    return cast("Values", model.views[make,])
+
+
+def _known_values(model: Model) -> tuple[tuple[str, float, str], ...]:
     unknown = {u.name for u in model.unknowns}
     constants = tuple(
         (f"{e.name}.{c.name}", float(c.value), model.constant_unit(e, c))
@@ -28,8 +50,7 @@ def known_values(model: Model) -> tuple[tuple[str, float, str], ...]:
     )
 
 
-def tied_values(model: Model) -> tuple[tuple[str, str, float, str], ...]:
-    """(name, unknown, times, unit) of the parameters that are a multiple of an unknown."""
+def _tied_values(model: Model) -> tuple[tuple[str, str, float, str], ...]:
     return tuple(
         (element.name, model.elements[tie.root].name, tie.times, model.unit(element))
         for element, tie, known in zip(model.elements, model.ties, _of_no_unknown(model), strict=True)
@@ -62,6 +83,12 @@ def mode_values(model: Model, theta: Real, covariance: Real) -> ModeValues:
     NaN where a standard deviation is lost in the rounding of terms that are far larger.
     theta (m,), covariance (m, m).
     """
+    compiled = kernel_function("mode_values") if model.n <= COMPILED_TO else None
+    if compiled is not None:
+        # None where masses are missing or coupled, or where nothing holds a motion.
+        table = compiled(model.B, model.letters, model.T, model.p0, theta, covariance)
+        if table is not None:
+            return ModeValues(*table)
     of_rig = modes(model, model.parameters(theta))
     slope = of_rig.sensitivity @ model.T
     values = of_rig.eigenvalues

@@ -51,7 +51,7 @@ def dead_channels(model: Model, spectrum: Spectrum) -> list[str]:
 
 def duplicated_lines(spectrum: Spectrum) -> list[Notice]:
     """A warning of lines whose noisy amplitudes are those of another line to the last digit."""
-    if not spectrum.covariance.any() or len(set(spectrum.frequency_hz.tolist())) == spectrum.lines:
+    if len(set(spectrum.frequency_hz.tolist())) == spectrum.lines or not spectrum.covariance.any():
         return []
     # Lines of a batch that repeat each other do so in its first repeat.
     first = np.nan_to_num(spectrum.amplitudes[(0,) * len(spectrum.batch)])
@@ -100,6 +100,8 @@ def reversed_phase(model: Model, theta: Real, noise_covariance: Real) -> list[No
 
     theta (m,), noise_covariance (m, m).
     """
+    if not (theta < 0).any():
+        return []
     dissipative = {element.name for element in model.elements if element.law.dissipative}
     dampers = [j for j, unknown in enumerate(model.unknowns) if unknown.name in dissipative]
     beyond = theta < -APART * np.sqrt(np.diagonal(noise_covariance))
@@ -154,7 +156,8 @@ def _of_fit(fit: Fit) -> list[Notice]:
 def _beyond_bounds(model: Model, theta: Real) -> list[Notice]:
     lower, upper = model.bounds
     values = theta[: len(lower)]
-    names = [model.unknowns[j].name for j in np.flatnonzero((values < lower) | (values > upper))]
+    (beyond,) = ((values < lower) | (values > upper)).nonzero()
+    names = [model.unknowns[j].name for j in beyond]
     return [
         Notice(
             "beyond_bound", f"{name} lies beyond its bounds; of all methods only ml keeps to them", (name,)
@@ -174,7 +177,10 @@ def wrong_signs(model: Model, theta: Real, noise_covariance: Real) -> list[Notic
 
     theta (m,), noise_covariance (m, m): an interval that a misfit has widened excuses no sign.
     """
-    free, any_sign = free_names(model), nonlinear_names(model)
+    free = free_names(model)
+    if not free and not (theta < 0).any():
+        return []
+    any_sign = nonlinear_names(model)
     sd = standard_deviations(noise_covariance)
     largest = largest_of_kind(model, model.parameters(theta[: len(model.unknowns)]))
     notices = []
@@ -241,7 +247,7 @@ def bias(names: tuple[str, ...], theta: Real, best: Real, covariance: Real, meth
 
 def _coloured(spectrum: Spectrum) -> list[Notice]:
     """What the tests of whiteness led to, where they failed at more lines than white noise explains."""
-    coloured = sum(kind == "blocks" for kind in spectrum.noise)
+    coloured = spectrum.noise.count("blocks")
     if not coloured or bdtrc(coloured - 1, spectrum.lines, FALSE_ALARMS) > FALSE_ALARMS * (1 + 1e-9):
         return []
     text = f"coloured noise at {coloured} of {spectrum.lines} frequencies; the intervals include it"
@@ -251,6 +257,8 @@ def _coloured(spectrum: Spectrum) -> list[Notice]:
 def _inputs_left_out(model: Model, spectrum: Spectrum) -> list[Notice]:
     """Inputs that some lines measure and others leave empty: there they are unknown, which costs precision."""
     measured = spectrum.present
+    if measured.all():
+        return []
     notices = []
     for name in (*model.displacement_inputs, *model.force_inputs):
         direct = [set(channel.of) == {name} and is_direct(model, channel) for channel in spectrum.channels]

@@ -197,11 +197,11 @@ def uncertainty(data: Prepared, solution: Solution, around: Linearised, traits: 
             covariance, covariance, bound, degrees, np.full(len(chi2), usable), nothing, excess
         )
     bread = sums.inverse
-    quality = noise_quality(data.spectrum, data.correlated)
-    if quality.given:
+    if data.spectrum.noise_given:
         chi2, bound, noise = np.maximum(sums.cost - excess, 0.0), bread, bread
         degrees = np.full(solution.theta.shape, np.inf)
     else:
+        quality = noise_quality(data.spectrum, data.correlated)
         chi2, bound, noise, degrees = _with_estimated_noise(around, quality, bread, prior, excess)
     p = _p_value(chi2, dof, around.rows, data.spectrum)
     if not traits.weighted:
@@ -211,7 +211,7 @@ def uncertainty(data: Prepared, solution: Solution, around: Linearised, traits: 
         bands = around.bands(np.arange(len(chi2)), frequency_hz)
         covariance, degrees = bands.widened(noise, degrees, bands.disagree)
         return Uncertainty(covariance, noise, bound, degrees, chi2, p, excess, bands)
-    misfit = np.flatnonzero((p < MISFIT_LEVEL) & (chi2 > dof))
+    (misfit,) = ((p < MISFIT_LEVEL) & (chi2 > dof)).nonzero()
     covariance = noise.copy()
     if len(misfit):
         wide = noise[misfit] * (chi2[misfit] / usable)[:, None, None]
@@ -231,7 +231,7 @@ def _excess(sums: QuadraticModel, solution: Solution) -> Real:
         gradient = np.where(held, 0.0, gradient)
         apart = (held[:, :, None] | held[:, None, :]) & ~np.eye(held.shape[-1], dtype=bool)
         step = solve_scaled(np.where(apart, 0.0, sums.symmetric), gradient)
-    excess: Real = np.sum(gradient * step, axis=-1)
+    excess: Real = (gradient * step).sum(axis=-1)
     return excess
 
 
@@ -278,7 +278,7 @@ def _p_value(chi2: Real, dof: int, rows: int, spectrum: Spectrum) -> Real:
 
     if dof <= 0 or RESIDUAL in spectrum.noise:  # noise sized by these very residuals tests nothing
         return np.full(len(chi2), np.nan)
-    if np.all(np.isinf(spectrum.dof)):
+    if spectrum.noise_given:
         return np.asarray(chdtrc(float(dof), chi2), dtype=float)
     nu, n = spectrum.dof, rows / (2 * spectrum.lines)
     with np.errstate(invalid="ignore"):

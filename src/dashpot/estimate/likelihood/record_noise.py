@@ -52,7 +52,7 @@ POOL_LEVEL = 1e-3  # of the test whether short records share the size of their n
 
 def noise_is_sought(spectrum: Spectrum) -> bool:
     """Whether whole records are among the data whose noise the residuals have to tell."""
-    return any(kind == FLOOR for kind in spectrum.noise)
+    return FLOOR in spectrum.noise
 
 
 def with_record_noise(model: Model, spectrum: Spectrum, method: Method) -> tuple[Spectrum, Method]:

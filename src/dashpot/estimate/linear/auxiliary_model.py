@@ -101,9 +101,9 @@ def equation_by_line(model: Model, data: States, theta: Real) -> tuple[Real, Rea
 
 def equation_sums(model: Model, data: States, theta: Real) -> QuadraticModel:
     """Cost, slope and information of all lines at θ (K, m), with the priors' rows."""
-    equation = compiled_equation(model, data)
-    if equation is not None:
-        return compiled_sums(equation, data, theta)
+    sums = compiled_sums(model, data, theta)
+    if sums is not None:
+        return sums
     information, scores, cost = equation_by_line(model, data, theta)
     return sums_of_lines(information, scores, cost, theta, model.prior_precision, model.prior_mean)
 

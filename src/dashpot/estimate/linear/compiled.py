@@ -20,6 +20,8 @@ def compiled_equation(model: Model, states: States) -> Any | None:
     core = kernel()
     if core is None or not small(model) or not model.n or not len(states.omega):
         return None
+    if not hasattr(core.Equation, "search"):  # kernels before 0.2.1
+        return None
     key = (id(core), id(model))
     if key not in states.compiled:
         rig = kernel_rig(core, model, states.omega)
@@ -38,27 +40,39 @@ def compiled_lines(equation: Any, theta: Real) -> tuple[Real, Real, Real]:
     return information, scores, cost
 
 
-def compiled_sums(equation: Any, states: States, theta: Real) -> QuadraticModel:
-    """Cost, slope and information of all lines at θ (K, unknowns); those of the last θ are kept."""
+def compiled_sums(model: Model, states: States, theta: Real) -> QuadraticModel | None:
+    """Cost, slope and information of all lines at θ (K, unknowns), None as above; those of the last θ are kept."""
     kept = states.compiled.get("sums")
-    if kept is None or kept[0] is not equation or kept[1] is not theta:
+    if kept is None or kept[0] is not model or kept[1] is not theta:
+        equation = compiled_equation(model, states)
+        if equation is None:
+            return None
         sums = equation.evaluate(np.ascontiguousarray(theta), np.arange(len(theta)), threads())
-        kept = equation, theta, QuadraticModel(*sums)
+        kept = model, theta, QuadraticModel(*sums)
         states.compiled["sums"] = kept
     local: QuadraticModel = kept[2]
     return local
 
 
 def compiled_search(
-    equation: Any, start: Real, repeats: Ints, limit: int, tolerance: float, lower: Real, upper: Real
+    equation: Any,
+    model: Model,
+    states: States,
+    start: Real,
+    repeats: Ints,
+    far: float,
+    limit: int,
+    tolerance: float,
 ) -> OptimizeResult:
-    """Minimise Σ eᴴ Ω(θ) e from `start` (k, unknowns) for some of the repeats."""
-    return compiled_result(
-        equation.descend(
-            np.ascontiguousarray(start), np.ascontiguousarray(repeats), lower, upper, np.full(start.shape[-1], np.inf),
-            limit, tolerance, PATIENCE, threads(),
-        )
-    )  # fmt: skip
+    """Minimise Σ eᴴ Ω(θ) e for some of the repeats, `start` being (K, unknowns) of all of them.
+
+    What runs off to `far` times the largest start has not converged.  Sums at the ends are kept where they are of all.
+    """
+    ends, sums = equation.search(start, repeats, far, limit, tolerance, PATIENCE, threads())
+    result = compiled_result(ends)
+    if len(repeats) == len(start):
+        states.compiled["sums"] = model, result.x, QuadraticModel(*sums)
+    return result
 
 
 def compiled_result(ends: tuple[Any, ...]) -> OptimizeResult:

@@ -146,17 +146,14 @@ def search(
     model: Model, states: States, start: Real, repeats: Ints, *, limit: int, tolerance: float
 ) -> OptimizeResult:
     """Minimise Σ eᴴ Ω(θ) e with the priors' rows, for some of the repeats; `start` is (K, unknowns) of all."""
+    equation = compiled_equation(model, states)
+    if equation is not None:
+        return compiled_search(equation, model, states, start, repeats, FAR, limit, tolerance)
     # With noise as large as the signal the likelihood may rise towards infinity: such a repeat has no answer.
     reach = FAR * np.where(np.isnan(start), 0.0, np.abs(start)).max(axis=0, initial=0.0)
     reach = np.where(reach > 0, reach, np.inf)
-    equation = compiled_equation(model, states)
-    if equation is None:
-        evaluate = objective(model, states, repeats)
-        minimum = minimise(
-            evaluate, start[repeats], limit=limit, tolerance=tolerance, lower=-reach, upper=reach
-        )
-    else:
-        minimum = compiled_search(equation, start[repeats], repeats, limit, tolerance, -reach, reach)
+    evaluate = objective(model, states, repeats)
+    minimum = minimise(evaluate, start[repeats], limit=limit, tolerance=tolerance, lower=-reach, upper=reach)
     return replace(minimum, converged=minimum.converged & np.all(np.abs(minimum.x) < reach, axis=-1))
 
 

@@ -24,11 +24,6 @@ class NoiseQuality:
     shrink: Real
     dof: Real
 
-    @property
-    def given(self) -> bool:
-        """Whether the covariance is given at every line."""
-        return bool(np.all(np.isinf(self.dof)))
-
 
 def noise_quality(spectrum: Spectrum, correlated: Bools) -> NoiseQuality:
     """Moments of the inverse of an estimated covariance; `correlated` (K or 1,) says whether all of it was used.
@@ -38,9 +33,6 @@ def noise_quality(spectrum: Spectrum, correlated: Bools) -> NoiseQuality:
     and Kraus 2000).  q is the number of noisy channels, 1 where they are taken as uncorrelated.
     """
     nu = spectrum.dof
-    if np.all(np.isinf(nu)):  # given
-        ones = np.ones((len(correlated), len(nu)))
-        return NoiseQuality(ones, ones, nu)
     variance = np.diagonal(spectrum.covariance, axis1=-2, axis2=-1).real
     variance = np.max(variance.reshape(-1, *variance.shape[-2:]), axis=0)
     q = np.where(correlated[:, None], np.sum(variance > 0, axis=-1), 1)
@@ -72,8 +64,7 @@ def channels_correlate(spectrum: Spectrum, level: float = 0.01) -> Bools:
     from scipy.special import chdtri
 
     V = spectrum.covariance
-    usable = np.isfinite(spectrum.dof)
-    if not np.all(usable):
+    if not np.isfinite(spectrum.dof).all():
         return np.ones(V.shape[:-3], dtype=bool)
     variance = np.diagonal(V, axis1=-2, axis2=-1).real
     noisy = np.all(variance.reshape(-1, variance.shape[-1]) > 0, axis=0)

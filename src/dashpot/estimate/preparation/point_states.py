@@ -5,6 +5,27 @@ from __future__ import annotations
 import numpy as np
 
 from dashpot.arrays import Bools, Complex, Real
+from dashpot.model.observation import ObservationModel
+from dashpot.numerics.kernel import kernel_function
+
+
+def states_by_point(
+    view: ObservationModel, used: Bools, V: Complex, y: Complex
+) -> tuple[Complex, Complex, Complex] | None:
+    """ẑ (..., lines, q), its covariance (..., lines, q, q) and P (..., lines, q, channels) with ẑ = P y; None as below.
+
+    used (lines, channels), V (..., lines, channels, channels), y (..., lines, channels).
+    """
+    compiled = kernel_function("point_states")
+    if compiled is None or V.ndim != 4 or y.ndim != 3:
+        simple = combined_by_point(view.direct, used, V)
+        return None if simple is None else ((simple[0] @ y[..., None])[..., 0], simple[1], simple[0])
+    if view.single_entries is None:
+        return None
+    states: tuple[Complex, Complex, Complex] | None = compiled(
+        *view.single_entries, used, V, y, view.direct_incidence.shape[-1]
+    )
+    return states
 
 
 def combined_by_point(C: Complex, used: Bools, V: Complex) -> tuple[Complex, Complex] | None:

@@ -87,7 +87,7 @@ def prepare(model: Model, spectrum: Spectrum, *, moments: bool = False, states: 
     if not known:
         flat = with_unknown_noise(flat)
     view = observation_model(model, flat.channels, flat.omega)
-    V = working_covariance(view, flat)
+    V = flat.covariance if known else working_covariance(view, flat)
     V = V if V.ndim == 4 else V[None]
     correlated = np.atleast_1d(channels_correlate(flat)) if known else np.ones(len(V), dtype=bool)
     if not correlated.all():

@@ -16,7 +16,7 @@ import numpy as np
 from dashpot.arrays import Bools, Complex, Ints, Real, hermitian
 from dashpot.data.spectrum import Spectrum
 from dashpot.errors import DataError
-from dashpot.estimate.preparation.point_states import combined_by_point
+from dashpot.estimate.preparation.point_states import states_by_point
 from dashpot.model.network import Model
 from dashpot.model.observation import ObservationModel
 
@@ -93,6 +93,8 @@ def unseen(view: ObservationModel, spectrum: Spectrum, channels: Bools | None = 
             # Rates scale rows, and do not change what they show.
             view.undetermined[key] = _undetermined(view.direct_incidence[pattern])
         missing |= view.undetermined[key]
+    if not missing.any():
+        return ()
     return tuple(name for name, lost in zip(state_names(view.model), missing, strict=True) if lost)
 
 
@@ -196,13 +198,13 @@ def require_seen(view: ObservationModel, spectrum: Spectrum) -> None:
 
 
 def _combined(view: ObservationModel, spectrum: Spectrum, covariance: Complex) -> States:
-    simple = combined_by_point(view.direct, spectrum.present & view.is_direct, covariance)
-    if simple is None:
+    Y, present = spectrum.amplitudes, spectrum.present
+    y = Y if present.all() else np.where(np.isnan(Y), 0.0, Y)
+    by_point = states_by_point(view, present & view.is_direct, covariance, y)
+    if by_point is None:
         P = reconstruction(view, spectrum, covariance)
         spread = P @ covariance @ hermitian(P)
+        z = (P @ y[..., None])[..., 0]
     else:
-        P, spread = simple
-    Y = spectrum.amplitudes
-    y = Y if spectrum.present.all() else np.where(np.isnan(Y), 0.0, Y)
-    z = (P @ y[..., None])[..., 0]
+        z, spread, P = by_point
     return States(spectrum.omega, z, spread, P, view.model.n, len(view.model.displacement_inputs))

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from dashpot.estimate.identify import identify
-from dashpot.estimate.linear.auxiliary_model import equation_by_line, equation_covariance
+from dashpot.estimate.linear.auxiliary_model import equation_by_line, equation_covariance, equation_sums
 from dashpot.estimate.linear.compiled import compiled_equation, compiled_search
-from dashpot.estimate.linear.instrumental_variables import OptimalIV, objective, search
+from dashpot.estimate.linear.instrumental_variables import FAR, OptimalIV, objective, search
 from dashpot.estimate.linear.least_squares import starts
 from dashpot.estimate.preparation.prepared import Prepared, prepare
 from dashpot.numerics.kernel import using
@@ -81,11 +81,14 @@ def test_searches_take_the_same_steps(seed: int) -> None:
     compiled()
     rig, data, theta = _case(seed)
     rows = np.arange(REPEATS)
-    endless = np.full(len(rig.theta), np.inf)
     with using("numpy"):
         twin = search(rig.model, data.seen_states, theta, rows, limit=200, tolerance=1e-9)
     equation = compiled_equation(rig.model, data.seen_states)
-    found = compiled_search(equation, theta, rows, 200, 1e-9, -endless, endless)
+    found = compiled_search(equation, rig.model, data.seen_states, theta, rows, FAR, 200, 1e-9)
+    kept = equation_sums(rig.model, data.seen_states, found.x)  # those of the search, not computed again
+    sums = equation.evaluate(found.x, rows)
+    for values, expected in zip((kept.cost, kept.gradient, kept.symmetric, kept.free), sums, strict=True):
+        np.testing.assert_array_equal(values, expected)
     assert np.array_equal(found.converged, twin.converged)
     close = found.converged
     np.testing.assert_allclose(found.x[close], twin.x[close], rtol=1e-9)
@@ -113,10 +116,9 @@ def test_threads_and_neighbours_do_not_change_a_bit() -> None:
     rig, data, theta = _case(1)
     equation = compiled_equation(rig.model, data.seen_states)
     rows = np.arange(REPEATS)
-    endless = np.full(len(rig.theta), np.inf)
-    one = equation.descend(theta, rows, -endless, endless, endless, 200, 1e-9, 12, 1)
-    three = equation.descend(theta, rows, -endless, endless, endless, 200, 1e-9, 12, 3)
-    alone = equation.descend(theta[3:4], rows[3:4], -endless, endless, endless, 200, 1e-9, 12, 1)
+    one, _ = equation.search(theta, rows, FAR, 200, 1e-9, 12, 1)
+    three, _ = equation.search(theta, rows, FAR, 200, 1e-9, 12, 3)
+    alone, _ = equation.search(theta, rows[3:4], FAR, 200, 1e-9, 12, 1)
     for first, second in zip(one[:4], three[:4], strict=True):
         np.testing.assert_array_equal(first, second)
     np.testing.assert_array_equal(alone[0][0], one[0][3])

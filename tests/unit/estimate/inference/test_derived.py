@@ -1,0 +1,83 @@
+"""Modes with their deviations: the kernel against NumPy, and where it leaves them to NumPy."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from dashpot.estimate.inference.derived import mode_values
+from dashpot.estimate.result import ModeValues
+from dashpot.model.elements import Kind, between, mass
+from dashpot.model.network import Input, Model
+from dashpot.numerics.kernel import using
+from tests.kernels import compiled
+from tests.rigs import random_rig
+
+PARTS = ("eigenvalues", "frequency_hz", "damping_ratio", "frequency_sd", "damping_sd")
+
+
+def _both(model: Model, theta: np.ndarray, covariance: np.ndarray) -> tuple[ModeValues, ModeValues]:
+    with using("numpy"):
+        twin = mode_values(model, theta, covariance)
+    with using("compiled"):
+        return mode_values(model, theta, covariance), twin
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_modes_of_the_kernel_are_those_of_numpy(seed: int) -> None:
+    """Rigs of one to six coordinates with every kind of element, over-damped ones among them."""
+    kernel = compiled()
+    rng = np.random.default_rng(seed)
+    rig = random_rig(rng, 1 + seed % 6, forces=1)
+    model, theta = rig.model, rig.theta * np.exp(0.4 * rng.standard_normal(len(rig.theta)))
+    root = 0.02 * theta[:, None] * rng.standard_normal((len(theta), len(theta)))
+    modes, twin = _both(model, theta, root @ root.T)
+    # Inerters couple masses: the kernel leaves such rigs to NumPy.
+    coupled = any(element.kind is Kind.INERTER for element in model.elements)
+    table = kernel.mode_values(model.B, model.letters, model.T, model.p0, theta, root @ root.T)
+    assert coupled or table is not None
+    for name in PARTS:
+        np.testing.assert_allclose(getattr(modes, name), getattr(twin, name), rtol=1e-10, err_msg=name)
+    np.testing.assert_allclose(modes.shapes, twin.shapes, atol=1e-10)
+
+
+@pytest.mark.parametrize("damping", [0.0, 2.0, 60.0, 5000.0])
+def test_modes_of_one_mass_are_the_formula(damping: float) -> None:
+    """m = 2 kg, k = 800 N/m: λ = (−c ± √(c² − 4 m k)) / 2 m, two real ones above critical damping."""
+    compiled()
+    elements = (mass("m", "x"), between("c", Kind.DAMPER, "x", "u"), between("k", Kind.SPRING, "x", "u"))
+    model = Model(("x",), (Input("u"),), elements)
+    theta = np.array([2.0, damping, 800.0])
+    with using("compiled"):
+        modes = mode_values(model, theta, np.diag((0.01 * theta) ** 2))
+    root = np.sqrt(complex(damping**2 - 6400))
+    both = np.array([(-damping + root) / 4, (-damping - root) / 4])
+    expected = both[:1] if root.imag else both
+    np.testing.assert_allclose(modes.eigenvalues, expected[np.argsort(np.abs(expected))], rtol=1e-12)
+    if not damping:  # var f / f² = (var k / k² + var m / m²) / 4
+        np.testing.assert_allclose(modes.frequency_sd / modes.frequency_hz, 0.01 / np.sqrt(2), rtol=1e-12)
+
+
+def test_what_the_kernel_leaves_to_numpy() -> None:
+    """A coordinate without mass, and a rigid-body motion: the same modes by either choice."""
+    kernel = compiled()
+    free = (
+        mass("m1", "x"),
+        mass("m2", "y"),
+        between("k", Kind.SPRING, "x", "y"),
+        between("c", Kind.DAMPER, "x", "y"),
+    )
+    massless = (
+        mass("m", "x"),
+        between("k1", Kind.SPRING, "x", "y"),
+        between("k2", Kind.SPRING, "y", "ground"),
+    )
+    massless += (between("c", Kind.DAMPER, "x", "ground"),)
+    for elements in (free, massless):
+        model = Model(("x", "y"), (Input("F", "force", {"x": 1.0}),), elements)
+        theta = np.array([2.0, 3.0, 500.0, 4.0])[: len(elements)]
+        covariance = np.diag((0.01 * theta) ** 2)
+        assert kernel.mode_values(model.B, model.letters, model.T, model.p0, theta, covariance) is None
+        modes, twin = _both(model, theta, covariance)
+        for name in (*PARTS, "shapes"):
+            np.testing.assert_array_equal(getattr(modes, name), getattr(twin, name))
