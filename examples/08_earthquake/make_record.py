@@ -41,8 +41,8 @@ def write(path: str, t: np.ndarray, values: np.ndarray) -> None:
     np.savetxt(path, table, delimiter=",", fmt="%.6g", header="time_s,base,x1,x2,x3", comments="")
 
 
-def main() -> None:
-    """Both files, in the folder of this script."""
+def main(folder: Path = Path(__file__).parent) -> None:
+    """Both files, in the folder of this script or another."""
     rng = np.random.default_rng(8)
     fine = np.arange(40 * RATE * FINER) / (RATE * FINER)
     a = ground(fine, rng)
@@ -50,10 +50,9 @@ def main() -> None:
     t = fine[::FINER]
     kept = (t >= 2) & (t < 32)
     seen = motion[kept] + NOISE * rng.standard_normal((int(kept.sum()), 4))
-    here = Path(__file__).parent
-    write(str(here / "quake.csv"), t[kept], seen)
+    write(str(folder / "quake.csv"), t[kept], seen)
     still = np.arange(60 * RATE) / RATE
-    write(str(here / "still.csv"), still, NOISE * rng.standard_normal((len(still), 4)))
+    write(str(folder / "still.csv"), still, NOISE * rng.standard_normal((len(still), 4)))
 
 
 if __name__ == "__main__":

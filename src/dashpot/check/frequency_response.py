@@ -2,7 +2,8 @@
 
 Where one input at a time drives what a channel shows, H = y / ((jω)^q v̂), q the derivative that the input's own channel
 measures: acceleration over acceleration where the base carries an accelerometer.  The band is that of the estimate's
-covariance to first order in ln H: δ ln|H| and δ arg H are the real and imaginary parts of (∂ ln H/∂ψ) δψ.
+covariance to first order in ln H: δ ln|H| and δ arg H are the real and imaginary parts of (∂ ln H/∂ψ) δψ.  Of whole
+records, the transients that were estimated of their two ends are taken out of y.
 """
 
 from __future__ import annotations
@@ -58,10 +59,9 @@ def responses_of_channels(
 ) -> tuple[FrequencyResponse, ...]:
     """A response for each channel that is not itself the measured input (no batch axes).
 
-    None for nonlinear rigs, for whole records, whose transients belong to no response, and where several inputs drive
-    a channel at once.
+    None for nonlinear rigs, and where several inputs drive a channel at once.
     """
-    if len(model.nonlinear) or spectrum.carries_loads:
+    if len(model.nonlinear):
         return ()
     chosen = []
     for c, channel in enumerate(spectrum.channels):
@@ -73,8 +73,11 @@ def responses_of_channels(
     grid = _grid(estimate, found.frequency_hz)
     G, slopes = _responses(model, estimate, spectrum.channels, grid)
     covariance = estimate.covariance if len(slopes) else None
+    steady = _steady(model, estimate, spectrum, found)
     return tuple(
-        _response(model, spectrum, found, c, i, grid, G[:, c, i], slopes[:, :, c, i], covariance)
+        _response(
+            model, spectrum, found, steady[:, c], c, i, grid, G[:, c, i], slopes[:, :, c, i], covariance
+        )
         for c, i in chosen
     )
 
@@ -133,9 +136,19 @@ def _responses(
     return G, slopes
 
 
+def _steady(model: Model, estimate: Estimate, spectrum: Spectrum, found: Residuals) -> Complex:
+    """What was measured without the transients of whole records, (lines, channels)."""
+    if not spectrum.carries_loads:
+        return found.measured
+    p = model.parameters(estimate.values[: len(model.unknowns)])
+    G = channel_response(model, p, spectrum.channels, spectrum.omega, calibrations_of(model, estimate))
+    steady: Complex = found.measured - found.predicted + np.einsum("lci,li->lc", G, found.inputs)
+    return steady
+
+
 def _response(
-    model: Model, spectrum: Spectrum, found: Residuals, c: int, i: int, grid: Real, G: Complex, slopes: Complex,
-    covariance: Real | None,
+    model: Model, spectrum: Spectrum, found: Residuals, steady: Complex, c: int, i: int, grid: Real, G: Complex,
+    slopes: Complex, covariance: Real | None,
 ) -> FrequencyResponse:  # fmt: skip
     name = found.input_names[i]
     shown = [k for k, channel in enumerate(spectrum.channels) if _shows_input(model, channel) == name]
@@ -146,7 +159,7 @@ def _response(
     lines = found.frequency_hz[there]
     order = np.argsort(lines, kind="stable")
     drive = ((2j * np.pi * lines) ** q * found.inputs[there, i])[order]
-    H = found.measured[there, c][order] / drive
+    H = steady[there][order] / drive
     curve = G / (2j * np.pi * grid) ** q
     phase = np.degrees(np.unwrap(np.angle(curve)))
     at_lines = np.interp(lines[order], grid, phase)

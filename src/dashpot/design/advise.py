@@ -149,7 +149,7 @@ def answer(question: Question) -> Answer:
     rate = question.rate if question.rate is not None else _rate(setup.channels)
     low, high = question.band if question.band is not None else natural_band(setup, rate)
     if question.band is None:
-        notes.append(f"the band is {low:.4g} to {high:.4g} Hz, around the rig's resonances, as none is given")
+        notes.append(f"no band is given: {low:.4g} to {high:.4g} Hz, around the rig's resonances, is used")
     choice = None
     if question.pick is not None:
         choice = _pick(question, setup, band_grid(setup, low, high, question.step), knowledge, rate)

@@ -200,7 +200,7 @@ def _remarks(setup: TestSetup, schedule: Schedule) -> tuple[str, ...]:
             first = float(schedule.frequency_hz[int(np.argmax(faint))])
             still.setdefault(first, []).append(channel.name)
     return tuple(
-        f"{joined(names)} hardly {'moves' if len(names) == 1 else 'move'} at {f:.4g} Hz, where purely relative noise "
-        "looks like none: state a noise floor too"
+        f"{joined(names)} hardly {'moves' if len(names) == 1 else 'move'} at {f:.4g} Hz, where noise "
+        "stated in per cent alone is next to nothing: state a noise floor as well"
         for f, names in still.items()
     )

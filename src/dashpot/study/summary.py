@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -99,6 +100,11 @@ class Summary:
     def rms_spread(self) -> float:
         """Root mean square of the spreads over the unknowns, %."""
         return float(np.sqrt(np.mean(self.spread**2)))
+
+    @property
+    def error_over_bound(self) -> float:
+        """Root mean square error over the bound, both over all unknowns; NaN where there is no bound."""
+        return float(np.sqrt(np.mean(self.rms**2))) / self.rms_bound if self.rms_bound > 0 else math.nan
 
     @property
     def rms_bound(self) -> float:

@@ -64,7 +64,7 @@ def test_compare_check_design_validate(dashpot: Command, data: Path) -> None:
         text = words(f"{command}.html")
         assert f"dashpot {line} --report" in text
         assert "What next" in text
-    assert "Take the values of oiv" in words("compare.html")
+    assert "Use the values of oiv" in words("compare.html")
     assert "All unknowns can be found" in words("check.html")
     assert re.search(r"\d+ dwells?, \d+ samples", words("design.html"))
     assert "FIT of every channel" in words("validate.html")

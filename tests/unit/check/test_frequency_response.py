@@ -8,8 +8,10 @@ import pytest
 from dashpot import Channel, Input, Kind, Model, Quantity, between, dwells, identify, mass, simulate_spectrum
 from dashpot.check.frequency_response import FrequencyResponse, responses_of_channels
 from dashpot.check.residuals import residuals
+from dashpot.data.conditioning.lines import spectrum as lines_of
 from dashpot.estimate.result import Estimate
 from dashpot.model.dynamics import response
+from tests.whole_rigs import chain, record_of
 
 MODEL = Model(
     ("x1", "x2"),
@@ -53,6 +55,25 @@ def test_acceleration_over_acceleration_is_the_transmissibility() -> None:
     assert np.max(np.abs(np.diff(first.curve_deg))) < 45  # no jumps
     close = np.abs(first.phase_deg - np.interp(first.lines_hz, first.frequency_hz, first.curve_deg))
     assert np.max(close) < 60
+
+
+def test_of_a_whole_record_the_moving_start_is_taken_out() -> None:
+    """Without noise what was measured over the input is the true rig's response, though the rig moves at both ends."""
+    model, theta = chain(2, 0.03)
+    test = record_of(model, theta, "random", decay_times=3, seed=1)
+    spectrum = lines_of([test.record])
+    estimate = identify(model, spectrum)
+    found = residuals(model, estimate.values, spectrum)
+    measured = responses_of_channels(model, estimate, spectrum, found)
+    assert [shown.channel for shown in measured] == ["x1_dis", "x2_dis"]
+    for c, shown in enumerate(measured):
+        omega = 2 * np.pi * shown.lines_hz
+        none = np.zeros((len(omega), 0))
+        true = response(model, model.parameters(theta), omega, np.ones((len(omega), 1)), none)[:, c]
+        off = np.abs(shown.measured - true) / np.max(np.abs(true))
+        assert np.median(off) < 1e-3
+        raw = found.measured[:, c] / found.inputs[:, 0]
+        assert np.median(np.abs(raw - true) / np.max(np.abs(true))) > 0.02  # with the ends in it
 
 
 @pytest.mark.long

@@ -62,9 +62,9 @@ def command(
         predictions = validate(rig_read.model, estimate, spectrum)
     if figure is not None:
         from dashpot.present.figures.style import write_figure
-        from dashpot.present.figures.validation import prediction_figure
+        from dashpot.present.figures.validation import drawn_of, prediction_figure
 
-        write_figure(figure, prediction_figure(predictions))
+        write_figure(figure, prediction_figure(drawn_of(predictions)))
     if report is not None:
         from dashpot.app.report_files import provenance, write_report
         from dashpot.present.pages.others import validation_report

@@ -137,7 +137,7 @@ def _moments_and_coefficients(observed: Sampled) -> tuple[Real, Real]:
     """What the sums over samples need.  Raises UsageError or DataError where it is missing."""
     if observed.moments is None:
         raise UsageError(
-            "ls is the paper's least squares on samples, and these data are amplitudes",
+            "ls is least squares on samples, as in the paper, and these data are amplitudes",
             cure="give the records themselves, or use hls, least squares on amplitudes",
         )
     if observed.coefficients is None:

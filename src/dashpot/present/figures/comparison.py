@@ -199,7 +199,9 @@ def _legend(figure: Figure, truth: bool, bound: bool, wider: bool, level: float,
     if bound:
         handles.append(Patch(color=MODEL, alpha=0.12, lw=0, label="interval at the Cramér-Rao bound"))
     if wider:
-        handles.append(Line2D([], [], color=COLOURS[0], marker=">", ms=4.5, mew=0, lw=1.6, label="goes on"))
+        handles.append(
+            Line2D([], [], color=COLOURS[0], marker=">", ms=4.5, mew=0, lw=1.6, label="beyond the axis")
+        )
     figure.legend(
         handles=handles, loc="outside lower center", ncols=columns, handlelength=1.8, columnspacing=1.6
     )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -17,6 +18,7 @@ from dashpot.present.text.numbers import short
 
 FREQUENCY, PHASE = AxisLabel("frequency", "Hz"), AxisLabel("phase", "°")
 MANY = 300  # lines from which dots are small and drawn as a picture within the picture
+MOST_ROWS = 3  # of one picture: a printed page holds it below what stands before
 RAYLEIGH_95 = 1.73  # of an amplitude's size over its standard deviation, √(−ln 0.05)
 
 
@@ -38,6 +40,13 @@ def degrees(values: Complex) -> Real:
     """Phases in degrees, (−180, 180]."""
     phase: Real = np.degrees(np.angle(values))
     return phase
+
+
+def rows_of_pictures(rows: int) -> list[range]:
+    """Neighbouring rows for each of several pictures, about as many in each."""
+    pictures = -(-rows // MOST_ROWS)
+    ends = [rows * k // pictures for k in range(pictures + 1)]
+    return [range(first, end) for first, end in pairwise(ends)]
 
 
 def amplitude_and_phase(

@@ -14,18 +14,23 @@ from dashpot.present.figures.spectra import FREQUENCY, amplitude_and_phase
 from dashpot.present.figures.style import BAD, DATA, MODEL, style
 
 
-def prediction_figure(predictions: Sequence[RecordPrediction]) -> Figure:
-    """The first whole record in time and by frequency, or, where there is none, the settled lines."""
-    part = next((each for each in predictions if each.samples), predictions[0])
+def prediction_figure(part: RecordPrediction, rows: Sequence[int] | None = None) -> Figure:
+    """A whole record in time and by frequency, or settled lines; of all channels or of those in these places."""
+    chosen = range(len(part.channels)) if rows is None else rows
+    names, units = [part.channels[i] for i in chosen], [part.units[i] for i in chosen]
+    shown, expected = part.measured[:, chosen], part.predicted[:, chosen]
     if not part.samples:
-        unknown = np.full(part.measured.shape, np.nan)
-        return amplitude_and_phase(
-            part.channels, part.units, part.frequency_hz, part.measured, unknown, None, None, part.predicted
-        )
+        unknown = np.full(shown.shape, np.nan)
+        return amplitude_and_phase(names, units, part.frequency_hz, shown, unknown, None, None, expected)
     time, measured, predicted = part.histories()
     return histories_and_spectra(
-        part.channels, part.units, time, measured, predicted, part.frequency_hz, part.measured, part.predicted
+        names, units, time, measured[:, chosen], predicted[:, chosen], part.frequency_hz, shown, expected
     )
+
+
+def drawn_of(predictions: Sequence[RecordPrediction]) -> RecordPrediction:
+    """What is drawn of several: the first whole record, or, where there is none, the settled lines."""
+    return next((part for part in predictions if part.samples), predictions[0])
 
 
 def histories_and_spectra(
@@ -64,6 +69,7 @@ def histories_and_spectra(
                 right.semilogy(frequency_hz, np.abs(values), color=colour, linewidth=width, label=label)
             hover(left, AxisLabel("time", "s"), AxisLabel(name, unit))
             hover(right, FREQUENCY, AxisLabel(name, unit))
+            right.set_ylabel(unit)
             right.set_title(name)
         rows[0][0].legend(ncols=3, loc="upper right")
         rows[-1][0].set_xlabel("time, s")

@@ -43,7 +43,7 @@ def check_report(
     poor = dict.fromkeys([*_hardly_separated(found), *unsure])
     page = Page(
         model.name or "Check",
-        model.summary,
+        model.summary.removeprefix(f"{model.name}: "),
         "open" if poor or structure.permutation_ambiguities else "good",
         f"All unknowns can be found, but {joined(poor)} only poorly."
         if poor
@@ -103,6 +103,8 @@ def _evidence(found: DataFindings, spectrum: Spectrum) -> list[Block]:
     if found.known_errors is not None:
         text = "Change of each estimate, per cent, for an error of one per cent of each known parameter."
         blocks.append(
-            Block("Errors of known parameters", (text,), (tuple(known_columns(found.known_errors)),))
+            Block(
+                "Errors of known parameters", (text,), (tuple(known_columns(found.known_errors)),), whole=True
+            )
         )
     return blocks

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -24,7 +25,8 @@ from dashpot.present.figures.comparison import estimate_figure
 from dashpot.present.figures.dwells import beginnings, whole_dwells
 from dashpot.present.figures.findings import profile_figure, shares_figure
 from dashpot.present.figures.response import MOST_PLANES, nyquist_figure, response_figure
-from dashpot.present.figures.validation import prediction_figure
+from dashpot.present.figures.spectra import rows_of_pictures
+from dashpot.present.figures.validation import drawn_of, prediction_figure
 from dashpot.present.pages.page import Block, figure_picture
 from dashpot.present.text.check import profile_in_words
 from dashpot.present.text.numbers import short
@@ -68,21 +70,33 @@ def evidence_blocks(
 
 def prediction_block(title: str, predictions: Sequence[RecordPrediction]) -> Block:
     """FIT of each record and channel, and histories of the first record."""
+    texts = [text[:1].upper() + text[1:] for text in fits_in_words(predictions)]
+    records = [part for part in predictions if part.samples]
+    shown = "Histories and spectra" if records else "Amplitudes and phases"
+    drawn = drawn_of(predictions)
+    pictures = tuple(
+        figure_picture(
+            prediction_figure(drawn, rows),
+            f"{shown} of {joined([drawn.channels[k] for k in rows])}, measured and predicted",
+        )
+        for rows in rows_of_pictures(len(drawn.channels))
+    )
+    if records:
+        texts.append(_part_shown(records[0]))
+    return Block(title, tuple(texts), pictures=pictures, whole=True)
+
+
+def fits_in_words(predictions: Sequence[RecordPrediction]) -> list[str]:
+    """FIT of every channel, a sentence for each record."""
     texts = []
     for k, part in enumerate(predictions):
         fits = [
             f"{name} {short(100 * float(fit), 3)} %"
             for name, fit in zip(part.channels, part.fit, strict=True)
         ]
-        texts.append(f"{'Record ' + str(k + 1) if len(predictions) > 1 else 'FIT'}: {joined(fits)}.")
-    records = [part for part in predictions if part.samples]
-    shown = "Histories and spectra" if records else "Amplitudes and phases"
-    picture = figure_picture(
-        prediction_figure(predictions), f"{shown}, measured and predicted: {' '.join(texts)}"
-    )
-    if records:
-        texts.append(_part_shown(records[0]))
-    return Block(title, tuple(texts), pictures=(picture,), whole=True)
+        record = f"record {k + 1}: " if len(predictions) > 1 else ""
+        texts.append(f"{record}FIT {joined(fits)}.")
+    return texts
 
 
 def _part_shown(record: RecordPrediction) -> str:
@@ -90,7 +104,7 @@ def _part_shown(record: RecordPrediction) -> str:
     low, high = (short(float(end), 4) for end in (np.min(record.frequency_hz), np.max(record.frequency_hz)))
     return (
         f"The histories last {short(record.duration_s, 4)} s and hold the {len(record.frequency_hz)} lines from {low} "
-        f"to {high} Hz that were used; the rest of the motion is in neither curve."
+        f"to {high} Hz that were used; motion at other frequencies is left out of all curves."
     )
 
 
@@ -98,10 +112,16 @@ def _responses(model: Model, spectrum: Spectrum, estimate: Estimate, found: Resi
     every = responses_of_channels(model, estimate, spectrum, found)
     responses = every[:MOST_PANELS]
     if responses:
-        channels = joined([shown.channel for shown in responses])
-        text = f"Output over input, measured and predicted by the estimated rig.{_first(MOST_PANELS, len(every))}"
-        panels = figure_picture(
-            response_figure(responses), f"Amplitude and phase of {channels}, measured and model"
+        text = "Output over input, measured and predicted by the estimated rig."
+        if spectrum.carries_loads:
+            text += " The transients at both ends of the record, as estimated, are taken out of the measured motion."
+        text += _first(MOST_PANELS, len(every))
+        panels = tuple(
+            figure_picture(
+                response_figure(part),
+                f"Amplitude and phase of {joined([shown.channel for shown in part])}, measured and model",
+            )
+            for part in (responses[rows.start : rows.stop] for rows in rows_of_pictures(len(responses)))
         )
         plane = figure_picture(
             nyquist_figure(responses),
@@ -109,7 +129,7 @@ def _responses(model: Model, spectrum: Spectrum, estimate: Estimate, found: Resi
             wide=len(responses) > 2,
         )
         return [
-            Block("Measured and model", (text,), pictures=(panels,), whole=True),
+            Block("Measured and model", (text,), pictures=panels, whole=True),
             Block(
                 "In the complex plane",
                 (f"Each resonance is a circle.{_first(MOST_PLANES, len(every))}",),
@@ -124,18 +144,19 @@ def _responses(model: Model, spectrum: Spectrum, estimate: Estimate, found: Resi
     # Of another experiment's channel there is nothing to compare a prediction with.
     predicted = np.where(np.isfinite(found.measured), found.predicted, np.nan)[:, chosen]
     names = [found.channels[i] for i in chosen]
-    figure = figures.amplitude_and_phase(
-        names, [found.units[i] for i in chosen], found.frequency_hz, found.measured[:, chosen],
-        found.sd[:, chosen], None, None, predicted,
-    )  # fmt: skip
-    text = "Amplitude and phase of each channel, as measured and as predicted from the inputs."
-    return [
-        Block(
-            "Measured and model", (text + _first(MOST_PANELS, len(driven)),),
-            pictures=(figure_picture(figure, f"Amplitude and phase of {joined(names)}, measured and predicted"),),
-            whole=True,
+    pictures = []
+    for rows in rows_of_pictures(len(chosen)):
+        places, shown = [chosen[k] for k in rows], [names[k] for k in rows]
+        figure = figures.amplitude_and_phase(
+            shown, [found.units[i] for i in places], found.frequency_hz, found.measured[:, places],
+            found.sd[:, places], None, None, predicted[:, rows],
+        )  # fmt: skip
+        pictures.append(
+            figure_picture(figure, f"Amplitude and phase of {joined(shown)}, measured and predicted")
         )
-    ]  # fmt: skip
+    text = "Amplitude and phase of each channel, as measured and as predicted from the inputs."
+    texts = (text + _first(MOST_PANELS, len(driven)),)
+    return [Block("Measured and model", texts, pictures=tuple(pictures), whole=True)]
 
 
 def _first(most: int, channels: int) -> str:
@@ -152,7 +173,11 @@ def _histories(model: Model, spectrum: Spectrum, estimate: Estimate) -> list[Blo
     except DataError:
         return []
     records = [part for part in predictions if part.samples]
-    return [prediction_block("In time, as used", records[:1])] if records else []
+    if not records:
+        return []
+    block = prediction_block("In time, as used", records[:1])
+    text = "The inputs are taken as measured; the fit also estimates their noise and so leaves less."
+    return [replace(block, paragraphs=(*block.paragraphs, text))]
 
 
 def _dwells(dwells: Sequence[UsedDwell], found: Residuals) -> list[Block]:

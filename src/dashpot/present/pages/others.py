@@ -35,7 +35,7 @@ from dashpot.present.tables.validation import EXPLANATION, validation_columns
 from dashpot.present.text.design import plan_in_words, sensors_in_words, stopping_in_words
 from dashpot.present.text.estimate import sentence
 from dashpot.present.text.numbers import short
-from dashpot.present.text.study import LEGEND, factor_text, varied_factors
+from dashpot.present.text.study import LEGEND, accuracy_in_words, factor_text, varied_factors
 from dashpot.study.runner import StudyOutcome
 
 POOR = 0.5  # FIT below which a prediction is of no use
@@ -55,9 +55,9 @@ def comparison_report(
     estimate = None if best is None else comparison.estimates[best]
     wrong = [name for name, each in comparison.estimates.items() if not bool(each.converged)]
     headline = (
-        f"Take the values of {best}: of these methods it uses the data best."
+        f"Use the values of {best}: of these methods it makes the fullest use of the data."
         if best is not None and best not in wrong
-        else "None of these methods uses the data fully: compare the intervals."
+        else "None of these methods makes full use of the data: compare the intervals."
     )
     cautions = [f"{joined(wrong)} did not converge: do not use those values."] if wrong else []
     page = Page(
@@ -130,7 +130,7 @@ def design_report(answer: Answer, provenance: Provenance | None = None) -> str:
             model, answer.setup.channels, estimate, () if estimate is None else doubtful(estimate), 0.95
         ),
         (
-            "Write the dwells for the shaker's controller with --csv.",
+            "Write the dwells as a table for the shaker's controller: option --csv FILE.",
             "After the test: dashpot identify RIG DATA.",
         ),
         evidence,
@@ -166,7 +166,7 @@ def validation_report(
         (EXPLANATION,),
         answer=Block("FIT of every channel", (), (columns,)),
         drawing=rig_picture(model, channels, estimate, doubtful(estimate), 0.95),
-        steps=_validation_steps(worst[0]),
+        steps=_validation_steps(worst[0], any(bool(np.any(np.isfinite(part.chi2))) for part in predictions)),
         evidence=(prediction_block("Measured and predicted", predictions),),
         terms=("FIT", "χ²"),
         provenance=provenance,
@@ -174,9 +174,15 @@ def validation_report(
     return page_html(page)
 
 
-def _validation_steps(worst: float) -> tuple[str, ...]:
+def _validation_steps(worst: float, tested: bool) -> tuple[str, ...]:
+    if worst >= POOR and not tested:
+        return (
+            "Give the noise of the sensors (columns NAME_sd, or --noise-record), so that the difference can be tested.",
+        )
     if worst >= POOR:
-        return ("Where χ² / dof is near 1, the prediction is as good as the sensors can tell.",)
+        return (
+            "Where χ² / dof is near 1, the prediction is as good as the noise of the sensors allows to see.",
+        )
     return (
         "Look for what differs between the tests: amplitude (a nonlinear element), mounting, sensors, temperature.",
         "Identify from these records as well: dashpot identify RIG DATA --report report.html.",
@@ -203,17 +209,18 @@ def study_report(
             break
         shown.append(image_picture(content, name.replace("_", " ")))
     rest = len(pictures) - len(shown)
-    more = (f"{rest} more pictures are in the folder of the study.",) if rest else ()
+    more = (f"{rest} more figures are in the folder of the study.",) if rest else ()
+    first, *others = accuracy_in_words(outcome.rows)
     page = Page(
         outcome.name,
-        f"Monte Carlo study, seed {outcome.seed}.",
+        f"Monte Carlo study of {methods} in {counted(scenarios, 'scenario')}, seed {outcome.seed}.",
         "open",
-        f"{counted(scenarios, 'scenario')} by {methods}.",
-        (f"In all scenarios: {', '.join(fixed)}.",) if fixed else (),
+        f"Most accurate: {first}" if others else first,
+        (*others, *((f"In all scenarios: {', '.join(fixed)}.",) if fixed else ())),
         (f"{failed} identifications failed; they are left out of bias and spread.",) if failed else (),
         evidence=(
             Block("Errors of the methods", LEGEND, (tuple(study_columns(outcome.rows)),), whole=True),
-            Block("Pictures", more, pictures=tuple(shown), whole=True),
+            Block("Figures", more, pictures=tuple(shown), whole=True),
         ),
         terms=("spread", "bound", "coverage"),
         provenance=provenance,

@@ -100,7 +100,7 @@ def image_picture(png: bytes, alternative: str) -> Picture:
     width = int.from_bytes(png[16:20], "big") * 96 // DPI  # a PNG file states its width at byte 16
     content = base64.b64encode(png).decode("ascii")
     image = f'<img alt="{escape(alternative)}" width="{width}" src="data:image/png;base64,{content}">'
-    return Picture(image, alternative, wide=False)
+    return Picture(image, alternative)
 
 
 def page_html(page: Page) -> str:
@@ -126,7 +126,8 @@ def _inline(picture: Picture) -> Markup:
     label = Markup.escape(picture.alternative)
     text = picture.svg
     if text.startswith("<svg") and "role=" not in text[: text.index(">")]:
-        text = text.replace("<svg ", f'<svg role="img" aria-label="{label}" ', 1)
+        at_left = 'preserveAspectRatio="xMinYMin"'  # where a page holds less of its height
+        text = text.replace("<svg ", f'<svg role="img" aria-label="{label}" {at_left} ', 1)
     return Markup(text)
 
 

@@ -18,7 +18,7 @@ from dashpot.errors import DashpotError, IdentifiabilityError, UsageError
 from dashpot.estimate.result import Estimate
 from dashpot.io.words import joined
 from dashpot.model.network import Model
-from dashpot.present.pages.evidence import evidence_blocks, prediction_block, profiles_block
+from dashpot.present.pages.evidence import evidence_blocks, fits_in_words, prediction_block, profiles_block
 from dashpot.present.pages.page import Block, Page, Picture, Provenance, Verdict, page_html
 from dashpot.present.schematic.drawing import schematic
 from dashpot.present.schematic.moving import mode_drawing, numbered_mode
@@ -93,7 +93,7 @@ def identification_report(
         _subtitle(estimate, spectrum),
         _verdict(estimate),
         headline(estimate, unsure),
-        (*_statements(estimate, names), *_on_law(model)),
+        (*_statements(estimate, names), *_on_held_out(held_out), *_on_law(model)),
         tuple(capitalised(text, names) for text in warnings_in_words(estimate, untried=untried)),
         Block("Parameters", tuple(_below_parameters(estimate)), (tuple(parameter_columns(estimate, level)),)),
         rig_picture(model, shown, estimate, unsure, level),
@@ -197,6 +197,11 @@ def _statements(estimate: Estimate, names: Collection[str]) -> list[str]:
     texts = [text for text, _ in fit_paragraphs(estimate) if text not in causes]
     # The headline has said the verdict.
     return [capitalised(text.removeprefix(f"{VERDICTS[assessment.verdict]}: "), names) for text in texts]
+
+
+def _on_held_out(held_out: Sequence[RecordPrediction]) -> list[str]:
+    """How well what was held out is predicted."""
+    return [f"Held out and predicted: {text}" for text in fits_in_words(held_out)] if held_out else []
 
 
 def _on_law(model: Model) -> list[str]:

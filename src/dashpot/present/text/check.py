@@ -18,7 +18,7 @@ MOST_LISTED = 20  # frequencies that are listed one by one
 def structure_in_words(structure: Structure, channels: Sequence[str], lines: int | None = None) -> list[str]:
     """What a structure without deficiencies means, one paragraph each."""
     count = len(structure.names)
-    unknowns = f"The {count} unknowns" if count > 1 else "The unknown"
+    unknowns = f"the {count} unknowns" if count > 1 else "the unknown"
     at = "" if lines is None else f" at these {lines} frequencies"
     paragraphs = [
         f"Identifiable: {unknowns} ({listed(structure.names)}) can be found from {listed(channels)}{at}."

@@ -23,8 +23,10 @@ def plan_in_words(answer: Answer, plan: Plan) -> list[str]:
     lines = [_result(answer, plan), _optimality(plan)]
     if len(predicted.names) > 1:
         rms = short(100 * predicted.rms())
+        known = [unknown.name for unknown in answer.setup.model.unknowns if unknown.sd is not None]
+        including = f", {joined(known)} included, whose sd is stated" if known else ""
         lines.append(
-            f"Rms of the relative standard deviations of all {len(predicted.names)} parameters: {rms} %."
+            f"Rms of the relative standard deviations of all {len(predicted.names)} parameters{including}: {rms} %."
         )
     if answer.robust is not None:
         where = "found by search" if answer.robustness == "worst" else "of these scenarios"

@@ -14,7 +14,7 @@ def test_before_data(dashpot: Command, rig: Path) -> None:
     done = dashpot("check", "rig.toml")
     assert done.code == 0
     assert done.err == []
-    assert done.out.startswith("Identifiable: The 3 unknowns (m1, c1, c2) can be found from x1, x2, u.")
+    assert done.out.startswith("Identifiable: the 3 unknowns (m1, c1, c2) can be found from x1, x2, u.")
 
 
 def test_a_deficient_rig_is_told_in_physics_and_ends_with_3(dashpot: Command, rig: Path, data: Path) -> None:
@@ -85,5 +85,5 @@ def test_a_nonlinear_rig_is_checked_and_drawn(dashpot: Command, tmp_path: Path) 
     )
     done = dashpot("check", str(rig))
     assert done.code == 0, done.err
-    assert "The 4 unknowns (m, k, k3, c) can be found" in done.out
+    assert "the 4 unknowns (m, k, k3, c) can be found" in done.out
     assert dashpot("draw", str(rig), "-o", str(tmp_path / "rig.svg")).code == 0

@@ -23,7 +23,7 @@ def test_findings_say_what_the_numbers_say(found):
     text = {finding.title: finding.text for finding in sentences(found)}
     assert len(text) == 9
     column = next(c for c in found.table2 if c.title == "10 %" and c.method == "iv")
-    factor = next(t for title, t in text.items() if "factor of accuracy" in title)
+    factor = next(t for title, t in text.items() if "do not use the data fully" in title)
     assert f"{column.rms:.2f} % with iv" in factor
     assert f"{column.rms / column.bound:.2f} × the bound" in factor
     draw = text["Table 2 shows one noise draw four times"]
