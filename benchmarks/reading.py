@@ -77,6 +77,25 @@ def write_wav(path: Path, table: dict[str, Real]) -> None:
     wavfile.write(path, int(RATE), np.column_stack([table[name] for name in NAMES]).astype(np.float32))
 
 
+def write_text(path: Path, table: dict[str, Real], head: str, mark: str) -> None:
+    """Numbers with every digit behind a head, apart by the mark."""
+    options = pa.csv.WriteOptions(include_header=False, delimiter=mark)
+    with path.open("wb") as file:
+        file.write(head.encode())
+        pa.csv.write_csv(pa.table(table), file, options)
+
+
+LVM_HEAD = f"""LabVIEW Measurement\t
+Separator\tTab
+***End_of_Header***\t
+\t
+Channels\t{len(NAMES)}
+Delta_X\t{"	".join([str(1 / RATE)] * len(NAMES))}
+***End_of_Header***{"	" * len(NAMES)}
+X_Value\t{"	".join(NAMES)}\tComment
+"""
+
+
 def _packed(path: Path) -> Path:
     """The file packed by gzip in its place, in pieces."""
     target = path.with_name(f"{path.name}.gz")
@@ -98,6 +117,8 @@ WRITERS: dict[str, Callable[[Path, dict[str, Real]], object]] = {
     "mf4": lambda path, table: mdf(path, channels_of(table), table["time_s"]),
     "uff": lambda path, table: uff(path, channels_of(table), table["time_s"]),
     "wav": write_wav,
+    "lvm": lambda path, table: write_text(path, table, LVM_HEAD, "\t"),
+    "txt": lambda path, table: write_text(path, table, " ".join(table) + "\n", " "),
     "raw": lambda path, table: famos(path, channels_of(table), 1 / RATE),
 }
 

@@ -23,7 +23,8 @@ from dashpot.io.words import shown
 
 HEAD = 1 << 16  # bytes by which formats are told apart
 PIECE = 1 << 24
-LARGE = 1 << 28  # bytes from which a file is not held in memory
+SUBSTITUTED = 1 << 20  # bytes of text in which patterns are replaced at a time, which takes some ten times as many
+LARGE = 1 << 26  # bytes from which a file is not held in memory
 
 
 @dataclass(frozen=True)
@@ -71,11 +72,13 @@ class DataFile:
         return DataFile(self.given, scratch.write("data", pieces), self.head, scratch)
 
 
-def whole_lines(data: bytes | mmap.mmap, start: int, end: int | None = None) -> Iterator[bytes]:
-    """The bytes between two places, some lines at a time."""
+def whole_lines(
+    data: bytes | mmap.mmap, start: int, end: int | None = None, most: int = PIECE
+) -> Iterator[bytes]:
+    """The bytes between two places, some lines at a time: `most` bytes, or one line that is longer."""
     end = len(data) if end is None else end
     while start < end:
-        stop = data.rfind(b"\n", start, min(start + PIECE, end)) + 1
+        stop = data.rfind(b"\n", start, min(start + most, end)) + 1
         if stop == 0:  # a line that is longer
             stop = data.find(b"\n", start, end) + 1 or end
         yield data[start:stop]

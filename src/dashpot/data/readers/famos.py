@@ -17,6 +17,7 @@ from dashpot.errors import DataError
 
 _KEY = re.compile(rb"\|([A-Za-z]{2}),\s*(\d{1,3}),\s*(\d{1,15}),")
 NUMBERS = {1: "u1", 2: "i1", 3: "u2", 4: "i2", 5: "u4", 6: "i4", 7: "f4", 8: "f8", 13: "48 bits"}
+DIGITAL = 11  # words of single bits
 SAMPLES = b"CS"
 Content = bytes | mmap.mmap
 
@@ -37,6 +38,7 @@ class _Component:
     first: int = 0
     size: int = 0
     rotated: int = 0
+    apart: bool = False  # other samples lie between these
 
 
 @dataclass
@@ -50,7 +52,10 @@ class _Group:
 
 @dataclass(frozen=True)
 class FamosReader:
-    """Channels of one length and sampling are a part; one with an abscissa of its own is a part alone."""
+    """Channels of one length and sampling are a part; one with an abscissa of its own is a part alone.
+
+    Digital channels, which hold switches, are passed over.
+    """
 
     format: str = "FAMOS"
     extra: str | None = None
@@ -67,11 +72,11 @@ class FamosReader:
         units: dict[str, str | None] = {}
         count = 0
         for number, group in enumerate(groups, start=1):
-            if not group.components or not group.components[0].size:
+            component = group.components[0] if group.components else _Component()
+            if not component.size or component.kind == DIGITAL:
                 continue
             count += 1
-            values = [_values(component, data, blocks, file.name) for component in group.components[:2]]
-            component = group.components[0]
+            values = [_values(each, data, blocks, file.name) for each in group.components[:2]]
             name = component.name or f"channel_{number}"
             if len(values) == 2 and len(values[0]) == len(values[1]):
                 yield array_columns(
@@ -82,7 +87,7 @@ class FamosReader:
             together.setdefault(key, {})[name] = values[0]
             units[name] = component.unit or None
         if not count:
-            raise DataError("there are no channels with samples", file.name, "record something")
+            raise DataError("there are no channels with samples of motion or force", file.name, "record some")
         for (rows, step, start), columns in together.items():
             time = {TIME: steps(start, step, rows)} if step > 0 else {}
             yield array_columns(file.name, {**time, **columns}, units)
@@ -140,6 +145,9 @@ def _note(key: bytes, content: bytes, groups: list[_Group]) -> None:
 def _note_of_component(component: _Component, key: bytes, content: bytes, fields: list[bytes]) -> None:
     if key == b"CP":
         component.width, component.kind = int(fields[1]), int(fields[2])
+        mask, offset, _, gap = (int(text) for text in fields[4:8])
+        component.kind = DIGITAL if mask else component.kind
+        component.apart = bool(offset or gap)
     elif key == b"CR":
         if int(fields[0]) == 1:
             component.factor, component.offset = float(fields[1]), float(fields[2])
@@ -155,7 +163,11 @@ def _note_of_component(component: _Component, key: bytes, content: bytes, fields
 def _text(content: bytes, at: int) -> str:
     """A text that stands behind its length, which is field `at`; it may hold commas."""
     parts = content.split(b",", at + 1)
-    return parts[at + 1][: int(parts[at])].decode("utf-8", errors="replace").strip()
+    text = parts[at + 1][: int(parts[at])]
+    try:
+        return text.decode().strip()
+    except UnicodeDecodeError:
+        return text.decode("cp1252", errors="replace").strip()
 
 
 def _values(component: _Component, data: Content, blocks: dict[int, tuple[int, int]], source: str) -> Any:
@@ -164,6 +176,9 @@ def _values(component: _Component, data: Content, blocks: dict[int, tuple[int, i
     first, last = begin + component.first, begin + component.first + component.size
     kind = NUMBERS.get(component.kind)
     width = 6 if component.kind == 13 else int(kind[1:]) if kind else 0
+    if component.apart:
+        what = f"the samples of {component.name or 'a channel'} lie between others"
+        raise DataError(what, source, "save each channel by itself")
     if kind is None or width != component.width or component.first < 0 or component.size < 0 or last > end:
         what = (
             f"the samples of {component.name or 'a channel'} are not where the file says, or of no known kind"

@@ -13,6 +13,7 @@ from dashpot.data.readers.array_columns import (
     LONG,
     PIECE,
     ArrayColumns,
+    Load,
     Streamed,
     array_columns,
     constant,
@@ -21,12 +22,12 @@ from dashpot.data.readers.array_columns import (
 from dashpot.data.readers.datafile import DataFile
 from dashpot.data.readers.optional import damaged, library
 from dashpot.data.readers.sampling import TIME, TIME_NAMES
+from dashpot.data.readers.tdms_blocks import BIG_ENDIAN, Block, blocks_of, mapped
 from dashpot.data.readers.variables import OF_ALL, step_of
 from dashpot.errors import DataError
 
 LEAD = 28  # bytes that begin a segment: tag, contents, version, its length, the length of its description
 UNFINISHED = 2**64 - 1
-BIG_ENDIAN = 1 << 6  # among the contents
 
 
 @dataclass(frozen=True)
@@ -60,7 +61,8 @@ class TdmsReader:
                     if rows:
                         count += 1
                         place = f"{file.name} ({group.name})" if len(groups) > 1 else file.name
-                        yield _part(place, channels, rows, scalars)
+                        loads = {channel.name: partial(_samples, file, content, channel) for channel in channels}
+                        yield _part(place, channels, loads, rows, scalars)
             if not count:
                 raise DataError("there are no channels with samples", file.name, "record something")
 
@@ -85,12 +87,13 @@ def _refuse_cut_off(stream: BinaryIO, source: str) -> None:
     stream.seek(0)
 
 
-def _part(source: str, channels: list[Any], rows: int, scalars: dict[str, Any]) -> ArrayColumns:
+def _part(
+    source: str, channels: list[Any], samples: dict[str, Load], rows: int, scalars: dict[str, Any]
+) -> ArrayColumns:
     """Channels of one length."""
-    loads: dict[str, Any] = {}
+    loads: dict[str, Any] = {**samples}
     units: dict[str, str | None] = {}
     for channel in channels:
-        loads[channel.name] = partial(_samples, channel, source)
         units[channel.name] = channel.properties.get("unit_string") or channel.properties.get(
             "NI_UnitDescription"
         )
@@ -107,20 +110,37 @@ def _part(source: str, channels: list[Any], rows: int, scalars: dict[str, Any]) 
     return ArrayColumns(source, columns.header, columns.units, (), rows, columns.loads)
 
 
+def _samples(file: DataFile, content: Any, channel: Any) -> Any:
+    with damaged(file.name, "TDMS"):
+        blocks = blocks_of(content, channel.path)
+        if blocks is not None:
+            return Streamed(len(channel), partial(_scaled_pieces, file, blocks, channel))
+        if len(channel) >= LONG:
+            return Streamed(len(channel), partial(_chunks, channel, file.name))
+        samples = channel[:]
+        if len(samples) != len(channel):
+            raise DataError(f"channel {channel.name} is cut off", file.name, "copy the file again")
+        return samples
+
+
+def _scaled_pieces(file: DataFile, blocks: list[Block], channel: Any) -> Iterator[Any]:
+    """The samples in the unit of the channel, whatever stands between them in the file."""
+    from nptdms.base_segment import RawChannelDataChunk
+    from nptdms.tdms import ChannelDataChunk
+
+    with damaged(file.name, "TDMS"):
+        raw = mapped(file)
+        at = 0
+        for block in blocks:
+            for piece in block.pieces(raw):
+                yield ChannelDataChunk(channel, RawChannelDataChunk.channel_data(piece), at)[:]
+                at += len(piece)
+
+
 def _chunks(channel: Any, source: str) -> Iterator[Any]:
-    """The samples as they stand in the file; of a slice, nptdms reads all of its chunk, which may be the whole file."""
+    """The samples as nptdms reads them, which is all of a segment at a time."""
     with damaged(source, "TDMS"):
         for chunk in channel.data_chunks():
             samples = chunk[:]
             for at in range(0, len(samples), PIECE):
                 yield samples[at : at + PIECE]
-
-
-def _samples(channel: Any, source: str) -> Any:
-    with damaged(source, "TDMS"):
-        if len(channel) >= LONG:
-            return Streamed(len(channel), partial(_chunks, channel, source))
-        samples = channel[:]
-        if len(samples) != len(channel):
-            raise DataError(f"channel {channel.name} is cut off", source, "copy the file again")
-        return samples

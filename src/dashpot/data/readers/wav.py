@@ -36,8 +36,8 @@ class WavReader:
         from scipy.io.wavfile import WavFileWarning
 
         with damaged(file.name, self.format), warnings.catch_warnings():
+            warnings.filterwarnings("ignore", category=WavFileWarning)  # of chunks that it does not know
             warnings.filterwarnings("error", message=".*(EOF|end of file|incomplete).*")
-            warnings.filterwarnings("ignore", category=WavFileWarning)
             rate, samples = _read(file)
         if rate <= 0:
             raise DataError(f"the sampling rate is {rate} Hz", file.name, "the file is damaged")

@@ -5,6 +5,7 @@ import pytest
 
 from dashpot.channel import Channel
 from dashpot.data.readers import famos, read
+from dashpot.data.readers.datafile import open_file
 from dashpot.errors import DashpotError, DataError
 from tests.unit.data.readers.famos_bytes import HEAD, channel, dwell
 from tests.unit.data.readers.written import CHANNELS, recording
@@ -49,6 +50,35 @@ def test_a_buffer_that_has_gone_round(tmp_path):
     path = tmp_path / "a.dat"
     path.write_bytes(HEAD + channel(1, "x", "", raw, 8, 8, 0.5, rotated=16))
     assert read(path, (Channel("x", {"x": 1}),)).records[0].values[:, 0].tolist() == [1, 2, 3, 4, 5]
+
+
+def test_units_in_the_characters_of_windows(tmp_path):
+    path = tmp_path / "a.dat"
+    raw = channel(1, "x", "?", np.arange(3.0).tobytes(), 8, 8, 0.5)
+    path.write_bytes(HEAD + raw.replace(b",1,1,?", b",1,1,\xb0"))
+    (part,) = famos.FamosReader().parts(open_file(path))
+    assert part.units == (None, "°")
+
+
+def test_switches_are_passed_over(tmp_path):
+    path = tmp_path / "a.dat"
+    switch = channel(1, "on", "", np.arange(4, dtype="<u2").tobytes(), 11, 2, 0.5)
+    bit = channel(2, "bit", "", np.arange(4, dtype="<u2").tobytes(), 3, 2, 0.5).replace(b",16,0,", b",16,4,")
+    path.write_bytes(HEAD + switch + bit + channel(3, "x", "", np.arange(4.0).tobytes(), 8, 8, 0.5))
+    (part,) = famos.FamosReader().parts(open_file(path))
+    assert part.header == ("time_s", "x")
+    path.write_bytes(HEAD + switch)
+    with pytest.raises(DataError, match="no channels with samples of motion or force"):
+        list(famos.FamosReader().parts(open_file(path)))
+
+
+@pytest.mark.parametrize("layout", [b",64,0,8,1,0;", b",64,0,0,1,8;"])  # behind eight bytes, eight bytes apart
+def test_samples_between_others_are_refused(tmp_path, layout):
+    path = tmp_path / "a.dat"
+    raw = channel(1, "x", "", np.arange(4.0).tobytes(), 8, 8, 0.5)
+    path.write_bytes(HEAD + raw.replace(b",64,0,0,1,0;", layout))
+    with pytest.raises(DataError, match="the samples of x lie between others"):
+        list(famos.FamosReader().parts(open_file(path)))
 
 
 def test_damaged_files(tmp_path):

@@ -13,7 +13,7 @@ import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 
-from dashpot.data.readers.datafile import LARGE, DataFile, open_file, whole_lines
+from dashpot.data.readers.datafile import LARGE, SUBSTITUTED, DataFile, open_file, whole_lines
 from dashpot.data.readers.delimited.opening import Text, table_of
 from dashpot.data.readers.delimited.table import Table
 from dashpot.data.readers.sampling import TIME
@@ -90,8 +90,10 @@ def _rows_alone(data: Text, start: int, end: int) -> Iterator[bytes]:
     header = data[start:head_end]
     yield header
     names = header.decode("utf-8", errors="replace").rstrip("\r\n").split("\t")
-    for lines in whole_lines(data, head_end, end):
-        yield _without_comments(lines, "\t", len(names) - 1) if names[-1] == COMMENT else lines
+    if names[-1] != COMMENT:
+        yield from whole_lines(data, head_end, end)
+    else:
+        yield from _without_comments(data, head_end, end, "\t", len(names) - 1)
 
 
 def _segment(data: Text, source: str, above: int, units: tuple[str | None, ...]) -> Table:
@@ -106,17 +108,19 @@ def _segment(data: Text, source: str, above: int, units: tuple[str | None, ...])
     if table.header[-1] == COMMENT:  # filled in few rows, or none, and left away in the others
         width -= 1
         if isinstance(data, bytes):
-            body = memoryview(_without_comments(bytes(body), table.delimiter, width))
+            held, start = table.whole
+            body = memoryview(b"".join(_without_comments(held, start, len(held), table.delimiter, width)))
     header = (TIME, *table.header[1:width])
     of_columns = (None, *units[: width - 1], *[None] * (width - 1 - len(units)))
     return replace(table, header=header, units=of_columns, body=body)
 
 
-def _without_comments(body: bytes, delimiter: str, width: int) -> bytes:
-    """The first `width` cells of each row."""
+def _without_comments(data: Text, start: int, end: int, delimiter: str, width: int) -> Iterator[bytes]:
+    """The first `width` cells of each row, in pieces."""
     separator = re.escape(delimiter.encode())
     cell = rb"[^\r\n" + separator + rb"]*"
     row = re.compile(
         rb"^(" + cell + (separator + cell) * (width - 1) + rb")" + separator + rb"[^\r\n]*", re.MULTILINE
     )
-    return row.sub(rb"\1", body)
+    for lines in whole_lines(data, start, end, SUBSTITUTED):
+        yield row.sub(rb"\1", lines)

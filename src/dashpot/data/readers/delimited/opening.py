@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import codecs
 import csv
+import itertools
 import mmap
 import os
 import re
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 from dashpot.data.readers.columns import MOST_COLUMNS, is_unit
-from dashpot.data.readers.datafile import PIECE, DataFile, open_file, whole_lines
+from dashpot.data.readers.datafile import PIECE, SUBSTITUTED, DataFile, open_file, whole_lines
 from dashpot.data.readers.delimited.table import Table
 from dashpot.data.readers.delimited.timestamps import is_timestamp
 from dashpot.data.readers.delimited.truncation import with_checked_end
@@ -48,8 +49,8 @@ def open_table(path: str | os.PathLike[str] | DataFile, first_column: str | None
     file = _plain(file, file.contents)
     header = _header(file.contents, file.name, first_column)
     if header.delimiter == _BLANKS:
-        rows = (_tabbed(lines) for lines in whole_lines(file.contents, header.row.end))
-        file = file.rewritten([b"\n" * (header.row.number - 1), _tabbed_row(header.row), *rows])
+        above = (b"\n" * (header.row.number - 1), _tabbed_row(header.row))
+        file = file.rewritten(itertools.chain(above, _tabbed(file.contents, header.row.end)))
     return replace(table_of(file.contents, file.name, first_column), file=file)
 
 
@@ -94,7 +95,7 @@ def table_of(data: Text, source: str, first_column: str | None = None) -> Table:
     row, delimiter = header.row, header.delimiter
     place = f"{source}:{row.number}"
     if delimiter == _BLANKS:
-        data = data[: row.end] + _tabbed(data[row.end :])
+        data = b"".join((data[: row.end], *_tabbed(data, row.end)))
         row = _Row(row.number, row.end, _tabbed_row(row).decode().rstrip("\n"))
         delimiter = "\t"
     names = _names(row.text, delimiter, place)
@@ -289,9 +290,10 @@ def _tabbed_row(row: _Row) -> bytes:
     return "\t".join(row.text.split()).encode() + b"\n"
 
 
-def _tabbed(body: bytes) -> bytes:
-    """Cells apart by one tab instead of blanks."""
-    return re.sub(rb"(?m)^\t|\t(?=\r?$)", b"", re.sub(rb"[ \t]+", b"\t", body))
+def _tabbed(data: Text, start: int) -> Iterator[bytes]:
+    """What follows, in pieces, with cells apart by one tab instead of blanks."""
+    for lines in whole_lines(data, start, most=SUBSTITUTED):
+        yield re.sub(rb"(?m)^\t|\t(?=\r?$)", b"", re.sub(rb"[ \t]+", b"\t", lines))
 
 
 def _names(text: str, delimiter: str, place: str) -> tuple[str, ...]:

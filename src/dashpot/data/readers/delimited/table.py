@@ -41,6 +41,12 @@ class Table(Columns):
     file: DataFile | None = None  # of which the body is the end, where it is too large to be held
 
     @property
+    def whole(self) -> tuple[bytes | mmap.mmap, int]:
+        """The bytes that the body is the end of, and where it begins there."""
+        held: Any = self.body.obj
+        return held, len(held) - len(self.body)
+
+    @property
     def heading(self) -> str:
         """The file and its header row."""
         return f"{self.source}:{self.first_row - 1}"
@@ -102,8 +108,8 @@ class Table(Columns):
 
     def _row_count(self) -> int:
         """How many rows there are if none is blank, but for a guess that `_filled` puts right."""
-        held: Any = self.body.obj
-        count, start = 0, len(held) - len(self.body)
+        count = 0
+        held, start = self.whole
         for at in range(start, len(held), COUNTED):
             ends = np.frombuffer(held[at : at + COUNTED], dtype=np.uint8) == ord("\n")
             count += int(np.count_nonzero(ends))
@@ -153,8 +159,7 @@ class Table(Columns):
                 return
             # A file of pyarrow's own: its threads may still read ahead when it is closed.
             with pa.OSFile(str(noted(self.file.path))) as stream:
-                held: Any = self.body.obj
-                stream.seek(len(held) - len(self.body))
+                stream.seek(self.whole[1])
                 with pacsv.open_csv(stream, **options) as reader:
                     yield from reader
         except (pa.ArrowException, UnicodeDecodeError):
@@ -162,10 +167,8 @@ class Table(Columns):
 
     def rows(self) -> Iterator[tuple[int, str]]:
         """(file row, text) of the rows that are not blank."""
-        start, row = 0, self.first_row
-        held: Any = self.body.obj
-        body = held if isinstance(held, bytes | mmap.mmap) else bytes(self.body)
-        start = len(body) - len(self.body)
+        row = self.first_row
+        body, start = self.whole
         while start < len(body):
             end = body.find(b"\n", start)
             end = len(body) if end < 0 else end

@@ -24,6 +24,7 @@ from dashpot.data.readers.uff.function import (
 from dashpot.data.readers.uff.stream import MARK, UffStream, dataset_starts, skip_dataset
 from dashpot.errors import DataError
 
+MODES = 55  # number of the dataset
 KINDS = (TIME_RESPONSE, FRF, TRANSMISSIBILITY, SPECTRUM)
 
 
@@ -50,7 +51,8 @@ class UffReader:
         """The parts, one after another.  Raises DataError, with the line, for what is damaged or cut off."""
         count = 0
         held: list[NodalFunction] = []
-        for function in functions_of(file):
+        others: set[int] = set()
+        for function in functions_of(file, others):
             if function.kind not in KINDS:
                 continue
             if held and not _together(held, function):
@@ -62,11 +64,17 @@ class UffReader:
             yield _part(file.name, count + 1, held)
         elif not count:
             cure = "export samples over time, spectra or frequency responses (dataset 58)"
-            raise DataError("the file holds no samples, spectra or frequency responses", file.name, cure)
+            what = "the file holds no samples, spectra or frequency responses"
+            if MODES in others:
+                what, cure = f"{what}, but modes (dataset 55)", "identify a rig that has their coordinates by it"
+            raise DataError(what, file.name, cure)
 
 
-def functions_of(file: DataFile) -> Iterator[NodalFunction]:
-    """All functions of a universal file (datasets 58 and 58b); other datasets are passed over.  Raises DataError."""
+def functions_of(file: DataFile, others: set[int] | None = None) -> Iterator[NodalFunction]:
+    """All functions of a universal file (datasets 58 and 58b); the numbers of other datasets go to `others`.
+
+    Raises DataError where the file is damaged or cut off.
+    """
     with file.reading() as raw:
         stream = UffStream(raw, file)
         before = None
@@ -76,6 +84,8 @@ def functions_of(file: DataFile) -> Iterator[NodalFunction]:
                 yield function
             else:
                 skip_dataset(stream)
+                if others is not None:
+                    others.add(start.number)
 
 
 def _sharing(function: NodalFunction, before: NodalFunction | None) -> NodalFunction:

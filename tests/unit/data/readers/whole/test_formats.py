@@ -199,6 +199,11 @@ def test_wav_by_a_manifest(tmp_path):
     wavfile.write(tmp_path / "int.wav", 100, whole)
     part = next(iter(reader_of(open_file(tmp_path / "int.wav")).parts(open_file(tmp_path / "int.wav"))))
     assert part.numbers([1])[1] == pytest.approx(whole / 2**15)
+    sound = (tmp_path / "int.wav").read_bytes()
+    for length in (13, 44, 45, 100, len(sound) - 1):  # SciPy warns only
+        (tmp_path / "int.wav").write_bytes(sound[:length])
+        with pytest.raises(DataError, match="damaged or cut off"):
+            list(reader_of(open_file(tmp_path / "int.wav")).parts(open_file(tmp_path / "int.wav")))
 
 
 def test_tdms_of_machines_that_write_the_high_byte_first(tmp_path):
