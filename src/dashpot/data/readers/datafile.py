@@ -23,7 +23,9 @@ from dashpot.io.words import shown
 
 HEAD = 1 << 16  # bytes by which formats are told apart
 PIECE = 1 << 24
-SUBSTITUTED = 1 << 20  # bytes of text in which patterns are replaced at a time, which takes some ten times as many
+SUBSTITUTED = (
+    1 << 20
+)  # bytes of text in which patterns are replaced at a time, which takes some ten times as many
 LARGE = 1 << 26  # bytes from which a file is not held in memory
 
 

@@ -1,6 +1,6 @@
 """Where the numbers of a TDMS channel stand in the file, so that long ones are read in pieces.
 
-nptdms reads at once what a segment holds of a channel, which may be all of it, and of every channel where they alternate.
+nptdms reads at once what a segment holds of a channel, which may be all of it; where channels alternate, of all of them.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ class Block:
 
 
 def blocks_of(content: Any, path: str) -> list[Block] | None:
-    """The blocks of a channel of an open TdmsFile; None where they hold other than numbers as they are (DAQmx, dates)."""
+    """The blocks of a channel of an open TdmsFile; None where its samples are no plain numbers (DAQmx, dates, texts)."""
     blocks = []
     for segment in getattr(content._reader, "_segments", None) or ():
         objects = [stored for stored in segment.ordered_objects if stored.has_data]
@@ -62,9 +62,7 @@ def _evenly_placed(segment: Any, objects: list[Any]) -> bool:
     return len(lengths) == len(objects) and not (alternating and len(set(lengths.values())) > 1)
 
 
-def _blocks_of_segment(
-    segment: Any, objects: list[Any], path: str, kind: np.dtype[Any]
-) -> Iterator[Block]:
+def _blocks_of_segment(segment: Any, objects: list[Any], path: str, kind: np.dtype[Any]) -> Iterator[Block]:
     """The whole chunks, and the last one where it is shorter."""
     dtype = kind.newbyteorder(">" if segment.toc_mask & BIG_ENDIAN else "<")
     alternating = bool(segment.toc_mask & INTERLEAVED)

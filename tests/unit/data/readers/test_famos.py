@@ -72,7 +72,9 @@ def test_switches_are_passed_over(tmp_path):
         list(famos.FamosReader().parts(open_file(path)))
 
 
-@pytest.mark.parametrize("layout", [b",64,0,8,1,0;", b",64,0,0,1,8;"])  # behind eight bytes, eight bytes apart
+@pytest.mark.parametrize(
+    "layout", [b",64,0,8,1,0;", b",64,0,0,1,8;"]
+)  # behind eight bytes, eight bytes apart
 def test_samples_between_others_are_refused(tmp_path, layout):
     path = tmp_path / "a.dat"
     raw = channel(1, "x", "", np.arange(4.0).tobytes(), 8, 8, 0.5)

@@ -66,7 +66,10 @@ class UffReader:
             cure = "export samples over time, spectra or frequency responses (dataset 58)"
             what = "the file holds no samples, spectra or frequency responses"
             if MODES in others:
-                what, cure = f"{what}, but modes (dataset 55)", "identify a rig that has their coordinates by it"
+                what, cure = (
+                    f"{what}, but modes (dataset 55)",
+                    "identify a rig that has their coordinates by it",
+                )
             raise DataError(what, file.name, cure)
 
 
