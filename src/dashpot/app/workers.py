@@ -7,6 +7,7 @@ import signal
 import time
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
+from queue import SimpleQueue
 from threading import Thread
 from typing import TYPE_CHECKING, Any
 
@@ -88,13 +89,15 @@ class _Pool:
 
         Raises UsageError where processes are killed again and again before anything is finished.
         """
-        from concurrent.futures import FIRST_COMPLETED, wait
         from concurrent.futures.process import BrokenProcessPool
 
         waiting = iter(tasks)
         pending: dict[Future[Any], Any] = {}
         lost: list[Any] = []
         killed = 0
+        # The pool's own thread fills it.  To wait on the futures themselves takes their locks, and a signal between
+        # taking one and noting that it is taken would let that thread wait for it for ever.
+        finished: SimpleQueue[Future[Any]] = SimpleQueue()
         while True:
             while lost or len(pending) < AHEAD * self.processes:
                 task = lost.pop() if lost else next(waiting, _NOTHING)
@@ -103,51 +106,61 @@ class _Pool:
                 try:
                     with held_back():  # the pool begins its processes as they are needed
                         future = self.executor.submit(function, task)
-                    pending[future] = task
+                        pending[future] = task
+                        future.add_done_callback(finished.put)
                 except BrokenProcessPool:  # killed since the last result
                     lost.append(task)
                     break
             if not pending and not lost:
                 return
-            finished, _ = wait(pending, return_when=FIRST_COMPLETED)
-            for future in finished:
+            if pending:
+                future = finished.get()
                 task = pending.pop(future)
                 try:
                     result = future.result()
                 except BrokenProcessPool:
                     lost.append(task)
+                else:
+                    killed = 0
+                    yield result
                     continue
-                killed = 0
-                yield result
-            if lost:
-                killed += 1
-                if killed > MOST_KILLED:
-                    raise UsageError(
-                        f"worker processes were killed {killed} times in a row, before they had finished anything",
-                        cure="the memory may be too small: give fewer processes",
-                    )
-                lost += pending.values()  # they break with the rest
-                pending.clear()
-                self.executor.shutdown(wait=False, cancel_futures=True)
-                self.executor = self._begun()
+            killed += 1
+            if killed > MOST_KILLED:
+                raise UsageError(
+                    f"worker processes were killed {killed} times in a row, before they had finished anything",
+                    cure="the memory may be too small: give fewer processes",
+                )
+            lost += pending.values()  # they break with the rest
+            pending.clear()
+            finished = SimpleQueue()
+            self.end()
+            self.executor = self._begun()
 
     def end(self) -> None:
-        """End the processes at once, then the thread that looks after them.
+        """End the processes at once, then the thread that looks after them; a signal meanwhile waits until then.
 
-        Were it left to the interpreter's end, that would at times wake it through a pipe it has just closed, and print
-        a traceback (also in Python 3.13).
+        Were that thread left to the interpreter's end, which waits for it, this would at times wake it through a pipe
+        it has just closed, and print a traceback (also in Python 3.13).  It reads results to their end: of one that a
+        process was ended in the middle of, nothing more comes, which it learns once nobody can write.
         """
-        _hush_cancelled_futures()
-        keeper: Thread | None = self.executor._executor_manager_thread  # type: ignore[assignment]  # stubs err
-        workers = list((self.executor._processes or {}).values())  # Python 3.14 has a public name for this
-        for process in workers:
-            process.terminate()
-        for process in workers:
-            process.join(PATIENCE)
-            process.kill()
-        self.executor.shutdown(wait=False, cancel_futures=True)
-        if keeper is not None:
-            keeper.join(PATIENCE)
+        with held_back():
+            _hush_cancelled_futures()
+            keeper: Thread | None = self.executor._executor_manager_thread  # type: ignore[assignment]  # stubs err
+            results: Any = self.executor._result_queue
+            workers = list(
+                (self.executor._processes or {}).values()
+            )  # Python 3.14 has a public name for this
+            for process in workers:
+                process.terminate()
+            deadline = time.monotonic() + PATIENCE
+            for process in workers:
+                process.join(max(deadline - time.monotonic(), 0.0))
+                process.kill()
+            if results is not None:
+                results._writer.close()
+            self.executor.shutdown(wait=False, cancel_futures=True)
+            if keeper is not None:
+                keeper.join(PATIENCE)
 
 
 def _hush_cancelled_futures() -> None:

@@ -61,10 +61,10 @@ class TdmsReader:
                     if rows:
                         count += 1
                         place = f"{file.name} ({group.name})" if len(groups) > 1 else file.name
-                        loads = {
+                        samples: dict[str, Load] = {
                             channel.name: partial(_samples, file, content, channel) for channel in channels
                         }
-                        yield _part(place, channels, loads, rows, scalars)
+                        yield _part(place, channels, samples, rows, scalars)
             if not count:
                 raise DataError("there are no channels with samples", file.name, "record something")
 

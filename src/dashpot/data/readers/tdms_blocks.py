@@ -1,6 +1,6 @@
 """Where the numbers of a TDMS channel stand in the file, so that long ones are read in pieces.
 
-nptdms reads at once what a segment holds of a channel, which may be all of it; where channels alternate, of all of them.
+nptdms reads at once what a segment holds of a channel, which may be all of it; where channels alternate, of each.
 """
 
 from __future__ import annotations
@@ -40,8 +40,8 @@ class Block:
 
 
 def blocks_of(content: Any, path: str) -> list[Block] | None:
-    """The blocks of a channel of an open TdmsFile; None where its samples are no plain numbers (DAQmx, dates, texts)."""
-    blocks = []
+    """The blocks of a channel of an open TdmsFile; None where its samples are no plain numbers (DAQmx, dates)."""
+    blocks: list[Block] = []
     for segment in getattr(content._reader, "_segments", None) or ():
         objects = [stored for stored in segment.ordered_objects if stored.has_data]
         if all(stored.path != path for stored in objects):
