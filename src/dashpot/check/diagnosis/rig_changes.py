@@ -15,7 +15,9 @@ import numpy as np
 from dashpot.arrays import Real
 from dashpot.check.diagnosis.score_test import promises
 from dashpot.check.diagnosis.search import LONG, Workbench, descended
+from dashpot.estimate.likelihood.global_search import seen_directly
 from dashpot.estimate.likelihood.objective import measured
+from dashpot.estimate.linear.least_squares import compensated
 from dashpot.estimate.preparation.prepared import Prepared
 from dashpot.model.elements import Element, Kind, between, mass
 from dashpot.model.network import Model
@@ -111,6 +113,13 @@ def _scores(
 def _fitted(bench: Workbench, psi: Real, kind: str, element: Element) -> Change:
     larger, start = extended(bench, psi, [element])
     view, data = larger.view, measured(larger)
-    end, chi2 = descended(view, data, start[None], bench.sign[None], np.zeros(1, dtype=np.int64), 2 * LONG)
-    number = float(end[0, view.names.index(element.name)])
-    return Change(kind, element, number, float(chi2[0]), data.rows - len(start))
+    starts = start[None]
+    if larger.states is not None and seen_directly(larger):
+        # A rig that lacks a part may have ended among negative masses, from which nothing leads back.
+        starts = np.concatenate([starts, compensated(larger.model, larger.states)])
+        starts = starts[np.all(np.isfinite(starts), axis=1)]
+    rows, signs = np.zeros(len(starts), dtype=np.int64), np.repeat(bench.sign[None], len(starts), axis=0)
+    ends, chi2 = descended(view, data, starts, signs, rows, 2 * LONG)
+    best = int(np.argmin(chi2))
+    number = float(ends[best, view.names.index(element.name)])
+    return Change(kind, element, number, float(chi2[best]), data.rows - len(start))

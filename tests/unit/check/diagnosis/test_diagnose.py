@@ -58,6 +58,21 @@ def test_the_true_cause_is_named_first(mistake):
     assert rank_of_the_truth("paper", mistake, 100) == 0
 
 
+def test_a_missing_damper_is_found_though_the_fit_without_it_has_a_negative_mass():
+    """From there every damper leads to another minimum than that of the true rig, and the wrong one is the lowest."""
+    thrown = rigs.random_rig(
+        np.random.default_rng(0), 4, kinds=rigs.PAPER_KINDS, levers=False, ties=False, lines=25, worst=100
+    )
+    channels = rigs.channels(thrown, (Quantity.DISPLACEMENT,))
+    data = rigs.noisy(thrown, channels, rigs.covariance(thrown, channels, 0.01), np.random.default_rng(0))
+    case = MISTAKES["missing damper"](thrown.model, data, np.random.default_rng(0))
+    fitted = identify(case.model, case.spectrum)
+    assert np.any(fitted.values < -3 * fitted.noise_sd)
+    first = diagnose(case.model, case.spectrum, fitted)[0]
+    assert (first.kind, frozenset(first.of)) == ("element", case.of)
+    assert first.remaining < 1.5
+
+
 @pytest.mark.long
 def test_gallery_of_sixty_mistakes():
     """Twenty kinds on three rigs: named first in 90 %, among the first three in 97 % of what data can show."""
