@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dashpot.arrays import Ints, Real
+from dashpot.arrays import Bools, Ints, Real
 from dashpot.errors import DataError
 from dashpot.estimate.nonlinear.records import RecordData, measured_coordinates
 from dashpot.estimate.nonlinear.starting_values import constants_to_try
@@ -19,6 +19,8 @@ from dashpot.model.network import Model
 from dashpot.numerics.small_systems import solve_scaled
 
 CYCLES = (0, 1, 2, 3, 4, 5, 6)  # of a window: which part of the band it sees
+FACTORS = (1.5, 1.15, 1.05)  # of the steps of inner constants from the best of a grid
+MOVES = 12  # of each size, at most
 WIDTH = 64  # samples of a window, about; each half overlaps the next
 
 
@@ -35,6 +37,17 @@ class WeakForm:
     f: Real
     windows: tuple[Real, Real, Real]
     first: Ints
+
+    def unit_forces(self, constants: Real) -> Real:
+        """Unit forces of the nonlinear elements in the measured motion, (samples, e), for constants (G,)."""
+        model, chosen = self.model, self.model.nonlinear
+        d, v = self.elongation[:, chosen], self.rate[:, chosen]
+        unit = np.empty_like(d)
+        for row, (index, inner) in enumerate(zip(chosen, model.constant_slices, strict=True)):
+            law = model.elements[int(index)].force_law
+            assert law is not None
+            unit[:, row] = law(d[:, row], v[:, row], d[:, row], constants[inner]).value
+        return unit
 
     def of(self, signal: Real, derivative: int) -> Real:
         """∫ w s^(derivative) of signals (samples, k), by parts; (windows, k)."""
@@ -65,30 +78,50 @@ def weak_form(model: Model, step_s: float, x: Real, u: Real, f: Real) -> WeakFor
     return WeakForm(model, d, rate, f @ model.S.T, (windows[0], windows[1], windows[2]), first)
 
 
-def fitted(form: WeakForm, unit: Real) -> tuple[Real, float]:
-    """(unknown parameters, relative residual) for the nonlinear elements' unit forces (samples, e)."""
+@dataclass(frozen=True)
+class WeakEquations:
+    """A (equations, unknowns of elements and constant forces) θ = b without the nonlinear elements; free: which θ."""
+
+    form: WeakForm
+    linear: Real
+    right: Real
+    free: Bools
+
+    def fitted(self, constants: Real) -> tuple[Real, float]:
+        """(unknown parameters, squared residual) of least squares at given inner constants (G,).
+
+        The residual is not measured by the size of the terms: they cancel where constants are far off.
+        """
+        model, form = self.form.model, self.form
+        columns = np.zeros((len(form.first) * len(form.windows[0]), len(model.elements)))
+        columns[:, model.nonlinear] = form.of(form.unit_forces(constants), 0)
+        known = columns @ (model.p0[:, None] * model.B)  # (rows, n)
+        along = np.concatenate([(columns * model.B[:, i]) @ model.T[:, self.free] for i in range(model.n)])
+        A = self.linear.copy()
+        A[:, : along.shape[1]] += along
+        b = self.right - known.T.ravel()
+        theta = solve_scaled(A.T @ A, A.T @ b)
+        left = b - A @ theta
+        return theta[: along.shape[1]], float(left @ left)
+
+
+def weak_equations(form: WeakForm) -> WeakEquations:
+    """The equations of motion of all coordinates, one below the other."""
     model = form.model
     columns = np.zeros((len(form.first) * len(form.windows[0]), len(model.elements)))
     for i, element in enumerate(model.elements):
         if element.force_law is None:
             columns[:, i] = form.of(form.elongation[:, i : i + 1], element.law.power)[:, 0]
-    columns[:, model.nonlinear] = form.of(unit, 0)
     free = np.any(model.T, axis=0)
-    right = form.of(form.f, 0)  # (rows, n)
-    known = columns * model.p0
+    right = form.of(form.f, 0) - columns @ (model.p0[:, None] * model.B)  # (rows, n)
     constant = form.of(np.ones((len(form.f), 1)), 0)  # a force that stands still is free, where forces act
     push = np.any(model.S, axis=1)
-    A, b = [], []
+    A = []
     for i in range(model.n):
         offset = np.zeros((len(columns), model.n))
         offset[:, i] = constant[:, 0] * push[i]
         A.append(np.concatenate([(columns * model.B[:, i]) @ model.T[:, free], offset[:, push]], axis=1))
-        b.append(right[:, i] - known @ model.B[:, i])
-    A_all, b_all = np.concatenate(A), np.concatenate(b)
-    theta = solve_scaled(A_all.T @ A_all, A_all.T @ b_all)
-    left = b_all - A_all @ theta
-    size = float(b_all @ b_all) + float(np.sum((A_all * theta) ** 2))
-    return theta[: int(np.sum(free))], float(left @ left) / size if size > 0 else np.inf
+    return WeakEquations(form, np.concatenate(A), right.T.ravel(), free)
 
 
 def first_record_values(model: Model, records: tuple[RecordData, ...]) -> Real:
@@ -102,28 +135,47 @@ def first_record_values(model: Model, records: tuple[RecordData, ...]) -> Real:
         return np.array(given, dtype=float)
     x = _measured_motion(model, records[0], open_names)
     record, r = records[0], model.D.shape[1]
-    form = weak_form(model, record.step_s, x, record.inputs[:, :r], record.inputs[:, r:])
-    chosen = model.nonlinear
-    d, v = form.elongation[:, chosen], form.rate[:, chosen]
-    best: tuple[float, Real] | None = None
-    for constants in constants_to_try(model, np.max(np.abs(d), axis=0), np.max(np.abs(v), axis=0)):
-        unit = np.empty_like(d)
-        for row, (index, inner) in enumerate(zip(chosen, model.constant_slices, strict=True)):
-            law = model.elements[int(index)].force_law
-            assert law is not None
-            unit[:, row] = law(d[:, row], v[:, row], d[:, row], constants[inner]).value
-        p, residual = fitted(form, unit)
-        slope, known = model.constants_map
-        theta = (constants - known) @ slope
-        theta[np.any(model.T, axis=0)] = p
-        if np.all(np.isfinite(theta)) and (best is None or residual < best[0]):
-            best = residual, theta
-    if best is None:
+    equations = weak_equations(weak_form(model, record.step_s, x, record.inputs[:, :r], record.inputs[:, r:]))
+    constants, p = _best_constants(equations)
+    slope, known = model.constants_map
+    theta = (constants - known) @ slope
+    theta[equations.free] = p
+    if not np.all(np.isfinite(theta)):
         raise DataError(
             "the motion does not determine the unknowns", record.source, "give guesses in the rig file"
         )
     low, high = model.bounds
-    return np.clip(np.where(model.prior_precision > 0, model.prior_mean, best[1]), low, high)
+    return np.clip(np.where(model.prior_precision > 0, model.prior_mean, theta), low, high)
+
+
+def _best_constants(equations: WeakEquations) -> tuple[Real, Real]:
+    """Inner constants (G,) of the least residual and the parameters that go with them.
+
+    The best of a grid, from which each unknown constant is then moved by steps that become smaller.
+    """
+    form, model = equations.form, equations.form.model
+    chosen = model.nonlinear
+    elongation, speed = (np.max(np.abs(motion[:, chosen]), axis=0) for motion in (form.elongation, form.rate))
+    best = _least(equations, constants_to_try(model, elongation, speed))
+    moved = [j for j, (_, constant) in enumerate(model.constants) if constant.unknown]
+    for factor in FACTORS if moved else ():
+        steps = [np.ones(len(model.constants)) for _ in range(2 * len(moved))]
+        for j, up, down in zip(moved, steps[::2], steps[1::2], strict=True):
+            up[j], down[j] = factor, 1 / factor
+        for _ in range(MOVES):
+            nearer = _least(equations, [best[0], *(step * best[0] for step in steps)])
+            if nearer[0] is best[0]:
+                break
+            best = nearer
+    return best
+
+
+def _least(equations: WeakEquations, trials: Sequence[Real]) -> tuple[Real, Real]:
+    """The constants of the trials that leave least, and their parameters; the first where none can be fitted."""
+    fits = [equations.fitted(constants) for constants in trials]
+    residuals = [left if np.all(np.isfinite(p)) else np.inf for p, left in fits]
+    best = int(np.argmin(residuals))
+    return trials[best], fits[best][0]
 
 
 def _measured_motion(model: Model, record: RecordData, open_names: Sequence[str]) -> Real:

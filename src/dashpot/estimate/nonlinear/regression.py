@@ -95,7 +95,9 @@ def scale_of_lines(motion: MeasuredMotion) -> Real:
 
 
 def regression(motion: MeasuredMotion, constants: Real, weight: Real) -> tuple[Real, Real]:
-    """(parameters (K, unknown elements), relative residual (K,)) of weighted least squares at given constants."""
+    """(parameters (K, unknown elements), residual over the known side (K,)) of weighted least squares.
+
+    The terms' own sizes do not count: they cancel where constants (G,) are far off."""
     model = motion.model
     strengths = np.any(model.T, axis=0)
     a = motion.unit_forces(constants)
@@ -109,7 +111,6 @@ def regression(motion: MeasuredMotion, constants: Real, weight: Real) -> tuple[R
     p = solve_scaled(N, right)
     e = h - np.einsum("klnu,ku->kln", Phi, p)
     power = np.sum(np.abs(h) ** 2 * weight[:, None], axis=(1, 2))
-    power = power + np.sum(np.abs(Phi * p[:, None, None]) ** 2 * weight[:, None, None], axis=(1, 2, 3))
     residual = np.sum(np.abs(e) ** 2 * weight[:, None], axis=(1, 2)) / np.where(power > 0, power, 1.0)
     return p, residual
 

@@ -94,8 +94,6 @@ def as_blocks(Z: Complex) -> Real:
 @lru_cache(maxsize=8)
 def rates_of_orders(orders: int) -> Complex:
     """jh for the orders h = 0 … orders, (orders + 1,)."""
-    """jh for the orders h = 0 … orders, (orders + 1,)."""
-    """jh for the orders h = 0 … orders, (orders + 1,)."""
     return (1j * np.arange(orders + 1)).astype(np.complex128)
 
 
