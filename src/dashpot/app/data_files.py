@@ -70,8 +70,7 @@ def measured_data(
         name: value for name, value in reading.conditioning.items() if not _was_given(name)
     }
     conditioning = with_noise_record(replace(conditioning_from(options), **stated), rig, options, quiet)
-    if part != (0.0, 1.0):
-        reading = _part_of(reading, part)
+    reading = part_of(reading, part)
     with progress("amplitudes", quiet):
         spectrum = amplitudes_for(rig.model, reading, conditioning, traits)
     if options.get("record_band") is not None and not spectrum.records:
@@ -128,8 +127,10 @@ def reading_of(paths: Sequence[str]) -> str:
     return f"reading {name[:40]}" + (f" and {len(paths) - 1} more" if len(paths) > 1 else "")
 
 
-def _part_of(reading: Reading, part: tuple[float, float]) -> Reading:
-    """The same records with some of their samples.  Raises DataError where there are none to choose from."""
+def part_of(reading: Reading, part: tuple[float, float]) -> Reading:
+    """The same with the share `part` of every record's samples.  Raises DataError where there are none."""
+    if part == (0.0, 1.0):
+        return reading
     from dashpot.data.conditioning.clock import cut
     from dashpot.data.conditioning.transients import continuous
     from dashpot.errors import DataError

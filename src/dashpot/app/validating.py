@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from dashpot.io.json_document import to_json
 
@@ -34,8 +34,33 @@ def estimate_and_rig(path: str, rig: str | None) -> tuple[Estimate, Rig]:
     raise UsageError(f"the rig file {estimate.rig} that {path} names is not there", cure="give it with --rig")
 
 
+def predictions_of(
+    rig: Rig,
+    estimate: Estimate,
+    paths: Sequence[str],
+    conditioning: Mapping[str, Any],
+    quiet: bool,
+    *,
+    part: tuple[float, float] = (0.0, 1.0),
+) -> tuple[RecordPrediction, ...]:
+    """What an estimate predicts of data files, or of a part of each record; raises DataError."""
+    from dashpot.app.data_files import measured_data, part_of, read_files
+    from dashpot.app.progress import progress
+    from dashpot.check.record_validation import validate_records
+    from dashpot.check.validation import validate
+
+    reading = read_files(rig, paths, conditioning, quiet)
+    if len(rig.model.nonlinear) and reading.continuous:
+        with progress("validate", quiet):
+            return validate_records(rig.model, estimate, part_of(reading, part).records)
+    spectrum = measured_data(rig, reading, conditioning, quiet, part=part).spectrum
+    with progress("validate", quiet):
+        return validate(rig.model, estimate, spectrum)
+
+
 def figures_of(predictions: Sequence[RecordPrediction]) -> str:
-    """FIT, χ² and degrees of freedom of every channel as JSON."""
+    """FIT, rms error (of records, SI units), χ² and degrees of freedom of every channel as JSON."""
+    errors = [part.rms_error for part in predictions]
     rows = [
         {
             "duration_s": part.duration_s,
@@ -43,12 +68,13 @@ def figures_of(predictions: Sequence[RecordPrediction]) -> str:
             "channels": {
                 name: {
                     "fit_percent": 100 * part.fit[c],
+                    "rms_error": rms_error[c],
                     "chi2": part.chi2[c],
                     "dof": int(part.dof[c]),
                 }
                 for c, name in enumerate(part.channels)
             },
         }
-        for part in predictions
+        for part, rms_error in zip(predictions, errors, strict=True)
     ]
     return to_json({"records": rows})

@@ -52,6 +52,14 @@ class RecordPrediction:
     def __post_init__(self) -> None:
         freeze(self)
 
+    @property
+    def rms_error(self) -> Real:
+        """Rms of what was measured less what was predicted of a record, in its units, (channels,); NaN of lines."""
+        if not self.samples:
+            return np.full(len(self.channels), np.nan)
+        _, measured_motion, predicted_motion = self.histories()
+        return np.asarray(np.sqrt(np.mean((measured_motion - predicted_motion) ** 2, axis=0)))
+
     def histories(self) -> tuple[Real, Real, Real]:
         """Time (samples,) s, and measured and predicted histories (samples, channels) of the lines in the band."""
         lines = np.rint(self.frequency_hz * self.duration_s).astype(int)

@@ -61,8 +61,8 @@ class Solution:
     theta (K, unknowns), followed by gains and delays where the method estimates them; covariance of the noise given
     in the spectrum, (K, unknowns, unknowns); converged and iterations (K,), from all starts together; history: θ at the
     start and after each iteration of the descent that ended there, of the first repeat, (points, unknowns).  `signs`:
-    channels whose sign was found, ±1 for each repeat.  `bounds`: those that were held, if any.  `harmonics` of the
-    response of a nonlinear rig that it rests on.
+    channels whose sign was found, ±1 for each repeat.  `bounds`: those that were held, if any.  `responses` of a
+    nonlinear rig that it rests on, their harmonics and branches: a NonlinearPart, of which methods know nothing.
     """
 
     theta: Real
@@ -73,7 +73,7 @@ class Solution:
     signs: Mapping[str, Real] = field(default_factory=dict)
     warnings: tuple[Notice, ...] = ()
     bounds: HeldBounds | None = None
-    harmonics: int | None = None
+    responses: object = None
 
 
 class Method(ABC):

@@ -85,7 +85,7 @@ def command(
     Exit codes: 0 done, whatever the verdict; 2 bad usage, model or data; 3 the data do not determine the unknowns, or
     the iteration did not converge; 4 with --strict, the model does not fit.
     """
-    from dashpot.app.data_files import measured_data, read_files
+    from dashpot.app.data_files import measured_data, part_of, read_files
     from dashpot.app.measured_modes import modal_estimate
 
     unsuited = {
@@ -104,7 +104,7 @@ def command(
         used = (0.0, 1.0 - (hold_out or 0.0))
         reading = read_files(rig_read, data, conditioning, quiet)
         if len(rig_read.model.nonlinear) and reading.continuous:
-            estimate = _of_whole_records(rig_read, reading.records, wanted, quiet)
+            estimate = _of_whole_records(rig_read, part_of(reading, used).records, wanted, quiet)
         else:
             from dashpot.estimate.automatic import suited_method
 
@@ -221,10 +221,9 @@ def _held_out(
     rig: Rig, estimate: Estimate, data: tuple[str, ...], conditioning: dict[str, Any], since: float
 ) -> tuple[RecordPrediction, ...]:
     """How well the end of each record is predicted, which the fit has not seen."""
-    from dashpot.app.data_files import read_spectrum
-    from dashpot.check.validation import validate
+    from dashpot.app.validating import predictions_of
 
-    return validate(rig.model, estimate, read_spectrum(rig, data, conditioning, True, part=(since, 1.0)))
+    return predictions_of(rig, estimate, data, conditioning, True, part=(since, 1.0))
 
 
 def _explained(

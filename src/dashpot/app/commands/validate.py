@@ -47,19 +47,14 @@ def command(
 
     FILES are the estimate, as identify writes it with --json, and the records.
     """
-    from dashpot.app.data_files import read_spectrum
     from dashpot.app.files import write_result
-    from dashpot.app.progress import progress
-    from dashpot.app.validating import estimate_and_rig, figures_of
-    from dashpot.check.validation import validate
+    from dashpot.app.validating import estimate_and_rig, figures_of, predictions_of
     from dashpot.errors import UsageError
 
     if len(files) < 2:
         raise UsageError("there is no record to predict", cure="name data files after the estimate")
     estimate, rig_read = estimate_and_rig(files[0], rig)
-    spectrum = read_spectrum(rig_read, files[1:], conditioning, quiet)
-    with progress("validate", quiet):
-        predictions = validate(rig_read.model, estimate, spectrum)
+    predictions = predictions_of(rig_read, estimate, files[1:], conditioning, quiet)
     if figure is not None:
         from dashpot.present.figures.style import write_figure
         from dashpot.present.figures.validation import drawn_of, prediction_figure
@@ -69,7 +64,7 @@ def command(
         from dashpot.app.report_files import provenance, write_report
         from dashpot.present.pages.others import validation_report
 
-        page = validation_report(rig_read.model, spectrum.channels, estimate, predictions, provenance())
+        page = validation_report(rig_read.model, rig_read.channels, estimate, predictions, provenance())
         write_report(report, page)
     write_result(json_out, figures_of(predictions))
     if not quiet and json_out != STDOUT:

@@ -23,6 +23,7 @@ from dashpot.estimate.likelihood.record_noise import RESIDUAL
 from dashpot.estimate.linear.auxiliary_model import equation_by_line, equation_sums, sums_of_lines
 from dashpot.estimate.linear.instrumental_variables import likeliest
 from dashpot.estimate.method import Method, Solution, Traits
+from dashpot.estimate.nonlinear.objective import NonlinearPart
 from dashpot.estimate.preparation.noise_quality import NoiseQuality, interval_dof, noise_quality
 from dashpot.estimate.preparation.prepared import Prepared, without_priors
 from dashpot.numerics.kernel import kernel, threads
@@ -128,7 +129,7 @@ def most_likely(data: Prepared, solution: Solution, traits: Traits) -> Solution:
         return solution
     if len(data.model.nonlinear):
         best = MaximumLikelihood().solve(data)
-        return replace(solution, theta=best.theta, harmonics=best.harmonics)
+        return replace(solution, theta=best.theta, responses=best.responses)
     return replace(solution, theta=likeliest(data, solution.theta))
 
 
@@ -144,8 +145,8 @@ def linearise(data: Prepared, solution: Solution, traits: Traits) -> Linearised:
 
 def _of_channels(data: Prepared, solution: Solution) -> Linearised:
     view, exact = data.view, measured(data)
-    if exact.nonlinear is not None and solution.harmonics is not None:
-        exact = replace(exact, nonlinear=exact.nonlinear.with_harmonics(solution.harmonics))
+    if isinstance(solution.responses, NonlinearPart):
+        exact = replace(exact, nonlinear=solution.responses)
     sign = data.spectrum.signs(solution.signs, len(exact.y))
     lines = per_line(view, exact, solution.theta, sign)
     rows = exact.rows - nuisance_columns(view, exact, solution.theta, sign)

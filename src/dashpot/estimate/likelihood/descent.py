@@ -77,23 +77,36 @@ class Likelihood:
         return self.descend_in(self.exact, start, sign, limit, repeats)
 
     def descend_in(
-        self, data: Measured, start: Real, sign: Real, limit: int | None = None, repeats: Ints | None = None
+        self,
+        data: Measured,
+        start: Real,
+        sign: Real,
+        limit: int | None = None,
+        repeats: Ints | None = None,
+        *,
+        near: float | None = None,
     ) -> OptimizeResult:
-        """As `descend`, from start (k, M), in other data of the same channels: softened, or with more harmonics."""
+        """As `descend`, from start (k, M), in other data of the same channels: softened, or with more harmonics.
+
+        It ends within `near` standard deviations, where that is given: roughly, and without Newton's own matrix.
+        """
         most = self.effort.max_iterations if limit is None else limit
         rows = data.rows_of(len(start)) if repeats is None or len(data.y) == 1 else repeats
         # What depends on what among a record's columns is decided anew at each step: no nearer than that.
-        tolerance = self.effort.tolerance
-        near = tolerance if data.ends is None else max(tolerance, RECORD_TOLERANCE)
-        near = near if data.nonlinear is None else max(tolerance, HARMONIC_TOLERANCE)
+        tolerance = self.effort.tolerance if near is None else near
+        if data.ends is not None:
+            tolerance = max(tolerance, RECORD_TOLERANCE)
+        if data.nonlinear is not None:
+            tolerance = max(tolerance, HARMONIC_TOLERANCE)
         return descend_in_repeats(
-            self.view, data, start, sign, rows, limit=most, tolerance=near, lower=self.lower, upper=self.upper
-        )
+            self.view, data, start, sign, rows, limit=most, tolerance=tolerance, lower=self.lower, upper=self.upper,
+            patience=PATIENCE if near is None else most,
+        )  # fmt: skip
 
 
 def descend_in_repeats(
     view: ObservationModel, data: Measured, start: Real, sign: Real, rows: Ints, *, limit: int, tolerance: float,
-    lower: Real | None = None, upper: Real | None = None,
+    lower: Real | None = None, upper: Real | None = None, patience: int = PATIENCE,
 ) -> OptimizeResult:  # fmt: skip
     """Minimise from each `start`, (k, M), with `sign` (k, channels), in the repeat `rows` (k,) of the data."""
     output = compiled_output(view, data)
@@ -101,13 +114,15 @@ def descend_in_repeats(
         low = np.full(start.shape[-1], -np.inf) if lower is None else lower
         high = np.full(start.shape[-1], np.inf) if upper is None else upper
         return compiled_descent(
-            output, start, sign, rows, lower=low, upper=high, limit=limit, tolerance=tolerance, patience=PATIENCE
+            output, start, sign, rows, lower=low, upper=high, limit=limit, tolerance=tolerance, patience=patience
         )  # fmt: skip
 
     def evaluate(psi: Real, active: Ints) -> QuadraticModel:
         return local(view, data.pick(rows[active]), psi, sign[active])
 
-    return minimise(evaluate, start, limit=limit, tolerance=tolerance, lower=lower, upper=upper)
+    return minimise(
+        evaluate, start, limit=limit, tolerance=tolerance, lower=lower, upper=upper, patience=patience
+    )
 
 
 @dataclass(frozen=True)

@@ -87,7 +87,7 @@ class MaximumLikelihood(Method):
         if likelihood.exact.nonlinear is None and not self.start and not self.thorough:
             minimum, sign, again = searched_again(likelihood, minimum, sign)
             warnings += again
-        around, part = likelihood.model_at(minimum.x, sign), likelihood.exact.nonlinear
+        around = likelihood.model_at(minimum.x, sign)
         bounds = None
         if np.any(np.isfinite(likelihood.lower) | np.isfinite(likelihood.upper)):
             free = without_bounds(minimum.x, around, likelihood.lower, likelihood.upper)
@@ -95,7 +95,7 @@ class MaximumLikelihood(Method):
         return Solution(
             minimum.x, around.inverse, minimum.converged, minimum.iterations, minimum.history,
             signs={view.channels[int(c)].name: sign[:, c] for c in np.flatnonzero(view.flips)},
-            warnings=warnings, bounds=bounds, harmonics=None if part is None else part.dwells.orders,
+            warnings=warnings, bounds=bounds, responses=likelihood.exact.nonlinear,
         )  # fmt: skip
 
     def rough(self, data: Prepared, *, typical: bool = False) -> tuple[Real, Real]:

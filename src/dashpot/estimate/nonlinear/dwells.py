@@ -14,7 +14,11 @@ from dashpot.estimate.preparation.state_reconstruction import States
 from dashpot.model.network import Model
 from dashpot.model.nonlinear.harmonics import Drive, real_of
 
+REACH = 0.3  # of the elongations, by which slopes may move them
 FEWEST = {True: 7, False: 21}  # harmonics to begin with, of laws that are smooth and that are not
+
+
+Predicted = tuple[Complex, Complex, Complex, Complex, Complex, Real]  # as a Prediction of the likelihood
 
 
 @dataclass(frozen=True)
@@ -121,8 +125,29 @@ def measured_elongations(model: Model, dwells: DwellLines, states: States) -> Re
 
 @dataclass
 class WarmStart:
-    """The last responses of each repeat, from which the next ones start: they stay on their branch."""
+    """The last responses of each repeat, from which the next ones start: they stay on their branch.
+
+    along: θ of a response and the slopes of its elongations there, (dwells, e, W, unknowns).  latest: the last
+    prediction of a single repeat, (which, and what was predicted): searches come back to their ends.
+    """
 
     delta: dict[int, Real] = field(default_factory=dict)
     inputs: dict[int, Complex] = field(default_factory=dict)
     cost: dict[int, float] = field(default_factory=dict)
+    along: dict[int, tuple[Real, Real]] = field(default_factory=dict)
+    latest: tuple[bytes, Predicted] | None = None
+
+    def near(self, repeat: int, theta: Real) -> Real:
+        """Elongations (dwells, e, W) to start from at θ (unknowns,): the last ones, moved along their slopes.
+
+        Not those of dwells that would move far: slopes say nothing of that.
+        """
+        delta = self.delta[repeat]
+        if repeat not in self.along:
+            return delta
+        at, slope = self.along[repeat]
+        size = np.max(np.abs(delta), axis=(1, 2), keepdims=True)
+        with np.errstate(invalid="ignore"):
+            change = slope @ (theta - at)
+            close = np.max(np.abs(change), axis=(1, 2), keepdims=True) <= REACH * size
+        return np.where(close, delta + change, delta)

@@ -13,7 +13,13 @@ import numpy as np
 
 from dashpot.arrays import Complex, Ints, Real, frozen, hermitian
 from dashpot.errors import DataError
-from dashpot.estimate.nonlinear.dwells import DwellLines, WarmStart, dwells_of, measured_elongations
+from dashpot.estimate.nonlinear.dwells import (
+    DwellLines,
+    Predicted,
+    WarmStart,
+    dwells_of,
+    measured_elongations,
+)
 from dashpot.estimate.nonlinear.lost_dwells import regained
 from dashpot.estimate.preparation.prepared import Prepared
 from dashpot.model.network import Model
@@ -76,13 +82,17 @@ class NonlinearPart:
 
 @dataclass(frozen=True)
 class Evaluated:
-    """The channels at one ψ and given inputs, (K, lines, channels, …): without slopes J and G are empty."""
+    """The channels at one ψ and given inputs, (K, lines, channels, …).
+
+    d_delta (K dwells, e, W, m): slopes of the elongations.
+    """
 
     predicted: Complex
     J: Complex
     G: Complex
     at: Periodic
     drive: Drive
+    d_delta: Real
 
 
 def evaluate(
@@ -115,7 +125,7 @@ def evaluate(
     lost = ~at.converged.reshape(K, R)[:, dwells.dwell]
     # A dwell without a response shows nothing: a large residual, but a finite one that leaves the others in charge.
     predicted = np.where(lost[..., None], 0.0, predicted)
-    slope = _slopes(view, part, p, drive, at, noisy)
+    slope = _slopes(view, part, p, drive, at, a, noisy)
     dX, da = dwells.lines(slope.X, K), dwells.lines(slope.unit_forces, K)
     d_forces = p.reshape(K, R, -1)[:, dwells.dwell][..., None] * da
     d_forces[..., :m] += dwells.lines(a, K)[..., None] * model.T
@@ -126,7 +136,7 @@ def evaluate(
     dY = np.where(lost[..., None, None], 0.0, kappa[..., None] * dY)
     predicted = np.where(impossible.reshape(K, R)[:, :1, None], np.nan, predicted)
     J = np.concatenate([dY[..., :m], calibration_slopes(view, psi, predicted)], axis=-1)
-    return Evaluated(predicted, J, dY[..., m:], at, drive)
+    return Evaluated(predicted, J, dY[..., m:], at, drive, slope.delta[..., :m])
 
 
 def must_be_positive(model: Model) -> Ints:
@@ -141,12 +151,12 @@ def must_be_positive(model: Model) -> Ints:
 
 
 def _slopes(
-    view: ObservationModel, part: NonlinearPart, p: Real, drive: Drive, at: Periodic, noisy: bool
+    view: ObservationModel, part: NonlinearPart, p: Real, drive: Drive, at: Periodic, a: Complex, noisy: bool
 ) -> Slopes:
     model = view.model
     along_p, along_g = model.T, model.constants_map[0]
     if not noisy:
-        return slopes(model, p, drive, at, along_p, along_g)
+        return slopes(model, p, drive, at, a, along_p, along_g)
     nq, r = drive.U.shape[-1] + drive.f.shape[-1], drive.U.shape[-1]
     directions = part.dwells.input_directions(nq)
     K, Q = len(p) // len(part.dwells.omega), directions.shape[-1]
@@ -154,7 +164,15 @@ def _slopes(
     along = np.tile(along, (K, 1, 1, 1))
     widen = [(0, 0), (0, Q)]
     return slopes(
-        model, p, drive, at, np.pad(along_p, widen), np.pad(along_g, widen), along[:, :, :r], along[:, :, r:]
+        model,
+        p,
+        drive,
+        at,
+        a,
+        np.pad(along_p, widen),
+        np.pad(along_g, widen),
+        along[:, :, :r],
+        along[:, :, r:],
     )
 
 
@@ -164,9 +182,6 @@ def measured_part(data: Measured) -> NonlinearPart:
     return data.nonlinear
 
 
-Predicted = tuple[Complex, Complex, Complex, Complex, Complex, Real]
-
-
 def predict_harmonics(
     view: ObservationModel, data: Measured, part: NonlinearPart, psi: Real, sign: Real
 ) -> Predicted:
@@ -174,10 +189,22 @@ def predict_harmonics(
 
     J is what noisy inputs leave of the slopes.
     """
-    K, R = len(psi), len(part.dwells.omega)
+    known = len(part.repeat) == len(psi)
+    if not known or len(psi) > 1:
+        return _predicted(view, data, part, psi, sign, known)
+    which = b"".join(numbers.tobytes() for numbers in (part.repeat, psi, sign, data.y, data.W))
+    latest = part.warm.latest
+    if latest is None or latest[0] != which:
+        latest = part.warm.latest = which, _predicted(view, data, part, psi, sign, known)
+    return latest[1]
+
+
+def _predicted(
+    view: ObservationModel, data: Measured, part: NonlinearPart, psi: Real, sign: Real, known: bool
+) -> Predicted:
+    """As `predict_harmonics`; `known`: whether ψ are those of the repeats, whose last responses are near."""
     noisy = data.q is None
-    known = len(part.repeat) == K
-    q, start = _begin(data, part, K, known)
+    q, start = _begin(data, part, psi[:, : view.m], known)
     now = evaluate(view, part, psi, sign, q, start, noisy)
     if known and part.patient and start is None and not np.all(now.at.converged):
         delta = regained(view.model, psi[:, : view.m], now.drive, now.at)
@@ -203,7 +230,7 @@ def predict_harmonics(
     weighted = (data.W @ residual[..., None])[..., 0]
     cost: Real = 2 * np.sum((np.conj(residual) * weighted).real, axis=-1)
     if known:
-        _keep(part, now, q, cost, R)
+        _keep(part, now, psi[:, : view.m], q, cost)
     return residual, weighted, J, data.W @ J, q, cost
 
 
@@ -231,8 +258,9 @@ def _measured_inputs(view: ObservationModel, y: Complex) -> Complex:
     return q
 
 
-def _begin(data: Measured, part: NonlinearPart, K: int, known: bool) -> tuple[Complex, Real | None]:
-    """Inputs and elongations to start from: the last ones of each repeat, or the measured ones."""
+def _begin(data: Measured, part: NonlinearPart, theta: Real, known: bool) -> tuple[Complex, Real | None]:
+    """Inputs and elongations to start from at θ (K, m): those near the last ones of each repeat, or the measured."""
+    K = len(theta)
     q = part.q if data.q is None else data.q
     q = np.broadcast_to(q, (K, *q.shape[1:]))
     start = part.start
@@ -240,7 +268,7 @@ def _begin(data: Measured, part: NonlinearPart, K: int, known: bool) -> tuple[Co
     if known and all(
         int(k) in part.warm.delta and part.warm.delta[int(k)].shape[-1] == W for k in part.repeat
     ):
-        start = np.stack([part.warm.delta[int(k)] for k in part.repeat])
+        start = np.stack([part.warm.near(int(k), at) for k, at in zip(part.repeat, theta, strict=True)])
         if data.q is None:
             q = np.stack([part.warm.inputs[int(k)] for k in part.repeat])
     if start is None:
@@ -249,13 +277,16 @@ def _begin(data: Measured, part: NonlinearPart, K: int, known: bool) -> tuple[Co
     return q, start.reshape(-1, *start.shape[2:])
 
 
-def _keep(part: NonlinearPart, now: Evaluated, q: Complex, cost: Real, R: int) -> None:
+def _keep(part: NonlinearPart, now: Evaluated, theta: Real, q: Complex, cost: Real) -> None:
+    R = len(part.dwells.omega)
     delta = now.at.delta.reshape(-1, R, *now.at.delta.shape[1:])
+    slope = now.d_delta.reshape(*delta.shape, -1)
     total = np.sum(cost, axis=-1)
     for row, repeat in enumerate(part.repeat.tolist()):
         if total[row] < part.warm.cost.get(repeat, np.inf):
             part.warm.cost[repeat] = float(total[row])
             part.warm.delta[repeat], part.warm.inputs[repeat] = delta[row], q[row]
+            part.warm.along[repeat] = theta[row], slope[row]
 
 
 def _normal(data: Measured, part: NonlinearPart, now: Evaluated, residual: Complex) -> tuple[Real, Real]:

@@ -14,13 +14,11 @@ import numpy as np
 from dashpot.arrays import Bools, Ints, Real
 from dashpot.errors import DataError
 from dashpot.estimate.nonlinear.records import RecordData, measured_coordinates
-from dashpot.estimate.nonlinear.starting_values import constants_to_try
+from dashpot.estimate.nonlinear.starting_values import constants_to_try, refined_constants
 from dashpot.model.network import Model
 from dashpot.numerics.small_systems import solve_scaled
 
 CYCLES = (0, 1, 2, 3, 4, 5, 6)  # of a window: which part of the band it sees
-FACTORS = (1.5, 1.15, 1.05)  # of the steps of inner constants from the best of a grid
-MOVES = 12  # of each size, at most
 WIDTH = 64  # samples of a window, about; each half overlaps the next
 
 
@@ -149,33 +147,19 @@ def first_record_values(model: Model, records: tuple[RecordData, ...]) -> Real:
 
 
 def _best_constants(equations: WeakEquations) -> tuple[Real, Real]:
-    """Inner constants (G,) of the least residual and the parameters that go with them.
-
-    The best of a grid, from which each unknown constant is then moved by steps that become smaller.
-    """
+    """Inner constants (G,) of the least residual, near the best of a grid, and the parameters that go with them."""
     form, model = equations.form, equations.form.model
     chosen = model.nonlinear
     elongation, speed = (np.max(np.abs(motion[:, chosen]), axis=0) for motion in (form.elongation, form.rate))
-    best = _least(equations, constants_to_try(model, elongation, speed))
-    moved = [j for j, (_, constant) in enumerate(model.constants) if constant.unknown]
-    for factor in FACTORS if moved else ():
-        steps = [np.ones(len(model.constants)) for _ in range(2 * len(moved))]
-        for j, up, down in zip(moved, steps[::2], steps[1::2], strict=True):
-            up[j], down[j] = factor, 1 / factor
-        for _ in range(MOVES):
-            nearer = _least(equations, [best[0], *(step * best[0] for step in steps)])
-            if nearer[0] is best[0]:
-                break
-            best = nearer
-    return best
 
+    def residual(constants: Real) -> float:
+        p, left = equations.fitted(constants)
+        return left if np.all(np.isfinite(p)) else np.inf
 
-def _least(equations: WeakEquations, trials: Sequence[Real]) -> tuple[Real, Real]:
-    """The constants of the trials that leave least, and their parameters; the first where none can be fitted."""
-    fits = [equations.fitted(constants) for constants in trials]
-    residuals = [left if np.all(np.isfinite(p)) else np.inf for p, left in fits]
-    best = int(np.argmin(residuals))
-    return trials[best], fits[best][0]
+    constants = refined_constants(
+        model, min(constants_to_try(model, elongation, speed), key=residual), residual
+    )
+    return constants, equations.fitted(constants)[0]
 
 
 def _measured_motion(model: Model, record: RecordData, open_names: Sequence[str]) -> Real:

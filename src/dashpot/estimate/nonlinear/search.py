@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -12,7 +12,7 @@ from dashpot.arrays import Real
 from dashpot.errors import ConvergenceError
 from dashpot.estimate.likelihood.global_search import DOUBT, apart, not_unique
 from dashpot.estimate.likelihood.objective import local, measured
-from dashpot.estimate.nonlinear.dwells import WarmStart, dwells_of
+from dashpot.estimate.nonlinear.dwells import FEWEST, WarmStart, dwells_of
 from dashpot.estimate.nonlinear.lost_dwells import regained
 from dashpot.estimate.nonlinear.objective import measured_part, predict_harmonics
 from dashpot.estimate.nonlinear.starting_values import KEPT, starting_points
@@ -29,13 +29,12 @@ if TYPE_CHECKING:
     from dashpot.estimate.likelihood.chunks import Measured
     from dashpot.estimate.likelihood.descent import Likelihood
 
-Descent = Callable[
-    ["Measured", Real, Real, int | None], OptimizeResult
-]  # data, ψ, signs and a limit of iterations
 
 SOFTNESS = (0.3, 0.03)  # relative noise of the stages from afar
 PIECE = 16  # points evaluated at once
 FIRST = 30  # iterations from each of the starts
+ROUGHLY = 0.03  # standard deviations within which descents end that others follow
+ALIKE = 0.02  # of the values and of the cost, by which ends of softened data differ that are one
 FINEST, COARSEST = 1e-10, 1e-3  # truncation errors of the elongations between which harmonics are enough
 SHARE = 0.1  # of the relative noise
 MOST = 63  # harmonics
@@ -48,11 +47,11 @@ def search_harmonics(likelihood: Likelihood) -> tuple[OptimizeResult, Measured, 
     Raises ConvergenceError where no start leads to a response at all.
     """
     data, view, exact = likelihood.data, likelihood.view, likelihood.exact
-    descend = likelihood.descend_in
+    near = _nearly(data)
     one = data.only(0)
     first = exact.pick(np.array([0]))
     signs = np.ones((1, len(view.channels)))
-    ends = _ends(one, first, descend)
+    ends = _ends(likelihood, one, first)
     best, warm = min(ends, key=lambda end: float(end[0].cost[0]))
     warnings = _rivals(view, first, best, [end for end, _ in ends], data.noise_known)
     sign = np.repeat(signs, len(exact.y), axis=0)
@@ -60,16 +59,21 @@ def search_harmonics(likelihood: Likelihood) -> tuple[OptimizeResult, Measured, 
     _remember(exact, warm)
     minimum = best
     if len(exact.y) > 1 or not best.converged[0]:
-        minimum = descend(exact, np.repeat(best.x, len(exact.y), axis=0), sign, None)
+        minimum = likelihood.descend_in(exact, np.repeat(best.x, len(exact.y), axis=0), sign, near=near)
     if _regained(view, exact, minimum.x):
-        minimum = descend(exact, minimum.x, sign, None)
+        minimum = likelihood.descend_in(exact, minimum.x, sign, near=near)
     while True:
         part = measured_part(exact)
         allowed = _allowed(data, float(minimum.cost[0]) / max(first.rows, 1))
-        if _missing(view, exact, minimum.x) <= allowed or part.dwells.orders >= MOST:
-            return minimum, exact, warnings
+        if part.dwells.orders >= MOST or _missing(view, exact, minimum.x) <= allowed:
+            return likelihood.descend_in(exact, minimum.x, sign), exact, warnings
         exact = replace(exact, nonlinear=part.with_harmonics(min(2 * part.dwells.orders + 1, MOST)))
-        minimum = descend(exact, minimum.x, sign, None)
+        minimum = likelihood.descend_in(exact, minimum.x, sign, near=near)
+
+
+def _nearly(data: Prepared) -> float | None:
+    """Standard deviations within which descents end that others follow; unknown ones are no measure."""
+    return ROUGHLY if data.noise_known else None
 
 
 def _remember(exact: Measured, warm: WarmStart) -> None:
@@ -80,7 +84,7 @@ def _remember(exact: Measured, warm: WarmStart) -> None:
         part.warm.inputs[repeat] = warm.inputs[0] if repeat == 0 else part.q[repeat]
 
 
-def _ends(one: Prepared, first: Measured, descend: Descent) -> list[tuple[OptimizeResult, WarmStart]]:
+def _ends(likelihood: Likelihood, one: Prepared, first: Measured) -> list[tuple[OptimizeResult, WarmStart]]:
     """Where descents from the starting points end, and the responses there.
 
     They go on to the first that fits, or through all starts where laws have many constants.  Raises
@@ -88,14 +92,14 @@ def _ends(one: Prepared, first: Measured, descend: Descent) -> list[tuple[Optimi
     """
     signs = np.ones((1, len(one.view.channels)))
     acceptable = first.rows + 6 * np.sqrt(2.0 * first.rows)
-    stages = [*(measured(one, softness) for softness in SOFTNESS), first]
+    stages = [*(_coarse(measured(one, softness)) for softness in SOFTNESS), first]
     ends, fits = list[tuple[OptimizeResult, WarmStart]](), False
     several = _constants_of_a_law(one) >= MANY
-    for psi, afar in _ranked(one, stages, descend):
+    for psi, afar in _ranked(likelihood, one, stages):
         if fits and afar:
             break
         data = _fresh(first)
-        end = descend(data, psi[None], signs, FIRST)
+        end = likelihood.descend_in(data, psi[None], signs, FIRST, near=_nearly(one))
         if np.isfinite(end.cost[0]):
             ends.append((end, measured_part(data).warm))
         fits |= bool(end.cost[0] <= acceptable and (end.converged[0] or several))
@@ -106,6 +110,13 @@ def _ends(one: Prepared, first: Measured, descend: Descent) -> list[tuple[Optimi
             "harmonic balance finds no response near the start", cure="give guesses of the unknowns"
         )
     return ends
+
+
+def _coarse(data: Measured) -> Measured:
+    """Data with as few harmonics as smooth laws begin with, where what the others add does not matter yet."""
+    part = measured_part(data)
+    fewest = max(FEWEST[True], 2 * int(np.max(part.dwells.order)) + 1)
+    return replace(data, nonlinear=part.with_harmonics(min(part.dwells.orders, fewest)))
 
 
 def _constants_of_a_law(one: Prepared) -> int:
@@ -130,12 +141,14 @@ def _rivals(
         psi = np.concatenate([image, best.x[0, view.m :]])
         others.append((psi, float(_costs(view, first, psi[None])[0])))
     misfit = float(best.cost[0]) / max(first.rows - len(view.names), 1)
-    scale = max(1.0, misfit) if noise_known else misfit
+    doubt = DOUBT * (max(1.0, misfit) if noise_known else misfit)
+    near = [(cost - float(best.cost[0]), psi) for psi, cost in others if cost - float(best.cost[0]) <= doubt]
+    if not near:
+        return ()
     curvature = local(view, _fresh(first), best.x, np.ones((1, len(view.channels)))).symmetric[0]
     sd = np.sqrt(np.abs(np.diagonal(scaled_inverse(curvature))))
-    for psi, cost in sorted(others, key=lambda other: other[1]):
-        above = cost - float(best.cost[0])
-        if above <= DOUBT * scale and apart(best.x[0], psi, sd):
+    for above, psi in sorted(near, key=lambda other: other[0]):
+        if apart(best.x[0], psi, sd):
             return (not_unique(view.names, view.units, best.x[0], psi, above),)
     return ()
 
@@ -156,7 +169,7 @@ def _fresh(exact: Measured) -> Measured:
     return replace(exact, nonlinear=replace(measured_part(exact), warm=WarmStart(), patient=False))
 
 
-def _ranked(one: Prepared, stages: Sequence[Measured], descend: Descent) -> Iterator[tuple[Real, bool]]:
+def _ranked(likelihood: Likelihood, one: Prepared, stages: Sequence[Measured]) -> Iterator[tuple[Real, bool]]:
     """Starting points, the most promising first, and whether they come from afar.
 
     Where all is seen, those of the regression come before those from afar, which go through softened data, in which
@@ -168,17 +181,46 @@ def _ranked(one: Prepared, stages: Sequence[Measured], descend: Descent) -> Iter
     odd = bool(np.all(dwells_of(one.model, one.spectrum).order % 2))
     if one.states is not None and (image is None or not odd):
         points = starting_points(one)
-        yield from ((psi, False) for psi in points[np.argsort(_costs(view, stages[-1], points))])
+        yield from ((psi, False) for psi in _best_first(view, _coarse(stages[-1]), points))
         laws = [element.force_law for element, constant in one.model.constants if constant.unknown]
         if not laws or any(law is not None and law.has_state for law in laws):
             return
     points = starting_points(one, afar=True)
-    if len(points) > 1:
-        signs = np.ones((1, len(view.channels)))
-        for stage, kept in zip(stages[:-1], (KEPT, KEPT // 2), strict=True):
-            points = points[np.argsort(_costs(view, stage, points))[:kept]]
-            points = np.array([descend(_fresh(stage), psi[None], signs, FIRST).x[0] for psi in points])
-    yield from ((psi, True) for psi in points[np.argsort(_costs(view, stages[-1], points))])
+    signs = np.ones((1, len(view.channels)))
+    for stage, kept in zip(stages[:-1], (KEPT, KEPT // 2), strict=True):
+        if len(points) == 1:
+            break
+        ends = list[OptimizeResult]()
+        for psi in _best_first(view, stage, points)[:kept]:
+            end = likelihood.descend_in(_fresh(stage), psi[None], signs, FIRST, near=ROUGHLY)
+            again = any(_alike(end, other) for other in ends)
+            ends.append(end)
+            if again:  # a wide valley
+                break
+        points = _distinct(ends)
+    yield from ((psi, True) for psi in _best_first(view, stages[-1], points))
+
+
+def _best_first(view: ObservationModel, data: Measured, points: Real) -> Real:
+    """Points (count, M) of one repeat, the likeliest first."""
+    return points if len(points) == 1 else points[np.argsort(_costs(view, data, points))]
+
+
+def _distinct(ends: Sequence[OptimizeResult]) -> Real:
+    """Where descents ended, (count, M), the likeliest first, and one of those that are alike."""
+    kept = list[OptimizeResult]()
+    for end in sorted(ends, key=lambda end: float(end.cost[0])):
+        if not any(_alike(end, other) for other in kept):
+            kept.append(end)
+    return np.concatenate([end.x for end in kept])
+
+
+def _alike(end: OptimizeResult, other: OptimizeResult) -> bool:
+    """Whether two descents ended at the same place, as far as rough ones tell."""
+    far = np.abs(end.x - other.x) > ALIKE * np.maximum(np.abs(end.x), np.abs(other.x))
+    return not np.any(far) and bool(
+        np.abs(end.cost[0] - other.cost[0]) <= ALIKE * max(float(other.cost[0]), 1.0)
+    )
 
 
 def _costs(view: ObservationModel, data: Measured, points: Real) -> Real:
@@ -187,10 +229,9 @@ def _costs(view: ObservationModel, data: Measured, points: Real) -> Real:
     for first in range(0, len(points), PIECE):
         psi = points[first : first + PIECE]
         data = _fresh(data)
+        part = replace(measured_part(data), raised=False)
         with np.errstate(all="ignore"):
-            cost = predict_harmonics(
-                view, data, measured_part(data), psi, np.ones((len(psi), len(view.channels)))
-            )[5]
+            cost = predict_harmonics(view, data, part, psi, np.ones((len(psi), len(view.channels))))[5]
         pieces.append(np.sum(cost, axis=-1))
     total = np.concatenate(pieces)
     return np.where(np.isfinite(total), total, np.inf)
@@ -219,9 +260,13 @@ def _regained(view: ObservationModel, exact: Measured, psi: Real) -> bool:
     warm, gained = measured_part(exact).warm, False
     for repeat in range(len(psi)):
         at, _, _, drive = _at_end(view, exact, psi[repeat : repeat + 1], repeat)
+        if np.all(at.converged):
+            continue
         delta = regained(view.model, psi[repeat : repeat + 1, : view.m], drive, at)
         if delta is not None:
             warm.delta[repeat], warm.cost[repeat], gained = delta, np.inf, True
+            warm.along.pop(repeat, None)
+            warm.latest = None
     return gained
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from itertools import product
 
@@ -32,6 +33,9 @@ SHARES = (
 PURE = (0.3, 0.8, 1.3, 2.5)  # for constants that are pure numbers
 LINEAR_MISFIT = 0.1  # relative noise at which a linear rig is fitted first
 KEPT = 4  # starts that are followed
+FACTORS = (1.5, 1.15, 1.05)  # of the steps by which inner constants are moved from the best of a grid
+MANY, REFINED = 2, 9  # unknown constants from which trials are refined, and how many of them are
+MOVES = 12  # rounds with each of them, at most
 RATIOS = (0.0, 0.03, 0.3, -0.1)  # nonlinear force over the linear one, where nothing tells
 
 
@@ -54,20 +58,60 @@ def _by_regression(data: Prepared) -> Real:
     motion = measured_motion(data)
     weight = scale_of_lines(motion)
     strengths = np.any(model.T, axis=0)
-    tried = []
-    for constants in constant_trials(motion):
-        p, residual = regression(motion, constants, weight)
+
+    def residual(constants: Real) -> float:
+        p, left = regression(motion, constants, weight)
+        return float(left[0]) if np.all(np.isfinite(p)) else np.inf
+
+    trials = sorted(constant_trials(motion), key=residual)
+    if sum(constant.unknown for _, constant in model.constants) >= MANY:  # too many for a fine grid
+        refined = sorted(
+            (refined_constants(model, trial, residual) for trial in trials[:REFINED]), key=residual
+        )
+        trials = distinct_constants(refined)
+    thetas = []
+    for constants in trials[:KEPT]:
+        p, _ = regression(motion, constants, weight)
         theta = np.zeros(len(model.unknowns))
         theta[strengths] = p[0]
         theta = np.where(model.prior_precision > 0, model.prior_mean, theta)
         slope, known = model.constants_map
         theta[~strengths] = (constants - known) @ slope[:, ~strengths]
         if np.all(np.isfinite(theta)):
-            tried.append((float(residual[0]), theta))
-    tried.sort(key=lambda pair: pair[0])
+            thetas.append(theta)
     low, high = model.bounds
-    best: Real = np.array([theta for _, theta in tried[:KEPT]]).reshape(-1, len(model.unknowns))
-    return np.clip(best, low, high)
+    return np.clip(np.array(thetas).reshape(-1, len(model.unknowns)), low, high)
+
+
+def refined_constants(model: Model, start: Real, residual: Callable[[Real], float]) -> Real:
+    """Inner constants (G,) of less residual near the start, each unknown one moved by factors that come nearer to 1."""
+    best, least = start, residual(start)
+    unknown = [
+        j for j, (_, constant) in enumerate(model.constants) if constant.unknown and constant.guess is None
+    ]
+    for factor in FACTORS if unknown else ():
+        for _ in range(MOVES):
+            before = least
+            for j in unknown:
+                for step in (factor, 1 / factor):
+                    trial = best.copy()
+                    trial[j] *= step
+                    left = residual(trial)
+                    if left < least:
+                        best, least = trial, left
+                        break
+            if least == before:
+                break
+    return best
+
+
+def distinct_constants(found: Sequence[Real]) -> list[Real]:
+    """Those of the constants (G,) that are not nearly the ones of another before them."""
+    kept = list[Real]()
+    for constants in found:
+        if not any(np.allclose(constants, other, rtol=FACTORS[-1] - 1, atol=0.0) for other in kept):
+            kept.append(constants)
+    return kept
 
 
 def constant_trials(motion: MeasuredMotion) -> list[Real]:

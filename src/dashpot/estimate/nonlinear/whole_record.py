@@ -16,6 +16,7 @@ from dashpot.arrays import Ints, Real
 from dashpot.data.record import Record
 from dashpot.errors import DataError, UsageError
 from dashpot.estimate.nonlinear.held_records import released
+from dashpot.estimate.nonlinear.objective import must_be_positive
 from dashpot.estimate.nonlinear.record_inference import record_estimate
 from dashpot.estimate.nonlinear.record_problem import RecordProblem, enough_for_record
 from dashpot.estimate.nonlinear.record_regression import first_record_values
@@ -40,6 +41,7 @@ EXACT = 1e-6  # of a channel's rms: residuals below it count no less
 TOLERANCE = 1e-4  # standard deviations
 HALVINGS = 3  # of the integration's steps, at most
 MOVED = 0.05  # standard deviations by which half steps may move an estimate
+SHORTEST = 1e-6  # of a start: the least that lengths and speeds inside laws may become
 FAR = 3.0  # standard deviations beyond which one step of Gauss and Newton is not enough
 
 
@@ -191,6 +193,9 @@ def _bounds(problem: RecordProblem, psi: Real) -> tuple[Real, Real]:
     lower, upper = np.full(len(psi), -np.inf), np.full(len(psi), np.inf)
     m = len(problem.model.unknowns)
     lower[:m], upper[:m] = problem.model.bounds
+    # A law may be even in a length or a speed inside it; what is at 0 divides by it.
+    lengths = np.any(problem.model.constants_map[0][must_be_positive(problem.model)] > 0, axis=0)
+    lower[:m] = np.where(lengths, np.maximum(lower[:m], SHORTEST * np.abs(psi[:m])), lower[:m])
     return lower, upper
 
 

@@ -145,11 +145,13 @@ def periodic_at(model: Model, at: Balanced) -> Periodic:
 class Slopes:
     """Derivatives of the response with respect to Q real unknowns.
 
-    X (N, H + 1, n, Q) of the coordinates; unit_forces (N, H + 1, elements, Q) of all elements' unit forces.
+    X (N, H + 1, n, Q) of the coordinates; unit_forces (N, H + 1, elements, Q) of all elements' unit forces; delta
+    (N, e, W, Q) of the elongations.
     """
 
     X: Complex
     unit_forces: Complex
+    delta: Real
 
 
 def harmonic_unit_forces(model: Model, drive: Drive, at: Periodic) -> Complex:
@@ -161,16 +163,16 @@ def harmonic_unit_forces(model: Model, drive: Drive, at: Periodic) -> Complex:
 
 
 def slopes(
-    model: Model, p: Real, drive: Drive, at: Periodic, along_p: Real, along_constants: Real,
+    model: Model, p: Real, drive: Drive, at: Periodic, a: Complex, along_p: Real, along_constants: Real,
     along_U: Complex | None = None, along_f: Complex | None = None,
 ) -> Slopes:  # fmt: skip
     """Slopes along Q directions of the parameters, (elements, Q), the constants, (G, Q), and the inputs' harmonics.
 
+    a: the unit forces of all elements, by `harmonic_unit_forces`.
     along_U (N or 1, H + 1, r, Q) and along_f (N or 1, H + 1, s, Q).
     """
     chosen, linear = model.nonlinear, at.linear
     Bn, Dn, n = model.B[chosen], model.D[chosen], model.n
-    a = harmonic_unit_forces(model, drive, at)
     N, orders, Q = len(p), drive.orders, along_p.shape[1]
     strength = p[:, chosen]
     # Explicit load: −Bᵀ (a ∘ dp) − Bᵀ p ∂a/∂g dg + R dU + S df
@@ -199,7 +201,7 @@ def slopes(
         elongation = elongation + model.D @ along_U
     d_a = model.factors(omega)[..., None] * elongation
     d_a[:, :, chosen] = complex_rows(np.einsum("nevw,newq->nevq", at.forces.slope, d_delta)) + by_constant
-    return Slopes(dX, d_a)
+    return Slopes(dX, d_a, d_delta)
 
 
 def _by_constants(model: Model, at: Periodic, along: Real) -> Complex:

@@ -26,20 +26,26 @@ def show_validation(out: Console, predictions: Sequence[RecordPrediction]) -> No
 
 
 def validation_columns(predictions: Sequence[RecordPrediction]) -> list[TableColumn]:
-    """A row for each channel of each record: FIT and χ² over its degrees of freedom."""
+    """A row for each channel of each record: FIT, rms error and χ² over its degrees of freedom."""
     rows: list[tuple[str, ...]] = []
     for number, part in enumerate(predictions, start=1):
+        errors = part.rms_error
         for c, channel in enumerate(part.channels):
             name = f"{number} ({part.duration_s:.4g} s)" if part.samples else "settled lines"
             ratio = float(part.chi2[c]) / max(float(part.dof[c]), 1.0)
             test = short(ratio) if np.isfinite(ratio) else "–"
             fit = f"{100 * part.fit[c]:.2f}" if np.isfinite(part.fit[c]) else "–"
-            rows.append((name, channel, str(len(part.frequency_hz)), fit, test))
-    names, channels, lines, fits, tests = (tuple(cells) for cells in zip(*rows, strict=True))
+            error = f"{errors[c]:.3g} {part.units[c]}" if part.samples else "–"
+            rows.append((name, channel, str(len(part.frequency_hz)), fit, error, test))
+    names, channels, lines, fits, rms_errors, tests = (tuple(cells) for cells in zip(*rows, strict=True))
+    of_records = (
+        [TableColumn("rms error", rms_errors, "right")] if any(p.samples for p in predictions) else []
+    )
     return [
         TableColumn("record", names),
         TableColumn("channel", channels),
         TableColumn("lines", lines, "right"),
         TableColumn("FIT, %", fits, "right"),
+        *of_records,
         TableColumn("χ² / dof", tests, "right"),
     ]

@@ -37,12 +37,11 @@ def test_exact_harmonics_give_all_parameters_of_every_law_back(count, law):
 
 @pytest.mark.long
 @pytest.mark.parametrize("count", [1, 2])
-def test_stribecks_friction_is_given_back_from_guesses(count):
-    """Without them its four constants may end elsewhere."""
+def test_stribecks_friction_is_given_back_without_guesses(count):
     model, theta = chain("stribeck", count)
     channels = motions(*model.coordinates, "u")
     spectrum = settled(model, theta, channels, FREQUENCIES, orders=(1, 3), most=63)
-    estimate = identify(guessed(model, theta, 1.1), spectrum, "ml")
+    estimate = identify(model, spectrum, "ml")
     assert bool(estimate.converged)
     assert np.max(np.abs(estimate.values / theta - 1)) < 1e-6
 
@@ -69,12 +68,13 @@ def test_dwells_far_from_linear_are_found_where_nobody_has_measured_their_motion
 
 
 @pytest.mark.long
-def test_a_law_with_many_constants_that_fits_in_several_ways_says_so():
+def test_constants_that_the_data_hardly_tell_have_intervals_as_wide():
+    """Friction that falls from a large value by a large share is friction that falls from another."""
     model, theta = two_masses("stribeck")
     spectrum = settled(model, theta, ALL, FREQUENCIES, noise=0.005, rng=np.random.default_rng(3))
     estimate = identify(model, spectrum, "ml")
-    assert not np.all(np.abs(estimate.values - theta) < 4 * estimate.sd)
-    assert "not_unique" in [notice.code for notice in estimate.warnings]
+    assert np.all(np.abs(estimate.values - theta) < 4 * estimate.sd)
+    assert estimate["q.ratio"].sd > 1
 
 
 def test_a_law_that_divides_by_zero_within_the_motion_is_refused():

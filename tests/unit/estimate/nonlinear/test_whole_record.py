@@ -14,6 +14,8 @@ from dashpot.data.record import Record
 from dashpot.errors import ConvergenceError, DataError
 from dashpot.estimate.nonlinear.record_prediction import predict_record
 from dashpot.estimate.nonlinear.record_problem import enough_substeps
+from dashpot.estimate.nonlinear.record_regression import first_record_values
+from dashpot.estimate.nonlinear.records import arranged
 from dashpot.estimate.nonlinear.whole_record import fit_records, identify_records
 from dashpot.model.elements import Element, Kind, between, mass
 from dashpot.model.network import Input, Model
@@ -52,6 +54,16 @@ def test_exact_records_give_all_parameters_back_without_guesses(law):
     estimate = identify_records(model, [data])
     assert bool(estimate.converged)
     assert np.max(np.abs(estimate.values / theta - 1)) < (1e-6 if law == "cubic" else 1e-5)
+
+
+@pytest.mark.parametrize(("law", "seed"), [("gap", 1), ("coulomb", 2)])
+def test_constants_inside_laws_are_near_the_truth_before_the_search(law, seed):
+    """A tiny gap in parallel with a spring of negative stiffness once seemed likelier: its terms are larger."""
+    model, theta, data = record(law, ALL, noise=0.005, seed=seed)
+    first = first_record_values(model, (arranged(model, data),))
+    constants = theta[len(model.elements) - 1 :]
+    assert len(constants)
+    assert np.all(np.abs(first[-len(constants) :] / constants - 1) < 0.1)
 
 
 def test_intervals_hold_and_unused_records_are_predicted_to_the_noise():

@@ -39,7 +39,15 @@ def test_slopes_are_differences(law):
     drive = drive_of(9)
     at = periodic_response(model, *rows(model, theta), drive)
     assert np.all(at.converged)
-    own = slopes(model, rows(model, theta)[0], drive, at, model.T, model.constants_map[0])
+    own = slopes(
+        model,
+        rows(model, theta)[0],
+        drive,
+        at,
+        harmonic_unit_forces(model, drive, at),
+        model.T,
+        model.constants_map[0],
+    )
     for j in range(len(theta)):
         step = 1e-5 * theta[j] * np.eye(len(theta))[j]
         ends = [periodic_response(model, *rows(model, theta + s * step), drive, at.delta) for s in (1, -1)]
@@ -61,7 +69,17 @@ def test_slopes_along_inputs_are_differences():
     along = np.zeros((1, 8, 1, 2), dtype=complex)
     along[0, 1, 0, 0], along[0, 3, 0, 1] = 1.0, 1j
     zero = np.zeros((len(model.elements), 2))
-    own = slopes(model, p, drive, at, zero, np.zeros((0, 2)), along, np.zeros((1, 8, 0, 2)))
+    own = slopes(
+        model,
+        p,
+        drive,
+        at,
+        harmonic_unit_forces(model, drive, at),
+        zero,
+        np.zeros((0, 2)),
+        along,
+        np.zeros((1, 8, 0, 2)),
+    )
     for j in range(2):
         ends = [
             periodic_response(

@@ -1,0 +1,65 @@
+"""identify and validate with whole records of nonlinear rigs."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+from scipy.interpolate import CubicSpline
+
+from tests.unit.app.conftest import Command
+
+RIG = """
+coordinates = ["x"]
+[inputs]
+f = { at = "x", kind = "force" }
+[masses]
+m = { at = "x" }
+[springs]
+k = { between = ["x", "ground"] }
+q = { between = ["x", "ground"], law = "cubic" }
+[dampers]
+c = { between = ["x", "ground"] }
+[channels]
+f = { of = "f", quantity = "force" }
+x = { of = "x" }
+"""
+NOISE = 2e-5  # m
+
+
+def recorded(path: str, seed: int) -> None:
+    """300 samples of a mass on a hardening spring, pushed, by SciPy's integrator."""
+    rng = np.random.default_rng(seed)
+    time = np.arange(300) / 60
+    tones, phases = rng.uniform(0.5, 4, 20), rng.uniform(0, 6.3, 20)
+    force = CubicSpline(time, 3 * np.sum(np.cos(2 * np.pi * tones * time[:, None] + phases), axis=1))
+
+    def rates(t: float, s: list[float]) -> list[float]:
+        return [s[1], (force(t) - 800 * s[0] - 4 * s[1] - 2e6 * s[0] ** 3) / 2]
+
+    x = solve_ivp(rates, (0, time[-1]), [0, 0], t_eval=time, rtol=1e-8, atol=1e-10).y[0]
+    x += NOISE * rng.standard_normal(len(time))
+    np.savetxt(path, np.column_stack([time, force(time), x]), "%.9g", ",", header="time_s,f,x", comments="")
+
+
+def test_an_estimate_predicts_another_record_or_the_end_of_its_own_to_the_noise(dashpot: Command) -> None:
+    Path("rig.toml").write_text(RIG, encoding="utf-8")
+    recorded("run.csv", 1)
+    recorded("other.csv", 2)
+    assert dashpot("identify", "rig.toml", "run.csv", "--json", "whole.json").code == 0
+    sent = ["--rig", "rig.toml", "--json", "v.json", "--figure", "v.svg"]
+    done = dashpot("validate", "whole.json", "other.csv", *sent)
+    assert done.code == 0
+    assert "rms error" in done.out
+    assert Path("v.svg").stat().st_size > 0
+    (record,) = json.loads(Path("v.json").read_text(encoding="utf-8"))["records"]
+    assert record["samples"] == 300
+    assert record["channels"]["x"]["rms_error"] == pytest.approx(NOISE, rel=0.2)
+    held = dashpot("identify", "rig.toml", "run.csv", "--hold-out", "40%", "--json", "part.json")
+    assert held.code == 0
+    assert "(2 s)" in held.out
+    whole, part = (json.loads(Path(name).read_text(encoding="utf-8")) for name in ("whole.json", "part.json"))
+    assert part["parameters"]["k"]["value"] != whole["parameters"]["k"]["value"]
