@@ -19,6 +19,7 @@ from dashpot.design.frequency_grid import FrequencyGrid, band_grid, natural_band
 from dashpot.design.plan import Plan, plan
 from dashpot.design.robust import (
     GaussianPrior,
+    Map,
     Robust,
     UniformBox,
     gaussian_prior_of,
@@ -139,8 +140,8 @@ class _Knowledge:
         return None if self.information is None else setup.known(self.information)
 
 
-def answer(question: Question) -> Answer:
-    """The next test.
+def answer(question: Question, *, mapper: Map = map) -> Answer:
+    """The next test; `mapper` shares out the search for the worst case of uncertain values.
 
     Raises UsageError where the question lacks something, IdentifiabilityError where no test determines the unknowns.
     """
@@ -163,7 +164,7 @@ def answer(question: Question) -> Answer:
     def grid_of(setup: TestSetup) -> FrequencyGrid:
         return band_grid(setup, low, high, question.step)
 
-    advised, robust = _test(question, setup, budget, grid_of, knowledge, uncertainty)
+    advised, robust = _test(question, setup, budget, grid_of, knowledge, uncertainty, mapper)
     setup = setup if robust is None else robust.setup
     robustness: Robustness = "worst" if robust is None else question.robustness
     comparison = _comparison(question, setup, advised, knowledge, robustness, notes)
@@ -329,6 +330,7 @@ def _test(
     grid_of: Callable[[TestSetup], FrequencyGrid],
     knowledge: _Knowledge,
     uncertainty: Uncertainty | None,
+    mapper: Map,
 ) -> tuple[Plan | None, Robust | None]:
     """The plan (None: nothing is needed) and, of uncertain values, what it rests on."""
     criterion, information = question.criterion, knowledge.information
@@ -342,10 +344,12 @@ def _test(
         robust = on_average(setup, criterion, budget, uncertainty, grid_of, target=target, known=information)
     elif target is not None:
         robust = shortest_in_the_worst_case(
-            setup, criterion, target, budget, uncertainty, grid_of, known=information
+            setup, criterion, target, budget, uncertainty, grid_of, known=information, mapper=mapper
         )
     else:
-        robust = in_the_worst_case(setup, criterion, budget, uncertainty, grid_of, known=information)
+        robust = in_the_worst_case(
+            setup, criterion, budget, uncertainty, grid_of, known=information, mapper=mapper
+        )
     return robust.plan, robust
 
 

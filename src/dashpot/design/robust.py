@@ -2,18 +2,19 @@
 
 A box θ (1 ± relative), or the normal distribution of an Estimate.  The average is over drawn scenarios.  The worst
 case over a box is found by exchange: the best test for a few scenarios, then the scenario that is worst for that
-test, until none is worse (Shimizu and Aiyoshi 1980; Pronzato and Walter 1988 for designs).
+test, until none is worse (Shimizu and Aiyoshi 1980; Pronzato and Walter 1988 for designs).  Any `mapper` judges
+scenarios, in tasks of a fixed size, so that the result does not depend on who computes them.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 
-from dashpot.arrays import Real, freeze
+from dashpot.arrays import Complex, Real, freeze
 from dashpot.design.allocation import optimise
 from dashpot.design.budget import Budget
 from dashpot.design.criteria import Criterion, criterion_value
@@ -29,6 +30,8 @@ from dashpot.model.network import Model
 CLOSE = 2e-3  # a scenario worse by less than this part of the variance ends the search
 CORNERS = 6  # unknowns up to which all corners of a box are tried
 SLOW = 64  # scenarios drawn to find the slowest transient
+TASK = 16  # scenarios that are judged together
+Map = Callable[[Callable[[Any], Any], Iterable[Any]], Iterable[Any]]
 
 NOTHING = Schedule(np.zeros(0), np.zeros(0, dtype=np.int64), np.zeros(0))  # the test of no dwell
 
@@ -175,6 +178,7 @@ def in_the_worst_case(
     known: Real | None = None,
     rounds: int = 14,
     seed: int = 0,
+    mapper: Map = map,
 ) -> Robust:
     """The test whose worst scenario is best.  `known` is information in SI units (q, q)."""
     nominal = setup.theta[0]
@@ -189,7 +193,9 @@ def in_the_worst_case(
             wide.information, criterion.terms(wide, "worst"), _prior(wide, known), samples, grid
         )
         lines = Schedule(optimum.frequency_hz, optimum.pattern, samples * optimum.share)
-        worst, at = worst_scenario(wide, criterion, lines, prior, known=known, seed=seed + turn)
+        worst, at = worst_scenario(
+            wide, criterion, lines, prior, known=known, seed=seed + turn, mapper=mapper
+        )
         search.append(worst)
         if worst**2 <= criterion.figure(optimum.F) ** 2 * (1 + CLOSE):
             break
@@ -198,7 +204,9 @@ def in_the_worst_case(
     wide = setup.with_scenarios(theta)
     already = _prior(wide, known)
     final = plan(wide, criterion, budget, grid_of(wide), known=already, robustness="worst")
-    worst, _ = worst_scenario(wide, criterion, final.schedule, prior, known=known, seed=seed + rounds)
+    worst, _ = worst_scenario(
+        wide, criterion, final.schedule, prior, known=known, seed=seed + rounds, mapper=mapper
+    )
     return Robust(final, wide, worst, tuple(search))
 
 
@@ -213,6 +221,7 @@ def shortest_in_the_worst_case(
     known: Real | None = None,
     rounds: int = 14,
     seed: int = 0,
+    mapper: Map = map,
 ) -> Robust:
     """The shortest test whose worst scenario reaches the target, as far as a search finds it.
 
@@ -226,7 +235,9 @@ def shortest_in_the_worst_case(
         already = _prior(wide, known)
         advised = shortest(wide, criterion, aim, budget, grid_of(wide), known=already)
         lines = NOTHING if advised is None else advised.schedule
-        worst, at = worst_scenario(wide, criterion, lines, prior, known=known, seed=seed + turn)
+        worst, at = worst_scenario(
+            wide, criterion, lines, prior, known=known, seed=seed + turn, mapper=mapper
+        )
         search.append(worst)
         if worst <= target:
             return Robust(advised, wide, worst, tuple(search))
@@ -257,6 +268,7 @@ def worst_scenario(
     known: Real | None = None,
     count: int = 192,
     seed: int = 0,
+    mapper: Map = map,
 ) -> tuple[float, Real]:
     """The worst figure of a test over the prior and the θ (unknowns,) at which it occurs.
 
@@ -264,7 +276,7 @@ def worst_scenario(
     """
     rng = np.random.default_rng(seed)
     nominal = setup.theta[0]
-    F = _figures_of(setup, criterion, schedule, known)
+    F = _figures_of(_Judged.of(setup, criterion, schedule, known), mapper)
     pool = np.concatenate([setup.theta, prior.draw(nominal, count, rng)])
     if not isinstance(prior, UniformBox):
         worst, theta = _largest(F, pool)
@@ -283,23 +295,50 @@ def worst_scenario(
     return criterion.figure(worst), theta
 
 
-def _figures_of(
-    setup: TestSetup, criterion: Criterion, schedule: Schedule, known: Real | None
-) -> Callable[[Real], Real]:
-    """F of a test at each of θ (scenarios, unknowns), (scenarios,); driven as the setup says, whatever θ."""
-    measured = len(schedule.samples) > 0
-    drive = setup.drive(schedule.frequency_hz, schedule.pattern) if measured else None
+@dataclass(frozen=True)
+class _Judged:
+    """A test that is judged in scenarios: driven as the setup says, whatever θ; without a drive nothing is measured."""
 
-    def F(theta: Real) -> Real:
-        every = setup.with_scenarios(theta)
-        M = _prior(every, known)
-        if drive is not None:
-            each = every.per_sample(schedule.frequency_hz, drive)
-            M = M + np.einsum("i,siab->sab", schedule.samples, each)
+    setup: TestSetup
+    criterion: Criterion
+    schedule: Schedule
+    known: Real | None
+    drive: Complex | None
+
+    @classmethod
+    def of(cls, setup: TestSetup, criterion: Criterion, schedule: Schedule, known: Real | None) -> _Judged:
+        measured = len(schedule.samples) > 0
+        drive = setup.drive(schedule.frequency_hz, schedule.pattern) if measured else None
+        return cls(setup, criterion, schedule, known, drive)
+
+    def figures(self, theta: Real) -> Real:
+        """F at each of θ (scenarios, unknowns), (scenarios,)."""
+        every = self.setup.with_scenarios(theta)
+        M = _prior(every, self.known)
+        if self.drive is not None:
+            each = every.per_sample(self.schedule.frequency_hz, self.drive)
+            M = M + np.einsum("i,siab->sab", self.schedule.samples, each)
         values = np.empty(len(theta))
         for s in range(len(theta)):
             alone = every.with_scenarios(theta[s : s + 1])
-            values[s] = criterion_value(criterion.terms(alone, "worst"), M[s : s + 1]).F
+            values[s] = criterion_value(self.criterion.terms(alone, "worst"), M[s : s + 1]).F
+        return values
+
+
+def _judge(task: tuple[_Judged, int, Real]) -> tuple[int, Real]:
+    """A task of `_figures_of`: the place of its first scenario, and F of each."""
+    test, first, theta = task
+    return first, test.figures(theta)
+
+
+def _figures_of(test: _Judged, mapper: Map) -> Callable[[Real], Real]:
+    """F of a test at each of θ (scenarios, unknowns), (scenarios,)."""
+
+    def F(theta: Real) -> Real:
+        values = np.empty(len(theta))
+        tasks = ((test, first, theta[first : first + TASK]) for first in range(0, len(theta), TASK))
+        for first, part in mapper(_judge, tasks):
+            values[first : first + len(part)] = part
         return values
 
     return F

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import pickle
+from collections.abc import Iterable
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -34,6 +37,22 @@ from tests.rigs import paper_rig
 def replace_names(estimate: Estimate) -> Estimate:
     """An estimate of somebody else's unknowns."""
     return replace(estimate, names=tuple(f"other {name}" for name in estimate.names))
+
+
+def test_the_worst_case_is_the_same_whoever_searches_for_it() -> None:
+    """Scenarios sent in pieces, as to other processes, and coming back in another order."""
+    own = paper_setup()
+    lines = plan(own, AOptimal(), Budget(samples=1400), band_grid(own, *BAND)).schedule
+
+    def elsewhere(function: Any, tasks: Iterable[Any]) -> list[Any]:
+        sent = [pickle.loads(pickle.dumps((function, task))) for task in tasks]
+        return [there(task) for there, task in reversed(sent)]
+
+    for prior in (UniformBox(0.3), GaussianPrior(np.diag((0.1 * own.theta[0]) ** 2))):
+        here = worst_scenario(own, AOptimal(), lines, prior, seed=3)
+        there = worst_scenario(own, AOptimal(), lines, prior, seed=3, mapper=elsewhere)
+        assert here[0] == there[0]
+        np.testing.assert_array_equal(here[1], there[1])
 
 
 def test_robust_tests() -> None:

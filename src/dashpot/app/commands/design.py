@@ -12,6 +12,7 @@ from dashpot.app.files import STDOUT
 from dashpot.app.help import dashpot_command, option
 from dashpot.app.options import (
     conditioning_options,
+    dask_option,
     figure_option,
     file_option,
     json_option,
@@ -139,6 +140,11 @@ TEST, SHAKER, ROBUST = "The test", "The shaker", "Robustness"
 @report_option
 @conditioning_options
 @transient_options
+@option(
+    "--workers", type=Count(1, 1024), metavar="N",
+    help="Worker processes that share out the search for the worst case.  [default: 1]",
+)  # fmt: skip
+@dask_option
 @quiet_option
 def command(rig: str, json_out: str | None, report: str | None, quiet: bool, **options: Any) -> int:
     """Design the next test of RIG: at which frequencies to dwell, for how long, with which sensors.
@@ -155,14 +161,15 @@ def command(rig: str, json_out: str | None, report: str | None, quiet: bool, **o
     rig_read = read_rig(rig)
     require_scale(rig_read.model, rig_read.channels, rig)
 
+    from dashpot.app.cluster import shared_out
     from dashpot.app.progress import progress
     from dashpot.design.advise import answer
     from dashpot.design.plan_files import answer_to_json, plan_to_csv
     from dashpot.design.test_setup import drive_units
 
     question = _question(rig_read, options, quiet)
-    with progress("design", quiet):
-        result = answer(question)
+    with shared_out(options["dask"], options["workers"], small=True) as mapper, progress("design", quiet):
+        result = answer(question, mapper=mapper)
     write_result(json_out, answer_to_json(result))
     if options["csv"] is not None and result.plan is not None:
         write_text(options["csv"], plan_to_csv(result.plan, drive_units(rig_read.model)))
@@ -188,6 +195,13 @@ def _question(rig: Rig, options: Mapping[str, Any], quiet: bool) -> Question:
 
     if options["samples"] is not None and options["time"] is not None:
         raise UsageError("both --samples and --time are given", cure="give one of them as the budget")
+    worst = options["doubt"] is not None if options["robust"] is None else options["robust"] == "worst"
+    for name in ("workers", "dask"):
+        if options[name] is not None and not worst:
+            raise UsageError(
+                f"--{name} shares out the search for the worst case, and none is asked for",
+                cure="leave it out, or give --robust worst --doubt 30%",
+            )
     data, earlier = _earlier(rig, options, quiet)
     if options["progress"] is not None and data is None:
         raise UsageError("--progress draws data as they came in", cure="give the data with --after DATA")

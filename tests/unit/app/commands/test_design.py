@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.util
 import json
 from pathlib import Path
 from typing import Any
@@ -263,6 +264,8 @@ def test_tables_fit_80_columns(
         (["--samples", "1400", "--against", "a,b"], "or name a file that exists"),
         (["--samples", "1400", "--stroke", "5 kg"], "kg"),
         (["--samples", "1400", "--robust", "worst"], "--robust needs"),
+        (["--samples", "1400", "--dask", "local"], "--dask shares out the search for the worst case"),
+        (["--samples", "1400", "--doubt", "9%", "--robust", "average", "--workers", "2"], "--workers shares"),
         (["--samples", "1400", "--after", "missing.csv"], "missing.csv"),
         (["--target", "soon"], "not a share"),
         (["--target", "c2=x"], "not a share"),
@@ -277,3 +280,14 @@ def test_faults_are_told_in_one_line(args: list[str], says: str, capsys: pytest.
     lines = told.err.strip().splitlines()
     assert len(lines) == 1
     assert says in lines[0]
+
+
+@pytest.mark.long
+def test_a_robust_design_is_the_same_to_the_bit_on_workers_and_a_cluster(tmp_path: Path) -> None:
+    args = ["design", str(RIG), "--samples", "1400", "--robust", "worst", "--doubt", "30%", "-q"]
+    shared: dict[str, list[str]] = {"one": [], "two": ["--workers", "2"]}
+    if importlib.util.find_spec("distributed") is not None:
+        shared["cluster"] = ["--workers", "2", "--dask", "local"]
+    for name, options in shared.items():
+        assert run([*args, *options, "--json", str(tmp_path / f"{name}.json")]) == 0
+        assert (tmp_path / f"{name}.json").read_bytes() == (tmp_path / "one.json").read_bytes()
