@@ -2,7 +2,7 @@
 
 Blocks of a page are taken in order, in a folder of their own that holds a copy of the examples:
 
-    ```sh       commands, one after the other: dashpot and cd in this process, python as another one;
+    ```sh       commands, one after the other: dashpot, cd and cp in this process, python as another one;
                 a comment "exits with 3" beside a command says with which code it ends
     ```python   one program a page, run where the commands are run
     ```text     directly below one of these: every line of it is printed by it; a line "…" stands for any

@@ -7,6 +7,7 @@ import io
 import os
 import runpy
 import shlex
+import shutil
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -20,12 +21,15 @@ def lines(block: str) -> Iterator[str]:
 
 
 def run_line(line: str) -> tuple[int, str]:
-    """Exit code of one command and what it prints; ValueError for what is none of cd, dashpot and python."""
+    """Exit code of one command and what it prints; ValueError for what is none of cd, cp, dashpot and python."""
     words = shlex.split(line, comments=True)
     with captured() as stream:
         match words[0]:
             case "cd":
                 os.chdir(words[1])
+                code = 0
+            case "cp":
+                shutil.copy(*words[1:])
                 code = 0
             case "dashpot":
                 from dashpot.app.cli import run

@@ -1,8 +1,8 @@
-"""quake.csv and still.csv, simulated in time by SciPy:  python make_record.py
+"""quake.csv, aftershock.csv and still.csv, simulated in time by SciPy:  python make_record.py
 
 Masses 1.2, 1.2 and 0.9 kg; springs 900, 800 and 700 N/m; dampers 0.8, 0.6 and 0.5 N·s/m.  The ground moves as a sum of
 200 waves from 0.3 to 12 Hz under an envelope.  The sensors start while the frame is moving already and stop while it
-still does: 30 s at 100 Hz, with white noise of 0.02 m/s².
+still does: 30 s at 100 Hz, with white noise of 0.02 m/s².  The aftershock is another such sum, a third as strong.
 """
 
 from __future__ import annotations
@@ -41,18 +41,23 @@ def write(path: str, t: np.ndarray, values: np.ndarray) -> None:
     np.savetxt(path, table, delimiter=",", fmt="%.6g", header="time_s,base,x1,x2,x3", comments="")
 
 
-def main(folder: Path = Path(__file__).parent) -> None:
-    """Both files, in the folder of this script or another."""
-    rng = np.random.default_rng(8)
+def shaken(strength: float, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+    """Times and the four channels of one event, with noise."""
     fine = np.arange(40 * RATE * FINER) / (RATE * FINER)
-    a = ground(fine, rng)
+    a = strength * ground(fine, rng)
     motion = np.column_stack([a, floors(a, fine)])[::FINER]
     t = fine[::FINER]
     kept = (t >= 2) & (t < 32)
-    seen = motion[kept] + NOISE * rng.standard_normal((int(kept.sum()), 4))
-    write(str(folder / "quake.csv"), t[kept], seen)
+    return t[kept], motion[kept] + NOISE * rng.standard_normal((int(kept.sum()), 4))
+
+
+def main(folder: Path = Path(__file__).parent) -> None:
+    """All files, in the folder of this script or another."""
+    rng = np.random.default_rng(8)
+    write(str(folder / "quake.csv"), *shaken(1.0, rng))
     still = np.arange(60 * RATE) / RATE
     write(str(folder / "still.csv"), still, NOISE * rng.standard_normal((len(still), 4)))
+    write(str(folder / "aftershock.csv"), *shaken(1 / 3, rng))
 
 
 if __name__ == "__main__":

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from dashpot.arrays import Bools, Complex, Ints, Real, freeze
-from dashpot.check.residuals import calibrations_of, of_channels
+from dashpot.check.residuals import calibrations_of, channel_response, of_channels
 from dashpot.data.conditioning.whole_record import FLOOR
 from dashpot.data.spectrum import Spectrum
 from dashpot.data.stretch import Stretch, WholeRecord, history_of_lines
@@ -33,7 +33,7 @@ class RecordPrediction:
     frequency_hz     (lines,)
     measured, predicted  (lines, channels)
     fit              (channels,) 1 − ‖y − ŷ‖ / ‖y‖
-    chi2             (channels,) NaN where the noise is not known
+    chi2             (channels,) over the noise of the channel and, through the rig, of the inputs; NaN where unknown
     dof              (channels,) real lines of each channel
     duration_s, samples  of a whole record, 0 of settled lines
     """
@@ -91,6 +91,8 @@ def validate(model: Model, estimate: Estimate, spectrum: Spectrum) -> tuple[Reco
     at = predict(view, data, psi[None], sign[None])
     predicted = spectrum.amplitudes - at.r[0]
     variance = np.diagonal(V, axis1=-2, axis2=-1).real
+    if known:
+        variance = variance + _noise_of_inputs(model, estimate, spectrum, outputs)
     parts = []
     for number, value in enumerate(spectrum.stretches):
         lines = np.flatnonzero(spectrum.stretch == number)
@@ -109,6 +111,19 @@ def _weights(spectrum: Spectrum, outputs: Bools) -> tuple[Complex, bool]:
     chosen = np.where(usable & known, variance, WEIGHT**2 * size) * outputs
     V: Complex = (chosen[..., None] * np.eye(len(spectrum.channels))).astype(np.complex128)
     return V, known
+
+
+def _noise_of_inputs(model: Model, estimate: Estimate, spectrum: Spectrum, outputs: Bools) -> Real:
+    """Variance of the predicted outputs from the noise of the channels that show the inputs, (lines, channels)."""
+    p = model.parameters(estimate.values[: len(model.unknowns)])
+    G = channel_response(model, p, spectrum.channels, spectrum.omega, calibrations_of(model, estimate))
+    there = np.isfinite(spectrum.amplitudes) & ~outputs
+    H = G @ np.linalg.pinv(
+        np.where(there[..., None], G, 0.0)
+    )  # outputs for what the channels of the inputs show
+    noise = np.where(there[..., None] & there[..., None, :], np.nan_to_num(spectrum.covariance), 0.0)
+    variance: Real = np.einsum("lij,ljk,lik->li", H, noise, H.conj()).real * outputs
+    return variance
 
 
 def _part(

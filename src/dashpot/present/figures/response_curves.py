@@ -36,7 +36,7 @@ def response_curves(
             for k, curve in enumerate(curves):
                 _draw(axes, curve, channel, COLOURS[k % len(COLOURS)])
             axes.set_title(name)
-            axes.set_ylabel(f"half swing, {unit}")
+            axes.set_ylabel(f"half peak-to-peak, {unit}")
             axes.set_ylim(bottom=0)
             axes.set_xlim(*_range([curve.x for curve in curves if not curve.thin]))
         rows[-1].set_xlabel(x_label)
