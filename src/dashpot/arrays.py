@@ -18,17 +18,41 @@ Scalar = TypeVar("Scalar", bound=np.generic)
 
 
 def frozen(values: ArrayLike, dtype: type[Scalar]) -> NDArray[Scalar]:
-    """A read-only copy of `values`; an array that is read-only already and owns its data is shared."""
-    if (
-        isinstance(values, np.ndarray)
-        and values.dtype == dtype
-        and not values.flags.writeable
-        and values.base is None
-    ):
+    """A read-only copy of `values`; an array that nobody can write to is shared."""
+    if isinstance(values, np.ndarray) and values.dtype == dtype and _settled(values):
         return values
     copy: NDArray[Any] = np.array(values, dtype=dtype)
     copy.setflags(write=False)
     return copy
+
+
+def _settled(values: np.ndarray) -> bool:
+    """Whether an array is read-only for good: it owns its data, or is all of one that does, also many times over."""
+    owner: object = values.base
+    if owner is None or values.flags.writeable:
+        return not values.flags.writeable
+    if not isinstance(owner, np.ndarray) or values.nbytes < owner.nbytes:
+        return False
+    return owner.base is None and not owner.flags.writeable
+
+
+def is_diagonal(matrices: NDArray[Any]) -> bool:
+    """Whether (..., n, n) matrices have nothing beside their diagonals."""
+    n = matrices.shape[-1]
+    if n == 1:
+        return True
+    # Row after row without the last number, what lies n + 1 apart is the diagonal.
+    rest = matrices.reshape(*matrices.shape[:-2], n * n)[..., :-1].reshape(*matrices.shape[:-2], n - 1, n + 1)
+    return not np.any(rest[..., 1:])
+
+
+def diagonal_matrices(values: Real) -> Complex:
+    """Read-only matrices (..., n, n) with values (..., n) on their diagonals."""
+    n = values.shape[-1]
+    matrices = np.zeros((*values.shape, n), dtype=np.complex128)
+    matrices[..., np.arange(n), np.arange(n)] = values
+    matrices.setflags(write=False)
+    return matrices
 
 
 _DTYPES: dict[str, type[np.generic]] = {

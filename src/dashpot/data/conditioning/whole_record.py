@@ -14,7 +14,7 @@ from itertools import pairwise
 import numpy as np
 from scipy import fft
 
-from dashpot.arrays import Complex, Ints, Real
+from dashpot.arrays import Complex, Ints, Real, diagonal_matrices
 from dashpot.channel import Channel
 from dashpot.data.calibration import calibration
 from dashpot.data.conditioning.clock import FEWEST, even_step
@@ -120,13 +120,14 @@ def whole_record(
     lines, channels = X.shape
     h = calibration(remaining, frequency)
     if still is None:
-        V = np.broadcast_to(np.diag(floor).astype(np.complex128), (lines, channels, channels))
+        V = np.broadcast_to(diagonal_matrices(floor), (lines, channels, channels))
         kind, dof = FLOOR, 2.0 * lines
     else:
         V, kind, dof = still.covariance(frequency, samples), "rest", still.dof
-    V = V * h[:, :, None] * np.conj(h)[:, None, :]
+    if np.any(h != 1):
+        X, V = X * h, V * h[:, :, None] * np.conj(h)[:, None, :]
     return Spectrum(
-        record.channels, frequency, X * h, V, np.full(lines, samples), np.full(lines, dof), (kind,) * lines,
+        record.channels, frequency, X, V, np.full(lines, samples), np.full(lines, dof), (kind,) * lines,
         np.full(lines, record.experiment),
         stretch=np.zeros(lines, dtype=np.int64),
         stretches=(WholeRecord(duration, samples, loads, polynomial, ramp and _drift_shows(first, lines)),),

@@ -152,9 +152,13 @@ def record_ends(
         wanted &= (height == RAMP) | ~sampled[number, of]
         terms_used[number] = (wanted | ~outputs[of]) & there[of]
     _require_lines(records, view, loads=2 * view.model.n, terms=terms_used)
-    by_input = np.zeros((spectrum.lines, view.on_q.shape[1], len(of)), dtype=np.complex128)
+    shape = (spectrum.lines, view.on_q.shape[1], len(of))
+    given = np.zeros(0, dtype=np.int64)
     if exact is not None:
         given = np.flatnonzero(np.any(exact != 0, axis=(0, 1))[of])
+    by_input = np.broadcast_to(np.complex128(0), shape)  # takes no memory, of which lines may be many
+    if exact is not None and len(given):
+        by_input = np.zeros(shape, dtype=np.complex128)
         by_input[:, :, given] = -exact[:, :, of[given]] * (s[:, None] ** height[given])[:, None, :]
     return RecordEnds(
         view,

@@ -54,15 +54,16 @@ def _slopes(view: ObservationModel, data: Measured, residual: Complex, G: Comple
     weighted = (W @ residual[..., None])[..., 0]
     if data.q is None:
         _, half = estimated_inputs(G, W, residual)
-        unit = W - half @ hermitian(G) @ W
-        return np.abs(weighted) ** 2, np.diagonal(unit, axis1=-2, axis2=-1).real
-    by_channel = inputs_by_channel(view, view.inputs_alone & view.is_direct)
-    if by_channel is None:
-        return np.zeros(weighted.shape), np.zeros(weighted.shape)
-    t = G @ by_channel
-    unit = hermitian(t) @ W @ t
-    along = (hermitian(t) @ weighted[..., None])[..., 0]
-    return np.abs(along) ** 2, np.diagonal(unit, axis1=-2, axis2=-1).real
+        taken = np.einsum("lcq,lqc->lc", half, hermitian(G) @ W)
+        return np.abs(weighted) ** 2, (np.diagonal(W, axis1=-2, axis2=-1) - taken).real
+    alone = view.inputs_alone & view.is_direct
+    by_channel = inputs_by_channel(view, alone)
+    score, scale = np.zeros(weighted.shape), np.zeros(weighted.shape)
+    if by_channel is not None:
+        t = G @ by_channel[..., alone]
+        score[:, alone] = np.abs((hermitian(t) @ weighted[..., None])[..., 0]) ** 2
+        scale[:, alone] = np.sum(np.conj(t) * (W @ t), axis=-2).real
+    return score, scale
 
 
 def most_noise(spectrum: Spectrum, sought: Bools) -> Real:

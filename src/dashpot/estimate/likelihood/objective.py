@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from dashpot.arrays import Bools, Complex, Real, hermitian
+from dashpot.arrays import Bools, Complex, Real, hermitian, is_diagonal
 from dashpot.estimate.likelihood.boundary_loads import RecordEnds, projector, record_ends, whitener
 from dashpot.estimate.likelihood.chunks import Measured, Piece, Sums, pieces
 from dashpot.estimate.likelihood.compiled import compiled_local, compiled_output
@@ -63,14 +63,14 @@ def _measured(data: Prepared, softness: float) -> Measured:
     count = int(np.sum(present)) - (0 if q is not None else int(np.sum(inputs_seen(view, present))))
     ends = record_ends(view, spectrum, by_channel)
     part = nonlinear_part(data, y, q) if len(view.model.nonlinear) else None
-    root = None if ends is None or _is_diagonal(W) else whitener(W)
+    root = None if ends is None or is_diagonal(W) else whitener(W)
     return Measured(y * present, W, q, 2 * count, ends, root, part)
 
 
 def _weights(V: Complex, variance: Real, kept: Real, size: Real, present: Bools) -> Complex:
     """(V + kept)⁻¹ (K or 1, lines, channels, channels), 0 where not measured; `variance` is the diagonal of the sum."""
     C = V.shape[-1]
-    if _is_diagonal(V):
+    if is_diagonal(V):
         W = np.zeros((*variance.shape, C), dtype=np.complex128)
         # What is too large for numbers has no weight, not the weight 0.
         finite = np.where(np.isfinite(variance), variance, np.nan)
@@ -82,15 +82,6 @@ def _weights(V: Complex, variance: Real, kept: Real, size: Real, present: Bools)
     # The weight is used as such, over and over.
     W = np.linalg.inv(scaled) / (size[:, :, None] * size[:, None, :])
     return np.where(both, (W + hermitian(W)) / 2, 0.0)
-
-
-def _is_diagonal(matrices: Complex) -> bool:
-    C = matrices.shape[-1]
-    if C == 1:
-        return True
-    # Row after row without the last number, what lies C + 1 apart is the diagonal.
-    rest = matrices.reshape(*matrices.shape[:-2], C * C)[..., :-1].reshape(*matrices.shape[:-2], C - 1, C + 1)
-    return not np.any(rest[..., 1:])
 
 
 def directly_driven(view: ObservationModel, data: Measured) -> Measured | None:

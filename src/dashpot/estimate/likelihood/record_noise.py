@@ -13,7 +13,7 @@ from dataclasses import replace
 import numpy as np
 from scipy.special import chdtri
 
-from dashpot.arrays import Bools, Complex, Ints, Real, hermitian
+from dashpot.arrays import Bools, Complex, Ints, Real, diagonal_matrices, hermitian
 from dashpot.data.conditioning.still import HALF_WINDOW, smoothed
 from dashpot.data.conditioning.whole_record import FLOOR
 from dashpot.data.repeats import flattened, in_chunks
@@ -34,6 +34,7 @@ from dashpot.model.observation import ObservationModel, calibrated_transfer, obs
 from dashpot.numerics.levenberg_marquardt import minimise
 
 RESIDUAL = "residual"
+PIECE = 10_000  # lines at a time
 ROUNDS = 12
 ROUNDS_OF_NO_FIT = 3  # for a fit that leaves most of the outputs' power over
 STEPS = 30  # of each descent: the next round goes on from its end, and a search to the end follows them
@@ -110,7 +111,7 @@ def noise_from_residuals(
         used = (columns + len(view.names)) / (2 * np.sum(sought) * max(np.sum(outputs), 1))
         power = np.abs(residual) ** 2
         if exact.q is None or np.any(in_common):
-            G = calibrated_transfer(view, psi, sign).G[0]
+            G = _responses(view, psi, sign)
         if exact.q is None:
             power += _explained(G, exact.W[0])
         variance, dof = _smoothed(spectrum, power / max(1 - used, 0.1), V[0], sought, outputs)
@@ -121,11 +122,12 @@ def noise_from_residuals(
         variance = np.where(blind, level / spectrum.samples[:, None], variance)
         before = np.diagonal(V[0], axis1=-2, axis2=-1).real
         variance = np.where(sought[:, None] & (outputs | blind), variance, before)
-        V = _diagonal(variance)
+        V = diagonal_matrices(variance)[None]
         if np.all(np.abs(variance - before) <= 2 * SETTLED * variance):
             break
         if turn + 1 == ROUNDS_OF_NO_FIT and np.mean(_left(residual, exact)[outputs]) > UNEXPLAINED_MOST:
             break
+        del data, exact  # before the next: of many lines they are large
     kinds = tuple(RESIDUAL if s else kind for s, kind in zip(sought.tolist(), spectrum.noise, strict=True))
     weighted = replace(spectrum, covariance=V, noise=kinds, dof=dof * (1 - used))
     return weighted, np.zeros((1, 0)) if psi is None else psi, sign
@@ -212,12 +214,7 @@ def _first(spectrum: Spectrum, sought: Bools, outputs: Bools) -> Complex:
         if isinstance(value, WholeRecord) and len(lines):
             around = smoothed(size[lines].astype(np.complex128), HALF_WINDOW).real
             variance[lines] += np.where(outputs, FIRST**2 * around, 0.0)
-    return _diagonal(variance)
-
-
-def _diagonal(variance: Real) -> Complex:
-    V: Complex = (variance[None, :, :, None] * np.eye(variance.shape[-1])).astype(np.complex128)
-    return V
+    return diagonal_matrices(variance)[None]
 
 
 def _descended(
@@ -230,6 +227,16 @@ def _descended(
         psi, limit=min(method.max_iterations, STEPS), tolerance=1e-3, lower=lower, upper=upper, patience=STEPS,
     )  # fmt: skip
     return minimum.x, float(minimum.cost[0])
+
+
+def _responses(view: ObservationModel, psi: Real, sign: Real) -> Complex:
+    """What the channels show of each input, (lines, channels, r + s), in pieces of lines."""
+    G = np.empty((len(view.omega), *view.on_q.shape), dtype=np.complex128)
+    for first in range(0, len(G), PIECE):
+        some = slice(first, first + PIECE)
+        part = view if len(G) <= PIECE else replace(view, omega=view.omega[some])
+        G[some] = calibrated_transfer(part, psi, sign).G[0]
+    return G
 
 
 def _explained(G: Complex, W: Complex) -> Real:

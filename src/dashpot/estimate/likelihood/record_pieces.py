@@ -191,8 +191,8 @@ class RecordPieces:
         return {}
 
     @cached_property
-    def latest(self) -> dict[object, Any]:
-        """What the passes said at the last ψ: a search ends where its result is asked for again."""
+    def latest(self) -> dict[str, Any]:
+        """What the passes said at the last ψ (`record_sums`)."""
         return {}
 
     @property

@@ -8,7 +8,6 @@ same line by line.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 
@@ -32,56 +31,57 @@ class RecordSums:
 
 def record_sums(pieces: RecordPieces, psi: Real, sign: Real) -> RecordSums:
     """Both passes at ψ (K, M) with signs (K, channels)."""
-    at = _at(pieces, psi, sign)
-    products, of_ends = at.slopes
-    products = 2 * (products - of_ends.explained(at.fit))
+    passes = _passes(pieces, psi, sign)
+    fit, (products, of_ends) = _fit(pieces, passes), _slopes(pieces, passes)
+    products = 2 * (products - of_ends.explained(fit))
     M = psi.shape[-1]
-    return RecordSums(products[:, M, M], products[:, :M, M], products[:, :M, :M], at.fit.rank)
+    return RecordSums(products[:, M, M], products[:, :M, M], products[:, :M, :M], fit.rank)
 
 
 def by_record_line(pieces: RecordPieces, psi: Real, sign: Real) -> tuple[Real, Real, Real]:
     """Information (K, lines, M, M), minus half the slope (K, lines, M) and cost (K, lines) of each line."""
-    at = _at(pieces, psi, sign)
-    return at.passes.by_line(at.fit, *at.slopes[1].coefficients(at.fit))
+    passes = _passes(pieces, psi, sign)
+    fit, (_, of_ends) = _fit(pieces, passes), _slopes(pieces, passes)
+    return passes.by_line(fit, *of_ends.coefficients(fit))
 
 
 def record_residuals(pieces: RecordPieces, psi: Real, sign: Real) -> tuple[Complex, Ints]:
     """Whitened residuals (K, lines, channels) of the whole motion, and the rank of the columns taken out (K,)."""
-    at = _at(pieces, psi, sign)
-    return at.passes.residuals(at.fit), at.fit.rank
+    passes = _passes(pieces, psi, sign)
+    fit = _fit(pieces, passes)
+    return passes.residuals(fit), fit.rank
 
 
 def ends_rank(pieces: RecordPieces, psi: Real, sign: Real) -> Ints:
     """The rank of the columns taken out, (K,), alone."""
-    return _at(pieces, psi, sign).fit.rank
+    return _fit(pieces, _passes(pieces, psi, sign)).rank
 
 
-class _At:
-    """The passes at one ψ and what they have said there, asked once each."""
-
-    def __init__(self, pieces: RecordPieces, passes: Passes) -> None:
-        self.pieces, self.passes = pieces, passes
-
-    @cached_property
-    def fit(self) -> EndsFitted:
-        return _fitted(self.pieces, self.passes)
-
-    @cached_property
-    def slopes(self) -> tuple[Real, EndProducts]:
-        return self.passes.of_slopes(self.fit)
-
-
-def _at(pieces: RecordPieces, psi: Real, sign: Real) -> _At:
-    passes = compiled_passes(pieces, psi, sign)
-    # Those of NumPy keep their pieces, which are not to outlast a call.
-    if passes is None:
-        return _At(pieces, NumpyPasses(pieces, psi, sign))
-    key = (psi.tobytes(), sign.tobytes())
-    if key not in pieces.latest:
+def _passes(pieces: RecordPieces, psi: Real, sign: Real) -> Passes:
+    compiled = compiled_passes(pieces, psi, sign)
+    passes: Passes = NumpyPasses(pieces, psi, sign) if compiled is None else compiled
+    # Where a search ends its sums are asked for again, and then its residuals: what the passes said there is kept.
+    at = (type(passes), psi.tobytes(), sign.tobytes())
+    if pieces.latest.get("at") != at:
         pieces.latest.clear()
-        pieces.latest[key] = _At(pieces, passes)
-    at: _At = pieces.latest[key]
-    return at
+        pieces.latest["at"] = at
+    return passes
+
+
+def _fit(pieces: RecordPieces, passes: Passes) -> EndsFitted:
+    """What the first pass says."""
+    if "fit" not in pieces.latest:
+        pieces.latest["fit"] = _fitted(pieces, passes)
+    fit: EndsFitted = pieces.latest["fit"]
+    return fit
+
+
+def _slopes(pieces: RecordPieces, passes: Passes) -> tuple[Real, EndProducts]:
+    """What the second pass says."""
+    if "slopes" not in pieces.latest:
+        pieces.latest["slopes"] = passes.of_slopes(_fit(pieces, passes))
+    slopes: tuple[Real, EndProducts] = pieces.latest["slopes"]
+    return slopes
 
 
 def _fitted(pieces: RecordPieces, passes: Passes) -> EndsFitted:

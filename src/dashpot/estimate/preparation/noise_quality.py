@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dashpot.arrays import Bools, Complex, Real
+from dashpot.arrays import Bools, Complex, Real, is_diagonal
 from dashpot.data.local_noise import SMOOTH
 from dashpot.data.spectrum import Spectrum
 
@@ -90,6 +90,8 @@ def channels_correlate(spectrum: Spectrum, level: float = 0.01) -> Bools:
 
 def without_correlation(covariance: Complex) -> Complex:
     """The same variances, off-diagonal entries 0.  (..., channels, channels)."""
+    if is_diagonal(covariance):
+        return covariance
     diagonal: Complex = covariance * np.eye(covariance.shape[-1])
     return diagonal
 

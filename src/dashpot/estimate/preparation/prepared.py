@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from dashpot.arrays import Bools, Complex
+from dashpot.arrays import Bools, Complex, is_diagonal
 from dashpot.data.repeats import flattened
 from dashpot.data.spectrum import Spectrum
 from dashpot.errors import DataError
@@ -90,7 +90,7 @@ def prepare(model: Model, spectrum: Spectrum, *, moments: bool = False, states: 
     V = flat.covariance if known else working_covariance(view, flat)
     V = V if V.ndim == 4 else V[None]
     correlated = np.atleast_1d(channels_correlate(flat)) if known else np.ones(len(V), dtype=bool)
-    if not correlated.all():
+    if not correlated.all() and not is_diagonal(V):
         V = np.where(correlated[:, None, None, None], V, without_correlation(V))
     return Prepared(view, flat, V, states_if_seen(view, flat, V) if states else None, known, correlated)
 
