@@ -15,7 +15,7 @@ from dashpot.data.stretch import SettledDwell
 from dashpot.estimate.assessment import Assessment, Finding, Judgement, Misfit
 from dashpot.estimate.inference.band_stability import DISAGREE
 from dashpot.estimate.inference.diagnostics import dead_channels, nonlinear_names
-from dashpot.estimate.inference.time_course import GAIN_STEP, JUMP, SPIKES, TIME_CHANGES
+from dashpot.estimate.inference.time_course import CLOCK_STEP, GAIN_STEP, JUMP, SPIKES, TIME_CHANGES
 from dashpot.estimate.likelihood.record_noise import RESIDUAL
 from dashpot.estimate.result import Estimate
 from dashpot.io.words import joined
@@ -36,6 +36,10 @@ IN_TIME = {
     GAIN_STEP: (
         "another range, a loose sensor, or a rig that changed?",
         "give the parts before and after as two records, the gain of one of them unknown",
+    ),
+    CLOCK_STEP: (
+        "samples of that channel lost, its clock set anew, or one of its own?",
+        "give the parts before and after as two records, the delay of one of them unknown",
     ),
     SPIKES: (
         "spikes of a loose contact?",

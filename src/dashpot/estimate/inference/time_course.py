@@ -1,4 +1,4 @@
-"""What changes in the course of a whole record: a jump off the prediction, a channel that reads more from then on.
+"""What changes in the course of a whole record: a jump off the prediction, a channel that reads more or later.
 
 The lines of a record are one history each of residual and prediction.  A spike, lost samples, a sensor that comes loose
 or another range are spread over all lines, and there nothing but noise, which is read from the residuals themselves;
@@ -13,7 +13,7 @@ from typing import Literal
 
 import numpy as np
 from scipy.fft import next_fast_len
-from scipy.special import chdtrc, fdtrc, ndtri
+from scipy.special import fdtrc, ndtri
 
 from dashpot.arrays import Bools, Complex, Ints, Real
 from dashpot.data.spectrum import Spectrum
@@ -26,11 +26,12 @@ from dashpot.io.words import joined
 from dashpot.notices import Notice
 
 GAIN_STEP = "gain_step"
+CLOCK_STEP = "clock_step"
 SPIKES = "spikes"
 JUMP = "residual_jump"
-TIME_CHANGES = (GAIN_STEP, SPIKES, JUMP)  # codes of the notices made here
+TIME_CHANGES = (GAIN_STEP, CLOCK_STEP, SPIKES, JUMP)  # codes of the notices made here
 
-FEWEST = 170  # lines of a record whose parts can be compared
+FEWEST = 60  # lines of a record whose parts can be compared
 PARTS = 8  # of a record, each with a gain of its own
 IMPROBABLE = 1e-4  # chance of the largest departure of a right rig
 LEAST = 8.0  # deviations that a departure must have at the least: noise of real sensors has tails
@@ -43,6 +44,7 @@ STEP_SHARE = 0.7  # of the differences of the parts that one step must explain
 STEP = 0.01  # of a gain: a smaller step is of no account
 BLOCKS = 48  # of a record, in each of which the residuals of all channels have a power
 LINES_EACH = 10  # of a block at the least: short records have fewer blocks
+FEWEST_BLOCKS = 17  # that a loud one can stand out of
 BLOCK_LEVEL = 1e-6  # p-value of blocks of equal power
 LOUDER = 4.0  # times what the loudest motion elsewhere leaves over, relative to itself: then it is no misfit
 DECAY = 4  # blocks that a new start decays in
@@ -51,29 +53,39 @@ QUIET = 0.2  # of the typical variance: noise is taken for no quieter where the 
 ALONE = 2.0  # times as far above the usual as any block apart from these
 
 
+Kind = Literal["jump", "gain", "clock", "block"]
+
+
 @dataclass(frozen=True)
 class TimeChange:
-    """A jump off the prediction, a step of a channel's gain, or a block in which all residuals are loud.
+    """A jump off the prediction, a step of a channel's gain or clock, or a block in which all residuals are loud.
 
     channels  that show it; () of a block, which shows in all together
     record    number of the stretch; time_s after its start
-    size      of a jump in deviations of what is left nearby; of a gain what it is after over before; of a block its
-              power over the usual one
+    size      of a jump in deviations of what is left nearby; of a gain what it is after over before; of a clock by how
+              many s the channel is later than before; of a block its power over the usual one
+    gradual   whether it changes all the time, and not at once
     times     how often a channel jumps
     """
 
-    kind: Literal["jump", "gain", "block"]
+    kind: Kind
     channels: tuple[str, ...]
     record: int
     time_s: float
     size: float
+    gradual: bool = False
     times: int = 1
 
 
 @dataclass(frozen=True)
 class _Histories:
-    """Whitened residual and prediction of one channel, (samples,); `each` samples are one independent of the others."""
+    """Whitened residual and prediction of a channel, (samples,), in the record of that number.
 
+    `each` samples are one independent of the others.
+    """
+
+    channel: str
+    record: int
     residual: Real
     prediction: Real
     step_s: float
@@ -91,7 +103,10 @@ def time_change_notices(data: Prepared, solution: Solution) -> tuple[Notice, ...
     residual, _ = residuals_of_records(view, exact, solution.theta, spectrum.signs(solution.signs))
     weight = np.sqrt(np.diagonal(exact.W[0], axis1=-2, axis2=-1).real)
     changes = time_changes(residual * weight, (exact.y[0] - residual) * weight, spectrum, ~view.inputs_alone)
-    return tuple(change_notice(change, len(spectrum.records)) for change in changes)
+    alike: dict[tuple[Kind, frozenset[str], bool], list[TimeChange]] = {}
+    for change in changes:
+        alike.setdefault((change.kind, frozenset(change.channels), change.gradual), []).append(change)
+    return tuple(change_notice(some[0], len(spectrum.records), len(some) - 1) for some in alike.values())
 
 
 def time_changes(
@@ -105,8 +120,10 @@ def time_changes(
         order = np.rint(spectrum.frequency_hz[lines] * stretch.duration_s).astype(np.int64)
         # Twice what the band asks for: no peak is missed.
         samples = int(next_fast_len(4 * (int(order.max()) + 1), real=True))
-        histories = {
-            spectrum.channels[c].name: _Histories(
+        histories = [
+            _Histories(
+                spectrum.channels[c].name,
+                number,
                 history_of_lines(residual[lines, c], order, samples),
                 history_of_lines(prediction[lines, c], order, samples),
                 stretch.duration_s / samples,
@@ -114,33 +131,27 @@ def time_changes(
             )
             for c in np.flatnonzero(outputs)
             if (shown := np.count_nonzero(residual[lines, c])) >= FEWEST
-        }
-        changes += _of_record(number, histories, stretch.duration_s / len(lines))
+        ]
+        changes += _of_record(histories, stretch.duration_s / len(lines))
     return tuple(changes)
 
 
-def _of_record(number: int, histories: dict[str, _Histories], near_s: float) -> list[TimeChange]:
+def _of_record(histories: list[_Histories], near_s: float) -> list[TimeChange]:
     """Changes of one record, each told once: jumps of several channels at one time as one."""
     if not histories:
         return []
     steps = [
-        TimeChange("gain", (name,), number, *step)
-        for name, of in histories.items()
-        if (step := _gain_step(of)) is not None
+        change for of in histories for change in (_gain_change(of), _clock_change(of)) if change is not None
     ]
-    jumps = [
-        TimeChange("jump", (name,), number, *jump)
-        for name, of in histories.items()
-        if (jump := _jump(of)) is not None
-    ]
+    jumps = [jump for jump in map(_jump, histories) if jump is not None]
     if len(steps) == 1:
         # What the step leaves at its edge jumps, too.
         return [*steps, *(jump for jump in jumps if jump.channels != steps[0].channels)]
     # Several steps at once are no channel's gain, but a rig that is another or drives what it has not.
     changes = _together(jumps, near_s)
-    block = _loud_block(list(histories.values()))
-    if block is not None and not any(_explains(change, block[0], near_s) for change in changes):
-        changes.append(TimeChange("block", (), number, *block))
+    block = _loud_block(histories)
+    if block is not None and not any(_explains(change, block.time_s, near_s) for change in changes):
+        changes.append(block)
     return changes
 
 
@@ -149,9 +160,9 @@ def _explains(jump: TimeChange, time_s: float, near_s: float) -> bool:
     return jump.times > 1 or abs(jump.time_s - time_s) < DECAY * LINES_EACH * near_s
 
 
-def _jump(histories: _Histories) -> tuple[float, float, int] | None:
-    """Time, size and number of departures that noise of the size of its neighbours would not show."""
-    e, each = histories.residual, histories.each
+def _jump(of: _Histories) -> TimeChange | None:
+    """The largest departure that noise of the size of its neighbours would not show, and how many there are."""
+    e, each = of.residual, of.each
     power = np.concatenate([[0.0], np.cumsum(e**2)])
     rows = np.arange(len(e))
 
@@ -161,7 +172,7 @@ def _jump(histories: _Histories) -> tuple[float, float, int] | None:
 
     wide, narrow = within(round(NEARBY * each)), within(round(AT_ONCE * each))
     usual = (wide[0] - narrow[0]) / np.maximum(wide[1] - narrow[1], 1)
-    usual = np.maximum(usual, _louder_with_motion(histories, usual))
+    usual = np.maximum(usual, _louder_with_motion(of, usual))
     size = np.abs(e) / np.sqrt(np.where(usual > 0, usual, np.inf))
     limit = max(LEAST, -float(ndtri(IMPROBABLE * each / (2 * len(e)))))
     far = np.flatnonzero(size > limit)
@@ -174,15 +185,17 @@ def _jump(histories: _Histories) -> tuple[float, float, int] | None:
     if not size[largest] > APART * np.max(size, where=~near, initial=0.0):
         return None
     times = 1 + int(np.count_nonzero(np.diff(far) > AT_ONCE * each))
-    return largest * histories.step_s, float(size[largest]), times
+    return TimeChange(
+        "jump", (of.channel,), of.record, largest * of.step_s, float(size[largest]), times=times
+    )
 
 
-def _louder_with_motion(histories: _Histories, usual: Real) -> Real:
+def _louder_with_motion(of: _Histories, usual: Real) -> Real:
     """Variance of the residual as a straight line over the square of the motion, (samples,): noise may grow with it.
 
     usual (samples,) as it is nearby: what is far beyond tells of jumps.
     """
-    square, motion = np.minimum(histories.residual**2, HEAVY * usual), histories.prediction**2
+    square, motion = np.minimum(of.residual**2, HEAVY * usual), of.prediction**2
     about = motion - np.mean(motion)
     slope = max(float(np.mean(about * square)) / max(float(np.mean(about**2)), np.finfo(float).tiny), 0.0)
     line: Real = np.maximum(np.mean(square) + slope * about, 0.0)
@@ -196,48 +209,95 @@ def _over_usual(of: _Histories) -> Real:
     return of.residual**2 / np.maximum(usual, QUIET * typical)
 
 
-def _gain_step(histories: _Histories) -> tuple[float, float] | None:
-    """Time and ratio of a step of the channel's gain, from the gains of the parts; None where there is none."""
-    edges = np.linspace(0, len(histories.residual), PARTS + 1).astype(np.int64)
-    e, p = histories.residual, histories.prediction
-    size = np.add.reduceat(p**2, edges[:-1])
+@dataclass(frozen=True)
+class _Change:
+    """How the share of one shape of motion in the residual changes: when, from what to what, at once or gradually."""
+
+    time_s: float
+    before: float
+    after: float
+    gradual: bool
+
+    def told(self, of: _Histories, kind: Kind, size: float) -> TimeChange:
+        """The same as what it means."""
+        return TimeChange(kind, (of.channel,), of.record, self.time_s, size, self.gradual)
+
+
+def _gain_change(of: _Histories) -> TimeChange | None:
+    """A change of the channel's gain."""
+    change = _change(of, of.prediction)
+    if change is None:
+        return None
+    ratio = (1 + change.after) / (1 + change.before)
+    return change.told(of, "gain", ratio) if abs(ratio - 1) > STEP else None
+
+
+def _clock_change(of: _Histories) -> TimeChange | None:
+    """A change of the channel's clock."""
+    slope = np.gradient(of.prediction, of.step_s)
+    change = _change(of, slope)
+    if change is None:
+        return None
+    late = change.before - change.after  # what is late by δ lacks δ times the slope
+    least = STEP * float(np.sqrt(np.mean(of.prediction**2) / np.mean(slope**2)))
+    return change.told(of, "clock", late) if abs(late) > least else None
+
+
+def _change(of: _Histories, shape: Real) -> _Change | None:
+    """Where the share of a shape of motion (samples,) in the residual changes; None where it does not."""
+    edges = np.linspace(0, len(of.residual), PARTS + 1).astype(np.int64)
+    e = of.residual
+    size = np.add.reduceat(shape**2, edges[:-1])
     if not np.all(size > 0):
         return None
-    gain = np.add.reduceat(e * p, edges[:-1]) / size
-    left_over = (e - np.repeat(gain, np.diff(edges)) * p) * p
+    share = np.add.reduceat(e * shape, edges[:-1]) / size
+    left_over = (e - np.repeat(share, np.diff(edges)) * shape) * shape
     # The noise may be louder where the motion is: each part tells its own.
-    variance = histories.each * np.add.reduceat(left_over**2, edges[:-1]) / size**2
+    variance = of.each * np.add.reduceat(left_over**2, edges[:-1]) / size**2
     weight = 1 / np.maximum(variance, np.finfo(float).tiny)
 
-    def scatter(parts: slice) -> tuple[float, float]:
-        mean = float(np.average(gain[parts], weights=weight[parts]))
-        return mean, float(np.sum(weight[parts] * (gain[parts] - mean) ** 2))
+    def explained(*shapes: Real) -> tuple[float, Real]:
+        root, columns = np.sqrt(weight), np.stack(shapes, axis=1)
+        fitted = columns @ np.linalg.lstsq(root[:, None] * columns, root * share, rcond=None)[0]
+        return float(np.sum(weight * (share - fitted) ** 2)), fitted
 
-    _, whole = scatter(slice(None))
-    if not chdtrc(PARTS - 1, whole) < STEP_LEVEL:
+    parts = np.arange(PARTS)
+    even = np.ones(PARTS)
+    whole, _ = explained(even)
+    freedom = len(e) / of.each / PARTS - 1  # of each part's variance
+    if not fdtrc(PARTS - 1, freedom, whole / (PARTS - 1)) < STEP_LEVEL:
         return None
-    splits = [(scatter(slice(None, k)), scatter(slice(k, None))) for k in range(1, PARTS)]
-    rest = [before[1] + after[1] for before, after in splits]
-    best = int(np.argmin(rest))
-    ratio = (1 + splits[best][1][0]) / (1 + splits[best][0][0])
-    if rest[best] > (1 - STEP_SHARE) * whole or not abs(ratio - 1) > STEP:
+    steps = [explained((parts < k) * even, (parts >= k) * even) for k in range(1, PARTS)]
+    best = int(np.argmin([rest for rest, _ in steps]))
+    rest, fitted = steps[best]
+    rest_of_line, line = explained(even, even * parts)
+    if min(rest, rest_of_line) > (1 - STEP_SHARE) * whole:
         return None
-    return _turn(e * p, p**2, splits[best], edges[best], edges[best + 2]) * histories.step_s, ratio
+    if rest_of_line < rest:
+        half = (line[1] - line[0]) / 2  # from the middle of a part to its end
+        return _Change(len(e) * of.step_s, float(line[0] - half), float(line[-1] + half), gradual=True)
+    before, after = float(fitted[0]), float(fitted[-1])
+    turn = _turn(e * shape, shape**2, (before, after), edges[best], edges[best + 2])
+    return _Change(turn * of.step_s, before, after, gradual=False)
 
 
-def _turn(product: Real, power: Real, split: tuple[tuple[float, float], ...], begin: int, end: int) -> int:
-    """The sample from begin to end at which the gain steps: least squares of the residual there."""
-    (before, _), (after, _) = split
-    # What a sample adds to the sum of squares with the gain before, less what it adds with the one after.
+def _turn(product: Real, power: Real, shares: tuple[float, float], begin: int, end: int) -> int:
+    """The sample from begin to end at which the share steps: least squares of the residual there."""
+    before, after = shares
+    # What a sample adds to the sum of squares with the share before, less what it adds with the one after.
     change = -2 * (before - after) * product[begin:end] + (before**2 - after**2) * power[begin:end]
     return int(begin + np.argmin(np.cumsum(change)) + 1)
 
 
-def _loud_block(histories: list[_Histories]) -> tuple[float, float] | None:
-    """Time and power, over the usual one, of the block in which all residuals are loud: at once, alone, and more than
-    the motion explains; a model that does not fit is loud wherever the motion is."""
+def _loud_block(histories: list[_Histories]) -> TimeChange | None:
+    """The block in which all residuals are loud: at once, alone, and more than the motion explains.
+
+    A model that does not fit is loud wherever the motion is.
+    """
     lines = sum(len(of.residual) / (2 * of.each) for of in histories)
     blocks = min(BLOCKS, int(lines / len(histories)) // LINES_EACH)
+    if blocks < FEWEST_BLOCKS:
+        return None
     edges = np.linspace(0, len(histories[0].residual), blocks, endpoint=False).astype(np.int64)
     count = np.diff(np.append(edges, len(histories[0].residual)))
     left = sum(np.add.reduceat(of.residual**2, edges) for of in histories) / count
@@ -257,7 +317,9 @@ def _loud_block(histories: list[_Histories]) -> tuple[float, float] | None:
     alone = power[j] - 1 > ALONE * (np.max(power[apart]) - 1)
     if not alone or not share[j] > LOUDER * share[loudest]:
         return None
-    return (j + 0.5) * len(histories[0].residual) / blocks * histories[0].step_s, float(power[j])
+    first = histories[0]
+    time_s = (j + 0.5) * len(first.residual) / blocks * first.step_s
+    return TimeChange("block", (), first.record, time_s, float(power[j]))
 
 
 def _together(jumps: list[TimeChange], near_s: float) -> list[TimeChange]:
@@ -276,22 +338,39 @@ def _together(jumps: list[TimeChange], near_s: float) -> list[TimeChange]:
 
 def change_in_words(change: TimeChange, records: int) -> str:
     """What changes, in words; of how many records it is one."""
-    where = f"{change.time_s:.4g} s" + (f" in record {change.record + 1}" if records > 1 else "")
+    record = f" in record {change.record + 1}" if records > 1 else ""
+    where = f"{change.time_s:.4g} s{record}"
     if change.kind == "block":
         return f"the residuals jump near {where} and decay again"
     names = joined(change.channels)
     if change.kind == "gain":
-        return f"{names} reads {change.size:.3g} × as much after {where} as before"
+        times = f"{names} reads {change.size:.3g} × as much"
+        return (
+            f"{times} at the end as at the start{record}"
+            if change.gradual
+            else f"{times} after {where} as before"
+        )
+    if change.kind == "clock":
+        word = "later" if change.size > 0 else "earlier"
+        late = f"{names} is {1e3 * abs(change.size):.3g} ms {word}"
+        return (
+            f"{late} at the end than at the start{record}"
+            if change.gradual
+            else f"{late} after {where} than before"
+        )
     several = len(change.channels) > 1
     again = f" and at {change.times - 1} more times" if change.times > 1 else ""
     return f"{names} jump{'' if several else 's'} off the prediction at {where} ({change.size:.0f} sd){again}"
 
 
-def change_notice(change: TimeChange, records: int) -> Notice:
-    """The change as a warning of the estimate; of how many records it is one."""
-    text = change_in_words(change, records)
+def change_notice(change: TimeChange, records: int, more: int = 0) -> Notice:
+    """The change as a warning of the estimate; of how many records it is one, and in how many more it is alike."""
+    again = f", and likewise in {more} more record{'s' if more > 1 else ''}" if more else ""
+    text = change_in_words(change, records) + again
     if change.kind == "gain":
         return Notice(GAIN_STEP, text, change.channels)
+    if change.kind == "clock":
+        return Notice(CLOCK_STEP, text, change.channels)
     if change.times > 1:
         return Notice(SPIKES, text, change.channels)
     return Notice(JUMP, text, change.channels)

@@ -217,6 +217,12 @@ NOTICES: tuple[tuple[str, str, str, str], ...] = (
         "Leave those samples out: the record is then used in pieces.",
     ),
     (
+        "clock_step", _ESTIMATE,
+        "From some time of a whole record on a channel is later, or earlier, than the prediction by more than before.",
+        ("Samples of that channel may be lost, or its clock was set while it recorded; give the parts before and after "
+        "as two records, the delay of one of them unknown."),
+    ),
+    (
         "gain_step", _ESTIMATE,
         "From some time of a whole record on a channel reads more, or less, of the prediction than before.",
         ("Look for another range, a loose sensor or a rig that changed; give the parts before and after as two "

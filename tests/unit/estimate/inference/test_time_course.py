@@ -86,6 +86,24 @@ def test_a_step_of_one_gain_is_found_with_its_time_and_size(at_s: float, ratio: 
     )
 
 
+@pytest.mark.parametrize("gradual", [False, True])
+def test_a_clock_that_changes_is_found_with_its_time_and_size(gradual: bool) -> None:
+    """Half a sample late from the middle on, or at the end; what a fit predicts is late as on the average."""
+    rng = np.random.default_rng(10)
+    x = motion(rng)
+    late = np.linspace(0, 1, SAMPLES) if gradual else (np.arange(SAMPLES) >= SAMPLES // 2)
+    t = np.arange(SAMPLES)
+    y = x + NOISE * rng.normal(size=x.shape)
+    y[:, 0] += np.interp(t - 0.5 * (late - 0.5), t, x[:, 0]) - x[:, 0]
+    (change,) = changes(y, x)
+    assert (change.kind, change.channels, change.gradual) == ("clock", ("x1",), gradual)
+    assert change.size == pytest.approx(0.5 * STEP_S, rel=0.1)
+    assert change.time_s == pytest.approx(20.0 if gradual else 10.0, abs=0.1)
+    words = "at the end than at the start" if gradual else "than before"
+    assert change_in_words(change, 1).startswith("x1 is ")
+    assert change_in_words(change, 1).endswith(words)
+
+
 def test_gains_of_both_channels_that_differ_are_no_channel_s_step() -> None:
     """A rig that does not fit reads otherwise wherever the drive has moved on."""
     rng = np.random.default_rng(7)
@@ -119,6 +137,7 @@ def test_a_jump_of_all_channels_is_one() -> None:
     text = change_notice(change, 2).text
     assert text.startswith(" and ".join(change.channels) + " jump off the prediction at 1")
     assert "in record 1" in text
+    assert change_notice(change, 5, more=3).text.endswith(", and likewise in 3 more records")
 
 
 def test_of(excitation: str) -> WholeTest:
