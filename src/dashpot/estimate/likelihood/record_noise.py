@@ -128,7 +128,7 @@ def noise_from_residuals(
         if turn + 1 == ROUNDS_OF_NO_FIT and np.mean(_left(residual, exact)[outputs]) > UNEXPLAINED_MOST:
             break
         del data, exact  # before the next: of many lines they are large
-    kinds = tuple(RESIDUAL if s else kind for s, kind in zip(sought.tolist(), spectrum.noise, strict=True))
+    kinds = tuple(np.where(sought, RESIDUAL, spectrum.noise).tolist())
     weighted = replace(spectrum, covariance=V, noise=kinds, dof=dof * (1 - used))
     return weighted, np.zeros((1, 0)) if psi is None else psi, sign
 

@@ -17,7 +17,8 @@ from dashpot.model.dynamics import stiffness
 from dashpot.model.network import Model
 from dashpot.numerics.small_systems import solve_scaled
 
-PASSES = 4
+PASSES = 4  # at most
+STEADY = 0.01  # change of all unknowns from pass to pass at which they end: a descent goes on from there
 
 
 def record_starts(model: Model, data: States, ends: RecordEnds, rig: Real | None = None) -> Real:
@@ -51,6 +52,8 @@ def record_starts(model: Model, data: States, ends: RecordEnds, rig: Real | None
         starts.append(theta)
         theta = np.where(usable[..., None], where_finite(clean, theta), theta)
         starts.append(theta)
+        if len(starts) > 3 and np.all(np.abs(theta - starts[-3]) <= STEADY * np.abs(theta)):
+            break
     return np.stack(starts)
 
 

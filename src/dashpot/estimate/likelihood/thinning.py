@@ -39,11 +39,11 @@ def loudest(frequency_hz: Real, loudness: Real, each: int = EACH) -> Ints:
     """Indices of the loudest lines in each part of the band, ascending.  Both (lines,)."""
     position = np.log(frequency_hz / np.min(frequency_hz))
     part = np.minimum((PARTS * position / max(float(np.max(position)), 1e-12)).astype(int), PARTS - 1)
-    chosen: list[int] = []
-    for k in range(PARTS):
-        there = np.flatnonzero(part == k)
-        chosen += there[np.argsort(-loudness[there])[:each]].tolist()
-    return np.array(sorted(chosen), dtype=np.int64)
+    order = np.lexsort((-loudness, part))
+    before = np.searchsorted(part[order], np.arange(PARTS))
+    rank = np.arange(len(order)) - before[part[order]]
+    chosen: Ints = np.sort(order[rank < each])
+    return chosen
 
 
 def _loudness(data: Prepared) -> Real:

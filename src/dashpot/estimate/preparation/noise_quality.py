@@ -66,6 +66,8 @@ def channels_correlate(spectrum: Spectrum, level: float = 0.01) -> Bools:
     V = spectrum.covariance
     if not np.isfinite(spectrum.dof).all():
         return np.ones(V.shape[:-3], dtype=bool)
+    if is_diagonal(V):
+        return np.zeros(V.shape[:-3], dtype=bool)
     variance = np.diagonal(V, axis1=-2, axis2=-1).real
     noisy = np.all(variance.reshape(-1, variance.shape[-1]) > 0, axis=0)
     q = int(np.sum(noisy))
