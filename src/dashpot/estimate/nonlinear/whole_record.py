@@ -39,7 +39,8 @@ UNLIKE = 0.2  # of the channels' rms: residuals of the first motion that is far 
 HELD, ROUGHLY = 12, 0.1  # iterations with a held motion, and the standard deviations at which they end
 EXACT = 1e-6  # of a channel's rms: residuals below it count no less
 TOLERANCE = 1e-4  # standard deviations
-HALVINGS = 3  # of the integration's steps, at most
+HALVINGS = 6  # of the integration's steps, at most
+MOST_STEPS = 10**6  # of all records, which halving must not exceed
 MOVED = 0.05  # standard deviations by which half steps may move an estimate
 SHORTEST = 1e-6  # of a start: the least that lengths and speeds inside laws may become
 FAR = 3.0  # standard deviations beyond which one step of Gauss and Newton is not enough
@@ -179,6 +180,9 @@ def _refined(problem: RecordProblem, psi: Real, limits: tuple[Real, Real]) -> tu
     """
     for _ in range(HALVINGS):
         finer = problem.finer()
+        steps = [data.samples * count for data, count in zip(finer.records, finer.substeps, strict=True)]
+        if sum(steps) > MOST_STEPS:
+            break
         around = finer.quadratic(psi[None])
         step = solve_scaled(around.symmetric, around.gradient)[0]
         moved = np.max(np.abs(step) / around.sd[0])

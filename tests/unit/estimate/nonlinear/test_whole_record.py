@@ -116,6 +116,32 @@ def test_motions_that_no_free_motion_follows_from_afar_are_held_near_the_measure
 
 
 @pytest.mark.long
+def test_a_gap_is_given_back_from_an_independent_integrator():
+    """Kinks within steps cost the integration its order: steps are halved until that moves nothing."""
+    k, c, m, q, gap = 1200.0, 3.0, 2.0, 2500.0, 1.5e-3
+    element = replace(between("q", Kind.SPRING, "x", "ground"), force_law=force_law("gap"))
+    model = Model(
+        ("x",), (Input("f", "force", {"x": 1.0}),),
+        (mass("m", "x"), between("k", Kind.SPRING, "x", "ground"), between("c", Kind.DAMPER, "x", "ground"), element),
+    )  # fmt: skip
+    rng = np.random.default_rng(6)
+    time = np.arange(300) / 90
+    tones, phases = rng.uniform(1, 7, 30), rng.uniform(0, 6.3, 30)
+    force = CubicSpline(time, 0.6 * np.sum(np.cos(2 * np.pi * tones * time[:, None] + phases), axis=1))
+
+    def rates(t, s):
+        pull = k * s[0] + q * (max(s[0] - gap, 0) + min(s[0] + gap, 0))
+        return [s[1], (force(t) - pull - c * s[1]) / m]
+
+    x = solve_ivp(rates, (0, time[-1]), [0, 0], "DOP853", time, rtol=1e-11, atol=1e-15, max_step=time[1]).y[0]
+    assert np.max(np.abs(x)) > 1.5 * gap
+    channels = (Channel("f", {"f": 1.0}, Quantity.FORCE), *motions("x"))
+    estimate = identify_records(model, [Record(channels, time, np.column_stack([force(time), x]))])
+    truth = {"m": m, "k": k, "c": c, "q": q, "q.gap": gap}
+    assert max(abs(estimate[name].value / value - 1) for name, value in truth.items()) < 1e-5
+
+
+@pytest.mark.long
 @pytest.mark.parametrize(("law", "within"), [("jenkins", 1e-3), ("backlash", 1e-3)])
 def test_laws_with_a_state_are_given_back_from_exact_records_as_far_as_the_integration_allows(law, within):
     model, theta, data = record(law, ALL, samples=400)
