@@ -28,6 +28,7 @@ from dashpot.check.diagnosis.trials import (
     with_phases_times,
     without,
 )
+from dashpot.data.stretch import SettledDwell, Stretch
 from dashpot.estimate.likelihood.objective import measured
 from dashpot.estimate.preparation.prepared import Prepared
 from dashpot.estimate.preparation.state_reconstruction import states_if_seen
@@ -334,7 +335,9 @@ def _dwells(bench: Workbench, base: Trial, pool: Sequence[Real]) -> list[Cause]:
     ]
     outcomes = bench.refitted(trials, pool)
     causes_found = [_of_outcome(outcome) for outcome in outcomes]
-    if outcomes:
+    if outcomes and not len(
+        bench.data.model.nonlinear
+    ):  # whose harmonics go with the frequency of their dwell
         best = min(outcomes, key=lambda outcome: outcome.reduced)
         # Outcomes hold arrays, so they are told apart by what they are, not by comparison.
         line = sorted(worst.tolist())[next(i for i, outcome in enumerate(outcomes) if outcome is best)]
@@ -351,12 +354,20 @@ def _points(element: Element, model: Model) -> tuple[str, ...]:
     return points if len(points) > 1 else (*points, "ground")
 
 
+def _at_rate(stretch: Stretch, rate: float) -> Stretch:
+    """A settled dwell of another frequency; whole records keep theirs."""
+    if not isinstance(stretch, SettledDwell) or stretch.fundamental_hz is None:
+        return stretch
+    return replace(stretch, fundamental_hz=rate * stretch.fundamental_hz)
+
+
 def _rates(bench: Workbench, base: Trial, seed: int) -> list[Cause]:
     """All frequencies times one factor: rad/s for Hz, a time base that is twice too fast."""
     spectrum = bench.data.spectrum
     relabelled = []
     for rate in RATES:
-        shifted = replace(spectrum, frequency_hz=spectrum.frequency_hz * rate)
+        stretches = tuple(_at_rate(stretch, rate) for stretch in spectrum.stretches)
+        shifted = replace(spectrum, frequency_hz=spectrum.frequency_hz * rate, stretches=stretches)
         view = observation_model(bench.data.model, spectrum.channels, shifted.omega)
         seen = bench.data.states is not None
         states = states_if_seen(view, shifted, bench.data.covariance) if seen else None

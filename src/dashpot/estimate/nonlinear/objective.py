@@ -140,14 +140,13 @@ def evaluate(
 
 
 def must_be_positive(model: Model) -> Ints:
-    """Indices of inner constants that are lengths or speeds, (k,): gaps, slips and smoothing speeds."""
-    lengths = [
+    """Indices of inner constants that make sense above 0 only, (k,)."""
+    positive = [
         j
         for j, (element, constant) in enumerate(model.constants)
-        if element.force_law is not None
-        and element.force_law.exponents[1].get(constant.name, (0.0, 0.0))[0] > 0
+        if element.force_law is not None and constant.name in element.force_law.positive
     ]
-    return np.array(lengths, dtype=np.int64)
+    return np.array(positive, dtype=np.int64)
 
 
 def _slopes(

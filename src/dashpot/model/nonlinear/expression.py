@@ -64,6 +64,11 @@ class Expression:
         """Functions that it calls."""
         return frozenset(_functions(self.tree))
 
+    @property
+    def divisors(self) -> frozenset[str]:
+        """Names that it divides by as they are."""
+        return frozenset(node.name for node in _denominators(self.tree) if node.symbol == "name")
+
     def __call__(self, values: Mapping[str, Real]) -> Dual:
         """Value and derivatives with respect to every name that occurs; all `values` broadcast together."""
         with np.errstate(all="ignore"):

@@ -104,6 +104,15 @@ class ForceLaw:
         return not self.has_state and not self.expression.functions
 
     @cached_property
+    def positive(self) -> frozenset[str]:
+        """Constants that make sense above 0 only: gaps, slips and speeds of the usual laws, and what is divided by."""
+        usual = self.text.strip().lower() in {**SPRING_LAWS, **DAMPER_LAWS}
+        lengths = (
+            {name for name, (metre, _) in self.exponents[1].items() if metre > 0} if usual else set[str]()
+        )
+        return frozenset(lengths | self.expression.divisors) & frozenset(self.constant_names)
+
+    @cached_property
     def constant_names(self) -> tuple[str, ...]:
         """Names of the constants, in order."""
         return tuple(constant.name for constant in self.constants)

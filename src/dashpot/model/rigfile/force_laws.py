@@ -94,6 +94,10 @@ def _constant(
         cure = "give the value that a positive sd belongs to"
         reading.report.add(place, "sd without a value, or not positive", cure)
         return None
+    stated = [number for number in (constant.value, constant.guess, constant.upper) if number is not None]
+    if name in law.positive and any(number <= 0 for number in stated):
+        reading.report.add(place, f"{name} of the law {law.text!r} must be positive", "change it")
+        return None
     if constant.lower is not None and constant.upper is not None and constant.lower >= constant.upper:
         what = f"min {constant.lower:g} is not below max {constant.upper:g}"
         reading.report.add(place, what, "exchange or change them")

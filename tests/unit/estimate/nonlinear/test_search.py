@@ -83,3 +83,15 @@ def test_a_law_that_divides_by_zero_within_the_motion_is_refused():
     pole = replace(model.elements[-1], force_law=force_law("d/(d - 0.0004)"))
     with pytest.raises(DataError, match="of q divides by zero within the measured motion"):
         identify(replace(model, elements=(*model.elements[:-1], pole)), spectrum, "ml")
+
+
+def test_coefficients_inside_laws_may_be_negative():
+    """Only gaps, slips and what is divided by are above 0; that of a polynomial is a length, too."""
+    model, theta = two_masses("d**3 + b*d**2")
+    theta[-1] = -theta[-1]
+    spectrum = settled(
+        model, theta, ALL, FREQUENCIES, orders=(1, 2, 3), noise=0.002, rng=np.random.default_rng(1)
+    )
+    estimate = identify(model, spectrum, "ml")
+    assert np.all(np.abs(estimate.values - theta) < 4 * estimate.sd)
+    assert estimate["q.b"].value < -2 * estimate["q.b"].sd

@@ -47,6 +47,14 @@ def test_laws_are_read_and_written(entry, unknowns):
 @pytest.mark.parametrize(
     ("entry", "message"),
     [
+        (
+            'g = { between = ["x1", "u"], law = "gap", gap = -0.001 }',
+            "springs.g.gap: gap of the law 'gap' must be positive",
+        ),
+        (
+            'g = { between = ["x1", "u"], law = "tanh(v/w)", w = { guess = 0 } }',
+            "springs.g.w: w of the law 'tanh.v/w.' must be positive",
+        ),
         ('k3 = { between = ["x1", "u"], law = "tanh(v/w)" }', "springs.k3.law: the law 'tanh.v/w.' names w"),
         ('k3 = { between = ["x1", "u"], law = "d**3", b = 1.0 }', "has no constant b"),
         ('k3 = { between = ["x1", "u"], law = "1/d" }', "divides by zero"),
