@@ -94,10 +94,10 @@ def estimate_from(content: Mapping[str, Any]) -> Estimate:
     parameters, fit = content["parameters"], content["fit"]
     unknowns = [parameters[name] for name in names]
     return Estimate(
-        model=_text(content["model"]),
-        method=_text(content["method"]),
+        model=content["model"],
+        method=content["method"],
         names=names,
-        units=tuple(_text(entry["unit"]) for entry in unknowns),
+        units=tuple(entry["unit"] for entry in unknowns),
         values=_numbers([entry["value"] for entry in unknowns]),
         covariance=_covariance(content["covariance"], [entry["sd"] for entry in unknowns]),
         noise_covariance=_covariance(content["noise_covariance"], [entry["noise_sd"] for entry in unknowns]),
@@ -106,7 +106,7 @@ def estimate_from(content: Mapping[str, Any]) -> Estimate:
         lower=_numbers([entry.get("min") for entry in unknowns], -math.inf),
         upper=_numbers([entry.get("max") for entry in unknowns], math.inf),
         free_values=_numbers([entry.get("without_limits", entry["value"]) for entry in unknowns]),
-        basis=_text(content["intervals_count"]),
+        basis=content["intervals_count"],
         converged=np.asarray(content["status"] == "converged"),
         iterations=np.asarray(content["iterations"], dtype=np.int64),
         history=_rows(content["history"]),
@@ -118,20 +118,13 @@ def estimate_from(content: Mapping[str, Any]) -> Estimate:
         signs={name: np.asarray(float(sign)) for name, sign in content["signs"].items()},
         warnings=_notices(content, "warnings", "codes", "concerns"),
         notes=_notices(content, "notes", "note_codes", "note_concerns"),
-        rig=None if content.get("rig") is None else _text(content["rig"]),
+        rig=content.get("rig"),
         profiles={
             name: _profile(entry["profile"])
             for name, entry in zip(names, unknowns, strict=True)
             if "profile" in entry
         },
     )
-
-
-def _text(value: object) -> str:
-    """A text.  Raises TypeError where it is none."""
-    if not isinstance(value, str):
-        raise TypeError(f"{value!r:.40} is no text")
-    return value
 
 
 def _profile(content: Mapping[str, Any]) -> tuple[tuple[float, ...], tuple[float, ...]]:

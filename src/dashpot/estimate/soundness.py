@@ -9,6 +9,7 @@ import numpy as np
 
 from dashpot.errors import DataError, Problem
 from dashpot.io.words import listed
+from dashpot.quantities import LARGEST
 
 if TYPE_CHECKING:
     from dashpot.estimate.result import Estimate
@@ -27,8 +28,9 @@ def require_sound(estimate: Estimate, where: str) -> None:
 
 def _faults(estimate: Estimate) -> Iterator[str]:
     names, count = estimate.names, len(estimate.names)
-    if not all(isinstance(name, str) for name in (*names, *estimate.units, estimate.model, estimate.method)):
-        yield "a name or a unit is not text"
+    texts = (*names, *estimate.units, estimate.model, estimate.method, estimate.basis)
+    if not all(isinstance(text, str) for text in (*texts, "" if estimate.rig is None else estimate.rig)):
+        yield "a name, a unit or the rig is not text"
         return
     if len(set(names)) < count:
         yield f"order: {next(name for name in names if names.count(name) > 1)} is named twice"
@@ -48,6 +50,9 @@ def _faults(estimate: Estimate) -> Iterator[str]:
 def _value_faults(estimate: Estimate) -> Iterator[str]:
     """Values that are lost, sizes below 0 and bounds that leave no room."""
     names = estimate.names
+    for name, value in zip(names, estimate.values, strict=True):
+        if np.isfinite(value) and abs(value) > LARGEST:
+            yield f"{name}: {value:g} is out of range"
     if bool(estimate.converged):
         lost = [name for name, value in zip(names, estimate.values, strict=True) if not np.isfinite(value)]
         if lost:
@@ -69,8 +74,8 @@ def _reference_faults(estimate: Estimate) -> Iterator[str]:
         if not np.isfinite(times):
             yield f"tied: {times} is not a finite number"
     for name, value, _ in estimate.known:
-        if not np.isfinite(value):
-            yield f"{name}: no value"
+        if not abs(value) <= LARGEST:
+            yield f"{name}: no value, or one that is out of range"
 
 
 def _matrix_faults(label: str, matrix: np.ndarray, names: tuple[str, ...]) -> Iterator[str]:

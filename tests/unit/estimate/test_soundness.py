@@ -56,9 +56,9 @@ def _drop(*path: Any) -> Callable[[dict[str, Any]], None]:
         (_put("parameters", "m1", "bound_sd", value=-1.0), "m1: bound_sd is negative"),
         (_put("parameters", "m1", "min", value=5.0), None),
         (_put("parameters", value=[]), "not a dashpot estimate"),
-        (_put("rig", value=-1), "not a dashpot estimate"),
-        (_put("method", value=None), "not a dashpot estimate"),
-        (_put("parameters", "m1", "unit", value={}), "not a dashpot estimate"),
+        (_put("rig", value={}), "a name, a unit or the rig is not text"),
+        (_put("intervals_count", value=None), "a name, a unit or the rig is not text"),
+        (_put("parameters", "m1", "value", value=1e308), "m1: 1e\\+308 is out of range"),
         (_put("tied", value=[["k9", "k8", 2.0, "N/m"]]), "tied: k8 is not among the unknowns"),
     ],
 )
