@@ -79,7 +79,7 @@ class TimeChange:
 
 @dataclass(frozen=True)
 class _Histories:
-    """Whitened residual and prediction of a channel, (samples,), in the record of that number.
+    """Whitened residual and prediction of a channel, and its slope per s, (samples,), in the record of that number.
 
     `each` samples are one independent of the others.
     """
@@ -88,6 +88,7 @@ class _Histories:
     record: int
     residual: Real
     prediction: Real
+    slope: Real
     step_s: float
     each: float
 
@@ -126,6 +127,7 @@ def time_changes(
                 number,
                 history_of_lines(residual[lines, c], order, samples),
                 history_of_lines(prediction[lines, c], order, samples),
+                history_of_lines(1j * spectrum.omega[lines] * prediction[lines, c], order, samples),
                 stretch.duration_s / samples,
                 samples / (2 * shown),
             )
@@ -234,12 +236,11 @@ def _gain_change(of: _Histories) -> TimeChange | None:
 
 def _clock_change(of: _Histories) -> TimeChange | None:
     """A change of the channel's clock."""
-    slope = np.gradient(of.prediction, of.step_s)
-    change = _change(of, slope)
+    change = _change(of, of.slope)
     if change is None:
         return None
     late = change.before - change.after  # what is late by δ lacks δ times the slope
-    least = STEP * float(np.sqrt(np.mean(of.prediction**2) / np.mean(slope**2)))
+    least = STEP * float(np.sqrt(np.mean(of.prediction**2) / np.mean(of.slope**2)))
     return change.told(of, "clock", late) if abs(late) > least else None
 
 
