@@ -685,6 +685,7 @@ void set_instructions(const std::string &name) {
 }  // namespace
 
 NB_MODULE(_core, module) {
+    nb::set_leak_warnings(false);  // what a user holds on to until the interpreter ends is no fault
     chosen = available().back();
     if (const char *asked = std::getenv("DASHPOT_KERNEL_SET"))
         for (const dashpot::Loops *set : available())

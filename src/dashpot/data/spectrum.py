@@ -155,8 +155,13 @@ class Spectrum(InNotebooks):
     def present(self) -> Bools:
         """Which channels were measured at which line in all repeats, (lines, channels)."""
         finite = np.isfinite(self.amplitudes)
-        present: Bools = np.all(finite.reshape(-1, *finite.shape[-2:]), axis=0)
+        present: Bools = np.asarray(finite.reshape(-1, *finite.shape[-2:]).all(axis=0))
         return present
+
+    @cached_property
+    def complete(self) -> bool:
+        """Whether every channel was measured at every line in all repeats."""
+        return bool(self.present.all())
 
     def index(self, name: str) -> int:
         """Position of a channel by name.  Raises DataError where there is none."""
@@ -182,7 +187,7 @@ class Spectrum(InNotebooks):
         """Whether some lines carry the transients of whole records."""
         return any(isinstance(value, WholeRecord) and value.loads for value in self.stretches)
 
-    @property
+    @cached_property
     def noise_given(self) -> bool:
         """Whether the noise of every line is as it was given: no estimate of so many samples."""
         return bool(np.isinf(self.dof).all())
@@ -199,7 +204,7 @@ class Spectrum(InNotebooks):
         """The same with other arrays, read-only and of the right shapes, taken from one that has been checked."""
         other = object.__new__(Spectrum)
         other.__dict__.update(self.__dict__, **changes)
-        for fact in ("present", "noise_known"):  # of the old arrays
+        for fact in ("present", "complete", "noise_known", "noise_given"):  # of the old arrays
             other.__dict__.pop(fact, None)
         return other
 

@@ -181,6 +181,6 @@ def _free_values(solution: Solution) -> Real:
 
 def _basis(fit: Fit, bands_disagree: bool) -> str:
     """What the intervals rest on."""
-    if np.any(fit.rejected) or bands_disagree:
+    if fit.rejected.any() or bands_disagree:
         return "model misfit"
     return "sensor noise" if fit.known_noise else "residuals"

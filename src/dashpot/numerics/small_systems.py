@@ -99,5 +99,5 @@ def standard_deviations(covariance: Real) -> Real:
 
     covariance (..., m, m).
     """
-    variance = np.diagonal(covariance, axis1=-2, axis2=-1)
+    variance = covariance.diagonal(axis1=-2, axis2=-1)
     return np.sqrt(np.where(variance >= 0, variance, np.nan))

@@ -79,7 +79,7 @@ def prior_conflict(model: Model, theta: Real, noise_covariance: Real) -> list[No
     theta (m,), noise_covariance (m, m).
     """
     notices = []
-    for j in np.flatnonzero(model.prior_precision):
+    for j in model.prior_precision.nonzero()[0]:
         stated, variance = 1 / model.prior_precision[j], noise_covariance[j, j]
         spread = max(stated - variance, (1 - MOST_TOLD) * stated)
         apart = abs(theta[j] - model.prior_mean[j]) / np.sqrt(spread)
@@ -256,10 +256,9 @@ def _coloured(spectrum: Spectrum) -> list[Notice]:
 
 def _inputs_left_out(model: Model, spectrum: Spectrum) -> list[Notice]:
     """Inputs that some lines measure and others leave empty: there they are unknown, which costs precision."""
-    measured = spectrum.present
-    if measured.all():
+    if spectrum.complete:
         return []
-    notices = []
+    measured, notices = spectrum.present, []
     for name in (*model.displacement_inputs, *model.force_inputs):
         direct = [set(channel.of) == {name} and is_direct(model, channel) for channel in spectrum.channels]
         at = np.any(measured[:, direct], axis=-1)

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+from scipy.special import chdtrc
 
 from dashpot.arrays import Ints, Real
 from dashpot.data.spectrum import Spectrum
@@ -60,7 +61,7 @@ class Linearised:
         information, scores, _ = self.by_line(repeats)
         return band_stability(frequency_hz, information, scores, np.diag(self.precision))
 
-    @property
+    @cached_property
     def dof(self) -> int:
         """Degrees of freedom of χ²."""
         return self.rows - len(self.names) + int(np.count_nonzero(self.precision))
@@ -186,14 +187,14 @@ def uncertainty(data: Prepared, solution: Solution, around: Linearised, traits: 
     counts where the parts disagree.  Where bounds hold unknowns,
     χ² is that of the values held: bounds that the data contradict are no fit.
     """
-    sums, prior = around.sums, np.diag(around.precision)
+    sums = around.sums
     excess = np.zeros(len(sums.cost)) if traits.definite else _excess(sums, solution)
     dof = around.dof
     usable = float(max(dof, 1))
     if not data.noise_known:
         chi2 = np.maximum(sums.cost - excess, 0.0)
         scale = np.maximum(chi2, ROUNDING) / usable
-        covariance = solution.covariance * scale[:, None, None]
+        covariance, prior = solution.covariance * scale[:, None, None], np.diag(around.precision)
         bound = scaled_inverse((sums.symmetric - prior) / scale[:, None, None] + prior)
         nothing, degrees = np.full(len(chi2), np.nan), np.full(solution.theta.shape, usable)
         return Uncertainty(
@@ -205,7 +206,7 @@ def uncertainty(data: Prepared, solution: Solution, around: Linearised, traits: 
         degrees = np.full(solution.theta.shape, np.inf)
     else:
         quality = noise_quality(data.spectrum, data.correlated)
-        chi2, bound, noise, degrees = _with_estimated_noise(around, quality, bread, prior, excess)
+        chi2, bound, noise, degrees = _with_estimated_noise(around, quality, bread, excess)
     p = _p_value(chi2, dof, around.rows, data.spectrum)
     if not traits.weighted:
         noise = solution.covariance
@@ -215,8 +216,9 @@ def uncertainty(data: Prepared, solution: Solution, around: Linearised, traits: 
         covariance, degrees = bands.widened(noise, degrees, bands.disagree)
         return Uncertainty(covariance, noise, bound, degrees, chi2, p, excess, bands)
     (misfit,) = ((p < MISFIT_LEVEL) & (chi2 > dof)).nonzero()
-    covariance = noise.copy()
+    covariance = noise
     if len(misfit):
+        covariance = noise.copy()
         wide = noise[misfit] * (chi2[misfit] / usable)[:, None, None]
         few = np.minimum(degrees[misfit], usable)
         bands = around.bands(misfit, frequency_hz)
@@ -239,10 +241,10 @@ def _excess(sums: QuadraticModel, solution: Solution) -> Real:
 
 
 def _with_estimated_noise(
-    around: Linearised, quality: NoiseQuality, bread: Real, prior: Real, excess: Real
+    around: Linearised, quality: NoiseQuality, bread: Real, excess: Real
 ) -> tuple[Real, Real, Real, Real]:
     """χ², bound, covariance of a weighted estimate and the degrees of freedom behind it, the noise being estimated."""
-    information, _, cost = around.lines
+    (information, _, cost), prior = around.lines, np.diag(around.precision)
     penalty = around.sums.cost - np.sum(cost, axis=-1)
     shrink = np.mean(quality.shrink, axis=-1)
     chi2 = np.maximum(np.sum(cost * quality.shrink, axis=-1) + penalty - excess * shrink, 0.0)
@@ -277,8 +279,6 @@ def _p_value(chi2: Real, dof: int, rows: int, spectrum: Spectrum) -> Real:
     With an estimated covariance a line's quadratic form is a Lawley-Hotelling trace; mean and variance of their sum
     are matched by a scaled χ².
     """
-    from scipy.special import chdtrc
-
     if dof <= 0 or RESIDUAL in spectrum.noise:  # noise sized by these very residuals tests nothing
         return np.full(len(chi2), np.nan)
     if spectrum.noise_given:

@@ -131,7 +131,7 @@ class OptimalIV(Method):
         first, *others = starts(model, states)
         ends = self._search(model, states, first, np.arange(len(first)))
         for start in others:
-            astray = np.flatnonzero(~ends.converged | (_tail(model, states, ends.cost) < ASTRAY))
+            (astray,) = (~ends.converged | (_tail(model, states, ends.cost) < ASTRAY)).nonzero()
             if not len(astray):
                 break
             ends = ends.improved(astray, self._search(model, states, start, astray))

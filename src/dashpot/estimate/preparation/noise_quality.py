@@ -61,13 +61,13 @@ def channels_correlate(spectrum: Spectrum, level: float = 0.01) -> Bools:
     −(ν − (2q+5)/6) ln |R| is χ² with q(q−1)/2 degrees of freedom for each line (Bartlett 1950).  Given covariances
     are taken at their word: True.
     """
-    from scipy.special import chdtri
-
     V = spectrum.covariance
     if not np.isfinite(spectrum.dof).all():
         return np.ones(V.shape[:-3], dtype=bool)
     if is_diagonal(V):
         return np.zeros(V.shape[:-3], dtype=bool)
+    from scipy.special import chdtri
+
     variance = np.diagonal(V, axis1=-2, axis2=-1).real
     noisy = np.all(variance.reshape(-1, variance.shape[-1]) > 0, axis=0)
     q = int(np.sum(noisy))

@@ -7,8 +7,7 @@ displacement of one point, accelerations, differences, several sensors on one po
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from functools import cached_property
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -25,7 +24,7 @@ from dashpot.model.observation import ObservationModel
 class States:
     """Amplitudes z = (X, U, f) = P y, (..., lines, q), q = n + r + s, and their covariance E[Δ Δᴴ], (..., lines, q, q).
 
-    `reconstruction` is P, (..., lines, q, channels).
+    `reconstruction` is P, (..., lines, q, channels); `compiled` is what the kernel has made of these states.
     """
 
     omega: Real
@@ -34,11 +33,7 @@ class States:
     reconstruction: Complex
     n: int
     r: int
-
-    @cached_property
-    def compiled(self) -> dict[object, Any]:
-        """What the compiled kernel has made of these states, by kernel and model."""
-        return {}
+    compiled: dict[object, Any] = field(default_factory=dict, compare=False, repr=False)
 
     def rows(self, rows: Ints) -> States:
         """Some of the repeats, rows (k,); what all repeats share stays shared."""
@@ -83,11 +78,9 @@ def unseen(view: ObservationModel, spectrum: Spectrum, channels: Bools | None = 
 
     `view` is that of the spectrum, here as below; channels (channels,).
     """
-    present = spectrum.present & view.is_direct
-    if channels is not None:
-        present = present & channels
+    used = view.is_direct if channels is None else view.is_direct & channels
     missing = np.zeros(view.direct_incidence.shape[-1], dtype=bool)
-    for pattern in present[:1] if (present == present[0]).all() else np.unique(present, axis=0):
+    for pattern in used[None] if spectrum.complete else np.unique(spectrum.present & used, axis=0):
         key = pattern.tobytes()
         if key not in view.undetermined:
             # Rates scale rows, and do not change what they show.
@@ -198,9 +191,9 @@ def require_seen(view: ObservationModel, spectrum: Spectrum) -> None:
 
 
 def _combined(view: ObservationModel, spectrum: Spectrum, covariance: Complex) -> States:
-    Y, present = spectrum.amplitudes, spectrum.present
-    y = Y if present.all() else np.where(np.isnan(Y), 0.0, Y)
-    by_point = states_by_point(view, present & view.is_direct, covariance, y)
+    Y = spectrum.amplitudes
+    y = Y if spectrum.complete else np.where(np.isnan(Y), 0.0, Y)
+    by_point = states_by_point(view, spectrum.present & view.is_direct, covariance, y)
     if by_point is None:
         P = reconstruction(view, spectrum, covariance)
         spread = P @ covariance @ hermitian(P)
