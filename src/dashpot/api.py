@@ -31,7 +31,7 @@ from dashpot.estimate import identify as identification
 from dashpot.estimate.amplitudes import amplitudes_for
 from dashpot.estimate.automatic import identify_automatically
 from dashpot.estimate.comparison import Comparison
-from dashpot.estimate.likelihood.record_noise import with_record_noise
+from dashpot.estimate.likelihood.residual_noise import with_residual_noise
 from dashpot.estimate.likelihood.settling import with_settling_decided
 from dashpot.estimate.method import Method
 from dashpot.estimate.nonlinear.whole_record import identify_records
@@ -107,7 +107,7 @@ def identify(
     spectrum = with_settling_decided(model, spectrum, chosen)
     suited = identification.automatic(model, spectrum) if chosen is None else chosen
     # What judges the fit wants the noise that the fit rests on.
-    spectrum, suited = with_record_noise(model, spectrum, suited)
+    spectrum, suited = with_residual_noise(model, spectrum, suited)
     if chosen is None:
         estimate = identify_automatically(model, spectrum, suited, progress=progress)
     else:

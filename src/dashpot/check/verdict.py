@@ -180,17 +180,21 @@ def _unheard(left: Residuals, motions: Bools, lines: Bools) -> list[Notice]:
 
 
 def _smooth(left: Residuals, motions: Bools, least: float) -> list[Notice]:
-    """Channels whose residuals run smoothly over frequency: noise does not."""
+    """Channels whose residuals run smoothly over frequency, as they are or against the motion: noise does not.
+
+    What a wrong rig leaves over is in proportion to the drive, whose phase may be another at each line.
+    """
     order = np.argsort(left.frequency_hz, kind="stable")
     names = []
     for c in np.flatnonzero(motions):
-        r = left.normalised[order, c] / np.sqrt(2)
-        r = r[np.isfinite(r)]
-        if len(r) < 8 or np.mean(np.abs(r) ** 2) < least:
-            continue
+        r, motion = left.normalised[order, c] / np.sqrt(2), left.predicted[order, c]
+        finite = np.isfinite(r)
+        r, phase = r[finite], np.exp(-1j * np.angle(motion[finite]))
         size = float(np.sum(np.abs(r) ** 2))
-        z = float(np.sum((r[1:] * np.conj(r[:-1])).real)) / size * np.sqrt(2 * len(r))
-        if z > SMOOTH:
+        if len(r) < 8 or size < least * len(r):
+            continue
+        alike = max(float(np.sum((turned[1:] * np.conj(turned[:-1])).real)) for turned in (r, r * phase))
+        if alike / size * np.sqrt(2 * len(r)) > SMOOTH:
             names.append(left.channels[c])
     if not names:
         return []

@@ -20,6 +20,8 @@ from dashpot.errors import DataError
 from dashpot.notices import Notice
 from dashpot.shorthand import InNotebooks
 
+FITTED = "fitted"  # kind of noise
+
 
 @dataclass(frozen=True)
 class Moments:
@@ -48,7 +50,8 @@ class Spectrum(InNotebooks):
     dof           (lines,)                      residual degrees of freedom (real) behind V; inf where V is given
     noise         (lines,)                      how V was found: "given", "white", "blocks" (lines beside each
                   harmonic), "periods" (scatter of averages of periods), of whole records "rest" (a record at rest),
-                  "floor" (where nothing moves; to be replaced by) "residual" (what a fit leaves over), or "unknown"
+                  "floor" (where nothing moves; to be replaced by) "residual" (what a fit leaves over), of tables that
+                  give none "fitted" (its course over the lines, from what a fit leaves over), or "unknown"
     experiment    (lines,)                      which experiment a line belongs to
     moments       second moments of the samples, where they were asked for
     notes         what a reader of results should know: samples discarded, noise that could not be judged
@@ -196,9 +199,12 @@ class Spectrum(InNotebooks):
     def noise_known(self) -> bool:
         """Whether the covariance of the amplitudes is given or was estimated from samples, at every line.
 
-        A covariance of 0 throughout says nothing of the size of residuals either: it counts as unknown.
+        A covariance of 0 throughout says nothing of the size of residuals either: it counts as unknown.  So does one
+        that was fitted to these amplitudes.
         """
-        return not np.isnan(self.covariance).any() and bool(self.covariance.any())
+        return (
+            FITTED not in self.noise and not np.isnan(self.covariance).any() and bool(self.covariance.any())
+        )
 
     def derived(self, **changes: Any) -> Spectrum:
         """The same with other arrays, read-only and of the right shapes, taken from one that has been checked."""

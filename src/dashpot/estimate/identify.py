@@ -17,7 +17,7 @@ from dashpot.estimate.inference.notices import notices
 from dashpot.estimate.inference.time_course import time_change_notices
 from dashpot.estimate.inference.uncertainty import Inference, inference, with_noise_of_residuals
 from dashpot.estimate.likelihood.maximum_likelihood import MaximumLikelihood
-from dashpot.estimate.likelihood.record_noise import with_record_noise
+from dashpot.estimate.likelihood.residual_noise import with_residual_noise
 from dashpot.estimate.likelihood.settling import with_settling_decided
 from dashpot.estimate.method import Method, Solution, require_suited
 from dashpot.estimate.preparation.prepared import prepare
@@ -56,7 +56,7 @@ def identify(
     spectrum = with_settling_decided(model, spectrum, method)
     chosen = automatic(model, spectrum) if method is None else method
     _require_able(model, spectrum, chosen)
-    spectrum, chosen = with_record_noise(model, spectrum, chosen)
+    spectrum, chosen = with_residual_noise(model, spectrum, chosen)
     flat = flattened(spectrum)
     repeats = len(flat.amplitudes)
     size = max(1, CHUNK // (flat.lines * (model.n + 1) * (len(model.elements) + len(flat.channels))))

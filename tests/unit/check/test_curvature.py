@@ -11,8 +11,9 @@ from dashpot.channel import Channel, Quantity
 from dashpot.check.curvature import bent_unknowns, with_profile_intervals
 from dashpot.check.diagnosis.diagnose import examined
 from dashpot.check.profile import profile
-from dashpot.estimate.identify import identify
+from dashpot.estimate.identify import automatic, identify
 from dashpot.estimate.likelihood.maximum_likelihood import MaximumLikelihood
+from dashpot.estimate.likelihood.residual_noise import with_residual_noise
 from dashpot.estimate.result import Estimate
 from dashpot.model.elements import Kind, between, mass
 from dashpot.model.network import Input, Model
@@ -64,7 +65,8 @@ def test_where_chi2_is_a_parabola_nothing_changes() -> None:
     unknown = replace(
         spectrum, covariance=np.full_like(spectrum.covariance, np.nan), noise=("unknown",) * spectrum.lines
     )
-    estimate = identify(paper.model, unknown)
+    unknown, method = with_residual_noise(paper.model, unknown, automatic(paper.model, unknown))
+    estimate = identify(paper.model, unknown, method)
     assert not np.any(bent_unknowns(paper.model, unknown, estimate))
 
 

@@ -10,8 +10,9 @@ import pytest
 from dashpot.check.profile import profile
 from dashpot.data.spectrum import Spectrum
 from dashpot.errors import UsageError
-from dashpot.estimate.identify import identify
+from dashpot.estimate.identify import automatic, identify
 from dashpot.estimate.likelihood.maximum_likelihood import MaximumLikelihood
+from dashpot.estimate.likelihood.residual_noise import with_residual_noise
 from dashpot.estimate.linear.instrumental_variables import OptimalIV
 from tests.rigs import Rig, channels, covariance, noisy, paper_rig, perfect
 
@@ -74,7 +75,8 @@ def test_profile_where_the_noise_is_unknown_uses_the_residuals() -> None:
     silent = replace(
         spectrum, covariance=np.full_like(spectrum.covariance, np.nan), noise=("unknown",) * spectrum.lines
     )
-    estimate = identify(rig.model, silent)
+    silent, method = with_residual_noise(rig.model, silent, automatic(rig.model, silent))
+    estimate = identify(rig.model, silent, method)
     found = profile(rig.model, silent, "m1", estimate=estimate)
     assert found.difference < 0.005
 

@@ -200,13 +200,13 @@ def _estimated(
     from dashpot.errors import ConvergenceError, IdentifiabilityError
     from dashpot.estimate.automatic import identify_automatically
     from dashpot.estimate.identify import identify
-    from dashpot.estimate.likelihood.record_noise import with_record_noise
+    from dashpot.estimate.likelihood.residual_noise import with_residual_noise
     from dashpot.present.text.identifiability import require_identifiable
 
     require_identifiable(rig.model, spectrum.channels, path, spectrum)
     with progress("identify", quiet) as moved:
         try:
-            spectrum, method = with_record_noise(rig.model, spectrum, method)
+            spectrum, method = with_residual_noise(rig.model, spectrum, method)
             if chosen == "auto":
                 estimate = identify_automatically(rig.model, spectrum, method, seed=seed, progress=moved)
             else:

@@ -10,7 +10,7 @@ import numpy as np
 from scipy.special import chdtrc
 
 from dashpot.arrays import Ints, Real
-from dashpot.data.spectrum import Spectrum
+from dashpot.data.spectrum import FITTED, Spectrum
 from dashpot.estimate.inference.band_stability import BandStability, band_stability
 from dashpot.estimate.likelihood.maximum_likelihood import MaximumLikelihood
 from dashpot.estimate.likelihood.objective import (
@@ -21,6 +21,7 @@ from dashpot.estimate.likelihood.objective import (
     prior_precision,
 )
 from dashpot.estimate.likelihood.record_noise import RESIDUAL
+from dashpot.estimate.likelihood.table_noise import doubts_of_weights
 from dashpot.estimate.linear.auxiliary_model import equation_by_line, equation_sums, sums_of_lines
 from dashpot.estimate.linear.instrumental_variables import likeliest
 from dashpot.estimate.method import Method, Solution, Traits
@@ -197,6 +198,9 @@ def uncertainty(data: Prepared, solution: Solution, around: Linearised, traits: 
         covariance, prior = solution.covariance * scale[:, None, None], np.diag(around.precision)
         bound = scaled_inverse((sums.symmetric - prior) / scale[:, None, None] + prior)
         nothing, degrees = np.full(len(chi2), np.nan), np.full(solution.theta.shape, usable)
+        if FITTED in data.spectrum.noise and traits.weighted:
+            grown, degrees = doubts_of_weights(data, solution)
+            covariance = covariance + grown
         return Uncertainty(
             covariance, covariance, bound, degrees, np.full(len(chi2), usable), nothing, excess
         )

@@ -59,7 +59,7 @@ def noise_is_sought(spectrum: Spectrum) -> bool:
 def with_record_noise(model: Model, spectrum: Spectrum, method: Method) -> tuple[Spectrum, Method]:
     """The spectrum with the noise that the residuals of its whole records show, and a method that begins at their fit.
 
-    Both as they are where that noise is known.  `identify` does it first; what judges a fit wants the same spectrum.
+    Both as they are where that noise is known.
     """
     if not noise_is_sought(spectrum) or not isinstance(method, MaximumLikelihood):
         return spectrum, method

@@ -10,7 +10,7 @@ import numpy as np
 
 from dashpot.arrays import Bools, Complex, is_diagonal
 from dashpot.data.repeats import flattened
-from dashpot.data.spectrum import Spectrum
+from dashpot.data.spectrum import FITTED, Spectrum
 from dashpot.errors import DataError
 from dashpot.estimate.preparation.noise_quality import channels_correlate, without_correlation
 from dashpot.estimate.preparation.state_reconstruction import States, require_seen, states_if_seen
@@ -84,7 +84,7 @@ def prepare(model: Model, spectrum: Spectrum, *, moments: bool = False, states: 
     if not moments and flat.moments is not None:
         flat = replace(flat, moments=None)
     known = flat.noise_known
-    if not known:
+    if not known and FITTED not in flat.noise:
         flat = with_unknown_noise(flat)
     view = observation_model(model, flat.channels, flat.omega)
     V = flat.covariance if known else working_covariance(view, flat)

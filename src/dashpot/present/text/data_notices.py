@@ -171,6 +171,12 @@ DATA_NOTICES: tuple[tuple[str, str, str, str], ...] = (
         "Give the standard deviations (columns NAME_sd) where they are known.",
     ),
     (
+        "noise_fitted", FILES,
+        ("No noise is given. The residuals show for each channel how much of it is constant and how much grows with "
+        "the motion; the amplitudes are weighted accordingly, and intervals are as wide as that leaves them."),
+        "Give the standard deviations (columns NAME_sd) where they are known: only then can the fit be tested.",
+    ),
+    (
         "periods_averaged", FILES,
         "The record repeats, as under a multisine: its periods are averaged and their scatter is the noise.",
         "Nothing; `--transients estimate` uses the record whole.",

@@ -311,8 +311,11 @@ def test_other_methods_state_their_own_spread(method: object) -> None:
 
 
 def test_unknown_noise_is_sized_by_the_residuals() -> None:
-    """Equal relative noise is what is assumed and what is there: intervals with Student's quantile cover."""
-    spectrum = _draws(4000)
+    """Equal relative noise is what is assumed at first and what is there: intervals with Student's quantile cover.
+
+    200 draws: each parameter's coverage has an error of 1.5 %, its four-fold is allowed.
+    """
+    spectrum = _draws(200)
     blind = replace(
         spectrum,
         covariance=np.full_like(spectrum.covariance, np.nan),
@@ -321,12 +324,12 @@ def test_unknown_noise_is_sized_by_the_residuals() -> None:
     size = np.sqrt(np.mean(np.abs(_clean()) ** 2, axis=0))
     L = 0.03 * size * np.array([1, 1, 1, 0])
     rng = np.random.default_rng(SEED)
-    shape = (4000, len(HZ), 4)
+    shape = (200, len(HZ), 4)
     wobble = (rng.standard_normal(shape) + 1j * rng.standard_normal(shape)) / np.sqrt(2) * L
     estimate = identify(_rig(), replace(blind, amplitudes=_clean() + wobble))
     assert estimate.basis == "residuals"
     assert np.all(np.isnan(estimate.fit.p))
-    assert np.all(np.abs(_coverage(estimate) - 95) < 1.6), _coverage(estimate)
+    assert np.all(np.abs(_coverage(estimate) - 95) < 6.0), _coverage(estimate)
 
 
 # ------------------------------------------------------------------------------------------ contracts

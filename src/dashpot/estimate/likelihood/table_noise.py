@@ -1,0 +1,239 @@
+"""The noise of amplitudes for which none is given, from what the model leaves over of them (THEORY §11).
+
+The variance of a channel is a constant and a share of its motion, a² + b²|y|², found with the parameters by restricted
+maximum likelihood.  The steps that lead there are those of Zhou et al. (Journal of Computational and Graphical
+Statistics 28, 2019): each lowers the deviance where the parameters are kept; many at once are tried first.  Intervals
+pay for weights that were found from few amplitudes as Kenward and Roger say (Biometrics 53, 1997).  Inputs that a
+channel shows are exact: an error of theirs is one of all outputs, in proportion to the motion.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from dashpot.arrays import Complex, Ints, Real
+from dashpot.data.repeats import flattened, in_chunks
+from dashpot.data.spectrum import FITTED, Spectrum
+from dashpot.errors import DashpotError
+from dashpot.estimate.likelihood.chunks import Measured
+from dashpot.estimate.likelihood.descent import Likelihood
+from dashpot.estimate.likelihood.maximum_likelihood import MaximumLikelihood
+from dashpot.estimate.likelihood.objective import measured, predict, prior_precision
+from dashpot.estimate.method import Method, Solution
+from dashpot.estimate.preparation.prepared import Prepared, prepare, without_priors
+from dashpot.model.network import Model
+from dashpot.model.observation import ObservationModel
+from dashpot.notices import Notice
+from dashpot.numerics.small_systems import scaled_inverse
+
+LARGEST = 2_000_000  # slopes of amplitudes at once: rigs and tables beyond it keep even weights
+FOR_EACH = 5  # degrees of freedom for each part of the noise, below which all channels share them
+FEWEST = 6  # degrees of freedom, below which the weights stay even
+SHOWN = 20  # from which noise that is not even shows
+EXACT = 1e-18  # of the mean square of the motion: what is left over of exact data is rounding
+ROUNDS, STEPS = 30, 200
+TOLERANCE = 1e-4  # of the sizes of the noise's parts
+NEGLIGIBLE = 1e-6  # of the largest part
+BEGUN = 0.5  # of the constant part: the other one before the first step
+SETTLED = 0.05  # of the deviance
+ROUNDING = 1e-9  # of relative variances that are all the same
+RISE = 0.01  # of the deviance that rounding explains
+LEAST = 1e-9  # of the larger part of a channel's noise
+
+
+def with_table_noise(model: Model, spectrum: Spectrum, method: Method) -> tuple[Spectrum, Method]:
+    """The amplitudes with the noise that their residuals show, and a method that begins at the fit they are those of.
+
+    Both as they are where noise is known, where the method does not weigh by it, and where no fit tells it.
+    """
+    traits = method.traits
+    if spectrum.noise_known or FITTED in spectrum.noise or spectrum.records or len(model.nonlinear):
+        return spectrum, method
+    if not (traits.weighted or traits.maximum_likelihood):
+        return spectrum, method
+    if spectrum.lines * len(spectrum.channels) * (len(model.unknowns) + 1) > LARGEST:
+        return spectrum, method
+    try:
+        exact = without_priors(model)  # which weigh only against noise that is known
+        each = [_of_repeat(exact, repeat, method) for repeat in in_chunks(flattened(spectrum), 1)]
+    except (DashpotError, np.linalg.LinAlgError):  # `identify` says what is wrong
+        return spectrum, method
+    fits = [fit for fit in each if fit is not None]
+    if len(fits) < len(each) or not any(fit.settled for fit in fits):
+        return spectrum, method
+    V = np.concatenate([fit.covariance for fit in fits])
+    text = "no noise is given: its course over the lines is found for each channel from the residuals"
+    known = replace(
+        spectrum,
+        covariance=V.reshape(*spectrum.batch, *V.shape[1:]),
+        noise=(FITTED,) * spectrum.lines,
+        notes=(*spectrum.notes, Notice("noise_fitted", text)),
+    )
+    if isinstance(method, MaximumLikelihood) and not spectrum.batch:
+        start, sign = fits[0].psi[0].tolist(), fits[0].sign[0].tolist()
+        method = replace(method, start=tuple(start), start_sign=tuple(sign))
+    return known, method
+
+
+def doubts_of_weights(data: Prepared, solution: Solution) -> tuple[Real, Real]:
+    """What the covariance of each repeat's parameters grows by, (K, M, M), as their weights were found from residuals,
+    and the degrees of freedom of each variance, (K, M): the adjustment of Kenward and Roger, and Satterthwaite's."""
+    signs = data.spectrum.signs(solution.signs, len(solution.theta))
+    each = [
+        _doubt_of_weights(data.only(k), solution.theta[k : k + 1], signs[k : k + 1])
+        for k in range(len(solution.theta))
+    ]
+    return np.stack([grown for grown, _ in each]), np.stack([freedom for _, freedom in each])
+
+
+def _doubt_of_weights(data: Prepared, psi: Real, sign: Real) -> tuple[Real, Real]:
+    """As `doubts_of_weights` of one repeat, at ψ (1, M) with signs (1, channels)."""
+    exact = measured(data)
+    left = _Left.at(data.view, exact, psi, sign, even=True)
+    variance = np.diagonal(data.covariance[0], axis1=-2, axis2=-1).real[left.cells]
+    relative = variance / left.parts[:, 0]
+    if np.ptp(relative) > ROUNDING * np.max(relative):
+        left = _Left.at(data.view, exact, psi, sign)
+    fit = left.weighed(variance)
+    of_parts = scaled_inverse((left.parts * (fit.unused / variance**2)[:, None]).T @ left.parts)
+    J, parts = left.slopes / np.sqrt(variance)[:, None], left.parts / variance[:, None]
+    lost = 2 * np.einsum("im,ij,in->jmn", J.conj(), parts, J).real
+    both = np.einsum("ij,jk,ik->i", parts, of_parts, parts)
+    twice = 2 * (J.conj().T @ (both[:, None] * J)).real
+    once = np.einsum("jmn,no,kop,jk->mp", lost, fit.spread, lost, of_parts, optimize=True)
+    slope = np.einsum("mn,jno,om->mj", fit.spread, lost, fit.spread)
+    scatter = np.einsum("mj,jk,mk->m", slope, of_parts, slope)
+    size = np.diagonal(fit.spread)
+    return 2 * fit.spread @ (twice - once) @ fit.spread, 2 * size**2 / np.maximum(scatter, 1e-300 * size**2)
+
+
+@dataclass(frozen=True)
+class _Fit:
+    """One repeat: ψ (1, M), signs (1, channels), covariance of the amplitudes (1, lines, channels, channels).
+
+    settled: whether the noise is that of a fit; else it is even.
+    """
+
+    psi: Real
+    sign: Real
+    covariance: Complex
+    settled: bool = True
+
+
+@dataclass(frozen=True)
+class _Weighed:
+    """Deviance of the noise, covariance (M, M) of ψ and 1 − leverage of each amplitude, (rows,), at given variances."""
+
+    deviance: float
+    spread: Real
+    unused: Real
+
+
+@dataclass(frozen=True)
+class _Left:
+    """What a fit leaves over of the amplitudes that were measured and are no inputs, at cells (rows,) of the table.
+
+    power (rows,) of the residuals, slopes (rows, M), parts (rows, parts): the unit of each part of the noise;
+    precision (M,) of the priors.
+    """
+
+    cells: tuple[Ints, Ints]
+    power: Real
+    slopes: Complex
+    parts: Real
+    precision: Real
+
+    @staticmethod
+    def at(view: ObservationModel, data: Measured, psi: Real, sign: Real, *, even: bool = False) -> _Left:
+        """What is left over at ψ (1, M); of noise that is `even` there is but one part."""
+        prediction = predict(view, data, psi, sign)
+        weight = np.diagonal(data.W[0], axis1=-2, axis2=-1).real
+        line, channel = np.nonzero((weight > 0) & ~view.inputs_alone)
+        residual, slopes = prediction.r[0, line, channel], prediction.J[0, line, channel]
+        measured_motion = data.y[0, line, channel]
+        size = np.bincount(channel, np.abs(measured_motion) ** 2) / np.maximum(np.bincount(channel), 1)
+        parts = np.stack([size[channel], np.abs(measured_motion - residual) ** 2], axis=1)
+        channels = np.unique(channel)
+        if even:
+            parts = parts[:, :1]
+        elif 2 * len(line) - psi.shape[-1] >= FOR_EACH * 2 * len(channels):
+            own = channel[:, None] == channels
+            parts = (parts[:, :, None] * own[:, None, :]).reshape(len(line), -1)
+        return _Left((line, channel), np.abs(residual) ** 2, slopes, parts, prior_precision(view))
+
+    def weighed(self, variance: Real) -> _Weighed:
+        """With amplitudes of these variances, (rows,)."""
+        J = self.slopes / np.sqrt(variance)[:, None]
+        information = 2 * (J.conj().T @ J).real + np.diag(self.precision)
+        spread = scaled_inverse(information)
+        leverage = np.einsum("im,mn,in->i", J.conj(), spread, J).real
+        deviance = 2 * np.sum(np.log(variance) + self.power / variance) + np.linalg.slogdet(information)[1]
+        return _Weighed(float(deviance), spread, np.clip(1 - leverage, 0.0, 1.0))
+
+    def stepped(self, sizes: Real, unused: Real, steps: int) -> Real:
+        """Sizes of the parts (parts,) after at most so many steps towards less deviance, the leverage being kept."""
+        for _ in range(steps):
+            variance = self.parts @ sizes
+            shown, expected = (self.power / variance**2) @ self.parts, (unused / variance) @ self.parts
+            ratio = np.sqrt(shown / expected)
+            sizes = np.maximum(sizes * ratio, LEAST * np.max(sizes))
+            if np.all((np.abs(ratio - 1) < TOLERANCE) | (sizes <= NEGLIGIBLE * np.max(sizes))):
+                break
+        return sizes
+
+
+def _of_repeat(model: Model, spectrum: Spectrum, method: Method) -> _Fit | None:
+    """The fit of one repeat and its noise; None of tables too small, or where no exact channels show the inputs."""
+    even = prepare(model, spectrum)
+    solution = method.solve(even)
+    if measured(even).q is None:
+        return None
+    search = method if isinstance(method, MaximumLikelihood) else MaximumLikelihood()
+    sign = even.spectrum.signs(solution.signs)
+
+    def fitted(V: Complex, psi: Real) -> tuple[Real, _Left]:
+        likelihood = Likelihood.of(replace(even, covariance=V), search.effort)
+        psi = likelihood.descend(psi, sign).x
+        return psi, _Left.at(even.view, likelihood.exact, psi, sign)
+
+    V = even.covariance
+    psi, left = fitted(V, solution.theta)
+    variance = np.diagonal(V[0], axis1=-2, axis2=-1).real[left.cells]
+    freedom = 2 * len(variance) - psi.shape[-1]
+    if freedom < FEWEST:
+        return None
+    level = 2 * float(np.sum(left.power / variance)) / freedom
+    if not np.all(solution.converged) or not level > EXACT:
+        return _Fit(psi, sign, V, settled=False)
+    V = level * V
+    even_fit = _Fit(psi, sign, V)
+    sizes = level * np.repeat([1.0, BEGUN], left.parts.shape[1] // 2)
+    now = left.weighed(level * variance)
+    even_deviance = now.deviance
+    for turn in range(ROUNDS):
+        before = now.deviance
+        for steps in (STEPS, 1):
+            tried = left.stepped(sizes, now.unused, steps)
+            V_tried = _covariance(V, left, left.parts @ tried)
+            psi_tried, left_tried = fitted(V_tried, psi)
+            now_tried = left_tried.weighed(left.parts @ tried)
+            if now_tried.deviance <= before + RISE:
+                break
+        if turn and not now_tried.deviance <= before + RISE:
+            break
+        psi, left, sizes, V, now = psi_tried, left_tried, tried, V_tried, now_tried
+        if turn and before - now.deviance < SETTLED:
+            break
+    if freedom >= SHOWN and even_deviance - now.deviance < 2 * (len(sizes) - 1):  # Akaike
+        return even_fit
+    return _Fit(psi, sign, V)
+
+
+def _covariance(V: Complex, left: _Left, variance: Real) -> Complex:
+    """The covariance with these variances, (rows,), of the amplitudes that are no inputs."""
+    changed = np.array(V)
+    line, channel = left.cells
+    changed[0, line, channel, channel] = variance
+    return changed
