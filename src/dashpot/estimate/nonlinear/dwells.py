@@ -15,7 +15,7 @@ from dashpot.model.network import Model
 from dashpot.model.nonlinear.harmonics import Drive, real_of
 
 REACH = 0.3  # of the elongations, by which slopes may move them
-FEWEST = {True: 7, False: 21}  # harmonics to begin with, of laws that are smooth and that are not
+FEWEST = {True: 7, False: 15}  # harmonics to begin with, of laws that are smooth and that are not
 
 
 Predicted = tuple[Complex, Complex, Complex, Complex, Complex, Real]  # as a Prediction of the likelihood
