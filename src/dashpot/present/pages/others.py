@@ -180,9 +180,7 @@ def _validation_steps(worst: float, tested: bool) -> tuple[str, ...]:
             "Give the noise of the sensors (columns NAME_sd, or --noise-record), so that the difference can be tested.",
         )
     if worst >= POOR:
-        return (
-            "Where χ² / dof is near 1, the prediction is as good as the noise of the sensors allows to see.",
-        )
+        return ("Where χ² / dof is near 1, the prediction is as good as the sensors can show.",)
     return (
         "Look for what differs between the tests: amplitude (a nonlinear element), mounting, sensors, temperature.",
         "Identify from these records as well: dashpot identify RIG DATA --report report.html.",

@@ -40,7 +40,12 @@ def next_steps(
     rig = estimate.rig or "rig.toml"
     if parameters:
         shown = joined(parameters[:MOST_NAMES]) + (" and others" if len(parameters) > MOST_NAMES else "")
-        hint = f" Design the next test for it: {_design(rig, parameters[:MOST_NAMES])}." if plannable else ""
+        pronoun = "it" if len(parameters) == 1 else "them"
+        hint = (
+            f" Design the next test for {pronoun}: {_design(rig, parameters[:MOST_NAMES])}."
+            if plannable
+            else ""
+        )
         steps.append(
             f"{shown} {'is' if len(parameters) == 1 else 'are'} poorly determined: the interval extends more than "
             f"half the value to either side.{hint}"
