@@ -32,6 +32,8 @@ def end_on_signals() -> None:
     for number in ENDING:
         if signal.getsignal(number) == signal.SIG_DFL:
             signal.signal(number, _end)
+    if signal.getsignal(signal.SIGINT) == signal.SIG_DFL:  # as it is until here
+        signal.signal(signal.SIGINT, signal.default_int_handler)
     if hasattr(signal, "pthread_kill"):
         sys.unraisablehook = _ask_again
 

@@ -305,6 +305,38 @@ def test_a_stop_within_a_callback_of_the_interpreter(name: str, code: int) -> No
     assert "no file is left half-written" in done.stderr
 
 
+BEGUN = """
+import signal, sys
+from dashpot import __main__ as entry
+from dashpot.app import cli
+from dashpot.app.signals import end_on_signals
+
+def command():
+    print(signal.getsignal(signal.SIGINT))
+    end_on_signals()
+    print(signal.getsignal(signal.SIGINT))
+
+cli.main = command
+signal.signal(signal.SIGINT, eval(sys.argv[1]))
+entry.main()
+"""
+
+
+@pytest.mark.parametrize(
+    ("before", "first", "then"),
+    [
+        ("signal.default_int_handler", "0", "<built-in function default_int_handler>"),
+        ("signal.SIG_IGN", "1", "1"),
+    ],
+)
+def test_ctrl_c_is_quiet_until_it_can_be_answered(before: str, first: str, then: str) -> None:
+    done = subprocess.run([sys.executable, "-c", BEGUN, before], capture_output=True, text=True, timeout=60)
+    assert done.stdout.replace("Handlers.SIG_DFL", "0").replace("Handlers.SIG_IGN", "1").split("\n")[:2] == [
+        first,
+        then,
+    ]
+
+
 ENDED_WHILE_WORKERS_BEGIN = """
 import os, signal, sys
 from multiprocessing import util
