@@ -186,19 +186,23 @@ def _ranked(likelihood: Likelihood, one: Prepared, stages: Sequence[Measured]) -
         if not laws or any(law is not None and law.has_state for law in laws):
             return
     points = starting_points(one, afar=True)
-    signs = np.ones((1, len(view.channels)))
     for stage, kept in zip(stages[:-1], (KEPT, KEPT // 2), strict=True):
-        if len(points) == 1:
-            break
-        ends = list[OptimizeResult]()
-        for psi in _best_first(view, stage, points)[:kept]:
-            end = likelihood.descend_in(_fresh(stage), psi[None], signs, FIRST, near=ROUGHLY)
-            again = any(_alike(end, other) for other in ends)
-            ends.append(end)
-            if again:  # a wide valley
-                break
-        points = _distinct(ends)
+        if len(points) > 1:
+            points = _valleys(likelihood, stage, _best_first(view, stage, points)[:kept])
     yield from ((psi, True) for psi in _best_first(view, stages[-1], points))
+
+
+def _valleys(likelihood: Likelihood, stage: Measured, points: Real) -> Real:
+    """Where rough descents from points (count, M) end in softened data, until two end alike."""
+    signs = np.ones((1, stage.y.shape[-1]))
+    ends = list[OptimizeResult]()
+    for psi in points:
+        end = likelihood.descend_in(_fresh(stage), psi[None], signs, FIRST, near=ROUGHLY)
+        again = any(_alike(end, other) for other in ends)
+        ends.append(end)
+        if again:
+            break
+    return _distinct(ends)
 
 
 def _best_first(view: ObservationModel, data: Measured, points: Real) -> Real:
