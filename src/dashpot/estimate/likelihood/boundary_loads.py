@@ -152,14 +152,7 @@ def record_ends(
         wanted &= (height == RAMP) | ~sampled[number, of]
         terms_used[number] = (wanted | ~outputs[of]) & there[of]
     _require_lines(records, view, loads=2 * view.model.n, terms=terms_used)
-    shape = (spectrum.lines, view.on_q.shape[1], len(of))
-    given = np.zeros(0, dtype=np.int64)
-    if exact is not None:
-        given = np.flatnonzero(np.any(exact != 0, axis=(0, 1))[of])
-    by_input = np.broadcast_to(np.complex128(0), shape)  # takes no memory, of which lines may be many
-    if exact is not None and len(given):
-        by_input = np.zeros(shape, dtype=np.complex128)
-        by_input[:, :, given] = -exact[:, :, of[given]] * (s[:, None] ** height[given])[:, None, :]
+    by_input = _by_input(exact, s, of, height, view.on_q.shape[1])
     return RecordEnds(
         view,
         with_loads(view),
@@ -175,6 +168,17 @@ def record_ends(
         np.array([value.step_s for value, _ in records]),
         highest,
     )
+
+
+def _by_input(exact: Complex | None, s: Complex, of: Ints, height: Ints, inputs: int) -> Complex:
+    """How inputs follow from the polynomials of channels that give them, (lines, inputs, polynomials)."""
+    shape = (len(s), inputs, len(of))
+    given = np.flatnonzero(np.any(exact != 0, axis=(0, 1))[of]) if exact is not None else of[:0]
+    if exact is None or not len(given):
+        return np.broadcast_to(np.complex128(0), shape)  # takes no memory, of which lines may be many
+    by_input = np.zeros(shape, dtype=np.complex128)
+    by_input[:, :, given] = -exact[:, :, of[given]] * (s[:, None] ** height[given])[:, None, :]
+    return by_input
 
 
 def _polynomial_columns(view: ObservationModel, records: list[WholeRecord]) -> tuple[Ints, Ints]:
