@@ -68,8 +68,10 @@ def held_back() -> Iterator[None]:
         for number, handler in before.items():
             if handler not in (signal.SIG_IGN, None):
                 signal.signal(number, note)
-        resource_tracker.ensure_running()  # which lifts the mask when it begins its process
-        signal.pthread_sigmask(signal.SIG_BLOCK, (signal.SIGINT,))
+        # Its process inherits the mask, and lifts it but for SIGHUP: a terminal that closes does not end it before us.
+        signal.pthread_sigmask(signal.SIG_BLOCK, ENDING)
+        resource_tracker.ensure_running()
+        signal.pthread_sigmask(signal.SIG_SETMASK, {*mask, signal.SIGINT})
         yield
     finally:
         for number, handler in before.items():

@@ -82,7 +82,10 @@ class _Pool:
         from concurrent.futures import ProcessPoolExecutor
         from multiprocessing import get_context
 
-        return ProcessPoolExecutor(self.processes, mp_context=get_context("spawn"), initializer=_begin_worker)
+        with held_back():  # its locks begin the process that clears them away
+            return ProcessPoolExecutor(
+                self.processes, mp_context=get_context("spawn"), initializer=_begin_worker
+            )
 
     def map(self, function: Callable[[Any], Any], tasks: Iterable[Any]) -> Iterator[Any]:
         """What the function makes of each task, in the order in which that is finished.
