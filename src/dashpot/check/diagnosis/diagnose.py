@@ -24,6 +24,8 @@ from dashpot.notices import Notice
 
 LARGEST = 12  # coordinates of the rigs that are diagnosed: trials of larger ones take too long to wait for
 PLAIN = ("sign", "unit", "swap", "conjugate", "quantity", "frequency", "delay")  # mistakes of another kind
+OF_THE_RIG = ("value", "element", "nonlinear")  # kinds of causes
+EXPLAINED = 0.1  # of χ² that a rig which is another one leaves at the most
 SHOWN = 2.0  # χ² per degree of freedom of whole records below which their steady part shows no misfit
 
 
@@ -37,7 +39,7 @@ def diagnose(
     backwards = _pushed_backwards(model, spectrum, estimate)
     if backwards or model.n > LARGEST:
         return backwards
-    transients = spectrum.carries_loads
+    transients, runs = spectrum.carries_loads, len(spectrum.records)
     if transients:
         if not model.inputs:  # a free decay is nothing but a transient
             return ()
@@ -49,7 +51,8 @@ def diagnose(
         psi = estimate.values
         for name, turned in estimate.signs.items():
             sign[spectrum.index(name)] = float(turned)
-    as_is, ranked_causes = causes(Workbench(data, psi, sign), seed)
+    lines_are_runs = not transients or spectrum.lines <= runs
+    as_is, ranked_causes = causes(Workbench(data, psi, sign, lines_are_runs), seed)
     if transients and as_is < SHOWN:
         return ()
     return tuple(finding(model, spectrum.channels, cause) for cause in ranked_causes)
@@ -79,7 +82,8 @@ def examined(model: Model, spectrum: Spectrum, estimate: Estimate, *, seed: int 
     linear = not len(model.nonlinear)  # the remedies are tried on linear rigs
     if linear and (assessment.verdict == "does not fit" or not bool(estimate.converged)):
         causes_found = diagnose(model, spectrum, estimate, seed=seed)
-        assessment = replace(assessment, findings=_ranked(causes_found, assessment.findings))
+        misfit = float(estimate.fit.misfit) ** 2
+        assessment = replace(assessment, findings=_ranked(causes_found, assessment.findings, misfit))
     if assessment.verdict == "fits":
         assessment = _looked_at_closely(model, spectrum, estimate, assessment)
     if not linear:
@@ -91,10 +95,24 @@ def examined(model: Model, spectrum: Spectrum, estimate: Estimate, *, seed: int 
     return replace(estimate, assessment=assessment)
 
 
-def _ranked(causes_found: tuple[Finding, ...], in_time: tuple[Finding, ...]) -> tuple[Finding, ...]:
-    """What changes in the course of a record stands after the plain mistakes that lead, before all others."""
+def _ranked(
+    causes_found: tuple[Finding, ...], in_time: tuple[Finding, ...], misfit: float
+) -> tuple[Finding, ...]:
+    """What changes in the course of a record stands after the plain mistakes that lead, before all others.
+
+    A rig that is another one leaves residuals that change as the motion does: where it explains nearly all of the
+    misfit (χ² over its degrees of freedom), it stands before them.
+    """
     leading = next((k for k, each in enumerate(causes_found) if each.kind not in PLAIN), len(causes_found))
-    return (*causes_found[:leading], *in_time, *causes_found[leading:])
+    plain, others = causes_found[:leading], causes_found[leading:]
+    rig = tuple(
+        each
+        for each in others
+        if each.kind in OF_THE_RIG and each.remaining is not None and each.remaining < EXPLAINED * misfit
+    )
+    if not in_time or not rig:
+        return (*plain, *in_time, *others)
+    return (*plain, *rig, *(each for each in others if each not in rig), *in_time)
 
 
 def _looked_at_closely(

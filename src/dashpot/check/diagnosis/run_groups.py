@@ -86,7 +86,8 @@ def _partings(bench: Workbench, base: Trial) -> list[tuple[str, str, Bools]]:
                 (f"all runs but experiment {number}", f"experiment {number}", spectrum.experiment == number)
             )
     order = np.arange(spectrum.lines)
-    for k in np.unique(np.linspace(1, spectrum.lines - 1, MOST_GROUPS).astype(int)).tolist():
+    ends = np.unique(np.linspace(1, spectrum.lines - 1, MOST_GROUPS).astype(int)).tolist()
+    for k in ends if bench.lines_are_runs else ():
         before, on = (f"{spectrum.frequency_hz[line]:g} Hz" for line in (k - 1, k))
         parted.append((f"the runs up to {before}", f"the runs from {on} on", order >= k))
     least = SPARE * len(bench.psi)

@@ -32,11 +32,15 @@ REACH = (0.1, 10.0)  # times its stated frequency within which a dwell's own is 
 
 @dataclass(frozen=True)
 class Workbench:
-    """What the trials of one data set share: the data of one repeat, the estimate ψ (M,) and signs."""
+    """What the trials of one data set share: the data of one repeat, the estimate ψ (M,) and signs.
+
+    lines_are_runs: whether each line was measured at a time of its own, not all of them in one record.
+    """
 
     data: Prepared
     psi: Real
     sign: Real
+    lines_are_runs: bool = True
 
     @property
     def view(self) -> ObservationModel:

@@ -223,6 +223,18 @@ def test_what_is_seen_in_time_does_not_reorder_the_rest():
     """A sign that explains little stays behind the element that explains all; findings in time follow what leads."""
     element, sign = (Finding(kind, ("x",), "", "", left) for kind, left in (("element", 1.0), ("sign", 50.0)))
     jump = Finding("time", ("x",), "", "", 2.0)
-    assert _ranked((element, sign), ()) == (element, sign)
-    assert _ranked((element, sign), (jump,)) == (jump, element, sign)
-    assert _ranked((sign, element), (jump,)) == (sign, jump, element)
+    assert _ranked((element, sign), (), 60.0) == (element, sign)
+    assert _ranked((element, sign), (jump,), 6.0) == (jump, element, sign)
+    assert _ranked((sign, element), (jump,), 6.0) == (sign, jump, element)
+    assert _ranked((sign, element), (jump,), 60.0) == (sign, element, jump)
+
+
+def test_a_rig_that_is_another_one_leads_before_what_changes_in_time() -> None:
+    """Its residuals change as the motion does: a wrong mass once was "x1 reads 1.05 × as much after 10.45 s"."""
+    in_time = (Finding("time", ("x1",), "", "", None),)
+    left_out = Finding("channel", ("u",), "", "", 0.4)
+    mass_off, little = Finding("value", ("m1",), "", "", 2.0), Finding("element", ("x1", "u"), "", "", 60.0)
+    assert _ranked((left_out, mass_off, little), in_time, 400.0) == (mass_off, left_out, little, *in_time)
+    assert _ranked((left_out, little), in_time, 400.0) == (*in_time, left_out, little)
+    sign = Finding("sign", ("x1",), "", "", 1.0)
+    assert _ranked((sign, left_out), in_time, 400.0) == (sign, *in_time, left_out)
