@@ -55,8 +55,7 @@ class Spectrum(InNotebooks):
     experiment    (lines,)                      which experiment a line belongs to
     moments       second moments of the samples, where they were asked for
     notes         what a reader of results should know: samples discarded, noise that could not be judged
-    stretch       (lines,)                      index into `stretches`: which lines share a dwell or a whole record;
-                  all settled where it is not given
+    stretch       (lines,)                      index into `stretches`; all settled where it is not given
     stretches     what they share: settled dwells, or records with their boundary loads
     unsettled     the same data with the dwells that are too short to show whether they have settled as whole records;
                   which of the two it is only a fit can tell
