@@ -98,7 +98,7 @@ def identification_report(
         Block("Parameters", tuple(_below_parameters(estimate)), (tuple(parameter_columns(estimate, level)),)),
         rig_picture(model, shown, estimate, unsure, level),
         tuple(next_steps(estimate, unsure, found.collinearity, plannable=not len(model.nonlinear))),
-        tuple(_evidence(model, spectrum, estimate, found, held_out, level, dwells)),
+        (*_evidence(model, spectrum, estimate, found, held_out, level, dwells), *_treatment(estimate, names)),
         (*TERMS, *(("damping ratio",) if has_modes(estimate) else ()), *(("FIT",) if held_out else ())),
         provenance,
     )
@@ -215,6 +215,12 @@ def _on_law(model: Model) -> list[str]:
             "motions as large as those of this test."
         )
     ]
+
+
+def _treatment(estimate: Estimate, names: Collection[str]) -> list[Block]:
+    """What was done with the data, and what is to be known of them."""
+    texts = tuple(sentence(capitalised(note.text, names)) for note in estimate.notes)
+    return [Block("What was done with the data", texts)] if texts else []
 
 
 def _below_parameters(estimate: Estimate) -> list[str]:
