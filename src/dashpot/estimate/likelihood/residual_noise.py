@@ -10,11 +10,11 @@ from dashpot.model.network import Model
 
 
 def with_residual_noise(model: Model, spectrum: Spectrum, method: Method) -> tuple[Spectrum, Method]:
-    """The spectrum with the noise of whole records, or of amplitudes given without any, and a method that begins at the
-    fit whose residuals show it.
+    """The spectrum with the noise of whole records, or of amplitudes given without any.
 
-    Both as they are where noise is known.  `identify` does it first; what judges a fit wants the same spectrum.
+    The method begins at the fit whose residuals show it where that of records is.  Both are as they are where noise is
+    known.  `identify` does it first; what judges a fit wants the same spectrum.
     """
     if spectrum.records:
         return with_record_noise(model, spectrum, method)
-    return with_table_noise(model, spectrum, method)
+    return with_table_noise(model, spectrum, method), method

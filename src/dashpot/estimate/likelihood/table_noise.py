@@ -43,38 +43,34 @@ RISE = 0.01  # of the deviance that rounding explains
 LEAST = 1e-9  # of the larger part of a channel's noise
 
 
-def with_table_noise(model: Model, spectrum: Spectrum, method: Method) -> tuple[Spectrum, Method]:
-    """The amplitudes with the noise that their residuals show, and a method that begins at the fit they are those of.
+def with_table_noise(model: Model, spectrum: Spectrum, method: Method) -> Spectrum:
+    """The amplitudes with the noise that their residuals show.
 
-    Both as they are where noise is known, where the method does not weigh by it, and where no fit tells it.
+    As they are where noise is known, where the method does not weigh by it, and where no fit tells it.
     """
     traits = method.traits
     if spectrum.noise_known or FITTED in spectrum.noise or spectrum.records or len(model.nonlinear):
-        return spectrum, method
+        return spectrum
     if not (traits.weighted or traits.maximum_likelihood):
-        return spectrum, method
+        return spectrum
     if spectrum.lines * len(spectrum.channels) * (len(model.unknowns) + 1) > LARGEST:
-        return spectrum, method
+        return spectrum
     try:
         exact = without_priors(model)  # which weigh only against noise that is known
         each = [_of_repeat(exact, repeat, method) for repeat in in_chunks(flattened(spectrum), 1)]
     except (DashpotError, np.linalg.LinAlgError):  # `identify` says what is wrong
-        return spectrum, method
-    fits = [fit for fit in each if fit is not None]
-    if len(fits) < len(each) or not any(fit.settled for fit in fits):
-        return spectrum, method
-    V = np.concatenate([fit.covariance for fit in fits])
+        return spectrum
+    fitted = [V for V in each if V is not None]
+    if len(fitted) < len(each):
+        return spectrum
+    V = np.concatenate(fitted)
     text = "no noise is given: its course over the lines is found for each channel from the residuals"
-    known = replace(
+    return replace(
         spectrum,
         covariance=V.reshape(*spectrum.batch, *V.shape[1:]),
         noise=(FITTED,) * spectrum.lines,
         notes=(*spectrum.notes, Notice("noise_fitted", text)),
     )
-    if isinstance(method, MaximumLikelihood) and not spectrum.batch:
-        start, sign = fits[0].psi[0].tolist(), fits[0].sign[0].tolist()
-        method = replace(method, start=tuple(start), start_sign=tuple(sign))
-    return known, method
 
 
 def doubts_of_weights(data: Prepared, solution: Solution) -> tuple[Real, Real]:
@@ -107,19 +103,6 @@ def _doubt_of_weights(data: Prepared, psi: Real, sign: Real) -> tuple[Real, Real
     scatter = np.einsum("mj,jk,mk->m", slope, of_parts, slope)
     size = np.diagonal(fit.spread)
     return 2 * fit.spread @ (twice - once) @ fit.spread, 2 * size**2 / np.maximum(scatter, 1e-300 * size**2)
-
-
-@dataclass(frozen=True)
-class _Fit:
-    """One repeat: ψ (1, M), signs (1, channels), covariance of the amplitudes (1, lines, channels, channels).
-
-    settled: whether the noise is that of a fit; else it is even.
-    """
-
-    psi: Real
-    sign: Real
-    covariance: Complex
-    settled: bool = True
 
 
 @dataclass(frozen=True)
@@ -184,8 +167,11 @@ class _Left:
         return sizes
 
 
-def _of_repeat(model: Model, spectrum: Spectrum, method: Method) -> _Fit | None:
-    """The fit of one repeat and its noise; None of tables too small, or where no exact channels show the inputs."""
+def _of_repeat(model: Model, spectrum: Spectrum, method: Method) -> Complex | None:
+    """Covariance of the amplitudes of one repeat, (1, lines, channels, channels), even where its fit does not say more.
+
+    None of tables too small, or where no exact channels show the inputs.
+    """
     even = prepare(model, spectrum)
     solution = method.solve(even)
     if measured(even).q is None:
@@ -206,9 +192,9 @@ def _of_repeat(model: Model, spectrum: Spectrum, method: Method) -> _Fit | None:
         return None
     level = 2 * float(np.sum(left.power / variance)) / freedom
     if not np.all(solution.converged) or not level > EXACT:
-        return _Fit(psi, sign, V, settled=False)
-    V = level * V
-    even_fit = _Fit(psi, sign, V)
+        return V
+    scaled: Complex = level * V
+    V = scaled
     sizes = level * np.repeat([1.0, BEGUN], left.parts.shape[1] // 2)
     now = left.weighed(level * variance)
     even_deviance = now.deviance
@@ -227,8 +213,8 @@ def _of_repeat(model: Model, spectrum: Spectrum, method: Method) -> _Fit | None:
         if turn and before - now.deviance < SETTLED:
             break
     if freedom >= SHOWN and even_deviance - now.deviance < 2 * (len(sizes) - 1):  # Akaike
-        return even_fit
-    return _Fit(psi, sign, V)
+        return scaled
+    return V
 
 
 def _covariance(V: Complex, left: _Left, variance: Real) -> Complex:
