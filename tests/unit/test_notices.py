@@ -52,7 +52,8 @@ def test_warnings_and_notes_keep_their_codes_in_json() -> None:
     content = json.loads(estimate.to_json())
     assert content["warnings"] == [notice.text for notice in estimate.warnings]
     assert content["codes"] == codes
-    assert content["notes"] == ["x stays at its limit"]
+    assert content["notes"] == [notice.text for notice in estimate.notes]
+    assert content["notes"][0] == "x stays at its limit"
     again = Estimate.from_json(estimate.to_json())
     assert again.warnings == estimate.warnings
     assert again.notes == estimate.notes

@@ -16,7 +16,7 @@ from dashpot.arrays import Real
 from dashpot.check.diagnosis.score_test import promises
 from dashpot.check.diagnosis.search import LONG, Workbench, descended
 from dashpot.estimate.likelihood.global_search import seen_directly
-from dashpot.estimate.likelihood.objective import measured
+from dashpot.estimate.likelihood.objective import bounds, measured
 from dashpot.estimate.linear.least_squares import compensated
 from dashpot.estimate.preparation.prepared import Prepared
 from dashpot.model.elements import Element, Kind, between, mass
@@ -120,6 +120,9 @@ def _fitted(bench: Workbench, psi: Real, kind: str, element: Element) -> Change:
         starts = starts[np.all(np.isfinite(starts), axis=1)]
     rows, signs = np.zeros(len(starts), dtype=np.int64), np.repeat(bench.sign[None], len(starts), axis=0)
     ends, chi2 = descended(view, data, starts, signs, rows, 2 * LONG)
-    best = int(np.argmin(chi2))
+    # A rig of other parts that are possible, not one that turns the given one round: exchanged channels would be that.
+    possible = np.all(ends > bounds(view, positive=True)[0], axis=1)
+    possible[0] = True
+    best = int(np.argmin(np.where(possible, chi2, np.inf)))
     number = float(ends[best, view.names.index(element.name)])
     return Change(kind, element, number, float(chi2[best]), data.rows - len(start))

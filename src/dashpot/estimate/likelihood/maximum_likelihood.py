@@ -71,7 +71,8 @@ class MaximumLikelihood(Method):
             sign = np.ones((likelihood.repeats, len(view.channels)))
             likelihood = replace(likelihood, exact=exact)
         elif self.start and likelihood.repeats == 1 and len(self.start) == len(view.names):  # of this rig
-            start, sign = np.array([self.start]), np.array([self.start_sign])
+            start = np.array([self.start])
+            sign = np.array([self.start_sign or (1.0,) * len(view.channels)])
             if self.thorough:
                 minimum, sign, warnings = from_minima(likelihood, minima_around(likelihood, start, sign))
             else:
