@@ -200,7 +200,7 @@ def uncertainty(data: Prepared, solution: Solution, around: Linearised, traits: 
         nothing, degrees = np.full(len(chi2), np.nan), np.full(solution.theta.shape, usable)
         if FITTED in data.spectrum.noise and traits.weighted:
             grown, degrees = doubts_of_weights(data, solution)
-            covariance = covariance + grown
+            covariance = covariance + grown * scale[:, None, None]
         return Uncertainty(
             covariance, covariance, bound, degrees, np.full(len(chi2), usable), nothing, excess
         )
