@@ -71,13 +71,21 @@ class NonlinearPart:
 
     def with_harmonics(self, orders: int) -> NonlinearPart:
         """The same with that many harmonics of the response, without memory of earlier responses."""
-        start = self.start
-        if start is not None:
-            kept = min(start.shape[-1], 2 * orders + 1)
-            wide = np.zeros((*start.shape[:-1], 2 * orders + 1))
-            wide[..., :kept] = start[..., :kept]
-            start = wide
+        start = None if self.start is None else _with_orders(self.start, orders)
         return replace(self, dwells=self.dwells.with_orders(orders), start=start, warm=WarmStart())
+
+    def widened(self, orders: int) -> NonlinearPart:
+        """As `with_harmonics`, but next to the last responses, which stay on their branches."""
+        delta = {repeat: _with_orders(last, orders) for repeat, last in self.warm.delta.items()}
+        return replace(self.with_harmonics(orders), warm=WarmStart(delta, dict(self.warm.inputs)))
+
+
+def _with_orders(delta: Real, orders: int) -> Real:
+    """Elongations (..., W) with that many harmonics, 0 those that they have not, (..., 2 orders + 1)."""
+    kept = min(delta.shape[-1], 2 * orders + 1)
+    wide = np.zeros((*delta.shape[:-1], 2 * orders + 1))
+    wide[..., :kept] = delta[..., :kept]
+    return wide
 
 
 @dataclass(frozen=True)

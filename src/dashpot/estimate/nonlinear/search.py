@@ -67,7 +67,7 @@ def search_harmonics(likelihood: Likelihood) -> tuple[OptimizeResult, Measured, 
         allowed = _allowed(data, float(minimum.cost[0]) / max(first.rows, 1))
         if part.dwells.orders >= MOST or _missing(view, exact, minimum.x) <= allowed:
             return likelihood.descend_in(exact, minimum.x, sign), exact, warnings
-        exact = replace(exact, nonlinear=part.with_harmonics(min(2 * part.dwells.orders + 1, MOST)))
+        exact = replace(exact, nonlinear=part.widened(min(2 * part.dwells.orders + 1, MOST)))
         minimum = likelihood.descend_in(exact, minimum.x, sign, near=near)
 
 
