@@ -89,6 +89,8 @@ def _doubt_of_weights(data: Prepared, psi: Real, sign: Real) -> tuple[Real, Real
     exact = measured(data)
     left = _Left.at(data.view, exact, psi, sign, even=True)
     variance = np.diagonal(data.covariance[0], axis1=-2, axis2=-1).real[left.cells]
+    if not len(variance):  # numbers too large for any weight
+        return np.zeros((psi.shape[-1],) * 2), np.ones(psi.shape[-1])
     relative = variance / left.parts[:, 0]
     if np.ptp(relative) > ROUNDING * np.max(relative):
         left = _Left.at(data.view, exact, psi, sign)
