@@ -117,15 +117,7 @@ def clean(old: Path | None, repeats: int = 7) -> None:
 def diagnoses(seeds: range) -> Iterator[tuple[str, float]]:
     """Each mistake on random rigs of four coordinates, and the processor time of estimate and diagnosis."""
     for seed in seeds:
-        rig = rigs.random_rig(
-            np.random.default_rng(seed),
-            4,
-            kinds=rigs.PAPER_KINDS,
-            levers=False,
-            ties=False,
-            lines=25,
-            worst=100,
-        )
+        rig = rigs.plain_rig(np.random.default_rng(seed), 4)
         channels = rigs.channels(rig, (Quantity.DISPLACEMENT,))
         spectrum = rigs.noisy(
             rig, channels, rigs.covariance(rig, channels, 0.01), np.random.default_rng(seed)

@@ -55,7 +55,7 @@ def thrown(seed: int, largest: int) -> tuple[rigs.Rig, Spectrum, np.random.Gener
     """A random rig and its clean test."""
     rng = np.random.default_rng(seed)
     n = int(rng.integers(2, largest + 1))
-    rig = rigs.random_rig(rng, n, kinds=rigs.PAPER_KINDS, levers=False, ties=False, lines=25, worst=100)
+    rig = rigs.plain_rig(rng, n)
     quantity = (Quantity.DISPLACEMENT, Quantity.ACCELERATION)[int(rng.integers(2))]
     channels = rigs.channels(rig, (quantity,))
     return rig, rigs.noisy(rig, channels, rigs.covariance(rig, channels, 0.01, inputs=0.01), rng), rng

@@ -133,6 +133,11 @@ def random_rig(
     raise RuntimeError(f"no identifiable rig of {n} coordinates in {attempts} attempts")
 
 
+def plain_rig(rng: np.random.Generator, n: int) -> Rig:
+    """A random rig of masses, dampers and springs between points, none tied to another, tested at 25 lines."""
+    return random_rig(rng, n, kinds=PAPER_KINDS, levers=False, ties=False, lines=25, worst=100)
+
+
 def condition(rig: Rig) -> float:
     """Largest over smallest singular value of the noise-free regressor, columns scaled by the true values."""
     Phi = regressors(rig.model, rig.a) * rig.theta

@@ -57,6 +57,18 @@ HEAD = 'coordinates = ["x1", "x2"]\n[inputs]\nu = {}\n'
 SEEN = '[channels]\nx1 = { of = "x1" }\nx2 = { of = "x2" }\nu = { of = "u" }\n'
 
 
+SHAKEN = Model(
+    ("x1", "x2"),
+    (Input("u"),),
+    (
+        mass("m1", "x1"), mass("m2", "x2", value=2.7), between("k1", Kind.SPRING, "x1", "x2"),
+        between("k2", Kind.SPRING, "x2", "u", value=4600.0), between("c1", Kind.DAMPER, "x1", "x2"),
+        between("c2", Kind.DAMPER, "x2", "u"),
+    ),
+)  # fmt: skip
+SHAKEN_TRUTH = {"m1": 3.0, "k1": 4600.0, "c1": 5.0, "c2": 8.0}
+
+
 def two_mass_rig(
     more: str = "", k1: str = ", value = 4600", seen: str = SEEN, dampers: str = "", head: str = HEAD
 ) -> Rig:

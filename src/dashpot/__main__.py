@@ -5,14 +5,14 @@ from __future__ import annotations
 import signal
 
 
-def main() -> None:
+def run_command() -> None:
     """Run the command.  Until it can answer Ctrl-C with one line, that ends the process without a word."""
     if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
         signal.signal(signal.SIGINT, signal.SIG_DFL)
-    from dashpot.app.cli import main as command
+    from dashpot.app.cli import main
 
-    command()
+    main()
 
 
 if __name__ == "__main__":
-    main()
+    run_command()

@@ -19,15 +19,7 @@ def test_clean_tests_are_called_misfits_no_more_often_than_stated() -> None:
     alarms = 0
     for seed in range(TESTS):
         rng = np.random.default_rng(50_000 + seed)
-        rig = rigs.random_rig(
-            rng,
-            int(rng.integers(2, 4)),
-            kinds=rigs.PAPER_KINDS,
-            levers=False,
-            ties=False,
-            lines=25,
-            worst=100,
-        )
+        rig = rigs.plain_rig(rng, int(rng.integers(2, 4)))
         quantity = (Quantity.DISPLACEMENT, Quantity.ACCELERATION)[int(rng.integers(2))]
         channels = rigs.channels(rig, (quantity,))
         spectrum = rigs.noisy(rig, channels, rigs.covariance(rig, channels, 0.01, inputs=0.01), rng)

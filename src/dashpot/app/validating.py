@@ -60,7 +60,6 @@ def predictions_of(
 
 def figures_of(predictions: Sequence[RecordPrediction]) -> str:
     """FIT, rms error (of records, SI units), χ² and degrees of freedom of every channel as JSON."""
-    errors = [part.rms_error for part in predictions]
     rows = [
         {
             "duration_s": part.duration_s,
@@ -68,13 +67,13 @@ def figures_of(predictions: Sequence[RecordPrediction]) -> str:
             "channels": {
                 name: {
                     "fit_percent": 100 * part.fit[c],
-                    "rms_error": rms_error[c],
+                    "rms_error": rms_error,
                     "chi2": part.chi2[c],
                     "dof": int(part.dof[c]),
                 }
-                for c, name in enumerate(part.channels)
+                for c, (name, rms_error) in enumerate(zip(part.channels, part.rms_error, strict=True))
             },
         }
-        for part, rms_error in zip(predictions, errors, strict=True)
+        for part in predictions
     ]
     return to_json({"records": rows})

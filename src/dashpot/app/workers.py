@@ -128,16 +128,20 @@ class _Pool:
                     yield result
                     continue
             killed += 1
-            if killed > MOST_KILLED:
-                raise UsageError(
-                    f"worker processes were killed {killed} times in a row, before they had finished anything",
-                    cure="the memory may be too small: give fewer processes",
-                )
-            lost += pending.values()  # they break with the rest
+            self._begin_again(killed)
+            lost += pending.values()  # they broke with the rest
             pending.clear()
             finished = SimpleQueue()
-            self.end()
-            self.executor = self._begun()
+
+    def _begin_again(self, killed: int) -> None:
+        """Other processes in place of these, of which some were killed; raises UsageError after MOST_KILLED times."""
+        if killed > MOST_KILLED:
+            raise UsageError(
+                f"worker processes were killed {killed} times in a row, before they had finished anything",
+                cure="the memory may be too small: give fewer processes",
+            )
+        self.end()
+        self.executor = self._begun()
 
     def end(self) -> None:
         """End the processes at once, then the thread that looks after them; a signal meanwhile waits until then.

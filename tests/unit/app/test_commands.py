@@ -318,7 +318,7 @@ def command():
 
 cli.main = command
 signal.signal(signal.SIGINT, eval(sys.argv[1]))
-entry.main()
+entry.run_command()
 """
 
 

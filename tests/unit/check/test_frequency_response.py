@@ -11,18 +11,9 @@ from dashpot.check.residuals import residuals
 from dashpot.data.conditioning.lines import spectrum as lines_of
 from dashpot.estimate.result import Estimate
 from dashpot.model.dynamics import response
+from tests.two_masses import SHAKEN, SHAKEN_TRUTH
 from tests.whole_rigs import chain, record_of
 
-MODEL = Model(
-    ("x1", "x2"),
-    (Input("u"),),
-    (
-        mass("m1", "x1"), mass("m2", "x2", value=2.7), between("k1", Kind.SPRING, "x1", "x2"),
-        between("k2", Kind.SPRING, "x2", "u", value=4600.0), between("c1", Kind.DAMPER, "x1", "x2"),
-        between("c2", Kind.DAMPER, "x2", "u"),
-    ),
-)  # fmt: skip
-TRUTH = {"m1": 3.0, "k1": 4600.0, "c1": 5.0, "c2": 8.0}
 CHANNELS = (
     Channel("a1", {"x1": 1.0}, Quantity.ACCELERATION, noise=6.0),
     Channel("v2", {"x2": 1.0}, Quantity.VELOCITY, noise=0.2),
@@ -31,12 +22,12 @@ CHANNELS = (
 
 
 def shown(seed: int) -> tuple[Estimate, tuple[FrequencyResponse, ...]]:
-    p = MODEL.parameters(MODEL.theta(TRUTH))
-    test = dwells(MODEL, np.linspace(1, 12, 14), 100)
-    spectrum = simulate_spectrum(MODEL, p, CHANNELS, test, np.random.default_rng(seed))
-    estimate = identify(MODEL, spectrum)
-    found = residuals(MODEL, estimate.values, spectrum)
-    return estimate, responses_of_channels(MODEL, estimate, spectrum, found)
+    p = SHAKEN.parameters(SHAKEN.theta(SHAKEN_TRUTH))
+    test = dwells(SHAKEN, np.linspace(1, 12, 14), 100)
+    spectrum = simulate_spectrum(SHAKEN, p, CHANNELS, test, np.random.default_rng(seed))
+    estimate = identify(SHAKEN, spectrum)
+    found = residuals(SHAKEN, estimate.values, spectrum)
+    return estimate, responses_of_channels(SHAKEN, estimate, spectrum, found)
 
 
 def test_acceleration_over_acceleration_is_the_transmissibility() -> None:
@@ -45,7 +36,7 @@ def test_acceleration_over_acceleration_is_the_transmissibility() -> None:
     assert (first.reference, first.unit, second.unit) == ("table", "", "m/s per m/s²")
     omega = 2 * np.pi * first.frequency_hz
     x = response(
-        MODEL, MODEL.parameters(estimate.values), omega, np.ones((len(omega), 1)), np.zeros((len(omega), 0))
+        SHAKEN, SHAKEN.parameters(estimate.values), omega, np.ones((len(omega), 1)), np.zeros((len(omega), 0))
     )
     np.testing.assert_allclose(first.response, x[:, 0], rtol=1e-9)
     np.testing.assert_allclose(second.response, x[:, 1] / (1j * omega), rtol=1e-9)

@@ -5,19 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from dashpot import Channel, Input, Kind, Model, between, dwells, identify, mass, simulate_spectrum
+from dashpot import Channel, dwells, identify, simulate_spectrum
 from dashpot.check.validation import validate
+from tests.two_masses import SHAKEN, SHAKEN_TRUTH
 
-MODEL = Model(
-    ("x1", "x2"),
-    (Input("u"),),
-    (
-        mass("m1", "x1"), mass("m2", "x2", value=2.7), between("k1", Kind.SPRING, "x1", "x2"),
-        between("k2", Kind.SPRING, "x2", "u", value=4600.0), between("c1", Kind.DAMPER, "x1", "x2"),
-        between("c2", Kind.DAMPER, "x2", "u"),
-    ),
-)  # fmt: skip
-TRUTH = {"m1": 3.0, "k1": 4600.0, "c1": 5.0, "c2": 8.0}
 LINES = np.linspace(1, 12, 400)
 
 
@@ -29,12 +20,12 @@ def test_chi2_counts_the_noise_of_the_inputs_that_the_rig_passes_on(noise_of_inp
         Channel("x2", {"x2": 1.0}, noise=5e-2),
         Channel("u", {"u": 1.0}, noise=noise_of_input),
     )
-    p = MODEL.parameters(MODEL.theta(TRUTH))
-    test = dwells(MODEL, LINES, 50)
+    p = SHAKEN.parameters(SHAKEN.theta(SHAKEN_TRUTH))
+    test = dwells(SHAKEN, LINES, 50)
     first, second = (
-        simulate_spectrum(MODEL, p, channels, test, np.random.default_rng(seed)) for seed in (1, 2)
+        simulate_spectrum(SHAKEN, p, channels, test, np.random.default_rng(seed)) for seed in (1, 2)
     )
-    (predicted,) = validate(MODEL, identify(MODEL, first), second)
+    (predicted,) = validate(SHAKEN, identify(SHAKEN, first), second)
     assert predicted.channels == ("x1", "x2")
     np.testing.assert_allclose(predicted.chi2 / predicted.dof, 1.0, atol=0.2)
     rms = np.sqrt(np.mean(np.abs(predicted.measured - predicted.predicted) ** 2, axis=0))

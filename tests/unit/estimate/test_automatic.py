@@ -21,15 +21,7 @@ from tests import rigs
 
 def chain(seed: int, n: int = 5) -> tuple[rigs.Rig, Spectrum]:
     """A fully seen rig at 20 % relative noise."""
-    rig = rigs.random_rig(
-        np.random.default_rng(100 * n + seed),
-        n,
-        kinds=rigs.PAPER_KINDS,
-        levers=False,
-        ties=False,
-        lines=25,
-        worst=100,
-    )
+    rig = rigs.plain_rig(np.random.default_rng(100 * n + seed), n)
     channels = rigs.channels(rig, (Quantity.DISPLACEMENT,))
     V = rigs.covariance(rig, channels, 0.2)
     return rig, rigs.noisy(rig, channels, V, np.random.default_rng(seed))

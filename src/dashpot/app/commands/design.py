@@ -195,13 +195,7 @@ def _question(rig: Rig, options: Mapping[str, Any], quiet: bool) -> Question:
 
     if options["samples"] is not None and options["time"] is not None:
         raise UsageError("both --samples and --time are given", cure="give one of them as the budget")
-    worst = options["doubt"] is not None if options["robust"] is None else options["robust"] == "worst"
-    for name in ("workers", "dask"):
-        if options[name] is not None and not worst:
-            raise UsageError(
-                f"--{name} shares out the search for the worst case, and none is asked for",
-                cure="leave it out, or give --robust worst --doubt 30%",
-            )
+    _require_worst_case(options)
     data, earlier = _earlier(rig, options, quiet)
     if options["progress"] is not None and data is None:
         raise UsageError("--progress draws data as they came in", cure="give the data with --after DATA")
@@ -236,6 +230,19 @@ def _question(rig: Rig, options: Mapping[str, Any], quiet: bool) -> Question:
         pick=options["sensors"],
         against=None if options["against"] is None else _against(rig, options, quiet),
     )
+
+
+def _require_worst_case(options: Mapping[str, Any]) -> None:
+    """Raises UsageError where a search is to be shared out that nobody asks for."""
+    from dashpot.errors import UsageError
+
+    worst = options["doubt"] is not None if options["robust"] is None else options["robust"] == "worst"
+    for name in ("workers", "dask"):
+        if options[name] is not None and not worst:
+            raise UsageError(
+                f"--{name} shares out the search for the worst case, and none is asked for",
+                cure="leave it out, or give --robust worst --doubt 30%",
+            )
 
 
 def _channels(rig: Rig, relative_noise: float | None) -> tuple[Channel, ...]:

@@ -49,6 +49,11 @@ class _Group:
     start: float = 0.0
     components: list[_Component] = field(default_factory=list)
 
+    @property
+    def holds_motion(self) -> bool:
+        """Whether there are samples, and not of switches."""
+        return bool(self.components) and self.components[0].size != 0 and self.components[0].kind != DIGITAL
+
 
 @dataclass(frozen=True)
 class FamosReader:
@@ -72,9 +77,9 @@ class FamosReader:
         units: dict[str, str | None] = {}
         count = 0
         for number, group in enumerate(groups, start=1):
-            component = group.components[0] if group.components else _Component()
-            if not component.size or component.kind == DIGITAL:
+            if not group.holds_motion:
                 continue
+            component = group.components[0]
             count += 1
             values = [_values(each, data, blocks, file.name) for each in group.components[:2]]
             name = component.name or f"channel_{number}"

@@ -22,7 +22,7 @@ from dashpot.data.readers.array_columns import (
 from dashpot.data.readers.datafile import DataFile
 from dashpot.data.readers.optional import damaged, library
 from dashpot.data.readers.sampling import TIME, TIME_NAMES
-from dashpot.data.readers.tdms_blocks import BIG_ENDIAN, Block, blocks_of, mapped
+from dashpot.data.readers.tdms_blocks import BIG_ENDIAN, SampleBlock, mapped, sample_blocks
 from dashpot.data.readers.variables import OF_ALL, step_of
 from dashpot.errors import DataError
 
@@ -114,7 +114,7 @@ def _part(
 
 def _samples(file: DataFile, content: Any, channel: Any) -> Any:
     with damaged(file.name, "TDMS"):
-        blocks = blocks_of(content, channel.path)
+        blocks = sample_blocks(content, channel.path)
         if blocks is not None:
             return Streamed(len(channel), partial(_scaled_pieces, file, blocks, channel))
         if len(channel) >= LONG:
@@ -125,7 +125,7 @@ def _samples(file: DataFile, content: Any, channel: Any) -> Any:
         return samples
 
 
-def _scaled_pieces(file: DataFile, blocks: list[Block], channel: Any) -> Iterator[Any]:
+def _scaled_pieces(file: DataFile, blocks: list[SampleBlock], channel: Any) -> Iterator[Any]:
     """The samples in the unit of the channel, whatever stands between them in the file."""
     from nptdms.base_segment import RawChannelDataChunk
     from nptdms.tdms import ChannelDataChunk

@@ -19,7 +19,7 @@ BIG_ENDIAN, INTERLEAVED = 1 << 6, 1 << 5  # among the contents of a segment
 
 
 @dataclass(frozen=True)
-class Block:
+class SampleBlock:
     """Chunks of one length, evenly placed: the number k of chunk i is at `start + i * apart + k * step` bytes."""
 
     dtype: np.dtype[Any]
@@ -39,9 +39,9 @@ class Block:
                 yield numbers[chunk : chunk + together, at : at + PIECE].ravel()
 
 
-def blocks_of(content: Any, path: str) -> list[Block] | None:
+def sample_blocks(content: Any, path: str) -> list[SampleBlock] | None:
     """The blocks of a channel of an open TdmsFile; None where its samples are no plain numbers (DAQmx, dates)."""
-    blocks: list[Block] = []
+    blocks: list[SampleBlock] = []
     for segment in getattr(content._reader, "_segments", None) or ():
         objects = [stored for stored in segment.ordered_objects if stored.has_data]
         if all(stored.path != path for stored in objects):
@@ -62,7 +62,9 @@ def _evenly_placed(segment: Any, objects: list[Any]) -> bool:
     return len(lengths) == len(objects) and not (alternating and len(set(lengths.values())) > 1)
 
 
-def _blocks_of_segment(segment: Any, objects: list[Any], path: str, kind: np.dtype[Any]) -> Iterator[Block]:
+def _blocks_of_segment(
+    segment: Any, objects: list[Any], path: str, kind: np.dtype[Any]
+) -> Iterator[SampleBlock]:
     """The whole chunks, and the last one where it is shorter."""
     dtype = kind.newbyteorder(">" if segment.toc_mask & BIG_ENDIAN else "<")
     alternating = bool(segment.toc_mask & INTERLEAVED)
@@ -77,7 +79,7 @@ def _blocks_of_segment(segment: Any, objects: list[Any], path: str, kind: np.dty
         if count and lengths is not None:
             before = sum(sizes[name] * (1 if alternating else lengths.get(name, 0)) for name in in_front)
             start = segment.data_position + first * apart + before
-            yield Block(dtype, start, count, lengths.get(path, 0), apart, step)
+            yield SampleBlock(dtype, start, count, lengths.get(path, 0), apart, step)
 
 
 def mapped(file: DataFile) -> np.memmap[Any, Any]:

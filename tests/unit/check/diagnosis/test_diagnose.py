@@ -32,10 +32,7 @@ def clean(rig: str, rng: np.random.Generator) -> tuple[Model, Spectrum]:
     if rig == "paper":
         thrown, quantity, inputs = rigs.paper_rig(), Quantity.DISPLACEMENT, 0.0
     else:
-        kinds = rigs.PAPER_KINDS
-        thrown = rigs.random_rig(
-            np.random.default_rng(11), 3, kinds=kinds, levers=False, ties=False, lines=25, worst=100
-        )
+        thrown = rigs.plain_rig(np.random.default_rng(11), 3)
         quantity, inputs = Quantity.ACCELERATION, 0.01
     chosen = rigs.channels(thrown, (quantity,))
     V = rigs.covariance(thrown, chosen, 0.01, inputs=inputs)
@@ -60,9 +57,7 @@ def test_the_true_cause_is_named_first(mistake):
 
 def test_a_missing_damper_is_found_though_the_fit_without_it_has_a_negative_mass():
     """From there every damper leads to another minimum than that of the true rig, and the wrong one is the lowest."""
-    thrown = rigs.random_rig(
-        np.random.default_rng(0), 4, kinds=rigs.PAPER_KINDS, levers=False, ties=False, lines=25, worst=100
-    )
+    thrown = rigs.plain_rig(np.random.default_rng(0), 4)
     channels = rigs.channels(thrown, (Quantity.DISPLACEMENT,))
     data = rigs.noisy(thrown, channels, rigs.covariance(thrown, channels, 0.01), np.random.default_rng(0))
     case = MISTAKES["missing damper"](thrown.model, data, np.random.default_rng(0))

@@ -106,7 +106,7 @@ def test_channels_side_by_side(
     path.write_bytes(segment(contents, objects, raw, finished))
     require_the_same(path)
     with TdmsFile.open(path) as content:
-        blocks = tdms_blocks.blocks_of(content, "/'run'/'a'")
+        blocks = tdms_blocks.sample_blocks(content, "/'run'/'a'")
     assert blocks is not None
     assert (blocks[0].chunks, blocks[0].length) == (2, 10)
 
@@ -117,9 +117,9 @@ def test_dates_and_texts_are_left_to_nptdms(tmp_path: Path) -> None:
         writer.write_segment([ChannelObject("g", "when", dates), ChannelObject("g", "x", np.arange(5.0))])
         writer.write_segment([ChannelObject("g", "y", np.arange(5.0)), ChannelObject("g", "note", ["a"] * 5)])
     with TdmsFile.open(tmp_path / "a.tdms") as content:
-        assert tdms_blocks.blocks_of(content, "/'g'/'when'") is None
-        assert tdms_blocks.blocks_of(content, "/'g'/'x'") is not None
-        assert tdms_blocks.blocks_of(content, "/'g'/'y'") is None
+        assert tdms_blocks.sample_blocks(content, "/'g'/'when'") is None
+        assert tdms_blocks.sample_blocks(content, "/'g'/'x'") is not None
+        assert tdms_blocks.sample_blocks(content, "/'g'/'y'") is None
         parts = TdmsReader().parts(open_file(tmp_path / "a.tdms"))  # kept, for what is let go is closed
         part = next(parts)
         assert part.header == ("when", "x", "y")
