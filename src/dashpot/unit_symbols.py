@@ -22,6 +22,7 @@ ACCELERATION: Dimension = (1, 0, -2, 0, 0, 0)
 TURNING: Dimension = (0, 0, -1, 1, 0, 0)
 VOLTAGE: Dimension = (0, 0, 0, 0, 1, 0)
 COUNT: Dimension = (0, 0, 0, 0, 0, 1)
+SHARE = "FS"  # of the full scale: a number without unit, as counts are
 
 
 @dataclass(frozen=True)
@@ -64,7 +65,7 @@ _TABLE: tuple[tuple[str, Symbol], ...] = (
     ("arcmin", Symbol(math.pi / 180 / 60, ANGLE)),
     ("arcsec", Symbol(math.pi / 180 / 3600, ANGLE)),
     ("rev revs turn turns", Symbol(2 * math.pi, ANGLE)),
-    ("rpm", Symbol(2 * math.pi / 60, TURNING, "k")),
+    ("rpm RPM", Symbol(2 * math.pi / 60, TURNING, "k")),
     ("Hz", Symbol(2 * math.pi, TURNING, "µmkMG", frozenset({"frequency"}))),
     ("cpm", Symbol(2 * math.pi / 60, TURNING, "k", frozenset({"frequency"}))),
     ("N", Symbol(1.0, FORCE, "nµmcdkMG")),
@@ -87,8 +88,8 @@ _TABLE: tuple[tuple[str, Symbol], ...] = (
     ("Gal", Symbol(1e-2, ACCELERATION, "µm")),
     ("ips", Symbol(_INCH, (1, 0, -1, 0, 0, 0))),
     ("V", Symbol(1.0, VOLTAGE, "nµmk")),
-    ("count counts ct cts lsb LSB", Symbol(1.0, COUNT)),
-    ("FS", Symbol(1.0, COUNT)),  # of the full scale: a number without unit, as counts are
+    ("count counts Counts ct cts lsb LSB", Symbol(1.0, COUNT)),
+    (SHARE, Symbol(1.0, COUNT)),
 )
 WORDS = {
     "metre": "m", "meter": "m", "gram": "g", "second": "s", "radian": "rad", "degree": "deg", "hertz": "Hz",

@@ -90,8 +90,10 @@ def _unsettled(X: Complex) -> int:
     last = X[half:]
     variance = np.var(last, axis=0, ddof=1)
     away = np.abs(X[:half] - np.mean(last, axis=0)) ** 2
-    with np.errstate(invalid="ignore", divide="ignore"):
-        off: Real = np.nanmean(away / np.where(variance > 0, variance, np.nan), axis=(1, 2))
+    varies = variance > 0  # records without noise may repeat exactly
+    if not np.any(varies):
+        return 0
+    off: Real = np.mean(away[:, varies] / variance[varies], axis=1)
     late = np.flatnonzero(off > APART)
     return int(late[-1]) + 1 if len(late) else 0
 

@@ -19,6 +19,7 @@ from dashpot.channel import Channel, Quantity
 from dashpot.errors import DashpotError, DataError
 from dashpot.io.words import listed, shown
 from dashpot.notices import Notice
+from dashpot.unit_symbols import SHARE
 
 LARGEST = 1e100  # beyond this squares overflow, and no measurement is meant
 MOST_COLUMNS = 10_000
@@ -195,17 +196,25 @@ class Columns(ABC):
 
         Raises DataError where it does not.
         """
-        quantity = channel.quantity.value
-        wanted = _uncalibrated(channel.unit, quantity) if channel.unit else None
-        if wanted is not None and np.isclose(_uncalibrated(unit, quantity) or 0.0, wanted, rtol=1e-9, atol=0):
+        if channel.unit and _same_raw(unit, channel.unit):
             return channel.scale
-        if wanted is None and channel.gain is None:
+        raw = channel.unit and _uncalibrated(channel.unit, channel.quantity.value) is not None
+        if channel.gain is None and not raw:
             return channel.scale  # an unknown gain takes every unit
+        if unit == SHARE:
+            what, known = (
+                "in shares of the full scale (FS)",
+                'full_scale = what 1 stands for, such as "50 g",',
+            )
+        else:
+            what, known = (
+                f"in {shown(unit)}",
+                f'gain = the sensitivity of the sensor, such as "100 {shown(unit)}/g",',
+            )
         raise DataError(
-            f"column {shown(channel.name)}: in {shown(unit)}, the rig file says {channel.unit or 'SI units'}",
+            f"column {shown(channel.name)}: {what}, the rig file says {channel.unit or 'SI units'}",
             self.heading,
-            f'set unit = "{shown(unit)}" and gain = the sensitivity of the sensor, such as "100 {shown(unit)}/g", '
-            "for this channel in the rig file",
+            f'set unit = "{shown(unit)}" and {known} for this channel in the rig file',
         )
 
 
@@ -216,6 +225,15 @@ def _uncalibrated(unit: str, quantity: str) -> float | None:
     with suppress(DashpotError):
         return units.scale(unit, quantity, uncalibrated=True)
     return None
+
+
+def _same_raw(unit: str, stated: str) -> bool:
+    """Whether two units, one of them of raw numbers, are the same: volts are no counts, counts no shares."""
+    if SHARE in (unit, stated):
+        return unit == stated
+    with suppress(DashpotError):
+        return bool(np.isclose(units.factor_between(unit, stated), 1.0, rtol=1e-9, atol=0))
+    return False
 
 
 def _factors(unit: str, quantity: str) -> list[float]:

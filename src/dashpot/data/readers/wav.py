@@ -16,6 +16,7 @@ from dashpot.data.readers.optional import damaged
 from dashpot.data.readers.sampling import TIME
 from dashpot.errors import DataError
 from dashpot.io.ledger import noted
+from dashpot.unit_symbols import SHARE
 
 UNKNOWN = 2**32 - 1  # a size that stands elsewhere
 
@@ -43,7 +44,8 @@ class WavReader:
             raise DataError(f"the sampling rate is {rate} Hz", file.name, "the file is damaged")
         values = samples[:, None] if samples.ndim == 1 else samples
         loads: dict[str, Any] = {f"channel_{i + 1}": _Channel(values, i) for i in range(values.shape[1])}
-        columns = array_columns(file.name, {TIME: steps(0.0, 1 / rate, len(values)), **loads})
+        units = {} if values.dtype.kind == "f" else dict.fromkeys(loads, SHARE)
+        columns = array_columns(file.name, {TIME: steps(0.0, 1 / rate, len(values)), **loads}, units)
         yield ArrayColumns(columns.source, columns.header, columns.units, (), len(values), columns.loads)
 
 

@@ -16,9 +16,10 @@ from dashpot.model.rigfile.amounts import number_of
 from dashpot.model.rigfile.rig import all_angles, is_electrical, scale_of_points
 from dashpot.model.rigfile.schema import ChannelEntry
 from dashpot.quantities import Amount
+from dashpot.unit_symbols import SHARE
 from dashpot.units import scale, sensitivity
 
-COUNTS, SHARE = "counts", "FS"
+COUNTS = "counts"
 MOST_BITS = 64
 
 

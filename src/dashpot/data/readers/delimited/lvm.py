@@ -3,7 +3,8 @@
     LabVIEW Measurement … ***End_of_Header*** … Channels 2 … ***End_of_Header***
     X_Value    Acceleration (Trigger)    Force (Trigger)    Comment
 
-A file may hold several segments, each with a header of its own.  The column X_Value comes under the name time_s.
+A file may hold several segments, each with a header of its own.  The column X_Value comes under the name time_s; where
+the file leaves it empty (X_Columns No), the header says its start and step (X0, Delta_X).
 """
 
 from __future__ import annotations
@@ -22,6 +23,7 @@ from dashpot.io.words import shown
 
 TITLE, FIRST, COMMENT = b"LabVIEW Measurement", "X_Value", "Comment"
 _END = re.compile(rb"^\*\*\*End_of_Header\*\*\*[^\n]*\n", re.MULTILINE)
+_NO_TIMES = re.compile(rb"^X_Columns[^\w\n]+No\b", re.MULTILINE)
 _HEAD = re.compile(rb"^(LabVIEW Measurement|Channels)\b", re.MULTILINE)  # of the file, of a segment
 
 
@@ -37,12 +39,13 @@ class LabViewReader:
         return file.head.lstrip(b"\xef\xbb\xbf \r\n\t").startswith(TITLE)
 
     def parts(self, file: DataFile) -> Iterator[Table]:
-        """The segments.  Times are those written, not multiples of the rounded Delta_X of the header.
+        """The segments.  Times are those written where they are, not multiples of the rounded Delta_X of the header.
 
-        Raises DataError where there is no column of time, or another one for each channel.
+        Raises DataError where there is no column of time, or another one for each channel, or another step.
         """
         data = file.contents
         ends = [match.end() for match in _END.finditer(data)]
+        no_times = bool(ends) and _NO_TIMES.search(data, 0, ends[0]) is not None
         heads = [i for i, end in enumerate(ends) if data[end : end + len(FIRST)] == FIRST.encode()]
         if not heads:  # what is missing is said
             yield _segment(bytes(data[:LARGE]), file.name, 0, ())
@@ -53,13 +56,16 @@ class LabViewReader:
             source = file.name if len(heads) == 1 else f"{file.name} (segment {number})"
             above += sum(lines.count(b"\n") for lines in whole_lines(data, counted, end))
             counted = end
-            units = _units(data[ends[i - 1] if i else 0 : end].decode("utf-8", errors="replace"))
+            header = data[ends[i - 1] if i else 0 : end].decode("utf-8", errors="replace")
+            units = tuple(unit or None for unit in _listed(header, "Y_Unit_Label"))
+            clock = _clock(header, source) if no_times else None
             stop = next_head.start() if next_head else len(data)
             if isinstance(data, bytes):
-                yield _segment(data[end:stop], source, above, units)
+                segment = _segment(data[end:stop], source, above, units)
             else:
                 part = file.rewritten(_rows_alone(data, end, stop))
-                yield replace(_segment(part.contents, source, above, units), file=part)
+                segment = replace(_segment(part.contents, source, above, units), file=part)
+            yield replace(segment, clock=clock)
 
 
 def open_lvm(path: str | os.PathLike[str], names: Mapping[str, str] | None = None) -> Table:
@@ -75,13 +81,32 @@ def open_lvm(path: str | os.PathLike[str], names: Mapping[str, str] | None = Non
     return tables[0].renamed(names or {})
 
 
-def _units(header: str) -> tuple[str | None, ...]:
-    """Units of the channels as the header of a segment lists them."""
+def _listed(header: str, label: str) -> list[str]:
+    """What the header of a segment lists for its channels under a label; nothing where it has none."""
     for row in header.splitlines():
-        label, *units = row.split("\t")
-        if label == "Y_Unit_Label":
-            return tuple(unit.strip() or None for unit in units)
-    return ()
+        name, *cells = row.split("\t")
+        if name == label:
+            return [cell.strip() for cell in cells]
+    return []
+
+
+def _clock(header: str, source: str) -> tuple[float, float] | None:
+    """Start and step of the times of a segment, s; None where it does not say them.
+
+    Raises DataError where they are no numbers, or others for each channel.
+    """
+    start, step = (
+        {cell.replace(",", ".") for cell in _listed(header, label) if cell} for label in ("X0", "Delta_X")
+    )
+    if not step:
+        return None
+    if len(start) > 1 or len(step) > 1:
+        cure = "save those of one sampling rate (Delta_X) and one start (X0) as a file"
+        raise DataError("its channels have clocks of their own", source, cure)
+    try:
+        return float(next(iter(start), "0")), float(next(iter(step)))
+    except ValueError:
+        raise DataError("X0 or Delta_X is not a number", source, "correct the header") from None
 
 
 def _rows_alone(data: Text, start: int, end: int) -> Iterator[bytes]:

@@ -32,6 +32,7 @@ class Table(Columns):
 
     body       bytes after the header row
     first_row  file row on which the body begins, counted from 1
+    clock      start and step of the first column, where that is left empty for the header says its numbers
     """
 
     body: memoryview
@@ -39,6 +40,7 @@ class Table(Columns):
     delimiter: str
     decimal: str
     file: DataFile | None = None  # of which the body is the end, where it is too large to be held
+    clock: tuple[float, float] | None = None
 
     @property
     def whole(self) -> tuple[bytes | mmap.mmap, int]:
@@ -92,6 +94,8 @@ class Table(Columns):
         self, columns: Sequence[int], optional: Sequence[int], infinite: Sequence[int]
     ) -> Iterator[dict[int, Real]]:
         """The columns some rows at a time, checked."""
+        optional = optional if self.clock is None else [*optional, 0]
+        rows = 0
         for batch in self._batches(columns, pa.float64(), optional, infinite):
             piece: dict[int, Real] = {}
             for column, array in zip(columns, batch.columns, strict=True):
@@ -104,6 +108,10 @@ class Table(Columns):
                 if np.any(wrong):
                     raise self._diagnosis(columns, optional, infinite)
                 piece[column] = numbers
+            if self.clock is not None and 0 in piece:
+                start, step = self.clock
+                piece[0] = start + step * np.arange(rows, rows + batch.num_rows)
+            rows += batch.num_rows
             yield piece
 
     def _row_count(self) -> int:

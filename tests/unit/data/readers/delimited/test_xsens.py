@@ -1,5 +1,7 @@
 """Files of instruments, Xsens DOT and LabVIEW, and the average of periods: what is read, and what is refused."""
 
+import re
+
 import numpy as np
 import pytest
 
@@ -137,6 +139,29 @@ class TestLabview:
         assert reading.spectrum(harmonics=(), noise="white").amplitudes[0] == pytest.approx(
             [9.80665, -1j], abs=1e-5
         )
+
+    def test_times_that_the_header_says(self, tmp_path):
+        """X_Columns No: the first column is empty, decimal commas in the header as in the rows."""
+        path = tmp_path / "a.lvm"
+        text = re.sub(r"^[0-9.]+\t", "\t", lvm(), flags=re.MULTILINE).replace(
+            "X_Columns\tOne", "X_Columns\tNo"
+        )
+        path.write_text(text.replace("Delta_X", "X0\t0.5\t0.5\t\nDelta_X").replace(".", ","))
+        (record,) = read(path, AF).records
+        path.write_text(lvm())
+        (timed,) = read(path, AF).records
+        assert record.time == pytest.approx(0.5 + timed.time, rel=1e-12)
+        assert np.array_equal(record.values, timed.values)
+        for clocks, what in (
+            ("0.01\t0.02", "clocks of their own"),
+            ("fast\tfast", "Delta_X is not a number"),
+        ):
+            path.write_text(text.replace("0.01\t0.01", clocks))
+            with pytest.raises(DataError, match=what):
+                read(path, AF)
+        path.write_text(text.replace("Delta_X", "Step"))
+        with pytest.raises(DataError, match="column time_s: the cell is empty"):
+            read(path, AF)
 
     def test_columns_under_other_names(self, tmp_path):
         path = tmp_path / "a.lvm"
