@@ -51,7 +51,10 @@ def test_what_is_not_determined_is_reported_and_still_an_error(dashpot: Command,
 
 
 def test_compare_check_design_validate(dashpot: Command, data: Path) -> None:
-    assert dashpot("identify", "rig.toml", "data.csv", "--json", "e.json", "-q").code == 0
+    sent = ("--json", "e.json", "--figure", "fit.svg", "-q")
+    assert dashpot("identify", "rig.toml", "data.csv", *sent).code == 0
+    drawn = Path("fit.svg").read_text(encoding="utf-8")
+    assert all(f">{text}<" in drawn for text in ("x1 over u", "model", "measured, ±2 sd", "phase, °"))
     for line in (
         "compare rig.toml data.csv --methods oiv,wls",
         "check rig.toml data.csv --known --profile m1",

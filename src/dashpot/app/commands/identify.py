@@ -16,6 +16,7 @@ from dashpot.app.options import (
     RECORDS,
     conditioning_options,
     data_argument,
+    figure_option,
     file_option,
     json_option,
     level_option,
@@ -64,6 +65,7 @@ ESTIMATION = "Estimation"
 @modal_sd_option("Measured modes")
 @json_option("the estimate")
 @file_option("--apply", "NEW.toml", "Write the rig file with the most likely cause of a misfit corrected.")
+@figure_option("Draw the fit: responses, measured and model; of whole records of nonlinear rigs, histories.")
 @report_option
 @option("--matrices", is_flag=True, group="Output", help="Print M, C and K as well.")
 @level_option
@@ -72,9 +74,9 @@ ESTIMATION = "Estimation"
 @seed_option("the starting values that ml draws")
 @quiet_option
 def command(
-    rig: str, data: tuple[str, ...], chosen: str, positive: bool, json_out: str | None, report: str | None,
-    strict: bool, hold_out: float | None, apply: str | None, matrices: bool, level: float, seed: int, quiet: bool,
-    modal_sd: tuple[float, float, float], **conditioning: Any,
+    rig: str, data: tuple[str, ...], chosen: str, positive: bool, json_out: str | None, figure: str | None,
+    report: str | None, strict: bool, hold_out: float | None, apply: str | None, matrices: bool, level: float,
+    seed: int, quiet: bool, modal_sd: tuple[float, float, float], **conditioning: Any,
 ) -> int:  # fmt: skip
     """Estimate the unknown masses, dampers and springs of RIG (a rig file, TOML) from DATA.
 
@@ -90,7 +92,8 @@ def command(
 
     unsuited = {
         "--method": chosen != "auto", "--positive": positive, "--hold-out": hold_out is not None,
-        "--apply": apply is not None, "--report": report is not None, "--matrices": matrices,
+        "--apply": apply is not None, "--figure": figure is not None, "--report": report is not None,
+        "--matrices": matrices,
     }  # fmt: skip
     of_modes = modal_estimate(rig, data, modal_sd, seed, quiet, unsuited)
     if of_modes is not None:
@@ -104,7 +107,7 @@ def command(
         used = (0.0, 1.0 - (hold_out or 0.0))
         reading = read_files(rig_read, data, conditioning, quiet)
         if len(rig_read.model.nonlinear) and reading.continuous:
-            estimate = _of_whole_records(rig_read, part_of(reading, used).records, wanted, quiet)
+            estimate = _of_whole_records(rig, rig_read, part_of(reading, used).records, wanted, quiet)
         else:
             from dashpot.estimate.automatic import suited_method
 
@@ -115,12 +118,33 @@ def command(
             method = suited_method(wanted, rig_read.model, lines, seed=seed, positive=positive)
             estimate, spectrum = _estimated(rig, rig_read, lines, method, chosen, seed, quiet)
     held = () if hold_out is None else _held_out(rig_read, estimate, data, conditioning, used[1])
+    if figure is not None:
+        _draw(figure, rig_read, spectrum, estimate, data, conditioning, used)
     _write_report(report, rig_read, spectrum, estimate, level, held, untried, dwells)
     write_result(json_out, estimate.to_json())
     _apply(rig_read, estimate, apply)
     if not quiet and json_out != STDOUT:
         _show(rig_read, estimate, level, matrices, untried, held)
     return _ending(estimate, strict)
+
+
+def _draw(
+    path: str, rig: Rig, spectrum: Spectrum | None, estimate: Estimate, data: tuple[str, ...],
+    conditioning: dict[str, Any], used: tuple[float, float],
+) -> None:  # fmt: skip
+    """Draw the fit: of records without a spectrum, their histories."""
+    from dashpot.present.figures.style import write_figure
+
+    if spectrum is None:
+        from dashpot.app.validating import predictions_of
+        from dashpot.present.figures.validation import drawn_of, prediction_figure
+
+        predictions = predictions_of(rig, estimate, data, conditioning, True, part=used)
+        write_figure(path, prediction_figure(drawn_of(predictions)))
+    else:
+        from dashpot.present.pages.evidence import fit_figure
+
+        write_figure(path, fit_figure(rig.model, spectrum, estimate))
 
 
 def _write_report(
@@ -177,13 +201,17 @@ def _rig(path: str, chosen: str, positive: bool, matrices: bool) -> Rig:
     return rig
 
 
-def _of_whole_records(rig: Rig, records: Sequence[Record], method: str | None, quiet: bool) -> Estimate:
+def _of_whole_records(
+    path: str, rig: Rig, records: Sequence[Record], method: str | None, quiet: bool
+) -> Estimate:
     """The estimate from continuous records of a nonlinear rig."""
+    from dataclasses import replace
+
     from dashpot.app.progress import progress
     from dashpot.estimate.nonlinear.whole_record import identify_records
 
     with progress("identify", quiet) as moved:
-        return identify_records(rig.model, records, method, progress=moved)
+        return replace(identify_records(rig.model, records, method, progress=moved), rig=path)
 
 
 def _estimated(

@@ -12,6 +12,7 @@ from typing import Any
 import matplotlib as mpl
 from matplotlib.figure import Figure
 from matplotlib.text import Text
+from PIL import Image
 
 from dashpot.estimate.registry import METHODS
 from dashpot.io.atomic import write_bytes
@@ -100,8 +101,11 @@ def svg(figure: Figure) -> str:
 
 
 def png(figure: Figure) -> bytes:
-    """The figure as a PNG file, the same bytes for the same figure."""
-    return _saved(figure, "png", dpi=DPI)
+    """The figure as a PNG file of 256 colours, a third of the size of all; the same bytes for the same figure."""
+    out = io.BytesIO()
+    with Image.open(io.BytesIO(_saved(figure, "png", dpi=DPI))) as picture:
+        picture.convert("RGB").quantize(256).save(out, "PNG", optimize=True, dpi=(DPI, DPI))
+    return out.getvalue()
 
 
 def write_figure(path: str | os.PathLike[str], figure: Figure) -> None:

@@ -71,7 +71,8 @@ def histories_and_spectra(
             hover(right, FREQUENCY, AxisLabel(name, unit))
             right.set_ylabel(unit)
             right.set_title(name)
-        rows[0][0].legend(ncols=3, loc="upper right")
+        handles, labels = rows[0][0].get_legend_handles_labels()
+        figure.legend(handles, labels, loc="outside upper right", ncols=3)
         rows[-1][0].set_xlabel("time, s")
         rows[-1][1].set_xlabel("frequency, Hz")
     return figure

@@ -6,16 +6,17 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
+from matplotlib.figure import Figure
 
 from dashpot.check.collinearity import Collinearity, shares_by_band
 from dashpot.check.dwell_history import dwell_histories
 from dashpot.check.frequency_response import responses_of_channels
 from dashpot.check.profile import Profile, profile
-from dashpot.check.residuals import Residuals, correlation
+from dashpot.check.residuals import Residuals, calibrations_of, correlation, residuals
 from dashpot.check.validation import RecordPrediction, validate
 from dashpot.data.conditioning.used_dwells import UsedDwell
 from dashpot.data.spectrum import Spectrum
-from dashpot.errors import DashpotError, DataError
+from dashpot.errors import DashpotError, DataError, UsageError
 from dashpot.estimate.registry import AUTOMATIC  # those that end in the minimum of χ²
 from dashpot.estimate.result import Estimate
 from dashpot.io.words import joined
@@ -32,6 +33,7 @@ from dashpot.present.text.check import profile_in_words
 from dashpot.present.text.numbers import short
 
 MOST_PANELS = 16  # channels drawn with amplitude and phase
+MOST_IN_FILE = 6  # channels of a figure that stands alone
 MOST_NAMES = 40  # unknowns in one picture
 MOST_PROFILES = 12  # unknowns whose profile is computed
 MOST_AMPLITUDES = 3000  # with more, profiles take longer than the report is worth
@@ -108,6 +110,38 @@ def _part_shown(record: RecordPrediction) -> str:
     )
 
 
+def fit_figure(model: Model, spectrum: Spectrum, estimate: Estimate) -> Figure:
+    """Measured and fitted: the first responses, or the first channels where no response can be formed.
+
+    No batch axes.  Raises UsageError where the data drive no output.
+    """
+    found = residuals(
+        model, estimate.values[: len(model.unknowns)], spectrum, calibrations_of(model, estimate)
+    )
+    responses = responses_of_channels(model, estimate, spectrum, found)
+    if responses:
+        return response_figure(responses[:MOST_IN_FILE])
+    driven = _driven(found)
+    if not driven:
+        raise UsageError("no channel of these data depends on the estimate", "a figure of the fit")
+    return _channels_figure(found, driven[:MOST_IN_FILE])
+
+
+def _driven(found: Residuals) -> list[int]:
+    """Places of the channels that can be compared with a prediction."""
+    return [i for i in range(len(found.channels)) if np.any(np.isfinite(found.normalised[:, i]))]
+
+
+def _channels_figure(found: Residuals, places: Sequence[int]) -> Figure:
+    """Channels as measured and as predicted."""
+    # Of another experiment's channel there is nothing to compare a prediction with.
+    predicted = np.where(np.isfinite(found.measured), found.predicted, np.nan)
+    return figures.amplitude_and_phase(
+        [found.channels[i] for i in places], [found.units[i] for i in places], found.frequency_hz,
+        found.measured[:, places], found.sd[:, places], None, None, predicted[:, places],
+    )  # fmt: skip
+
+
 def _responses(model: Model, spectrum: Spectrum, estimate: Estimate, found: Residuals) -> list[Block]:
     every = responses_of_channels(model, estimate, spectrum, found)
     responses = every[:MOST_PANELS]
@@ -137,22 +171,18 @@ def _responses(model: Model, spectrum: Spectrum, estimate: Estimate, found: Resi
                 whole=True,
             ),
         ]
-    driven = [i for i, name in enumerate(found.channels) if np.any(np.isfinite(found.normalised[:, i]))]
+    driven = _driven(found)
     chosen = driven[:MOST_PANELS]
     if not chosen:
         return []
-    # Of another experiment's channel there is nothing to compare a prediction with.
-    predicted = np.where(np.isfinite(found.measured), found.predicted, np.nan)[:, chosen]
-    names = [found.channels[i] for i in chosen]
     pictures = []
     for rows in rows_of_pictures(len(chosen)):
-        places, shown = [chosen[k] for k in rows], [names[k] for k in rows]
-        figure = figures.amplitude_and_phase(
-            shown, [found.units[i] for i in places], found.frequency_hz, found.measured[:, places],
-            found.sd[:, places], None, None, predicted[:, rows],
-        )  # fmt: skip
+        places = [chosen[k] for k in rows]
+        shown = joined([found.channels[i] for i in places])
         pictures.append(
-            figure_picture(figure, f"Amplitude and phase of {joined(shown)}, measured and predicted")
+            figure_picture(
+                _channels_figure(found, places), f"Amplitude and phase of {shown}, measured and predicted"
+            )
         )
     text = "Amplitude and phase of each channel, as measured and as predicted from the inputs."
     texts = (text + _first(MOST_PANELS, len(driven)),)

@@ -49,8 +49,10 @@ def test_an_estimate_predicts_another_record_or_the_end_of_its_own_to_the_noise(
     Path("rig.toml").write_text(RIG, encoding="utf-8")
     recorded("run.csv", 1)
     recorded("other.csv", 2)
-    assert dashpot("identify", "rig.toml", "run.csv", "--json", "whole.json").code == 0
-    sent = ["--rig", "rig.toml", "--json", "v.json", "--figure", "v.svg"]
+    done = dashpot("identify", "rig.toml", "run.csv", "--json", "whole.json", "--figure", "fit.svg")
+    assert done.code == 0
+    assert "predicted" in Path("fit.svg").read_text(encoding="utf-8")
+    sent = ["--json", "v.json", "--figure", "v.svg"]  # the estimate names its rig file
     done = dashpot("validate", "whole.json", "other.csv", *sent)
     assert done.code == 0
     assert "rms error" in done.out
