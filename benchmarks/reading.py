@@ -30,6 +30,7 @@ from dashpot.data.readers import read
 
 sys.path.insert(0, str(Path(__file__).parents[1]))  # for the writers of the tests
 from tests.unit.data.readers.column_files import TABLES, famos, mdf, tdms, uff
+from tests.unit.data.readers.written import mat73
 
 
 def seconds(task: Callable[[], object], repeats: int) -> float:
@@ -112,6 +113,7 @@ def channels_of(table: dict[str, Real]) -> dict[str, Real]:
 
 WRITERS: dict[str, Callable[[Path, dict[str, Real]], object]] = {
     **{suffix.removeprefix("."): write for suffix, write in TABLES.items() if suffix != ".xlsx"},
+    "7.3.mat": mat73,
     "csv": lambda path, table: pa.csv.write_csv(pa.table(table), path),
     "tdms": lambda path, table: tdms(path, channels_of(table), wf_increment=1 / RATE),
     "mf4": lambda path, table: mdf(path, channels_of(table), table["time_s"]),

@@ -70,7 +70,8 @@ def held_back() -> Iterator[None]:
                 signal.signal(number, note)
         # Its process inherits the mask, and lifts it but for SIGHUP: a terminal that closes does not end it before us.
         signal.pthread_sigmask(signal.SIG_BLOCK, ENDING)
-        resource_tracker.ensure_running()
+        with _without_complaint():
+            resource_tracker.ensure_running()
         signal.pthread_sigmask(signal.SIG_SETMASK, {*mask, signal.SIGINT})
         yield
     finally:
@@ -80,6 +81,21 @@ def held_back() -> Iterator[None]:
         signal.pthread_sigmask(signal.SIG_SETMASK, mask)
         for number in came:
             signal.raise_signal(number)
+
+
+@contextmanager
+def _without_complaint() -> Iterator[None]:
+    """The process that clears away semaphores begins without a word of those that a sudden end leaves to it."""
+    usual = os.environ.get("PYTHONWARNINGS")
+    quiet = "ignore:resource_tracker:UserWarning"
+    os.environ["PYTHONWARNINGS"] = f"{usual},{quiet}" if usual else quiet
+    try:
+        yield
+    finally:
+        if usual is None:
+            del os.environ["PYTHONWARNINGS"]
+        else:
+            os.environ["PYTHONWARNINGS"] = usual
 
 
 def end_at_once(number: int, _: FrameType | None) -> None:

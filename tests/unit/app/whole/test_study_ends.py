@@ -68,6 +68,7 @@ def test_workers_end_with_their_study(tmp_path: Path, name: str) -> None:
     assert process.stderr is not None
     told = process.stderr.read()
     process.stderr.close()
+    assert "semaphore" not in told  # which are cleared away, whoever was in time for it
     left = {path.name for path in folder.rglob(".*")}
     if name == "SIGKILL":
         assert left <= {LOCK}  # whose lock the system has freed

@@ -118,16 +118,20 @@ def _hdf5(path: Path, records: list[Record]) -> None:
                 data.attrs["unit"] = "mm"
 
 
-def _mat73(path: Path, records: list[Record]) -> None:
+def mat73(path: Path, columns: dict[str, np.ndarray]) -> None:
     """As MATLAB 7.3 does: a user block of 512 bytes, datasets transposed."""
     import h5py
 
     with h5py.File(path, "w", userblock_size=512) as file:
-        for name, column in long_table(records).items():
-            data = file.create_dataset(name, data=column[None, :])
-            data.attrs["MATLAB_class"] = np.bytes_("double")
+        for name, column in columns.items():
+            kind = "double" if column.dtype == float else str(column.dtype)
+            file.create_dataset(name, data=column[None, :]).attrs["MATLAB_class"] = np.bytes_(kind)
     with path.open("r+b") as raw:
         raw.write(b"MATLAB 7.3 MAT-file, Platform: GLNXA64".ljust(124) + b"\x00\x02IM")
+
+
+def _mat73(path: Path, records: list[Record]) -> None:
+    mat73(path, long_table(records))
 
 
 def _npz(path: Path, records: list[Record]) -> None:
@@ -252,4 +256,4 @@ def as_read(path: Path) -> list[Record]:
     return list(read(path, CHANNELS).records)
 
 
-__all__ = ["CHANNELS", "NAMES", "RATE", "WRITERS", "as_read", "packed", "recording", "wav"]
+__all__ = ["CHANNELS", "NAMES", "RATE", "WRITERS", "as_read", "mat73", "packed", "recording", "wav"]

@@ -15,6 +15,7 @@ from dashpot.estimate.identify import identify
 from dashpot.model.rigfile import Rig, parse_rig
 from tests.unit.data.readers.column_files import TABLES, mdf, tdms, uff
 from tests.unit.data.readers.famos_bytes import HEAD, channel
+from tests.unit.data.readers.written import mat73
 
 RATE, DRIVE_HZ = 128.0, (2.0, 3.0, 4.0)
 MASS, DAMPING, STIFFNESS = 2.0, 6.0, 800.0
@@ -74,19 +75,6 @@ def lvm(path: Path, columns: dict[str, Real]) -> None:
     path.write_text(f"{head}\n***End_of_Header***\t\t\nX_Value\tx\tf\tComment\n{rows}")
 
 
-def matlab_73(path: Path, columns: dict[str, Real]) -> None:
-    import h5py
-
-    with h5py.File(path, "w", userblock_size=512) as file:
-        for name, column in columns.items():
-            file.create_dataset(name, data=column[None, :]).attrs["MATLAB_class"] = np.bytes_(
-                str(column.dtype)
-            )
-        file["fs"] = np.array([[RATE]])
-    with path.open("r+b") as raw:
-        raw.write(b"MATLAB 7.3 MAT-file, Platform: GLNXA64".ljust(124) + b"\x00\x02IM")
-
-
 OTHERS = {
     ".tdms": lambda path, columns: tdms(path, columns, wf_increment=1 / RATE),
     ".mf4": lambda path, columns: mdf(path, columns, dwell(1.0)[0]),
@@ -95,7 +83,7 @@ OTHERS = {
     ),
     ".raw": famos,
     ".lvm": lvm,
-    " 7.3.mat": matlab_73,
+    " 7.3.mat": lambda path, columns: mat73(path, columns | {"fs": np.array([RATE])}),
 }
 
 
