@@ -31,6 +31,7 @@ HEARD = 3.0  # standard deviations that an amplitude must have to be more than n
 MOSTLY = 0.5  # share of a channel's lines
 SMOOTH = 4.5  # standard deviations of the correlation of neighbouring residuals
 WORST = 3  # amplitudes that are named
+UNTESTED = ("no_noise", "noise_from_residuals", "few_degrees")  # codes of doubts that no χ² has settled
 # What a change in the course of a record may be, and what to do about it, by its code.
 IN_TIME = {
     GAIN_STEP: (

@@ -100,7 +100,7 @@ def causes(bench: Workbench, seed: int = 0) -> tuple[float, list[Cause]]:
     candidates += [
         Cause(
             change.kind,
-            _points(change.element, bench.data.model),
+            points_of(change.element, bench.data.model),
             change.reduced,
             change.number,
             element=change.element,
@@ -143,7 +143,7 @@ def _nonlinear(bench: Workbench, as_is: Outcome) -> list[Cause]:
         return []
     return [
         Cause(
-            "nonlinear", _points(scored.element, bench.data.model), (scored.chi2 - scored.fall) / scored.dof,
+            "nonlinear", points_of(scored.element, bench.data.model), (scored.chi2 - scored.fall) / scored.dof,
             scored.value, element=scored.element,
         )
         for scored in called_for(bench.data, as_is.psi, bench.sign)
@@ -155,7 +155,7 @@ def _changed(bench: Workbench, base: Trial, pool: Sequence[Real]) -> list[Cause]
     groups = run_groups(bench, base, pool)
     if groups is None:
         return []
-    of = () if groups.element is None else _points(groups.element, bench.data.model)
+    of = () if groups.element is None else points_of(groups.element, bench.data.model)
     left = groups.chi2 / groups.dof
     return [Cause("changed", of, left, groups.step, element=groups.element, where=groups.where)]
 
@@ -347,7 +347,8 @@ def _dwells(bench: Workbench, base: Trial, pool: Sequence[Real]) -> list[Cause]:
     return causes_found
 
 
-def _points(element: Element, model: Model) -> tuple[str, ...]:
+def points_of(element: Element, model: Model) -> tuple[str, ...]:
+    """What a cause is about: an element of the rig by its name, a new one by the points that it joins."""
     if element.name in {existing.name for existing in model.elements}:
         return (element.name,)
     points = tuple(element.along)

@@ -8,12 +8,14 @@ import numpy as np
 
 from dashpot.check.branches import several_motions
 from dashpot.check.curvature import with_profile_intervals
-from dashpot.check.diagnosis.causes import Cause, causes
+from dashpot.check.diagnosis.causes import Cause, causes, points_of
 from dashpot.check.diagnosis.directed import directed_causes
+from dashpot.check.diagnosis.nonlinear_elements import MARKED
+from dashpot.check.diagnosis.record_elements import called_for_in_records
 from dashpot.check.diagnosis.search import Workbench
 from dashpot.check.diagnosis.steady_lines import steady_lines
-from dashpot.check.diagnosis.wording import finding
-from dashpot.check.verdict import BEYOND, assess
+from dashpot.check.diagnosis.wording import finding, nonlinear_finding
+from dashpot.check.verdict import BEYOND, UNTESTED, assess
 from dashpot.data.spectrum import Spectrum
 from dashpot.estimate.assessment import Assessment, Finding
 from dashpot.estimate.likelihood.starting_values import candidates
@@ -80,10 +82,14 @@ def examined(model: Model, spectrum: Spectrum, estimate: Estimate, *, seed: int 
         return estimate
     assessment = assess(model, spectrum, estimate)
     linear = not len(model.nonlinear)  # the remedies are tried on linear rigs
+    misfit = float(estimate.fit.misfit) ** 2
+    bent = _nonlinear_elements(model, spectrum, estimate) if linear else ()
     if linear and (assessment.verdict == "does not fit" or not bool(estimate.converged)):
-        causes_found = diagnose(model, spectrum, estimate, seed=seed)
-        misfit = float(estimate.fit.misfit) ** 2
+        enough = bool(bent) and _left(bent[0]) < (1 - MARKED) * misfit
+        causes_found = () if enough else diagnose(model, spectrum, estimate, seed=seed)
         assessment = replace(assessment, findings=_ranked(causes_found, assessment.findings, misfit))
+    if bent:
+        assessment = _with_nonlinear_elements(assessment, bent, misfit)
     if assessment.verdict == "fits":
         assessment = _looked_at_closely(model, spectrum, estimate, assessment)
     if not linear:
@@ -93,6 +99,39 @@ def examined(model: Model, spectrum: Spectrum, estimate: Estimate, *, seed: int 
     if assessment.verdict != "does not fit":
         estimate = with_profile_intervals(model, spectrum, estimate)
     return replace(estimate, assessment=assessment)
+
+
+def _nonlinear_elements(model: Model, spectrum: Spectrum, estimate: Estimate) -> tuple[Finding, ...]:
+    """Nonlinear elements that whole records call for, what explains most first."""
+    if model.n > LARGEST:
+        return ()
+    misfit = float(estimate.fit.misfit) ** 2
+    findings = []
+    for scored in called_for_in_records(model, spectrum, estimate):
+        points, left = points_of(scored.element, model), misfit * (1 - scored.fall / scored.chi2)
+        findings.append(nonlinear_finding(model, points, scored.element, scored.value, left))
+    return tuple(findings)
+
+
+def _with_nonlinear_elements(assessment: Assessment, bent: tuple[Finding, ...], misfit: float) -> Assessment:
+    """The assessment where whole records call for a nonlinear element, which stands behind plain mistakes alone.
+
+    Clocks that slip, spikes and jumps are what a linear rig sees of it.
+    """
+    points, share = " and ".join(bent[0].of), 1 - _left(bent[0]) / misfit
+    text = f"a nonlinear element between {points} explains {100 * share:.0f} % of the residuals (p < 1e-6)"
+    leading = tuple(each for each in assessment.findings if each.kind in PLAIN)
+    others = [each for each in assessment.findings if each.kind not in (*PLAIN, "nonlinear")]
+    reasons = [each for each in assessment.reasons if each.code not in UNTESTED]
+    return replace(
+        assessment, verdict="does not fit", reasons=(Notice("nonlinear", text, bent[0].of), *reasons),
+        findings=(*leading, *bent, *others),
+    )  # fmt: skip
+
+
+def _left(tried: Finding) -> float:
+    """χ² over its degrees of freedom with a remedy that was tried."""
+    return np.inf if tried.remaining is None else tried.remaining
 
 
 def _ranked(

@@ -12,13 +12,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from dashpot.arrays import Bools, Complex, Real, hermitian, is_diagonal
-from dashpot.estimate.likelihood.boundary_loads import RecordEnds, projector, record_ends, whitener
+from dashpot.estimate.likelihood.boundary_loads import Projector, RecordEnds, projector, record_ends, whitener
 from dashpot.estimate.likelihood.chunks import Measured, Piece, Sums, pieces
 from dashpot.estimate.likelihood.compiled import compiled_local, compiled_output
 from dashpot.estimate.likelihood.nuisance import estimated_inputs, inputs_by_channel, inputs_seen
 from dashpot.estimate.likelihood.record_sums import by_record_line, ends_rank, record_sums
+from dashpot.estimate.likelihood.sampled_loads import SampledLoads
 from dashpot.estimate.nonlinear.objective import nonlinear_part, predict_harmonics
 from dashpot.estimate.preparation.prepared import Prepared
+from dashpot.model.channel_transfer import ChannelTransfer
 from dashpot.model.observation import (
     ObservationModel,
     calibrated_transfer,
@@ -124,8 +126,7 @@ class Prediction:
 def predict(view: ObservationModel, data: Measured, psi: Real, sign: Real) -> Prediction:
     """Evaluate the channels at ψ (K, M) with signs (K, channels)."""
     if data.ends is not None:
-        root = np.sqrt(data.W) if data.root is None else data.root
-        return _predict_records(view, data, data.ends, root, psi, sign)
+        return _predict_records(view, data, data.ends, psi, sign)
     if data.nonlinear is not None:
         return Prediction(*predict_harmonics(view, data, data.nonlinear, psi, sign))
     rig = calibrated_transfer(view, psi, sign)
@@ -145,20 +146,49 @@ def _prediction(
     return Prediction(residual, weighted, J, PJ, q, cost, columns)
 
 
-def _predict_records(
-    view: ObservationModel, data: Measured, ends: RecordEnds, root: Complex, psi: Real, sign: Real
-) -> Prediction:
-    """As `predict`, with boundary loads and polynomials of whole records projected out after the inputs.
+@dataclass(frozen=True)
+class RecordFit:
+    """Inputs, boundary loads and polynomials of whole records as they fit at one ψ.
 
-    Slopes are those under the whole motion: the loads found are inputs of the larger rig.
+    rig      the channels under inputs and loads
+    motion   (K, lines, r + s + n) inputs q̂ and loads
+    r        (K, lines, channels) what they leave of the data
+    G        (K, lines, channels, r + s); half: its W G (Gᴴ W G)⁻¹ where the inputs are estimated, else None
+    columns  (K, lines, channels, 2 n + polynomials) of the ends, free: what the inputs leave of them
+    loads    (K, lines, 2 n + polynomials) coefficients of the columns
     """
+
+    rig: ChannelTransfer
+    motion: Complex
+    r: Complex
+    root: Complex
+    G: Complex
+    half: Complex | None
+    columns: Complex
+    free: Complex
+    loads: Real
+    of_ends: Projector
+    folded: SampledLoads | None
+
+    def left_of(self, columns: Complex) -> Complex:
+        """What inputs and ends cannot do of columns in the channels, (K, lines, channels, any number)."""
+        columns = _without_inputs(columns, self.G, self.half)
+        left: Complex = columns - self.free @ self.of_ends.coefficients(self.root @ columns)
+        return left
+
+
+def _without_inputs(columns: Complex, G: Complex, half: Complex | None) -> Complex:
+    left: Complex = columns if half is None else columns - G @ (hermitian(half) @ columns)
+    return left
+
+
+def record_fit(view: ObservationModel, data: Measured, psi: Real, sign: Real) -> RecordFit:
+    """What explains whole records best at ψ (K, M) with signs (K, channels); the data must have ends."""
+    assert data.ends is not None
+    ends, root = data.ends, np.sqrt(data.W) if data.root is None else data.root
     rig = calibrated_transfer(ends.view, psi, sign)
     G, by_load = np.split(rig.G, [ends.inputs], axis=-1)
     driven, half = _inputs(G, data)
-
-    def without_inputs(columns: Complex) -> Complex:
-        return columns if half is None else columns - G @ (hermitian(half) @ columns)
-
     polynomials = ends.polynomials() + G @ ends.by_input
     columns = np.concatenate([by_load, ends.s[:, None, None] * by_load, polynomials], axis=-1)
     folded = ends.sampled_loads(psi)
@@ -167,7 +197,7 @@ def _predict_records(
         for record in np.flatnonzero(ends.loads).tolist():
             at = ends.lines[record]
             columns[:, at, :, : 2 * n] += np.moveaxis(folded.at(record, ends.s[at]), -1, 1)
-    free = without_inputs(columns)
+    free = _without_inputs(columns, G, half)
     of_ends = projector(ends, root @ free)
     residual = data.y - np.einsum("...cq,...q->...c", G, driven)
     loads = of_ends.coefficients(root @ residual[..., None])[..., 0]
@@ -177,16 +207,27 @@ def _predict_records(
     if half is not None:
         q = q - np.einsum("...cq,...cz,...z->...q", np.conj(half), columns, loads)
     motion = np.concatenate([q, load], axis=-1)
-    J = rig.slopes(motion)
-    if folded is not None:
+    return RecordFit(rig, motion, residual, root, G, half, columns, free, loads, of_ends, folded)
+
+
+def _predict_records(
+    view: ObservationModel, data: Measured, ends: RecordEnds, psi: Real, sign: Real
+) -> Prediction:
+    """As `predict`, with boundary loads and polynomials of whole records projected out after the inputs.
+
+    Slopes are those under the whole motion: the loads found are inputs of the larger rig.
+    """
+    fit = record_fit(view, data, psi, sign)
+    J, n = fit.rig.slopes(fit.motion), ends.n
+    if fit.folded is not None:
         for record in np.flatnonzero(ends.loads).tolist():
             at = ends.lines[record]
-            of_record = folded.slopes_at(record, ends.s[at], loads[:, at[0], : 2 * n])
+            of_record = fit.folded.slopes_at(record, ends.s[at], fit.loads[:, at[0], : 2 * n])
             J[:, at, :, : view.m] += np.moveaxis(of_record, -1, 1)
-    J = without_inputs(J)
-    J = J - free @ of_ends.coefficients(root @ J)
-    at_ends = np.einsum("...cz,...z->...c", columns, loads)
-    prediction = _prediction(data, residual, J, data.W @ J, q, int(of_ends.rank[0]))
+    J = fit.left_of(J)
+    at_ends = np.einsum("...cz,...z->...c", fit.columns, fit.loads)
+    q = fit.motion[..., : ends.inputs]
+    prediction = _prediction(data, fit.r, J, data.W @ J, q, int(fit.of_ends.rank[0]))
     return replace(prediction, at_ends=at_ends)
 
 

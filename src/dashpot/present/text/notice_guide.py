@@ -42,6 +42,13 @@ NOTICES: tuple[tuple[str, str, str, str], ...] = (
         "Small as it is, it may move parameters by several standard deviations: check that channel or joint.",
     ),
     (
+        "nonlinear", _VERDICT,
+        ("A nonlinear element would explain part of what the linear rig leaves of whole records, beyond what any "
+        "linear element at its place does (score test, p < 1e-6, alike in the parts of the records)."),
+        ("Write the element in the rig file, or let `--apply` do it, and identify again; `compare --elements` weighs "
+        "several."),
+    ),
+    (
         "standing_out", _VERDICT,
         ("A line of a whole record deviates more than noise of the other lines' size ever would. The noise is "
         "read from the residuals, so their mean size cannot test the fit; a single line can."),

@@ -1,0 +1,140 @@
+"""Linear rigs fitted to whole records of nonlinear ones, made by SciPy's integrator: the element is named."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+from scipy.interpolate import CubicSpline
+
+from dashpot.api import identify
+from dashpot.arrays import Real
+from dashpot.channel import Channel
+from dashpot.data.record import Record
+from dashpot.estimate.assessment import Finding, applied
+from dashpot.estimate.nonlinear.whole_record import identify_records
+from dashpot.estimate.result import Estimate
+from dashpot.model.elements import Kind, between, mass
+from dashpot.model.network import Input, Model
+
+Law = Callable[[float, float], float]
+STEP, SAMPLES = 1 / 50, 1500
+LAWS: dict[str, tuple[Law, str, str]] = {
+    "cubic": (lambda d, v: 2e6 * d**3, "k3", "odd, stiffening"),
+    "square": (lambda d, v: 4e4 * d**2, "k2", "even"),
+    "speed": (lambda d, v: 60 * v * abs(v), "cq", "damping that grows with speed"),
+    "friction": (lambda d, v: 0.3 * np.tanh(v / 0.005), "fc", "friction"),
+    "gap": (lambda d, v: 1500 * (max(d - 0.003, 0) + min(d + 0.003, 0)), "kgap", "with a clearance"),
+}
+CHANNELS = (Channel("x", {"x": 1.0}), Channel("u", {"u": 1.0}))
+
+
+def shaken() -> Model:
+    """One mass, known, on a shaken base."""
+    parts = (
+        mass("m", "x", value=2.0),
+        between("k", Kind.SPRING, "x", "u"),
+        between("c", Kind.DAMPER, "x", "u"),
+    )
+    return Model(("x",), (Input("u"),), parts)
+
+
+def recorded(law: Law | None, noise: float = 0.01, sweep: bool = False) -> Record:
+    """Its motion with one more force between mass and base."""
+    rng = np.random.default_rng(7)
+    time = STEP * np.arange(SAMPLES)
+    if sweep:
+        base = 1.5e-3 * np.sin(2 * np.pi * (0.5 + 5 * time / time[-1] / 2) * time)
+    else:
+        tones, phases = rng.uniform(0.5, 6, 30), rng.uniform(0, 6.3, 30)
+        base = 4e-4 * np.sum(np.cos(2 * np.pi * tones * time[:, None] + phases), axis=1)
+    u = CubicSpline(time, base)
+    rate = u.derivative()
+
+    def rates(t: float, s: Real) -> list[float]:
+        d, v = float(s[0] - u(t)), float(s[1] - rate(t))
+        extra = 0.0 if law is None else law(d, v)
+        return [s[1], -(800 * d + 4 * v + extra) / 2]
+
+    x = solve_ivp(rates, (0, time[-1]), [0, 0], t_eval=time, rtol=1e-7, atol=1e-10).y[0]
+    seen = x + noise * np.std(x) * rng.standard_normal(SAMPLES)
+    return Record(CHANNELS, time, np.stack([seen, base], axis=1))
+
+
+def fitted(record: Record) -> Estimate:
+    """The linear rig, judged."""
+    return identify(shaken(), [record], "ml", diagnose=True)
+
+
+def nonlinear(estimate: Estimate) -> list[Finding]:
+    """Findings of that kind."""
+    assert estimate.assessment is not None
+    return [finding for finding in estimate.assessment.findings if finding.kind == "nonlinear"]
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "cubic",
+        "friction",
+        *(pytest.param(name, marks=pytest.mark.long) for name in ("square", "speed", "gap")),
+    ],
+)
+def test_the_element_that_a_whole_record_calls_for_is_named_first(name: str) -> None:
+    law, short, words = LAWS[name]
+    estimate = fitted(recorded(law))
+    assert estimate.assessment is not None
+    assert estimate.assessment.verdict == "does not fit"
+    assert estimate.assessment.reasons[0].code == "nonlinear"
+    first = estimate.assessment.findings[0]
+    assert first.text.startswith("the data call for a nonlinear element between x and u, ")
+    assert first.text.endswith(" (p < 1e-6)")
+    named = {finding.elements[0].name: finding.text for finding in nonlinear(estimate)}
+    assert words in named[short]
+
+
+def test_the_remedy_makes_the_record_fit() -> None:
+    record = recorded(LAWS["cubic"][0])
+    best = nonlinear(fitted(record))[0]
+    assert best.number == pytest.approx(2e6, rel=0.3)
+    mended, _ = applied(shaken(), CHANNELS, best)
+    estimate = identify_records(mended, [record])
+    k3 = estimate.names.index("k3")
+    assert abs(estimate.values[k3] - 2e6) < 4 * estimate.sd[k3]
+
+
+@pytest.mark.long
+def test_a_sweep_to_which_no_linear_rig_comes_near_names_it_too() -> None:
+    estimate = fitted(recorded(LAWS["cubic"][0], sweep=True))
+    first = nonlinear(estimate)[0]
+    assert first.of == ("x", "u")
+    assert "odd, stiffening" in first.text
+
+
+def clipped(x: Real) -> Real:
+    """A channel that reaches its limits."""
+    return np.clip(x, -1.5 * np.std(x), 1.5 * np.std(x))
+
+
+@pytest.mark.parametrize(
+    "mistake",
+    [
+        None,
+        lambda x: x * (1 + 0.1 * np.random.default_rng(3).standard_normal(len(x))),
+        *(
+            pytest.param(mistake, marks=pytest.mark.long)
+            for mistake in (lambda x: -x, lambda x: np.roll(x, 2), clipped, lambda x: np.round(x / 2e-3) * 2e-3)
+        ),
+    ],
+)  # fmt: skip
+def test_records_of_a_linear_rig_call_for_none_whatever_is_wrong_with_a_channel(
+    mistake: Callable[[Real], Real] | None,
+) -> None:
+    record = recorded(None)
+    if mistake is not None:
+        values = np.stack([mistake(record.values[:, 0]), record.values[:, 1]], axis=1)
+        record = replace(record, values=values)
+    assert nonlinear(fitted(record)) == []
