@@ -123,13 +123,13 @@ def draws_of(
 
 def bound(test: WholeTest, sd: Real, from_rest: bool = False) -> Real:
     """Smallest sd of each unknown, from all samples with white noise and inputs known; the starting state unknown, or
-    known to be rest."""
+    known to be rest; sd (channels,) or (samples, channels)."""
     model, count = test.model, len(test.model.inputs)
     step = float(test.record.time[1] - test.record.time[0])
     outputs = test.record.channels[: len(test.record.channels) - count]
     view = observation_model(model, outputs, np.ones(1))
     inputs = test.record.values[:, len(outputs) :]
-    weight = 1 / sd[: len(outputs)]
+    weight = 1 / sd[..., : len(outputs)]
 
     def responses(theta: Real) -> tuple[Real, Real]:
         """Motion from rest, (samples · outputs,), and the free motion of each state, (…, 2 n), in units of noise."""

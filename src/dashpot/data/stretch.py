@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.fft import next_fast_len
 
 from dashpot.arrays import Complex, Ints, Real
 from dashpot.errors import DataError
@@ -61,8 +62,17 @@ class WholeRecord:
         """Sampling step, s."""
         return self.duration_s / self.samples
 
+    def orders(self, frequency_hz: Real) -> Ints:
+        """Multiples of 1/T that lines at `frequency_hz` are, of its shape."""
+        return np.rint(np.asarray(frequency_hz) * self.duration_s).astype(np.int64)
+
 
 Stretch = SettledDwell | WholeRecord
+
+
+def samples_of_squares(order: Ints) -> int:
+    """Samples of a history of these lines at which its squares alias nothing: twice what the lines ask for."""
+    return int(next_fast_len(4 * (int(np.max(order)) + 1), real=True))
 
 
 def history_of_lines(amplitudes: Complex, order: Ints, samples: int) -> Real:

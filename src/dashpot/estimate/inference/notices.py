@@ -35,6 +35,8 @@ def _of_estimate(model: Model, spectrum: Spectrum, part: Inference, fit: Fit) ->
     if fit.known_noise and not part.method.traits.maximum_likelihood:
         shown += diagnostics.bias(names, theta, part.most_likely[0], covariance, part.method)
     shown += [] if bands is None else bands.notices(names)
+    in_time = part.uncertainty.in_time
+    shown += [] if in_time is None else [uneven.notice() for uneven in in_time.uneven if uneven is not None]
     shown += diagnostics.of_estimate(model, theta, covariance, noise, fit)
     if part.method.traits.maximum_likelihood:
         shown += diagnostics.prior_conflict(model, theta, noise)

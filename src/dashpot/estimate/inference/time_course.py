@@ -12,12 +12,11 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
-from scipy.fft import next_fast_len
 from scipy.special import fdtrc, ndtri
 
 from dashpot.arrays import Bools, Complex, Ints, Real
 from dashpot.data.spectrum import Spectrum
-from dashpot.data.stretch import WholeRecord, history_of_lines
+from dashpot.data.stretch import WholeRecord, history_of_lines, samples_of_squares
 from dashpot.estimate.likelihood.objective import measured
 from dashpot.estimate.likelihood.record_noise import residuals_of_records
 from dashpot.estimate.method import Solution
@@ -118,9 +117,8 @@ def time_changes(
     for number in spectrum.records:
         lines, stretch = np.flatnonzero(spectrum.stretch == number), spectrum.stretches[number]
         assert isinstance(stretch, WholeRecord)
-        order = np.rint(spectrum.frequency_hz[lines] * stretch.duration_s).astype(np.int64)
-        # Twice what the band asks for: no peak is missed.
-        samples = int(next_fast_len(4 * (int(order.max()) + 1), real=True))
+        order = stretch.orders(spectrum.frequency_hz[lines])
+        samples = samples_of_squares(order)  # so that no peak is missed
         histories = [
             _Histories(
                 spectrum.channels[c].name,

@@ -12,6 +12,7 @@ from scipy.special import chdtrc
 from dashpot.arrays import Ints, Real
 from dashpot.data.spectrum import FITTED, Spectrum
 from dashpot.estimate.inference.band_stability import BandStability, band_stability
+from dashpot.estimate.inference.noise_in_time import CountedInTime, counted_in_time
 from dashpot.estimate.likelihood.maximum_likelihood import MaximumLikelihood
 from dashpot.estimate.likelihood.objective import (
     measured,
@@ -74,6 +75,7 @@ class Uncertainty:
 
     above: what χ² at the estimate lies above the minimum of its parabola, (K,), 0 where the method keeps off it
     bands: how parts of the band agree, where the noise is that of the residuals of whole records, else None
+    in_time: what their noise in time makes of the estimates, likewise
     """
 
     covariance: Real
@@ -84,6 +86,7 @@ class Uncertainty:
     p: Real
     above: Real
     bands: BandStability | None = None
+    in_time: CountedInTime | None = None
 
 
 @dataclass(frozen=True)
@@ -109,6 +112,8 @@ def inference(data: Prepared, solution: Solution, method: Method) -> Inference:
         # What runs off to infinity takes steps below its deviations, too, and is nowhere near a minimum.
         least = np.maximum(worth.chi2 / max(linearised.dof, 1), 1.0 if data.noise_known else 0.0)
         solution = replace(solution, converged=solution.converged & (worth.above <= UNSETTLED * least))
+    if worth.in_time is not None:
+        solution = replace(solution, theta=solution.theta + worth.in_time.step)
     return Inference(method, solution, best.theta, linearised, worth)
 
 
@@ -184,9 +189,8 @@ def uncertainty(data: Prepared, solution: Solution, around: Linearised, traits: 
     `solution` and `around` are to be those of the most likely parameters, to which one Gauss-Newton step leads, with
     the covariance of the method.  Where the noise is unknown, χ² supplies its size; where it was estimated, weights and
     intervals pay for that; where the model does not fit, the covariance grows by χ²/dof, or to the scatter over parts
-    of the band where that is larger.  Where the residuals of whole records are all that tells the noise, that scatter
-    counts where the parts disagree.  Where bounds hold unknowns,
-    χ² is that of the values held: bounds that the data contradict are no fit.
+    of the band where that is larger; in whole records whose residuals tell the noise, where the parts disagree.  Where
+    bounds hold unknowns, χ² is that of the values held.
     """
     sums = around.sums
     excess = np.zeros(len(sums.cost)) if traits.definite else _excess(sums, solution)
@@ -214,18 +218,19 @@ def uncertainty(data: Prepared, solution: Solution, around: Linearised, traits: 
     p = _p_value(chi2, dof, around.rows, data.spectrum)
     if not traits.weighted:
         noise = solution.covariance
-    frequency_hz = data.spectrum.frequency_hz
     if RESIDUAL in data.spectrum.noise and traits.weighted:
-        bands = around.bands(np.arange(len(chi2)), frequency_hz)
-        covariance, degrees = bands.widened(noise, degrees, bands.disagree)
-        return Uncertainty(covariance, noise, bound, degrees, chi2, p, excess, bands)
+        bands = around.bands(np.arange(len(chi2)), data.spectrum.frequency_hz)
+        in_time = counted_in_time(data, solution, sums, noise, bound, degrees)
+        noise, bound = in_time.covariance, in_time.bound
+        covariance, degrees = bands.widened(noise, in_time.dof, bands.disagree)
+        return Uncertainty(covariance, noise, bound, degrees, chi2, p, excess, bands, in_time)
     (misfit,) = ((p < MISFIT_LEVEL) & (chi2 > dof)).nonzero()
     covariance = noise
     if len(misfit):
         covariance = noise.copy()
         wide = noise[misfit] * (chi2[misfit] / usable)[:, None, None]
         few = np.minimum(degrees[misfit], usable)
-        bands = around.bands(misfit, frequency_hz)
+        bands = around.bands(misfit, data.spectrum.frequency_hz)
         covariance[misfit], degrees[misfit] = bands.widened(wide, few, np.ones(len(misfit), dtype=bool))
     return Uncertainty(covariance, noise, bound, degrees, chi2, p, excess)
 

@@ -32,6 +32,7 @@ from dashpot.estimate.preparation.state_reconstruction import states_if_seen
 from dashpot.model.network import Model
 from dashpot.model.observation import ObservationModel, calibrated_transfer, observation_model, small
 from dashpot.numerics.levenberg_marquardt import minimise
+from dashpot.numerics.variance_tests import equal_variances
 
 RESIDUAL = "residual"
 PIECE = 10_000  # lines at a time
@@ -310,11 +311,8 @@ def _pooled(
 def _is_white(power: Real, width: int) -> bool:
     """Whether the mean powers of groups of lines differ by no more than chance: Bartlett's test on exponentials."""
     groups = len(power) // width
-    if groups < 2 or not np.any(power):
+    if groups < 2:
         return True
     edges: Ints = np.arange(groups) * width
     mean = np.add.reduceat(power[: groups * width], edges) / width
-    with np.errstate(divide="ignore"):
-        statistic = 2 * width * groups * (np.log(np.mean(mean)) - np.mean(np.log(mean)))
-    correction = 1 + (groups + 1) / (6 * groups * width)
-    return bool(statistic / correction < chdtri(groups - 1, WHITE_LEVEL))
+    return equal_variances(mean, 2.0 * width) >= WHITE_LEVEL

@@ -5,7 +5,7 @@ The compiled kernel makes the same passes (`record_kernel.py`).
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Protocol
@@ -121,14 +121,17 @@ class NumpyPasses:
         """As `Passes` says."""
         (K, M), lines = self.psi.shape, len(self.pieces.ends.rig.omega)
         information, scores, cost = np.empty((K, lines, M, M)), np.empty((K, lines, M)), np.empty((K, lines))
-        for at in self._each():
-            rows = _slopes_and_residual(at, fit) - _at_ends(at.piece, at.columns, z, t)
+        for at, rows in self.rows(fit, z, t):
             flat = np.moveaxis(rows, -1, 1)
             products = 2 * (np.conj(np.swapaxes(flat, -1, -2)) @ flat).real
-            at_lines = at.piece.lines
-            information[:, at_lines], scores[:, at_lines] = products[..., :M, :M], products[..., :M, M]
-            cost[:, at_lines] = products[..., M, M]
+            information[:, at], scores[:, at] = products[..., :M, :M], products[..., :M, M]
+            cost[:, at] = products[..., M, M]
         return information, scores, cost
+
+    def rows(self, fit: EndsFitted, z: Real, t: Real) -> Iterator[tuple[slice | Ints, Complex]]:
+        """Lines, and what the ends leave of their whitened slopes and, last, residual: (K, channels, M + 1, lines)."""
+        for at in self._each():
+            yield at.piece.lines, _slopes_and_residual(at, fit) - _at_ends(at.piece, at.columns, z, t)
 
     def residuals(self, fit: EndsFitted) -> Complex:
         """As `Passes` says."""

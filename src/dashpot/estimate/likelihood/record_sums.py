@@ -45,6 +45,17 @@ def by_record_line(pieces: RecordPieces, psi: Real, sign: Real) -> tuple[Real, R
     return passes.by_line(fit, *of_ends.coefficients(fit))
 
 
+def rows_by_line(pieces: RecordPieces, psi: Real, sign: Real) -> Complex:
+    """Whitened slopes and, last, residual that the ends leave of each line: (K, lines, channels, M + 1)."""
+    passes = _passes(pieces, psi, sign)
+    fit, (_, of_ends) = _fit(pieces, passes), _slopes(pieces, passes)
+    lines, channels = len(pieces.ends.rig.omega), len(pieces.ends.rig.channels)
+    rows = np.empty((len(psi), lines, channels, psi.shape[-1] + 1), dtype=np.complex128)
+    for at, of_lines in NumpyPasses(pieces, psi, sign).rows(fit, *of_ends.coefficients(fit)):
+        rows[:, at] = np.moveaxis(of_lines, -1, 1)
+    return rows
+
+
 def record_residuals(pieces: RecordPieces, psi: Real, sign: Real) -> tuple[Complex, Ints]:
     """Whitened residuals (K, lines, channels) of the whole motion, and the rank of the columns taken out (K,)."""
     passes = _passes(pieces, psi, sign)

@@ -164,6 +164,13 @@ NOTICES: tuple[tuple[str, str, str, str], ...] = (
         "Something in the model depends on frequency: look for a missing part, a delay or a nonlinearity.",
     ),
     (
+        "noise_in_time", _ESTIMATE,
+        ("What the model leaves over of a whole record is louder at some times than at others, as where noise grows "
+        "with the motion. Samples are weighted by the noise at their time, and intervals count it; where loud and "
+        "quiet times ask for different values, or limits hold unknowns, the weights are left even."),
+        "Nothing need be done. Where the residuals should be sensor noise alone, look at what happens at those times.",
+    ),
+    (
         "several_motions",
         _ESTIMATE,
         (
