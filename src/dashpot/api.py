@@ -99,11 +99,11 @@ def identify(
             name = None if chosen is None else chosen.name
             return _of_rig(rig, identify_records(_model(rig), data.records, name, progress=progress))
     spectrum = _spectrum(rig, data, frequency_hz, conditioning, [] if chosen is None else [chosen])
-    if isinstance(rig, Rig):
-        from dashpot.present.text.identifiability import require_identifiable
+    from dashpot.present.text.identifiability import require_identifiable
 
-        require_identifiable(rig.model, spectrum.channels, rig.path or None, spectrum)
     model = _model(rig)
+    where = rig.path or None if isinstance(rig, Rig) else None
+    require_identifiable(model, spectrum.channels, where, spectrum)
     spectrum = with_settling_decided(model, spectrum, chosen)
     suited = identification.automatic(model, spectrum) if chosen is None else chosen
     # What judges the fit wants the noise that the fit rests on.

@@ -220,3 +220,17 @@ def test_a_whole_record_is_judged_by_the_noise_that_its_fit_rests_on() -> None:
     said = re.search(r"after ([\d.]+) s", first.text)
     assert said is not None
     assert float(said[1]) == pytest.approx(record.time[len(values) // 2], rel=0.02)
+
+
+def test_a_model_that_cannot_be_found_is_refused_as_a_rig_is_and_all_its_unknowns_named() -> None:
+    """24 coordinates of which nothing is known were searched for minutes."""
+    model, theta = chain(24)
+    free = replace(model, elements=tuple(replace(element, value=None) for element in model.elements))
+    channels = [dashpot.Channel(name, {name: 1.0}, noise=1e-5) for name in (*model.coordinates, "u")]
+    sines = dashpot.dwells(model, np.linspace(1, 20, 30), 16)
+    p = model.parameters(theta)
+    spectrum = dashpot.simulate_spectrum(model, p, channels, sines, np.random.default_rng(0))
+    with pytest.raises(dashpot.IdentifiabilityError, match="nothing is known") as refused:
+        dashpot.identify(free, spectrum)
+    words = set(re.findall(r"\w+", str(refused.value)))
+    assert words >= {element.name for element in free.elements}

@@ -14,14 +14,13 @@ from dashpot.data.spectrum import Spectrum
 from dashpot.data.stretch import SettledDwell
 from dashpot.estimate.assessment import Assessment, Finding, Judgement, Misfit
 from dashpot.estimate.inference.band_stability import DISAGREE
-from dashpot.estimate.inference.diagnostics import dead_channels, nonlinear_names
+from dashpot.estimate.inference.diagnostics import dead_channels, of_one_sign
 from dashpot.estimate.inference.time_course import CLOCK_STEP, GAIN_STEP, JUMP, SPIKES, TIME_CHANGES
 from dashpot.estimate.likelihood.record_noise import RESIDUAL
 from dashpot.estimate.result import Estimate
 from dashpot.io.words import joined
 from dashpot.model.network import Model
 from dashpot.model.observation import measures_input
-from dashpot.model.unstructured import free_names
 from dashpot.notices import Notice
 
 REJECTED = 0.01  # p-value of χ² below which a rig does not fit: one clean test in a hundred
@@ -121,13 +120,8 @@ def _silent(model: Model, spectrum: Spectrum) -> list[Notice]:
 
 def _unphysical(model: Model, estimate: Estimate) -> list[Notice]:
     """Parts of the rig that are negative beyond doubt by the sensors' noise; entries of free matrices may be."""
-    free, any_sign = free_names(model), nonlinear_names(model)
-    unknowns = model.unknown_names
-    names = tuple(
-        name
-        for name, value, sd in zip(unknowns, estimate.values, estimate.noise_sd, strict=False)
-        if name not in free and name not in any_sign and value < -BEYOND * sd
-    )
+    rows = zip(model.unknown_names, of_one_sign(model), estimate.values, estimate.noise_sd, strict=False)
+    names = tuple(name for name, held, value, sd in rows if held and value < -BEYOND * sd)
     if not names:
         return []
     return [Notice("negative", f"{joined(names)} {'is' if len(names) == 1 else 'are'} negative", names)]

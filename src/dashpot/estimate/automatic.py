@@ -17,7 +17,7 @@ from dashpot.arrays import Bools
 from dashpot.data.spectrum import Spectrum
 from dashpot.errors import ConvergenceError, DashpotError, IdentifiabilityError
 from dashpot.estimate.identify import automatic, identify
-from dashpot.estimate.inference.diagnostics import largest_of_kind, nonlinear_names
+from dashpot.estimate.inference.diagnostics import largest_of_kind, of_one_sign
 from dashpot.estimate.likelihood.global_search import DOUBT, TIE, apart, not_unique
 from dashpot.estimate.likelihood.maximum_likelihood import MaximumLikelihood
 from dashpot.estimate.likelihood.settling import with_settling_decided
@@ -26,7 +26,6 @@ from dashpot.estimate.registry import method as method_named
 from dashpot.estimate.result import Estimate
 from dashpot.model.network import Model
 from dashpot.model.observation import measures_input
-from dashpot.model.unstructured import free_names
 from dashpot.notices import Notice
 
 LARGEST = 8  # coordinates: beyond, many starts take longer than anyone waits
@@ -109,10 +108,8 @@ def _loose(model: Model, estimate: Estimate) -> bool:
 
 def _below(model: Model, estimate: Estimate, deviations: float) -> Bools:
     """Parts below so many standard deviations, (unknowns,); entries of free matrices and nonlinear terms never are."""
-    exempt = free_names(model) | nonlinear_names(model)
-    names = model.unknown_names
-    physical = np.array([name not in exempt for name in names])
-    values, sd = estimate.values[: len(names)], estimate.noise_sd[: len(names)]
+    physical = of_one_sign(model)
+    values, sd = estimate.values[: len(physical)], estimate.noise_sd[: len(physical)]
     below: Bools = physical & (values < deviations * sd)
     return below
 

@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
-from dashpot.arrays import Bools, Ints, Real
+from dashpot.arrays import Bools, Real
 from dashpot.channel import Quantity
 from dashpot.check.diagnosis.crosstalk import cross_talk
 from dashpot.check.diagnosis.likeness import RATIOS, Likeness, likeness
 from dashpot.check.diagnosis.nonlinear_elements import ENOUGH, called_for
 from dashpot.check.diagnosis.open_calibrations import as_stated, with_open_calibrations
+from dashpot.check.diagnosis.ranking import ALIKE, ORDER, Cause, ranked
 from dashpot.check.diagnosis.rig_changes import changes
 from dashpot.check.diagnosis.run_groups import run_groups
 from dashpot.check.diagnosis.score_test import promises
@@ -28,8 +29,10 @@ from dashpot.check.diagnosis.trials import (
     with_phases_times,
     without,
 )
+from dashpot.check.verdict import BEYOND
 from dashpot.data.stretch import SettledDwell, Stretch
-from dashpot.estimate.likelihood.objective import measured
+from dashpot.estimate.inference.diagnostics import of_one_sign
+from dashpot.estimate.likelihood.objective import local, measured
 from dashpot.estimate.preparation.prepared import Prepared
 from dashpot.estimate.preparation.state_reconstruction import states_if_seen
 from dashpot.model.elements import Element
@@ -38,18 +41,9 @@ from dashpot.model.observation import measures_input, observation_model
 
 GAINS = tuple(np.exp(np.linspace(np.log(0.4), np.log(2.5), 11)))
 DELAYS = (-0.4, -0.2, -0.1, -0.05, -0.02, 0.02, 0.05, 0.1, 0.2, 0.4)  # periods of the highest frequency
-# What explains as much and is more particular is named first.
-ORDER = (
-    "sign", "unit", "swap", "conjugate", "quantity", "frequency", "dwell", "delay", "gain", "value", "element",
-    "crosstalk", "nonlinear", "changed", "channel",
-)  # fmt: skip
 OF_SAMPLES = {"white", "blocks", "periods"}  # kinds of noise that were read from samples
 # What is left out explains little.
 PARTICULAR = tuple(kind for kind in ORDER if kind not in ("dwell", "channel"))
-HELPS = 0.5  # χ² per degree of freedom must fall below this part of what it was
-# Handicap of leaving out a dwell, a channel, or an input.
-LEFT_OUT_DWELL, LEFT_OUT, LEFT_OUT_INPUT = 1.7, 2.0, 4.0
-ALIKE = 1.6  # ratio of what is left within which two causes explain alike
 RATES = (2 * np.pi, 1 / (2 * np.pi), 2.0, 0.5, 60.0, 1 / 60)
 FEWER = 200  # rigs drawn for each of them, where all is seen
 OF_ITS_OWN = 0.01  # part of the column of a gain or a delay that the rig's own unknowns must leave
@@ -60,20 +54,6 @@ MOST_DWELLS = 40
 RELABELLED = 6.0  # χ² for each number of a dwell below which it belongs to another frequency
 RADIANS = 180 / np.pi  # times which phases are radians that were read as degrees
 SIGN = Likeness(-1.0, 0, 0.0, False, 0.0)
-MOST = 5  # findings that are named
-
-
-@dataclass(frozen=True)
-class Cause:
-    """What may be wrong, and χ² per degree of freedom with it mended."""
-
-    kind: str
-    of: tuple[str, ...]
-    remaining: float
-    number: float | None = None
-    likeness: Likeness | None = None
-    element: Element | None = None
-    where: str = ""
 
 
 def causes(bench: Workbench, seed: int = 0) -> tuple[float, list[Cause]]:
@@ -93,7 +73,8 @@ def causes(bench: Workbench, seed: int = 0) -> tuple[float, list[Cause]]:
     candidates = [_of_outcome(outcome) for outcome in (*without_one, *inputs)]
     candidates += _mended_channels(bench, base, without_one, pool)
     usual = [*_rearranged(bench, base, channels), *_usual_mistakes(bench, base)]
-    candidates += [_of_outcome(outcome) for outcome in bench.refitted(usual, pool)]
+    otherwise = bench.refitted(usual, pool)
+    candidates += [_of_outcome(outcome) for outcome in otherwise]
     if not _explained(candidates, ORDER[: ORDER.index("gain") + 1]):
         candidates += _slightly_off(bench, base, as_is, pool)
     candidates += _dwells(bench, base, pool)
@@ -107,11 +88,12 @@ def causes(bench: Workbench, seed: int = 0) -> tuple[float, list[Cause]]:
         )
         for change in changes(bench, as_is.psi)
     ]
-    candidates += _phases(bench, as_is, candidates)
+    positive = _of_possible_parts(bench, as_is, [*inputs, *otherwise])
+    candidates += positive
     # Where one dwell alone is wrong, neither the time base nor the amplitude is to blame.
     if not _explained(candidates, (*ORDER[: ORDER.index("frequency")], "dwell")):
         candidates += _rates(bench, base, seed)
-    noise = max(1 + BY_CHANCE * (2 / max(as_is.dof, 1)) ** 0.5, GROSS * as_is.reduced)
+    noise = max(_by_chance(as_is), GROSS * as_is.reduced)
     if not _explained(candidates, (*PARTICULAR, "dwell"), noise):
         candidates += [_of_outcome(outcome) for outcome in cross_talk(bench, base, without_one, pool)]
         candidates += _changed(bench, base, pool)
@@ -120,7 +102,8 @@ def causes(bench: Workbench, seed: int = 0) -> tuple[float, list[Cause]]:
     inputs_alone = {
         channel.name for channel in bench.view.channels if measures_input(bench.data.model, channel)
     }
-    return as_is.reduced, ranked(candidates, as_is.reduced, inputs_alone)
+    by_chance = _by_chance(as_is) if bench.data.noise_known else np.inf
+    return as_is.reduced, ranked(candidates, as_is.reduced, inputs_alone, noise=by_chance, surely=positive)
 
 
 def _explained(candidates: Sequence[Cause], kinds: Sequence[str], noise: float = ENOUGH) -> bool:
@@ -128,13 +111,35 @@ def _explained(candidates: Sequence[Cause], kinds: Sequence[str], noise: float =
     return any(cause.remaining < noise and cause.kind in kinds for cause in candidates)
 
 
-def _phases(bench: Workbench, as_is: Outcome, candidates: Sequence[Cause]) -> list[Cause]:
-    """Phases that count the other way fit as well, with negative dampers: a cause though χ² is the same."""
-    damping = _dampers(bench.data.model)
-    turned = [cause for cause in candidates if cause.kind == "conjugate" and not cause.of]
-    if not len(damping) or not turned or np.any(as_is.psi[damping] > 0):
+def _of_possible_parts(bench: Workbench, as_is: Outcome, outcomes: Sequence[Outcome]) -> list[Cause]:
+    """What fits as well with parts that are all possible, where some of the rig as it is are negative beyond doubt.
+
+    Phases that count the other way, or a channel in another unit, may leave χ² as it is.
+    """
+    limit = _by_chance(as_is) if bench.data.noise_known else ALIKE * as_is.reduced
+    if as_is.reduced > limit or not np.any(_negative(bench, as_is)):
         return []
-    return [replace(cause, remaining=min(cause.remaining, HELPS * as_is.reduced * 0.99)) for cause in turned]
+    return [
+        _of_outcome(outcome)
+        for outcome in outcomes
+        if outcome.reduced < limit and not np.any(_negative(bench, outcome))
+    ]
+
+
+def _by_chance(as_is: Outcome) -> float:
+    """χ² per degree of freedom that noise alone hardly exceeds."""
+    return float(1 + BY_CHANCE * (2 / max(as_is.dof, 1)) ** 0.5)
+
+
+def _negative(bench: Workbench, outcome: Outcome) -> Bools:
+    """Parts of the rig that are negative beyond doubt where a trial ended, (unknowns,)."""
+    model, data = bench.data.model, prepared(bench.data, outcome.trial)
+    with np.errstate(all="ignore"):
+        at = local(bench.view, measured(data), outcome.psi[None], bench.sign[None])
+    scale = outcome.reduced**0.5 if not bench.data.noise_known else 1.0
+    sd = scale * np.sqrt(np.diagonal(at.inverse[0]))[: bench.view.m]
+    negative: Bools = (outcome.psi[: bench.view.m] < -BEYOND * sd) & of_one_sign(model)
+    return negative
 
 
 def _nonlinear(bench: Workbench, as_is: Outcome) -> list[Cause]:
@@ -158,34 +163,6 @@ def _changed(bench: Workbench, base: Trial, pool: Sequence[Real]) -> list[Cause]
     of = () if groups.element is None else points_of(groups.element, bench.data.model)
     left = groups.chi2 / groups.dof
     return [Cause("changed", of, left, groups.step, element=groups.element, where=groups.where)]
-
-
-def _dampers(model: Model) -> Ints:
-    lossy = {element.name for element in model.elements if element.law.dissipative}
-    return np.flatnonzero([unknown.name in lossy for unknown in model.unknowns])
-
-
-def ranked(candidates: Sequence[Cause], start: float, inputs: Collection[str] = ()) -> list[Cause]:
-    """Those that explain half of the misfit or more; what explains alike in the order of ORDER.
-
-    Without the channel of an input (`inputs`) it moves as it likes at every line, which explains nearly anything.
-    """
-    helpful = [cause for cause in candidates if cause.remaining < HELPS * start]
-    if not helpful:
-        return []
-    best = max(min(cause.remaining for cause in helpful), 1.0)
-
-    def place(cause: Cause) -> tuple[float, int, float]:
-        # Leaving data out leaves less to explain: what keeps them and explains nearly as much says more.
-        channel = LEFT_OUT_INPUT if set(cause.of) & set(inputs) else LEFT_OUT
-        left = cause.remaining * {"channel": channel, "dwell": LEFT_OUT_DWELL}.get(cause.kind, 1.0)
-        tier = np.floor(np.log(max(left, best) / best) / np.log(ALIKE))
-        return float(tier), ORDER.index(cause.kind), cause.remaining
-
-    named: dict[tuple[str, tuple[str, ...]], Cause] = {}
-    for cause in sorted(helpful, key=place):
-        named.setdefault((cause.kind, cause.of), cause)
-    return list(named.values())[:MOST]
 
 
 def _only(kept: Bools, *, column: int | None = None, line: int | None = None) -> Bools:

@@ -8,9 +8,10 @@ import numpy as np
 
 from dashpot.check.branches import several_motions
 from dashpot.check.curvature import with_profile_intervals
-from dashpot.check.diagnosis.causes import Cause, causes, points_of
+from dashpot.check.diagnosis.causes import causes, points_of
 from dashpot.check.diagnosis.directed import directed_causes
 from dashpot.check.diagnosis.nonlinear_elements import MARKED
+from dashpot.check.diagnosis.ranking import Cause
 from dashpot.check.diagnosis.record_elements import called_for_in_records
 from dashpot.check.diagnosis.search import Workbench
 from dashpot.check.diagnosis.steady_lines import steady_lines
@@ -18,6 +19,7 @@ from dashpot.check.diagnosis.wording import finding, nonlinear_finding
 from dashpot.check.verdict import BEYOND, UNTESTED, assess
 from dashpot.data.spectrum import Spectrum
 from dashpot.estimate.assessment import Assessment, Finding
+from dashpot.estimate.inference.time_course import TIME_CHANGES
 from dashpot.estimate.likelihood.starting_values import candidates
 from dashpot.estimate.preparation.prepared import prepare
 from dashpot.estimate.result import Estimate
@@ -38,13 +40,20 @@ def diagnose(
 
     `spectrum` has no batch axes.  The estimate, where there is one, is one more start.  Nothing is applied.
     """
+    return _misfit_and_causes(model, spectrum, estimate, seed)[1]
+
+
+def _misfit_and_causes(
+    model: Model, spectrum: Spectrum, estimate: Estimate | None, seed: int
+) -> tuple[float, tuple[Finding, ...]]:
+    """χ² per degree of freedom of the rig as it is on the lines that are diagnosed (NaN where none are), and causes."""
     backwards = _pushed_backwards(model, spectrum, estimate)
     if backwards or model.n > LARGEST:
-        return backwards
+        return np.nan, backwards
     transients, runs = spectrum.carries_loads, len(spectrum.records)
     if transients:
         if not model.inputs:  # a free decay is nothing but a transient
-            return ()
+            return np.nan, ()
         spectrum = steady_lines(model, spectrum)
     data = prepare(model, spectrum)
     middle, signs = candidates(data, 1, np.random.default_rng(seed))
@@ -56,8 +65,8 @@ def diagnose(
     lines_are_runs = not transients or spectrum.lines <= runs
     as_is, ranked_causes = causes(Workbench(data, psi, sign, lines_are_runs), seed)
     if transients and as_is < SHOWN:
-        return ()
-    return tuple(finding(model, spectrum.channels, cause) for cause in ranked_causes)
+        return as_is, ()
+    return as_is, tuple(finding(model, spectrum.channels, cause) for cause in ranked_causes)
 
 
 def _pushed_backwards(model: Model, spectrum: Spectrum, estimate: Estimate | None) -> tuple[Finding, ...]:
@@ -86,10 +95,14 @@ def examined(model: Model, spectrum: Spectrum, estimate: Estimate, *, seed: int 
     bent = _nonlinear_elements(model, spectrum, estimate) if linear else ()
     if linear and (assessment.verdict == "does not fit" or not bool(estimate.converged)):
         enough = bool(bent) and _left(bent[0]) < (1 - MARKED) * misfit
-        causes_found = () if enough else diagnose(model, spectrum, estimate, seed=seed)
-        assessment = replace(assessment, findings=_ranked(causes_found, assessment.findings, misfit))
+        on_lines, causes_found = (
+            (misfit, ()) if enough else _misfit_and_causes(model, spectrum, estimate, seed)
+        )
+        assessment = replace(assessment, findings=_ranked(causes_found, assessment.findings, on_lines))
     if bent:
         assessment = _with_nonlinear_elements(assessment, bent, misfit)
+    if assessment.findings and assessment.findings[0].kind in OF_THE_RIG:
+        estimate, assessment = _without_changes_in_time(estimate, assessment)
     if assessment.verdict == "fits":
         assessment = _looked_at_closely(model, spectrum, estimate, assessment)
     if not linear:
@@ -140,7 +153,7 @@ def _ranked(
     """What changes in the course of a record stands after the plain mistakes that lead, before all others.
 
     A rig that is another one leaves residuals that change as the motion does: where it explains nearly all of the
-    misfit (χ² over its degrees of freedom), it stands before them.
+    `misfit` (χ² over its degrees of freedom on the lines that were diagnosed), it stands before them.
     """
     leading = next((k for k, each in enumerate(causes_found) if each.kind not in PLAIN), len(causes_found))
     plain, others = causes_found[:leading], causes_found[leading:]
@@ -152,6 +165,17 @@ def _ranked(
     if not in_time or not rig:
         return (*plain, *in_time, *others)
     return (*plain, *rig, *(each for each in others if each not in rig), *in_time)
+
+
+def _without_changes_in_time(estimate: Estimate, assessment: Assessment) -> tuple[Estimate, Assessment]:
+    """Changes in the course of a record as what they are where the rig is another one: the last of the reasons.
+
+    The warnings, which go with a remedy for each, name them no more.
+    """
+    in_time = tuple(reason for reason in assessment.reasons if reason.code in TIME_CHANGES)
+    others = tuple(reason for reason in assessment.reasons if reason.code not in TIME_CHANGES)
+    warnings = tuple(notice for notice in estimate.warnings if notice.code not in TIME_CHANGES)
+    return replace(estimate, warnings=warnings), replace(assessment, reasons=(*others, *in_time))
 
 
 def _looked_at_closely(

@@ -12,8 +12,8 @@ from dataclasses import replace
 import numpy as np
 from scipy.special import chdtrc
 
-from dashpot.check.diagnosis.causes import Cause
 from dashpot.check.diagnosis.open_calibrations import as_stated, with_open_calibrations
+from dashpot.check.diagnosis.ranking import Cause
 from dashpot.check.diagnosis.rig_changes import missing_elements
 from dashpot.check.diagnosis.score_test import Promise, promises
 from dashpot.data.spectrum import Spectrum

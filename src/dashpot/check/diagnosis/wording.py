@@ -6,9 +6,9 @@ from dataclasses import replace
 
 from dashpot import units
 from dashpot.channel import Channel, Quantity
-from dashpot.check.diagnosis.causes import Cause
 from dashpot.check.diagnosis.likeness import CLOSE, Likeness
 from dashpot.check.diagnosis.nonlinear_elements import with_open_constants
+from dashpot.check.diagnosis.ranking import Cause
 from dashpot.errors import DashpotError
 from dashpot.estimate.assessment import Finding
 from dashpot.model.elements import Element, Kind

@@ -10,7 +10,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from scipy.special import bdtrc
 
-from dashpot.arrays import Real
+from dashpot.arrays import Bools, Real
 from dashpot.channel import Quantity
 from dashpot.data.spectrum import Spectrum
 from dashpot.errors import IdentifiabilityError
@@ -170,6 +170,12 @@ def nonlinear_names(model: Model) -> frozenset[str]:
     """Unknowns of nonlinear elements, whose parameters and constants may have any sign."""
     names = {e.name for e in model.elements if e.force_law is not None}
     return frozenset(names | {f"{e.name}.{c.name}" for e, c in model.constants})
+
+
+def of_one_sign(model: Model) -> Bools:
+    """Unknowns of the rig that cannot be negative: not entries of free matrices, nor of nonlinear laws; (unknowns,)."""
+    exempt = free_names(model) | nonlinear_names(model)
+    return np.array([name not in exempt for name in model.unknown_names], dtype=bool)
 
 
 def wrong_signs(model: Model, theta: Real, noise_covariance: Real) -> list[Notice]:

@@ -19,6 +19,7 @@ from dashpot.io.words import listed
 from dashpot.model.elements import Kind
 from dashpot.model.network import Model
 
+_NAMED = 100  # unknowns at the most in one sentence: an undetermined rig of 24 coordinates may have 72
 _POWERS = {"sum": 0, "scale": 1, "series": 2}  # of the unknowns, along the directions
 
 
@@ -46,7 +47,7 @@ def require_no_parallels(model: Model, channels: Sequence[Channel], where: str |
     problems = []
     for names in parallel_unknowns(model, channels):
         reason, more = _parallel(names, model)
-        what = f"of {listed(names)} only {' + '.join(names)} can be found: {reason}"
+        what = f"of {_named(names)} only {' + '.join(names)} can be found: {reason}"
         cure = "give one of them a value" if len(names) == 2 else f"give {len(names) - 1} of them a value"
         problems.append(Problem(what, where, cure + more))
     if problems:
@@ -99,9 +100,9 @@ def _said(one: Deficiency, found: Structure, model: Model, channels: Sequence[Ch
     if one.sort == "scale":
         return _scaled(one, found, model, give)
     only = combinations_in_words(one)
-    what = f"of {listed(names)} only {listed(only)} can be found"
+    what = f"of {_named(names)} only {_named(only)} can be found"
     if not only:
-        what = f"{listed(names)} can change by any amounts"
+        what = f"{_named(names)} can change by any amounts"
     if one.sort == "sum" and elements.issuperset(names):
         reason, more = _parallel(names, model)
         return f"{what}: {reason}", f"{give}{more}"
@@ -134,19 +135,19 @@ def _scaled(one: Deficiency, found: Structure, model: Model, give: str) -> tuple
     even = len(exponents) == 1 and np.allclose(exponents[0], exponents[0, 0], rtol=1e-5)
     if even and set(names) == set(model.unknown_names):
         driven = "" if model.force_inputs else " and only displacements go in"
-        together = f"all forces scale together: only the ratios of {listed(names)} can be found"
+        together = f"all forces scale together: only the ratios of {_named(names)} can be found"
         return f"nothing is known{driven}, so {together}", cure
     if even and not elements:
-        return f"only the ratios of {listed(names)} can be found", give
+        return f"only the ratios of {_named(names)} can be found", give
     if even:
-        return f"the forces of {listed(names)} scale together: only their ratios can be found", cure
+        return f"the forces of {_named(names)} scale together: only their ratios can be found", cure
     only = combinations_in_words(one)
     if len(only) <= 6:
-        return f"of {listed(names)} only {listed(only)} can be found", cure
+        return f"of {_named(names)} only {_named(only)} can be found", cure
     up = [n for n, x in zip(names, exponents[0], strict=True) if x > 0]
     down = [n for n, x in zip(names, exponents[0], strict=True) if x < 0]
-    text = f"{listed(up)} may grow by any factor while {listed(down)} shrink by it (or a power of it)"
-    return f"only products and ratios of {listed(names)} can be found: {text}", cure
+    text = f"{_named(up)} may grow by any factor while {_named(down)} shrink by it (or a power of it)"
+    return f"only products and ratios of {_named(names)} can be found: {text}", cure
 
 
 def _moves(one: Deficiency, found: Structure) -> str:
@@ -163,7 +164,7 @@ def _moves(one: Deficiency, found: Structure) -> str:
     count = len(one.directions)
     more = "" if count <= 2 else f" and {count - 2} more"
     return (
-        f"{listed(one.names)} can change together without a trace "
+        f"{_named(one.names)} can change together without a trace "
         f"(at about the nominal values {' or '.join(parts)}{more})"
     )
 
@@ -183,17 +184,17 @@ def _unseen(one: Deficiency, found: Structure, model: Model, channels: Sequence[
         count = len(channels)
         seen = "one channel" if count == 1 else f"{count} channels"
         what = (
-            f"{seen} cannot separate the rig from its unmeasured input{'s'[: len(quiet) - 1]} {listed(quiet)}"
+            f"{seen} cannot separate the rig from its unmeasured input{'s'[: len(quiet) - 1]} {_named(quiet)}"
         )
         return what, f"measure {quiet[0]}, or more points"
     give = "give it a value or leave it out" if len(one.names) == 1 else "give them values or leave them out"
-    what = f"nothing that is measured depends on {listed(one.names)}"
+    what = f"nothing that is measured depends on {_named(one.names)}"
     light = _without_mass(one.names, model)
     if not light:
         return what, give
     has = "has" if len(light) == 1 else "have"
     return (
-        f"{what}: {listed(light)} {has} no mass",
+        f"{what}: {_named(light)} {has} no mass",
         f'add [masses] m_{light[0]} = {{ at = "{light[0]}" }}, or {give}',
     )
 
@@ -211,7 +212,7 @@ def _lines(one: Deficiency, found: Structure) -> tuple[str, str]:
     M = len(found.names)
     at = "1 frequency" if frequencies == 1 else f"{frequencies} frequencies"
     held = f"{count} line{'' if count == 1 else 's'} at {at}"
-    what = f"{held} fix only {found.rank} combinations of the {M} unknowns: {listed(one.names)} stay open"
+    what = f"{held} fix only {found.rank} combinations of the {M} unknowns: {_named(one.names)} stay open"
     need = "" if more is None else f"measure at {more} more frequenc{'y' if more == 1 else 'ies'}, or "
     return what, f"{need}give {M - found.rank} of them a value"
 
@@ -219,7 +220,7 @@ def _lines(one: Deficiency, found: Structure) -> tuple[str, str]:
 def _between(names: tuple[str, ...], model: Model) -> str:
     points = [set(e.along) for e in model.elements if e.name in names]
     shared = set.intersection(*points) if points else set()
-    return f" through {listed(sorted(shared))}" if shared else ""
+    return f" through {_named(sorted(shared))}" if shared else ""
 
 
 def _sensors(sensors: Sequence[Channel], model: Model) -> str:
@@ -287,3 +288,8 @@ def _place(along: Mapping[str, float]) -> str:
 
 def _share(percent: float) -> str:
     return f"{percent:+.0f}" if abs(percent) >= 99.5 else f"{percent:+.2g}"
+
+
+def _named(names: Sequence[str]) -> str:
+    """The names in a sentence, all of them but for very large rigs."""
+    return listed(names, _NAMED)

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+import dashpot
 from dashpot.channel import Channel, Quantity
 from dashpot.check.diagnosis.diagnose import _ranked, diagnose, examined
 from dashpot.data.spectrum import Spectrum
@@ -14,6 +15,8 @@ from dashpot.model.elements import Kind, between, mass
 from dashpot.model.network import Input, Model
 from tests import partly_seen, rigs
 from tests.mistakes import MISTAKES
+from tests.two_masses import SHAKEN, SHAKEN_TRUTH
+from tests.whole_rigs import chain, record_of
 
 # What no data of these rigs can show: with springs alone known, all frequencies times a factor is another rig; two
 # springs of which one is stated wrongly; with displacements alone, a wrong value of the only known mass scales all.
@@ -126,6 +129,41 @@ def test_negative_dampers_never_fit_and_the_phases_are_blamed():
     assert all(finding.kind != "conjugate" for finding in diagnose(model, of_samples, estimate))
 
 
+@pytest.mark.parametrize("mistake", ["phases the other way", "m for mm"])
+def test_a_mistake_that_leaves_chi2_as_it_is_is_named_by_the_parts_that_it_makes_negative(mistake):
+    """With a damper known the masses and springs come out negative, not the dampers: no cause was named."""
+    elements = tuple(
+        replace(e, value={"c2": 8.0}.get(e.name)) if e.kind is not Kind.MASS else e for e in SHAKEN.elements
+    )
+    model = replace(SHAKEN, elements=elements)
+    truth = [SHAKEN_TRUTH.get(name, 4600.0) for name in model.unknown_names]
+    rng = np.random.default_rng(2)
+    chosen = tuple(Channel(x, {x: 1.0}, noise=1e-3) for x in ("x1", "x2", "u"))
+    test = dashpot.dwells(model, np.linspace(2.0, 16.0, 20), 50)
+    spectrum = dashpot.simulate_spectrum(model, model.parameters(np.array(truth)), chosen, test, rng)
+    case = MISTAKES[mistake](model, spectrum, rng)
+    estimate = examined(case.model, case.spectrum, identify(case.model, case.spectrum))
+    assert estimate.assessment is not None
+    assert estimate.assessment.verdict == "does not fit"
+    first = estimate.assessment.findings[0]
+    assert (first.kind, frozenset(first.of)) == (case.kinds[0], case.of)
+
+
+def test_a_mislabelled_dwell_of_many_is_named_though_it_makes_less_than_half_of_the_misfit():
+    thrown = rigs.plain_rig(np.random.default_rng(4), 3)
+    channels = rigs.channels(thrown, (Quantity.DISPLACEMENT,))
+    data = rigs.noisy(thrown, channels, rigs.covariance(thrown, channels, 0.01), np.random.default_rng(1))
+    label = data.frequency_hz.copy()
+    label[18] *= 1.09
+    mislabelled = replace(data, frequency_hz=label)
+    estimate = examined(thrown.model, mislabelled, identify(thrown.model, mislabelled))
+    assert estimate.assessment is not None
+    assert 1.5 < float(estimate.fit.misfit) ** 2 < 2.0
+    assert {(f.kind, f.of) for f in estimate.assessment.findings[:2]} == {
+        ("frequency", (f"{label[18]:g} Hz",)), ("dwell", (f"{label[18]:g} Hz",)),
+    }  # fmt: skip
+
+
 def test_radians_read_as_degrees_are_named():
     model, spectrum = clean("paper", np.random.default_rng(3))
     Y = spectrum.amplitudes
@@ -233,3 +271,20 @@ def test_a_rig_that_is_another_one_leads_before_what_changes_in_time() -> None:
     assert _ranked((left_out, little), in_time, 400.0) == (*in_time, left_out, little)
     sign = Finding("sign", ("x1",), "", "", 1.0)
     assert _ranked((sign, left_out), in_time, 400.0) == (sign, *in_time, left_out)
+
+
+def test_the_verdict_of_a_record_tells_the_story_of_its_causes() -> None:
+    """A missing damper under a sweep reads as a gain that changes: it once led, with a remedy of its own."""
+    model, theta = chain(2, 0.03, base=True, seed=2)
+    record = record_of(model, theta, "sweep", decay_times=40, seed=1).record
+    noise = np.random.default_rng(4).normal(size=record.values.shape) * [1, 1, 0]
+    measured = replace(record, values=record.values + 0.01 * record.values.std(axis=0) * noise)
+    lacking = replace(model, elements=tuple(e for e in model.elements if e.name != "c1"))
+    estimate = dashpot.identify(lacking, measured, diagnose=True)
+    assert estimate.assessment is not None
+    first = estimate.assessment.findings[0]
+    assert (first.kind, first.of) == ("element", ("x1", "u"))
+    codes = [reason.code for reason in estimate.assessment.reasons]
+    assert codes[-1] == "gain_step"
+    assert len(codes) > 1
+    assert "gain_step" not in {notice.code for notice in estimate.warnings}

@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from dashpot.check.diagnosis.causes import Cause
 from dashpot.check.diagnosis.diagnose import diagnose
+from dashpot.check.diagnosis.ranking import Cause
 from dashpot.check.diagnosis.wording import finding
 from dashpot.check.residuals import channel_response
 from dashpot.data.spectrum import Spectrum

@@ -1,0 +1,74 @@
+"""Causes of a misfit in order: by what they leave, and among those that leave alike the particular ones first."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from dashpot.check.diagnosis.likeness import Likeness
+from dashpot.model.elements import Element
+
+# What explains as much and is more particular is named first.
+ORDER = (
+    "sign", "unit", "swap", "conjugate", "quantity", "frequency", "dwell", "delay", "gain", "value", "element",
+    "crosstalk", "nonlinear", "changed", "channel",
+)  # fmt: skip
+HELPS = 0.5  # χ² per degree of freedom must fall below this part of what it was
+NEARLY = 0.3  # or below this part of what noise does not explain
+FINELY = 1 / 6  # of a small misfit above 1 is the share of the handicaps, and of what counts as alike
+# Handicap of leaving out a dwell, a channel, or an input.
+LEFT_OUT_DWELL, LEFT_OUT, LEFT_OUT_INPUT = 1.7, 2.0, 4.0
+ALIKE = 1.6  # ratio of what is left within which two causes explain alike
+MOST = 5  # findings that are named
+
+
+@dataclass(frozen=True)
+class Cause:
+    """What may be wrong, and χ² per degree of freedom with it mended."""
+
+    kind: str
+    of: tuple[str, ...]
+    remaining: float
+    number: float | None = None
+    likeness: Likeness | None = None
+    element: Element | None = None
+    where: str = ""
+
+
+def ranked(
+    candidates: Sequence[Cause], start: float, inputs: Collection[str] = (), *, noise: float = np.inf,
+    surely: Collection[Cause] = (),
+) -> list[Cause]:  # fmt: skip
+    """Those that explain half of the misfit or more, and `surely`; what explains alike in the order of ORDER.
+
+    Without the channel of an input (`inputs`) it moves as it likes at every line, which explains nearly anything.
+    Where the misfit is small and yet beyond what `noise` leaves by chance (∞: not known), half of it is less than
+    noise: there counts what is left above 1.
+    """
+    small = start > noise
+    helpful = [
+        cause
+        for cause in candidates
+        if cause.remaining < HELPS * start
+        or (small and cause.remaining - 1 < NEARLY * (start - 1))
+        or cause in surely
+    ]
+    if not helpful:
+        return []
+    best = max(min(cause.remaining for cause in helpful), 1.0)
+    share = min(1.0, FINELY * (start - 1)) if small else 1.0
+
+    def place(cause: Cause) -> tuple[float, int, float]:
+        # Leaving data out leaves less to explain: what keeps them and explains nearly as much says more.
+        channel = LEFT_OUT_INPUT if set(cause.of) & set(inputs) else LEFT_OUT
+        handicap = {"channel": channel, "dwell": LEFT_OUT_DWELL}.get(cause.kind, 1.0)
+        left = cause.remaining * (1 + share * (handicap - 1))
+        tier = np.floor(np.log(max(left, best) / best) / np.log(1 + share * (ALIKE - 1)))
+        return float(tier), ORDER.index(cause.kind), cause.remaining
+
+    named: dict[tuple[str, tuple[str, ...]], Cause] = {}
+    for cause in sorted(helpful, key=place):
+        named.setdefault((cause.kind, cause.of), cause)
+    return list(named.values())[:MOST]
