@@ -90,11 +90,9 @@ def command(
     from dashpot.app.data_files import measured_data, part_of, read_files
     from dashpot.app.measured_modes import modal_estimate
 
-    unsuited = {
-        "--method": chosen != "auto", "--positive": positive, "--hold-out": hold_out is not None,
-        "--apply": apply is not None, "--figure": figure is not None, "--report": report is not None,
-        "--matrices": matrices,
-    }  # fmt: skip
+    stated = {"--hold-out": hold_out, "--apply": apply, "--figure": figure, "--report": report}
+    unsuited = {"--method": chosen != "auto", "--positive": positive, "--matrices": matrices}
+    unsuited |= {name: value is not None for name, value in stated.items()}
     of_modes = modal_estimate(rig, data, modal_sd, seed, quiet, unsuited)
     if of_modes is not None:
         return _of_modes(of_modes, json_out, level, strict, quiet)
@@ -118,8 +116,7 @@ def command(
             method = suited_method(wanted, rig_read.model, lines, seed=seed, positive=positive)
             estimate, spectrum = _estimated(rig, rig_read, lines, method, chosen, seed, quiet)
     held = () if hold_out is None else _held_out(rig_read, estimate, data, conditioning, used[1])
-    if figure is not None:
-        _draw(figure, rig_read, spectrum, estimate, data, conditioning, used)
+    _draw(figure, rig_read, spectrum, estimate, data, conditioning, used)
     _write_report(report, rig_read, spectrum, estimate, level, held, untried, dwells)
     write_result(json_out, estimate.to_json())
     _apply(rig_read, estimate, apply)
@@ -129,10 +126,12 @@ def command(
 
 
 def _draw(
-    path: str, rig: Rig, spectrum: Spectrum | None, estimate: Estimate, data: tuple[str, ...],
+    path: str | None, rig: Rig, spectrum: Spectrum | None, estimate: Estimate, data: tuple[str, ...],
     conditioning: dict[str, Any], used: tuple[float, float],
 ) -> None:  # fmt: skip
-    """Draw the fit: of records without a spectrum, their histories."""
+    """Draw the fit, if to a path: of records without a spectrum, their histories."""
+    if path is None:
+        return
     from dashpot.present.figures.style import write_figure
 
     if spectrum is None:

@@ -48,11 +48,12 @@ class Link:
 
 @dataclass(frozen=True)
 class Push:
-    """A force input at a body."""
+    """A force input at a body, or a moment where it `turns` it."""
 
     body: int
     source: str
     factor: float
+    turns: bool
 
 
 @dataclass(frozen=True)
@@ -158,7 +159,7 @@ def _pushes(model: Model, body_of: Mapping[str, int]) -> Iterable[Push]:
     for source in model.inputs:
         if source.kind == "force":
             for coordinate, factor in source.at.items():
-                yield Push(body_of[coordinate], source.name, factor)
+                yield Push(body_of[coordinate], source.name, factor, coordinate in model.angles)
 
 
 def _relative(channels: Sequence[Channel], body_of: Mapping[str, int], links: Sequence[Link]) -> list[Link]:

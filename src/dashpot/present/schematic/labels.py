@@ -76,9 +76,10 @@ class Labels:
         return lines + self._sensors(set(body.points))
 
     def push(self, push: Push, first: bool) -> list[Line]:
-        """A force with its factor; its sensors beside the first of its arrows."""
+        """A force or moment with its factor; its sensors beside the first of its arrows."""
         factor = "" if push.factor == 1 else "−" if push.factor == -1 else f"{push.factor:g} "
-        lines = [Line(f"{factor}{shortened(push.source)}", "drive", TEXT, True)]
+        turning = "↻ " if push.turns else ""
+        lines = [Line(f"{turning}{factor}{shortened(push.source)}", "drive", TEXT, True)]
         return lines + (self._sensors({push.source}) if first else [])
 
     def channel(self, index: int) -> list[Line]:

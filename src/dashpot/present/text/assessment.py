@@ -56,7 +56,8 @@ def diagnosis_in_words(findings: tuple[Finding, ...]) -> list[str]:
         lead = "Likely cause" if rank == 0 else "Or"
         outlook = remaining_in_words(finding)
         cause = sentence(f"{lead}: {finding.text}{outlook and f' ({outlook})'}")
-        lines.append(f"{cause} To change: {finding.change}")
+        stop = "" if finding.change.endswith("}") else "."  # a line of a rig file is to be copied as it is
+        lines.append(f"{cause} To change: {finding.change}{stop}")
     return lines
 
 
