@@ -29,6 +29,8 @@ def modal_estimate(
 
     if len(data) != 1 or not holds_modes(data[0]):
         return None
+    from dashpot.app.progress import progress
+    from dashpot.check.modal_verdict import examined_modes
     from dashpot.estimate.modal.identify_modal import identify_modal  # loads scipy.optimize
     from dashpot.model.rigfile import read_rig
 
@@ -40,4 +42,6 @@ def modal_estimate(
     rig = read_rig(rig_path)
     modes, notes = modes_and_notes(data[0], rig.model.coordinates, rig.channels, relative_sd)
     tell_notes(notes, quiet)
-    return replace(identify_modal(rig.model, modes, seed=seed), rig=rig_path)
+    estimate = identify_modal(rig.model, modes, seed=seed)
+    with progress("examine", quiet):
+        return replace(examined_modes(rig.model, modes, estimate, seed=seed), rig=rig_path)

@@ -61,9 +61,9 @@ def assess(model: Model, spectrum: Spectrum, estimate: Estimate) -> Assessment:
     motions = np.array([not measures_input(model, channel) for channel in spectrum.channels])
     in_time = [notice for notice in estimate.warnings if notice.code in TIME_CHANGES]
     against = [
-        *_unphysical(model, estimate),
-        *_unstable(estimate),
-        *_rejected(estimate),
+        *unphysical(model, estimate),
+        *unstable(estimate),
+        *rejected(estimate),
         *_silent(model, spectrum),
         *(notice for notice in estimate.warnings if notice.code == DISAGREE),
         *in_time,
@@ -71,7 +71,7 @@ def assess(model: Model, spectrum: Spectrum, estimate: Estimate) -> Assessment:
         *_smooth(quiet, motions, least=1.0 if _sized_elsewhere(estimate, spectrum) else 0.5),
     ]
     unheard = [] if spectrum.records else _unheard(left, motions, _fundamentals(spectrum))
-    untested = [] if against else _powerless(estimate, spectrum)
+    untested = [] if against else powerless(estimate, of_residuals=RESIDUAL in spectrum.noise)
     doubts = [*untested, *hum_notices(left, motions, tones), *unheard]
     verdict: Judgement = "does not fit" if against else "cannot tell" if doubts else "fits"
     return Assessment(
@@ -91,18 +91,20 @@ def _sized_elsewhere(estimate: Estimate, spectrum: Spectrum) -> bool:
     return estimate.fit.known_noise and RESIDUAL not in spectrum.noise
 
 
-def _rejected(estimate: Estimate) -> list[Notice]:
+def rejected(estimate: Estimate) -> list[Notice]:
+    """That χ² rejects the rig, if it does."""
     fit = estimate.fit
     if not bool(fit.p < REJECTED):
         return []
     return [Notice("chi2", f"the residuals are {float(fit.misfit):.2g} × the noise")]
 
 
-def _powerless(estimate: Estimate, spectrum: Spectrum) -> list[Notice]:
+def powerless(estimate: Estimate, *, of_residuals: bool = False) -> list[Notice]:
+    """Why χ² cannot tell whether the rig fits, if it cannot; `of_residuals`: it is they that say how large noise is."""
     fit = estimate.fit
     if not fit.known_noise:
         return [Notice("no_noise", "the noise is not known, so the size of the residuals cannot be judged")]
-    if RESIDUAL in spectrum.noise:
+    if of_residuals:
         text = "the noise is estimated from the residuals themselves; a record at rest would make the fit testable"
         return [Notice("noise_from_residuals", text)]
     if fit.dof < FEWEST:
@@ -118,7 +120,7 @@ def _silent(model: Model, spectrum: Spectrum) -> list[Notice]:
     ]
 
 
-def _unphysical(model: Model, estimate: Estimate) -> list[Notice]:
+def unphysical(model: Model, estimate: Estimate) -> list[Notice]:
     """Parts of the rig that are negative beyond doubt by the sensors' noise; entries of free matrices may be."""
     rows = zip(model.unknown_names, of_one_sign(model), estimate.values, estimate.noise_sd, strict=False)
     names = tuple(name for name, held, value, sd in rows if held and value < -BEYOND * sd)
@@ -127,7 +129,8 @@ def _unphysical(model: Model, estimate: Estimate) -> list[Notice]:
     return [Notice("negative", f"{joined(names)} {'is' if len(names) == 1 else 'are'} negative", names)]
 
 
-def _unstable(estimate: Estimate) -> list[Notice]:
+def unstable(estimate: Estimate) -> list[Notice]:
+    """The rig's modes that grow beyond doubt."""
     modes = estimate.modes
     if modes is None:
         return []

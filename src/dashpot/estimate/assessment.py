@@ -29,7 +29,8 @@ class Finding:
     """One possible cause of a misfit.
 
     kind       "sign", "unit", "swap", "conjugate", "quantity", "frequency", "dwell", "delay", "gain", "value",
-               "element", "crosstalk", "nonlinear", "changed", "time" or "channel"
+               "element", "crosstalk", "nonlinear", "changed", "time" or "channel"; "damping" or "mode" of measured
+               modes
     of         what is meant: the channel, both channels of a swap, the frequency of a dwell, the points that an element
                would join; empty where it concerns everything
     text, change  in words, and what to write in the rig file or to do with the data

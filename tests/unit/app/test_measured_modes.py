@@ -28,6 +28,7 @@ def test_a_rig_is_identified_from_its_own_modes(
     assert done.code == 0
     assert "standard deviations: assumed are 1 % of frequencies" in done.err[0]
     assert Estimate.load("e.json").values == pytest.approx(estimate.values, rel=1e-9)
+    assert Estimate.load("e.json").assessment is not None
     refused = dashpot("identify", "rig.toml", "modes.uff", "--method", "ml")
     assert (refused.code, refused.err) == (
         2, ["dashpot: modes.uff holds modes, to which --method does not apply; leave --method out"],

@@ -43,7 +43,7 @@ GAINS = tuple(np.exp(np.linspace(np.log(0.4), np.log(2.5), 11)))
 DELAYS = (-0.4, -0.2, -0.1, -0.05, -0.02, 0.02, 0.05, 0.1, 0.2, 0.4)  # periods of the highest frequency
 OF_SAMPLES = {"white", "blocks", "periods"}  # kinds of noise that were read from samples
 # What is left out explains little.
-PARTICULAR = tuple(kind for kind in ORDER if kind not in ("dwell", "channel"))
+PARTICULAR = tuple(kind for kind in ORDER if kind not in ("dwell", "mode", "channel"))
 RATES = (2 * np.pi, 1 / (2 * np.pi), 2.0, 0.5, 60.0, 1 / 60)
 FEWER = 200  # rigs drawn for each of them, where all is seen
 OF_ITS_OWN = 0.01  # part of the column of a gain or a delay that the rig's own unknowns must leave

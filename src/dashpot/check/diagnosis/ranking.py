@@ -12,13 +12,13 @@ from dashpot.model.elements import Element
 
 # What explains as much and is more particular is named first.
 ORDER = (
-    "sign", "unit", "swap", "conjugate", "quantity", "frequency", "dwell", "delay", "gain", "value", "element",
-    "crosstalk", "nonlinear", "changed", "channel",
+    "sign", "unit", "swap", "conjugate", "quantity", "frequency", "damping", "dwell", "mode", "delay", "gain", "value",
+    "element", "crosstalk", "nonlinear", "changed", "channel",
 )  # fmt: skip
 HELPS = 0.5  # χ² per degree of freedom must fall below this part of what it was
 NEARLY = 0.3  # or below this part of what noise does not explain
 FINELY = 1 / 6  # of a small misfit above 1 is the share of the handicaps, and of what counts as alike
-# Handicap of leaving out a dwell, a channel, or an input.
+# Handicap of leaving out a dwell (or a mode), a channel, or an input.
 LEFT_OUT_DWELL, LEFT_OUT, LEFT_OUT_INPUT = 1.7, 2.0, 4.0
 ALIKE = 1.6  # ratio of what is left within which two causes explain alike
 MOST = 5  # findings that are named
@@ -63,7 +63,7 @@ def ranked(
     def place(cause: Cause) -> tuple[float, int, float]:
         # Leaving data out leaves less to explain: what keeps them and explains nearly as much says more.
         channel = LEFT_OUT_INPUT if set(cause.of) & set(inputs) else LEFT_OUT
-        handicap = {"channel": channel, "dwell": LEFT_OUT_DWELL}.get(cause.kind, 1.0)
+        handicap = {"channel": channel, "dwell": LEFT_OUT_DWELL, "mode": LEFT_OUT_DWELL}.get(cause.kind, 1.0)
         left = cause.remaining * (1 + share * (handicap - 1))
         tier = np.floor(np.log(max(left, best) / best) / np.log(1 + share * (ALIKE - 1)))
         return float(tier), ORDER.index(cause.kind), cause.remaining

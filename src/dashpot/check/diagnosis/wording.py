@@ -33,7 +33,7 @@ def finding(model: Model, channels: tuple[Channel, ...], cause: Cause) -> Findin
     of_channels = bool(cause.of) and all(name in by_name for name in cause.of)
     if of_channels and cause.kind in ("sign", "unit", "gain", "delay", "quantity"):
         return _of_channel(model, by_name[cause.of[0]], cause)
-    if cause.kind == "swap":
+    if of_channels and cause.kind == "swap":
         return _swap(model, by_name[cause.of[0]], by_name[cause.of[1]], cause)
     if cause.kind in ("element", "value") and cause.element is not None:
         return _of_rig(model, cause, cause.element)
@@ -41,7 +41,7 @@ def finding(model: Model, channels: tuple[Channel, ...], cause: Cause) -> Findin
         return nonlinear_finding(model, cause.of, cause.element, cause.number, cause.remaining)
     if cause.kind == "changed":
         return _changed(model, cause)
-    text, change = _of_data(cause)
+    text, change = _of_modes(cause) or _of_data(cause)
     return Finding(cause.kind, cause.of, text, change, cause.remaining, cause.number)
 
 
@@ -195,6 +195,39 @@ def _of_data(cause: Cause) -> tuple[str, str]:
                 f"{name} contradicts all other channels, for no simple reason",
                 f"leave {name} out, or check its sensor and where it is mounted",
             )
+
+
+def _of_modes(cause: Cause) -> tuple[str, str] | None:
+    """What measured modes alone may have wrong; None where it is another thing."""
+    match cause.kind:
+        case "sign":
+            return (
+                f"{cause.of[0]} counts the other way in all shapes: wrong sign?",
+                f"change the sign of {cause.of[0]} in the shapes",
+            )
+        case "swap":
+            first, second = cause.of
+            return f"{first} and {second} are exchanged", f"exchange {first} and {second} in the shapes"
+        case "unit" | "gain" if cause.of:
+            number = _number(1.0 if cause.number is None else cause.number)
+            return (
+                f"{cause.of[0]} reads {number} × what the rig gives in all shapes",
+                f"divide {cause.of[0]} by {number} in the shapes",
+            )
+        case "damping":
+            ratio = 1.0 if cause.number is None else cause.number
+            word = "loss factors" if ratio == 2.0 else "per cent"
+            return (
+                f"the damping ratios are {ratio:g} × what the rig gives: {word}?",
+                f"divide them by {ratio:g}",
+            )
+        case "mode":
+            return (
+                f"the mode at {cause.of[0]} contradicts all others",
+                f"leave out the mode at {cause.of[0]}, or measure it again",
+            )
+        case _:
+            return None
 
 
 def _rate(number: float) -> tuple[str, str]:

@@ -13,7 +13,7 @@ from dataclasses import replace
 import numpy as np
 from scipy.special import chdtrc
 
-from dashpot.arrays import Complex, Ints, Real, hermitian
+from dashpot.arrays import Ints, Real
 from dashpot.data.modal_data import ModalData
 from dashpot.errors import ConvergenceError, DataError, IdentifiabilityError, UsageError
 from dashpot.estimate.inference.derived import known_values, mode_values, tied_values
@@ -21,13 +21,13 @@ from dashpot.estimate.inference.diagnostics import held, require_determined, wro
 from dashpot.estimate.inference.uncertainty import MISFIT_LEVEL
 from dashpot.estimate.likelihood.global_search import DOUBT, TIE
 from dashpot.estimate.method import HeldBounds
-from dashpot.estimate.modal.pairing import MeasuredModes, measured_modes, pair, with_one_axis
+from dashpot.estimate.modal.mode_residuals import modal_misfit
+from dashpot.estimate.modal.pairing import MeasuredModes, measured_modes, with_one_axis
 from dashpot.estimate.modal.starting_values import guessed, like_parts, linear_start, random_rigs, usual_parts
 from dashpot.estimate.result import Estimate, Fit
-from dashpot.model.modes import eigenpairs, mode_sensitivities
 from dashpot.model.network import Model
 from dashpot.notices import Notice
-from dashpot.numerics.levenberg_marquardt import OptimizeResult, QuadraticModel, minimise, without_bounds
+from dashpot.numerics.levenberg_marquardt import OptimizeResult, minimise, without_bounds
 from dashpot.numerics.small_systems import scaled_inverse
 
 NAME = "modal"
@@ -76,7 +76,7 @@ def _estimate(
     """The deepest minima with their covariance and χ²; `ends` are those of all starts, where rivals are looked for."""
     m = len(model.unknowns)
     theta = minima.x
-    at = _evaluate(model, data, view, theta, np.arange(len(theta)))
+    at = modal_misfit(model, data, view, theta, np.arange(len(theta)))
     lower, upper = model.bounds
     free = without_bounds(theta, at, lower, upper)
     covariance = scaled_inverse(at.symmetric)
@@ -89,7 +89,7 @@ def _estimate(
     if not batch:
         _require_regular(at.symmetric[0], model)
         require_determined(model.unknown_names, theta[0], covariance[0])
-        warnings = _warnings(model, theta[0], widened[0], HeldBounds(lower, upper, free), fit)
+        warnings = _warnings(model, theta[0], widened[0], HeldBounds(lower, upper, free))
         warnings += () if ends is None else _rivals(model, minima, ends, np.sqrt(np.diagonal(covariance[0])))
     return Estimate(
         model=model.name,
@@ -137,19 +137,8 @@ def _check(model: Model, data: ModalData) -> None:
         )
 
 
-def _warnings(
-    model: Model, theta: Real, covariance: Real, limits: HeldBounds, fit: Fit
-) -> tuple[Notice, ...]:
-    notices = []
-    if bool(fit.rejected):
-        text = (
-            f"the model does not have these modes: residuals are {float(fit.misfit):.3g} times their uncertainty "
-            f"(χ² {float(fit.chi2):.4g} with {fit.dof} degrees of freedom); intervals are widened by that factor"
-        )
-        notices.append(Notice("modes_misfit", text))
-    notices += wrong_signs(model, theta, covariance)
-    notices += held(model.unknown_names, theta, limits)
-    return tuple(notices)
+def _warnings(model: Model, theta: Real, covariance: Real, limits: HeldBounds) -> tuple[Notice, ...]:
+    return (*wrong_signs(model, theta, covariance), *held(model.unknown_names, theta, limits))
 
 
 def _require_regular(symmetric: Real, model: Model) -> None:
@@ -170,71 +159,6 @@ def _require_regular(symmetric: Real, model: Model) -> None:
 # The search
 
 
-def _evaluate(model: Model, data: ModalData, view: MeasuredModes, theta: Real, rows: Ints) -> QuadraticModel:
-    """χ² with the priors, its slope and its curvature for `theta` (k, unknowns) of the repeats `rows`."""
-    part = replace(
-        data,
-        frequency_hz=data.frequency_hz[rows],
-        damping_ratio=data.damping_ratio[rows],
-        shapes=data.shapes[rows],
-    )
-    p = model.parameters(theta)
-    with np.errstate(all="ignore"):
-        values, shapes = eigenpairs(model, p)
-        chosen = pair(part, view, values, shapes)
-        lost = np.any(chosen < 0, axis=-1)
-        at = np.maximum(chosen, 0)
-        lam = np.take_along_axis(values, at, axis=-1)
-        phi = np.take_along_axis(shapes, at[..., None], axis=-2)
-        dlam, dphi = mode_sensitivities(model, p, lam, phi)
-        J, r = _eigen_rows(model, part, view, lam, dlam @ model.T)
-        Js, rs = _shape_rows(part, view, phi, dphi @ model.T)
-    away = theta - model.prior_mean
-    precision = model.prior_precision
-    cost = np.sum(r**2, axis=(-1, -2)) + 2 * np.sum(np.abs(rs) ** 2, axis=(-1, -2))
-    cost = np.where(lost, np.inf, cost) + np.sum(precision * away**2, axis=-1)
-    gradient = np.einsum("kmiu,kmi->ku", J, r) + 2 * np.einsum("kmpu,kmp->ku", np.conj(Js), rs).real
-    m = len(model.unknowns)
-    real, turned = J.reshape(len(theta), -1, m), Js.reshape(len(theta), -1, m)
-    symmetric = np.swapaxes(real, -1, -2) @ real + 2 * (hermitian(turned) @ turned).real + np.diag(precision)
-    return QuadraticModel(cost, gradient - precision * away, symmetric, symmetric)
-
-
-def _eigen_rows(
-    model: Model, data: ModalData, view: MeasuredModes, lam: Complex, dlam: Complex
-) -> tuple[Real, Real]:
-    """Whitened slopes (K, modes, 2, unknowns) and residuals (K, modes, 2) of frequency and damping ratio."""
-    size = np.abs(lam)
-    grow = (np.conj(lam)[..., None] * dlam).real / size[..., None]
-    slope = np.stack(
-        [
-            grow / (2 * np.pi),
-            -dlam.real / size[..., None] + lam.real[..., None] * grow / size[..., None] ** 2,
-        ],
-        axis=-2,
-    )
-    damping = np.where(view.damping, data.damping_ratio, 0.0)
-    predicted = np.where(view.damping, -lam.real / size, 0.0)
-    r = np.stack([data.frequency_hz - size / (2 * np.pi), damping - predicted], axis=-1)
-    return view.eigen @ slope, (view.eigen @ r[..., None])[..., 0]
-
-
-def _shape_rows(data: ModalData, view: MeasuredModes, phi: Complex, dphi: Complex) -> tuple[Complex, Complex]:
-    """Whitened slopes (K, modes, points, unknowns) and residuals (K, modes, points), what the scale can do taken out.
-
-    a = φ at the measured points; the scale s = aᴴV⁻¹φ_m / aᴴV⁻¹a leaves the residual orthogonal to a.
-    """
-    seen = (view.shape @ (phi @ view.look.T)[..., None])[..., 0]
-    measured = (view.shape @ np.where(view.present, np.nan_to_num(data.shapes), 0.0)[..., None])[..., 0]
-    power = np.sum(np.abs(seen) ** 2, axis=-1, keepdims=True)
-    power = np.where(power > 0, power, 1.0)
-    scale = np.sum(np.conj(seen) * measured, axis=-1, keepdims=True) / power
-    r = measured - scale * seen
-    slope = view.shape @ (view.look @ dphi) * scale[..., None]
-    along = np.sum(np.conj(seen)[..., None] * slope, axis=-2, keepdims=True) / power[..., None]
-    return slope - seen[..., None] * along, r
-
-
 def _search_near(model: Model, data: ModalData, view: MeasuredModes) -> Search:
     """Minimises χ².
 
@@ -245,7 +169,7 @@ def _search_near(model: Model, data: ModalData, view: MeasuredModes) -> Search:
 
     def search(start: Real, rows: Ints, limit: int) -> OptimizeResult:
         ends = minimise(
-            lambda theta, some: _evaluate(model, data, view, theta, rows[some]),
+            lambda theta, some: modal_misfit(model, data, view, theta, rows[some]),
             start, limit=limit, tolerance=1e-6, lower=lower, upper=upper,
         )  # fmt: skip
         lost = np.any(np.abs(ends.x) > largest, axis=-1)
@@ -294,6 +218,19 @@ def _deepest_minima(
             cure="give the unknowns a guess, measure more modes, or more points of their shapes",
         )
     return minima, ends
+
+
+def searched_from(model: Model, data: ModalData, starts: Real) -> OptimizeResult:
+    """The deepest end, the one row of it, of searches from the linear start and from `starts` (K, unknowns).
+
+    `data` has no batch axes.  Raises as `identify_modal` where the data do not suit the rig.
+    """
+    _check(model, data)
+    flat = with_one_axis(data)
+    view = measured_modes(model, flat)
+    linear = linear_start(model, flat, view)
+    firsts = starts if linear is None else np.concatenate([starts, linear])
+    return _deepest(_search_near(model, flat, view), firsts, np.zeros(1, dtype=np.int64))
 
 
 def _astray(minima: OptimizeResult, dof: int) -> Ints:

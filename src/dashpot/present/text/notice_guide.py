@@ -93,11 +93,6 @@ NOTICES: tuple[tuple[str, str, str, str], ...] = (
         "Correct the model first ([When the model does not fit](../explain/misfit.md)).",
     ),
     (
-        "modes_misfit", _ESTIMATE,
-        "No values of the unknowns give these frequencies, damping ratios and shapes within their uncertainty.",
-        "Check the pairing of modes, the points of the shapes and the stated uncertainty.",
-    ),
-    (
         "unknown_noise", _ESTIMATE,
         ("No noise is given: it is taken as proportional to each amplitude and its size estimated from the residuals. "
         "Intervals may then be too small or too large."),

@@ -1,0 +1,246 @@
+"""What would make a rig have the modes that were measured: remedies on data and rig, tried, the best first."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import combinations
+
+import numpy as np
+
+from dashpot.arrays import Real
+from dashpot.check.diagnosis.causes import BY_CHANCE, RATES, points_of
+from dashpot.check.diagnosis.diagnose import LARGEST
+from dashpot.check.diagnosis.likeness import Likeness
+from dashpot.check.diagnosis.ranking import Cause, ranked
+from dashpot.check.diagnosis.rig_changes import APART, FOLLOWED, missing_elements, stated_values
+from dashpot.check.diagnosis.score_test import promised
+from dashpot.check.diagnosis.wording import finding
+from dashpot.data.modal_data import ModalData
+from dashpot.errors import DashpotError
+from dashpot.estimate.assessment import Finding
+from dashpot.estimate.modal.identify_modal import searched_from
+from dashpot.estimate.modal.mode_residuals import modal_misfit, mode_residuals
+from dashpot.estimate.modal.pairing import measured_modes, with_one_axis
+from dashpot.estimate.modal.starting_values import like_parts, random_rigs
+from dashpot.estimate.result import Estimate
+from dashpot.model.elements import Element
+from dashpot.model.network import Model
+
+DAMPINGS = (2.0, 100.0)  # loss factors, per cent
+DRAWS = 4  # rigs drawn at random from which each trial starts as well, where the points do not show all
+
+
+@dataclass(frozen=True)
+class _Trial:
+    """Modes as they would be with one mistake mended."""
+
+    kind: str
+    of: tuple[str, ...]
+    data: ModalData
+    number: float | None = None
+
+
+@dataclass(frozen=True)
+class _Bench:
+    """A rig, what was measured of it, and where trials start (K, unknowns)."""
+
+    model: Model
+    data: ModalData
+    starts: Real
+
+    def tried(self, trial: _Trial) -> tuple[Cause, Real]:
+        """What a trial leaves of χ², and the rig (unknowns,) that it leads to."""
+        try:
+            end = searched_from(self.model, trial.data, self.starts)
+        except DashpotError:  # too little is left of the data
+            return Cause(trial.kind, trial.of, np.inf, trial.number), self.starts[0]
+        chi2 = float(end.cost[0]) if np.isfinite(end.cost[0]) else np.inf
+        return Cause(trial.kind, trial.of, _reduced(self.model, trial.data, chi2), trial.number), end.x[0]
+
+
+def diagnose_modes(
+    model: Model, data: ModalData, estimate: Estimate, *, seed: int = 0
+) -> tuple[Finding, ...]:
+    """Causes that would explain most of a misfit of measured modes (no batch axes), the best first.
+
+    Tried are a point with its sign, its gain or its place in the shapes mended, phases that count the other way,
+    frequencies or damping in another unit and, where none of these is it, a mode or a point left out, a stated value
+    that is wrong, and missing parts.
+    """
+    if model.n > LARGEST or not np.all(np.isfinite(estimate.values)):
+        return ()
+    bench = _Bench(model, data, _starts(model, data, estimate, seed))
+    plain = (*_shapes_mended(data), *_other_units(data))
+    candidates = [bench.tried(trial)[0] for trial in plain]
+    noise = 1 + BY_CHANCE * (2 / max(estimate.fit.dof, 1)) ** 0.5
+    if not any(cause.remaining < noise for cause in candidates):
+        candidates += [bench.tried(trial)[0] for trial in _without_one_mode(data)]
+        candidates += [cause for name in data.points for cause in _of_point(bench, name)]
+        candidates += _other_rigs(bench, estimate.values)
+    as_is = _reduced(model, data, float(estimate.fit.chi2))
+    return tuple(finding(model, (), cause) for cause in ranked(candidates, as_is))
+
+
+def _starts(model: Model, data: ModalData, estimate: Estimate, seed: int) -> Real:
+    """The estimate, a rig of like parts and, where the points do not show all, rigs at random: (K, unknowns)."""
+    seen = set(data.points) == set(model.coordinates) and bool(np.all(np.isfinite(data.shapes)))
+    flat = with_one_axis(data)
+    drawn = random_rigs(model, flat, 0 if seen else DRAWS, np.random.default_rng(seed))
+    return np.concatenate([estimate.values[None], like_parts(model, flat)[None], drawn])
+
+
+def _reduced(model: Model, data: ModalData, chi2: float) -> float:
+    """χ² over its degrees of freedom; infinite where there are none."""
+    rows = measured_modes(model, with_one_axis(data)).rows
+    dof = rows - len(model.unknowns) + int(np.count_nonzero(model.prior_precision))
+    return chi2 / dof if dof > 0 else np.inf
+
+
+# Mistakes in the data
+
+
+def _shapes_mended(data: ModalData) -> list[_Trial]:
+    """A point that counts the other way, two points exchanged, all phases the other way."""
+    count, shapes = len(data.points), data.shapes
+    if count < 2:
+        return []
+    trials = [_Trial("conjugate", (), replace(data, shapes=np.conj(shapes)))]
+    trials += [_Trial("sign", (name,), _divided(data, name, -1.0)) for name in data.points]
+    for p, q in combinations(range(count), 2):
+        order = np.arange(count)
+        order[[p, q]] = q, p
+        covariance = data.shape_covariance[:, order][:, :, order]
+        exchanged = replace(data, shapes=shapes[:, order], shape_covariance=covariance)
+        trials.append(_Trial("swap", (data.points[p], data.points[q]), exchanged))
+    return trials
+
+
+def _divided(data: ModalData, name: str, number: float) -> ModalData:
+    """The shapes with what one point shows divided by a number."""
+    factor = np.where([point == name for point in data.points], 1 / number, 1.0)
+    covariance = data.shape_covariance * np.outer(factor, factor)
+    return replace(data, shapes=data.shapes * factor, shape_covariance=covariance)
+
+
+def _other_units(data: ModalData) -> list[_Trial]:
+    """Frequencies per second or minute for radians and the like; loss factors or per cent for damping ratios."""
+    trials = [_Trial("frequency", (), _times(data, rate, 1.0), rate) for rate in RATES]
+    if np.any(np.isfinite(data.damping_ratio)):
+        trials += [_Trial("damping", (), _times(data, 1.0, 1 / number), number) for number in DAMPINGS]
+    return trials
+
+
+def _times(data: ModalData, rate: float, damping: float) -> ModalData:
+    """Frequencies and damping ratios times a factor each."""
+    factor = np.array([rate, damping])
+    return replace(
+        data, frequency_hz=data.frequency_hz * rate, damping_ratio=data.damping_ratio * damping,
+        covariance=data.covariance * np.outer(factor, factor),
+    )  # fmt: skip
+
+
+def _without_one_mode(data: ModalData) -> list[_Trial]:
+    if data.modes < 2:
+        return []
+    trials = []
+    for k, frequency in enumerate(data.frequency_hz):
+        kept = np.arange(data.modes) != k
+        rest = ModalData(
+            data.points, data.frequency_hz[kept], data.damping_ratio[kept], data.covariance[kept], data.shapes[kept],
+            data.shape_covariance[kept],
+        )  # fmt: skip
+        trials.append(_Trial("mode", (f"{frequency:.4g} Hz",), rest))
+    return trials
+
+
+def _of_point(bench: _Bench, name: str) -> list[Cause]:
+    """A point left out, and its gain against what the others make of it."""
+    data = bench.data
+    if len(data.points) < 2:
+        return []
+    kept = np.array([point != name for point in data.points])
+    rest = replace(
+        data, points=tuple(np.array(data.points)[kept]), shapes=data.shapes[:, kept],
+        shape_covariance=data.shape_covariance[:, kept][:, :, kept],
+    )  # fmt: skip
+    alone, theta = bench.tried(_Trial("channel", (name,), rest))
+    gain = _gain(bench.model, data, name, theta)
+    if gain == 0:
+        return [alone]
+    forms = Likeness(gain, 0, 0.0, conjugate=False, left=0.0).rounded()
+    trials = [_Trial(form.kind, (name,), _divided(data, name, form.number), form.number) for form in forms]
+    return [alone, *(bench.tried(trial)[0] for trial in trials)]
+
+
+def _gain(model: Model, data: ModalData, name: str, theta: Real) -> float:
+    """What a point shows over what the rig at `theta` (unknowns,) has there; 0 where that cannot be told."""
+    ignored = np.where([point == name for point in data.points], 1e12, 1.0)  # so it does not scale the shapes
+    left = mode_residuals(
+        model, replace(data, shape_covariance=data.shape_covariance * np.outer(ignored, ignored)), theta
+    )
+    at = data.points.index(name)
+    shown, expected = left.measured[:, at], left.measured[:, at] - left.shape[:, at]
+    there = np.isfinite(shown) & np.isfinite(expected)
+    power = float(np.sum(np.abs(expected[there]) ** 2))
+    return float(np.sum((np.conj(expected) * shown)[there].real)) / power if power > 0 else 0.0
+
+
+# Another rig
+
+
+def _other_rigs(bench: _Bench, theta: Real) -> list[Cause]:
+    """Missing parts and stated values that are wrong: those that the score at `theta` promises most of, fitted."""
+    model = bench.model
+    candidates = {"element": _parts_of_modes(model), "value": stated_values(model)}
+    scored = [
+        (fall, kind, element)
+        for kind, elements in candidates.items()
+        for fall, element in _promised(model, bench.data, theta, elements)
+    ]
+    scored.sort(key=lambda entry: -entry[0])
+    return [_fitted(bench, kind, element) for fall, kind, element in scored[:FOLLOWED] if fall > 0]
+
+
+def _parts_of_modes(model: Model) -> list[Element]:
+    """Those that modes can tell: displacement inputs stand still, so a part that leads to one leads to the ground."""
+    inputs = set(model.displacement_inputs)
+    return [element for element in missing_elements(model) if not inputs & set(element.along)]
+
+
+def _promised(
+    model: Model, data: ModalData, theta: Real, elements: Sequence[Element]
+) -> list[tuple[float, Element]]:
+    """By how much χ² would fall with each of the elements unknown, by its score."""
+    if not elements:
+        return []
+    larger, start = _extended(model, theta[None], elements)
+    flat = with_one_axis(data)
+    at = modal_misfit(larger, flat, measured_modes(larger, flat), start, np.zeros(1, dtype=np.int64))
+    by_name = {element.name: element for element in elements}
+    names = larger.unknown_names
+    listed = promised(
+        names, [name in by_name for name in names], at.symmetric[0], at.gradient[0], float(at.cost[0]), APART
+    )
+    return [(promise.fall, by_name[promise.name]) for promise in listed]
+
+
+def _extended(model: Model, starts: Real, elements: Sequence[Element]) -> tuple[Model, Real]:
+    """The rig with the elements unknown, and starts (K, its unknowns) that mean the same as those given."""
+    new = {element.name: element for element in elements}
+    values = {element.name: element.guess or 0.0 for element in elements}
+    there = tuple(new.pop(element.name, element) for element in model.elements)
+    larger = replace(model, elements=(*there, *new.values()))
+    columns = dict(zip(model.unknown_names, starts.T, strict=True))
+    return larger, np.stack(
+        [columns.get(name, np.full(len(starts), values.get(name, 0.0))) for name in larger.unknown_names],
+        axis=1,
+    )
+
+
+def _fitted(bench: _Bench, kind: str, element: Element) -> Cause:
+    larger, starts = _extended(bench.model, bench.starts, [element])
+    of = points_of(element, bench.model)
+    cause, theta = _Bench(larger, bench.data, starts).tried(_Trial(kind, of, bench.data))
+    number = float(theta[larger.unknown_names.index(element.name)])
+    return replace(cause, number=number, element=element)
