@@ -58,27 +58,41 @@ static void solve_scaled(const double *A, const double *right, double *x, int m,
     for (int i = 0; i < m; ++i) x[i] /= size[i];
 }
 
-// Square roots of the diagonal of A^-1, 0 where it is singular to rounding; `scratch` holds 2 m m + m numbers.
-static void deviations(const double *A, double *sd, int m, double *scratch) {
-    double *scaled = scratch, *found = scratch + m * m, *size = scratch + 2 * m * m;
-    for (int i = 0; i < m; ++i) size[i] = size_of(A[i * m + i]);
-    for (int i = 0; i < m; ++i)
-        for (int j = 0; j < m; ++j) {
-            scaled[i * m + j] = A[i * m + j] / (size[i] * size[j]);
-            found[i * m + j] = i == j;
-        }
-    eliminate(scaled, found, m, m);
-    double most = 0;
-    bool regular = true;
-    for (int i = 0; i < m * m; ++i) {
-        const double here = __builtin_fabs(found[i]);
-        if (!(here < 1 / SINGULAR)) regular = false;
-        if (here > most) most = here;
-    }
+// The inverse of the Cholesky factor of a symmetric A (m, m), in its lower triangle; false where A is not positive
+// definite, of which the triangle is lost.
+static bool inverse_factor(double *A, int m) {
     for (int i = 0; i < m; ++i) {
-        const double variance = found[i * m + i] / (size[i] * size[i]);
-        sd[i] = regular && variance > 0 ? __builtin_sqrt(variance) : 0.0;
+        for (int j = 0; j <= i; ++j) {
+            double rest = A[i * m + j];
+            for (int k = 0; k < j; ++k) rest -= A[i * m + k] * A[j * m + k];
+            if (i == j && !(rest > 0)) return false;
+            A[i * m + j] = i == j ? 1 / __builtin_sqrt(rest) : rest * A[j * m + j];  // diagonals already inverted
+        }
     }
+    for (int i = 0; i < m; ++i)
+        for (int j = 0; j < i; ++j) {
+            double sum = 0;
+            for (int k = j; k < i; ++k) sum += A[i * m + k] * A[k * m + j];
+            A[i * m + j] = -sum * A[i * m + i];
+        }
+    return true;
+}
+
+// Square roots of the diagonal of A^-1, A a sum of squares; 0 where it is singular to rounding.  `scratch` holds
+// m m + m numbers.
+static void deviations(const double *A, double *sd, int m, double *scratch) {
+    double *scaled = scratch, *size = scratch + m * m;
+    for (int i = 0; i < m; ++i) size[i] = 1 / size_of(A[i * m + i]);
+    for (int i = 0; i < m; ++i)
+        for (int j = 0; j <= i; ++j) scaled[i * m + j] = A[i * m + j] * size[i] * size[j];
+    bool regular = inverse_factor(scaled, m);
+    for (int i = 0; i < m && regular; ++i) {
+        double variance = 0;  // the largest numbers of the inverse stand on its diagonal
+        for (int k = i; k < m; ++k) variance += scaled[k * m + i] * scaled[k * m + i];
+        regular = variance < 1 / SINGULAR;
+        sd[i] = __builtin_sqrt(variance) * size[i];
+    }
+    for (int i = 0; i < m && !regular; ++i) sd[i] = 0;
 }
 
 // Whether A - shift is positive definite; A (m, m) is overwritten.

@@ -167,8 +167,12 @@ struct RecordWork {
             }
         }
         for (int j = 0; j < f(); ++j)
-            if (!problem->used[record * f() + j])
-                for (int c = 0; c < Cs; ++c) F[j * Cs + c] = zero();
+            if (!problem->used[record * f() + j]) leave_out(j);
+    }
+
+    // A column that the record at hand does not have.
+    void leave_out(int j) {
+        for (int c = 0; c < channels(); ++c) F[j * channels() + c] = zero();
     }
 
     // Directions of the inputs by Gram and Schmidt; an input that is not seen beside the others has none of its own.
@@ -211,7 +215,7 @@ struct RecordWork {
         respond(k, given, at, record);
         if (record >= 0) columns(k, given.folded, at, record);
         else
-            for (int j = 0; j < f() * Cs; ++j) F[j] = zero();
+            for (int j = 0; j < f(); ++j) leave_out(j);
         C *residual = F + f() * Cs;
         for (int c = 0; c < Cs; ++c) residual[c] = complex_at(problem->y, of_data(k) * Cs + c, at);
         for (int j = 0; j < nq; ++j)

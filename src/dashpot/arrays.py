@@ -28,9 +28,11 @@ def frozen(values: ArrayLike, dtype: type[Scalar]) -> NDArray[Scalar]:
 
 def _settled(values: np.ndarray) -> bool:
     """Whether an array is read-only for good: it owns its data, or is all of one that does, also many times over."""
+    if values.flags.writeable:
+        return False
     owner: object = values.base
-    if owner is None or values.flags.writeable:
-        return not values.flags.writeable
+    if owner is None:
+        return True
     if not isinstance(owner, np.ndarray) or values.nbytes < owner.nbytes:
         return False
     return owner.base is None and not owner.flags.writeable

@@ -105,7 +105,7 @@ class TestSetup:
     @property
     def names(self) -> tuple[str, ...]:
         """Names of ψ: the unknowns, then the calibrations that are estimated with them."""
-        return tuple(u.name for u in self.model.unknowns) + calibration_names(self.channels)
+        return self.model.unknown_names + calibration_names(self.channels)
 
     @cached_property
     def p(self) -> Real:

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from functools import cache
 from typing import Any
 
 import numpy as np
 
-from dashpot.arrays import Real
+from dashpot.arrays import Real, frozen
 from dashpot.data.repeats import flattened, in_chunks
 from dashpot.data.spectrum import Spectrum
 from dashpot.errors import DataError, UsageError
@@ -137,8 +138,8 @@ def _estimate(
     theta, covariance = join(lambda part: part.solution.theta), join(lambda part: part.uncertainty.covariance)
     chi2, p = join(lambda part: part.uncertainty.chi2), join(lambda part: part.uncertainty.p)
     fit = Fit(chi2, around.dof, p, spectrum.noise_known)
-    lower, upper = (-np.inf, np.inf) if first.bounds is None else (first.bounds.lower, first.bounds.upper)
-    m, unknowns = len(model.unknowns), len(around.names)
+    m = len(model.unknowns)
+    lower, upper = _bounds(first, len(around.names))
     warnings = dict.fromkeys(notice for part in parts for notice in part.solution.warnings)
     bands = [part.uncertainty.bands for part in parts if part.uncertainty.bands is not None]
     shown = notices(model, spectrum, None if batch else parts[0], fit)
@@ -152,8 +153,8 @@ def _estimate(
         noise_covariance=join(lambda part: part.uncertainty.noise),
         bound_sd=standard_deviations(join(lambda part: part.uncertainty.bound)),
         dof=join(lambda part: part.uncertainty.dof),
-        lower=np.full(unknowns, lower),
-        upper=np.full(unknowns, upper),
+        lower=lower,
+        upper=upper,
         free_values=join(lambda part: _free_values(part.solution)),
         basis=_basis(fit, any(np.any(each.disagree) for each in bands)),
         converged=join(lambda part: part.solution.converged),
@@ -167,6 +168,19 @@ def _estimate(
         warnings=(*warnings, *shown),
         notes=spectrum.notes,
     )
+
+
+def _bounds(solution: Solution, unknowns: int) -> tuple[Real, Real]:
+    """What the estimates were held to, (unknowns,) each."""
+    if solution.bounds is None:
+        return _no_bounds(unknowns)
+    return np.full(unknowns, solution.bounds.lower), np.full(unknowns, solution.bounds.upper)
+
+
+@cache
+def _no_bounds(unknowns: int) -> tuple[Real, Real]:
+    endless = np.full(unknowns, np.inf)
+    return frozen(-endless, np.float64), frozen(endless, np.float64)
 
 
 def _sign_of(channel: str) -> Callable[[Inference], Real]:

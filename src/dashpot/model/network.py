@@ -240,6 +240,11 @@ class Model:
         return tuple(unknown.name for unknown in self.unknowns)
 
     @cached_property
+    def unknown_units(self) -> tuple[str, ...]:
+        """Their units."""
+        return tuple(unknown.unit for unknown in self.unknowns)
+
+    @cached_property
     def sparse_T(self) -> sparse.csr_array:
         """∂p/∂θ, sparse, (elements, unknowns): every element has one unknown at most."""
         column = {root: j for j, root in enumerate(self._unknown_roots)}

@@ -1,7 +1,7 @@
 """Which arithmetic does the work: the compiled kernel of the package dashpot-kernels, or its twins in NumPy.
 
 The environment variable DASHPOT_KERNEL says: "auto" (the default: compiled where it is installed), "compiled" (or an
-error), "numpy".  `using` says it for a piece of a program.  Both give the same results to rounding.
+error), "numpy"; it is read once.  `using` says it for a piece of a program.  Both give the same results to rounding.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ def kernel() -> Any | None:
 
     Raises UsageError where the compiled kernel is asked for and not installed, or the choice is none.
     """
-    choice = _choice.get() or os.environ.get(VARIABLE) or "auto"
+    choice = _choice.get() or environment()[0]
     if choice == "numpy":
         return None
     if choice not in CHOICES:
@@ -64,8 +64,14 @@ def using(choice: str) -> Iterator[None]:
 
 def threads() -> int:
     """Threads of one call of the kernel: DASHPOT_KERNEL_THREADS, else one, since commands work in processes."""
+    return environment()[1]
+
+
+@cache
+def environment() -> tuple[str, int]:
+    """The choice and the threads that the environment asks for, read once: a single fit asks for them many times."""
     given = os.environ.get(THREADS, "1")
-    return max(1, int(given)) if given.isdigit() else 1
+    return os.environ.get(VARIABLE) or "auto", max(1, int(given)) if given.isdigit() else 1
 
 
 def description() -> str:

@@ -227,9 +227,7 @@ def simulate_spectrum(
     P = np.linalg.inv(gram)
     K = 1 if draws is None else draws
     lines = len(test.frequency_hz)
-    shape = (K, lines, 2, len(channels))
-    error = np.linalg.cholesky(P) @ (rng.standard_normal(shape) * sd[:, None, :])
-    A = Y + error[..., 0, :] - 1j * error[..., 1, :]
+    A = _with_errors(Y, np.linalg.cholesky(P), sd, rng.standard_normal((K, lines, 2, len(channels))))
     free = test.samples - 2 - (0 if drift is None else drift + 1)
     spread = np.trace(P, axis1=-2, axis2=-1)
     residual = None
@@ -250,6 +248,18 @@ def simulate_spectrum(
     return Spectrum(
         channels, test.frequency_hz, A, V, test.samples, dof, (basis,) * lines, experiment, kept
     )  # fmt: skip
+
+
+def _with_errors(Y: Complex, root: Real, sd: Real, drawn: Real) -> Complex:
+    """Y (lines, channels) with the errors of its cosines and sines, (draws, lines, channels).
+
+    root (lines, 2, 2) is lower triangular, sd (lines, channels), drawn (draws, lines, 2, channels) of unit variance.
+    """
+    cosine, sine = drawn[..., 0, :], drawn[..., 1, :]
+    A = np.empty(cosine.shape, dtype=np.complex128)
+    A.real = Y.real + root[:, 0, 0, None] * sd * cosine
+    A.imag = Y.imag - (root[:, 1, 0, None] * sd * cosine + root[:, 1, 1, None] * sd * sine)
+    return A
 
 
 def clean_spectrum(

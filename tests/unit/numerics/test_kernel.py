@@ -2,10 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import pytest
 
 from dashpot.errors import UsageError
 from dashpot.numerics import kernel as choice
+
+
+@pytest.fixture(autouse=True)
+def environment_read_again() -> Iterator[None]:
+    choice.environment.cache_clear()
+    yield
+    choice.environment.cache_clear()
 
 
 def test_numpy_is_what_was_asked_for(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -111,7 +111,9 @@ def inference(data: Prepared, solution: Solution, method: Method) -> Inference:
     if method.traits.maximum_likelihood:
         # What runs off to infinity takes steps below its deviations, too, and is nowhere near a minimum.
         least = np.maximum(worth.chi2 / max(linearised.dof, 1), 1.0 if data.noise_known else 0.0)
-        solution = replace(solution, converged=solution.converged & (worth.above <= UNSETTLED * least))
+        settled = worth.above <= UNSETTLED * least
+        if not settled.all():
+            solution = replace(solution, converged=solution.converged & settled)
     if worth.in_time is not None:
         solution = replace(solution, theta=solution.theta + worth.in_time.step)
     return Inference(method, solution, best.theta, linearised, worth)
@@ -177,8 +179,7 @@ def _of_equation(data: Prepared, solution: Solution) -> Linearised:
         return equation_by_line(model, chosen, theta[repeats])
 
     return Linearised(
-        tuple(u.name for u in model.unknowns), tuple(u.unit for u in model.unknowns),
-        equation_sums(model, states, theta), by_line,
+        model.unknown_names, model.unknown_units, equation_sums(model, states, theta), by_line,
         2 * model.n * data.spectrum.lines, model.prior_precision,
     )  # fmt: skip
 

@@ -18,6 +18,7 @@ from dashpot.numerics.levenberg_marquardt import PATIENCE, OptimizeResult, Quadr
 RECORD_TOLERANCE = 1e-4  # standard deviations, of whole records
 HARMONIC_TOLERANCE = 1e-6  # standard deviations, of responses that are iterated themselves
 ROUGH = 60  # iterations of a descent that need not end
+NEAR_END = 1e-2  # standard deviations from the end of such a descent; the best are followed further
 
 
 @dataclass(frozen=True)
@@ -154,7 +155,7 @@ class Stage:
 
 def descend_all(
     stage: Stage, psi: Real, sign: Real, rows: Ints | None = None, *, lower: Real | None = None,
-    upper: Real | None = None, limit: int = ROUGH, tolerance: float = 1e-6,
+    upper: Real | None = None, limit: int = ROUGH, tolerance: float = NEAR_END,
 ) -> Real:  # fmt: skip
     """Where many starts end, each in its repeat of `rows` (k,); in logarithms of what is positive in all."""
     lower = np.full(psi.shape[-1], -np.inf) if lower is None else lower

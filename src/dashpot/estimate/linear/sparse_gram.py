@@ -132,7 +132,7 @@ def identify_seen(
         N = pairs.normal(model, w, a, 1 / variance)
         sd[places] = _deviations(model, motion, theta, N, w, 1 / variance, places)
     return LargeEstimate(
-        model.name, tuple(u.name for u in model.unknowns), tuple(u.unit for u in model.unknowns), theta, sd, converged,
+        model.name, model.unknown_names, model.unknown_units, theta, sd, converged,
         count, float(np.sqrt(np.mean(np.abs(e) ** 2 / variance))), 2 * e.size,
     )  # fmt: skip
 
