@@ -230,9 +230,9 @@ def _open_closed() -> None:
             os.fstat(number)
         except OSError:
             os.open(os.devnull, os.O_RDWR)  # takes the lowest number that is free
-    for number, name in enumerate(("stdout", "stderr"), 1):
+    for number, (name, mode) in enumerate((("stdin", "r"), ("stdout", "w"), ("stderr", "w"))):
         if getattr(sys, name) is None:
-            setattr(sys, name, os.fdopen(number, "w", encoding="utf-8", closefd=False))
+            setattr(sys, name, os.fdopen(number, mode, encoding="utf-8", closefd=False))
 
 
 def main() -> None:
@@ -244,6 +244,8 @@ def main() -> None:
             # A terminal that knows no ± or χ² shows ? rather than ending the run.
             if hasattr(stream, "reconfigure"):
                 stream.reconfigure(errors="replace")
+        if not os.environ.get("COLUMNS", "").strip("0"):
+            os.environ.pop("COLUMNS", None)  # a width of 0 is none
         one_thread()
         if not os.environ.get(TRACEBACK) and not sys.warnoptions:
             # What matters is in the results; warnings of the interpreter and of libraries are for developers.

@@ -79,12 +79,22 @@ def current() -> Ledger | None:
 def noted(path: Path) -> Path:
     """The path of an input, once it is in the ledger: every file is opened for reading through this.
 
-    Raises UsageError where the file is an output of this run.
+    Raises UsageError where the file is an output of this run, and where it is a device, which may never end.
     """
+    if _is_device(path):
+        raise UsageError("is a device, not a file", os.fspath(path), "give a file")
     ledger = current()
     if ledger is not None:
         ledger.note_read(path)
     return path
+
+
+def _is_device(path: AnyPath) -> bool:
+    """Whether a character device lies there, other than the one that is always empty."""
+    try:
+        return stat.S_ISCHR(os.stat(path).st_mode) and os.path.realpath(path) != os.devnull
+    except (OSError, ValueError):
+        return False
 
 
 def keys_of(path: AnyPath) -> tuple[Key, ...]:
@@ -93,7 +103,10 @@ def keys_of(path: AnyPath) -> tuple[Key, ...]:
     Nothing for devices and pipes, which may be read and written at once, nor for what is no path at all.
     """
     try:
-        place = os.path.realpath(path)
+        place = os.path.realpath(path)  # fails where the current folder is gone
+    except (OSError, ValueError):
+        return ()
+    try:
         status = os.stat(path)
     except FileNotFoundError:
         return (place,)

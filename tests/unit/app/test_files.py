@@ -169,6 +169,17 @@ def test_closed_standard_streams_do_no_harm(tmp_path: Path) -> None:
     )
     assert done.returncode == 0
     assert (tmp_path / "out.json").read_text(encoding="utf-8").startswith("{\n")
+    done = subprocess.run(
+        ["sh", "-c", f'"{sys.executable}" -m dashpot new other.toml <&-'], cwd=tmp_path, timeout=120
+    )
+    assert done.returncode == 0
+
+
+def test_a_terminal_of_no_width(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "rig.toml").write_text(RIG, encoding="utf-8")
+    monkeypatch.setenv("COLUMNS", "0")
+    done = _process("check", "rig.toml", cwd=tmp_path)
+    assert (done.returncode, done.stderr) == (0, b"")
 
 
 def test_a_pipe_gets_the_json(tmp_path: Path) -> None:

@@ -208,3 +208,16 @@ def test_devices_are_read_and_written_at_once() -> None:
         ledger.noted("/dev/null")
         write_text("/dev/null", "x")
         write_text("/dev/null", "y")
+
+
+def test_a_device_that_never_ends_is_not_read() -> None:
+    with pytest.raises(UsageError, match="/dev/zero: is a device, not a file"):
+        ledger.noted("/dev/zero")
+
+
+def test_a_folder_that_is_gone_is_no_place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "gone").mkdir()
+    monkeypatch.chdir(tmp_path / "gone")
+    (tmp_path / "gone").rmdir()
+    assert ledger.keys_of("data.csv") == ()
+    monkeypatch.chdir(tmp_path)

@@ -46,8 +46,9 @@ class MdfReader:
                 content = asammdf.MDF(stream)
                 content.configure(read_fragment_size=FRAGMENT)
             count = 0
+            # asammdf prints to stdout where it is slow, here and in _pieces.
             for number, group in enumerate(content.groups):
-                with damaged(file.name, self.format):
+                with damaged(file.name, self.format), redirect_stdout(io.StringIO()):
                     columns, units = _group(content, number, group, file.name)
                 if columns:
                     count += 1
@@ -146,7 +147,6 @@ def _pieces(content: Any, number: int, index: int, source: str) -> Iterator[Any]
     """Samples of a channel."""
     pieces = content.iter_get(group=number, index=index, samples_only=True)
     while True:
-        # asammdf prints how fast it is to stdout where it is slow.
         with damaged(source, "MDF"), redirect_stdout(io.StringIO()):
             piece = next(pieces, None)
         if piece is None:
