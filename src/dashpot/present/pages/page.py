@@ -20,7 +20,8 @@ from dashpot.present.tables.layout import TableColumn
 from dashpot.present.text.glossary import EXPLANATIONS
 
 TEMPLATES = Path(__file__).parents[1] / "templates"
-_COMMAND = re.compile(r"\bdashpot [a-z]+ [^()]*?(?=\.(?:\s|$)| writes |$)")
+_COMMAND = r"\bdashpot [a-z]+ [^()]*?(?=\.(?:\s|$)| writes |$)"
+_CODE = re.compile(rf"{_COMMAND}|\[\w+\] [\w-]+ = \{{.*\}}")  # commands, and lines of a rig file
 Verdict = Literal["good", "bad", "open"]
 
 
@@ -132,9 +133,9 @@ def _inline(picture: Picture) -> Markup:
 
 
 def _with_code(text: str) -> Markup:
-    """The text with its commands set as code, in which no option is broken at its hyphens."""
+    """The text with commands and lines of rig files set as code, in which no option is broken at its hyphens."""
     marked = re.sub(r"(?<!\S)--[\w-]+", r'<span class="option">\g<0></span>', str(escape(text)))
-    return Markup(_COMMAND.sub(r"<code>\g<0></code>", marked))
+    return Markup(_CODE.sub(r"<code>\g<0></code>", marked))
 
 
 def _rows(columns: Sequence[TableColumn]) -> list[list[tuple[str, str]]]:

@@ -229,9 +229,13 @@ def test_a_nonlinear_rig_is_said_to_be_one() -> None:
     assert _on_law(RIG.model) == []
 
 
-def test_commands_in_steps_are_code_and_no_option_is_broken() -> None:
-    step = "Fall to 7.6 × <b>. dashpot identify --apply NEW.toml writes it. See dashpot check rig.toml."
+def test_commands_and_lines_of_rig_files_are_code_and_no_option_is_broken() -> None:
+    step = (
+        "Try [springs] k = { at = x }. Fall to 7.6 × <b>. dashpot identify --apply NEW.toml writes it. See dashpot "
+        "check rig.toml."
+    )
     page = pages.page_html(pages.Page("a", "b", "open", "c", steps=(step,)))
     assert '<code>dashpot identify <span class="option">--apply</span> NEW.toml</code> writes' in page
     assert "<code>dashpot check rig.toml</code>." in page
+    assert "Try <code>[springs] k = { at = x }</code>. Fall" in page
     assert "&lt;b&gt;" in page
