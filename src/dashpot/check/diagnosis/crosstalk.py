@@ -29,7 +29,8 @@ def cross_talk(
         shared = weight @ (np.conj(base.y) * away[:, None]).real
         for other in np.flatnonzero(power > 0).tolist():
             share = float(shared[other] / power[other])
-            relative = abs(share) * np.sqrt(power[other] / max(power[c], np.finfo(float).tiny))
+            # With no power of its own a channel is left out, and has no share of another to be rid of.
+            relative = abs(share) * np.sqrt(power[other] / power[c]) if power[c] > 0 else np.inf
             if other != c and LEAST < relative < MOST:
                 trials.append(_cleared(bench, base, c, other, share))
     outcomes = bench.refitted(trials, pool)

@@ -18,6 +18,7 @@ from dashpot.data.conditioning.drive_frequency import refine_frequency
 from dashpot.data.conditioning.drive_wander import LEVEL as WANDER_LEVEL
 from dashpot.data.conditioning.drive_wander import drive_wanders
 from dashpot.data.conditioning.driven_harmonics import DrivenOrders, driven_orders, orders_used
+from dashpot.data.conditioning.dropouts import without_dropouts
 from dashpot.data.conditioning.harmonic_fit import HarmonicFit, fit_harmonics
 from dashpot.data.conditioning.moderated import moderated
 from dashpot.data.conditioning.quantisation import rounding_floor, rounding_steps
@@ -124,11 +125,19 @@ def _of_dwells(dwells: Sequence[Record], settings: Conditioning) -> Spectrum:
 
 
 def _evened(dwells: Sequence[Record], settings: Conditioning) -> tuple[Sequence[Record], list[Notice]]:
-    """The dwells on even stamps where those are even but for rounding, and notes; as they are with "none"."""
+    """The dwells on even stamps where those are even but for rounding, with what a channel missed put right, and notes.
+
+    As they are with "none".
+    """
     if settings.refine == "none":
         return dwells, []
-    evened = [with_even_stamps(record) for record in dwells]
-    return [record for record, _ in evened], [note for _, note in evened if note is not None]
+    evened, notes = [], []
+    for record in dwells:
+        even, note = with_even_stamps(record)
+        whole, dropouts = without_dropouts(even)
+        evened.append(whole)
+        notes += [*([] if note is None else [note]), *dropouts]
+    return evened, notes
 
 
 def _as_unsettled(dwells: Sequence[Record], settings: Conditioning) -> Spectrum | None:

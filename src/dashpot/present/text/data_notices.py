@@ -80,6 +80,12 @@ DATA_NOTICES: tuple[tuple[str, str, str, str], ...] = (
         "Nothing; compare it with the noise of the sensor.",
     ),
     (
+        "dropouts", RECORDS,
+        ("A channel holds one value, or reads 0, for some samples of a dwell while the motion goes on. The amplitudes "
+        "are those of the other samples."),
+        "Check the cable and the connection. `--refine none` takes the samples as they are.",
+    ),
+    (
         "clipped", RECORDS,
         "A channel stays at its largest value: it is probably clipped, and its amplitude too small.",
         "Widen the range or drive less.",
