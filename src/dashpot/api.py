@@ -97,7 +97,12 @@ def identify(
         data = _reading(rig, data, frequency_hz)
         if data.continuous and len(_model(rig).nonlinear):
             name = None if chosen is None else chosen.name
-            return _of_rig(rig, identify_records(_model(rig), data.records, name, progress=progress))
+            estimate = identify_records(_model(rig), data.records, name, progress=progress)
+            if diagnose:
+                from dashpot.check.record_verdict import examined_records
+
+                estimate = examined_records(_model(rig), data.records, estimate)
+            return _of_rig(rig, estimate)
     spectrum = _spectrum(rig, data, frequency_hz, conditioning, [] if chosen is None else [chosen])
     from dashpot.present.text.identifiability import require_identifiable
 

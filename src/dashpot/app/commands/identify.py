@@ -203,14 +203,17 @@ def _rig(path: str, chosen: str, positive: bool, matrices: bool) -> Rig:
 def _of_whole_records(
     path: str, rig: Rig, records: Sequence[Record], method: str | None, quiet: bool
 ) -> Estimate:
-    """The estimate from continuous records of a nonlinear rig."""
+    """The estimate from continuous records of a nonlinear rig, examined."""
     from dataclasses import replace
 
     from dashpot.app.progress import progress
+    from dashpot.check.record_verdict import examined_records
     from dashpot.estimate.nonlinear.whole_record import identify_records
 
     with progress("identify", quiet) as moved:
-        return replace(identify_records(rig.model, records, method, progress=moved), rig=path)
+        estimate = identify_records(rig.model, records, method, progress=moved)
+    with progress("examine", quiet):
+        return replace(examined_records(rig.model, records, estimate), rig=path)
 
 
 def _estimated(

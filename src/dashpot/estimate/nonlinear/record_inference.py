@@ -15,6 +15,7 @@ from dashpot.notices import Notice
 from dashpot.numerics.small_systems import scaled_inverse
 
 HALF_BAND = 30  # lines on each side over which the residuals' spectrum is smoothed
+CUT_RECORD = "cut_record"  # code of a notice
 COLOURED = 1.5  # ratio of intervals with and without the residuals' colour that is told
 
 
@@ -45,7 +46,7 @@ def record_estimate(
         cut = (
             f"the motion depends too much on its start to be followed whole: cut into {problem.pieces} pieces"
         )
-        warnings.append(Notice("cut_record", cut))
+        warnings.append(Notice(CUT_RECORD, cut))
     rms = ", ".join(f"{n} {s:.3g}" for n, s in zip(problem.records[0].names, problem.sd, strict=True))
     notes = (Notice("record_residuals", f"residuals of the whole records, rms in SI units: {rms}"),)
     return Estimate(

@@ -60,6 +60,12 @@ def test_an_estimate_predicts_another_record_or_the_end_of_its_own_to_the_noise(
     (record,) = json.loads(Path("v.json").read_text(encoding="utf-8"))["records"]
     assert record["samples"] == 300
     assert record["channels"]["x"]["rms_error"] == pytest.approx(NOISE, rel=0.2)
+    fit = json.loads(Path("whole.json").read_text(encoding="utf-8"))["fit"]
+    assert fit["verdict"] == "cannot tell"  # the noise is that of the residuals
+    assert fit["relative_residual"]["x"] == pytest.approx(
+        1 - record["channels"]["x"]["fit_percent"] / 100, rel=0.3
+    )
+    assert [line["channel"] for line in fit["worst"]] == ["x"]
     held = dashpot("identify", "rig.toml", "run.csv", "--hold-out", "40%", "--json", "part.json")
     assert held.code == 0
     assert "(2 s)" in held.out
