@@ -167,7 +167,7 @@ def _slopes(model: Model, spectrum: Spectrum, part: NonlinearPart, psi: Real) ->
 
 
 def blind_laws(model: Model, spectrum: Spectrum) -> Structure | None:
-    """The structure where unknowns of nonlinear elements alone leave no trace in the data, None where all do.
+    """The structure where unknowns of nonlinear elements, alone or with others, leave no trace; None where all do.
 
     Such data would keep an iteration busy for nothing.
     """
@@ -177,5 +177,5 @@ def blind_laws(model: Model, spectrum: Spectrum) -> Structure | None:
         structure = nonlinear_structure(model, spectrum.channels, spectrum)
     except DashpotError:  # the nominal motion says nothing; the search may find its own
         return None
-    blind = tuple(deficiency for deficiency in structure.deficiencies if laws.issuperset(deficiency.names))
+    blind = tuple(deficiency for deficiency in structure.deficiencies if laws.intersection(deficiency.names))
     return replace(structure, deficiencies=blind) if blind else None

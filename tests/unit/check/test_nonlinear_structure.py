@@ -66,6 +66,16 @@ def test_laws_that_no_drive_tells_apart_and_elements_that_do_not_move_are_named(
     assert blind_laws(model, spectrum) is None
 
 
+def test_data_are_refused_for_the_unknowns_that_cannot_be_told_apart_and_no_others():
+    model, theta = two_masses("bilinear")
+    spectrum = settled(model, theta, ALL, FREQUENCIES[::2], orders=(1, 2))
+    opened = replace(
+        model, elements=tuple(replace(e, value=None) if e.name == "k2" else e for e in model.elements)
+    )
+    with pytest.raises(IdentifiabilityError, match=r"k2, q, q\.ratio can change together"):
+        require_identifiable(opened, ALL, "rig.toml", spectrum)
+
+
 def test_dwells_between_folds_are_named():
     spring = between("k3", Kind.SPRING, "x", "ground")
     model = Model(

@@ -48,7 +48,7 @@ def _misfit_and_causes(
 ) -> tuple[float, tuple[Finding, ...]]:
     """χ² per degree of freedom of the rig as it is on the lines that are diagnosed (NaN where none are), and causes."""
     backwards = _pushed_backwards(model, spectrum, estimate)
-    if backwards or model.n > LARGEST:
+    if backwards or model.n > LARGEST or len(model.nonlinear):  # the remedies are tried on linear rigs
         return np.nan, backwards
     transients, runs = spectrum.carries_loads, len(spectrum.records)
     if transients:
@@ -90,7 +90,7 @@ def examined(model: Model, spectrum: Spectrum, estimate: Estimate, *, seed: int 
     if estimate.values.ndim != 1:
         return estimate
     assessment = assess(model, spectrum, estimate)
-    linear = not len(model.nonlinear)  # the remedies are tried on linear rigs
+    linear = not len(model.nonlinear)
     misfit = float(estimate.fit.misfit) ** 2
     bent = _nonlinear_elements(model, spectrum, estimate) if linear else ()
     if linear and (assessment.verdict == "does not fit" or not bool(estimate.converged)):

@@ -41,7 +41,7 @@ from dashpot.model.observation import (
 )
 from dashpot.numerics.projection import orthonormal, real_rows
 
-MOST_AMPLITUDES = 200_000  # complex numbers of all channels
+MOST_AMPLITUDES = 100_000  # complex numbers of all channels
 BLOCKS = 40  # parts of the records, each of which tells the candidate's parameter
 STEADY = 1e-3  # p-value below which these parts agree that there is one
 OVERSAMPLED = 2  # times the samples of a record: kinks of a law reach beyond its lines

@@ -25,6 +25,10 @@ from dashpot.model.nonlinear.expression import Dual, Exponents, Expression, dime
 Operator = Literal["", "stop", "play"]
 
 
+NEAR, HARDLY = 1e-6, 1e-150  # m, m/s: about rest, and nothing but a sign
+JUMP = 1e-6  # of a force: what is less is rounding
+
+
 @dataclass(frozen=True)
 class NamedLaw:
     """A usual law: its expression of d and v, or of its state z, and what its constants are."""
@@ -170,6 +174,8 @@ def force_law(text: str, constants: Sequence[Constant] = (), *, damper: bool = F
     )  # fmt: skip
     law.exponents  # noqa: B018  # raises where no units make sense
     _require_finite_at_rest(law)
+    if not state:
+        _require_steady(law)
     return law
 
 
@@ -211,6 +217,36 @@ def _require_finite_at_rest(law: ForceLaw) -> None:
             f"the law {law.text!r} divides by zero or has no finite slope at rest",
             cure="write it so that force and slope are finite at d = 0, v = 0",
         )
+
+
+def _require_steady(law: ForceLaw) -> None:
+    """Raises ModelError where a law is no number on one side of rest, or jumps where d or v changes its sign.
+
+    No settled motion can be followed over a jump.
+    """
+    middle = np.array([_typical(constant) for constant in law.constants])
+
+    def force(d: Real, v: Real) -> Real:
+        with np.errstate(all="ignore"):
+            return np.broadcast_to(law(d.ravel(), v.ravel(), d.ravel(), middle).value, d.size).reshape(
+                d.shape
+            )
+
+    near, hardly = np.array([-NEAR, 0.0, NEAR]), np.array([-HARDLY, HARDLY])
+    around = force(*np.meshgrid(near, near))
+    if np.any(np.isnan(around)):
+        raise ModelError(
+            f"the law {law.text!r} is not defined where d or v is below zero",
+            cure='write it with abs(d) and sign(d), such as "sign(d)*abs(d)**1.5"',
+        )
+    along_d = force(*np.meshgrid(hardly, near))
+    along_v = force(*np.meshgrid(near, hardly, indexing="ij"))
+    for name, both in (("d", along_d), ("v", along_v)):
+        if np.any(np.abs(np.diff(both, axis=1)) > JUMP * np.max(np.abs(around))):
+            raise ModelError(
+                f"the law {law.text!r} jumps where {name} changes its sign",
+                cure=f"smooth it: write tanh({name}/{name}0) for sign({name}), with a small {name}0",
+            )
 
 
 def _typical(constant: Constant) -> float:

@@ -59,6 +59,12 @@ def test_laws_are_read_and_written(entry, unknowns):
         ('k3 = { between = ["x1", "u"], law = "d**3", b = 1.0 }', "has no constant b"),
         ('k3 = { between = ["x1", "u"], law = "1/d" }', "divides by zero"),
         ('k3 = { between = ["x1", "u"], law = "d/0" }', "divides by zero"),
+        (
+            'f = { between = ["x1", "u"], law = "sign(v)" }',
+            "jumps where v changes its sign; smooth it: write tanh",
+        ),
+        ('f = { between = ["x1", "u"], law = "d*sign(v)" }', "jumps where v changes its sign"),
+        ('k3 = { between = ["x1", "u"], law = "d**1.5" }', "is not defined where d or v is below zero"),
         ('k3 = { between = ["x1", "u"], law = "d + v" }', "no units make sense"),
         ('k3 = { between = ["x1", "u"], law = "open(d)" }', "there is no function open"),
         ('k3 = { between = ["x1", "u"], law = "2" }', "depends on neither d nor v"),
