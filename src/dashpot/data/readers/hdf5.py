@@ -23,6 +23,7 @@ MOST_GROUPS = 10_000
 
 HEAP = b"GCOL\x01\0\0\0"  # begins a heap of texts: signature, version, three zeros; then its size
 SMALLEST_HEAP = 4096  # bytes
+VLEN = 9  # libhdf5's class of sequences of any length, as which it takes some damaged texts and dies of them
 
 
 @dataclass(frozen=True)
@@ -109,7 +110,8 @@ def _variable(name: str, item: Any) -> dict[str, Any]:
         return {}
     if item.dtype.kind not in "fiubc" or item.size == 0 or "MATLAB_empty" in item.attrs:
         return {}
-    if item.attrs.get("MATLAB_class", b"double") in (b"char", b"cell"):
+    kind = "MATLAB_class"
+    if kind in item.attrs and not _is_sequence(item, kind) and item.attrs[kind] in (b"char", b"cell"):
         return {}
     if item.dtype.kind in "fiub" and max(item.shape, default=0) == item.size >= LONG:
         return {name: _streamed_dataset(item)}
@@ -133,7 +135,10 @@ def _scalars(item: Any) -> dict[str, Any]:
     """Attributes that are single numbers, of an item and of the groups around it."""
     scalars: dict[str, Any] = {}
     while True:
-        for name, value in item.attrs.items():
+        for name in item.attrs:
+            if _is_sequence(item, name):
+                continue
+            value = item.attrs[name]
             if np.size(value) == 1 and np.asarray(value).dtype.kind in "fiu":
                 scalars.setdefault(name, np.asarray(value).ravel()[0])
         if item.name in ("/", None):
@@ -141,9 +146,18 @@ def _scalars(item: Any) -> dict[str, Any]:
         item = item.parent
 
 
+def _is_sequence(item: Any, name: str) -> bool:
+    """Whether an attribute is a sequence of any length: neither a number nor a text."""
+    return bool(item.attrs.get_id(name).get_type().get_class() == VLEN)
+
+
 def _unit(item: Any) -> str | None:
     for name in UNITS:
-        value = item.attrs.get(name)
+        if name not in item.attrs:
+            continue
+        if _is_sequence(item, name):
+            raise ValueError("a unit is no text")
+        value = item.attrs[name]
         if isinstance(value, bytes):
             return value.decode("utf-8", errors="replace")
         if isinstance(value, str):
