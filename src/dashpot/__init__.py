@@ -54,8 +54,9 @@ if TYPE_CHECKING:
     from dashpot.model.dynamics import Matrices, matrices, response, sensitivities
     from dashpot.model.elements import Element, Kind, between, mass
     from dashpot.model.modes import Modes, modes
-    from dashpot.model.network import Input, Model, Unknown
+    from dashpot.model.network import Input, Model
     from dashpot.model.rigfile import Rig, default_channels, parse_rig, read_rig, write_rig
+    from dashpot.model.unknowns import Unknown
     from dashpot.model.unstructured import free_model
     from dashpot.study.simulate import Dwells, dwells, simulate_records, simulate_spectrum
 
@@ -92,7 +93,8 @@ _NAMES = {
     "model.elements": "Element Kind between mass",
     "model.unstructured": "free_model",
     "model.rigfile": "Rig default_channels parse_rig read_rig write_rig",
-    "model.network": "Input Model Unknown",
+    "model.network": "Input Model",
+    "model.unknowns": "Unknown",
     "notices": "Notice",
     "study.simulate": "Dwells dwells simulate_records simulate_spectrum",
 }

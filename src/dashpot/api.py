@@ -96,13 +96,9 @@ def identify(
     if not isinstance(data, Spectrum):
         data = _reading(rig, data, frequency_hz)
         if data.continuous and len(_model(rig).nonlinear):
-            name = None if chosen is None else chosen.name
-            estimate = identify_records(_model(rig), data.records, name, progress=progress)
-            if diagnose:
-                from dashpot.check.record_verdict import examined_records
-
-                estimate = examined_records(_model(rig), data.records, estimate)
-            return _of_rig(rig, estimate)
+            return _of_nonlinear_records(
+                rig, data, None if chosen is None else chosen.name, diagnose, progress
+            )
     spectrum = _spectrum(rig, data, frequency_hz, conditioning, [] if chosen is None else [chosen])
     from dashpot.present.text.identifiability import require_identifiable
 
@@ -121,6 +117,19 @@ def identify(
         from dashpot.check.diagnosis.diagnose import examined
 
         estimate = examined(model, spectrum, estimate)
+    return _of_rig(rig, estimate)
+
+
+def _of_nonlinear_records(
+    rig: Rig | Model, reading: Reading, method: str | None, diagnose: bool, progress: Progress | None
+) -> Estimate:
+    """The estimate from continuous records of a nonlinear rig, judged if asked for."""
+    model = _model(rig)
+    estimate = identify_records(model, reading.records, method, progress=progress)
+    if diagnose:
+        from dashpot.check.record_verdict import examined_records
+
+        estimate = examined_records(model, reading.records, estimate)
     return _of_rig(rig, estimate)
 
 

@@ -33,15 +33,30 @@ class MeasuredData:
 
 
 def read_files(rig: Rig, paths: Sequence[str], options: Mapping[str, Any], quiet: bool) -> Reading:
-    """What data files hold, with what was noticed told.  Raises DataError, and UsageError for --frequency unused."""
+    """What data files hold, with what was noticed told.
+
+    Raises DataError, and UsageError for a file given twice and for --frequency unused.
+    """
     from dashpot.app.progress import progress
     from dashpot.data.readers import read
 
+    _require_each_once(paths)
     with progress(reading_of(paths), quiet):
         reading = read(paths, rig.channels, frequency_hz=options["frequency"])
     _require_use_of_frequency(reading, options["frequency"])
     tell_notes(reading.notes, quiet)
     return reading
+
+
+def _require_each_once(paths: Sequence[str]) -> None:
+    """Raises UsageError where a file is named twice: its noise would count as that of two tests."""
+    files = [os.path.realpath(path) for path in paths]
+    for path, file in zip(paths, files, strict=True):
+        if files.count(file) > 1:
+            raise UsageError(
+                f"{printable(path)} is given {files.count(file)} times: the same data are one test",
+                cure="name each file once",
+            )
 
 
 def measured_data(

@@ -21,36 +21,10 @@ from dashpot.model.incidence import row_products
 from dashpot.model.inputs import Input as Input
 from dashpot.model.nonlinear.force_law import Constant, unit_of
 from dashpot.model.recent import Recent
+from dashpot.model.unknowns import Tie, Unknown
 from dashpot.model.validation import problems
 
 DENSE = 1_000_000  # numbers up to which products of incidences are kept as full matrices
-
-
-@dataclass(frozen=True)
-class Unknown:
-    """One unknown of θ.
-
-    name, unit    of the parameter, SI
-    prior, sd     the stated value and its standard deviation, where it is known with one
-    guess         where iterations start
-    lower, upper  bounds, None where there are none
-    """
-
-    name: str
-    unit: str
-    prior: float | None = None
-    sd: float | None = None
-    guess: float | None = None
-    lower: float | None = None
-    upper: float | None = None
-
-
-@dataclass(frozen=True)
-class Tie:
-    """Where an element's parameter comes from: `times` the parameter of the element at index `root`."""
-
-    root: int
-    times: float
 
 
 @dataclass(frozen=True)

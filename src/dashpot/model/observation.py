@@ -101,7 +101,7 @@ class ObservationModel:
     @property
     def units(self) -> tuple[str, ...]:
         """Units of ψ."""
-        theta = [unknown.unit for unknown in self.model.unknowns]
+        theta = list(self.model.unknown_units)
         return (*theta, *["1"] * self.gains, *["s"] * self.delays)
 
     @property

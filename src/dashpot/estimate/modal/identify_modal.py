@@ -95,7 +95,7 @@ def _estimate(
         model=model.name,
         method=NAME,
         names=model.unknown_names,
-        units=tuple(unknown.unit for unknown in model.unknowns),
+        units=model.unknown_units,
         values=theta.reshape((*batch, m)),
         covariance=widened.reshape((*batch, m, m)),
         noise_covariance=covariance.reshape((*batch, m, m)),
@@ -268,7 +268,7 @@ def _one_of(model: Model, ends: OptimizeResult) -> OptimizeResult:
     sound = alike & np.all(ends.x > 0, axis=-1)
     if np.any(sound):
         logs = np.log(np.where(sound[:, None], ends.x, 1.0))
-        units = np.array([unknown.unit for unknown in model.unknowns])
+        units = np.array(model.unknown_units)
         spread = np.sum([np.ptp(logs[:, units == unit], axis=-1) for unit in dict.fromkeys(units)], axis=0)
         at = [int(np.argmin(np.where(sound, spread, np.inf)))]
     else:

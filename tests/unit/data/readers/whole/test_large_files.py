@@ -165,7 +165,7 @@ def test_long_sound_is_mapped(tmp_path: Path, packed: bool, kind: str) -> None:
     numbers = (np.arange(2000).reshape(1000, 2) % 100).astype(kind)
     wavfile.write(path, 100, numbers)
     path = written.packed(path) if packed else path
-    (record,) = read(path, tuple(Channel(f"channel_{k}", {"x": 1}) for k in (1, 2))).records
+    (record,) = read(path, tuple(Channel(f"channel_{k}", {"x": 1}, unit="FS") for k in (1, 2))).records
     offset, scale = {"u1": (128, 128), "i2": (0, 2**15), "i4": (0, 2**31), "f4": (0, 1)}[kind]
     assert np.array_equal(record.values, (numbers.astype(float) - offset) / scale)
 
@@ -190,7 +190,7 @@ def test_sound_of_24_bits_is_as_scipy_reads_it(
     chunks += b"fmt " + struct.pack(f"{order}IHHIIHH", 16, 1, 2, 100, 600, 6, 24)
     chunks += b"data" + struct.pack(f"{order}I", size) + data
     path.write_bytes(tag.encode() + struct.pack(f"{order}I", len(chunks)) + chunks)
-    channels = tuple(Channel(f"channel_{k}", {"x": 1}) for k in (1, 2))
+    channels = tuple(Channel(f"channel_{k}", {"x": 1}, unit="FS") for k in (1, 2))
     (record,) = read(path, channels).records
     assert np.array_equal(record.values, numbers / 2**23)
     if tag != "RF64":  # which older versions of SciPy do not know
