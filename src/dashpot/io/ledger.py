@@ -14,7 +14,7 @@ from contextvars import ContextVar
 from dataclasses import dataclass, field
 from typing import TypeVar
 
-from dashpot.errors import UsageError
+from dashpot.errors import DataError, UsageError
 
 AnyPath = str | os.PathLike[str]
 Path = TypeVar("Path", str, os.PathLike[str], str | os.PathLike[str])
@@ -79,10 +79,10 @@ def current() -> Ledger | None:
 def noted(path: Path) -> Path:
     """The path of an input, once it is in the ledger: every file is opened for reading through this.
 
-    Raises UsageError where the file is an output of this run, and where it is a device, which may never end.
+    Raises UsageError where the file is an output of this run, DataError where it is a device, which may never end.
     """
     if _is_device(path):
-        raise UsageError("is a device, not a file", os.fspath(path), "give a file")
+        raise DataError("is a device, not a file", os.fspath(path), "give a file")
     ledger = current()
     if ledger is not None:
         ledger.note_read(path)

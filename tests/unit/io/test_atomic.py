@@ -211,7 +211,7 @@ def test_devices_are_read_and_written_at_once() -> None:
 
 
 def test_a_device_that_never_ends_is_not_read() -> None:
-    with pytest.raises(UsageError, match="/dev/zero: is a device, not a file"):
+    with pytest.raises(DataError, match="/dev/zero: is a device, not a file"):
         ledger.noted("/dev/zero")
 
 

@@ -26,7 +26,7 @@ _WANTED = Wanted("rig file", 'describe a rig, starting with coordinates = ["x1"]
 def read_rig(path: str | os.PathLike[str]) -> Rig:
     """The rig in the TOML file `path`.
 
-    Raises ModelError with every problem found, each at file:line and key.
+    Raises ModelError with every problem found, each at file:line and key, DataError where the path is a device.
     """
     return _rig(read_toml(path, ModelError, _WANTED))
 

@@ -23,7 +23,7 @@ _WANTED = Wanted("study file", "describe a study, starting with [rigs.NAME]")
 def read_study(path: str | os.PathLike[str]) -> Study:
     """The study in the TOML file `path`; rig files are looked for beside it.
 
-    Raises UsageError with every problem found, each at file:line and key.
+    Raises UsageError with every problem found, each at file:line and key, DataError where the path is a device.
     """
     return _study(read_toml(path, UsageError, _WANTED))
 
