@@ -15,6 +15,7 @@ from dashpot.data.stretch import SettledDwell
 from dashpot.estimate.assessment import Assessment, Finding, Judgement, Misfit
 from dashpot.estimate.inference.band_stability import DISAGREE
 from dashpot.estimate.inference.diagnostics import dead_channels, of_one_sign
+from dashpot.estimate.inference.free_motion import MODES_UNSEEN
 from dashpot.estimate.inference.time_course import CLOCK_STEP, GAIN_STEP, JUMP, SPIKES, TIME_CHANGES
 from dashpot.estimate.likelihood.record_noise import RESIDUAL
 from dashpot.estimate.result import Estimate
@@ -72,7 +73,8 @@ def assess(model: Model, spectrum: Spectrum, estimate: Estimate) -> Assessment:
     ]
     unheard = [] if spectrum.records else _unheard(left, motions, _fundamentals(spectrum))
     untested = [] if against else powerless(estimate, of_residuals=RESIDUAL in spectrum.noise)
-    doubts = [*untested, *hum_notices(left, motions, tones), *unheard]
+    chance = [notice for notice in estimate.warnings if notice.code == MODES_UNSEEN]
+    doubts = [*untested, *chance, *hum_notices(left, motions, tones), *unheard]
     verdict: Judgement = "does not fit" if against else "cannot tell" if doubts else "fits"
     return Assessment(
         verdict, (*against, *doubts), _relative(left, motions), _worst(left),

@@ -14,6 +14,7 @@ from dashpot.data.repeats import flattened, in_chunks
 from dashpot.data.spectrum import Spectrum
 from dashpot.errors import DataError, UsageError
 from dashpot.estimate.inference.derived import known_values, linear_modes, tied_values
+from dashpot.estimate.inference.free_motion import modes_unseen
 from dashpot.estimate.inference.notices import notices
 from dashpot.estimate.inference.time_course import time_change_notices
 from dashpot.estimate.inference.uncertainty import Inference, inference, with_noise_of_residuals
@@ -121,7 +122,7 @@ def _identified(model: Model, spectrum: Spectrum, method: Method) -> Inference:
     if not spectrum.records:
         return part
     solution = part.solution
-    warnings = (*solution.warnings, *time_change_notices(data, solution))
+    warnings = (*solution.warnings, *time_change_notices(data, solution), *modes_unseen(data, solution))
     return replace(part, solution=replace(solution, warnings=warnings))
 
 

@@ -32,6 +32,11 @@ class EndsFitted:
     shared: Real
     rank: Ints
 
+    @property
+    def covariance(self) -> Real:
+        """Of z, (K, records, f, f), by the whitened noise."""
+        return self.B @ np.swapaxes(self.B, -1, -2) / 2
+
 
 @dataclass(frozen=True)
 class EndProducts:

@@ -68,6 +68,19 @@ def ends_rank(pieces: RecordPieces, psi: Real, sign: Real) -> Ints:
     return _fit(pieces, _passes(pieces, psi, sign)).rank
 
 
+def ends_fitted(pieces: RecordPieces, psi: Real, sign: Real) -> EndsFitted:
+    """The loads and polynomials of each record that fit best."""
+    return _fit(pieces, _passes(pieces, psi, sign))
+
+
+def information_under(pieces: RecordPieces, psi: Real, sign: Real, ends: EndsFitted) -> Real:
+    """Information (K, M, M) of all lines, were the motion that of such ends."""
+    products, of_ends = _passes(pieces, psi, sign).of_slopes(ends)
+    M = psi.shape[-1]
+    information: Real = 2 * (products - of_ends.explained(ends))[:, :M, :M]
+    return information
+
+
 def _passes(pieces: RecordPieces, psi: Real, sign: Real) -> Passes:
     compiled = compiled_passes(pieces, psi, sign)
     passes: Passes = NumpyPasses(pieces, psi, sign) if compiled is None else compiled

@@ -159,6 +159,13 @@ NOTICES: tuple[tuple[str, str, str, str], ...] = (
         "Something in the model depends on frequency: look for a missing part, a delay or a nonlinearity.",
     ),
     (
+        "modes_unseen", _ESTIMATE,
+        ("A free decay does not show one of the modes found above its noise: the mode has died away before the record "
+        "begins, or was never excited. The values named rest on a peak of the noise, and so do their intervals. The "
+        "verdict is then \"cannot tell\" at best."),
+        "Begin the record right after the release, strike elsewhere, or give values of parts so that fewer are sought.",
+    ),
+    (
         "noise_in_time", _ESTIMATE,
         ("What the model leaves over of a whole record is louder at some times than at others, as where noise grows "
         "with the motion. Samples are weighted by the noise at their time, and intervals count it; where loud and "
