@@ -10,6 +10,7 @@
 #include <optional>
 #include <stdexcept>
 #include <string>
+#include <system_error>
 #include <thread>
 #include <vector>
 
@@ -80,7 +81,12 @@ template <class Work> void share(long rows, int threads, size_t workspace, Work 
             work(from, std::min(rows, from + piece), place);
     };
     std::vector<std::thread> team;
-    for (int k = 1; k < threads; ++k) team.emplace_back(run, places[k].get());
+    team.reserve(threads);
+    try {
+        for (int k = 1; k < threads; ++k) team.emplace_back(run, places[k].get());
+    } catch (const std::system_error &) {
+        // The system allows no more threads: those that there are share all rows.
+    }
     run(places[0].get());
     for (std::thread &member : team) member.join();
 }

@@ -3,12 +3,16 @@
 A Scenario is one point of a study.  Its repeats are drawn in blocks of BLOCK; the random numbers of a block follow
 from the study's seed, the scenario's own name and the number of the block alone, and blocks are put together in their
 order.  So the result is the same to the bit whoever computes which block when, in one go or after an interruption.
+
+A task, and the file that keeps it, is one block among the first ALONE of a scenario, so that small studies are shared
+out finely, and TOGETHER blocks after them, for a file costs as much as some 300 quick repeats.  Which blocks go
+together does not depend on how many there are: a study that grows keeps its files.
 """
 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache
 from importlib import metadata
@@ -27,6 +31,8 @@ from dashpot.study.store import Label, State, read_block, state_of, write_block
 from dashpot.study.summary import Repeats, Summary, all_repeats, summarise
 
 BLOCK = 500  # repeats; part of what the seed means
+ALONE = 32  # blocks at the beginning of a scenario that are tasks of their own
+TOGETHER = 8  # blocks that make one task after them
 version = cache(metadata.version)  # which reads a file
 
 
@@ -38,13 +44,23 @@ Block = Mapping[str, Repeats]
 
 @dataclass(frozen=True)
 class Task:
-    """One block of one scenario; `file` is where it is kept, None where it is handed back."""
+    """Blocks of one scenario that follow each other; `file` is where they are kept, None where they are handed back.
+
+    index  of the first block in its scenario
+    size   repeats in all, `block` in each block but the last
+    """
 
     scenario: Scenario
     index: int
     size: int
     seed: int
     file: str | None = None
+    block: int = BLOCK
+
+    def single_blocks(self) -> Iterator[Task]:
+        """A task for each of its blocks."""
+        for number, first in enumerate(range(0, self.size, self.block)):
+            yield replace(self, index=self.index + number, size=min(self.block, self.size - first))
 
     @property
     def identifications(self) -> int:
@@ -78,16 +94,20 @@ def generator(seed: int, key: str, index: int) -> np.random.Generator:
 
 
 def run_task(task: Task) -> Done:
-    """Draw one block and identify it by all methods of its scenario.
+    """Draw the blocks and identify each by all methods of its scenario.
 
     A function of the module, so that any process can be sent it.  Raises DashpotError that names the scenario.
     """
     scenario = task.scenario
     try:
-        block = {name: _repeats(estimate) for name, estimate in estimates(task)}
+        parts = [
+            {name: _repeats(estimate) for name, estimate in estimates(single)}
+            for single in task.single_blocks()
+        ]
     except DashpotError as error:
         first = error.problems[0]
         raise UsageError(first.what, f"{scenario.name}", first.cure) from error
+    block = {name: all_repeats([part[name] for part in parts]) for name in scenario.methods}
     if task.file is None:
         return Done(scenario.key, task.index, task.identifications, block)
     _write(task, block)
@@ -100,7 +120,7 @@ def _write(task: Task, block: Block) -> None:
 
 
 def estimates(task: Task) -> Iterable[tuple[str, Estimate]]:
-    """The block's Estimates, method by method, all of the same draws."""
+    """The Estimates of a task of one block, method by method, all of the same draws."""
     scenario = task.scenario
     spectrum = scenario.drawn(generator(task.seed, scenario.key, task.index), task.size)
     for name in scenario.methods:
@@ -163,14 +183,17 @@ def tasks(
     """The blocks of the scenarios, in order; the last of each scenario may be smaller."""
     work = []
     for scenario in scenarios:
-        for index, first in enumerate(range(0, scenario.draws, block)):
+        index = 0
+        while (left := scenario.draws - index * block) > 0:
+            count = 1 if index < ALONE else TOGETHER
             file = None if folder is None else str(block_file(folder, scenario, index))
-            work.append(Task(scenario, index, min(block, scenario.draws - first), seed, file))
+            work.append(Task(scenario, index, min(count * block, left), seed, file, block))
+            index += count
     return work
 
 
 def block_file(folder: Path, scenario: Scenario, index: int) -> Path:
-    """Where a block is kept."""
+    """Where a task's blocks are kept, the first of which is `index`."""
     return folder / "draws" / scenario.key / f"{index:06d}.parquet"
 
 

@@ -1,7 +1,7 @@
 """A study in a folder: blocks as they are finished, a summary at the end, and going on where it was interrupted.
 
 study.json                    what lies here: name, seed, block size, and each scenario with its fingerprint
-draws/KEY/000000.parquet      the repeats of a block, one row for each method and draw
+draws/KEY/000000.parquet      the repeats of a block, or of several from that one on, a row for each method and draw
 summary.parquet               bias, spread, coverage and bound, one row for each scenario, method and parameter
 """
 
@@ -23,7 +23,7 @@ from dashpot.study.scenario import Scenario
 from dashpot.study.store import State, write_table
 from dashpot.study.summary import LEVELS, Summary
 
-FORMAT = 2
+FORMAT = 3
 
 
 @dataclass(frozen=True)

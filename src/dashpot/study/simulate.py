@@ -27,6 +27,7 @@ from dashpot.model.network import Model
 from dashpot.model.observation import channel_amplitudes, input_channels, measures_input, observation_model
 
 NoiseBasis = Literal["given", "estimated"]
+CACHED = 2**14  # random numbers at a time, which stay in the processor's cache
 
 
 @dataclass(frozen=True)
@@ -227,7 +228,7 @@ def simulate_spectrum(
     P = np.linalg.inv(gram)
     K = 1 if draws is None else draws
     lines = len(test.frequency_hz)
-    A = _with_errors(Y, np.linalg.cholesky(P), sd, rng.standard_normal((K, lines, 2, len(channels))))
+    A = _with_errors(Y, np.linalg.cholesky(P), sd, rng, K)
     free = test.samples - 2 - (0 if drift is None else drift + 1)
     spread = np.trace(P, axis1=-2, axis2=-1)
     residual = None
@@ -250,15 +251,22 @@ def simulate_spectrum(
     )  # fmt: skip
 
 
-def _with_errors(Y: Complex, root: Real, sd: Real, drawn: Real) -> Complex:
+def _with_errors(Y: Complex, root: Real, sd: Real, rng: np.random.Generator, draws: int) -> Complex:
     """Y (lines, channels) with the errors of its cosines and sines, (draws, lines, channels).
 
-    root (lines, 2, 2) is lower triangular, sd (lines, channels), drawn (draws, lines, 2, channels) of unit variance.
+    root (lines, 2, 2) is lower triangular, sd (lines, channels).
     """
-    cosine, sine = drawn[..., 0, :], drawn[..., 1, :]
-    A = np.empty(cosine.shape, dtype=np.complex128)
-    A.real = Y.real + root[:, 0, 0, None] * sd * cosine
-    A.imag = Y.imag - (root[:, 1, 0, None] * sd * cosine + root[:, 1, 1, None] * sd * sine)
+    lines, channels = Y.shape
+    of_cosine, crossed, of_sine = (root[:, i, j, None] * sd for i, j in ((0, 0), (1, 0), (1, 1)))
+    A = np.empty((draws, lines, channels), dtype=np.complex128)
+    piece = max(1, CACHED // max(1, 2 * Y.size))
+    noise = np.empty((min(piece, draws), lines, 2, channels))
+    for first in range(0, draws, piece):
+        part = A[first : first + piece]
+        drawn = rng.standard_normal(out=noise[: len(part)])
+        cosine, sine = drawn[..., 0, :], drawn[..., 1, :]
+        part.real = Y.real + of_cosine * cosine
+        part.imag = Y.imag - (crossed * cosine + of_sine * sine)
     return A
 
 

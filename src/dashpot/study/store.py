@@ -30,7 +30,7 @@ class Label:
     """What a block is of.
 
     fingerprint  all that the numbers follow from but seed, place and methods
-    seed, index  of the study, and of the block in its scenario
+    seed, index  of the study, and of the (first) block in its scenario
     size         draws
     methods      in their order
     unknowns     how many

@@ -134,6 +134,31 @@ def test_a_study_grows_on_what_it_has(study, tmp_path):
     assert len(computed) == 3 + 3 + 5
 
 
+def test_blocks_that_share_a_file_are_the_same_draws(study, tmp_path, monkeypatch):
+    """Twelve blocks, the first two in files of their own, then four to a file: in one go, and grown from seven."""
+    more = replace(study, grids=(replace(study.grids[0], draws=116, noise=(0.1,)),))
+    alone = bits(montecarlo.run_scenarios(scenarios(more), 7, block=10))
+    monkeypatch.setattr(montecarlo, "ALONE", 2)
+    monkeypatch.setattr(montecarlo, "TOGETHER", 4)
+    assert bits(montecarlo.run_scenarios(scenarios(more), 7, block=10)) == alone
+    few = replace(more, grids=(replace(more.grids[0], draws=65),))
+    run_study(few, tmp_path / "s", block=10)
+    grown = run_study(more, tmp_path / "s", block=10)
+    assert grown.columns() == run_study(more, tmp_path / "whole", block=10).columns()
+    names = ["000000", "000001", "000002", "000006", "000010"]
+    assert [path.stem for path in sorted((tmp_path / "s" / "draws").rglob("*.parquet"))] == names
+    results = montecarlo.run_scenarios(scenarios(more), 7, block=10, folder=tmp_path / "s")
+    assert bits(results) == alone
+
+
+def test_a_folder_of_another_format_is_refused(study, tmp_path):
+    run_study(study, tmp_path / "s", block=25)
+    manifest = tmp_path / "s" / "study.json"
+    manifest.write_text(json.dumps(json.loads(manifest.read_text()) | {"format": 2}))
+    with pytest.raises(UsageError, match="holds a study with format 2, not 3"):
+        run_study(study, tmp_path / "s", block=25)
+
+
 @pytest.mark.parametrize(
     ("change", "message"),
     [
