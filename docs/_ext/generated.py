@@ -8,6 +8,7 @@ import os
 import re
 import shutil
 import tempfile
+import textwrap
 from concurrent.futures import ProcessPoolExecutor
 from functools import cache
 from importlib import import_module
@@ -198,6 +199,11 @@ def _as_on_a_terminal() -> None:
     os.environ.update(COLUMNS=WIDTH, MPLBACKEND="Agg", OPENBLAS_NUM_THREADS="1")
 
 
+def _wrapped(note: re.Match[str]) -> str:
+    """A note, which is one line, in as many as a page needs."""
+    return textwrap.fill(note[0], int(WIDTH), subsequent_indent="      ")
+
+
 def _run_block(block: str, work: Path) -> str:
     """What the commands of a block print, run one after the other in the folder of the example."""
     printed = []
@@ -208,5 +214,5 @@ def _run_block(block: str, work: Path) -> str:
             code, text = page_commands.run_line(line)
             if code not in (0, 3, 4):
                 raise RuntimeError(f"{work.name}: {line}: {text}")
-            printed.append(text)
+            printed.append(re.sub(r"^note: .*$", _wrapped, text, flags=re.MULTILINE))
     return "\n".join(text for text in printed if text)

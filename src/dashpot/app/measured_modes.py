@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from dashpot.estimate.result import Estimate
+    from dashpot.model.rigfile import Rig
 
 
 def modal_estimate(
@@ -16,8 +17,8 @@ def modal_estimate(
     seed: int,
     quiet: bool,
     unsuited: Mapping[str, bool],
-) -> Estimate | None:
-    """The estimate from a file of modes; None where the data are another thing.
+) -> tuple[Rig, Estimate] | None:
+    """The rig and the estimate from a file of modes; None where the data are another thing.
 
     `unsuited` are options that need amplitudes, and whether they are given.  Raises UsageError for these, DataError.
     """
@@ -44,4 +45,4 @@ def modal_estimate(
     tell_notes(notes, quiet)
     estimate = identify_modal(rig.model, modes, seed=seed)
     with progress("examine", quiet):
-        return replace(examined_modes(rig.model, modes, estimate, seed=seed), rig=rig_path)
+        return rig, replace(examined_modes(rig.model, modes, estimate, seed=seed), rig=rig_path)

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from dashpot.channel import Channel, Quantity
 from dashpot.errors import IdentifiabilityError, Problem
 from dashpot.estimate.method import Method
-from dashpot.io.words import listed
+from dashpot.io.words import listed, with_values
 from dashpot.model.network import Model
 from dashpot.model.observation import is_direct
 
@@ -60,11 +60,8 @@ def require_scale(model: Model, channels: Sequence[Channel], where: str | None =
             )
         else:
             what = f"the forces of {listed(group)} scale together: times any factor they give the same motion"
-        problems.append(
-            Problem(
-                what, where, "give one of them a value, or measure a force (the one that moves an input, say)"
-            )
-        )
+        cure = f"{with_values(group)}, or measure a force (the one that moves an input, say)"
+        problems.append(Problem(what, where, cure))
     raise IdentifiabilityError(problems)
 
 

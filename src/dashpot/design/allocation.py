@@ -63,7 +63,7 @@ def optimise(
     if not np.isfinite(criterion_value(terms, spread).F):
         raise IdentifiabilityError(
             "no test in this band determines the unknowns",
-            cure="give one of them a value, add a sensor, or widen the band",
+            cure="give an unknown a value, add a sensor, or widen the band",
         )
     search = _Columns(information, terms, prior, samples, grid, on_grid)
     return search.run(tolerance)

@@ -26,6 +26,15 @@ def joined(names: Iterable[str]) -> str:
     return every[0] if len(every) == 1 else ", ".join(every[:-1]) + " and " + every[-1] if every else ""
 
 
+def with_values(names: Iterable[str], count: int = 1) -> str:
+    """The advice to know more: "give m1 or k1 a value", "give 2 of m1, c1 and k1 a value"."""
+    every = list(names)
+    if len(every) <= count + 1 == 2:
+        return f"give {' or '.join(every)} a value"
+    shown = every if len(every) <= 6 else [*every[:4], f"{len(every) - 4} others"]
+    return f"give {'one' if count == 1 else count} of {joined(shown)} a value"
+
+
 def counted(count: int, noun: str) -> str:
     """A number of things: "1 input", "2 inputs"."""
     return f"{count} {noun}" if count == 1 else f"{count} {noun}s"

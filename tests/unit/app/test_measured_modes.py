@@ -29,6 +29,11 @@ def test_a_rig_is_identified_from_its_own_modes(
     assert "standard deviations: assumed are 1 % of frequencies" in done.err[0]
     assert Estimate.load("e.json").values == pytest.approx(estimate.values, rel=1e-9)
     assert Estimate.load("e.json").assessment is not None
+    done = dashpot("identify", "rig.toml", "modes.uff", "--report", "r.html", "-q")
+    assert (done.code, done.out) == (0, "")
+    page = Path("r.html").read_text(encoding="utf-8")
+    assert page.index("The model fits") < page.index("<h2>Modes")
+    assert "Share of the information" not in page  # of what is not shown, nothing is explained
     refused = dashpot("identify", "rig.toml", "modes.uff", "--method", "ml")
     assert (refused.code, refused.err) == (
         2, ["dashpot: modes.uff holds modes, to which --method does not apply; leave --method out"],

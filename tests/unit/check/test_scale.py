@@ -105,7 +105,7 @@ def test_the_refusal_names_the_physics_and_the_cure() -> None:
     (problem,) = caught.value.problems
     assert problem.where == "rig.toml"
     assert "all forces scale together: m1, m2, k1, k2" in problem.what
-    assert "give one of them a value" in str(problem.cure)
+    assert "give one of m1, m2, k1 and k2 a value, or measure" in str(problem.cure)
     require_scale(rig({"value": 50.0}), SEEN)
 
 

@@ -37,7 +37,6 @@ if TYPE_CHECKING:
     from dashpot.data.record import Record
     from dashpot.data.spectrum import Spectrum
     from dashpot.errors import ConvergenceError, DashpotError, IdentifiabilityError
-    from dashpot.estimate.method import Method
     from dashpot.estimate.result import Estimate
     from dashpot.model.network import Model
     from dashpot.model.rigfile import Rig
@@ -90,34 +89,33 @@ def command(
     from dashpot.app.data_files import measured_data, part_of, read_files
     from dashpot.app.measured_modes import modal_estimate
 
-    stated = {"--hold-out": hold_out, "--apply": apply, "--figure": figure, "--report": report}
     unsuited = {"--method": chosen != "auto", "--positive": positive, "--matrices": matrices}
-    unsuited |= {name: value is not None for name, value in stated.items()}
-    of_modes = modal_estimate(rig, data, modal_sd, seed, quiet, unsuited)
-    if of_modes is not None:
-        return _of_modes(of_modes, json_out, level, strict, quiet)
+    unsuited |= {"--hold-out": hold_out is not None, "--figure": figure is not None}
+    spectrum: Spectrum | None = None
+    dwells: tuple[UsedDwell, ...] = ()
+    untried: tuple[str, ...] = ()
+    used = (0.0, 1.0 - (hold_out or 0.0))
     with failure_reported(report, rig):
-        rig_read = _rig(rig, chosen, positive, matrices)
-        spectrum: Spectrum | None = None
-        dwells: tuple[UsedDwell, ...] = ()
-        wanted = None if chosen == "auto" else chosen
-        untried: tuple[str, ...] = ()
-        used = (0.0, 1.0 - (hold_out or 0.0))
-        reading = read_files(rig_read, data, conditioning, quiet)
-        if len(rig_read.model.nonlinear) and reading.continuous:
-            estimate = _of_whole_records(rig, rig_read, part_of(reading, used).records, wanted, quiet)
+        of_modes = modal_estimate(rig, data, modal_sd, seed, quiet, unsuited)
+        if of_modes is not None:
+            rig_read, estimate = of_modes
         else:
-            from dashpot.estimate.automatic import suited_method
-
-            measured = measured_data(
-                rig_read, reading, conditioning, quiet, moments_for=[chosen], part=used, with_dwells=report is not None,
-            )  # fmt: skip
-            lines, untried, dwells = measured.spectrum, measured.untried, measured.dwells
-            method = suited_method(wanted, rig_read.model, lines, seed=seed, positive=positive)
-            estimate, spectrum = _estimated(rig, rig_read, lines, method, chosen, seed, quiet)
-    held = () if hold_out is None else _held_out(rig_read, estimate, data, conditioning, used[1])
-    _draw(figure, rig_read, spectrum, estimate, data, conditioning, used)
-    _write_report(report, rig_read, spectrum, estimate, level, held, untried, dwells)
+            rig_read = _rig(rig, chosen, positive, matrices)
+            reading = read_files(rig_read, data, conditioning, quiet)
+            if len(rig_read.model.nonlinear) and reading.continuous:
+                estimate = _of_whole_records(rig, rig_read, part_of(reading, used).records, chosen, quiet)
+            else:
+                measured = measured_data(
+                    rig_read, reading, conditioning, quiet, moments_for=[chosen], part=used,
+                    with_dwells=report is not None,
+                )  # fmt: skip
+                lines, untried, dwells = measured.spectrum, measured.untried, measured.dwells
+                estimate, spectrum = _estimated(rig, rig_read, lines, chosen, positive, seed, quiet)
+    held = () if hold_out is None else _predicted(rig_read, estimate, data, conditioning, (used[1], 1.0))
+    shown = spectrum is None and of_modes is None and (figure is not None or report is not None)
+    histories = _histories(rig_read, estimate, data, conditioning, used, figure) if shown else ()
+    _draw(figure, rig_read, spectrum, estimate, histories)
+    _write_report(report, rig_read, spectrum, estimate, level, held, untried, dwells, histories)
     write_result(json_out, estimate.to_json())
     _apply(rig_read, estimate, apply)
     if not quiet and json_out != STDOUT:
@@ -126,8 +124,8 @@ def command(
 
 
 def _draw(
-    path: str | None, rig: Rig, spectrum: Spectrum | None, estimate: Estimate, data: tuple[str, ...],
-    conditioning: dict[str, Any], used: tuple[float, float],
+    path: str | None, rig: Rig, spectrum: Spectrum | None, estimate: Estimate,
+    histories: tuple[RecordPrediction, ...],
 ) -> None:  # fmt: skip
     """Draw the fit, if to a path: of records without a spectrum, their histories."""
     if path is None:
@@ -135,11 +133,9 @@ def _draw(
     from dashpot.present.figures.style import write_figure
 
     if spectrum is None:
-        from dashpot.app.validating import predictions_of
         from dashpot.present.figures.validation import drawn_of, prediction_figure
 
-        predictions = predictions_of(rig, estimate, data, conditioning, True, part=used)
-        write_figure(path, prediction_figure(drawn_of(predictions)))
+        write_figure(path, prediction_figure(drawn_of(histories)))
     else:
         from dashpot.present.pages.evidence import fit_figure
 
@@ -149,6 +145,7 @@ def _draw(
 def _write_report(
     path: str | None, rig: Rig, spectrum: Spectrum | None, estimate: Estimate, level: float,
     held: tuple[RecordPrediction, ...], untried: tuple[str, ...], dwells: tuple[UsedDwell, ...],
+    histories: tuple[RecordPrediction, ...],
 ) -> None:  # fmt: skip
     """Write the report, if to a path."""
     if path is None:
@@ -166,19 +163,9 @@ def _write_report(
         held_out=held,
         untried=untried,
         dwells=dwells,
+        histories=histories,
     )
     write_report(path, page)
-
-
-def _of_modes(estimate: Estimate, json_out: str | None, level: float, strict: bool, quiet: bool) -> int:
-    """Write and show an estimate from measured modes."""
-    write_result(json_out, estimate.to_json())
-    if not quiet and json_out != STDOUT:
-        from dashpot.present.tables.estimate import show_estimate
-        from dashpot.present.tables.layout import console
-
-        show_estimate(console(), estimate, level, untried=())
-    return _ending(estimate, strict)
 
 
 def _rig(path: str, chosen: str, positive: bool, matrices: bool) -> Rig:
@@ -200,9 +187,7 @@ def _rig(path: str, chosen: str, positive: bool, matrices: bool) -> Rig:
     return rig
 
 
-def _of_whole_records(
-    path: str, rig: Rig, records: Sequence[Record], method: str | None, quiet: bool
-) -> Estimate:
+def _of_whole_records(path: str, rig: Rig, records: Sequence[Record], chosen: str, quiet: bool) -> Estimate:
     """The estimate from continuous records of a nonlinear rig, examined."""
     from dataclasses import replace
 
@@ -210,14 +195,15 @@ def _of_whole_records(
     from dashpot.check.record_verdict import examined_records
     from dashpot.estimate.nonlinear.whole_record import identify_records
 
+    wanted = None if chosen == "auto" else chosen
     with progress("identify", quiet) as moved:
-        estimate = identify_records(rig.model, records, method, progress=moved)
+        estimate = identify_records(rig.model, records, wanted, progress=moved)
     with progress("examine", quiet):
         return replace(examined_records(rig.model, records, estimate), rig=path)
 
 
 def _estimated(
-    path: str, rig: Rig, spectrum: Spectrum, method: Method, chosen: str, seed: int, quiet: bool
+    path: str, rig: Rig, spectrum: Spectrum, chosen: str, positive: bool, seed: int, quiet: bool
 ) -> tuple[Estimate, Spectrum]:
     """The estimate, examined, and the amplitudes with the noise that it rests on.
 
@@ -228,11 +214,13 @@ def _estimated(
     from dashpot.app.progress import progress
     from dashpot.check.diagnosis.diagnose import examined
     from dashpot.errors import ConvergenceError, IdentifiabilityError
-    from dashpot.estimate.automatic import identify_automatically
+    from dashpot.estimate.automatic import identify_automatically, suited_method
     from dashpot.estimate.identify import identify
     from dashpot.estimate.likelihood.residual_noise import with_residual_noise
     from dashpot.present.text.identifiability import require_identifiable
 
+    wanted = None if chosen == "auto" else chosen
+    method = suited_method(wanted, rig.model, spectrum, seed=seed, positive=positive)
     require_identifiable(rig.model, spectrum.channels, path, spectrum)
     with progress("identify", quiet) as moved:
         try:
@@ -247,13 +235,32 @@ def _estimated(
         return replace(examined(rig.model, spectrum, estimate, seed=seed), rig=path), spectrum
 
 
-def _held_out(
-    rig: Rig, estimate: Estimate, data: tuple[str, ...], conditioning: dict[str, Any], since: float
+def _predicted(
+    rig: Rig,
+    estimate: Estimate,
+    data: tuple[str, ...],
+    conditioning: dict[str, Any],
+    part: tuple[float, float],
 ) -> tuple[RecordPrediction, ...]:
-    """How well the end of each record is predicted, which the fit has not seen."""
+    """How well a part of each record is predicted, in shares of its length."""
     from dashpot.app.validating import predictions_of
 
-    return predictions_of(rig, estimate, data, conditioning, True, part=(since, 1.0))
+    return predictions_of(rig, estimate, data, conditioning, True, part=part)
+
+
+def _histories(
+    rig: Rig, estimate: Estimate, data: tuple[str, ...], conditioning: dict[str, Any], used: tuple[float, float],
+    figure: str | None,
+) -> tuple[RecordPrediction, ...]:  # fmt: skip
+    """The motion of records without a spectrum; none where it cannot be followed, unless a figure asks for it."""
+    from dashpot.errors import DataError
+
+    try:
+        return _predicted(rig, estimate, data, conditioning, used)
+    except DataError:
+        if figure is not None:
+            raise
+        return ()
 
 
 def _explained(

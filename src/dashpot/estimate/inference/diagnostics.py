@@ -307,5 +307,5 @@ def require_determined(
         )
     raise IdentifiabilityError(
         f"the data do not determine {', '.join(lost) if lost else 'the unknowns'}",
-        cure="give one of them a value, add frequencies, or ask `dashpot check` which combinations can be found",
+        cure="give an unknown a value, add frequencies, or ask `dashpot check` which combinations can be found",
     )

@@ -25,6 +25,7 @@ from dashpot.estimate.modal.mode_residuals import modal_misfit
 from dashpot.estimate.modal.pairing import MeasuredModes, measured_modes, with_one_axis
 from dashpot.estimate.modal.starting_values import guessed, like_parts, linear_start, random_rigs, usual_parts
 from dashpot.estimate.result import Estimate, Fit
+from dashpot.io.words import with_values
 from dashpot.model.network import Model
 from dashpot.notices import Notice
 from dashpot.numerics.levenberg_marquardt import OptimizeResult, minimise, without_bounds
@@ -128,7 +129,7 @@ def _check(model: Model, data: ModalData) -> None:
     if not np.any(model.p0) and not np.any(model.prior_precision):
         raise IdentifiabilityError(
             "modes alone do not fix the size of masses and stiffnesses: all of them times any factor have the same",
-            cure="give one of them a value",
+            cure="give one mass or stiffness a value",
         )
     if data.modes > model.n:
         raise DataError(
@@ -152,7 +153,7 @@ def _require_regular(symmetric: Real, model: Model) -> None:
         blind = [u.name for u, w in zip(model.unknowns, weak, strict=True) if w > 0.1 * np.max(weak)]
     raise IdentifiabilityError(
         f"the modes do not determine {', '.join(blind)}",
-        cure="give one of them a value, measure more modes, or more points of their shapes",
+        cure=f"{with_values(blind)}, measure more modes, or more points of their shapes",
     )
 
 

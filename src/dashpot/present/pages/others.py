@@ -33,7 +33,7 @@ from dashpot.present.tables.design import dwell_columns, expected_columns
 from dashpot.present.tables.study import study_columns
 from dashpot.present.tables.validation import EXPLANATION, validation_columns
 from dashpot.present.text.design import plan_in_words, sensors_in_words, stopping_in_words
-from dashpot.present.text.estimate import sentence
+from dashpot.present.text.estimate import fit_in_words, sentence
 from dashpot.present.text.numbers import short
 from dashpot.present.text.study import LEGEND, accuracy_in_words, factor_text, varied_factors
 from dashpot.study.runner import StudyOutcome
@@ -54,18 +54,14 @@ def comparison_report(
     best = comparison.most_likely[0] if comparison.most_likely else None
     estimate = None if best is None else comparison.estimates[best]
     wrong = [name for name, each in comparison.estimates.items() if not bool(each.converged)]
-    headline = (
-        f"Use the values of {best}: of these methods it makes the fullest use of the data."
-        if best is not None and best not in wrong
-        else "None of these methods makes full use of the data: compare the intervals."
-    )
     cautions = [f"{joined(wrong)} did not converge: do not use those values."] if wrong else []
     page = Page(
         model.name or "Comparison",
         f"{len(comparison.estimates)} methods on the same data.",
         "bad" if wrong and best in (None, *wrong) else "open",
-        headline,
-        cautions=tuple(cautions),
+        _best_in_words(comparison),
+        tuple(_fits_in_words(comparison)),
+        tuple(cautions),
         answer=Block(
             "Values by method",
             tuple(comparison_remarks(comparison, level)),
@@ -91,6 +87,24 @@ def comparison_report(
         provenance=provenance,
     )
     return page_html(page)
+
+
+def _best_in_words(comparison: Comparison) -> str:
+    """Which values to use, in one sentence."""
+    best = comparison.most_likely[0] if comparison.most_likely else None
+    if best is None or not bool(comparison.estimates[best].converged):
+        return "None of these methods makes full use of the data: compare the intervals."
+    if bool(comparison.estimates[best].fit.rejected):
+        return f"The model does not fit the data: do not sign these values as they are, even those of {best}."
+    return f"Use the values of {best}: of these methods it makes the fullest use of the data."
+
+
+def _fits_in_words(comparison: Comparison) -> list[str]:
+    """Whether the model fits by each method: χ² is taken at the most likely values, so most say the same."""
+    methods: dict[str, list[str]] = {}
+    for name, estimate in comparison.estimates.items():
+        methods.setdefault(fit_in_words(estimate.fit), []).append(name)
+    return [f"{joined(names)}: {text}" for text, names in methods.items()]
 
 
 def design_report(answer: Answer, provenance: Provenance | None = None) -> str:

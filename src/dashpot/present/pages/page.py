@@ -134,7 +134,7 @@ def _inline(picture: Picture) -> Markup:
 
 def _with_code(text: str) -> Markup:
     """The text with commands and lines of rig files set as code, in which no option is broken at its hyphens."""
-    marked = re.sub(r"(?<!\S)--[\w-]+", r'<span class="option">\g<0></span>', str(escape(text)))
+    marked = re.sub(r"(?<![\w-])--[\w-]+", r'<span class="option">\g<0></span>', str(escape(text)))
     return Markup(_CODE.sub(r"<code>\g<0></code>", marked))
 
 

@@ -46,17 +46,8 @@ NO_ANSWER = {
     "identifiable": "No answer: the channels and data do not determine the unknowns.",
     "converged": "No answer: the iteration did not converge.",
 }
-TERMS = (
-    "±",
-    "interval",
-    "bound",
-    "χ²",
-    "residual",
-    "difference of the motion",
-    "band",
-    "correlation",
-    "share",
-)
+TERMS = ("±", "interval", "bound", "χ²", "residual", "difference of the motion", "correlation")
+OF_LINES = ("band", "share")  # of reports with a spectrum
 
 
 @dataclass(frozen=True)
@@ -78,11 +69,13 @@ def identification_report(
     held_out: Sequence[RecordPrediction] = (),
     untried: Collection[str] = (),
     dwells: Sequence[UsedDwell] = (),
+    histories: Sequence[RecordPrediction] = (),
 ) -> str:
     """HTML page of an estimate and the spectrum it came from, if it came from one (no batch axes).
 
     `channels` are drawn where there is no spectrum; `held_out` are predictions of what was not used; `untried`:
-    treatments of time records that were not chosen; `dwells`: those behind the spectrum's lines, some are drawn.
+    treatments of time records that were not chosen; `dwells`: those behind the spectrum's lines, some are drawn;
+    `histories`: the motion that the fit predicts for records without a spectrum.
     """
     shown = channels if spectrum is None else spectrum.channels
     found = _findings(model, spectrum, estimate)
@@ -98,8 +91,12 @@ def identification_report(
         Block("Parameters", tuple(_below_parameters(estimate)), (tuple(parameter_columns(estimate, level)),)),
         rig_picture(model, shown, estimate, unsure, level),
         tuple(next_steps(estimate, unsure, found.collinearity, plannable=not len(model.nonlinear))),
-        (*_evidence(model, spectrum, estimate, found, held_out, level, dwells), *_treatment(estimate, names)),
-        (*TERMS, *(("damping ratio",) if has_modes(estimate) else ()), *(("FIT",) if held_out else ())),
+        (
+            *((prediction_block("Measured and model", histories),) if histories else ()),
+            *_evidence(model, spectrum, estimate, found, held_out, level, dwells),
+            *_treatment(estimate, names),
+        ),
+        _terms(estimate, spectrum, (*held_out, *histories)),
         provenance,
     )
     return page_html(page)
@@ -167,6 +164,18 @@ def names_of(model: Model, channels: Sequence[Channel]) -> frozenset[str]:
     elements = (element.name for element in model.elements)
     inputs = (drive.name for drive in model.inputs)
     return frozenset((*model.coordinates, *inputs, *elements, *(channel.name for channel in channels)))
+
+
+def _terms(
+    estimate: Estimate, spectrum: Spectrum | None, predicted: Sequence[RecordPrediction]
+) -> tuple[str, ...]:
+    """What is explained: whatever the page shows."""
+    shown = {
+        OF_LINES: spectrum is not None,
+        ("damping ratio",): has_modes(estimate),
+        ("FIT",): bool(predicted),
+    }
+    return (*TERMS, *(term for terms, there in shown.items() if there for term in terms))
 
 
 def _subtitle(estimate: Estimate, spectrum: Spectrum | None) -> str:

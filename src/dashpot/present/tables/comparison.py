@@ -19,7 +19,6 @@ from dashpot.present.tables.layout import (
     show_paragraph,
 )
 from dashpot.present.text.estimate import sentence
-from dashpot.present.text.notices import with_remedy
 from dashpot.present.text.numbers import aligned, percent, plain, rounded, short
 
 MISSES = "*"
@@ -139,7 +138,7 @@ def comparison_remarks(comparison: Comparison, level: float = 0.95) -> list[str]
         f"{name} did not converge." for name, e in comparison.estimates.items() if not bool(e.converged)
     ]
     reasons = [(str(error), name) for name, error in comparison.refused.items()]
-    warnings = [(with_remedy(w), name) for name, e in comparison.estimates.items() for w in e.warnings]
+    warnings = [(w.text, name) for name, e in comparison.estimates.items() for w in e.warnings]
     everyone = tuple(comparison.estimates)
     return [*lines, *_by_name(reasons, ()), *_by_name(warnings, everyone)]
 
@@ -148,7 +147,8 @@ def _by_name(said: list[tuple[str, str]], everyone: tuple[str, ...]) -> list[str
     """What is said of several methods in the same words, once."""
     names: dict[str, list[str]] = {}
     for text, name in said:
-        names.setdefault(text.removeprefix("the method ").removeprefix(f"{name} "), []).append(name)
+        of_it = text.removeprefix("the method ").removeprefix(f"{name} ").removeprefix("is ")
+        names.setdefault(of_it, []).append(name)
     return [
         f"{'all' if len(group) > 1 and tuple(group) == everyone else ', '.join(group)}: {sentence(text)}"
         for text, group in names.items()

@@ -50,7 +50,7 @@ def basis_in_words(estimate: Estimate) -> str:
         )
     if estimate.basis == "residuals":
         return "± is one standard deviation, estimated from the scatter of the residuals."
-    return "± is one standard deviation from the noise of the sensors."
+    return "± is one standard deviation from the noise of the data."
 
 
 def profiles_in_words(estimate: Estimate) -> str:

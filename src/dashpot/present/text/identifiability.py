@@ -15,7 +15,7 @@ from dashpot.check.nonlinear_structure import blind_laws
 from dashpot.check.scale import require_scale
 from dashpot.data.spectrum import Spectrum
 from dashpot.errors import IdentifiabilityError, Problem
-from dashpot.io.words import listed
+from dashpot.io.words import listed, with_values
 from dashpot.model.elements import Kind
 from dashpot.model.network import Model
 
@@ -48,8 +48,7 @@ def require_no_parallels(model: Model, channels: Sequence[Channel], where: str |
     for names in parallel_unknowns(model, channels):
         reason, more = _parallel(names, model)
         what = f"of {_named(names)} only {' + '.join(names)} can be found: {reason}"
-        cure = "give one of them a value" if len(names) == 2 else f"give {len(names) - 1} of them a value"
-        problems.append(Problem(what, where, cure + more))
+        problems.append(Problem(what, where, with_values(names, len(names) - 1) + more))
     if problems:
         raise IdentifiabilityError(problems)
 
@@ -84,7 +83,7 @@ def combinations_in_words(one: Deficiency) -> tuple[str, ...]:
 
 def _said(one: Deficiency, found: Structure, model: Model, channels: Sequence[Channel]) -> tuple[str, str]:
     names, count = one.names, len(one.directions)
-    give = "give one of them a value" if count == 1 else f"give {count} of them a value"
+    give = with_values(names, count)
     elements = {element.name for element in model.elements}
     if one.sort == "unseen":
         return _unseen(one, found, model, channels)
@@ -214,7 +213,7 @@ def _lines(one: Deficiency, found: Structure) -> tuple[str, str]:
     held = f"{count} line{'' if count == 1 else 's'} at {at}"
     what = f"{held} fix only {found.rank} combinations of the {M} unknowns: {_named(one.names)} stay open"
     need = "" if more is None else f"measure at {more} more frequenc{'y' if more == 1 else 'ies'}, or "
-    return what, f"{need}give {M - found.rank} of them a value"
+    return what, need + with_values(one.names, M - found.rank)
 
 
 def _between(names: tuple[str, ...], model: Model) -> str:

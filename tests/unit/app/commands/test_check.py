@@ -24,7 +24,7 @@ def test_a_deficient_rig_is_told_in_physics_and_ends_with_3(dashpot: Command, ri
     [line] = done.err
     assert line == (
         "dashpot: rig.toml: of c2, c3 only c2 + c3 can be found: both join x2 to u; "
-        "give one of them a value, or attach one elsewhere"
+        "give c2 or c3 a value, or attach one elsewhere"
     )
     content = json.loads(Path("out.json").read_text(encoding="utf-8"))
     assert content["identifiable"] is False

@@ -99,7 +99,7 @@ def test_nothing_known_is_refused_before_data_are_read(dashpot: Command, rig: Pa
     free = re.sub(r", value = [\d.]+", "", RIG)
     rig.write_text(free, encoding="utf-8")
     done = identify(dashpot, "not_there.csv")
-    refused(done, "all forces scale together", "give one of them a value", code=3)
+    refused(done, "all forces scale together", "give one of m1, ", code=3)
 
 
 def test_all_known_leaves_nothing_to_find(dashpot: Command, data: Path) -> None:
