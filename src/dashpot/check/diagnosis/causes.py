@@ -25,6 +25,7 @@ from dashpot.check.diagnosis.trials import (
     prepared,
     scaled,
     swapped,
+    untested,
     untouched,
     with_phases_times,
     without,
@@ -51,6 +52,9 @@ SLIGHT = 0.5  # change of a gain by which its score is followed
 GROSS = 0.02  # part of the misfit that a gross mistake leaves, beside which nothing finer is looked for
 BY_CHANCE = 5.0  # standard deviations by which noise alone may leave more
 MOST_DWELLS = 40
+EXCHANGED = (
+    6  # pairs of channels, the most hopeful, that are searched afresh where nothing explains the misfit
+)
 RELABELLED = 6.0  # χ² for each number of a dwell below which it belongs to another frequency
 RADIANS = 180 / np.pi  # times which phases are radians that were read as degrees
 SIGN = Likeness(-1.0, 0, 0.0, False, 0.0)
@@ -70,7 +74,11 @@ def causes(bench: Workbench, seed: int = 0) -> tuple[float, list[Cause]]:
         searched[1 + len(channels) :],
     )
     pool = [outcome.psi for outcome in searched]
-    candidates = [_of_outcome(outcome) for outcome in (*without_one, *inputs)]
+    candidates = [
+        replace(_of_outcome(outcome), untested=untested(bench.view, base, outcome.trial))
+        for outcome in without_one
+    ]
+    candidates += [_of_outcome(outcome) for outcome in inputs]
     candidates += _mended_channels(bench, base, without_one, pool)
     usual = [*_rearranged(bench, base, channels), *_usual_mistakes(bench, base)]
     otherwise = bench.refitted(usual, pool)
@@ -78,16 +86,7 @@ def causes(bench: Workbench, seed: int = 0) -> tuple[float, list[Cause]]:
     if not _explained(candidates, ORDER[: ORDER.index("gain") + 1]):
         candidates += _slightly_off(bench, base, as_is, pool)
     candidates += _dwells(bench, base, pool)
-    candidates += [
-        Cause(
-            change.kind,
-            points_of(change.element, bench.data.model),
-            change.reduced,
-            change.number,
-            element=change.element,
-        )
-        for change in changes(bench, as_is.psi)
-    ]
+    candidates += _of_another_rig(bench, as_is)
     positive = _of_possible_parts(bench, as_is, [*inputs, *otherwise])
     candidates += positive
     # Where one dwell alone is wrong, neither the time base nor the amplitude is to blame.
@@ -95,8 +94,7 @@ def causes(bench: Workbench, seed: int = 0) -> tuple[float, list[Cause]]:
         candidates += _rates(bench, base, seed)
     noise = max(_by_chance(as_is), GROSS * as_is.reduced)
     if not _explained(candidates, (*PARTICULAR, "dwell"), noise):
-        candidates += [_of_outcome(outcome) for outcome in cross_talk(bench, base, without_one, pool)]
-        candidates += _changed(bench, base, pool)
+        candidates += _unusual_mistakes(bench, base, without_one, otherwise, pool, seed)
     if not _explained(candidates, (*PARTICULAR, "dwell"), max(ENOUGH, GROSS * as_is.reduced)):
         candidates += _nonlinear(bench, as_is)
     inputs_alone = {
@@ -153,6 +151,33 @@ def _nonlinear(bench: Workbench, as_is: Outcome) -> list[Cause]:
         )
         for scored in called_for(bench.data, as_is.psi, bench.sign)
     ]  # fmt: skip
+
+
+def _of_another_rig(bench: Workbench, as_is: Outcome) -> list[Cause]:
+    """A missing element, a stated value that is wrong."""
+    return [
+        Cause(
+            change.kind, points_of(change.element, bench.data.model), change.reduced, change.number,
+            element=change.element,
+        )
+        for change in changes(bench, as_is.psi)
+    ]  # fmt: skip
+
+
+def _unusual_mistakes(
+    bench: Workbench, base: Trial, without_one: Sequence[Outcome], otherwise: Sequence[Outcome],
+    pool: Sequence[Real], seed: int,
+) -> list[Cause]:  # fmt: skip
+    """Cross-talk, a rig that changed between runs, and exchanged channels searched afresh.
+
+    From where the channels as they are led, the way to the rig of two exchanged ones can be too long.
+    """
+    exchanged = sorted(
+        (each for each in otherwise if each.trial.kind == "swap"), key=lambda each: each.reduced
+    )
+    afresh = bench.searched([each.trial for each in exchanged[:EXCHANGED]], seed)
+    outcomes = [*cross_talk(bench, base, without_one, pool), *afresh]
+    return [*(_of_outcome(outcome) for outcome in outcomes), *_changed(bench, base, pool)]
 
 
 def _changed(bench: Workbench, base: Trial, pool: Sequence[Real]) -> list[Cause]:

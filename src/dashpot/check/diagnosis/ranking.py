@@ -20,13 +20,19 @@ NEARLY = 0.3  # or below this part of what noise does not explain
 FINELY = 1 / 6  # of a small misfit above 1 is the share of the handicaps, and of what counts as alike
 # Handicap of leaving out a dwell (or a mode), a channel, or an input.
 LEFT_OUT_DWELL, LEFT_OUT, LEFT_OUT_INPUT = 1.7, 2.0, 4.0
-ALIKE = 1.6  # ratio of what is left within which two causes explain alike
+# Ratio of what is left within which two causes explain alike, and where even the best leaves more than noise.
+ALIKE, ALIKE_OF_A_ROUGH_RIG = 1.6, 2.0
 MOST = 5  # findings that are named
+GIVEN_UP = 0.25  # share of the lines that test nothing without a channel, above which it says little of them
+MOSTLY = 0.1  # of χ² that a remedy which explains most of it leaves at the most
 
 
 @dataclass(frozen=True)
 class Cause:
-    """What may be wrong, and χ² per degree of freedom with it mended."""
+    """What may be wrong, and χ² per degree of freedom with it mended.
+
+    untested: share of the lines that test nothing any more, because what is left of them only gives the input.
+    """
 
     kind: str
     of: tuple[str, ...]
@@ -35,6 +41,7 @@ class Cause:
     likeness: Likeness | None = None
     element: Element | None = None
     where: str = ""
+    untested: float = 0.0
 
 
 def ranked(
@@ -44,6 +51,8 @@ def ranked(
     """Those that explain half of the misfit or more, and `surely`; what explains alike in the order of ORDER.
 
     Without the channel of an input (`inputs`) it moves as it likes at every line, which explains nearly anything.
+    Without one of two channels that a line has its motion is as it likes: that explains less than any remedy by which
+    most of the misfit goes and all lines stay tested.
     Where the misfit is small and yet beyond what `noise` leaves by chance (∞: not known), half of it is less than
     noise: there counts what is left above 1.
     """
@@ -57,16 +66,19 @@ def ranked(
     ]
     if not helpful:
         return []
-    best = max(min(cause.remaining for cause in helpful), 1.0)
+    mended = any(cause.remaining < MOSTLY * start and not cause.untested for cause in helpful)
+    in_question = [cause for cause in helpful if not (mended and cause.untested > GIVEN_UP)]
+    best = max(min(cause.remaining for cause in in_question), 1.0)
+    alike = ALIKE if best < noise else ALIKE_OF_A_ROUGH_RIG
     share = min(1.0, FINELY * (start - 1)) if small else 1.0
 
-    def place(cause: Cause) -> tuple[float, int, float]:
+    def place(cause: Cause) -> tuple[bool, float, int, float]:
         # Leaving data out leaves less to explain: what keeps them and explains nearly as much says more.
         channel = LEFT_OUT_INPUT if set(cause.of) & set(inputs) else LEFT_OUT
         handicap = {"channel": channel, "dwell": LEFT_OUT_DWELL, "mode": LEFT_OUT_DWELL}.get(cause.kind, 1.0)
         left = cause.remaining * (1 + share * (handicap - 1))
-        tier = np.floor(np.log(max(left, best) / best) / np.log(1 + share * (ALIKE - 1)))
-        return float(tier), ORDER.index(cause.kind), cause.remaining
+        tier = np.floor(np.log(max(left, best) / best) / np.log(1 + share * (alike - 1)))
+        return cause not in in_question, float(tier), ORDER.index(cause.kind), cause.remaining
 
     named: dict[tuple[str, tuple[str, ...]], Cause] = {}
     for cause in sorted(helpful, key=place):

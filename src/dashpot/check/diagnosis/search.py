@@ -49,6 +49,8 @@ class Workbench:
 
     def searched(self, trials: Sequence[Trial], seed: int = 0, draws: int = DRAWS) -> list[Outcome]:
         """Each trial from the estimate, its own least squares and drawn rigs: thorough, for the few that need it."""
+        if not trials:
+            return []
         arranged = [self._arranged(trial) for trial in trials]
         by_equation = self._own(trials)
         drawn, _ = candidates(self.data, draws, np.random.default_rng(seed))

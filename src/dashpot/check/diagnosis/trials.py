@@ -10,7 +10,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from dashpot.arrays import Bools, Complex, Real
+from dashpot.estimate.likelihood.nuisance import inputs_seen
 from dashpot.estimate.preparation.prepared import Prepared
+from dashpot.model.observation import ObservationModel
 
 
 @dataclass(frozen=True)
@@ -84,6 +86,14 @@ def with_phases_times(base: Trial, kind: str, factor: float) -> Trial:
 def without(base: Trial, kind: str, of: tuple[str, ...], dropped: Bools) -> Trial:
     """Some amplitudes left out, (lines, channels)."""
     return Trial(kind, of, 1.0, base.y, base.V, base.kept & ~dropped)
+
+
+def untested(view: ObservationModel, base: Trial, trial: Trial) -> float:
+    """Share of the lines which tested the rig that only give their inputs in a trial that leaves amplitudes out."""
+    before, after = (
+        np.count_nonzero(each.kept, axis=1) > inputs_seen(view, each.kept) for each in (base, trial)
+    )
+    return float(np.mean(~after[before])) if np.any(before) else 0.0
 
 
 def prepared(data: Prepared, trial: Trial) -> Prepared:
