@@ -32,7 +32,8 @@ from dashpot.data.record import Record
 from dashpot.data.spectrum import Spectrum
 from dashpot.errors import DashpotError, UsageError
 from dashpot.estimate.identify import identify
-from dashpot.estimate.nonlinear.records import measured_coordinates
+from dashpot.estimate.nonlinear.record_problem import RecordProblem
+from dashpot.estimate.nonlinear.records import RecordData, measured_coordinates
 from dashpot.estimate.nonlinear.whole_record import FittedRecords, fit_records
 from dashpot.estimate.preparation.prepared import prepare
 from dashpot.estimate.result import FORMAT, Estimate
@@ -134,7 +135,7 @@ def compare_in_records(
     fitted = fit_records(base, records)
     estimate = fitted.estimate()
     numbers = _independent(fitted, estimate)
-    candidates = _candidates(base, fitted)
+    candidates = record_candidates(base, fitted.problem.records[0], further=True)
     scored = _scored(fitted, candidates)
     if scored is None or not candidates:
         raise UsageError(
@@ -171,9 +172,11 @@ def _independent(fitted: FittedRecords, estimate: Estimate) -> float:
     return sum(record.outputs.size for record in fitted.problem.records) / max(ratio, 1.0) ** 2
 
 
-def _candidates(model: Model, fitted: FittedRecords) -> list[Element]:
-    """Candidates where an element is, constants sized by the measured motion; without it, those without constants."""
-    record = fitted.problem.records[0]
+def record_candidates(model: Model, record: RecordData, further: bool = False) -> list[Element]:
+    """Candidates where an element is, constants sized by the measured motion; without it, those without constants.
+
+    further: with the laws that are tried where elements are compared.
+    """
     x = measured_coordinates(model, record)
     motions: dict[tuple[str, str], tuple[float, float]] = {}
     joined = {frozenset(element.along) for element in model.elements}
@@ -190,7 +193,7 @@ def _candidates(model: Model, fitted: FittedRecords) -> list[Element]:
         if size > 0:
             motions[first, second] = size, speed
     reach: Motions = motions
-    every = candidate_elements(model, reach, further=True)
+    every = candidate_elements(model, reach, further)
     return [e for e in every if x is not None or (e.force_law is not None and not e.force_law.constants)]
 
 
@@ -238,16 +241,22 @@ class _Scored:
         return solution
 
 
-def _scored(fitted: FittedRecords, candidates: Sequence[Element]) -> _Scored | None:
-    """What the slopes along the candidates say, None where no motion follows."""
-    problem, psi = fitted.problem, fitted.psi
+def with_candidates(
+    problem: RecordProblem, psi: Real, candidates: Sequence[Element]
+) -> tuple[RecordProblem, Real, tuple[int, ...]]:
+    """The problem with candidates that do nothing yet, its ψ (M + count,), and where in it theirs are."""
     base, m = problem.model, len(problem.model.unknowns)
     extended = replace(base, elements=(*base.elements, *(replace(e, guess=0.0) for e in candidates)))
-    larger = replace(problem, model=extended, last=problem.begun())
     before = dict(zip((u.name for u in base.unknowns), psi[:m].tolist(), strict=True))
     names = [u.name for u in extended.unknowns]
     at = np.concatenate([[before.get(name, 0.0) for name in names], psi[m:]])
-    added = tuple(names.index(e.name) for e in candidates)
+    larger = replace(problem, model=extended, last=problem.begun())
+    return larger, at, tuple(names.index(e.name) for e in candidates)
+
+
+def _scored(fitted: FittedRecords, candidates: Sequence[Element]) -> _Scored | None:
+    """What the slopes along the candidates say, None where no motion follows."""
+    larger, at, added = with_candidates(fitted.problem, fitted.psi, candidates)
     gram, right = np.zeros((len(at), len(at))), np.zeros(len(at))
     for residual, J in larger.residuals(at):
         if J is None:

@@ -1,4 +1,4 @@
-"""The verdict on whole records of a nonlinear rig: by the signs of its parts, and how far its motion is from theirs."""
+"""The verdict on whole records of a nonlinear rig: by the signs of its parts, and by what an element more explains."""
 
 from __future__ import annotations
 
@@ -7,14 +7,22 @@ from dataclasses import replace
 
 import numpy as np
 
+from dashpot.channel import Channel
+from dashpot.check.diagnosis.causes import points_of
+from dashpot.check.diagnosis.ranking import Cause
+from dashpot.check.diagnosis.wording import finding
+from dashpot.check.record_scores import CalledFor, element_called_for
 from dashpot.check.verdict import WORST, powerless, unphysical
 from dashpot.data.record import Record
 from dashpot.errors import DataError
-from dashpot.estimate.assessment import Assessment, Judgement, Misfit
+from dashpot.estimate.assessment import Assessment, Finding, Judgement, Misfit
 from dashpot.estimate.nonlinear.record_inference import CUT_RECORD
-from dashpot.estimate.nonlinear.record_prediction import PredictedMotion, predict_record
+from dashpot.estimate.nonlinear.record_prediction import FollowedRecord, PredictedMotion, followed_record
 from dashpot.estimate.result import Estimate
+from dashpot.io.words import joined
+from dashpot.model.elements import Kind
 from dashpot.model.network import Model
+from dashpot.notices import Notice
 
 
 def examined_records(model: Model, records: Sequence[Record], estimate: Estimate) -> Estimate:
@@ -25,19 +33,43 @@ def examined_records(model: Model, records: Sequence[Record], estimate: Estimate
 def assess_records(model: Model, records: Sequence[Record], estimate: Estimate) -> Assessment:
     """The verdict on an estimate from whole records, whose noise is that of its residuals: it never says "fits".
 
+    It is "does not fit" where parts are negative, or an element more would explain what residuals are left (THEORY §9).
     Residuals are those of the motion that follows from the inputs and the start of each record; where it depends too
     much on its start to be followed, none are told.
     """
     against = unphysical(model, estimate)
-    verdict: Judgement = "does not fit" if against else "cannot tell"
     cut = any(notice.code == CUT_RECORD for notice in estimate.warnings)
-    motions = [] if cut else _motions(model, records, estimate)
-    return Assessment(verdict, (*against, *powerless(estimate)), _relative(motions), _worst(motions))
+    trails = [] if cut else _followed(model, records, estimate)
+    called_for = element_called_for(model, trails) if trails and bool(estimate.converged) else None
+    findings: tuple[Finding, ...] = ()
+    if called_for is not None:
+        findings = (_finding(model, records[0].channels, called_for),)
+        against = [*against, _reason(model, called_for)]
+    verdict: Judgement = "does not fit" if against else "cannot tell"
+    motions = [motion.compared() for motion in trails]
+    doubts = [] if against else powerless(estimate)
+    return Assessment(verdict, (*against, *doubts), _relative(motions), _worst(motions), findings)
 
 
-def _motions(model: Model, records: Sequence[Record], estimate: Estimate) -> list[PredictedMotion]:
+def _finding(model: Model, channels: Sequence[Channel], called_for: CalledFor) -> Finding:
+    """The element as what may be wrong, with its line of the rig file; it was not fitted."""
+    element = called_for.element
+    kind = "element" if element.force_law is None else "nonlinear"
+    cause = Cause(kind, points_of(element, model), 1 - called_for.share, called_for.value, element=element)
+    return replace(finding(model, tuple(channels), cause), remaining=None)
+
+
+def _reason(model: Model, called_for: CalledFor) -> Notice:
+    element, points = called_for.element, points_of(called_for.element, model)
+    part = f"a missing {element.kind.value}" if element.force_law is None else "a nonlinear element"
+    place = f"at {points[0]}" if element.kind is Kind.MASS else f"between {joined(points)}"
+    text = f"{part} {place} explains {100 * called_for.share:.0f} % of the residuals (p < 1e-6)"
+    return Notice("element_called_for", text, points)
+
+
+def _followed(model: Model, records: Sequence[Record], estimate: Estimate) -> list[FollowedRecord]:
     try:
-        return [predict_record(model, estimate, record) for record in records]
+        return [followed_record(model, estimate, record) for record in records]
     except DataError:  # no motion can be followed
         return []
 

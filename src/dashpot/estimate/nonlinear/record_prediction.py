@@ -10,7 +10,7 @@ from dashpot.arrays import Real
 from dashpot.data.record import Record
 from dashpot.errors import DataError
 from dashpot.estimate.nonlinear.record_problem import RecordProblem, enough_for_record
-from dashpot.estimate.nonlinear.records import arranged, measured_coordinates
+from dashpot.estimate.nonlinear.records import RecordData, arranged, measured_coordinates
 from dashpot.estimate.result import Estimate
 from dashpot.model.network import Model
 
@@ -30,8 +30,40 @@ class PredictedMotion:
     relative: Real
 
 
-def predict_record(model: Model, estimate: Estimate, record: Record) -> PredictedMotion:
-    """What an estimate predicts of a record; only the state at its start is taken from it.
+@dataclass(frozen=True)
+class FollowedRecord:
+    """The motion that an estimate gives one record, from the start that suits it best.
+
+    psi (M,): unknowns of the problem, its standard deviations 1; residual (samples, channels), SI units.
+    """
+
+    problem: RecordProblem
+    psi: Real
+    residual: Real
+
+    @property
+    def data(self) -> RecordData:
+        """The record."""
+        return self.problem.records[0]
+
+    def compared(self) -> PredictedMotion:
+        """Beside what was measured."""
+        data, residual = self.data, self.residual
+        spread = np.sqrt(np.mean((data.outputs - np.mean(data.outputs, axis=0)) ** 2, axis=0))
+        rms = np.sqrt(np.mean(residual**2, axis=0))
+        time: Real = data.step_s * np.arange(data.samples, dtype=np.float64)
+        return PredictedMotion(
+            data.names,
+            time,
+            data.outputs,
+            data.outputs - residual,
+            rms,
+            rms / np.where(spread > 0, spread, 1),
+        )
+
+
+def followed_record(model: Model, estimate: Estimate, record: Record) -> FollowedRecord:
+    """The motion of an estimate; only the state at its start is taken from the record.
 
     Raises DataError where the record does not suit the rig, or the motion cannot be followed.
     """
@@ -56,10 +88,13 @@ def predict_record(model: Model, estimate: Estimate, record: Record) -> Predicte
         by_inner = J[..., problem.inner :].reshape(-1, problem.states)
         seen = 2 * model.n  # states of laws keep what they began with
         start[:seen] += np.linalg.lstsq(by_inner[:, :seen], residual.ravel(), rcond=1e-8)[0]
-    residual = problem.residuals(np.concatenate([fixed, start]), slopes=False)[0][0]
-    spread = np.sqrt(np.mean((data.outputs - np.mean(data.outputs, axis=0)) ** 2, axis=0))
-    rms = np.sqrt(np.mean(residual**2, axis=0))
-    time: Real = data.step_s * np.arange(data.samples, dtype=np.float64)
-    return PredictedMotion(
-        data.names, time, data.outputs, data.outputs - residual, rms, rms / np.where(spread > 0, spread, 1)
-    )
+    psi = np.concatenate([fixed, start])
+    return FollowedRecord(problem, psi, problem.residuals(psi, slopes=False)[0][0])
+
+
+def predict_record(model: Model, estimate: Estimate, record: Record) -> PredictedMotion:
+    """What an estimate predicts of a record; only the state at its start is taken from it.
+
+    Raises DataError where the record does not suit the rig, or the motion cannot be followed.
+    """
+    return followed_record(model, estimate, record).compared()

@@ -49,6 +49,13 @@ NOTICES: tuple[tuple[str, str, str, str], ...] = (
         "several."),
     ),
     (
+        "element_called_for", _VERDICT,
+        ("An element more would explain at least a tenth of the squared residuals that whole records of a nonlinear "
+        "rig leave, alike in the parts of the records (score test, p < 1e-6 for all candidates together)."),
+        ("Write the element in the rig file, or let `--apply` do it, and identify again; `compare --elements` weighs "
+        "several."),
+    ),
+    (
         "standing_out", _VERDICT,
         ("A line of a whole record deviates more than noise of the other lines' size ever would. The noise is "
         "read from the residuals, so their mean size cannot test the fit; a single line can."),

@@ -1,0 +1,56 @@
+"""Elements that whole records of nonlinear rigs call for beside those that the rig has."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from dashpot.check.record_verdict import examined_records
+from dashpot.data.record import Record
+from dashpot.estimate.assessment import Assessment, applied
+from dashpot.estimate.nonlinear.whole_record import identify_records
+from dashpot.model.elements import Kind
+from tests.nonlinear_rigs import motions, two_masses
+from tests.unit.estimate.nonlinear.test_whole_record import record
+
+ALL = motions("x1", "x2", "u")
+
+
+def judged(law: str, data: Record) -> Assessment:
+    model, _ = two_masses(law)
+    assessment = examined_records(model, [data], identify_records(model, [data])).assessment
+    assert assessment is not None
+    return assessment
+
+
+def test_another_law_than_the_rig_has_is_named_and_makes_it_no_fit() -> None:
+    _, theta, data = record("v*abs(v)", ALL, noise=0.02)
+    assessment = judged("cubic", data)
+    assert assessment.verdict == "does not fit"
+    assert [reason.code for reason in assessment.reasons] == ["element_called_for"]
+    (finding,) = assessment.findings
+    assert (finding.kind, finding.of, finding.remaining) == ("nonlinear", ("x2", "u"), None)
+    assert "damping that grows with speed" in finding.text
+    assert finding.number == pytest.approx(theta[-1], rel=0.3)
+    mended, _ = applied(two_masses("cubic")[0], ALL, finding)
+    assert mended.elements[-1].kind is Kind.DAMPER
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("colour", [0.0, 0.95])
+def test_noise_calls_for_nothing_whatever_its_colour_or_course(colour: float) -> None:
+    """Of the displacements, in proportion to them, and of the base; seed 4."""
+    rng = np.random.default_rng(4)
+    _, _, data = record("cubic", ALL)
+    e = rng.standard_normal((len(data.time) + 200, 3))
+    for k in range(1, len(e)):
+        e[k] += colour * e[k - 1]
+    e = e[200:] / np.std(e)
+    for noisy in (
+        data.values + np.std(data.values, axis=0) * e * [0.03, 0.03, 0.0],
+        data.values * (1 + 0.05 * e * [1.0, 1.0, 0.0]),
+        data.values + np.std(data.values, axis=0) * e * [0.01, 0.01, 0.03],
+    ):
+        assert judged("cubic", replace(data, values=noisy)).verdict == "cannot tell"
