@@ -92,15 +92,15 @@ def examined(model: Model, spectrum: Spectrum, estimate: Estimate, *, seed: int 
     assessment = assess(model, spectrum, estimate)
     linear = not len(model.nonlinear)
     misfit = float(estimate.fit.misfit) ** 2
-    bent = _nonlinear_elements(model, spectrum, estimate) if linear else ()
+    elements_found = _nonlinear_elements(model, spectrum, estimate) if linear else ()
     if linear and (assessment.verdict == "does not fit" or not bool(estimate.converged)):
-        enough = bool(bent) and _left(bent[0]) < (1 - MARKED) * misfit
+        enough = bool(elements_found) and _left(elements_found[0]) < (1 - MARKED) * misfit
         on_lines, causes_found = (
             (misfit, ()) if enough else _misfit_and_causes(model, spectrum, estimate, seed)
         )
         assessment = replace(assessment, findings=_ranked(causes_found, assessment.findings, on_lines))
-    if bent:
-        assessment = _with_nonlinear_elements(assessment, bent, misfit)
+    if elements_found:
+        assessment = _with_nonlinear_elements(assessment, elements_found, misfit)
     if assessment.findings and assessment.findings[0].kind in OF_THE_RIG:
         estimate, assessment = _without_changes_in_time(estimate, assessment)
     if assessment.verdict == "fits":
@@ -126,19 +126,21 @@ def _nonlinear_elements(model: Model, spectrum: Spectrum, estimate: Estimate) ->
     return tuple(findings)
 
 
-def _with_nonlinear_elements(assessment: Assessment, bent: tuple[Finding, ...], misfit: float) -> Assessment:
+def _with_nonlinear_elements(
+    assessment: Assessment, elements_found: tuple[Finding, ...], misfit: float
+) -> Assessment:
     """The assessment where whole records call for a nonlinear element, which stands behind plain mistakes alone.
 
     Clocks that slip, spikes and jumps are what a linear rig sees of it.
     """
-    points, share = " and ".join(bent[0].of), 1 - _left(bent[0]) / misfit
+    points, share = " and ".join(elements_found[0].of), 1 - _left(elements_found[0]) / misfit
     text = f"a nonlinear element between {points} explains {100 * share:.0f} % of the residuals (p < 1e-6)"
     leading = tuple(each for each in assessment.findings if each.kind in PLAIN)
     others = [each for each in assessment.findings if each.kind not in (*PLAIN, "nonlinear")]
     reasons = [each for each in assessment.reasons if each.code not in UNTESTED]
     return replace(
-        assessment, verdict="does not fit", reasons=(Notice("nonlinear", text, bent[0].of), *reasons),
-        findings=(*leading, *bent, *others),
+        assessment, verdict="does not fit", reasons=(Notice("nonlinear", text, elements_found[0].of), *reasons),
+        findings=(*leading, *elements_found, *others),
     )  # fmt: skip
 
 
