@@ -38,7 +38,7 @@ REPORTS = {
         "25%",
     ),
     "misfit of a record": (0, "identify", "heavy.toml", "quake.csv", "--noise-record", "still.csv"),
-    "validate records": (0, "validate", "quake.json", "quake.csv", "quake.csv", "--rig", EARTHQUAKE),
+    "validate records": (0, "validate", "quake.json", "quake.csv", "aftershock.csv", "--rig", EARTHQUAKE),
     "study": (0, "study", "study.toml", "--draws", "20", "--workers", "1"),
     "reproduce": (0, "reproduce", "yamane1989", "--draws", "20", "--workers", "1"),
 }
