@@ -102,9 +102,10 @@ def scale(unit: str, quantity: str, angular: bool = False, uncalibrated: bool = 
         # A frequency in 1/s is in Hz: nothing has been turned into radians.
         per_turn = _PER_TURN.get(quantity, 1.0) if dimension[3] else 1.0
         return factor * per_turn
-    raise UsageError(
-        f"{_quoted(unit)} is not a unit of {_described(quantity, angular)}", cure=_remedy(dimension, wanted)
-    )
+    cure = _remedy(dimension, wanted)
+    if not angular and _fits(dimension, _quantity(quantity, True).dimension, quantity):
+        cure += "; if it turns, list its point in angles"
+    raise UsageError(f"{_quoted(unit)} is not a unit of {_described(quantity, angular)}", cure=cure)
 
 
 def factor_between(unit: str, wanted: str) -> float:

@@ -79,8 +79,10 @@ def _chosen(
     chosen = columns.renamed({column: name for name, column in names.items()})
     if group.entry.units:
         units = [chosen.unit(i) for i in range(len(chosen.header))]
+        other_sensors = {name for sensor in group.entry.sensors.values() for name in sensor} - names.keys()
         for name, unit in group.entry.units.items():
-            units[chosen.need(name)] = unit
+            if name not in other_sensors:
+                units[chosen.need(name)] = unit
         chosen = replace(chosen, units=tuple(units))
     named = [by_name[name] for name in names if name in by_name]
     return _only(chosen, named), tuple(named) if named else tuple(channels)

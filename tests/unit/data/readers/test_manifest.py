@@ -132,6 +132,17 @@ def test_sensors_on_one_clock_are_one_record(tmp_path):
         read(tmp_path / "test.toml", SENSORS)
 
 
+def test_units_of_one_sensor_are_not_asked_of_the_others(tmp_path):
+    (tmp_path / "sine_1.0__ground.csv").write_text(xsens(0, 0.0).replace("Acc_X,", "Acc_X [mm/s²],"))
+    (tmp_path / "sine_1.0__floor.csv").write_text(xsens(0, 0.0))
+    text = SENSOR_TEST.replace("[files.sensors]", 'units = { u = "m/s²" }\n[files.sensors]')
+    (record,) = read(manifest(tmp_path, text), SENSORS).records
+    assert record.values[:, 0] == pytest.approx(record.values[:, 1], abs=1e-12)
+    (tmp_path / "sine_1.0__floor.csv").write_text(xsens(0, 0.0).replace("Acc_X", "Acc_Q"))
+    with pytest.raises(DataError, match="column Acc_X: missing"):
+        read(tmp_path / "test.toml", SENSORS)
+
+
 def test_sensors_of_other_sample_times_keep_them(tmp_path):
     (tmp_path / "sine_1.0__ground.csv").write_text(xsens(0, 0.0))
     (tmp_path / "sine_1.0__floor.csv").write_text(xsens(0, 1.0, rows=300, step=11111))

@@ -496,6 +496,7 @@ class TestFaultyEntries:
                 '"mm" is not a unit of acceleration; use m/s²',
             ),
             ('a = { of = "x1", unit = "deg" }', '"deg" is not a unit of displacement; use m'),
+            ('a = { of = "x1", unit = "rev" }', "mil; if it turns, list its point in angles"),
             ('a = { of = "x1", quantity = "acceleration", unit = "V" }', 'gain = "unknown"'),
             (
                 'a = { of = "x1", quantity = "acceleration", unit = "V", gain = "100 mV/N" }',
