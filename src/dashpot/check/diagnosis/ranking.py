@@ -21,7 +21,7 @@ FINELY = 1 / 6  # of a small misfit above 1 is the share of the handicaps, and o
 # Handicap of leaving out a dwell (or a mode), a channel, or an input.
 LEFT_OUT_DWELL, LEFT_OUT, LEFT_OUT_INPUT = 1.7, 2.0, 4.0
 # Ratio of what is left within which two causes explain alike, and where even the best leaves more than noise.
-ALIKE, ALIKE_OF_A_ROUGH_RIG = 1.6, 2.0
+ALIKE, ALIKE_OF_A_ROUGH_RIG = 1.6, 1.7
 MOST = 5  # findings that are named
 GIVEN_UP = 0.25  # share of the lines that test nothing without a channel, above which it says little of them
 MOSTLY = 0.1  # of χ² that a remedy which explains most of it leaves at the most
