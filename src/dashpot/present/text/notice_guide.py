@@ -67,6 +67,13 @@ NOTICES: tuple[tuple[str, str, str, str], ...] = (
         "Mend the shielding or the ground loop, or end the band below it with `--band`.",
     ),
     (
+        "exact_inputs", _VERDICT,
+        ("In whole records of nonlinear rigs the measured inputs count as exact: noise in them biases the values, and "
+        "the intervals do not count it. With 3 % of noise on a base, values were up to nine of their standard "
+        "deviations off."),
+        "Measure the inputs with a quieter sensor, or use settled dwells, where their noise is counted.",
+    ),
+    (
         "no_noise", _VERDICT,
         "The noise of the amplitudes is not given, so the size of the residuals cannot be judged.",
         "Add columns `NAME_sd`, use the records themselves, or measure one record at rest.",
