@@ -19,7 +19,7 @@ from click.shell_completion import CompletionItem
 from dashpot.app.commands import COMMANDS
 from dashpot.app.help import WIDEST
 from dashpot.app.report_files import ARGUMENTS
-from dashpot.app.signals import Ended, end_on_signals, leave_signals
+from dashpot.app.signals import Ended, end_on_signals, leave_signals, request_lost
 from dashpot.app.workers import one_thread
 from dashpot.errors import DashpotError, printable
 from dashpot.io import ledger
@@ -142,7 +142,7 @@ def run(args: Sequence[str] | None = None) -> int:
     except DashpotError as error:
         return _refused(error)
     except Exception as error:
-        asked_by = _stop_behind(error)
+        asked_by = _stop_behind(error) or request_lost()
         if asked_by is not None:
             return _stopped(asked_by)
         if os.environ.get(TRACEBACK) and not isinstance(error, MemoryError):

@@ -19,6 +19,9 @@ from dashpot.io.scratch import clear_scratch
 ENDING = tuple(getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name))
 
 
+_asked: list[int] = []  # signals that were raised as exceptions
+
+
 class Ended(BaseException):
     """A signal asks this process to end; raised so that what is being written is cleared away on the way out."""
 
@@ -109,7 +112,13 @@ def _end(number: int, _: FrameType | None) -> None:
     for again in ENDING:
         if signal.getsignal(again) == _end:
             signal.signal(again, end_at_once)
+    _asked.append(number)
     raise Ended(number)
+
+
+def request_lost() -> Ended | None:
+    """The request to end that some library has caught, so that what fails behind it is no fault of the program."""
+    return Ended(_asked.pop()) if _asked else None
 
 
 def _ask_again(lost: sys.UnraisableHookArgs) -> None:

@@ -305,6 +305,33 @@ def test_a_stop_within_a_callback_of_the_interpreter(name: str, code: int) -> No
     assert "no file is left half-written" in done.stderr
 
 
+CAUGHT_BY_A_LIBRARY = """
+import os, signal
+from dashpot.app import cli
+
+def work(*args, **options):
+    try:
+        os.kill(os.getpid(), signal.SIGTERM)
+        signal.pause()
+    except BaseException:
+        pass
+    raise RuntimeError("half imported")
+
+cli.cli.main = work
+cli.main()
+"""
+
+
+def test_what_fails_behind_a_stop_that_a_library_caught_is_no_internal_error() -> None:
+    """A library whose import was cut off by a signal fails when it is imported again."""
+    done = subprocess.run(
+        [sys.executable, "-c", CAUGHT_BY_A_LIBRARY], capture_output=True, text=True, timeout=60
+    )
+    assert (done.returncode, done.stderr) == (
+        143, "dashpot: ended by SIGTERM; no file is left half-written\n",
+    )  # fmt: skip
+
+
 BEGUN = """
 import signal, sys
 from dashpot import __main__ as entry
