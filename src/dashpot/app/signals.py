@@ -18,6 +18,7 @@ from dashpot.io.scratch import clear_scratch
 
 ENDING = tuple(getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name))
 
+
 _asked: list[int] = []  # signals that were raised as exceptions
 
 

@@ -12,7 +12,7 @@ from dashpot.check.diagnosis.causes import points_of
 from dashpot.check.diagnosis.ranking import Cause
 from dashpot.check.diagnosis.wording import finding
 from dashpot.check.record_scores import CalledFor, element_called_for
-from dashpot.check.verdict import powerless, unphysical, worst_of
+from dashpot.check.verdict import WORST, powerless, unphysical
 from dashpot.data.record import Record
 from dashpot.errors import DataError
 from dashpot.estimate.assessment import Assessment, Finding, Judgement, Misfit
@@ -105,4 +105,4 @@ def _worst(motions: Sequence[PredictedMotion]) -> tuple[Misfit, ...]:
         for name, column in zip(motion.names, size.T, strict=True):
             line = int(np.argmax(column))
             misfits.append(Misfit(name, (line + 1) / duration, float(column[line])))
-    return worst_of(misfits)
+    return tuple(sorted(misfits, key=lambda misfit: -misfit.sd)[:WORST])

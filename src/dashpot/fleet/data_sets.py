@@ -1,23 +1,22 @@
-"""The data sets of a fleet: a file each, or the rows of a table that name the same rig; read as a stream."""
+"""The data sets of a fleet, which workers read: a file each here, rows of tables in `tables`."""
 
 from __future__ import annotations
 
 import hashlib
 import os
 import re
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from glob import glob, has_magic
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 
-from dashpot.errors import DataError, UsageError
+from dashpot.errors import UsageError
 from dashpot.io.ledger import noted
-from dashpot.io.words import listed, shown
 
 PIECE = 1 << 20  # bytes of a file that are read at once
-ROWS = 1 << 16  # of a table
 
 Order = Literal["name", "time", "given"]
 
@@ -28,23 +27,47 @@ class DataSet:
 
     name      of the data set, in results
     source    the file
-    checksum  of all that is read from it
     columns, units  rows of a table by column, and the units that the file gives them; none where the file is the set
     """
 
     name: str
     source: str
-    checksum: str
     columns: Mapping[str, np.ndarray] = field(default_factory=dict)
     units: Mapping[str, str | None] = field(default_factory=dict)
 
 
+class BlockPart(ABC):
+    """Neighbouring data sets of a fleet: what a worker is sent, who reads them if they are not held."""
+
+    names: tuple[str, ...]
+
+    @property
+    @abstractmethod
+    def sources(self) -> tuple[str, ...]:
+        """The file of each."""
+
+    @abstractmethod
+    def checksum(self) -> str:
+        """Of names, places and content: parts with equal ones give the same rows."""
+
+    @abstractmethod
+    def loaded(self) -> BlockPart:
+        """The same with its numbers, read where they have not been.
+
+        Raises DataError where a table cannot be read or has changed since its checksum.
+        """
+
+    @abstractmethod
+    def data_sets(self) -> Iterator[DataSet]:
+        """One after the other, of a part that is loaded."""
+
+
 @dataclass(frozen=True)
 class Source:
-    """Where data sets come from: how many there are, and a function that reads them one after the other."""
+    """Where data sets come from: how many there are, and a function that yields blocks of so many, each of parts."""
 
     count: int
-    read: Callable[[], Iterator[DataSet]]
+    blocks: Callable[[int], Iterator[tuple[BlockPart, ...]]]
 
 
 def expanded(patterns: Iterable[str], order: Order = "name") -> list[str]:
@@ -85,17 +108,49 @@ def _time_of(path: str) -> float:
         return 0.0  # its reader will say what is wrong with it
 
 
+def digest_of(*values: object) -> str:
+    """SHA-256 of texts and whole numbers, in tuples or alone."""
+    return hashlib.sha256(repr(values).encode("utf-8", "surrogatepass")).hexdigest()
+
+
 # A file each
 
 
+@dataclass(frozen=True)
+class Files(BlockPart):
+    """Files that are a data set each, with the checksums of their contents, or the reason why there is none."""
+
+    names: tuple[str, ...]
+    contents: tuple[str, ...]
+
+    @property
+    def sources(self) -> tuple[str, ...]:
+        """The files, which are the names."""
+        return self.names
+
+    def checksum(self) -> str:
+        """Of all files."""
+        return digest_of(self.names, self.contents)
+
+    def loaded(self) -> Files:
+        """As it is: each file is read when it is identified."""
+        return self
+
+    def data_sets(self) -> Iterator[DataSet]:
+        """One for each file."""
+        for path in self.names:
+            yield DataSet(path, path)
+
+
 def of_files(paths: Sequence[str]) -> Source:
-    """Every file a data set of its own; one that cannot be read is one too, with the reason for its checksum."""
+    """Every file a data set of its own; one that cannot be read is one too."""
 
-    def read() -> Iterator[DataSet]:
-        for path in paths:
-            yield DataSet(path, path, _checksum(path))
+    def blocks(size: int) -> Iterator[tuple[BlockPart, ...]]:
+        for first in range(0, len(paths), size):
+            some = tuple(paths[first : first + size])
+            yield (Files(some, tuple(_checksum(path) for path in some)),)
 
-    return Source(len(paths), read)
+    return Source(len(paths), blocks)
 
 
 def _checksum(path: str) -> str:
@@ -107,169 +162,3 @@ def _checksum(path: str) -> str:
     except (OSError, ValueError) as error:
         return f"unreadable: {error}"
     return digest.hexdigest()
-
-
-# Rows of tables
-
-
-def of_tables(paths: Sequence[str], column: str) -> Source:
-    """The rows of tables (Parquet, CSV) of which a column names the rig, those of one rig together.
-
-    A table is read twice and never held whole: once for the names, once for the rows.  Raises DataError where a table
-    has no such column or is damaged, and where rows of one rig are not together in the file.
-    """
-    seen: dict[str, str] = {}
-    for path in paths:
-        last: str | None = None
-        for _, _, part in _parts(path, column, names_only=True):
-            for name in _runs(part[column])[0]:
-                if name == last:
-                    continue
-                if name in seen:
-                    place = "" if seen[name] == path else f" and in {shown(seen[name])}"
-                    raise DataError(
-                        f"the rows of {shown(name)} are not together in the file{place}", path,
-                        f"sort the table by {column}, or give rigs names of their own",
-                    )  # fmt: skip
-                seen[name] = path
-                last = name
-
-    def read() -> Iterator[DataSet]:
-        for path in paths:
-            yield from _rigs_of(path, column)
-
-    return Source(len(seen), read)
-
-
-def _rigs_of(path: str, column: str) -> Iterator[DataSet]:
-    held: list[dict[str, np.ndarray]] = []
-    current, units = "", dict[str, str | None]()
-    for _, units, part in _parts(path, column):
-        names, starts = _runs(part[column])
-        ends = [*starts[1:], len(part[column])]
-        for name, start, end in zip(names, starts, ends, strict=True):
-            if held and name != current:
-                yield _data_set(path, current, held, units)
-                held = []
-            current = name
-            held.append({key: values[start:end] for key, values in part.items() if key != column})
-    if held:
-        yield _data_set(path, current, held, units)
-
-
-def _runs(values: np.ndarray) -> tuple[list[str], list[int]]:
-    """Names that follow each other, and the row at which each begins."""
-    starts = np.flatnonzero(np.concatenate([[True], values[1:] != values[:-1]]))
-    return [str(values[start]) for start in starts], starts.tolist()
-
-
-def _data_set(
-    path: str, name: str, parts: Sequence[Mapping[str, np.ndarray]], units: Mapping[str, str | None]
-) -> DataSet:
-    columns = dict(parts[0])
-    if len(parts) > 1:
-        columns = {key: np.concatenate([part[key] for part in parts]) for key in columns}
-    digest = hashlib.sha256(repr(sorted((key, unit) for key, unit in units.items() if unit)).encode())
-    numbers = [key for key, values in columns.items() if values.dtype == np.float64]
-    digest.update(repr((list(columns), numbers)).encode())
-    digest.update(np.array([columns[key] for key in numbers]).tobytes())
-    for key, values in columns.items():
-        if values.dtype != np.float64:
-            data = values.tobytes() if values.dtype.kind in "ib" else repr(values.tolist()).encode()
-            digest.update(f"{key}:{values.dtype.kind}:{len(data)}:".encode() + data)
-    return DataSet(name, path, digest.hexdigest(), columns, units)
-
-
-@dataclass(frozen=True)
-class PackedRows:
-    """Rows of many data sets as one table: thousands of small arrays would cost more to send than to identify."""
-
-    heads: tuple[tuple[str, str, str], ...]
-    ends: tuple[int, ...]
-    columns: Mapping[str, np.ndarray]
-    units: Mapping[str, str | None]
-
-    def unpacked(self) -> tuple[DataSet, ...]:
-        """The data sets again; their columns are views."""
-        starts = (0, *self.ends[:-1])
-        return tuple(
-            DataSet(*head, {key: values[a:b] for key, values in self.columns.items()}, self.units)
-            for head, a, b in zip(self.heads, starts, self.ends, strict=True)
-        )
-
-
-def packed(data_sets: Sequence[DataSet]) -> PackedRows | tuple[DataSet, ...]:
-    """Data sets for sending: as one table where they are rows with the same columns and units."""
-    first = data_sets[0]
-    alike = all(list(one.columns) == list(first.columns) and one.units == first.units for one in data_sets)
-    if not first.columns or not alike:
-        return tuple(data_sets)
-    counts = [len(next(iter(one.columns.values()))) for one in data_sets]
-    return PackedRows(
-        tuple((one.name, one.source, one.checksum) for one in data_sets),
-        tuple(int(end) for end in np.cumsum(counts)),
-        {key: np.concatenate([one.columns[key] for one in data_sets]) for key in first.columns},
-        dict(first.units),
-    )
-
-
-def _parts(
-    path: str, column: str, names_only: bool = False
-) -> Iterator[tuple[int, dict[str, str | None], dict[str, np.ndarray]]]:
-    """Number of a part, units and columns of a table, some ten thousand rows at a time."""
-    import pyarrow as pa
-
-    try:
-        for number, batch in enumerate(_batches(noted(path), column, names_only)):
-            if not batch.num_rows:
-                continue
-            units = {
-                entry.name: (entry.metadata or {}).get(b"unit", b"").decode("utf-8", "replace") or None
-                for entry in batch.schema
-            }
-            yield number, units, {name: _array(batch.column(name)) for name in batch.schema.names}
-    except (OSError, ValueError, pa.ArrowException) as error:
-        if isinstance(error, FileNotFoundError):
-            raise DataError("there is no such file", path, "correct the path") from None
-        raise DataError(
-            f"the table cannot be read ({shown(str(error), 150)})", path, "check the file"
-        ) from None
-
-
-def _batches(path: str, column: str, names_only: bool) -> Iterator[Any]:
-    import pyarrow.csv as text
-    import pyarrow.parquet as parquet
-
-    with open(noted(path), "rb") as file:
-        is_parquet = file.read(4) == b"PAR1"
-    if is_parquet:
-        content = parquet.ParquetFile(path)
-        _require_column(path, column, content.schema_arrow.names)
-        yield from content.iter_batches(ROWS, columns=[column] if names_only else None, use_threads=False)
-        return
-    # A name such as 007 is a text.
-    converted = text.ConvertOptions(column_types={column: "string"})
-    reader = text.open_csv(path, convert_options=converted)
-    _require_column(path, column, reader.schema.names)
-    for batch in reader:
-        yield batch.select([column]) if names_only else batch
-
-
-def _require_column(path: str, column: str, names: Sequence[str]) -> None:
-    if column not in names:
-        raise DataError(
-            f"column {shown(column)}: missing (it is to name the rig)", path, f"there are {listed(names)}"
-        )
-
-
-def _array(column: Any) -> np.ndarray:
-    import pyarrow as pa
-
-    kind = column.type
-    if pa.types.is_floating(kind) or (pa.types.is_integer(kind) and not column.null_count):
-        values: np.ndarray = column.to_numpy(zero_copy_only=False)
-    elif pa.types.is_integer(kind) or pa.types.is_decimal(kind) or pa.types.is_null(kind):
-        values = column.cast(pa.float64()).to_numpy(zero_copy_only=False)
-    else:
-        values = np.array([str(value) for value in column.to_pylist()], dtype=object)
-    return values

@@ -18,18 +18,18 @@ import numpy as np
 
 from dashpot.arrays import Real
 from dashpot.errors import UsageError
-from dashpot.fleet.data_sets import DataSet, Source
+from dashpot.fleet.data_sets import BlockPart, Source
 from dashpot.fleet.identification import (
     WIDE,
     Columns,
     FleetBlock,
     FleetTask,
-    Treatment,
     estimated_names,
     identify_block,
 )
 from dashpot.fleet.pooling import Population, pooled
 from dashpot.fleet.survey import LEVEL, Usual, survey
+from dashpot.fleet.treatment import Treatment
 from dashpot.io.atomic import remove_parts
 from dashpot.io.lock import locked
 from dashpot.model.observation import observation_model
@@ -38,7 +38,7 @@ from dashpot.numerics.kernel import description
 from dashpot.study.fingerprint import fields_of, fingerprint_of
 from dashpot.study.store import METADATA, digest_of_columns, read_table, write_table
 
-FORMAT = 1
+FORMAT = 2
 # Data sets up to which blocks have that size, which is part of what the last bits depend on.
 SIZES = ((20, 1), (500, 10), (50_000, 100))
 LARGEST = 1000  # data sets in a block of the largest fleets
@@ -206,15 +206,15 @@ def _run(
 
     def work() -> Iterator[FleetTask]:
         nonlocal kept
-        for data_sets in _blocks(source):
-            key = _key(basis, data_sets)
+        for parts in source.blocks(block_size(source.count)):
+            key = _key(basis, parts)
             order.append(key)
             whole = None if folder is None else _read(folder, key, estimated_names(rig))
             if whole is None:
-                yield FleetTask(key, rig, treatment, data_sets)
+                yield FleetTask(key, rig, treatment, parts)
                 continue
             finished[key] = whole
-            kept += len(data_sets)
+            kept += len(whole["name"])
 
     def tell() -> None:
         if progress is not None:
@@ -229,26 +229,14 @@ def _run(
     return [finished[key] for key in order], kept
 
 
-def _blocks(source: Source) -> Iterator[tuple[DataSet, ...]]:
-    size = block_size(source.count)
-    held: list[DataSet] = []
-    for data_set in source.read():
-        held.append(data_set)
-        if len(held) == size:
-            yield tuple(held)
-            held = []
-    if held:
-        yield tuple(held)
-
-
 def _rig_parts(rig: Rig) -> object:
     """All of a rig that an estimate depends on."""
     model = {name: value for name, value in fields_of(rig.model) if name != "name"}
     return (model, rig.channels)
 
 
-def _key(basis: str, data_sets: Sequence[DataSet]) -> str:
-    return fingerprint_of((basis, [(row.name, row.source, row.checksum) for row in data_sets]))[:32]
+def _key(basis: str, parts: Sequence[BlockPart]) -> str:
+    return fingerprint_of((basis, [part.checksum() for part in parts]))[:32]
 
 
 def _write(folder: Path, block: FleetBlock) -> None:

@@ -17,6 +17,7 @@ from typing import Any, Literal
 import numpy as np
 
 from dashpot.errors import DataError
+from dashpot.io.arrow_arrays import array_of, arrow_table
 from dashpot.io.atomic import write_bytes
 
 WIDE = ("values", "sd", "half")  # one column an unknown
@@ -143,7 +144,7 @@ def write_table(
     import pyarrow as pa
     import pyarrow.parquet as parquet
 
-    table = pa.table(dict(columns))
+    table = arrow_table(columns)
     if meta is not None:
         table = table.replace_schema_metadata({METADATA: meta})
     sink = pa.BufferOutputStream()
@@ -162,6 +163,14 @@ def write_table(
     write_bytes(path, sink.getvalue().to_pybytes())
 
 
+def _column(column: Any) -> np.ndarray:
+    import pyarrow as pa
+
+    if pa.types.is_string(column.type) and not column.null_count:
+        return np.array(column.to_pylist(), dtype=object)
+    return array_of(column)
+
+
 def read_table(path: Path) -> tuple[dict[str, np.ndarray], Mapping[bytes, bytes]]:
     """Columns and metadata of such a file, page checksums verified.
 
@@ -173,4 +182,4 @@ def read_table(path: Path) -> tuple[dict[str, np.ndarray], Mapping[bytes, bytes]
     # read_table would make a data set of the one file, which takes as long as reading it.
     source = pa.BufferReader(path.read_bytes())
     table = parquet.ParquetFile(source, page_checksum_verification=True).read(use_threads=False)
-    return {name: table[name].to_numpy() for name in table.column_names}, table.schema.metadata or {}
+    return {name: _column(table[name]) for name in table.column_names}, table.schema.metadata or {}

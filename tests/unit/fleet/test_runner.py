@@ -14,9 +14,10 @@ from dashpot.data.readers import write_amplitudes, write_records
 from dashpot.errors import UsageError
 from dashpot.estimate.identify import identify
 from dashpot.fleet import runner
-from dashpot.fleet.data_sets import DataSet, Source, of_files
-from dashpot.fleet.identification import FleetBlock, FleetTask, Treatment
+from dashpot.fleet.data_sets import Source, of_files
+from dashpot.fleet.identification import FleetBlock, FleetTask
 from dashpot.fleet.runner import block_size, run_fleet
+from dashpot.fleet.treatment import Treatment
 from dashpot.model.channel_noise import with_relative_noise
 from dashpot.model.rigfile import Rig, parse_rig
 from dashpot.study.simulate import dwells, simulate_spectrum
@@ -151,7 +152,7 @@ def test_a_folder_of_other_files_is_refused(rig: Rig, files: list[str], tmp_path
     with pytest.raises(UsageError, match=r"holds notes\.txt"):
         run_fleet(rig, of_files(files), tmp_path)
     with pytest.raises(UsageError, match="no data sets"):
-        run_fleet(rig, Source(0, lambda: iter(tuple[DataSet, ...]())))
+        run_fleet(rig, Source(0, lambda _: iter(())))
 
 
 def test_unsettled_dwells_are_cut_for_methods_that_know_no_transients(tmp_path: Path) -> None:

@@ -26,8 +26,8 @@ from dashpot.errors import printable
 
 if TYPE_CHECKING:
     from dashpot.fleet.data_sets import Source
-    from dashpot.fleet.identification import Treatment
     from dashpot.fleet.runner import FleetOutcome
+    from dashpot.fleet.treatment import Treatment
     from dashpot.model.rigfile import Rig
 
 FLEET = "The fleet"
@@ -84,7 +84,8 @@ def command(
     Run again, only data sets that are new or have changed are computed. The result is the same to the bit with any
     number of workers.
     """
-    from dashpot.fleet.data_sets import expanded, of_files, of_tables
+    from dashpot.fleet.data_sets import expanded, of_files
+    from dashpot.fleet.tables import of_tables
     from dashpot.io.ledger import noted
     from dashpot.model.rigfile import read_rig
     from dashpot.present.text.identifiability import require_identifiable
@@ -121,7 +122,7 @@ def _treatment(
 ) -> Treatment:
     from dashpot.app.data_files import conditioning_from, with_noise_record
     from dashpot.app.parameters import require_bounds_held
-    from dashpot.fleet.identification import Treatment
+    from dashpot.fleet.treatment import Treatment
 
     if positive:
         require_bounds_held(chosen)

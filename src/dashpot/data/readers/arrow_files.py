@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
@@ -13,7 +14,10 @@ import pyarrow as pa
 from dashpot.data.readers.array_columns import LONG, PIECE, ArrayColumns, Streamed
 from dashpot.data.readers.datafile import DataFile
 from dashpot.data.readers.optional import damaged
+from dashpot.io.arrow_arrays import array_of
 from dashpot.io.ledger import noted
+
+SMALL = 1 << 16  # numbers of a file up to which it is read whole: column by column takes ten times as long
 
 
 @dataclass(frozen=True)
@@ -33,9 +37,14 @@ class ParquetReader:
 
         with damaged(file.name, self.format):
             content = pq.ParquetFile(noted(file.path), pre_buffer=False)  # else whole columns are held
-            schema = content.schema_arrow
-            loads = tuple(partial(_parquet_column, content, name, file.name) for name in schema.names)
-            yield _columns(file, schema, content.metadata.num_rows, loads)
+            schema, rows = content.schema_arrow, content.metadata.num_rows
+            source = file.name
+            loads = tuple(partial(_parquet_column, content, field, source) for field in schema)
+            if rows * len(schema.names) <= SMALL:
+                with suppress(OSError, pa.ArrowException):  # of a column that may not be asked for
+                    table = content.read(use_threads=False)
+                    loads = tuple(partial(_numpy, table.column(i)) for i in range(table.num_columns))
+            yield _columns(file, schema, rows, loads)
 
 
 @dataclass(frozen=True)
@@ -96,9 +105,9 @@ def _columns(file: DataFile, schema: Any, rows: int, loads: tuple[Any, ...]) -> 
     return ArrayColumns(file.name, tuple(schema.names), tuple(units), (), rows, loads)
 
 
-def _parquet_column(content: Any, name: str, source: str) -> Any:
+def _parquet_column(content: Any, field: Any, source: str) -> Any:
+    name, kind = field.name, field.type
     with damaged(source, "Parquet"):
-        kind = content.schema_arrow.field(name).type
         if content.metadata.num_rows >= LONG and (pa.types.is_floating(kind) or pa.types.is_integer(kind)):
             return Streamed(content.metadata.num_rows, partial(_batches, content, name, source))
         return _numpy(content.read([name]).column(0))
@@ -113,7 +122,7 @@ def _batches(content: Any, name: str, source: str) -> Iterator[Any]:
 def _numpy(column: Any) -> Any:
     """A column as an array; gaps are NaN."""
     if pa.types.is_floating(column.type) or (pa.types.is_integer(column.type) and not column.null_count):
-        return column.to_numpy()
+        return array_of(column)
     if pa.types.is_integer(column.type) or pa.types.is_decimal(column.type):
         return column.cast(pa.float64()).to_numpy()
     if pa.types.is_timestamp(column.type) or pa.types.is_duration(column.type):
