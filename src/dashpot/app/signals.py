@@ -14,6 +14,7 @@ from threading import Timer, current_thread, main_thread
 from types import FrameType
 
 from dashpot.io.atomic import clear_away
+from dashpot.io.lock import clear_locks
 from dashpot.io.scratch import clear_scratch
 
 ENDING = tuple(getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name))
@@ -105,6 +106,7 @@ def end_at_once(number: int, _: FrameType | None) -> None:
     """End without unwinding, but for temporary files: where a signal has begun that already, and in workers."""
     clear_away()
     clear_scratch()
+    clear_locks()
     os._exit(128 + number)
 
 

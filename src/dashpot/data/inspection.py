@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -21,6 +22,7 @@ from dashpot.data.readers.sampling import frequency_column, read_time, time_colu
 from dashpot.errors import DashpotError, DataError
 from dashpot.io.toml_document import toml_key
 from dashpot.io.words import quoted
+from dashpot.notices import Notice
 
 MOST_COLUMNS = 64
 MOST_PARTS = 200
@@ -82,6 +84,9 @@ class InspectedPart:
     longest_gap  (from, to), s: the longest of them; None where there is none
     duration_s   of all stretches together
     frequencies  drive frequencies that the part names, Hz
+    others       columns without numbers, or beyond those that are shown
+    damaged      what is wrong with columns that begin with a number and hold something else as well
+    notes        what was noticed on reading
     """
 
     source: str
@@ -95,6 +100,8 @@ class InspectedPart:
     frequencies: tuple[float, ...]
     columns: tuple[InspectedColumn, ...]
     others: tuple[str, ...]
+    damaged: tuple[DashpotError, ...]
+    notes: tuple[Notice, ...]
 
 
 @dataclass(frozen=True)
@@ -132,6 +139,9 @@ def inspect_file(path: str | os.PathLike[str]) -> Inspection:
         else:
             more += 1
     if not any(part.columns for part in parts):
+        for part in parts:
+            if part.damaged:
+                raise part.damaged[0]
         raise DataError("no column holds numbers", file.name, "name a data file")
     return Inspection(file.name, reader.format, tuple(parts), more)
 
@@ -140,11 +150,12 @@ def _part(columns: Columns) -> InspectedPart:
     time_at = _or_none(lambda: time_column(columns, (), may_lack=True))
     f_at = _or_none(lambda: frequency_column(columns, ()))
     time: Real = np.zeros(0)
+    damaged: list[DashpotError] = []
     if time_at is not None:
-        time = _values(partial(_time, columns, time_at))
+        time = _values(partial(_time, columns, time_at), damaged)
     driven: Real = np.zeros(0)
     if f_at is not None:
-        driven = _values(partial(_numbers, columns, f_at))
+        driven = _values(partial(_numbers, columns, f_at), damaged)
     stretches = _stretches(time, driven)
     rates = [stretch.rate_hz for stretch in stretches]
     inspected: list[InspectedColumn] = []
@@ -152,7 +163,11 @@ def _part(columns: Columns) -> InspectedPart:
     for i, name in enumerate(columns.header):
         if i in (time_at, f_at):
             continue
-        values = _values(partial(_numbers, columns, i)) if len(inspected) < MOST_COLUMNS else np.zeros(0)
+        values: Real = np.zeros(0)
+        if len(inspected) < MOST_COLUMNS:
+            values = _values(
+                partial(_numbers, columns, i), damaged if _begins_with_number(columns, i) else []
+            )
         if not np.any(np.isfinite(values)):
             if name:
                 others.append(name)
@@ -172,6 +187,8 @@ def _part(columns: Columns) -> InspectedPart:
         known,
         tuple(inspected),
         tuple(others),
+        tuple(damaged),
+        columns.notes,
     )
 
 
@@ -191,12 +208,17 @@ def _or_none(find: Callable[[], int | None]) -> int | None:
         return None
 
 
-def _values(load: Callable[[], Real]) -> Real:
-    """Numbers, none where the column holds something else."""
+def _values(load: Callable[[], Real], damaged: list[DashpotError]) -> Real:
+    """Numbers, none where the column holds something else, which is noted."""
     try:
         return load()
-    except DashpotError:
+    except DashpotError as error:
+        damaged.append(error)
         return np.zeros(0)
+
+
+def _begins_with_number(columns: Columns, column: int) -> bool:
+    return re.match(r"[-+]?\d", columns.first(column)) is not None
 
 
 @dataclass(frozen=True)

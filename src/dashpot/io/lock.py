@@ -11,6 +11,7 @@ from dashpot.errors import UsageError
 from dashpot.io.ledger import AnyPath
 
 LOCK = ".lock"  # the file that is locked; it names the process that holds it
+_held_here: set[str] = set()  # locks of this process, for a handler that ends it at once
 
 
 @contextmanager
@@ -32,6 +33,7 @@ def locked(folder: AnyPath) -> Iterator[None]:
             os.fspath(folder),
             "wait until it has finished, or name another folder",
         )
+    _held_here.add(path)
     try:
         os.ftruncate(descriptor, 0)
         os.write(descriptor, f"{os.getpid()}\n".encode())
@@ -39,7 +41,15 @@ def locked(folder: AnyPath) -> Iterator[None]:
     finally:
         with suppress(OSError):
             os.unlink(path)
+        _held_here.discard(path)
         os.close(descriptor)
+
+
+def clear_locks() -> None:
+    """Delete the lock files of this process: for a signal handler that ends it at once."""
+    for path in tuple(_held_here):
+        with suppress(OSError):
+            os.unlink(path)
 
 
 def _held(path: str) -> int | None:

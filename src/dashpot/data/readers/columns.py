@@ -24,13 +24,21 @@ from dashpot.unit_symbols import SHARE
 LARGEST = 1e100  # beyond this squares overflow, and no measurement is meant
 MOST_COLUMNS = 10_000
 _UNIT = re.compile(r"^(?P<name>.*?)\s*[\[(](?P<unit>[^\[\]()]*)[\])]$")
+_DIVIDED = re.compile(
+    r"^(?P<name>.*\S)\s+(?:/|in)\s+(?P<unit>\S+)$"
+)  # ISO 80000-1: x1 / mm, and what people say
 
 
 @lru_cache(maxsize=4096)
 def bare(column: str) -> tuple[str, str | None]:
-    """A column's name without the unit in brackets, and the unit."""
+    """A column's name without the unit in brackets, or behind a stroke (x1 / mm) or `in`, and the unit."""
     match = _UNIT.match(column)
-    return (match["name"], match["unit"].strip()) if match else (column, None)
+    if match:
+        return match["name"], match["unit"].strip()
+    match = _DIVIDED.match(column)
+    if match and is_unit(match["unit"]):
+        return match["name"], match["unit"]
+    return column, None
 
 
 def _with_stem(column: str, written: str, new: str) -> str:
@@ -129,14 +137,16 @@ class Columns(ABC):
             return names.index(name)
         return None
 
-    def need(self, name: str, why: str = "") -> int:
-        """Position of a column.  Raises DataError that names the nearest column where there is none."""
+    def need(self, name: str, why: str = "", cure: str | None = None) -> int:
+        """Position of a column.  Raises DataError with the cure, or the nearest column, where there is none."""
         at = self.find(name)
         if at is not None:
             return at
         lower = {column.lower(): column for column in self.header}
         near = difflib.get_close_matches(name.lower(), lower, n=1, cutoff=0.6)
-        known = f"did you mean {shown(lower[near[0]])}?" if near else f"there are {listed(self.header)}"
+        known = f"there are {listed(self.header)}{f'; {cure}' if cure else ''}"
+        if near:
+            known = f"did you mean {shown(lower[near[0]])}?"
         raise DataError(f"column {shown(name)}: missing{why}", self.heading, known)
 
     def error(self, index: int, column: int, cause: str, cure: str) -> DataError:

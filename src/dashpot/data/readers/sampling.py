@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 
 import numpy as np
@@ -28,6 +29,7 @@ TIME_NAMES = {
     "x_value",
     "seconds",
 }
+_NAMED_UNIT = re.compile(r"(?P<name>.+)_(?P<unit>s|ms|us|µs|min|h)")  # time_ms
 _FREQUENCIES = {"frequency", "freq", "f", "frequenz"}
 LONGEST = 1e12  # s
 
@@ -44,7 +46,7 @@ def time_column(columns: Columns, channels: Sequence[Channel], may_lack: bool = 
     usual = [
         i
         for i, name in enumerate(columns.header)
-        if bare(name)[0].lower() in TIME_NAMES and name not in taken and bare(name)[0] not in taken
+        if _time_stem(name) in TIME_NAMES and name not in taken and bare(name)[0] not in taken
     ]
     if len(usual) == 1:
         return usual[0]
@@ -53,7 +55,17 @@ def time_column(columns: Columns, channels: Sequence[Channel], may_lack: bool = 
         raise DataError(
             f"several columns may be the time: {names}", columns.heading, f"name one of them {TIME}"
         )
-    return None if may_lack else columns.need(TIME)
+    if may_lack:
+        return None
+    lacking = any(channel.name in columns.header for channel in channels)
+    return columns.need(TIME, cure="add it, or give rate_hz in a manifest" if lacking else None)
+
+
+def _time_stem(name: str) -> str:
+    """The name of a column in small letters, without the unit."""
+    plain = bare(name)[0].lower()
+    match = None if plain in TIME_NAMES else _NAMED_UNIT.fullmatch(plain)
+    return match["name"] if match else plain
 
 
 def read_time(
@@ -71,7 +83,8 @@ def read_time(
         numbers = columns.numbers(others, together=together)
         rows = len(next(iter(numbers.values()))) if numbers else 0
         return np.arange(rows) / (1.0 if rate_hz is None else rate_hz), numbers
-    if is_timestamp(columns.first(time_at)):
+    first = columns.first(time_at)
+    if is_timestamp(first):
         numbers = columns.numbers(others, together=together)
         time, wrong = seconds_of(columns.texts(time_at))
         if wrong is not None:
@@ -79,6 +92,9 @@ def read_time(
                 wrong, time_at, "is not a date and time", "write it as 2025-03-06 12:21:16.125"
             )
         return time, numbers
+    if ":" in first:
+        cause = f'"{shown(first)}" is neither a number nor a date and time'
+        raise columns.error(0, time_at, cause, "write it as 2025-03-06 12:21:16.125")
     numbers = columns.numbers(list(dict.fromkeys([time_at, *others])), together=together)
     scale = _time_scale(columns, time_at)
     time = numbers[time_at] if time_at in others else numbers.pop(time_at)
@@ -89,12 +105,17 @@ def read_time(
 
 def _time_scale(columns: Columns, column: int) -> float:
     """Seconds per unit of the column.  Raises DataError where the unit is none of time."""
-    return _unit_scale(columns, column, "time", "give the time in s, ms, µs, min or h")
+    match = _NAMED_UNIT.fullmatch(bare(columns.header[column])[0].lower())
+    named = match["unit"] if match and match["name"] in TIME_NAMES else None
+    return _unit_scale(columns, column, "time", "give the time in s, ms, µs, min or h", named)
 
 
-def _unit_scale(columns: Columns, column: int, quantity: str, cure: str) -> float:
-    """Factor of the column's unit, 1 where it has none.  Raises DataError where it is none of the quantity."""
-    unit = columns.unit(column)
+def _unit_scale(columns: Columns, column: int, quantity: str, cure: str, named: str | None = None) -> float:
+    """Factor of the column's unit, or of the one in its name; 1 where it has none.
+
+    Raises DataError where it is none of the quantity.
+    """
+    unit = columns.unit(column) or named
     if not unit:
         return 1.0
     try:

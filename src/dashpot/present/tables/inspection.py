@@ -15,6 +15,7 @@ from dashpot.present.tables.layout import TableColumn, show_table
 BARS = " ▁▂▃▄▅▆▇█"
 FLOOR_DB = -80.0
 PICTURE = 20  # characters
+MOST_DAMAGED = 5
 MOST_BITS = 24  # numbers of more are no readings of a converter
 
 
@@ -27,6 +28,10 @@ def show_inspection(out: Console, inspection: Inspection) -> None:
         if part.others:
             shown = ", ".join(part.others[:10]) + (" …" if len(part.others) > 10 else "")
             out.print(Text(f"  Not numbers, or not shown: {printable(shown)}"))
+        for note in part.notes:
+            out.print(Text(f"  Note: {printable(note.text)}"))
+        for error in part.damaged[:MOST_DAMAGED]:
+            out.print(Text(f"  Damaged: {printable(str(error))}"))
     if inspection.more:
         out.print(Text(f"  … and {inspection.more} more parts"))
 

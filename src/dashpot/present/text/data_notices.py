@@ -122,6 +122,11 @@ DATA_NOTICES: tuple[tuple[str, str, str, str], ...] = (
         "If the number in the name is something else, give `--frequency`.",
     ),
     (
+        "stray_rows", FILES,
+        "Rows between those of numbers were left out: comments (# or %), or the header once more.",
+        "If several recordings stand in one file, check that each is read as one: `dashpot inspect`.",
+    ),
+    (
         "no_line_end", FILES,
         "The last row has no line ending: if the file was cut off, its last number may be wrong.",
         "Compare the file's length with the original.",

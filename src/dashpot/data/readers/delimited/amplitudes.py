@@ -216,7 +216,7 @@ def _notes(columns: Columns, layout: _Layout) -> list[Notice]:
     read = {*layout.numeric, *layout.more.values()}
     if isinstance(columns, RectangularColumns):
         read |= columns.sources(read)
-    extra = [bare(name)[0] for i, name in enumerate(columns.header) if i not in read]
+    extra = [bare(name)[0] for i, name in enumerate(columns.header) if name and i not in read]
     notes = list(columns.notes)
     if extra:
         text = f"{columns.source}: not read, because the rig file does not list them: {listed(extra)}"

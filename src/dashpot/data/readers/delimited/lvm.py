@@ -15,7 +15,8 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 
 from dashpot.data.readers.datafile import LARGE, SUBSTITUTED, DataFile, open_file, whole_lines
-from dashpot.data.readers.delimited.opening import Text, table_of
+from dashpot.data.readers.delimited.encoding import Text
+from dashpot.data.readers.delimited.opening import table_of
 from dashpot.data.readers.delimited.table import Table
 from dashpot.data.readers.sampling import TIME
 from dashpot.errors import DataError

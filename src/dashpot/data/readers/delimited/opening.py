@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
-import codecs
 import csv
 import itertools
-import mmap
 import os
 import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 from dashpot.data.readers.columns import MOST_COLUMNS, is_unit
-from dashpot.data.readers.datafile import PIECE, SUBSTITUTED, DataFile, open_file, whole_lines
+from dashpot.data.readers.datafile import SUBSTITUTED, DataFile, open_file, whole_lines
+from dashpot.data.readers.delimited.encoding import Text, as_utf8, rewritten_as_utf8
+from dashpot.data.readers.delimited.stray_rows import StrayRows
 from dashpot.data.readers.delimited.table import Table
-from dashpot.data.readers.delimited.timestamps import is_timestamp
+from dashpot.data.readers.delimited.timestamps import is_date, is_timestamp
 from dashpot.data.readers.delimited.truncation import with_checked_end
 from dashpot.errors import DataError
 from dashpot.notices import Notice
@@ -22,8 +22,6 @@ from dashpot.notices import Notice
 HEAD = 1 << 20  # bytes in which the header row must end
 MOST_LEADING = 400  # rows in front of the data that are looked through
 _DELIMITERS = (",", ";", "\t", "|")
-Text = bytes | mmap.mmap
-MARKS = (b"\xff\xfe", b"\xfe\xff")  # that begin a text in UTF-16
 _BLANKS = " "  # as a delimiter: any number of blanks and tabs
 
 
@@ -46,29 +44,17 @@ def open_table(path: str | os.PathLike[str] | DataFile, first_column: str | None
     file = path if isinstance(path, DataFile) else open_file(path)
     if isinstance(file.contents, bytes):
         return table_of(file.contents, file.name, first_column)
-    file = _plain(file, file.contents)
+    file = rewritten_as_utf8(file, file.contents)
     header = _header(file.contents, file.name, first_column)
+    stray = _stray_rows(file.contents, header, first_column)
+    if stray is not None and stray.among(file.contents):
+        file = stray.rewritten(file, file.contents)
     if header.delimiter == _BLANKS:
         above = (b"\n" * (header.row.number - 1), _tabbed_row(header.row))
         file = file.rewritten(itertools.chain(above, _tabbed(file.contents, header.row.end)))
-    return replace(table_of(file.contents, file.name, first_column), file=file)
-
-
-def _plain(file: DataFile, data: Text) -> DataFile:
-    """A large file, as UTF-8 with line feeds.  Raises DataError where it is said to be UTF-16 and is not."""
-    pieces = (data[at : at + PIECE] for at in range(0, len(data), PIECE))
-    if data[:2] in MARKS:
-        try:
-            return file.rewritten(text.encode() for text in codecs.iterdecode(pieces, "utf-16"))
-        except UnicodeError:
-            raise _damaged_utf16(file.name) from None
-    if b"\n" not in data[:HEAD] and b"\r" in data[:HEAD]:
-        return file.rewritten(piece.replace(b"\r", b"\n") for piece in pieces)
-    return file
-
-
-def _damaged_utf16(source: str) -> DataError:
-    return DataError("the file is damaged UTF-16", source, "save it as UTF-8")
+    table = table_of(file.contents, file.name, first_column)
+    left_out = () if stray is None else stray.note(file.name)
+    return replace(table, file=file, notes=(*table.notes, *left_out))
 
 
 @dataclass(frozen=True)
@@ -80,20 +66,26 @@ class _Header:
 
 
 def _header(data: Text, source: str, first_column: str | None) -> _Header:
-    rows, delimiter = _leading_rows(data, source, first_column)
+    rows, commented, delimiter = _leading_rows(data, source, first_column)
     header_at = len(rows) - 1
     if first_column is None:
-        rows, header_at = _with_header(data, rows, delimiter)
+        if commented is not None and _is_heading(commented, rows[0], delimiter):
+            rows, header_at = [commented], 0
+        else:
+            rows, header_at = _with_header(data, rows, delimiter)
     row = rows[header_at]
     return _Header(row, _delimiter(row.text) if delimiter is None else delimiter)
 
 
 def table_of(data: Text, source: str, first_column: str | None = None) -> Table:
     """The table in the bytes of a file; as `open_table`.  Raises DataError where there is no table."""
-    data = _as_utf8(data, source) if isinstance(data, bytes) else data
+    data = as_utf8(data, source) if isinstance(data, bytes) else data
     header = _header(data, source, first_column)
     row, delimiter = header.row, header.delimiter
     place = f"{source}:{row.number}"
+    stray = _stray_rows(data, header, first_column)
+    if stray is not None and isinstance(data, bytes) and stray.among(data):
+        data = stray.blanked(data)
     if delimiter == _BLANKS:
         data = b"".join((data[: row.end], *_tabbed(data, row.end)))
         row = _Row(row.number, row.end, _tabbed_row(row).decode().rstrip("\n"))
@@ -106,12 +98,40 @@ def table_of(data: Text, source: str, first_column: str | None = None) -> Table:
     first_data = _next_row(data, start, first_row - 1)
     if first_data is None:
         raise DataError("the file has a header and no rows", place, "give a file with data")
-    width = len(_cells(first_data.text, delimiter))
-    if width == len(names) - 1 and not names[-1]:  # a delimiter at the end of the header alone
-        names, units = names[:-1], units[:width]
+    names, units = _of_width(names, units, _cells(first_data.text, delimiter))
     decimal, notes = _decimal(data[start : start + 4096].decode("utf-8", errors="replace"), delimiter, source)
+    notes = notes if stray is None else (*notes, *stray.note(source))
     body = memoryview(data)[start:]
     return with_checked_end(Table(source, names, units, notes, body, first_row, delimiter, decimal))
+
+
+def _stray_rows(data: Text, header: _Header, first_column: str | None) -> StrayRows | None:
+    """What may stand between the rows, where nothing fixed says how the file looks."""
+    if first_column is not None:
+        return None
+    row = header.row
+    start, _, _ = _behind_units(data, row, header.delimiter, len(_cells(row.text, header.delimiter)))
+    return StrayRows(data[:start])
+
+
+def _of_width(
+    names: tuple[str, ...], units: tuple[str | None, ...], cells: Sequence[str]
+) -> tuple[tuple[str, ...], tuple[str | None, ...]]:
+    """Names and units where a delimiter ends the header alone, or the rows alone."""
+    if len(cells) == len(names) - 1 and not names[-1]:
+        return names[:-1], units[: len(cells)]
+    if len(cells) == len(names) + 1 and not cells[-1]:
+        return (*names, ""), (*units, None) if units else ()
+    return names, units
+
+
+def _is_heading(commented: _Row, below: _Row, delimiter: str | None) -> bool:
+    """Whether a row that begins with # names the columns of the row of numbers below it."""
+    mark = _delimiter(below.text) if delimiter is None else delimiter
+    names, cells = _cells(commented.text, mark), _cells(below.text, mark)
+    return (
+        len(names) == len(cells) and _is_data(cells) and all(name and not _is_number(name) for name in names)
+    )
 
 
 def _behind_units(
@@ -128,7 +148,11 @@ def _behind_units(
 
 def _decimal(sample: str, delimiter: str, source: str) -> tuple[str, tuple[Notice, ...]]:
     """The decimal mark, and a note where a comma may be meant to part thousands."""
-    if delimiter == "," or "," not in sample or "." in sample:
+    if delimiter == "," or "," not in sample:
+        return ".", ()
+    cells = [cell for line in sample.splitlines() for cell in _cells(line, delimiter)]
+    numbers = [cell for cell in cells if _is_number(cell)]
+    if any("." in cell for cell in numbers) or not any("," in cell for cell in numbers):
         return ".", ()
     return ",", (_thousands_note(source),) if _may_be_thousands(sample, delimiter) else ()
 
@@ -144,26 +168,12 @@ def _thousands_note(source: str) -> Notice:
     return Notice("decimal_comma", text, (source,))
 
 
-def _as_utf8(data: bytes, source: str) -> bytes:
-    """The text as UTF-8 without a mark, with line feeds.  Raises DataError where it is not text."""
-    if not data.strip():
-        raise DataError("the file is empty", source, "give a file with a header row and data")
-    if data[:2] in MARKS:
-        try:
-            data = data.decode("utf-16").encode()
-        except UnicodeError:
-            raise _damaged_utf16(source) from None
-    data = data.removeprefix(b"\xef\xbb\xbf")
-    if b"\0" in data[:HEAD]:
-        raise DataError("the file is not text", source, "give a CSV file")
-    if b"\n" not in data and b"\r" in data:
-        data = data.replace(b"\r", b"\n")
-    return data
-
-
-def _leading_rows(data: Text, source: str, first_column: str | None) -> tuple[list[_Row], str | None]:
-    """Rows up to the first that may be the header, the last of them, and the delimiter where `sep=` says it."""
+def _leading_rows(
+    data: Text, source: str, first_column: str | None
+) -> tuple[list[_Row], _Row | None, str | None]:
+    """The first row that may be the header, the row before it that begins with #, the delimiter of `sep=`."""
     position, number, delimiter = 0, 0, None
+    commented: _Row | None = None
     while True:
         number += 1
         end = data.find(b"\n", position, position + HEAD)
@@ -180,7 +190,9 @@ def _leading_rows(data: Text, source: str, first_column: str | None) -> tuple[li
         if text.lower().startswith("sep=") and len(text) == 5:
             delimiter = text[4]
         elif text.startswith(first_column) if first_column else text and not text.startswith("#"):
-            return [_Row(number, position, text)], delimiter
+            return [_Row(number, position, text)], commented, delimiter
+        elif text.startswith("#"):
+            commented = _Row(number, position, text.lstrip("# \t"))
         if position >= len(data):
             begins = "" if first_column is None else f" that begins with {first_column}"
             cure = f"give a file with a header row{begins} and data"
@@ -270,7 +282,8 @@ def _is_data(cells: Sequence[str]) -> bool:
     """Numbers, moments and gaps alone, and a number among them."""
     numbers = [_is_number(cell) for cell in cells]
     return any(numbers) and all(
-        number or not cell or is_timestamp(cell) for cell, number in zip(cells, numbers, strict=True)
+        number or not cell or is_timestamp(cell) or is_date(cell)
+        for cell, number in zip(cells, numbers, strict=True)
     )
 
 
@@ -307,6 +320,7 @@ def _names(text: str, delimiter: str, place: str) -> tuple[str, ...]:
         raise DataError("the header row cannot be taken apart", place, "look for a stray quote") from None
     if all(_is_number(name) for name in names):
         raise DataError("the file has no header row", place, "name the columns in the first row")
+    names[0] = names[0].lstrip("%")
     return tuple(name.strip() for name in names)
 
 

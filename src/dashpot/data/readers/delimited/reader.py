@@ -6,7 +6,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 from dashpot.data.readers.datafile import DataFile
-from dashpot.data.readers.delimited.opening import MARKS, open_table
+from dashpot.data.readers.delimited.encoding import is_text
+from dashpot.data.readers.delimited.opening import open_table
 from dashpot.data.readers.delimited.table import Table
 
 
@@ -18,8 +19,8 @@ class TextReader:
     extra: str | None = None
 
     def sniff(self, file: DataFile) -> bool:
-        """No byte is zero, or the text is in UTF-16."""
-        return b"\0" not in file.head or file.head[:2] in MARKS
+        """No byte is zero but at the end, or the text is in UTF-16."""
+        return is_text(file.head)
 
     def parts(self, file: DataFile) -> Iterator[Table]:
         """The table."""

@@ -59,7 +59,9 @@ def read_records(
     at = [columns.need(channel.name, " (the rig file lists it as a channel)") for channel in channels]
     scales = [columns.scale(column, channel) for column, channel in zip(at, channels, strict=True)]
     wanted = list(dict.fromkeys(i for i in (f_at, experiment_at, *at) if i is not None))
-    extra = [bare(name)[0] for i, name in enumerate(columns.header) if i not in wanted and i != time_at]
+    extra = [
+        bare(name)[0] for i, name in enumerate(columns.header) if name and i not in wanted and i != time_at
+    ]
     if extra:
         text = f"{columns.source}: not read, because the rig file does not list them: {listed(extra)}"
         notes.append(Notice("columns_not_read", text, tuple(extra)))
@@ -162,11 +164,14 @@ def _blocks(
     for i in sorted(back):
         start = max(int(begun[np.searchsorted(begun, i, side="right") - 1]), latest)
         if time[i] > time[start] + 0.02 * (time[i - 1] - time[start]):
+            stands = time[i] == time[i - 1]
             raise columns.error(
                 i,
                 column,
                 f"the time does not increase ({time[i - 1]:.9g} s, then {time[i]:.9g} s)",
-                "sort the rows; records that follow each other need their own experiment number",
+                "write times with more digits, or leave them out and give rate_hz in a manifest"
+                if stands
+                else "sort the rows; records that follow each other need their own experiment number",
             )
         starts.append(i)
         latest = i

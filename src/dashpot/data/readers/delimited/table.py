@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import mmap
+import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -80,6 +81,8 @@ class Table(Columns):
         Of a file that is not held, those of `together` are the columns of one new array.
         Raises DataError at the first row with too few or too many cells, a gap, text, NaN or infinity.
         """
+        if not columns:
+            return {}
         pieces = self._pieces(columns, optional, infinite)
         if self.file is not None:
             return _filled(columns_of_block(columns, together, self._row_count()), pieces)
@@ -222,7 +225,7 @@ class Table(Columns):
         try:
             value = float(cell.replace(",", ".") if self.decimal == "," else cell)
         except ValueError:
-            return f'"{shown(cell)}" is not a number', "correct it, or cut the rows out"
+            return f'"{shown(cell)}" is not a number', _cure_of(cell)
         if "_" in cell:
             return f'"{shown(cell)}" is not a number', "correct it, or cut the rows out"
         if np.isnan(value) or (np.isinf(value) and not (infinite and value > 0)):
@@ -230,6 +233,15 @@ class Table(Columns):
         if np.isfinite(value) and abs(value) > LARGEST:
             return f'"{shown(cell)}" is too large', "correct it, or cut the rows out"
         return None
+
+
+def _cure_of(cell: str) -> str:
+    """What to do about a cell that is not a number."""
+    if re.fullmatch(r"[-+]?\d{1,3}([,.'\u2019\s]\d{3})+([.,]\d*)?", cell):
+        return "write numbers without thousands separators"
+    if re.fullmatch(r"[-+]?[\d.,]+[dD][-+]?\d+", cell):
+        return "write powers of ten with E"
+    return "correct it, or cut the rows out"
 
 
 def _numbers_of(array: Any) -> tuple[Real, Bools]:

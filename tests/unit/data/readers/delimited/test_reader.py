@@ -161,7 +161,10 @@ ROWS = "1,0.0,1.5,2\n1,0.1,1.5,2\n1,0.2,1.5,2\n"
         (HEAD.replace(",u", ",x1") + ROWS, "test.csv:1: column x1: named twice, in columns 3 and 4;"),
         (HEAD.replace("x1", "x1 [m]") + ROWS, "column x1: in m, the rig file says mm;"),
         (HEAD.replace("x1", "x1 [N]") + ROWS, "column x1: N is not a unit of displacement;"),
-        ((HEAD + ROWS).replace("x1", "µ").encode("latin1"), "test.csv:1: byte 21 of the row is not UTF-8;"),
+        (
+            (HEAD + ROWS).replace("x1", "\x81").encode("latin1"),
+            "test.csv:1: byte 21 of the row is not UTF-8;",
+        ),
         ((HEAD + ROWS).encode("utf-16")[:-1], "test.csv: the file is damaged UTF-16;"),
         (b"PK\x03\x04\x00\x00\x00", "test.csv: the file is not text, and its format is not known;"),
         (

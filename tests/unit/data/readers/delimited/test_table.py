@@ -71,7 +71,7 @@ def test_the_same_samples(tmp_path, shape, packed):
 def test_large_files_are_not_held(tmp_path, shape, piece, monkeypatch):
     monkeypatch.setattr("dashpot.data.readers.datafile.LARGE", 1)
     monkeypatch.setattr("dashpot.data.readers.datafile.PIECE", piece)
-    monkeypatch.setattr("dashpot.data.readers.delimited.opening.PIECE", piece)
+    monkeypatch.setattr("dashpot.data.readers.delimited.encoding.PIECE", piece)
     content = SHAPES[shape]
     path = tmp_path / "test.txt"
     path.write_bytes(content if isinstance(content, bytes) else content.encode())
