@@ -6,12 +6,15 @@ all that is fitted to it.  FIT = 1 − ‖y − ŷ‖ / ‖y − ȳ‖ over the 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.special import chdtrc
 
 from dashpot.arrays import Bools, Complex, Ints, Real, freeze
 from dashpot.check.residuals import calibrations_of, channel_response, of_channels
+from dashpot.check.verdict import REJECTED
 from dashpot.data.conditioning.whole_record import FLOOR
 from dashpot.data.spectrum import Spectrum
 from dashpot.data.stretch import Stretch, WholeRecord, history_of_lines
@@ -60,6 +63,11 @@ class RecordPrediction:
         _, measured_motion, predicted_motion = self.histories()
         return np.asarray(np.sqrt(np.mean((measured_motion - predicted_motion) ** 2, axis=0)))
 
+    @property
+    def p(self) -> Real:
+        """Probability of a χ² as large by noise alone, the estimate taken as exact, (channels,); NaN: not known."""
+        return np.where(np.isfinite(self.chi2), chdtrc(np.maximum(self.dof, 1.0), self.chi2), np.nan)
+
     def histories(self) -> tuple[Real, Real, Real]:
         """Time (samples,) s, and measured and predicted histories (samples, channels) of the lines in the band."""
         lines = np.rint(self.frequency_hz * self.duration_s).astype(int)
@@ -68,6 +76,15 @@ class RecordPrediction:
         )
         time = np.arange(self.samples, dtype=np.float64) * (self.duration_s / self.samples)
         return time, measured_motion, predicted_motion
+
+
+def within_noise(predictions: Sequence[RecordPrediction]) -> bool | None:
+    """Whether no channel of any record differs by more than the noise of its sensors; None where it is unknown."""
+    probabilities = np.concatenate([part.p for part in predictions])
+    tested = probabilities[np.isfinite(probabilities)]
+    if not len(tested) or len(tested) < len(probabilities):
+        return None
+    return bool(np.min(tested) * len(tested) > REJECTED)
 
 
 def validate(model: Model, estimate: Estimate, spectrum: Spectrum) -> tuple[RecordPrediction, ...]:

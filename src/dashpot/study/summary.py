@@ -102,9 +102,14 @@ class Summary:
         return float(np.sqrt(np.mean(self.spread**2)))
 
     @property
+    def rms_error(self) -> float:
+        """Root mean square error over the unknowns, %."""
+        return float(np.sqrt(np.mean(self.rms**2)))
+
+    @property
     def error_over_bound(self) -> float:
         """Root mean square error over the bound, both over all unknowns; NaN where there is no bound."""
-        return float(np.sqrt(np.mean(self.rms**2))) / self.rms_bound if self.rms_bound > 0 else math.nan
+        return self.rms_error / self.rms_bound if self.rms_bound > 0 else math.nan
 
     @property
     def rms_bound(self) -> float:

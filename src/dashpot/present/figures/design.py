@@ -18,6 +18,7 @@ from matplotlib.ticker import (
     NullLocator,
     StrMethodFormatter,
 )
+from matplotlib.transforms import Bbox
 
 from dashpot.arrays import Real
 from dashpot.present.figures.style import COLOURS, INK, MODEL, MUTED, style
@@ -25,6 +26,9 @@ from dashpot.present.text.numbers import short
 
 HEAT = LinearSegmentedColormap.from_list("heat", ["#ffffff", "#d5e6ee", "#7fb6cd", "#0b6e99", "#083d56"])
 OTHER, EARLIER = "#b0531a", "#7b8794"
+MOST_NAMED = 8  # dwells whose frequencies are written beside them
+CLEAR = 4.0  # px around a dwell and between names
+PLACES = (((6, 3), "left"), ((-6, 3), "right"), ((0, 7), "center"), ((6, -8), "left"), ((-6, -8), "right"))
 FRAME: dict[str, Any] = {"frameon": True, "framealpha": 0.85, "edgecolor": "none"}  # over bars and curves
 
 
@@ -58,10 +62,13 @@ def plan_figure(
         deep = max(1.4, (0.12 + 0.11 * len(tests)) * len(bars) + 0.6)
         figure = Figure(figsize=(7.4, 2.6 + rows + deep))
         top, middle, bottom = figure.subplots(3, 1, gridspec_kw={"height_ratios": [2.3, rows, deep]})
-        _dwells(top, frequency_hz, curves, dwells_hz, dwells, dwell_unit)
+        over = _dwells(top, frequency_hz, curves, dwells_hz, dwells, dwell_unit)
         top.set_title(title)
         _heat(middle, frequency_hz, names, shares, dwells_hz)
         _intervals(bottom, bars, tests)
+        if len(dwells_hz) <= MOST_NAMED:
+            figure.draw_without_rendering()  # the layout, by which places are known
+            _name_dwells(over, dwells_hz, dwells)
     return figure
 
 
@@ -80,7 +87,8 @@ def _axis(axes: Axes, f: Real) -> None:
 
 def _dwells(
     axes: Axes, f: Real, curves: Sequence[tuple[str, Real]], dwells_hz: Real, dwells: Real, unit: str
-) -> None:
+) -> Axes:
+    """The curves, and over them, in axes of their own, which are given back, the dwells."""
     for i, (label, curve) in enumerate(curves):
         axes.plot(f, curve, color=COLOURS[i % len(COLOURS)], lw=1.4, label=label, zorder=3)
     axes.axhline(1, color=MUTED, lw=0.8, ls=(0, (3, 2)), zorder=2)
@@ -95,22 +103,35 @@ def _dwells(
     most = float(np.max(dwells, initial=0.0))
     twin.vlines(dwells_hz, 0, dwells, color=OTHER, lw=2.2, zorder=4)
     twin.plot(dwells_hz, dwells, "o", color=OTHER, ms=5, zorder=5, clip_on=False)
-    crowded = len(dwells_hz) > 8
-    last = -np.inf
-    for x, y in sorted(zip(dwells_hz.tolist(), dwells.tolist(), strict=True)):
-        near_end = x > 0.8 * float(np.max(f))
-        if crowded or x < 1.12 * last:
-            continue
-        last = x
-        twin.annotate(
-            f"{x:.4g} Hz", (x, y), textcoords="offset points", xytext=(-6 if near_end else 6, 3), fontsize=8,
-            color=OTHER, ha="right" if near_end else "left", zorder=6,
-            bbox={"facecolor": "white", "edgecolor": "none", "pad": 0.6, "alpha": 0.8},
-        )  # fmt: skip
     twin.set_ylim(0, 1.3 * most if most > 0 else 1)
     twin.set_ylabel(f"dwell, {unit}", color=OTHER)
     twin.yaxis.set_major_locator(MaxNLocator(5, integer=unit == "samples"))
     twin.tick_params(axis="y", colors=OTHER)
+    return twin
+
+
+def _name_dwells(axes: Axes, dwells_hz: Real, dwells: Real) -> None:
+    """The frequency of each dwell beside its dot, the longest first, where it touches no other name or dwell."""
+    dots = axes.transData.transform(np.stack([dwells_hz, dwells], axis=1))
+    bottom = axes.get_window_extent().y0
+    stems = [Bbox([[x - CLEAR, bottom], [x + CLEAR, y + CLEAR]]) for x, y in dots]
+    names: list[Bbox] = []
+    for k in np.argsort(-dwells):
+        x, y = float(dwells_hz[k]), float(dwells[k])
+        taken = [*names, *(stem for i, stem in enumerate(stems) if i != k)]
+        for offset, sideways in PLACES:
+            text = axes.annotate(
+                f"{x:.4g} Hz", (x, y), textcoords="offset points", xytext=offset, fontsize=8, color=OTHER, ha=sideways,
+                zorder=6, bbox={"facecolor": "white", "edgecolor": "none", "pad": 0.6, "alpha": 0.8},
+            )  # fmt: skip
+            box = text.get_window_extent()
+            inside = axes.get_window_extent().contains(box.x0, box.y0) and axes.get_window_extent().contains(
+                box.x1, box.y1
+            )
+            if inside and not any(box.overlaps(other) for other in taken):
+                names.append(box.padded(CLEAR))
+                break
+            text.remove()
 
 
 def _heat(axes: Axes, f: Real, names: Sequence[str], shares: Real, dwells_hz: Real) -> None:

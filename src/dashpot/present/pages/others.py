@@ -4,11 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-import numpy as np
-
 from dashpot.channel import Channel
 from dashpot.check.doubt import doubtful
-from dashpot.check.validation import RecordPrediction
+from dashpot.check.validation import RecordPrediction, within_noise
 from dashpot.design.advise import Answer
 from dashpot.design.test_setup import drive_units
 from dashpot.estimate.comparison import Comparison
@@ -27,18 +25,28 @@ from dashpot.present.pages.page import (
     image_picture,
     page_html,
 )
-from dashpot.present.pages.report import capitalised, names_of, rig_picture
+from dashpot.present.pages.report import capitalised, names_of, rig_picture, true_rig_picture
 from dashpot.present.tables.comparison import comparison_columns, comparison_remarks
 from dashpot.present.tables.design import dwell_columns, expected_columns
 from dashpot.present.tables.study import study_columns
-from dashpot.present.tables.validation import EXPLANATION, validation_columns
+from dashpot.present.tables.validation import validation_columns
 from dashpot.present.text.design import plan_in_words, sensors_in_words, stopping_in_words
 from dashpot.present.text.estimate import fit_in_words, sentence
-from dashpot.present.text.numbers import short
-from dashpot.present.text.study import LEGEND, accuracy_in_words, factor_text, varied_factors
+from dashpot.present.text.study import (
+    LEGEND,
+    accuracy_in_words,
+    factor_text,
+    next_study_steps,
+    varied_factors,
+)
+from dashpot.present.text.validation import (
+    EXPLANATION,
+    is_poor,
+    next_validation_steps,
+    prediction_in_words,
+)
 from dashpot.study.runner import StudyOutcome
 
-POOR = 0.5  # FIT below which a prediction is of no use
 MOST_PICTURES = 12
 MOST_BYTES = 1_300_000  # of pictures in one page; base64 adds a third
 
@@ -162,43 +170,21 @@ def validation_report(
     provenance: Provenance | None = None,
 ) -> str:
     """HTML page of predictions of what was not used."""
-    fits = [
-        (float(fit), name) for part in predictions for name, fit in zip(part.channels, part.fit, strict=True)
-    ]
-    fits = [pair for pair in fits if np.isfinite(pair[0])]
-    worst, best = (min(fits), max(fits)) if fits else ((float("nan"), ""), (float("nan"), ""))
-    headline = "Nothing could be predicted."
-    if fits:
-        headline = f"The worst prediction is that of {worst[1]}, FIT {short(100 * worst[0], 3)} %"
-        headline += "." if worst == best else f"; the best {best[1]}, {short(100 * best[0], 3)} %."
     columns = tuple(validation_columns(predictions))
     page = Page(
         model.name or "Validation",
         "Records that the estimate was not made from, predicted from their inputs.",
-        "bad" if not fits or worst[0] < POOR else "open",
-        headline,
+        "good" if within_noise(predictions) else "bad" if is_poor(predictions) else "open",
+        prediction_in_words(predictions),
         (EXPLANATION,),
         answer=Block("FIT of every channel", (), (columns,)),
         drawing=rig_picture(model, channels, estimate, doubtful(estimate), 0.95),
-        steps=_validation_steps(worst[0], any(bool(np.any(np.isfinite(part.chi2))) for part in predictions)),
+        steps=next_validation_steps(predictions),
         evidence=(prediction_block("Measured and predicted", predictions),),
         terms=("FIT", "χ²"),
         provenance=provenance,
     )
     return page_html(page)
-
-
-def _validation_steps(worst: float, tested: bool) -> tuple[str, ...]:
-    if worst >= POOR and not tested:
-        return (
-            "Give the noise of the sensors (columns NAME_sd, or --noise-record), so that the difference can be tested.",
-        )
-    if worst >= POOR:
-        return ("Where χ² / dof is near 1, the prediction is as good as the sensors can show.",)
-    return (
-        "Look for what differs between the tests: amplitude (a nonlinear element), mounting, sensors, temperature.",
-        "Identify from these records as well: dashpot identify RIG DATA --report report.html.",
-    )
 
 
 def study_report(
@@ -230,6 +216,10 @@ def study_report(
         f"Most accurate: {first}" if others else first,
         (*others, *((f"In all scenarios: {', '.join(fixed)}.",) if fixed else ())),
         (f"{failed} identifications failed; they are left out of bias and spread.",) if failed else (),
+        drawing=true_rig_picture(
+            outcome.rows[0].scenario.model, outcome.rows[0].scenario.theta, outcome.rows[0].scenario.channels
+        ),
+        steps=next_study_steps(outcome.rows),
         evidence=(
             Block("Errors of the methods", LEGEND, (tuple(study_columns(outcome.rows)),), whole=True),
             Block("Figures", more, pictures=tuple(shown), whole=True),

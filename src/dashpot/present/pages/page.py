@@ -14,6 +14,7 @@ from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup, escape
 from matplotlib.figure import Figure
 
+from dashpot.io.words import counted, joined
 from dashpot.present.figures.interactive import interactive_svg
 from dashpot.present.figures.style import DPI
 from dashpot.present.tables.layout import TableColumn
@@ -22,6 +23,7 @@ from dashpot.present.text.glossary import EXPLANATIONS
 TEMPLATES = Path(__file__).parents[1] / "templates"
 _COMMAND = r"\bdashpot [a-z]+ [^()]*?(?=\.(?:\s|$)| writes |$)"
 _CODE = re.compile(rf"{_COMMAND}|\[\w+\] [\w-]+ = \{{.*\}}")  # commands, and lines of a rig file
+MOST_SOURCES = 4  # files that the first lines of a page name
 Verdict = Literal["good", "bad", "open"]
 
 
@@ -68,6 +70,13 @@ class Provenance:
     folder: str
     settings: tuple[tuple[str, str, bool], ...]
     files: tuple[SourceFile, ...]
+
+    @property
+    def sources(self) -> str:
+        """The files that were read, in a few words: their names without folders."""
+        names = [Path(file.name).name for file in self.files]
+        rest = len(names) - MOST_SOURCES
+        return joined(names if rest <= 0 else [*names[:MOST_SOURCES], counted(rest, "other file")])
 
 
 @dataclass(frozen=True)
@@ -117,12 +126,12 @@ def page_html(page: Page) -> str:
     script = loader.get_source(environment, "figures.js")[0] if told else ""
     allowed = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode("ascii")
     return environment.get_template("report.html").render(
-        page=page, explanations=explanations, inline=_inline, rows=_rows, with_code=_with_code, allowed=allowed,
+        page=page, explanations=explanations, inline=inline, rows=_rows, with_code=with_code, allowed=allowed,
         script=Markup(script),
     )  # fmt: skip
 
 
-def _inline(picture: Picture) -> Markup:
+def inline(picture: Picture) -> Markup:
     """The SVG element with its alternative text."""
     label = Markup.escape(picture.alternative)
     text = picture.svg
@@ -132,7 +141,7 @@ def _inline(picture: Picture) -> Markup:
     return Markup(text)
 
 
-def _with_code(text: str) -> Markup:
+def with_code(text: str) -> Markup:
     """The text with commands and lines of rig files set as code, in which no option is broken at its hyphens."""
     marked = re.sub(r"(?<![\w-])--[\w-]+", r'<span class="option">\g<0></span>', str(escape(text)))
     return Markup(_CODE.sub(r"<code>\g<0></code>", marked))
@@ -141,4 +150,10 @@ def _with_code(text: str) -> Markup:
 def _rows(columns: Sequence[TableColumn]) -> list[list[tuple[str, str]]]:
     """Rows of a table: (text, alignment) of each cell."""
     texts = zip(*(column.cells for column in columns), strict=True)
-    return [[(cell, column.justify) for cell, column in zip(row, columns, strict=True)] for row in texts]
+    return [
+        [
+            (cell.replace("± ", "±\N{NO-BREAK SPACE}"), column.justify)
+            for cell, column in zip(row, columns, strict=True)
+        ]
+        for row in texts
+    ]

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import re
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
+from dashpot.arrays import Real
 from dashpot.channel import Channel
 from dashpot.check.chi2_surface import chi2_surface
 from dashpot.check.collinearity import Collinearity, collinearity
@@ -134,6 +135,13 @@ def rig_picture(
     except UsageError:
         return None
     return Picture(drawing.svg(), drawing.title, wide=drawing.width > HALF)
+
+
+def true_rig_picture(model: Model, theta: Real, channels: Sequence[Channel]) -> Picture | None:
+    """The drawing of a rig with its true values θ (unknowns,), of which there is no estimate."""
+    true = {unknown.name: float(value) for unknown, value in zip(model.unknowns, theta, strict=True)}
+    elements = tuple(replace(each, value=true.get(each.name, each.value), sd=None) for each in model.elements)
+    return rig_picture(replace(model, elements=elements), channels, None, (), 0.95)
 
 
 def headline(estimate: Estimate, unsure: Sequence[str]) -> str:

@@ -10,18 +10,15 @@ from rich.console import Console
 from dashpot.check.validation import RecordPrediction
 from dashpot.present.tables.layout import TableColumn, show_paragraph, show_table
 from dashpot.present.text.numbers import short
-
-EXPLANATION = (
-    "FIT = 1 − ‖measured − predicted‖ / ‖measured − mean‖ within the band used, from the inputs alone; only the "
-    "state in which a record starts and ends is fitted to it."
-)
+from dashpot.present.text.validation import EXPLANATION, prediction_in_words
 
 
 def show_validation(out: Console, predictions: Sequence[RecordPrediction]) -> None:
-    """Print a row for each channel of each record, and what FIT is."""
+    """Print a row for each channel of each record, whether they are predicted, and what FIT is."""
     out.print()
     show_table(out, validation_columns(predictions))
     out.print()
+    show_paragraph(out, prediction_in_words(predictions))
     show_paragraph(out, EXPLANATION)
 
 

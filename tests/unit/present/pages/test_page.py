@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import re
 import shutil
+import subprocess
 from pathlib import Path
 
 import pytest
 
 from dashpot.app.cli import run
+from dashpot.app.report_files import write_report
 from tests.reports import METHODS, REPORTS, make_reports
 from tests.unit.present.pages.browser import CHROMIUM, probed
 
@@ -16,6 +18,7 @@ pytestmark = [
     pytest.mark.long,
     pytest.mark.skipif(CHROMIUM is None, reason="no Chromium or Chrome to open pages with"),
 ]
+PDF_TEXT = shutil.which("pdftotext")
 LEAST_CONTRAST = 4.5  # WCAG 2, level AA
 
 
@@ -113,15 +116,35 @@ def test_figures_tell_values_and_zoom(folder: Path) -> None:
     assert 0 <= tried["moved"] < 0.01, "what is drawn does not come back"
 
 
+def printed_pages(path: str) -> list[str]:
+    """The text of each page of a PDF file."""
+    assert PDF_TEXT is not None
+    done = subprocess.run([PDF_TEXT, "-layout", path, "-"], capture_output=True, check=True)
+    return done.stdout.decode().rstrip("\f").split("\f")
+
+
 def test_print_has_numbered_pages(folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     assert run(["identify", *METHODS, "--report", "report.pdf", "-q"]) == 0
     content = Path("report.pdf").read_bytes()
     assert content.startswith(b"%PDF")
     assert len(re.findall(rb"/Type\s*/Page\b", content)) >= 2
-    tool = shutil.which("pdftotext")
-    if tool is not None:
-        import subprocess
+    if PDF_TEXT is not None:
+        assert re.search(r"page 1 of \d", printed_pages("report.pdf")[0])
 
-        text = subprocess.run([tool, "report.pdf", "-"], capture_output=True, check=True).stdout.decode()
-        assert re.search(r"\b1 / \d", text)
+
+@pytest.mark.skipif(PDF_TEXT is None, reason="there is no pdftotext on this machine")
+@pytest.mark.parametrize("name", REPORTS)
+def test_on_paper_the_answer_is_on_the_first_page_and_what_is_signed_on_one(
+    folder: Path, tmp_path: Path, name: str
+) -> None:
+    """Nothing to sign stands apart from the command, the files and the checksums that the signature is for."""
+    write_report(str(tmp_path / "r.pdf"), (folder / f"{name}.html").read_text(encoding="utf-8"))
+    pages = printed_pages(str(tmp_path / "r.pdf"))
+    assert all(len(page) > 200 for page in pages), "an empty page"
+    last = pages[-1]
+    assert all(text in last for text in ("How it was computed", "To repeat it", "Options:", "checked by"))
+    assert "How it was computed" not in "".join(pages[:-1])
+    first = re.sub(r"\s+", " ", pages[0])
+    assert re.search(r"\d{4}-\d\d-\d\d \d\d:\d\d [+-]\d{4}(, from [^;]+)?; how it was computed", first)
+    assert re.search(r"What next|Parameters", first)

@@ -6,18 +6,21 @@ import base64
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 
+import numpy as np
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from rich.console import Console
 
 from dashpot.errors import DataError
 from dashpot.io.atomic import write_bytes, write_text
 from dashpot.present.figures.style import DPI
-from dashpot.present.pages.page import Provenance
+from dashpot.present.pages.page import Page, Provenance, inline, with_code
+from dashpot.present.pages.report import true_rig_picture
 from dashpot.present.pages.yamane1989.figures import images
-from dashpot.present.pages.yamane1989.findings import sentences
+from dashpot.present.pages.yamane1989.findings import headline, next_steps, sentences, statements
 from dashpot.present.pages.yamane1989.tables import LEGEND, parts, rich_table, text_tables
 from dashpot.present.text.numbers import short
 from dashpot.reproduce.yamane1989.reproduction import Reproduction
+from dashpot.reproduce.yamane1989.rig import true_rig
 
 TEMPLATES = Path(__file__).parents[2] / "templates"
 
@@ -106,7 +109,18 @@ def page(
         )
         for caption, content in drawn.values()
     ]
+    rig = true_rig()
+    theta = np.array([rig.values[unknown.name] for unknown in rig.model.unknowns])
+    drawing = true_rig_picture(rig.model, theta, rig.channels)
+    assert drawing is not None  # two masses
+    content = Page(
+        "Yamane (1989), reproduced", "", "open", headline(reproduction), statements(reproduction),
+        drawing=drawing, steps=next_steps(reproduction), provenance=provenance,
+    )  # fmt: skip
     return environment.get_template("yamane1989.html").render(
+        page=content,
+        inline=inline,
+        with_code=with_code,
         reproduction=reproduction,
         findings=sentences(reproduction),
         tables=text_tables(reproduction),
@@ -114,5 +128,4 @@ def page(
         legend=LEGEND,
         corrections=reproduction.corrections,
         short=short,
-        how=provenance,
     )
