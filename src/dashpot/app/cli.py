@@ -19,7 +19,7 @@ from click.shell_completion import CompletionItem
 from dashpot.app.commands import COMMANDS
 from dashpot.app.help import WIDEST
 from dashpot.app.report_files import ARGUMENTS
-from dashpot.app.signals import Ended, end_on_signals, leave_signals, request_lost
+from dashpot.app.signals import Ended, answered, end_on_signals, leave_signals, request_lost
 from dashpot.app.workers import one_thread
 from dashpot.errors import DashpotError, printable
 from dashpot.io import ledger
@@ -36,6 +36,7 @@ def resumable(ctx: click.Context, kept: str) -> Iterator[None]:
     try:
         yield
     except (KeyboardInterrupt, Ended) as cause:
+        answered()
         click.echo(f"dashpot: interrupted; {kept}: run it again to continue", err=True)
         ctx.exit(128 + cause.number if isinstance(cause, Ended) else INTERRUPTED)
 
@@ -153,6 +154,7 @@ def run(args: Sequence[str] | None = None) -> int:
 
 def _stopped(asked: BaseException) -> int:
     """What a run that was asked to end says, and the exit code that shells expect of it."""
+    answered()
     if isinstance(asked, Ended):
         _tell([f"ended by {signal.Signals(asked.number).name}; no file is left half-written"])
         return 128 + asked.number

@@ -8,8 +8,9 @@ from __future__ import annotations
 import os
 import signal
 import sys
+import weakref
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from threading import Timer, current_thread, main_thread
 from types import FrameType
 
@@ -20,15 +21,29 @@ from dashpot.io.scratch import clear_scratch
 ENDING = tuple(getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name))
 
 
-_asked: list[int] = []  # signals that were raised as exceptions
+PAUSE = 0.01  # s, after which a request that was lost comes again
+_asked: list[int] = []  # signals that were raised as exceptions and have had no answer yet
+_latest: weakref.ref[Ended] | None = None
 
 
 class Ended(BaseException):
-    """A signal asks this process to end; raised so that what is being written is cleared away on the way out."""
+    """A signal asks this process to end; raised so that what is being written is cleared away on the way out.
+
+    Whoever catches it and goes on, as some libraries do while they are imported, lets it go without an answer: the
+    signal then comes again.
+    """
 
     def __init__(self, number: int) -> None:
+        global _latest
         super().__init__(number)
         self.number = number
+        _latest = weakref.ref(self)
+
+    def __del__(self) -> None:
+        global _latest
+        _latest = None
+        if self.number in _asked:
+            _come_again(self.number)
 
 
 def end_on_signals() -> None:
@@ -110,30 +125,45 @@ def end_at_once(number: int, _: FrameType | None) -> None:
     os._exit(128 + number)
 
 
-def _end(number: int, _: FrameType | None) -> None:
-    for again in ENDING:
-        if signal.getsignal(again) == _end:
-            signal.signal(again, end_at_once)
+def _end(number: int, frame: FrameType | None) -> None:
+    if _latest is not None and _latest() is not None:
+        end_at_once(number, frame)
     _asked.append(number)
     raise Ended(number)
 
 
 def request_lost() -> Ended | None:
     """The request to end that some library has caught, so that what fails behind it is no fault of the program."""
-    return Ended(_asked.pop()) if _asked else None
+    return Ended(_asked[-1]) if _asked else None
+
+
+def answered() -> None:
+    """The run unwinds and says so; what asks it once more ends it at once."""
+    _asked.clear()
+    for number in ENDING:
+        if signal.getsignal(number) == _end:
+            signal.signal(number, end_at_once)
 
 
 def _ask_again(lost: sys.UnraisableHookArgs) -> None:
-    """A signal that comes within a destructor or the callback of a weak reference is lost there: it comes again.
-
-    From a thread, a moment later: raised at once, it would be lost in this hook.
-    """
-    if not isinstance(lost.exc_value, Ended | KeyboardInterrupt):
+    """A signal that comes within a destructor or the callback of a weak reference is lost there: it comes again."""
+    if isinstance(lost.exc_value, KeyboardInterrupt):
+        _come_again(signal.SIGINT)
+    elif not isinstance(lost.exc_value, Ended):  # which sees to that itself
         sys.__unraisablehook__(lost)
-        return
-    number = lost.exc_value.number if isinstance(lost.exc_value, Ended) else signal.SIGINT
-    if isinstance(lost.exc_value, Ended):
-        signal.signal(number, _end)
-    again = Timer(0.01, signal.pthread_kill, (main_thread().ident, number))
+
+
+def _come_again(number: int) -> None:
+    """From a thread, a moment later: raised at once, it would be lost in the same place."""
+    again = Timer(PAUSE, _send, (number,))
     again.daemon = True
-    again.start()
+    with suppress(RuntimeError):  # no thread can be begun any more
+        again.start()
+
+
+def _send(number: int) -> None:
+    if number in _asked:
+        _asked.remove(number)
+    elif number != signal.SIGINT:
+        return  # it has been answered meanwhile
+    signal.pthread_kill(main_thread().ident or 0, number)

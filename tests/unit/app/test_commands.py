@@ -332,6 +332,37 @@ def test_what_fails_behind_a_stop_that_a_library_caught_is_no_internal_error() -
     )  # fmt: skip
 
 
+SWALLOWED = """
+import os, signal, sys, time
+from dashpot.app import cli
+
+def swallowing(names):
+    try:
+        for name in names:
+            os.kill(os.getpid(), getattr(signal, name))
+        time.sleep(20)
+    except BaseException:
+        pass
+
+def work(*args, **options):
+    swallowing(sys.argv[1:])
+    time.sleep(20)
+
+cli.cli.main = work
+cli.main()
+"""
+
+
+@pytest.mark.skipif(not hasattr(signal, "pthread_kill"), reason="no thread can send a signal to another")
+def test_a_stop_that_a_library_has_swallowed_comes_again() -> None:
+    done = subprocess.run(
+        [sys.executable, "-c", SWALLOWED, "SIGTERM"], capture_output=True, text=True, timeout=15
+    )
+    assert (done.returncode, done.stderr) == (
+        143, "dashpot: ended by SIGTERM; no file is left half-written\n",
+    )  # fmt: skip
+
+
 BEGUN = """
 import signal, sys
 from dashpot import __main__ as entry

@@ -3,12 +3,17 @@
 from __future__ import annotations
 
 import os
+import random
 import signal
 import subprocess
 import sys
 import time
+from contextlib import suppress
 from pathlib import Path
 
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 
 from dashpot.io.lock import LOCK
@@ -76,3 +81,89 @@ def test_workers_end_with_their_study(tmp_path: Path, name: str) -> None:
         assert left == set()
         assert "finished draws are kept in noise" in told
         assert process.returncode == 128 + getattr(signal, name)
+
+
+PAIRS = [
+    pair.split()
+    for pair in (
+        "SIGTERM SIGTERM",
+        "SIGINT SIGINT",
+        "SIGHUP SIGHUP",
+        "SIGTERM SIGHUP",
+        "SIGTERM SIGINT",
+        "SIGINT SIGTERM",
+    )
+]
+FLEET = """\
+coordinates = ["x"]
+[inputs]
+f = { kind = "force", on = "x" }
+[masses]
+m = { at = "x" }
+[springs]
+k = { between = ["x", "ground"] }
+[dampers]
+c = { between = ["x", "ground"] }
+[channels]
+x = { of = "x" }
+f = { of = "f" }
+"""
+
+
+def _many_machines(path: Path) -> None:
+    """Amplitudes of 40,000 machines at ten frequencies."""
+    rng = np.random.default_rng(3)
+    f = np.tile(np.linspace(1, 6, 10), 40_000)
+    x = 1 / (400 - (2 * np.pi * f) ** 2 + 4j * np.pi * f) * (1 + 0.01 * rng.normal(size=f.size))
+    columns = {"x_re": x.real, "x_im": x.imag, "f_re": np.ones(f.size), "f_im": np.zeros(f.size)}
+    serial = np.repeat([f"M{k:05d}" for k in range(40_000)], 10)
+    pq.write_table(pa.table({"serial": serial, "frequency_hz": f, **columns}), path)
+
+
+def _of_a_run(mark: str) -> list[int]:
+    """Processes that live with a mark in their environment, whoever is their parent by now."""
+    living = []
+    for place in Path("/proc").glob("[0-9]*"):
+        try:
+            if mark.encode() in (place / "environ").read_bytes() and _alive(int(place.name)):
+                living.append(int(place.name))
+        except OSError:
+            continue
+    return living
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("command", ["study", "fleet"])
+def test_two_signals_within_milliseconds_leave_nothing_behind(tmp_path: Path, command: str) -> None:
+    """At a hundred random moments, to the process or to its group: one of the two exit codes, no file, no process."""
+    (tmp_path / "rig.toml").write_text(RIG, encoding="utf-8")
+    (tmp_path / "noise.toml").write_text(STUDY.replace("draws = 30", "draws = 1000000"), encoding="utf-8")
+    (tmp_path / "machine.toml").write_text(FLEET, encoding="utf-8")
+    _many_machines(tmp_path / "machines.parquet")
+    (tmp_path / "tmp").mkdir()
+    arguments = {
+        "study": ["noise.toml", "--processes", "2"],
+        "fleet": ["machine.toml", "machines.parquet", "--rig-column", "serial", "--out", "f.parquet",
+                  "--processes", "2"],
+    }  # fmt: skip
+    rng = random.Random(command)
+    for k in range(100):
+        mark = f"dashpot-{os.getpid()}-{k}"
+        first, second = (getattr(signal, name) for name in rng.choice(PAIRS))
+        process = subprocess.Popen(
+            [sys.executable, "-m", "dashpot", command, *arguments[command]],
+            cwd=tmp_path, stderr=subprocess.PIPE, stdin=subprocess.DEVNULL, text=True, start_new_session=True,
+            env={**os.environ, "MARK": mark, "TMPDIR": str(tmp_path / "tmp")},
+        )  # fmt: skip
+        time.sleep(rng.uniform(0.1, 4.0))
+        send = os.killpg if rng.random() < 0.3 else os.kill
+        with suppress(ProcessLookupError):  # it may have ended by the first
+            send(process.pid, first)
+            time.sleep(10 ** rng.uniform(-5, -1))
+            send(process.pid, second)
+        told = process.communicate(timeout=60)[1]
+        case = f"{k}: {first.name}, {second.name}, {send.__name__}: {told}"
+        assert not any(word in told for word in ("Traceback", "internal error", "resource_tracker")), case
+        assert process.returncode in {128 + first, 128 + second, -first, -second}, case
+        assert _wait(lambda mark=mark: not _of_a_run(mark), 15), case
+        assert [path.name for path in tmp_path.rglob(".*")] + os.listdir(tmp_path / "tmp") == [], case
