@@ -81,7 +81,7 @@ def chain(
 
 
 def excitation(kind: str, time: Real, low_hz: float, high_hz: float, rng: np.random.Generator) -> Real:
-    """Samples of one input: "random" tones that repeat nowhere, "sweep", "hammer", "earthquake", "stepped", "none"."""
+    """Samples of one input: "random" tones, "sweep", "hammer", "tap", "earthquake", "stepped"; else 0."""
     T = time[-1]
     if kind == "random":
         f = rng.uniform(low_hz, high_hz, 60)
@@ -96,6 +96,9 @@ def excitation(kind: str, time: Real, low_hz: float, high_hz: float, rng: np.ran
             inside = np.abs(time - at) < 1 / high_hz
             out[inside] += np.cos(np.pi * (time[inside] - at) * high_hz / 2) ** 4
         return out
+    if kind == "tap":  # as short as a steel tip makes it
+        since = (time - 0.05 * T) * high_hz / 0.4
+        return np.where((since > 0) & (since < 1), np.sin(np.pi * since) ** 2, 0.0)
     if kind == "stepped":
         dwell = np.minimum((DWELLS * time / T).astype(int), DWELLS - 1)
         hz = np.linspace(low_hz, high_hz, DWELLS)[dwell]

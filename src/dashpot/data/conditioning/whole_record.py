@@ -18,7 +18,7 @@ from dashpot.arrays import Complex, Ints, Real, diagonal_matrices
 from dashpot.channel import Channel
 from dashpot.data.calibration import calibration
 from dashpot.data.conditioning.clock import FEWEST, even_step
-from dashpot.data.conditioning.still import Still
+from dashpot.data.conditioning.still import Still, variance_at_rest
 from dashpot.data.record import Record
 from dashpot.data.spectrum import Spectrum, concatenate
 from dashpot.data.stretch import WholeRecord
@@ -160,7 +160,7 @@ def _amplitudes(record: Record, first: int, last: int) -> tuple[Complex, Real]:
         Y = fft.rfft(column - column.mean())
         Y *= 2 / samples
         X[:, c] = Y[first : last + 1]
-        floor[c] = white_floor(Y)
+        floor[c] = variance_at_rest(column) * 4 / samples or white_floor(Y)
     return X, floor
 
 

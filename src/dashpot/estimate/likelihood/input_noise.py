@@ -3,10 +3,15 @@
 An error Δ of a measured input moves all outputs as the rig would move them, t Δ; no other error does.  Where Σ is the
 covariance of a line's equations and e what the fit leaves over, the likelihood of a variance s of Δ has the slope
 |tᴴ Σ⁻¹ e|² − tᴴ Σ⁻¹ t and the information (tᴴ Σ⁻¹ t)²: a step of Fisher's scoring finds s.  It is taken as white, of
-one size per sample in all records, and is never more than the quietest part of the channel's own spectrum.
+one size per sample in all records, and is never more than the quietest part of the channel's own spectrum.  What such
+errors put into the outputs is no noise of theirs: it is taken out of their residuals when it is found, or these would
+be counted as noisy where the rig moves most, and explain what the inputs' noise does.
 """
 
 from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -21,16 +26,79 @@ SHOWS = 4.0  # standard deviations of a variance, from which on it is one; few l
 STAYS = 3.0  # and up to which it is given up again
 LEAST_LEFT = 0.5  # of the freedom of those lines that tell
 ROOM = 1 + STAYS / (2 * HALF_WINDOW + 1) ** 0.5  # the least of many means, over the mean
+TURNS = 40  # in which the outputs' noise is told from what errors of the inputs move
+SETTLED = 0.01  # change of a variance at which they end
+
+
+@dataclass(frozen=True, eq=False)
+class InputNoise:
+    """The noise of channels that measure inputs alone, as far as it is known; all (channels,).
+
+    sought: whether it is looked for; level: variance times samples; least, most: what it can be by the record itself
+    """
+
+    sought: Bools
+    level: Real
+    least: Real
+    most: Real
+
+    @staticmethod
+    def of(view: ObservationModel, spectrum: Spectrum, lines: Bools, V: Complex) -> InputNoise:
+        """Before the first fit: sought where the spectrum, or a time of rest, does not leave little to find.
+
+        lines (lines,): of the records whose noise is to be found; V (1, lines, channels, channels) as they show it.
+        """
+        variance = np.diagonal(V[0, lines], axis1=-2, axis2=-1).real * spectrum.samples[lines, None]
+        least, most = np.min(variance, axis=0), most_noise(spectrum, lines)
+        sought = view.inputs_alone & (most > ROOM**2 * least)
+        return InputNoise(sought, least, least, most)
+
+    def refined(
+        self, view: ObservationModel, spectrum: Spectrum, lines: Bools, data: Measured, residual: Complex, G: Complex
+    ) -> InputNoise:  # fmt: skip
+        """After another fit.  What a next step does not bear out is given up for good."""
+        ends = self.least, self.most
+        shown = input_noise(view, spectrum, lines, data, residual, G, self.level, ends)
+        level = np.where(self.sought, shown, self.least)
+        return replace(
+            self, sought=self.sought & ((self.level <= self.least) | (level > self.least)), level=level
+        )
+
+    def moves(self, view: ObservationModel, spectrum: Spectrum, G: Complex) -> Real:
+        """Mean power that such errors put into all channels where they count as the inputs, (lines, channels)."""
+        alone = view.inputs_alone & view.is_direct
+        by_channel = inputs_by_channel(view, alone)
+        if by_channel is None:
+            return np.zeros(G.shape[:2])
+        moved: Real = np.abs(G @ by_channel) ** 2 @ (self.level * alone) / spectrum.samples[:, None]
+        return moved
+
+
+def without_moved(power: Real, moved: Real, smooth: Callable[[Real], Real]) -> Real:
+    """Power of the outputs' own noise in residuals that hold what errors of the inputs move as well.
+
+    power, moved (lines, channels); smooth: variances from powers.  Steps of expectation and maximisation.
+    """
+    noise = smooth(power)
+    for _ in range(TURNS):
+        share = noise / np.maximum(noise + moved, np.finfo(float).tiny)
+        alone = share**2 * power + share * moved
+        before, noise = noise, smooth(alone)
+        if np.all(np.abs(noise - before) <= SETTLED * before):
+            break
+    return alone
 
 
 def input_noise(
     view: ObservationModel, spectrum: Spectrum, sought: Bools, data: Measured, residual: Complex, G: Complex,
-    before: Real, most: Real,
+    before: Real, ends: tuple[Real, Real],
 ) -> Real:  # fmt: skip
-    """Variance times samples of channels that measure inputs alone, (channels,): the next after `before`, 0 where none.
+    """Variance times samples of channels that measure inputs alone, (channels,): the next after `before`.
+
+    The least where no more is shown.
 
     sought (lines,): of the records whose noise is to be found; residual (lines, channels); G (lines, channels, inputs)
-    calibrated; most (channels,): as `most_noise` says.
+    calibrated; ends: the least and most that it can be, (channels,) each.
     """
     score, scale = _slopes(view, data, residual, G)
     each = (sought / spectrum.samples)[:, None]
@@ -40,11 +108,12 @@ def input_noise(
     # The few lines that tell are those at resonances, from which the fit has its unknowns and boundary loads as well.
     telling = information / np.maximum(np.max((each * scale) ** 2, axis=0), 1e-300)
     fitted = len(view.names) + 2 * view.model.n * len(spectrum.records)
-    left = np.where(before > 0, np.maximum(1 - fitted / (2 * telling), LEAST_LEFT), 1.0)
+    least, most = ends
+    left = np.where(before > least, np.maximum(1 - fitted / (2 * telling), LEAST_LEFT), 1.0)
     step = np.sum(each * (score / left - scale), axis=0) / information
-    level = np.clip(before + step, 0.0, most)
-    least = np.where(before > 0, STAYS, SHOWS) / np.sqrt(information)
-    shown: Real = np.where(usable & (level > least), level, 0.0)
+    level = np.clip(before + step, least, most)
+    more = np.where(before > least, STAYS, SHOWS) / np.sqrt(information)
+    shown: Real = np.where(usable & (level > least + more), level, least)
     return shown
 
 

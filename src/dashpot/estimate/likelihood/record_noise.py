@@ -21,7 +21,7 @@ from dashpot.data.spectrum import Spectrum
 from dashpot.data.stretch import WholeRecord
 from dashpot.errors import DataError
 from dashpot.estimate.likelihood.chunks import Measured
-from dashpot.estimate.likelihood.input_noise import input_noise, most_noise
+from dashpot.estimate.likelihood.input_noise import InputNoise, without_moved
 from dashpot.estimate.likelihood.maximum_likelihood import MaximumLikelihood
 from dashpot.estimate.likelihood.objective import bounds, local, measured, predict
 from dashpot.estimate.likelihood.record_sums import record_residuals
@@ -95,8 +95,8 @@ def noise_from_residuals(
     sought = np.array([kind == FLOOR for kind in spectrum.noise])
     outputs = ~view.inputs_alone
     V = _first(spectrum, sought, outputs)
-    blind = view.inputs_alone & ~np.any(np.diagonal(V[0, sought], axis1=-2, axis2=-1).real > 0, axis=0)
-    in_common, level, most = blind, np.zeros(len(blind)), most_noise(spectrum, sought)
+    inputs = InputNoise.of(view, spectrum, sought, V)
+    floor, changes = np.diagonal(V[0], axis1=-2, axis2=-1).real, sought[:, None] & (outputs | inputs.sought)
     psi: Real | None = None
     sign: Real = np.ones((1, len(spectrum.channels)))
     used, dof = 0.0, np.array(spectrum.dof)
@@ -110,19 +110,11 @@ def noise_from_residuals(
         residual, columns = residuals_of_records(view, exact, psi, sign)
         _require_decay(model, residual, exact)
         used = (columns + len(view.names)) / (2 * np.sum(sought) * max(np.sum(outputs), 1))
-        power = np.abs(residual) ** 2
-        if exact.q is None or np.any(in_common):
-            G = _responses(view, psi, sign)
-        if exact.q is None:
-            power += _explained(G, exact.W[0])
-        variance, dof = _smoothed(spectrum, power / max(1 - used, 0.1), V[0], sought, outputs)
-        if np.any(in_common):
-            known = level
-            level = in_common * input_noise(view, spectrum, sought, exact, residual, G, known, most)
-            in_common = in_common & ((known == 0) | (level > 0))  # what is given up once does not come back
-        variance = np.where(blind, level / spectrum.samples[:, None], variance)
+        power, inputs = _own_power(view, spectrum, sought, exact, residual, inputs, psi, sign)
+        variance, dof = _smoothed(spectrum, power / max(1 - used, 0.1), sought, outputs)
+        of_inputs = np.maximum(inputs.level / spectrum.samples[:, None], floor)
         before = np.diagonal(V[0], axis1=-2, axis2=-1).real
-        variance = np.where(sought[:, None] & (outputs | blind), variance, before)
+        variance = np.where(changes, np.where(outputs, variance, of_inputs), before)
         V = diagonal_matrices(variance)[None]
         if np.all(np.abs(variance - before) <= 2 * SETTLED * variance):
             break
@@ -132,6 +124,30 @@ def noise_from_residuals(
     kinds = tuple(np.where(sought, RESIDUAL, spectrum.noise).tolist())
     weighted = replace(spectrum, covariance=V, noise=kinds, dof=dof * (1 - used))
     return weighted, np.zeros((1, 0)) if psi is None else psi, sign
+
+
+def _own_power(
+    view: ObservationModel, spectrum: Spectrum, sought: Bools, data: Measured, residual: Complex, inputs: InputNoise,
+    psi: Real, sign: Real,
+) -> tuple[Real, InputNoise]:  # fmt: skip
+    """Mean power of each channel's own noise, (lines, channels), by what a fit leaves, and what is known of inputs.
+
+    With what the fitted inputs have taken out of the residual put back, and what errors of exact ones move taken out.
+    """
+    power = np.abs(residual) ** 2
+    if data.q is not None and not np.any(inputs.sought):
+        return power, inputs
+    G = _responses(view, psi, sign)
+    if data.q is None:
+        power += _explained(G, data.W[0])
+    if np.any(inputs.sought):
+        inputs = inputs.refined(view, spectrum, sought, data, residual, G)
+    if data.q is not None and np.any(inputs.level[view.inputs_alone] > 0):
+        moved = inputs.moves(view, spectrum, G)
+        power = without_moved(
+            power, moved, lambda each: _smoothed(spectrum, each, sought, ~view.inputs_alone)[0]
+        )
+    return power, inputs
 
 
 def _require_decay(model: Model, residual: Complex, data: Measured) -> None:
@@ -248,9 +264,7 @@ def _explained(G: Complex, W: Complex) -> Real:
     return taken
 
 
-def _smoothed(
-    spectrum: Spectrum, power: Real, before: Complex, sought: Bools, outputs: Bools
-) -> tuple[Real, Real]:
+def _smoothed(spectrum: Spectrum, power: Real, sought: Bools, outputs: Bools) -> tuple[Real, Real]:
     """Variances (lines, channels) from the power of residuals, and their degrees of freedom (lines,).
 
     Over 2·HALF_WINDOW + 1 lines of a record, over all its lines where they are white; records with fewer lines than
