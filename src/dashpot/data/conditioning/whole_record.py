@@ -23,6 +23,7 @@ from dashpot.data.record import Record
 from dashpot.data.spectrum import Spectrum, concatenate
 from dashpot.data.stretch import WholeRecord
 from dashpot.errors import DataError
+from dashpot.io.words import joined
 from dashpot.notices import Notice
 
 GAP = 1.5  # sampling steps: where the next sample is later than this, another record begins
@@ -37,6 +38,8 @@ FLOOR = "floor"  # kind of noise: white, as the top of the spectrum shows it, un
 LOWEST = 10  # line up to which a linear drift is felt
 MANY = 200  # lines from which on a column for it costs nothing to speak of
 TOP = (0.6, 0.98)  # of half the sampling rate: where that floor is read
+HIGHEST_LINES = 0.96  # of half the sampling rate: a recorder's filter leaves nothing above
+FOLDED = 0.01  # of a channel's largest lines: what moves there that is said
 MANY_LINES = 300_000  # from which on a narrower band is worth stating
 BYTES = 650  # of memory that an identification takes for each line of a channel
 FAR_BELOW = 0.1  # of the mean power of the lines: a floor is noise, not motion
@@ -112,7 +115,7 @@ def whole_record(
     duration = samples * step
     _require_motion(record)
     first, last = _lines_of(record.source, band_hz, samples, step)
-    X, floor = _amplitudes(record, first, last)
+    X, floor, folded = _amplitudes(record, first, last)
     if band_hz is None:
         X = X[: _moving(X)]
         last = first + len(X) - 1
@@ -130,6 +133,7 @@ def whole_record(
         record.channels, frequency, X, V, np.full(lines, samples), np.full(lines, dof), (kind,) * lines,
         np.full(lines, record.experiment),
         stretch=np.zeros(lines, dtype=np.int64),
+        notes=_notices(record, folded),
         stretches=(WholeRecord(duration, samples, loads, polynomial, ramp and _drift_shows(first, lines)),),
     )  # fmt: skip
 
@@ -150,18 +154,47 @@ def _lines_of(source: str, band_hz: tuple[float, float] | None, samples: int, st
     return first, last
 
 
-def _amplitudes(record: Record, first: int, last: int) -> tuple[Complex, Real]:
-    """Peak amplitudes of the lines, (lines, channels), and the white floor of each channel."""
+def _amplitudes(record: Record, first: int, last: int) -> tuple[Complex, Real, Real]:
+    """Peak amplitudes of the lines, (lines, channels), the white floor of each channel, and how it moves at the top."""
     samples = len(record.time)
     X = np.empty((last - first + 1, len(record.channels)), dtype=np.complex128)
-    floor = np.zeros(len(record.channels))
+    floor, folded = np.zeros(len(record.channels)), np.zeros(len(record.channels))
     for c in range(len(record.channels)):
         column = record.values[:, c]
         Y = fft.rfft(column - column.mean())
         Y *= 2 / samples
         X[:, c] = Y[first : last + 1]
         floor[c] = variance_at_rest(column) * 4 / samples or white_floor(Y)
-    return X, floor
+        folded[c] = at_the_top(Y, floor[c])
+    return X, floor, folded
+
+
+def at_the_top(Y: Complex, floor: float) -> float:
+    """Motion of one channel at half the sampling rate, of its largest lines; 0 where it is noise of mean power `floor`.
+
+    Y (N/2 + 1,) lines.  What moves there moves above, too, and that is folded back into all lines.
+    """
+    power = np.abs(Y) ** 2
+    top = power[int(HIGHEST_LINES * len(Y)) :]
+    if len(top) < 2 * BIN:
+        return 0.0
+    starts: Ints = np.arange(0, len(power) - BIN, BIN)
+    largest = float(np.max(np.add.reduceat(power, starts)[:-1])) / BIN
+    level, alike = float(np.mean(top)), STANDS_OUT / len(top) ** 0.5
+    return (level / largest) ** 0.5 if level > floor * (1 + alike) and largest > 0 else 0.0
+
+
+def _notices(record: Record, folded: Real) -> tuple[Notice, ...]:
+    """That channels move above half the sampling rate, of which they show `folded` (channels,)."""
+    names = [channel.name for channel, share in zip(record.channels, folded, strict=True) if share > FOLDED]
+    if not names:
+        return ()
+    text = (
+        f"{record.source}: {joined(names)} still {'move' if len(names) > 1 else 'moves'} at half the sampling rate "
+        f"({100 * np.max(folded):.2g} % of the largest lines): what lies above is folded back, and values may be off "
+        "by up to as much; sample faster, or through a filter against it"
+    )
+    return (Notice("folded", text, tuple(names)),)
 
 
 def whole_records(
@@ -186,22 +219,22 @@ def whole_records(
         whole_record(piece, band_hz=band_hz, still=still, polynomial=polynomial, ramp=ramp)
         for piece in pieces
     ]
-    joined = concatenate(spectra)
+    every = concatenate(spectra)
     used = sum(len(piece.time) for piece in pieces)
-    low, high = float(np.min(joined.frequency_hz)), float(np.max(joined.frequency_hz))
+    low, high = float(np.min(every.frequency_hz)), float(np.max(every.frequency_hz))
     text = (
-        f"{len(pieces)} whole record{'s' if len(pieces) > 1 else ''} of {used} samples: {joined.lines} lines from "
+        f"{len(pieces)} whole record{'s' if len(pieces) > 1 else ''} of {used} samples: {every.lines} lines from "
         f"{low:.4g} to {high:.4g} Hz, transients at both ends estimated with the rest"
     )
     notes.append(Notice("whole_records", text))
-    if band_hz is None and joined.lines > MANY_LINES:
-        gib = joined.lines * len(joined.channels) * BYTES / 2**30
+    if band_hz is None and every.lines > MANY_LINES:
+        gib = every.lines * len(every.channels) * BYTES / 2**30
         text = (
-            f"the record rises above its noise up to {high:.4g} Hz: its {joined.lines} lines take some {gib:.2g} GiB "
+            f"the record rises above its noise up to {high:.4g} Hz: its {every.lines} lines take some {gib:.2g} GiB "
             "to identify; a band that ends just above the rig's highest mode gives the same result for less"
         )
         notes.append(Notice("many_lines", text))
-    return replace(joined, notes=(*joined.notes, *notes))
+    return replace(every, notes=(*every.notes, *notes))
 
 
 def _aligned(record: Record, step: float) -> tuple[Record, tuple[Channel, ...]]:

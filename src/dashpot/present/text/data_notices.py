@@ -64,6 +64,12 @@ DATA_NOTICES: tuple[tuple[str, str, str, str], ...] = (
         "Nothing; `--band` changes the band.",
     ),
     (
+        "folded", RECORDS,
+        ("A channel still moves at half the sampling rate, as a hammer's blow of a few samples does without a filter. "
+        "What lies above is folded into the lines below, as an error of the motion that has no noise."),
+        "Sample faster, or switch on the recorder's anti-aliasing filter; a softer hammer tip helps as well.",
+    ),
+    (
         "many_lines", RECORDS,
         ("A long record rises above its noise up to high frequencies, and all of its lines are used: the memory needed "
         "grows with them."),

@@ -51,6 +51,19 @@ def test_white_noise_has_four_times_its_variance_over_samples() -> None:
     np.testing.assert_allclose(power, 4 * np.array([1.0, 0.09]) / 20000, rtol=0.05)  # 4 sd of 7,800 lines
 
 
+def test_what_moves_at_half_the_sampling_rate_is_said() -> None:
+    """A half sine of six samples, sampled as it is; beside it one of sixty, and resonances under white noise."""
+    rng = np.random.default_rng(3)
+    samples = 4000
+    blows = np.zeros((samples, 2))
+    for c, length in enumerate((6, 60)):
+        blows[500 : 500 + length, c] = np.sin(np.pi * (np.arange(length) + 0.3) / length)
+    said = whole_records([record(blows + 1e-3 * rng.normal(size=blows.shape))])
+    assert [note.of for note in said.notes if note.code == "folded"] == [("a",)]
+    resonances = whole_records([record(resonant(samples, rng))])
+    assert "folded" not in {note.code for note in resonances.notes}
+
+
 def test_the_floor_of_the_noise_is_found() -> None:
     lines = whole_record(record(resonant(4000, np.random.default_rng(2))))
     assert set(lines.noise) == {FLOOR}
