@@ -129,10 +129,11 @@ def compare_in_records(
 ) -> ElementComparison:
     """From whole records, by integration: candidates are scored at the fit of the rig as it is, the best fitted.
 
+    Inputs count as exact: were their true values unknown, errors of theirs could explain what an element would.
     Raises what `identify_records` raises.
     """
     base = model if len(model.nonlinear) else _with_nothing(model)
-    fitted = fit_records(base, records)
+    fitted = fit_records(base, records, exact_inputs=True)
     estimate = fitted.estimate()
     numbers = _independent(fitted, estimate)
     candidates = record_candidates(base, fitted.problem.records[0], further=True)
@@ -280,7 +281,7 @@ def _evidence(
         names.append(named.name)
         model = replace(model, elements=(*model.elements, named))
     try:
-        found = fit_records(_with_guesses(model, estimate), records)
+        found = fit_records(_with_guesses(model, estimate), records, exact_inputs=True)
     except DashpotError:
         return None
     share = found.problem.sd / fitted.problem.sd

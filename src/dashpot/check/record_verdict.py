@@ -47,18 +47,8 @@ def assess_records(model: Model, records: Sequence[Record], estimate: Estimate) 
         against = [*against, _reason(model, called_for)]
     verdict: Judgement = "does not fit" if against else "cannot tell"
     motions = [motion.compared() for motion in trails]
-    doubts = [] if against else [*powerless(estimate), *_exact_inputs(model)]
+    doubts = [] if against else powerless(estimate)
     return Assessment(verdict, (*against, *doubts), _relative(motions), _worst(motions), findings)
-
-
-def _exact_inputs(model: Model) -> list[Notice]:
-    """That noise of the inputs is not counted, if there are any."""
-    if not model.inputs:
-        return []
-    text = (
-        "the measured inputs count as exact, so noise in them biases the values and is not in the intervals"
-    )
-    return [Notice("exact_inputs", text, tuple(source.name for source in model.inputs))]
 
 
 def _finding(model: Model, channels: Sequence[Channel], called_for: CalledFor) -> Finding:

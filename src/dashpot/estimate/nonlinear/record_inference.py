@@ -8,14 +8,24 @@ from dashpot.arrays import Real
 from dashpot.errors import DataError
 from dashpot.estimate.inference.derived import known_values, tied_values
 from dashpot.estimate.inference.diagnostics import require_determined
+from dashpot.estimate.nonlinear.input_levels import (
+    InputNoise,
+    all_linearised,
+    moves_with_sizes,
+    stated_precision,
+)
 from dashpot.estimate.nonlinear.record_problem import RecordProblem
 from dashpot.estimate.nonlinear.records import total_samples
+from dashpot.estimate.nonlinear.restricted_likelihood import drawn_noise, unknowns_matrix
+from dashpot.estimate.nonlinear.uncertain_inputs import HALF_WINDOW, around
 from dashpot.estimate.result import Estimate, Fit
+from dashpot.model.network import Model
 from dashpot.notices import Notice
 from dashpot.numerics.small_systems import scaled_inverse
 
 HALF_BAND = 30  # lines on each side over which the residuals' spectrum is smoothed
 CUT_RECORD = "cut_record"  # code of a notice
+EXACT_INPUTS = "exact_inputs"  # code of a notice
 COLOURED = 1.5  # ratio of intervals with and without the residuals' colour that is told
 
 
@@ -26,20 +36,29 @@ def record_estimate(
     iterations: int,
     history: Real,
     limits: tuple[Real, Real],
+    noise: InputNoise | None = None,
+    held: bool = False,
 ) -> Estimate:
-    """Values ψ (M,), and intervals that count the colour of the residuals; history (iterations + 1, M)."""
+    """Values ψ (M,), and intervals that count the colour of the residuals; history (iterations + 1, M).
+
+    noise: of the inputs, whose true values were estimated too; held: inputs count as exact though they may not be.
+    """
     model, inner = problem.model, problem.inner
-    white, coloured, dof = record_covariances(problem, psi)
+    if noise is None:
+        white, coloured, dof = record_covariances(problem, psi)
+    else:
+        white, coloured, dof = uncertain_covariances(problem, psi, noise)
     names, units = record_unknowns(problem)
     values, covariance = psi[:inner], coloured[:inner, :inner]
     require_determined(names, values, white[:inner, :inner])
     plain = np.sqrt(np.diagonal(white)[:inner])
     lower, upper = limits[0][:inner], limits[1][:inner]
     warnings = _coloured_notice(np.sqrt(np.diagonal(covariance)) / plain)
-    held = (values <= lower) | (values >= upper)
+    warnings += _held_inputs(model) if held else []
+    at_bound = (values <= lower) | (values >= upper)
     warnings += [
         Notice("at_bound", f"{name} is at its bound", (name,))
-        for name, at in zip(names, held, strict=True)
+        for name, at in zip(names, at_bound, strict=True)
         if at
     ]
     if problem.pieces > 1:
@@ -48,14 +67,15 @@ def record_estimate(
         )
         warnings.append(Notice(CUT_RECORD, cut))
     rms = ", ".join(f"{n} {s:.3g}" for n, s in zip(problem.records[0].names, problem.sd, strict=True))
-    notes = (Notice("record_residuals", f"residuals of the whole records, rms in SI units: {rms}"),)
+    notes = [Notice("record_residuals", f"residuals of the whole records, rms in SI units: {rms}")]
+    notes += [] if noise is None else _input_notes(model, noise)
     return Estimate(
         model=model.name, method="ml", names=names, units=units, values=values, covariance=covariance,
         noise_covariance=covariance, bound_sd=plain, dof=np.full(inner, float(dof)), lower=lower, upper=upper,
         free_values=values, basis="residuals", converged=np.asarray(converged),
         iterations=np.asarray(iterations, dtype=np.int64), history=history,
         fit=Fit(np.asarray(float(dof)), dof, np.asarray(np.nan), known_noise=False), known=known_values(model),
-        tied=tied_values(model), modes=None, signs={}, warnings=tuple(warnings), notes=notes,
+        tied=tied_values(model), modes=None, signs={}, warnings=tuple(warnings), notes=tuple(notes),
     )  # fmt: skip
 
 
@@ -108,16 +128,83 @@ def record_unknowns(problem: RecordProblem) -> tuple[tuple[str, ...], tuple[str,
     return (*names, *offsets), (*units, *["N"] * len(offsets))
 
 
+def uncertain_covariances(problem: RecordProblem, psi: Real, noise: InputNoise) -> tuple[Real, Real, int]:
+    """As `record_covariances`, where the inputs are uncertain.
+
+    The scores are sums over the noise of the channels and the errors of the inputs; what each of both shows is counted
+    with the colour that it has beside draws of white noise, and so is how well its size is known.
+    """
+    prior = stated_precision(problem)
+    linear = all_linearised(problem, psi)
+    if not linear:
+        raise DataError("no motion follows", cure="give guesses of the unknowns nearer to the truth")
+    drawn = drawn_noise(linear, prior)
+    meat = np.diag(prior)
+    for k, record in enumerate(linear):
+        scores = np.zeros((len(record.chosen), len(record.chosen)))
+        for c in range(record.residual.shape[1]):
+            power = _smoothed_power(drawn.data[k][:, c])
+            usual = np.mean([_smoothed_power(each) for each in drawn.draws[k][:, c].T], axis=0)
+            scores += _meat(record.weighed_slopes[:, c], power / np.maximum(usual, np.finfo(float).tiny))
+        colour = around(drawn.errors[k] ** 2, HALF_WINDOW) / np.maximum(
+            around(np.mean(drawn.drawn_errors[k] ** 2, axis=-1), HALF_WINDOW), np.finfo(float).tiny
+        )
+        along = record.errors_along()
+        scores += np.einsum("nq,nqp,nqr->pr", colour, along, along)
+        meat[np.ix_(record.chosen, record.chosen)] += scores
+    bread = scaled_inverse(unknowns_matrix(linear, prior))
+    moved = moves_with_sizes(problem, psi, noise)
+    dof = max(total_samples(problem.records) - len(psi), 1)
+    return bread, bread @ meat @ bread + moved @ noise.spread @ moved.T, dof
+
+
+def _held_inputs(model: Model) -> list[Notice]:
+    """That the inputs count as exact because the motion hangs too much on them."""
+    text = (
+        "the motion depends too much on its inputs for their noise to be counted: they count as exact, so noise in "
+        "them biases the values and is not in the intervals"
+    )
+    return [Notice(EXACT_INPUTS, text, tuple(source.name for source in model.inputs))]
+
+
+def _input_notes(model: Model, noise: InputNoise) -> list[Notice]:
+    """How much noise the inputs have, and how that is known."""
+    sources = [*model.displacement_inputs, *model.force_inputs]
+    sd = np.sqrt(noise.variance)
+    groups = (
+        (noise.from_spectrum, "as the quiet part of its spectrum shows"),
+        (~noise.from_spectrum & (sd > 0), "as the residuals of the outputs show"),
+    )
+    notices = []
+    for chosen, how in groups:
+        names = [source for source, there in zip(sources, chosen, strict=True) if there]
+        if names:
+            sizes = ", ".join(f"{n} {s:.3g}" for n, s in zip(names, sd[chosen], strict=True))
+            text = f"noise of the inputs, sd in SI units: {sizes}, {how}; their true values are estimated too"
+            notices.append(Notice("input_noise", text, tuple(names)))
+    return notices
+
+
 def coloured_scores(residual: Real, J: Real) -> Real:
     """Σ_tτ J_t R(t − τ) J_τᵀ with the autocovariance R of the residuals, by their smoothed spectrum."""
-    N = len(residual)
-    spectrum = np.abs(np.fft.rfft(residual)) ** 2 / N
+    return _meat(J, _smoothed_power(residual))
+
+
+def _smoothed_power(residual: Real) -> Real:
+    """The power of a residual (samples,) at its lines, smoothed; its variance where it is white."""
+    spectrum = np.abs(np.fft.rfft(residual)) ** 2 / len(residual)
     width = min(2 * HALF_BAND + 1, len(spectrum))
     kernel = np.ones(width) / width
     padded = np.pad(spectrum, width // 2, mode="reflect") if len(spectrum) > width // 2 else spectrum
-    smooth = np.convolve(padded, kernel, mode="valid")[: len(spectrum)]
+    smooth: Real = np.convolve(padded, kernel, mode="valid")[: len(spectrum)]
+    return smooth
+
+
+def _meat(J: Real, smooth: Real) -> Real:
+    """The sum of `coloured_scores` for a power at the lines."""
+    N = len(J)
     lines = np.fft.rfft(J, axis=0)
-    weight = np.full(len(spectrum), 2.0)
+    weight = np.full(len(smooth), 2.0)
     weight[0] = 1.0
     if N % 2 == 0:
         weight[-1] = 1.0

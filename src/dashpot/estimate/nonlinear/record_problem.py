@@ -1,6 +1,7 @@
 """Misfit of whole records of a nonlinear rig: measured against the motion that follows by integration (THEORY §9).
 
-Unknown are θ, gains, a constant offset of every force input and the state at the start of each record.
+Unknown are θ, gains, a constant offset of every force input and the state at the start of each record; where inputs
+were measured with noise, their true values as well, which each evaluation finds and leaves out.
 """
 
 from __future__ import annotations
@@ -12,21 +13,34 @@ import numpy as np
 from dashpot.arrays import Real
 from dashpot.errors import ConvergenceError
 from dashpot.estimate.nonlinear.records import RecordData, shown_outputs
+from dashpot.estimate.nonlinear.uncertain_inputs import (
+    InputErrors,
+    KnownInputs,
+    LinearisedRecord,
+    NormalEquations,
+    OutputCovariance,
+)
 from dashpot.model.dynamics import matrices
 from dashpot.model.network import Model
 from dashpot.model.nonlinear.integration import Integrator, Motion
 from dashpot.model.nonlinear.propagation import forcing
 from dashpot.model.nonlinear.shooting import integrate
+from dashpot.model.nonlinear.tangent import tangent
 from dashpot.numerics.levenberg_marquardt import QuadraticModel
 
 STEP = 0.8  # of a step times the fastest rate of the linear rig
 ROUGH = 2  # more steps where laws are not smooth
 MOST = 1000  # steps between samples
+INNER = 6  # steps for the errors of the inputs at one ψ
+NEAR = 1e-3  # of χ², that another of them would lower
 
 
 @dataclass
 class RecordProblem:
-    """All that one evaluation needs; `last` holds the last motion of each record, from which the next is found."""
+    """All that one evaluation needs; `last` holds the last motion of each record, from which the next is found.
+
+    Where inputs are uncertain, `errors` holds their last errors, and `covariances` what their noise did to the outputs.
+    """
 
     model: Model
     records: tuple[RecordData, ...]
@@ -35,6 +49,9 @@ class RecordProblem:
     substeps: tuple[int, ...]
     last: dict[int, Motion] = field(default_factory=dict)
     pieces: int = 1  # into which each record was cut
+    inputs: tuple[KnownInputs, ...] | None = None  # None: those measured are exact
+    errors: dict[int, InputErrors] = field(default_factory=dict)
+    covariances: dict[int, OutputCovariance] = field(default_factory=dict)
 
     @property
     def states(self) -> int:
@@ -47,6 +64,11 @@ class RecordProblem:
         """Unknowns before the starts of the records: θ, gains, offsets."""
         return len(self.model.unknowns) + self.gains + int(self.model.S.shape[1])
 
+    def sizes(self) -> Real:
+        """Root mean square of each channel over all records, (channels,)."""
+        rms: Real = np.sqrt(np.mean(np.concatenate([data.outputs for data in self.records]) ** 2, axis=0))
+        return rms
+
     def begun(self) -> dict[int, Motion]:
         """The last motions as starts for other rigs of the same states."""
         return {k: replace(motion, along=None, forces={}) for k, motion in self.last.items()}
@@ -58,58 +80,75 @@ class RecordProblem:
 
     def residuals(self, psi: Real, slopes: bool = True) -> list[tuple[Real, Real | None]]:
         """For each record: measured less shown, in standard deviations, and slopes of what is shown, (…, unknowns)."""
+        return [self.residual(k, psi, slopes) for k in range(len(self.records))]
+
+    def residual(self, k: int, psi: Real, slopes: bool = True) -> tuple[Real, Real | None]:
+        """Those of one record."""
         m, s = len(self.model.unknowns), self.model.S.shape[1]
         theta, gain = psi[:m], psi[m : m + self.gains]
         offset = psi[m + self.gains : self.inner]
-        results: list[tuple[Real, Real | None]] = []
-        for k, data in enumerate(self.records):
-            machine = Integrator(
-                self.model, theta, forcing(data.step_s, data.inputs), self.substeps[k], offset
-            )
-            first = self.inner + k * self.states
-            start = psi[first : first + self.states]
-            motion = integrate(machine, start, self.last.get(k), slopes=slopes)
-            if not motion.closed:
-                results.append((np.full_like(data.outputs, np.inf), None))
-                continue
-            y, J = shown_outputs(machine, data, motion)
-            factor = np.array([1.0 if g < 0 else gain[g] for g in data.gain])
-            residual = data.outputs - factor * y
-            zero = np.array(data.drift)
-            residual = residual - np.where(zero, np.mean(residual, axis=0), 0.0)
-            if J is None:
-                results.append((residual / self.sd, None))
-                continue
-            total = np.zeros((*J.shape[:2], len(psi)))
-            total[..., :m] = J[..., self.states : self.states + m]
-            total[..., m + self.gains : self.inner] = J[..., self.states + m : self.states + m + s]
-            total[..., first : first + self.states] = J[..., : self.states]
-            total *= factor[:, None]
-            for c, g in enumerate(data.gain):
-                if g >= 0:
-                    total[:, c, m + g] = y[:, c]
-            total = total - np.where(zero[:, None], np.mean(total, axis=0), 0.0)
-            self.last[k] = replace(motion, slope=None)
-            results.append((residual / self.sd, total / self.sd[:, None]))
-        return results
+        data = self.data_at(k, psi)
+        machine = Integrator(self.model, theta, forcing(data.step_s, data.inputs), self.substeps[k], offset)
+        first = self.inner + k * self.states
+        start = psi[first : first + self.states]
+        motion = integrate(machine, start, self.last.get(k), slopes=slopes)
+        if not motion.closed:
+            return np.full_like(data.outputs, np.inf), None
+        y, J = shown_outputs(machine, data, motion)
+        factor = np.array([1.0 if g < 0 else gain[g] for g in data.gain])
+        residual = data.outputs - factor * y
+        zero = np.array(data.drift)
+        residual = residual - np.where(zero, np.mean(residual, axis=0), 0.0)
+        if J is None:
+            return residual / self.sd, None
+        total = np.zeros((*J.shape[:2], len(psi)))
+        total[..., :m] = J[..., self.states : self.states + m]
+        total[..., m + self.gains : self.inner] = J[..., self.states + m : self.states + m + s]
+        total[..., first : first + self.states] = J[..., : self.states]
+        total *= factor[:, None]
+        for c, g in enumerate(data.gain):
+            if g >= 0:
+                total[:, c, m + g] = y[:, c]
+        total = total - np.where(zero[:, None], np.mean(total, axis=0), 0.0)
+        self.last[k] = replace(motion, slope=None)
+        if self.inputs is not None:
+            along = tangent(machine, motion, data.on_x, data.on_q, data.derivative)
+            self.covariances[k] = OutputCovariance(along, factor / self.sd, self.inputs[k])
+        return residual / self.sd, total / self.sd[:, None]
+
+    def data_at(self, k: int, psi: Real) -> RecordData:
+        """A record with the inputs that are taken for the true ones at ψ (M,): those measured where they are exact."""
+        data = self.records[k]
+        if self.inputs is None:
+            return data
+        return replace(data, inputs=self.inputs[k].moved(self.errors_at(k, psi)))
+
+    def errors_at(self, k: int, psi: Real) -> Real:
+        """The errors of a record's inputs that are likeliest at ψ, in standard deviations, (samples, q); 0 at first."""
+        assert self.inputs is not None
+        known = self.errors.get(k)
+        return np.zeros_like(self.inputs[k].spread) if known is None else known.at(psi)
 
     def misfit(self, psi: Real) -> float:
         """Sum of squared residuals at ψ (M,), inf where no motion follows."""
-        return float(sum(np.sum(residual**2) for residual, _ in self.residuals(psi, slopes=False)))
+        total = sum(float(np.sum(residual**2)) for residual, _ in self.residuals(psi, slopes=False))
+        if self.inputs is not None:
+            total += sum(float(np.sum(self.errors_at(k, psi) ** 2)) for k in range(len(self.records)))
+        return total
 
     def quadratic(self, psi: Real) -> QuadraticModel:
         """Cost with priors, slope and curvature at ψ (1, M)."""
         M = psi.shape[-1]
         cost, gradient, matrix = 0.0, np.zeros(M), np.zeros((M, M))
         impossible = not np.all(np.isfinite(psi))
-        for residual, J in [] if impossible else self.residuals(psi[0]):
-            if J is None:
+        for k in range(0 if impossible else len(self.records)):
+            part = self.normal_equations(k, psi[0])
+            if part is None:
                 impossible = True
                 break
-            flat = J.reshape(-1, M)
-            cost += float(np.sum(residual**2))
-            gradient += flat.T @ residual.ravel()
-            matrix += flat.T @ flat
+            cost += part.cost
+            gradient[part.chosen] += part.gradient
+            matrix[np.ix_(part.chosen, part.chosen)] += part.matrix
         if impossible:
             nothing = np.full((1, M, M), np.nan)
             return QuadraticModel(np.array([np.inf]), nothing[..., 0], nothing, nothing)
@@ -120,6 +159,44 @@ class RecordProblem:
         matrix += np.diag(prior)
         total = cost + float(np.sum(prior * away**2))
         return QuadraticModel(np.array([total]), (gradient - prior * away)[None], matrix[None], matrix[None])
+
+    def normal_equations(self, k: int, psi: Real) -> NormalEquations | None:
+        """Of one record at ψ (M,); None where no motion follows."""
+        if self.inputs is not None:
+            linear = self.linearised(k, psi)
+            return None if linear is None else linear.normal_equations()
+        residual, J = self.residual(k, psi)
+        if J is None:
+            return None
+        flat = J.reshape(-1, len(psi))
+        square = float(np.sum(residual**2))
+        return NormalEquations(np.arange(len(psi)), square, flat.T @ residual.ravel(), flat.T @ flat)
+
+    def linearised(self, k: int, psi: Real) -> LinearisedRecord | None:
+        """A record with uncertain inputs around their likeliest values at ψ (M,); None where no motion follows.
+
+        Raises NotSolvedError where noise of the inputs does more than can be reckoned with.
+        """
+        own = self.inner + k * self.states
+        chosen = np.concatenate([np.arange(self.inner), np.arange(own, own + self.states)])
+        for turn in range(INNER):
+            white = self.errors_at(k, psi)
+            residual, J = self.residual(k, psi)
+            if J is None:
+                return None
+            V = self.covariances[k]
+            free = residual + V.reach(white[..., None])[..., 0]
+            linear = LinearisedRecord(V, free, J[..., chosen], chosen, np.flatnonzero(self.records[k].drift))
+            likeliest = linear.errors()
+            gained = float(np.sum(residual**2) + np.sum(white**2)) - linear.cost
+            near = gained < NEAR or turn == INNER - 1
+            along = np.zeros((*white.shape, len(psi)))
+            if near:
+                along[..., chosen] = linear.errors_along()
+            self.errors[k] = InputErrors(psi, likeliest, along)
+            if near:
+                break
+        return linear
 
 
 def enough_substeps(model: Model, theta: Real, step_s: float, motion: tuple[Real, Real] | None = None) -> int:

@@ -1,8 +1,9 @@
 """Identification of nonlinear rigs from whole records: maximum likelihood by integration in time (THEORY §9).
 
 Unknown beside θ and gains: the state at the start of each record, and a constant offset of every force input, which
-shifts the working point of a nonlinear rig and so is no matter of taking means out.  Inputs count as exact.  Noise is
-white for the fit and of whatever colour the residuals have for the intervals (a sandwich with their spectrum).
+shifts the working point of a nonlinear rig and so is no matter of taking means out.  Where the measured inputs show
+noise, their true values are unknown too (`input_levels`).  Noise is white for the fit and of whatever colour the
+residuals have for the intervals (a sandwich with their spectrum).
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ from dashpot.arrays import Ints, Real
 from dashpot.data.record import Record
 from dashpot.errors import DataError, UsageError
 from dashpot.estimate.nonlinear.held_records import released
+from dashpot.estimate.nonlinear.input_levels import InputNoise, with_uncertain_inputs
 from dashpot.estimate.nonlinear.objective import must_be_positive
 from dashpot.estimate.nonlinear.record_inference import record_estimate
 from dashpot.estimate.nonlinear.record_problem import RecordProblem, enough_for_record
@@ -26,6 +28,7 @@ from dashpot.estimate.nonlinear.records import (
     measured_coordinates,
     total_samples,
 )
+from dashpot.estimate.nonlinear.uncertain_inputs import NotSolvedError
 from dashpot.estimate.result import Estimate
 from dashpot.model.network import Model
 from dashpot.numerics.levenberg_marquardt import OptimizeResult, QuadraticModel, minimise
@@ -48,7 +51,10 @@ FAR = 3.0  # standard deviations beyond which one step of Gauss and Newton is no
 
 @dataclass(frozen=True)
 class FittedRecords:
-    """Where the search over whole records ended: ψ (M,) of the problem, θ after each round, bounds."""
+    """Where the search over whole records ended: ψ (M,) of the problem, θ after each round, bounds.
+
+    noise: of the inputs, None where they show none or are `held` at what was measured, whose errors defy reckoning.
+    """
 
     problem: RecordProblem
     psi: Real
@@ -56,11 +62,20 @@ class FittedRecords:
     iterations: int
     history: Real
     limits: tuple[Real, Real]
+    noise: InputNoise | None = None
+    held: bool = False
 
     def estimate(self) -> Estimate:
         """Values with intervals.  Raises DataError and IdentifiabilityError."""
         return record_estimate(
-            self.problem, self.psi, self.converged, self.iterations, self.history, self.limits
+            self.problem,
+            self.psi,
+            self.converged,
+            self.iterations,
+            self.history,
+            self.limits,
+            self.noise,
+            self.held,
         )
 
 
@@ -85,9 +100,16 @@ def identify_records(
 
 
 def fit_records(
-    model: Model, records: Sequence[Record], *, progress: Callable[[int, int], None] | None = None
+    model: Model,
+    records: Sequence[Record],
+    *,
+    exact_inputs: bool = False,
+    progress: Callable[[int, int], None] | None = None,
 ) -> FittedRecords:
-    """The most likely ψ.  Raises as `identify_records`."""
+    """The most likely ψ; exact_inputs: with the measured inputs for the true ones, whatever their noise.
+
+    Raises as `identify_records`.
+    """
     model.require_unknowns()
     if not len(model.nonlinear):
         raise UsageError(
@@ -109,9 +131,32 @@ def fit_records(
         problem, psi = _released(before, psi)
         search = _searched(problem, psi, progress)
     limits = _bounds(problem, search.x[0])
-    problem, psi = _refined(problem, search.x[0], limits)
-    history = np.concatenate([search.history, psi[None, : problem.inner]])
-    return FittedRecords(problem, psi, bool(search.converged[0]), int(search.iterations[0]), history, limits)
+    ended = FittedRecords(
+        problem, search.x[0], bool(search.converged[0]), int(search.iterations[0]), search.history, limits
+    )
+    if ended.converged and not exact_inputs:
+        ended = _with_true_inputs(ended, data)
+    problem, psi = _refined(ended.problem, ended.psi, limits)
+    history = np.concatenate([ended.history, psi[None, : problem.inner]])
+    return replace(ended, problem=problem, psi=psi, history=history)
+
+
+def _with_true_inputs(exact: FittedRecords, measured: Sequence[RecordData]) -> FittedRecords:
+    """The fit with the true inputs unknown, where those measured show noise; as it is where they show none."""
+
+    def descend(problem: RecordProblem, psi: Real, limit: int) -> OptimizeResult:
+        return _descended(problem, psi, exact.limits, limit)
+
+    try:
+        better = with_uncertain_inputs(exact.problem, exact.psi, measured, descend)
+    except NotSolvedError:
+        return replace(exact, held=True)
+    if better is None:
+        return exact
+    problem, end, noise = better
+    history = np.concatenate([exact.history, end.x[:, : problem.inner]])
+    iterations = exact.iterations + int(end.iterations[0])
+    return FittedRecords(problem, end.x[0], bool(end.converged[0]), iterations, history, exact.limits, noise)
 
 
 def _far_off(problem: RecordProblem, psi: Real) -> bool:

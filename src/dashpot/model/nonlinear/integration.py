@@ -53,6 +53,16 @@ class Motion:
     forces: dict[int, PointForces]
 
 
+@dataclass(frozen=True)
+class InputLoads:
+    """What unit inputs do at the nodes of one step: forces on the coordinates (4, n, columns), shift and rate of the
+    displacement inputs (4, r, columns)."""
+
+    force: Real
+    shift: Real
+    rate: Real
+
+
 class Integrator:
     """Steps of one rig at one set of parameters.  Columns of slopes: all states, then `directions` of ψ."""
 
@@ -109,6 +119,39 @@ class Integrator:
         after = np.concatenate([nodes[:, 3], at.z[:, 3]], axis=1)
         return Stepped(after, self._slopes(slope, nodes, at, index, with_unknowns), (at.a, at.z))
 
+    def along_inputs(
+        self, state: Real, slope: Real, index: Ints, moved: InputLoads, guess: PointForces | None = None
+    ) -> Stepped:
+        """As `advance`; the last columns of the slopes are those along the inputs, of which `moved` tells this step."""
+        n, S, Q = self.model.n, len(state), slope.shape[-1]
+        base = (state[:, : 2 * n] @ self.grown).reshape(S, 4, 2 * n) + self.forced[index]
+        free_d = base[..., :n] @ self.Bn.T + self.moved_d[index]
+        free_v = base[..., n:] @ self.Bn.T + self.moved_v[index]
+        at = self._solve(free_d, free_v, state[:, 2 * n :], guess)
+        end = base[:, 3] + at.a.reshape(S, -1) @ self.pulled[3].T
+        grown = (self.grown.T @ slope[:, : 2 * n]).reshape(S, 4, 2 * n, Q)
+        columns = moved.force.shape[-1]
+        grown[..., Q - columns :] += (self.driven @ moved.force.reshape(4 * n, columns)).reshape(
+            4, 2 * n, columns
+        )
+        direct = np.zeros((S, 4, len(self.laws), Q))
+        for i, row in enumerate(self.with_state):
+            direct[:, :, row] += at.by_z0[:, :, row, None] * slope[:, None, 2 * n + i]
+        nothing = np.zeros((4, len(self.laws), Q - columns))
+        d, v = (np.concatenate([nothing, self.Dn @ way], axis=-1) for way in (moved.shift, moved.rate))
+        after = self._behind(slope, grown, direct, at, d, v)
+        return Stepped(np.concatenate([end, at.z[:, 3]], axis=1), after, (at.a, at.z))
+
+    def input_loads(self) -> list[InputLoads]:
+        """What the coefficients of the inputs' cubics do in each of the steps between two samples."""
+        inputs = self.drive.coefficients.shape[-1]
+        columns = 4 * inputs
+        unit = Forcing(self.drive.step_s, np.eye(columns).reshape(columns, 4, inputs))
+        force, moved = loads(self.model, self.p, unit, self.substeps)
+        force = np.moveaxis(force.reshape(columns, self.substeps, 4, self.model.n), 0, -1)
+        moved = np.moveaxis(moved.reshape(columns, self.substeps, 4, 2, -1), 0, -1)
+        return [InputLoads(f, m[:, 0], m[:, 1]) for f, m in zip(force, moved, strict=True)]
+
     def input_rates(self) -> list[Real]:
         """Rates and accelerations of the displacement inputs at the samples, (samples, r) each."""
         c, h = self.drive.coefficients[..., : self.model.D.shape[1]], self.drive.step_s
@@ -119,14 +162,9 @@ class Integrator:
 
     def acceleration(self, motion: Motion) -> tuple[Real, Real | None]:
         """Accelerations at the samples, (samples, n), and their slopes like those of the motion."""
-        n, first = self.model.n, self.substeps * np.arange(self.drive.intervals)
-        force = np.concatenate([self.force[first, 0], self.force[-1:, 3]])
-        inputs = np.concatenate([self.inputs[first, 0], self.inputs[-1:, 3]])
-        x, v = motion.state[:, None, :n], motion.state[:, None, n : 2 * n]
-        u, du = inputs[:, None, 0], inputs[:, None, 1]
-        d, rate = x @ self.Bn.T + u @ self.Dn.T, v @ self.Bn.T + du @ self.Dn.T
-        z = motion.state[:, None, 2 * n :]
-        at = self._instant(d, rate, z)
+        x, v, force, u, du = self._instants(motion)
+        n = self.model.n
+        at = self._instant_forces(motion, x, v, u, du)
         K, C, _ = self.step.both
         pull = force[:, None] - x @ K.T - v @ C.T - (at.a * self.p[self.model.nonlinear]) @ self.Bn
         acceleration = (pull @ self.step.inertia.T)[:, 0]
@@ -144,6 +182,37 @@ class Integrator:
         load[..., start : start + m] += self._unit_loads(nodes, at, force[:, None], u, du)[:, 0]
         load[..., start + m :] += self.offsets
         return acceleration, self.step.inertia @ load
+
+    def acceleration_by_inputs(self, motion: Motion) -> Real:
+        """Slopes of the accelerations along the cubics of each sample's interval, (samples, n, 4 (r + s)).
+
+        The state at the sample is held.
+        """
+        x, v, _, u, du = self._instants(motion)
+        at = self._instant_forces(motion, x, v, u, du)
+        each = self.input_loads()
+        first, last = each[0], each[-1]
+        slopes = np.empty((len(x), self.model.n, first.force.shape[-1]))
+        for chosen, moved, node in ((slice(0, -1), first, 0), (slice(-1, None), last, 3)):
+            count = len(x[chosen])
+            shape = (count, 1, len(self.laws), first.force.shape[-1])
+            d, rate = (np.broadcast_to(self.Dn @ way[node], shape) for way in (moved.shift, moved.rate))
+            d_a = at.rows(chosen).times(d, rate)[:, 0]
+            slopes[chosen] = moved.force[node] - (self.Bn.T * self.p[self.model.nonlinear]) @ d_a
+        by_inputs: Real = self.step.inertia @ slopes
+        return by_inputs
+
+    def _instants(self, motion: Motion) -> tuple[Real, Real, Real, Real, Real]:
+        """At the samples: x, v (samples, 1, n), forces of the inputs (samples, n), u, u̇ (samples, 1, r)."""
+        n, first = self.model.n, self.substeps * np.arange(self.drive.intervals)
+        force = np.concatenate([self.force[first, 0], self.force[-1:, 3]])
+        inputs = np.concatenate([self.inputs[first, 0], self.inputs[-1:, 3]])
+        x, v = motion.state[:, None, :n], motion.state[:, None, n : 2 * n]
+        return x, v, force, inputs[:, None, 0], inputs[:, None, 1]
+
+    def _instant_forces(self, motion: Motion, x: Real, v: Real, u: Real, du: Real) -> StepForces:
+        d, rate = x @ self.Bn.T + u @ self.Dn.T, v @ self.Bn.T + du @ self.Dn.T
+        return self._instant(d, rate, motion.state[:, None, 2 * self.model.n :])
 
     def _instant(self, d: Real, v: Real, z: Real) -> StepForces:
         """Unit forces and slopes at single instants, (S, 1, e), the states z of the laws being given."""
@@ -251,9 +320,28 @@ class Integrator:
             )
             base[..., first : first + m] += (self.driven @ load.reshape(S, 4 * n, m)).reshape(S, 4, 2 * n, m)
             base[..., first + m :] += self.offset_moved
-        free_d, free_v = self.Bn @ base[:, :, :n], self.Bn @ base[:, :, n:]  # (S, 4, e, Q)
+        after = self._behind(slope, base, direct, at)
+        for i, row in enumerate(self.with_state if with_unknowns else ()):
+            inner = model.constant_slices[row]
+            after[:, 2 * n + i, first : first + m] += at.held[i].by_g[:, 3] @ model.constants_map[0][inner]
+        return after
+
+    def _behind(
+        self, slope: Real, base: Real, direct: Real, at: StepForces, moved_d: Real | float = 0.0,
+        moved_v: Real | float = 0.0,
+    ) -> Real:  # fmt: skip
+        """Slopes of the state behind the step, from those before it (S, states, Q).
+
+        base (S, 4, 2 n, Q): slopes at the nodes at fixed unit forces; direct (S, 4, e, Q): of the unit forces at fixed
+        elongations and rates, which inputs change by moved_d and moved_v (4, e, Q).
+        """
+        n, S, Q = self.model.n, len(slope), slope.shape[-1]
+        free_d, free_v = (
+            self.Bn @ base[:, :, :n] + moved_d,
+            self.Bn @ base[:, :, n:] + moved_v,
+        )  # (S, 4, e, Q)
         right = direct + at.times(free_d, free_v)
-        d_a = np.linalg.solve(self._matrix(at), right.reshape(S, 4 * e, Q))
+        d_a = np.linalg.solve(self._matrix(at), right.reshape(S, -1, Q))
         after = np.empty_like(slope)
         after[:, : 2 * n] = base[:, 3] + self.pulled[3] @ d_a
         if self.with_state:
@@ -266,9 +354,6 @@ class Integrator:
                 + np.einsum("sl,slq->sq", held.by_d[:, 3], d_d[:, :, row])
                 + np.einsum("sl,slq->sq", held.by_v[:, 3], d_v[:, :, row])
             )
-            if with_unknowns:
-                inner = model.constant_slices[row]
-                after[:, 2 * n + i, first : first + m] += held.by_g[:, 3] @ model.constants_map[0][inner]
         return after
 
     def _unit_loads(self, nodes: Real, at: StepForces, force: Real, u: Real, du: Real) -> Real:

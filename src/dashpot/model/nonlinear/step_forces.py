@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -51,6 +51,14 @@ class StepForces:
         wide = (len(d), -1, d.shape[-1])
         change: Real = self.by_d @ d.reshape(wide) + self.by_v @ v.reshape(wide)
         return change.reshape(d.shape)
+
+    def rows(self, chosen: slice) -> StepForces:
+        """Those of some of the segments, without the states of laws."""
+        by_g = tuple(by[chosen] for by in self.by_g)
+        return replace(
+            self, a=self.a[chosen], by_d=self.by_d[chosen], by_v=self.by_v[chosen], by_z0=self.by_z0[chosen], by_g=by_g,
+            z=self.z[chosen], held=(),
+        )  # fmt: skip
 
 
 def held_states(law: ForceLaw, d: Real, v: Real, z: Real, z0: Real, g: Real, h: float) -> HeldStates:

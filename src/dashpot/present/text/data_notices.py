@@ -86,6 +86,13 @@ DATA_NOTICES: tuple[tuple[str, str, str, str], ...] = (
         "Nothing; compare it with the noise of the sensor.",
     ),
     (
+        "input_noise", RECORDS,
+        ("The noise of the measured inputs of a nonlinear rig's whole records, by the quiet top of an input's own "
+        "spectrum or, where it has none, by what all outputs have in common. The true inputs are unknowns of the fit; "
+        "values and intervals count it."),
+        "Nothing; compare it with the noise of the sensor.",
+    ),
+    (
         "dropouts", RECORDS,
         ("A channel holds one value, or reads 0, for some samples of a dwell while the motion goes on. The amplitudes "
         "are those of the other samples."),

@@ -67,13 +67,6 @@ NOTICES: tuple[tuple[str, str, str, str], ...] = (
         "Mend the shielding or the ground loop, or end the band below it with `--band`.",
     ),
     (
-        "exact_inputs", _VERDICT,
-        ("In whole records of nonlinear rigs the measured inputs count as exact: noise in them biases the values, and "
-        "the intervals do not count it. With 3 % of noise on a base, values were up to nine of their standard "
-        "deviations off."),
-        "Measure the inputs with a quieter sensor, or use settled dwells, where their noise is counted.",
-    ),
-    (
         "no_noise", _VERDICT,
         "The noise of the amplitudes is not given, so the size of the residuals cannot be judged.",
         "Add columns `NAME_sd`, use the records themselves, or measure one record at rest.",
@@ -128,6 +121,13 @@ NOTICES: tuple[tuple[str, str, str, str], ...] = (
         ("The motion of a strongly nonlinear rig depends so much on its start that no single simulation follows the "
         "whole record. It was cut into pieces with starts of their own; the intervals count these as unknowns."),
         "Nothing need be done. A smaller drive or shorter records show whether the parameters stay the same.",
+    ),
+    (
+        "exact_inputs", _ESTIMATE,
+        ("The motion of a nonlinear rig in a whole record depends so much on its inputs that their noise cannot be "
+        "reckoned with: they count as exact. Noise in them biases the values, and the intervals do not count it. With "
+        "3 % of noise on a base, values were up to nine of their standard deviations off."),
+        "Measure the inputs with a quieter sensor, drive the rig less, or use settled dwells.",
     ),
     (
         "coloured_residuals", _ESTIMATE,

@@ -1,0 +1,239 @@
+"""How much noise the measured inputs of whole records have, and the search with their true values unknown (THEORY §9).
+
+As of linear rigs: a record at rest tells it; else the top of an input's own spectrum, where that is flat and far below
+the rest; else what the residuals of all outputs have in common, as the rig would carry it to them, where that is beyond
+chance.  It is white, of one size per sample in all records, and never more than the quietest part of the input's own
+spectrum.  Where the outputs show less than the top of the spectrum, that was motion, and they are believed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from dashpot.arrays import Bools, Real
+from dashpot.data.conditioning.still import HALF_WINDOW, smoothed
+from dashpot.data.conditioning.whole_record import TOP, white_floor
+from dashpot.estimate.likelihood.input_noise import ROOM, SHOWS, STAYS
+from dashpot.estimate.nonlinear.record_problem import RecordProblem
+from dashpot.estimate.nonlinear.records import RecordData
+from dashpot.estimate.nonlinear.restricted_likelihood import (
+    Sizes,
+    drawn_noise,
+    information_on_inputs,
+    sizes_of_noise,
+)
+from dashpot.estimate.nonlinear.uncertain_inputs import LinearisedRecord, known_inputs
+from dashpot.model.nonlinear.tangent import FEWEST
+from dashpot.numerics.levenberg_marquardt import OptimizeResult
+from dashpot.numerics.small_systems import scaled_inverse, solve_scaled
+
+WINDOWED = 35 / 18  # samples that count as one in the power of a record under Hann's window
+CHANGED = 0.1  # of the logarithm of a variance, for the slope along it
+ROUNDS = 20
+STEPS = 8  # of the search in each round
+SETTLED = 5e-3  # change of a standard deviation at which the rounds end
+LONGEST = np.log(4.0)  # of a step, of the logarithm of a variance
+LAST = 60  # steps of the last search
+EXACT = 1e-6  # of a channel's rms: residuals below it count no less
+LEAST = 1e-6  # of an input's size: noise that is looked for first
+
+NEGLIGIBLE = 1e-4  # of a size's information: so little is told of it where it moves nothing by 0.02 standard deviations
+
+Descend = Callable[[RecordProblem, Real, int], OptimizeResult]
+
+
+@dataclass(frozen=True)
+class OwnNoise:
+    """What the spectra of the inputs say of their noise, by themselves; each (q,).
+
+    shown: variance at the top of the spectrum, 0 where it tells none; freedom: degrees of freedom behind it; most: the
+    quietest part of the spectrum, which white noise does not exceed.
+    """
+
+    shown: Real
+    freedom: Real
+    most: Real
+
+
+def own_noise(records: Sequence[RecordData]) -> OwnNoise:
+    """Of inputs as they were measured."""
+    q = records[0].inputs.shape[1]
+    total, freedom, most = np.zeros(q), np.zeros(q), np.full(q, np.inf)
+    for record in records:
+        N = record.samples
+        window = np.hanning(N)[:, None]  # without it, what an input is at its ends spreads over all lines
+        lines = np.fft.rfft(window * (record.inputs - np.mean(record.inputs, axis=0)), axis=0)
+        lines /= np.sqrt(np.sum(window**2))
+        most = np.minimum(
+            most, ROOM * np.min(smoothed(np.abs(lines[1:]) ** 2 + 0j, HALF_WINDOW).real, axis=0)
+        )
+        level = np.array([white_floor(column) for column in lines.T])
+        count = np.where(level > 0, (TOP[1] - TOP[0]) * N / WINDOWED, 0.0)
+        total += count * level
+        freedom += count
+    return OwnNoise(total / np.maximum(freedom, 1.0), freedom, most)
+
+
+@dataclass(frozen=True)
+class InputNoise:
+    """The variances of the noise of the inputs (q,), 0 where it is none; from_spectrum (q,): where it shows there.
+
+    spread (channels + q, channels + q): covariance of the logarithms of the variances of channels and inputs.
+    """
+
+    variance: Real
+    from_spectrum: Bools
+    spread: Real
+
+
+def with_uncertain_inputs(
+    problem: RecordProblem, psi: Real, measured: Sequence[RecordData], descend: Descend
+) -> tuple[RecordProblem, OptimizeResult, InputNoise] | None:
+    """The search from ψ (M,), the end of one with exact inputs, with the noise of inputs and outputs found beside it.
+
+    measured: the records before any was cut; descend: the search, of so many steps at most.  None where the inputs show
+    no noise that matters.  Raises NotSolvedError where the motion hangs too much on its inputs for that.
+    """
+    if not problem.records[0].inputs.shape[1] or min(data.samples for data in problem.records) < FEWEST:
+        return None
+    own = own_noise(measured)
+    variance, by_spectrum = _first_variances(problem, psi, own)
+    while np.any(variance > 0):
+        search = _Search(problem, psi, own, by_spectrum, variance, descend)
+        end = search.run()
+        refuted, gone = search.refuted(), search.gone()
+        if not (np.any(refuted) or np.any(gone)):
+            return search.problem, end, InputNoise(search.variance, by_spectrum, search.spread())
+        by_spectrum = by_spectrum & ~refuted
+        variance = np.where(gone, 0.0, search.variance)
+    return None
+
+
+def _first_variances(problem: RecordProblem, psi: Real, own: OwnNoise) -> tuple[Real, Bools]:
+    """Variances of the inputs' noise to begin with, (q,), and which are from their own spectra."""
+    c = len(problem.sd)
+    size = np.sqrt(np.mean(np.concatenate([data.inputs for data in problem.records]) ** 2, axis=0))
+    unit = (LEAST * np.where(size > 0, size, 1.0)) ** 2
+    tried = _with_noise(problem, problem.sd, unit)
+    linear = all_linearised(tried, psi)
+    if not linear:
+        return np.zeros(len(unit)), np.zeros(len(unit), dtype=bool)
+    noise = drawn_noise(linear, stated_precision(problem))
+    slope = sizes_of_noise(linear, stated_precision(problem), noise).slope[c:]
+    information = information_on_inputs(linear, stated_precision(problem), noise)
+    usable = information > 0
+    times = slope / np.where(usable, information, 1.0)  # the unit, by Fisher's scoring from about 0
+    shows = usable & (times * np.sqrt(information) > SHOWS)
+    by_spectrum = (own.shown > 0) & (information * (own.shown / unit) ** 2 > NEGLIGIBLE)
+    in_common = np.where(shows & (own.shown == 0), np.minimum(times * unit, own.most), 0.0)
+    return np.where(by_spectrum, own.shown, in_common), by_spectrum
+
+
+class _Search:
+    """Rounds of a search for the unknowns and a step for the sizes of the noise of channels and inputs."""
+
+    def __init__(
+        self, problem: RecordProblem, psi: Real, own: OwnNoise, by_spectrum: Bools, variance: Real, descend: Descend
+    ) -> None:  # fmt: skip
+        self.problem, self.psi, self.descend = problem, psi, descend
+        self.own, self.variance, self.sought = own, variance, variance > 0
+        self.least = EXACT * problem.sizes()
+        # The top of an input's own spectrum is a measurement of its variance.
+        self.freedom = np.where(by_spectrum, own.freedom / 2, 0.0)
+        self.sizes = Sizes(np.zeros(0), np.zeros((0, 0)))
+
+    def run(self) -> OptimizeResult:
+        """Until the sizes settle; the last search is to its end."""
+        sd = self.problem.sd
+        for _ in range(ROUNDS):
+            self.problem = _with_noise(self.problem, sd, self.variance)
+            self.psi = self.descend(self.problem, self.psi, STEPS).x[0]
+            linear = all_linearised(self.problem, self.psi)
+            if not linear:
+                break
+            prior = stated_precision(self.problem)
+            self.sizes = sizes_of_noise(linear, prior, drawn_noise(linear, prior))
+            change = self._step()
+            c = len(sd)
+            sd = np.maximum(sd * np.exp(change[:c] / 2), self.least)
+            self.variance = self.variance * np.exp(change[c:])
+            if np.max(np.abs(change)) / 2 < SETTLED:
+                break
+        self.problem = _with_noise(self.problem, sd, self.variance)
+        return self.descend(self.problem, self.psi, LAST)
+
+    def _step(self) -> Real:
+        """Of the logarithms of the variances, channels first."""
+        c = len(self.problem.sd)
+        slope, information = self.sizes.slope.copy(), self.sizes.information.copy()
+        ratio = self.own.shown / np.where(self.sought, self.variance, 1.0)
+        slope[c:] += self.freedom * (ratio - 1) * self.sought
+        information[range(c, len(slope)), range(c, len(slope))] += self.freedom
+        moves = np.concatenate([np.ones(c, dtype=bool), self.sought])
+        change = np.zeros(len(slope))
+        change[moves] = solve_scaled(information[np.ix_(moves, moves)], slope[moves])
+        change = np.clip(np.nan_to_num(change), -LONGEST, LONGEST)
+        room = np.log(self.own.most / np.where(self.sought, self.variance, self.own.most))
+        change[c:] = np.where(self.sought & (self.freedom == 0), np.minimum(change[c:], room), change[c:])
+        return change
+
+    def spread(self) -> Real:
+        """Covariance of the logarithms of the variances."""
+        c, information = len(self.problem.sd), self.sizes.information.copy()
+        information[range(c, len(information)), range(c, len(information))] += self.freedom
+        moves = np.concatenate([np.ones(c, dtype=bool), self.sought])
+        spread = np.zeros_like(information)
+        spread[np.ix_(moves, moves)] = scaled_inverse(information[np.ix_(moves, moves)])
+        return spread
+
+    def refuted(self) -> Bools:
+        """Whether outputs show less noise of an input than the top of its spectrum, beyond doubt; (q,)."""
+        c = len(self.problem.sd)
+        told = np.maximum(np.diagonal(self.sizes.information)[c:], 1e-300)
+        by_itself = np.where(self.freedom > 0, self.freedom, np.inf)
+        away = self.sizes.slope[c:] * np.sqrt(1 / told + 1 / by_itself)
+        refuted: Bools = (self.freedom > 0) & (away < -STAYS)
+        return refuted
+
+    def gone(self) -> Bools:
+        """Whether of noise that outputs alone tell nothing is left, (q,)."""
+        sd = np.sqrt(np.diagonal(self.spread())[len(self.problem.sd) :])
+        gone: Bools = self.sought & (self.freedom == 0) & ~(sd < 1)
+        return gone
+
+
+def moves_with_sizes(problem: RecordProblem, psi: Real, noise: InputNoise) -> Real:
+    """How the end of a search, ψ (M,), moves with the logarithms of the variances, (M, channels + q)."""
+    c = len(problem.sd)
+    moves = np.zeros((len(psi), len(noise.spread)))
+    for number in np.flatnonzero(np.diagonal(noise.spread) > 0):
+        ends = []
+        for way in (-CHANGED, CHANGED):
+            change = np.where(np.arange(len(noise.spread)) == number, way, 0.0)
+            sd, variance = problem.sd * np.exp(change[:c] / 2), noise.variance * np.exp(change[c:])
+            around = _with_noise(problem, sd, variance).quadratic(psi[None])
+            ends.append(solve_scaled(around.symmetric, around.gradient)[0])
+        moves[:, number] = (ends[1] - ends[0]) / (2 * CHANGED)
+    return np.nan_to_num(moves)
+
+
+def _with_noise(problem: RecordProblem, sd: Real, variance: Real) -> RecordProblem:
+    """The same with noise of channels, sd (channels,), and of inputs, variance (q,)."""
+    inputs = tuple(known_inputs(data.inputs, np.sqrt(variance)) for data in problem.records)
+    return replace(problem, sd=sd, inputs=inputs, last=dict(problem.last), errors={}, covariances={})
+
+
+def all_linearised(problem: RecordProblem, psi: Real) -> list[LinearisedRecord]:
+    """All records around ψ; none where one has no motion."""
+    linear = [problem.linearised(k, psi) for k in range(len(problem.records))]
+    return [record for record in linear if record is not None] if None not in linear else []
+
+
+def stated_precision(problem: RecordProblem) -> Real:
+    """The precision that the unknowns of the problem are stated with, (M,)."""
+    prior = np.zeros(problem.inner + problem.states * len(problem.records))
+    prior[: len(problem.model.unknowns)] = problem.model.prior_precision
+    return prior

@@ -1,0 +1,97 @@
+"""Inputs of whole records that were measured with noise, against the same written out slowly."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.fft import dct
+from scipy.optimize import least_squares
+
+from dashpot.estimate.nonlinear.input_levels import own_noise
+from dashpot.estimate.nonlinear.record_problem import RecordProblem
+from dashpot.estimate.nonlinear.records import arranged
+from dashpot.estimate.nonlinear.uncertain_inputs import known_inputs
+from dashpot.estimate.nonlinear.whole_record import fit_records
+from dashpot.model.nonlinear.integration import Integrator
+from dashpot.model.nonlinear.propagation import forcing
+from dashpot.model.nonlinear.shooting import integrate
+from dashpot.numerics.levenberg_marquardt import minimise
+from tests.driven_rigs import cubic
+
+
+def problem_of(samples: int, drive: float) -> tuple[RecordProblem, np.ndarray]:
+    """The likelihood with known sizes of noise, and its unknowns at the truth and from rest."""
+    test = cubic(samples)
+    record = test.noisy(0.01, drive, 3)
+    sd = np.array([0.01, drive]) * np.std(test.record.values, axis=0)
+    data = arranged(test.model, record)
+    inputs = (known_inputs(data.inputs, sd[1:]),)
+    problem = RecordProblem(test.model, (data,), 0, sd[:1], (1,), inputs=inputs)
+    return problem, np.concatenate([test.theta, [0.0, 0.0]])
+
+
+def test_the_true_inputs_as_so_many_unknowns_give_the_same() -> None:
+    """Least squares over the unknowns, the start and each line of the input, with differences for slopes."""
+    problem, psi = problem_of(36, 0.03)
+    end = minimise(lambda x, rows: problem.quadratic(x), psi[None], limit=40, tolerance=1e-8)
+    data, known = problem.records[0], problem.inputs[0] if problem.inputs else None
+    assert known is not None
+    size = np.where(psi != 0, psi, 1e-3)
+
+    def residuals(z: np.ndarray) -> np.ndarray:
+        values, white = z[:5] * size, z[5:, None]
+        machine = Integrator(problem.model, values[:3], forcing(data.step_s, known.moved(white)), 1)
+        x = integrate(machine, values[3:]).state[:, :1]
+        left = data.outputs - x
+        return np.concatenate([((left - left.mean()) / problem.sd).ravel(), white.ravel()])
+
+    z = np.concatenate([psi / size, np.zeros(36)])
+    slow = least_squares(residuals, z, xtol=1e-12, ftol=1e-12, gtol=1e-12)
+    values = slow.x[:5] * size
+    covariance = np.linalg.inv(slow.jac.T @ slow.jac)[:5, :5] * np.outer(size, size)
+    sd = np.sqrt(np.diagonal(covariance))
+    assert np.all(np.abs(end.x[0] - values) < 1e-3 * sd)
+    assert end.cost[0] == pytest.approx(2 * slow.cost, rel=1e-5)
+    np.testing.assert_allclose(problem.quadratic(end.x).sd[0], sd, rtol=2e-3)
+
+
+def test_what_an_input_does_above_its_band_is_known_to_be_nothing() -> None:
+    test = cubic(800)
+    sd = 0.03 * np.std(test.record.values[:, 1:], axis=0)
+    known = known_inputs(test.noisy(0.0, 0.03, 4).values[:, 1:], sd)
+    lines = dct(known.mean - test.record.values[:, 1:], axis=0, norm="ortho")
+    assert np.all(known.spread[20:100] > 0.95 * sd)  # to 9 of 15 Hz
+    assert np.sqrt(np.mean(known.spread[400:] ** 2)) < 0.5 * sd
+    assert np.std(lines) < 0.7 * sd
+
+
+def test_the_top_of_the_spectrum_tells_the_noise_of_an_input() -> None:
+    """2 % of 300 lines (5.8 % of one standard deviation of a variance, 2.9 of a size); seed 4."""
+    test = cubic(800)
+    sd = 0.03 * float(np.std(test.record.values[:, 1]))
+    own = own_noise([arranged(test.model, test.noisy(0.01, 0.03, 4))])
+    assert np.sqrt(own.shown[0]) == pytest.approx(sd, rel=0.15)
+    assert np.sqrt(own.most[0]) == pytest.approx(sd, rel=0.4)
+
+
+def test_exact_inputs_stay_exact_to_the_bit() -> None:
+    test = cubic(400)
+    record = test.noisy(0.01, 0.0, 6)
+    fitted, held = (fit_records(test.model, [record], exact_inputs=held) for held in (False, True))
+    assert fitted.noise is None
+    np.testing.assert_array_equal(fitted.psi, held.psi)
+
+
+def test_noise_of_the_input_is_told_and_widens_the_intervals() -> None:
+    test = cubic(400)
+    record = test.noisy(0.01, 0.03, 6)
+    estimate = fit_records(test.model, [record]).estimate()
+    held = fit_records(test.model, [record], exact_inputs=True).estimate()
+    assert [notice.code for notice in estimate.notes] == ["record_residuals", "input_noise"]
+    assert estimate.notes[1].of == ("u",)
+    assert np.all(np.abs(estimate.values - test.theta) < 4 * estimate.sd)
+    quiet = replace(record, values=test.noisy(0.01, 0.0, 6).values)
+    assert np.all(estimate.bound_sd > fit_records(test.model, [quiet]).estimate().bound_sd)
+    assert held.warnings == () or "exact_inputs" not in [notice.code for notice in held.warnings]
