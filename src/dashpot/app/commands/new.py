@@ -15,9 +15,9 @@ HEAVIEST = 1e9  # kg
 CHAIN = "The rig"
 UNKNOWN = "unknown"
 WEIGHED = MASS.or_words(UNKNOWN)
-DRIVES = ("base", "force")
 MASSES = Count(1, 50)
-MOTIONS = ("displacement", "velocity", "acceleration")
+DRIVEN = click.Choice(("base", "force"), case_sensitive=False)
+MEASURED = click.Choice(("displacement", "velocity", "acceleration"), case_sensitive=False)
 
 
 @dashpot_command(
@@ -31,12 +31,12 @@ MOTIONS = ("displacement", "velocity", "acceleration")
 @option(
     "--driven-by",
     "drive",
-    type=click.Choice(DRIVES),
+    type=DRIVEN,
     default=None,
     group=CHAIN,
     help="The base moves, or a force acts.",
 )
-@option("--motion", type=click.Choice(MOTIONS), default=None, group=CHAIN, help="What the sensors measure.")
+@option("--motion", type=MEASURED, default=None, group=CHAIN, help="What the sensors measure.")
 @option(
     "--unit", default=None, metavar="UNIT", group=CHAIN, help="Unit of the sensors, such as mm, m/s or g."
 )
@@ -69,25 +69,29 @@ def command(
 
     from dashpot.io.atomic import write_text
     from dashpot.model.rigfile import parse_rig
-    from dashpot.model.rigfile.starter import Chain, starter_text
+    from dashpot.model.rigfile.starter import STAND_IN, Chain, starter_text
     from dashpot.units import scale
 
     ask = _asked if sys.stdin.isatty() else _usual
     usual = Chain()
     name = name if name is not None else ask("Name of the rig", usual.name)
     masses = masses if masses is not None else ask("How many masses in a row", usual.masses, MASSES)
-    drive = drive or ask("What drives it", usual.drive, click.Choice(DRIVES))
-    motion = motion or ask("What the sensors measure", usual.motion, click.Choice(MOTIONS))
+    drive = drive or ask("What drives it", usual.drive, DRIVEN)
+    motion = motion or ask("What the sensors measure", usual.motion, MEASURED)
     si = {"displacement": "m", "velocity": "m/s", "acceleration": "m/s²"}[motion]
     unit = unit or ask("Unit of the sensors", si, TextType("unit", partial(_unit, motion)))
     if known is None and (first := ask("Mass of x1, where it has been weighed", UNKNOWN, WEIGHED)) != UNKNOWN:
         known = first
     scale(unit, motion, uncalibrated=True)  # refused here, before a rig file has it in three places
-    text = starter_text(
-        Chain(name, masses, cast(Any, drive), cast(Any, motion), unit, usual.force_unit, known)
-    )
+    chain = Chain(name, masses, cast(Any, drive), cast(Any, motion), unit, usual.force_unit, known)
+    text = starter_text(chain)
     parse_rig(text, rig)
     write_text(rig, text)
+    if chain.lacks_scale:
+        click.echo(
+            f"Without a force only ratios to one value can be found: m1 = {STAND_IN:g} kg stands in the file "
+            "until you write the weighed mass there."
+        )
     click.echo(f"Written: {rig}. Next: dashpot check {rig}")
 
 
@@ -104,7 +108,15 @@ def _unit(motion: str, text: str) -> str:
 
 def _asked(question: str, usual: Any, kind: click.ParamType[Any] = click.STRING) -> Any:
     """The answer to a question, which is asked again until it is one."""
-    return click.prompt(question, default=usual, type=kind)
+
+    def answer(text: Any) -> Any:
+        return kind((text.strip() or usual) if isinstance(text, str) else text)
+
+    try:
+        return click.prompt(question, default=usual, type=kind, value_proc=answer)
+    except click.Abort:
+        click.echo(err=True)  # what is said next gets a line of its own
+        raise
 
 
 def _usual(question: str, usual: Any, kind: click.ParamType[Any] = click.STRING) -> Any:

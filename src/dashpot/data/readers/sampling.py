@@ -57,8 +57,7 @@ def time_column(columns: Columns, channels: Sequence[Channel], may_lack: bool = 
         )
     if may_lack:
         return None
-    lacking = any(channel.name in columns.header for channel in channels)
-    return columns.need(TIME, cure="add it, or give rate_hz in a manifest" if lacking else None)
+    return columns.need(TIME, cure="add it, or give rate_hz in a manifest")
 
 
 def _time_stem(name: str) -> str:

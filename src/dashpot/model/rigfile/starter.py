@@ -10,6 +10,7 @@ from dashpot.errors import ModelError
 from dashpot.io.words import quoted
 
 MOST_MASSES = 50
+STAND_IN = 1.0  # kg, of a first mass that nobody has weighed where nothing else gives the scale
 
 
 @dataclass(frozen=True)
@@ -21,7 +22,7 @@ class Chain:
     motion     what the sensors on the masses (and on the base) measure
     unit       of their numbers
     force_unit of the force's
-    known      kg of x1; None: nothing is known, so the force or a mass has to give the scale
+    known      kg of x1; None: it was not weighed, and where no force gives the scale STAND_IN stands there
     """
 
     name: str = "My rig"
@@ -31,6 +32,11 @@ class Chain:
     unit: str = "m/s²"
     force_unit: str = "N"
     known: float | None = None
+
+    @property
+    def lacks_scale(self) -> bool:
+        """Whether only ratios to the first mass can be found."""
+        return self.known is None and self.drive == "base"
 
 
 def starter_text(chain: Chain) -> str:
@@ -61,8 +67,11 @@ def starter_text(chain: Chain) -> str:
 def _elements(chain: Chain, names: Sequence[str], points: Sequence[str]) -> Iterator[str]:
     """Sections of masses, springs and dampers; each spring and damper joins a point to the next."""
     yield "[masses]"
+    if chain.lacks_scale:
+        yield "# Without a force only ratios to one value can be found: put the weighed mass in place of this one."
+    first = STAND_IN if chain.lacks_scale else chain.known
     for i, name in enumerate(names):
-        value = f", value = {chain.known!r}" if i == 0 and chain.known is not None else ""
+        value = f", value = {first!r}" if i == 0 and first is not None else ""
         yield f'm{i + 1} = {{ at = "{name}"{value} }}'
     for section, letter in (("springs", "k"), ("dampers", "c")):
         yield from ("", f"[{section}]")

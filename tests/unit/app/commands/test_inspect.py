@@ -44,6 +44,27 @@ def test_new_writes_a_rig_that_checks(folder):
     assert not (folder / "bad.toml").exists()
 
 
+@pytest.mark.parametrize("drive", ["base", "force"])
+@pytest.mark.parametrize("masses", ["1", "2", "5"])
+def test_a_rig_of_which_nothing_was_weighed_checks(folder, drive, masses):
+    """Without a force nothing gives the scale: a mass of 1 kg stands in, which is said."""
+    result = run("new", "mine.toml", "--masses", masses, "--driven-by", drive)
+    assert result.exit_code == 0
+    assert ("m1 = 1 kg stands in the file" in result.output) == (drive == "base")
+    checked = run("check", "mine.toml")
+    assert checked.exit_code == 0, checked.output
+
+
+def test_new_takes_answers_as_they_are_typed(folder, monkeypatch):
+    monkeypatch.setattr(new, "_usual", new._asked)
+    answers = ["   ", " 3 ", " Force ", "VELOCITY", " mm/s ", " 1.5 kg "]
+    result = CliRunner().invoke(cli, ["new", "mine.toml"], input="\n".join(answers) + "\n")
+    assert (result.exit_code, result.output.count("Error: ")) == (0, 0)
+    rig = tomllib.loads((folder / "mine.toml").read_text())
+    assert (rig["name"], rig["masses"]["m1"]["value"]) == ("My rig", 1.5)
+    assert rig["channels"]["x3"] == {"of": "x3", "quantity": "velocity", "unit": "mm/s"}
+
+
 def test_new_asks_again_for_what_is_no_answer(folder, monkeypatch):
     """Each wrong answer is told, and what was said before is kept."""
     monkeypatch.setattr(new, "_usual", new._asked)  # as at a terminal

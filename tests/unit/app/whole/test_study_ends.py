@@ -97,7 +97,7 @@ PAIRS = [
 FLEET = """\
 coordinates = ["x"]
 [inputs]
-f = { kind = "force", on = "x" }
+f = { kind = "force", at = "x" }
 [masses]
 m = { at = "x" }
 [springs]

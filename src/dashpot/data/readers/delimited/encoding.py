@@ -24,6 +24,14 @@ def is_text(head: bytes) -> bool:
     return plain or _wide(head) is not None
 
 
+def text_of(head: bytes) -> str:
+    """The text of a header, in UTF-8 or Windows-1252."""
+    try:
+        return head.decode("utf-8")
+    except UnicodeDecodeError:
+        return head.decode("cp1252", errors="replace")
+
+
 def as_utf8(data: bytes, source: str) -> bytes:
     """The text of a file as UTF-8 without a mark, with line feeds.  Raises DataError where it is not text."""
     encoding = _encoding(data, source)

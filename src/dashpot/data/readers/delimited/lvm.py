@@ -9,19 +9,21 @@ the file leaves it empty (X_Columns No), the header says its start and step (X0,
 
 from __future__ import annotations
 
+import math
 import os
 import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 
 from dashpot.data.readers.datafile import LARGE, SUBSTITUTED, DataFile, open_file, whole_lines
-from dashpot.data.readers.delimited.encoding import Text
+from dashpot.data.readers.delimited.encoding import Text, text_of
 from dashpot.data.readers.delimited.opening import table_of
 from dashpot.data.readers.delimited.table import Table
-from dashpot.data.readers.sampling import TIME
+from dashpot.data.readers.sampling import LONGEST, TIME
 from dashpot.errors import DataError
 from dashpot.io.words import shown
 
+SHORTEST = 1e-15  # s, between two samples
 TITLE, FIRST, COMMENT = b"LabVIEW Measurement", "X_Value", "Comment"
 _END = re.compile(rb"^\*\*\*End_of_Header\*\*\*[^\n]*\n", re.MULTILINE)
 _NO_TIMES = re.compile(rb"^X_Columns[^\w\n]+No\b", re.MULTILINE)
@@ -57,16 +59,18 @@ class LabViewReader:
             source = file.name if len(heads) == 1 else f"{file.name} (segment {number})"
             above += sum(lines.count(b"\n") for lines in whole_lines(data, counted, end))
             counted = end
-            header = data[ends[i - 1] if i else 0 : end].decode("utf-8", errors="replace")
+            header = text_of(data[ends[i - 1] if i else 0 : end])
             units = tuple(unit or None for unit in _listed(header, "Y_Unit_Label"))
             clock = _clock(header, source) if no_times else None
+            without = no_times and clock is None
             stop = next_head.start() if next_head else len(data)
             if isinstance(data, bytes):
                 segment = _segment(data[end:stop], source, above, units)
             else:
                 part = file.rewritten(_rows_alone(data, end, stop))
                 segment = replace(_segment(part.contents, source, above, units), file=part)
-            yield replace(segment, clock=clock)
+            names = ("", *segment.header[1:]) if without else segment.header
+            yield replace(segment, clock=clock, header=names)
 
 
 def open_lvm(path: str | os.PathLike[str], names: Mapping[str, str] | None = None) -> Table:
@@ -94,7 +98,7 @@ def _listed(header: str, label: str) -> list[str]:
 def _clock(header: str, source: str) -> tuple[float, float] | None:
     """Start and step of the times of a segment, s; None where it does not say them.
 
-    Raises DataError where they are no numbers, or others for each channel.
+    Raises DataError where they are no numbers or cannot be those of times, or others for each channel.
     """
     start, step = (
         {cell.replace(",", ".") for cell in _listed(header, label) if cell} for label in ("X0", "Delta_X")
@@ -105,9 +109,13 @@ def _clock(header: str, source: str) -> tuple[float, float] | None:
         cure = "save those of one sampling rate (Delta_X) and one start (X0) as a file"
         raise DataError("its channels have clocks of their own", source, cure)
     try:
-        return float(next(iter(start), "0")), float(next(iter(step)))
+        first, between = float(next(iter(start), "0")), float(next(iter(step)))
     except ValueError:
         raise DataError("X0 or Delta_X is not a number", source, "correct the header") from None
+    if not (math.isfinite(first) and SHORTEST < between < LONGEST):
+        what = f"X0 is {first:g} and Delta_X {between:g}, from which no times follow (X_Columns No)"
+        raise DataError(what, source, "set Delta_X in the header to the time between two samples, s")
+    return first, between
 
 
 def _rows_alone(data: Text, start: int, end: int) -> Iterator[bytes]:

@@ -155,13 +155,25 @@ class TestLabview:
         for clocks, what in (
             ("0.01\t0.02", "clocks of their own"),
             ("fast\tfast", "Delta_X is not a number"),
+            ("0.0\t0.0", "Delta_X 0, from which no times follow .*; set Delta_X in the header"),
+            ("-0.01\t-0.01", "Delta_X -0.01, from which no times follow"),
+            ("Inf\tInf", "Delta_X inf, from which no times follow"),
         ):
             path.write_text(text.replace("0.01\t0.01", clocks))
             with pytest.raises(DataError, match=what):
                 read(path, AF)
         path.write_text(text.replace("Delta_X", "Step"))
-        with pytest.raises(DataError, match="column time_s: the cell is empty"):
+        with pytest.raises(DataError, match=r"column time_s: missing; .*give rate_hz in a manifest"):
             read(path, AF)
+        manifest = tmp_path / "test.toml"
+        manifest.write_text('[[files]]\nname = "a.lvm"\nrate_hz = 100\n')
+        assert np.array_equal(read(manifest, AF).records[0].values, timed.values)
+
+    def test_units_in_windows_letters(self, tmp_path):
+        path = tmp_path / "a.lvm"
+        units = "Y_Unit_Label\tm/s²\tN\nDelta_X"
+        path.write_bytes(lvm().replace("Delta_X", units).encode("cp1252"))
+        assert open_lvm(path).units == (None, "m/s²", "N")
 
     def test_columns_under_other_names(self, tmp_path):
         path = tmp_path / "a.lvm"
