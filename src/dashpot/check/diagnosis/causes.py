@@ -326,7 +326,12 @@ def _rearranged(bench: Workbench, base: Trial, channels: Sequence[str]) -> list[
 
 
 def _dwells(bench: Workbench, base: Trial, pool: Sequence[Real]) -> list[Cause]:
-    """One dwell left out; where that mends the fit, the frequency at which it would belong is looked for."""
+    """One dwell left out; where that mends the fit, the frequency at which it would belong is looked for.
+
+    None where the lines are those of a record, not of dwells.
+    """
+    if not bench.lines_are_runs:
+        return []
     lines = base.y.shape[0]
     worst = np.argsort(-np.min([bench.misfit(psi, base) for psi in pool], axis=0))[:MOST_DWELLS]
     frequency = bench.data.spectrum.frequency_hz

@@ -7,10 +7,14 @@ import pytest
 
 import dashpot
 from dashpot.channel import Channel, Quantity
+from dashpot.check.diagnosis.causes import causes
 from dashpot.check.diagnosis.diagnose import _ranked, diagnose, examined
+from dashpot.check.diagnosis.search import Workbench
 from dashpot.data.spectrum import Spectrum
 from dashpot.estimate.assessment import Finding, applied
 from dashpot.estimate.identify import identify
+from dashpot.estimate.likelihood.starting_values import candidates
+from dashpot.estimate.preparation.prepared import prepare
 from dashpot.model.elements import Kind, between, mass
 from dashpot.model.network import Input, Model
 from tests import partly_seen, rigs
@@ -162,6 +166,16 @@ def test_a_mislabelled_dwell_of_many_is_named_though_it_makes_less_than_half_of_
     assert {(f.kind, f.of) for f in estimate.assessment.findings[:2]} == {
         ("frequency", (f"{label[18]:g} Hz",)), ("dwell", (f"{label[18]:g} Hz",)),
     }  # fmt: skip
+
+
+@pytest.mark.parametrize("runs", [True, False], ids=["dwells", "lines of one record"])
+def test_only_dwells_are_left_out_or_given_another_frequency(runs):
+    model, lines = clean("paper", np.random.default_rng(100))
+    case = MISTAKES["mislabelled dwell"](model, lines, np.random.default_rng(100))
+    data = prepare(case.model, case.spectrum)
+    starts, signs = candidates(data, 1, np.random.default_rng(0))
+    _, named = causes(Workbench(data, starts[0], signs[0], lines_are_runs=runs))
+    assert bool({cause.kind for cause in named if cause.of} & {"dwell", "frequency"}) == runs
 
 
 def test_radians_read_as_degrees_are_named():
