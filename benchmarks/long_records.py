@@ -9,6 +9,8 @@ from __future__ import annotations
 import argparse
 import gc
 import time
+from concurrent.futures import ProcessPoolExecutor
+from multiprocessing import get_context
 from pathlib import Path
 
 import numpy as np
@@ -71,7 +73,8 @@ def main() -> None:
     parser.add_argument("--samples", type=int, default=1_000_000)
     parser.add_argument("--band", help="Hz, low:high; without it what stands out of the noise")
     given = parser.parse_args()
-    record = long_record(given.samples)
+    with ProcessPoolExecutor(1, get_context("spawn")) as other:  # which takes the memory of making it along
+        record = other.submit(long_record, given.samples).result()
     gc.collect()
     before = held()
     forget()

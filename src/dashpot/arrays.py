@@ -16,6 +16,8 @@ Bools = NDArray[np.bool_]
 
 Scalar = TypeVar("Scalar", bound=np.generic)
 
+MANY = 1 << 17  # numbers of all lines from which diagonal matrices are laid out by planes
+
 
 def frozen(values: ArrayLike, dtype: type[Scalar]) -> NDArray[Scalar]:
     """A read-only copy of `values`; an array that nobody can write to is shared."""
@@ -43,16 +45,26 @@ def is_diagonal(matrices: NDArray[Any]) -> bool:
     n = matrices.shape[-1]
     if n == 1:
         return True
+    if matrices.ndim > 2 and matrices.strides[-3] == matrices.itemsize:  # as `diagonal_matrices` makes them
+        return not any(np.any(matrices[..., i, j]) for i in range(n) for j in range(n) if i != j)
     # Row after row without the last number, what lies n + 1 apart is the diagonal.
     rest = matrices.reshape(*matrices.shape[:-2], n * n)[..., :-1].reshape(*matrices.shape[:-2], n - 1, n + 1)
     return not np.any(rest[..., 1:])
 
 
 def diagonal_matrices(values: Real) -> Complex:
-    """Read-only matrices (..., n, n) with values (..., n) on their diagonals."""
+    """Read-only matrices (..., n, n) with values (..., n) on their diagonals.
+
+    Of very many lines (..., lines, n), each number of the matrices is a plane of memory by itself: those beside the
+    diagonals, which nobody writes, are no more than promised by the system, so that n numbers are held and not n².
+    """
     n = values.shape[-1]
-    matrices = np.zeros((*values.shape, n), dtype=np.complex128)
+    if values.ndim < 2 or values.shape[-2] * n < MANY:
+        matrices = np.zeros((*values.shape, n), dtype=np.complex128)
+    else:
+        matrices = np.moveaxis(np.zeros((n, n, *values.shape[:-1]), dtype=np.complex128), (0, 1), (-2, -1))
     matrices[..., np.arange(n), np.arange(n)] = values
+    (matrices if matrices.base is None else matrices.base).setflags(write=False)
     matrices.setflags(write=False)
     return matrices
 

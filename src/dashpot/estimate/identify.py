@@ -135,20 +135,21 @@ def _estimate(
         whole = piece(parts[0]) if len(parts) == 1 else np.concatenate([piece(part) for part in parts])
         return whole.reshape((*batch, *whole.shape[1:]))
 
-    around, first = parts[0].linearised, parts[0].solution
+    some = parts[0]
+    first = some.solution
     theta, covariance = join(lambda part: part.solution.theta), join(lambda part: part.uncertainty.covariance)
     chi2, p = join(lambda part: part.uncertainty.chi2), join(lambda part: part.uncertainty.p)
-    fit = Fit(chi2, around.dof, p, spectrum.noise_known)
+    fit = Fit(chi2, some.dof, p, spectrum.noise_known)
     m = len(model.unknowns)
-    lower, upper = _bounds(first, len(around.names))
+    lower, upper = _bounds(first, len(some.names))
     warnings = dict.fromkeys(notice for part in parts for notice in part.solution.warnings)
     bands = [part.uncertainty.bands for part in parts if part.uncertainty.bands is not None]
     shown = notices(model, spectrum, None if batch else parts[0], fit)
     return Estimate(
         model=model.name,
         method=method.name,
-        names=around.names,
-        units=around.units,
+        names=some.names,
+        units=some.units,
         values=theta,
         covariance=covariance,
         noise_covariance=join(lambda part: part.uncertainty.noise),

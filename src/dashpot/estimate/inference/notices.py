@@ -22,7 +22,7 @@ def notices(model: Model, spectrum: Spectrum, single: Inference | None, fit: Fit
 
 
 def _of_estimate(model: Model, spectrum: Spectrum, part: Inference, fit: Fit) -> list[Notice]:
-    names, bands, bounds = part.linearised.names, part.uncertainty.bands, part.solution.bounds
+    names, bands, bounds = part.names, part.uncertainty.bands, part.solution.bounds
     theta, covariance, noise = (
         part.solution.theta[0],
         part.uncertainty.covariance[0],

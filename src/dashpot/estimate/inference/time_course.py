@@ -8,13 +8,14 @@ so that the residuals of all channels together are loud for a while, though none
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
 from scipy.special import fdtrc, ndtri
 
-from dashpot.arrays import Bools, Complex, Ints, Real
+from dashpot.arrays import Complex, Ints, Real
 from dashpot.data.spectrum import Spectrum
 from dashpot.data.stretch import WholeRecord, history_of_lines, samples_of_squares
 from dashpot.estimate.likelihood.objective import measured
@@ -50,7 +51,6 @@ DECAY = 4  # blocks that a new start decays in
 MEDIAN = 0.455  # of a square of noise of variance 1
 QUIET = 0.2  # of the typical variance: noise is taken for no quieter where the rig hardly moves
 ALONE = 2.0  # times as far above the usual as any block apart from these
-
 
 Kind = Literal["jump", "gain", "clock", "block"]
 
@@ -101,8 +101,13 @@ def time_change_notices(data: Prepared, solution: Solution) -> tuple[Notice, ...
     if exact.ends is None:
         return ()
     residual, _ = residuals_of_records(view, exact, solution.theta, spectrum.signs(solution.signs))
-    weight = np.sqrt(np.diagonal(exact.W[0], axis1=-2, axis2=-1).real)
-    changes = time_changes(residual * weight, (exact.y[0] - residual) * weight, spectrum, ~view.inputs_alone)
+    variance = np.diagonal(exact.W[0], axis1=-2, axis2=-1).real
+
+    def whitened(channel: int) -> tuple[Complex, Complex]:
+        weight, left = np.sqrt(variance[:, channel]), residual[:, channel]
+        return left * weight, (exact.y[0, :, channel] - left) * weight
+
+    changes = time_changes(whitened, spectrum, np.flatnonzero(~view.inputs_alone))
     alike: dict[tuple[Kind, frozenset[str], bool], list[TimeChange]] = {}
     for change in changes:
         alike.setdefault((change.kind, frozenset(change.channels), change.gradual), []).append(change)
@@ -110,49 +115,68 @@ def time_change_notices(data: Prepared, solution: Solution) -> tuple[Notice, ...
 
 
 def time_changes(
-    residual: Complex, prediction: Complex, spectrum: Spectrum, outputs: Bools
+    whitened: Callable[[int], tuple[Complex, Complex]], spectrum: Spectrum, outputs: Ints
 ) -> tuple[TimeChange, ...]:
-    """Changes in the whole records of a spectrum; both over the noise, (lines, channels); outputs (channels,)."""
-    changes: list[TimeChange] = []
-    for number in spectrum.records:
-        lines, stretch = np.flatnonzero(spectrum.stretch == number), spectrum.stretches[number]
-        assert isinstance(stretch, WholeRecord)
-        order = stretch.orders(spectrum.frequency_hz[lines])
-        samples = samples_of_squares(order)  # so that no peak is missed
-        histories = [
-            _Histories(
-                spectrum.channels[c].name,
-                number,
-                history_of_lines(residual[lines, c], order, samples),
-                history_of_lines(prediction[lines, c], order, samples),
-                history_of_lines(1j * spectrum.omega[lines] * prediction[lines, c], order, samples),
-                stretch.duration_s / samples,
-                samples / (2 * shown),
-            )
-            for c in np.flatnonzero(outputs)
-            if (shown := np.count_nonzero(residual[lines, c])) >= FEWEST
-        ]
-        changes += _of_record(histories, stretch.duration_s / len(lines))
-    return tuple(changes)
+    """Changes in the whole records of a spectrum.
+
+    whitened  residual and prediction of a channel over the noise, (lines,) each; outputs: the channels
+    """
+    return tuple(c for number in spectrum.records for c in _of_record(whitened, spectrum, number, outputs))
 
 
-def _of_record(histories: list[_Histories], near_s: float) -> list[TimeChange]:
+def _of_record(
+    whitened: Callable[[int], tuple[Complex, Complex]], spectrum: Spectrum, number: int, outputs: Ints
+) -> list[TimeChange]:
     """Changes of one record, each told once: jumps of several channels at one time as one."""
-    if not histories:
+    lines, stretch = np.flatnonzero(spectrum.stretch == number), spectrum.stretches[number]
+    assert isinstance(stretch, WholeRecord)
+    shown = {int(c): int(np.count_nonzero(whitened(c)[0][lines])) for c in outputs}
+    shown = {c: count for c, count in shown.items() if count >= FEWEST}
+    if not shown:
         return []
-    steps = [
-        change for of in histories for change in (_gain_change(of), _clock_change(of)) if change is not None
-    ]
-    jumps = [jump for jump in map(_jump, histories) if jump is not None]
+    near_s, total = stretch.duration_s / len(lines), sum(shown.values())
+    blocks = min(BLOCKS, total // len(shown) // LINES_EACH)
+    steps: list[TimeChange] = []
+    jumps: list[TimeChange] = []
+    by_block = np.zeros((3, blocks))
+    for c, count in shown.items():  # histories of one channel at a time: those of long records are large
+        of = _histories(whitened(c), spectrum, number, c, count)
+        steps += [change for change in (_gain_change(of), _clock_change(of)) if change is not None]
+        jumps += [jump for jump in (_jump(of),) if jump is not None]
+        if blocks >= FEWEST_BLOCKS:
+            by_block += _of_blocks(of, blocks)
     if len(steps) == 1:
         # What the step leaves at its edge jumps, too.
         return [*steps, *(jump for jump in jumps if jump.channels != steps[0].channels)]
     # Several steps at once are no channel's gain, but a rig that is another or drives what it has not.
     changes = _together(jumps, near_s)
-    block = _loud_block(histories)
-    if block is not None and not any(_explains(change, block.time_s, near_s) for change in changes):
-        changes.append(block)
+    block = _loud_block(by_block, 2 * total / blocks) if blocks >= FEWEST_BLOCKS else None
+    if block is not None:
+        time_s = (block + 0.5) * stretch.duration_s / blocks
+        if not any(_explains(change, time_s, near_s) for change in changes):
+            power = float(by_block[0, block] / np.median(by_block[0]))
+            changes.append(TimeChange("block", (), number, time_s, power))
     return changes
+
+
+def _histories(
+    of: tuple[Complex, Complex], spectrum: Spectrum, number: int, channel: int, shown: int
+) -> _Histories:
+    """Of a channel with so many lines in a record, from its residual and prediction, (lines of all,) each."""
+    lines, stretch = np.flatnonzero(spectrum.stretch == number), spectrum.stretches[number]
+    assert isinstance(stretch, WholeRecord)
+    residual, prediction = of
+    order = stretch.orders(spectrum.frequency_hz[lines])
+    samples = samples_of_squares(order)  # so that no peak is missed
+    return _Histories(
+        spectrum.channels[channel].name,
+        number,
+        history_of_lines(residual[lines], order, samples),
+        history_of_lines(prediction[lines], order, samples),
+        history_of_lines(1j * spectrum.omega[lines] * prediction[lines], order, samples),
+        stretch.duration_s / samples,
+        samples / (2 * shown),
+    )
 
 
 def _explains(jump: TimeChange, time_s: float, near_s: float) -> bool:
@@ -288,21 +312,23 @@ def _turn(product: Real, power: Real, shares: tuple[float, float], begin: int, e
     return int(begin + np.argmin(np.cumsum(change)) + 1)
 
 
-def _loud_block(histories: list[_Histories]) -> TimeChange | None:
+def _of_blocks(of: _Histories, blocks: int) -> Real:
+    """Mean squares of a channel in blocks of time, (3, blocks): residual, the same over what is usual, motion."""
+    edges = np.linspace(0, len(of.residual), blocks, endpoint=False).astype(np.int64)
+    count = np.diff(np.append(edges, len(of.residual)))
+    squares = (of.residual**2, _over_usual(of), (of.prediction + of.residual) ** 2)
+    means: Real = np.stack([np.add.reduceat(values, edges) for values in squares]) / count
+    return means
+
+
+def _loud_block(by_block: Real, dof: float) -> int | None:
     """The block in which all residuals are loud: at once, alone, and more than the motion explains.
 
-    A model that does not fit is loud wherever the motion is.
+    A model that does not fit is loud wherever the motion is.  by_block (3, blocks): `_of_blocks` summed over channels;
+    dof of a block's power.
     """
-    lines = sum(len(of.residual) / (2 * of.each) for of in histories)
-    blocks = min(BLOCKS, int(lines / len(histories)) // LINES_EACH)
-    if blocks < FEWEST_BLOCKS:
-        return None
-    edges = np.linspace(0, len(histories[0].residual), blocks, endpoint=False).astype(np.int64)
-    count = np.diff(np.append(edges, len(histories[0].residual)))
-    left = sum(np.add.reduceat(of.residual**2, edges) for of in histories) / count
-    over_usual = sum(np.add.reduceat(_over_usual(of), edges) for of in histories) / count
-    motion = sum(np.add.reduceat((of.prediction + of.residual) ** 2, edges) for of in histories) / count
-    power, dof = left / np.median(left), 2 * lines / blocks
+    left, over_usual, motion = by_block
+    blocks, power = len(left), left / np.median(left)
     j = int(np.argmax(power))
     if not 0 < j < blocks - 1:  # the terms of the ends have their own errors
         return None
@@ -314,11 +340,7 @@ def _loud_block(histories: list[_Histories]) -> TimeChange | None:
     share = np.maximum(power - 1, 1 / np.sqrt(dof)) / np.maximum(motion, np.finfo(float).tiny)
     loudest = np.flatnonzero(apart)[np.argmax(motion[apart])]
     alone = power[j] - 1 > ALONE * (np.max(power[apart]) - 1)
-    if not alone or not share[j] > LOUDER * share[loudest]:
-        return None
-    first = histories[0]
-    time_s = (j + 0.5) * len(first.residual) / blocks * first.step_s
-    return TimeChange("block", (), first.record, time_s, float(power[j]))
+    return j if alone and share[j] > LOUDER * share[loudest] else None
 
 
 def _together(jumps: list[TimeChange], near_s: float) -> list[TimeChange]:

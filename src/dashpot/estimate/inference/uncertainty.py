@@ -91,12 +91,19 @@ class Uncertainty:
 
 @dataclass(frozen=True)
 class Inference:
-    """A method's solution, what the data say around it and how uncertain it is; the most likely θ, (K, unknowns)."""
+    """A method's solution and how uncertain it is.
+
+    most_likely   θ, (K, unknowns)
+    names, units  of all that is estimated
+    dof           degrees of freedom of χ²
+    """
 
     method: Method
     solution: Solution
     most_likely: Real
-    linearised: Linearised
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+    dof: int
     uncertainty: Uncertainty
 
 
@@ -106,17 +113,18 @@ def inference(data: Prepared, solution: Solution, method: Method) -> Inference:
     χ² and bound are the model's, not the method's: they belong to the most likely parameters near θ.
     """
     best = most_likely(data, solution, method.traits)
-    linearised = linearise(data, best, method.traits)
-    worth = uncertainty(data, best, linearised, method.traits)
+    # What each line says of many lines and repeats is large, and held no longer than it is needed.
+    around = linearise(data, best, method.traits)
+    worth = uncertainty(data, best, around, method.traits)
     if method.traits.maximum_likelihood:
         # What runs off to infinity takes steps below its deviations, too, and is nowhere near a minimum.
-        least = np.maximum(worth.chi2 / max(linearised.dof, 1), 1.0 if data.noise_known else 0.0)
+        least = np.maximum(worth.chi2 / max(around.dof, 1), 1.0 if data.noise_known else 0.0)
         settled = worth.above <= UNSETTLED * least
         if not settled.all():
             solution = replace(solution, converged=solution.converged & settled)
     if worth.in_time is not None:
         solution = replace(solution, theta=solution.theta + worth.in_time.step)
-    return Inference(method, solution, best.theta, linearised, worth)
+    return Inference(method, solution, best.theta, around.names, around.units, around.dof, worth)
 
 
 def with_noise_of_residuals(data: Prepared, method: Method) -> Prepared:
@@ -260,7 +268,8 @@ def _with_estimated_noise(
     chi2 = np.maximum(np.sum(cost * quality.shrink, axis=-1) + penalty - excess * shrink, 0.0)
     bound = bread
     if not np.all(quality.shrink == 1):
-        bound = scaled_inverse(np.sum(information * quality.shrink[..., None, None], axis=-3) + prior)
+        shrink = np.broadcast_to(quality.shrink, cost.shape)
+        bound = scaled_inverse(np.einsum("klij,kl->kij", information, shrink) + prior)
     return chi2, bound, *_noise(information, quality, bread, prior)
 
 

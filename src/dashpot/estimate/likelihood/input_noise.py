@@ -25,6 +25,7 @@ from dashpot.model.observation import ObservationModel
 SHOWS = 4.0  # standard deviations of a variance, from which on it is one; few lines may tell it
 STAYS = 3.0  # and up to which it is given up again
 LEAST_LEFT = 0.5  # of the freedom of those lines that tell
+PIECE = 10_000  # lines at a time
 ROOM = 1 + STAYS / (2 * HALF_WINDOW + 1) ** 0.5  # the least of many means, over the mean
 TURNS = 40  # in which the outputs' noise is told from what errors of the inputs move
 SETTLED = 0.01  # change of a variance at which they end
@@ -118,7 +119,17 @@ def input_noise(
 
 
 def _slopes(view: ObservationModel, data: Measured, residual: Complex, G: Complex) -> tuple[Real, Real]:
-    """|tᴴ Σ⁻¹ e|² and tᴴ Σ⁻¹ t of an error in each channel, both (lines, channels)."""
+    """|tᴴ Σ⁻¹ e|² and tᴴ Σ⁻¹ t of an error in each channel, both (lines, channels); some lines at a time."""
+    score, scale = np.empty(residual.shape), np.empty(residual.shape)
+    for first in range(0, len(residual), PIECE):
+        some = slice(first, first + PIECE)
+        few = replace(view, omega=view.omega[some])  # kept by nobody
+        score[some], scale[some] = _slopes_at(few, data.at_lines(some), residual[some], G[some])
+    return score, scale
+
+
+def _slopes_at(view: ObservationModel, data: Measured, residual: Complex, G: Complex) -> tuple[Real, Real]:
+    """The same of few lines."""
     W = data.W[0]
     weighted = (W @ residual[..., None])[..., 0]
     if data.q is None:

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from dashpot.arrays import Bools, Complex, Real, hermitian, is_diagonal
+from dashpot.arrays import Bools, Complex, Real, diagonal_matrices, hermitian, is_diagonal
 from dashpot.estimate.likelihood.boundary_loads import Projector, RecordEnds, projector, record_ends, whitener
 from dashpot.estimate.likelihood.chunks import Measured, Piece, Sums, pieces
 from dashpot.estimate.likelihood.compiled import compiled_local, compiled_output
@@ -73,11 +73,9 @@ def _weights(V: Complex, variance: Real, kept: Real, size: Real, present: Bools)
     """(V + kept)⁻¹ (K or 1, lines, channels, channels), 0 where not measured; `variance` is the diagonal of the sum."""
     C = V.shape[-1]
     if is_diagonal(V):
-        W = np.zeros((*variance.shape, C), dtype=np.complex128)
         # What is too large for numbers has no weight, not the weight 0.
         finite = np.where(np.isfinite(variance), variance, np.nan)
-        W[..., np.arange(C), np.arange(C)] = np.where(present, 1 / np.where(present, finite, 1.0), 0.0)
-        return W
+        return diagonal_matrices(np.where(present, 1 / np.where(present, finite, 1.0), 0.0))
     both = present[:, :, None] & present[:, None, :]
     scaled = (V + kept[..., None] * np.eye(C)) / (size[:, :, None] * size[:, None, :])
     scaled = np.where(both, scaled, np.eye(C))

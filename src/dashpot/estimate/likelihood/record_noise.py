@@ -96,7 +96,8 @@ def noise_from_residuals(
     outputs = ~view.inputs_alone
     V = _first(spectrum, sought, outputs)
     inputs = InputNoise.of(view, spectrum, sought, V)
-    floor, changes = np.diagonal(V[0], axis1=-2, axis2=-1).real, sought[:, None] & (outputs | inputs.sought)
+    floor = np.diagonal(V[0], axis1=-2, axis2=-1).real.copy()  # which does not hold V
+    changes = sought[:, None] & (outputs | inputs.sought)
     psi: Real | None = None
     sign: Real = np.ones((1, len(spectrum.channels)))
     used, dof = 0.0, np.array(spectrum.dof)
@@ -113,15 +114,15 @@ def noise_from_residuals(
         power, inputs = _own_power(view, spectrum, sought, exact, residual, inputs, psi, sign)
         variance, dof = _smoothed(spectrum, power / max(1 - used, 0.1), sought, outputs)
         of_inputs = np.maximum(inputs.level / spectrum.samples[:, None], floor)
-        before = np.diagonal(V[0], axis1=-2, axis2=-1).real
+        before = np.diagonal(V[0], axis1=-2, axis2=-1).real.copy()
         variance = np.where(changes, np.where(outputs, variance, of_inputs), before)
         V = diagonal_matrices(variance)[None]
         if np.all(np.abs(variance - before) <= 2 * SETTLED * variance):
             break
         if turn + 1 == ROUNDS_OF_NO_FIT and np.mean(_left(residual, exact)[outputs]) > UNEXPLAINED_MOST:
             break
-        del data, exact  # before the next: of many lines they are large
-    kinds = tuple(np.where(sought, RESIDUAL, spectrum.noise).tolist())
+        del data, exact, residual, power  # before the next: of many lines they are large
+    kinds = tuple(RESIDUAL if kind == FLOOR else kind for kind in spectrum.noise)
     weighted = replace(spectrum, covariance=V, noise=kinds, dof=dof * (1 - used))
     return weighted, np.zeros((1, 0)) if psi is None else psi, sign
 

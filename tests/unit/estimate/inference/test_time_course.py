@@ -29,7 +29,7 @@ from tests.whole_rigs import WholeTest, chain, record_of
 SAMPLES, STEP_S = 2000, 0.01
 LINES = np.arange(20, 620)  # 1 to 31 Hz of 50
 NOISE = 0.02  # of the motion
-OUTPUTS = np.array([True, True, False])
+OUTPUTS = np.array([0, 1])
 
 
 def motion(rng: np.random.Generator) -> Real:
@@ -56,7 +56,7 @@ def changes(measured: Real, predicted: Real) -> tuple[TimeChange, ...]:
         np.concatenate([part, rest], axis=1)
         for part, rest in (((y - shown) / noise, none), (shown / noise, base))
     )
-    return time_changes(left, predicted, of_record, OUTPUTS)
+    return time_changes(lambda c: (left[:, c], predicted[:, c]), of_record, OUTPUTS)
 
 
 def test_noise_changes_nothing_whether_white_or_louder_where_the_motion_is() -> None:
