@@ -34,7 +34,7 @@ from dashpot.estimate.comparison import Comparison
 from dashpot.estimate.likelihood.residual_noise import with_residual_noise
 from dashpot.estimate.likelihood.settling import with_settling_decided
 from dashpot.estimate.method import Method
-from dashpot.estimate.nonlinear.whole_record import identify_records
+from dashpot.estimate.nonlinear.whole_record import fit_records
 from dashpot.estimate.registry import method as named_method
 from dashpot.estimate.registry import methods_for
 from dashpot.estimate.result import Estimate
@@ -97,7 +97,7 @@ def identify(
         data = _reading(rig, data, frequency_hz)
         if data.continuous and len(_model(rig).nonlinear):
             return _of_nonlinear_records(
-                rig, data, None if chosen is None else chosen.name, diagnose, progress
+                rig, data, None if chosen is None else chosen.name, conditioning, diagnose, progress
             )
     spectrum = _spectrum(rig, data, frequency_hz, conditioning, [] if chosen is None else [chosen])
     from dashpot.present.text.identifiability import require_identifiable
@@ -121,15 +121,22 @@ def identify(
 
 
 def _of_nonlinear_records(
-    rig: Rig | Model, reading: Reading, method: str | None, diagnose: bool, progress: Progress | None
+    rig: Rig | Model,
+    reading: Reading,
+    method: str | None,
+    conditioning: Conditioning | None,
+    diagnose: bool,
+    progress: Progress | None,
 ) -> Estimate:
     """The estimate from continuous records of a nonlinear rig, judged if asked for."""
     model = _model(rig)
-    estimate = identify_records(model, reading.records, method, progress=progress)
+    still = None if conditioning is None else conditioning.still
+    fitted = fit_records(model, reading.records, method, still=still, progress=progress)
+    estimate = fitted.estimate()
     if diagnose:
         from dashpot.check.record_verdict import examined_records
 
-        estimate = examined_records(model, reading.records, estimate)
+        estimate = examined_records(model, reading.records, estimate, fitted)
     return _of_rig(rig, estimate)
 
 

@@ -34,6 +34,7 @@ from dashpot.errors import DashpotError, UsageError
 from dashpot.estimate.identify import identify
 from dashpot.estimate.nonlinear.record_problem import RecordProblem
 from dashpot.estimate.nonlinear.records import RecordData, measured_coordinates
+from dashpot.estimate.nonlinear.uncertain_inputs import InputErrors
 from dashpot.estimate.nonlinear.whole_record import FittedRecords, fit_records
 from dashpot.estimate.preparation.prepared import prepare
 from dashpot.estimate.result import FORMAT, Estimate
@@ -251,7 +252,11 @@ def with_candidates(
     before = dict(zip((u.name for u in base.unknowns), psi[:m].tolist(), strict=True))
     names = [u.name for u in extended.unknowns]
     at = np.concatenate([[before.get(name, 0.0) for name in names], psi[m:]])
-    larger = replace(problem, model=extended, last=problem.begun())
+    larger = replace(problem, model=extended, last=problem.begun(), errors={}, covariances={})
+    if problem.inputs is not None:
+        for k in range(len(problem.records)):
+            white = problem.errors_at(k, psi)
+            larger.errors[k] = InputErrors(at, white, np.zeros((*white.shape, len(at))))
     return larger, at, tuple(names.index(e.name) for e in candidates)
 
 

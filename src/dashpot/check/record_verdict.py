@@ -12,12 +12,19 @@ from dashpot.check.diagnosis.causes import points_of
 from dashpot.check.diagnosis.ranking import Cause
 from dashpot.check.diagnosis.wording import finding
 from dashpot.check.record_scores import CalledFor, element_called_for
-from dashpot.check.verdict import WORST, powerless, unphysical
+from dashpot.check.uncertain_scores import element_of_uncertain
+from dashpot.check.verdict import WORST, powerless, rejected, unphysical
 from dashpot.data.record import Record
 from dashpot.errors import DataError
 from dashpot.estimate.assessment import Assessment, Finding, Judgement, Misfit
 from dashpot.estimate.nonlinear.record_inference import CUT_RECORD
-from dashpot.estimate.nonlinear.record_prediction import FollowedRecord, PredictedMotion, followed_record
+from dashpot.estimate.nonlinear.record_prediction import (
+    FollowedRecord,
+    PredictedMotion,
+    followed_record,
+    followed_records,
+)
+from dashpot.estimate.nonlinear.whole_record import FittedRecords
 from dashpot.estimate.result import Estimate
 from dashpot.io.words import joined
 from dashpot.model.elements import Kind
@@ -25,29 +32,43 @@ from dashpot.model.network import Model
 from dashpot.notices import Notice
 
 
-def examined_records(model: Model, records: Sequence[Record], estimate: Estimate) -> Estimate:
-    """The estimate from whole records of a nonlinear rig with its assessment."""
-    return replace(estimate, assessment=assess_records(model, records, estimate))
+def examined_records(
+    model: Model, records: Sequence[Record], estimate: Estimate, fitted: FittedRecords | None = None
+) -> Estimate:
+    """The estimate from whole records of a nonlinear rig with its assessment; `fitted` as of `assess_records`."""
+    return replace(estimate, assessment=assess_records(model, records, estimate, fitted))
 
 
-def assess_records(model: Model, records: Sequence[Record], estimate: Estimate) -> Assessment:
-    """The verdict on an estimate from whole records, whose noise is that of its residuals: it never says "fits".
+def assess_records(
+    model: Model, records: Sequence[Record], estimate: Estimate, fitted: FittedRecords | None = None
+) -> Assessment:
+    """The verdict on an estimate from whole records; "fits" where χ² of a noise known from rest is no larger.
 
-    It is "does not fit" where parts are negative, or an element more would explain what residuals are left (THEORY §9).
+    It is "does not fit" where χ² rejects it, parts are negative, or an element more would explain what residuals are
+    left (THEORY §9).
     Residuals are those of the motion that follows from the inputs and the start of each record; where it depends too
     much on its start to be followed, none are told.
+
+    fitted: the fit that the estimate is of.  With noise of the inputs, residuals are beside the motion that their
+    likeliest values give.  Without it the measured inputs count as exact.
     """
-    against = unphysical(model, estimate)
+    against = [*unphysical(model, estimate), *rejected(estimate)]
     cut = any(notice.code == CUT_RECORD for notice in estimate.warnings)
-    trails = [] if cut else _followed(model, records, estimate)
-    called_for = element_called_for(model, trails) if trails and bool(estimate.converged) else None
+    uncertain = fitted is not None and fitted.problem.inputs is not None and not cut
+    called_for: CalledFor | None = None
+    if uncertain and fitted is not None:
+        trails = followed_records(fitted.problem, fitted.psi)
+        called_for = element_of_uncertain(fitted.problem, fitted.psi) if bool(estimate.converged) else None
+    else:
+        trails = [] if cut else _followed(model, records, estimate)
+        called_for = element_called_for(model, trails) if trails and bool(estimate.converged) else None
     findings: tuple[Finding, ...] = ()
     if called_for is not None:
         findings = (_finding(model, records[0].channels, called_for),)
         against = [*against, _reason(model, called_for)]
-    verdict: Judgement = "does not fit" if against else "cannot tell"
     motions = [motion.compared() for motion in trails]
     doubts = [] if against else powerless(estimate)
+    verdict: Judgement = "does not fit" if against else "cannot tell" if doubts else "fits"
     return Assessment(verdict, (*against, *doubts), _relative(motions), _worst(motions), findings)
 
 

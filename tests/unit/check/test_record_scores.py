@@ -10,7 +10,7 @@ import pytest
 from dashpot.check.record_verdict import examined_records
 from dashpot.data.record import Record
 from dashpot.estimate.assessment import Assessment, applied
-from dashpot.estimate.nonlinear.whole_record import identify_records
+from dashpot.estimate.nonlinear.whole_record import fit_records
 from dashpot.model.elements import Kind
 from tests.nonlinear_rigs import motions, two_masses
 from tests.unit.estimate.nonlinear.test_whole_record import record
@@ -20,7 +20,8 @@ ALL = motions("x1", "x2", "u")
 
 def judged(law: str, data: Record) -> Assessment:
     model, _ = two_masses(law)
-    assessment = examined_records(model, [data], identify_records(model, [data])).assessment
+    fitted = fit_records(model, [data])
+    assessment = examined_records(model, [data], fitted.estimate(), fitted).assessment
     assert assessment is not None
     return assessment
 

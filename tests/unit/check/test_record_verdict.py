@@ -8,12 +8,15 @@ import numpy as np
 import pytest
 
 from dashpot.check.record_verdict import assess_records
+from dashpot.data.conditioning.still import noise_at_rest
 from dashpot.data.record import Record
+from dashpot.estimate.assessment import Assessment
 from dashpot.estimate.nonlinear.record_inference import CUT_RECORD
-from dashpot.estimate.nonlinear.whole_record import identify_records
+from dashpot.estimate.nonlinear.whole_record import fit_records, identify_records
 from dashpot.estimate.result import Estimate
 from dashpot.model.network import Model
 from dashpot.notices import Notice
+from tests.driven_rigs import coulomb, cubic
 from tests.nonlinear_rigs import motions
 from tests.unit.estimate.nonlinear.test_whole_record import record
 
@@ -47,3 +50,34 @@ def test_motion_that_cannot_be_followed_whole_is_not_compared(fitted: tuple[Mode
     model, data, estimate = fitted
     cut = replace(estimate, warnings=(Notice(CUT_RECORD, "cut into 3 pieces"),))
     assert assess_records(model, [data], cut).relative_residual == {}
+
+
+def test_noise_of_the_base_calls_for_nothing_and_a_record_at_rest_makes_the_fit_testable() -> None:
+    """3 % of noise on a base, which a light damper amplifies: friction seemed to explain 37 % of it; seeds 1 and 0.
+
+    Residuals twice as large as the noise at rest are no fit.
+    """
+    test = cubic(600)
+    record = test.noisy(0.01, 0.03, 1)
+    sd = np.array([0.01, 0.03]) * np.std(test.record.values, axis=0)
+    at_rest = np.random.default_rng(0).standard_normal(record.values.shape)
+
+    def judged(noise: float) -> Assessment:
+        still = noise_at_rest([replace(record, values=noise * sd * at_rest)])
+        fitted = fit_records(test.model, [record], still=still)
+        return assess_records(test.model, [record], fitted.estimate(), fitted)
+
+    fits, too_large = judged(1.0), judged(0.5)
+    assert (fits.verdict, too_large.verdict) == ("fits", "does not fit")
+    assert [reason.code for reason in too_large.reasons] == ["chi2"]
+    assert fits.relative_residual["x"] == pytest.approx(0.01, rel=0.2)  # beside the likeliest inputs
+
+
+def test_an_element_that_is_missing_is_named_beside_noise_of_the_base() -> None:
+    friction, rig = coulomb(500), cubic(500).model
+    record = friction.noisy(0.01, 0.01, 2)
+    fitted = fit_records(rig, [record])
+    assert fitted.noise is not None
+    assessment = assess_records(rig, [record], fitted.estimate(), fitted)
+    assert assessment.verdict == "does not fit"
+    assert "friction" in assessment.findings[0].text

@@ -103,7 +103,8 @@ def command(
             rig_read = _rig(rig, chosen, positive, matrices)
             reading = read_files(rig_read, data, conditioning, quiet)
             if len(rig_read.model.nonlinear) and reading.continuous:
-                estimate = _of_whole_records(rig, rig_read, part_of(reading, used).records, chosen, quiet)
+                records = part_of(reading, used).records
+                estimate = _of_whole_records(rig, rig_read, records, conditioning, chosen, quiet)
             else:
                 measured = measured_data(
                     rig_read, reading, conditioning, quiet, moments_for=[chosen], part=used,
@@ -187,19 +188,28 @@ def _rig(path: str, chosen: str, positive: bool, matrices: bool) -> Rig:
     return rig
 
 
-def _of_whole_records(path: str, rig: Rig, records: Sequence[Record], chosen: str, quiet: bool) -> Estimate:
+def _of_whole_records(
+    path: str, rig: Rig, records: Sequence[Record], options: dict[str, Any], chosen: str, quiet: bool
+) -> Estimate:
     """The estimate from continuous records of a nonlinear rig, examined."""
     from dataclasses import replace
 
+    from dashpot.app.data_files import conditioning_from, with_noise_record
     from dashpot.app.progress import progress
     from dashpot.check.record_verdict import examined_records
-    from dashpot.estimate.nonlinear.whole_record import identify_records
+    from dashpot.errors import UsageError
+    from dashpot.estimate.nonlinear.whole_record import fit_records
 
+    if options.get("record_band") is not None:
+        cause = "--band chooses frequencies, and whole records of nonlinear rigs are followed in time"
+        raise UsageError(cause, cure="leave it out")
     wanted = None if chosen == "auto" else chosen
+    still = with_noise_record(conditioning_from(options), rig, options, quiet).still
     with progress("identify", quiet) as moved:
-        estimate = identify_records(rig.model, records, wanted, progress=moved)
+        fitted = fit_records(rig.model, records, wanted, still=still, progress=moved)
+        estimate = fitted.estimate()
     with progress("examine", quiet):
-        return replace(examined_records(rig.model, records, estimate), rig=path)
+        return replace(examined_records(rig.model, records, estimate, fitted), rig=path)
 
 
 def _estimated(

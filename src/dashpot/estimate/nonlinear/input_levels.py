@@ -18,7 +18,7 @@ from dashpot.data.conditioning.still import HALF_WINDOW, smoothed
 from dashpot.data.conditioning.whole_record import TOP, white_floor
 from dashpot.estimate.likelihood.input_noise import ROOM, SHOWS, STAYS
 from dashpot.estimate.nonlinear.record_problem import RecordProblem
-from dashpot.estimate.nonlinear.records import RecordData
+from dashpot.estimate.nonlinear.records import NoiseAtRest, RecordData
 from dashpot.estimate.nonlinear.restricted_likelihood import (
     Sizes,
     drawn_noise,
@@ -81,22 +81,31 @@ def own_noise(records: Sequence[RecordData]) -> OwnNoise:
 class InputNoise:
     """The variances of the noise of the inputs (q,), 0 where it is none; from_spectrum (q,): where it shows there.
 
-    spread (channels + q, channels + q): covariance of the logarithms of the variances of channels and inputs.
+    spread (channels + q, channels + q): covariance of the logarithms of the variances of channels and inputs; at_rest:
+    whether a record at rest showed all of them.
     """
 
     variance: Real
     from_spectrum: Bools
     spread: Real
+    at_rest: bool = False
 
 
 def with_uncertain_inputs(
-    problem: RecordProblem, psi: Real, measured: Sequence[RecordData], descend: Descend
+    problem: RecordProblem,
+    psi: Real,
+    measured: Sequence[RecordData],
+    descend: Descend,
+    at_rest: NoiseAtRest | None,
 ) -> tuple[RecordProblem, OptimizeResult, InputNoise] | None:
     """The search from ψ (M,), the end of one with exact inputs, with the noise of inputs and outputs found beside it.
 
-    measured: the records before any was cut; descend: the search, of so many steps at most.  None where the inputs show
+    measured: the records before any was cut; descend: the search, of so many steps at most; at_rest: the sizes, where a
+    record at rest tells them.  None where the inputs show
     no noise that matters.  Raises NotSolvedError where the motion hangs too much on its inputs for that.
     """
+    if at_rest is not None:
+        return _of_known_sizes(problem, psi, descend, at_rest)
     if not problem.records[0].inputs.shape[1] or min(data.samples for data in problem.records) < FEWEST:
         return None
     own = own_noise(measured)
@@ -110,6 +119,20 @@ def with_uncertain_inputs(
         by_spectrum = by_spectrum & ~refuted
         variance = np.where(gone, 0.0, search.variance)
     return None
+
+
+def _of_known_sizes(
+    problem: RecordProblem, psi: Real, descend: Descend, at_rest: NoiseAtRest
+) -> tuple[RecordProblem, OptimizeResult, InputNoise]:
+    """The search with the noise that a record at rest shows."""
+    q = len(at_rest.inputs)
+    if np.any(at_rest.inputs > 0):
+        problem = _with_noise(problem, at_rest.outputs, at_rest.inputs)
+    else:
+        problem = replace(problem, sd=at_rest.outputs)
+    spread = np.zeros((len(problem.sd) + q, len(problem.sd) + q))
+    noise = InputNoise(at_rest.inputs, np.zeros(q, dtype=bool), spread, at_rest=True)
+    return problem, descend(problem, psi, LAST), noise
 
 
 def _first_variances(problem: RecordProblem, psi: Real, own: OwnNoise) -> tuple[Real, Bools]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from scipy.special import chdtrc
 
 from dashpot.arrays import Real
 from dashpot.errors import DataError
@@ -44,7 +45,7 @@ def record_estimate(
     noise: of the inputs, whose true values were estimated too; held: inputs count as exact though they may not be.
     """
     model, inner = problem.model, problem.inner
-    if noise is None:
+    if noise is None or problem.inputs is None:
         white, coloured, dof = record_covariances(problem, psi)
     else:
         white, coloured, dof = uncertain_covariances(problem, psi, noise)
@@ -74,9 +75,19 @@ def record_estimate(
         noise_covariance=covariance, bound_sd=plain, dof=np.full(inner, float(dof)), lower=lower, upper=upper,
         free_values=values, basis="residuals", converged=np.asarray(converged),
         iterations=np.asarray(iterations, dtype=np.int64), history=history,
-        fit=Fit(np.asarray(float(dof)), dof, np.asarray(np.nan), known_noise=False), known=known_values(model),
+        fit=_fit(problem, psi, dof, noise), known=known_values(model),
         tied=tied_values(model), modes=None, signs={}, warnings=tuple(warnings), notes=tuple(notes),
     )  # fmt: skip
+
+
+def _fit(problem: RecordProblem, psi: Real, dof: int, noise: InputNoise | None) -> Fit:
+    """χ², where a record at rest tells how large the noise is."""
+    if noise is None or not noise.at_rest:
+        return Fit(np.asarray(float(dof)), dof, np.asarray(np.nan), known_noise=False)
+    chi2 = float(problem.quadratic(psi[None]).cost[0])
+    means = sum(int(np.sum(data.drift)) for data in problem.records)
+    left = max(dof - means + int(np.sum(problem.model.prior_precision > 0)), 1)
+    return Fit(np.asarray(chi2), left, np.asarray(chdtrc(left, chi2)))
 
 
 def record_covariances(problem: RecordProblem, psi: Real) -> tuple[Real, Real, int]:
@@ -172,8 +183,9 @@ def _input_notes(model: Model, noise: InputNoise) -> list[Notice]:
     sources = [*model.displacement_inputs, *model.force_inputs]
     sd = np.sqrt(noise.variance)
     groups = (
+        (noise.at_rest & (sd > 0), "as the record at rest shows"),
         (noise.from_spectrum, "as the quiet part of its spectrum shows"),
-        (~noise.from_spectrum & (sd > 0), "as the residuals of the outputs show"),
+        (~noise.from_spectrum & (sd > 0) & (not noise.at_rest), "as the residuals of the outputs show"),
     )
     notices = []
     for chosen, how in groups:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -90,6 +90,20 @@ def followed_record(model: Model, estimate: Estimate, record: Record) -> Followe
         start[:seen] += np.linalg.lstsq(by_inner[:, :seen], residual.ravel(), rcond=1e-8)[0]
     psi = np.concatenate([fixed, start])
     return FollowedRecord(problem, psi, problem.residuals(psi, slopes=False)[0][0])
+
+
+def followed_records(problem: RecordProblem, psi: Real) -> list[FollowedRecord]:
+    """The motions of a fit itself, ψ (M,), with the inputs that are taken for the true ones."""
+    motions = []
+    for k, data in enumerate(problem.records):
+        first = problem.inner + k * problem.states
+        alone = np.concatenate([psi[: problem.inner], psi[first : first + problem.states]])
+        one = replace(
+            problem, records=(problem.data_at(k, psi),), substeps=(problem.substeps[k],), last={}, inputs=None,
+            sd=np.ones(len(data.names)),
+        )  # fmt: skip
+        motions.append(FollowedRecord(one, alone, problem.residual(k, psi, slopes=False)[0] * problem.sd))
+    return motions
 
 
 def predict_record(model: Model, estimate: Estimate, record: Record) -> PredictedMotion:

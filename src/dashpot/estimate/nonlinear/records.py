@@ -9,6 +9,7 @@ import numpy as np
 
 from dashpot.arrays import Real
 from dashpot.channel import Quantity
+from dashpot.data.conditioning.still import Still
 from dashpot.data.record import Record
 from dashpot.errors import DataError
 from dashpot.model.network import Model
@@ -62,6 +63,13 @@ def arranged(model: Model, record: Record) -> RecordData:
 
 def measured_inputs(model: Model, record: Record) -> Real:
     """The inputs as their channels show them, (samples, r + s), SI units.  Raises DataError where one is missing."""
+    usable, combined = _input_channels(model, record)
+    inputs: Real = (record.values / _calibration(record))[:, usable] @ combined.T
+    return inputs
+
+
+def _input_channels(model: Model, record: Record) -> tuple[list[int], Real]:
+    """Channels that show the inputs, and the weights (r + s, …) with which these follow from them."""
     view = observation_model(model, record.channels, np.ones(1))
     usable = [
         i
@@ -75,8 +83,37 @@ def measured_inputs(model: Model, record: Record) -> Real:
             record.source,
             "give every input a channel of displacement or force with a known gain",
         )
-    inputs: Real = (record.values / _calibration(record))[:, usable] @ np.linalg.pinv(C).T
-    return inputs
+    weights: Real = np.linalg.pinv(C).astype(np.float64)
+    return usable, weights
+
+
+@dataclass(frozen=True)
+class NoiseAtRest:
+    """Standard deviations of the outputs (channels,) and variances of the inputs (q,) in a record at rest."""
+
+    outputs: Real
+    inputs: Real
+
+
+def noise_of_channels(model: Model, record: Record, still: Still) -> NoiseAtRest:
+    """What a record at rest shows of the noise of a record's outputs and inputs.
+
+    Raises DataError where it has other channels, or one of the outputs shows no noise.
+    """
+    if still.power.shape[1] != len(record.channels):
+        raise DataError("the record at rest has other channels", record.source, "record all of them at rest")
+    factor = _calibration(record)
+    covariance = np.mean(still.power, axis=0).real / (4 * np.outer(factor, factor))  # power is 4 σ²
+    outputs = [i for i, channel in enumerate(record.channels) if not measures_input(model, channel)]
+    sd = np.sqrt(np.diagonal(covariance)[outputs])
+    if not np.all(sd > 0):
+        name = record.channels[outputs[int(np.argmin(sd))]].name
+        raise DataError(
+            f"the record at rest shows no noise of {name}", cure="record it with the sensor connected"
+        )
+    usable, combined = _input_channels(model, record)
+    inputs = np.einsum("qc,cd,qd->q", combined, covariance[np.ix_(usable, usable)], combined)
+    return NoiseAtRest(sd, inputs)
 
 
 def uniform_step(record: Record) -> float:

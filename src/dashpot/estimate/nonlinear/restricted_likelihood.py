@@ -59,14 +59,14 @@ def drawn_noise(linear: Sequence[LinearisedRecord], prior: Real, draws: int = DR
         white = rng.standard_normal((N, c, draws))
         moved = rng.standard_normal((N, record.covariance.known.spread.shape[1], draws))
         noises.append(white + record.covariance.reach(moved))
-    cleared = _cleared(linear, prior, noises)
+    draws_cleared = cleared(linear, prior, noises)
     data = tuple(record.score for record in linear)
     back = [record.covariance.back for record in linear]
     return DrawnNoise(
         data,
-        tuple(cleared),
+        tuple(draws_cleared),
         tuple(carry(z[..., None])[..., 0] for carry, z in zip(back, data, strict=True)),
-        tuple(carry(z) for carry, z in zip(back, cleared, strict=True)),
+        tuple(carry(z) for carry, z in zip(back, draws_cleared, strict=True)),
     )
 
 
@@ -78,7 +78,7 @@ def sizes_of_noise(linear: Sequence[LinearisedRecord], prior: Real, noise: Drawn
         np.concatenate([_apart(z), record.covariance.reach(_apart(w))], axis=-1)
         for record, z, w in zip(linear, noise.data, noise.errors, strict=True)
     ]
-    solved = _cleared(linear, prior, working)
+    solved = cleared(linear, prior, working)
     parts = [np.tensordot(a, b, axes=([0, 1], [0, 1])) for a, b in zip(working, solved, strict=True)]
     information: Real = np.sum(parts, axis=0) / 2
     return Sizes((squares - expected) / 2, (information + information.T) / 2)
@@ -93,13 +93,13 @@ def information_on_inputs(linear: Sequence[LinearisedRecord], prior: Real, noise
             record.covariance.reach(w * only[:, None])
             for record, w in zip(linear, noise.drawn_errors, strict=True)
         ]
-        solved = _cleared(linear, prior, columns)
+        solved = cleared(linear, prior, columns)
         squares = [np.sum(a * b) for a, b in zip(columns, solved, strict=True)]
         total.append(float(np.sum(squares)) / (2 * columns[0].shape[2]))
     return np.array(total)
 
 
-def _cleared(linear: Sequence[LinearisedRecord], prior: Real, columns: Sequence[Real]) -> list[Real]:
+def cleared(linear: Sequence[LinearisedRecord], prior: Real, columns: Sequence[Real]) -> list[Real]:
     """P of columns (samples, channels, K) that run through all records: V⁻¹ of them less what unknowns explain."""
     solved = [record.weighed(each) for record, each in zip(linear, columns, strict=True)]
     right = np.zeros((len(prior), columns[0].shape[2]))

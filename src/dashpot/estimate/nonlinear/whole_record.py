@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from dashpot.arrays import Ints, Real
+from dashpot.data.conditioning.still import Still
 from dashpot.data.record import Record
 from dashpot.errors import DataError, UsageError
 from dashpot.estimate.nonlinear.held_records import released
@@ -23,9 +24,11 @@ from dashpot.estimate.nonlinear.record_inference import record_estimate
 from dashpot.estimate.nonlinear.record_problem import RecordProblem, enough_for_record
 from dashpot.estimate.nonlinear.record_regression import first_record_values
 from dashpot.estimate.nonlinear.records import (
+    NoiseAtRest,
     RecordData,
     arranged,
     measured_coordinates,
+    noise_of_channels,
     total_samples,
 )
 from dashpot.estimate.nonlinear.uncertain_inputs import NotSolvedError
@@ -84,32 +87,37 @@ def identify_records(
     records: Sequence[Record],
     method: str | None = None,
     *,
+    still: Still | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> Estimate:
     """Estimate the unknowns of a nonlinear rig from whole records of any excitation, by maximum likelihood.
 
+    still: the noise that a record at rest shows; without it the residuals tell how large it is.
+
     Raises UsageError where another `method` is named, DataError where an input or all motion is not measured, or an
     unknown needs a guess: where not all coordinates are measured as displacements, every unknown does.
+    """
+    return fit_records(model, records, method, still=still, progress=progress).estimate()
+
+
+def fit_records(
+    model: Model,
+    records: Sequence[Record],
+    method: str | None = None,
+    *,
+    still: Still | None = None,
+    exact_inputs: bool = False,
+    progress: Callable[[int, int], None] | None = None,
+) -> FittedRecords:
+    """The most likely ψ; still: the noise that a record at rest shows.
+
+    exact_inputs: with the measured inputs for the true ones, whatever their noise.  Raises as `identify_records`.
     """
     if method not in (None, METHOD):
         raise UsageError(
             f"the method {method} cannot handle whole records of nonlinear rigs",
             cure=f"use the method {METHOD}",
         )
-    return fit_records(model, records, progress=progress).estimate()
-
-
-def fit_records(
-    model: Model,
-    records: Sequence[Record],
-    *,
-    exact_inputs: bool = False,
-    progress: Callable[[int, int], None] | None = None,
-) -> FittedRecords:
-    """The most likely ψ; exact_inputs: with the measured inputs for the true ones, whatever their noise.
-
-    Raises as `identify_records`.
-    """
     model.require_unknowns()
     if not len(model.nonlinear):
         raise UsageError(
@@ -135,20 +143,23 @@ def fit_records(
         problem, search.x[0], bool(search.converged[0]), int(search.iterations[0]), search.history, limits
     )
     if ended.converged and not exact_inputs:
-        ended = _with_true_inputs(ended, data)
+        at_rest = None if still is None else noise_of_channels(model, records[0], still)
+        ended = _with_true_inputs(ended, data, at_rest)
     problem, psi = _refined(ended.problem, ended.psi, limits)
     history = np.concatenate([ended.history, psi[None, : problem.inner]])
     return replace(ended, problem=problem, psi=psi, history=history)
 
 
-def _with_true_inputs(exact: FittedRecords, measured: Sequence[RecordData]) -> FittedRecords:
+def _with_true_inputs(
+    exact: FittedRecords, measured: Sequence[RecordData], at_rest: NoiseAtRest | None
+) -> FittedRecords:
     """The fit with the true inputs unknown, where those measured show noise; as it is where they show none."""
 
     def descend(problem: RecordProblem, psi: Real, limit: int) -> OptimizeResult:
         return _descended(problem, psi, exact.limits, limit)
 
     try:
-        better = with_uncertain_inputs(exact.problem, exact.psi, measured, descend)
+        better = with_uncertain_inputs(exact.problem, exact.psi, measured, descend, at_rest)
     except NotSolvedError:
         return replace(exact, held=True)
     if better is None:

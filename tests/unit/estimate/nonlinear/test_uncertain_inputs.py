@@ -9,16 +9,23 @@ import pytest
 from scipy.fft import dct
 from scipy.optimize import least_squares
 
+from dashpot.api import identify
+from dashpot.data.conditioning.settings import Conditioning
+from dashpot.data.conditioning.still import noise_at_rest
+from dashpot.data.record import Record
 from dashpot.estimate.nonlinear.input_levels import own_noise
 from dashpot.estimate.nonlinear.record_problem import RecordProblem
 from dashpot.estimate.nonlinear.records import arranged
 from dashpot.estimate.nonlinear.uncertain_inputs import known_inputs
 from dashpot.estimate.nonlinear.whole_record import fit_records
+from dashpot.model.elements import Kind, between
+from dashpot.model.nonlinear.force_law import force_law
 from dashpot.model.nonlinear.integration import Integrator
 from dashpot.model.nonlinear.propagation import forcing
 from dashpot.model.nonlinear.shooting import integrate
 from dashpot.numerics.levenberg_marquardt import minimise
 from tests.driven_rigs import cubic
+from tests.whole_rigs import chain, record_of
 
 
 def problem_of(samples: int, drive: float) -> tuple[RecordProblem, np.ndarray]:
@@ -95,3 +102,23 @@ def test_noise_of_the_input_is_told_and_widens_the_intervals() -> None:
     quiet = replace(record, values=test.noisy(0.01, 0.0, 6).values)
     assert np.all(estimate.bound_sd > fit_records(test.model, [quiet]).estimate().bound_sd)
     assert held.warnings == () or "exact_inputs" not in [notice.code for notice in held.warnings]
+
+
+@pytest.mark.parametrize("drive", [0.003, 0.05])
+def test_a_rig_that_is_linear_after_all_agrees_with_the_whole_records_of_linear_rigs(drive: float) -> None:
+    """The same noise at rest for both, in time here and at lines there; a cubic spring of no effect; seeds 2 and 3.
+
+    The record at rest is smoothed over its whole band: what scatter it has would weigh the lines there.
+    """
+    model, theta = chain(1, 0.05, seed=1)
+    test = record_of(model, theta, "random", decay_times=25, seed=3)
+    idle = replace(between("q", Kind.SPRING, "x1", "u", value=1.0), force_law=force_law("cubic"))
+    nonlinear = replace(model, elements=(*model.elements, idle))
+    sd = np.array([0.02, drive]) * test.size
+    record = test.noisy(np.random.default_rng(2), sd)
+    rest = sd * np.random.default_rng(3).standard_normal((20 * len(record.time), 2))
+    still = noise_at_rest([Record(record.channels, np.arange(len(rest)) * record.time[1], rest)], 4000)
+    lines = identify(model, [record], conditioning=Conditioning(still=still))
+    mine = fit_records(nonlinear, [record], still=still).estimate()
+    assert np.all(np.abs(mine.values - lines.values) < 0.1 * lines.sd)
+    np.testing.assert_allclose(mine.bound_sd, lines.bound_sd, rtol=0.01)
