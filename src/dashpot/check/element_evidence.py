@@ -118,7 +118,8 @@ def compare_in_dwells(model: Model, spectrum: Spectrum) -> ElementComparison:
         numbers = full.dof + len(estimate.values)
         ln_evidence = (full.fall - added * np.log(numbers)) / 2
         left = float(np.sqrt(max(full.chi2 - full.fall, 0.0) / full.chi2))
-        element = replace(full.element, name=free_name(model, full.element))
+        named = with_open_constants(full.element)
+        element = replace(named, name=free_name(model, named), guess=float(f"{full.value:.4g}"))
         ranked.append(ElementEvidence((element,), (full.value,), left, float(ln_evidence)))
     ranked.sort(key=lambda one: -one.evidence)
     best = ranked[0] if ranked[0].evidence > DECISIVE else None

@@ -22,6 +22,7 @@ from dashpot.estimate.likelihood.chunks import Measured
 from dashpot.estimate.likelihood.nuisance import estimated_inputs
 from dashpot.estimate.likelihood.objective import local, measured, predict
 from dashpot.estimate.nonlinear.dwells import dwells_of
+from dashpot.estimate.nonlinear.search import lost_dwells_regained
 from dashpot.estimate.preparation.prepared import Prepared
 from dashpot.model.elements import Element, Kind, between
 from dashpot.model.network import Model
@@ -52,7 +53,7 @@ MARKED = 0.3  # share of the misfit that it must explain
 APART = 1e-4  # part of a column that the rig's own unknowns must leave
 FEW = 4  # coordinates up to which any two points are tried, and not only those that an element joins
 TOGETHER = 12  # candidates that are scored at once
-FOLLOWED = 2  # candidates that are fitted in full
+FOLLOWED, SOFTLY = 2, 4  # candidates that are fitted in full, the second number from the softened data
 ENOUGH = 2.0  # χ² per degree of freedom at which no other candidate is followed
 LIMIT = 15  # iterations of such a fit
 HINT = 0.4  # share of the misfit that a candidate must promise to be followed
@@ -303,10 +304,13 @@ def called_for(data: Prepared, psi: Real, sign: Real) -> list[ScoredElement]:
     ψ (M,): the best fit of the rig as it is.
     """
     chi2, fitted = misfit(data, psi, sign), list[ScoredElement]()
-    for softness, start in ((0.0, psi), (SOFT, softened(data, psi, sign))):
+    for softness, start, followed in (
+        (0.0, psi, FOLLOWED),
+        (SOFT, softened(data, psi, sign), SOFTLY),
+    ):
         candidates = candidate_elements(data.model, motions_of(data, start))
         scored = scored_in_dwells(data, start, sign, candidates, softness)
-        for candidate in scored[:FOLLOWED]:
+        for candidate in scored[:followed]:
             if candidate.fall > HINT * candidate.chi2:
                 fitted.append(fitted_in_full(data, start, sign, candidate, chi2, softness))
             if fitted and fitted[-1].chi2 - fitted[-1].fall < ENOUGH * fitted[-1].dof:
@@ -345,6 +349,8 @@ def fitted_in_full(
             if left > (1 - FALLEN) * candidate.chi2:
                 continue  # what does not help there leads nowhere in sharper data
         ended, cost = _descended(view, exact, start, sign, LIMIT)
+        if cost > chi2 and lost_dwells_regained(view, exact, ended[None]):  # near a fold
+            ended, cost = _descended(view, exact, ended, sign, LIMIT)
         if cost < least:
             best, least = ended, cost
         if least < ENOUGH * candidate.dof:

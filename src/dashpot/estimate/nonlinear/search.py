@@ -60,7 +60,7 @@ def search_harmonics(likelihood: Likelihood) -> tuple[OptimizeResult, Measured, 
     minimum = best
     if len(exact.y) > 1 or not best.converged[0]:
         minimum = likelihood.descend_in(exact, np.repeat(best.x, len(exact.y), axis=0), sign, near=near)
-    if _regained(view, exact, minimum.x):
+    if lost_dwells_regained(view, exact, minimum.x):
         minimum = likelihood.descend_in(exact, minimum.x, sign, near=near)
     while True:
         part = measured_part(exact)
@@ -256,7 +256,7 @@ def _at_end(
     return periodic_response(view.model, p, constants, drive, start), p, constants, drive
 
 
-def _regained(view: ObservationModel, exact: Measured, psi: Real) -> bool:
+def lost_dwells_regained(view: ObservationModel, exact: Measured, psi: Real) -> bool:
     """Whether dwells without a response at ψ (K, M) have got one by raising their drive slowly from rest.
 
     The last responses remember it.

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from itertools import combinations
 
+import numpy as np
+
 from dashpot.channel import Channel
 from dashpot.errors import ModelError
 from dashpot.io.toml_document import toml_key
@@ -15,6 +17,8 @@ from dashpot.model.rigfile.force_laws import law_fields
 from dashpot.model.rigfile.rig import Rig, is_electrical
 from dashpot.model.rigfile.schema import GROUND
 from dashpot.model.unstructured import free_entries
+
+LARGE = 1e7  # from which a number is written with a power of ten
 
 
 def write_rig(rig: Rig) -> str:
@@ -59,6 +63,14 @@ def element_line(element: Element) -> str:
     return f"{toml_key(element.name)} = {_inline(_element_fields(element))}"
 
 
+def _number(value: float) -> str:
+    """A number that reads back as it is; large ones without the zeros of 200000000.0."""
+    text = repr(float(value))
+    if abs(value) < LARGE or "e" in text:
+        return text
+    return np.format_float_scientific(value, trim="0", exp_digits=1).replace("e+", "e")
+
+
 def _section(name: str, entries: Mapping[str, Mapping[str, str]]) -> list[str]:
     """The lines of a section, one an entry, behind an empty one."""
     return ["", f"[{name}]", *(f"{toml_key(key)} = {_inline(fields)}" for key, fields in entries.items())]
@@ -88,18 +100,18 @@ def _element_fields(element: Element) -> dict[str, str]:
             fields = {"between": _list([first, second])}
         case _:
             fields = {
-                "along": _inline({toml_key(point): repr(float(factor)) for point, factor in factors.items()})
+                "along": _inline({toml_key(point): _number(factor) for point, factor in factors.items()})
             }
     numbers = {
         "value": element.value, "sd": element.sd, "guess": element.guess, "min": element.lower, "max": element.upper,
     }  # fmt: skip
-    fields |= {key: repr(float(number)) for key, number in numbers.items() if number is not None}
+    fields |= {key: _number(number) for key, number in numbers.items() if number is not None}
     if element.force_law is not None:
         fields |= law_fields(element.force_law)
     if element.same_as is not None:
         fields["same_as"] = quoted(element.same_as)
         if element.times != 1.0:
-            fields["times"] = repr(float(element.times))
+            fields["times"] = _number(element.times)
     return fields
 
 
@@ -118,12 +130,12 @@ def _channel_fields(channel: Channel, model: Model) -> dict[str, str]:
             key == "gain" and is_electrical(channel.unit, channel.quantity.value)
         )
         if stated:
-            fields[key] = '"unknown"' if number is None else repr(float(number))
+            fields[key] = '"unknown"' if number is None else _number(number)
     for key, number in (("noise", channel.noise), ("relative_noise", channel.relative_noise)):
         if number != 0:
-            fields[key] = repr(float(number))
+            fields[key] = _number(number)
     if channel.rate is not None:
-        fields["rate"] = repr(float(channel.rate))
+        fields["rate"] = _number(channel.rate)
     if channel.same_gain_as is not None:
         fields["same_gain_as"] = quoted(channel.same_gain_as)
     return fields
@@ -133,7 +145,7 @@ def _points_text(points: Mapping[str, float]) -> str:
     match list(points.items()):
         case [(point, 1.0)]:
             return quoted(point)
-    return _inline({toml_key(point): repr(float(factor)) for point, factor in points.items()})
+    return _inline({toml_key(point): _number(factor) for point, factor in points.items()})
 
 
 def _inline(fields: Mapping[str, str]) -> str:

@@ -14,9 +14,13 @@ from dashpot.check.diagnosis.nonlinear_elements import (
     motions_of,
     scored_in_dwells,
 )
+from dashpot.check.element_evidence import compare_in_dwells
 from dashpot.estimate.assessment import applied
 from dashpot.estimate.identify import identify
 from dashpot.estimate.preparation.prepared import prepare
+from dashpot.model.elements import Element, Kind, between, mass
+from dashpot.model.network import Input, Model
+from dashpot.model.nonlinear.force_law import force_law
 from tests.nonlinear_rigs import chain, motions, noisy, settled, two_masses
 
 ALL = motions("x1", "x2", "u")
@@ -54,6 +58,32 @@ def test_the_element_that_the_data_call_for_is_named_and_mends_the_fit(law, orde
 
 
 @pytest.mark.long
+def test_a_dwell_on_the_upper_branch_of_a_fold_does_not_hide_the_element():
+    """At the true values it is lost, and its cost had left clearances and a quintic spring as the likeliest."""
+    parts = (
+        mass("m", "x1", value=1.5),
+        between("k", Kind.SPRING, "x1", "u"),
+        between("c", Kind.DAMPER, "x1", "u"),
+    )
+    cubic = Element("k3", Kind.SPRING, {"x1": 1.0, "u": -1.0}, force_law=force_law("cubic"))
+    model = Model(("x1",), (Input("u"),), (*parts, cubic))
+    seen = motions("x1", "u")
+    frequencies = np.arange(3, 12.5, 0.5)
+    spectrum = settled(
+        model, np.array([2500, 6, 2e7]), seen, frequencies, orders=(1,), amplitude=1e-3, noise=1e-3, input_noise=1e-3,
+        rng=np.random.default_rng(3),
+    )  # fmt: skip
+    linear = replace(model, elements=parts)
+    (first, *_) = examined(linear, spectrum, identify(linear, spectrum)).assessment.findings
+    assert (first.kind, first.elements[0].force_law.text) == ("nonlinear", "cubic")
+    assert first.number == pytest.approx(2e7, rel=0.01)
+    best = compare_in_dwells(linear, spectrum).ranked[0]
+    assert best.elements[0].name == "k3"
+    assert best.elements[0].guess == pytest.approx(2e7, rel=0.01)
+    assert best.remaining < 0.02
+
+
+@pytest.mark.long
 def test_friction_in_fundamentals_alone_is_named_first_between_the_right_points():
     """Its law is not told from other damping that falls with speed; the input left out explains as much."""
     linear, _, spectrum, estimate = linear_fit("coulomb", (1,))
@@ -75,7 +105,8 @@ def test_a_shaken_mass_that_rubs_refuses_the_linear_fit_and_its_friction_is_foun
     assert assessment.verdict == "does not fit"
     finding = assessment.findings[0]
     assert (finding.kind, finding.of) == ("nonlinear", ("x1", "u"))
-    assert finding.text.endswith("damping that falls with speed (p < 1e-6)")
+    assert finding.text.endswith("friction (p < 1e-6)")
+    assert finding.number == pytest.approx(5.0, rel=0.05)
     estimate = identify(model, data, "ml")
     assert np.mean(np.asarray(estimate.fit.p) > 0.01) > 0.9
     held = np.abs(estimate.values - theta) < 1.96 * estimate.sd
