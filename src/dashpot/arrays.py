@@ -21,9 +21,12 @@ MANY = 1 << 17  # numbers of all lines from which diagonal matrices are laid out
 
 def frozen(values: ArrayLike, dtype: type[Scalar]) -> NDArray[Scalar]:
     """A read-only copy of `values`; an array that nobody can write to is shared."""
-    if isinstance(values, np.ndarray) and values.dtype == dtype and _settled(values):
-        return values
-    copy: NDArray[Any] = np.array(values, dtype=dtype)
+    if isinstance(values, np.ndarray) and values.dtype == dtype:
+        if _settled(values):
+            return values
+        copy: NDArray[Any] = values.copy("K")
+    else:
+        copy = np.array(values, dtype=dtype)
     copy.setflags(write=False)
     return copy
 

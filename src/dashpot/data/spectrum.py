@@ -163,7 +163,7 @@ class Spectrum(InNotebooks):
     @cached_property
     def complete(self) -> bool:
         """Whether every channel was measured at every line in all repeats."""
-        return bool(self.present.all())
+        return bool(np.isfinite(self.amplitudes).all())
 
     def index(self, name: str) -> int:
         """Position of a channel by name.  Raises DataError where there is none."""

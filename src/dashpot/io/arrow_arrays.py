@@ -41,8 +41,9 @@ def _column_of(values: Sequence[Any] | np.ndarray) -> Any:
         if values.dtype == np.bool_:
             bits = np.packbits(values, bitorder="little")
             return pa.Array.from_buffers(pa.bool_(), len(values), [None, _buffer(bits)])
-        if values.dtype == object and all(type(value) is str for value in values.tolist()):
-            return _texts(values.tolist())
+    words = values.tolist() if isinstance(values, np.ndarray) else values
+    if len(words) and all(type(word) is str for word in words):
+        return _texts(words)
     return pa.array(values)
 
 

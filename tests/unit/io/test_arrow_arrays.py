@@ -19,6 +19,7 @@ COLUMNS: dict[str, Any] = {
     "marks": np.array([True, False, True, True]),
     "texts": np.array(["", "ü", "a" * 300, "0"], dtype=object),
     "single": np.array([1.5, 2.5, 3.5, 4.5], dtype=np.float32),
+    "words": np.array(["a", "bc", "", "d"]),
     "list": ["a", "b", "c", "d"],
 }
 
@@ -55,7 +56,9 @@ def test_pandas_is_not_loaded() -> None:
     program = """
 import sys, numpy as np
 from dashpot.io.arrow_arrays import array_of, arrow_table
-table = arrow_table({"x": np.arange(3.0), "name": np.array(["a", "b", "c"], dtype=object)})
+names = ["a", "b", "c"]
+words = {"name": np.array(names, dtype=object), "word": np.array(names), "list": names}
+table = arrow_table({"x": np.arange(3.0), **words})
 assert array_of(table["x"]).tolist() == [0.0, 1.0, 2.0]
 raise SystemExit("pandas" in sys.modules)
 """
