@@ -20,7 +20,6 @@ from dashpot.io.scratch import clear_scratch
 
 ENDING = tuple(getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name))
 
-
 PAUSE = 0.01  # s, after which a request that was lost comes again
 _asked: list[int] = []  # signals that were raised as exceptions and have had no answer yet
 _latest: weakref.ref[Ended] | None = None

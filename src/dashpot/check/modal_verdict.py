@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from dashpot.check.diagnosis.modal_causes import diagnose_modes
-from dashpot.check.verdict import WORST, powerless, rejected, unphysical, unstable
+from dashpot.check.verdict import powerless, rejected, unphysical, unstable, worst_of
 from dashpot.data.modal_data import ModalData
 from dashpot.estimate.assessment import Assessment, Judgement, Misfit
 from dashpot.estimate.modal.mode_residuals import ModeResiduals, mode_residuals
@@ -58,4 +58,4 @@ def _worst(data: ModalData, left: ModeResiduals) -> tuple[Misfit, ...]:
         for hz, sd in zip(data.frequency_hz, column, strict=True)
         if np.isfinite(sd) and sd > 0
     ]
-    return tuple(sorted(misfits, key=lambda misfit: -misfit.sd)[:WORST])
+    return worst_of(misfits)

@@ -11,21 +11,18 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.linalg import block_diag
-from scipy.special import stdtr
 
 from dashpot.arrays import Real
 from dashpot.check.diagnosis.nonlinear_elements import APART, CERTAIN
 from dashpot.check.diagnosis.rig_changes import missing_elements
+from dashpot.check.diagnosis.score_test import steadiness
 from dashpot.check.element_evidence import record_candidates, with_candidates
 from dashpot.estimate.nonlinear.record_prediction import FollowedRecord
 from dashpot.model.elements import Element
 from dashpot.model.network import Model
 
-BLOCKS = 40  # parts of the records, by whose scatter a candidate is judged: whatever colour the noise has
 LEAST = 0.1  # of the residuals, that a candidate must explain: noise of a measured input makes it explain a little
-FELT = (
-    1e-3  # of a channel's motion, that it must explain: residuals of exact data are errors of the integration
-)
+FELT = 1e-3  # of a channel's motion, that it must explain: exact data leave errors of the integration
 TOGETHER = 4  # candidates that are integrated at once: each step solves for the forces of all
 MOST_NUMBERS = 20_000_000  # in the slopes
 
@@ -63,7 +60,7 @@ def element_called_for(model: Model, motions: Sequence[FollowedRecord]) -> Calle
             continue
         value = float(column @ residual) / left
         share = value**2 * left / total
-        if share > (least if best is None else best.share) and _chance(column, residual, value) < certain:
+        if share > (least if best is None else best.share) and steadiness(column, residual, value) < certain:
             best = CalledFor(element, share, value)
     return best
 
@@ -97,11 +94,3 @@ def _columns(
     own_columns = own_columns / np.maximum(np.linalg.norm(own_columns, axis=0), np.finfo(float).tiny)
     left = both - own_columns @ np.linalg.lstsq(own_columns, both, rcond=1e-12)[0]
     return left[:, 0], left[:, 1:], np.linalg.norm(both[:, 1:], axis=0)
-
-
-def _chance(column: Real, residual: Real, value: float) -> float:
-    """p-value of a parameter by its scatter over parts of the records, which noise of any colour and course has."""
-    edges = np.linspace(0, len(column), BLOCKS, endpoint=False).astype(np.int64)
-    each = np.add.reduceat(column * (residual - value * column), edges)
-    spread = max(float(np.sqrt(np.sum(each**2))), np.finfo(float).tiny)
-    return 2 * float(stdtr(BLOCKS - 1, -abs(value) * float(column @ column) / spread))

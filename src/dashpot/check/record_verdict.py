@@ -13,7 +13,7 @@ from dashpot.check.diagnosis.ranking import Cause
 from dashpot.check.diagnosis.wording import finding
 from dashpot.check.record_scores import CalledFor, element_called_for
 from dashpot.check.uncertain_scores import element_of_uncertain
-from dashpot.check.verdict import WORST, powerless, rejected, unphysical
+from dashpot.check.verdict import powerless, rejected, unphysical, worst_of
 from dashpot.data.record import Record
 from dashpot.errors import DataError
 from dashpot.estimate.assessment import Assessment, Finding, Judgement, Misfit
@@ -116,4 +116,4 @@ def _worst(motions: Sequence[PredictedMotion]) -> tuple[Misfit, ...]:
         for name, column in zip(motion.names, size.T, strict=True):
             line = int(np.argmax(column))
             misfits.append(Misfit(name, (line + 1) / duration, float(column[line])))
-    return tuple(sorted(misfits, key=lambda misfit: -misfit.sd)[:WORST])
+    return worst_of(misfits)

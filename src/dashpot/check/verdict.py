@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -217,6 +217,11 @@ def _relative(left: Residuals, motions: Bools) -> Mapping[str, float]:
     names = [name for name, there in zip(left.channels, shown, strict=True) if there]
     moved = motions[shown]
     return {name: float(part) for name, part, motion in zip(names, parts, moved, strict=True) if motion}
+
+
+def worst_of(misfits: Iterable[Misfit]) -> tuple[Misfit, ...]:
+    """The misfits that are named, the largest first."""
+    return tuple(sorted(misfits, key=lambda misfit: -misfit.sd)[:WORST])
 
 
 def _worst(left: Residuals) -> tuple[Misfit, ...]:

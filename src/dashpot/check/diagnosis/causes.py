@@ -52,9 +52,7 @@ SLIGHT = 0.5  # change of a gain by which its score is followed
 GROSS = 0.02  # part of the misfit that a gross mistake leaves, beside which nothing finer is looked for
 BY_CHANCE = 5.0  # standard deviations by which noise alone may leave more
 MOST_DWELLS = 40
-EXCHANGED = (
-    6  # pairs of channels, the most hopeful, that are searched afresh where nothing explains the misfit
-)
+EXCHANGED = 6  # pairs of channels, the most hopeful, searched afresh where nothing explains the misfit
 RELABELLED = 6.0  # χ² for each number of a dwell below which it belongs to another frequency
 RADIANS = 180 / np.pi  # times which phases are radians that were read as degrees
 SIGN = Likeness(-1.0, 0, 0.0, False, 0.0)

@@ -92,8 +92,7 @@ def _starts(model: Model, data: ModalData, estimate: Estimate, seed: int) -> Rea
 
 def _reduced(model: Model, data: ModalData, chi2: float) -> float:
     """χ² over its degrees of freedom; infinite where there are none."""
-    rows = measured_modes(model, with_one_axis(data)).rows
-    dof = rows - len(model.unknowns) + int(np.count_nonzero(model.prior_precision))
+    dof = measured_modes(model, with_one_axis(data)).dof(model)
     return chi2 / dof if dof > 0 else np.inf
 
 

@@ -12,7 +12,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.fft import next_fast_len
-from scipy.special import stdtr
 
 from dashpot.arrays import Complex, Ints, Real
 from dashpot.check.diagnosis.nonlinear_elements import (
@@ -22,6 +21,7 @@ from dashpot.check.diagnosis.nonlinear_elements import (
     candidate_elements,
     moving_pairs,
 )
+from dashpot.check.diagnosis.score_test import steadiness
 from dashpot.data.conditioning.still import HALF_WINDOW, smoothed
 from dashpot.data.spectrum import Spectrum
 from dashpot.data.stretch import WholeRecord, history_of_lines
@@ -42,8 +42,7 @@ from dashpot.model.observation import (
 from dashpot.numerics.projection import orthonormal, real_rows
 
 MOST_AMPLITUDES = 100_000  # complex numbers of all channels
-BLOCKS = 40  # parts of the records, each of which tells the candidate's parameter
-STEADY = 1e-3  # p-value below which these parts agree that there is one
+STEADY = 1e-3  # p-value below which all parts of the records agree that there is one
 OVERSAMPLED = 2  # times the samples of a record: kinks of a law reach beyond its lines
 LEAST = 0.02  # of what is left over, that a candidate must explain: mistakes of other kinds leave it less by chance
 NEARLY = 0.5  # of what the best explains: others that explain as much are named, too
@@ -94,7 +93,7 @@ class _Times:
             record = spectrum.stretches[number]
             assert isinstance(record, WholeRecord)
             lines.append(np.flatnonzero(spectrum.stretch == number))
-            order.append(np.rint(spectrum.frequency_hz[lines[-1]] * record.duration_s).astype(np.int64))
+            order.append(record.orders(spectrum.frequency_hz[lines[-1]]))
             samples.append(int(next_fast_len(OVERSAMPLED * record.samples, real=True)))
         return _Times(tuple(lines), tuple(order), tuple(samples))
 
@@ -286,16 +285,8 @@ class _Test:
         return ScoredElement(element, 2 * value * float(alone @ self.residual), chi2, self.dof, value)
 
     def _steady(self, column: Real, residual: Real, value: float) -> float:
-        """p-value of the parameter by its scatter over parts of the records in time.
-
-        What comes once, or grows with the motion as noise may, is no element.
-        """
-        pushed, left = (self._history(side) for side in (column, residual - value * column))
-        edges = np.linspace(0, len(pushed), BLOCKS, endpoint=False).astype(np.int64)
-        whole = np.sum(pushed * pushed) * value
-        each = np.add.reduceat(np.sum(pushed * left, axis=1), edges)
-        spread = float(np.sqrt(np.sum(each**2)))
-        return 2 * float(stdtr(BLOCKS - 1, -abs(float(whole)) / max(spread, np.finfo(float).tiny)))
+        """p-value of the parameter by its scatter over parts of the records in time."""
+        return steadiness(self._history(column), self._history(residual), value)
 
     def _history(self, rows: Real) -> Real:
         """Rows in time, (samples of all, channels)."""

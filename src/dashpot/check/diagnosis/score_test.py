@@ -11,11 +11,14 @@ from dataclasses import dataclass
 from types import MappingProxyType
 
 import numpy as np
+from scipy.special import stdtr
 
 from dashpot.arrays import Real
 from dashpot.estimate.likelihood.chunks import Measured
 from dashpot.estimate.likelihood.objective import local
 from dashpot.model.observation import ObservationModel
+
+PARTS = 40  # of records, each of which tells a parameter by itself
 
 
 @dataclass(frozen=True)
@@ -68,3 +71,16 @@ def promised(
             push = score[j] - cross @ inverse @ score[free]
             listed.append(Promise(names[j], float(push**2 / left), chi2, float(push / left / scale[j])))
     return listed
+
+
+def steadiness(column: Real, residual: Real, value: float) -> float:
+    """p-value of the parameter `value` of a column in time by its scatter over parts of the records.
+
+    That scatter is there whatever colour and course the noise has; what comes once is no element.
+    column, residual: (samples of all records,), or with channels on a second axis.
+    """
+    rows = column.reshape(len(column), -1), (residual - value * column).reshape(len(column), -1)
+    edges = np.linspace(0, len(column), PARTS, endpoint=False).astype(np.int64)
+    each = np.add.reduceat(np.sum(rows[0] * rows[1], axis=1), edges)
+    spread = max(float(np.sqrt(np.sum(each**2))), np.finfo(float).tiny)
+    return 2 * float(stdtr(PARTS - 1, -abs(value) * float(np.sum(column * column)) / spread))

@@ -204,7 +204,7 @@ def _lines_of_waves(record: WholeRecord, drive_hz: float, frequency_hz: Real) ->
     """The lines at `frequency_hz` of a cosine and of a sine at the drive's frequency, (lines, 2)."""
     phase = 2 * np.pi * drive_hz * record.step_s * np.arange(record.samples)
     waves: Complex = np.fft.rfft(np.stack([np.cos(phase), np.sin(phase)], axis=1), axis=0)
-    return waves[np.rint(frequency_hz * record.duration_s).astype(np.int64)] * (2 / record.samples)
+    return waves[record.orders(frequency_hz)] * (2 / record.samples)
 
 
 def _as_model(

@@ -81,7 +81,7 @@ def _estimate(
     lower, upper = model.bounds
     free = without_bounds(theta, at, lower, upper)
     covariance = scaled_inverse(at.symmetric)
-    chi2, dof = at.cost, view.rows - m + int(np.count_nonzero(model.prior_precision))
+    chi2, dof = at.cost, view.dof(model)
     p: Real = np.asarray(chdtrc(float(dof), chi2)) if dof > 0 else np.full(len(chi2), np.nan)
     misfit = (p < MISFIT_LEVEL) & (chi2 > dof)
     widened = covariance * np.where(misfit, chi2 / max(dof, 1), 1.0)[:, None, None]

@@ -30,6 +30,10 @@ class MeasuredModes:
     look: Real
     rows: int
 
+    def dof(self, model: Model) -> int:
+        """Degrees of freedom of χ² of a fit of `model`, whose priors count as data."""
+        return self.rows - len(model.unknowns) + int(np.count_nonzero(model.prior_precision))
+
 
 def with_one_axis(data: ModalData) -> ModalData:
     """The data with one leading axis of repeats."""
