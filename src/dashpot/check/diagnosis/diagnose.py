@@ -94,10 +94,14 @@ def examined(model: Model, spectrum: Spectrum, estimate: Estimate, *, seed: int 
     misfit = float(estimate.fit.misfit) ** 2
     elements_found = _nonlinear_elements(model, spectrum, estimate) if linear else ()
     if linear and (assessment.verdict == "does not fit" or not bool(estimate.converged)):
-        enough = bool(elements_found) and _left(elements_found[0]) < (1 - MARKED) * misfit
+        share = _left(elements_found[0]) / misfit if elements_found else 1.0
         on_lines, causes_found = (
-            (misfit, ()) if enough else _misfit_and_causes(model, spectrum, estimate, seed)
+            (misfit, ()) if share < EXPLAINED else _misfit_and_causes(model, spectrum, estimate, seed)
         )
+        if _of_another_linear_rig(causes_found, on_lines, share):
+            elements_found = ()
+        elif share < 1 - MARKED:
+            causes_found = ()
         assessment = replace(assessment, findings=_ranked(causes_found, assessment.findings, on_lines))
     if elements_found:
         assessment = _with_nonlinear_elements(assessment, elements_found, misfit)
@@ -142,6 +146,16 @@ def _with_nonlinear_elements(
         assessment, verdict="does not fit", reasons=(Notice("nonlinear", text, elements_found[0].of), *reasons),
         findings=(*leading, *elements_found, *others),
     )  # fmt: skip
+
+
+def _of_another_linear_rig(causes_found: tuple[Finding, ...], misfit: float, share: float) -> bool:
+    """Whether a linear part that is missing or has another value explains nearly all of the `misfit`.
+
+    Residuals of a wrong mass go with the motion, so that a nonlinear element explains much of them, but never as much:
+    `share` is what it leaves.
+    """
+    left = [_left(each) / misfit for each in causes_found if each.kind in ("value", "element")]
+    return min(left, default=np.inf) < min(EXPLAINED, share / 2)
 
 
 def _left(tried: Finding) -> float:

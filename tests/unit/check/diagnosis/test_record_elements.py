@@ -2,23 +2,28 @@
 
 from __future__ import annotations
 
+import runpy
 from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 from scipy.interpolate import CubicSpline
 
-from dashpot.api import identify
+from dashpot.api import identify, read
 from dashpot.arrays import Real
 from dashpot.channel import Channel
+from dashpot.data.conditioning.settings import Conditioning
+from dashpot.data.conditioning.still import noise_at_rest
 from dashpot.data.record import Record
 from dashpot.estimate.assessment import Finding, applied
 from dashpot.estimate.nonlinear.whole_record import identify_records
 from dashpot.estimate.result import Estimate
 from dashpot.model.elements import Kind, between, mass
 from dashpot.model.network import Input, Model
+from dashpot.model.rigfile import read_rig
 
 Law = Callable[[float, float], float]
 STEP, SAMPLES = 1 / 50, 1500
@@ -29,6 +34,7 @@ LAWS: dict[str, tuple[Law, str, str]] = {
     "friction": (lambda d, v: 0.3 * np.tanh(v / 0.005), "fc", "friction"),
     "gap": (lambda d, v: 1500 * (max(d - 0.003, 0) + min(d + 0.003, 0)), "kgap", "with a clearance"),
 }
+ROOT = Path(__file__).parents[4]
 CHANNELS = (Channel("x", {"x": 1.0}), Channel("u", {"u": 1.0}))
 
 
@@ -138,3 +144,18 @@ def test_records_of_a_linear_rig_call_for_none_whatever_is_wrong_with_a_channel(
         values = np.stack([mistake(record.values[:, 0]), record.values[:, 1]], axis=1)
         record = replace(record, values=values)
     assert nonlinear(fitted(record)) == []
+
+
+def test_a_wrong_mass_passes_for_no_nonlinear_element(tmp_path: Path) -> None:
+    """Its residuals go with the motion: a clearance explained half of them and led to a fit as bad as before."""
+    example = ROOT / "examples" / "08_earthquake"
+    runpy.run_path(str(example / "make_record.py"))["main"](tmp_path)
+    text = (example / "rig.toml").read_text(encoding="utf-8")
+    (tmp_path / "rig.toml").write_text(text.replace("1.2 kg", "1.8 kg", 1), encoding="utf-8")
+    rig = read_rig(tmp_path / "rig.toml")
+    settings = Conditioning(still=noise_at_rest(read(tmp_path / "still.csv", rig).records))
+    estimate = identify(rig, tmp_path / "quake.csv", diagnose=True, conditioning=settings)
+    assert estimate.assessment is not None
+    first, *others = estimate.assessment.findings
+    assert (first.kind, "m1" in first.change) == ("value", True)
+    assert all(each.kind != "nonlinear" for each in (first, *others))
