@@ -13,8 +13,9 @@ from scipy.special import stdtr
 from dashpot.arrays import Real
 from dashpot.check.diagnosis.nonlinear_elements import APART, CERTAIN
 from dashpot.check.diagnosis.rig_changes import missing_elements
+from dashpot.check.diagnosis.score_test import PARTS
 from dashpot.check.element_evidence import record_candidates, with_candidates
-from dashpot.check.record_scores import BLOCKS, LEAST, MOST_NUMBERS, TOGETHER, CalledFor
+from dashpot.check.record_scores import LEAST, MOST_NUMBERS, TOGETHER, CalledFor
 from dashpot.estimate.nonlinear.input_levels import all_linearised, stated_precision
 from dashpot.estimate.nonlinear.record_problem import RecordProblem
 from dashpot.estimate.nonlinear.records import total_samples
@@ -50,7 +51,7 @@ def element_of_uncertain(problem: RecordProblem, psi: Real) -> CalledFor | None:
         if not own > APART**2 * size:
             continue
         share = float(score**2 / own / total)
-        chance = 2 * float(stdtr(BLOCKS - 1, -abs(score) / sd))
+        chance = 2 * float(stdtr(PARTS - 1, -abs(score) / sd))
         if share > (LEAST if best is None else best.share) and chance < CERTAIN / len(candidates):
             best = CalledFor(element, share, float(score / own))
     return best
@@ -73,7 +74,7 @@ def _course(columns: Sequence[Real], data: Sequence[Real], draws: Sequence[Real]
     """How much more candidates' scores scatter over parts of the records than those of drawn noise, at least 1."""
     measured, usual = np.zeros(columns[0].shape[2]), np.zeros(columns[0].shape[2])
     for column, residual, noise in zip(columns, data, draws, strict=True):
-        edges = np.linspace(0, len(column), BLOCKS, endpoint=False).astype(np.int64)
+        edges = np.linspace(0, len(column), PARTS, endpoint=False).astype(np.int64)
         each = np.add.reduceat(np.einsum("nck,nc->nk", column, residual), edges, axis=0)
         drawn = np.add.reduceat(np.einsum("nck,ncd->nkd", column, noise), edges, axis=0)
         measured += np.sum((each - np.mean(each, axis=0)) ** 2, axis=0)

@@ -25,6 +25,7 @@ from dashpot.model.observation import measures_input
 from dashpot.notices import Notice
 
 REJECTED = 0.01  # p-value of χ² below which a rig does not fit: one clean test in a hundred
+MORE_THAN_NOISE = 2.0  # rms of a channel's residuals over the noise
 FEWEST = 4  # degrees of freedom below which χ² has no power to speak of
 BEYOND = 3.0  # standard deviations by which a sign or a damping ratio must be wrong
 HEARD = 3.0  # standard deviations that an amplitude must have to be more than noise
@@ -206,6 +207,12 @@ def _smooth(left: Residuals, motions: Bools, least: float) -> list[Notice]:
 
 
 def _relative(left: Residuals, motions: Bools) -> Mapping[str, float]:
+    """What the model leaves of the motion of each channel, (0 … 1).
+
+    Measured inputs count where the fit meets the outputs by another input than was measured: it is more than noise
+    away, and by a greater part than any output.
+    """
+
     def rms(values: Complex) -> Real:
         power: Real = np.sqrt(np.nanmean(np.abs(values) ** 2, axis=0))
         return power
@@ -216,7 +223,9 @@ def _relative(left: Residuals, motions: Bools) -> Mapping[str, float]:
     parts = rms(away[:, shown]) / np.where(sizes > 0, sizes, 1.0)
     names = [name for name, there in zip(left.channels, shown, strict=True) if there]
     moved = motions[shown]
-    return {name: float(part) for name, part, motion in zip(names, parts, moved, strict=True) if motion}
+    otherwise = (left.rms()[shown] > MORE_THAN_NOISE) & (parts > np.max(parts[moved], initial=0.0))
+    said = moved | otherwise
+    return {name: float(part) for name, part, motion in zip(names, parts, said, strict=True) if motion}
 
 
 def worst_of(misfits: Iterable[Misfit]) -> tuple[Misfit, ...]:
