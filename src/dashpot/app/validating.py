@@ -44,15 +44,22 @@ def predictions_of(
     part: tuple[float, float] = (0.0, 1.0),
 ) -> tuple[RecordPrediction, ...]:
     """What an estimate predicts of data files, or of a part of each record; raises DataError."""
-    from dashpot.app.data_files import measured_data, part_of, read_files
+    from dashpot.app.data_files import (
+        conditioning_from,
+        measured_data,
+        part_of,
+        read_files,
+        with_noise_record,
+    )
     from dashpot.app.progress import progress
     from dashpot.check.record_validation import validate_records
     from dashpot.check.validation import validate
 
     reading = read_files(rig, paths, conditioning, quiet)
     if len(rig.model.nonlinear) and reading.continuous:
+        still = with_noise_record(conditioning_from(conditioning), rig, conditioning, quiet).still
         with progress("validate", quiet):
-            return validate_records(rig.model, estimate, part_of(reading, part).records)
+            return validate_records(rig.model, estimate, part_of(reading, part).records, still)
     spectrum = measured_data(rig, reading, conditioning, quiet, part=part).spectrum
     with progress("validate", quiet):
         return validate(rig.model, estimate, spectrum)
