@@ -61,7 +61,7 @@ def main() -> None:
         take(misfit, 1280, 1000, IMAGES / "report_misfit.png", scratch)
         take_on_a_phone(misfit, IMAGES / "report_phone.png", scratch)
         undetermined = IMAGES / "report_undetermined.png"
-        take((scratch / "undetermined.html").as_uri(), 1000, 400, undetermined, scratch)
+        take((scratch / "undetermined.html").as_uri(), 1000, 460, undetermined, scratch)
 
 
 if __name__ == "__main__":
