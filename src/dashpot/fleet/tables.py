@@ -242,7 +242,7 @@ class _Csv(_Table):
 
 
 def _opened(path: str, column: str) -> _Table:
-    """The table with its names read.  Raises DataError where it has no such column."""
+    """The table with its names read.  Raises DataError where it has no such column, or a row without a name."""
     with open(noted(path), "rb") as file:
         is_parquet = file.read(4) == b"PAR1"
     names: list[str] = []
@@ -250,6 +250,11 @@ def _opened(path: str, column: str) -> _Table:
     rows = 0
     for batch in (_parquet_names if is_parquet else _csv_batches)(path, column):
         of_batch, places = _runs(batch.column(column))
+        if "" in of_batch:
+            row = rows + places[of_batch.index("")] + 1
+            raise DataError(
+                f"column {shown(column)}: row {row} does not name its rig", path, "name the rig of every row"
+            )
         if names and of_batch and of_batch[0] == names[-1]:
             del of_batch[0], places[0]
         names += of_batch
@@ -275,11 +280,12 @@ def _runs(column: Any) -> tuple[list[str], list[int]]:
     if changes.null_count:
         changes = changes.fill_null(True)
     starts = np.concatenate([[0], 1 + np.flatnonzero(array_of(changes.cast(pa.uint8())))])
-    texts = map(str, column.take(arrow_table({"row": starts}).column(0)).to_pylist())
+    values = column.take(arrow_table({"row": starts}).column(0)).to_pylist()
+    texts = ("" if value is None else str(value) for value in values)
     names: list[str] = []
     places: list[int] = []
     for name, start in zip(texts, starts.tolist(), strict=True):
-        if not names or name != names[-1]:  # rows without a name are each unlike the last
+        if not names or name != names[-1]:  # gaps are each unlike the last
             names.append(name)
             places.append(start)
     return names, places

@@ -149,3 +149,15 @@ def test_what_is_wrong_with_a_table_is_said(tmp_path: Path) -> None:
     (tmp_path / "bad.parquet").write_bytes(path.read_bytes()[:200])
     with pytest.raises(DataError, match="the table cannot be read"):
         of_tables([str(tmp_path / "bad.parquet")], "rig")
+
+
+@pytest.mark.parametrize("ending", [".csv", ".parquet"])
+def test_a_row_without_a_name_is_refused_with_its_number(tmp_path: Path, ending: str) -> None:
+    path = tmp_path / f"all{ending}"
+    names = ["a", "a", None, "b"]
+    if ending == ".csv":
+        path.write_text("rig,x_re\n" + "".join(f"{name or ''},1.5\n" for name in names))
+    else:
+        parquet.write_table(pa.table({"rig": names, "x_re": [1.5] * 4}), path)
+    with pytest.raises(DataError, match="column rig: row 3 does not name its rig; name the rig of every row"):
+        of_tables([str(path)], "rig")
