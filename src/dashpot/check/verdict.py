@@ -16,6 +16,7 @@ from dashpot.estimate.assessment import Assessment, Finding, Judgement, Misfit
 from dashpot.estimate.inference.band_stability import DISAGREE
 from dashpot.estimate.inference.diagnostics import dead_channels, of_one_sign
 from dashpot.estimate.inference.free_motion import MODES_UNSEEN
+from dashpot.estimate.inference.noise_in_time import UNEVEN
 from dashpot.estimate.inference.time_course import CLOCK_STEP, GAIN_STEP, JUMP, SPIKES, TIME_CHANGES
 from dashpot.estimate.likelihood.record_noise import RESIDUAL
 from dashpot.estimate.result import Estimate
@@ -70,7 +71,12 @@ def assess(model: Model, spectrum: Spectrum, estimate: Estimate) -> Assessment:
         *(notice for notice in estimate.warnings if notice.code == DISAGREE),
         *in_time,
         *standing_out(left, spectrum, motions, tones),
-        *_smooth(quiet, motions, least=1.0 if _sized_elsewhere(estimate, spectrum) else 0.5),
+        *_smooth(
+            quiet,
+            motions,
+            least=1.0 if _sized_elsewhere(estimate, spectrum) else 0.5,
+            uneven=any(notice.code == UNEVEN for notice in estimate.warnings),
+        ),
     ]
     unheard = [] if spectrum.records else _unheard(left, motions, _fundamentals(spectrum))
     untested = [] if against else powerless(estimate, of_residuals=RESIDUAL in spectrum.noise)
@@ -180,10 +186,11 @@ def _unheard(left: Residuals, motions: Bools, lines: Bools) -> list[Notice]:
     ]
 
 
-def _smooth(left: Residuals, motions: Bools, least: float) -> list[Notice]:
+def _smooth(left: Residuals, motions: Bools, least: float, uneven: bool) -> list[Notice]:
     """Channels whose residuals run smoothly over frequency, as they are or against the motion: noise does not.
 
-    What a wrong rig leaves over is in proportion to the drive, whose phase may be another at each line.
+    What a wrong rig leaves over is in proportion to the drive, whose phase may be another at each line.  Noise that is
+    `uneven` in time runs smoothly, too, but no more so at the lines that move most than at the others.
     """
     order = np.argsort(left.frequency_hz, kind="stable")
     names = []
@@ -194,8 +201,8 @@ def _smooth(left: Residuals, motions: Bools, least: float) -> list[Notice]:
         size = float(np.sum(np.abs(r) ** 2))
         if len(r) < 8 or size < least * len(r):
             continue
-        alike = max(float(np.sum((turned[1:] * np.conj(turned[:-1])).real)) for turned in (r, r * phase))
-        if alike / size * np.sqrt(2 * len(r)) > SMOOTH:
+        loud = np.abs(motion[finite]) > np.median(np.abs(motion[finite])) if uneven else np.ones(len(r), bool)
+        if max(_likeness(turned, loud) for turned in (r, r * phase)) > SMOOTH:
             names.append(left.channels[c])
     if not names:
         return []
@@ -204,6 +211,17 @@ def _smooth(left: Residuals, motions: Bools, least: float) -> list[Notice]:
             "smooth_residuals", f"the residuals of {joined(names)} run smoothly over frequency", tuple(names)
         )
     ]
+
+
+def _likeness(r: Complex, loud: Bools) -> float:
+    """Standard deviations of the correlation of neighbouring residuals (lines,) beyond that where they are not loud."""
+    alike, power = (r[1:] * np.conj(r[:-1])).real, np.abs(r[1:]) ** 2
+    correlation, variance = 0.0, 0.0
+    for side, lines in ((1, loud[1:]), (-1, ~loud[1:])):
+        if np.any(lines):
+            correlation += side * float(np.sum(alike[lines]) / max(np.sum(power[lines]), 1e-300))
+            variance += 1 / (2 * np.sum(lines))
+    return float(correlation / np.sqrt(variance))
 
 
 def _relative(left: Residuals, motions: Bools) -> Mapping[str, float]:

@@ -26,6 +26,7 @@ from dashpot.data.conditioning.still import HALF_WINDOW, smoothed
 from dashpot.data.spectrum import Spectrum
 from dashpot.data.stretch import WholeRecord, history_of_lines
 from dashpot.errors import DashpotError
+from dashpot.estimate.inference.noise_in_time import UNEVEN
 from dashpot.estimate.likelihood.chunks import Measured
 from dashpot.estimate.likelihood.objective import RecordFit, measured, predict, record_fit
 from dashpot.estimate.preparation.prepared import prepare
@@ -74,7 +75,9 @@ def called_for_in_records(model: Model, spectrum: Spectrum, estimate: Estimate) 
         slopes = predict(data.view, exact, psi, sign).J
     if not np.all(np.isfinite(slopes)):
         return []
-    return _scored(model, exact, spectrum, fit, slopes, _places(data.view, spectrum, fit, exact, psi, sign))
+    places = _places(data.view, spectrum, fit, exact, psi, sign)
+    uneven = any(notice.code == UNEVEN for notice in estimate.warnings)
+    return _scored(model, exact, spectrum, fit, slopes, places, uneven)
 
 
 @dataclass(frozen=True)
@@ -195,8 +198,12 @@ def _scored(
     fit: RecordFit,
     slopes: Complex,
     places: dict[tuple[str, str], _Place],
+    uneven: bool,
 ) -> list[ScoredElement]:
-    """The candidates that pass, the best first; slopes (1, lines, channels, M)."""
+    """The candidates that pass, the best first; slopes (1, lines, channels, M).
+
+    Of noise that is `uneven` in time no test holds but that of all parts of the records.
+    """
 
     def rows(columns: Complex) -> Real:
         """Columns (lines, channels, k) with unit noise, inputs and ends taken out, (rows, k)."""
@@ -211,7 +218,7 @@ def _scored(
     beside = np.concatenate([own[0], rows(np.stack(linear, axis=-1))], axis=-1)
     test = _Test(
         times, orthonormal(own)[0][0], orthonormal(beside[None])[0][0], real_rows(fit.root @ fit.r[..., None])[0, :, 0],
-        max(exact.rows - int(fit.of_ends.rank[0]) - beside.shape[-1] - 1, 1),
+        max(exact.rows - int(fit.of_ends.rank[0]) - beside.shape[-1] - 1, 1), uneven,
     )  # fmt: skip
     scored = []
     motions = {pair: (place.size, float(np.max(np.abs(place.rate)))) for pair, place in places.items()}
@@ -266,6 +273,7 @@ class _Test:
     beside: Real
     residual: Real
     dof: int
+    uneven: bool
 
     def of(self, element: Element, column: Real) -> ScoredElement | None:
         """The candidate with its column (rows,); None where it is in doubt."""
@@ -277,16 +285,17 @@ class _Test:
         # The cost is −2 ln L: twice the square of what has unit noise.
         chi2, fall = 2 * float(beyond @ beyond), 2 * value * float(nonlinear @ beyond)
         test = ScoredElement(element, fall, chi2, self.dof, value)
-        if not (test.p_value < CERTAIN and self._steady(nonlinear, beyond, value) < STEADY):
+        if not (test.p_value < CERTAIN and self._steady(nonlinear, beyond, value)):
             return None
         alone = _left(self.own, column)
         value = float(alone @ self.residual) / float(alone @ alone)
         chi2 = 2 * float(self.residual @ self.residual)
         return ScoredElement(element, 2 * value * float(alone @ self.residual), chi2, self.dof, value)
 
-    def _steady(self, column: Real, residual: Real, value: float) -> float:
-        """p-value of the parameter by its scatter over parts of the records in time."""
-        return steadiness(self._history(column), self._history(residual), value)
+    def _steady(self, column: Real, residual: Real, value: float) -> bool:
+        """Whether the parameter is beyond doubt by its scatter over parts of the records in time."""
+        histories = self._history(column), self._history(residual)
+        return steadiness(*histories, value, uneven=self.uneven) < (CERTAIN if self.uneven else STEADY)
 
     def _history(self, rows: Real) -> Real:
         """Rows in time, (samples of all, channels)."""

@@ -73,14 +73,17 @@ def promised(
     return listed
 
 
-def steadiness(column: Real, residual: Real, value: float) -> float:
+def steadiness(column: Real, residual: Real, value: float, *, uneven: bool = False) -> float:
     """p-value of the parameter `value` of a column in time by its scatter over parts of the records.
 
     That scatter is there whatever colour and course the noise has; what comes once is no element.
+    Where noise is `uneven` in time, no more parts count than tell something of the parameter.
     column, residual: (samples of all records,), or with channels on a second axis.
     """
     rows = column.reshape(len(column), -1), (residual - value * column).reshape(len(column), -1)
     edges = np.linspace(0, len(column), PARTS, endpoint=False).astype(np.int64)
     each = np.add.reduceat(np.sum(rows[0] * rows[1], axis=1), edges)
     spread = max(float(np.sqrt(np.sum(each**2))), np.finfo(float).tiny)
-    return 2 * float(stdtr(PARTS - 1, -abs(value) * float(np.sum(column * column)) / spread))
+    tell = np.add.reduceat(np.sum(rows[0] ** 2, axis=1), edges)
+    count = float(np.sum(tell) ** 2 / max(np.sum(tell**2), np.finfo(float).tiny)) if uneven else PARTS
+    return 2 * float(stdtr(max(count - 1, 1.0), -abs(value) * float(np.sum(column * column)) / spread))
