@@ -99,10 +99,11 @@ class MaximumLikelihood(Method):
             warnings=warnings, bounds=bounds, responses=likelihood.exact.nonlinear,
         )  # fmt: skip
 
-    def rough(self, data: Prepared, *, typical: bool = False) -> tuple[Real, Real]:
+    def rough(self, data: Prepared, *, typical: int | None = None) -> tuple[Real, Real]:
         """ψ (1, parameters), SI units, and signs (1, channels) of one repeat, whatever a descent ends in.
 
-        One descent where all is seen, from the equation of motion weighted evenly, or as a `typical` rig has it.
+        One descent where all is seen, from the equation of motion weighted evenly, or as a typical rig has it: that
+        of this number, of which 0 is the middle of all.
         Raises as `solve`.
         """
         likelihood = Likelihood.of(data, self.effort)
@@ -121,17 +122,18 @@ class MaximumLikelihood(Method):
         return Effort(**{entry.name: getattr(self, entry.name) for entry in fields(Effort)})
 
 
-def _start(likelihood: Likelihood, states: States, *, typical: bool = False) -> Real:
+def _start(likelihood: Likelihood, states: States, *, typical: int | None = None) -> Real:
     """Where all is seen: least squares less its noise, (K, unknowns), boundary loads of whole records solved for.
 
-    These begin with even weights, or with those of a `typical` rig.
+    These begin with even weights, or with those of the `typical` rig of this number.
     """
     model, ends = likelihood.data.model, likelihood.exact.ends
     if ends is None:
         return compensated(model, states)
     rig: Real | None = None
-    if typical:
-        (rig,), _ = candidates(likelihood.data, 1, np.random.default_rng(likelihood.effort.seed))
+    if typical is not None:
+        rigs, _ = candidates(likelihood.data, typical + 1, np.random.default_rng(likelihood.effort.seed))
+        rig = rigs[typical]
     starts = record_starts(model, states, ends, rig)
     channels = len(likelihood.view.channels)
     # Those of one repeat together: a call costs more than its few numbers.

@@ -47,6 +47,7 @@ WHITE_LEVEL = 0.01  # of the test for coloured noise
 LITTLE = 4.0  # χ² over its degrees of freedom up to which it is none
 EACH_TO_START = 12  # lines of each part of the band that a first fit is made from
 EACH_IN_DOUBT = 80  # and where that fit may be a wrong valley
+TYPICAL = 8  # rigs of usual size whose noise is tried then, at most: each leads to the right one in half of the cases
 UNEXPLAINED_MOST = 0.5  # of the power of the channels: of a motion without input this is no free decay
 UNEXPLAINED = 0.2  # of a channel's power: what may be left over by a fit whose noise is not known yet
 POOL_LEVEL = 1e-3  # of the test whether short records share the size of their noise
@@ -179,16 +180,24 @@ def _begun(data: Prepared, exact: Measured, method: MaximumLikelihood) -> tuple[
         cost = local(view, exact, psi, sign).cost[0]
     else:
         psi, cost = _descended(view, exact, psi, sign, method)
-    possible = bool(np.all(psi[0] > bounds(view, positive=True)[0]))
-    if possible and (cost <= LITTLE * exact.rows or _explains(view, exact, psi, sign)):
+    if _is_sound(view, exact, psi, sign, cost):
         return psi, sign
     many = _with_states(thinned(data, EACH_IN_DOUBT))
     others = [] if few is data else [method.rough(many)]
-    for again, flips in (method.rough(many, typical=True), *others):
+    for number in range(-len(others), TYPICAL):
+        again, flips = method.rough(many, typical=number) if number >= 0 else others[number]
         other = local(view, exact, again, flips).cost[0]
         if other < cost or not np.isfinite(cost):
             psi, sign, cost = again, flips, other
+        if number >= 0 and _is_sound(view, exact, psi, sign, cost):
+            break
     return psi, sign
+
+
+def _is_sound(view: ObservationModel, data: Measured, psi: Real, sign: Real, cost: float) -> bool:
+    """Whether a first fit is worth going on from: possible parts, and little left over."""
+    possible = bool(np.all(psi[0] > bounds(view, positive=True)[0]))
+    return possible and (cost <= LITTLE * data.rows or _explains(view, data, psi, sign))
 
 
 def _with_states(data: Prepared) -> Prepared:
