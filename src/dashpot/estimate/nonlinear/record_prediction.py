@@ -14,6 +14,9 @@ from dashpot.estimate.nonlinear.records import RecordData, arranged, measured_co
 from dashpot.estimate.result import Estimate
 from dashpot.model.network import Model
 
+STEPS = 24  # of Gauss and Newton for the start of a record
+SETTLED = 1e-6  # of the squared residuals, that one more step would take away
+
 
 @dataclass(frozen=True)
 class PredictedMotion:
@@ -79,17 +82,37 @@ def followed_record(model: Model, estimate: Estimate, record: Record) -> Followe
     start = np.zeros(problem.states)
     if x is not None:
         start[: model.n] = x[0]
-    for _ in range(2):
-        residual, J = problem.residuals(np.concatenate([fixed, start]))[0]
-        if J is None:
-            raise DataError(
-                "the motion cannot be followed", record.source, "check that it is a record of this rig"
-            )
-        by_inner = J[..., problem.inner :].reshape(-1, problem.states)
-        seen = 2 * model.n  # states of laws keep what they began with
-        start[:seen] += np.linalg.lstsq(by_inner[:, :seen], residual.ravel(), rcond=1e-8)[0]
-    psi = np.concatenate([fixed, start])
+    psi = np.concatenate([fixed, _likeliest_start(problem, fixed, start)])
     return FollowedRecord(problem, psi, problem.residuals(psi, slopes=False)[0][0])
+
+
+def _likeliest_start(problem: RecordProblem, fixed: Real, start: Real) -> Real:
+    """The state from which the motion is nearest to the measured one, (states,); that of laws stays what it was.
+
+    Raises DataError where no motion follows from the first `start`.
+    """
+    seen = 2 * problem.model.n
+    best, least, step = start, np.inf, np.zeros(seen)
+    for _ in range(STEPS):
+        tried = best.copy()
+        tried[:seen] += step
+        residual, J = problem.residual(0, np.concatenate([fixed, tried]))
+        square = float(np.sum(residual**2)) if J is not None else np.inf
+        if J is None or not square < least:
+            if not np.isfinite(least):
+                source = problem.records[0].source
+                raise DataError(
+                    "the motion cannot be followed", source, "check that it is a record of this rig"
+                )
+            step = step / 4
+            continue
+        ended = square > (1 - SETTLED) * least
+        best, least = tried, square
+        if ended:
+            break
+        along = J[..., problem.inner : problem.inner + seen].reshape(-1, seen)
+        step = np.linalg.lstsq(along, residual.ravel(), rcond=1e-8)[0].astype(np.float64)
+    return best
 
 
 def followed_records(problem: RecordProblem, psi: Real) -> list[FollowedRecord]:
