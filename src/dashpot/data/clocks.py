@@ -1,21 +1,16 @@
-"""Sensors with clocks of their own: what one moment is on each of them, and records whose channels keep their times.
-
-A sensor's clock shows t' where the reference shows t = t' + offset + drift · (t' − middle).  Both are estimated from
-what the two sensors see alike: the lag of the highest correlation in pieces of the recording, and a line through the
-lags, weighted by their variances.  Sensors that do not move in phase make the lag wrong by what their phases differ.
-"""
+"""Sensors with clocks of their own: records whose channels keep their times, set by what `clock_offset.py` finds."""
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from dashpot.arrays import Real
+from dashpot.arrays import Bools, Real
 from dashpot.channel import Channel
 from dashpot.data.calibration import calibration
+from dashpot.data.clock_offset import TOGETHER, Clock, Sensor, estimated_clock
 from dashpot.data.conditioning.drive_frequency import refine_frequency
 from dashpot.data.conditioning.harmonic_fit import fit_harmonics
 from dashpot.data.conditioning.settings import Conditioning
@@ -27,37 +22,10 @@ from dashpot.errors import DataError
 from dashpot.io.words import counted
 from dashpot.notices import Notice
 
-PIECES = 8  # of the recording, each with a lag of its own
-ROUNDS = 4
-ALIKE = 0.95  # height of a second peak of the correlation at which the lag is ambiguous
 TOLERANCE = 1e-3  # of a sampling step, within which two samples were taken at once
+MOST_DEGREES = 10.0  # of the drive's phase that a clock may leave open
+FEWEST_TO_ALIGN = 256  # samples of the reference in the part where sensors move alike
 FEWEST = 0.5  # share of the shortest recording that sensors on one clock have in common
-
-
-@dataclass(frozen=True)
-class Clock:
-    """A sensor's clock against the reference: offset in s at the middle of the recording, drift in s/s, their sd."""
-
-    offset: float = 0.0
-    drift: float = 0.0
-    offset_sd: float = 0.0
-    drift_sd: float = 0.0
-    middle: float = 0.0
-
-    def on_reference(self, time: Real) -> Real:
-        """Times of the sensor's clock on the reference's, (samples,), s."""
-        moved: Real = time + self.offset + self.drift * (time - self.middle)
-        return moved
-
-
-@dataclass(frozen=True)
-class Sensor:
-    """What one sensor recorded: times on its own clock in s, channels in SI units, (samples, channels)."""
-
-    name: str
-    channels: tuple[Channel, ...]
-    time: Real
-    values: Real
 
 
 @dataclass(frozen=True)
@@ -133,15 +101,21 @@ def _between(
 
 
 def aligned_sensors(
-    sensors: Sequence[Sensor], frequency_hz: float | None, experiment: int, source: str
-) -> tuple[ClockedRecords, list[Notice]]:
+    sensors: Sequence[Sensor], frequency_hz: float | None, experiment: int, source: str,
+    align_s: tuple[float, float] | None = None,
+) -> tuple[ClockedRecords, list[Notice]]:  # fmt: skip
     """Sensors with clocks of their own, set by the first one's; what was found is in the notes.
 
-    Raises DataError where a clock cannot be set.
+    `align_s` is the part of the first one's recording, s from its start, in which all move alike: sensors that are
+    shaken together before they are mounted.  Without it the whole recording has to be so.
+    Raises DataError where a clock cannot be set, as where the phases of the rig itself hide it.
     """
     moved, clocks, notes = [sensors[0]], [Clock()], []
     for sensor in sensors[1:]:
-        clock = estimated_clock(sensors[0], sensor, source)
+        clock = estimated_clock(_part(sensors[0], align_s, source), sensor, source)
+        used = _outside(sensors[0], clock.on_reference(sensor.time), align_s)
+        clock = replace(clock, offset_sd=clock.sd_over(sensor.time[used]))
+        _require_alike(sensors[0], sensor, clock, frequency_hz, source)
         moved.append(replace(sensor, time=clock.on_reference(sensor.time)))
         clocks.append(clock)
         text = (
@@ -155,116 +129,47 @@ def aligned_sensors(
     return ClockedRecords(tuple(parts), tuple(clock.offset_sd for clock in clocks)), notes
 
 
-def estimated_clock(reference: Sensor, sensor: Sensor, source: str) -> Clock:
-    """Offset and drift of a sensor's clock, from the first channel of both.
-
-    Raises DataError where the two share no motion, or a motion so regular that the lag is ambiguous.
-    """
-    step = min(float(np.median(np.diff(s.time))) for s in (reference, sensor))
-    coarse, margin = _coarse_lag(reference, sensor, step)
-    if margin > ALIKE:
+def _part(reference: Sensor, align_s: tuple[float, float] | None, source: str) -> Sensor:
+    """That part of the reference's recording.  Raises DataError where it is not in it."""
+    if align_s is None:
+        return reference
+    since = reference.time - reference.time[0]
+    inside = (since >= align_s[0]) & (since <= align_s[1])
+    if np.sum(inside) < FEWEST_TO_ALIGN:
+        what = f"{counted(int(np.sum(inside)), 'sample')} of {reference.name} in align_s"
         raise DataError(
-            f"the clock of {sensor.name} cannot be aligned: the motion repeats itself too regularly",
-            source,
-            "record something that does not repeat, a start or a knock, or synchronise the sensors beforehand",
+            what, source, "name the part in which all sensors were shaken together, s from the start"
         )
-    clock = Clock(offset=coarse, middle=float(np.mean(sensor.time)))
-    for _ in range(ROUNDS):  # the lag is a first-order term: exact once it is small
-        lags, variances, centres = _lags_of_pieces(reference, sensor, clock, step)
-        if len(lags) < 3:
-            raise DataError(
-                f"the clock of {sensor.name} cannot be set: it and {reference.name} share no motion",
-                source,
-                "use sensors that share some motion, or synchronise them beforehand",
-            )
-        clock = _corrected(clock, lags, variances, centres)
-    return clock
+    return replace(reference, time=reference.time[inside], values=reference.values[inside])
 
 
-def _lags_of_pieces(reference: Sensor, sensor: Sensor, clock: Clock, step: float) -> tuple[Real, Real, Real]:
-    """Lags that a clock leaves in pieces of the recording, s, their variances, and the sensor's time of each piece."""
-    time = clock.on_reference(sensor.time)
-    start, end = max(reference.time[0], time[0]), min(reference.time[-1], time[-1])
-    rows = []
-    for a, b in itertools.pairwise(np.linspace(start, end, PIECES + 1).tolist()):
-        fit = _fine_lag(reference, time, sensor.values[:, 0], a, b, step)
-        if fit is not None:
-            rows.append((*fit, float(np.interp((a + b) / 2, time, sensor.time))))
-    table = np.array(rows).reshape(-1, 3)
-    return table[:, 0], table[:, 1], table[:, 2]
+def _outside(reference: Sensor, time: Real, align_s: tuple[float, float] | None) -> Bools:
+    """Which samples are not in that part, all where that leaves none: the clock is carried on to them."""
+    since = time - reference.time[0]
+    outside = (
+        np.ones(len(time), dtype=bool) if align_s is None else (since < align_s[0]) | (since > align_s[1])
+    )
+    return outside if np.any(outside) else ~outside
 
 
-def _corrected(clock: Clock, lags: Real, variances: Real, centres: Real) -> Clock:
-    """The clock with a weighted straight line through the lags added; sd from variances or scatter, the larger."""
-    w = 1 / variances
-    x = centres - clock.middle
-    A = np.stack([np.ones_like(x), x], axis=-1) * np.sqrt(w)[:, None]
-    line, _, _, _ = np.linalg.lstsq(A, lags * np.sqrt(w), rcond=None)
-    scatter = float(np.sum((lags * np.sqrt(w) - A @ line) ** 2)) / max(1, len(lags) - 2)
-    sd = np.sqrt(np.diagonal(np.linalg.inv(A.T @ A)) * max(1.0, scatter))
-    offset, drift = clock.offset + float(line[0]), clock.drift + float(line[1])
-    return Clock(offset, drift, float(sd[0]), float(sd[1]), clock.middle)
-
-
-def _coarse_lag(reference: Sensor, sensor: Sensor, step: float) -> tuple[float, float]:
-    """Lag of the highest correlation of the whole recordings, s, and the height of the next peak over it."""
-    signals = []
-    for s in (reference, sensor):
-        time = np.arange(s.time[0], s.time[-1], step)
-        y = np.interp(time, s.time, s.values[:, 0])
-        signals.append(y - np.mean(y))
-    a, b = signals
-    size = 1 << int(np.ceil(np.log2(len(a) + len(b))))
-    cross = np.fft.irfft(np.fft.rfft(a, size) * np.conj(np.fft.rfft(b, size)), size)
-    height = np.abs(cross)
-    best = int(np.argmax(height))
-    around = np.zeros(size, dtype=bool)
-    peak = height >= np.maximum(np.roll(height, 1), np.roll(height, -1))
-    left = right = best  # the main lobe: down to where the correlation rises again
-    while height[(left - 1) % size] < height[left % size]:
-        left -= 1
-    while height[(right + 1) % size] < height[right % size]:
-        right += 1
-    around[np.arange(left, right + 1) % size] = True
-    second = float(np.max(np.where(peak & ~around, height, 0.0), initial=0.0))
-    shift = best if best < size // 2 else best - size
-    lag = float(reference.time[0] - sensor.time[0]) + shift * step
-    return lag, second / max(float(height[best]), 1e-300)
-
-
-def _fine_lag(
-    reference: Sensor, time: Real, values: Real, start: float, end: float, step: float
-) -> tuple[float, float] | None:
-    """How late the sensor is in one piece and the variance of that, by least squares on y_r = α y + β ẏ; or None."""
-    inside = (reference.time >= start) & (reference.time <= end)
-    t = reference.time[inside]
-    inner = (t > time[1]) & (t < time[-2])
-    t, target = t[inner], reference.values[inside, 0][inner]
-    if len(t) < 32:
-        return None
-    y = np.interp(t, time, values)
-    slope = (np.interp(t + step, time, values) - np.interp(t - step, time, values)) / (2 * step)
-    A = np.stack([y, slope, np.ones_like(t)], axis=-1)
-    if not np.all(np.ptp(A[:, :2], axis=0) > 0):
-        return None
-    coefficients, _, rank, _ = np.linalg.lstsq(A, target, rcond=None)
-    rest = target - A @ coefficients
-    explained = 1 - float(np.sum(rest**2)) / max(float(np.sum((target - np.mean(target)) ** 2)), 1e-300)
-    if rank < 3 or explained < 0.25 or coefficients[0] == 0:
-        return None
-    V = np.linalg.inv(A.T @ A) * float(np.sum(rest**2)) / (len(t) - 3)
-    alpha, beta = coefficients[:2]
-    # y_r(t) = α y(t + β/α): the sensor's sample of time t belongs to t − β/α.
-    lag = -beta / alpha
-    gradient = np.array([beta / alpha**2, -1 / alpha])
-    variance = float(gradient @ V[:2, :2] @ gradient)
-    return float(lag), max(variance, 1e-24)
+def _require_alike(
+    reference: Sensor, sensor: Sensor, clock: Clock, frequency_hz: float | None, source: str
+) -> None:
+    """Raises DataError where the clock leaves the phase of the drive open: sensors apart on a rig do not move alike."""
+    phase = 0.0 if frequency_hz is None else 360 * frequency_hz * clock.offset_sd
+    if phase > MOST_DEGREES:
+        raise DataError(
+            f"the clock of {sensor.name} is known to ± {1e3 * clock.offset_sd:.2g} ms, {phase:.2g}° of the drive: "
+            f"it and {reference.name} do not move alike, and their phases are the rig's as well",
+            source,
+            TOGETHER,
+        )
 
 
 def clocked_lines(joint: ClockedRecords, settings: Conditioning) -> Spectrum:
     """The lines of sensors that were recorded at once, each channel from its own sample times.
 
-    Noise of different sensors is independent; the sd σ of a clock adds (ωσ)² X Xᴴ among its channels.
+    Noise of different sensors is independent; the sd σ of a clock adds 2 (ωσ)² X Xᴴ among its channels.
     Raises DataError as `fit_harmonics`, and where there is no drive frequency or moments of samples are asked for.
     """
     if settings.moments:
@@ -284,7 +189,7 @@ def clocked_lines(joint: ClockedRecords, settings: Conditioning) -> Spectrum:
         own = slice(first, first + len(part.channels))
         X[:, own] = fit.amplitudes[wanted] * h
         V[:, own, own] = fit.covariance[wanted] * h[:, :, None] * np.conj(h)[:, None, :]
-        phase = (2 * np.pi * frequency * sd) ** 2
+        phase = 2 * (2 * np.pi * frequency * sd) ** 2  # twice, for half of a complex variance is along X
         V[:, own, own] += phase[:, None, None] * X[:, own, None] * np.conj(X[:, None, own])
         dof = np.minimum(dof, fit.dof[wanted])
         first = own.stop

@@ -593,6 +593,13 @@ u = { of = "u", unit = "mm" }
 """
 
 
+def test_a_curve_of_nothing_but_the_drive_is_refused(dashpot: Command) -> None:
+    Path("n.toml").write_text(NONLINEAR.replace('x = { of = "x", unit = "mm" }\n', ""))
+    result = dashpot("response", "n.toml", "--band", "2:9", "--amplitude", "1mm", "--figure", "o.svg")
+    assert result.code == 2
+    assert "n.toml: no channel shows how the rig moves" in result.err[0]
+
+
 def test_nonlinear_rigs_are_simulated_and_their_curves_drawn(dashpot: Command) -> None:
     Path("n.toml").write_text(NONLINEAR)
     drive = ["--frequencies", "3:9:1", "--amplitude", "1mm"]

@@ -72,6 +72,9 @@ def command(
     values_si = parameter_values(rig_read, merged(values, "--set"))
     require_values(rig_read, values_si)
     require_nonlinear(rig_read.model)
+    if not _moving(rig_read):
+        cure = "add one of a coordinate to [channels], or take that section out"
+        raise UsageError("no channel shows how the rig moves: all show its inputs", rig, cure)
     with progress("response", quiet):
         curves = _curves(rig_read, values_si, band, at, amplitudes)
         bones = _backbones(rig_read, values_si, backbone, curves)
@@ -84,6 +87,13 @@ def command(
         from dashpot.present.tables.response_curves import show_curves
 
         show_curves(console(), [*curves, *bones], at is not None)
+
+
+def _moving(rig: Rig) -> list[int]:
+    """Positions of the channels that show more than inputs."""
+    from dashpot.model.observation import measures_input
+
+    return [c for c, channel in enumerate(rig.channels) if not measures_input(rig.model, channel)]
 
 
 def _drives(
@@ -163,11 +173,10 @@ def _draw(
 ) -> None:
     import numpy as np
 
-    from dashpot.model.observation import measures_input
     from dashpot.present.figures.response_curves import DrawnCurve, response_curves
     from dashpot.present.figures.style import write_figure
 
-    moving = [c for c, channel in enumerate(rig.channels) if not measures_input(rig.model, channel)]
+    moving = _moving(rig)
     scale = np.array([rig.channels[c].scale for c in moving])
     drawn = [
         DrawnCurve(

@@ -9,7 +9,8 @@ from pathlib import Path
 import numpy as np
 
 from dashpot.channel import RESERVED_NAMES, Channel
-from dashpot.data.clocks import ClockedRecords, Sensor, aligned_sensors, joined_sensors
+from dashpot.data.clock_offset import Sensor
+from dashpot.data.clocks import ClockedRecords, aligned_sensors, joined_sensors
 from dashpot.data.periods import average_periods, one_period, samples_of_period
 from dashpot.data.readers.columns import Columns
 from dashpot.data.readers.datafile import open_file
@@ -109,9 +110,10 @@ def _joined(group: FileGroup, channels: Sequence[Channel], circumstances: Circum
                 f"{len(records)} records in the file of a sensor", str(path), "give one file each"
             )
         sensors.append(Sensor(name, named, records[0].time, records[0].values))
-    join = joined_sensors if group.entry.clock == "shared" else aligned_sensors
     source = next(iter(group.paths.values())).name
-    joint, notices = join(sensors, circumstances.frequency_hz, circumstances.experiment, source)
+    given = (sensors, circumstances.frequency_hz, circumstances.experiment, source)
+    own = group.entry.clock == "own"
+    joint, notices = aligned_sensors(*given, group.entry.align_s) if own else joined_sensors(*given)
     notes = [*_said(notes), *notices]
     if isinstance(joint, ClockedRecords):
         return Interpreted(notes=tuple(notes), joint=(joint,))

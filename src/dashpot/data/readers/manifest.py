@@ -9,6 +9,7 @@ columns = { a1 = "Acceleration", F1 = "Force" }   # channel (or time_s, frequenc
 units = { a1 = "g" }                         # of the numbers in the file, where it says none or a wrong one
 sensors = { floor1 = { x1 = "Acc_X" } }      # the same for each {sensor}; its files are joined to one record
 clock = "shared"                             # of the sensors; "own": offset and drift are estimated
+align_s = [0, 8]                             # where they were shaken together, by which own clocks are set
 experiment = 0                               # else the number of the entry
 frequency_hz = 1.0                           # else {frequency}, the file's own, or none: a continuous record
 lines = "11:250"                             # a multisine: multiples of frequency_hz that are excited
@@ -56,6 +57,7 @@ class FilesEntry(_Strict):
     units: dict[str, str] = {}
     sensors: dict[str, Names] = {}
     clock: Literal["shared", "own"] = "shared"
+    align_s: tuple[float, float] | None = Field(default=None, strict=False)
     experiment: int | None = None
     frequency_hz: Annotated[float, Field(gt=0, lt=1e12)] | None = None
     lines: str | list[int] | None = None

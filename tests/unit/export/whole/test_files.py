@@ -8,6 +8,7 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 from scipy.io import mmread
+from scipy.linalg import expm
 
 from dashpot.data.readers.datafile import open_file
 from dashpot.data.readers.uff.modes import modes_of
@@ -162,6 +163,43 @@ def test_mujoco_moves_alike():
     load = expected.G[:, 0] * data.ctrl[0] + expected.F[:, 0] * data.ctrl[1]
     force = load - expected.K @ data.qpos - expected.C @ data.qvel
     assert data.qacc == pytest.approx(np.linalg.solve(expected.M, force), rel=1e-9)
+
+
+@pytest.mark.parametrize(("at_each_stage", "most"), [(False, 2e-5), (True, 1e-8)])
+def test_mujoco_moves_as_the_rig_does(at_each_stage, most):
+    """From rest, on a shaken base, with what the file itself says of step and integrator; SciPy's expm as oracle."""
+    mujoco = pytest.importorskip("mujoco", reason="mujoco is not installed")
+    rig = two_masses()
+    parts = matrices(rig.model, rig.p)
+    omega, amplitude, n = 2 * np.pi * 3.0, 0.01, len(rig.model.coordinates)
+    system = np.zeros((2 * n + 2, 2 * n + 2))  # state, then sin ωt and cos ωt
+    system[:n, n : 2 * n] = np.eye(n)
+    system[n : 2 * n] = np.linalg.solve(
+        parts.M,
+        np.column_stack([-parts.K, -parts.C, amplitude * parts.G[:, 0], amplitude * omega * parts.F[:, 0]]),
+    )
+    system[2 * n, -1], system[-1, 2 * n] = omega, -omega
+    model = mujoco.MjModel.from_xml_string(mujoco_model(rig))
+    data, step = mujoco.MjData(model), model.opt.timestep
+
+    def drive(data, time):
+        data.ctrl[:] = amplitude * np.sin(omega * time), amplitude * omega * np.cos(omega * time)
+
+    state, seen, exact = np.eye(2 * n + 2)[-1], [], []
+    advance = expm(system * step)
+    if at_each_stage:
+        mujoco.set_mjcb_control(lambda _, data: drive(data, data.time))
+    try:
+        for _ in range(round(1.0 / step)):
+            if not at_each_stage:
+                drive(data, data.time + step / 2)
+            mujoco.mj_step(model, data)
+            state = advance @ state
+            seen.append(data.qpos.copy())
+            exact.append(state[:n])
+    finally:
+        mujoco.set_mjcb_control(None)
+    assert np.max(np.abs(np.array(seen) - exact)) < most * np.max(np.abs(exact))
 
 
 def test_what_mujoco_cannot_hold_is_refused():
