@@ -10,6 +10,8 @@ from typing import Any
 
 import numpy as np
 
+from dashpot.io.ledger import noted
+
 ROWS = 1 << 16  # that are decoded at a time
 PIECE = 1 << 20  # bytes of a file that are read at once
 
@@ -42,7 +44,7 @@ def _group_checksum(path: str, number: int, stamp: tuple[int, int]) -> str:
         group, schema = file.metadata.row_group(number), file.schema_arrow
     columns = [group.column(k) for k in range(group.num_columns)]
     digest = hashlib.sha256(schema.serialize())
-    with open(path, "rb") as content:
+    with open(noted(path), "rb") as content:
         for column in columns:
             encoded = (column.path_in_schema, column.physical_type, column.compression, column.encodings)
             digest.update(repr((encoded, column.num_values, column.total_compressed_size)).encode())

@@ -104,7 +104,7 @@ def _spread(y: Real, s: Real) -> tuple[float, tuple[float, float]]:
     def cost(tau: float) -> float:
         return -float(restricted_likelihood(y, s, np.array([tau]))[0])
 
-    most = 5.0 * float(np.max(np.abs(y)))
+    most = 5.0 * (float(np.max(np.abs(y))) or float(np.max(s)))  # all alike, as values that rest at a bound
     coarse = np.concatenate([[0.0], np.geomspace(1e-4, most, 60)])
     best = int(np.argmax(restricted_likelihood(y, s, coarse)))
     low, high = coarse[max(best - 1, 0)], coarse[min(best + 1, len(coarse) - 1)]
@@ -135,7 +135,7 @@ def _grid(y: Real, s: Real, tau: float) -> tuple[Real, Real]:
 
     Flat in τ², as Morris (1983) chose so that intervals cover: flat in τ they held 93 % where τ is of the noise's size.
     """
-    most = 5.0 * float(np.max(np.abs(y)))
+    most = 5.0 * (float(np.max(np.abs(y))) or float(np.max(s)))  # all alike, as values that rest at a bound
     low, high = _end(y, s, tau, LIKELY, 0.0), _end(y, s, tau, LIKELY, most)
     grid = low + (np.arange(STEPS) + 0.5) / STEPS * (high - low)
     logs = restricted_likelihood(y, s, grid)

@@ -102,3 +102,10 @@ def test_outliers_and_gaps_say_nothing_of_the_population() -> None:
     assert np.isnan(found.values[[4, 5]]).all()
     assert found.mean == pytest.approx(5, abs=0.8)
     assert pooled("k", "N/m", y[:3], s[:3]) is None
+
+
+def test_rigs_that_are_all_alike() -> None:
+    """Values that rest at a bound: no scatter, and an upper end of it that their noise sets."""
+    population = pooled("c", "N·s/m", np.zeros(6), np.full(6, 0.1))
+    assert population is not None
+    assert np.all(population.values == 0)
