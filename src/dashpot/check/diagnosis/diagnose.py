@@ -105,11 +105,14 @@ def examined(model: Model, spectrum: Spectrum, estimate: Estimate, *, seed: int 
         assessment = replace(assessment, findings=_ranked(causes_found, assessment.findings, on_lines))
     if elements_found:
         assessment = _with_nonlinear_elements(assessment, elements_found, misfit)
-    if assessment.findings and assessment.findings[0].kind in OF_THE_RIG:
-        estimate, assessment = _without_changes_in_time(estimate, assessment)
+    return _closed(model, spectrum, *_without_changes_in_time(estimate, assessment))
+
+
+def _closed(model: Model, spectrum: Spectrum, estimate: Estimate, assessment: Assessment) -> Estimate:
+    """The estimate with its assessment, of fits looked at closely, and with the intervals that suit it."""
     if assessment.verdict == "fits":
         assessment = _looked_at_closely(model, spectrum, estimate, assessment)
-    if not linear:
+    if len(model.nonlinear):
         estimate = replace(
             estimate, warnings=(*estimate.warnings, *several_motions(model, spectrum, estimate))
         )
@@ -188,6 +191,8 @@ def _without_changes_in_time(estimate: Estimate, assessment: Assessment) -> tupl
 
     The warnings, which go with a remedy for each, name them no more.
     """
+    if not assessment.findings or assessment.findings[0].kind not in OF_THE_RIG:
+        return estimate, assessment
     in_time = tuple(reason for reason in assessment.reasons if reason.code in TIME_CHANGES)
     others = tuple(reason for reason in assessment.reasons if reason.code not in TIME_CHANGES)
     warnings = tuple(notice for notice in estimate.warnings if notice.code not in TIME_CHANGES)

@@ -78,7 +78,7 @@ def own_noise(records: Sequence[RecordData]) -> OwnNoise:
 
 
 @dataclass(frozen=True)
-class InputNoise:
+class InputSizes:
     """The variances of the noise of the inputs (q,), 0 where it is none; from_spectrum (q,): where it shows there.
 
     spread (channels + q, channels + q): covariance of the logarithms of the variances of channels and inputs; at_rest:
@@ -97,7 +97,7 @@ def with_uncertain_inputs(
     measured: Sequence[RecordData],
     descend: Descend,
     at_rest: NoiseAtRest | None,
-) -> tuple[RecordProblem, OptimizeResult, InputNoise] | None:
+) -> tuple[RecordProblem, OptimizeResult, InputSizes] | None:
     """The search from ψ (M,), the end of one with exact inputs, with the noise of inputs and outputs found beside it.
 
     measured: the records before any was cut; descend: the search, of so many steps at most; at_rest: the sizes, where a
@@ -115,7 +115,7 @@ def with_uncertain_inputs(
         end = search.run()
         refuted, gone = search.refuted(), search.gone()
         if not (np.any(refuted) or np.any(gone)):
-            return search.problem, end, InputNoise(search.variance, by_spectrum, search.spread())
+            return search.problem, end, InputSizes(search.variance, by_spectrum, search.spread())
         by_spectrum = by_spectrum & ~refuted
         variance = np.where(gone, 0.0, search.variance)
     return None
@@ -123,7 +123,7 @@ def with_uncertain_inputs(
 
 def _of_known_sizes(
     problem: RecordProblem, psi: Real, descend: Descend, at_rest: NoiseAtRest
-) -> tuple[RecordProblem, OptimizeResult, InputNoise]:
+) -> tuple[RecordProblem, OptimizeResult, InputSizes]:
     """The search with the noise that a record at rest shows."""
     q = len(at_rest.inputs)
     if np.any(at_rest.inputs > 0):
@@ -131,7 +131,7 @@ def _of_known_sizes(
     else:
         problem = replace(problem, sd=at_rest.outputs)
     spread = np.zeros((len(problem.sd) + q, len(problem.sd) + q))
-    noise = InputNoise(at_rest.inputs, np.zeros(q, dtype=bool), spread, at_rest=True)
+    noise = InputSizes(at_rest.inputs, np.zeros(q, dtype=bool), spread, at_rest=True)
     return problem, descend(problem, psi, LAST), noise
 
 
@@ -228,7 +228,7 @@ class _Search:
         return gone
 
 
-def moves_with_sizes(problem: RecordProblem, psi: Real, noise: InputNoise) -> Real:
+def moves_with_sizes(problem: RecordProblem, psi: Real, noise: InputSizes) -> Real:
     """How the end of a search, ψ (M,), moves with the logarithms of the variances, (M, channels + q)."""
     c = len(problem.sd)
     moves = np.zeros((len(psi), len(noise.spread)))

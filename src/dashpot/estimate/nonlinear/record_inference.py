@@ -10,7 +10,7 @@ from dashpot.errors import DataError
 from dashpot.estimate.inference.derived import known_values, tied_values
 from dashpot.estimate.inference.diagnostics import require_determined
 from dashpot.estimate.nonlinear.input_levels import (
-    InputNoise,
+    InputSizes,
     all_linearised,
     moves_with_sizes,
     stated_precision,
@@ -37,7 +37,7 @@ def record_estimate(
     iterations: int,
     history: Real,
     limits: tuple[Real, Real],
-    noise: InputNoise | None = None,
+    noise: InputSizes | None = None,
     held: bool = False,
 ) -> Estimate:
     """Values ψ (M,), and intervals that count the colour of the residuals; history (iterations + 1, M).
@@ -80,7 +80,7 @@ def record_estimate(
     )  # fmt: skip
 
 
-def _fit(problem: RecordProblem, psi: Real, dof: int, noise: InputNoise | None) -> Fit:
+def _fit(problem: RecordProblem, psi: Real, dof: int, noise: InputSizes | None) -> Fit:
     """χ², where a record at rest tells how large the noise is."""
     if noise is None or not noise.at_rest:
         return Fit(np.asarray(float(dof)), dof, np.asarray(np.nan), known_noise=False)
@@ -139,7 +139,7 @@ def record_unknowns(problem: RecordProblem) -> tuple[tuple[str, ...], tuple[str,
     return (*names, *offsets), (*units, *["N"] * len(offsets))
 
 
-def uncertain_covariances(problem: RecordProblem, psi: Real, noise: InputNoise) -> tuple[Real, Real, int]:
+def uncertain_covariances(problem: RecordProblem, psi: Real, noise: InputSizes) -> tuple[Real, Real, int]:
     """As `record_covariances`, where the inputs are uncertain.
 
     The scores are sums over the noise of the channels and the errors of the inputs; what each of both shows is counted
@@ -178,7 +178,7 @@ def _held_inputs(model: Model) -> list[Notice]:
     return [Notice(EXACT_INPUTS, text, tuple(source.name for source in model.inputs))]
 
 
-def _input_notes(model: Model, noise: InputNoise) -> list[Notice]:
+def _input_notes(model: Model, noise: InputSizes) -> list[Notice]:
     """How much noise the inputs have, and how that is known."""
     sources = [*model.displacement_inputs, *model.force_inputs]
     sd = np.sqrt(noise.variance)

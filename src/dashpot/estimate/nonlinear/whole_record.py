@@ -18,7 +18,7 @@ from dashpot.data.conditioning.still import Still
 from dashpot.data.record import Record
 from dashpot.errors import DataError, UsageError
 from dashpot.estimate.nonlinear.held_records import released
-from dashpot.estimate.nonlinear.input_levels import InputNoise, with_uncertain_inputs
+from dashpot.estimate.nonlinear.input_levels import InputSizes, with_uncertain_inputs
 from dashpot.estimate.nonlinear.objective import must_be_positive
 from dashpot.estimate.nonlinear.record_inference import record_estimate
 from dashpot.estimate.nonlinear.record_problem import RecordProblem, enough_for_record
@@ -65,7 +65,7 @@ class FittedRecords:
     iterations: int
     history: Real
     limits: tuple[Real, Real]
-    noise: InputNoise | None = None
+    noise: InputSizes | None = None
     held: bool = False
 
     def estimate(self) -> Estimate:

@@ -64,11 +64,7 @@ class LabViewReader:
             clock = _clock(header, source) if no_times else None
             without = no_times and clock is None
             stop = next_head.start() if next_head else len(data)
-            if isinstance(data, bytes):
-                segment = _segment(data[end:stop], source, above, units)
-            else:
-                part = file.rewritten(_rows_alone(data, end, stop))
-                segment = replace(_segment(part.contents, source, above, units), file=part)
+            segment = _segment_between(file, end, stop, source, above, units)
             names = ("", *segment.header[1:]) if without else segment.header
             yield replace(segment, clock=clock, header=names)
 
@@ -128,6 +124,17 @@ def _rows_alone(data: Text, start: int, end: int) -> Iterator[bytes]:
         yield from whole_lines(data, head_end, end)
     else:
         yield from _without_comments(data, head_end, end, "\t", len(names) - 1)
+
+
+def _segment_between(
+    file: DataFile, end: int, stop: int, source: str, above: int, units: tuple[str | None, ...]
+) -> Table:
+    """The segment whose header ends at byte `end`, up to byte `stop`; of a large file as a part of that file."""
+    data = file.contents
+    if isinstance(data, bytes):
+        return _segment(data[end:stop], source, above, units)
+    part = file.rewritten(_rows_alone(data, end, stop))
+    return replace(_segment(part.contents, source, above, units), file=part)
 
 
 def _segment(data: Text, source: str, above: int, units: tuple[str | None, ...]) -> Table:
