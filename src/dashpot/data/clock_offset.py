@@ -27,12 +27,7 @@ TOGETHER = (
 BANDS = 8  # of frequency, in which the sensors' lags are compared
 CHANCE = 0.01  # of a band that is held for shared though nothing in it is
 HIGHEST = 0.2  # of the sampling rate: above, interpolation changes the phase
-_WINDOW = (
-    0.35875,
-    -0.48829,
-    0.14128,
-    -0.01168,
-)  # of Blackman and Harris: a strong line stays within its band
+_WINDOW = 0.35875, -0.48829, 0.14128, -0.01168  # of Blackman and Harris: strong lines stay within their band
 
 
 @dataclass(frozen=True)

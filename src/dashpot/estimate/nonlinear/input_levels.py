@@ -39,7 +39,6 @@ LONGEST = np.log(4.0)  # of a step, of the logarithm of a variance
 LAST = 60  # steps of the last search
 EXACT = 1e-6  # of a channel's rms: residuals below it count no less
 LEAST = 1e-6  # of an input's size: noise that is looked for first
-
 NEGLIGIBLE = 1e-4  # of a size's information: so little is told of it where it moves nothing by 0.02 standard deviations
 
 Descend = Callable[[RecordProblem, Real, int], OptimizeResult]
@@ -101,8 +100,8 @@ def with_uncertain_inputs(
     """The search from ψ (M,), the end of one with exact inputs, with the noise of inputs and outputs found beside it.
 
     measured: the records before any was cut; descend: the search, of so many steps at most; at_rest: the sizes, where a
-    record at rest tells them.  None where the inputs show
-    no noise that matters.  Raises NotSolvedError where the motion hangs too much on its inputs for that.
+    record at rest tells them.  None where the inputs show no noise that matters.  Raises NotSolvedError where the
+    motion hangs too much on its inputs for that.
     """
     if at_rest is not None:
         return _of_known_sizes(problem, psi, descend, at_rest)

@@ -24,10 +24,8 @@ from dashpot.model.nonlinear.stability import stable_motions
 FIRST, SMALLEST, LARGEST = 0.01, 1e-6, 0.05  # steps, of the way
 POINTS = 3000  # on one curve at most
 NEWTON = 10
-TURNS, ROWS = (
-    450,
-    80_000,
-)  # of Newton's method on one curve: as many turns, or more while they have few equations
+TURNS = 450  # of Newton's method on one curve, or more while they have few equations:
+ROWS = 80_000  # so many in all
 SETTLED = 1e-8  # of the elongation
 TURN = 0.9  # cosine between tangents below which a step is halved
 WEAKEST = 0.01  # of the drive, from which a first point is followed where nothing else leads to it
