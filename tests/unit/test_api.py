@@ -189,11 +189,15 @@ def test_continuous_records_of_nonlinear_rigs_are_integrated(
     bent, answer = dashpot.parse_rig(NONLINEAR), rig.identify("data.csv")
     asked: list[object] = []
 
-    def integrated(model: object, records: object, method: object, *, progress: object) -> Estimate:
-        asked[:] = [model, records, method]
-        return answer
+    class Integrated:
+        def estimate(self) -> Estimate:
+            return answer
 
-    monkeypatch.setattr(api, "identify_records", integrated)
+    def integrated(model: object, records: object, method: object, **_: object) -> Integrated:
+        asked[:] = [model, records, method]
+        return Integrated()
+
+    monkeypatch.setattr(api, "fit_records", integrated)
     table = {name: np.zeros(50) for name in ("x1", "x2", "u")} | {"time_s": np.arange(50) / 100}
     record = dashpot.record(table, bent.channels)
     assert bent.identify(record).values is answer.values
