@@ -21,6 +21,7 @@ from dashpot.data.spectrum import Spectrum
 from dashpot.data.stretch import WholeRecord
 from dashpot.errors import DataError
 from dashpot.estimate.likelihood.chunks import Measured
+from dashpot.estimate.likelihood.global_search import seen_directly
 from dashpot.estimate.likelihood.input_noise import InputNoise, without_moved
 from dashpot.estimate.likelihood.maximum_likelihood import MaximumLikelihood
 from dashpot.estimate.likelihood.objective import bounds, local, measured, predict
@@ -184,7 +185,9 @@ def _begun(data: Prepared, exact: Measured, method: MaximumLikelihood) -> tuple[
         return psi, sign
     many = _with_states(thinned(data, EACH_IN_DOUBT))
     others = [] if few is data else [method.rough(many)]
-    for number in range(-len(others), TYPICAL):
+    # What is seen in part is searched from many rigs as it is.
+    rigs = TYPICAL if many.states is not None and seen_directly(many) else 1
+    for number in range(-len(others), rigs):
         again, flips = method.rough(many, typical=number) if number >= 0 else others[number]
         other = local(view, exact, again, flips).cost[0]
         if other < cost or not np.isfinite(cost):
