@@ -32,6 +32,8 @@ class Ended(BaseException):
     signal then comes again.
     """
 
+    number = 0  # of one that another signal has cut off while it was made
+
     def __init__(self, number: int) -> None:
         global _latest
         super().__init__(number)
@@ -57,7 +59,11 @@ def end_on_signals() -> None:
 
 
 def leave_signals() -> None:
-    """All is done and told: a signal that comes while the interpreter is taken down has nothing left to unwind."""
+    """All is done and told: a signal that comes while the interpreter is taken down has nothing left to unwind.
+
+    A second Ctrl-C may have come before the first had cleared all away.
+    """
+    clear_locks()
     for number in (*ENDING, signal.SIGINT):
         if signal.getsignal(number) in (_end, end_at_once, signal.default_int_handler):
             signal.signal(number, signal.SIG_DFL)
