@@ -34,10 +34,9 @@ def test_noise_of_a_base_is_taken_out_of_the_values() -> None:
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("drive", [0.003, 0.01, 0.03])
 @pytest.mark.parametrize("rig", [cubic, coulomb, gap])
-def test_intervals_hold_whatever_the_noise_of_the_input(rig: Callable[[], DrivenTest], drive: float) -> None:
-    """100 draws of 3 to 5 unknowns, seed 7: pooled coverage 95 ± 2.2 % were they all alike; three of these."""
-    error, held, bound = drawn(rig(), drive, 100, 7)
-    assert 0.885 < np.mean(held) <= 1.0
-    assert np.sqrt(np.mean(error**2 / np.mean(bound**2, axis=0))) < 1.1 + 3 * 0.04
+def test_intervals_hold_though_the_input_is_noisy(rig: Callable[[int], DrivenTest]) -> None:
+    """8 draws of 3 to 5 unknowns at 3 %, seed 7: pooled coverage 95 ± 7.7 % were they all alike; three of these."""
+    error, held, bound = drawn(rig(400), 0.03, 8, 7)
+    assert 0.72 < np.mean(held) <= 1.0
+    assert np.sqrt(np.mean(error**2 / np.mean(bound**2, axis=0))) < 1.1 + 3 * 0.14
