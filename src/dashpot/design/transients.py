@@ -23,7 +23,7 @@ from dashpot.design.precision import ExpectedPrecision, expected_precision
 from dashpot.design.test_setup import TestSetup
 from dashpot.errors import DashpotError
 from dashpot.estimate.likelihood.objective import local, measured
-from dashpot.estimate.preparation.prepared import prepare, without_priors
+from dashpot.estimate.preparation.prepared import prepare
 from dashpot.model.channel_noise import noise_sd
 from dashpot.model.motion import channel_samples, integrator
 from dashpot.model.network import Model
@@ -162,9 +162,11 @@ def _with_noise(lines: Spectrum, sd: Real) -> Spectrum:
 
 def _information(model: Model, theta: Real, lines: Spectrum) -> Real:
     """Information of lines without noise at the true θ, (q, q) in SI units of ψ, loads projected out."""
-    data = prepare(without_priors(model), lines, states=False)
+    data = prepare(model, lines, states=False)
     gains = np.ones(data.view.gains)
     psi = np.concatenate([theta, gains, np.zeros(data.view.delays)])
     at = local(data.view, measured(data), psi[None], np.ones((1, len(lines.channels))))
-    information: Real = at.symmetric[0]
+    information: Real = at.symmetric[0].copy()
+    stated = np.arange(len(theta))
+    information[stated, stated] -= model.prior_precision  # which is no information of the lines
     return information
