@@ -24,11 +24,6 @@ from dashpot.estimate.result import Estimate
 from dashpot.model.network import Model
 from dashpot.model.observation import channel_unit
 
-DRAWS, TOGETHER = (
-    192,
-    16,
-)  # draws of noise that tell what a line of the residual would show, so many at a time
-
 
 def validate_records(
     model: Model, estimate: Estimate, records: Sequence[Record], still: Still | None = None

@@ -13,7 +13,7 @@ from scipy.special import stdtr
 from dashpot.arrays import Real
 from dashpot.check.diagnosis.nonlinear_elements import APART, CERTAIN
 from dashpot.check.diagnosis.rig_changes import missing_elements
-from dashpot.check.diagnosis.score_test import PARTS
+from dashpot.check.diagnosis.score_test import PARTS, sums_of_parts
 from dashpot.check.element_evidence import record_candidates, with_candidates
 from dashpot.check.record_scores import LEAST, MOST_NUMBERS, TOGETHER, CalledFor
 from dashpot.estimate.nonlinear.input_levels import all_linearised, stated_precision
@@ -74,9 +74,8 @@ def _course(columns: Sequence[Real], data: Sequence[Real], draws: Sequence[Real]
     """How much more candidates' scores scatter over parts of the records than those of drawn noise, at least 1."""
     measured, usual = np.zeros(columns[0].shape[2]), np.zeros(columns[0].shape[2])
     for column, residual, noise in zip(columns, data, draws, strict=True):
-        edges = np.linspace(0, len(column), PARTS, endpoint=False).astype(np.int64)
-        each = np.add.reduceat(np.einsum("nck,nc->nk", column, residual), edges, axis=0)
-        drawn = np.add.reduceat(np.einsum("nck,ncd->nkd", column, noise), edges, axis=0)
+        each = sums_of_parts(np.einsum("nck,nc->nk", column, residual))
+        drawn = sums_of_parts(np.einsum("nck,ncd->nkd", column, noise))
         measured += np.sum((each - np.mean(each, axis=0)) ** 2, axis=0)
         usual += np.mean(np.sum((drawn - np.mean(drawn, axis=0)) ** 2, axis=0), axis=-1)
     return np.maximum(measured / np.maximum(usual, np.finfo(float).tiny), 1.0)

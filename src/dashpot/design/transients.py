@@ -22,7 +22,7 @@ from dashpot.design.plan import Plan
 from dashpot.design.precision import ExpectedPrecision, expected_precision
 from dashpot.design.test_setup import TestSetup
 from dashpot.errors import DashpotError
-from dashpot.estimate.likelihood.objective import local, measured
+from dashpot.estimate.likelihood.objective import local, measured, prior_precision
 from dashpot.estimate.preparation.prepared import prepare
 from dashpot.model.channel_noise import noise_sd
 from dashpot.model.motion import channel_samples, integrator
@@ -166,7 +166,5 @@ def _information(model: Model, theta: Real, lines: Spectrum) -> Real:
     gains = np.ones(data.view.gains)
     psi = np.concatenate([theta, gains, np.zeros(data.view.delays)])
     at = local(data.view, measured(data), psi[None], np.ones((1, len(lines.channels))))
-    information: Real = at.symmetric[0].copy()
-    stated = np.arange(len(theta))
-    information[stated, stated] -= model.prior_precision  # which is no information of the lines
+    information: Real = at.symmetric[0] - np.diag(prior_precision(data.view))  # which the lines do not tell
     return information

@@ -73,6 +73,14 @@ def promised(
     return listed
 
 
+def sums_of_parts(values: Real) -> Real:
+    """Sums over PARTS equal parts of records, (PARTS, ...), of values (samples, ...)."""
+    sums: Real = np.add.reduceat(
+        values, np.linspace(0, len(values), PARTS, endpoint=False).astype(np.int64), axis=0
+    )
+    return sums
+
+
 def steadiness(column: Real, residual: Real, value: float, *, uneven: bool = False) -> float:
     """p-value of the parameter `value` of a column in time by its scatter over parts of the records.
 
@@ -81,9 +89,8 @@ def steadiness(column: Real, residual: Real, value: float, *, uneven: bool = Fal
     column, residual: (samples of all records,), or with channels on a second axis.
     """
     rows = column.reshape(len(column), -1), (residual - value * column).reshape(len(column), -1)
-    edges = np.linspace(0, len(column), PARTS, endpoint=False).astype(np.int64)
-    each = np.add.reduceat(np.sum(rows[0] * rows[1], axis=1), edges)
+    each = sums_of_parts(np.sum(rows[0] * rows[1], axis=1))
     spread = max(float(np.sqrt(np.sum(each**2))), np.finfo(float).tiny)
-    tell = np.add.reduceat(np.sum(rows[0] ** 2, axis=1), edges)
+    tell = sums_of_parts(np.sum(rows[0] ** 2, axis=1))
     count = float(np.sum(tell) ** 2 / max(np.sum(tell**2), np.finfo(float).tiny)) if uneven else PARTS
     return 2 * float(stdtr(max(count - 1, 1.0), -abs(value) * float(np.sum(column * column)) / spread))

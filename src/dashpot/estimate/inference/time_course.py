@@ -53,6 +53,7 @@ QUIET = 0.2  # of the typical variance: noise is taken for no quieter where the 
 ALONE = 2.0  # times as far above the usual as any block apart from these
 
 Kind = Literal["jump", "gain", "clock", "block"]
+Whitened = Callable[[Ints, int], tuple[Complex, Complex]]
 
 
 @dataclass(frozen=True)
@@ -103,9 +104,9 @@ def time_change_notices(data: Prepared, solution: Solution) -> tuple[Notice, ...
     residual, _ = residuals_of_records(view, exact, solution.theta, spectrum.signs(solution.signs))
     variance = np.diagonal(exact.W[0], axis1=-2, axis2=-1).real
 
-    def whitened(channel: int) -> tuple[Complex, Complex]:
-        weight, left = np.sqrt(variance[:, channel]), residual[:, channel]
-        return left * weight, (exact.y[0, :, channel] - left) * weight
+    def whitened(lines: Ints, channel: int) -> tuple[Complex, Complex]:
+        weight, left = np.sqrt(variance[lines, channel]), residual[lines, channel]
+        return left * weight, (exact.y[0, lines, channel] - left) * weight
 
     changes = time_changes(whitened, spectrum, np.flatnonzero(~view.inputs_alone))
     alike: dict[tuple[Kind, frozenset[str], bool], list[TimeChange]] = {}
@@ -114,23 +115,19 @@ def time_change_notices(data: Prepared, solution: Solution) -> tuple[Notice, ...
     return tuple(change_notice(some[0], len(spectrum.records), len(some) - 1) for some in alike.values())
 
 
-def time_changes(
-    whitened: Callable[[int], tuple[Complex, Complex]], spectrum: Spectrum, outputs: Ints
-) -> tuple[TimeChange, ...]:
+def time_changes(whitened: Whitened, spectrum: Spectrum, outputs: Ints) -> tuple[TimeChange, ...]:
     """Changes in the whole records of a spectrum.
 
-    whitened  residual and prediction of a channel over the noise, (lines,) each; outputs: the channels
+    whitened  residual and prediction over the noise, (lines,) each, of some lines and a channel; outputs: the channels
     """
     return tuple(c for number in spectrum.records for c in _of_record(whitened, spectrum, number, outputs))
 
 
-def _of_record(
-    whitened: Callable[[int], tuple[Complex, Complex]], spectrum: Spectrum, number: int, outputs: Ints
-) -> list[TimeChange]:
+def _of_record(whitened: Whitened, spectrum: Spectrum, number: int, outputs: Ints) -> list[TimeChange]:
     """Changes of one record, each told once: jumps of several channels at one time as one."""
     lines, stretch = np.flatnonzero(spectrum.stretch == number), spectrum.stretches[number]
     assert isinstance(stretch, WholeRecord)
-    shown = {int(c): int(np.count_nonzero(whitened(c)[0][lines])) for c in outputs}
+    shown = {int(c): int(np.count_nonzero(whitened(lines, int(c))[0])) for c in outputs}
     shown = {c: count for c, count in shown.items() if count >= FEWEST}
     if not shown:
         return []
@@ -140,7 +137,7 @@ def _of_record(
     jumps: list[TimeChange] = []
     by_block = np.zeros((3, blocks))
     for c, count in shown.items():  # histories of one channel at a time: those of long records are large
-        of = _histories(whitened(c), spectrum, number, c, count)
+        of = _histories(whitened(lines, c), spectrum, lines, c, count)
         steps += [change for change in (_gain_change(of), _clock_change(of)) if change is not None]
         jumps += [jump for jump in (_jump(of),) if jump is not None]
         if blocks >= FEWEST_BLOCKS:
@@ -160,10 +157,11 @@ def _of_record(
 
 
 def _histories(
-    of: tuple[Complex, Complex], spectrum: Spectrum, number: int, channel: int, shown: int
+    of: tuple[Complex, Complex], spectrum: Spectrum, lines: Ints, channel: int, shown: int
 ) -> _Histories:
-    """Of a channel with so many lines in a record, from its residual and prediction, (lines of all,) each."""
-    lines, stretch = np.flatnonzero(spectrum.stretch == number), spectrum.stretches[number]
+    """Of a channel that so many of a record's lines show, from its residual and prediction there, (lines,) each."""
+    number = int(spectrum.stretch[lines[0]])
+    stretch = spectrum.stretches[number]
     assert isinstance(stretch, WholeRecord)
     residual, prediction = of
     order = stretch.orders(spectrum.frequency_hz[lines])
@@ -171,9 +169,9 @@ def _histories(
     return _Histories(
         spectrum.channels[channel].name,
         number,
-        history_of_lines(residual[lines], order, samples),
-        history_of_lines(prediction[lines], order, samples),
-        history_of_lines(1j * spectrum.omega[lines] * prediction[lines], order, samples),
+        history_of_lines(residual, order, samples),
+        history_of_lines(prediction, order, samples),
+        history_of_lines(1j * spectrum.omega[lines] * prediction, order, samples),
         stretch.duration_s / samples,
         samples / (2 * shown),
     )

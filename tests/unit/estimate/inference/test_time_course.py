@@ -56,7 +56,7 @@ def changes(measured: Real, predicted: Real) -> tuple[TimeChange, ...]:
         np.concatenate([part, rest], axis=1)
         for part, rest in (((y - shown) / noise, none), (shown / noise, base))
     )
-    return time_changes(lambda c: (left[:, c], predicted[:, c]), of_record, OUTPUTS)
+    return time_changes(lambda lines, c: (left[lines, c], predicted[lines, c]), of_record, OUTPUTS)
 
 
 def test_noise_changes_nothing_whether_white_or_louder_where_the_motion_is() -> None:
