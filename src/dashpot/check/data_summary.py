@@ -9,8 +9,6 @@ import numpy as np
 
 from dashpot.data.record import Record
 from dashpot.data.spectrum import Spectrum
-from dashpot.model.network import Model
-from dashpot.model.observation import channel_unit
 
 
 @dataclass(frozen=True)
@@ -45,11 +43,6 @@ def channel_summaries(spectrum: Spectrum, units: Sequence[str]) -> tuple[Channel
         low, high, typical_noise, typical = map(float, numbers)
         summaries.append(ChannelSummary(channel.name, low, high, typical_noise, typical, units[i]))
     return tuple(summaries)
-
-
-def channel_units(model: Model, spectrum: Spectrum | Record) -> tuple[str, ...]:
-    """SI units of the channels."""
-    return tuple(channel_unit(model, channel) for channel in spectrum.channels)
 
 
 def span_of(record: Record) -> tuple[float, float]:

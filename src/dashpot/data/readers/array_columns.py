@@ -133,7 +133,7 @@ class ArrayColumns(Columns):
             into[filled : filled + len(piece)] = self._as_numbers(column, piece)
             filled += len(piece)
         if filled != self.rows:
-            raise DataError("a column is cut off", self.source, "copy the file again")
+            raise self._cut_off()
 
     def _as_numbers(self, column: int, values: Any) -> Any:
         """Numbers of any kind; durations in s, of dates since the first."""
@@ -160,7 +160,12 @@ class ArrayColumns(Columns):
         values = next(_pieces(self.loads[column]()), np.zeros(0))
         if not self.rows or values.dtype.kind in "mM":
             return "0"
+        if not len(values):
+            raise self._cut_off()
         return str(values[0])
+
+    def _cut_off(self) -> DataError:
+        return DataError("a column is cut off", self.source, "copy the file again")
 
 
 def constant(value: object, rows: int) -> Load:

@@ -21,7 +21,6 @@ from dashpot.present.tables.estimate import parameter_columns
 from dashpot.present.text.check import collinearity_in_words, profile_in_words, structure_in_words
 
 MOST_PROFILES = 12
-DESIGN = "Design the test: dashpot design RIG --samples N."
 IDENTIFY = "Identify: dashpot identify RIG DATA --report report.html."
 
 
