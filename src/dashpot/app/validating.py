@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -29,7 +30,7 @@ def estimate_and_rig(path: str, rig: str | None) -> tuple[Estimate, Rig]:
     if estimate.rig is None:
         raise UsageError(f"{path} does not name its rig file", cure="give it with --rig")
     for candidate in (Path(estimate.rig), Path(path).parent / estimate.rig):
-        if candidate.is_file():
+        if os.path.isfile(candidate):  # False, too, of a name too long for a file
             return estimate, read_rig(str(candidate))
     raise UsageError(f"the rig file {estimate.rig} that {path} names is not there", cure="give it with --rig")
 

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 import click
@@ -356,7 +356,7 @@ def _against(rig: Rig, options: Mapping[str, Any], quiet: bool) -> tuple[float, 
     from dashpot.quantities import frequencies
 
     text: str = options["against"]
-    if Path(text).exists():
+    if os.path.exists(text):  # a text too long for a path is none, where Path.exists fails
         return read_spectrum(rig, (text,), options, quiet)
     try:
         return frequencies(text)
