@@ -47,9 +47,14 @@ class Clock:
         return moved
 
     def sd_over(self, time: Real) -> float:
-        """Standard deviation over times of the sensor's clock, (samples,), root mean square, s."""
-        x = time - self.middle
-        return float(np.sqrt(np.mean(self.offset_sd**2 + 2 * self.covariance * x + (self.drift_sd * x) ** 2)))
+        """Standard deviation of the phase of a motion over times of the sensor's clock, (samples,), s.
+
+        That at their mean: a drift turns what comes before it one way and what comes after it the other.
+        """
+        x = float(np.mean(time)) - self.middle
+        return float(
+            np.sqrt(max(0.0, self.offset_sd**2 + 2 * self.covariance * x + (self.drift_sd * x) ** 2))
+        )
 
 
 @dataclass(frozen=True)
@@ -174,16 +179,14 @@ def _corrected(clock: Clock, lags: Real, variances: Real, centres: Real) -> Cloc
 
 
 def _coarse_lag(reference: Sensor, sensor: Sensor, step: float) -> tuple[float, float]:
-    """Lag of the highest correlation of the whole recordings, s, and the height of the next peak over it."""
+    """Lag at which the whole recordings are most alike, s, and the height of the next peak over it."""
     signals = []
     for s in (reference, sensor):
         time = np.arange(s.time[0], s.time[-1], step)
         y = np.interp(time, s.time, s.values[:, 0])
         signals.append(y - np.mean(y))
-    a, b = signals
-    size = 1 << int(np.ceil(np.log2(len(a) + len(b))))
-    cross = np.fft.irfft(np.fft.rfft(a, size) * np.conj(np.fft.rfft(b, size)), size)
-    height = np.abs(cross)
+    height = np.abs(_likeness(*signals))
+    size = len(height)
     best = int(np.argmax(height))
     around = np.zeros(size, dtype=bool)
     peak = height >= np.maximum(np.roll(height, 1), np.roll(height, -1))
@@ -194,9 +197,32 @@ def _coarse_lag(reference: Sensor, sensor: Sensor, step: float) -> tuple[float, 
         right += 1
     around[np.arange(left, right + 1) % size] = True
     second = float(np.max(np.where(peak & ~around, height, 0.0), initial=0.0))
-    shift = best if best < size // 2 else best - size
+    shift = best if best < len(signals[0]) else best - size
     lag = float(reference.time[0] - sensor.time[0]) + shift * step
     return lag, second / max(float(height[best]), 1e-300)
+
+
+def _likeness(a: Real, b: Real) -> Real:
+    """Correlation of two signals over the deviation of what of b lies beside a, by the shift of b, around a circle.
+
+    It is at most the root energy of what of a lies beside b: what is loud elsewhere, or rests on another offset,
+    stands no higher than what is alike, and neither does what has little in common.
+    """
+    size = 1 << int(np.ceil(np.log2(len(a) + len(b))))
+    cross = np.fft.irfft(np.fft.rfft(a, size) * np.conj(np.fft.rfft(b, size)), size)
+    shift = np.arange(size)
+    shift = np.where(shift < len(a), shift, shift - size)
+    start = np.maximum(shift, 0)
+    stop = np.maximum(np.minimum(len(a), len(b) + shift), start)
+    count = np.maximum(stop - start, 1)
+    sums_a, sums_b, squares = (np.concatenate([[0.0], np.cumsum(y)]) for y in (a, b, b**2))
+    of_a = sums_a[stop] - sums_a[start]
+    first, last = np.clip([start - shift, stop - shift], 0, len(b))
+    of_b = sums_b[last] - sums_b[first]
+    energy = squares[last] - squares[first] - of_b**2 / count
+    floor = 1e-9 * max(float(squares[-1]), 1e-300)
+    likeness: Real = (cross - of_a * of_b / count) / np.sqrt(np.maximum(energy, floor))
+    return likeness
 
 
 def _fine_lag(

@@ -32,14 +32,14 @@ FEWEST = 0.5  # share of the shortest recording that sensors on one clock have i
 class ClockedRecords:
     """Records of different sensors that were taken at once, each with its own sample times on the reference's clock.
 
-    offset_sd  standard deviation of each part's clock, s: a phase that all its channels share
+    clocks  of each part, its `middle` counted as the part's times are: an error is a phase that all its channels share
     """
 
     parts: tuple[Record, ...]
-    offset_sd: tuple[float, ...]
+    clocks: tuple[Clock, ...]
 
     def __post_init__(self) -> None:
-        if not self.parts or len(self.parts) != len(self.offset_sd):
+        if not self.parts or len(self.parts) != len(self.clocks):
             raise DataError("records of sensors need one clock each")
 
     @property
@@ -75,9 +75,9 @@ def joined_sensors(
     common = int(np.sum(shared))
     channels = tuple(channel for sensor in sensors for channel in sensor.channels)
     if common < max(2, FEWEST * shortest):
-        parts = [_between(sensor, start, end, frequency_hz, experiment, source) for sensor in sensors]
+        parts = [_between(sensor, start, end, start, frequency_hz, experiment, source) for sensor in sensors]
         text = f"{source}: the sensors sampled at different moments; each channel keeps its own"
-        return ClockedRecords(tuple(parts), (0.0,) * len(parts)), [Notice("own_times", text, (source,))]
+        return ClockedRecords(tuple(parts), (Clock(),) * len(parts)), [Notice("own_times", text, (source,))]
     notes = []
     if common < shortest:
         text = f"{source}: {counted(shortest - common, 'sample')} left out that not all sensors have"
@@ -90,13 +90,14 @@ def joined_sensors(
 
 
 def _between(
-    sensor: Sensor, start: float, end: float, frequency_hz: float | None, experiment: int, source: str
-) -> Record:
+    sensor: Sensor, start: float, end: float, zero: float, frequency_hz: float | None, experiment: int, source: str
+) -> Record:  # fmt: skip
+    """What a sensor recorded from start to end, times counted from zero."""
     inside = (sensor.time >= start) & (sensor.time <= end)
     name = f"{source} ({sensor.name})"
     if np.sum(inside) < 2:
         raise DataError("the sensors have fewer than two samples in common", name)
-    time = sensor.time[inside] - start
+    time = sensor.time[inside] - zero
     return Record(sensor.channels, time, sensor.values[inside], frequency_hz, experiment, name)
 
 
@@ -107,17 +108,18 @@ def aligned_sensors(
     """Sensors with clocks of their own, set by the first one's; what was found is in the notes.
 
     `align_s` is the part of the first one's recording, s from its start, in which all move alike: sensors that are
-    shaken together before they are mounted.  Without it the whole recording has to be so.
+    shaken together before they are mounted.  Without it the whole recording has to be so.  The records' times count
+    from the same start.
     Raises DataError where a clock cannot be set, as where the phases of the rig itself hide it.
     """
     moved, clocks, notes = [sensors[0]], [Clock()], []
     for sensor in sensors[1:]:
-        clock = estimated_clock(_part(sensors[0], align_s, source), sensor, source)
-        used = _outside(sensors[0], clock.on_reference(sensor.time), align_s)
-        clock = replace(clock, offset_sd=clock.sd_over(sensor.time[used]))
+        whole = estimated_clock(_part(sensors[0], align_s, source), sensor, source)
+        used = _outside(sensors[0], whole.on_reference(sensor.time), align_s)
+        clock = replace(whole, offset_sd=whole.sd_over(sensor.time[used]))
         _require_alike(sensors[0], sensor, clock, frequency_hz, source)
         moved.append(replace(sensor, time=clock.on_reference(sensor.time)))
-        clocks.append(clock)
+        clocks.append(whole)
         text = (
             f"{source}: the clock of {sensor.name} is set by that of {sensors[0].name}: "
             f"{1e3 * clock.offset:+.4g} ± {1e3 * clock.offset_sd:.2g} ms, "
@@ -125,8 +127,12 @@ def aligned_sensors(
         )
         notes.append(Notice("clock_estimated", text, (sensor.name,)))
     start, end = max(s.time[0] for s in moved), min(s.time[-1] for s in moved)
-    parts = [_between(sensor, start, end, frequency_hz, experiment, source) for sensor in moved]
-    return ClockedRecords(tuple(parts), tuple(clock.offset_sd for clock in clocks)), notes
+    zero = sensors[0].time[0]
+    parts = [_between(sensor, start, end, zero, frequency_hz, experiment, source) for sensor in moved]
+    counted_alike = [
+        replace(clock, middle=float(clock.on_reference(np.array(clock.middle))) - zero) for clock in clocks
+    ]
+    return ClockedRecords(tuple(parts), tuple(counted_alike)), notes
 
 
 def _part(reference: Sensor, align_s: tuple[float, float] | None, source: str) -> Sensor:
@@ -183,13 +189,14 @@ def clocked_lines(joint: ClockedRecords, settings: Conditioning) -> Spectrum:
     X, V = np.zeros((lines, channels), complex), np.zeros((lines, channels, channels), complex)
     frequency = fits[0].frequency_hz * np.array(settings.wanted, dtype=float)
     first, dof = 0, np.full(lines, np.inf)
-    for part, fit, sd in zip(parts, fits, joint.offset_sd, strict=True):
+    for part, fit, clock in zip(parts, fits, joint.clocks, strict=True):
         wanted = [fit.orders.index(order) for order in settings.wanted]
         h = calibration(part.channels, frequency)
         own = slice(first, first + len(part.channels))
         X[:, own] = fit.amplitudes[wanted] * h
         V[:, own, own] = fit.covariance[wanted] * h[:, :, None] * np.conj(h)[:, None, :]
-        phase = 2 * (2 * np.pi * frequency * sd) ** 2  # twice, for half of a complex variance is along X
+        # Twice, for half of a complex variance is along X.
+        phase = 2 * (2 * np.pi * frequency * clock.sd_over(part.time)) ** 2
         V[:, own, own] += phase[:, None, None] * X[:, own, None] * np.conj(X[:, None, own])
         dof = np.minimum(dof, fit.dof[wanted])
         first = own.stop

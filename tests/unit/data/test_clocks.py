@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from dashpot.channel import Channel, Quantity
-from dashpot.data.clock_offset import Sensor, estimated_clock
+from dashpot.data.clock_offset import Clock, Sensor, estimated_clock
 from dashpot.data.clocks import ClockedRecords, aligned_sensors, clocked_lines
 from dashpot.data.conditioning.lines import spectrum
 from dashpot.data.conditioning.settings import Conditioning
@@ -79,7 +79,7 @@ def test_aligned_sensors_give_the_amplitudes_of_one_clock():
     assert abs(ratio) == pytest.approx(1.3, rel=0.01)
     phase_sd = np.sqrt(lines.covariance[0, 1, 1].real / 2) / abs(lines.amplitudes[0, 1])
     assert abs(np.angle(ratio)) < 4 * phase_sd + 0.01
-    assert phase_sd >= 2 * np.pi * 7 * joint.offset_sd[1] / np.sqrt(2) * 0.99
+    assert phase_sd >= 2 * np.pi * 7 * joint.clocks[1].sd_over(joint.parts[1].time) / np.sqrt(2) * 0.99
 
 
 def test_one_clock_is_as_one_record():
@@ -88,15 +88,15 @@ def test_one_clock_is_as_one_record():
     y = np.stack([np.cos(6 * np.pi * t), np.sin(6 * np.pi * t)], axis=-1) + 0.1 * rng.normal(size=(1000, 2))
     parts = tuple(Record((c,), t, y[:, i : i + 1], 3.0) for i, c in enumerate((A, B)))
     settings = Conditioning(harmonics="none", noise="white", refine="auto")
-    split = clocked_lines(ClockedRecords(parts, (0.0, 0.0)), settings)
+    split = clocked_lines(ClockedRecords(parts, (Clock(), Clock())), settings)
     whole = spectrum([Record((A, B), t, y, 3.0)], settings)
     assert split.amplitudes == pytest.approx(whole.amplitudes, rel=1e-3)
     diagonal = np.diagonal(whole.covariance[0]).real
     assert np.diagonal(split.covariance[0]).real == pytest.approx(diagonal, rel=1e-2)
     with pytest.raises(DataError, match="no sample moments"):
-        clocked_lines(ClockedRecords(parts, (0.0, 0.0)), Conditioning(moments=True))
+        clocked_lines(ClockedRecords(parts, (Clock(), Clock())), Conditioning(moments=True))
     with pytest.raises(DataError, match="drive frequency is not known"):
-        clocked_lines(ClockedRecords((Record((A,), t, y[:, :1]),), (0.0,)), settings)
+        clocked_lines(ClockedRecords((Record((A,), t, y[:, :1]),), (Clock(),)), settings)
 
 
 LAG = 1.0  # rad, by which the second point of a rig moves behind the first one
@@ -128,6 +128,27 @@ def test_phases_of_a_rig_are_not_taken_for_an_offset_of_clocks():
             DataError, match=r"(do not move alike|too regularly|one frequency alone).*align_s"
         ):
             aligned_sensors([first, second], 4.0, 0, "test")
+
+
+def test_a_drive_louder_than_the_shaking_hides_no_clock():
+    """Near its resonance a point moves 30 times as much as the shaking, and rests on another offset."""
+    for seed in range(2):
+        rng = np.random.default_rng(seed)
+        together, offset = band_limited(rng, highest=20.0), rng.uniform(-5, 5)
+        t, own = np.arange(0, 35, 1 / 200), np.arange(0.3, 35, 1 / 199.3)
+        first, second = (
+            np.where(
+                each < 10, together(each), np.where(each > 11, X * np.cos(2 * np.pi * 3.5 * each) + g, 0)
+            )
+            + 0.2 * rng.normal(size=len(each))
+            for each, X, g in ((t, 1.0, 0.0), (own, 30.0, 9.8))
+        )
+        sensors = Sensor("a", (A,), t, first[:, None]), Sensor("b", (B,), own - offset, second[:, None])
+        joint, _ = aligned_sensors(sensors, 3.5, 0, "test", (0.2, 9.8))
+        clock = joint.clocks[1]
+        assert abs(clock.offset - offset) < 4 * clock.offset_sd + 1e-3
+        # Times count from the start of the first sensor's recording, as align_s does.
+        assert joint.parts[1].time[0] == pytest.approx(0.3, abs=0.02)
 
 
 def test_sensors_shaken_together_keep_the_phases_of_the_rig():

@@ -154,17 +154,14 @@ def resolved(entry: FilesEntry, folder: Path, place: str, number: int) -> list[F
     names = [entry.name] if isinstance(entry.name, str) else entry.name
     groups: dict[tuple[float | None, int, str], FileGroup] = {}
     for name in names:
-        for path, fields in _matches(name, folder, place):
+        for path, fields, without_sensor in _matches(name, folder, place):
             frequency, sensor = _frequency(entry, fields), fields.get("sensor", "")
             if not _in_band(entry, frequency) or (entry.sensors and sensor not in entry.sensors):
                 continue
             experiment = int(
                 fields.get("experiment", number if entry.experiment is None else entry.experiment)
             )
-            rest = path.as_posix()
-            if sensor and entry.sensors:
-                rest = rest.replace(sensor, "{sensor}")
-            key = (frequency, experiment, rest)
+            key = (frequency, experiment, without_sensor if entry.sensors else path.as_posix())
             group = groups.setdefault(key, FileGroup(entry, place, {}, frequency, experiment))
             group.paths[sensor] = path
     if not groups:
@@ -192,10 +189,13 @@ def _in_band(entry: FilesEntry, frequency: float | None) -> bool:
     return frequency is not None and entry.band_hz[0] <= frequency <= entry.band_hz[1]
 
 
-def _matches(name: str, folder: Path, place: str) -> Iterator[tuple[Path, dict[str, str]]]:
-    """Files that fit a name or pattern, and what its fields are there, in order.  Raises DataError where none does."""
+def _matches(name: str, folder: Path, place: str) -> Iterator[tuple[Path, dict[str, str], str]]:
+    """Files that fit a name or pattern, what its fields are there, and their names less the sensor's; in order.
+
+    Raises DataError where none does.
+    """
     if not _PLACE.search(name):
-        yield folder / name, {}
+        yield folder / name, {}, name
         return
     fields = [field for field, *_ in _PLACE.findall(name) if field]
     if len(set(fields)) < len(fields):
@@ -218,7 +218,8 @@ def _matches(name: str, folder: Path, place: str) -> Iterator[tuple[Path, dict[s
         found = re.fullmatch(regex, relative.replace(os.sep, "/"))
         if found is not None:
             count += 1
-            yield folder / relative, found.groupdict()
+            start, end = found.span("sensor") if "sensor" in fields else (0, 0)
+            yield folder / relative, found.groupdict(), relative[:start] + relative[end:]
     if not count:
         raise DataError(
             f'no file fits "{shown(name, 100)}" in {shown(str(folder), 150)}', place, "correct name or folder"

@@ -132,6 +132,20 @@ def test_sensors_on_one_clock_are_one_record(tmp_path):
         read(tmp_path / "test.toml", SENSORS)
 
 
+def test_the_name_of_a_sensor_may_stand_in_other_names(tmp_path):
+    """A sensor u beside a folder "run", a sensor i in "sine": only where the pattern says {sensor} it is one."""
+    folder = tmp_path / "run_u_floor"
+    folder.mkdir()
+    for sensor in ("u", "i"):
+        (folder / f"sine_1.0__{sensor}.csv").write_text(xsens(0, 0.0))
+    text = SENSOR_TEST.replace("ground", "u").replace("floor", "i")
+    for where in ("", "run_u_floor/"):
+        path = folder / "test.toml" if not where else tmp_path / "test.toml"
+        path.write_text(text.replace('name = "', f'name = "{where}'))
+        (record,) = read(path, SENSORS).records
+        assert [channel.name for channel in record.channels] == ["u", "x1"]
+
+
 def test_units_of_one_sensor_are_not_asked_of_the_others(tmp_path):
     (tmp_path / "sine_1.0__ground.csv").write_text(xsens(0, 0.0).replace("Acc_X,", "Acc_X [mm/s²],"))
     (tmp_path / "sine_1.0__floor.csv").write_text(xsens(0, 0.0))
