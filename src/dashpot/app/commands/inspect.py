@@ -11,7 +11,7 @@ from dashpot.app.options import data_argument, file_option
     "dashpot inspect run.tdms",
     "dashpot inspect *.mat --channels channels.toml",
 )
-@data_argument("Data files of any format.", name="files", required=True)
+@data_argument("Data files of any format, or a manifest (TOML) of them.", name="files", required=True)
 @file_option("--channels", "FILE.toml", "Write a [channels] table to start a rig file from.")
 def command(files: tuple[str, ...], channels: str | None) -> None:
     """Show what is in FILES: columns, units, sampling, gaps, clipping, resolution and frequency content.
@@ -23,13 +23,14 @@ def command(files: tuple[str, ...], channels: str | None) -> None:
     from dashpot.app.data_files import reading_of
     from dashpot.app.progress import progress
     from dashpot.data.inspection import inspect_file, suggested_channels
+    from dashpot.data.readers.manifest import files_named
     from dashpot.io.atomic import write_text
     from dashpot.present.tables.inspection import show_inspection
     from dashpot.present.tables.layout import console
 
     out, inspections = console(), []
-    for path in files:
-        with progress(reading_of([path])):
+    for path in (each for name in files for each in files_named(name)):
+        with progress(reading_of([str(path)])):
             inspection = inspect_file(path)
         inspections.append(inspection)
         show_inspection(out, inspection)

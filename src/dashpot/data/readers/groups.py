@@ -12,7 +12,7 @@ from dashpot.channel import RESERVED_NAMES, Channel
 from dashpot.data.clock_offset import Sensor
 from dashpot.data.clocks import ClockedRecords, aligned_sensors, joined_sensors
 from dashpot.data.periods import average_periods, one_period, samples_of_period
-from dashpot.data.readers.columns import Columns
+from dashpot.data.readers.columns import Columns, is_unit
 from dashpot.data.readers.datafile import open_file
 from dashpot.data.readers.delimited.stepped_sine import Circumstances, read_records
 from dashpot.data.readers.interpretation import Interpreted, interpret
@@ -61,7 +61,8 @@ def _parts(group: FileGroup, path: Path) -> Iterator[Columns]:
             wanted.append(number)
     if group.entry.part is not None and not wanted:
         what = f"there is no part {shown(group.entry.part)}"
-        raise DataError(what, file.name, f"there are {listed(names)}")
+        cure = f"there are {listed(names)}" if any(names) else "its parts have no names: leave part out"
+        raise DataError(what, file.name, cure)
     # Some libraries read samples only while the file is open, so the parts are gone through again.
     for number, part in enumerate(reader.parts(file)):
         if number in (wanted or [0]):
@@ -77,6 +78,10 @@ def _chosen(
         if name not in by_name and name not in RESERVED_NAMES:
             cure = f"the rig file lists {listed(by_name)}"
             raise DataError(f"{shown(name)} is not a channel of the rig", group.place, cure)
+    for name, unit in group.entry.units.items():
+        if name in by_name and not is_unit(unit):
+            what = f"units: {shown(unit)} of {shown(name)} is not a unit"
+            raise DataError(what, group.place, "write one such as mm, g or mV")
     chosen = columns.renamed({column: name for name, column in names.items()})
     if group.entry.units:
         units = [chosen.unit(i) for i in range(len(chosen.header))]

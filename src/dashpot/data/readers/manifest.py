@@ -28,59 +28,18 @@ import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal, cast
-
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from typing import Any, cast
 
 from dashpot.data.conditioning.settings import Treatments
+from dashpot.data.readers.manifest_schema import MOST_EXPERIMENTS, FilesEntry, Treatment, manifest_document
 from dashpot.errors import DataError
-from dashpot.io.toml_document import TomlDocument, Wanted, read_toml
-from dashpot.io.words import shown
+from dashpot.io.toml_document import Wanted, read_toml
+from dashpot.io.words import did_you_mean, listed, shown
 
 NUMBER = r"\d+(?:[.,p]\d+)?"
-_FIELDS = {"frequency": NUMBER, "experiment": r"\d+"}
+_FIELDS = {"frequency": NUMBER, "sensor": "[^/]+?", "experiment": r"\d+"}
 _PLACE = re.compile(r"\{(\w*)\}|(\*\*/)|(\*)|(\?)")
 MOST_LINES = 100_000
-
-Names = dict[str, str]  # channel: column
-
-
-class _Strict(BaseModel):
-    model_config = ConfigDict(extra="forbid", strict=True, frozen=True)
-
-
-class FilesEntry(_Strict):
-    """One [[files]] of a manifest."""
-
-    name: str | list[str]
-    columns: Names = {}
-    units: dict[str, str] = {}
-    sensors: dict[str, Names] = {}
-    clock: Literal["shared", "own"] = "shared"
-    align_s: tuple[float, float] | None = Field(default=None, strict=False)
-    experiment: int | None = None
-    frequency_hz: Annotated[float, Field(gt=0, lt=1e12)] | None = None
-    lines: str | list[int] | None = None
-    skip_periods: Annotated[int, Field(ge=0)] = 0
-    band_hz: tuple[float, float] | None = Field(default=None, strict=False)
-    window_s: tuple[float, float] | None = Field(default=None, strict=False)
-    rate_hz: Annotated[float, Field(gt=0, lt=1e12)] | None = None
-    part: str | None = None
-
-
-class _Conditioning(_Strict):
-    orders: str | list[int] | None = None
-    harmonics: list[int] | Literal["auto", "none"] | None = None
-    drift: int | Literal["auto", "none"] | None = None
-    noise: Literal["auto", "own", "white", "blocks"] | None = None
-    refine: bool | Literal["auto", "always", "none"] | None = None
-    settle: bool | float | Literal["auto", "none"] | None = None
-
-
-class _Manifest(_Strict):
-    folder: str = "."
-    conditioning: _Conditioning = _Conditioning()
-    files: Annotated[list[FilesEntry], Field(min_length=1)]
 
 
 @dataclass(frozen=True)
@@ -125,10 +84,7 @@ def read_manifest(path: str | os.PathLike[str]) -> Manifest:
     document = read_toml(path, DataError, wanted)
     if "coordinates" in document.table:
         raise DataError("this is a rig file, not a manifest of data", document.path, "name data files here")
-    try:
-        manifest = _Manifest.model_validate(document.table)
-    except ValidationError as error:
-        raise _first_fault(error, document) from None
+    manifest = manifest_document(document)
     source = document.path
     groups = []
     for number, entry in enumerate(manifest.files):
@@ -136,6 +92,20 @@ def read_manifest(path: str | os.PathLike[str]) -> Manifest:
         place = f"{source}:{line}" if line else source
         groups += resolved(entry, Path(path).parent / manifest.folder, place, number)
     return Manifest(tuple(groups), _treatments(manifest.conditioning, source))
+
+
+def files_named(path: str | os.PathLike[str]) -> list[Path]:
+    """The data files that the name of a file, a manifest or a pattern stands for, in order.
+
+    Raises DataError as `read_manifest`.
+    """
+    if is_manifest(path):
+        groups = read_manifest(path).groups
+    elif is_pattern(path):
+        groups = manifest_of_pattern(path, 0).groups
+    else:
+        return [Path(path)]
+    return list(dict.fromkeys(each for group in groups for each in group.paths.values()))
 
 
 def manifest_of_pattern(pattern: str | os.PathLike[str], number: int) -> Manifest:
@@ -161,6 +131,10 @@ def resolved(entry: FilesEntry, folder: Path, place: str, number: int) -> list[F
             experiment = int(
                 fields.get("experiment", number if entry.experiment is None else entry.experiment)
             )
+            if experiment > MOST_EXPERIMENTS:
+                raise DataError(
+                    f"the experiment {shown(str(experiment))} of {shown(path.name)}", place, "use *"
+                )
             key = (frequency, experiment, without_sensor if entry.sensors else path.as_posix())
             group = groups.setdefault(key, FileGroup(entry, place, {}, frequency, experiment))
             group.paths[sensor] = path
@@ -198,6 +172,10 @@ def _matches(name: str, folder: Path, place: str) -> Iterator[tuple[Path, dict[s
         yield folder / name, {}, name
         return
     fields = [field for field, *_ in _PLACE.findall(name) if field]
+    unknown = [field for field in fields if field not in _FIELDS]
+    if unknown:
+        cure = f"{did_you_mean(unknown[0], _FIELDS)}there are {listed(_FIELDS)}; * stands for anything else"
+        raise DataError(f'unknown field {{{shown(unknown[0])}}} in "{shown(name, 100)}"', place, cure)
     if len(set(fields)) < len(fields):
         raise DataError(f'a field occurs twice in "{shown(name, 100)}"', place, "name each one once")
     wild, regex, position = "", "", 0
@@ -207,7 +185,7 @@ def _matches(name: str, folder: Path, place: str) -> Iterator[tuple[Path, dict[s
         field, deep, star, _ = match.groups()
         if field is not None:
             wild += "*"
-            regex += f"(?P<{field}>{_FIELDS.get(field, '[^/]+?')})" if field else "[^/]*"
+            regex += f"(?P<{field}>{_FIELDS[field]})" if field else "[^/]*"
         else:
             wild += "**/" if deep else "*" if star else "?"
             regex += "(?:.*/)?" if deep else "[^/]*" if star else "[^/]"
@@ -245,28 +223,9 @@ def line_numbers(text: str | Sequence[int], place: str) -> tuple[int, ...]:
     return tuple(sorted(set(numbers)))
 
 
-def _treatments(conditioning: _Conditioning, source: str) -> Treatments:
+def _treatments(conditioning: Treatment, source: str) -> Treatments:
     """The fields of Conditioning that the manifest sets."""
     fields: Any = conditioning.model_dump(exclude_none=True)
     if fields.get("orders", "auto") != "auto":
         fields["orders"] = line_numbers(fields["orders"], source)
     return cast(Treatments, fields)
-
-
-def _first_fault(error: ValidationError, document: TomlDocument) -> DataError:
-    """What is wrong first, with its line."""
-    fault = error.errors()[0]
-    place = tuple(part for part in fault["loc"] if not isinstance(part, str) or part.isidentifier())
-    what, cure = shown(fault["msg"], 120), "correct it"
-    if fault["type"] == "extra_forbidden":
-        known = (
-            FilesEntry
-            if place[:1] == ("files",)
-            else _Conditioning
-            if place[:1] == ("conditioning",)
-            else _Manifest
-        )
-        what, cure = "unknown key", f"there are {', '.join(known.model_fields)}"
-    elif fault["type"] == "missing":
-        what, cure = "missing", 'write [[files]] with name = "…"'
-    return DataError([document.problem(place, what, cure)])

@@ -5,7 +5,7 @@ import pytest
 
 from dashpot.channel import Channel, Quantity
 from dashpot.data.readers import read
-from dashpot.data.readers.manifest import line_numbers
+from dashpot.data.readers.manifest import files_named, line_numbers
 from dashpot.data.record import Record
 from dashpot.errors import DataError
 from tests.unit.data.readers.written import CHANNELS, NAMES, recording
@@ -180,12 +180,45 @@ def test_sensors_of_other_sample_times_keep_them(tmp_path):
         ('[[files]]\nnames = "a"\n', "missing"),
         (
             '[[files]]\nname = "2Hz.csv"\nrate = 5\n',
-            r"test.toml:3: files\[0\].rate: unknown key; there are name",
+            r"test.toml:3: files\[0\].rate: unknown key; did you mean .rate_hz.. there are name",
         ),
         ('[[files]]\nname = "2Hz.csv"\nrate_hz = -5\n', r"test.toml:3: files\[0\].rate_hz: "),
         ('[[files]]\nname = "2Hz.csv"\nclock = "mine"\n', r"test.toml:3: files\[0\].clock"),
         ('[conditioning]\nsettle = "yes"\n[[files]]\nname = "2Hz.csv"\n', "test.toml:2: conditioning.settle"),
         ('[[files]]\nname = "{frequency}kHz.csv"\n', "test.toml:1: no file fits"),
+        ('[[files]]\nname = "{frequenz}Hz.csv"\n', 'unknown field {frequenz} .*did you mean "frequency"'),
+        (
+            '[[files]]\nname = "2Hz.csv"\nwindow_s = [7, 1]\n',
+            r"window_s: \[7, 1\] cannot be used; write \[start",
+        ),
+        ('[[files]]\nname = "2Hz.csv"\nband_hz = [nan, 1]\n', r"band_hz: \[nan, 1\] cannot be used; write"),
+        (
+            '[[files]]\nname = "2Hz.csv"\nexperiment = 99999999999999999999\n',
+            "write a whole number from 0 to",
+        ),
+        (
+            '[[files]]\nname = "2Hz.csv"\nlines = [1.5]\n',
+            r'files\[0\].lines: \[1.5\] .*write multiples as "11:250"',
+        ),
+        ("[[files]]\nname = []\n", r"files\[0\].name: \[\] cannot be used; write a file or a pattern"),
+        ('[[files]]\nname = "2Hz.csv"\nskip_periods = 1\n', "skip_periods is for multisines; give"),
+        ('[[files]]\nname = "2Hz.csv"\nclock = "own"\n', 'clock = "own" is for the files of several sensors'),
+        ('[[files]]\nname = "2Hz.csv"\nalign_s = [0, 1]\n', 'align_s is for sensors .*say clock = "own"'),
+        ('[[files]]\nname = "{frequency}Hz.csv"\nfrequency_hz = 4.0\n', "the frequency is said twice"),
+        (
+            '[[files]]\nname = "2Hz.csv"\ncolumns = { x1 = "u", u = "u" }\n',
+            "x1 and u are both read from the column u",
+        ),
+        ('[[files]]\nname = "2Hz.csv"\nunits = { u = "wat" }\n', "units: wat of u is not a unit"),
+        ('[[files]]\nname = "2Hz.csv"\npart = "x"\n', "there is no part x; its parts have no names"),
+        (
+            '[conditioning]\ndrift = -1\n[[files]]\nname = "2Hz.csv"\n',
+            "drift: -1 cannot be used; write a degree from 0",
+        ),
+        (
+            '[conditioning]\nsettle = "2 m"\n[[files]]\nname = "2Hz.csv"\n',
+            'settle: "2 m" cannot be used; write',
+        ),
         ('[[files]]\nname = "{frequency}_{frequency}"\n', "a field occurs twice"),
         ('[[files]]\nname = "no.csv"\n', "no.csv: there is no such file"),
         ('[[files]]\nname = "{frequency}Hz.csv"\nband_hz = [20, 30]\n', "no file of these names is left"),
@@ -208,6 +241,26 @@ def test_what_is_wrong_is_said_with_its_line(tmp_path, text, what):
     with pytest.raises(DataError, match=what) as error:
         read(manifest(tmp_path, text), CHANNELS)
     assert "\n" not in str(error.value)
+
+
+def test_an_experiment_in_a_name_is_of_a_size_that_can_be_held(tmp_path):
+    (tmp_path / "run99999999999999999999.csv").write_text("time_s,x1\n0,1\n1,2\n")
+    with pytest.raises(DataError, match="the experiment 99999999999999999999 of run9"):
+        read(tmp_path / "run{experiment}.csv", CHANNELS)
+
+
+def test_a_time_to_settle_is_written_as_on_the_command_line(tmp_path):
+    write_dwells(tmp_path, recording(64))
+    text = '[conditioning]\nsettle = "500 ms"\n[[files]]\nname = "{frequency}Hz.csv"\n'
+    assert read(manifest(tmp_path, text), CHANNELS).conditioning == {"settle": 0.5}
+
+
+def test_the_files_that_a_manifest_stands_for(tmp_path):
+    write_dwells(tmp_path, recording(64))
+    path = manifest(tmp_path, '[[files]]\nname = "{frequency}Hz.csv"\n')
+    wanted = [tmp_path / f"{record.frequency_hz:g}Hz.csv" for record in recording(64)]
+    assert files_named(path) == files_named(tmp_path / "{frequency}Hz.csv") == wanted
+    assert files_named(wanted[0]) == wanted[:1]
 
 
 def test_multiples():
