@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from dashpot.app.cli import run
 from dashpot.data.readers import read
 from dashpot.estimate.identify import automatic, identify
 from dashpot.estimate.likelihood.maximum_likelihood import MaximumLikelihood
@@ -64,3 +66,36 @@ def test_the_table_is_what_the_raw_file_gives(tmp_path: Path) -> None:
     assert (
         np.median(correlation[:60]) > 0.9
     )  # both angles drift together: the covariance between channels matters
+
+
+def test_the_bench_without_sign_and_delay_is_told_both_one_after_the_other(tmp_path: Path) -> None:
+    """It once ended as converged with J1 0 ± 130 and exit 0."""
+    rig = (EXAMPLE / "rig.toml").read_text(encoding="utf-8")
+    plain = rig.replace(', sign = "unknown"', "").replace(', delay = "unknown"', "")
+    assert plain != rig
+    (tmp_path / "plain.toml").write_text(plain, encoding="utf-8")
+    lines = (EXAMPLE / "amplitudes.csv").read_text(encoding="utf-8").splitlines()
+    header, *rows = [line for line in lines if not line.startswith("#")]
+    (tmp_path / "data.csv").write_text("\n".join([header, *rows[::8]]) + "\n", encoding="utf-8")
+    files = {
+        name: str(tmp_path / name) for name in ("plain.toml", "data.csv", "a.json", "signed.toml", "b.json")
+    }
+
+    plain_bench = ["identify", files["plain.toml"], files["data.csv"], "-q", "--json", files["a.json"]]
+    ended = run([*plain_bench, "--apply", files["signed.toml"]])
+    first = json.loads((tmp_path / "a.json").read_text())
+    assert first["fit"]["verdict"] == "does not fit"
+    assert (first["status"], ended) in {("not converged", 3), ("converged", 0)}
+    J1 = first["parameters"]["J1"]
+    assert not (J1["sd"] < 0.5 * abs(J1["value"]) and J1["value"] > 0.01)
+    assert (first["diagnosis"][0]["kind"], first["diagnosis"][0]["of"]) == ("sign", ["theta_l"])
+
+    assert (
+        run(
+            ["identify", files["signed.toml"], files["data.csv"], "-q", "--strict", "--json", files["b.json"]]
+        )
+        == 4
+    )
+    second = json.loads((tmp_path / "b.json").read_text())
+    assert (second["diagnosis"][0]["kind"], second["diagnosis"][0]["of"]) == ("delay", ["current"])
+    assert second["diagnosis"][0]["number"] == pytest.approx(-0.1e-3, abs=0.02e-3)

@@ -5,30 +5,60 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-import pytest
 
 from dashpot.check.verdict import assess
 from dashpot.data.conditioning.lines import spectrum
 from dashpot.data.local_noise import with_local_noise
-from dashpot.data.spectrum import Spectrum
+from dashpot.data.periods import average_periods
 from dashpot.estimate.identify import identify
+from dashpot.present.text.assessment import verdict_in_words
 from tests.two_masses import PUSHED
 from tests.unit.data.test_local_noise import RIG, functions
 from tests.whole_rigs import chain, record_of
 
-
-@pytest.fixture(scope="module")
-def quake() -> Spectrum:
-    """A record of random base motion, passed as multiples of 0.1 Hz that it knows nothing of."""
-    model, theta = chain(2, 0.05, seed=4)
-    record = record_of(model, theta, "random", decay_times=3.0).record
-    dwell = replace(record, frequency_hz=3 / (record.time[-1] - record.time[0]))
-    return spectrum([dwell], orders=range(1, 60), refine="none", transients="none")
+QUAKE = record_of(*chain(2, 0.05, seed=4), "random", decay_times=3.0).record
+TENTH = 3 / (QUAKE.time[-1] - QUAKE.time[0])  # Hz, of three periods
 
 
-def test_a_record_that_does_not_repeat_is_no_fit(quake: Spectrum) -> None:
+def test_an_earthquake_passed_as_multiples_of_a_low_frequency_is_no_fit() -> None:
+    """A record of random base motion, that knows nothing of those frequencies, once fitted with p = 0.96."""
     model, _ = chain(2, 0.05, seed=4)
+    dwell = replace(QUAKE, frequency_hz=TENTH)
+    quake = spectrum([dwell], orders=range(1, 60), refine="none", transients="none")
     assert assess(model, quake, identify(model, quake)).verdict != "fits"
+
+
+def test_an_earthquake_given_as_a_dwell_is_said_to_be_none() -> None:
+    lines = spectrum([replace(QUAKE, frequency_hz=TENTH)], transients="none")
+    (note,) = [note for note in lines.notes if note.code == "other_motion"]
+    assert "no steady sine" in note.text
+    several = spectrum([replace(QUAKE, frequency_hz=TENTH * k) for k in (1, 1.3, 1.6)], transients="none")
+    (note,) = [note for note in several.notes if note.code == "other_motion"]
+    assert note.text.endswith("so 2 dwells more")
+
+
+def test_an_earthquake_given_as_periods_is_said_not_to_repeat() -> None:
+    """On the other hand periods with noise of three quarters of the motion do."""
+    samples = len(QUAKE.time) // 4
+    step = (QUAKE.time[-1] - QUAKE.time[0]) / (len(QUAKE.time) - 1)
+    lines = average_periods(QUAKE, samples * step, range(5, 40))
+    assert [note.code for note in lines.notes] == ["periods_differ"]
+    once = QUAKE.values[:samples]
+    noise = 0.75 * np.std(once, axis=0) * np.random.default_rng(8).normal(size=(4 * samples, once.shape[1]))
+    repeated = replace(QUAKE, time=QUAKE.time[: 4 * samples], values=np.tile(once, (4, 1)) + noise)
+    assert average_periods(repeated, samples * step, range(1, 12)).notes == ()
+
+
+def test_as_many_unknowns_as_data_are_no_fit() -> None:
+    """χ² is 0 to rounding then, which once read "residuals are 6.6e-24 × the noise"."""
+    model, _ = chain(2, 0.05, seed=4)
+    lines = spectrum([replace(QUAKE, frequency_hz=TENTH)], orders=range(1, 9), transients="none")
+    estimate = identify(model, lines)
+    exact = replace(estimate, fit=replace(estimate.fit, chi2=np.array(1e-40), dof=0))
+    assessment = assess(model, lines, exact)
+    assert assessment.verdict != "fits"
+    assert assessment.worst == ()
+    assert "× the noise" not in verdict_in_words(exact.fit, assessment)
 
 
 def test_functions_without_noise_sizes_and_an_unstable_rig_do_not_fit() -> None:

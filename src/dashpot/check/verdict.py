@@ -84,7 +84,7 @@ def assess(model: Model, spectrum: Spectrum, estimate: Estimate) -> Assessment:
     doubts = [*untested, *chance, *hum_notices(left, motions, tones), *unheard]
     verdict: Judgement = "does not fit" if against else "cannot tell" if doubts else "fits"
     return Assessment(
-        verdict, (*against, *doubts), _relative(left, motions), _worst(left),
+        verdict, (*against, *doubts), _relative(left, motions), _worst(left) if estimate.fit.dof > 0 else (),
         findings=tuple(_finding_in_time(notice) for notice in in_time),
     )  # fmt: skip
 
@@ -116,6 +116,9 @@ def powerless(estimate: Estimate, *, of_residuals: bool = False) -> list[Notice]
     if of_residuals:
         text = "the noise is estimated from the residuals themselves; a record at rest would make the fit testable"
         return [Notice("noise_from_residuals", text)]
+    if fit.dof <= 0:
+        text = "there are no more data than unknowns, so that nothing is left to test the fit by"
+        return [Notice("few_degrees", text)]
     if fit.dof < FEWEST:
         return [Notice("few_degrees", f"{fit.dof} degrees of freedom are too few to test the fit")]
     return []
@@ -178,12 +181,11 @@ def _unheard(left: Residuals, motions: Bools, lines: Bools) -> list[Notice]:
         for name, part, motion, noise in zip(left.channels, share, motions, left.sd.T, strict=True)
         if motion and part < MOSTLY and np.any(noise > 0)
     ]
-    return [
-        Notice(
-            "below_noise", f"{name} is below three standard deviations of its noise at most lines", (name,)
-        )
-        for name in quiet
-    ]
+    if not quiet:
+        return []
+    which = f"{joined(quiet)} {'is' if len(quiet) == 1 else 'are'}"
+    text = f"{which} below three standard deviations of the noise at most lines"
+    return [Notice("below_noise", text, tuple(quiet))]
 
 
 def _smooth(left: Residuals, motions: Bools, least: float, uneven: bool) -> list[Notice]:

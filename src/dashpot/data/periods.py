@@ -12,6 +12,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from dashpot.arrays import Complex
 from dashpot.data.calibration import calibration
 from dashpot.data.conditioning.harmonic_fit import fit_harmonics
 from dashpot.data.record import Record
@@ -20,6 +21,8 @@ from dashpot.errors import DataError
 from dashpot.notices import Notice
 
 UNEVEN = 1e-3  # of a sampling step
+ALIKE = 4.0  # times its variance that the mean of periods has to be large: chance alone makes it 1
+UNAVERAGED = "leave out lines and frequency_hz, and it is used whole"
 NEIGHBOURS = 10  # lines beside an excited one that show the noise there
 
 
@@ -29,11 +32,13 @@ def samples_of_period(record: Record, period_s: float) -> int:
     step = float(time[-1] - time[0]) / (len(time) - 1)
     if np.max(np.abs(time - time[0] - step * np.arange(len(time)))) > UNEVEN * step * len(time) ** 0.5:
         raise DataError(
-            "the samples are not evenly spaced", record.source, "use the harmonic regression of the record"
+            "the samples are not evenly spaced",
+            record.source,
+            f"periods cannot be averaged then: {UNAVERAGED}",
         )
     each = round(period_s / step) if np.isfinite(period_s) and period_s > 0 else 0
     if each < 2 or abs(each * step - period_s) * len(time) / each > UNEVEN * step * len(time) ** 0.5:
-        cure = "correct the period, or use the harmonic regression of the record"
+        cure = f"correct the period; if the record does not repeat, {UNAVERAGED}"
         raise DataError(f"{period_s:g} s is not a whole number of samples of {step:g} s", record.source, cure)
     return each
 
@@ -111,11 +116,6 @@ def average_periods(
     V = np.einsum("plc,pld->lcd", away, np.conj(away)) / (count * (count - 1))
     frequencies = np.array(wanted) / period_s
     h = calibration(record.channels, frequencies)
-    notes: tuple[Notice, ...] = ()
-    if skip:
-        left_out = "period is" if skip == 1 else f"{skip} periods are"
-        text = f"{record.source}: the first {left_out} left out"
-        notes = (Notice("periods_skipped", text, (record.source,)),)
     return Spectrum(
         record.channels,
         frequencies,
@@ -125,5 +125,19 @@ def average_periods(
         np.full(len(wanted), 2.0 * (count - 1)),
         ("periods",) * len(wanted),
         np.full(len(wanted), record.experiment),
-        notes=notes,
+        notes=_notes(record.source, period_s, skip, X, away),
     )
+
+
+def _notes(source: str, period_s: float, skip: int, mean: Complex, away: Complex) -> tuple[Notice, ...]:
+    """What is left out, and whether periods agree: mean (lines, channels), away (periods, lines, channels) from it."""
+    notes = []
+    if skip:
+        left_out = "period is" if skip == 1 else f"{skip} periods are"
+        notes.append(Notice("periods_skipped", f"{source}: the first {left_out} left out", (source,)))
+    count = len(away)
+    variance = np.sum(np.abs(away) ** 2, axis=0) / (count * (count - 1))
+    if np.median(np.abs(mean) ** 2 / np.maximum(variance, 1e-300)) < ALIKE:
+        text = f"{source}: its periods of {period_s:g} s hardly agree with one another: is it periodic?"
+        notes.append(Notice("periods_differ", text, (source,)))
+    return tuple(notes)

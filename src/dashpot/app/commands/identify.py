@@ -358,6 +358,9 @@ def _ending(estimate: Estimate, strict: bool) -> int:
         'check signs and units of the channels (gain = "unknown" for all but one shows a wrong one), '
         "give the unknowns a guess, or try another --method"
     )
+    if estimate.assessment is not None and estimate.assessment.findings:
+        best = estimate.assessment.findings[0]
+        cure = f"a likely cause: {best.text} {best.change}"
     if any(notice.code == "modes_outside" for notice in estimate.warnings):
         cure = "the band shows too few of the rig's modes: widen --band, or give values to the unknowns named above"
     click.echo(

@@ -13,7 +13,8 @@ from dashpot.check.diagnosis.crosstalk import cross_talk
 from dashpot.check.diagnosis.likeness import RATIOS, Likeness, likeness
 from dashpot.check.diagnosis.nonlinear_elements import ENOUGH, called_for
 from dashpot.check.diagnosis.open_calibrations import as_stated, with_open_calibrations
-from dashpot.check.diagnosis.ranking import ALIKE, ORDER, Cause, ranked
+from dashpot.check.diagnosis.possible_parts import negative_parts
+from dashpot.check.diagnosis.ranking import ALIKE, HELPS, ORDER, Cause, ranked
 from dashpot.check.diagnosis.rig_changes import changes
 from dashpot.check.diagnosis.run_groups import run_groups
 from dashpot.check.diagnosis.score_test import promises
@@ -30,10 +31,8 @@ from dashpot.check.diagnosis.trials import (
     with_phases_times,
     without,
 )
-from dashpot.check.verdict import BEYOND
 from dashpot.data.stretch import SettledDwell, Stretch
-from dashpot.estimate.inference.diagnostics import of_one_sign
-from dashpot.estimate.likelihood.objective import local, measured
+from dashpot.estimate.likelihood.objective import measured
 from dashpot.estimate.preparation.prepared import Prepared
 from dashpot.estimate.preparation.state_reconstruction import states_if_seen
 from dashpot.model.elements import Element
@@ -99,7 +98,10 @@ def causes(bench: Workbench, seed: int = 0) -> tuple[float, list[Cause]]:
         channel.name for channel in bench.view.channels if measures_input(bench.data.model, channel)
     }
     by_chance = _by_chance(as_is) if bench.data.noise_known else np.inf
-    return as_is.reduced, ranked(candidates, as_is.reduced, inputs_alone, noise=by_chance, surely=positive)
+    impossible = _impossible_signs(bench, as_is, [*inputs, *otherwise])
+    return as_is.reduced, ranked(
+        candidates, as_is.reduced, inputs_alone, noise=by_chance, surely=positive, impossible=impossible
+    )
 
 
 def _explained(candidates: Sequence[Cause], kinds: Sequence[str], noise: float = ENOUGH) -> bool:
@@ -113,29 +115,32 @@ def _of_possible_parts(bench: Workbench, as_is: Outcome, outcomes: Sequence[Outc
     Phases that count the other way, or a channel in another unit, may leave χ² as it is.
     """
     limit = _by_chance(as_is) if bench.data.noise_known else ALIKE * as_is.reduced
-    if as_is.reduced > limit or not np.any(_negative(bench, as_is)):
+    if as_is.reduced > limit or not np.any(negative_parts(bench, as_is)):
         return []
     return [
         _of_outcome(outcome)
         for outcome in outcomes
-        if outcome.reduced < limit and not np.any(_negative(bench, outcome))
+        if outcome.reduced < limit and not np.any(negative_parts(bench, outcome))
     ]
+
+
+def _impossible_signs(bench: Workbench, as_is: Outcome, outcomes: Sequence[Outcome]) -> set[str]:
+    """Channels of which the other sign helps, but makes parts of the rig negative.
+
+    Of two motions either may be turned, but for the force that then counts backwards.
+    """
+    return {
+        outcome.trial.of[0]
+        for outcome in outcomes
+        if outcome.trial.kind == "sign"
+        and outcome.reduced < HELPS * as_is.reduced
+        and np.any(negative_parts(bench, outcome))
+    }
 
 
 def _by_chance(as_is: Outcome) -> float:
     """χ² per degree of freedom that noise alone hardly exceeds."""
     return float(1 + BY_CHANCE * (2 / max(as_is.dof, 1)) ** 0.5)
-
-
-def _negative(bench: Workbench, outcome: Outcome) -> Bools:
-    """Parts of the rig that are negative beyond doubt where a trial ended, (unknowns,)."""
-    model, data = bench.data.model, prepared(bench.data, outcome.trial)
-    with np.errstate(all="ignore"):
-        at = local(bench.view, measured(data), outcome.psi[None], bench.sign[None])
-    scale = outcome.reduced**0.5 if not bench.data.noise_known else 1.0
-    sd = scale * np.sqrt(np.diagonal(at.inverse[0]))[: bench.view.m]
-    negative: Bools = (outcome.psi[: bench.view.m] < -BEYOND * sd) & of_one_sign(model)
-    return negative
 
 
 def _nonlinear(bench: Workbench, as_is: Outcome) -> list[Cause]:

@@ -46,13 +46,14 @@ class Cause:
 
 def ranked(
     candidates: Sequence[Cause], start: float, inputs: Collection[str] = (), *, noise: float = np.inf,
-    surely: Collection[Cause] = (),
+    surely: Collection[Cause] = (), impossible: Collection[str] = (),
 ) -> list[Cause]:  # fmt: skip
     """Those that explain half of the misfit or more, and `surely`; what explains alike in the order of ORDER.
 
     Without the channel of an input (`inputs`) it moves as it likes at every line, which explains nearly anything.
     Without one of two channels that a line has its motion is as it likes: that explains less than any remedy by which
     most of the misfit goes and all lines stay tested.
+    Of signs that explain alike, those of the channels `impossible` stand last: with them no such rig can be built.
     Where the misfit is small and yet beyond what `noise` leaves by chance (∞: not known), half of it is less than
     noise: there counts what is left above 1.
     """
@@ -72,13 +73,14 @@ def ranked(
     alike = ALIKE if best < noise else ALIKE_OF_A_ROUGH_RIG
     share = min(1.0, FINELY * (start - 1)) if small else 1.0
 
-    def place(cause: Cause) -> tuple[bool, float, int, float]:
+    def place(cause: Cause) -> tuple[bool, float, int, bool, float]:
         # Leaving data out leaves less to explain: what keeps them and explains nearly as much says more.
         channel = LEFT_OUT_INPUT if set(cause.of) & set(inputs) else LEFT_OUT
         handicap = {"channel": channel, "dwell": LEFT_OUT_DWELL, "mode": LEFT_OUT_DWELL}.get(cause.kind, 1.0)
         left = cause.remaining * (1 + share * (handicap - 1))
         tier = np.floor(np.log(max(left, best) / best) / np.log(1 + share * (alike - 1)))
-        return cause not in in_question, float(tier), ORDER.index(cause.kind), cause.remaining
+        backwards = cause.kind == "sign" and cause.of[0] in impossible
+        return cause not in in_question, float(tier), ORDER.index(cause.kind), backwards, cause.remaining
 
     named: dict[tuple[str, tuple[str, ...]], Cause] = {}
     for cause in sorted(helpful, key=place):

@@ -10,7 +10,7 @@ import numpy as np
 
 from dashpot.arrays import Real
 from dashpot.data.calibration import calibration
-from dashpot.data.conditioning.account import account_of_dwells
+from dashpot.data.conditioning.account import account_of_dwells, other_motion, summed_up
 from dashpot.data.conditioning.clock import FEWEST, with_even_stamps
 from dashpot.data.conditioning.drift import LEVEL as DRIFT_LEVEL
 from dashpot.data.conditioning.drift import slope_costs, slopes_show
@@ -191,7 +191,7 @@ def _of_settled(dwells: Sequence[Record], given: Sequence[Record], settings: Con
     lines = concatenate(each)
     if settings.wanted == (1,) and settings.noise == "auto":
         lines = moderated(lines)
-    return replace(lines, notes=(*notes, *lines.notes))
+    return replace(lines, notes=(*notes, *summed_up(lines.notes)))
 
 
 def _why_whole(dwells: Sequence[Record], settings: Conditioning, wanders: bool) -> str | None:
@@ -258,7 +258,7 @@ def _lines(record: Record, settings: Conditioning, driven: DrivenOrders, steps: 
         (fit.noise,) * len(wanted),
         np.full(len(wanted), record.experiment),
         second_moments(record, settings.drift) if _with_moments(record, settings) else None,
-        (*notes, *fit.notes),
+        (*notes, *fit.notes, *other_motion(record, fit, wanted)),
         stretches=(SettledDwell(fit.frequency_hz if len(wanted) > 1 else None),),
     )
 

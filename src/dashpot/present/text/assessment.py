@@ -21,7 +21,8 @@ VERDICTS = {
 def verdict_in_words(fit: Fit, assessment: Assessment) -> str:
     """The verdict with its reasons, and χ²."""
     reasons = joined(notice.text for notice in assessment.reasons if notice.code != "chi2")
-    residuals = "" if not fit.known_noise else f"residuals are {short(float(fit.misfit), 2)} × the noise"
+    tested = fit.known_noise and fit.dof > 0
+    residuals = f"residuals are {short(float(fit.misfit), 2)} × the noise" if tested else ""
     why = "; ".join(part for part in (reasons, residuals) if part)
     return f"{VERDICTS[assessment.verdict]}: {why}{_chi2(fit)}."
 

@@ -109,6 +109,18 @@ DATA_NOTICES: tuple[tuple[str, str, str, str], ...] = (
         "Nothing.",
     ),
     (
+        "periods_differ", RECORDS,
+        ("The periods of a record that was given as periodic agree no better with one another than noise does: either "
+        "little but noise was recorded, or the record does not repeat."),
+        "If it does not repeat, leave out `lines` and `frequency_hz`: it is then used whole.",
+    ),
+    (
+        "other_motion", RECORDS,
+        ("A record was given as a dwell, but little of its motion is at the frequency stated (and its multiples that "
+        "are used): it is an earthquake, a sweep or random motion, or hum and drift are louder than the drive."),
+        "Leave the frequency out if the record is no dwell: it is then used whole.",
+    ),
+    (
         "columns_not_read", FILES,
         "Columns that the rig file does not list as channels.",
         "Nothing, unless one should be a channel: then its name in `[channels]` is spelt differently.",

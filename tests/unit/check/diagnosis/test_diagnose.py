@@ -9,6 +9,7 @@ import dashpot
 from dashpot.channel import Channel, Quantity
 from dashpot.check.diagnosis.causes import causes
 from dashpot.check.diagnosis.diagnose import _ranked, diagnose, examined
+from dashpot.check.diagnosis.ranking import Cause, ranked
 from dashpot.check.diagnosis.search import Workbench
 from dashpot.data.spectrum import Spectrum
 from dashpot.estimate.assessment import Finding, applied
@@ -20,6 +21,7 @@ from dashpot.model.network import Input, Model
 from tests import partly_seen, rigs
 from tests.mistakes import MISTAKES
 from tests.two_masses import SHAKEN, SHAKEN_TRUTH
+from tests.unit.check.test_verdict import bench
 from tests.whole_rigs import chain, record_of
 
 # What no data of these rigs can show: with springs alone known, all frequencies times a factor is another rig; two
@@ -264,6 +266,22 @@ def test_a_gain_between_the_usual_ones_is_named_where_nothing_else_shows_the_cha
     assert (finding.kind, finding.of) == ("gain", ("x1",))
     assert finding.number == pytest.approx(1.05, rel=2e-3)
     assert finding.remaining < 2.0
+
+
+def test_of_two_signs_that_fit_alike_the_one_with_a_rig_that_can_be_built_leads():
+    """Of a motor and its load either angle may be turned, but for a torque that then counts backwards."""
+    model, data = bench()
+    late = np.exp(1j * data.omega * 1e-4)
+    on_time = replace(data, amplitudes=data.amplitudes / np.stack([late**0, late**0, late], axis=1))
+    alike = [replace(on_time, channels=tuple(on_time.channels[c] for c in order),
+                     amplitudes=on_time.amplitudes[:, order], covariance=on_time.covariance[:, order][:, :, order])
+             for order in ([0, 1, 2], [1, 0, 2])]  # fmt: skip
+    for each in alike:  # whichever is asked first
+        first, second = diagnose(model, each)[:2]
+        assert (first.kind, first.of, second.kind, second.of) == ("sign", ("theta_l",), "sign", ("theta_m",))
+    turned, backwards = (Cause("sign", (name,), left) for name, left in (("theta_l", 1.02), ("theta_m", 1.0)))
+    assert ranked([backwards, turned], 500.0, impossible={"theta_m"}) == [turned, backwards]
+    assert ranked([backwards, turned], 500.0) == [backwards, turned]
 
 
 def test_what_is_seen_in_time_does_not_reorder_the_rest():
