@@ -12,6 +12,7 @@ from dashpot.check.diagnosis.causes import causes, points_of
 from dashpot.check.diagnosis.directed import directed_causes
 from dashpot.check.diagnosis.nonlinear_elements import MARKED
 from dashpot.check.diagnosis.ranking import Cause
+from dashpot.check.diagnosis.record_changes import RigChanges, record_changes
 from dashpot.check.diagnosis.record_elements import called_for_in_records
 from dashpot.check.diagnosis.search import Workbench
 from dashpot.check.diagnosis.steady_lines import steady_lines
@@ -98,14 +99,42 @@ def examined(model: Model, spectrum: Spectrum, estimate: Estimate, *, seed: int 
         on_lines, causes_found = (
             (misfit, ()) if share < EXPLAINED else _misfit_and_causes(model, spectrum, estimate, seed)
         )
-        if _of_another_linear_rig(causes_found, on_lines, share):
+        rigs = _other_rigs(model, spectrum, estimate) if share >= EXPLAINED else RigChanges()
+        if rigs.left < EXPLAINED:
+            causes_found = _with_rigs_first(model, spectrum, rigs, causes_found)
+        if rigs.left < min(EXPLAINED, share / 2) or _of_another_linear_rig(causes_found, on_lines, share):
             elements_found = ()
         elif share < 1 - MARKED:
             causes_found = ()
-        assessment = replace(assessment, findings=_ranked(causes_found, assessment.findings, on_lines))
+        assessment = replace(
+            assessment,
+            findings=_ranked(causes_found, assessment.findings, on_lines, surely=rigs.left < EXPLAINED),
+        )
     if elements_found:
         assessment = _with_nonlinear_elements(assessment, elements_found, misfit)
     return _closed(model, spectrum, *_without_changes_in_time(estimate, assessment))
+
+
+def _other_rigs(model: Model, spectrum: Spectrum, estimate: Estimate) -> RigChanges:
+    """Rigs with one linear part otherwise, fitted to whole records; none where there are none."""
+    if not spectrum.carries_loads or model.n > LARGEST:
+        return RigChanges()
+    return record_changes(model, spectrum, estimate)
+
+
+def _with_rigs_first(
+    model: Model, spectrum: Spectrum, rigs: RigChanges, causes_found: tuple[Finding, ...]
+) -> tuple[Finding, ...]:
+    """The causes with those rigs behind the plain mistakes that lead, in place of what coarser lines made of them."""
+    leading, others = _parted(causes_found)
+    others = tuple(each for each in others if each.kind not in ("value", "element"))
+    return (*leading, *(finding(model, spectrum.channels, cause) for cause in rigs.causes), *others)
+
+
+def _parted(causes_found: tuple[Finding, ...]) -> tuple[tuple[Finding, ...], tuple[Finding, ...]]:
+    """The plain mistakes that lead, and the rest."""
+    leading = next((k for k, each in enumerate(causes_found) if each.kind not in PLAIN), len(causes_found))
+    return causes_found[:leading], causes_found[leading:]
 
 
 def _closed(model: Model, spectrum: Spectrum, estimate: Estimate, assessment: Assessment) -> Estimate:
@@ -167,19 +196,17 @@ def _left(tried: Finding) -> float:
 
 
 def _ranked(
-    causes_found: tuple[Finding, ...], in_time: tuple[Finding, ...], misfit: float
+    causes_found: tuple[Finding, ...], in_time: tuple[Finding, ...], misfit: float, *, surely: bool = False
 ) -> tuple[Finding, ...]:
     """What changes in the course of a record stands after the plain mistakes that lead, before all others.
 
     A rig that is another one leaves residuals that change as the motion does: where it explains nearly all of the
-    `misfit` (χ² over its degrees of freedom on the lines that were diagnosed), it stands before them.
+    `misfit` (χ² over its degrees of freedom on the lines that were diagnosed), it stands before them; `surely`: its
+    fit to whole records has shown that.
     """
-    leading = next((k for k, each in enumerate(causes_found) if each.kind not in PLAIN), len(causes_found))
-    plain, others = causes_found[:leading], causes_found[leading:]
+    plain, others = _parted(causes_found)
     rig = tuple(
-        each
-        for each in others
-        if each.kind in OF_THE_RIG and each.remaining is not None and each.remaining < EXPLAINED * misfit
+        each for each in others if each.kind in OF_THE_RIG and (surely or _left(each) < EXPLAINED * misfit)
     )
     if not in_time or not rig:
         return (*plain, *in_time, *others)

@@ -33,7 +33,7 @@ def steady_lines(model: Model, spectrum: Spectrum) -> Spectrum:
     """The spectrum (no batch axes) with every whole record made of a few lines that carry no boundary loads."""
     driving = np.array([measures_input(model, channel) for channel in spectrum.channels])
     driving = driving if np.any(driving) else np.ones_like(driving)
-    noise = _noise(spectrum)
+    noise = working_noise(spectrum)
     records = spectrum.records
     share = max(1, LINES // (30 * max(len(records), 1)))
     frequency, amplitudes, variance, lines = [], [], [], []
@@ -68,7 +68,7 @@ def steady_lines(model: Model, spectrum: Spectrum) -> Spectrum:
     )
 
 
-def _noise(spectrum: Spectrum) -> Real:
+def working_noise(spectrum: Spectrum) -> Real:
     """Variance of each line, (lines, channels): no more than the quietest record has of noise read from residuals.
 
     The residuals of a rig that does not fit are no noise.
