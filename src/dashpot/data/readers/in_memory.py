@@ -19,7 +19,7 @@ from dashpot.data.readers.sampling import TIME, TIME_NAMES, time_column
 from dashpot.data.readers.variables import parts_of_variables
 from dashpot.data.record import Record
 from dashpot.errors import DataError
-from dashpot.io.words import shown
+from dashpot.io.words import counted, listed, shown
 
 
 class HasChannels(Protocol):
@@ -48,8 +48,8 @@ def record(
     time      (samples,), s; else the column `time_s` (or an index or coordinate of that or a usual name), else
               `rate_hz` in Hz
 
-    Raises DataError where a channel or the time is missing or told twice, something is not a finite number or is
-    masked, or there are several records.
+    Raises DataError where there are no channels, a channel or the time is missing or told twice, something is not a
+    finite number or is masked, there are fewer than two samples, or there are several records.
     """
     records = records_of(
         data,
@@ -84,6 +84,11 @@ def records_of(
     Raises DataError as `record`.
     """
     named = channels.channels if hasattr(channels, "channels") else channels
+    if not named or not all(isinstance(channel, Channel) for channel in named):
+        cure = 'give a rig, or Channels such as Channel("x1", {"x1": 1})'
+        raise DataError(
+            "the channels are not said" if not named else "the channels are no Channels", source, cure
+        )
     for what, number in (("frequency_hz", frequency_hz), ("rate_hz", rate_hz)):
         if number is not None and not 0 < number < 1e12:
             raise DataError(f"{what} is {number:g}", source, "give a positive number")
@@ -98,6 +103,9 @@ def records_of(
         if all(part.find(channel.name) is not None for channel in named)
     ]
     part: ArrayColumns = parts[0] if parts else next(parts_of_variables(source, variables, units))
+    if time is None and rate_hz is None and time_column(part, named, may_lack=True) is None:
+        what = f"the time is missing; there are {listed(values)}"
+        raise DataError(what, source, "add a column time_s, or give time (s) or rate_hz")
     if rate_hz is not None and time_column(part, named, may_lack=True) is not None:
         raise DataError("there are times as well as rate_hz", source, "leave one of them out")
     circumstances = Circumstances(frequency_hz, experiment, rate_hz)
@@ -123,6 +131,9 @@ def _check_columns(variables: Mapping[str, Any], wanted: Collection[str], source
         if array.dtype.kind not in "fiubcmM":
             cure = f"convert it to numbers, not {array.dtype}"
             raise DataError(f"column {shown(name)}: holds no numbers", source, cure)
+        if array.ndim and array.size < 2:
+            what = f"column {shown(name)}: {counted(array.size, 'sample')}"
+            raise DataError(what, source, "give at least two")
         if array.size > 1 and array.size == max(array.shape):
             lengths[name] = array.size
     if len(set(lengths.values())) > 1:

@@ -88,7 +88,7 @@ def test_several_records():
             {"time_s": T, "x1": np.ma.array(T, mask=T > 1), "u": T},
             "sample 18: column x1: nan is not a finite",
         ),
-        (X, "column time_s: missing"),
+        (X, "the time is missing"),
         ({"time_s": T[::-1], **X}, r"does not increase|one sample"),
         (np.zeros((4, 4)), "ndarray is not a table with names"),
         ([1, 2], "list is not a table with names"),
@@ -99,6 +99,27 @@ def test_what_is_wrong_is_said(data, what):
     with pytest.raises(DataError, match=what) as error:
         record(data, TWO)
     assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize("count", [0, 1])
+def test_a_table_that_holds_no_samples_is_told(count):
+    """They had been told to be rows out of order, or no variables."""
+    with pytest.raises(DataError, match=f"column time_s: {count} samples?; give at least two"):
+        record({name: x[:count] for name, x in {"time_s": T, **X}.items()}, TWO)
+
+
+def test_channels_that_are_none_are_told():
+    with pytest.raises(DataError, match="the channels are not said; give a rig"):
+        record({"time_s": T, **X}, [])
+    with pytest.raises(DataError, match="the channels are no Channels; give a rig"):
+        record({"time_s": T, **X}, ["x1", "u"])
+
+
+def test_what_can_stand_for_a_missing_time_is_told():
+    with pytest.raises(
+        DataError, match=r"the time is missing; there are .*; add a column time_s, or give time \(s\) or"
+    ):
+        record(X, TWO)
 
 
 def test_a_rig_stands_for_its_channels():
