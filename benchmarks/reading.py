@@ -33,14 +33,18 @@ from tests.unit.data.readers.column_files import TABLES, famos, mdf, tdms, uff
 from tests.unit.data.readers.written import mat73
 
 
-def seconds(task: Callable[[], object], repeats: int) -> float:
-    """The median of the times that a task takes."""
-    times = []
+def seconds(tasks: dict[str, Callable[[], object]], repeats: int) -> dict[str, tuple[float, float]]:
+    """The medians of the times that tasks take when run in turn: by the clock, and of all processors."""
+    times: dict[str, list[tuple[float, float]]] = {name: [] for name in tasks}
     for _ in range(repeats):
-        start = time.perf_counter()
-        task()
-        times.append(time.perf_counter() - start)
-    return statistics.median(times)
+        for name, task in tasks.items():
+            start = time.perf_counter(), time.process_time()
+            task()
+            times[name].append((time.perf_counter() - start[0], time.process_time() - start[1]))
+    return {
+        name: (statistics.median(wall for wall, _ in each), statistics.median(cpu for _, cpu in each))
+        for name, each in times.items()
+    }
 
 
 NAMES = ("x1", "x2", "u")
@@ -182,11 +186,13 @@ def main() -> None:
             "pyarrow, all threads": lambda: pa.csv.read_csv(path, read_options=with_threads),
             "dashpot": lambda: read(path, channels),
         }
-        times = {name: seconds(task, chosen.repeats) for name, task in tasks.items()}
+        times = seconds(tasks, chosen.repeats)
     print(f"{chosen.rows} rows of {chosen.columns + 1} columns, {size:.0f} MiB, median of {chosen.repeats}")
-    for name, value in times.items():
+    alone_wall, alone_cpu = times["pyarrow, one thread"]
+    for name, (wall, cpu) in times.items():
         print(
-            f"{name:22} {value:6.2f} s {value / times['pyarrow, one thread']:5.2f} x {size / value:5.0f} MiB/s"
+            f"{name:22} {wall:6.2f} s {wall / alone_wall:5.2f} x {size / wall:5.0f} MiB/s, "
+            f"of processors {cpu:5.2f} s {cpu / alone_cpu:5.2f} x"
         )
 
 

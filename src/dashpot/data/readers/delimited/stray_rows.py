@@ -18,6 +18,12 @@ _COMMENTS = b"#", b"%"
 _LETTER = rb"[A-Za-z_\x80-\xff]"
 
 
+def _telling(sign: bytes) -> bytes:
+    """A byte of a text, if possible one that numbers do not have."""
+    match = re.search(rb"[^\s\d.,;:|+\-eE]", sign)
+    return match[0] if match else sign[:1]
+
+
 class StrayRows:
     """What is to be left out of the text behind a header, and how much of it there was.
 
@@ -34,7 +40,9 @@ class StrayRows:
     def among(self, data: Text) -> bool:
         """Whether there may be such rows: a quick look."""
         signs = (*self._headings[-2:], b"\f", _MINUS, *_COMMENTS)
-        return any(data.find(sign, self._start) >= 0 for sign in signs)
+        # A byte is found ten times as fast as several, and one that numbers do not have is seldom there.
+        present = {byte for byte in map(_telling, signs) if data.find(byte, self._start) >= 0}
+        return any(_telling(sign) in present and data.find(sign, self._start) >= 0 for sign in signs)
 
     def blanked(self, data: bytes) -> bytes:
         """The text without them."""
