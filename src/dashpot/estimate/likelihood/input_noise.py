@@ -17,11 +17,17 @@ import numpy as np
 
 from dashpot.arrays import Bools, Complex, Real, hermitian
 from dashpot.data.conditioning.still import HALF_WINDOW, smoothed
+from dashpot.data.conditioning.whole_record import FLOOR
 from dashpot.data.spectrum import Spectrum
 from dashpot.estimate.likelihood.chunks import Measured
 from dashpot.estimate.likelihood.nuisance import estimated_inputs, inputs_by_channel
-from dashpot.model.observation import ObservationModel
+from dashpot.io.words import joined
+from dashpot.model.network import Model
+from dashpot.model.observation import ObservationModel, measures_input
+from dashpot.notices import Notice
 
+INPUT_NOISE = "input_noise"  # code of a notice
+EXACT = 1e-3  # of an input's size: noise that is no more counts for nothing beside that of outputs
 SHOWS = 4.0  # standard deviations of a variance, from which on it is one; few lines may tell it
 STAYS = 3.0  # and up to which it is given up again
 LEAST_LEFT = 0.5  # of the freedom of those lines that tell
@@ -73,6 +79,35 @@ class InputNoise:
             return np.zeros(G.shape[:2])
         moved: Real = np.abs(G @ by_channel) ** 2 @ (self.level * alone) / spectrum.samples[:, None]
         return moved
+
+
+def of_inputs(model: Model, spectrum: Spectrum, covariance: Complex) -> tuple[Notice, ...]:
+    """How much noise is counted for the measured inputs of records whose noise was not known, and which have none.
+
+    spectrum: before that noise was found, without batch axes; covariance (lines, channels, channels): with it.
+    """
+    lines = np.array([kind == FLOOR for kind in spectrum.noise])
+    variance = np.diagonal(covariance[lines], axis1=-2, axis2=-1).real
+    power = np.nan_to_num(np.abs(spectrum.amplitudes[lines])) ** 2
+    counted, exact = [], []
+    for c, channel in enumerate(spectrum.channels):
+        size = float(np.sum(power[:, c]))
+        if not measures_input(model, channel) or size == 0:
+            continue
+        share = float(np.sum(variance[:, c]) / size) ** 0.5
+        if share < EXACT:
+            exact.append(channel.name)
+        else:
+            counted.append((channel.name, f"{channel.name} {100 * share:.2g} %"))
+    notices = []
+    if counted:
+        text = f"noise counted for the inputs, of the rms of each: {joined(text for _, text in counted)}"
+        notices.append(Notice(INPUT_NOISE, text, tuple(name for name, _ in counted)))
+    if exact:
+        count = "which counts" if len(exact) == 1 else "which count"
+        text = f"no noise shows in {joined(exact)}, {count} as exact; a record at rest would tell"
+        notices.append(Notice(INPUT_NOISE, text, tuple(exact)))
+    return tuple(notices)
 
 
 def without_moved(power: Real, moved: Real, smooth: Callable[[Real], Real]) -> Real:

@@ -26,6 +26,7 @@ from dashpot.present.text.estimate import (
     bound_in_words,
     convergence_in_words,
     fit_in_words,
+    inputs_in_words,
     profiles_in_words,
     warnings_in_words,
 )
@@ -176,8 +177,13 @@ def fit_paragraphs(estimate: Estimate) -> list[tuple[str, str]]:
 
 
 def remarks(estimate: Estimate) -> Sequence[str]:
-    """What ± and the bound are, and which intervals follow a profile."""
-    texts = (basis_in_words(estimate), profiles_in_words(estimate), bound_in_words(estimate))
+    """What ± and the bound are, which noise of inputs they count, and which intervals follow a profile."""
+    texts = (
+        basis_in_words(estimate),
+        inputs_in_words(estimate),
+        profiles_in_words(estimate),
+        bound_in_words(estimate),
+    )
     return [text for text in texts if text]
 
 

@@ -87,10 +87,10 @@ DATA_NOTICES: tuple[tuple[str, str, str, str], ...] = (
     ),
     (
         "input_noise", RECORDS,
-        ("The noise of the measured inputs of a nonlinear rig's whole records, by the quiet top of an input's own "
-        "spectrum or, where it has none, by what all outputs have in common. The true inputs are unknowns of the fit; "
-        "values and intervals count it."),
-        "Nothing; compare it with the noise of the sensor.",
+        ("The noise of the measured inputs of whole records, by the quiet part of an input's own spectrum or, where it "
+        "has none, by what all outputs have in common. The true inputs are unknowns of the fit; values and intervals "
+        "count it."),
+        "Nothing; compare it with the noise of the sensor. A record at rest (`--noise-record`) tells it better.",
     ),
     (
         "dropouts", RECORDS,

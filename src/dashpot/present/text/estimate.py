@@ -7,6 +7,7 @@ from collections.abc import Collection
 
 import numpy as np
 
+from dashpot.estimate.likelihood.input_noise import INPUT_NOISE
 from dashpot.estimate.result import Estimate, Fit
 from dashpot.io.words import joined
 from dashpot.present.text.notices import OPTIONS, with_remedy
@@ -62,6 +63,12 @@ def profiles_in_words(estimate: Estimate) -> str:
     open_ended = [name for name in names if not all(map(math.isfinite, estimate.profiles[name][0]))]
     limit = f" The data set no limit on {joined(open_ended)} on one side." if open_ended else ""
     return f"{verb}: {joined(names)} (χ² is not parabolic there, so ± misleads).{limit}"
+
+
+def inputs_in_words(estimate: Estimate) -> str:
+    """How much noise is counted for the measured inputs of whole records, and which count as exact."""
+    notes = [note.text for note in estimate.notes if note.code == INPUT_NOISE]
+    return " ".join(sentence(text[0].upper() + text[1:]) for text in notes)
 
 
 def bound_in_words(estimate: Estimate) -> str:

@@ -64,7 +64,12 @@ def test_a_record_is_used_whole(dashpot: Command, rig: str) -> None:
     assert len(done.err) == 1
     assert "1 whole record of 2000 samples" in done.err[0]
     assert away() < 3.7  # one in a thousand for five unknowns
-    assert json.loads(Path("e.json").read_text(encoding="utf-8"))["fit"]["verdict"] == "cannot tell"
+    written = json.loads(Path("e.json").read_text(encoding="utf-8"))
+    assert written["fit"]["verdict"] == "cannot tell"
+    (counted,) = [note for note in written["notes"] if "noise counted for the inputs" in note]
+    said = f"{counted[0].upper()}{counted[1:]}"
+    assert f"{said}." in " ".join(done.out.split())
+    assert said in " ".join(Path("e.html").read_text(encoding="utf-8").split())
 
 
 def test_several_records_and_one_with_a_gap(dashpot: Command, rig: str) -> None:

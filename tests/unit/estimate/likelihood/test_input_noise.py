@@ -51,6 +51,20 @@ def test_the_noise_of_the_base_is_found(bench: WholeTest) -> None:
     assert base_noise(bench, unshown(bench, sd, 4)) == pytest.approx(0.05, rel=0.1)
 
 
+def test_the_noise_counted_for_the_base_is_told(bench: WholeTest) -> None:
+    """Nothing was said of inputs of linear rigs, not even where they counted as exact."""
+    texts = []
+    for part in (2.5, 0.0):
+        lines = unshown(bench, 0.02 * bench.size * np.array([1, 2, 1, 0.5, part]), 4)
+        (note,) = [n for n in identify(bench.model, lines).notes if n.code == "input_noise"]
+        assert note.of == (bench.record.channels[BASE].name,)
+        texts.append(note.text)
+    share = float(texts[0].rpartition(": ")[2].split()[1])  # in the band, where most of the base's motion is
+    assert 3 < share < 5.5
+    assert texts[1].startswith("no noise shows in")
+    assert "counts as exact" in texts[1]
+
+
 def test_an_exact_base_stays_exact(bench: WholeTest) -> None:
     sd = 0.05 * bench.size * np.array([1, 1, 1, 1, 0])
     assert base_noise(bench, unshown(bench, sd, 5)) == 0.0
