@@ -42,8 +42,8 @@ def nonlinear_structure(
 ) -> Structure:
     """Whether the unknowns can be found from the channels; with `spectrum` from its lines and inputs.
 
-    Raises IdentifiabilityError where no settled motion is found at the nominal values, DataError where an input is not
-    measured.
+    Raises IdentifiabilityError where no settled motion, or no finite one, is found at the nominal values, DataError
+    where an input is not measured.
     """
     if not channels:
         raise ModelError("no channels are listed", cure="say in [channels] of the rig file what is measured")
@@ -51,11 +51,17 @@ def nonlinear_structure(
     data = prepare(model, given)
     view = data.view
     part = nonlinear_part(data, np.nan_to_num(given.amplitudes)[None], None)
-    psi = _nominal(model, view.gains, view.delays, part)
-    J = _slopes(model, given, part, psi)
+    with np.errstate(all="ignore"):  # laws may overflow, which is refused below
+        psi = _nominal(model, view.gains, view.delays, part)
+        J = _slopes(model, given, part, psi)
     M = len(view.names)
     scale = np.where(psi == 0, 1.0, psi)
     rows = np.concatenate([J.real, J.imag]) * scale
+    if not np.all(np.isfinite(rows)):
+        raise IdentifiabilityError(
+            "a law is no finite number in the motion at the nominal values of the rig",
+            cure="give the unknowns guesses, or write a law that is finite there",
+        )
     prior = np.sqrt(model.prior_precision)
     known = np.zeros((model.T.shape[1], M))
     known[range(model.T.shape[1]), range(model.T.shape[1])] = np.where(prior > 0, np.linalg.norm(rows), 0.0)

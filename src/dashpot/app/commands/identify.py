@@ -351,6 +351,8 @@ def _check_matrices(rig: Rig, wanted: bool) -> None:
 
 def _ending(estimate: Estimate, strict: bool) -> int:
     """The exit code, and a line where the iteration has not converged."""
+    from dashpot.estimate.inference.unseen_laws import UNSEEN_LAW
+
     if bool(estimate.converged):
         misfits = estimate.assessment is not None and estimate.assessment.verdict == "does not fit"
         return DOES_NOT_FIT if strict and misfits else 0
@@ -363,6 +365,9 @@ def _ending(estimate: Estimate, strict: bool) -> int:
         cure = f"a likely cause: {best.text} {best.change}"
     if any(notice.code == "modes_outside" for notice in estimate.warnings):
         cure = "the band shows too few of the rig's modes: widen --band, or give values to the unknowns named above"
+    unseen = [name for notice in estimate.warnings if notice.code == UNSEEN_LAW for name in notice.of]
+    if unseen:
+        cure = f"the data do not show {', '.join(unseen)}: leave the element out, or drive the rig further"
     click.echo(
         f"dashpot: {estimate.method} did not converge in {int(estimate.iterations)} iterations; {cure}",
         err=True,

@@ -283,10 +283,11 @@ def require_determined(
     covariance: Real,
     dead_channels: Callable[[], Sequence[str]] = tuple,
     few_lines: Callable[[], str | None] = lambda: None,
+    traces: Callable[[], None] = lambda: None,
 ) -> None:
     """Raises IdentifiabilityError, which names `dead_channels` or `few_lines`, where an unknown has no interval.
 
-    theta (m,), covariance (m, m).
+    theta (m,), covariance (m, m); traces: raises the error with what leaves no trace, where that can be told.
     """
     variance = covariance.diagonal()
     if np.isfinite(theta).all() and np.isfinite(variance).all() and (variance >= 0).all():
@@ -305,6 +306,7 @@ def require_determined(
             f"the data do not determine {', '.join(lost) if lost else 'the unknowns'}: {few}",
             cure="widen the band, or record for longer",
         )
+    traces()
     raise IdentifiabilityError(
         f"the data do not determine {', '.join(lost) if lost else 'the unknowns'}",
         cure="give an unknown a value, add frequencies, or ask `dashpot check` which combinations can be found",

@@ -7,6 +7,7 @@ from functools import partial
 from dashpot.data.spectrum import Spectrum
 from dashpot.estimate.inference import diagnostics, record_findings
 from dashpot.estimate.inference.uncertainty import Inference
+from dashpot.estimate.inference.unseen_laws import require_traces, unseen_laws
 from dashpot.estimate.result import Fit
 from dashpot.model.network import Model
 from dashpot.notices import Notice
@@ -30,7 +31,8 @@ def _of_estimate(model: Model, spectrum: Spectrum, part: Inference, fit: Fit) ->
     )
     dead = partial(diagnostics.dead_channels, model, spectrum)
     few = partial(record_findings.few_lines, model, spectrum)
-    diagnostics.require_determined(names, theta, noise, dead, few)
+    traces = partial(require_traces, model, names, part.information[0])
+    diagnostics.require_determined(names, theta, noise, dead, few, traces)
     shown = []
     if fit.known_noise and not part.method.traits.maximum_likelihood:
         shown += diagnostics.bias(names, theta, part.most_likely[0], covariance, part.method)
@@ -38,6 +40,7 @@ def _of_estimate(model: Model, spectrum: Spectrum, part: Inference, fit: Fit) ->
     in_time = part.uncertainty.in_time
     shown += [] if in_time is None else [uneven.notice() for uneven in in_time.uneven if uneven is not None]
     shown += diagnostics.of_estimate(model, theta, covariance, noise, fit)
+    shown += unseen_laws(model, theta, covariance)
     if part.method.traits.maximum_likelihood:
         shown += diagnostics.prior_conflict(model, theta, noise)
     shown += record_findings.of_records(model, theta, noise, spectrum)

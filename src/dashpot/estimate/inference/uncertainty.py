@@ -96,6 +96,7 @@ class Inference:
     most_likely   θ, (K, unknowns)
     names, units  of all that is estimated
     dof           degrees of freedom of χ²
+    information   of all lines and priors, (K, M, M)
     """
 
     method: Method
@@ -105,6 +106,7 @@ class Inference:
     units: tuple[str, ...]
     dof: int
     uncertainty: Uncertainty
+    information: Real
 
 
 def inference(data: Prepared, solution: Solution, method: Method) -> Inference:
@@ -124,7 +126,9 @@ def inference(data: Prepared, solution: Solution, method: Method) -> Inference:
             solution = replace(solution, converged=solution.converged & settled)
     if worth.in_time is not None:
         solution = replace(solution, theta=solution.theta + worth.in_time.step)
-    return Inference(method, solution, best.theta, around.names, around.units, around.dof, worth)
+    return Inference(
+        method, solution, best.theta, around.names, around.units, around.dof, worth, around.sums.symmetric
+    )
 
 
 def with_noise_of_residuals(data: Prepared, method: Method) -> Prepared:

@@ -9,6 +9,7 @@ from dashpot.arrays import Real
 from dashpot.errors import DataError
 from dashpot.estimate.inference.derived import known_values, tied_values
 from dashpot.estimate.inference.diagnostics import require_determined
+from dashpot.estimate.inference.unseen_laws import require_traces, unseen_laws
 from dashpot.estimate.nonlinear.input_levels import (
     InputSizes,
     all_linearised,
@@ -51,10 +52,13 @@ def record_estimate(
         white, coloured, dof = uncertain_covariances(problem, psi, noise)
     names, units = record_unknowns(problem)
     values, covariance = psi[:inner], coloured[:inner, :inner]
-    require_determined(names, values, white[:inner, :inner])
+    require_determined(
+        names, values, white[:inner, :inner], traces=lambda: _require_traces(problem, psi, names)
+    )
     plain = np.sqrt(np.diagonal(white)[:inner])
     lower, upper = limits[0][:inner], limits[1][:inner]
     warnings = _coloured_notice(np.sqrt(np.diagonal(covariance)) / plain)
+    warnings += unseen_laws(model, values, covariance)
     warnings += _held_inputs(model) if held else []
     at_bound = (values <= lower) | (values >= upper)
     warnings += [
@@ -78,6 +82,11 @@ def record_estimate(
         fit=_fit(problem, psi, dof, noise), known=known_values(model),
         tied=tied_values(model), modes=None, signs={}, warnings=tuple(warnings), notes=tuple(notes),
     )  # fmt: skip
+
+
+def _require_traces(problem: RecordProblem, psi: Real, names: tuple[str, ...]) -> None:
+    """Raises IdentifiabilityError that names what leaves no trace in the motion at ψ (M,)."""
+    require_traces(problem.model, names, problem.quadratic(psi[None]).symmetric[0])
 
 
 def _fit(problem: RecordProblem, psi: Real, dof: int, noise: InputSizes | None) -> Fit:

@@ -13,12 +13,17 @@ import numpy as np
 
 from dashpot.arrays import Bools, Ints, Real
 from dashpot.errors import DataError
+from dashpot.estimate.inference.unseen_laws import require_traces
+from dashpot.estimate.nonlinear.law_domain import require_finite_laws
 from dashpot.estimate.nonlinear.records import RecordData, measured_coordinates
 from dashpot.estimate.nonlinear.starting_values import constants_to_try, refined_constants
 from dashpot.model.network import Model
 from dashpot.numerics.small_systems import solve_scaled
 
 CYCLES = (0, 1, 2, 3, 4, 5, 6)  # of a window: which part of the band it sees
+SMALL = 0.01  # nonlinear force over the others, where these are to explain the motion
+EXPLAINED = 0.1  # of the squared residuals, which laws that show explain at least
+BLIND = 1e-6  # singular value, of columns of size 1, below which a combination leaves no trace in the motion
 WIDTH = 64  # samples of a window, about; each half overlaps the next
 
 
@@ -30,6 +35,7 @@ class WeakForm:
     """
 
     model: Model
+    step_s: float
     elongation: Real
     rate: Real
     f: Real
@@ -46,6 +52,24 @@ class WeakForm:
             assert law is not None
             unit[:, row] = law(d[:, row], v[:, row], d[:, row], constants[inner]).value
         return unit
+
+    def information(self, constants: Real) -> Real:
+        """Normal equations of all unknown parameters with their forces as they are in time, (unknowns, unknowns).
+
+        In time, unlike in weak form, equal laws give equal columns, whatever the noise.
+        """
+        from scipy.interpolate import CubicSpline  # with it comes all of scipy.optimize
+
+        model = self.model
+        time = self.step_s * np.arange(len(self.elongation))
+        rates = [self.elongation, self.rate, CubicSpline(time, self.rate, axis=0)(time, 1)]
+        unit = np.stack([rates[element.law.power][:, i] for i, element in enumerate(model.elements)], axis=1)
+        unit[:, model.nonlinear] = self.unit_forces(constants)
+        columns = ((unit[:, None, :] * model.B.T) @ model.T).reshape(-1, model.T.shape[1])
+        size = np.sqrt(np.sum(columns**2, axis=0))
+        scaled = columns / np.where(size > 0, size, 1.0)
+        matrix: Real = scaled.T @ scaled
+        return matrix
 
     def of(self, signal: Real, derivative: int) -> Real:
         """∫ w s^(derivative) of signals (samples, k), by parts; (windows, k)."""
@@ -73,7 +97,7 @@ def weak_form(model: Model, step_s: float, x: Real, u: Real, f: Real) -> WeakFor
             shapes.append([spline(s), spline(s, 1) / span, spline(s, 2) / span**2])
     windows = tuple(np.array([shape[k] for shape in shapes]) for k in range(3))
     first = np.arange(0, len(x) - length + 1, max(length // 2, 1))
-    return WeakForm(model, d, rate, f @ model.S.T, (windows[0], windows[1], windows[2]), first)
+    return WeakForm(model, step_s, d, rate, f @ model.S.T, (windows[0], windows[1], windows[2]), first)
 
 
 @dataclass(frozen=True)
@@ -90,6 +114,26 @@ class WeakEquations:
 
         The residual is not measured by the size of the terms: they cancel where constants are far off.
         """
+        A, b = self._with_laws(constants)
+        theta = solve_scaled(A.T @ A, A.T @ b)
+        left = b - A @ theta
+        return theta[: int(np.sum(self.free))], float(left @ left)
+
+    def without_laws(self, constants: Real) -> tuple[Real, float]:
+        """(unknown parameters, squared residual) without the nonlinear elements, whose forces are then `SMALL`."""
+        model = self.form.model
+        A, b = self._with_laws(constants)
+        nonlinear = np.flatnonzero(np.any(model.T[model.nonlinear], axis=0)[self.free])
+        rest = np.delete(np.arange(A.shape[1]), nonlinear)
+        theta = np.zeros(A.shape[1])
+        theta[rest] = solve_scaled(A[:, rest].T @ A[:, rest], A[:, rest].T @ b)
+        left = b - A @ theta
+        size = np.sqrt(np.sum(A[:, nonlinear] ** 2, axis=0))
+        theta[nonlinear] = SMALL * np.sqrt(b @ b) / np.where(size > 0, size, 1.0)
+        return theta[: int(np.sum(self.free))], float(left @ left)
+
+    def _with_laws(self, constants: Real) -> tuple[Real, Real]:
+        """A and b with the nonlinear elements, at given inner constants (G,)."""
         model, form = self.form.model, self.form
         columns = np.zeros((len(form.first) * len(form.windows[0]), len(model.elements)))
         columns[:, model.nonlinear] = form.of(form.unit_forces(constants), 0)
@@ -97,10 +141,7 @@ class WeakEquations:
         along = np.concatenate([(columns * model.B[:, i]) @ model.T[:, self.free] for i in range(model.n)])
         A = self.linear.copy()
         A[:, : along.shape[1]] += along
-        b = self.right - known.T.ravel()
-        theta = solve_scaled(A.T @ A, A.T @ b)
-        left = b - A @ theta
-        return theta[: along.shape[1]], float(left @ left)
+        return A, self.right - known.T.ravel()
 
 
 def weak_equations(form: WeakForm) -> WeakEquations:
@@ -125,25 +166,65 @@ def weak_equations(form: WeakForm) -> WeakEquations:
 def first_record_values(model: Model, records: tuple[RecordData, ...]) -> Real:
     """Guesses where all are given; else the weak form of the equation where all coordinates are measured.
 
-    (unknowns,).  Raises DataError where the motion does not determine them.
+    (unknowns,).  Raises DataError where the motion does not determine them or a law is no number in it,
+    IdentifiabilityError where laws leave no trace in it or cannot be told apart.
     """
     given = [u.prior if u.prior is not None else u.guess for u in model.unknowns]
     open_names = [u.name for u, value in zip(model.unknowns, given, strict=True) if value is None]
     if not open_names:
         return np.array(given, dtype=float)
-    x = _measured_motion(model, records[0], open_names)
-    record, r = records[0], model.D.shape[1]
-    equations = weak_equations(weak_form(model, record.step_s, x, record.inputs[:, :r], record.inputs[:, r:]))
+    equations = _equations(model, records[0], open_names)
+    require_finite_laws(
+        model, equations.form.elongation.T[model.nonlinear], equations.form.rate.T[model.nonlinear]
+    )
     constants, p = _best_constants(equations)
+    _require_traces(equations, constants)
+    if not np.all(np.isfinite(p)):
+        raise DataError(
+            "the motion does not determine the unknowns", records[0].source, "give guesses in the rig file"
+        )
+    return _within_bounds(equations, constants, p)
+
+
+def mostly_linear_values(model: Model, records: tuple[RecordData, ...]) -> Real | None:
+    """As `first_record_values`, with nonlinear forces that are a small share of the others, (unknowns,).
+
+    None where guesses are given, not all coordinates are measured, or the laws explain more than noise would.
+    """
+    open_names = [u.name for u in model.unknowns if u.prior is None and u.guess is None]
+    if not open_names or measured_coordinates(model, records[0]) is None:
+        return None
+    equations = _equations(model, records[0], open_names)
+    constants, _ = _best_constants(equations)
+    p, left = equations.without_laws(constants)
+    explained = equations.fitted(constants)[1] < (1 - EXPLAINED) * left
+    return None if explained or not np.all(np.isfinite(p)) else _within_bounds(equations, constants, p)
+
+
+def _equations(model: Model, record: RecordData, open_names: Sequence[str]) -> WeakEquations:
+    """Raises DataError where the motion does not give first values."""
+    x, r = _measured_motion(model, record, open_names), model.D.shape[1]
+    return weak_equations(weak_form(model, record.step_s, x, record.inputs[:, :r], record.inputs[:, r:]))
+
+
+def _within_bounds(equations: WeakEquations, constants: Real, p: Real) -> Real:
+    """θ (unknowns,) of inner constants (G,) and unknown parameters; what is stated stands."""
+    model = equations.form.model
     slope, known = model.constants_map
     theta = (constants - known) @ slope
     theta[equations.free] = p
-    if not np.all(np.isfinite(theta)):
-        raise DataError(
-            "the motion does not determine the unknowns", record.source, "give guesses in the rig file"
-        )
     low, high = model.bounds
-    return np.clip(np.where(model.prior_precision > 0, model.prior_mean, theta), low, high)
+    values: Real = np.clip(np.where(model.prior_precision > 0, model.prior_mean, theta), low, high)
+    return values
+
+
+def _require_traces(equations: WeakEquations, constants: Real) -> None:
+    """Raises IdentifiabilityError where parameters leave no trace in the measured motion."""
+    model, free = equations.form.model, equations.free
+    information = equations.form.information(constants)[np.ix_(free, free)]
+    information += np.diag(1.0 * (model.prior_precision[free] > 0))
+    names = [u.name for u, there in zip(model.unknowns, free, strict=True) if there]
+    require_traces(model, names, information, BLIND**2)
 
 
 def _best_constants(equations: WeakEquations) -> tuple[Real, Real]:

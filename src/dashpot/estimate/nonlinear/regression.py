@@ -11,10 +11,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from dashpot.arrays import Complex, Real, hermitian
-from dashpot.errors import DataError, UsageError
+from dashpot.errors import UsageError
 from dashpot.estimate.linear.gram import known_side, regressors
 from dashpot.estimate.method import Solution, closed_form
 from dashpot.estimate.nonlinear.dwells import DwellLines, dwells_of, measured_elongations
+from dashpot.estimate.nonlinear.law_domain import require_finite_laws
 from dashpot.estimate.preparation.prepared import Prepared
 from dashpot.model.dynamics import unit_forces
 from dashpot.model.network import Model
@@ -50,7 +51,7 @@ class MeasuredMotion:
 def measured_motion(data: Prepared) -> MeasuredMotion:
     """The motion that the channels show.
 
-    Raises UsageError where some coordinate is not seen, DataError where a law divides by zero within the motion.
+    Raises UsageError where some coordinate is not seen, DataError where a law is no finite number within the motion.
     """
     model, states = data.model, data.states
     if states is None:
@@ -61,26 +62,16 @@ def measured_motion(data: Prepared) -> MeasuredMotion:
     dwells = dwells_of(model, data.spectrum)
     linear = unit_forces(model, data.spectrum.omega, states.X, states.U)
     motion = MeasuredMotion(model, dwells, measured_elongations(model, dwells, states), linear, states.f)
-    _require_no_pole(motion)
+    _require_finite_laws(motion)
     return motion
 
 
-def _require_no_pole(motion: MeasuredMotion) -> None:
-    """Raises DataError where a law, its constants known, divides by zero within the measured motion."""
+def _require_finite_laws(motion: MeasuredMotion) -> None:
+    """Raises DataError where a law, its constants known, is no finite number within the measured motion."""
     model, q = motion.model, motion.elongations
     there, rate, _ = period_basis((q.shape[-1] - 1) // 2, samples_of(model, motion.dwells.orders))
-    for row, (index, own) in enumerate(zip(model.nonlinear, model.constant_slices, strict=True)):
-        element = model.elements[int(index)]
-        law = element.force_law
-        assert law is not None
-        if any(constant.unknown for constant in law.constants) or law.has_state:
-            continue
-        d, v = q[:, :, row] @ there.T, motion.dwells.omega[:, None] * (q[:, :, row] @ rate.T)
-        if law.expression.crosses_pole(law.values(d, v, d, model.constants_map[1][own])):
-            raise DataError(
-                f"the law {law.text!r} of {element.name} divides by zero within the measured motion",
-                cure="write one that is finite there",
-            )
+    rows = np.moveaxis(q, 2, 0)
+    require_finite_laws(model, rows @ there.T, motion.dwells.omega[:, None] * (rows @ rate.T))
 
 
 def scale_of_lines(motion: MeasuredMotion) -> Real:

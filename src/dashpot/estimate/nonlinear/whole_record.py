@@ -8,7 +8,7 @@ residuals have for the intervals (a sandwich with their spectrum).
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -22,7 +22,7 @@ from dashpot.estimate.nonlinear.input_levels import InputSizes, with_uncertain_i
 from dashpot.estimate.nonlinear.objective import must_be_positive
 from dashpot.estimate.nonlinear.record_inference import record_estimate
 from dashpot.estimate.nonlinear.record_problem import RecordProblem, enough_for_record
-from dashpot.estimate.nonlinear.record_regression import first_record_values
+from dashpot.estimate.nonlinear.record_regression import first_record_values, mostly_linear_values
 from dashpot.estimate.nonlinear.records import (
     NoiseAtRest,
     RecordData,
@@ -33,6 +33,7 @@ from dashpot.estimate.nonlinear.records import (
 )
 from dashpot.estimate.nonlinear.uncertain_inputs import NotSolvedError
 from dashpot.estimate.result import Estimate
+from dashpot.model.elements import Element
 from dashpot.model.network import Model
 from dashpot.numerics.levenberg_marquardt import OptimizeResult, QuadraticModel, minimise
 from dashpot.numerics.small_systems import solve_scaled
@@ -132,6 +133,11 @@ def fit_records(
     problem, psi = _begun(model, data)
     before = replace(problem, last={})  # a search changes the noise and the last motions of its problem
     far = _far_off(problem, psi)
+    if far:
+        linear = mostly_linear_values(model, data)  # noise makes laws of what the motion hardly shows
+        if linear is not None:
+            problem, psi = _from_linear(model, data, linear)
+            before, far = replace(problem, last={}), False
     if far:
         problem, psi = _released(problem, psi)
     search = _searched(problem, psi, progress)
@@ -259,9 +265,35 @@ def _bounds(problem: RecordProblem, psi: Real) -> tuple[Real, Real]:
     return lower, upper
 
 
-def _begun(model: Model, records: tuple[RecordData, ...]) -> tuple[RecordProblem, Real]:
-    """The problem and where its search starts."""
-    theta = first_record_values(model, records)
+def _from_linear(model: Model, records: tuple[RecordData, ...], theta: Real) -> tuple[RecordProblem, Real]:
+    """A start at θ (unknowns,), whose linear elements are fitted without the nonlinear ones first."""
+    names = model.unknown_names
+    values = dict(zip(names, theta.tolist(), strict=True))
+    idle = replace(model, elements=tuple(_idle(element, values) for element in model.elements))
+    problem, psi = _begun(idle, records, np.array([values[name] for name in idle.unknown_names]))
+    end = _searched(problem, psi, None).x[0]
+    values |= dict(zip(idle.unknown_names, end.tolist(), strict=False))
+    begun, start = _begun(model, records, np.array([values[name] for name in names]))
+    start[len(names) :] = end[len(idle.unknowns) :]
+    return begun, start
+
+
+def _idle(element: Element, values: Mapping[str, float]) -> Element:
+    """A nonlinear element without a force, the constants of its law known; others as they are."""
+    law = element.force_law
+    if law is None:
+        return element
+    constants = [
+        replace(c, value=values.get(f"{element.name}.{c.name}", c.value), sd=None) for c in law.constants
+    ]
+    return replace(element, value=0.0, sd=None, guess=None, force_law=law.with_constants(constants))
+
+
+def _begun(
+    model: Model, records: tuple[RecordData, ...], values: Real | None = None
+) -> tuple[RecordProblem, Real]:
+    """The problem and where its search starts: at θ (unknowns,), or where the motion itself suggests."""
+    theta = first_record_values(model, records) if values is None else values
     gains = max((g for record in records for g in record.gain), default=-1) + 1
     sd = np.sqrt(np.mean(np.concatenate([record.outputs for record in records]) ** 2, axis=0))
     sd = np.where(sd > 0, FIRST_NOISE * sd, 1.0)

@@ -214,7 +214,7 @@ def _require_finite_at_rest(law: ForceLaw) -> None:
     numbers = [at.value, *(slope for name, slope in at.slopes.items() if name in ("d", "v"))]
     if not all(np.all(np.isfinite(number)) for number in numbers):
         raise ModelError(
-            f"the law {law.text!r} divides by zero or has no finite slope at rest",
+            f"the law {law.text!r} divides by zero, overflows or has no finite slope at rest",
             cure="write it so that force and slope are finite at d = 0, v = 0",
         )
 

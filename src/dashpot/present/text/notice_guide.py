@@ -130,6 +130,12 @@ NOTICES: tuple[tuple[str, str, str, str], ...] = (
         "Measure the inputs with a quieter sensor, drive the rig less, or use settled dwells.",
     ),
     (
+        "law_not_seen", _ESTIMATE,
+        ("The parameter of a nonlinear element has 0 within its interval: the data fit as well without it. Constants "
+        "inside its law (a clearance, a smoothing speed) then mean nothing, whatever their intervals say."),
+        "Drive the rig further, so that the law shows, or leave the element out.",
+    ),
+    (
         "coloured_residuals", _ESTIMATE,
         "Residuals of a nonlinear fit to whole records are correlated in time; intervals include that.",
         "The model or the measured input lacks something: look at the residuals' frequencies.",

@@ -1,0 +1,137 @@
+"""Laws that the data do not show, that nothing tells apart, or that are no numbers: one line each that names them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.unit.app.conftest import Command
+
+RIG = """
+coordinates = ["x"]
+[inputs]
+u = {{ kind = "displacement" }}
+[masses]
+m = {{ at = "x", value = "1.5 kg" }}
+[springs]
+k = {{ between = ["x", "u"] }}
+{springs}
+[dampers]
+c = {{ between = ["x", "u"] }}
+{dampers}
+[channels]
+x = {{ of = "x", unit = "mm", noise = "2 µm" }}
+u = {{ of = "u", unit = "mm", noise = "0.01 µm" }}
+"""
+CUBIC = 'k3 = { between = ["x", "u"], law = "cubic" }'
+Recorded = Callable[..., str]
+
+
+def rig(springs: str = "", dampers: str = "") -> None:
+    Path("rig.toml").write_text(RIG.format(springs=springs, dampers=dampers), encoding="utf-8")
+
+
+def sprung(law: str) -> str:
+    return f'q = {{ between = ["x", "u"], law = {law} }}'
+
+
+@pytest.fixture
+def recorded(dashpot: Command) -> Recorded:
+    """Dwells or a whole record of the rig with a cubic spring, by dashpot itself."""
+
+    def record(kind: str, k3: float, rms: float = 7e-4) -> str:
+        rig(CUBIC)
+        sets = ["--set", f"k=2500,k3={k3:g},c=6", "--seed", "3", "--out", "data.csv"]
+        if kind == "dwells":
+            sets += ["--frequencies", "3:12:1", "--amplitude", f"{rms:g}m"]
+        else:
+            rng, time = np.random.default_rng(1), np.arange(600) / 100
+            tones, phases = rng.uniform(2, 14, 40), rng.uniform(0, 6.3, 40)
+            u = np.sum(np.cos(2 * np.pi * tones * time[:, None] + phases), axis=1)
+            table = np.column_stack([time, u * 1e3 * rms / np.std(u)])  # mm
+            np.savetxt("u.csv", table, "%.9g", ",", header="time_s,u", comments="")
+            sets += ["--input", "u.csv"]
+        assert dashpot("simulate", "rig.toml", *sets).code == 0
+        return "data.csv"
+
+    return record
+
+
+@pytest.mark.parametrize("kind", ["dwells", "record"])
+@pytest.mark.parametrize(
+    ("law", "what"),
+    [
+        ("'exp(1e6*d)'", "overflows"),
+        ("'exp(1e6*v)'", "overflows"),
+        ("'d/(1 - 1000*d)'", "divides by zero"),
+        ("'log(1 + 1000*d)'", "is not defined"),
+        ("'sqrt(1e-3 - d)'", "is not defined"),
+    ],
+)
+def test_a_law_that_is_no_number_in_the_measured_motion_is_refused(
+    dashpot: Command, recorded: Recorded, kind: str, law: str, what: str
+) -> None:
+    data = recorded(kind, 2e7)
+    rig(sprung(law))
+    done = dashpot("identify", "rig.toml", data, "--quiet")
+    assert done.code == 2
+    (line,) = done.err
+    assert f"of q {what} within the measured motion ({'v' if 'v' in law else 'd'} goes from -" in line
+    assert "; write one that is finite there" in line
+
+
+@pytest.mark.parametrize("kind", ["dwells", "record"])
+@pytest.mark.parametrize(
+    ("springs", "dampers", "names"),
+    [
+        (sprung('"gap", gap = 50e-3'), "", ["q leaves no trace"]),
+        (sprung("'d**300'"), "", ["q leaves no trace"]),
+        (f"{CUBIC}\n{sprung(repr('2*d**3'))}", "", ["k3", "q"]),
+        ("", sprung('"coulomb", v0 = 100.0'), ["c", "q"]),
+        pytest.param(
+            sprung('"bilinear", ratio = "unknown"'), "", ["k", "q", "q.ratio"], marks=pytest.mark.long
+        ),
+    ],
+)
+def test_laws_that_leave_no_trace_or_that_nothing_tells_apart_are_named(
+    dashpot: Command, recorded: Recorded, kind: str, springs: str, dampers: str, names: list[str]
+) -> None:
+    data = recorded(kind, 2e5)
+    rig(springs, dampers)
+    done = dashpot("identify", "rig.toml", data, "--quiet")
+    assert done.code == 3
+    (line,) = done.err
+    assert all(name in line for name in names), line
+    assert "no trace" in line if "no trace" in names[0] else "without a trace" in line
+    assert "; " in line
+
+
+@pytest.mark.parametrize("kind", ["dwells", "record"])
+def test_a_clearance_that_is_never_passed_is_named_after_the_search_as_well(
+    dashpot: Command, recorded: Recorded, kind: str
+) -> None:
+    data = recorded(kind, 0.0)
+    rig(
+        sprung('"gap", gap = { guess = 0.5 }') + '\nk2 = { between = ["x", "u"], value = 1.0, law = "cubic" }'
+    )
+    done = dashpot("identify", "rig.toml", data, "--quiet")
+    assert done.code == 3
+    assert all("q" in line and "no trace" in line for line in done.err)
+
+
+def test_a_motion_too_small_for_the_law_gives_the_linear_values_and_says_so(
+    dashpot: Command, recorded: Recorded
+) -> None:
+    """Springs made of noise once led to values from which no motion follows."""
+    data = recorded("record", 2e7, 7e-7)
+    done = dashpot("identify", "rig.toml", data)
+    assert done.code == 0
+    (line,) = [
+        line
+        for line in done.out.replace("\n", " ").split("Warning: ")
+        if line.startswith("the data do not show")
+    ]
+    assert "k3: 0 is within its interval" in line
