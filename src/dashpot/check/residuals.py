@@ -46,6 +46,8 @@ class Residuals:
     normalised            (measured − predicted) over the sd that this difference has after v was fitted,
                           (lines, channels); NaN where it has none.  Re and Im have variance 1 where the model is right
                           and the noise as stated.
+    variance              of measured − predicted where the model is right, real and imaginary part together,
+                          (lines, channels)
     inputs                v̂, (lines, inputs), in the order of `input_names`
     scaled                whether the noise was unknown and is scaled so that `normalised` has variance 1 on the whole
     """
@@ -60,6 +62,7 @@ class Residuals:
     predicted: Complex
     sd: Real
     normalised: Complex
+    variance: Real
     inputs: Complex
     scaled: bool
 
@@ -143,6 +146,7 @@ def residuals(
         freedom = 2 * np.sum(usable) - len(model.unknowns)
         scale = float(np.sqrt(np.nansum(np.abs(normalised) ** 2) / max(int(freedom), 1)))
         normalised, sd = normalised / (scale if scale > 0 else 1.0), sd * scale
+        variance = variance * scale**2
     return Residuals(
         tuple(channel.name for channel in spectrum.channels),
         tuple(channel_unit(model, channel) for channel in spectrum.channels),
@@ -154,6 +158,7 @@ def residuals(
         predicted,
         sd,
         normalised,
+        np.maximum(variance, 0.0),
         v,
         not known,
     )

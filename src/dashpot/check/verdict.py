@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -83,9 +83,11 @@ def assess(model: Model, spectrum: Spectrum, estimate: Estimate) -> Assessment:
     chance = [notice for notice in estimate.warnings if notice.code == MODES_UNSEEN]
     doubts = [*untested, *chance, *hum_notices(left, motions, tones), *unheard]
     verdict: Judgement = "does not fit" if against else "cannot tell" if doubts else "fits"
+    relative = _relative(left, motions)
+    noise = _noise_alone(left, tuple(relative)) if _sized_elsewhere(estimate, spectrum) else {}
     return Assessment(
-        verdict, (*against, *doubts), _relative(left, motions), _worst(left) if estimate.fit.dof > 0 else (),
-        findings=tuple(_finding_in_time(notice) for notice in in_time),
+        verdict, (*against, *doubts), relative, _worst(left) if estimate.fit.dof > 0 else (),
+        findings=tuple(_finding_in_time(notice) for notice in in_time), relative_noise=noise,
     )  # fmt: skip
 
 
@@ -246,6 +248,21 @@ def _relative(left: Residuals, motions: Bools) -> Mapping[str, float]:
     otherwise = (left.rms()[shown] > MORE_THAN_NOISE) & (parts > np.max(parts[moved], initial=0.0))
     said = moved | otherwise
     return {name: float(part) for name, part, motion in zip(names, parts, said, strict=True) if motion}
+
+
+def _noise_alone(left: Residuals, names: Sequence[str]) -> dict[str, float]:
+    """The rms that the noise alone would leave of each channel's motion, over the rms of that motion.
+
+    It is that of the difference after the inputs were fitted to the same line; none where a channel is met exactly.
+    """
+    noise: dict[str, float] = {}
+    for name in names:
+        c = left.channels.index(name)
+        seen = np.isfinite(left.measured[:, c])
+        variance, motion = left.variance[seen, c], np.abs(left.measured[seen, c]) ** 2
+        if np.any(motion > 0):
+            noise[name] = float(np.sqrt(np.sum(variance) / np.sum(motion)))
+    return noise
 
 
 def worst_of(misfits: Iterable[Misfit]) -> tuple[Misfit, ...]:

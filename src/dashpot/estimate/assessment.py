@@ -62,6 +62,8 @@ class Assessment:
 
     reasons            why the verdict is not "fits"
     relative_residual  rms of measured − predicted over rms of measured, for each channel
+    relative_noise     what of that the noise alone would leave, for the same channels; empty where the noise is not
+                       known from more than the residuals
     worst              the amplitudes furthest from the prediction, the worst first
     findings           possible causes, the best first; empty where all is well or nothing tried explains it
     """
@@ -71,15 +73,15 @@ class Assessment:
     relative_residual: Mapping[str, float] = field(default_factory=dict)
     worst: tuple[Misfit, ...] = ()
     findings: tuple[Finding, ...] = ()
+    relative_noise: Mapping[str, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "relative_residual", MappingProxyType(dict(self.relative_residual)))
+        for name in ("relative_residual", "relative_noise"):
+            object.__setattr__(self, name, MappingProxyType(dict(getattr(self, name))))
 
     def __reduce__(self) -> tuple[object, ...]:
-        return (
-            Assessment,
-            (self.verdict, self.reasons, dict(self.relative_residual), self.worst, self.findings),
-        )
+        left, noise = dict(self.relative_residual), dict(self.relative_noise)
+        return Assessment, (self.verdict, self.reasons, left, self.worst, self.findings, noise)
 
     def fit_content(self) -> dict[str, Any]:
         """What the JSON of an estimate says of the fit beside χ²."""
@@ -88,6 +90,7 @@ class Assessment:
             "reasons": [notice.text for notice in self.reasons],
             "reason_codes": [notice.code for notice in self.reasons],
             "relative_residual": dict(self.relative_residual),
+            "relative_noise": dict(self.relative_noise),
             "worst": [
                 {"channel": line.channel, "frequency_hz": line.frequency_hz, "sd": line.sd}
                 for line in self.worst
@@ -107,7 +110,8 @@ def assessment_from(fit: Mapping[str, Any], diagnosis: Sequence[Mapping[str, Any
         Finding(d["kind"], tuple(d["of"]), d["text"], d["change"], d["remaining"], d["number"])
         for d in diagnosis
     )
-    return Assessment(fit["verdict"], reasons, fit["relative_residual"], worst, findings)
+    noise = fit.get("relative_noise", {})  # files of former versions have none
+    return Assessment(fit["verdict"], reasons, fit["relative_residual"], worst, findings, noise)
 
 
 def applied(model: Model, channels: Sequence[Channel], finding: Finding) -> tuple[Model, tuple[Channel, ...]]:

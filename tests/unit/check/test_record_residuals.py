@@ -33,7 +33,8 @@ def record(noise: Complex) -> tuple[Residuals, Spectrum]:
     normalised = np.stack([noise / scale, np.full(LINES, np.nan)], axis=-1)
     left = Residuals(
         ("x", "u"), ("m", "m"), ("u",), ("m",), f, np.zeros(LINES, dtype=np.int64), motion,
-        np.ones((LINES, 2), dtype=complex), np.full((LINES, 2), scale), normalised, motion[:, 1:], False,
+        np.ones((LINES, 2), dtype=complex), np.full((LINES, 2), scale), normalised,
+        np.full((LINES, 2), 2 * scale**2), motion[:, 1:], False,
     )  # fmt: skip
     lines = Spectrum(
         (Channel("x", {"x": 1.0}), Channel("u", {"u": 1.0})), f, motion, np.zeros((LINES, 2, 2)),

@@ -38,9 +38,11 @@ def _chi2(fit: Fit) -> str:
 
 
 def motion_in_words(assessment: Assessment) -> str:
-    """How far measured and predicted amplitudes differ, in per cent of the motion, and where most."""
+    """How far measured and predicted amplitudes differ, in per cent of the motion, what of it is noise, where most."""
     parts = [f"{short(100 * part, 2)} % at {name}" for name, part in assessment.relative_residual.items()]
-    sentence = f"Measured and predicted motion differ by {joined(parts)}." if parts else ""
+    sentence = (
+        f"Measured and predicted motion differ by {joined(parts)}{_noise(assessment)}." if parts else ""
+    )
     if assessment.worst:
         worst = [
             f"{one.channel} at {short(one.frequency_hz, 4)} Hz ({short(one.sd, 2)} sd)"
@@ -48,6 +50,15 @@ def motion_in_words(assessment: Assessment) -> str:
         ]
         sentence += f" Largest residuals: {joined(worst)}."
     return sentence.strip()
+
+
+def _noise(assessment: Assessment) -> str:
+    """What of the difference is noise: a figure for each channel, in their order, or for all where they are alike."""
+    parts = [f"{short(100 * part, 2)} %" for part in assessment.relative_noise.values()]
+    if not parts:
+        return ""
+    alike = len(set(parts)) == 1
+    return f"; noise alone would leave {parts[0] if alike else joined(parts)}"
 
 
 def diagnosis_in_words(findings: tuple[Finding, ...]) -> list[str]:

@@ -106,6 +106,11 @@ def test_words_are_those_of_the_json(page: tuple[str, dict[str, Any]]) -> None:
     assert set(parts) == set(fit["relative_residual"])
     for name, part in parts.items():
         assert shows(part, 100 * fit["relative_residual"][name])
+    told = re.search(r"noise alone would leave (.*?)\. ", text)
+    assert told is not None
+    noise = re.findall(r"([\d.]+) %", told[1])
+    for part, size in zip(noise, fit["relative_noise"].values(), strict=len(noise) > 1):
+        assert shows(part, 100 * size)
     worst = re.findall(r"(\w+) at ([\d.]+) Hz \(([\d.]+) sd\)", text)
     assert len(worst) == len(fit["worst"]) > 0
     for (name, f, size), entry in zip(worst, fit["worst"], strict=True):
