@@ -9,18 +9,19 @@ from __future__ import annotations
 import hashlib
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
-from dataclasses import dataclass
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from dashpot.errors import DataError
+from dashpot.fleet.csv_rows import CsvLayout, NotNumbersError, csv_layout, require_columns
 from dashpot.fleet.data_sets import BlockPart, DataSet, Source, digest_of
 from dashpot.fleet.parquet_groups import batches, group_checksum, rows_between, stamp_of, with_units
 from dashpot.io.arrow_arrays import array_of, arrow_table
 from dashpot.io.ledger import noted
-from dashpot.io.words import listed, shown
+from dashpot.io.words import shown
 
 CHANGED = "the table has changed while it was read"
 
@@ -60,15 +61,24 @@ class HeldRows(BlockPart):
             self.names[first:end],
             self.source,
             tuple(row - skipped for row in self.ends[first:end]),
-            {name: values[rows] for name, values in self.columns.items()},
+            _of_rows(self.columns, rows),
             self.units,
         )
 
     def data_sets(self) -> Iterator[DataSet]:
         """One for each rig; their columns are views."""
         for name, start, end in zip(self.names, (0, *self.ends[:-1]), self.ends, strict=True):
-            columns = {key: values[start:end] for key, values in self.columns.items()}
-            yield DataSet(name, self.source, columns, self.units)
+            yield DataSet(name, self.source, _of_rows(self.columns, slice(start, end)), self.units)
+
+
+def _of_rows(columns: Mapping[str, np.ndarray], rows: slice) -> dict[str, np.ndarray]:
+    """Some rows; of a column that holds texts elsewhere as numbers, where all of them are."""
+    chosen = {name: values[rows] for name, values in columns.items()}
+    for name, values in chosen.items():
+        if values.dtype.kind == "O":
+            with suppress(ValueError):
+                chosen[name] = np.array([text or "nan" for text in values.tolist()], dtype=float)
+    return chosen
 
 
 def _bytes_of(values: np.ndarray) -> bytes:
@@ -121,19 +131,24 @@ def of_tables(paths: Sequence[str], column: str) -> Source:
 
     Raises DataError where a table has no such column or is damaged, and where rows of one rig are not together.
     """
-    seen: dict[str, str] = {}
+    seen: dict[str, tuple[str, int]] = {}
     tables: list[_Table] = []
     for path in paths:
         with readable(path):
             table = _opened(path, column)
-        for name in table.names:
+        for name, start in zip(table.names, table.starts, strict=False):
             if name in seen:
-                place = "" if seen[name] == path else f" and in {shown(seen[name])}"
+                other, row = seen[name]
+                again = (
+                    f"begins in row {row + 1} and again in row {start + 1}"
+                    if other == path
+                    else f"begins in row {start + 1} and stands in {shown(other)} as well"
+                )
                 raise DataError(
-                    f"the rows of {shown(name)} are not together in the file{place}", path,
+                    f"{shown(name)} {again}: the rows of a rig are not together", path,
                     f"sort the table by {column}, or give rigs names of their own",
                 )  # fmt: skip
-            seen[name] = path
+            seen[name] = path, start
         tables.append(table)
 
     def blocks(size: int) -> Iterator[tuple[BlockPart, ...]]:
@@ -213,12 +228,17 @@ class _Parquet(_Table):
             )  # fmt: skip
 
 
+@dataclass(frozen=True)
 class _Csv(_Table):
+    """layout  how its rows are to be read"""
+
+    layout: CsvLayout
+
     def parts(self, cuts: Iterable[tuple[int, int]]) -> Iterator[BlockPart]:
         """Rows, as the file is read.  Raises DataError where it is not what it was."""
         import pyarrow as pa
 
-        coming = _csv_batches(self.path, self.column)
+        coming = self.layout.batches()
         held: list[Any] = []
         reached = 0  # the row up to which the table is held
         for first, end in cuts:
@@ -244,11 +264,25 @@ class _Csv(_Table):
 def _opened(path: str, column: str) -> _Table:
     """The table with its names read.  Raises DataError where it has no such column, or a row without a name."""
     with open(noted(path), "rb") as file:
-        is_parquet = file.read(4) == b"PAR1"
+        start = file.read(4)
+    if start == b"PAR1":
+        return _Parquet(path, column, *_named_rows(path, column, _parquet_names(path, column)))
+    if not start:
+        raise DataError("the file is empty", path, "give a table, CSV or Parquet")
+    layout = csv_layout(path, column)
+    while True:
+        try:
+            return _Csv(path, column, *_named_rows(path, column, layout.batches()), layout)
+        except NotNumbersError as text:
+            layout = replace(layout, texts=layout.texts | {str(text)})
+
+
+def _named_rows(path: str, column: str, coming: Iterable[Any]) -> tuple[tuple[str, ...], tuple[int, ...]]:
+    """Names of the rigs, and the row at which each begins, with the number of rows at the end."""
     names: list[str] = []
     starts: list[int] = []
     rows = 0
-    for batch in (_parquet_names if is_parquet else _csv_batches)(path, column):
+    for batch in coming:
         of_batch, places = _runs(batch.column(column))
         if "" in of_batch:
             row = rows + places[of_batch.index("")] + 1
@@ -260,8 +294,9 @@ def _opened(path: str, column: str) -> _Table:
         names += of_batch
         starts += [rows + place for place in places]
         rows += batch.num_rows
-    kind = _Parquet if is_parquet else _Csv
-    return kind(path, column, tuple(names), (*starts, rows))
+    if not rows:
+        raise DataError("the table has no rows", path, "give the data of at least one rig")
+    return tuple(names), (*starts, rows)
 
 
 def _runs(column: Any) -> tuple[list[str], list[int]]:
@@ -295,25 +330,8 @@ def _parquet_names(path: str, column: str) -> Iterator[Any]:
     import pyarrow.parquet as parquet
 
     with parquet.ParquetFile(path) as content:
-        _require_column(path, column, content.schema_arrow.names)
+        require_columns(path, column, tuple(content.schema_arrow.names))
         yield from batches(content, columns=[column])
-
-
-def _csv_batches(path: str, column: str) -> Iterator[Any]:
-    import pyarrow.csv as text
-
-    # A name such as 007 is a text.
-    converted = text.ConvertOptions(column_types={column: "string"})
-    with text.open_csv(path, convert_options=converted) as reader:
-        _require_column(path, column, reader.schema.names)
-        yield from reader
-
-
-def _require_column(path: str, column: str, names: Sequence[str]) -> None:
-    if column not in names:
-        raise DataError(
-            f"column {shown(column)}: missing (it is to name the rig)", path, f"there are {listed(names)}"
-        )
 
 
 def _columns(table: Any, column: str) -> dict[str, np.ndarray]:
@@ -330,5 +348,5 @@ def _array(column: Any) -> np.ndarray:
     elif pa.types.is_integer(kind) or pa.types.is_decimal(kind) or pa.types.is_null(kind):
         values = column.cast(pa.float64()).to_numpy()
     else:
-        values = np.array([str(value) for value in column.to_pylist()], dtype=object)
+        values = np.array(["" if value is None else str(value) for value in column.to_pylist()], dtype=object)
     return values

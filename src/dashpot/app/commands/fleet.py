@@ -9,6 +9,7 @@ import click
 from dashpot.app.cli import resumable
 from dashpot.app.help import dashpot_command, option
 from dashpot.app.options import (
+    NOT_CONVERGED,
     conditioning_options,
     dask_option,
     json_option,
@@ -79,7 +80,7 @@ def command(
 
     The result has one row for each data set: every unknown with its standard deviation and 95 % interval, χ², and how
     far the rig is from the others. A data set that fails has its reason there and does not stop the rest. Rigs unlike
-    the others, and drift along the fleet, are named.
+    the others, and drift along the fleet, are named. Where none can be identified, the exit code is 3.
 
     Run again, only data sets that are new or have changed are computed. The result is the same to the bit with any
     number of workers.
@@ -99,6 +100,8 @@ def command(
     with resumable(ctx, f"finished data sets are kept in {out}{ENDING}"):
         outcome = _run(rig_read, source, out, treatment, pool, workers, dask, quiet)
     _write(outcome, out, json_out, quiet)
+    if len(outcome.failed) == len(outcome.columns["name"]):
+        ctx.exit(NOT_CONVERGED)
 
 
 def _run(

@@ -146,6 +146,10 @@ class ArrayColumns(Columns):
             values = np.array([np.nan if value is None else value for value in values.tolist()])
         if values.dtype.kind not in "fiub":
             name = shown(bare(self.header[column])[0])
+            text = _first_text(values)
+            if text is not None:
+                what = f'sample {text[0]}: column {name}: "{shown(text[1])}" is not a number'
+                raise DataError(what, self.source, "correct it, or choose another column")
             cure = "give real and imaginary part as NAME_re and NAME_im" if values.dtype.kind == "c" else ""
             raise DataError(f"{name} holds no real numbers", self.source, cure or "choose another variable")
         return values
@@ -166,6 +170,16 @@ class ArrayColumns(Columns):
 
     def _cut_off(self) -> DataError:
         return DataError("a column is cut off", self.source, "copy the file again")
+
+
+def _first_text(values: Any) -> tuple[int, str] | None:
+    """The first of some texts that is no number, and at which sample, from 1; None where they are no texts."""
+    for sample, value in enumerate(values.tolist() if values.dtype.kind == "U" else (), 1):
+        try:
+            float(value)
+        except ValueError:
+            return sample, value
+    return None
 
 
 def constant(value: object, rows: int) -> Load:

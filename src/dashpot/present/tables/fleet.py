@@ -91,9 +91,12 @@ def fleet_remarks(outcome: FleetOutcome) -> list[str]:
     misfits = [shown(str(columns["name"][k])) for k in outcome.misfits]
     if misfits:
         lines.append(f"The model does not fit {counted(len(misfits), 'data set')}: {_first(misfits, ', ')}.")
-    failed = [f"{shown(str(columns['name'][k]))}: {columns['reason'][k]}" for k in outcome.failed]
-    if failed:
-        lines.append(f"Failed: {counted(len(failed), 'data set')}. {_first(failed, '; ')}")
+    if len(outcome.failed):
+        by_reason: dict[str, list[str]] = {}
+        for k in outcome.failed:
+            by_reason.setdefault(str(columns["reason"][k]), []).append(shown(str(columns["name"][k])))
+        failed = [f"{_first(names, ', ')}: {reason}" for reason, names in by_reason.items()]
+        lines.append(f"Failed: {counted(len(outcome.failed), 'data set')}. {_first(failed, '; ')}")
     stalled = [shown(str(name)) for name in columns["name"][columns["status"] == "not converged"]]
     if stalled:
         lines.append(f"Not converged: {_first(stalled, ', ')}.")

@@ -265,3 +265,13 @@ def test_a_scheduler_that_is_not_there(dashpot: Command, data: Path, monkeypatch
     assert ran.code == 2
     assert len(ran.err) == 1
     assert "the Dask scheduler does not answer" in ran.err[0]
+
+
+def test_a_fleet_of_which_nothing_can_be_identified_ends_with_a_code_and_one_reason(
+    dashpot: Command, data: Path
+) -> None:
+    (data / "all.csv").write_text("serial,frequency_hz,wrong_re,wrong_im\na,1,2,3\nb,1,2,3\n")
+    ran = dashpot("fleet", "rig.toml", "all.csv", "--rig-column", "serial", "--out", "all.parquet")
+    assert ran.code == 3
+    assert ran.out.replace("\n", " ").count("missing") == 1
+    assert "Failed: 2 data sets. a, b: " in ran.out.replace("\n", " ")
