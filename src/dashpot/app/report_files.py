@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from dashpot.present.pages.page import Provenance, SourceFile
 
 ARGUMENTS = "dashpot.arguments"  # what was typed, in the context's meta
+LABELS = "dashpot.labels"  # lines of the first page, there too
 BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome", "msedge")
 QUIET = (
     "--headless", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run",
@@ -45,10 +46,24 @@ class ReportFile(OutputFile):
         return target
 
 
-report_option = option(
-    "--report", type=ReportFile(), metavar="FILE.html|pdf", group=OUTPUT,
-    help="Write a report with figures as one HTML file, or as PDF (needs Chromium or Chrome).",
-)  # fmt: skip
+def _kept(context: click.Context, _: click.Parameter, labels: tuple[str, ...]) -> None:
+    """Keep the lines for the report's first page.  Raises UsageError where there is no report."""
+    if labels and context.params.get("report") is None:
+        raise click.UsageError("--label is a line of the report: give --report FILE.html as well", context)
+    context.meta[LABELS] = tuple(line for label in labels if (line := " ".join(label.split())))
+
+
+def report_option(function: Function) -> Function:
+    """Decorator: --report as the parameter `report`, and --label, which `provenance` takes."""
+    label = option(
+        "--label", multiple=True, metavar="TEXT", group=OUTPUT, expose_value=False, callback=_kept,
+        help="Print a line at the head of the report, such as 'Client: A. Smith'; may be repeated.",
+    )  # fmt: skip
+    report = option(
+        "--report", type=ReportFile(), metavar="FILE.html|pdf", group=OUTPUT, is_eager=True,
+        help="Write a report with figures as one HTML file, or as PDF (needs Chromium or Chrome).",
+    )  # fmt: skip
+    return report(label(function))
 
 
 def is_pdf(target: str) -> bool:
@@ -146,6 +161,7 @@ def provenance() -> Provenance:
         os.getcwd(),
         tuple(_settings(context)),
         tuple(_files()),
+        context.meta.get(LABELS, ()),
     )
 
 
@@ -158,7 +174,7 @@ def _settings(context: click.Context) -> list[tuple[str, str, bool]]:
             continue
         source = context.get_parameter_source(parameter.name or "")
         given = source is not click.core.ParameterSource.DEFAULT
-        name = max(parameter.opts, key=len)
+        name = next((name for name in parameter.opts if name.startswith("--")), parameter.opts[0])
         settings.append((name, "" if value is True else _shown(value), given))
     return settings
 

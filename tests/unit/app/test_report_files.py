@@ -38,6 +38,20 @@ def test_identify(dashpot: Command, data: Path) -> None:
     assert "--seed 3" in text
 
 
+def test_labels_head_every_report(dashpot: Command, data: Path) -> None:
+    Path("u.toml").write_text(UNDETERMINED, encoding="utf-8")
+    labels = ("--label", "Client: <A> & Sons", "--label", "  Test 12,\n run 3 ")
+    for line in ("identify rig.toml data.csv", "check u.toml", "compare rig.toml data.csv"):
+        done = dashpot(*line.split(), *labels, "--report", "r.html")
+        assert done.code == (3 if "u.toml" in line else 0)
+        html = Path("r.html").read_text(encoding="utf-8")
+        first = html[: html.index('class="verdict')]
+        assert "<li>Client: &lt;A&gt; &amp; Sons</li><li>Test 12, run 3</li>" in first
+    done = dashpot("identify", "rig.toml", "data.csv", *labels)
+    assert done.code == 2
+    assert "give --report" in done.err[0]
+
+
 def test_what_is_not_determined_is_reported_and_still_an_error(dashpot: Command, data: Path) -> None:
     Path("u.toml").write_text(UNDETERMINED, encoding="utf-8")
     for command in ("identify", "check"):
@@ -79,7 +93,9 @@ def test_study(dashpot: Command, tmp_path: Path) -> None:
     small = STUDY.replace("draws = 30", "draws = 4").replace("[0.01, 0.05, 0.1]", "[0.01, 0.1]")
     (tmp_path / "noise.toml").write_text(small, encoding="utf-8")
     assert dashpot("study", "noise.toml", "--processes", "1", "--report", "s.html", "-q").code == 0
-    assert "Errors of the methods" in words("s.html")
+    text = words("s.html")
+    assert "Errors of the methods" in text
+    assert "--workers 1" in text  # whatever name was typed
 
 
 def test_without_a_browser_pdf_is_refused_before_the_work(

@@ -61,7 +61,7 @@ class SourceFile:
 class Provenance:
     """How a result was computed: when, with what, from what, and the command that repeats it.
 
-    settings: name → (value, whether it was given).
+    settings: (name, value, whether it was given); labels: lines that the report is to bear, such as who made it.
     """
 
     date: str
@@ -70,6 +70,7 @@ class Provenance:
     folder: str
     settings: tuple[tuple[str, str, bool], ...]
     files: tuple[SourceFile, ...]
+    labels: tuple[str, ...] = ()
 
     @property
     def sources(self) -> str:
