@@ -40,7 +40,7 @@ def read_files(rig: Rig, paths: Sequence[str], options: Mapping[str, Any], quiet
     from dashpot.app.progress import progress
     from dashpot.data.readers import read
 
-    _require_each_once(paths)
+    require_each_once(paths)
     with progress(reading_of(paths), quiet):
         reading = read(paths, rig.channels, frequency_hz=options["frequency"])
     _require_use_of_frequency(reading, options["frequency"])
@@ -48,7 +48,7 @@ def read_files(rig: Rig, paths: Sequence[str], options: Mapping[str, Any], quiet
     return reading
 
 
-def _require_each_once(paths: Sequence[str]) -> None:
+def require_each_once(paths: Sequence[str]) -> None:
     """Raises UsageError where a file is named twice: its noise would count as that of two tests."""
     files = [os.path.realpath(path) for path in paths]
     for path, file in zip(paths, files, strict=True):

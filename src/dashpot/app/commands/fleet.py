@@ -85,6 +85,7 @@ def command(
     Run again, only data sets that are new or have changed are computed. The result is the same to the bit with any
     number of workers.
     """
+    from dashpot.app.in_parts import treatment_from
     from dashpot.fleet.data_sets import expanded, of_files
     from dashpot.fleet.tables import of_tables
     from dashpot.io.ledger import noted
@@ -96,7 +97,7 @@ def command(
     require_identifiable(rig_read.model, rig_read.channels, rig)
     paths = [noted(path) for path in expanded(data, order)]
     source = of_files(paths) if rig_column is None else of_tables(paths, rig_column)
-    treatment = _treatment(rig_read, chosen, positive, seed, conditioning, quiet)
+    treatment = treatment_from(rig_read, chosen, positive, seed, conditioning, quiet)
     with resumable(ctx, f"finished data sets are kept in {out}{ENDING}"):
         outcome = _run(rig_read, source, out, treatment, pool, workers, dask, quiet)
     _write(outcome, out, json_out, quiet)
@@ -118,20 +119,6 @@ def _run(
         return run_fleet(
             rig, source, Path(f"{out}{ENDING}"), treatment, pool=pool, mapper=mapper, progress=moved
         )
-
-
-def _treatment(
-    rig: Rig, chosen: str, positive: bool, seed: int, conditioning: dict[str, Any], quiet: bool
-) -> Treatment:
-    from dashpot.app.data_files import conditioning_from, with_noise_record
-    from dashpot.app.parameters import require_bounds_held
-    from dashpot.fleet.treatment import Treatment
-
-    if positive:
-        require_bounds_held(chosen)
-    settings = with_noise_record(conditioning_from(conditioning), rig, conditioning, quiet)
-    method = None if chosen == "auto" else chosen
-    return Treatment(method, settings, conditioning["frequency"], positive, seed)
 
 
 def _write(outcome: FleetOutcome, out: str, json_out: str | None, quiet: bool) -> None:

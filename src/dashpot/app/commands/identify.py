@@ -15,6 +15,7 @@ from dashpot.app.options import (
     NOT_CONVERGED,
     RECORDS,
     conditioning_options,
+    dask_option,
     data_argument,
     figure_option,
     file_option,
@@ -27,6 +28,7 @@ from dashpot.app.options import (
     rig_argument,
     seed_option,
     whole_record_options,
+    workers_option,
 )
 from dashpot.app.parameter_types import PART
 from dashpot.app.report_files import failure_reported, report_option
@@ -61,6 +63,12 @@ ESTIMATION = "Estimation"
     "--hold-out", type=PART, metavar="25%", group=RECORDS,
     help="Hold out this share of every record, at its end, and predict it.",
 )  # fmt: skip
+@option(
+    "--in-parts", is_flag=True, group=RECORDS,
+    help="Identify every file by itself, very long records in pieces, and merge what they say: data beyond memory.",
+)  # fmt: skip
+@workers_option
+@dask_option
 @modal_sd_option("Measured modes")
 @json_option("the estimate")
 @file_option("--apply", "NEW.toml", "Write the rig file with the most likely cause of a misfit corrected.")
@@ -75,7 +83,8 @@ ESTIMATION = "Estimation"
 def command(
     rig: str, data: tuple[str, ...], chosen: str, positive: bool, json_out: str | None, figure: str | None,
     report: str | None, strict: bool, hold_out: float | None, apply: str | None, matrices: bool, level: float,
-    seed: int, quiet: bool, modal_sd: tuple[float, float, float], **conditioning: Any,
+    seed: int, quiet: bool, modal_sd: tuple[float, float, float], in_parts: bool, workers: int | None,
+    dask: str | None, **conditioning: Any,
 ) -> int:  # fmt: skip
     """Estimate the unknown masses, dampers and springs of RIG (a rig file, TOML) from DATA.
 
@@ -87,10 +96,13 @@ def command(
     the iteration did not converge; 4 with --strict, the model does not fit.
     """
     from dashpot.app.data_files import measured_data, part_of, read_files
+    from dashpot.app.in_parts import estimate_in_parts, require_in_parts, treatment_from
     from dashpot.app.measured_modes import modal_estimate
 
+    whole = {"--hold-out": hold_out is not None, "--figure": figure is not None}
+    require_in_parts(in_parts, whole | {"--workers": workers is not None, "--dask": dask is not None})
     unsuited = {"--method": chosen != "auto", "--positive": positive, "--matrices": matrices}
-    unsuited |= {"--hold-out": hold_out is not None, "--figure": figure is not None}
+    unsuited |= whole | {"--in-parts": in_parts}
     spectrum: Spectrum | None = None
     dwells: tuple[UsedDwell, ...] = ()
     untried: tuple[str, ...] = ()
@@ -101,6 +113,10 @@ def command(
             rig_read, estimate = of_modes
         else:
             rig_read = _rig(rig, chosen, positive, matrices)
+        if of_modes is None and in_parts:
+            treatment = treatment_from(rig_read, chosen, positive, seed, conditioning, quiet)
+            estimate = estimate_in_parts(rig, rig_read, data, treatment, workers, dask, quiet)
+        elif of_modes is None:
             reading = read_files(rig_read, data, conditioning, quiet)
             if len(rig_read.model.nonlinear) and reading.continuous:
                 records = part_of(reading, used).records
@@ -113,7 +129,9 @@ def command(
                 lines, untried, dwells = measured.spectrum, measured.untried, measured.dwells
                 estimate, spectrum = _estimated(rig, rig_read, lines, chosen, positive, seed, quiet)
     held = () if hold_out is None else _predicted(rig_read, estimate, data, conditioning, (used[1], 1.0))
-    shown = spectrum is None and of_modes is None and (figure is not None or report is not None)
+    shown = (
+        spectrum is None and of_modes is None and not in_parts and (figure is not None or report is not None)
+    )
     histories = _histories(rig_read, estimate, data, conditioning, used, figure) if shown else ()
     _draw(figure, rig_read, spectrum, estimate, histories)
     _write_report(report, rig_read, spectrum, estimate, level, held, untried, dwells, histories)

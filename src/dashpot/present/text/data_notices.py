@@ -15,6 +15,12 @@ DATA_NOTICES: tuple[tuple[str, str, str, str], ...] = (
         "Use longer dwells, or `--settle auto` if a transient is the cause.",
     ),
     (
+        "parts_merged", RECORDS,
+        ("Every file, and every piece of a very long record, was identified by itself (`--in-parts`), and the "
+        "estimates were merged by the information of each; χ² of their scatter tests whether one rig is behind all."),
+        "Nothing.",
+    ),
+    (
         "frequency_refined", RECORDS,
         "The true drive frequency differs from the stated one; the true one is used.",
         "Nothing, unless the difference is surprising: then check the generator or the sampling rate.",

@@ -31,6 +31,17 @@ NOTICES: tuple[tuple[str, str, str, str], ...] = (
         "As for a negative damper: signs, phase convention, delays.",
     ),
     (
+        "parts_disagree", _VERDICT,
+        ("Parts of the data that were identified by themselves (`--in-parts`) give values that differ by more than "
+        "their noise (χ² of their scatter, p < 0.001): the rig changed, or its misfit differs from part to part."),
+        "Identify the part that is named and one other by themselves, and compare what they say.",
+    ),
+    (
+        "parts_misfit", _VERDICT,
+        "More of the parts that were identified by themselves (`--in-parts`) do not fit than sound ones would.",
+        "Identify the part that is named by itself, with `--report`: residuals and causes are shown there.",
+    ),
+    (
         "smooth_residuals", _VERDICT,
         "Residuals of a channel vary smoothly with frequency. Noise would scatter from line to line.",
         "Look at them in the report; a delay gives a phase that grows with frequency, a missing mode a bump.",
@@ -90,6 +101,11 @@ NOTICES: tuple[tuple[str, str, str, str], ...] = (
         "below_noise", _VERDICT,
         "A channel is below three standard deviations of its noise at most lines; any model would fit it.",
         "Drive more strongly, use a better sensor, or leave the channel out.",
+    ),
+    (
+        "parts_left_out", _ESTIMATE,
+        "Parts of the data gave no estimate (`--in-parts`): the others are merged without them.",
+        "Read why the first was left out; identify it by itself.",
     ),
     (
         "model_misfit", _ESTIMATE,

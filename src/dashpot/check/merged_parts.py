@@ -1,0 +1,118 @@
+"""What parts of the data of one rig, each identified and examined by itself, say together."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from scipy.special import bdtrc
+
+from dashpot.check.verdict import rejected, unphysical, unstable, worst_of
+from dashpot.estimate.assessment import Assessment, Finding, Judgement
+from dashpot.estimate.merging import DISAGREE, Merged, merged
+from dashpot.estimate.result import Estimate
+from dashpot.io.words import counted
+from dashpot.model.network import Model
+from dashpot.notices import Notice
+
+ALARMS = 0.02  # of sound parts that are taken for misfits, at the most
+
+
+def merged_parts(model: Model, names: Sequence[str], parts: Sequence[Estimate]) -> Estimate:
+    """One estimate from those of parts that share no noise, assessed; `names` says which part each is of.
+
+    Raises DataError where they cannot be merged.
+    """
+    together = merged(model, parts)
+    assessed = [part.assessment for part in parts if part.assessment is not None]
+    against = [
+        *unphysical(model, together.estimate),
+        *unstable(together.estimate),
+        *rejected(together.estimate),
+        *_disagreement(together, names),
+        *_misfits(names, parts),
+    ]
+    doubts = [] if against else _common_doubts(assessed)
+    verdict: Judgement = "does not fit" if against else "cannot tell" if doubts else "fits"
+    assessment = Assessment(
+        verdict,
+        (*against, *doubts),
+        _left_of_motion(assessed),
+        worst_of(misfit for each in assessed for misfit in each.worst),
+        _findings(assessed) if against else (),
+    )
+    return replace(together.estimate, assessment=assessment, notes=(_how(together), *together.estimate.notes))
+
+
+def _how(together: Merged) -> Notice:
+    count = together.dof // len(together.estimate.names) + 1
+    text = (
+        f"{counted(count, 'part')} of the data, each identified by itself, and merged; their scatter has χ² "
+        f"{together.chi2:.4g} with {together.dof} degrees of freedom (p = {together.p:.2g})"
+    )
+    return Notice("parts_merged", text)
+
+
+def _disagreement(together: Merged, names: Sequence[str]) -> list[Notice]:
+    """That the parts are not of one rig, if they are not."""
+    if not together.disagree:
+        return []
+    part, unknown = divmod(int(np.argmax(np.abs(together.away))), len(together.estimate.names))
+    name, away = together.estimate.names[unknown], together.away[part, unknown]
+    text = (
+        f"the parts disagree by more than their noise (p = {together.p:.1g}): {name} of {names[part]} lies "
+        f"{abs(away):.3g} standard deviations {'above' if away > 0 else 'below'} the merged one"
+    )
+    return [Notice("parts_disagree", text, (name,))]
+
+
+def _misfits(names: Sequence[str], parts: Sequence[Estimate]) -> list[Notice]:
+    """That more parts do not fit than sound ones would, and why most of these do not."""
+    wrong = [
+        (name, part.assessment)
+        for name, part in zip(names, parts, strict=True)
+        if part.assessment is not None and part.assessment.verdict == "does not fit"
+    ]
+    if not wrong or bdtrc(len(wrong) - 1, len(parts), ALARMS) > DISAGREE:
+        return []
+    codes = Counter(reason.code for _, assessment in wrong for reason in assessment.reasons)
+    most, _ = codes.most_common(1)[0]
+    name, reason = next(
+        (name, reason) for name, each in wrong for reason in each.reasons if reason.code == most
+    )
+    text = f"{len(wrong)} of {counted(len(parts), 'part')} do not fit by themselves: {reason.text} ({name})"
+    return [Notice("parts_misfit", text, reason.of)]
+
+
+def _common_doubts(assessed: Sequence[Assessment]) -> list[Notice]:
+    """Why it cannot be told whether the rig fits, where most parts cannot tell."""
+    unsure = [each for each in assessed if each.verdict == "cannot tell"]
+    if 2 * len(unsure) <= len(assessed):
+        return []
+    codes = Counter(reason.code for each in unsure for reason in each.reasons)
+    most, _ = codes.most_common(1)[0]
+    return [next(reason for each in unsure for reason in each.reasons if reason.code == most)]
+
+
+def _left_of_motion(assessed: Sequence[Assessment]) -> dict[str, float]:
+    """What the model leaves of the motion of each channel, rms over the parts."""
+    parts: dict[str, list[float]] = {}
+    for each in assessed:
+        for channel, left in each.relative_residual.items():
+            parts.setdefault(channel, []).append(left)
+    return {channel: float(np.sqrt(np.mean(np.square(left)))) for channel, left in parts.items()}
+
+
+def _findings(assessed: Sequence[Assessment]) -> tuple[Finding, ...]:
+    """Causes that parts name, those named by most first, and of these those that are named earlier."""
+    count: Counter[tuple[str, tuple[str, ...]]] = Counter()
+    best: dict[tuple[str, tuple[str, ...]], tuple[int, Finding]] = {}
+    for each in assessed:
+        for place, finding in enumerate(each.findings):
+            key = finding.kind, finding.of
+            count[key] += 1
+            best[key] = min(best.get(key, (place, finding)), (place, finding), key=lambda entry: entry[0])
+    ordered = sorted(best, key=lambda key: (-count[key], best[key][0]))
+    return tuple(best[key][1] for key in ordered)
