@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import dataclasses
 import re
+from importlib import import_module
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 import dashpot
@@ -77,6 +79,36 @@ def test_the_reference_of_rig_files_names_every_key_and_law() -> None:
         assert f"[{section}]" in text, section
     for law in {*SPRING_LAWS, *DAMPER_LAWS}:
         assert f'`"{law}"`' in text, law
+
+
+def test_options_that_are_named_exist() -> None:
+    """In commands, of that command; in prose, of any, or of the programs of others that are named."""
+    of = {}
+    for name in COMMANDS:
+        parameters = import_module(f"dashpot.app.commands.{name}").command.params
+        of[name] = {option for p in parameters for option in (*p.opts, *p.secondary_opts)} | {"--help"}
+    others = {"--version", "--serve", "--long", "--nworkers", "--nthreads"}  # dashpot itself, dev.py, Dask
+    every = others.union(*of.values())
+    for page in [*pages(), ROOT / "examples" / "README.md"]:
+        text = page.read_text(encoding="utf-8").replace("\\\n", " ")
+        named = set(re.findall(r"(?<![\w-])--[a-z][\w-]*", text))
+        assert named <= every, f"{name_of(page)}: {sorted(named - every)}"
+        for name, rest in re.findall(r"\bdashpot (\w+)([^\n`]*)", text):
+            for option in re.findall(r"(?<![\w-])--[a-z][\w-]*", rest if name in of else ""):
+                assert option in of[name], f"{name_of(page)}: dashpot {name} {option}"
+
+
+def test_the_noise_of_averaged_responses_is_what_the_recipe_says() -> None:
+    """From the coherence: 20,000 estimates from 16 averages, whose sd is known to 0.5 %; seed fixed."""
+    recipe = (ROOT / "docs" / "howto" / "frfs.md").read_text(encoding="utf-8")
+    assert "sd = |H| √((1 − γ²)/(2 n γ²)) for each part" in recipe
+    rng, n = np.random.default_rng(0), 16
+    X, N = rng.standard_normal((2, 20000, n)) + 1j * rng.standard_normal((2, 20000, n))
+    H = np.sum((X + 0.5 * N) * np.conj(X), axis=1) / np.sum(np.abs(X) ** 2, axis=1)
+    coherence = 1 / (1 + 0.25)
+    stated = np.sqrt((1 - coherence) / (2 * n * coherence))
+    assert np.std(H.real) == pytest.approx(stated, rel=0.06)  # 1/n more, for the power of X is estimated
+    assert np.std(H.imag) == pytest.approx(stated, rel=0.06)
 
 
 def test_the_manual_has_a_section_for_every_command() -> None:
