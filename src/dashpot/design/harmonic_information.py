@@ -25,8 +25,8 @@ def dwell_information(
     """What one sample of each dwell tells about ψ, (scenarios, dwells, parameters, parameters), SI units of ψ.
 
     theta (scenarios, unknowns), omega (dwells,), drive (dwells, r + s).  N samples give the amplitude of each harmonic
-    a covariance 4 R / N.  A dwell without a settled motion tells nothing.  Raises UsageError for a channel of motion
-    without noise.
+    a covariance 4 R / N.  A dwell without a settled motion, or on a fold, tells nothing.  Raises UsageError for a
+    channel of motion without noise.
     """
     moving = np.array([not measures_input(model, channel) for channel in channels])
     exact = [
@@ -46,10 +46,12 @@ def dwell_information(
     sd = noise_sd(channels, Y[:, :, 0])[:, :, None]
     sd = np.maximum(sd, EXACT * np.max(np.abs(Y), axis=(1, 2), keepdims=True))
     A = _rows(at.J.reshape(*Y.shape, -1), sd)
+    B = _rows(at.G.reshape(*Y.shape, -1), sd) if noisy else A[..., :0]
+    finite = np.all(np.isfinite(A), axis=(2, 3)) & np.all(np.isfinite(B), axis=(2, 3))  # not so on a fold
+    settled = (finite & at.at.converged.reshape(K, R))[..., None, None]
     if noisy:
-        B = _rows(at.G.reshape(*Y.shape, -1), sd)
+        A, B = np.where(settled, A, 0.0), np.where(settled, B, 0.0)
         A = A - B @ (np.linalg.pinv(B) @ A)
-    settled = at.at.converged.reshape(K, R, 1, 1)
     information: Real = np.where(settled, np.swapaxes(A, -1, -2) @ A, 0.0)
     return information
 

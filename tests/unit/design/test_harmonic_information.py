@@ -7,12 +7,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from dashpot.design import harmonic_information
 from dashpot.design.drive_of_laws import drives_that_show
 from dashpot.design.harmonic_information import dwell_information
 from dashpot.design.schedule import Schedule
 from dashpot.design.test_setup import ShakerLimits, nominal_setup
 from dashpot.errors import UsageError
 from dashpot.estimate.identify import identify
+from dashpot.estimate.nonlinear.objective import evaluate
 from tests.nonlinear_rigs import motions, settled, two_masses
 
 FREQUENCIES = np.array([2, 3, 4, 5, 6, 7, 8, 9.5, 11, 12.5, 14])
@@ -35,6 +37,26 @@ def test_information_is_that_of_an_identification(input_noise):
     V = 4 / samples * np.diag([channel.noise**2 for channel in channels]) + 0j
     data = replace(exact, covariance=np.broadcast_to(V, (exact.lines, 3, 3)))
     assert np.allclose(identify(model, data, "ml").bound_sd, expected, rtol=1e-3)
+
+
+def test_a_dwell_on_a_fold_tells_nothing():
+    """Slopes are infinite there, of the motion and of what the noise of the input does to it."""
+    model, theta = two_masses("cubic")
+    at = 2 * np.pi * FREQUENCIES[:2]
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(harmonic_information, "evaluate", _on_a_fold)
+        each = dwell_information(
+            model, theta[None], with_noise(2e-6, 3e-6, 1e-6), at, np.full((2, 1), 1e-3 + 0j)
+        )
+    assert not np.any(each[0, 0])
+    assert np.all(np.linalg.eigvalsh(each[0, 1])[-3:] > 0)
+
+
+def _on_a_fold(*arguments):
+    """What harmonic balance gives, with infinite slopes in the first dwell."""
+    at = evaluate(*arguments)
+    at.J[:, :5], at.G[:, :5] = np.nan, np.nan
+    return at
 
 
 def test_a_weak_drive_does_not_show_a_law():

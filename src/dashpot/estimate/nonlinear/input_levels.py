@@ -1,9 +1,10 @@
 """How much noise the measured inputs of whole records have, and the search with their true values unknown (THEORY §9).
 
-As of linear rigs: a record at rest tells it; else the top of an input's own spectrum, where that is flat and far below
-the rest; else what the residuals of all outputs have in common, as the rig would carry it to them, where that is beyond
-chance.  It is white, of one size per sample in all records, and never more than the quietest part of the input's own
-spectrum.  Where the outputs show less than the top of the spectrum, that was motion, and they are believed.
+As of linear rigs: a record at rest tells it; else parts of a record in which an input rests; else the top of its own
+spectrum, where that is flat and far below the rest; else what the residuals of all outputs have in common, as the rig
+would carry it to them, where that is beyond chance.  It is white, of one size per sample in all records, and never more
+than the quietest part of the input's own spectrum.  Where the outputs show less than the top of the spectrum, that was
+motion, and they are believed.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from dashpot.arrays import Bools, Real
-from dashpot.data.conditioning.still import HALF_WINDOW, smoothed
+from dashpot.data.conditioning.still import HALF_WINDOW, QUIETEST, smoothed, variance_at_rest
 from dashpot.data.conditioning.whole_record import TOP, white_floor
 from dashpot.estimate.likelihood.input_noise import ROOM, SHOWS, STAYS
 from dashpot.estimate.nonlinear.record_problem import RecordProblem
@@ -48,8 +49,8 @@ Descend = Callable[[RecordProblem, Real, int], OptimizeResult]
 class OwnNoise:
     """What the spectra of the inputs say of their noise, by themselves; each (q,).
 
-    shown: variance at the top of the spectrum, 0 where it tells none; freedom: degrees of freedom behind it; most: the
-    quietest part of the spectrum, which white noise does not exceed.
+    shown: variance in parts at rest, else at the top of the spectrum, 0 where neither tells it; freedom: degrees of
+    freedom behind it; most: the quietest part of the spectrum, which white noise does not exceed.
     """
 
     shown: Real
@@ -71,6 +72,9 @@ def own_noise(records: Sequence[RecordData]) -> OwnNoise:
         )
         level = np.array([white_floor(column) for column in lines.T])
         count = np.where(level > 0, (TOP[1] - TOP[0]) * N / WINDOWED, 0.0)
+        at_rest = np.array([variance_at_rest(column) for column in record.inputs.T])
+        level = np.where(at_rest > 0, at_rest, level)
+        count = np.where(at_rest > 0, QUIETEST * N, count)
         total += count * level
         freedom += count
     return OwnNoise(total / np.maximum(freedom, 1.0), freedom, most)

@@ -21,6 +21,7 @@ from dashpot.estimate.nonlinear.records import total_samples
 from dashpot.estimate.nonlinear.restricted_likelihood import drawn_noise, unknowns_matrix
 from dashpot.estimate.nonlinear.uncertain_inputs import HALF_WINDOW, around
 from dashpot.estimate.result import Estimate, Fit
+from dashpot.io.words import joined
 from dashpot.model.network import Model
 from dashpot.notices import Notice
 from dashpot.numerics.small_systems import scaled_inverse
@@ -73,7 +74,7 @@ def record_estimate(
         warnings.append(Notice(CUT_RECORD, cut))
     rms = ", ".join(f"{n} {s:.3g}" for n, s in zip(problem.records[0].names, problem.sd, strict=True))
     notes = [Notice("record_residuals", f"residuals of the whole records, rms in SI units: {rms}")]
-    notes += [] if noise is None else _input_notes(model, noise)
+    notes += _input_notes(model, noise) if noise is not None else [] if held else _exact_inputs(model)
     return Estimate(
         model=model.name, method="ml", names=names, units=units, values=values, covariance=covariance,
         noise_covariance=covariance, bound_sd=plain, dof=np.full(inner, float(dof)), lower=lower, upper=upper,
@@ -187,13 +188,21 @@ def _held_inputs(model: Model) -> list[Notice]:
     return [Notice(EXACT_INPUTS, text, tuple(source.name for source in model.inputs))]
 
 
+def _exact_inputs(model: Model) -> list[Notice]:
+    """That the inputs count as exact because they show no noise that matters."""
+    names = [source.name for source in model.inputs]
+    count = "which counts" if len(names) == 1 else "which count"
+    text = f"no noise shows in {joined(names)}, {count} as exact; a record at rest would tell"
+    return [Notice("input_noise", text, tuple(names))] if names else []
+
+
 def _input_notes(model: Model, noise: InputSizes) -> list[Notice]:
     """How much noise the inputs have, and how that is known."""
     sources = [*model.displacement_inputs, *model.force_inputs]
     sd = np.sqrt(noise.variance)
     groups = (
         (noise.at_rest & (sd > 0), "as the record at rest shows"),
-        (noise.from_spectrum, "as the quiet part of its spectrum shows"),
+        (noise.from_spectrum, "as the quiet part of its record or spectrum shows"),
         (~noise.from_spectrum & (sd > 0) & (not noise.at_rest), "as the residuals of the outputs show"),
     )
     notices = []

@@ -83,12 +83,24 @@ def test_the_top_of_the_spectrum_tells_the_noise_of_an_input() -> None:
     assert np.sqrt(own.most[0]) == pytest.approx(sd, rel=0.4)
 
 
+def test_an_input_that_rests_for_a_while_tells_its_noise_though_it_moves_in_the_whole_band() -> None:
+    """White motion from the middle of the record on; at rest 2,000 samples (1.6 % of a size); seed 5."""
+    model, rng = cubic(400).model, np.random.default_rng(5)
+    u = 1e-3 * rng.standard_normal(4000)
+    u[:2000] = 0.0
+    noisy = u + 2e-5 * rng.standard_normal(4000)
+    record = Record(cubic(400).record.channels, np.arange(4000) / 100, np.column_stack([u, noisy]))
+    assert np.sqrt(own_noise([arranged(model, record)]).shown[0]) == pytest.approx(2e-5, rel=0.08)
+
+
 def test_exact_inputs_stay_exact_to_the_bit() -> None:
     test = cubic(400)
     record = test.noisy(0.01, 0.0, 6)
     fitted, held = (fit_records(test.model, [record], exact_inputs=held) for held in (False, True))
     assert fitted.noise is None
     np.testing.assert_array_equal(fitted.psi, held.psi)
+    (note,) = [note for note in fitted.estimate().notes if note.code == "input_noise"]
+    assert note.text == "no noise shows in u, which counts as exact; a record at rest would tell"
 
 
 def test_noise_of_the_input_is_told_and_widens_the_intervals() -> None:
