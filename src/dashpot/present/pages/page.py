@@ -123,8 +123,9 @@ def page_html(page: Page) -> str:
     )  # fmt: skip
     explanations = [(term, EXPLANATIONS[term]) for term in page.terms]
     blocks = (*page.evidence, *(() if page.answer is None else (page.answer,)))
-    told = any("data-panels=" in picture.svg for block in blocks for picture in block.pictures)
-    script = loader.get_source(environment, "figures.js")[0] if told else ""
+    pictures = [picture.svg for block in blocks for picture in block.pictures]
+    scripted = any("data-panels=" in svg or "<animate " in svg for svg in pictures)
+    script = loader.get_source(environment, "figures.js")[0] if scripted else ""
     allowed = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode("ascii")
     return environment.get_template("report.html").render(
         page=page, explanations=explanations, inline=inline, rows=_rows, with_code=with_code, allowed=allowed,

@@ -21,6 +21,11 @@ COLOURS: Mapping[str, str] = {
 FILLS: Mapping[str, str] = {"body": "#eef3f7", "bar": "#52606d", "paper": "#ffffff"}
 FONT = "DejaVu Sans, Verdana, Segoe UI, Helvetica, Arial, sans-serif"
 DASHES = "5 3"
+# SMIL knows neither print nor readers who want no motion: what moves is there a second time, at its largest.
+STILL = (
+    "<style>.still{display:none}@media print,(prefers-reduced-motion:reduce)"
+    "{.still{display:inline}.moving{display:none}}</style>"
+)
 
 
 def svg_document(
@@ -33,8 +38,8 @@ def svg_document(
 def moving_document(
     frames: Sequence[Sequence[Part]], width: float, height: float, title: str, seconds: float
 ) -> str:
-    """Frames of one motion, the first at rest in print; parts and shapes of all frames correspond."""
-    groups = []
+    """Frames of one motion, the first in print and where no motion is wanted; parts and shapes of all correspond."""
+    groups = [STILL]
     for k, part in enumerate(frames[0]):
         shapes = [
             _shape(shape, [frame[k].shapes[j] for frame in frames], seconds)
@@ -43,7 +48,9 @@ def moving_document(
         texts = [
             _text(text, [frame[k].texts[j] for frame in frames], seconds) for j, text in enumerate(part.texts)
         ]
-        groups.append(_wrapped(part, [*shapes, *texts]))
+        group = _wrapped(part, [*shapes, *texts])
+        moves = "<animate " in group
+        groups += [f'<g class="moving">{group}</g><g class="still">{_group(part)}</g>' if moves else group]
     return _framed(groups, width, height, title, "")
 
 

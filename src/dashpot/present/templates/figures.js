@@ -304,4 +304,22 @@
     }
   }
   for (const svg of document.querySelectorAll('svg[data-panels]')) figureOf(svg);
+
+  // ---- modes, which move: a button for all of a section
+
+  const moving = [...document.querySelectorAll('svg')].filter(svg => svg.querySelector('animate'));
+  const still = matchMedia('(prefers-reduced-motion: reduce)').matches;
+  for (const section of still ? [] : new Set(moving.map(svg => svg.closest('section')))) {
+    const bar = document.createElement('div'), button = document.createElement('button');
+    bar.className = 'hint motion';
+    button.textContent = 'Stop the motion';
+    let stopped = false;
+    button.addEventListener('click', () => {
+      stopped = !stopped;
+      for (const svg of section.querySelectorAll('svg')) stopped ? svg.pauseAnimations() : svg.unpauseAnimations();
+      button.textContent = stopped ? 'Let them move' : 'Stop the motion';
+    });
+    bar.append(button);
+    section.querySelector('.pictures').before(bar);
+  }
 })();

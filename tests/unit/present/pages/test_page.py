@@ -116,6 +116,30 @@ def test_figures_tell_values_and_zoom(folder: Path) -> None:
     assert 0 <= tried["moved"] < 0.01, "what is drawn does not come back"
 
 
+# Whether the modes move, and what their button does.
+STOPPING = """
+const svg = [...document.querySelectorAll('svg')].find(each => each.querySelector('animate'));
+const button = document.querySelector('.motion button'), words = [button.textContent];
+const shape = [...svg.querySelectorAll('.moving path')].find(each => each.querySelector('animate'));
+const moves = new Set(shape.querySelector('animate').getAttribute('values').split(';')).size;
+const running = !svg.animationsPaused();
+button.click(); words.push(button.textContent);
+const stopped = svg.animationsPaused();
+button.click(); words.push(button.textContent);
+return { moves, running, stopped, again: !svg.animationsPaused(), words,
+         still: getComputedStyle(svg.querySelector('.still')).display };
+"""
+
+
+def test_modes_move_and_can_be_stopped(folder: Path) -> None:
+    found = probed(folder / "fits.html", 1400, STOPPING)
+    assert found["wrong"] == []
+    tried = found["tried"]
+    assert (tried["running"], tried["stopped"], tried["again"], tried["still"]) == (True, True, True, "none")
+    assert tried["moves"] > 5  # places of one part
+    assert tried["words"] == ["Stop the motion", "Let them move", "Stop the motion"]
+
+
 def printed_pages(path: str) -> list[str]:
     """The text of each page of a PDF file."""
     assert PDF_TEXT is not None

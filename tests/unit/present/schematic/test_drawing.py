@@ -109,6 +109,10 @@ def test_the_same_parts_move_in_all_frames_and_as_the_mode_says(good: Estimate) 
     svg = drawing.svg()
     ElementTree.fromstring(svg)
     assert len(re.findall("<animate ", svg)) > 5
+    still = re.findall('<g class="still">(.*?)</g>\n</g>', svg, re.DOTALL)
+    assert len(still) == svg.count('<g class="moving">') > 1
+    assert not any("<animate " in group for group in still)
+    assert "prefers-reduced-motion:reduce" in svg
 
 
 def test_modes_of_stated_values_and_modes_that_are_not_there() -> None:
