@@ -134,7 +134,7 @@ def compare_in_records(
     Inputs count as exact: were their true values unknown, errors of theirs could explain what an element would.
     Raises what `identify_records` raises.
     """
-    base = model if len(model.nonlinear) else _with_nothing(model)
+    base = model if len(model.nonlinear) else with_nothing(model)
     fitted = fit_records(base, records, exact_inputs=True)
     estimate = fitted.estimate()
     numbers = _independent(fitted, estimate)
@@ -161,7 +161,7 @@ def compare_in_records(
     return ElementComparison(model.name, numbers, tuple(fits), best)
 
 
-def _with_nothing(model: Model) -> Model:
+def with_nothing(model: Model) -> Model:
     """A linear rig as a nonlinear one whose nonlinear element does nothing."""
     idle = replace(
         between("idle", Kind.SPRING, model.coordinates[0], "ground", value=0.0), force_law=force_law("d**9")

@@ -11,11 +11,12 @@ from dashpot.channel import Channel
 from dashpot.check.diagnosis.causes import points_of
 from dashpot.check.diagnosis.ranking import Cause
 from dashpot.check.diagnosis.wording import finding
+from dashpot.check.element_evidence import with_nothing
 from dashpot.check.record_scores import CalledFor, element_called_for
 from dashpot.check.uncertain_scores import element_of_uncertain
 from dashpot.check.verdict import powerless, rejected, unphysical, worst_of
 from dashpot.data.record import Record
-from dashpot.errors import DataError
+from dashpot.errors import DashpotError, DataError, IdentifiabilityError, Problem
 from dashpot.estimate.assessment import Assessment, Finding, Judgement, Misfit
 from dashpot.estimate.nonlinear.record_inference import CUT_RECORD
 from dashpot.estimate.nonlinear.record_prediction import (
@@ -24,7 +25,8 @@ from dashpot.estimate.nonlinear.record_prediction import (
     followed_record,
     followed_records,
 )
-from dashpot.estimate.nonlinear.whole_record import FittedRecords
+from dashpot.estimate.nonlinear.starting_values import linear_rig
+from dashpot.estimate.nonlinear.whole_record import FittedRecords, fit_records
 from dashpot.estimate.result import Estimate
 from dashpot.io.words import joined
 from dashpot.model.elements import Kind
@@ -66,10 +68,37 @@ def assess_records(
     if called_for is not None:
         findings = (_finding(model, records[0].channels, called_for),)
         against = [*against, _reason(model, called_for)]
+    elif not bool(estimate.converged):
+        findings, reasons = _without_laws(model, records)
+        against = [*against, *reasons]
     motions = [motion.compared() for motion in trails]
     doubts = [] if against else powerless(estimate)
     verdict: Judgement = "does not fit" if against else "cannot tell" if doubts else "fits"
     return Assessment(verdict, (*against, *doubts), _relative(motions), _worst(motions), findings)
+
+
+def explained(error: IdentifiabilityError, model: Model, records: Sequence[Record]) -> IdentifiabilityError:
+    """The error of a fit whose laws leave no trace, with the element that the records call for in their place."""
+    findings, _ = _without_laws(model, records)
+    more = [Problem(f"a likely cause: {each.text}", cure=each.change) for each in findings]
+    return IdentifiabilityError([*error.problems, *more]) if more else error
+
+
+def _without_laws(model: Model, records: Sequence[Record]) -> tuple[tuple[Finding, ...], tuple[Notice, ...]]:
+    """What the records call for where the rig's own nonlinear elements are left out, and that they do; () for none."""
+    try:
+        linear = with_nothing(linear_rig(model))
+        fitted = fit_records(linear, records, exact_inputs=True)
+        called_for = element_called_for(linear, followed_records(fitted.problem, fitted.psi))
+    except DashpotError:
+        return (), ()
+    if called_for is None:
+        return (), ()
+    instead = joined(model.elements[int(index)].name for index in model.nonlinear)
+    what = _finding(model, records[0].channels, called_for)
+    reason = _reason(model, called_for)
+    text = reason.text.replace("of the residuals", f"of the residuals of the rig without {instead}")
+    return (replace(what, text=f"{what.text}, in place of {instead}"),), (replace(reason, text=text),)
 
 
 def _finding(model: Model, channels: Sequence[Channel], called_for: CalledFor) -> Finding:

@@ -214,8 +214,8 @@ def _of_whole_records(
 
     from dashpot.app.data_files import conditioning_from, with_noise_record
     from dashpot.app.progress import progress
-    from dashpot.check.record_verdict import examined_records
-    from dashpot.errors import UsageError
+    from dashpot.check.record_verdict import examined_records, explained
+    from dashpot.errors import IdentifiabilityError, UsageError
     from dashpot.estimate.nonlinear.whole_record import fit_records
 
     if options.get("record_band") is not None:
@@ -225,7 +225,10 @@ def _of_whole_records(
     still = with_noise_record(conditioning_from(options), rig, options, quiet).still
     with progress("identify", quiet) as moved:
         fitted = fit_records(rig.model, records, wanted, still=still, progress=moved)
-        estimate = fitted.estimate()
+        try:
+            estimate = fitted.estimate()
+        except IdentifiabilityError as error:
+            raise explained(error, rig.model, records) from error
     with progress("examine", quiet):
         return replace(examined_records(rig.model, records, estimate, fitted), rig=path)
 

@@ -19,11 +19,15 @@ from dashpot.check.diagnosis.steady_lines import steady_lines
 from dashpot.check.diagnosis.wording import finding, nonlinear_finding
 from dashpot.check.verdict import BEYOND, UNTESTED, assess
 from dashpot.data.spectrum import Spectrum
+from dashpot.errors import DashpotError
 from dashpot.estimate.assessment import Assessment, Finding
+from dashpot.estimate.identify import identify
 from dashpot.estimate.inference.time_course import TIME_CHANGES
 from dashpot.estimate.likelihood.starting_values import candidates
+from dashpot.estimate.nonlinear.starting_values import linear_rig
 from dashpot.estimate.preparation.prepared import prepare
 from dashpot.estimate.result import Estimate
+from dashpot.io.words import joined
 from dashpot.model.network import Model
 from dashpot.notices import Notice
 
@@ -110,6 +114,9 @@ def examined(model: Model, spectrum: Spectrum, estimate: Estimate, *, seed: int 
             assessment,
             findings=_ranked(causes_found, assessment.findings, on_lines, surely=rigs.left < EXPLAINED),
         )
+    elif not linear and (assessment.verdict == "does not fit" or not bool(estimate.converged)):
+        others = _in_place_of_laws(model, spectrum, misfit, seed)
+        assessment = replace(assessment, findings=(*assessment.findings, *others))
     if elements_found:
         assessment = _with_nonlinear_elements(assessment, elements_found, misfit)
     return _closed(model, spectrum, *_without_changes_in_time(estimate, assessment))
@@ -160,6 +167,24 @@ def _nonlinear_elements(model: Model, spectrum: Spectrum, estimate: Estimate) ->
         points, left = points_of(scored.element, model), misfit * (1 - scored.fall / scored.chi2)
         findings.append(nonlinear_finding(model, points, scored.element, scored.value, left))
     return tuple(findings)
+
+
+def _in_place_of_laws(model: Model, spectrum: Spectrum, misfit: float, seed: int) -> tuple[Finding, ...]:
+    """Nonlinear elements that settled dwells call for where the rig's own are left out, and that leave less misfit."""
+    if spectrum.carries_loads:
+        return ()
+    try:
+        linear = linear_rig(model)
+        estimate = identify(linear, spectrum, "ml")
+        causes_found = _misfit_and_causes(linear, spectrum, estimate, seed)[1]
+    except DashpotError:
+        return ()
+    instead = joined(model.elements[int(index)].name for index in model.nonlinear)
+    return tuple(
+        replace(each, text=f"{each.text}, in place of {instead}")
+        for each in causes_found
+        if each.kind == "nonlinear" and each.remaining is not None and each.remaining < EXPLAINED * misfit
+    )
 
 
 def _with_nonlinear_elements(

@@ -40,7 +40,7 @@ def _of_estimate(model: Model, spectrum: Spectrum, part: Inference, fit: Fit) ->
     in_time = part.uncertainty.in_time
     shown += [] if in_time is None else [uneven.notice() for uneven in in_time.uneven if uneven is not None]
     shown += diagnostics.of_estimate(model, theta, covariance, noise, fit)
-    shown += unseen_laws(model, theta, covariance)
+    shown += unseen_laws(model, theta, noise)
     if part.method.traits.maximum_likelihood:
         shown += diagnostics.prior_conflict(model, theta, noise)
     shown += record_findings.of_records(model, theta, noise, spectrum)

@@ -70,7 +70,7 @@ def require_traces(model: Model, names: Sequence[str], information: Real, least:
 def unseen_laws(model: Model, theta: Real, covariance: Real) -> list[Notice]:
     """Warnings of nonlinear elements whose parameter may be 0: the data do not show them.
 
-    theta (m,) or longer, covariance (m, m).
+    theta (m,) or longer, covariance (m, m) by the noise alone: an interval that a misfit has widened hides no law.
     """
     if not len(model.nonlinear):
         return []

@@ -40,7 +40,8 @@ LONGEST = np.log(4.0)  # of a step, of the logarithm of a variance
 LAST = 60  # steps of the last search
 EXACT = 1e-6  # of a channel's rms: residuals below it count no less
 LEAST = 1e-6  # of an input's size: noise that is looked for first
-NEGLIGIBLE = 1e-4  # of a size's information: so little is told of it where it moves nothing by 0.02 standard deviations
+NEGLIGIBLE = 1e-3  # of a size's information: so little is told of it where it moves nothing by 0.06 standard deviations
+FAINT = 0.3  # the same of noise that only the outputs show: 1 at the end is no noise
 
 Descend = Callable[[RecordProblem, Real, int], OptimizeResult]
 
@@ -155,6 +156,9 @@ def _first_variances(problem: RecordProblem, psi: Real, own: OwnNoise) -> tuple[
     shows = usable & (times * np.sqrt(information) > SHOWS)
     by_spectrum = (own.shown > 0) & (information * (own.shown / unit) ** 2 > NEGLIGIBLE)
     in_common = np.where(shows & (own.shown == 0), np.minimum(times * unit, own.most), 0.0)
+    # What is held down by the quietest part of the spectrum and tells nothing of its size there is gone in the end.
+    faint = (times * unit >= own.most) & (information * (own.most / unit) ** 2 < FAINT)
+    in_common = np.where(faint, 0.0, in_common)
     return np.where(by_spectrum, own.shown, in_common), by_spectrum
 
 

@@ -135,3 +135,16 @@ def test_a_motion_too_small_for_the_law_gives_the_linear_values_and_says_so(
         if line.startswith("the data do not show")
     ]
     assert "k3: 0 is within its interval" in line
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("kind", ["dwells", "record"])
+def test_friction_fitted_to_a_stiffening_spring_does_not_fit_and_the_spring_is_named(
+    dashpot: Command, recorded: Recorded, kind: str
+) -> None:
+    data = recorded(kind, 2e7)
+    rig("", 'fc = { between = ["x", "u"], law = "coulomb", v0 = "unknown" }')
+    done = dashpot("identify", "rig.toml", data)
+    said = " ".join(" ".join([done.out, *done.err]).split())
+    assert "odd, stiffening (p < 1e-6), in place of fc" in said
+    assert done.code == 3 or "The model does not fit" in said
