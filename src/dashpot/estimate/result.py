@@ -310,6 +310,10 @@ class Estimate(Printable):
         """The estimate in a JSON file.  Raises DataError where there is none."""
         try:
             text = Path(noted(path)).read_text(encoding="utf-8")
+        except FileNotFoundError:
+            raise DataError("there is no such file", str(path), REMEDY) from None
+        except IsADirectoryError:
+            raise DataError("this is a folder", str(path), "name a file in it") from None
         except (OSError, UnicodeDecodeError) as error:
             raise DataError("the file cannot be read", str(path), REMEDY) from error
         return Estimate.from_json(text, str(path))

@@ -17,6 +17,6 @@ def chosen_format(path: str | os.PathLike[str], formats: Sequence[str]) -> str:
     kind = Path(path).suffix.lower().removeprefix(".")
     if kind not in formats:
         *most, last = (f".{each}" for each in formats)
-        ends = f"{', '.join(most)} or {last}"
+        ends = f"{', '.join(most)} or {last}" if most else last
         raise UsageError("the end of the name chooses the format", os.fspath(path), f"end it in {ends}")
     return kind

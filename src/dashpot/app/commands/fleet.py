@@ -47,7 +47,9 @@ ENDING = ".blocks"  # of the folder in which finished blocks are kept
     help="Data files, one for each rig, or patterns in quotes such as 'data/**/*.csv'.",
 )  # fmt: skip
 @out_option(
-    "FILE.parquet", "Write a row for each data set; finished blocks are kept beside it, in FILE.blocks."
+    "FILE.parquet",
+    "Write a row for each data set; finished blocks are kept beside it, in FILE.blocks.",
+    formats=("parquet",),
 )
 @option(
     "--rig-column", metavar="NAME", group=FLEET,
@@ -97,6 +99,11 @@ def command(
     require_identifiable(rig_read.model, rig_read.channels, rig)
     paths = [noted(path) for path in expanded(data, order)]
     source = of_files(paths) if rig_column is None else of_tables(paths, rig_column)
+    if source.count == 1 and rig_column is None and not quiet:
+        click.echo(
+            "note: a file is one rig; for a table of many, name the column that tells them: --rig-column",
+            err=True,
+        )
     treatment = treatment_from(rig_read, chosen, positive, seed, conditioning, quiet)
     with resumable(ctx, f"finished data sets are kept in {out}{ENDING}"):
         outcome = _run(rig_read, source, out, treatment, pool, workers, dask, quiet)

@@ -174,7 +174,8 @@ def _with_drift(dwells: Sequence[Record], settings: Conditioning) -> tuple[Condi
     """The settings with the drift that all dwells together call for."""
     p = slopes_show(dwells, settings.wanted)
     what = "only an offset is" if p > DRIFT_LEVEL else "an offset and a slope are"
-    text = f"{what} removed from each dwell (drift over all dwells: p = {p:.2g})"
+    chance = f"p = {p:.2g}" if p >= 1e-6 else "p < 1e-6"
+    text = f"{what} removed from each dwell (drift over all dwells: {chance})"
     return settings.changed(drift=0 if p > DRIFT_LEVEL else 1), Notice("drift_by_evidence", text)
 
 

@@ -92,14 +92,15 @@ def warnings_in_words(estimate: Estimate, *, untried: Collection[str] = tuple(OP
 
     `untried`: treatments of time records that were not chosen; amplitudes are as they are.
     """
-    said = set(SAID_BY_THE_FIT)
+    said = dict.fromkeys(SAID_BY_THE_FIT, frozenset[str]())
     if estimate.assessment is not None:
-        said |= {notice.code for notice in estimate.assessment.reasons}
-        said |= {"reversed_phase"} if estimate.assessment.findings else set()
+        # A reason speaks for the warning of the same code, unless that concerns others than it names.
+        said |= {notice.code: frozenset(notice.of) for notice in estimate.assessment.reasons}
+        said |= {"reversed_phase": frozenset[str]()} if estimate.assessment.findings else {}
     return tuple(
         sentence(with_remedy(notice, untried=untried))
         for notice in estimate.warnings
-        if notice.code not in said
+        if notice.code not in said or (said[notice.code] and not said[notice.code].issuperset(notice.of))
     )
 
 

@@ -100,7 +100,10 @@ def test_a_failed_data_set_has_its_reason(dashpot: Command, data: Path) -> None:
     [
         (("none/*.csv", "--out", "f.parquet"), "none/*.csv: no file matches this pattern"),
         (("all.parquet", "--rig-column", "number", "--out", "f.parquet"), "column number: missing"),
-        (("data/*.csv", "--out", "data/rig4.csv"), "data/rig4.csv: this would overwrite a file that is read"),
+        (
+            ("data/*.csv", "--out", "data/rig4.csv"),
+            "data/rig4.csv: the end of the name chooses the format; end it in",
+        ),
         (
             ("data/*.csv", "--out", "f.parquet", "--method", "oiv", "--positive"),
             "the method oiv cannot hold bounds",
@@ -265,6 +268,12 @@ def test_a_scheduler_that_is_not_there(dashpot: Command, data: Path, monkeypatch
     assert ran.code == 2
     assert len(ran.err) == 1
     assert "the Dask scheduler does not answer" in ran.err[0]
+
+
+def test_one_file_without_a_column_of_rigs_is_one_rig_which_is_said(dashpot: Command, data: Path) -> None:
+    ran = dashpot("fleet", "rig.toml", "data/rig4.csv", "--out", "one.parquet")
+    assert ran.code == 0
+    assert "name the column that tells them: --rig-column" in ran.err[0]
 
 
 def test_a_fleet_of_which_nothing_can_be_identified_ends_with_a_code_and_one_reason(

@@ -93,6 +93,12 @@ def test_what_the_fit_says_is_said_once(good: Estimate, bad: Estimate) -> None:
     assert "scatter of the residuals" in basis_in_words(blind)
     other = replace(good, warnings=(Notice("negative", "c1 is negative", ("c1",)),))
     assert "Warning: c1 is negative" in printed(other)
+    assert good.assessment is not None
+    for named, wanted in (("c1", ()), ("k1", ("c1 is negative.",))):
+        # The verdict names parts that are negative beyond doubt; of others it has said nothing.
+        reasons = (Notice("negative", f"{named} is negative", (named,)),)
+        told = replace(other, assessment=replace(good.assessment, reasons=reasons))
+        assert warnings_in_words(told) == wanted
 
 
 def test_fit_in_words(good: Estimate) -> None:

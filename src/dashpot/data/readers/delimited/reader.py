@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
 from dataclasses import dataclass
 
@@ -9,6 +10,9 @@ from dashpot.data.readers.datafile import DataFile
 from dashpot.data.readers.delimited.encoding import is_text
 from dashpot.data.readers.delimited.opening import open_table
 from dashpot.data.readers.delimited.table import Table
+from dashpot.errors import DataError
+
+_JSON = re.compile(rb'\s*\{\s*["}]')
 
 
 @dataclass(frozen=True)
@@ -23,5 +27,8 @@ class TextReader:
         return is_text(file.head)
 
     def parts(self, file: DataFile) -> Iterator[Table]:
-        """The table."""
+        """The table.  Raises DataError where the text is none, but JSON."""
+        if _JSON.match(file.head):
+            cure = "name a data file; an estimate is what validate and export take first"
+            raise DataError("this is JSON, and no recording", file.name, cure)
         yield open_table(file)

@@ -379,3 +379,9 @@ def test_damaged_files_give_data_or_a_data_error(tmp_path, kind):
     assert all("\n" not in message and len(message) < 1000 for message in messages)
     assert len(messages) > 100
     assert read_well > (0 if kind == "packed" else 10)
+
+
+def test_json_is_no_recording(tmp_path):
+    (tmp_path / "estimate.json").write_text('{\n "model": "a"\n}\n')
+    with pytest.raises(DataError, match=r"estimate.json: this is JSON, and no recording; name a data file"):
+        read(tmp_path / "estimate.json", CHANNELS)
