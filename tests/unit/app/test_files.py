@@ -45,7 +45,7 @@ def _arguments(command: click.Command, given: dict[str, str]) -> list[str]:
     for parameter in command.params:
         value = given.get(parameter.name or "")
         if value is None and parameter.required:
-            value = NEEDED.get(parameter.name or "", f"some_{parameter.name}")
+            value = NEEDED.get(parameter.name or "", f"some_{parameter.name}.{_end(parameter)}")
         if value is None:
             continue
         if isinstance(parameter, click.Argument):
@@ -55,23 +55,39 @@ def _arguments(command: click.Command, given: dict[str, str]) -> list[str]:
     return [*words, *last]
 
 
+ANY = "pdf"  # an end that pictures and reports may have
+
+
+def _end(parameter: click.Parameter) -> str:
+    """An end of a file's name that an option takes."""
+    formats: tuple[str, ...] = getattr(parameter.type, "formats", ())
+    return formats[-1] if formats else ANY
+
+
+def _parameter(command: str, name: str) -> click.Parameter:
+    (parameter,) = [each for each in _command(command).params if each.name == name]
+    return parameter
+
+
 @pytest.mark.parametrize("kind", ["same", "spelling", "symlink", "hard link"])
 @pytest.mark.parametrize(("name", "output", "source"), list(_pairs()))
 def test_no_output_is_an_input(dashpot: Command, name: str, output: str, source: str, kind: str) -> None:
-    Path("precious.pdf").write_text("measured", encoding="utf-8")
+    end = _end(_parameter(name, output))
+    precious, soft, hard = (f"{stem}.{end}" for stem in ("precious", "soft", "hard"))
+    Path(precious).write_text("measured", encoding="utf-8")
     other = {
-        "same": "precious.pdf",
-        "spelling": f"../{Path.cwd().name}/./precious.pdf",
-        "symlink": "soft.pdf",
-        "hard link": "hard.pdf",
+        "same": precious,
+        "spelling": f"../{Path.cwd().name}/./{precious}",
+        "symlink": soft,
+        "hard link": hard,
     }[kind]
-    os.symlink("precious.pdf", "soft.pdf")
-    os.link("precious.pdf", "hard.pdf")
-    ran = dashpot(name, *_arguments(_command(name), {output: other, source: "precious.pdf"}))
+    os.symlink(precious, soft)
+    os.link(precious, hard)
+    ran = dashpot(name, *_arguments(_command(name), {output: other, source: precious}))
     assert ran.code == 2, ran.err
     assert "this would overwrite a file that is read" in ran.err[0]
     assert len(ran.err) == 1
-    assert Path("precious.pdf").read_text(encoding="utf-8") == "measured"
+    assert Path(precious).read_text(encoding="utf-8") == "measured"
 
 
 def test_two_outputs_are_two_files(dashpot: Command) -> None:
@@ -80,9 +96,9 @@ def test_two_outputs_are_two_files(dashpot: Command) -> None:
         for one in outputs:
             for other in outputs:
                 if one != other:
-                    ran = dashpot(
-                        name, *_arguments(_command(name), {one: "x.pdf", other: "x.pdf", "rig": "r"})
-                    )
+                    ends = [_end(_parameter(name, each)) for each in (one, other)]
+                    file = f"x.{next((end for end in ends if end != ANY), ANY)}"
+                    ran = dashpot(name, *_arguments(_command(name), {one: file, other: file, "rig": "r"}))
                     assert ran.code == 2
                     assert "two outputs have this name" in ran.err[0]
 
