@@ -115,7 +115,7 @@ def test_figures_and_reports_have_formats() -> None:
         "identify", "compare", "check", "design", "validate", "study", "reproduce",
     }  # fmt: skip
     assert {name for name, parameter in _of_formats() if parameter in ("figure", "out")} == {
-        "compare", "design", "draw", "identify", "response", "validate",
+        "compare", "design", "draw", "fleet", "identify", "response", "validate",
     }  # fmt: skip
 
 

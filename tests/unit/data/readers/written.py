@@ -5,6 +5,7 @@ from __future__ import annotations
 import gzip
 import io
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -211,10 +212,12 @@ def _mdf(path: Path, records: list[Record]) -> None:
         file.save(path, overwrite=True)
 
 
-def _uff(path: Path, records: list[Record]) -> None:
+def _uff(
+    path: Path, records: list[Record], *, binary: bool = True, double: bool = True, little: bool = True
+) -> None:
     from dashpot.data.readers.uff.writer import write_uff_records
 
-    write_uff_records(records, path)
+    write_uff_records(records, path, binary=binary, double=double, little=little)
 
 
 WRITERS: dict[str, tuple[str, Callable[[Path, list[Record]], None]]] = {
@@ -232,6 +235,8 @@ WRITERS: dict[str, tuple[str, Callable[[Path, list[Record]], None]]] = {
     "TDMS": (".tdms", _tdms),
     "MDF": (".mf4", _mdf),
     "UFF": (".uff", _uff),
+    "UFF, single precision, high byte first": (".unv", partial(_uff, double=False, little=False)),
+    "UFF as text": (".uff", partial(_uff, binary=False)),
 }
 
 

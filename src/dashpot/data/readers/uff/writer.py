@@ -49,7 +49,14 @@ def write_universal_file(
     write_bytes(path, itertools.chain(_functions(functions, True, True, True), _modes(modes)))
 
 
-def write_uff_records(records: Sequence[Record], path: str | os.PathLike[str]) -> None:
+def write_uff_records(
+    records: Sequence[Record],
+    path: str | os.PathLike[str],
+    *,
+    binary: bool = True,
+    double: bool = True,
+    little: bool = True,
+) -> None:
     """Write records as time responses in the channels' own units, the drive frequency on the third axis.
 
     Raises DataError for repeats (leading axes), and where the file cannot be written.
@@ -73,7 +80,7 @@ def write_uff_records(records: Sequence[Record], path: str | os.PathLike[str]) -
                     z_value=record.frequency_hz or 0.0,
                 )
             )
-    write_functions(functions, path)
+    write_functions(functions, path, binary=binary, double=double, little=little)
 
 
 def write_modes(modes: Sequence[NodalMode], path: str | os.PathLike[str]) -> None:

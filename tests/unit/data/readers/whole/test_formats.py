@@ -19,6 +19,7 @@ from dashpot.estimate.identify import identify
 from dashpot.model.rigfile import parse_rig
 from tests.unit.data.readers.column_files import TABLES
 from tests.unit.data.readers.famos_bytes import dwell
+from tests.unit.data.readers.text_files import TEXTS
 from tests.unit.data.readers.written import (
     CHANNELS,
     RIG,
@@ -38,9 +39,12 @@ def same(records, expected, one_clock=False):
         assert record.values == pytest.approx(wanted.values, rel=1e-15)
 
 
-@pytest.mark.parametrize("name", WRITERS)
+ALL = {**WRITERS, **TEXTS}
+
+
+@pytest.mark.parametrize("name", ALL)
 def test_the_same_recording(tmp_path, name):
-    suffix, write = WRITERS[name]
+    suffix, write = ALL[name]
     path = tmp_path / f"test{suffix}"
     expected = recording()
     write(path, expected)
@@ -67,11 +71,28 @@ def csv_of_recording(folder: Path) -> Path:
     return folder / "whole.csv"
 
 
-@pytest.mark.parametrize("name", [name for name in WRITERS if name != "CSV"])
+@pytest.mark.parametrize("name", [name for name in ALL if name != "CSV"])
 def test_the_same_estimate(tmp_path, rig, name):
-    other = tmp_path / f"test{WRITERS[name][0]}"
-    WRITERS[name][1](other, recording())
+    other = tmp_path / f"test{ALL[name][0]}"
+    ALL[name][1](other, recording())
     same_estimate(rig, csv_of_recording(tmp_path), other)
+
+
+@pytest.mark.parametrize("polar", [False, True])
+@pytest.mark.parametrize("suffix", TABLES)
+def test_the_same_estimate_from_amplitudes(tmp_path, rig, suffix, polar):
+    """By real and imaginary part, and by amplitude and phase."""
+    lines = read(csv_of_recording(tmp_path), rig.channels).spectrum(**TREATMENTS)
+    columns, sd = {"frequency_hz": np.asarray(lines.frequency_hz)}, lines.sd()
+    for k, channel in enumerate(lines.channels):
+        X, name = lines.amplitudes[:, k] / channel.scale, channel.name
+        if polar:
+            columns |= {f"{name}_amplitude": np.abs(X), f"{name}_phase": np.degrees(np.angle(X))}
+        else:
+            columns |= {f"{name}_re": X.real, f"{name}_im": X.imag}
+        columns[f"{name}_sd"] = sd[:, k] / channel.scale
+    TABLES[suffix](tmp_path / f"amplitudes{suffix}", columns)
+    same_estimate(rig, csv_of_recording(tmp_path), tmp_path / f"amplitudes{suffix}")
 
 
 @pytest.mark.parametrize("way", ["pattern", "manifest"])
