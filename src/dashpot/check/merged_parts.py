@@ -11,7 +11,7 @@ from scipy.special import bdtrc
 
 from dashpot.check.verdict import rejected, unphysical, unstable, worst_of
 from dashpot.estimate.assessment import Assessment, Finding, Judgement
-from dashpot.estimate.merging import DISAGREE, Merged, merged
+from dashpot.estimate.merging import DISAGREE, Merged, merge_estimates
 from dashpot.estimate.result import Estimate
 from dashpot.io.words import counted
 from dashpot.model.network import Model
@@ -25,7 +25,7 @@ def merged_parts(model: Model, names: Sequence[str], parts: Sequence[Estimate]) 
 
     Raises DataError where they cannot be merged.
     """
-    together = merged(model, parts)
+    together = merge_estimates(model, parts)
     assessed = [part.assessment for part in parts if part.assessment is not None]
     against = [
         *unphysical(model, together.estimate),

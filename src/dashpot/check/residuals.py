@@ -15,6 +15,7 @@ import numpy as np
 from dashpot.arrays import Bools, Complex, Ints, Real, freeze, hermitian
 from dashpot.channel import Channel
 from dashpot.data.spectrum import Spectrum
+from dashpot.estimate.likelihood.ends_shown import shown_by_ends
 from dashpot.estimate.likelihood.objective import FLOOR, measured, predict
 from dashpot.estimate.nonlinear.prediction import predicted_lines
 from dashpot.estimate.preparation.prepared import Prepared
@@ -28,8 +29,11 @@ from dashpot.model.observation import (
     channel_unit,
     input_channels,
     observation_model,
+    small,
     transfer,
 )
+
+TOGETHER = 20_000  # lines that are projected at once
 
 Calibrations = Mapping[str, float]
 
@@ -173,13 +177,17 @@ def _transients(
     view = observation_model(model, spectrum.channels, spectrum.omega)
     psi, sign = of_channels(view, np.asarray(theta, dtype=float), calibrations)
     single = replace(spectrum, amplitudes=spectrum.amplitudes[None], covariance=V[None], moments=None)
-    at = predict(
-        view,
-        measured(Prepared(view, single, V[None], None, True, np.ones(1, dtype=bool))),
-        psi[None],
-        sign[None],
+    exact = measured(Prepared(view, single, V[None], None, True, np.ones(1, dtype=bool)))
+    if exact.ends is None:
+        return np.zeros(spectrum.amplitudes.shape, dtype=np.complex128)
+    at_ends: Complex | None = (
+        shown_by_ends(exact, psi[None], sign[None])
+        if small(model)
+        else predict(view, exact, psi[None], sign[None]).at_ends
     )
-    return np.zeros(spectrum.amplitudes.shape, dtype=np.complex128) if at.at_ends is None else at.at_ends[0]
+    assert at_ends is not None
+    transients: Complex = at_ends[0]
+    return transients
 
 
 def of_channels(view: ObservationModel, theta: Real, calibrations: Calibrations | None) -> tuple[Real, Real]:
@@ -211,16 +219,18 @@ def _project(G: Complex, y: Complex, V: Complex) -> tuple[Complex, Complex, Comp
     kinds = present.astype(int) + (present & (np.diagonal(V, axis1=-2, axis2=-1).real <= 0))
     # Lines that have the same channels, and the same of them exact, are solved together.
     for kind in np.unique(kinds, axis=0):
-        lines, there = np.flatnonzero(np.all(kinds == kind, axis=1)), np.flatnonzero(kind)
-        cells = np.ix_(lines, there, there)
-        g, noise = G[lines][:, there], V[cells]
-        size = np.sqrt(np.sum(np.abs(g) ** 2, axis=1, keepdims=True))
-        size = np.where(size > 0, size, 1.0)
-        P = _estimators(g / size, noise, kind[there] == 2)
-        v[lines] = (P @ y[lines][:, there, None])[..., 0] / size[:, 0]
-        rest = np.eye(len(there)) - (g / size) @ P
-        spread[cells] = rest @ noise @ hermitian(rest)
-        predicted[lines] = (G[lines] @ v[lines, :, None])[..., 0]
+        alike, there = np.flatnonzero(np.all(kinds == kind, axis=1)), np.flatnonzero(kind)
+        for first in range(0, len(alike), TOGETHER):
+            lines = alike[first : first + TOGETHER]
+            cells = np.ix_(lines, there, there)
+            g, noise = G[lines][:, there], V[cells]
+            size = np.sqrt(np.sum(np.abs(g) ** 2, axis=1, keepdims=True))
+            size = np.where(size > 0, size, 1.0)
+            P = _estimators(g / size, noise, kind[there] == 2)
+            v[lines] = (P @ y[lines][:, there, None])[..., 0] / size[:, 0]
+            rest = np.eye(len(there)) - (g / size) @ P
+            spread[cells] = rest @ noise @ hermitian(rest)
+            predicted[lines] = (G[lines] @ v[lines, :, None])[..., 0]
     return predicted, spread, v
 
 

@@ -46,7 +46,7 @@ class Merged:
         return self.p < DISAGREE
 
 
-def merged(model: Model, parts: Sequence[Estimate]) -> Merged:
+def merge_estimates(model: Model, parts: Sequence[Estimate]) -> Merged:
     """Merge estimates of the same unknowns of `model` from data that share no noise; none has batch axes.
 
     Each counts by its information from the sensors' noise; priors count once.  Intervals are widened where those of the

@@ -11,7 +11,7 @@ from dashpot.arrays import Real
 from dashpot.data.spectrum import Spectrum, concatenate
 from dashpot.errors import DataError
 from dashpot.estimate.identify import identify
-from dashpot.estimate.merging import DISAGREE, Merged, merged
+from dashpot.estimate.merging import DISAGREE, Merged, merge_estimates
 from dashpot.estimate.result import Estimate
 from dashpot.model.channel_noise import with_relative_noise
 from dashpot.model.network import Model
@@ -37,7 +37,7 @@ def spectra(rng: np.random.Generator, model: Model = READ.model, changed: float 
 
 
 def of_parts(parts: list[Spectrum], model: Model = READ.model) -> Merged:
-    return merged(model, [identify(model, part, "ml") for part in parts])
+    return merge_estimates(model, [identify(model, part, "ml") for part in parts])
 
 
 def with_prior(model: Model, sd: float) -> Model:
@@ -67,7 +67,7 @@ def test_the_sum_of_parabolas_written_out() -> None:
     estimates = [identify(READ.model, part, "ml") for part in spectra(np.random.default_rng(2))]
     total = sum(np.linalg.inv(each.noise_covariance) for each in estimates)
     weighted = sum(np.linalg.solve(each.noise_covariance, each.values) for each in estimates)
-    result = merged(READ.model, estimates)
+    result = merge_estimates(READ.model, estimates)
     expected: Real = np.linalg.solve(total, weighted)
     assert result.estimate.values == pytest.approx(expected, rel=1e-9)
     scatter = sum(
@@ -106,7 +106,7 @@ def test_parts_of_another_rig_disagree_and_widen_the_intervals() -> None:
 
 def test_one_part_is_itself() -> None:
     alone = identify(READ.model, spectra(np.random.default_rng(6))[0], "ml")
-    result = merged(READ.model, [alone])
+    result = merge_estimates(READ.model, [alone])
     assert result.estimate.values == pytest.approx(alone.values, rel=1e-12)
     assert result.estimate.sd == pytest.approx(alone.noise_sd, rel=1e-9)
     assert (result.chi2, result.dof, result.p) == (pytest.approx(0, abs=1e-12), 0, 1.0)
@@ -130,11 +130,11 @@ def test_what_cannot_be_merged_is_refused(change: object, said: str) -> None:
     first, second = (identify(READ.model, part, "ml") for part in spectra(np.random.default_rng(7))[:2])
     assert callable(change)
     with pytest.raises(DataError, match=said):
-        merged(READ.model, [first, change(second)])
+        merge_estimates(READ.model, [first, change(second)])
 
 
 def test_a_sensor_turned_between_parts_is_told() -> None:
     first, second = (identify(READ.model, part, "ml") for part in spectra(np.random.default_rng(8))[:2])
     up, down = (replace(each, signs={"x1": np.array(s)}) for each, s in ((first, 1.0), (second, -1.0)))
     with pytest.raises(DataError, match="sign of x1"):
-        merged(READ.model, [up, down])
+        merge_estimates(READ.model, [up, down])

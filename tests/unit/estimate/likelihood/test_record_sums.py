@@ -8,13 +8,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 
-from dashpot.arrays import Real
+from dashpot.arrays import Complex, Real
 from dashpot.channel import Quantity
 from dashpot.data.conditioning.whole_record import whole_record
 from dashpot.data.record import Record
 from dashpot.data.spectrum import Spectrum, concatenate
 from dashpot.estimate.likelihood import record_passes, record_pieces, record_sums
 from dashpot.estimate.likelihood.chunks import Measured
+from dashpot.estimate.likelihood.ends_shown import shown_by_ends
 from dashpot.estimate.likelihood.objective import local, measured, nuisance_columns, per_line, predict
 from dashpot.estimate.likelihood.record_kernel import compiled_passes
 from dashpot.estimate.preparation.prepared import prepare
@@ -85,6 +86,9 @@ def require_twins(given: Case) -> None:
         with instructions(name), using("compiled"):
             fresh = replace(given, data=replace(given.data))
             assert compiled_passes(fresh.data.record_pieces, fresh.psi, fresh.sign) is not None
+            require_ends_as_line_by_line(
+                fresh, predict(given.view, given.data, given.psi, given.sign).at_ends
+            )
             for values, expected in zip(numbers_of(fresh), twin, strict=True):
                 assert apart(values, expected) < TWINS
 
@@ -140,6 +144,14 @@ def require_as_line_by_line(given: Case) -> None:
     assert nuisance_columns(given.view, given.data, given.psi, given.sign) == slow.columns
     white, _ = record_sums.record_residuals(given.data.record_pieces, given.psi, given.sign)
     np.testing.assert_allclose(2 * np.sum(np.abs(white) ** 2, axis=(1, 2)), cost, rtol=1e-11)
+    require_ends_as_line_by_line(given, slow.at_ends)
+
+
+def require_ends_as_line_by_line(given: Case, slow: Complex | None) -> None:
+    assert slow is not None
+    shown = shown_by_ends(given.data, given.psi, given.sign)
+    size = np.max(np.abs(slow), axis=(1, 2), keepdims=True)
+    np.testing.assert_allclose(shown / size, slow / size, rtol=0, atol=1e-8)
 
 
 @pytest.mark.parametrize("n", [1, 2, 3])
