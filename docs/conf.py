@@ -60,6 +60,6 @@ python_use_unqualified_type_names = True
 python_maximum_signature_line_length = 72
 highlight_language = "text"
 smartquotes = False  # two hyphens begin an option
-toc_object_entries = False
+toc_object_entries_show_parents = "hide"
 # Fragments that pages include begin below the title of the page; a page that a glob names may not be written yet.
 suppress_warnings = ["myst.header", "toc.empty_glob"]

@@ -11,6 +11,7 @@ from dashpot.present.text.estimate import sentence
 from dashpot.present.text.numbers import probability, short
 
 ALTERNATIVES = 2  # causes named beside the first
+ALIKE = 1.25  # greatest over least of figures that a range stands for
 VERDICTS = {
     "fits": "The model fits",
     "does not fit": "The model does not fit",
@@ -53,12 +54,14 @@ def motion_in_words(assessment: Assessment) -> str:
 
 
 def _noise(assessment: Assessment) -> str:
-    """What of the difference is noise: a figure for each channel, in their order, or for all where they are alike."""
-    parts = [f"{short(100 * part, 2)} %" for part in assessment.relative_noise.values()]
-    if not parts:
+    """What of the difference is noise: a figure for each channel, in their order, or a range where they are alike."""
+    noise = assessment.relative_noise.values()
+    if not noise:
         return ""
-    alike = len(set(parts)) == 1
-    return f"; noise alone would leave {parts[0] if alike else joined(parts)}"
+    low, high = (f"{short(100 * size, 2)} %" for size in (min(noise), max(noise)))
+    parts = [f"{short(100 * size, 2)} %" for size in noise]
+    alike = low if low == high else f"{low.removesuffix(' %')} to {high}"
+    return f"; noise alone would leave {alike if max(noise) <= ALIKE * min(noise) else joined(parts)}"
 
 
 def diagnosis_in_words(findings: tuple[Finding, ...]) -> list[str]:
