@@ -12,7 +12,7 @@ from dashpot.data.readers.uff.numbers import from_ibm, from_vax
 from dashpot.data.readers.uff.reader import functions_of
 from dashpot.data.readers.uff.writer import write_functions, write_modes, write_uff_records
 from dashpot.errors import DashpotError, DataError
-from tests.unit.data.readers.written import CHANNELS, recording
+from tests.unit.data.readers.written import CHANNELS, packed, recording
 
 pyuff = pytest.importorskip("pyuff")
 # pyuff opens files without closing them.
@@ -151,6 +151,39 @@ def test_modes_both_ways(tmp_path):
     assert mode.frequency_hz == pytest.approx(2.5)
     assert mode.damping_ratio == pytest.approx(0.02)
     assert mode.shapes.real.tolist() == [[1.0, 0.0, 3.0], [2.0, 0.5, -1.0]]
+
+
+ONE, TWO = np.array([1.0, 2.0]), np.array([1 + 0.5j, 2 - 0.3j])
+MODES_OF_PYUFF = {
+    "real": ({"analysis_type": 2, "data_type": 2, "r1": ONE, "r2": 0 * ONE, "r3": -ONE}, 3),
+    "real, with rotations": (
+        {"analysis_type": 2, "data_type": 2, "data_ch": 3, **{f"r{k}": k * ONE for k in range(1, 7)}}, 6,
+    ),
+    "complex, by displacement": ({"analysis_type": 3, "data_type": 5, "r1": TWO, "r2": -TWO, "r3": 1j * TWO}, 3),
+    "complex, by velocity": ({"analysis_type": 7, "data_type": 5, "r1": TWO, "r2": -TWO, "r3": 1j * TWO}, 3),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("ending", [".unv", ".unv.gz"])
+@pytest.mark.parametrize("kind", MODES_OF_PYUFF)
+def test_modes_of_all_kinds_that_pyuff_writes_are_read(tmp_path, kind, ending):
+    content, directions = MODES_OF_PYUFF[kind]
+    real = content["analysis_type"] == 2
+    damped = {"freq": 2.5, "modal_m": 1.0, "modal_damp_vis": 0.02, "modal_damp_his": 0.0}
+    eigen = {"eig": -1 + 20j, "modal_a": 1 + 0j, "modal_b": 1 + 0j}
+    fields = {
+        "model_type": 1, "data_ch": 2, "spec_data_type": 8, "load_case": 0, "mode_n": 1,
+        "node_nums": np.array([1, 2]), **(damped if real else eigen), **content,
+    }  # fmt: skip
+    path = tmp_path / "theirs.unv"
+    pyuff.UFF(str(path)).write_sets(pyuff.prepare_55(**fields), mode="add")
+    if ending.endswith(".gz"):
+        path = packed(path)
+    (mode,) = modes_of(open_file(path))
+    w = 2 * np.pi * 2.5
+    expected = complex(-0.02 * w, w * np.sqrt(1 - 0.02**2)) if real else -1 + 20j
+    assert mode.eigenvalue == pytest.approx(expected, rel=1e-5)
+    assert mode.shapes == pytest.approx(np.stack([content[f"r{k + 1}"] for k in range(directions)], -1))
 
 
 @pytest.mark.parametrize("binary", [True, False])
