@@ -97,6 +97,15 @@ def _finding_in_time(notice: Notice) -> Finding:
     return Finding("time", notice.of, f"{notice.text}: {question}", remedy, None)
 
 
+def with_change_in_time(assessment: Assessment, notice: Notice) -> Assessment:
+    """The assessment with a change of one channel in the course of a record as its first reason and cause.
+
+    What else seems to change in time is what the fit to that channel makes of the others.
+    """
+    reasons = [reason for reason in assessment.reasons if reason.code not in TIME_CHANGES]
+    return replace(assessment, reasons=(notice, *reasons), findings=(_finding_in_time(notice),))
+
+
 def _sized_elsewhere(estimate: Estimate, spectrum: Spectrum) -> bool:
     """Whether the noise is known from more than these residuals, so that their size says whether they are noise."""
     return estimate.fit.known_noise and RESIDUAL not in spectrum.noise

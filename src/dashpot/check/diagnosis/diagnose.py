@@ -9,20 +9,21 @@ import numpy as np
 from dashpot.check.branches import several_motions
 from dashpot.check.curvature import with_profile_intervals
 from dashpot.check.diagnosis.causes import causes, points_of
+from dashpot.check.diagnosis.channel_changes import channel_changes
 from dashpot.check.diagnosis.directed import directed_causes
 from dashpot.check.diagnosis.nonlinear_elements import MARKED
 from dashpot.check.diagnosis.ranking import Cause
-from dashpot.check.diagnosis.record_changes import RigChanges, record_changes
+from dashpot.check.diagnosis.record_changes import RigChanges, record_changes, with_quiet_noise
 from dashpot.check.diagnosis.record_elements import called_for_in_records
 from dashpot.check.diagnosis.search import Workbench
 from dashpot.check.diagnosis.steady_lines import steady_lines
 from dashpot.check.diagnosis.wording import finding, nonlinear_finding
-from dashpot.check.verdict import BEYOND, UNTESTED, assess
+from dashpot.check.verdict import BEYOND, UNTESTED, assess, with_change_in_time
 from dashpot.data.spectrum import Spectrum
 from dashpot.errors import DashpotError
 from dashpot.estimate.assessment import Assessment, Finding
 from dashpot.estimate.identify import identify
-from dashpot.estimate.inference.time_course import TIME_CHANGES
+from dashpot.estimate.inference.time_course import TIME_CHANGES, change_notice
 from dashpot.estimate.likelihood.starting_values import candidates
 from dashpot.estimate.nonlinear.starting_values import linear_rig
 from dashpot.estimate.preparation.prepared import prepare
@@ -99,21 +100,7 @@ def examined(model: Model, spectrum: Spectrum, estimate: Estimate, *, seed: int 
     misfit = float(estimate.fit.misfit) ** 2
     elements_found = _nonlinear_elements(model, spectrum, estimate) if linear else ()
     if linear and (assessment.verdict == "does not fit" or not bool(estimate.converged)):
-        share = _left(elements_found[0]) / misfit if elements_found else 1.0
-        on_lines, causes_found = (
-            (misfit, ()) if share < EXPLAINED else _misfit_and_causes(model, spectrum, estimate, seed)
-        )
-        rigs = _other_rigs(model, spectrum, estimate) if share >= EXPLAINED else RigChanges()
-        if rigs.left < EXPLAINED:
-            causes_found = _with_rigs_first(model, spectrum, rigs, causes_found)
-        if rigs.left < min(EXPLAINED, share / 2) or _of_another_linear_rig(causes_found, on_lines, share):
-            elements_found = ()
-        elif share < 1 - MARKED:
-            causes_found = ()
-        assessment = replace(
-            assessment,
-            findings=_ranked(causes_found, assessment.findings, on_lines, surely=rigs.left < EXPLAINED),
-        )
+        assessment, elements_found = _diagnosed(model, spectrum, estimate, assessment, elements_found, seed)
     elif not linear and (assessment.verdict == "does not fit" or not bool(estimate.converged)):
         others = _in_place_of_laws(model, spectrum, misfit, seed)
         assessment = replace(assessment, findings=(*assessment.findings, *others))
@@ -122,11 +109,48 @@ def examined(model: Model, spectrum: Spectrum, estimate: Estimate, *, seed: int 
     return _closed(model, spectrum, *_without_changes_in_time(estimate, assessment))
 
 
+def _diagnosed(
+    model: Model, spectrum: Spectrum, estimate: Estimate, assessment: Assessment,
+    elements_found: tuple[Finding, ...], seed: int,
+) -> tuple[Assessment, tuple[Finding, ...]]:  # fmt: skip
+    """The assessment with the causes that explain its misfit, and the nonlinear elements that are still called for."""
+    misfit = float(estimate.fit.misfit) ** 2
+    share = _left(elements_found[0]) / misfit if elements_found else 1.0
+    on_lines, causes_found = (
+        (misfit, ()) if share < EXPLAINED else _misfit_and_causes(model, spectrum, estimate, seed)
+    )
+    rigs = _other_rigs(model, spectrum, estimate) if share >= EXPLAINED else RigChanges()
+    if rigs.left < EXPLAINED:
+        causes_found = _with_rigs_first(model, spectrum, rigs, causes_found)
+    explained = rigs.left < EXPLAINED or bool(_parted(causes_found)[0])
+    stepped = None if explained else _stepped_channel(model, spectrum, estimate, rigs)
+    if stepped is not None:
+        assessment, elements_found, share = with_change_in_time(assessment, stepped), (), 1.0
+    if rigs.left < min(EXPLAINED, share / 2) or _of_another_linear_rig(causes_found, on_lines, share):
+        elements_found = ()
+    elif share < 1 - MARKED:
+        causes_found = ()
+    assessment = replace(
+        assessment,
+        findings=_ranked(causes_found, assessment.findings, on_lines, surely=rigs.left < EXPLAINED),
+    )
+    return assessment, elements_found
+
+
 def _other_rigs(model: Model, spectrum: Spectrum, estimate: Estimate) -> RigChanges:
     """Rigs with one linear part otherwise, fitted to whole records; none where there are none."""
     if not spectrum.carries_loads or model.n > LARGEST:
         return RigChanges()
     return record_changes(model, spectrum, estimate)
+
+
+def _stepped_channel(model: Model, spectrum: Spectrum, estimate: Estimate, rigs: RigChanges) -> Notice | None:
+    """The channel whose gain or clock steps against all others, where the rig fits without it."""
+    if not np.isfinite(rigs.as_is):
+        return None
+    most = rigs.noise + EXPLAINED * max(rigs.as_is - rigs.noise, 0.0)
+    stepped = channel_changes(model, with_quiet_noise(spectrum)[0], estimate, most)
+    return change_notice(stepped[0].change, len(spectrum.records)) if stepped else None
 
 
 def _with_rigs_first(

@@ -47,22 +47,26 @@ class RigChanges:
         return max(self.causes[0].remaining - self.noise, 0.0) / (self.as_is - self.noise)
 
 
-def record_changes(model: Model, spectrum: Spectrum, estimate: Estimate | None) -> RigChanges:
-    """What a missing linear element, or a stated value that is wrong, explains of whole records.
+def with_quiet_noise(spectrum: Spectrum) -> tuple[Spectrum, float]:
+    """The spectrum of whole records for trials, and χ² per degree of freedom that noise alone leaves there.
 
     Noise that was read from the residuals of this very rig is taken to be as low as where it is lowest.
     """
+    if RESIDUAL not in spectrum.noise:
+        return spectrum, 1.0
+    variance = working_noise(spectrum)[:, :, None] * np.eye(len(spectrum.channels))
+    return replace(spectrum, covariance=variance.astype(np.complex128)), QUIETEST
+
+
+def record_changes(model: Model, spectrum: Spectrum, estimate: Estimate | None) -> RigChanges:
+    """What a missing linear element, or a stated value that is wrong, explains of whole records."""
     if (
         estimate is None
         or not np.all(np.isfinite(estimate.values))
         or spectrum.amplitudes.size > MOST_AMPLITUDES
     ):
         return RigChanges()
-    quiet, noise = spectrum, 1.0
-    if RESIDUAL in spectrum.noise:
-        noise = QUIETEST
-        variance = working_noise(spectrum)[:, :, None] * np.eye(len(spectrum.channels))
-        quiet = replace(spectrum, covariance=variance.astype(np.complex128))
+    quiet, noise = with_quiet_noise(spectrum)
     try:
         data = prepare(model, quiet, states=False)
     except DashpotError:
@@ -75,7 +79,7 @@ def record_changes(model: Model, spectrum: Spectrum, estimate: Estimate | None) 
         return RigChanges()
     tried = [
         Cause(each.kind, points_of(each.element, model), each.reduced, each.number, element=each.element)
-        for each in changes(Workbench(data, ends[0], sign[0]), ends[0])
+        for each in changes(Workbench(data, ends[0], sign[0]), ends[0], NAMED)
         if each.reduced - noise < HELPS * (as_is - noise)
     ]
     return RigChanges(as_is, tuple(sorted(tried, key=lambda cause: cause.remaining)[:NAMED]), noise)

@@ -71,15 +71,15 @@ def stated_values(model: Model) -> list[Element]:
     ]
 
 
-def changes(bench: Workbench, psi: Real) -> list[Change]:
-    """The candidates that the score says would help most, fitted in full from ψ (M,)."""
+def changes(bench: Workbench, psi: Real, followed: int = FOLLOWED) -> list[Change]:
+    """The candidates that the score says would help most, `followed` of them fitted in full from ψ (M,)."""
     model = bench.data.model
     scored = [
         *_scores(bench, psi, "element", missing_elements(model)),
         *_scores(bench, psi, "value", stated_values(model)),
     ]
     scored.sort(key=lambda entry: -entry[0])
-    return [_fitted(bench, psi, kind, element) for fall, kind, element in scored[:FOLLOWED] if fall > 0]
+    return [_fitted(bench, psi, kind, element) for fall, kind, element in scored[:followed] if fall > 0]
 
 
 def extended(bench: Workbench, psi: Real, elements: Sequence[Element]) -> tuple[Prepared, Real]:

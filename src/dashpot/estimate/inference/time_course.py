@@ -18,6 +18,7 @@ from scipy.special import fdtrc, ndtri
 from dashpot.arrays import Complex, Ints, Real
 from dashpot.data.spectrum import Spectrum
 from dashpot.data.stretch import WholeRecord, history_of_lines, samples_of_squares
+from dashpot.estimate.inference.clock_slip import slip, step_sample
 from dashpot.estimate.likelihood.objective import measured
 from dashpot.estimate.likelihood.record_noise import residuals_of_records
 from dashpot.estimate.method import Solution
@@ -138,7 +139,7 @@ def _of_record(whitened: Whitened, spectrum: Spectrum, number: int, outputs: Int
     by_block = np.zeros((3, blocks))
     for c, count in shown.items():  # histories of one channel at a time: those of long records are large
         of = _histories(whitened(lines, c), spectrum, lines, c, count)
-        steps += [change for change in (_gain_change(of), _clock_change(of)) if change is not None]
+        steps += _steps(of)
         jumps += [jump for jump in (_jump(of),) if jump is not None]
         if blocks >= FEWEST_BLOCKS:
             by_block += _of_blocks(of, blocks)
@@ -245,6 +246,24 @@ class _Change:
         return TimeChange(kind, (of.channel,), of.record, self.time_s, size, self.gradual)
 
 
+def _steps(of: _Histories) -> list[TimeChange]:
+    """Changes of the channel's gain or clock; where motion that is later or earlier says more, a slip of the clock.
+
+    What is late by a good part of a cycle lacks more than its slope: it reads less, or has turned.
+    """
+    changes = [change for change in (_gain_change(of), _clock_change(of)) if change is not None]
+    for change in changes:
+        slipped = (
+            None
+            if change.gradual
+            else slip(of.residual + of.prediction, of.prediction, change.time_s / of.step_s)
+        )
+        if slipped is not None:
+            late_s = slipped.samples * of.step_s
+            return [TimeChange("clock", (of.channel,), of.record, slipped.turn * of.step_s, late_s)]
+    return changes
+
+
 def _gain_change(of: _Histories) -> TimeChange | None:
     """A change of the channel's gain."""
     change = _change(of, of.prediction)
@@ -298,16 +317,8 @@ def _change(of: _Histories, shape: Real) -> _Change | None:
         half = (line[1] - line[0]) / 2  # from the middle of a part to its end
         return _Change(len(e) * of.step_s, float(line[0] - half), float(line[-1] + half), gradual=True)
     before, after = float(fitted[0]), float(fitted[-1])
-    turn = _turn(e * shape, shape**2, (before, after), edges[best], edges[best + 2])
+    turn = step_sample(e * shape, shape**2, (before, after), edges[best], edges[best + 2])
     return _Change(turn * of.step_s, before, after, gradual=False)
-
-
-def _turn(product: Real, power: Real, shares: tuple[float, float], begin: int, end: int) -> int:
-    """The sample from begin to end at which the share steps: least squares of the residual there."""
-    before, after = shares
-    # What a sample adds to the sum of squares with the share before, less what it adds with the one after.
-    change = -2 * (before - after) * product[begin:end] + (before**2 - after**2) * power[begin:end]
-    return int(begin + np.argmin(np.cumsum(change)) + 1)
 
 
 def _of_blocks(of: _Histories, blocks: int) -> Real:
@@ -363,20 +374,12 @@ def change_in_words(change: TimeChange, records: int) -> str:
         return f"the residuals jump near {where} and decay again"
     names = joined(change.channels)
     if change.kind == "gain":
-        times = f"{names} reads {change.size:.3g} × as much"
-        return (
-            f"{times} at the end as at the start{record}"
-            if change.gradual
-            else f"{times} after {where} as before"
-        )
+        when = f"at the end as at the start{record}" if change.gradual else f"after {where} as before"
+        return f"{names} reads {change.size:.3g} × as much {when}"
     if change.kind == "clock":
         word = "later" if change.size > 0 else "earlier"
-        late = f"{names} is {1e3 * abs(change.size):.3g} ms {word}"
-        return (
-            f"{late} at the end than at the start{record}"
-            if change.gradual
-            else f"{late} after {where} than before"
-        )
+        when = f"at the end than at the start{record}" if change.gradual else f"after {where} than before"
+        return f"{names} is {1e3 * abs(change.size):.3g} ms {word} {when}"
     several = len(change.channels) > 1
     again = f" and at {change.times - 1} more times" if change.times > 1 else ""
     return f"{names} jump{'' if several else 's'} off the prediction at {where} ({change.size:.0f} sd){again}"

@@ -105,6 +105,19 @@ def test_a_clock_that_changes_is_found_with_its_time_and_size(gradual: bool) -> 
     assert change_in_words(change, 1).endswith(words)
 
 
+@pytest.mark.parametrize("samples", [1, 3, 12, 40, -8])
+def test_a_clock_that_slips_by_more_than_a_part_of_a_cycle_is_no_gain(samples: int) -> None:
+    """The shortest cycle is three samples, the usual one six."""
+    rng = np.random.default_rng(10)
+    x = motion(rng)
+    y = x + NOISE * rng.normal(size=x.shape)
+    y[600:, 0] += np.roll(x[:, 0], samples)[600:] - x[600:, 0]
+    (change,) = changes(y, x)
+    assert (change.kind, change.channels, change.gradual) == ("clock", ("x1",), False)
+    assert change.size == pytest.approx(samples * STEP_S, rel=0.1)
+    assert change.time_s == pytest.approx(6.0, abs=0.03)
+
+
 def test_gains_of_both_channels_that_differ_are_no_channel_s_step() -> None:
     """A rig that does not fit reads otherwise wherever the drive has moved on."""
     rng = np.random.default_rng(7)

@@ -1,0 +1,72 @@
+"""Clocks and gains of single channels that step in the course of a record, to which a fit of all channels gives way."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import dashpot
+from dashpot.data.record import Record
+from dashpot.model.network import Model
+from tests.whole_rigs import chain, record_of
+
+
+@pytest.fixture(scope="module")
+def test_of_three() -> tuple[Model, Record]:
+    """Three masses on a shaken base with 1 % noise."""
+    model, _ = chain(3, 0.03, base=True, seed=3)
+    record = record_of(*chain(3, 0.03, base=True, seed=3), "random", decay_times=5, seed=2).record
+    noise = np.random.default_rng(5).normal(size=record.values.shape) * [1, 1, 1, 0]
+    return model, replace(record, values=record.values + 0.01 * record.values.std(axis=0) * noise)
+
+
+def slipped(record: Record, samples: int) -> Record:
+    """x2 late by so many samples from the middle on."""
+    values = np.array(record.values)
+    middle = len(values) // 2
+    values[middle:, 1] = record.values[middle - samples : len(values) - samples, 1]
+    return replace(record, values=values)
+
+
+@pytest.mark.parametrize("cycles", [0.1, 0.35, 1.3])
+@pytest.mark.long
+def test_a_clock_that_slips_by_any_part_of_a_cycle_is_named_as_such(
+    test_of_three: tuple[Model, Record], cycles: float
+) -> None:
+    """From a quarter of a cycle on it was a gain that changed, or a nonlinear element."""
+    model, record = test_of_three
+    step = float(record.time[1] - record.time[0])
+    power = np.abs(np.fft.rfft(record.values[:, 1])) ** 2
+    main_hz = float(np.argmax(power)) / (len(record.time) * step)
+    samples = max(1, round(cycles / main_hz / step))
+    estimate = dashpot.identify(model, slipped(record, samples), diagnose=True)
+    assert estimate.assessment is not None
+    assert estimate.assessment.verdict == "does not fit"
+    first = estimate.assessment.findings[0]
+    assert (first.kind, first.of) == ("time", ("x2_dis",))
+    late_ms = float(first.text.split(" is ")[1].split()[0])
+    assert late_ms == pytest.approx(1e3 * samples * step, rel=0.03, abs=0.2e3 * step)
+    at_s = float(first.text.split(" after ")[1].split()[0])
+    assert at_s == pytest.approx(record.time[len(record.time) // 2], abs=6 * step)
+    assert [each.kind for each in estimate.assessment.findings].count("time") == 1
+
+
+@pytest.mark.long
+def test_a_gain_that_steps_is_no_slip(test_of_three: tuple[Model, Record]) -> None:
+    model, record = test_of_three
+    values = np.array(record.values)
+    values[len(values) // 2 :, 1] *= 0.7
+    estimate = dashpot.identify(model, replace(record, values=values), diagnose=True)
+    assert estimate.assessment is not None
+    first = estimate.assessment.findings[0]
+    assert (first.kind, first.of) == ("time", ("x2_dis",))
+    assert first.text.startswith("x2_dis reads 0.7 × as much after")
+
+
+def test_a_record_without_a_step_has_none(test_of_three: tuple[Model, Record]) -> None:
+    model, record = test_of_three
+    estimate = dashpot.identify(model, record, diagnose=True)
+    assert estimate.assessment is not None
+    assert estimate.assessment.findings == ()
