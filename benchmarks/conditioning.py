@@ -3,10 +3,11 @@
 `python3 dev.py bench conditioning`, or with `--tests 1000 --coverage` the number that is claimed. Each test is a
 stepped sine of a rig of two coordinates at eight frequencies: one to fifty periods a dwell, 12 to 40 samples a
 period, 0.3 to 5 % noise, and some of: a converter of 8 to 16 bits, an offset with a slope, stated frequencies off by
-up to 2 %, jitter of the stamps, mains hum, transients from dwell to dwell. Printed are, for each of these, how many
-95 % intervals hold the truth and the rms error over that of whichever of ten sets of options does best there, known
-afterwards. Errors are counted in deviations of the Cramér-Rao bound (the median of all answers to the test): a test
-whose answers happen to lie near the truth then decides no row.
+up to 2 %, jitter of the stamps, mains hum, transients from dwell to dwell, a channel that clips, a drive whose
+amplitude drifts by up to 6 % within a dwell. Printed are, for each of these, how many 95 % intervals hold the truth and
+the rms error over that of whichever of ten sets of options does best there, known afterwards. Errors are
+counted in deviations of the Cramér-Rao bound (the median of all answers to the test): a
+test whose answers happen to lie near the truth then decides no row.
 
 With `--kept FILE` each test is a line of that file, and those already in it are not done again: a long run may be cut
 and go on, or be shared out to processes of which each has its own `--tests` and `--seed`, and the table is of all.
@@ -41,6 +42,7 @@ MODEL, THETA = chain(2, 0.08, seed=1)
 CHANNELS: tuple[Channel, ...] = record_of(MODEL, THETA, "random", decay_times=0.1).record.channels
 FREQUENCIES = (4.0, 5.2, 6.5, 8.0, 10.0, 12.5, 15.0, 18.0)
 TROUBLES = ("quantised", "slope", "frequency", "jitter", "hum", "transients")
+LATER = ("clipped", "fading")  # drawn by a generator of their own: tests of the others stay what they were
 OPTIONS = {
     f"drift {drift}, refine {refine}, transients {transients}, noise {noise}": Conditioning(
         drift=drift, refine=refine, transients=transients, noise=noise
@@ -67,13 +69,18 @@ def dwells(rng: np.random.Generator, troubles: frozenset[str], most: float = 50.
     stated = 1 + rng.uniform(-0.02, 0.02) * ("frequency" in troubles)
     slope, bits = rng.uniform(0.02, 0.3) * ("slope" in troubles), int(rng.integers(8, 17))
     state: Real = np.zeros(2 * MODEL.n)
+    own = np.random.default_rng(rng.integers(2**32) if {"clipped", "fading"} & troubles else 0)
     records = []
     for f in FREQUENCIES:
+        fade, limit = own.uniform(-0.03, 0.03), own.uniform(1.1, 1.4)
         step = 1 / (each * f)
         wait = 0 if "transients" in troubles else int(4.0 / step)
         count = wait + max(int(each * periods), 16)
         fine = np.arange(8 * count + 1) * step / 8
-        motion = integrator(MODEL, p, step / 8).motion(np.sin(2 * np.pi * f * fine)[:, None] * 1e-3, state)
+        drive = np.sin(2 * np.pi * f * fine) * 1e-3
+        if "fading" in troubles:
+            drive *= 1 + fade * np.linspace(-1, 1, len(fine))
+        motion = integrator(MODEL, p, step / 8).motion(drive[:, None], state)
         state = np.concatenate([motion.x[-1], motion.v[-1]])
         y = channel_samples(view, p, motion)[:-1:8][wait:]
         t, size = step * np.arange(len(y)), np.std(y, axis=0)
@@ -84,6 +91,8 @@ def dwells(rng: np.random.Generator, troubles: frozenset[str], most: float = 50.
         y = y + slope * size * np.linspace(-1, 1, len(t))[:, None] * rng.normal(size=y.shape[1])
         if "hum" in troubles:
             y = y + 0.02 * size * np.sin(2 * np.pi * 50 * t + rng.uniform(0, 6))[:, None]
+        if "clipped" in troubles:
+            y[:, 0] = np.clip(y[:, 0], -limit * size[0], limit * size[0])
         if "quantised" in troubles:
             code = 4 * size / 2**bits
             y = np.round(y / code) * code
@@ -147,6 +156,8 @@ def tried(seed: int, only: str | None, periods: float, others: Iterable[Conditio
     """One test, by the defaults and by other options."""
     rng = np.random.default_rng(seed)
     drawn = frozenset(t for t in TROUBLES if rng.random() < 0.25)
+    later = np.random.default_rng([seed, 1])
+    drawn |= frozenset(t for t in LATER if later.random() < 0.25)
     chosen = frozenset([only]) if only else drawn
     records = dwells(rng, chosen, periods)
     usual = answer(records, None)
@@ -162,7 +173,7 @@ def show(tests: list[Tried], coverage: bool) -> None:
         f"{'':12}{'tests':>6}{'coverage':>10}" + ("" if coverage else f"{'over the best':>21}  best option")
     )
     answered = [test for test in tests if test.held]
-    for trouble in ("nothing", *TROUBLES, "all"):
+    for trouble in ("nothing", *TROUBLES, *LATER, "all"):
         some = [test for test in answered if trouble in (*(test.troubles or ["nothing"]), "all")]
         if not some:
             continue
@@ -179,7 +190,9 @@ def main() -> None:
     options = argparse.ArgumentParser(description=__doc__)
     options.add_argument("--tests", type=int, default=60)
     options.add_argument("--seed", type=int, default=0)
-    options.add_argument("--only", choices=TROUBLES, help="nothing but this trouble, in every test")
+    options.add_argument(
+        "--only", choices=(*TROUBLES, *LATER), help="nothing but this trouble, in every test"
+    )
     options.add_argument("--periods", type=float, default=50.0, help="of a dwell, at most")
     options.add_argument(
         "--coverage", action="store_true", help="the defaults alone, ten times as many in a time"

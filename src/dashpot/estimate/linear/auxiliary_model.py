@@ -112,7 +112,7 @@ def sums_of_lines(
     information: Real, scores: Real, cost: Real, theta: Real, precision: Real, mean: Real
 ) -> QuadraticModel:
     """Sums over lines of what belongs to each, (K, lines, …), with the rows of priors (m,)."""
-    away = theta - mean
+    away = np.where(precision > 0, theta - mean, 0.0)  # θ without a prior may be beyond what has a square
     total = np.sum(information, axis=-3) + np.diag(precision)
     return QuadraticModel(
         np.sum(cost, axis=-1) + np.sum(precision * away**2, axis=-1),

@@ -80,7 +80,8 @@ def secant_of(p: Real, a: Real, q: Real) -> Complex:
     """Describing function p a₁/δ₁ of each nonlinear element, (N, e), its parts at least 0."""
     d1, a1 = complex_of(q)[..., 1], complex_of(a)[..., 1]
     size = np.abs(d1)
-    ratio = p * a1 * np.conj(d1) / np.where(size > 0, size, 1.0) ** 2
+    with np.errstate(all="ignore"):  # of the smallest numbers, whose square is 0
+        ratio = p * a1 * np.conj(d1) / np.where(size > 0, size, 1.0) ** 2
     ratio = np.where((size > 0) & np.isfinite(ratio), ratio, 0.0)
     positive: Complex = np.maximum(ratio.real, 0.0) + 1j * np.maximum(ratio.imag, 0.0)
     return positive
