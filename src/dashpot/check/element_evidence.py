@@ -7,7 +7,7 @@ residuals of whole records count as N over the square of what colour does to int
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Sequence, Set
 from dataclasses import dataclass, replace
 from itertools import combinations
 from typing import Any
@@ -157,8 +157,13 @@ def compare_in_records(
         if progress is not None:
             progress(done + 1, len(trials))
     fits.sort(key=lambda one: -one.evidence)
-    best = fits[0] if fits and fits[0].evidence > DECISIVE else None
-    return ElementComparison(model.name, numbers, tuple(fits), best)
+    return ElementComparison(model.name, numbers, tuple(fits), _called_for(fits))
+
+
+def _called_for(ranked: Sequence[ElementEvidence]) -> ElementEvidence | None:
+    """The fewest elements beside which more are not worth their unknowns; None where none is.  Best first."""
+    worth = [one for one in ranked if one.evidence > max(DECISIVE, ranked[0].evidence - DECISIVE)]
+    return min(worth, key=lambda one: len(one.elements)) if worth else None
 
 
 def with_nothing(model: Model) -> Model:
@@ -286,9 +291,8 @@ def _evidence(
         named = replace(with_open_constants(element), name=free_name(model, element))
         names.append(named.name)
         model = replace(model, elements=(*model.elements, named))
-    try:
-        found = fit_records(_with_guesses(model, estimate), records, exact_inputs=True)
-    except DashpotError:
+    found = _fitted(model, base, estimate, fitted, records)
+    if found is None:
         return None
     share = found.problem.sd / fitted.problem.sd
     if float(np.mean(np.log(share))) > 0:  # a larger rig fits no worse: its search has gone astray
@@ -297,9 +301,42 @@ def _evidence(
     added = len(unknowns) - len(base.unknowns)
     weight = numbers / len(share)
     ln_evidence = -weight * float(np.sum(np.log(share))) - added / 2 * np.log(numbers)
-    elements = tuple(element for element in found.problem.model.elements if element.name in names)
     values = tuple(float(found.psi[unknowns.index(name)]) for name in names)
+    guesses = dict(zip(names, values, strict=True))
+    elements = tuple(
+        replace(element, guess=float(f"{guesses[element.name]:.4g}"))
+        for element in found.problem.model.elements
+        if element.name in names
+    )
     return ElementEvidence(elements, values, float(np.exp(np.mean(np.log(share)))), float(ln_evidence))
+
+
+def _fitted(
+    model: Model, base: Model, estimate: Estimate, before: FittedRecords, records: Sequence[Record]
+) -> FittedRecords | None:
+    """The larger rig fitted; None where that fails.
+
+    Where all is seen the motion itself tells better where to begin than the fit of the smaller rig does, whose linear
+    parts make up for what it lacks.
+    """
+    seen = all(measured_coordinates(model, record) is not None for record in before.problem.records)
+    stateless = not any(e.force_law is not None and e.force_law.has_state for e in model.elements)
+    stated = {element.name for element in base.elements if element.guess is not None}
+    starts = [_without_guesses(model, stated)] if seen and stateless else []
+    for start in (*starts, _with_guesses(model, estimate)):
+        try:
+            found = fit_records(start, records, exact_inputs=True)
+        except DashpotError:
+            continue
+        if found.converged:
+            return found
+    return None
+
+
+def _without_guesses(model: Model, stated: Set[str]) -> Model:
+    """The model without guesses but those that are stated in the rig."""
+    elements = [e if e.name in stated else replace(e, guess=None) for e in model.elements]
+    return replace(model, elements=tuple(elements))
 
 
 def _with_guesses(model: Model, estimate: Estimate) -> Model:
