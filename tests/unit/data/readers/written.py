@@ -235,7 +235,7 @@ WRITERS: dict[str, tuple[str, Callable[[Path, list[Record]], None]]] = {
     "TDMS": (".tdms", _tdms),
     "MDF": (".mf4", _mdf),
     "UFF": (".uff", _uff),
-    "UFF, single precision, high byte first": (".unv", partial(_uff, double=False, little=False)),
+    "UFF, single precision, high byte first": (".uff", partial(_uff, double=False, little=False)),
     "UFF as text": (".uff", partial(_uff, binary=False)),
 }
 
