@@ -40,6 +40,16 @@ def test_parts_are_merged_the_same_by_two_workers(dashpot: Command, files: list[
     assert dashpot("validate", "one.json", files[0]).code == 0
 
 
+@pytest.mark.long
+def test_a_cluster_merges_parts_to_the_same_bits(dashpot: Command, files: list[str]) -> None:
+    pytest.importorskip("distributed")
+    shared = ("--dask", "local", "--workers", "2")
+    for name, how in (("one.json", ("--workers", "1")), ("dask.json", shared)):
+        done = dashpot("identify", "rig.toml", *files, "--in-parts", "--json", name, "-q", *how)
+        assert done.code == 0, done.err
+    assert Path("one.json").read_bytes() == Path("dask.json").read_bytes()
+
+
 def test_a_report_of_merged_parts_says_what_it_rests_on(dashpot: Command, files: list[str]) -> None:
     done = dashpot("identify", "rig.toml", *files, "--in-parts", "--workers", "1", "--report", "out.html")
     assert done.code == 0, done.err
