@@ -122,23 +122,12 @@ def residuals(
 
     Raises DataError where a channel measures what the rig has not, ModelError where the rig has no steady response.
     """
-    p = model.parameters(np.asarray(theta, dtype=float))
     known = spectrum.noise_known
     y = spectrum.amplitudes
     V = working_covariance(observation_model(model, spectrum.channels, spectrum.omega), spectrum)
     if not known:
         V = _relative(y, V)
-    if len(model.nonlinear):
-        estimated = {} if calibrations is None else calibrations
-        predicted, v = predicted_lines(model, np.asarray(theta, dtype=float), spectrum, V, estimated)
-        # Inputs that are all but exact are met to the floor that the likelihood gives them.
-        floor = FLOOR * np.max(np.abs(np.nan_to_num(y)), axis=0, initial=0.0)
-        spread = V + np.diag(floor**2)
-    else:
-        G = channel_response(model, p, spectrum.channels, spectrum.omega, calibrations)
-        transients = _transients(model, theta, spectrum, V, calibrations)
-        predicted, spread, v = _project(G, y - transients, V)
-        predicted = predicted + transients
+    predicted, spread, v = _predicted(model, theta, spectrum, V, calibrations)
     difference = y - predicted
     size = np.diagonal(V, axis1=-2, axis2=-1).real
     variance = np.diagonal(spread, axis1=-2, axis2=-1).real
@@ -166,6 +155,24 @@ def residuals(
         v,
         not known,
     )
+
+
+def _predicted(
+    model: Model, theta: Real, spectrum: Spectrum, V: Complex, calibrations: Calibrations | None
+) -> tuple[Complex, Complex, Complex]:
+    """Channels as the rig has them with the inputs that fit best, covariance of what is left, and those inputs."""
+    y = spectrum.amplitudes
+    if len(model.nonlinear):
+        estimated = {} if calibrations is None else calibrations
+        predicted, v = predicted_lines(model, np.asarray(theta, dtype=float), spectrum, V, estimated)
+        # Inputs that are all but exact are met to the floor that the likelihood gives them.
+        floor = FLOOR * np.max(np.abs(np.nan_to_num(y)), axis=0, initial=0.0)
+        return predicted, V + np.diag(floor**2), v
+    p = model.parameters(np.asarray(theta, dtype=float))
+    G = channel_response(model, p, spectrum.channels, spectrum.omega, calibrations)
+    transients = _transients(model, theta, spectrum, V, calibrations)
+    predicted, spread, v = _project(G, y - transients, V)
+    return predicted + transients, spread, v
 
 
 def _transients(

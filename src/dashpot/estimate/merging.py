@@ -142,7 +142,7 @@ def _estimate(
 
 
 def _together(each: Sequence[Sequence[Notice]]) -> tuple[Notice, ...]:
-    """What is noticed in any part, once, and in how many it is."""
+    """What is noticed in any part, once, and in how many it is where that is not all."""
     first: dict[tuple[str, tuple[str, ...]], Notice] = {}
     count: dict[tuple[str, tuple[str, ...]], int] = {}
     for notices in each:
@@ -150,6 +150,8 @@ def _together(each: Sequence[Sequence[Notice]]) -> tuple[Notice, ...]:
             first.setdefault(key, notice)
             count[key] = count.get(key, 0) + 1
     return tuple(
-        replace(notice, text=f"{notice.text} ({count[key]} of {len(each)} parts)")
+        notice
+        if count[key] == len(each)
+        else replace(notice, text=f"{notice.text} ({count[key]} of {len(each)} parts)")
         for key, notice in first.items()
     )

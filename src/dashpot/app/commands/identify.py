@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -34,13 +33,10 @@ from dashpot.app.parameter_types import PART
 from dashpot.app.report_files import failure_reported, report_option
 
 if TYPE_CHECKING:
+    from dashpot.app.identifying import Identified
     from dashpot.check.validation import RecordPrediction
-    from dashpot.data.conditioning.used_dwells import UsedDwell
-    from dashpot.data.record import Record
     from dashpot.data.spectrum import Spectrum
-    from dashpot.errors import ConvergenceError, DashpotError, IdentifiabilityError
     from dashpot.estimate.result import Estimate
-    from dashpot.model.network import Model
     from dashpot.model.rigfile import Rig
 
 ESTIMATION = "Estimation"
@@ -95,51 +91,39 @@ def command(
     Exit codes: 0 done, whatever the verdict; 2 bad usage, model or data; 3 the data do not determine the unknowns, or
     the iteration did not converge; 4 with --strict, the model does not fit.
     """
-    from dashpot.app.data_files import measured_data, part_of, read_files
-    from dashpot.app.in_parts import estimate_in_parts, require_in_parts, treatment_from
+    from dashpot.app.identifying import Identified, Search, identified_in_parts, identified_together
+    from dashpot.app.in_parts import require_in_parts
     from dashpot.app.measured_modes import modal_estimate
 
     whole = {"--hold-out": hold_out is not None, "--figure": figure is not None}
     require_in_parts(in_parts, whole | {"--workers": workers is not None, "--dask": dask is not None})
     unsuited = {"--method": chosen != "auto", "--positive": positive, "--matrices": matrices}
     unsuited |= whole | {"--in-parts": in_parts}
-    spectrum: Spectrum | None = None
-    dwells: tuple[UsedDwell, ...] = ()
-    untried: tuple[str, ...] = ()
     used = (0.0, 1.0 - (hold_out or 0.0))
     with failure_reported(report, rig):
         of_modes = modal_estimate(rig, data, modal_sd, seed, quiet, unsuited)
+        search = Search(rig, chosen, positive, seed, quiet)
         if of_modes is not None:
-            rig_read, estimate = of_modes
+            found = Identified(*of_modes)
+        elif in_parts:
+            found = identified_in_parts(
+                search, _rig(rig, chosen, positive, matrices), data, conditioning, workers, dask
+            )
         else:
             rig_read = _rig(rig, chosen, positive, matrices)
-        if of_modes is None and in_parts:
-            treatment = treatment_from(rig_read, chosen, positive, seed, conditioning, quiet)
-            estimate = estimate_in_parts(rig, rig_read, data, treatment, workers, dask, quiet)
-        elif of_modes is None:
-            reading = read_files(rig_read, data, conditioning, quiet)
-            if len(rig_read.model.nonlinear) and reading.continuous:
-                records = part_of(reading, used).records
-                estimate = _of_whole_records(rig, rig_read, records, conditioning, chosen, quiet)
-            else:
-                measured = measured_data(
-                    rig_read, reading, conditioning, quiet, moments_for=[chosen], part=used,
-                    with_dwells=report is not None,
-                )  # fmt: skip
-                lines, untried, dwells = measured.spectrum, measured.untried, measured.dwells
-                estimate, spectrum = _estimated(rig, rig_read, lines, chosen, positive, seed, quiet)
-    held = () if hold_out is None else _predicted(rig_read, estimate, data, conditioning, (used[1], 1.0))
-    shown = (
-        spectrum is None and of_modes is None and not in_parts and (figure is not None or report is not None)
+            found = identified_together(search, rig_read, data, conditioning, used, report is not None)
+    held = (
+        () if hold_out is None else _predicted(found.rig, found.estimate, data, conditioning, (used[1], 1.0))
     )
-    histories = _histories(rig_read, estimate, data, conditioning, used, figure) if shown else ()
-    _draw(figure, rig_read, spectrum, estimate, histories)
-    _write_report(report, rig_read, spectrum, estimate, level, held, untried, dwells, histories)
-    write_result(json_out, estimate.to_json())
-    _apply(rig_read, estimate, apply)
+    drawn = found.in_time and (figure is not None or report is not None)
+    histories = _histories(found.rig, found.estimate, data, conditioning, used, figure) if drawn else ()
+    _draw(figure, found.rig, found.spectrum, found.estimate, histories)
+    _write_report(report, found, level, held, histories)
+    write_result(json_out, found.estimate.to_json())
+    _apply(found.rig, found.estimate, apply)
     if not quiet and json_out != STDOUT:
-        _show(rig_read, estimate, level, matrices, untried, held)
-    return _ending(estimate, strict)
+        _show(found.rig, found.estimate, level, matrices, found.untried, held)
+    return _ending(found.estimate, strict)
 
 
 def _draw(
@@ -162,8 +146,7 @@ def _draw(
 
 
 def _write_report(
-    path: str | None, rig: Rig, spectrum: Spectrum | None, estimate: Estimate, level: float,
-    held: tuple[RecordPrediction, ...], untried: tuple[str, ...], dwells: tuple[UsedDwell, ...],
+    path: str | None, found: Identified, level: float, held: tuple[RecordPrediction, ...],
     histories: tuple[RecordPrediction, ...],
 ) -> None:  # fmt: skip
     """Write the report, if to a path."""
@@ -173,15 +156,15 @@ def _write_report(
     from dashpot.present.pages.report import identification_report
 
     page = identification_report(
-        rig.model,
-        spectrum,
-        estimate,
+        found.rig.model,
+        found.spectrum,
+        found.estimate,
         level,
         provenance(),
-        channels=rig.channels,
+        channels=found.rig.channels,
         held_out=held,
-        untried=untried,
-        dwells=dwells,
+        untried=found.untried,
+        dwells=found.dwells,
         histories=histories,
     )
     write_report(path, page)
@@ -204,66 +187,6 @@ def _rig(path: str, chosen: str, positive: bool, matrices: bool) -> Rig:
     if chosen != "auto":
         require_scale_seen(method_class(chosen), rig.model, rig.channels, path)
     return rig
-
-
-def _of_whole_records(
-    path: str, rig: Rig, records: Sequence[Record], options: dict[str, Any], chosen: str, quiet: bool
-) -> Estimate:
-    """The estimate from continuous records of a nonlinear rig, examined."""
-    from dataclasses import replace
-
-    from dashpot.app.data_files import conditioning_from, with_noise_record
-    from dashpot.app.progress import progress
-    from dashpot.check.record_verdict import examined_records, explained
-    from dashpot.errors import IdentifiabilityError, UsageError
-    from dashpot.estimate.nonlinear.whole_record import fit_records
-
-    if options.get("record_band") is not None:
-        cause = "--band chooses frequencies, and whole records of nonlinear rigs are followed in time"
-        raise UsageError(cause, cure="leave it out")
-    wanted = None if chosen == "auto" else chosen
-    still = with_noise_record(conditioning_from(options), rig, options, quiet).still
-    with progress("identify", quiet) as moved:
-        fitted = fit_records(rig.model, records, wanted, still=still, progress=moved)
-        try:
-            estimate = fitted.estimate()
-        except IdentifiabilityError as error:
-            raise explained(error, rig.model, records) from error
-    with progress("examine", quiet):
-        return replace(examined_records(rig.model, records, estimate, fitted), rig=path)
-
-
-def _estimated(
-    path: str, rig: Rig, spectrum: Spectrum, chosen: str, positive: bool, seed: int, quiet: bool
-) -> tuple[Estimate, Spectrum]:
-    """The estimate, examined, and the amplitudes with the noise that it rests on.
-
-    Where the method was not `chosen` by name, another takes its place if it finds no answer.
-    """
-    from dataclasses import replace
-
-    from dashpot.app.progress import progress
-    from dashpot.check.diagnosis.diagnose import examined
-    from dashpot.errors import ConvergenceError, IdentifiabilityError
-    from dashpot.estimate.automatic import identify_automatically, suited_method
-    from dashpot.estimate.identify import identify
-    from dashpot.estimate.likelihood.residual_noise import with_residual_noise
-    from dashpot.present.text.identifiability import require_identifiable
-
-    wanted = None if chosen == "auto" else chosen
-    method = suited_method(wanted, rig.model, spectrum, seed=seed, positive=positive)
-    require_identifiable(rig.model, spectrum.channels, path, spectrum)
-    with progress("identify", quiet) as moved:
-        try:
-            spectrum, method = with_residual_noise(rig.model, spectrum, method)
-            if chosen == "auto":
-                estimate = identify_automatically(rig.model, spectrum, method, seed=seed, progress=moved)
-            else:
-                estimate = identify(rig.model, spectrum, method, progress=moved)
-        except (IdentifiabilityError, ConvergenceError) as error:
-            raise _explained(error, rig.model, spectrum, seed) from error
-    with progress("examine", quiet):
-        return replace(examined(rig.model, spectrum, estimate, seed=seed), rig=path), spectrum
 
 
 def _predicted(
@@ -292,20 +215,6 @@ def _histories(
         if figure is not None:
             raise
         return ()
-
-
-def _explained(
-    error: IdentifiabilityError | ConvergenceError, model: Model, spectrum: Spectrum, seed: int
-) -> DashpotError:
-    """The error, with what would make the rig fit where something does."""
-    from dashpot.check.diagnosis.diagnose import diagnose
-    from dashpot.errors import Problem
-
-    findings = diagnose(model, spectrum, seed=seed)
-    if not findings:
-        return error
-    best = findings[0]
-    return type(error)([*error.problems, Problem(f"a likely cause: {best.text}", cure=best.change)])
 
 
 def _apply(rig: Rig, estimate: Estimate, path: str | None) -> None:

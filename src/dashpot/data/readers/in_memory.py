@@ -83,15 +83,8 @@ def records_of(
 
     Raises DataError as `record`.
     """
-    named = channels.channels if hasattr(channels, "channels") else channels
-    if not named or not all(isinstance(channel, Channel) for channel in named):
-        cure = 'give a rig, or Channels such as Channel("x1", {"x1": 1})'
-        raise DataError(
-            "the channels are not said" if not named else "the channels are no Channels", source, cure
-        )
-    for what, number in (("frequency_hz", frequency_hz), ("rate_hz", rate_hz)):
-        if number is not None and not 0 < number < 1e12:
-            raise DataError(f"{what} is {number:g}", source, "give a positive number")
+    named = _named(channels, source)
+    _require_positive({"frequency_hz": frequency_hz, "rate_hz": rate_hz}, source)
     values, units = _variables(data, source)
     variables = {name: _array(name, value, source) for name, value in values.items()}
     if time is not None:
@@ -110,6 +103,23 @@ def records_of(
         raise DataError("there are times as well as rate_hz", source, "leave one of them out")
     circumstances = Circumstances(frequency_hz, experiment, rate_hz)
     return tuple(read_records(part, named, circumstances)[0])
+
+
+def _named(channels: Sequence[Channel] | HasChannels, source: str) -> Sequence[Channel]:
+    """The channels, of a rig or by themselves.  Raises DataError where there are none."""
+    named = channels.channels if hasattr(channels, "channels") else channels
+    if not named or not all(isinstance(channel, Channel) for channel in named):
+        cure = 'give a rig, or Channels such as Channel("x1", {"x1": 1})'
+        what = "the channels are no Channels" if named else "the channels are not said"
+        raise DataError(what, source, cure)
+    return named
+
+
+def _require_positive(numbers: Mapping[str, float | None], source: str) -> None:
+    """Raises DataError where one that is given is not a positive number."""
+    for what, number in numbers.items():
+        if number is not None and not 0 < number < 1e12:
+            raise DataError(f"{what} is {number:g}", source, "give a positive number")
 
 
 def _array(name: str, values: Any, source: str) -> Any:

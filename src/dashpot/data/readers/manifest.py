@@ -31,7 +31,12 @@ from pathlib import Path
 from typing import Any, cast
 
 from dashpot.data.conditioning.settings import Treatments
-from dashpot.data.readers.manifest_schema import MOST_EXPERIMENTS, FilesEntry, Treatment, manifest_document
+from dashpot.data.readers.manifest_schema import (
+    MOST_EXPERIMENTS,
+    ConditioningTable,
+    FilesEntry,
+    manifest_document,
+)
 from dashpot.errors import DataError
 from dashpot.io.toml_document import Wanted, read_toml
 from dashpot.io.words import did_you_mean, listed, shown
@@ -163,14 +168,8 @@ def _in_band(entry: FilesEntry, frequency: float | None) -> bool:
     return frequency is not None and entry.band_hz[0] <= frequency <= entry.band_hz[1]
 
 
-def _matches(name: str, folder: Path, place: str) -> Iterator[tuple[Path, dict[str, str], str]]:
-    """Files that fit a name or pattern, what its fields are there, and their names less the sensor's; in order.
-
-    Raises DataError where none does.
-    """
-    if not _PLACE.search(name):
-        yield folder / name, {}, name
-        return
+def _fields(name: str, place: str) -> list[str]:
+    """The fields of a pattern.  Raises DataError where there is no such field, or one occurs twice."""
     fields = [field for field, *_ in _PLACE.findall(name) if field]
     unknown = [field for field in fields if field not in _FIELDS]
     if unknown:
@@ -178,6 +177,11 @@ def _matches(name: str, folder: Path, place: str) -> Iterator[tuple[Path, dict[s
         raise DataError(f'unknown field {{{shown(unknown[0])}}} in "{shown(name, 100)}"', place, cure)
     if len(set(fields)) < len(fields):
         raise DataError(f'a field occurs twice in "{shown(name, 100)}"', place, "name each one once")
+    return fields
+
+
+def _wild_and_regex(name: str) -> tuple[str, str]:
+    """A pattern as `glob` takes it, and as a regular expression with its fields as groups."""
     wild, regex, position = "", "", 0
     for match in _PLACE.finditer(name):
         between = name[position : match.start()]
@@ -191,6 +195,19 @@ def _matches(name: str, folder: Path, place: str) -> Iterator[tuple[Path, dict[s
             regex += "(?:.*/)?" if deep else "[^/]*" if star else "[^/]"
         position = match.end()
     wild, regex = wild + glob.escape(name[position:]), regex + re.escape(name[position:])
+    return wild, regex
+
+
+def _matches(name: str, folder: Path, place: str) -> Iterator[tuple[Path, dict[str, str], str]]:
+    """Files that fit a name or pattern, what its fields are there, and their names less the sensor's; in order.
+
+    Raises DataError where none does.
+    """
+    if not _PLACE.search(name):
+        yield folder / name, {}, name
+        return
+    fields = _fields(name, place)
+    wild, regex = _wild_and_regex(name)
     count = 0
     for relative in sorted(glob.glob(wild, root_dir=folder, recursive=True)):
         found = re.fullmatch(regex, relative.replace(os.sep, "/"))
@@ -223,7 +240,7 @@ def line_numbers(text: str | Sequence[int], place: str) -> tuple[int, ...]:
     return tuple(sorted(set(numbers)))
 
 
-def _treatments(conditioning: Treatment, source: str) -> Treatments:
+def _treatments(conditioning: ConditioningTable, source: str) -> Treatments:
     """The fields of Conditioning that the manifest sets."""
     fields: Any = conditioning.model_dump(exclude_none=True)
     if fields.get("orders", "auto") != "auto":

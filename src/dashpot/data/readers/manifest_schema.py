@@ -100,14 +100,21 @@ class FilesEntry(_Strict):
             raise PydanticCustomError("refused", "{what}", {"what": what})
         return self
 
-    def _contradiction(self) -> str | None:
-        """What is wrong with keys that each by itself may be right; None where nothing is."""
-        names = [self.name] if isinstance(self.name, str) else self.name
+    def _column_read_twice(self) -> str | None:
+        """That two channels are read from one column; None where no two are."""
         for columns in (self.columns, *self.sensors.values()):
             for name, column in columns.items():
                 other = next(key for key, value in columns.items() if value == column)
                 if other != name:
                     return f"{shown(other)} and {shown(name)} are both read from the column {shown(column)}"
+        return None
+
+    def _contradiction(self) -> str | None:
+        """What is wrong with keys that each by itself may be right; None where nothing is."""
+        twice = self._column_read_twice()
+        if twice is not None:
+            return twice
+        names = [self.name] if isinstance(self.name, str) else self.name
         if self.clock == "own" and not self.sensors:
             return 'clock = "own" is for the files of several sensors; list them in sensors'
         if self.align_s is not None and self.clock != "own":
@@ -121,7 +128,7 @@ class FilesEntry(_Strict):
         return None
 
 
-class Treatment(_Strict):
+class ConditioningTable(_Strict):
     """[conditioning] of a manifest."""
 
     orders: str | list[int] | None = None
@@ -138,7 +145,7 @@ class ManifestDocument(_Strict):
     """A whole manifest."""
 
     folder: str = "."
-    conditioning: Treatment = Treatment()
+    conditioning: ConditioningTable = ConditioningTable()
     files: Annotated[list[FilesEntry], Field(min_length=1)]
 
 
@@ -159,7 +166,7 @@ def _first_fault(fault: Mapping[str, Any], document: TomlDocument) -> DataError:
         what, _, cure = str(fault["ctx"]["what"]).partition("; ")
         cure = cure or "leave one of them out"
     elif fault["type"] == "extra_forbidden":
-        tables: dict[str, type[BaseModel]] = {"files": FilesEntry, "conditioning": Treatment}
+        tables: dict[str, type[BaseModel]] = {"files": FilesEntry, "conditioning": ConditioningTable}
         table = str(fault["loc"][0]) if len(fault["loc"]) > 1 else ""
         known = tables.get(table, ManifestDocument).model_fields
         what = "unknown key"

@@ -61,17 +61,7 @@ def record_estimate(
     warnings = _coloured_notice(np.sqrt(np.diagonal(covariance)) / plain)
     warnings += unseen_laws(model, values, covariance)
     warnings += _held_inputs(model) if held else []
-    at_bound = (values <= lower) | (values >= upper)
-    warnings += [
-        Notice("at_bound", f"{name} is at its bound", (name,))
-        for name, at in zip(names, at_bound, strict=True)
-        if at
-    ]
-    if problem.pieces > 1:
-        cut = (
-            f"the motion depends too much on its start to be followed whole: cut into {problem.pieces} pieces"
-        )
-        warnings.append(Notice(CUT_RECORD, cut))
+    warnings += _bound_notices(names, values, lower, upper) + _cut_notices(problem)
     rms = ", ".join(f"{n} {s:.3g}" for n, s in zip(problem.records[0].names, problem.sd, strict=True))
     notes = [Notice("record_residuals", f"residuals of the whole records, rms in SI units: {rms}")]
     notes += _input_notes(model, noise) if noise is not None else [] if held else _exact_inputs(model)
@@ -83,6 +73,22 @@ def record_estimate(
         fit=_fit(problem, psi, dof, noise), known=known_values(model),
         tied=tied_values(model), modes=None, signs={}, warnings=tuple(warnings), notes=tuple(notes),
     )  # fmt: skip
+
+
+def _bound_notices(names: tuple[str, ...], values: Real, lower: Real, upper: Real) -> list[Notice]:
+    at_bound = (values <= lower) | (values >= upper)
+    return [
+        Notice("at_bound", f"{name} is at its bound", (name,))
+        for name, at in zip(names, at_bound, strict=True)
+        if at
+    ]
+
+
+def _cut_notices(problem: RecordProblem) -> list[Notice]:
+    if problem.pieces <= 1:
+        return []
+    cut = f"the motion depends too much on its start to be followed whole: cut into {problem.pieces} pieces"
+    return [Notice(CUT_RECORD, cut)]
 
 
 def _require_traces(problem: RecordProblem, psi: Real, names: tuple[str, ...]) -> None:

@@ -114,17 +114,7 @@ def fit_records(
 
     exact_inputs: with the measured inputs for the true ones, whatever their noise.  Raises as `identify_records`.
     """
-    if method not in (None, METHOD):
-        raise UsageError(
-            f"the method {method} cannot handle whole records of nonlinear rigs",
-            cure=f"use the method {METHOD}",
-        )
-    model.require_unknowns()
-    if not len(model.nonlinear):
-        raise UsageError(
-            "the rig has no nonlinear element",
-            cure="use `identify`, which knows whole records of linear rigs",
-        )
+    _require_able(model, method)
     data = tuple(arranged(model, record) for record in records)
     if len({record.names for record in data}) > 1:
         raise DataError(
@@ -154,6 +144,21 @@ def fit_records(
     problem, psi = _refined(ended.problem, ended.psi, limits)
     history = np.concatenate([ended.history, psi[None, : problem.inner]])
     return replace(ended, problem=problem, psi=psi, history=history)
+
+
+def _require_able(model: Model, method: str | None) -> None:
+    """Raises UsageError where another method is named or the rig is linear, ModelError where nothing is unknown."""
+    if method not in (None, METHOD):
+        raise UsageError(
+            f"the method {method} cannot handle whole records of nonlinear rigs",
+            cure=f"use the method {METHOD}",
+        )
+    model.require_unknowns()
+    if not len(model.nonlinear):
+        raise UsageError(
+            "the rig has no nonlinear element",
+            cure="use `identify`, which knows whole records of linear rigs",
+        )
 
 
 def _with_true_inputs(
