@@ -166,7 +166,7 @@ def test_experiments_are_identified_together():
     assert np.allclose(both.sd, np.sqrt(np.diag(np.linalg.inv(total))), rtol=0.15)
     assert np.all(both.sd < identify(model, one, ML).sd * 1.05)
     # While the base stands still, c1 and c3 lie side by side: the push alone does not tell them apart.
-    with pytest.raises(IdentifiabilityError, match="do not determine"):
+    with pytest.raises(IdentifiabilityError, match="do not tell c1 and c3 apart"):
         identify(model, other, ML)
 
 
