@@ -17,6 +17,8 @@ from dashpot.estimate.likelihood.record_passes import EndProducts, EndsFitted, N
 from dashpot.estimate.likelihood.record_pieces import RecordPieces
 from dashpot.numerics.projection import independent
 
+ROUNDING = 1e-6  # of the power of a residual, below 0, beyond which it is no number
+
 
 @dataclass(frozen=True)
 class RecordSums:
@@ -33,9 +35,11 @@ def record_sums(pieces: RecordPieces, psi: Real, sign: Real) -> RecordSums:
     """Both passes at ψ (K, M) with signs (K, channels)."""
     passes = _passes(pieces, psi, sign)
     fit, (products, of_ends) = _fit(pieces, passes), _slopes(pieces, passes)
-    products = 2 * (products - of_ends.explained(fit))
+    left = 2 * (products - of_ends.explained(fit))
     M = psi.shape[-1]
-    return RecordSums(products[:, M, M], products[:, :M, M], products[:, :M, :M], fit.rank)
+    # Where the ends explain more than there is, what is left is rounding of numbers that are far too large.
+    lost = left[:, M, M] < -ROUNDING * products[:, M, M]
+    return RecordSums(np.where(lost, np.inf, left[:, M, M]), left[:, :M, M], left[:, :M, :M], fit.rank)
 
 
 def by_record_line(pieces: RecordPieces, psi: Real, sign: Real) -> tuple[Real, Real, Real]:
@@ -93,17 +97,20 @@ def _passes(pieces: RecordPieces, psi: Real, sign: Real) -> Passes:
 
 
 def _fit(pieces: RecordPieces, passes: Passes) -> EndsFitted:
-    """What the first pass says."""
+    """What the first pass says; far from any rig it may not be finite."""
     if "fit" not in pieces.latest:
-        pieces.latest["fit"] = _fitted(pieces, passes)
+        with np.errstate(over="ignore", invalid="ignore"):
+            pieces.latest["fit"] = _fitted(pieces, passes)
     fit: EndsFitted = pieces.latest["fit"]
     return fit
 
 
 def _slopes(pieces: RecordPieces, passes: Passes) -> tuple[Real, EndProducts]:
-    """What the second pass says."""
+    """What the second pass says; far from any rig it may not be finite."""
     if "slopes" not in pieces.latest:
-        pieces.latest["slopes"] = passes.of_slopes(_fit(pieces, passes))
+        fit = _fit(pieces, passes)
+        with np.errstate(over="ignore", invalid="ignore"):
+            pieces.latest["slopes"] = passes.of_slopes(fit)
     slopes: tuple[Real, EndProducts] = pieces.latest["slopes"]
     return slopes
 
