@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -39,9 +39,10 @@ def merged_parts(model: Model, names: Sequence[str], parts: Sequence[Estimate]) 
     assessment = Assessment(
         verdict,
         (*against, *doubts),
-        _left_of_motion(assessed),
+        _over_parts([each.relative_residual for each in assessed]),
         worst_of(misfit for each in assessed for misfit in each.worst),
         _findings(assessed) if against else (),
+        _over_parts([each.relative_noise for each in assessed]),
     )
     return replace(together.estimate, assessment=assessment, notes=(_how(together), *together.estimate.notes))
 
@@ -96,13 +97,10 @@ def _common_doubts(assessed: Sequence[Assessment]) -> list[Notice]:
     return [next(reason for each in unsure for reason in each.reasons if reason.code == most)]
 
 
-def _left_of_motion(assessed: Sequence[Assessment]) -> dict[str, float]:
-    """What the model leaves of the motion of each channel, rms over the parts."""
-    parts: dict[str, list[float]] = {}
-    for each in assessed:
-        for channel, left in each.relative_residual.items():
-            parts.setdefault(channel, []).append(left)
-    return {channel: float(np.sqrt(np.mean(np.square(left)))) for channel, left in parts.items()}
+def _over_parts(shares: Sequence[Mapping[str, float]]) -> dict[str, float]:
+    """The rms over the parts of a share of each channel's motion; of channels that all parts have."""
+    names = [name for name in shares[0] if all(name in each for each in shares)] if shares else []
+    return {name: float(np.sqrt(np.mean([each[name] ** 2 for each in shares]))) for name in names}
 
 
 def _findings(assessed: Sequence[Assessment]) -> tuple[Finding, ...]:

@@ -62,6 +62,8 @@ def test_sound_parts_fit_together_and_it_is_said_how_they_scatter() -> None:
     assert estimate.notes[0].code == "parts_merged"
     assert str(estimate.notes[0]).startswith("6 parts of the data")
     assert set(estimate.assessment.relative_residual) == {"x1", "x2"}
+    for name, left in estimate.assessment.relative_residual.items():
+        assert 0.5 < left / estimate.assessment.relative_noise[name] < 1.6  # a few loud lines decide
     assert len(estimate.assessment.worst) == 3
 
 
