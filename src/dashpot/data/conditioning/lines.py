@@ -11,6 +11,7 @@ import numpy as np
 from dashpot.arrays import Real
 from dashpot.data.calibration import calibration
 from dashpot.data.conditioning.account import account_of_dwells, other_motion, summed_up
+from dashpot.data.conditioning.clipped_samples import without_clipping
 from dashpot.data.conditioning.clock import FEWEST, with_even_stamps
 from dashpot.data.conditioning.drift import LEVEL as DRIFT_LEVEL
 from dashpot.data.conditioning.drift import slope_costs, slopes_show
@@ -92,7 +93,7 @@ def _may_repeat(settings: Conditioning) -> bool:
 
 def _of_dwells(dwells: Sequence[Record], settings: Conditioning) -> Spectrum:
     """The lines of dwells, treated as all of them together ask for: what was driven, frequency, settling, drift."""
-    dwells, notes = _evened(dwells, settings)
+    dwells, weaker, notes = _evened(dwells, settings)
     uncut, of_stamps = dwells, list(notes)
     if settings.transients == "settle" and settings.settle == "none" and _unsettled(dwells):
         settings = settings.changed(settle="auto")
@@ -114,33 +115,41 @@ def _of_dwells(dwells: Sequence[Record], settings: Conditioning) -> Spectrum:
     if settings.drift == "auto" and slope_costs(dwells):
         settings, evidence = _with_drift(dwells, settings)
         notes.append(evidence)
-    lines = _of_settled(dwells, uncut, settings)
+    lines = _of_settled(dwells, uncut, settings, weaker)
     if (
         settings.settle == "none"
         and settings.refine != "always"
         and settings.transients in ("auto", "settle")
     ):
         notes += taken_as_settled(dwells)
-    return replace(lines, notes=(*notes, *lines.notes), unsettled=_as_unsettled(dwells, settings))
+    return replace(lines, notes=(*notes, *lines.notes), unsettled=_as_unsettled(dwells, settings, weaker))
 
 
-def _evened(dwells: Sequence[Record], settings: Conditioning) -> tuple[Sequence[Record], list[Notice]]:
-    """The dwells on even stamps where those are even but for rounding, with what a channel missed put right, and notes.
+def _evened(
+    dwells: Sequence[Record], settings: Conditioning
+) -> tuple[Sequence[Record], Sequence[Real], list[Notice]]:
+    """The dwells on even stamps where those are even but for rounding, with what a channel missed or clipped put right.
 
-    As they are with "none".
+    With what that makes of the variance of each channel's amplitudes, (channels,) of each dwell, and notes.  As they
+    are with "none".
     """
+    weaker: list[Real] = [np.ones(len(record.channels)) for record in dwells]
     if settings.refine == "none":
-        return dwells, []
+        return dwells, weaker, []
     evened, notes = [], []
-    for record in dwells:
+    for k, record in enumerate(dwells):
         even, note = with_even_stamps(record)
         whole, dropouts = without_dropouts(even)
-        evened.append(whole)
-        notes += [*([] if note is None else [note]), *dropouts]
-    return evened, notes
+        unclipped = without_clipping(whole)
+        evened.append(unclipped.record)
+        weaker[k] = unclipped.weaker
+        notes += [*([] if note is None else [note]), *dropouts, *unclipped.notices]
+    return evened, weaker, notes
 
 
-def _as_unsettled(dwells: Sequence[Record], settings: Conditioning) -> Spectrum | None:
+def _as_unsettled(
+    dwells: Sequence[Record], settings: Conditioning, weaker: Sequence[Real]
+) -> Spectrum | None:
     """The lines with the dwells that are too short to show whether they have settled as whole records.
 
     None where no dwell is, or where one cannot be used so.
@@ -154,8 +163,11 @@ def _as_unsettled(dwells: Sequence[Record], settings: Conditioning) -> Spectrum 
         )
     except DashpotError:
         return None
-    rest = [record for record in dwells if shows_settling(record)]
-    return concatenate([_of_settled(rest, rest, settings), whole]) if rest else whole
+    rest = [(record, of) for record, of in zip(dwells, weaker, strict=True) if shows_settling(record)]
+    if not rest:
+        return whole
+    kept = [record for record, _ in rest]
+    return concatenate([_of_settled(kept, kept, settings, [of for _, of in rest]), whole])
 
 
 def _at_drive_frequencies(
@@ -179,15 +191,23 @@ def _with_drift(dwells: Sequence[Record], settings: Conditioning) -> tuple[Condi
     return settings.changed(drift=0 if p > DRIFT_LEVEL else 1), Notice("drift_by_evidence", text)
 
 
-def _of_settled(dwells: Sequence[Record], given: Sequence[Record], settings: Conditioning) -> Spectrum:
-    """The lines of settled dwells, which were `given` as recorded, of the multiples that were driven."""
+def _of_settled(
+    dwells: Sequence[Record], given: Sequence[Record], settings: Conditioning, weaker: Sequence[Real]
+) -> Spectrum:
+    """The lines of settled dwells, which were `given` as recorded, of the multiples that were driven.
+
+    weaker: times the variance that the channels of each dwell would have with all samples.
+    """
     notes: list[Notice] = []
     driven = [DrivenOrders(settings.wanted)] * len(dwells)
     if settings.orders == "auto" and not settings.moments:
         driven = driven_orders(dwells, settings)
         notes = orders_used(driven)
     steps = rounding_steps(dwells)
-    each = [_lines(record, settings, of, steps) for record, of in zip(dwells, driven, strict=True)]
+    each = [
+        _lines(record, settings, of, steps, times)
+        for record, of, times in zip(dwells, driven, weaker, strict=True)
+    ]
     notes.insert(0, account_of_dwells(given, each, settings))
     lines = concatenate(each)
     if settings.wanted == (1,) and settings.noise == "auto":
@@ -239,8 +259,10 @@ def driven_parts(dwells: Sequence[Record], settings: Conditioning) -> tuple[list
     return kept, notes
 
 
-def _lines(record: Record, settings: Conditioning, driven: DrivenOrders, steps: Real) -> Spectrum:
-    """The lines of one record, whose channels are rounded to `steps` (channels,)."""
+def _lines(
+    record: Record, settings: Conditioning, driven: DrivenOrders, steps: Real, weaker: Real
+) -> Spectrum:
+    """The lines of one record, whose channels are rounded to `steps` (channels,) and scatter `weaker` times as much."""
     settings = settings.changed(orders=driven.orders)
     known = driven.fit if driven.orders == (1,) and settings.refine != "always" else None
     record, notes = _at_its_frequency(record, settings)
@@ -249,6 +271,7 @@ def _lines(record: Record, settings: Conditioning, driven: DrivenOrders, steps: 
     frequencies = fit.frequency_hz * np.array([fit.orders[i] for i in wanted], dtype=float)
     h = calibration(record.channels, frequencies)
     covariance = fit.covariance[..., wanted, :, :] + _rounding(record, fit, wanted, steps)
+    covariance = covariance * np.sqrt(weaker[:, None] * weaker)
     return Spectrum(
         record.channels,
         frequencies,

@@ -106,8 +106,15 @@ DATA_NOTICES: tuple[tuple[str, str, str, str], ...] = (
     ),
     (
         "clipped", RECORDS,
-        "A channel stays at its largest value: it is probably clipped, and its amplitude too small.",
+        ("A channel stays at its largest value: it is probably clipped. In dwells the other samples tell what the "
+        "motion was there (`unclipped`); of other records the amplitude is too small."),
         "Widen the range or drive less.",
+    ),
+    (
+        "unclipped", RECORDS,
+        ("Samples of a dwell stand at the limit of a channel's range, and the sine that the others follow lies beyond "
+        "it: these alone are used, and the amplitude's noise is that of fewer samples."),
+        "Widen the range or drive less: what is clipped tells nothing. `--refine none` takes the samples as they are.",
     ),
     (
         "periods_skipped", RECORDS,

@@ -186,7 +186,7 @@ def _clipped(record: Record) -> list[Notice]:
         if count:
             text = (
                 f"{record.source}: {channel.name} rests at its limit in {count} of {len(values)} samples: "
-                "if it is clipped, its amplitude is too small; widen the range or drive less"
+                "if it is clipped, widen the range or drive less"
             )
             notes.append(Notice("clipped", text, (channel.name,)))
     return notes

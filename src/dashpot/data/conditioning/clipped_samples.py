@@ -1,0 +1,160 @@
+"""Samples of a dwell that stand at the limit of a channel's range, where the motion goes on beyond it.
+
+What the motion was there is told by the sine that the other samples around follow: where it lies beyond the limit for
+most of the clipped samples, these are replaced by it, with the noise of the others, so that the dwell stays even.  They
+tell nothing, so that amplitudes scatter as those of the other samples alone.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from dashpot.arrays import Bools, Ints, Real
+from dashpot.data.clipping import at_limits
+from dashpot.data.record import Record
+from dashpot.io.words import counted
+from dashpot.notices import Notice
+
+REACH = 3.0  # periods on either side of one with clipped samples that show the motion
+NEAR = 2.5  # deviations of the noise from a limit within which it decides whether a sample is clipped
+MOSTLY = 0.7  # of the clipped samples at a limit, beyond which the motion has to lie there: others rest at it
+DIFFERENT = 0.9  # of the other samples, all of different values: then two alike at a limit are no chance
+DEPTH = 1e-3  # of a channel's range, beyond its limit: less is no matter
+FREEDOM = 8  # samples that there must be around a run beside the parameters of the sine
+ORDERS = 2  # multiples of the drive in the motion around a run
+MOST = 0.6  # of a channel's samples: of one that clips more the rest says too little
+
+
+@dataclass(frozen=True)
+class Unclipped:
+    """A dwell with its clipped samples put right.
+
+    weaker  (channels,)  times what the variance of an amplitude would be were no sample clipped
+    """
+
+    record: Record
+    weaker: Real
+    notices: list[Notice]
+
+
+def without_clipping(record: Record) -> Unclipped:
+    """The dwell as its channels would be with a wider range, and a notice of each channel that clips.
+
+    Repeats (leading axes) and records without a frequency stay as they are.
+    """
+    weaker = np.ones(len(record.channels))
+    if record.values.ndim != 2 or record.frequency_hz is None:
+        return Unclipped(record, weaker, [])
+    values, notices = None, []
+    for c, channel in enumerate(record.channels):
+        limits = _limits(record.values[:, c])
+        clipped = np.any(limits, axis=0)
+        if not np.any(clipped) or np.mean(clipped) > MOST:
+            continue
+        mended = _mended(record, record.values[:, c], limits)
+        if mended is None:
+            continue
+        column, replaced = mended
+        values = np.array(record.values) if values is None else values
+        values[:, c] = column
+        weaker[c] = _weaker(record, replaced)
+        text = f"{channel.name} clips in the dwell at {record.frequency_hz:g} Hz"
+        told = f"{text} ({counted(int(np.sum(clipped)), 'sample')}): the other samples are used"
+        notices.append(Notice("unclipped", told, (channel.name,)))
+    return Unclipped(record if values is None else replace(record, values=values), weaker, notices)
+
+
+def _limits(column: Real) -> Bools:
+    """Which samples are at the greatest value, and which at the least, where those are limits: (2, samples).
+
+    Where values come again elsewhere, as those of a coarse converter and of a sine in step with the sampling do, three
+    have to follow each other.
+    """
+    limits = at_limits(column, in_a_row=False)
+    others = column[~np.any(limits, axis=0)]
+    if len(others) == len(column):
+        return limits
+    different = len(np.unique(np.round(others / np.ptp(column), 9)))  # but for rounding
+    return limits if different > DIFFERENT * len(others) else at_limits(column)
+
+
+def _mended(record: Record, column: Real, limits: Bools) -> tuple[Real, Bools] | None:
+    """A channel (samples,) with what may be clipped put right, and which samples that are; None where the motion does
+    not go beyond the limits.
+
+    limits (2, samples): which samples stand at the greatest value, and which at the least.  Of samples near a limit
+    those are left whose noise keeps them from it: all of them are taken by what the motion is there, not by how they
+    read.
+    """
+    clipped = np.any(limits, axis=0)
+    basis = _basis(record)
+    clear = DEPTH * float(
+        np.ptp(column)
+    )  # a sine in step with the sampling has its greatest value in each period
+    span = tuple(
+        float(column[np.argmax(at)]) if np.any(at) else end
+        for at, end in zip(limits, (np.inf, -np.inf), strict=True)
+    )
+    mended, replaced, beyond = (
+        np.array(column),
+        np.zeros(len(column), dtype=bool),
+        np.zeros(len(column), bool),
+    )
+    for around, begin, end in _windows(record, clipped):
+        rows = basis[around]
+        first = _fitted(rows, column[around], ~clipped[around])
+        if first is None:
+            return None
+        motion, noise = first
+        sigma = float(np.sqrt(np.mean(noise**2)))
+        inside = (motion < span[0] - NEAR * sigma) & (motion > span[1] + NEAR * sigma)
+        second = _fitted(rows, column[around], inside)
+        if second is None:
+            return None
+        motion, noise = second
+        near = around[(motion >= span[0] - NEAR * sigma) | (motion <= span[1] + NEAR * sigma)]
+        near = np.union1d(near[(near >= begin) & (near < end)], np.flatnonzero(clipped[begin:end]) + begin)
+        mended[near] = motion[near - around[0]] + np.resize(noise, len(near))
+        replaced[near] = True
+        there = motion[near - around[0]]
+        beyond[near] = (there > span[0] + clear) | (there < span[1] - clear)
+    return (mended, replaced) if np.mean(beyond[clipped]) > MOSTLY else None
+
+
+def _windows(record: Record, clipped: Bools) -> Iterator[tuple[Ints, int, int]]:
+    """Samples around each period with clipped ones, and its begin and end."""
+    step = (record.time[-1] - record.time[0]) / (len(record.time) - 1)
+    assert record.frequency_hz is not None
+    period = max(round(1 / (record.frequency_hz * step)), 1)
+    reach = int(np.ceil(REACH * period))
+    for begin in range(0, len(clipped), period):
+        end = min(begin + period, len(clipped))
+        if np.any(clipped[begin:end]):
+            yield np.arange(max(begin - reach, 0), min(end + reach, len(clipped))), begin, end
+
+
+def _fitted(rows: Real, values: Real, used: Bools) -> tuple[Real, Real] | None:
+    """The motion at all rows by those used, and what it leaves of these; None where they are too few."""
+    if int(np.count_nonzero(used)) - rows.shape[1] < FREEDOM:
+        return None
+    motion: Real = rows @ np.linalg.lstsq(rows[used], values[used], rcond=None)[0]
+    return motion, values[used] - motion[used]
+
+
+def _basis(record: Record) -> Real:
+    """An offset, a slope and sines of the drive, (samples, parameters)."""
+    assert record.frequency_hz is not None
+    turn = 2 * np.pi * record.frequency_hz * (record.time - record.time[0])
+    sines = [wave(order * turn) for order in range(1, ORDERS + 1) for wave in (np.cos, np.sin)]
+    line = np.linspace(-1.0, 1.0, len(turn))
+    return np.stack([np.ones(len(turn)), line, *sines], axis=1)
+
+
+def _weaker(record: Record, replaced: Bools) -> float:
+    """The greatest variance of the fundamental from the samples that are not replaced, over that from all."""
+    basis = _basis(record)
+    all_of_them, some = (np.linalg.inv(rows.T @ rows)[2:4, 2:4] for rows in (basis, basis[~replaced]))
+    return float(np.max(np.linalg.eigvalsh(some)) / np.max(np.linalg.eigvalsh(all_of_them)))
