@@ -39,6 +39,7 @@ OBEYS = 2.0  # seconds of processor time in which Ctrl-C ends a run
 FACTORS = {  # how many times as long a run may take that shows a terminal how it goes on
     "identify": 6,  # a search without guesses on a rig that does not fit
     "compare": 6,
+    "check": 6,  # with data it identifies first
     "response": 6,  # through all folds, of a rig that is driven as hard as it may be
 }
 QUIET = ("--quiet", "-q")  # options that forbid to show how it goes on
