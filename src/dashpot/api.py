@@ -29,9 +29,8 @@ from dashpot.errors import DashpotError, UsageError
 from dashpot.estimate import comparison as comparisons
 from dashpot.estimate import identify as identification
 from dashpot.estimate.amplitudes import amplitudes_for
-from dashpot.estimate.automatic import identify_automatically
+from dashpot.estimate.automatic import identify_with_noise
 from dashpot.estimate.comparison import Comparison
-from dashpot.estimate.likelihood.residual_noise import with_residual_noise
 from dashpot.estimate.likelihood.settling import with_settling_decided
 from dashpot.estimate.method import Method
 from dashpot.estimate.nonlinear.whole_record import fit_records
@@ -107,12 +106,9 @@ def identify(
     require_identifiable(model, spectrum.channels, where, spectrum)
     spectrum = with_settling_decided(model, spectrum, chosen)
     suited = identification.automatic(model, spectrum) if chosen is None else chosen
-    # What judges the fit wants the noise that the fit rests on.
-    spectrum, suited = with_residual_noise(model, spectrum, suited)
-    if chosen is None:
-        estimate = identify_automatically(model, spectrum, suited, progress=progress)
-    else:
-        estimate = identification.identify(model, spectrum, suited, progress=progress)
+    estimate, spectrum = identify_with_noise(
+        model, spectrum, suited, chosen=chosen is not None, progress=progress
+    )
     if diagnose:
         from dashpot.check.diagnosis.diagnose import examined
 

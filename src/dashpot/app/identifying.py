@@ -112,22 +112,17 @@ def _estimated(search: Search, rig: Rig, spectrum: Spectrum) -> tuple[Estimate, 
     from dashpot.app.progress import progress
     from dashpot.check.diagnosis.diagnose import examined
     from dashpot.errors import ConvergenceError, IdentifiabilityError
-    from dashpot.estimate.automatic import identify_automatically, suited_method
-    from dashpot.estimate.identify import identify
-    from dashpot.estimate.likelihood.residual_noise import with_residual_noise
+    from dashpot.estimate.automatic import identify_with_noise, suited_method
     from dashpot.present.text.identifiability import require_identifiable
 
-    seed, chosen = search.seed, search.chosen
-    wanted = None if chosen == "auto" else chosen
+    seed, wanted = search.seed, None if search.chosen == "auto" else search.chosen
     method = suited_method(wanted, rig.model, spectrum, seed=seed, positive=search.positive)
     require_identifiable(rig.model, spectrum.channels, search.path, spectrum)
     with progress("identify", search.quiet) as moved:
         try:
-            spectrum, method = with_residual_noise(rig.model, spectrum, method)
-            if chosen == "auto":
-                estimate = identify_automatically(rig.model, spectrum, method, seed=seed, progress=moved)
-            else:
-                estimate = identify(rig.model, spectrum, method, progress=moved)
+            estimate, spectrum = identify_with_noise(
+                rig.model, spectrum, method, chosen=wanted is not None, seed=seed, progress=moved
+            )
         except (IdentifiabilityError, ConvergenceError) as error:
             raise _explained(error, rig.model, spectrum, seed) from error
     with progress("examine", search.quiet):
@@ -139,10 +134,6 @@ def _explained(
 ) -> DashpotError:
     """The error, with what would make the rig fit where something does."""
     from dashpot.check.diagnosis.diagnose import diagnose
-    from dashpot.errors import Problem
+    from dashpot.check.diagnosis.wording import with_likely_causes
 
-    findings = diagnose(model, spectrum, seed=seed)
-    if not findings:
-        return error
-    best = findings[0]
-    return type(error)([*error.problems, Problem(f"a likely cause: {best.text}", cure=best.change)])
+    return with_likely_causes(error, diagnose(model, spectrum, seed=seed)[:1])

@@ -66,19 +66,14 @@ def estimate_in_parts(
     return replace(estimate, rig=path)
 
 
-def require_in_parts(in_parts: bool, options: Mapping[str, bool]) -> None:
-    """Raises UsageError for options given that need --in-parts, or that it cannot serve.
-
-    options  whether each was given: --workers and --dask, which need it; the others, which cannot be had with it
-    """
-    for name, given in options.items():
-        needs = name in ("--workers", "--dask")
-        if given and needs and not in_parts:
-            raise UsageError(
-                f"{name} shares out the parts of --in-parts", cure="give that too, or leave it out"
-            )
-        if given and in_parts and not needs:
-            raise UsageError(
-                f"{name} needs all data at once, and --in-parts never has them",
-                cure="identify one file, without it",
-            )
+def require_in_parts(in_parts: bool, sharing: Mapping[str, bool], whole: Mapping[str, bool]) -> None:
+    """Raises UsageError for options given that need --in-parts (`sharing`), or that it cannot serve (`whole`)."""
+    wrong = next((name for name, given in (whole if in_parts else sharing).items() if given), None)
+    if wrong is None:
+        return
+    if in_parts:
+        raise UsageError(
+            f"{wrong} needs all data at once, and --in-parts never has them",
+            cure="identify one file, without it",
+        )
+    raise UsageError(f"{wrong} shares out the parts of --in-parts", cure="give that too, or leave it out")

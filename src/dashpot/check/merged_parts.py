@@ -48,10 +48,9 @@ def merged_parts(model: Model, names: Sequence[str], parts: Sequence[Estimate]) 
 
 
 def _how(together: Merged) -> Notice:
-    count = together.dof // len(together.estimate.names) + 1
     text = (
-        f"{counted(count, 'part')} of the data, each identified by itself, and merged; their scatter has χ² "
-        f"{together.chi2:.4g} with {together.dof} degrees of freedom (p = {together.p:.2g})"
+        f"{counted(len(together.away), 'part')} of the data, each identified by itself, and merged; their scatter "
+        f"has χ² {together.chi2:.4g} with {together.dof} degrees of freedom (p = {together.p:.2g})"
     )
     return Notice("parts_merged", text)
 

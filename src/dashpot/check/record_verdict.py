@@ -10,13 +10,13 @@ import numpy as np
 from dashpot.channel import Channel
 from dashpot.check.diagnosis.causes import points_of
 from dashpot.check.diagnosis.ranking import Cause
-from dashpot.check.diagnosis.wording import finding
+from dashpot.check.diagnosis.wording import finding, with_likely_causes
 from dashpot.check.element_evidence import with_nothing
 from dashpot.check.record_scores import CalledFor, element_called_for
 from dashpot.check.uncertain_scores import element_of_uncertain
 from dashpot.check.verdict import powerless, rejected, unphysical, worst_of
 from dashpot.data.record import Record
-from dashpot.errors import DashpotError, DataError, IdentifiabilityError, Problem
+from dashpot.errors import DashpotError, DataError, IdentifiabilityError
 from dashpot.estimate.assessment import Assessment, Finding, Judgement, Misfit
 from dashpot.estimate.nonlinear.record_inference import CUT_RECORD
 from dashpot.estimate.nonlinear.record_prediction import (
@@ -80,8 +80,7 @@ def assess_records(
 def explained(error: IdentifiabilityError, model: Model, records: Sequence[Record]) -> IdentifiabilityError:
     """The error of a fit whose laws leave no trace, with the element that the records call for in their place."""
     findings, _ = _without_laws(model, records)
-    more = [Problem(f"a likely cause: {each.text}", cure=each.change) for each in findings]
-    return IdentifiabilityError([*error.problems, *more]) if more else error
+    return with_likely_causes(error, findings)
 
 
 def _without_laws(model: Model, records: Sequence[Record]) -> tuple[tuple[Finding, ...], tuple[Notice, ...]]:

@@ -20,6 +20,7 @@ from dashpot.estimate.identify import automatic, identify
 from dashpot.estimate.inference.diagnostics import largest_of_kind, of_one_sign
 from dashpot.estimate.likelihood.global_search import DOUBT, TIE, apart, not_unique
 from dashpot.estimate.likelihood.maximum_likelihood import MaximumLikelihood
+from dashpot.estimate.likelihood.residual_noise import with_residual_noise
 from dashpot.estimate.likelihood.settling import with_settling_decided
 from dashpot.estimate.method import Method
 from dashpot.estimate.registry import method as method_named
@@ -73,6 +74,25 @@ def identify_automatically(
         return estimate
     second = _searched(model, spectrum, plain)
     return estimate if second is None else _likelier(model, estimate, second)
+
+
+def identify_with_noise(
+    model: Model,
+    spectrum: Spectrum,
+    method: Method,
+    *,
+    chosen: bool,
+    seed: int = 0,
+    progress: Callable[[int, int], None] | None = None,
+) -> tuple[Estimate, Spectrum]:
+    """The estimate, and the spectrum with the noise that it rests on, which is what judges the fit.
+
+    A method that was `chosen` stands; another may take the place of one that was not.  Raises as `identify`.
+    """
+    spectrum, method = with_residual_noise(model, spectrum, method)
+    if chosen:
+        return identify(model, spectrum, method, progress=progress), spectrum
+    return identify_automatically(model, spectrum, method, seed=seed, progress=progress), spectrum
 
 
 def plausible(model: Model, estimate: Estimate) -> bool:

@@ -32,7 +32,6 @@ from dashpot.model.observation import observation_model
 from dashpot.numerics.small_systems import standard_deviations
 
 CHUNK = 2_000_000  # complex numbers of amplitudes at once: keeps the working set of a batch near 1 GB
-MODES_TO = 400  # coordinates: the modes of larger rigs would take longer than all else
 
 
 def identify(
@@ -165,7 +164,7 @@ def _estimate(
         fit=fit,
         known=known_values(model),
         tied=tied_values(model),
-        modes=None if batch or model.n > MODES_TO else linear_modes(model, theta[:m], covariance[:m, :m]),
+        modes=None if batch else linear_modes(model, theta[:m], covariance[:m, :m]),
         signs={name: join(_sign_of(name)) for name in first.signs},
         warnings=(*warnings, *shown),
         notes=spectrum.notes,

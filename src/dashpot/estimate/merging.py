@@ -14,7 +14,6 @@ from scipy.special import chdtrc
 
 from dashpot.arrays import Real
 from dashpot.errors import DataError
-from dashpot.estimate.identify import MODES_TO
 from dashpot.estimate.inference.derived import linear_modes
 from dashpot.estimate.result import Estimate, Fit
 from dashpot.model.network import Model
@@ -133,7 +132,7 @@ def _estimate(
         iterations=np.sum([part.iterations for part in parts]),
         history=np.array([theta]),
         fit=Fit(np.array(chi2), dof, np.array(p), all(part.fit.known_noise for part in parts)),
-        modes=None if model.n > MODES_TO else linear_modes(model, theta[:m], covariance[:m, :m]),
+        modes=linear_modes(model, theta[:m], covariance[:m, :m]),
         warnings=_together([part.warnings for part in parts]),
         notes=_together([part.notes for part in parts]),
         assessment=None,

@@ -13,9 +13,7 @@ from dashpot.data.conditioning.transients import continuous
 from dashpot.data.readers import Reading, read
 from dashpot.data.spectrum import Spectrum
 from dashpot.errors import ConvergenceError, DashpotError
-from dashpot.estimate.automatic import identify_automatically
-from dashpot.estimate.identify import identify
-from dashpot.estimate.likelihood.residual_noise import with_residual_noise
+from dashpot.estimate.automatic import identify_with_noise
 from dashpot.estimate.result import Estimate
 from dashpot.fleet.treatment import Treatment
 from dashpot.io.words import counted
@@ -126,11 +124,10 @@ def parts_of(task: FileTask, reading: Reading) -> Iterator[tuple[str, Spectrum]]
 def _identified(task: FileTask, spectrum: Spectrum, name: str) -> Estimate:
     """The estimate of a part, examined.  Raises ConvergenceError where the iteration does not come to an end."""
     model, treatment = task.rig.model, task.treatment
-    spectrum, method = with_residual_noise(model, spectrum, treatment.chosen(task.rig, spectrum))
-    if treatment.method is None:
-        estimate = identify_automatically(model, spectrum, method, seed=treatment.seed)
-    else:
-        estimate = identify(model, spectrum, method)
+    method = treatment.chosen(task.rig, spectrum)
+    estimate, spectrum = identify_with_noise(
+        model, spectrum, method, chosen=treatment.method is not None, seed=treatment.seed
+    )
     if not bool(estimate.converged):
         raise ConvergenceError(
             f"{method.name} did not converge in {int(estimate.iterations)} iterations", name, "leave it out"

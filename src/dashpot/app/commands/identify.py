@@ -96,7 +96,7 @@ def command(
     from dashpot.app.measured_modes import modal_estimate
 
     whole = {"--hold-out": hold_out is not None, "--figure": figure is not None}
-    require_in_parts(in_parts, whole | {"--workers": workers is not None, "--dask": dask is not None})
+    require_in_parts(in_parts, {"--workers": workers is not None, "--dask": dask is not None}, whole)
     unsuited = {"--method": chosen != "auto", "--positive": positive, "--matrices": matrices}
     unsuited |= whole | {"--in-parts": in_parts}
     used = (0.0, 1.0 - (hold_out or 0.0))

@@ -207,7 +207,7 @@ def _in_place_of_laws(model: Model, spectrum: Spectrum, misfit: float, seed: int
     return tuple(
         replace(each, text=f"{each.text}, in place of {instead}")
         for each in causes_found
-        if each.kind == "nonlinear" and each.remaining is not None and each.remaining < EXPLAINED * misfit
+        if each.kind == "nonlinear" and _left(each) < EXPLAINED * misfit
     )
 
 

@@ -2,18 +2,22 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
+from typing import TypeVar
 
 from dashpot import units
 from dashpot.channel import Channel, Quantity
 from dashpot.check.diagnosis.likeness import CLOSE, Likeness
 from dashpot.check.diagnosis.nonlinear_elements import with_open_constants
 from dashpot.check.diagnosis.ranking import Cause
-from dashpot.errors import DashpotError
+from dashpot.errors import DashpotError, Problem
 from dashpot.estimate.assessment import Finding
 from dashpot.model.elements import Element, Kind
 from dashpot.model.network import Model
 from dashpot.model.rigfile import channel_line, element_line
+
+Failure = TypeVar("Failure", bound=DashpotError)
 
 USUAL_UNITS = {
     Quantity.DISPLACEMENT: ("m", "mm", "µm", "cm", "in", "deg", "rad"),
@@ -294,3 +298,9 @@ def free_name(model: Model, element: Element) -> str:
     taken = {other.name for other in model.elements} | {*model.coordinates, *(i.name for i in model.inputs)}
     candidates = (word, *(f"{word}_{'_'.join(element.along)}{suffix}" for suffix in ("", "_2", "_3")))
     return next(name for name in candidates if name not in taken)
+
+
+def with_likely_causes(error: Failure, findings: Sequence[Finding]) -> Failure:
+    """The error, with what may be behind it."""
+    more = [Problem(f"a likely cause: {each.text}", cure=each.change) for each in findings]
+    return type(error)([*error.problems, *more]) if more else error

@@ -14,6 +14,7 @@ from dashpot.model.modes import modes
 from dashpot.model.network import Model
 from dashpot.numerics.kernel import kernel_function
 
+MODES_TO = 400  # coordinates: the modes of larger rigs would take longer than all else
 COMPILED_TO = 12  # coordinates up to which the kernel's eigenvalues take less time than LAPACK's
 LOST = 1e-13  # of the terms of a variance: below it the sum is rounding
 Values = TypeVar("Values")
@@ -65,10 +66,12 @@ def _of_no_unknown(model: Model) -> list[bool]:
 
 
 def linear_modes(model: Model, theta: Real, covariance: Real) -> ModeValues | None:
-    """Modes of the linear elements; None where nonlinear ones hold the rig together.
+    """Modes of the linear elements; None where nonlinear ones hold the rig together, and of rigs of many coordinates.
 
     theta (m,), covariance (m, m).
     """
+    if model.n > MODES_TO:
+        return None
     if not len(model.nonlinear):
         return mode_values(model, theta, covariance)
     try:

@@ -10,7 +10,7 @@ be counted as noisy where the rig moves most, and explain what the inputs' noise
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -81,7 +81,7 @@ class InputNoise:
         return moved
 
 
-def of_inputs(model: Model, spectrum: Spectrum, covariance: Complex) -> tuple[Notice, ...]:
+def noise_counted(model: Model, spectrum: Spectrum, covariance: Complex) -> tuple[Notice, ...]:
     """How much noise is counted for the measured inputs of records whose noise was not known, and which have none.
 
     spectrum: before that noise was found, without batch axes; covariance (lines, channels, channels): with it.
@@ -103,11 +103,16 @@ def of_inputs(model: Model, spectrum: Spectrum, covariance: Complex) -> tuple[No
     if counted:
         text = f"noise counted for the inputs, of the rms of each: {joined(text for _, text in counted)}"
         notices.append(Notice(INPUT_NOISE, text, tuple(name for name, _ in counted)))
-    if exact:
-        count = "which counts" if len(exact) == 1 else "which count"
-        text = f"no noise shows in {joined(exact)}, {count} as exact; a record at rest would tell"
-        notices.append(Notice(INPUT_NOISE, text, tuple(exact)))
-    return tuple(notices)
+    return (*notices, *counted_as_exact(exact))
+
+
+def counted_as_exact(names: Sequence[str]) -> tuple[Notice, ...]:
+    """That inputs, if any, show no noise that matters."""
+    if not names:
+        return ()
+    count = "which counts" if len(names) == 1 else "which count"
+    text = f"no noise shows in {joined(names)}, {count} as exact; a record at rest would tell"
+    return (Notice(INPUT_NOISE, text, tuple(names)),)
 
 
 def without_moved(power: Real, moved: Real, smooth: Callable[[Real], Real]) -> Real:

@@ -22,7 +22,7 @@ from dashpot.data.stretch import WholeRecord
 from dashpot.errors import DataError
 from dashpot.estimate.likelihood.chunks import Measured
 from dashpot.estimate.likelihood.global_search import seen_directly
-from dashpot.estimate.likelihood.input_noise import InputNoise, of_inputs, without_moved
+from dashpot.estimate.likelihood.input_noise import InputNoise, noise_counted, without_moved
 from dashpot.estimate.likelihood.maximum_likelihood import MaximumLikelihood
 from dashpot.estimate.likelihood.objective import bounds, local, measured, predict
 from dashpot.estimate.likelihood.record_sums import record_residuals
@@ -75,7 +75,7 @@ def with_record_noise(model: Model, spectrum: Spectrum, method: Method) -> tuple
     if spectrum.batch:
         V = np.concatenate([repeat.covariance for repeat in repeats])
         covariance = V.reshape(*spectrum.batch, *V.shape[1:])
-    notes = () if spectrum.batch else of_inputs(model, spectrum, covariance)
+    notes = () if spectrum.batch else noise_counted(model, spectrum, covariance)
     known = replace(
         spectrum, covariance=covariance, noise=repeats[0].noise, dof=dof, notes=(*spectrum.notes, *notes)
     )

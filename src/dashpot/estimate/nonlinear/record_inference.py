@@ -10,6 +10,7 @@ from dashpot.errors import DataError
 from dashpot.estimate.inference.derived import known_values, tied_values
 from dashpot.estimate.inference.diagnostics import require_determined
 from dashpot.estimate.inference.unseen_laws import require_traces, unseen_laws
+from dashpot.estimate.likelihood.input_noise import counted_as_exact
 from dashpot.estimate.nonlinear.input_levels import (
     InputSizes,
     all_linearised,
@@ -21,7 +22,6 @@ from dashpot.estimate.nonlinear.records import total_samples
 from dashpot.estimate.nonlinear.restricted_likelihood import drawn_noise, unknowns_matrix
 from dashpot.estimate.nonlinear.uncertain_inputs import HALF_WINDOW, around
 from dashpot.estimate.result import Estimate, Fit
-from dashpot.io.words import joined
 from dashpot.model.network import Model
 from dashpot.notices import Notice
 from dashpot.numerics.small_systems import scaled_inverse
@@ -64,7 +64,13 @@ def record_estimate(
     warnings += _bound_notices(names, values, lower, upper) + _cut_notices(problem)
     rms = ", ".join(f"{n} {s:.3g}" for n, s in zip(problem.records[0].names, problem.sd, strict=True))
     notes = [Notice("record_residuals", f"residuals of the whole records, rms in SI units: {rms}")]
-    notes += _input_notes(model, noise) if noise is not None else [] if held else _exact_inputs(model)
+    notes += (
+        _input_notes(model, noise)
+        if noise is not None
+        else []
+        if held
+        else counted_as_exact([source.name for source in model.inputs])
+    )
     return Estimate(
         model=model.name, method="ml", names=names, units=units, values=values, covariance=covariance,
         noise_covariance=covariance, bound_sd=plain, dof=np.full(inner, float(dof)), lower=lower, upper=upper,
@@ -192,14 +198,6 @@ def _held_inputs(model: Model) -> list[Notice]:
         "them biases the values and is not in the intervals"
     )
     return [Notice(EXACT_INPUTS, text, tuple(source.name for source in model.inputs))]
-
-
-def _exact_inputs(model: Model) -> list[Notice]:
-    """That the inputs count as exact because they show no noise that matters."""
-    names = [source.name for source in model.inputs]
-    count = "which counts" if len(names) == 1 else "which count"
-    text = f"no noise shows in {joined(names)}, {count} as exact; a record at rest would tell"
-    return [Notice("input_noise", text, tuple(names))] if names else []
 
 
 def _input_notes(model: Model, noise: InputSizes) -> list[Notice]:
