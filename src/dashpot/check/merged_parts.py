@@ -9,7 +9,14 @@ from dataclasses import replace
 import numpy as np
 from scipy.special import bdtrc
 
-from dashpot.check.verdict import rejected, unphysical, unstable, worst_of
+from dashpot.check.verdict import (
+    PERHAPS_UNSTABLE,
+    rejected,
+    unphysical,
+    unstable,
+    unstable_by_chance,
+    worst_of,
+)
 from dashpot.estimate.assessment import Assessment, Finding, Judgement
 from dashpot.estimate.merging import DISAGREE, Merged, merge_estimates
 from dashpot.estimate.result import Estimate
@@ -34,7 +41,7 @@ def merged_parts(model: Model, names: Sequence[str], parts: Sequence[Estimate]) 
         *_disagreement(together, names),
         *_misfits(names, parts),
     ]
-    doubts = [] if against else _common_doubts(assessed)
+    doubts = [] if against else [*_common_doubts(assessed), *unstable_by_chance(together.estimate)]
     verdict: Judgement = "does not fit" if against else "cannot tell" if doubts else "fits"
     assessment = Assessment(
         verdict,
@@ -87,13 +94,18 @@ def _misfits(names: Sequence[str], parts: Sequence[Estimate]) -> list[Notice]:
 
 
 def _common_doubts(assessed: Sequence[Assessment]) -> list[Notice]:
-    """Why it cannot be told whether the rig fits, where most parts cannot tell."""
-    unsure = [each for each in assessed if each.verdict == "cannot tell"]
+    """Why it cannot be told whether the rig fits, where most parts cannot tell; stability is for all to show."""
+    doubts = [
+        [reason for reason in each.reasons if reason.code != PERHAPS_UNSTABLE]
+        for each in assessed
+        if each.verdict == "cannot tell"
+    ]
+    unsure = [reasons for reasons in doubts if reasons]
     if 2 * len(unsure) <= len(assessed):
         return []
-    codes = Counter(reason.code for each in unsure for reason in each.reasons)
+    codes = Counter(reason.code for reasons in unsure for reason in reasons)
     most, _ = codes.most_common(1)[0]
-    return [next(reason for each in unsure for reason in each.reasons if reason.code == most)]
+    return [next(reason for reasons in unsure for reason in reasons if reason.code == most)]
 
 
 def _over_parts(shares: Sequence[Mapping[str, float]]) -> dict[str, float]:

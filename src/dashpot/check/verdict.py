@@ -27,6 +27,7 @@ from dashpot.notices import Notice
 
 REJECTED = 0.01  # p-value of χ² below which a rig does not fit: one clean test in a hundred
 MORE_THAN_NOISE = 2.0  # rms of a channel's residuals over the noise
+PERHAPS_UNSTABLE = "perhaps_unstable"  # a code
 FEWEST = 4  # degrees of freedom below which χ² has no power to speak of
 BEYOND = 3.0  # standard deviations by which a sign or a damping ratio must be wrong
 HEARD = 3.0  # standard deviations that an amplitude must have to be more than noise
@@ -79,7 +80,7 @@ def assess(model: Model, spectrum: Spectrum, estimate: Estimate) -> Assessment:
         ),
     ]
     unheard = [] if spectrum.records else _unheard(left, motions, _fundamentals(spectrum))
-    untested = [] if against else powerless(estimate, of_residuals=RESIDUAL in spectrum.noise)
+    untested = [] if against else doubtful(estimate, of_residuals=RESIDUAL in spectrum.noise)
     chance = [notice for notice in estimate.warnings if notice.code == MODES_UNSEEN]
     doubts = [*untested, *chance, *hum_notices(left, motions, tones), *unheard]
     verdict: Judgement = "does not fit" if against else "cannot tell" if doubts else "fits"
@@ -119,6 +120,11 @@ def rejected(estimate: Estimate) -> list[Notice]:
     return [Notice("chi2", f"the residuals are {float(fit.misfit):.2g} × the noise")]
 
 
+def doubtful(estimate: Estimate, *, of_residuals: bool = False) -> list[Notice]:
+    """Why nobody should sign a fit that nothing speaks against: χ² has no power, or a mode comes out unstable."""
+    return [*powerless(estimate, of_residuals=of_residuals), *unstable_by_chance(estimate)]
+
+
 def powerless(estimate: Estimate, *, of_residuals: bool = False) -> list[Notice]:
     """Why χ² cannot tell whether the rig fits, if it cannot; `of_residuals`: it is they that say how large noise is."""
     fit = estimate.fit
@@ -154,19 +160,30 @@ def unphysical(model: Model, estimate: Estimate) -> list[Notice]:
 
 def unstable(estimate: Estimate) -> list[Notice]:
     """The rig's modes that grow beyond doubt."""
+    where, several = _growing(estimate, BEYOND)
+    if not where:
+        return []
+    return [Notice("unstable", f"{where} grow{'' if several else 's'} instead of dying away")]
+
+
+def unstable_by_chance(estimate: Estimate) -> list[Notice]:
+    """Modes that grow as estimated, though by no more than noise may do: such a rig cannot be signed."""
+    where, several = _growing(estimate, 0.0)
+    if not where:
+        return []
+    text = f"{where} come{'' if several else 's'} out unstable, though noise alone may do so"
+    return [Notice(PERHAPS_UNSTABLE, text)]
+
+
+def _growing(estimate: Estimate, deviations: float) -> tuple[str, bool]:
+    """Modes whose damping ratio is negative by more than so many standard deviations, in words; whether several."""
     modes = estimate.modes
     if modes is None:
-        return []
-    sd = np.nan_to_num(modes.damping_sd)
-    grows = (modes.damping_ratio < -BEYOND * sd) & (modes.damping_ratio < -1e-9)
-    if not np.any(grows):
-        return []
+        return "", False
+    grows = modes.damping_ratio < np.minimum(-deviations * np.nan_to_num(modes.damping_sd), -1e-9)
     where = joined(f"{frequency:.3g}" for frequency in modes.frequency_hz[grows])
-    several = np.sum(grows) > 1
-    text = (
-        f"the mode{'s' if several else ''} at {where} Hz grow{'' if several else 's'} instead of dying away"
-    )
-    return [Notice("unstable", text)]
+    several = bool(np.sum(grows) > 1)
+    return (f"the mode{'s' if several else ''} at {where} Hz" if where else ""), several
 
 
 def _fundamentals(spectrum: Spectrum) -> Bools:

@@ -31,6 +31,12 @@ NOTICES: tuple[tuple[str, str, str, str], ...] = (
         "As for a negative damper: signs, phase convention, delays.",
     ),
     (
+        "perhaps_unstable", _VERDICT,
+        ("A mode comes out unstable, but its damping ratio is less than three standard deviations below 0: the data "
+        "fit, and say too little about the damping to call the rig found."),
+        "Measure near the resonance of that mode, longer or with a larger drive, or state a damper that is known.",
+    ),
+    (
         "parts_disagree", _VERDICT,
         ("Parts of the data that were identified by themselves (`--in-parts`) give values that differ by more than "
         "their noise (χ² of their scatter, p < 0.001): the rig changed, or its misfit differs from part to part."),
