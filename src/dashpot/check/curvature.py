@@ -21,7 +21,7 @@ from dashpot.estimate.likelihood.descent import Stage
 from dashpot.estimate.likelihood.objective import measured
 from dashpot.estimate.preparation.prepared import prepare
 from dashpot.estimate.registry import AUTOMATIC  # those that end in the minimum of χ²
-from dashpot.estimate.result import Estimate
+from dashpot.estimate.result import MISFIT, Estimate
 from dashpot.model.network import Model
 
 REACH = 2.0  # standard deviations
@@ -76,7 +76,7 @@ def _profiled(model: Model, spectrum: Spectrum, estimate: Estimate) -> bool:
     """Whether profiles are worth their time, and mean what they say."""
     plain = all(isinstance(stretch, SettledDwell) for stretch in spectrum.stretches)
     small = len(estimate.names) <= MOST_UNKNOWNS and spectrum.amplitudes.size <= MOST_AMPLITUDES
-    sound = bool(estimate.converged) and estimate.basis != "model misfit"
+    sound = bool(estimate.converged) and estimate.basis != MISFIT
     free = np.array_equal(estimate.free_values, estimate.values)
     unweighed = estimate.fit.known_noise or not np.any(model.prior_precision)
     efficient = estimate.method in AUTOMATIC and not len(model.nonlinear)

@@ -26,7 +26,7 @@ from dashpot.estimate.preparation.prepared import prepare
 from dashpot.estimate.preparation.state_reconstruction import unseen
 from dashpot.estimate.registry import AUTOMATIC, method_class
 from dashpot.estimate.registry import method as method_named
-from dashpot.estimate.result import Estimate, Fit
+from dashpot.estimate.result import MISFIT, RESIDUALS, SENSOR_NOISE, Estimate, Fit
 from dashpot.model.network import Model
 from dashpot.model.observation import observation_model
 from dashpot.numerics.small_systems import standard_deviations
@@ -197,5 +197,5 @@ def _free_values(solution: Solution) -> Real:
 def _basis(fit: Fit, bands_disagree: bool) -> str:
     """What the intervals rest on."""
     if fit.rejected.any() or bands_disagree:
-        return "model misfit"
-    return "sensor noise" if fit.known_noise else "residuals"
+        return MISFIT
+    return SENSOR_NOISE if fit.known_noise else RESIDUALS

@@ -15,7 +15,7 @@ from scipy.special import chdtrc
 from dashpot.arrays import Real
 from dashpot.errors import DataError
 from dashpot.estimate.inference.derived import linear_modes
-from dashpot.estimate.result import Estimate, Fit
+from dashpot.estimate.result import MISFIT, Estimate, Fit
 from dashpot.model.network import Model
 from dashpot.notices import Notice
 
@@ -73,13 +73,13 @@ def merge_estimates(model: Model, parts: Sequence[Estimate]) -> Merged:
     if p < DISAGREE:
         covariance = covariance * (scatter / dof)
         dof_of_intervals = np.minimum(dof_of_intervals, dof)
-    widened = p < DISAGREE or any(part.basis == "model misfit" for part in parts)
+    widened = p < DISAGREE or any(part.basis == MISFIT for part in parts)
     alone = np.maximum(np.diagonal(spread, axis1=-2, axis2=-1) - np.diagonal(noise), np.finfo(float).tiny)
     units = np.outer(scale, scale)
     estimate = _estimate(
         model, parts, theta * scale, (covariance if widened else noise) * units, noise * units
     )
-    basis = "model misfit" if widened else parts[0].basis
+    basis = MISFIT if widened else parts[0].basis
     return Merged(replace(estimate, basis=basis, dof=dof_of_intervals), scatter, dof, p, off / np.sqrt(alone))
 
 

@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from dashpot.export.transfer_functions import TransferFunctions
 
 FORMAT = "0.1"
+SENSOR_NOISE, RESIDUALS, MISFIT = "sensor noise", "residuals", "model misfit"  # what intervals may rest on
 SHOWN = 8  # values in the one-line form
 REMEDY = "write one with dashpot identify"
 

@@ -24,7 +24,7 @@ from dashpot.estimate.method import HeldBounds
 from dashpot.estimate.modal.mode_residuals import modal_misfit
 from dashpot.estimate.modal.pairing import MeasuredModes, measured_modes, with_one_axis
 from dashpot.estimate.modal.starting_values import guessed, like_parts, linear_start, random_rigs, usual_parts
-from dashpot.estimate.result import Estimate, Fit
+from dashpot.estimate.result import MISFIT, SENSOR_NOISE, Estimate, Fit
 from dashpot.io.words import with_values
 from dashpot.model.network import Model
 from dashpot.notices import Notice
@@ -105,7 +105,7 @@ def _estimate(
         lower=lower,
         upper=upper,
         free_values=free.reshape((*batch, m)),
-        basis="model misfit" if np.any(misfit) else "sensor noise",
+        basis=MISFIT if np.any(misfit) else SENSOR_NOISE,
         converged=minima.converged.reshape(batch),
         iterations=minima.iterations.reshape(batch),
         history=minima.history,

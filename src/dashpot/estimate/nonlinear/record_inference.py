@@ -21,7 +21,7 @@ from dashpot.estimate.nonlinear.record_problem import RecordProblem
 from dashpot.estimate.nonlinear.records import total_samples
 from dashpot.estimate.nonlinear.restricted_likelihood import drawn_noise, unknowns_matrix
 from dashpot.estimate.nonlinear.uncertain_inputs import HALF_WINDOW, around
-from dashpot.estimate.result import Estimate, Fit
+from dashpot.estimate.result import RESIDUALS, Estimate, Fit
 from dashpot.model.network import Model
 from dashpot.notices import Notice
 from dashpot.numerics.small_systems import scaled_inverse
@@ -74,7 +74,7 @@ def record_estimate(
     return Estimate(
         model=model.name, method="ml", names=names, units=units, values=values, covariance=covariance,
         noise_covariance=covariance, bound_sd=plain, dof=np.full(inner, float(dof)), lower=lower, upper=upper,
-        free_values=values, basis="residuals", converged=np.asarray(converged),
+        free_values=values, basis=RESIDUALS, converged=np.asarray(converged),
         iterations=np.asarray(iterations, dtype=np.int64), history=history,
         fit=_fit(problem, psi, dof, noise), known=known_values(model),
         tied=tied_values(model), modes=None, signs={}, warnings=tuple(warnings), notes=tuple(notes),

@@ -9,7 +9,7 @@ from typing import TypeVar
 import numpy as np
 from rich.console import Console
 
-from dashpot.estimate.result import Estimate, Fit, ModeValues
+from dashpot.estimate.result import MISFIT, RESIDUALS, Estimate, Fit, ModeValues
 from dashpot.present.tables.layout import (
     TableColumn,
     html_paragraph,
@@ -20,7 +20,6 @@ from dashpot.present.tables.layout import (
 )
 from dashpot.present.text.assessment import diagnosis_in_words, motion_in_words, verdict_in_words
 from dashpot.present.text.estimate import (
-    MISFIT,
     aperiodic_in_words,
     basis_in_words,
     bound_in_words,
@@ -98,14 +97,19 @@ def left_out_in_words(estimate: Estimate) -> str:
 
 
 def parameter_columns(estimate: Estimate, level: float = 0.95) -> list[TableColumn]:
-    """Name, value, unit, ±, relative ±, interval, bound; where the model does not fit, also the ± of noise only."""
+    """Name, value, unit, ±, relative ±, interval, bound; where the model does not fit, also the ± of noise only.
+
+    The head of ± says where the fit, on whose residuals it rests, cannot be tested.
+    """
     rows = parameter_rows(estimate, level)
     low, high = (max((len(getattr(row, end)) for row in rows), default=0) for end in ("low", "high"))
     intervals = [f"{row.low.rjust(low)} … {row.high.ljust(high)}" if row.low else row.tie for row in rows]
     columns = [
         TableColumn("parameter", tuple(row.name for row in rows)),
         TableColumn("value", tuple(row.value for row in rows), "right"),
-        TableColumn("±", tuple(row.sd for row in rows), "right"),
+        TableColumn(
+            "±, not\ntested" if estimate.basis == RESIDUALS else "±", tuple(row.sd for row in rows), "right"
+        ),
         TableColumn("unit", tuple("" if row.unit == "1" else row.unit for row in rows)),
         TableColumn("± %", tuple(row.share for row in rows), "right"),
         TableColumn(f"{100 * level:g} % interval", tuple(intervals), "center"),

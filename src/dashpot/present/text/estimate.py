@@ -8,12 +8,11 @@ from collections.abc import Collection
 import numpy as np
 
 from dashpot.estimate.likelihood.input_noise import INPUT_NOISE
-from dashpot.estimate.result import Estimate, Fit
+from dashpot.estimate.result import MISFIT, RESIDUALS, Estimate, Fit
 from dashpot.io.words import joined
 from dashpot.present.text.notices import OPTIONS, with_remedy
 from dashpot.present.text.numbers import probability, short
 
-MISFIT = "model misfit"
 SAID_BY_THE_FIT = ("model_misfit", "unknown_noise")  # codes
 
 
@@ -49,7 +48,7 @@ def basis_in_words(estimate: Estimate) -> str:
             "± is one standard deviation. It is widened for the misfit of the model; "
             "'noise only' assumes a perfect model and is too small here."
         )
-    if estimate.basis == "residuals":
+    if estimate.basis == RESIDUALS:
         return "± is one standard deviation, estimated from the scatter of the residuals."
     return "± is one standard deviation from the noise of the data."
 
