@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from dashpot.check.diagnosis.modal_causes import diagnose_modes
-from dashpot.check.verdict import doubtful, rejected, unphysical, unstable, worst_of
+from dashpot.check.verdict import doubts_about, rejected, unphysical, unstable, worst_of
 from dashpot.data.modal_data import ModalData
 from dashpot.estimate.assessment import Assessment, Judgement, Misfit
 from dashpot.estimate.modal.mode_residuals import ModeResiduals, mode_residuals
@@ -29,7 +29,7 @@ def assess_modes(model: Model, data: ModalData, estimate: Estimate) -> Assessmen
     """The verdict on one estimate from measured modes; residuals of a point are in parts of its motion."""
     left = mode_residuals(model, data, estimate.values)
     against = [*unphysical(model, estimate), *unstable(estimate), *rejected(estimate)]
-    doubts = [] if against else doubtful(estimate)
+    doubts = [] if against else doubts_about(estimate)
     verdict: Judgement = "does not fit" if against else "cannot tell" if doubts else "fits"
     return Assessment(verdict, (*against, *doubts), _relative(data, left), _worst(data, left))
 

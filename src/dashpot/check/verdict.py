@@ -10,6 +10,7 @@ import numpy as np
 from dashpot.arrays import Bools, Complex, Real
 from dashpot.check.record_residuals import hum_notices, mains_hum, standing_out
 from dashpot.check.residuals import Residuals, calibrations_of, residuals
+from dashpot.check.silent_channels import mostly_unheard
 from dashpot.data.spectrum import Spectrum
 from dashpot.data.stretch import SettledDwell
 from dashpot.estimate.assessment import Assessment, Finding, Judgement, Misfit
@@ -30,8 +31,6 @@ MORE_THAN_NOISE = 2.0  # rms of a channel's residuals over the noise
 PERHAPS_UNSTABLE = "perhaps_unstable"  # a code
 FEWEST = 4  # degrees of freedom below which χ² has no power to speak of
 BEYOND = 3.0  # standard deviations by which a sign or a damping ratio must be wrong
-HEARD = 3.0  # standard deviations that an amplitude must have to be more than noise
-MOSTLY = 0.5  # share of a channel's lines
 SMOOTH = 4.5  # standard deviations of the correlation of neighbouring residuals
 WORST = 3  # amplitudes that are named
 UNTESTED = ("no_noise", "noise_from_residuals", "few_degrees")  # codes of doubts that no χ² has settled
@@ -80,7 +79,7 @@ def assess(model: Model, spectrum: Spectrum, estimate: Estimate) -> Assessment:
         ),
     ]
     unheard = [] if spectrum.records else _unheard(left, motions, _fundamentals(spectrum))
-    untested = [] if against else doubtful(estimate, of_residuals=RESIDUAL in spectrum.noise)
+    untested = [] if against else doubts_about(estimate, of_residuals=RESIDUAL in spectrum.noise)
     chance = [notice for notice in estimate.warnings if notice.code == MODES_UNSEEN]
     doubts = [*untested, *chance, *hum_notices(left, motions, tones), *unheard]
     verdict: Judgement = "does not fit" if against else "cannot tell" if doubts else "fits"
@@ -120,7 +119,7 @@ def rejected(estimate: Estimate) -> list[Notice]:
     return [Notice("chi2", f"the residuals are {float(fit.misfit):.2g} × the noise")]
 
 
-def doubtful(estimate: Estimate, *, of_residuals: bool = False) -> list[Notice]:
+def doubts_about(estimate: Estimate, *, of_residuals: bool = False) -> list[Notice]:
     """Why nobody should sign a fit that nothing speaks against: χ² has no power, or a mode comes out unstable."""
     return [*powerless(estimate, of_residuals=of_residuals), *unstable_by_chance(estimate)]
 
@@ -200,15 +199,8 @@ def _fundamentals(spectrum: Spectrum) -> Bools:
 
 def _unheard(left: Residuals, motions: Bools, lines: Bools) -> list[Notice]:
     """Channels that are little else than noise at the given lines: they fit anything."""
-    with np.errstate(invalid="ignore", divide="ignore"):
-        heard = np.abs(left.measured) > HEARD * left.sd * np.sqrt(2)
-    present = np.isfinite(left.measured) & lines[:, None]
-    share = np.sum(heard & present, axis=0) / np.maximum(np.sum(present, axis=0), 1)
-    quiet = [
-        name
-        for name, part, motion, noise in zip(left.channels, share, motions, left.sd.T, strict=True)
-        if motion and part < MOSTLY and np.any(noise > 0)
-    ]
+    unheard = motions & mostly_unheard(left.measured, left.sd, lines)
+    quiet = [name for name, noise_only in zip(left.channels, unheard, strict=True) if noise_only]
     if not quiet:
         return []
     which = f"{joined(quiet)} {'is' if len(quiet) == 1 else 'are'}"

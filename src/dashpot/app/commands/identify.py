@@ -282,6 +282,7 @@ def _check_matrices(rig: Rig, wanted: bool) -> None:
 def _ending(estimate: Estimate, strict: bool) -> int:
     """The exit code, and a line where the iteration has not converged."""
     from dashpot.estimate.inference.unseen_laws import UNSEEN_LAW
+    from dashpot.present.text.estimate import sentence
 
     if bool(estimate.converged):
         misfits = estimate.assessment is not None and estimate.assessment.verdict == "does not fit"
@@ -292,7 +293,7 @@ def _ending(estimate: Estimate, strict: bool) -> int:
     )
     if estimate.assessment is not None and estimate.assessment.findings:
         best = estimate.assessment.findings[0]
-        cure = f"a likely cause: {best.text} {best.change}"
+        cure = f"a likely cause: {sentence(best.text)} To change: {best.change}"
     if any(notice.code == "modes_outside" for notice in estimate.warnings):
         cure = "the band shows too few of the rig's modes: widen --band, or give values to the unknowns named above"
     unseen = [name for notice in estimate.warnings if notice.code == UNSEEN_LAW for name in notice.of]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -57,24 +57,20 @@ RADIANS = 180 / np.pi  # times which phases are radians that were read as degree
 SIGN = Likeness(-1.0, 0, 0.0, False, 0.0)
 
 
-def causes(bench: Workbench, seed: int = 0) -> tuple[float, list[Cause]]:
-    """χ² per degree of freedom of the data as they are, and what would lower it to a half at least, the best first."""
+def causes(bench: Workbench, silent: Mapping[str, str], seed: int = 0) -> tuple[float, list[Cause]]:
+    """χ² per degree of freedom of the data as they are, and what would lower it to a half at least, the best first.
+
+    silent: of channels that measured nothing by their own numbers, what they show: of them no gain or sign can be told.
+    """
     base = untouched(bench.data)
     channels = [channel.name for channel in bench.view.channels]
     dropped = [
         without(base, "channel", (name,), _only(base.kept, column=c)) for c, name in enumerate(channels)
     ]
     searched = bench.searched([base, *dropped, *_inputs_otherwise(bench, base)], seed)
-    as_is, without_one, inputs = (
-        searched[0],
-        searched[1 : 1 + len(channels)],
-        searched[1 + len(channels) :],
-    )
+    as_is, without_one, inputs = searched[0], searched[1 : len(channels) + 1], searched[len(channels) + 1 :]
     pool = [outcome.psi for outcome in searched]
-    candidates = [
-        replace(_of_outcome(outcome), untested=untested(bench.view, base, outcome.trial))
-        for outcome in without_one
-    ]
+    candidates = _left_out(bench, base, without_one, silent)
     candidates += [_of_outcome(outcome) for outcome in inputs]
     candidates += _mended_channels(bench, base, without_one, pool)
     usual = [*_rearranged(bench, base, channels), *_usual_mistakes(bench, base)]
@@ -94,14 +90,27 @@ def causes(bench: Workbench, seed: int = 0) -> tuple[float, list[Cause]]:
         candidates += _unusual_mistakes(bench, base, without_one, otherwise, pool, seed)
     if not _explained(candidates, (*PARTICULAR, "dwell"), max(ENOUGH, GROSS * as_is.reduced)):
         candidates += _nonlinear(bench, as_is)
-    inputs_alone = {
-        channel.name for channel in bench.view.channels if measures_input(bench.data.model, channel)
-    }
+    inputs_alone = {each.name for each in bench.view.channels if measures_input(bench.data.model, each)}
     by_chance = _by_chance(as_is) if bench.data.noise_known else np.inf
     impossible = _impossible_signs(bench, as_is, [*inputs, *otherwise])
-    return as_is.reduced, ranked(
-        candidates, as_is.reduced, inputs_alone, noise=by_chance, surely=positive, impossible=impossible
+    sensible = [each for each in candidates if each.shows or silent.keys().isdisjoint(each.of)]
+    best = ranked(
+        sensible, as_is.reduced, inputs_alone, noise=by_chance, surely=positive, impossible=impossible
     )
+    return as_is.reduced, best
+
+
+def _left_out(
+    bench: Workbench, base: Trial, outcomes: Sequence[Outcome], silent: Mapping[str, str]
+) -> list[Cause]:
+    """Each channel left out, with what it shows if it measured nothing."""
+    return [
+        replace(
+            _of_outcome(outcome), untested=untested(bench.view, base, outcome.trial),
+            shows=silent.get(outcome.trial.of[0], ""),
+        )
+        for outcome in outcomes
+    ]  # fmt: skip
 
 
 def _explained(candidates: Sequence[Cause], kinds: Sequence[str], noise: float = ENOUGH) -> bool:

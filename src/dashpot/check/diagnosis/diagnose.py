@@ -18,6 +18,7 @@ from dashpot.check.diagnosis.record_elements import called_for_in_records
 from dashpot.check.diagnosis.search import Workbench
 from dashpot.check.diagnosis.steady_lines import steady_lines
 from dashpot.check.diagnosis.wording import finding, nonlinear_finding
+from dashpot.check.silent_channels import silent_channels
 from dashpot.check.verdict import BEYOND, UNTESTED, assess, with_change_in_time
 from dashpot.data.spectrum import Spectrum
 from dashpot.errors import DashpotError
@@ -69,7 +70,8 @@ def _misfit_and_causes(
         for name, turned in estimate.signs.items():
             sign[spectrum.index(name)] = float(turned)
     lines_are_runs = not transients or spectrum.lines <= runs
-    as_is, ranked_causes = causes(Workbench(data, psi, sign, lines_are_runs), seed)
+    silent = silent_channels(model, spectrum) if lines_are_runs else {}
+    as_is, ranked_causes = causes(Workbench(data, psi, sign, lines_are_runs), silent, seed)
     if transients and as_is < SHOWN:
         return as_is, ()
     return as_is, tuple(finding(model, spectrum.channels, cause) for cause in ranked_causes)

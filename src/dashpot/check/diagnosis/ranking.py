@@ -32,6 +32,7 @@ class Cause:
     """What may be wrong, and χ² per degree of freedom with it mended.
 
     untested: share of the lines that test nothing any more, because what is left of them only gives the input.
+    shows: what a channel's own numbers say against it, empty where nothing.
     """
 
     kind: str
@@ -42,6 +43,7 @@ class Cause:
     element: Element | None = None
     where: str = ""
     untested: float = 0.0
+    shows: str = ""
 
 
 def ranked(
@@ -50,6 +52,7 @@ def ranked(
 ) -> list[Cause]:  # fmt: skip
     """Those that explain half of the misfit or more, and `surely`; what explains alike in the order of ORDER.
 
+    Channels that by their own numbers measured nothing stand first where the rest fits without them.
     Without the channel of an input (`inputs`) it moves as it likes at every line, which explains nearly anything.
     Without one of two channels that a line has its motion is as it likes: that explains less than any remedy by which
     most of the misfit goes and all lines stay tested.
@@ -73,14 +76,21 @@ def ranked(
     alike = ALIKE if best < noise else ALIKE_OF_A_ROUGH_RIG
     share = min(1.0, FINELY * (start - 1)) if small else 1.0
 
-    def place(cause: Cause) -> tuple[bool, float, int, bool, float]:
+    def place(cause: Cause) -> tuple[bool, bool, float, int, bool, float]:
         # Leaving data out leaves less to explain: what keeps them and explains nearly as much says more.
         channel = LEFT_OUT_INPUT if set(cause.of) & set(inputs) else LEFT_OUT
         handicap = {"channel": channel, "dwell": LEFT_OUT_DWELL, "mode": LEFT_OUT_DWELL}.get(cause.kind, 1.0)
         left = cause.remaining * (1 + share * (handicap - 1))
         tier = np.floor(np.log(max(left, best) / best) / np.log(1 + share * (alike - 1)))
         backwards = cause.kind == "sign" and cause.of[0] in impossible
-        return cause not in in_question, float(tier), ORDER.index(cause.kind), backwards, cause.remaining
+        return (
+            not cause.shows,
+            cause not in in_question,
+            float(tier),
+            ORDER.index(cause.kind),
+            backwards,
+            cause.remaining,
+        )
 
     named: dict[tuple[str, tuple[str, ...]], Cause] = {}
     for cause in sorted(helpful, key=place):

@@ -196,7 +196,7 @@ def _of_data(cause: Cause) -> tuple[str, str]:
         case _:
             name = cause.of[0] if cause.of else "one channel"
             return (
-                f"{name} contradicts all other channels, for no simple reason",
+                f"{name} {cause.shows or 'contradicts all other channels, for no simple reason'}",
                 f"leave {name} out, or check its sensor and where it is mounted",
             )
 

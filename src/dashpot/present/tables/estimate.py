@@ -97,19 +97,14 @@ def left_out_in_words(estimate: Estimate) -> str:
 
 
 def parameter_columns(estimate: Estimate, level: float = 0.95) -> list[TableColumn]:
-    """Name, value, unit, ±, relative ±, interval, bound; where the model does not fit, also the ± of noise only.
-
-    The head of ± says where the fit, on whose residuals it rests, cannot be tested.
-    """
+    """Name, value, unit, ±, relative ±, interval, bound; where the model does not fit, also the ± of noise only."""
     rows = parameter_rows(estimate, level)
     low, high = (max((len(getattr(row, end)) for row in rows), default=0) for end in ("low", "high"))
     intervals = [f"{row.low.rjust(low)} … {row.high.ljust(high)}" if row.low else row.tie for row in rows]
     columns = [
         TableColumn("parameter", tuple(row.name for row in rows)),
         TableColumn("value", tuple(row.value for row in rows), "right"),
-        TableColumn(
-            "±, not\ntested" if estimate.basis == RESIDUALS else "±", tuple(row.sd for row in rows), "right"
-        ),
+        TableColumn(_head_of_spread(estimate), tuple(row.sd for row in rows), "right"),
         TableColumn("unit", tuple("" if row.unit == "1" else row.unit for row in rows)),
         TableColumn("± %", tuple(row.share for row in rows), "right"),
         TableColumn(f"{100 * level:g} % interval", tuple(intervals), "center"),
@@ -119,6 +114,11 @@ def parameter_columns(estimate: Estimate, level: float = 0.95) -> list[TableColu
     if np.any(np.isfinite(estimate.bound_sd)):
         columns.append(TableColumn("bound", tuple(row.bound for row in rows), "right"))
     return columns
+
+
+def _head_of_spread(estimate: Estimate) -> str:
+    """±, and whether the fit, on whose residuals it rests, could be tested."""
+    return "±, not\ntested" if estimate.basis == RESIDUALS else "±"
 
 
 def mode_columns(modes: ModeValues) -> list[TableColumn]:

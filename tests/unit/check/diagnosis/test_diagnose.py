@@ -203,7 +203,7 @@ def test_only_dwells_are_left_out_or_given_another_frequency(runs):
     case = MISTAKES["mislabelled dwell"](model, lines, np.random.default_rng(100))
     data = prepare(case.model, case.spectrum)
     starts, signs = candidates(data, 1, np.random.default_rng(0))
-    _, named = causes(Workbench(data, starts[0], signs[0], lines_are_runs=runs))
+    _, named = causes(Workbench(data, starts[0], signs[0], lines_are_runs=runs), {})
     assert bool({cause.kind for cause in named if cause.of} & {"dwell", "frequency"}) == runs
 
 
