@@ -12,6 +12,7 @@ from dashpot.errors import DataError
 from dashpot.notices import Notice
 
 UNEVEN = 0.02  # of a sampling step: stamps may be rounded by that much
+ROUNDED = 1e-6  # of a sampling step: stamps that are less off are even
 FEWEST = 16  # samples of a record
 
 
@@ -49,29 +50,44 @@ def _digit(time: Real) -> float:
 
 
 def with_even_stamps(record: Record) -> tuple[Record, Notice | None]:
-    """The record on an even clock where its stamps are even times rounded to a coarse digit, and a note; else as it is.
+    """The record on an even clock where its stamps are even times rounded to some digit, else as it is.
 
     Steps of 10 and 20 ms are what 64 samples a second look like in stamps of 10 ms: taken at their word, they are
-    noise of the time.
+    noise of the time.  A note says so where the digit is coarse.
     """
     time = record.time
     if len(time) < FEWEST:
         return record, None
-    index = np.arange(len(time)) - (len(time) - 1) / 2
+    index = np.arange(len(time), dtype=np.float64) - (len(time) - 1) / 2
     step = float(index @ (time - time[0]) / (index @ index))
     middle = float(np.mean(time))
     away = float(np.max(np.abs(time - middle - step * index)))
-    if not UNEVEN * step < away < step:
+    if not ROUNDED * step < away < step:
         return record, None
     steps = np.diff(time)
     digit = float(np.min(steps[steps > 1e-9 * step], initial=np.inf))
     digit = float(np.min(np.abs(np.diff(np.unique(np.round(steps, 12)))), initial=digit))
     whole = np.abs(steps / digit - np.round(steps / digit))
-    if digit <= 0 or np.max(whole) > 1e-3 or away > 1.02 * digit:
+    coarse = away > UNEVEN * step
+    if digit <= 0 or np.max(whole) > 1e-3 or away > (1.02 if coarse else 0.75) * digit:
         return record, None
-    text = f"{record.source}: time stamps are rounded to {digit:.3g} s; the samples are taken as {step:.6g} s apart"
+    step = _simplest(time - middle, index, step, digit)
     even: Real = np.asarray(middle + step * index, dtype=np.float64)
-    return replace(record, time=even), Notice("stamps_rounded", text, (record.source,))
+    text = f"{record.source}: time stamps are rounded to {digit:.3g} s; the samples are taken as {step:.6g} s apart"
+    note = Notice("stamps_rounded", text, (record.source,)) if coarse else None
+    return replace(record, time=even), note
+
+
+def _simplest(time: Real, index: Real, step: float, digit: float) -> float:
+    """Of the steps whose even times round to the stamps, that of the shortest number, as a rate or as a step.
+
+    Loggers run at 64 Hz, not at 64.0008; the line through few stamps knows no better.
+    """
+    for digits in range(1, 7):
+        for simple in (1 / float(f"{1 / step:.{digits}g}"), float(f"{step:.{digits}g}")):
+            if np.ptp(time - simple * index) <= (1 + 1e-6) * digit:
+                return simple
+    return step
 
 
 def cut(record: Record, start: float, end: float) -> Record:

@@ -31,6 +31,7 @@ from dashpot.notices import Notice
 
 SIGNIFICANT = 0.01
 HIGHEST_HARMONIC = 10  # looked for
+DIGITS = 1e-6  # residual over amplitude below which it is how numbers are written: no sensor is as quiet
 
 
 @dataclass(frozen=True)
@@ -128,7 +129,8 @@ def _fit(record: Record, f: float, orders: tuple[int, ...], degree: int, noise: 
     sigma = np.where(exact[:, :, None] | exact[:, None, :], 0.0, sigma)
     level = white_noise(sigma, len(orders), free)
     if monitor is not None:
-        local = noise_beside_harmonics(monitor, solution.L, samples, free, sigma, exact)
+        written = exact_channels(sigma, X, solution.largest, DIGITS)
+        local = noise_beside_harmonics(monitor, solution.L, samples, free, sigma, exact, written)
         level = local.chosen(level, noise, record, f)
     P = _real_and_imaginary(solution.P, degree, len(orders))
     spread = P[:, 0, 0] + P[:, 1, 1]

@@ -246,10 +246,10 @@ def cholesky_solve(L: Real, right: Real) -> Real:
     return np.ascontiguousarray(np.moveaxis(whole.reshape(terms, batch, columns), 0, 1))
 
 
-def exact_channels(sigma: Real, X: Complex, largest: Real) -> Bools:
-    """(batch, channels): the residual is rounding, of the amplitude or of the numbers themselves."""
+def exact_channels(sigma: Real, X: Complex, largest: Real, share: float = EXACT) -> Bools:
+    """(batch, channels): the residual is rounding, a `share` of the amplitude or of the numbers themselves."""
     rms = np.sqrt(np.maximum(np.diagonal(sigma, axis1=1, axis2=2), 0.0))
     strongest = np.max(np.abs(X), axis=1)
-    bound = np.maximum(EXACT * strongest, 32 * np.finfo(float).eps * largest)
+    bound = np.maximum(share * strongest, 32 * np.finfo(float).eps * largest)
     small: Bools = rms <= bound
     return small

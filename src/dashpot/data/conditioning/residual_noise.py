@@ -140,14 +140,17 @@ def white_noise(sigma: Real, orders: int, free: int) -> NoiseLevel:
 
 
 def noise_beside_harmonics(
-    monitor: ResidualMonitor, L: Real, samples: int, free: int, sigma: Real, exact: Bools
+    monitor: ResidualMonitor, L: Real, samples: int, free: int, sigma: Real, exact: Bools, written: Bools
 ) -> LocalNoise:
     """What the monitor saw beside each harmonic; L is the factor of the Gram of the fit.
 
-    sigma (batch, channels, channels): covariance of the residual; exact (batch, channels): where it is nothing.
+    sigma (batch, channels, channels): covariance of the residual; exact (batch, channels): where it is nothing;
+    written (batch, channels): where it is the digits of the numbers, which repeat with the drive and are no noise.
     """
     level, counts = _local_level(monitor, L, samples, sigma, exact)
-    return LocalNoise(level, counts, _whiteness(monitor, sigma, exact, level, counts, samples, free))
+    return LocalNoise(
+        level, counts, _whiteness(monitor, sigma, exact | written, level, counts, samples, free)
+    )
 
 
 def _local_level(

@@ -31,6 +31,7 @@ SIGNIFICANT = 1e-3
 OWN = 3.3  # standard deviations by which a dwell must differ from the common ratio to have a frequency of its own
 LEAST_PERIODS = 0.98  # of a dwell that has a say
 REPEATS_OF_SHORT = 4.0  # of a dwell of less than two periods that have one
+LABEL = 5e-6  # relative: as labels of six digits are rounded
 EVEN = 1e-7  # relative: what is nearer is the same frequency, however small the noise
 USUAL = ((2 * np.pi, "rad/s"), (1 / (2 * np.pi), "Hz in the place of rad/s"), (60.0, "per minute"))
 ALIKE = 0.05  # relative
@@ -46,9 +47,9 @@ class DriveFrequencies:
     ratio: float = 1.0
 
     def note(self, records: Sequence[Record]) -> list[Notice]:
-        """What was changed, in words; nothing where the stated frequencies are used."""
+        """What was changed, in words; nothing where the stated frequencies are used, or were rounded to six digits."""
         stated = np.array([record.frequency_hz for record in records], dtype=float)
-        moved = np.flatnonzero(np.array(self.frequency_hz) != stated)
+        moved = np.flatnonzero(np.abs(np.array(self.frequency_hz) - stated) > LABEL * stated)
         if not len(moved):
             return []
         if self.kind == "clock":

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
 from dashpot.data.conditioning.clock import with_even_stamps
 from dashpot.data.conditioning.lines import spectrum
@@ -24,16 +25,25 @@ def test_rounded_stamps_are_taken_as_even() -> None:
     even, note = with_even_stamps(stamped(0.01))
     assert note is not None
     assert note.code == "stamps_rounded"
-    np.testing.assert_allclose(np.diff(even.time), 1 / RATE, rtol=2e-5)
+    np.testing.assert_allclose(np.diff(even.time), 1 / RATE, rtol=1e-9)
     lines = spectrum([stamped(0.01)], transients="none")
     ratio = lines.amplitudes[0, 0] / lines.amplitudes[0, 1]
     assert abs(ratio - 1 / 0.5j) < 5e-3
     assert lines.covariance[0, 0, 0].real < 10 * 4 * 1e-6 / 640
 
 
-def test_fine_stamps_jitter_and_gaps_are_left_alone() -> None:
+@pytest.mark.parametrize("digit", [1e-4, 1e-5])
+def test_stamps_with_few_decimals_are_no_jitter(digit: float) -> None:
+    """64 samples a second, as a spreadsheet writes them: what is left of an exact sine is nothing."""
+    rounded = stamped(digit)
+    even, note = with_even_stamps(rounded)
+    assert note is None
+    np.testing.assert_allclose(np.diff(even.time), 1 / RATE, rtol=1e-9)
+    assert np.max(np.abs(even.time - rounded.time)) < digit
+
+
+def test_jitter_and_gaps_are_left_alone() -> None:
     fine = stamped(1e-4)
-    assert with_even_stamps(fine)[0] is fine
     rng = np.random.default_rng(2)
     jitter = Record((X1, U), fine.time + rng.uniform(-0.005, 0.005, 640), fine.values, F)
     assert with_even_stamps(jitter)[0] is jitter
