@@ -11,6 +11,7 @@ import numpy as np
 from dashpot.arrays import Real
 from dashpot.data.calibration import calibration
 from dashpot.data.conditioning.account import account_of_dwells, other_motion, summed_up
+from dashpot.data.conditioning.brief_dwells import long_enough
 from dashpot.data.conditioning.clipped_samples import without_clipping
 from dashpot.data.conditioning.clock import FEWEST, with_even_stamps
 from dashpot.data.conditioning.drift import LEVEL as DRIFT_LEVEL
@@ -93,7 +94,9 @@ def _may_repeat(settings: Conditioning) -> bool:
 
 def _of_dwells(dwells: Sequence[Record], settings: Conditioning) -> Spectrum:
     """The lines of dwells, treated as all of them together ask for: what was driven, frequency, settling, drift."""
+    dwells, left_out = long_enough(dwells)
     dwells, weaker, notes = _evened(dwells, settings)
+    notes = [*left_out, *notes]
     uncut, of_stamps = dwells, list(notes)
     if settings.transients == "settle" and settings.settle == "none" and _unsettled(dwells):
         settings = settings.changed(settle="auto")

@@ -40,13 +40,9 @@ def check_length(record: Record, f: float, orders: tuple[int, ...], degree: int)
             record.source,
             f"record at least {terms + 1} samples, better some hundred",
         )
-    periods = f * duration(record.time)
-    step = float(
-        np.max(np.diff(record.time))
-    )  # unevenly sampled periods may end this far inside, on both sides
-    if f * (float(record.time[-1] - record.time[0]) + 2 * step) < 1:
+    if not holds_a_period(record.time, f):
         raise DataError(
-            f"the record holds {periods:.3g} of a period at {f:g} Hz",
+            f"the record holds {f * duration(record.time):.3g} of a period at {f:g} Hz",
             record.source,
             "record at least one whole period, better ten, or correct the frequency",
         )
@@ -58,6 +54,11 @@ def check_length(record: Record, f: float, orders: tuple[int, ...], degree: int)
             record.source,
             "ask for lower orders, or sample faster",
         )
+
+
+def holds_a_period(time: Real, f: float) -> bool:
+    """Whether the samples (samples,) span a period; unevenly sampled ones may end a step inside, on both sides."""
+    return f * (float(time[-1] - time[0]) + 2 * float(np.max(np.diff(time)))) >= 1
 
 
 def duration(time: Real) -> float:

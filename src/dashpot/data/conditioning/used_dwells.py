@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from dashpot.arrays import Ints
+from dashpot.data.conditioning.brief_dwells import long_enough
 from dashpot.data.conditioning.clock import with_even_stamps
 from dashpot.data.conditioning.lines import driven_parts
 from dashpot.data.conditioning.settings import Conditioning
@@ -40,6 +41,7 @@ def used_dwells(
 
     Nothing where lines do not stand for one settled dwell each: whole records, averaged periods, tables beside them.
     """
+    records, _ = long_enough(records)
     lines = _lines_of_dwells(spectrum)
     if len(lines) != len(records) or not all(
         _fits(record, spectrum, numbers) for record, numbers in zip(records, lines, strict=True)

@@ -205,6 +205,11 @@ DATA_NOTICES: tuple[tuple[str, str, str, str], ...] = (
         "Record with finer stamps; `--refine none` uses the stamps as they are.",
     ),
     (
+        "dwell_left_out", FILES,
+        "A dwell ends before its first period, as where a recording was stopped within it; the others are used.",
+        "Measure it again for at least one period, better ten, or correct its frequency.",
+    ),
+    (
         "clock_refined", FILES,
         "All dwells are off their stated frequencies by one factor: two clocks differ; the records' clock is used.",
         "Nothing; `--refine none` keeps the stated frequencies.",
