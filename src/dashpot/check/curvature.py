@@ -13,7 +13,7 @@ import numpy as np
 
 from dashpot.arrays import Bools, Real
 from dashpot.check.chi2_surface import chi2_surface
-from dashpot.check.profile import profile
+from dashpot.check.joint_profiles import joint_profiles
 from dashpot.data.spectrum import Spectrum
 from dashpot.data.stretch import SettledDwell
 from dashpot.errors import DashpotError
@@ -45,13 +45,14 @@ def with_profile_intervals(model: Model, spectrum: Spectrum, estimate: Estimate)
         if not len(bent):
             return estimate
         surface = chi2_surface(model, spectrum, estimate)
-        profiles = [
-            profile(model, spectrum, estimate.names[j], estimate=estimate, surface=surface) for j in bent
-        ]
+        low, high = replace(estimate, profiles={}).interval()
+        half = (high - low) / 2
+        curves = joint_profiles(
+            surface, bent.tolist(), half, half / np.sqrt(np.diagonal(surface.covariance()[0]))
+        )
     except DashpotError:
         return estimate  # nothing is said of the surface of such a rig
-    curves = {along.name: along.curve for along in profiles if not np.any(along.improved)}
-    return replace(estimate, profiles=curves) if curves else estimate
+    return replace(estimate, profiles={estimate.names[j]: curve for j, curve in curves.items()})
 
 
 def bent_unknowns(model: Model, spectrum: Spectrum, estimate: Estimate) -> Bools:

@@ -104,7 +104,7 @@ def profile(
     half = (high - low).ravel() / 2
     with np.errstate(invalid="ignore", divide="ignore"):
         threshold = (half / np.sqrt(base.covariance()[:, j, j])) ** 2
-    walk = _Walk(base, j, np.sqrt(threshold), half)
+    walk = Walk(base, j, np.sqrt(threshold), half)
     down, up = walk.end(-1.0), walk.end(1.0)
     points = np.array([*down.points, base.psi[0, j], *up.points])
     rise = np.array([*down.rises, 0.0, *up.rises])
@@ -117,17 +117,21 @@ def profile(
 
 
 @dataclass(frozen=True)
-class _Side:
-    """One side of the profile: where the rise is reached, what was met on the way by the first repeat."""
+class Side:
+    """One side of the profile: where the rise is reached; what the first repeat met on the way.
+
+    points, rises: values of the unknown and χ² above the minimum; visited: ψ (M,) and the root of the rise there.
+    """
 
     end: Real
     points: list[float]
     rises: list[float]
     improved: Bools
+    visited: list[tuple[Real, float]]
 
 
 @dataclass(frozen=True)
-class _Walk:
+class Walk:
     """Outwards along the profile of unknown j, to where the root of the rise is `root`, (K,)."""
 
     base: Surface
@@ -164,9 +168,11 @@ class _Walk:
         rise = np.where(np.isfinite(cost), cost - self.base.cost[rows], np.inf)
         return np.sign(rise) * np.sqrt(np.abs(rise))
 
-    def end(self, side: float) -> _Side:
-        """One side: below the estimate (−1) or above it (1)."""
+    def end(self, side: float, start: tuple[Real, float] | None = None) -> Side:
+        """One side: below the estimate (−1) or above it (1); of the first repeat on from ψ (M,) with its root."""
         bracket = _Bracket(self, side)
+        if start is not None:
+            bracket.start_from(*start)
         for turn in range(len(FRACTIONS) + FARTHEST):
             step = FRACTIONS[turn] if turn < len(FRACTIONS) else GROWTH ** (turn + 1 - len(FRACTIONS))
             if not bracket.step_out(step):
@@ -174,7 +180,7 @@ class _Walk:
         for _ in range(REFINEMENTS):
             if not bracket.refine():
                 break
-        return _Side(bracket.end, bracket.points, bracket.rises, bracket.improved)
+        return Side(bracket.end, bracket.points, bracket.rises, bracket.improved, bracket.visited)
 
 
 class _Bracket:
@@ -184,7 +190,7 @@ class _Bracket:
     roots of the rise.
     """
 
-    def __init__(self, walk: _Walk, side: float) -> None:
+    def __init__(self, walk: Walk, side: float) -> None:
         base, j, repeats = walk.base, walk.j, len(walk.base.psi)
         self.walk, self.side = walk, side
         self.bound = float(base.upper[j] if side > 0 else base.lower[j])
@@ -196,18 +202,27 @@ class _Bracket:
         self.searching = np.isfinite(walk.half) & (walk.half > 0)
         self.points: list[float] = []
         self.rises: list[float] = []
+        self.visited: list[tuple[Real, float]] = []
+        self.first = np.zeros(repeats)
         covariance = base.covariance()[:, j]
         with np.errstate(invalid="ignore", divide="ignore"):
             tangent = covariance / covariance[:, j][:, None]
         self.slope = side * np.nan_to_num(tangent)
 
+    def start_from(self, psi: Real, root: float) -> None:
+        """Begin the first repeat's way at ψ (M,), where the root of the rise is known, and the others stay."""
+        self.psi[0] = psi
+        self.first[0] = self.inner[0] = abs(float(psi[self.walk.j] - self.centre[0]))
+        self.inner_root[0] = root
+        self.slope[0] = np.where(np.arange(len(psi)) == self.walk.j, self.side, 0.0)
+
     def step_out(self, step: float) -> bool:
-        """Try `step` half-widths of the normal interval where nothing is beyond yet; False: nowhere."""
+        """Try `step` half-widths of the normal interval further where nothing is beyond yet; False: nowhere."""
         walk, side = self.walk, self.side
         rows = np.flatnonzero(self.searching & ~np.isfinite(self.outer))
         if not len(rows):
             return False
-        self.distance[rows] = step * walk.half[rows]
+        self.distance[rows] = self.first[rows] + step * walk.half[rows]
         limited = side * (self.centre[rows] + side * self.distance[rows] - self.bound) >= 0
         self.distance[rows[limited]] = np.abs(self.bound - self.centre[rows[limited]])
         root, psi = self._held(rows, self.distance[rows])
@@ -245,7 +260,10 @@ class _Bracket:
     def _held(self, rows: Ints, distance: Real) -> tuple[Real, Real]:
         """(root of the rise, ψ) at a distance from the estimate."""
         start = self.psi[rows] + self.slope[rows] * (distance - self.inner[rows])[:, None]
-        return self.walk.held(self.centre[rows] + self.side * distance, start, rows)
+        root, psi = self.walk.held(self.centre[rows] + self.side * distance, start, rows)
+        if rows[0] == 0 and np.isfinite(root[0]):
+            self.visited.append((psi[0], float(root[0])))
+        return root, psi
 
     def _move_inner(self, rows: Ints, distance: Real, root: Real, psi: Real) -> None:
         moved = (distance - self.inner[rows])[:, None]
