@@ -144,6 +144,8 @@ def _of_rig(model: Model, cause: Cause, element: Element) -> Finding:
         )
         place = f"at {next(iter(element.along))}" if element.kind is Kind.MASS else f"between {where}"
         text = f"a {element.kind.value} {place} is missing: {number:.3g} {unit}"
+        if element.kind is Kind.SPRING and number < 0 and len(element.along) > 1:
+            text += " (negative, as where the parts between them bend)"
         mended = element
     change = f"[{mended.kind.section}] {element_line(mended)}"
     return Finding(cause.kind, cause.of, text, change, cause.remaining, cause.number, elements=(mended,))

@@ -12,6 +12,7 @@ from dashpot.check.diagnosis.causes import causes
 from dashpot.check.diagnosis.diagnose import _ranked, diagnose, examined
 from dashpot.check.diagnosis.ranking import Cause, ranked
 from dashpot.check.diagnosis.search import Workbench
+from dashpot.check.diagnosis.wording import finding
 from dashpot.check.verdict import assess
 from dashpot.data.spectrum import Spectrum
 from dashpot.estimate.assessment import Finding, applied, assessment_from
@@ -55,8 +56,8 @@ def rank_of_the_truth(rig: str, mistake: str, seed: int) -> int | None:
     rng = np.random.default_rng(seed)
     case = MISTAKES[mistake](*clean(rig, rng), rng)
     findings = diagnose(case.model, case.spectrum)
-    for place, finding in enumerate(findings):
-        if finding.kind in case.kinds and frozenset(finding.of) == case.of:
+    for place, cause in enumerate(findings):
+        if cause.kind in case.kinds and frozenset(cause.of) == case.of:
             return place
     return None
 
@@ -347,3 +348,15 @@ def test_the_verdict_of_a_record_tells_the_story_of_its_causes() -> None:
     assert codes[-1] == "gain_step"
     assert len(codes) > 1
     assert "gain_step" not in {notice.code for notice in estimate.warnings}
+
+
+def test_a_negative_spring_between_two_points_says_what_it_stands_for():
+    model, lines = clean("three", np.random.default_rng(3))
+    joined = model.coordinates[0], model.coordinates[2]
+    spring = between("k_new", Kind.SPRING, *joined)
+    texts = [
+        finding(model, lines.channels, Cause("element", joined, 1.0, value, element=spring)).text
+        for value in (-40.0, 40.0)
+    ]
+    assert "-40 N/m (negative, as where the parts between them bend)" in texts[0]
+    assert texts[1].endswith("40 N/m")
