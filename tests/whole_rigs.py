@@ -164,11 +164,12 @@ def record_of(
 
 def stepped_sine(
     model: Model, theta: Real, channels: Sequence[Channel], frequencies: Sequence[float], noise: float, *,
-    periods: float = 5, settle: float = 0.0, seed: int = 0,
+    periods: float = 5, settle: float = 0.0, seed: int = 0, drift: float = 0.0,
 ) -> list[Record]:  # fmt: skip
     """Dwells of 20 samples a period of the one input, each from the state that the last one left, clocks restarted.
 
     noise of every channel but the last, against its own size; the first `settle` seconds of each dwell are left out.
+    In the rest the drive's amplitude runs from 1 − drift to 1 + drift, in mm.
     """
     rng = np.random.default_rng(seed)
     p = model.parameters(theta)
@@ -180,7 +181,8 @@ def stepped_sine(
         wait = int(settle * 20 * f)
         count = wait + int(20 * periods)
         fine = np.arange(8 * count + 1) * step / 8
-        motion = integrator(model, p, step / 8).motion(np.sin(2 * np.pi * f * fine)[:, None] * 1e-3, state)
+        size = 1e-3 * np.interp(fine, [wait * step, fine[-1]], [1 - drift, 1 + drift])
+        motion = integrator(model, p, step / 8).motion((size * np.sin(2 * np.pi * f * fine))[:, None], state)
         state = np.concatenate([motion.x[-1], motion.v[-1]])
         values = channel_samples(view, p, motion)[:-1:8][wait:]
         noisy = np.arange(len(channels)) < len(channels) - 1

@@ -5,15 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import chdtrc
 
-from dashpot.data.conditioning.regression import check_length, duration, solve_harmonics, window
+from dashpot.data.conditioning.ramps import common_ramp
+from dashpot.data.conditioning.regression import check_length, duration, window
 from dashpot.data.conditioning.settings import USUAL_DRIFT, Conditioning, Drift
 from dashpot.data.record import Record
 from dashpot.errors import DataError
 
 FEW_PERIODS = 2.0  # below which the peak of a periodogram is as wide as the frequency is high
-CONTRADICTED = 1e-3  # level of the test whether the channels agree on the frequency
 
 
 @dataclass(frozen=True)
@@ -95,30 +94,13 @@ def _peak(record: Record, nominal: float, search: float) -> float:
 def frequency_step(record: Record, f: float, degree: int) -> tuple[float, float]:
     """Gauss-Newton step of the frequency and its standard deviation, Hz.
 
-    With the columns s cos, s sin (s = (t − centre)/half) added, a frequency error δ shows as their coefficients
-    κ (b, −a), κ = 2π half δ, of a signal a cos + b sin.  The deviation is that of white noise, unless the channels
-    contradict each other by more: they share one drive, and what each finds beside it is a transient of its own.
+    A frequency error δ shows as a ramp of the phase, κ = 2π half δ.  The deviation is that of white noise, unless the
+    channels contradict each other by more: they share one drive, and what each finds beside it is a transient of its
+    own.
     """
     _, half = window(record.time)
-    free = len(record.time) - degree - 5
-    solution = solve_harmonics(record, f, (1,), degree, ramps=True)
-    a, b = solution.coefficients[:, degree + 1], solution.coefficients[:, degree + 2]
-    ramp = solution.coefficients[:, -2:]
-    variance = np.diagonal(solution.squares, axis1=1, axis2=2) / max(free, 1)
-    size = a**2 + b**2
-    floor = np.maximum(1e-24 * size, (np.finfo(float).eps * solution.largest) ** 2)
-    weight = np.where(size > 0, 1 / np.maximum(variance, np.where(floor > 0, floor, 1.0)), 0.0)
-    g = np.stack([b, -a], axis=1)
-    inside = np.linalg.solve(solution.P[-2:, -2:], g)
-    each = weight * np.sum(g * inside, axis=1)
-    information = float(np.sum(each))
-    if information <= 0:
+    ramp = common_ramp(record, f, degree, "phase")
+    if ramp.information <= 0:
         return 0.0, np.inf
-    by_channel = weight * np.sum(ramp * inside, axis=1)
-    kappa = float(np.sum(by_channel)) / information
-    telling = each > 0
-    apart = float(np.sum((by_channel[telling] - each[telling] * kappa) ** 2 / each[telling]))
-    others = int(np.sum(telling)) - 1
-    contradicted = others > 0 and float(chdtrc(others, apart)) < CONTRADICTED
-    widened = np.sqrt(apart / others) if contradicted else 1.0
-    return kappa / (2 * np.pi * half), float(widened / (2 * np.pi * half * np.sqrt(information)))
+    per_turn = 2 * np.pi * half
+    return ramp.kappa / per_turn, float(np.sqrt(ramp.widening / ramp.information) / per_turn)

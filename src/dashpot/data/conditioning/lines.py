@@ -16,6 +16,8 @@ from dashpot.data.conditioning.clipped_samples import without_clipping
 from dashpot.data.conditioning.clock import FEWEST, with_even_stamps
 from dashpot.data.conditioning.drift import LEVEL as DRIFT_LEVEL
 from dashpot.data.conditioning.drift import slope_costs, slopes_show
+from dashpot.data.conditioning.drive_fading import LEVEL as FADING_LEVEL
+from dashpot.data.conditioning.drive_fading import drive_fades
 from dashpot.data.conditioning.drive_frequency import refine_frequency
 from dashpot.data.conditioning.drive_wander import LEVEL as WANDER_LEVEL
 from dashpot.data.conditioning.drive_wander import drive_wanders
@@ -50,6 +52,7 @@ from dashpot.errors import DashpotError, DataError
 from dashpot.notices import Notice
 
 WANDERS = "the drive frequency wanders within a dwell, which is nevertheless treated as steady"
+FADES = "the drive's amplitude drifts within a dwell, which is nevertheless treated as steady"
 LONG_ENOUGH = 8  # periods that must be left of a dwell that rests for a part
 
 
@@ -106,7 +109,7 @@ def _of_dwells(dwells: Sequence[Record], settings: Conditioning) -> Spectrum:
     if settings.refine == "auto":
         dwells, wanders, refined = _at_drive_frequencies(dwells, settings)
         notes += refined
-    why_whole = _why_whole(dwells, settings, wanders)
+    why_whole = _why_whole(dwells, settings, weaker, wanders)
     if wanders and why_whole is None:
         notes.append(Notice("drive_wanders", WANDERS))
     if why_whole is not None:
@@ -125,6 +128,7 @@ def _of_dwells(dwells: Sequence[Record], settings: Conditioning) -> Spectrum:
         and settings.transients in ("auto", "settle")
     ):
         notes += taken_as_settled(dwells)
+    notes += _taken_as_steady(dwells, settings, weaker, notes)
     return replace(lines, notes=(*notes, *lines.notes), unsettled=_as_unsettled(dwells, settings, weaker))
 
 
@@ -218,7 +222,9 @@ def _of_settled(
     return replace(lines, notes=(*notes, *summed_up(lines.notes)))
 
 
-def _why_whole(dwells: Sequence[Record], settings: Conditioning, wanders: bool) -> str | None:
+def _why_whole(
+    dwells: Sequence[Record], settings: Conditioning, weaker: Sequence[Real], wanders: bool
+) -> str | None:
     """Why dwells are used as whole records: asked for, no steady sines, or unsettled; None where they are not.
 
     Whether they have settled is one test of all of them together.
@@ -231,9 +237,22 @@ def _why_whole(dwells: Sequence[Record], settings: Conditioning, wanders: bool) 
         return None
     if wanders:
         return "not steady (the drive frequency wanders)"
-    if _unsettled(dwells):
+    unsettled, fades = _unsettled(dwells), drive_fades(dwells, weaker) < FADING_LEVEL
+    if fades:
+        return f"not steady (the drive's amplitude drifts{', or they have not settled' if unsettled else ''})"
+    if unsettled:
         return "not settled"
     return "not steady sines" if short_dwells_bend(dwells) else None
+
+
+def _taken_as_steady(
+    dwells: Sequence[Record], settings: Conditioning, weaker: Sequence[Real], notes: Sequence[Notice]
+) -> list[Notice]:
+    """That the drive's amplitude drifts, where dwells may not be whole records and no transient explains as much."""
+    asked = settings.dwells_may_be_whole or settings.refine == "none"
+    if asked or any(note.code in ("transients_ignored", "drive_wanders") for note in notes):
+        return []
+    return [Notice("drive_fades", FADES)] if drive_fades(dwells, weaker) < FADING_LEVEL else []
 
 
 def _unsettled(dwells: Sequence[Record]) -> bool:

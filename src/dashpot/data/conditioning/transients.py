@@ -13,12 +13,13 @@ from dataclasses import dataclass, replace
 from typing import cast
 
 import numpy as np
+from numpy.polynomial.legendre import legvander
 from scipy.special import chdtrc, chdtri, fdtrc
 
 from dashpot.arrays import Bools, Complex, Real
 from dashpot.data.conditioning.clock import FEWEST, even_step
 from dashpot.data.conditioning.harmonic_fit import fit_harmonics
-from dashpot.data.conditioning.regression import basis, duration, window
+from dashpot.data.conditioning.regression import CHUNK, basis, duration, window
 from dashpot.data.conditioning.still import Still
 from dashpot.data.conditioning.whole_record import whole_record
 from dashpot.data.record import Record
@@ -39,6 +40,7 @@ SLIGHT_IN_FEW = 5e-4  # and in a short one, whose noise does not contain it
 FEWEST_A_BLOCK = 6  # samples, for amplitudes of single periods with a residual
 SHORT = 200  # lines: below it two polynomial columns serve
 COMPARED = 2.0  # periods from which on a dwell's first can be set against its last
+MOST_BENDS = 8  # degree of the polynomials that amplitude and phase of a sine may follow
 BENT = 3  # degree of the polynomials that a dwell shorter than that may be bent by
 BESIDE, MANY_SAMPLES = (1, 2, 3), 24  # multiples solved for beside them, from so many samples on
 WITHIN = 0.5  # of a step: a block that follows after one step belongs to the same record
@@ -276,12 +278,29 @@ def _with_sine_floor(lines: Spectrum, record: Record) -> Spectrum:
     if record.frequency_hz is None:
         return lines
     try:
-        fit = fit_harmonics(record, orders=(1,), drift=1, noise="white")
+        residual = _beside_the_sine(record, record.frequency_hz) * 4 / len(record.time)
     except DataError:
         return lines
-    residual = np.diagonal(fit.residual_covariance).real * 4 / len(record.time)
     factor = np.abs(np.array([(c.gain or 1.0) * (c.sign or 1.0) for c in record.channels])) ** 2
     floor = np.diagonal(lines.covariance[0]).real
     variance = np.where(floor > 0, np.minimum(floor, residual / factor), residual / factor)
     V = np.broadcast_to(np.diag(variance).astype(np.complex128), lines.covariance.shape)
     return replace(lines, covariance=V)
+
+
+def _beside_the_sine(record: Record, f: float) -> Real:
+    """Variance of a sample, (channels,), beside a slope, harmonics, and a sine whose amplitude and phase may drift.
+
+    By a polynomial of fewer degrees than it has periods, that neither harmonics nor slopes can look like.
+    """
+    fit = fit_harmonics(record, orders=(1,), drift=1, noise="white")
+    variance: Real = np.diagonal(fit.residual_covariance).real
+    samples, terms = len(record.time), 2 + 2 * len(fit.orders)
+    degree = min(MOST_BENDS, int(fit.periods), (samples - terms) // 6)
+    if degree < 1 or samples > CHUNK:
+        return variance
+    steady = basis(record.time, f, fit.orders, 1, *window(record.time))
+    bends = legvander(np.linspace(-1, 1, samples), degree)[:, 1:]
+    A = np.concatenate([steady, steady[:, 2:3] * bends, steady[:, 3:4] * bends], axis=1)
+    rest = record.values - A @ np.linalg.lstsq(A, record.values, rcond=None)[0]
+    return np.asarray(np.sum(rest**2, axis=0) / (samples - A.shape[1]))

@@ -43,8 +43,8 @@ DATA_NOTICES: tuple[tuple[str, str, str, str], ...] = (
     ),
     (
         "dwells_with_transients", RECORDS,
-        ("A test over all dwells found them unsettled, or their drive frequency wandering: each is used whole, and "
-        "its transient is estimated with the rig."),
+        ("A test over all dwells found them unsettled, or the frequency or amplitude of their drive changing: each is "
+        "used whole, and its transient is estimated with the rig."),
         "Nothing. `--transients none` treats them as settled regardless.",
     ),
     (
@@ -63,6 +63,14 @@ DATA_NOTICES: tuple[tuple[str, str, str, str], ...] = (
         ("The phase of all channels turns together within a dwell: its drive frequency is not constant. A steady sine "
         "does not describe it; the noise is overestimated."),
         "Leave out `--settle` and `--refine always`: dwells whose frequency wanders are then used as whole records.",
+    ),
+    (
+        "drive_fades", RECORDS,
+        ("The motion of all channels grows or falls by one factor within a dwell: its drive has no constant amplitude. "
+        "A steady sine does not describe it; the noise is overestimated, and values may be off by some per cent of "
+        "the drift."),
+        ("Leave out `--settle`, `--refine always` and `--transients none`, and use the method `ml`: dwells whose drive "
+        "drifts are then used as whole records."),
     ),
     (
         "whole_records", RECORDS,

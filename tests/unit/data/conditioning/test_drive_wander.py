@@ -2,9 +2,7 @@
 
 import numpy as np
 import pytest
-from scipy.signal import lfilter
 
-from dashpot.arrays import Real
 from dashpot.channel import Channel
 from dashpot.data.conditioning.drive_wander import LEVEL, drive_wanders
 from dashpot.data.conditioning.lines import spectrum
@@ -12,6 +10,7 @@ from dashpot.data.record import Record
 from dashpot.estimate.identify import identify
 from dashpot.model.motion import channel_samples, integrator
 from dashpot.model.observation import observation_model
+from tests.unit.data.conditioning.signals import noisy_sines
 from tests.whole_rigs import chain
 
 MODEL, THETA = chain(1, 0.04)
@@ -71,19 +70,3 @@ def test_stamps_that_jitter_are_no_wandering() -> None:
     p = [drive_wanders(noisy_sines(0.0, 0.0, np.random.default_rng(k), 0.002, 0.04)) for k in range(40)]
     assert min(p) > LEVEL
     assert np.mean(np.array(p) < 0.05) < 0.05 + 4 * np.sqrt(0.05 * 0.95 / 40)
-
-
-def noisy_sines(
-    memory: float, alike: float, rng: np.random.Generator, noise: float = 0.05, jitter: float = 0.0
-) -> list[Record]:
-    """Sines under noise with memory of first order that is partly common to both channels, jitter in steps."""
-    records = []
-    for f in (4.0, 7.0):
-        t = np.arange(240) / (20 * f)
-        e: Real = rng.normal(size=(len(t), 2))
-        e[:, 1] = np.sqrt(1 - alike**2) * e[:, 1] + alike * e[:, 0]
-        e = lfilter([1.0], [1.0, -memory], e, axis=0) * (1 - memory**2) ** 0.5
-        turn = 2 * np.pi * f * (t + jitter / (20 * f) * rng.normal(size=len(t)) if jitter else t)
-        values = np.stack([np.sin(turn), 0.3 * np.sin(turn + 1)], axis=-1)
-        records.append(Record(CHANNELS, t, values + noise * e, f))
-    return records
