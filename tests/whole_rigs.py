@@ -7,7 +7,7 @@ tested against closed forms); nothing of it is in the frequency domain.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.linalg import expm
@@ -22,6 +22,7 @@ from dashpot.model.modes import modes
 from dashpot.model.motion import channel_samples, integrator
 from dashpot.model.network import Input, Model
 from dashpot.model.observation import ObservationModel, observation_model
+from tests import rigs
 
 FINER = 8  # samples of the integration in one of the record
 DWELLS = 8  # of a stepped sine
@@ -78,6 +79,20 @@ def chain(
     for name, value in by_name.items():
         true[order[name]] = value
     return model, true
+
+
+def four_seen_at_two(seed: int, at: tuple[str, str], hz: Real) -> tuple[rigs.Rig, tuple[Channel, ...]]:
+    """Four masses on a base, all but one unknown, with accelerometers at two of them, at the lines `hz`."""
+    model, theta = chain(4, 0.03, seed=seed)
+    values = dict(zip((e.name for e in model.elements), model.parameters(theta).tolist(), strict=True))
+    opened = ("m2", "m3", "m4")
+    elements = tuple(replace(e, value=None) if e.name in opened else e for e in model.elements)
+    model = replace(model, elements=elements)
+    theta = np.array([values[unknown.name] for unknown in model.unknowns])
+    lines = len(hz)
+    rig = rigs.Rig(model, theta, hz, np.ones((lines, 1), complex), np.zeros((lines, 0), complex))
+    sensors = (Channel(f"a_{name}", {name: 1.0}, Quantity.ACCELERATION) for name in at)
+    return rig, (*sensors, Channel("u", {"u": 1.0}))
 
 
 def excitation(kind: str, time: Real, low_hz: float, high_hz: float, rng: np.random.Generator) -> Real:

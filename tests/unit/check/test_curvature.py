@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from dashpot.channel import Channel, Quantity
+from dashpot.channel import Quantity
 from dashpot.check.curvature import bent_unknowns, with_profile_intervals
 from dashpot.check.diagnosis.diagnose import examined
 from dashpot.check.profile import profile
@@ -19,7 +19,7 @@ from dashpot.model.elements import Kind, between, mass
 from dashpot.model.network import Input, Model
 from dashpot.present.text.estimate import profiles_in_words
 from tests import rigs
-from tests.whole_rigs import chain
+from tests.whole_rigs import four_seen_at_two
 
 RIG = Model(
     ("x",), (Input("u"),),
@@ -72,20 +72,9 @@ def test_where_chi2_is_a_parabola_nothing_changes() -> None:
 
 def partly_seen(draws: int):
     """Four masses on a base, accelerometers on the first and the last, all but one mass unknown, 15 % noise."""
-    model, theta = chain(4, 0.03, seed=2)
-    values = dict(zip((e.name for e in model.elements), model.parameters(theta).tolist(), strict=True))
-    opened = ("m2", "m3", "m4")
-    elements = tuple(replace(e, value=None) if e.name in opened else e for e in model.elements)
-    model = replace(model, elements=elements)
-    theta = np.array([values[unknown.name] for unknown in model.unknowns])
-    hz = np.linspace(2, 19, 14)
-    rig = rigs.Rig(model, theta, hz, np.ones((14, 1), complex), np.zeros((14, 0), complex))
-    seen = (
-        Channel("a1", {"x1": 1.0}, Quantity.ACCELERATION), Channel("a4", {"x4": 1.0}, Quantity.ACCELERATION),
-        Channel("u", {"u": 1.0}),
-    )  # fmt: skip
+    rig, seen = four_seen_at_two(2, ("x1", "x4"), np.linspace(2, 19, 14))
     V = rigs.covariance(rig, seen, 0.15)
-    return model, theta, rigs.noisy(rig, seen, V, np.random.default_rng(5), draws)
+    return rig.model, rig.theta, rigs.noisy(rig, seen, V, np.random.default_rng(5), draws)
 
 
 @pytest.mark.long

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from dashpot.arrays import Real
-from dashpot.channel import Channel, Quantity
 from dashpot.check.curvature import with_profile_intervals
 from dashpot.data.spectrum import Spectrum
 from dashpot.estimate.automatic import identify_automatically
@@ -17,29 +16,18 @@ from dashpot.estimate.likelihood.maximum_likelihood import MaximumLikelihood
 from dashpot.estimate.result import Estimate
 from dashpot.model.network import Model
 from tests import rigs
-from tests.whole_rigs import chain
+from tests.whole_rigs import four_seen_at_two
 
 SIGNS = (1.0, 1.0, 1.0)
 
 
 def seen_at_two_of_four(draws: int) -> tuple[Model, Real, list[Spectrum]]:
     """Four masses on a base, accelerometers on the second and the last, all but one mass unknown, 10 % noise."""
-    model, theta = chain(4, 0.03, seed=5)
-    values = dict(zip((e.name for e in model.elements), model.parameters(theta).tolist(), strict=True))
-    opened = ("m2", "m3", "m4")
-    elements = tuple(replace(e, value=None) if e.name in opened else e for e in model.elements)
-    model = replace(model, elements=elements)
-    theta = np.array([values[unknown.name] for unknown in model.unknowns])
-    hz = np.linspace(2.243, 16.451, 25)
-    rig = rigs.Rig(model, theta, hz, np.ones((25, 1), complex), np.zeros((25, 0), complex))
-    seen = (
-        Channel("a2", {"x2": 1.0}, Quantity.ACCELERATION), Channel("a4", {"x4": 1.0}, Quantity.ACCELERATION),
-        Channel("u", {"u": 1.0}),
-    )  # fmt: skip
+    rig, seen = four_seen_at_two(5, ("x2", "x4"), np.linspace(2.243, 16.451, 25))
     V = rigs.covariance(rig, seen, 0.1)
     V[:, -1, -1] = 0.0
     rng = np.random.default_rng(105)
-    return model, theta, [rigs.noisy(rig, seen, V, rng) for _ in range(draws)]
+    return rig.model, rig.theta, [rigs.noisy(rig, seen, V, rng) for _ in range(draws)]
 
 
 def rise_at_the_truth(model: Model, spectrum: Spectrum, estimate: Estimate, theta: Real, j: int) -> float:
