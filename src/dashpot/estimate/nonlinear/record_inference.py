@@ -19,13 +19,17 @@ from dashpot.estimate.nonlinear.input_levels import (
 )
 from dashpot.estimate.nonlinear.record_problem import RecordProblem
 from dashpot.estimate.nonlinear.records import total_samples
-from dashpot.estimate.nonlinear.restricted_likelihood import drawn_noise, unknowns_matrix
+from dashpot.estimate.nonlinear.restricted_likelihood import DRAWS, drawn_noise, unknowns_matrix
 from dashpot.estimate.nonlinear.uncertain_inputs import HALF_WINDOW, around
 from dashpot.estimate.result import RESIDUALS, Estimate, Fit
 from dashpot.model.network import Model
 from dashpot.notices import Notice
 from dashpot.numerics.small_systems import scaled_inverse
 
+DRAWN, MOST_DRAWS = (
+    50_000,
+    160,
+)  # samples of all draws with which the colour of residuals is compared, and draws
 HALF_BAND = 30  # lines on each side over which the residuals' spectrum is smoothed
 CUT_RECORD = "cut_record"  # code of a notice
 EXACT_INPUTS = "exact_inputs"  # code of a notice
@@ -171,7 +175,10 @@ def uncertain_covariances(problem: RecordProblem, psi: Real, noise: InputSizes) 
     linear = all_linearised(problem, psi)
     if not linear:
         raise DataError("no motion follows", cure="give guesses of the unknowns nearer to the truth")
-    drawn = drawn_noise(linear, prior)
+    # Too few draws of short records are too loud or too quiet in the band that tells the unknowns, always the same way.
+    drawn = drawn_noise(
+        linear, prior, int(np.clip(DRAWN // total_samples(problem.records), DRAWS, MOST_DRAWS))
+    )
     meat = np.diag(prior)
     for k, record in enumerate(linear):
         scores = np.zeros((len(record.chosen), len(record.chosen)))

@@ -13,7 +13,8 @@ from dashpot.api import identify
 from dashpot.data.conditioning.settings import Conditioning
 from dashpot.data.conditioning.still import noise_at_rest
 from dashpot.data.record import Record
-from dashpot.estimate.nonlinear.input_levels import own_noise
+from dashpot.estimate.nonlinear.input_levels import InputSizes, own_noise
+from dashpot.estimate.nonlinear.record_inference import uncertain_covariances
 from dashpot.estimate.nonlinear.record_problem import RecordProblem
 from dashpot.estimate.nonlinear.records import arranged
 from dashpot.estimate.nonlinear.uncertain_inputs import known_inputs
@@ -24,7 +25,7 @@ from dashpot.model.nonlinear.integration import Integrator
 from dashpot.model.nonlinear.propagation import forcing
 from dashpot.model.nonlinear.shooting import integrate
 from dashpot.numerics.levenberg_marquardt import minimise
-from tests.driven_rigs import cubic
+from tests.driven_rigs import coulomb, cubic
 from tests.whole_rigs import chain, record_of
 
 
@@ -134,3 +135,25 @@ def test_a_rig_that_is_linear_after_all_agrees_with_the_whole_records_of_linear_
     mine = fit_records(nonlinear, [record], still=still).estimate()
     assert np.all(np.abs(mine.values - lines.values) < 0.1 * lines.sd)
     np.testing.assert_allclose(mine.bound_sd, lines.bound_sd, rtol=0.01)
+
+
+@pytest.mark.long
+def test_white_residuals_are_not_taken_for_coloured_ones_in_short_records() -> None:
+    """60 records of 400 samples, fitted, seed 11: the ratio of variances scatters by 0.016 on average.
+
+    Beside 16 draws of noise, always the same, it was 0.87 to 0.88: intervals were 6 % too narrow.
+    """
+    test = coulomb(400)
+    sd = np.array([0.01, 0.003]) * np.std(test.record.values, axis=0)
+    psi = np.concatenate([test.theta, [0.0, 0.0]])
+    sizes = InputSizes(sd[1:] ** 2, np.zeros(1, dtype=bool), np.zeros((2, 2)), at_rest=True)
+    ratios = []
+    for draw in range(60):
+        data = arranged(test.model, test.noisy(0.01, 0.003, 11, draw))
+        inputs = (known_inputs(data.inputs, sd[1:]),)
+        problem = RecordProblem(test.model, (data,), 0, sd[:1], (2,), inputs=inputs)
+        near = problem.quadratic(psi[None])
+        fitted = psi + np.linalg.solve(near.symmetric[0], near.gradient[0])
+        white, coloured, _ = uncertain_covariances(problem, fitted, sizes)
+        ratios.append((np.diagonal(coloured) / np.diagonal(white))[:3])
+    assert np.all(np.abs(np.mean(ratios, axis=0) - 1) < 0.06)
