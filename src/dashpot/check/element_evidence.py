@@ -15,17 +15,20 @@ from typing import Any
 import numpy as np
 
 from dashpot.arrays import Real
-from dashpot.check.diagnosis.nonlinear_elements import (
-    SOFT,
+from dashpot.check.diagnosis.candidate_elements import (
     Motions,
     candidate_elements,
+    moving_pairs,
+    with_open_constants,
+)
+from dashpot.check.diagnosis.nonlinear_elements import (
+    SOFT,
     fitted_in_full,
     misfit,
     motions_of,
-    moving_pairs,
     scored_in_dwells,
+    seen_candidates,
     softened,
-    with_open_constants,
 )
 from dashpot.check.diagnosis.wording import free_name
 from dashpot.data.record import Record
@@ -106,13 +109,15 @@ def compare_in_dwells(model: Model, spectrum: Spectrum) -> ElementComparison:
     (sign,) = spectrum.signs(estimate.signs)
     start = softened(data, estimate.values, sign)
     motions = motions_of(data, start)
-    scored = scored_in_dwells(data, start, sign, candidate_elements(model, motions, further=True), SOFT)
+    scored = seen_candidates(data, estimate.values, further=True)
+    if not scored:
+        scored = scored_in_dwells(data, start, sign, candidate_elements(model, motions, further=True), SOFT)
     chi2 = misfit(data, estimate.values, sign)
     if not scored:
         raise UsageError("no nonlinear element can be tried on these data", cure="measure every input")
     ranked = []
     for candidate in scored[:FOLLOWED]:
-        full = fitted_in_full(data, start, sign, candidate, chi2, SOFT)
+        full = fitted_in_full(data, start, sign, candidate, chi2, 0.0 if candidate.psi is not None else SOFT)
         assert full.element.force_law is not None
         added = 1 + len(full.element.force_law.constants)
         numbers = full.dof + len(estimate.values)
@@ -257,8 +262,13 @@ def with_candidates(
     extended = replace(base, elements=(*base.elements, *(replace(e, guess=0.0) for e in candidates)))
     before = dict(zip((u.name for u in base.unknowns), psi[:m].tolist(), strict=True))
     names = [u.name for u in extended.unknowns]
-    at = np.concatenate([[before.get(name, 0.0) for name in names], psi[m:]])
     larger = replace(problem, model=extended, last=problem.begun(), errors={}, covariances={})
+    starts = psi[problem.inner :].reshape(-1, problem.states)
+    if larger.states > problem.states:  # laws with a state of their own, which begins with nothing
+        larger.last = {}
+        starts = np.pad(starts, ((0, 0), (0, larger.states - problem.states)))
+    values = [before.get(name, 0.0) for name in names]
+    at = np.concatenate([values, psi[m : problem.inner], starts.ravel()])
     if problem.inputs is not None:
         for k in range(len(problem.records)):
             white = problem.errors_at(k, psi)

@@ -8,8 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from dashpot.channel import Channel
-from dashpot.check.diagnosis.causes import points_of
-from dashpot.check.diagnosis.ranking import Cause
+from dashpot.check.diagnosis.ranking import Cause, points_of
 from dashpot.check.diagnosis.wording import finding, with_likely_causes
 from dashpot.check.element_evidence import with_nothing
 from dashpot.check.record_scores import CalledFor, element_called_for

@@ -11,10 +11,11 @@ from dashpot.arrays import Bools, Real
 from dashpot.channel import Quantity
 from dashpot.check.diagnosis.crosstalk import cross_talk
 from dashpot.check.diagnosis.likeness import RATIOS, Likeness, likeness
+from dashpot.check.diagnosis.loud_dwells import at_loud_dwell, beside_loud_dwells
 from dashpot.check.diagnosis.nonlinear_elements import ENOUGH, called_for
 from dashpot.check.diagnosis.open_calibrations import as_stated, with_open_calibrations
 from dashpot.check.diagnosis.possible_parts import negative_parts
-from dashpot.check.diagnosis.ranking import ALIKE, HELPS, ORDER, Cause, ranked
+from dashpot.check.diagnosis.ranking import ALIKE, HELPS, ORDER, Cause, points_of, ranked
 from dashpot.check.diagnosis.rig_changes import changes
 from dashpot.check.diagnosis.run_groups import run_groups
 from dashpot.check.diagnosis.score_test import promises
@@ -35,8 +36,6 @@ from dashpot.data.stretch import SettledDwell, Stretch
 from dashpot.estimate.likelihood.objective import measured
 from dashpot.estimate.preparation.prepared import Prepared
 from dashpot.estimate.preparation.state_reconstruction import states_if_seen
-from dashpot.model.elements import Element
-from dashpot.model.network import Model
 from dashpot.model.observation import measures_input, observation_model
 
 GAINS = tuple(np.exp(np.linspace(np.log(0.4), np.log(2.5), 11)))
@@ -88,8 +87,7 @@ def causes(bench: Workbench, silent: Mapping[str, str], seed: int = 0) -> tuple[
     noise = max(_by_chance(as_is), GROSS * as_is.reduced)
     if not _explained(candidates, (*PARTICULAR, "dwell"), noise):
         candidates += _unusual_mistakes(bench, base, without_one, otherwise, pool, seed)
-    if not _explained(candidates, (*PARTICULAR, "dwell"), max(ENOUGH, GROSS * as_is.reduced)):
-        candidates += _nonlinear(bench, as_is)
+    candidates = _with_nonlinear(bench, as_is, candidates)
     inputs_alone = {each.name for each in bench.view.channels if measures_input(bench.data.model, each)}
     by_chance = _by_chance(as_is) if bench.data.noise_known else np.inf
     impossible = _impossible_signs(bench, as_is, [*inputs, *otherwise])
@@ -152,17 +150,21 @@ def _by_chance(as_is: Outcome) -> float:
     return float(1 + BY_CHANCE * (2 / max(as_is.dof, 1)) ** 0.5)
 
 
-def _nonlinear(bench: Workbench, as_is: Outcome) -> list[Cause]:
-    """Nonlinear elements that the dwells call for."""
-    if not np.all(np.isfinite(as_is.psi)):
-        return []
-    return [
+def _with_nonlinear(bench: Workbench, as_is: Outcome, candidates: list[Cause]) -> list[Cause]:
+    """The candidates with the nonlinear elements that the dwells call for, where nothing surer explains the misfit."""
+    doubtful = [cause for cause in candidates if at_loud_dwell(bench, cause)]
+    certain = [cause for cause in candidates if cause not in doubtful]
+    enough = max(ENOUGH, GROSS * as_is.reduced)
+    if _explained(certain, (*PARTICULAR, "dwell"), enough) or not np.all(np.isfinite(as_is.psi)):
+        return candidates
+    nonlinear = [
         Cause(
             "nonlinear", points_of(scored.element, bench.data.model), (scored.chi2 - scored.fall) / scored.dof,
             scored.value, element=scored.element,
         )
         for scored in called_for(bench.data, as_is.psi, bench.sign)
     ]  # fmt: skip
+    return beside_loud_dwells(candidates, doubtful, nonlinear)
 
 
 def _of_another_rig(bench: Workbench, as_is: Outcome) -> list[Cause]:
@@ -364,14 +366,6 @@ def _dwells(bench: Workbench, base: Trial, pool: Sequence[Real]) -> list[Cause]:
         if left < RELABELLED * base.y.shape[1] * 2:
             causes_found.append(Cause("frequency", best.trial.of, best.reduced, number))
     return causes_found
-
-
-def points_of(element: Element, model: Model) -> tuple[str, ...]:
-    """What a cause is about: an element of the rig by its name, a new one by the points that it joins."""
-    if element.name in {existing.name for existing in model.elements}:
-        return (element.name,)
-    points = tuple(element.along)
-    return points if len(points) > 1 else (*points, "ground")
 
 
 def _at_rate(stretch: Stretch, rate: float) -> Stretch:

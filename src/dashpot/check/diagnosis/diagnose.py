@@ -8,11 +8,11 @@ import numpy as np
 
 from dashpot.check.branches import several_motions
 from dashpot.check.curvature import with_profile_intervals
-from dashpot.check.diagnosis.causes import causes, points_of
+from dashpot.check.diagnosis.causes import causes
 from dashpot.check.diagnosis.channel_changes import channel_changes
 from dashpot.check.diagnosis.directed import directed_causes
 from dashpot.check.diagnosis.nonlinear_elements import MARKED
-from dashpot.check.diagnosis.ranking import Cause
+from dashpot.check.diagnosis.ranking import Cause, points_of
 from dashpot.check.diagnosis.record_changes import RigChanges, record_changes, with_quiet_noise
 from dashpot.check.diagnosis.record_elements import called_for_in_records
 from dashpot.check.diagnosis.search import Workbench

@@ -9,10 +9,10 @@ from itertools import combinations
 import numpy as np
 
 from dashpot.arrays import Real
-from dashpot.check.diagnosis.causes import BY_CHANCE, RATES, points_of
+from dashpot.check.diagnosis.causes import BY_CHANCE, RATES
 from dashpot.check.diagnosis.diagnose import LARGEST
 from dashpot.check.diagnosis.likeness import Likeness
-from dashpot.check.diagnosis.ranking import Cause, ranked
+from dashpot.check.diagnosis.ranking import Cause, points_of, ranked
 from dashpot.check.diagnosis.rig_changes import APART, FOLLOWED, missing_elements, stated_values
 from dashpot.check.diagnosis.score_test import promised
 from dashpot.check.diagnosis.wording import finding

@@ -8,15 +8,22 @@ those that promise most are fitted (Rao's score test; for whole records the scor
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
-from itertools import combinations
+from dataclasses import replace
 
 import numpy as np
-from scipy.special import fdtrc
 
 from dashpot.arrays import Complex, Real, hermitian
+from dashpot.check.diagnosis.candidate_elements import (
+    ONE_SIDED,
+    Motions,
+    ScoredElement,
+    candidate_elements,
+    moving_pairs,
+    with_open_constants,
+)
 from dashpot.check.diagnosis.score_test import Promise, promised, promises
 from dashpot.check.diagnosis.search import descended
+from dashpot.check.diagnosis.seen_elements import scored_by_equation
 from dashpot.errors import DashpotError
 from dashpot.estimate.likelihood.chunks import Measured
 from dashpot.estimate.likelihood.nuisance import estimated_inputs
@@ -27,94 +34,25 @@ from dashpot.estimate.preparation.prepared import Prepared
 from dashpot.model.elements import Element, Kind, between
 from dashpot.model.network import Model
 from dashpot.model.nonlinear.alternating import alternate
-from dashpot.model.nonlinear.force_law import Constant, force_law
+from dashpot.model.nonlinear.force_law import force_law
 from dashpot.model.nonlinear.harmonic_balance import periodic_response, samples_of
 from dashpot.model.nonlinear.harmonics import complex_of, real_of
 from dashpot.model.observation import ObservationModel, Transfer, calibrated_transfer
 
-# Kind, law and the share of the motion that its constant is, if it has one.
-LAWS: tuple[tuple[Kind, str, str, float], ...] = (
-    (Kind.SPRING, "cubic", "", 0.0),
-    (Kind.SPRING, "square", "", 0.0),
-    (Kind.SPRING, "quadratic", "", 0.0),
-    (Kind.SPRING, "quintic", "", 0.0),
-    (Kind.SPRING, "gap", "gap", 0.5),
-    (Kind.DAMPER, "quadratic", "", 0.0),
-    (Kind.DAMPER, "cubic", "", 0.0),
-    (Kind.DAMPER, "coulomb", "v0", 0.1),
-)
-FURTHER = (
-    (Kind.SPRING, "d**4", "", 0.0),
-    (Kind.DAMPER, "d**2*v", "", 0.0),
-)  # tried where elements are compared
-WORDS = {"d**4": "quartic", "d**2*v": "growing"}  # in names of elements
 CERTAIN = 1e-6  # p-value below which a nonlinear element is called for
 MARKED = 0.3  # share of the misfit that it must explain
 APART = 1e-4  # part of a column that the rig's own unknowns must leave
-FEW = 4  # coordinates up to which any two points are tried, and not only those that an element joins
 TOGETHER = 12  # candidates that are scored at once
+FULLY = 4  # candidates that are fitted in full where all motion is seen
 FOLLOWED, SOFTLY = 2, 4  # candidates that are fitted in full, the second number from the softened data
+NEARLY = 4.0  # times the χ² that the best leaves: others that leave no more are named, too
 ENOUGH = 2.0  # χ² per degree of freedom at which no other candidate is followed
 LIMIT = 15  # iterations of such a fit
 HINT = 0.4  # share of the misfit that a candidate must promise to be followed
 FALLEN = 0.1  # share by which the softened misfit must have fallen for a fit to go on
 SOFT = 0.05  # relative noise of the softened data
+STILL = 1e-9  # of the largest elongation: points that move no further do not move
 ROUNDED = 1e-9  # of the largest harmonic of a force: what is smaller is none
-
-
-@dataclass(frozen=True)
-class ScoredElement:
-    """A candidate: how far χ² falls with it, from `chi2` with `dof` degrees of freedom, and the value it would have."""
-
-    element: Element
-    fall: float
-    chi2: float
-    dof: int
-    value: float
-
-    @property
-    def p_value(self) -> float:
-        """Probability of such a fall by noise alone, what is left being noise."""
-        left = max(self.chi2 - self.fall, 1e-300) / max(self.dof - 1, 1)
-        return float(fdtrc(1.0, float(max(self.dof - 1, 1)), self.fall / max(left, 1.0)))
-
-
-Motions = Mapping[
-    tuple[str, str], tuple[float, float]
-]  # elongation (m) and its rate (m/s) between two points
-
-
-def moving_pairs(model: Model) -> list[tuple[str, str]]:
-    """Any two points that move against each other; in large rigs only those that an element joins."""
-    points = [*model.coordinates, *model.displacement_inputs, "ground"]
-    joined = {frozenset(element.along) for element in model.elements}
-    return [
-        (first, second)
-        for first, second in combinations(points, 2)
-        if first in model.coordinates
-        and (model.n <= FEW or frozenset({first, second} - {"ground"}) in joined)
-    ]  # fmt: skip
-
-
-def candidate_elements(model: Model, motions: Motions, further: bool = False) -> list[Element]:
-    """Every law of LAWS, and of FURTHER, between the points that move, their constants in proportion to the motion.
-
-    Where the rig has such an element already there is none.
-    """
-    there = {
-        (element.force_law.expression.text, frozenset(element.along))
-        for element in model.elements
-        if element.force_law is not None
-    }
-    candidates = []
-    for (first, second), (size, speed) in motions.items():
-        for kind, name, constant, share in (*LAWS, *(FURTHER if further else ())):
-            value = share * (speed if constant == "v0" else size)
-            law = force_law(name, [Constant(constant, value)] if constant else [], damper=kind is Kind.DAMPER)
-            plain = between(f"{WORDS.get(name, name)}_{kind.value}_{first}_{second}", kind, first, second)
-            if (law.expression.text, frozenset(plain.along)) not in there:
-                candidates.append(replace(plain, force_law=law))
-    return candidates
 
 
 def scored_in_dwells(
@@ -123,8 +61,10 @@ def scored_in_dwells(
     """The candidates by their score at ψ (M,), the best fit of the data with that softness, the best first.
 
     data: of one repeat, settled dwells.  Softened, all amplitudes have a say: beside a small noise those near
-    resonance, where a wrong rig fails most, would decide alone.  [] where none can be had.
+    resonance, where a wrong rig fails most, would decide alone.  [] where none can be had.  Without even harmonics a
+    stop on one side does what stops on both do by half.
     """
+    elements = _told_apart(data, elements)
     if not len(data.model.nonlinear):
         try:
             return _best_first(_scored_beside_linear(data, psi, sign, elements, softness))
@@ -139,6 +79,13 @@ def scored_in_dwells(
             except DashpotError:
                 continue
     return _best_first(scored)
+
+
+def _told_apart(data: Prepared, elements: Sequence[Element]) -> Sequence[Element]:
+    """Without stops on one side where no even harmonic, which tells them from those on both, is measured."""
+    if np.any(dwells_of(data.model, data.spectrum).order % 2 == 0):
+        return elements
+    return [e for e in elements if e.force_law is not None and e.force_law.text != ONE_SIDED]
 
 
 def _best_first(scored: Sequence[ScoredElement]) -> list[ScoredElement]:
@@ -247,17 +194,6 @@ def _with_elements(model: Model, added: Mapping[str, float], psi: Real) -> Real:
     return np.concatenate([theta, psi[count:]])
 
 
-def with_open_constants(element: Element) -> Element:
-    """The element with its inner constants unknown, what they were as guesses."""
-    assert element.force_law is not None
-    constants = [
-        replace(c, value=None, guess=float(f"{c.value:.3g}"))
-        for c in element.force_law.constants
-        if c.value is not None
-    ]
-    return replace(element, force_law=element.force_law.with_constants(constants))
-
-
 def motions_of(data: Prepared, psi: Real) -> Motions:
     """How far any two points move against each other by the rig at ψ (M,); {} where the inputs are not seen."""
     model, both = data.model, moving_pairs(data.model)
@@ -281,8 +217,26 @@ def motions_of(data: Prepared, psi: Real) -> Motions:
     return {
         pair: (float(d), float(v))
         for pair, d, v in zip(both, size, speed, strict=True)
-        if d > 1e-9 * np.max(size)
+        if d > STILL * np.max(size)
     }  # fmt: skip
+
+
+def measured_motions(data: Prepared) -> Motions:
+    """As `motions_of`, from the motion as it was measured; {} where not all of it is seen."""
+    model, states = data.model, data.states
+    if states is None:
+        return {}
+    both = moving_pairs(model)
+    probes = [between(f"probe_{a}_{b}", Kind.SPRING, a, b, value=0.0) for a, b in both]
+    larger = replace(model, elements=(*model.elements, *probes))
+    chosen = slice(len(model.elements), None)
+    delta = np.abs(states.X[0] @ larger.B[chosen].T + states.U[0] @ larger.D[chosen].T)
+    size, speed = np.max(delta, axis=0), np.max(delta * data.spectrum.omega[:, None], axis=0)
+    return {
+        pair: (float(d), float(v))
+        for pair, d, v in zip(both, size, speed, strict=True)
+        if d > STILL * np.max(size)
+    }
 
 
 def softened(data: Prepared, psi: Real, sign: Real) -> Real:
@@ -303,7 +257,9 @@ def called_for(data: Prepared, psi: Real, sign: Real) -> list[ScoredElement]:
 
     ψ (M,): the best fit of the rig as it is.
     """
-    chi2, fitted = misfit(data, psi, sign), list[ScoredElement]()
+    chi2, fitted = misfit(data, psi, sign), _fitted_where_seen(data, psi, sign)
+    if any(_certain(each) for each in fitted):
+        return _nearly_best(fitted)
     for softness, start, followed in (
         (0.0, psi, FOLLOWED),
         (SOFT, softened(data, psi, sign), SOFTLY),
@@ -315,8 +271,34 @@ def called_for(data: Prepared, psi: Real, sign: Real) -> list[ScoredElement]:
                 fitted.append(fitted_in_full(data, start, sign, candidate, chi2, softness))
             if fitted and fitted[-1].chi2 - fitted[-1].fall < ENOUGH * fitted[-1].dof:
                 return [fitted[-1]] if fitted[-1].p_value < CERTAIN else []
-    certain = [one for one in fitted if one.p_value < CERTAIN and one.fall > MARKED * one.chi2]
-    return sorted(certain, key=lambda one: -one.fall)
+    return _nearly_best(fitted)
+
+
+def _nearly_best(fitted: Sequence[ScoredElement]) -> list[ScoredElement]:
+    """The certain ones that leave hardly more than the best of them, or than noise; the best first."""
+    certain = sorted(filter(_certain, fitted), key=lambda each: -each.fall)
+    most = max((NEARLY * (certain[0].chi2 - certain[0].fall), ENOUGH * certain[0].dof)) if certain else 0.0
+    return [each for each in certain if each.chi2 - each.fall <= most]
+
+
+def _certain(fitted: ScoredElement) -> bool:
+    """Whether an element that was fitted in full is called for beyond doubt."""
+    return fitted.p_value < CERTAIN and fitted.fall > MARKED * fitted.chi2
+
+
+def _fitted_where_seen(data: Prepared, psi: Real, sign: Real) -> list[ScoredElement]:
+    """The best candidates by the equation of motion, fitted in full from there; [] where not all motion is seen."""
+    if data.states is None or len(data.model.nonlinear):
+        return []
+    chi2 = misfit(data, psi, sign)
+    scored = seen_candidates(data, psi)
+    return [fitted_in_full(data, psi, sign, each, chi2, 0.0) for each in scored[:FULLY]]
+
+
+def seen_candidates(data: Prepared, psi: Real, further: bool = False) -> list[ScoredElement]:
+    """Candidates by the equation of motion at ψ (M,), the best first; [] where not all motion is seen."""
+    elements = candidate_elements(data.model, measured_motions(data), further)
+    return scored_by_equation(data, psi, _told_apart(data, elements))
 
 
 def misfit(data: Prepared, psi: Real, sign: Real) -> float:
@@ -339,11 +321,14 @@ def fitted_in_full(
     assert candidate.element.force_law is not None
     element = with_open_constants(candidate.element)
     extended = replace(data.model, elements=(*data.model.elements, element))
-    larger = replace(data.of_rig(extended), states=None)
+    seen = candidate.psi is not None  # the motion is then followed from the measured one
+    larger = data.of_rig(extended) if seen else replace(data.of_rig(extended), states=None)
     view, exact = larger.view, _without_raising(measured(larger))
     best, least = _with_elements(extended, {element.name: 0.0}, psi), np.inf
-    for value in (candidate.value, 0.3 * candidate.value):
-        start = _with_elements(extended, {element.name: value}, psi)
+    for value in (candidate.value, 0.3 * candidate.value)[: 1 if seen else 2]:
+        start = _with_elements(
+            extended, {element.name: value}, psi if candidate.psi is None else candidate.psi
+        )
         if softness > 0:
             start, left = _descended(view, _without_raising(measured(larger, softness)), start, sign, LIMIT)
             if left > (1 - FALLEN) * candidate.chi2:

@@ -9,6 +9,7 @@ import numpy as np
 
 from dashpot.check.diagnosis.likeness import Likeness
 from dashpot.model.elements import Element
+from dashpot.model.network import Model
 
 # What explains as much and is more particular is named first.
 ORDER = (
@@ -44,6 +45,14 @@ class Cause:
     where: str = ""
     untested: float = 0.0
     shows: str = ""
+
+
+def points_of(element: Element, model: Model) -> tuple[str, ...]:
+    """What a cause is about: an element of the rig by its name, a new one by the points that it joins."""
+    if element.name in {existing.name for existing in model.elements}:
+        return (element.name,)
+    points = tuple(element.along)
+    return points if len(points) > 1 else (*points, "ground")
 
 
 def ranked(

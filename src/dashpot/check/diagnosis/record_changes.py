@@ -10,8 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from dashpot.check.diagnosis.causes import points_of
-from dashpot.check.diagnosis.ranking import HELPS, Cause
+from dashpot.check.diagnosis.ranking import HELPS, Cause, points_of
 from dashpot.check.diagnosis.rig_changes import changes
 from dashpot.check.diagnosis.search import LONG, Workbench, descended
 from dashpot.check.diagnosis.steady_lines import working_noise

@@ -7,20 +7,21 @@ the same place does as well counts for nothing: a missing linear element must no
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.fft import next_fast_len
 
 from dashpot.arrays import Complex, Ints, Real
-from dashpot.check.diagnosis.nonlinear_elements import (
-    APART,
-    CERTAIN,
+from dashpot.check.diagnosis.candidate_elements import (
     ScoredElement,
+    at_each_scale,
     candidate_elements,
+    has_clearance,
     moving_pairs,
 )
+from dashpot.check.diagnosis.nonlinear_elements import APART, CERTAIN
 from dashpot.check.diagnosis.score_test import steadiness
 from dashpot.data.conditioning.still import HALF_WINDOW, smoothed
 from dashpot.data.spectrum import Spectrum
@@ -33,6 +34,7 @@ from dashpot.estimate.preparation.prepared import prepare
 from dashpot.estimate.result import Estimate
 from dashpot.model.elements import Element, Kind, between
 from dashpot.model.network import Model
+from dashpot.model.nonlinear.alternating import operated_states
 from dashpot.model.observation import (
     ObservationModel,
     Transfer,
@@ -48,7 +50,6 @@ OVERSAMPLED = 2  # times the samples of a record: kinks of a law reach beyond it
 LEAST = 0.02  # of what is left over, that a candidate must explain: mistakes of other kinds leave it less by chance
 NEARLY = 0.5  # of what the best explains: others that explain as much are named, too
 MOST = 3  # candidates that are named
-SCALES = (1.0, 0.4, 0.2, 1.6)  # times the usual clearance: others that are tried
 HANDICAP = 0.85  # of what a law explains by such a choice, beside laws without one
 QUIET = 0.05  # share of the lines that have nothing but noise at the least
 STILL = 1e-9  # of the largest elongation: points that move no further do not move
@@ -122,10 +123,11 @@ class _Times:
 class _Place:
     """Two points between which an element may be: how they move, and what a unit force between them does.
 
-    motion (lines,); effect (lines, channels); elongation, rate (samples of all,), m and m/s
+    along: the points with their signs; motion (lines,); effect (lines, channels); elongation, rate (samples of all,), m
+    and m/s
     """
 
-    along: frozenset[str]
+    along: Mapping[str, float]
     motion: Complex
     effect: Complex
     elongation: Real
@@ -137,13 +139,14 @@ class _Place:
         return float(np.max(np.abs(self.elongation)))
 
     def force(self, element: Element) -> Real:
-        """Unit force of an element here, (samples of all,)."""
+        """Unit force of an element here, (samples of all,), along the place, whichever way round the element is."""
         law = element.force_law
         assert law is not None
         constants = np.array([constant.value for constant in law.constants], dtype=float)
-        unit: Real = np.broadcast_to(
-            law(self.elongation, self.rate, self.elongation, constants).value, self.rate.shape
-        )
+        way = next(element.along[point] * factor for point, factor in self.along.items())
+        d, v = way * self.elongation, way * self.rate
+        z = operated_states(law, d, constants[0]) if law.operator else d
+        unit: Real = way * np.broadcast_to(law(d, v, z, constants).value, v.shape)
         return unit
 
 
@@ -174,7 +177,7 @@ def _places(
     rate = times.history(1j * view.omega[:, None] * motion)
     reach = np.max(np.abs(elongation), axis=0)
     return {
-        pair: _Place(frozenset(probes[j].along), motion[:, j], effect[..., j], elongation[:, j], rate[:, j])
+        pair: _Place(probes[j].along, motion[:, j], effect[..., j], elongation[:, j], rate[:, j])
         for j, pair in enumerate(pairs)
         if reach[j] > STILL * np.max(reach)
     }
@@ -222,8 +225,8 @@ def _scored(
     )  # fmt: skip
     scored = []
     motions = {pair: (place.size, float(np.max(np.abs(place.rate)))) for pair, place in places.items()}
-    for element in _each_scale(candidate_elements(model, motions)):
-        place = next(place for place in places.values() if place.along == frozenset(element.along))
+    for element in at_each_scale(candidate_elements(model, motions)):
+        place = next(place for place in places.values() if set(place.along) == set(element.along))
         column = place.effect * times.amplitudes(place.force(element))[:, None]
         candidate = test.of(element, rows(column[..., None])[:, 0])
         if candidate is not None and candidate.fall > LEAST * candidate.chi2:
@@ -231,27 +234,11 @@ def _scored(
     return _named(scored)
 
 
-def _each_scale(elements: Sequence[Element]) -> list[Element]:
-    """The elements, springs with a clearance at several values of it."""
-    scaled = []
-    for element in elements:
-        law = element.force_law
-        assert law is not None
-        for scale in SCALES if _has_clearance(element) else (1.0,):
-            constants = [replace(c, value=scale * c.value) for c in law.constants if c.value is not None]
-            scaled.append(replace(element, force_law=law.with_constants(constants)))
-    return scaled
-
-
-def _has_clearance(element: Element) -> bool:
-    return element.kind is Kind.SPRING and element.force_law is not None and bool(element.force_law.constants)
-
-
 def _named(scored: Sequence[ScoredElement]) -> list[ScoredElement]:
     """The best of each place and law, the best first, as far as they explain nearly as much as the best of all."""
 
     def explains(candidate: ScoredElement) -> float:
-        return candidate.fall * (HANDICAP if _has_clearance(candidate.element) else 1.0)
+        return candidate.fall * (HANDICAP if has_clearance(candidate.element) else 1.0)
 
     best: dict[str, ScoredElement] = {}
     for candidate in sorted(scored, key=explains, reverse=True):

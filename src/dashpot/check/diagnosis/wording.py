@@ -8,8 +8,8 @@ from typing import TypeVar
 
 from dashpot import units
 from dashpot.channel import Channel, Quantity
+from dashpot.check.diagnosis.candidate_elements import with_open_constants
 from dashpot.check.diagnosis.likeness import CLOSE, Likeness
-from dashpot.check.diagnosis.nonlinear_elements import with_open_constants
 from dashpot.check.diagnosis.ranking import Cause
 from dashpot.errors import DashpotError, Problem
 from dashpot.estimate.assessment import Finding
@@ -256,7 +256,8 @@ def _number(value: float, form: str = ".4g") -> str:
 
 CHARACTER = {
     ("spring", "cubic"): "odd", ("spring", "quintic"): "odd", ("spring", "quadratic"): "odd",
-    ("spring", "square"): "even", ("spring", "gap"): "odd, with a clearance",
+    ("spring", "square"): "even", ("spring", "gap"): "with a clearance",
+    ("spring", "one-sided"): "with a clearance on one side", ("spring", "jenkins"): "friction behind a spring",
     ("damper", "quadratic"): "damping that grows with speed", ("damper", "cubic"): "damping that grows with speed",
     ("damper", "coulomb"): "friction",
 }  # fmt: skip
@@ -269,7 +270,7 @@ def nonlinear_finding(
     assert element.force_law is not None
     value = 0.0 if number is None else number
     character = CHARACTER[element.kind.value, element.force_law.text]
-    if element.kind is Kind.SPRING and element.force_law.text != "square":
+    if element.kind is Kind.SPRING and element.force_law.text not in ("square", "jenkins"):
         character += ", stiffening" if value > 0 else ", softening"
     if element.kind is Kind.DAMPER and value < 0:
         # Friction less a part is damping that grows: what it takes off counts most at low speeds.
@@ -290,6 +291,8 @@ def free_name(model: Model, element: Element) -> str:
         "quintic": "k5",
         "quadratic": "kq",
         "gap": "kgap",
+        "one-sided": "kstop",
+        "jenkins": "kslip",
         "coulomb": "fc",
         "d**4": "k4",
         "d**2*v": "c3",

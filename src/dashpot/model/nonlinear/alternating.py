@@ -200,6 +200,16 @@ Jumps = dict[
 ]  # what the next state gains by d and v now and next, and by constants, each (N, times)
 
 
+def operated_states(law: ForceLaw, d: Real, width: float) -> Real:
+    """The state of stop or play along a history d (samples,) that begins with none, (samples,)."""
+    z, states, before, stop = 0.0, [], float(d[0]), law.operator == "stop"
+    for now in d.tolist():
+        z = min(max(z + now - before, -width), width) if stop else min(max(z, now - width), now + width)
+        before = now
+        states.append(z)
+    return np.array(states)
+
+
 def _operated(law: ForceLaw, d: Real, g: Real) -> tuple[Real, Real, Jumps]:
     """Stop and play, exact where the elongation does not turn between two instants: state, its share kept, gains."""
     N, times = d.shape

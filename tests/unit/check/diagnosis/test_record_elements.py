@@ -32,6 +32,7 @@ LAWS: dict[str, tuple[Law, str, str]] = {
     "square": (lambda d, v: 4e4 * d**2, "k2", "even"),
     "speed": (lambda d, v: 60 * v * abs(v), "cq", "damping that grows with speed"),
     "friction": (lambda d, v: 0.3 * np.tanh(v / 0.005), "fc", "friction"),
+    "stop": (lambda d, v: 1500 * min(d + 0.002, 0), "kstop", "with a clearance on one side"),
     "gap": (lambda d, v: 1500 * (max(d - 0.003, 0) + min(d + 0.003, 0)), "kgap", "with a clearance"),
 }
 ROOT = Path(__file__).parents[4]
@@ -86,7 +87,7 @@ def nonlinear(estimate: Estimate) -> list[Finding]:
     [
         "cubic",
         "friction",
-        *(pytest.param(name, marks=pytest.mark.long) for name in ("square", "speed", "gap")),
+        *(pytest.param(name, marks=pytest.mark.long) for name in ("square", "speed", "gap", "stop")),
     ],
 )
 def test_the_element_that_a_whole_record_calls_for_is_named_first(name: str) -> None:

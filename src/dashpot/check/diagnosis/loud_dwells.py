@@ -1,0 +1,36 @@
+"""Dwells of the largest motion: where one contradicts all others, it may be the only one that shows a nonlinear law."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+
+import numpy as np
+
+from dashpot.check.diagnosis.ranking import ALIKE, Cause
+from dashpot.check.diagnosis.search import Workbench
+from dashpot.model.observation import measures_input
+
+LOUD = 0.7  # of the largest amplitude of a channel
+
+
+def at_loud_dwell(bench: Workbench, cause: Cause) -> bool:
+    """Whether a cause is of a single dwell in which a channel of the motion is about as large as in any."""
+    if cause.kind not in ("dwell", "frequency") or not cause.of:
+        return False
+    view, Y = bench.view, np.nan_to_num(np.abs(bench.data.spectrum.amplitudes[0]))
+    moves = [c for c, channel in enumerate(view.channels) if not measures_input(bench.data.model, channel)]
+    size = Y[:, moves] / view.omega[:, None] ** view.derivative[moves]
+    loudest = np.any(size > LOUD * np.max(size, axis=0), axis=1)
+    return any(f"{frequency:g} Hz" in cause.of for frequency in bench.data.spectrum.frequency_hz[loudest])
+
+
+def beside_loud_dwells(
+    candidates: Sequence[Cause], doubtful: Collection[Cause], nonlinear: Sequence[Cause]
+) -> list[Cause]:
+    """All of the candidates but the `doubtful` ones that a nonlinear element explains about as well, and `nonlinear`.
+
+    The element keeps all dwells as they were labelled.
+    """
+    left = min((cause.remaining for cause in nonlinear), default=np.inf)
+    kept = [c for c in candidates if not (c in doubtful and left < ALIKE * max(c.remaining, 1.0))]
+    return [*kept, *nonlinear]
