@@ -19,8 +19,8 @@ from dashpot.check.diagnosis.wording import finding
 from dashpot.data.modal_data import ModalData
 from dashpot.errors import DashpotError
 from dashpot.estimate.assessment import Finding
-from dashpot.estimate.modal.identify_modal import searched_from
 from dashpot.estimate.modal.mode_residuals import modal_misfit, mode_residuals
+from dashpot.estimate.modal.mode_search import searched_from
 from dashpot.estimate.modal.pairing import measured_modes, with_one_axis
 from dashpot.estimate.modal.starting_values import like_parts, random_rigs
 from dashpot.estimate.result import Estimate

@@ -14,8 +14,7 @@ import numpy as np
 from scipy.special import gammaincc
 
 from dashpot.arrays import Real
-from dashpot.data.spectrum import Spectrum
-from dashpot.data.stretch import WholeRecord
+from dashpot.estimate.likelihood.free_decay import moves_freely
 from dashpot.estimate.likelihood.objective import measured, prior_precision
 from dashpot.estimate.likelihood.record_passes import EndsFitted
 from dashpot.estimate.likelihood.record_pieces import RecordPieces
@@ -24,8 +23,6 @@ from dashpot.estimate.method import Solution
 from dashpot.estimate.preparation.prepared import Prepared
 from dashpot.io.words import joined
 from dashpot.model.modes import modes
-from dashpot.model.network import Model
-from dashpot.model.observation import small
 from dashpot.notices import Notice
 from dashpot.numerics.small_systems import scaled_inverse, standard_deviations
 
@@ -56,7 +53,7 @@ def modes_unseen(data: Prepared, solution: Solution) -> tuple[Notice, ...]:
     """That modes found in free motion (one repeat of a linear rig) may be noise, and which unknowns rest on them."""
     spectrum, view = data.spectrum, data.view
     model = view.model
-    if not (_moves_freely(model, spectrum) and len(solution.theta) == 1):
+    if not (moves_freely(model, spectrum) and len(solution.theta) == 1):
         return ()
     pieces, sign = measured(data).record_pieces, spectrum.signs(solution.signs)
     fit = ends_fitted(pieces, solution.theta, sign)
@@ -86,13 +83,6 @@ def modes_unseen(data: Prepared, solution: Solution) -> tuple[Notice, ...]:
         f"{'rest' if len(names) > 1 else 'rests'} on {'them' if len(unseen) > 1 else 'it'}: intervals do not hold"
     )
     return (Notice(MODES_UNSEEN, text, names),)
-
-
-def _moves_freely(model: Model, spectrum: Spectrum) -> bool:
-    """Whether all that is seen of a small linear rig is whole records of free motion."""
-    if model.inputs or len(model.nonlinear) or not small(model):
-        return False
-    return all(isinstance(stretch, WholeRecord) and stretch.loads for stretch in spectrum.stretches)
 
 
 def _free_modes(pieces: RecordPieces, fit: EndsFitted, theta: Real) -> list[_FreeMode]:

@@ -80,6 +80,17 @@ class LocalMinima:
                 break
         return self if not kept else LocalMinima(psi[kept], sign[kept], cost[kept])
 
+    def led_by(self, psi: Real, sign: Real) -> LocalMinima:
+        """With ψ (1, M) and signs (1, channels) in the place of the first."""
+        return LocalMinima(
+            np.concatenate([psi, self.psi[1:]]), np.concatenate([sign, self.sign[1:]]), self.cost
+        )
+
+    def competing(self, rows: int) -> LocalMinima:
+        """Those that may be as likely as the lowest one, if noise is what that leaves of so many `rows`."""
+        near = self.cost <= self.cost[:1] * (1 + COMPETING / max(rows, 1))
+        return LocalMinima(self.psi[near], self.sign[near], self.cost[near])
+
 
 # From minima to the answer of each repeat
 
@@ -91,9 +102,8 @@ def from_minima(
 
     The warning is of another minimum that fits nearly as well; of repeats it says in how many there is one.
     """
-    ratio = minima.cost[0] / likelihood.exact.rows
-    scale = max(1.0, ratio) if likelihood.data.noise_known else ratio
-    competing = _followed(likelihood, minima, COMPETING * scale)
+    scale = _scale(likelihood, minima)
+    competing = followed_minima(likelihood, minima)
     repeats = likelihood.repeats
     sign = np.repeat(competing.sign[:1], repeats, axis=0)
     best = likelihood.descend(np.repeat(competing.psi[:1], repeats, axis=0), sign)
@@ -115,17 +125,24 @@ def from_minima(
     return best, sign, _not_unique(likelihood, best, sign, competing, DOUBT * scale)
 
 
-def _followed(likelihood: Likelihood, minima: LocalMinima, margin: float) -> LocalMinima:
-    """The minima within `margin` of the lowest one, followed further down in the first repeat."""
+def _scale(likelihood: Likelihood, minima: LocalMinima) -> float:
+    """What a difference of χ² is counted in: the lowest one's χ² for each row, where noise is not known or no fit."""
+    ratio = float(minima.cost[0] / likelihood.exact.rows)
+    return max(1.0, ratio) if likelihood.data.noise_known else ratio
+
+
+def followed_minima(likelihood: Likelihood, minima: LocalMinima) -> LocalMinima:
+    """The minima that compete with the lowest one, followed further down in the first repeat."""
+    margin = COMPETING * _scale(likelihood, minima)
     first = np.array([0])
-    followed = LocalMinima(minima.psi[:0], minima.sign[:0], minima.cost[:0])
+    deeper = LocalMinima(minima.psi[:0], minima.sign[:0], minima.cost[:0])
     acceptable = _acceptable(likelihood.data, likelihood.exact, minima.psi.shape[-1])
     most = 2 * DEEPEST if minima.cost[0] <= FAR * acceptable else DEEPEST // 2
     for k in np.flatnonzero(minima.cost <= minima.cost[0] + margin)[:most]:
         end = likelihood.descend(minima.psi[k : k + 1], minima.sign[k : k + 1], repeats=first, limit=ROUGH)
         if end.converged[0] or k == 0:
-            followed = followed.with_ends(end.x, minima.sign[k : k + 1], end.cost)
-    return followed
+            deeper = deeper.with_ends(end.x, minima.sign[k : k + 1], end.cost)
+    return deeper
 
 
 def _not_unique(
@@ -357,6 +374,11 @@ def _reliability(one: Prepared) -> Real:
     noise = np.diagonal(one.covariance[0], axis1=-2, axis2=-1).real
     reliability: Real = power / np.where(power + noise > 0, power + noise, 1.0)
     return reliability
+
+
+def fits(likelihood: Likelihood, end: OptimizeResult) -> bool:
+    """Whether the end of a search of one repeat may be the truth, as its χ² is no surprise."""
+    return bool(end.cost[0] <= _acceptable(likelihood.data, likelihood.exact, end.x.shape[-1]))
 
 
 def _acceptable(data: Prepared, exact: Measured, unknowns: int, level: float = POOR) -> float:

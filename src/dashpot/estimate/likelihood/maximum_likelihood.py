@@ -9,7 +9,11 @@ import numpy as np
 
 from dashpot.arrays import Real
 from dashpot.estimate.likelihood.descent import ROUGH, Effort, Likelihood
+from dashpot.estimate.likelihood.free_decay import decay_minima
 from dashpot.estimate.likelihood.global_search import (
+    LocalMinima,
+    fits,
+    followed_minima,
     from_minima,
     global_minima,
     minima_around,
@@ -25,7 +29,7 @@ from dashpot.estimate.nonlinear.search import search_harmonics
 from dashpot.estimate.preparation.prepared import Prepared
 from dashpot.estimate.preparation.state_reconstruction import States
 from dashpot.notices import Notice
-from dashpot.numerics.levenberg_marquardt import without_bounds
+from dashpot.numerics.levenberg_marquardt import OptimizeResult, without_bounds
 
 
 @dataclass(frozen=True)
@@ -35,11 +39,12 @@ class MaximumLikelihood(Method):
     Where all coordinates are seen the start is the noise-compensated least squares; elsewhere `candidates` random
     rigs of sensible size are ranked by the logarithms of their responses, and the best `starts` of them searched, first
     in logarithms, then with weights that harden step by step, for at most `rounds` rounds.  Repeats share the minima
-    that the first one finds, and look for their own where these do not lead to a fit.  `positive` holds the parts of
-    the rig at or above 0, not what belongs to a free matrix; bounds of the model hold always.  With a `start`, values
-    of all unknowns, and `start_sign`, signs of the channels, one descent from there takes the search's place, and
-    some about its end if it is to be `thorough`; without, a `thorough` search draws its starts where all is seen as
-    well.  `seed` is that of the random rigs.  A descent ends
+    that the first one finds, and look for their own where these do not lead to a fit. `positive` holds the parts of
+    the rig at or above 0, not what belongs to a free matrix; bounds of the model hold always. With a `start`,
+    values of all unknowns, and `start_sign`, signs of the channels, one descent from there takes the search's
+    place, and some about its end if it is to be `thorough`; without, a `thorough` search draws its starts where all
+    is seen as well. `rivals` are further starts, with the signs of theirs, whose ends are told where they fit
+    alike. `seed` is that of the random rigs. A descent ends
     where no unknown moves by more than `tolerance` standard deviations, after `max_iterations` at the latest.
     """
 
@@ -52,6 +57,7 @@ class MaximumLikelihood(Method):
     seed: int = 0
     start: tuple[float, ...] = ()
     start_sign: tuple[float, ...] = ()
+    rivals: tuple[tuple[tuple[float, ...], tuple[float, ...]], ...] = ()
     thorough: bool = False
     name: ClassVar[str] = "ml"
     traits: ClassVar[Traits] = Traits(
@@ -71,12 +77,9 @@ class MaximumLikelihood(Method):
             sign = np.ones((likelihood.repeats, len(view.channels)))
             likelihood = replace(likelihood, exact=exact)
         elif self.start and likelihood.repeats == 1 and len(self.start) == len(view.names):  # of this rig
-            start = np.array([self.start])
-            sign = np.array([self.start_sign or (1.0,) * len(view.channels)])
-            if self.thorough:
-                minimum, sign, warnings = from_minima(likelihood, minima_around(likelihood, start, sign))
-            else:
-                minimum = likelihood.descend(start, sign)
+            minimum, sign, warnings = self._from_start(likelihood)
+        elif (decays := _from_decays(likelihood)) is not None:
+            minimum, sign, warnings = from_minima(likelihood, decays)
         elif data.states is not None and seen_directly(data) and not self.thorough:
             start = _start(likelihood, data.states)
             sign = np.ones((likelihood.repeats, len(view.channels)))
@@ -99,8 +102,20 @@ class MaximumLikelihood(Method):
             warnings=warnings, bounds=bounds, responses=likelihood.exact.nonlinear,
         )  # fmt: skip
 
-    def rough(self, data: Prepared, *, typical: int | None = None) -> tuple[Real, Real]:
-        """ψ (1, parameters), SI units, and signs (1, channels) of one repeat, whatever a descent ends in.
+    def _from_start(self, likelihood: Likelihood) -> tuple[OptimizeResult, Real, tuple[Notice, ...]]:
+        """Where the start of one repeat leads, alone, with draws about it, or with its rivals; signs and a warning."""
+        start = np.array([self.start])
+        sign = np.array([self.start_sign or (1.0,) * len(likelihood.view.channels)])
+        if self.thorough:
+            return from_minima(likelihood, minima_around(likelihood, start, sign))
+        if self.rivals:
+            others, flips = (np.array(part) for part in zip(*self.rivals, strict=True))
+            minima = _at(likelihood, np.concatenate([start, others]), np.concatenate([sign, flips]))
+            return from_minima(likelihood, minima)
+        return likelihood.descend(start, sign), sign, ()
+
+    def rough(self, data: Prepared, *, typical: int | None = None) -> LocalMinima:
+        """What the descents of one repeat end in, whatever it is, the lowest first, and what competes with it.
 
         One descent where all is seen, from the equation of motion weighted evenly, or as a typical rig has it: that
         of this number, of which 0 is the middle of all.
@@ -112,14 +127,31 @@ class MaximumLikelihood(Method):
             start = _start(likelihood, data.states, typical=typical)
             end = likelihood.descend(start, sign, limit=ROUGH)
             if np.all(np.isfinite(end.cost)):
-                return end.x, sign
-        end, sign, _ = from_minima(likelihood, global_minima(likelihood, 0))
-        return end.x, sign
+                return LocalMinima(end.x, sign, end.cost)
+        ends = followed_minima(likelihood, global_minima(likelihood, 0))
+        return ends.competing(likelihood.exact.rows)
 
     @property
     def effort(self) -> Effort:
         """The settings that a search needs."""
         return Effort(**{entry.name: getattr(self, entry.name) for entry in fields(Effort)})
+
+
+def _at(likelihood: Likelihood, psi: Real, sign: Real) -> LocalMinima:
+    """Starts ψ (k, M) with signs (k, channels) in the order of their χ²."""
+    none = LocalMinima.none(psi.shape[1], sign.shape[1])
+    return none.with_ends(psi, sign, likelihood.model_at(psi, sign).cost)
+
+
+def _from_decays(likelihood: Likelihood) -> LocalMinima | None:
+    """Where the modes of free decays lead, if that is a fit; of one repeat whose noise is known."""
+    if likelihood.repeats > 1 or not likelihood.data.noise_known:
+        return None
+    minima = decay_minima(likelihood.data, likelihood.effort)
+    if not len(minima.cost):
+        return None
+    minima = _at(likelihood, minima.psi, minima.sign)
+    return minima if fits(likelihood, likelihood.descend(minima.psi[:1], minima.sign[:1])) else None
 
 
 def _start(likelihood: Likelihood, states: States, *, typical: int | None = None) -> Real:

@@ -21,7 +21,8 @@ from dashpot.data.spectrum import Spectrum
 from dashpot.data.stretch import WholeRecord
 from dashpot.errors import DataError
 from dashpot.estimate.likelihood.chunks import Measured
-from dashpot.estimate.likelihood.global_search import seen_directly
+from dashpot.estimate.likelihood.free_decay import decay_minima
+from dashpot.estimate.likelihood.global_search import LocalMinima, seen_directly
 from dashpot.estimate.likelihood.input_noise import InputNoise, noise_counted, without_moved
 from dashpot.estimate.likelihood.maximum_likelihood import MaximumLikelihood
 from dashpot.estimate.likelihood.objective import bounds, local, measured, predict
@@ -81,17 +82,17 @@ def with_record_noise(model: Model, spectrum: Spectrum, method: Method) -> tuple
     )
     if spectrum.batch:
         return known, method
-    _, psi, sign = each_repeat[0]
+    _, ends = each_repeat[0]
+    (start, signs), *rivals = zip(map(tuple, ends.psi.tolist()), map(tuple, ends.sign.tolist()), strict=True)
     steps = min(method.max_iterations, LAST_STEPS)
-    return known, replace(
-        method, start=tuple(psi[0].tolist()), start_sign=tuple(sign[0].tolist()), max_iterations=steps
-    )
+    return known, replace(method, start=start, start_sign=signs, rivals=tuple(rivals), max_iterations=steps)
 
 
 def noise_from_residuals(
     model: Model, spectrum: Spectrum, method: MaximumLikelihood
-) -> tuple[Spectrum, Real, Real]:
-    """The spectrum of one repeat, (1, lines, channels), with the noise that its residuals show; ψ and signs with it.
+) -> tuple[Spectrum, LocalMinima]:
+    """The spectrum of one repeat, (1, lines, channels), with the noise that its residuals show; the fit with it, and
+    what competed with its first one.
 
     The channels that measure inputs alone keep the noise that their own spectra show; where these show none, they get
     what all outputs have in common.
@@ -103,14 +104,15 @@ def noise_from_residuals(
     inputs = InputNoise.of(view, spectrum, sought, V)
     floor = np.diagonal(V[0], axis1=-2, axis2=-1).real.copy()  # which does not hold V
     changes = sought[:, None] & (outputs | inputs.sought)
-    psi: Real | None = None
-    sign: Real = np.ones((1, len(spectrum.channels)))
+    begun: LocalMinima | None = None
+    psi, sign = np.zeros((1, 0)), np.ones((1, len(spectrum.channels)))
     used, dof = 0.0, np.array(spectrum.dof)
     for turn in range(ROUNDS):
         data = Prepared(view, spectrum, V, None, True, np.ones(1, dtype=bool))
         exact = measured(data)
-        if psi is None:
-            psi, sign = _begun(data, exact, method)
+        if begun is None:
+            begun = _begun(data, exact, method)
+            psi, sign = begun.psi[:1], begun.sign[:1]
         else:
             psi, _ = _descended(view, exact, psi, sign, method)
         residual, columns = residuals_of_records(view, exact, psi, sign)
@@ -129,7 +131,8 @@ def noise_from_residuals(
         del data, exact, residual, power  # before the next: of many lines they are large
     kinds = tuple(RESIDUAL if kind == FLOOR else kind for kind in spectrum.noise)
     weighted = replace(spectrum, covariance=V, noise=kinds, dof=dof * (1 - used))
-    return weighted, np.zeros((1, 0)) if psi is None else psi, sign
+    assert begun is not None
+    return weighted, begun.led_by(psi, sign)
 
 
 def _own_power(
@@ -170,34 +173,45 @@ def _require_decay(model: Model, residual: Complex, data: Measured) -> None:
         )
 
 
-def _begun(data: Prepared, exact: Measured, method: MaximumLikelihood) -> tuple[Real, Real]:
-    """A first fit: from some of the lines; where that leaves much over or has parts below zero, the best of what many
-    of them give as well.
+def _begun(data: Prepared, exact: Measured, method: MaximumLikelihood) -> LocalMinima:
+    """A first fit: of free decays from their modes, else from some of the lines; where that leaves much over or has
+    parts below zero, the best of what many of them give as well.  What competes with it stands behind it.
 
     Even weights are far from the noise of the equation where lines of motion are few among those that hold noise only,
     or where displacements come from accelerations.
     """
     view = data.view
+    decays = decay_minima(data, method.effort)
+    best, cost = _further(view, exact, decays, method)
+    if len(decays.cost) and _is_sound(view, exact, best.psi[:1], best.sign[:1], cost):
+        return best
     few = thinned(data, EACH_TO_START)
-    psi, sign = method.rough(_with_states(few))
-    if few is data:
-        cost = local(view, exact, psi, sign).cost[0]
-    else:
-        psi, cost = _descended(view, exact, psi, sign, method)
-    if _is_sound(view, exact, psi, sign, cost):
-        return psi, sign
+    first = method.rough(_with_states(few))
+    best, cost = min((best, cost), _further(view, exact, first, method), key=lambda end: end[1])
+    if _is_sound(view, exact, best.psi[:1], best.sign[:1], cost):
+        return best
     many = _with_states(thinned(data, EACH_IN_DOUBT))
     others = [] if few is data else [method.rough(many)]
     # What is seen in part is searched from many rigs as it is.
     rigs = TYPICAL if many.states is not None and seen_directly(many) else 1
     for number in range(-len(others), rigs):
-        again, flips = method.rough(many, typical=number) if number >= 0 else others[number]
-        other = local(view, exact, again, flips).cost[0]
+        again = method.rough(many, typical=number) if number >= 0 else others[number]
+        other = local(view, exact, again.psi[:1], again.sign[:1]).cost[0]
         if other < cost or not np.isfinite(cost):
-            psi, sign, cost = again, flips, other
-        if number >= 0 and _is_sound(view, exact, psi, sign, cost):
+            best, cost = again, other
+        if number >= 0 and _is_sound(view, exact, best.psi[:1], best.sign[:1], cost):
             break
-    return psi, sign
+    return best
+
+
+def _further(
+    view: ObservationModel, data: Measured, minima: LocalMinima, method: MaximumLikelihood
+) -> tuple[LocalMinima, float]:
+    """Minima of some lines, the lowest one followed in all, and its cost; inf where there are none."""
+    if not len(minima.cost):
+        return minima, np.inf
+    psi, cost = _descended(view, data, minima.psi[:1], minima.sign[:1], method)
+    return minima.led_by(psi, minima.sign[:1]), cost
 
 
 def _is_sound(view: ObservationModel, data: Measured, psi: Real, sign: Real, cost: float) -> bool:

@@ -153,7 +153,9 @@ def _with_noise(model: Model, whole: Spectrum) -> tuple[Spectrum, _Fit, MaximumL
 
 def _from(method: MaximumLikelihood, fit: _Fit) -> MaximumLikelihood:
     """The method with one descent from a fit in place of its search."""
-    return replace(method, start=tuple(fit.psi[0].tolist()), start_sign=tuple(fit.sign[0].tolist()))
+    return replace(
+        method, start=tuple(fit.psi[0].tolist()), start_sign=tuple(fit.sign[0].tolist()), rivals=()
+    )
 
 
 def _fitted(method: MaximumLikelihood, data: Prepared) -> _Fit:
