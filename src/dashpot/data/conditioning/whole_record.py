@@ -42,6 +42,7 @@ HIGHEST_LINES = 0.96  # of half the sampling rate: a recorder's filter leaves no
 FOLDED = 0.01  # of a channel's largest lines: what moves there that is said
 MANY_LINES = 300_000  # from which on a narrower band is worth stating
 BYTES = 650  # of memory that an identification takes for each line of a channel
+CHANCE = 1e-3  # that the loudest line of noise counts as motion
 FAR_BELOW = 0.1  # of the mean power of the lines: a floor is noise, not motion
 
 
@@ -115,9 +116,9 @@ def whole_record(
     duration = samples * step
     _require_motion(record)
     first, last = _lines_of(record.source, band_hz, samples, step)
-    X, floor, folded = _amplitudes(record, first, last)
+    X, floor, folded = _amplitudes(record, first, last, stated=band_hz is not None)
     if band_hz is None:
-        X = X[: _moving(X)]
+        X = X[: _moving(X, record.source, last / duration)]
         last = first + len(X) - 1
     frequency = np.arange(first, last + 1) / duration
     lines, channels = X.shape
@@ -154,8 +155,13 @@ def _lines_of(source: str, band_hz: tuple[float, float] | None, samples: int, st
     return first, last
 
 
-def _amplitudes(record: Record, first: int, last: int) -> tuple[Complex, Real, Real]:
-    """Peak amplitudes of the lines, (lines, channels), the white floor of each channel, and how it moves at the top."""
+def _amplitudes(record: Record, first: int, last: int, *, stated: bool) -> tuple[Complex, Real, Real]:
+    """Peak amplitudes of the lines, (lines, channels), the white floor of each channel, and how it moves at the top.
+
+    Raises DataError where nothing moves in a `stated` band.
+    """
+    moving: list[tuple[bool, float, float]] = []
+    duration = len(record.time) * even_step(record)
     samples = len(record.time)
     X = np.empty((last - first + 1, len(record.channels)), dtype=np.complex128)
     floor, folded = np.zeros(len(record.channels)), np.zeros(len(record.channels))
@@ -166,7 +172,40 @@ def _amplitudes(record: Record, first: int, last: int) -> tuple[Complex, Real, R
         X[:, c] = Y[first : last + 1]
         floor[c] = variance_at_rest(column) * 4 / samples or white_floor(Y)
         folded[c] = at_the_top(Y, floor[c])
+        if stated:
+            moving.append(_motion_in(Y, float(floor[c]), first, last))
+    if moving and not any(inside for inside, _, _ in moving):
+        low, high = min(low for _, low, _ in moving), max(high for _, _, high in moving)
+        where = (
+            f"the record moves from {low / duration:.3g} to {high / duration:.3g} Hz: " if high > low else ""
+        )
+        raise DataError(
+            f"no channel moves more than its noise from {first / duration:.4g} to {last / duration:.4g} Hz, the band "
+            "that is asked for",
+            record.source,
+            f"{where}set the band there, or none, which takes it from where something moves",
+        )
     return X, floor, folded
+
+
+def _motion_in(Y: Complex, floor: float, first: int, last: int) -> tuple[bool, float, float]:
+    """Whether a channel moves in some of its lines, and the first and last line of its motion (inf and 0 of none).
+
+    Y (N/2 + 1,) lines.  Without a floor, a mean power `floor` of noise, lines move that are not far below the largest.
+    """
+    power = np.abs(Y) ** 2
+    power[0] = 0.0
+    if floor == 0:
+        moves = power > (FAR_BELOW**2) * np.max(power)
+        at = np.flatnonzero(moves)
+        return bool(np.any(moves[first : last + 1])), float(at[0]), float(at[-1])
+    starts: Ints = np.arange(1, len(power) - BIN, BIN)
+    out = np.flatnonzero(np.add.reduceat(power, starts)[:-1] > (1 + STANDS_OUT / BIN**0.5) * floor * BIN)
+    low, high = (float(starts[out[0]]), float(starts[out[-1]] + BIN)) if len(out) else (np.inf, 0.0)
+    inside = power[first : last + 1]
+    # Few lines, or few loud ones among many, may be a resonance.
+    loudest = float(np.max(inside)) > floor * np.log(len(inside) / CHANCE)
+    return loudest or float(np.mean(inside)) > (1 + STANDS_OUT / len(inside) ** 0.5) * floor, low, high
 
 
 def at_the_top(Y: Complex, floor: float) -> float:
@@ -290,8 +329,11 @@ def white_floor(Y: Complex) -> float:
     return level if even and level < FAR_BELOW * float(np.mean(np.abs(Y[1:]) ** 2)) else 0.0
 
 
-def _moving(X: Complex) -> int:
-    """How many of the lines are kept: up to the last bin in which some channel stands out of its floor."""
+def _moving(X: Complex, source: str, highest_hz: float) -> int:
+    """How many of the lines are kept: up to the last bin in which some channel stands out of its floor.
+
+    Raises DataError where none does in any part of the band up to `highest_hz`.
+    """
     lines = len(X)
     each = max(BIN, -(-lines // BINS))
     if lines < 3 * each:
@@ -303,6 +345,9 @@ def _moving(X: Complex) -> int:
     out = np.flatnonzero(np.any(mean > (1 + STANDS_OUT / each**0.5) * floor, axis=-1))
     if not len(out):
         raise DataError(
-            "no channel moves more in one part of the band than in another: there is no signal in it"
+            f"no channel moves more in one part of the band up to {highest_hz:.4g} Hz than in another: there is no "
+            "signal in it",
+            source,
+            "check that the rig was driven while this was recorded; where all of the band is driven alike, state it",
         )
     return min(lines, int((out[-1] + 2) * each))

@@ -162,6 +162,20 @@ def test_refusals() -> None:
         whole_record(Record((A, B), time, values))
 
 
+def test_a_band_in_which_nothing_moves_is_named_with_that_in_which_something_does() -> None:
+    rng = np.random.default_rng(8)
+    time = np.arange(4000) * 0.01
+    driven = np.sin(2 * np.pi * np.arange(1, 6, 0.1) * time[:, None]).sum(axis=1)
+    values = np.column_stack([driven + 0.1 * rng.normal(size=4000), driven])
+    refused(
+        values,
+        r"no channel moves more than its noise from 20 to 40 Hz, .* moves from 0.\d+ to [67]",
+        band_hz=(20.0, 40.0),
+    )
+    assert whole_record(record(values), band_hz=(2.0, 40.0)).lines == 1521
+    assert whole_record(record(values), band_hz=(2.9, 3.1)).lines == 9
+
+
 def test_a_band_of_very_many_lines_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("dashpot.data.conditioning.whole_record.MANY_LINES", 100)
     long = record(resonant(4000, np.random.default_rng(1)))
