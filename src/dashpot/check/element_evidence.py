@@ -36,7 +36,8 @@ from dashpot.data.spectrum import Spectrum
 from dashpot.errors import DashpotError, UsageError
 from dashpot.estimate.identify import identify
 from dashpot.estimate.nonlinear.record_problem import RecordProblem
-from dashpot.estimate.nonlinear.records import RecordData, measured_coordinates
+from dashpot.estimate.nonlinear.recorded_motion import recorded_motion
+from dashpot.estimate.nonlinear.records import RecordData
 from dashpot.estimate.nonlinear.uncertain_inputs import InputErrors
 from dashpot.estimate.nonlinear.whole_record import FittedRecords, fit_records
 from dashpot.estimate.preparation.prepared import prepare
@@ -190,24 +191,26 @@ def record_candidates(model: Model, record: RecordData, further: bool = False) -
 
     further: with the laws that are tried where elements are compared.
     """
-    x = measured_coordinates(model, record)
+    at = recorded_motion(model, record)
     motions: dict[tuple[str, str], tuple[float, float]] = {}
     joined = {frozenset(element.along) for element in model.elements}
     for first, second in moving_pairs(model):
         if frozenset({first, second} - {"ground"}) not in joined:
             continue
         size, speed = 1.0, 1.0
-        if x is not None:
-            line = between("probe", Kind.SPRING, first, second, value=0.0)
+        line = between("probe", Kind.SPRING, first, second, value=0.0)
+        if record.bases.hide(model, line):
+            continue
+        if at is not None:
             probe = replace(model, elements=(*model.elements, line))
-            d = x @ probe.B[-1] + record.inputs[:, : model.D.shape[1]] @ probe.D[-1]
+            d = at.x @ probe.B[-1] + at.u @ probe.D[-1]
             size = float(np.max(np.abs(d - np.mean(d))))
             speed = float(np.max(np.abs(np.diff(d)))) / record.step_s
         if size > 0:
             motions[first, second] = size, speed
     reach: Motions = motions
     every = candidate_elements(model, reach, further)
-    return [e for e in every if x is not None or (e.force_law is not None and not e.force_law.constants)]
+    return [e for e in every if at is not None or (e.force_law is not None and not e.force_law.constants)]
 
 
 @dataclass(frozen=True)
@@ -259,16 +262,23 @@ def with_candidates(
 ) -> tuple[RecordProblem, Real, tuple[int, ...]]:
     """The problem with candidates that do nothing yet, its ψ (M + count,), and where in it theirs are."""
     base, m = problem.model, len(problem.model.unknowns)
-    extended = replace(base, elements=(*base.elements, *(replace(e, guess=0.0) for e in candidates)))
+    bases = problem.records[0].bases
+    more = tuple(replace(e, guess=0.0) for e in candidates)
+    extended = replace(base, elements=(*base.elements, *(bases.beside(e) for e in more)))
     before = dict(zip((u.name for u in base.unknowns), psi[:m].tolist(), strict=True))
     names = [u.name for u in extended.unknowns]
-    larger = replace(problem, model=extended, last=problem.begun(), errors={}, covariances={})
-    starts = psi[problem.inner :].reshape(-1, problem.states)
-    if larger.states > problem.states:  # laws with a state of their own, which begins with nothing
+    rig = replace(problem.rig, elements=(*problem.rig.elements, *more))
+    larger = replace(problem, rig=rig, model=extended, last=problem.motions(), errors={}, covariances={})
+    own, free = psi[problem.inner :].reshape(-1, problem.states), problem.constants
+    laws = sum(e.force_law is not None and e.force_law.has_state for e in more)
+    if laws:  # with a state of their own, which begins with nothing
+        first = len(problem.begun[0])
+        larger.constants = replace(free, starts=np.append(free.starts, range(first, first + laws)))
+        larger.begun = tuple(np.append(start, np.zeros(laws)) for start in problem.begun)
         larger.last = {}
-        starts = np.pad(starts, ((0, 0), (0, larger.states - problem.states)))
+        own = np.insert(own, [len(free.starts)] * laws, 0.0, axis=1)
     values = [before.get(name, 0.0) for name in names]
-    at = np.concatenate([values, psi[m : problem.inner], starts.ravel()])
+    at = np.concatenate([values, psi[m : problem.inner], own.ravel()])
     if problem.inputs is not None:
         for k in range(len(problem.records)):
             white = problem.errors_at(k, psi)
@@ -315,7 +325,7 @@ def _evidence(
     guesses = dict(zip(names, values, strict=True))
     elements = tuple(
         replace(element, guess=float(f"{guesses[element.name]:.4g}"))
-        for element in found.problem.model.elements
+        for element in found.problem.rig.elements
         if element.name in names
     )
     return ElementEvidence(elements, values, float(np.exp(np.mean(np.log(share)))), float(ln_evidence))
@@ -329,7 +339,7 @@ def _fitted(
     Where all is seen the motion itself tells better where to begin than the fit of the smaller rig does, whose linear
     parts make up for what it lacks.
     """
-    seen = all(measured_coordinates(model, record) is not None for record in before.problem.records)
+    seen = all(recorded_motion(model, record) is not None for record in before.problem.records)
     stateless = not any(e.force_law is not None and e.force_law.has_state for e in model.elements)
     stated = {element.name for element in base.elements if element.guess is not None}
     starts = [_without_guesses(model, stated)] if seen and stateless else []

@@ -18,6 +18,7 @@ from dashpot.check.diagnosis.rig_changes import missing_elements
 from dashpot.check.diagnosis.score_test import steadiness
 from dashpot.check.element_evidence import record_candidates, with_candidates
 from dashpot.estimate.nonlinear.record_prediction import FollowedRecord
+from dashpot.estimate.nonlinear.records import RecordData
 from dashpot.model.elements import Element
 from dashpot.model.network import Model
 
@@ -42,7 +43,7 @@ def element_called_for(model: Model, motions: Sequence[FollowedRecord]) -> Calle
     motions: of all records of one estimate of the rig `model`.
     """
     data = motions[0].data
-    candidates = [*record_candidates(model, data), *missing_elements(model)]
+    candidates = elements_to_try(model, data)
     unknowns = len(motions[0].psi) + len(candidates)
     if sum(motion.residual.size for motion in motions) * unknowns > MOST_NUMBERS:
         return None
@@ -63,6 +64,12 @@ def element_called_for(model: Model, motions: Sequence[FollowedRecord]) -> Calle
         if share > (least if best is None else best.share) and steadiness(column, residual, value) < certain:
             best = CalledFor(element, share, value)
     return best
+
+
+def elements_to_try(model: Model, data: RecordData) -> list[Element]:
+    """Elements that a record may call for, linear ones too."""
+    missing = [e for e in missing_elements(model) if e.law.power == 2 or not data.bases.hide(model, e)]
+    return [*record_candidates(model, data), *missing]
 
 
 def _columns(

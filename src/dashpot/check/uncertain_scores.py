@@ -12,10 +12,9 @@ from scipy.special import stdtr
 
 from dashpot.arrays import Real
 from dashpot.check.diagnosis.nonlinear_elements import APART, CERTAIN
-from dashpot.check.diagnosis.rig_changes import missing_elements
 from dashpot.check.diagnosis.score_test import PARTS, sums_of_parts
-from dashpot.check.element_evidence import record_candidates, with_candidates
-from dashpot.check.record_scores import LEAST, MOST_NUMBERS, TOGETHER, CalledFor
+from dashpot.check.element_evidence import with_candidates
+from dashpot.check.record_scores import LEAST, MOST_NUMBERS, TOGETHER, CalledFor, elements_to_try
 from dashpot.estimate.nonlinear.input_levels import all_linearised, stated_precision
 from dashpot.estimate.nonlinear.record_problem import RecordProblem
 from dashpot.estimate.nonlinear.records import total_samples
@@ -28,7 +27,7 @@ def element_of_uncertain(problem: RecordProblem, psi: Real) -> CalledFor | None:
 
     psi (M,): the end of the search of a problem with uncertain inputs.
     """
-    candidates = [*record_candidates(problem.model, problem.records[0]), *missing_elements(problem.model)]
+    candidates = elements_to_try(problem.rig, problem.records[0])
     if total_samples(problem.records) * (len(psi) + len(candidates)) > MOST_NUMBERS:
         return None
     linear = all_linearised(problem, psi)

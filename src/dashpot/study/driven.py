@@ -12,11 +12,19 @@ from dashpot.channel import Channel, Quantity
 from dashpot.data.record import Record
 from dashpot.errors import ConvergenceError, DataError
 from dashpot.estimate.nonlinear.record_problem import enough_substeps
-from dashpot.estimate.nonlinear.records import RecordData, measured_inputs, shown_outputs, uniform_step
+from dashpot.estimate.nonlinear.records import (
+    RecordData,
+    ShownInputs,
+    beside_bases,
+    measured_inputs,
+    shown_outputs,
+    uniform_step,
+)
 from dashpot.model.channel_noise import noise_sd
 from dashpot.model.motion import channel_samples, integrator
 from dashpot.model.network import Model
 from dashpot.model.nonlinear.integration import Integrator
+from dashpot.model.nonlinear.moving_base import moving_rig
 from dashpot.model.nonlinear.propagation import forcing
 from dashpot.model.nonlinear.shooting import integrate
 from dashpot.model.observation import ObservationModel, measures_input, observation_model
@@ -39,12 +47,12 @@ def driven_record(
     channels = tuple(channels)
     step = uniform_step(drive)
     drive = _on_time(drive, step)
-    inputs = measured_inputs(model, _as_moved(model, drive, step))
     view = observation_model(model, channels, np.ones(1))
     if len(model.nonlinear):
-        values = _nonlinear(view, theta, drive.source, step, inputs)
+        values = _nonlinear(view, theta, drive.source, step, measured_inputs(model, drive))
     else:
         p = model.parameters(theta)
+        inputs = measured_inputs(model, _as_moved(model, drive, step)).values
         values = channel_samples(view, p, integrator(model, p, step).motion(inputs))
     given = {(tuple(c.of.items()), c.quantity): number for number, c in enumerate(drive.channels)}
     for c, channel in enumerate(channels):
@@ -109,7 +117,7 @@ def _later(values: Real, steps: Real) -> Real:
     return out
 
 
-def _nonlinear(view: ObservationModel, theta: Real, source: str, step: float, inputs: Real) -> Real:
+def _nonlinear(view: ObservationModel, theta: Real, source: str, step: float, shown: ShownInputs) -> Real:
     """What the channels of a nonlinear rig show, (samples, channels)."""
     model, channels = view.model, view.channels
     forces = [c.name for c in channels if c.quantity is Quantity.FORCE and not measures_input(model, c)]
@@ -118,25 +126,29 @@ def _nonlinear(view: ObservationModel, theta: Real, source: str, step: float, in
             f"channel {forces[0]} measures the force in elements, which records in time do not show",
             cure="leave it out of the rig file",
         )
-    machine = Integrator(model, theta, forcing(step, inputs), 2 * enough_substeps(model, theta, step))
-    motion = integrate(machine, np.zeros(machine.states))
+    count = len(channels)
+    data = RecordData(
+        source, step, tuple(channel.name for channel in channels), shown.values, np.zeros((len(shown.values), count)),
+        view.on_x, view.on_q, tuple(int(order) for order in view.derivative), (-1,) * count, (False,) * count,
+    )  # fmt: skip
+    data = beside_bases(model, data, shown.orders)
+    substeps = 2 * enough_substeps(model, theta, step)
+    machine = Integrator(
+        moving_rig(model, data.bases), theta, forcing(step, data.inputs, data.rated), substeps
+    )
+    motion = integrate(machine, _at_rest(machine, model, data))
     if not motion.closed:
         raise ConvergenceError("the motion cannot be followed", cure="sample the input faster, or drive less")
-    moves = [not measures_input(model, channel) for channel in channels]
-    values = np.empty((len(inputs), len(channels)))
-    outputs = np.flatnonzero(moves)
-    if len(outputs):
-        derivative = tuple(int(view.derivative[c]) for c in outputs)
-        data = RecordData(
-            source, step, tuple(channels[int(c)].name for c in outputs), inputs,
-            np.zeros((len(inputs), len(outputs))), view.on_x[outputs], view.on_q[outputs], derivative,
-            (-1,) * len(outputs), (False,) * len(outputs),
-        )  # fmt: skip
-        values[:, outputs] = shown_outputs(machine, data, motion)[0]
-    rates = [inputs[:, : model.D.shape[1]], *machine.input_rates()]
-    for c in np.flatnonzero(np.logical_not(moves)):
-        if channels[int(c)].quantity is Quantity.FORCE:
-            values[:, c] = inputs @ view.on_q[c]
-        else:
-            values[:, c] = rates[int(view.derivative[c])] @ view.on_q[c, : model.D.shape[1]]
+    values = shown_outputs(machine, data, motion)[0]
+    for c in (c for c, channel in enumerate(channels) if channel.quantity is Quantity.FORCE):
+        values[:, c] = data.inputs @ data.on_q[c]
     return values
+
+
+def _at_rest(machine: Integrator, model: Model, data: RecordData) -> Real:
+    """The state (states,) in which the rig does not move, though a base may whose velocity is known."""
+    start, bases, n = np.zeros(machine.states), data.bases, model.n
+    rates = np.where(np.array(bases.orders) == 1, data.inputs[0, len(model.inputs) - len(bases.names) :], 0.0)
+    start[machine.model.n : machine.model.n + n] = -bases.matrix(model.coordinates) @ rates
+    start[machine.model.n + n : 2 * machine.model.n] = rates
+    return start

@@ -43,13 +43,15 @@ def released(
     records = tuple(_with_measured_motion(problem.model, data, shown) for data in problem.records)
     least = np.inf
     for hold in HOLDS:
-        held = replace(problem, model=_held(problem, psi, shown, hold), records=records, last=problem.begun())
+        held = replace(
+            problem, model=_held(problem, psi, shown, hold), records=records, last=problem.motions()
+        )
         if not np.isfinite(held.misfit(psi)):
             held.last = {}
         end = descend(held, psi)
         if not (end.converged[0] and end.cost[0] < NEAR * least):  # too weak to hold this motion
             break
-        psi, least, problem.last = end.x[0], float(end.cost[0]), held.begun()
+        psi, least, problem.last = end.x[0], float(end.cost[0]), held.motions()
         if problem.misfit(psi) < NEAR * least:
             return problem, psi
     states = [problem.last[k].state for k in range(len(problem.records)) if k in problem.last]
@@ -57,24 +59,27 @@ def released(
     for _ in range(CUTS if states else 0):
         if min(data.samples for data in problem.records) < 2 * SHORTEST:
             break
-        problem, states = _halved(problem, states)
-        psi = np.concatenate([psi[: problem.inner], *(state[0] for state in states)])
+        problem, psi, states = _halved(problem, psi, states)
         if problem.misfit(psi) < FOLLOWED * least:
             break
     return problem, psi
 
 
-def _halved(problem: RecordProblem, states: list[Real]) -> tuple[RecordProblem, list[Real]]:
+def _halved(problem: RecordProblem, psi: Real, states: list[Real]) -> tuple[RecordProblem, Real, list[Real]]:
     """The same with each record cut in two, and likewise the states (samples, states) of their motions."""
-    records, parts = [], []
-    for data, state in zip(problem.records, states, strict=True):
+    free = problem.constants
+    records, parts, own = [], [], [psi[: problem.inner]]
+    for k, (data, state) in enumerate(zip(problem.records, states, strict=True)):
         middle = data.samples // 2
         for part in (slice(0, middle), slice(middle, data.samples)):
             records.append(replace(data, inputs=data.inputs[part], outputs=data.outputs[part]))
             parts.append(state[part])
+            own += [state[part][0, free.starts], psi[problem.of_record(k)][len(free.starts) :]]
+    begun = tuple(part[0] for part in parts)
     substeps = tuple(count for count in problem.substeps for _ in range(2))
     return (
-        replace(problem, records=tuple(records), substeps=substeps, pieces=2 * problem.pieces),
+        replace(problem, records=tuple(records), begun=begun, substeps=substeps, pieces=2 * problem.pieces),
+        np.concatenate(own),
         parts,
     )
 
@@ -91,7 +96,8 @@ def _with_measured_motion(model: Model, data: RecordData, shown: list[int]) -> R
     motion = data.outputs[:, shown] - data.inputs @ data.on_q[shown].T
     inputs = np.concatenate([data.inputs[:, :r], motion, data.inputs[:, r:]], axis=1)
     on_q = np.insert(data.on_q, r, np.zeros((len(shown), 1)), axis=1)
-    return replace(data, inputs=inputs, on_q=on_q)
+    rated = (*data.rated[:r], *[False] * len(shown), *data.rated[r:]) if data.rated else ()
+    return replace(data, inputs=inputs, on_q=on_q, rated=rated)
 
 
 def _held(problem: RecordProblem, psi: Real, shown: list[int], hold: float) -> Model:

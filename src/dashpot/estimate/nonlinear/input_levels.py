@@ -18,15 +18,17 @@ from dashpot.arrays import Bools, Real
 from dashpot.data.conditioning.still import HALF_WINDOW, QUIETEST, smoothed, variance_at_rest
 from dashpot.data.conditioning.whole_record import TOP, white_floor
 from dashpot.estimate.likelihood.input_noise import ROOM, SHOWS, STAYS
-from dashpot.estimate.nonlinear.record_problem import RecordProblem
-from dashpot.estimate.nonlinear.records import NoiseAtRest, RecordData
+from dashpot.estimate.nonlinear.record_problem import RecordProblem, begun_problem
+from dashpot.estimate.nonlinear.recorded_motion import base_travel
+from dashpot.estimate.nonlinear.records import NoiseAtRest, RecordData, in_pieces
 from dashpot.estimate.nonlinear.restricted_likelihood import (
     Sizes,
     drawn_noise,
     information_on_inputs,
     sizes_of_noise,
 )
-from dashpot.estimate.nonlinear.uncertain_inputs import LinearisedRecord, known_inputs
+from dashpot.estimate.nonlinear.uncertain_inputs import LinearisedRecord, NotSolvedError, known_inputs
+from dashpot.model.network import Model
 from dashpot.model.nonlinear.tangent import FEWEST
 from dashpot.numerics.levenberg_marquardt import OptimizeResult
 from dashpot.numerics.small_systems import scaled_inverse, solve_scaled
@@ -39,6 +41,8 @@ SETTLED = 5e-3  # change of a standard deviation at which the rounds end
 LONGEST = np.log(4.0)  # of a step, of the logarithm of a variance
 LAST = 60  # steps of the last search
 EXACT = 1e-6  # of a channel's rms: residuals below it count no less
+WANDER, LESS_PARABOLA = 0.1, 1 / 30  # of the motion beside a base; what is left of a random walk
+SHORTEST_PIECE = 64  # samples
 LEAST = 1e-6  # of an input's size: noise that is looked for first
 NEGLIGIBLE = 1e-3  # of a size's information: so little is told of it where it moves nothing by 0.06 standard deviations
 FAINT = 0.3  # the same of noise that only the outputs show: 1 at the end is no noise
@@ -68,9 +72,10 @@ def own_noise(records: Sequence[RecordData]) -> OwnNoise:
         window = np.hanning(N)[:, None]  # without it, what an input is at its ends spreads over all lines
         lines = np.fft.rfft(window * (record.inputs - np.mean(record.inputs, axis=0)), axis=0)
         lines /= np.sqrt(np.sum(window**2))
-        most = np.minimum(
-            most, ROOM * np.min(smoothed(np.abs(lines[1:]) ** 2 + 0j, HALF_WINDOW).real, axis=0)
-        )
+        power = np.abs(lines[1:]) ** 2
+        rounding = np.finfo(float).eps * np.sum(power, axis=0)  # of running sums
+        quietest = np.min(smoothed(power + 0j, HALF_WINDOW).real, axis=0)
+        most = np.minimum(most, ROOM * np.maximum(quietest, rounding))
         level = np.array([white_floor(column) for column in lines.T])
         count = np.where(level > 0, (TOP[1] - TOP[0]) * N / WINDOWED, 0.0)
         at_rest = np.array([variance_at_rest(column) for column in record.inputs.T])
@@ -123,6 +128,60 @@ def with_uncertain_inputs(
         by_spectrum = by_spectrum & ~refuted
         variance = np.where(gone, 0.0, search.variance)
     return None
+
+
+def steadied(model: Model, measured: Sequence[RecordData]) -> tuple[RecordData, ...]:
+    """The records of a rig with the length over which noise of the bases' rates hardly moves them (`steady`)."""
+    count = len(measured[0].bases.names)
+    sd = np.sqrt(own_noise(measured).shown)
+    noisy = sd[len(sd) - count :] > 0
+    if not np.any(noisy):
+        return tuple(measured)
+    return tuple(
+        replace(data, steady=_steady_samples(model, data, sd[len(sd) - count :])) for data in measured
+    )
+
+
+def _steady_samples(model: Model, data: RecordData, sd: Real) -> int:
+    """sd (bases,): of their rates' white noise; 0 for all samples.  A random walk, less the parabola nearest to it."""
+    size = base_travel(model, replace(data, steady=SHORTEST_PIECE)).beside
+    steady = np.inf
+    for c, order in enumerate(data.derivative):
+        for noise, rate, reach in zip(sd, data.bases.orders, np.abs(data.on_x[c, model.n :]), strict=True):
+            times = rate - order  # integrations
+            if times < 1 or reach * noise == 0:
+                continue
+            moves = size if order == 0 else float(np.std(data.outputs[:, c]))
+            power = times - 0.5
+            walk = LESS_PARABOLA * reach * noise * np.sqrt(data.step_s / (2 * times - 1))
+            steady = min(steady, (WANDER * moves / walk) ** (1 / power))
+    length = max(steady / data.step_s, SHORTEST_PIECE)
+    return int(length) if length < data.samples else 0
+
+
+def despite_wander(
+    problem: RecordProblem, psi: Real, measured: Sequence[RecordData], descend: Descend
+) -> Real | None:
+    """ψ (M,) of the search with the noise that the inputs' own spectra show; None where they may be taken for exact.
+
+    Noise of a base's acceleration, integrated, carries what shows where the rig is far from where it was: no motion of
+    exact inputs is near the measured one.  In pieces short enough for that to matter little, exact ones give a start.
+    """
+    if not any(data.steady for data in measured):
+        return None
+    own = own_noise(measured)
+    cut = [in_pieces(data) for data in measured]
+    pieces = [piece for parts in cut for piece in parts]
+    first = np.cumsum([0, *(len(parts) for parts in cut[:-1])]).tolist()
+    theta = psi[: len(problem.model.unknowns)]
+    short, starts = begun_problem(problem.rig, tuple(pieces), theta, problem.sd, problem.constants)
+    try:
+        end = descend(short, np.concatenate([psi[: problem.inner], starts]), LAST).x[0]
+        psi = np.concatenate([end[: problem.inner], *(end[short.of_record(k)] for k in first)])
+        end = descend(_with_noise(problem, problem.sd, own.shown), psi, LAST)
+    except NotSolvedError:
+        return None
+    return end.x[0] if np.isfinite(end.cost[0]) else None
 
 
 def _of_known_sizes(
@@ -264,6 +323,4 @@ def all_linearised(problem: RecordProblem, psi: Real) -> list[LinearisedRecord]:
 
 def stated_precision(problem: RecordProblem) -> Real:
     """The precision that the unknowns of the problem are stated with, (M,)."""
-    prior = np.zeros(problem.inner + problem.states * len(problem.records))
-    prior[: len(problem.model.unknowns)] = problem.model.prior_precision
-    return prior
+    return problem.priors()[0]

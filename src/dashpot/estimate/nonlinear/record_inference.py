@@ -50,7 +50,7 @@ def record_estimate(
 
     noise: of the inputs, whose true values were estimated too; held: inputs count as exact though they may not be.
     """
-    model, inner = problem.model, problem.inner
+    model, inner = problem.rig, problem.inner
     if noise is None or problem.inputs is None:
         white, coloured, dof = record_covariances(problem, psi)
     else:
@@ -69,7 +69,7 @@ def record_estimate(
     rms = ", ".join(f"{n} {s:.3g}" for n, s in zip(problem.records[0].names, problem.sd, strict=True))
     notes = [Notice("record_residuals", f"residuals of the whole records, rms in SI units: {rms}")]
     notes += (
-        _input_notes(model, noise)
+        _input_notes(problem, noise)
         if noise is not None
         else []
         if held
@@ -103,7 +103,7 @@ def _cut_notices(problem: RecordProblem) -> list[Notice]:
 
 def _require_traces(problem: RecordProblem, psi: Real, names: tuple[str, ...]) -> None:
     """Raises IdentifiabilityError that names what leaves no trace in the motion at ψ (M,)."""
-    require_traces(problem.model, names, problem.quadratic(psi[None]).symmetric[0])
+    require_traces(problem.rig, names, problem.quadratic(psi[None]).symmetric[0])
 
 
 def _fit(problem: RecordProblem, psi: Real, dof: int, noise: InputSizes | None) -> Fit:
@@ -134,8 +134,7 @@ def record_covariances(problem: RecordProblem, psi: Real) -> tuple[Real, Real, i
         for c in range(residual.shape[1]):
             meat += coloured_scores(residual[:, c], J[:, c])
     dof = max(total_samples(problem.records) - M, 1)
-    prior = np.zeros(M)
-    prior[: len(problem.model.unknowns)] = problem.model.prior_precision
+    prior = stated_precision(problem)
     bread = scaled_inverse(matrix + np.diag(prior))
     coloured = bread @ (meat + np.diag(prior)) @ bread * total_samples(problem.records) / dof
     return bread * squares / dof, coloured, dof
@@ -155,13 +154,13 @@ def _coloured_notice(ratio: Real) -> list[Notice]:
 
 def record_unknowns(problem: RecordProblem) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """Names and SI units of what is reported: θ, gains, offsets."""
-    model, first = problem.model, problem.records[0]
+    model, first = problem.rig, problem.records[0]
     gains = [
         next(n for n, g in zip(first.names, first.gain, strict=True) if g == k) for k in range(problem.gains)
     ]
     names = [u.name for u in model.unknowns] + [f"{name}.gain" for name in gains]
     units = [u.unit for u in model.unknowns] + ["1"] * problem.gains
-    offsets = [f"{name}.offset" for name in model.force_inputs]
+    offsets = [f"{model.force_inputs[j]}.offset" for j in problem.constants.offsets]
     return (*names, *offsets), (*units, *["N"] * len(offsets))
 
 
@@ -207,9 +206,9 @@ def _held_inputs(model: Model) -> list[Notice]:
     return [Notice(EXACT_INPUTS, text, tuple(source.name for source in model.inputs))]
 
 
-def _input_notes(model: Model, noise: InputSizes) -> list[Notice]:
+def _input_notes(problem: RecordProblem, noise: InputSizes) -> list[Notice]:
     """How much noise the inputs have, and how that is known."""
-    sources = [*model.displacement_inputs, *model.force_inputs]
+    sources = [*problem.model.displacement_inputs, *problem.model.force_inputs]
     sd = np.sqrt(noise.variance)
     groups = (
         (noise.at_rest & (sd > 0), "as the record at rest shows"),

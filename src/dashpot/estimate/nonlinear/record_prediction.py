@@ -9,8 +9,8 @@ import numpy as np
 from dashpot.arrays import Real
 from dashpot.data.record import Record
 from dashpot.errors import DataError
-from dashpot.estimate.nonlinear.record_problem import RecordProblem, enough_for_record
-from dashpot.estimate.nonlinear.records import RecordData, arranged, measured_coordinates
+from dashpot.estimate.nonlinear.record_problem import RecordProblem, begun_problem
+from dashpot.estimate.nonlinear.records import RecordData, arranged
 from dashpot.estimate.result import Estimate
 from dashpot.model.network import Model
 
@@ -66,7 +66,8 @@ class FollowedRecord:
 
 
 def followed_record(model: Model, estimate: Estimate, record: Record) -> FollowedRecord:
-    """The motion of an estimate; only the state at its start is taken from the record.
+    """The motion of an estimate; only the state at its start is taken from the record, and what accelerations of bases
+    lack.
 
     Raises DataError where the record does not suit the rig, or the motion cannot be followed.
     """
@@ -74,28 +75,26 @@ def followed_record(model: Model, estimate: Estimate, record: Record) -> Followe
     values = dict(zip(estimate.names, estimate.values.tolist(), strict=True))
     theta = np.array([values[u.name] for u in model.unknowns])
     gains = [values[f"{n}.gain"] for n, g in zip(data.names, data.gain, strict=True) if g >= 0]
-    offset = np.array([values.get(f"{name}.offset", 0.0) for name in model.force_inputs])
     sd = np.ones(len(data.names))
-    x = measured_coordinates(model, data)
-    problem = RecordProblem(model, (data,), len(gains), sd, (enough_for_record(model, theta, data, x),))
+    problem, own = begun_problem(model, (data,), theta, sd)
+    offset = [values.get(f"{model.force_inputs[j]}.offset", 0.0) for j in problem.constants.offsets]
     fixed = np.concatenate([theta, gains, offset])
-    start = np.zeros(problem.states)
-    if x is not None:
-        start[: model.n] = x[0]
-    psi = np.concatenate([fixed, _likeliest_start(problem, fixed, start)])
+    psi = np.concatenate([fixed, _likeliest_start(problem, fixed, own)])
     return FollowedRecord(problem, psi, problem.residuals(psi, slopes=False)[0][0])
 
 
 def _likeliest_start(problem: RecordProblem, fixed: Real, start: Real) -> Real:
-    """The state from which the motion is nearest to the measured one, (states,); that of laws stays what it was.
+    """The record's own unknowns with which the motion is nearest to the measured one; states of laws stay.
 
     Raises DataError where no motion follows from the first `start`.
     """
-    seen = 2 * problem.model.n
-    best, least, step = start, np.inf, np.zeros(seen)
+    free = problem.constants
+    seen = [j for j, state in enumerate(free.starts) if state < 2 * problem.model.n]
+    seen += range(len(free.starts), problem.states)
+    best, least, step = start, np.inf, np.zeros(len(seen))
     for _ in range(STEPS):
         tried = best.copy()
-        tried[:seen] += step
+        tried[seen] += step
         residual, J = problem.residual(0, np.concatenate([fixed, tried]))
         square = float(np.sum(residual**2)) if J is not None else np.inf
         if J is None or not square < least:
@@ -110,7 +109,7 @@ def _likeliest_start(problem: RecordProblem, fixed: Real, start: Real) -> Real:
         best, least = tried, square
         if ended:
             break
-        along = J[..., problem.inner : problem.inner + seen].reshape(-1, seen)
+        along = J[..., problem.inner :][..., seen].reshape(-1, len(seen))
         step = np.linalg.lstsq(along, residual.ravel(), rcond=1e-8)[0].astype(np.float64)
     return best
 
@@ -119,11 +118,10 @@ def followed_records(problem: RecordProblem, psi: Real) -> list[FollowedRecord]:
     """The motions of a fit itself, ψ (M,), with the inputs that are taken for the true ones."""
     motions = []
     for k, data in enumerate(problem.records):
-        first = problem.inner + k * problem.states
-        alone = np.concatenate([psi[: problem.inner], psi[first : first + problem.states]])
+        alone = np.concatenate([psi[: problem.inner], psi[problem.of_record(k)]])
         one = replace(
-            problem, records=(problem.data_at(k, psi),), substeps=(problem.substeps[k],), last={}, inputs=None,
-            sd=np.ones(len(data.names)),
+            problem, records=(problem.data_at(k, psi),), begun=(problem.begun[k],), substeps=(problem.substeps[k],),
+            last={}, inputs=None, sd=np.ones(len(data.names)),
         )  # fmt: skip
         motions.append(FollowedRecord(one, alone, problem.residual(k, psi, slopes=False)[0] * problem.sd))
     return motions

@@ -1,7 +1,8 @@
 """Misfit of whole records of a nonlinear rig: measured against the motion that follows by integration (THEORY §9).
 
-Unknown are θ, gains, a constant offset of every force input and the state at the start of each record; where inputs
-were measured with noise, their true values as well, which each evaluation finds and leaves out.
+Unknown are θ, gains, a constant offset of every force input and, of each record, the state at its start and what the
+accelerations of bases lack; where inputs were measured with noise, their true values as well, which each evaluation
+finds and leaves out.
 """
 
 from __future__ import annotations
@@ -12,6 +13,8 @@ import numpy as np
 
 from dashpot.arrays import Real
 from dashpot.errors import ConvergenceError
+from dashpot.estimate.nonlinear.record_constants import RecordConstants, record_constants
+from dashpot.estimate.nonlinear.recorded_motion import RecordedMotion, recorded_motion, start_of
 from dashpot.estimate.nonlinear.records import RecordData, shown_outputs
 from dashpot.estimate.nonlinear.uncertain_inputs import (
     InputErrors,
@@ -23,6 +26,7 @@ from dashpot.estimate.nonlinear.uncertain_inputs import (
 from dashpot.model.dynamics import matrices
 from dashpot.model.network import Model
 from dashpot.model.nonlinear.integration import Integrator, Motion
+from dashpot.model.nonlinear.moving_base import moving_rig
 from dashpot.model.nonlinear.propagation import forcing
 from dashpot.model.nonlinear.shooting import integrate
 from dashpot.model.nonlinear.tangent import tangent
@@ -39,11 +43,16 @@ NEAR = 1e-3  # of χ², that another of them would lower
 class RecordProblem:
     """All that one evaluation needs; `last` holds the last motion of each record, from which the next is found.
 
+    rig: as it is declared; model: as it moves, with bases that are known by a rate as coordinates behind its own.
+    begun: states at the starts of the records, of which those constants that cannot be found stay as they are.
     Where inputs are uncertain, `errors` holds their last errors, and `covariances` what their noise did to the outputs.
     """
 
+    rig: Model
     model: Model
     records: tuple[RecordData, ...]
+    constants: RecordConstants
+    begun: tuple[Real, ...]
     gains: int
     sd: Real
     substeps: tuple[int, ...]
@@ -55,21 +64,25 @@ class RecordProblem:
 
     @property
     def states(self) -> int:
-        """Numbers at the start of a record: coordinates, their rates, and the states of laws that have one."""
-        laws = (element.force_law for element in self.model.elements)
-        return 2 * self.model.n + sum(law is not None and law.has_state for law in laws)
+        """Unknowns of each record: of coordinates, their rates and laws with a state at the start, and of its bases."""
+        return self.constants.of_record
 
     @property
     def inner(self) -> int:
-        """Unknowns before the starts of the records: θ, gains, offsets."""
-        return len(self.model.unknowns) + self.gains + int(self.model.S.shape[1])
+        """Unknowns before those of the records: θ, gains, offsets."""
+        return len(self.model.unknowns) + self.gains + len(self.constants.offsets)
+
+    def of_record(self, k: int) -> slice:
+        """Where in ψ the unknowns of a record are."""
+        first = self.inner + k * self.states
+        return slice(first, first + self.states)
 
     def sizes(self) -> Real:
         """Root mean square of each channel over all records, (channels,)."""
         rms: Real = np.sqrt(np.mean(np.concatenate([data.outputs for data in self.records]) ** 2, axis=0))
         return rms
 
-    def begun(self) -> dict[int, Motion]:
+    def motions(self) -> dict[int, Motion]:
         """The last motions as starts for other rigs of the same states."""
         return {k: replace(motion, along=None, forces={}) for k, motion in self.last.items()}
 
@@ -84,13 +97,10 @@ class RecordProblem:
 
     def residual(self, k: int, psi: Real, slopes: bool = True) -> tuple[Real, Real | None]:
         """Those of one record."""
-        m, s = len(self.model.unknowns), self.model.S.shape[1]
-        theta, gain = psi[:m], psi[m : m + self.gains]
-        offset = psi[m + self.gains : self.inner]
+        m = len(self.model.unknowns)
+        gain = psi[m : m + self.gains]
         data = self.data_at(k, psi)
-        machine = Integrator(self.model, theta, forcing(data.step_s, data.inputs), self.substeps[k], offset)
-        first = self.inner + k * self.states
-        start = psi[first : first + self.states]
+        machine, start = self.machine(k, psi, data)
         motion = integrate(machine, start, self.last.get(k), slopes=slopes)
         if not motion.closed:
             return np.full_like(data.outputs, np.inf), None
@@ -102,9 +112,10 @@ class RecordProblem:
         if J is None:
             return residual / self.sd, None
         total = np.zeros((*J.shape[:2], len(psi)))
-        total[..., :m] = J[..., self.states : self.states + m]
-        total[..., m + self.gains : self.inner] = J[..., self.states + m : self.states + m + s]
-        total[..., first : first + self.states] = J[..., : self.states]
+        free, by_theta = self.constants, machine.states
+        total[..., :m] = J[..., by_theta : by_theta + m]
+        total[..., m + self.gains : self.inner] = J[..., by_theta + m + free.offsets]
+        total[..., self.of_record(k)] = J[..., [*free.starts, *(by_theta + m + free.biases)]]
         total *= factor[:, None]
         for c, g in enumerate(data.gain):
             if g >= 0:
@@ -115,6 +126,34 @@ class RecordProblem:
             along = tangent(machine, motion, data.on_x, data.on_q, data.derivative)
             self.covariances[k] = OutputCovariance(along, factor / self.sd, self.inputs[k])
         return residual / self.sd, total / self.sd[:, None]
+
+    def machine(self, k: int, psi: Real, data: RecordData) -> tuple[Integrator, Real]:
+        """What integrates a record at ψ (M,) with the inputs of `data`, and the state (states,) at its start."""
+        m, free = len(self.model.unknowns), self.constants
+        own = psi[self.of_record(k)]
+        offset, start = np.zeros(self.model.S.shape[1]), self.begun[k].copy()
+        offset[free.offsets] = psi[m + self.gains : self.inner]
+        start[free.starts], offset[free.biases] = np.split(own, [len(free.starts)])
+        drive = forcing(data.step_s, data.inputs, data.rated)
+        return Integrator(self.model, psi[:m], drive, self.substeps[k], offset), start
+
+    def priors(self) -> tuple[Real, Real]:
+        """Precision and mean of ψ before the records say anything, (M,) each.
+
+        What an acceleration lacks is unlikely to be larger than its largest value: else it could be anything while
+        springs are taken for linear.
+        """
+        M = self.inner + self.states * len(self.records)
+        precision, mean = np.zeros(M), np.zeros(M)
+        m = len(self.model.unknowns)
+        precision[:m], mean[:m] = self.model.prior_precision, self.model.prior_mean
+        first = self.model.S.shape[1]  # the force inputs are the last ones
+        for k, data in enumerate(self.records):
+            stop = self.of_record(k).stop
+            largest = np.max(np.abs(data.inputs[:, -first:]), axis=0, initial=0.0) if first else np.zeros(0)
+            size = largest[self.constants.biases]
+            precision[stop - len(size) : stop] = 1 / np.where(size > 0, size, 1.0) ** 2
+        return precision, mean
 
     def data_at(self, k: int, psi: Real) -> RecordData:
         """A record with the inputs that are taken for the true ones at ψ (M,): those measured where they are exact."""
@@ -152,9 +191,7 @@ class RecordProblem:
         if impossible:
             nothing = np.full((1, M, M), np.nan)
             return QuadraticModel(np.array([np.inf]), nothing[..., 0], nothing, nothing)
-        prior, mean = np.zeros(M), np.zeros(M)
-        m = len(self.model.unknowns)
-        prior[:m], mean[:m] = self.model.prior_precision, self.model.prior_mean
+        prior, mean = self.priors()
         away = psi[0] - mean
         matrix += np.diag(prior)
         total = cost + float(np.sum(prior * away**2))
@@ -177,8 +214,8 @@ class RecordProblem:
 
         Raises NotSolvedError where noise of the inputs does more than can be reckoned with.
         """
-        own = self.inner + k * self.states
-        chosen = np.concatenate([np.arange(self.inner), np.arange(own, own + self.states)])
+        own = self.of_record(k)
+        chosen = np.concatenate([np.arange(self.inner), np.arange(own.start, own.stop)])
         for turn in range(INNER):
             white = self.errors_at(k, psi)
             residual, J = self.residual(k, psi)
@@ -197,6 +234,29 @@ class RecordProblem:
             if near:
                 break
         return linear
+
+
+def begun_problem(
+    rig: Model, records: tuple[RecordData, ...], theta: Real, sd: Real, free: RecordConstants | None = None
+) -> tuple[RecordProblem, Real]:
+    """The problem of a rig at θ (unknowns,), and the unknowns of the records to begin with, one after another.
+
+    sd (channels,) of the noise; free: which constants of the records are unknown, those that can be found if None.
+    Raises ConvergenceError where steps would be too many.
+    """
+    measured = [recorded_motion(rig, data) for data in records]
+    substeps = tuple(
+        enough_for_record(rig, theta, data, at) for data, at in zip(records, measured, strict=True)
+    )
+    moving = moving_rig(rig, records[0].bases)
+    if free is None:
+        free = record_constants(moving, records[0])
+    begun = [start_of(rig, data, at) for data, at in zip(records, measured, strict=True)]
+    gains = max((g for data in records for g in data.gain), default=-1) + 1
+    states = tuple(start.state for start in begun)
+    problem = RecordProblem(rig, moving, records, free, states, gains, sd, substeps)
+    own = [part for start in begun for part in (start.state[free.starts], start.forces[free.biases])]
+    return problem, np.concatenate(own)
 
 
 def enough_substeps(model: Model, theta: Real, step_s: float, motion: tuple[Real, Real] | None = None) -> int:
@@ -226,10 +286,9 @@ def enough_substeps(model: Model, theta: Real, step_s: float, motion: tuple[Real
     return max(1, int(np.ceil(fastest * step_s / STEP))) * (ROUGH if rough else 1)
 
 
-def enough_for_record(model: Model, theta: Real, data: RecordData, x: Real | None) -> int:
-    """`enough_substeps` of a record, in the motion x (samples, n) of its coordinates where that is measured."""
-    motion = None if x is None else (x, data.inputs[:, : model.D.shape[1]])
-    return enough_substeps(model, theta, data.step_s, motion)
+def enough_for_record(model: Model, theta: Real, data: RecordData, at: RecordedMotion | None) -> int:
+    """`enough_substeps` of a record of a rig, in its motion where that is measured."""
+    return enough_substeps(model, theta, data.step_s, None if at is None else (at.x, at.u))
 
 
 def _stiffest(model: Model, theta: Real, step_s: float, x: Real, u: Real) -> Real:

@@ -15,7 +15,8 @@ from dashpot.arrays import Bools, Ints, Real
 from dashpot.errors import DataError
 from dashpot.estimate.inference.unseen_laws import require_traces
 from dashpot.estimate.nonlinear.law_domain import require_finite_laws
-from dashpot.estimate.nonlinear.records import RecordData, measured_coordinates
+from dashpot.estimate.nonlinear.recorded_motion import RecordedMotion, recorded_motion
+from dashpot.estimate.nonlinear.records import RecordData
 from dashpot.estimate.nonlinear.starting_values import constants_to_try, refined_constants
 from dashpot.model.network import Model
 from dashpot.numerics.small_systems import solve_scaled
@@ -192,7 +193,7 @@ def mostly_linear_values(model: Model, records: tuple[RecordData, ...]) -> Real 
     None where guesses are given, not all coordinates are measured, or the laws explain more than noise would.
     """
     open_names = [u.name for u in model.unknowns if u.prior is None and u.guess is None]
-    if not open_names or measured_coordinates(model, records[0]) is None:
+    if not open_names or recorded_motion(model, records[0]) is None:
         return None
     equations = _equations(model, records[0], open_names)
     constants, _ = _best_constants(equations)
@@ -203,8 +204,9 @@ def mostly_linear_values(model: Model, records: tuple[RecordData, ...]) -> Real 
 
 def _equations(model: Model, record: RecordData, open_names: Sequence[str]) -> WeakEquations:
     """Raises DataError where the motion does not give first values."""
-    x, r = _measured_motion(model, record, open_names), model.D.shape[1]
-    return weak_equations(weak_form(model, record.step_s, x, record.inputs[:, :r], record.inputs[:, r:]))
+    at, r = _measured_motion(model, record, open_names), model.D.shape[1] - len(record.bases.names)
+    f = record.inputs[:, r : r + len(model.force_inputs)]
+    return weak_equations(weak_form(model, record.step_s, at.x, at.u, f))
 
 
 def _within_bounds(equations: WeakEquations, constants: Real, p: Real) -> Real:
@@ -243,13 +245,13 @@ def _best_constants(equations: WeakEquations) -> tuple[Real, Real]:
     return constants, equations.fitted(constants)[0]
 
 
-def _measured_motion(model: Model, record: RecordData, open_names: Sequence[str]) -> Real:
-    """The coordinates, (samples, n).  Raises DataError where these do not give first values of the unknowns."""
-    x = measured_coordinates(model, record)
-    if x is None or any(e.force_law is not None and e.force_law.has_state for e in model.elements):
-        why = "not all coordinates are measured as displacements" if x is None else "a law has a state"
+def _measured_motion(model: Model, record: RecordData, open_names: Sequence[str]) -> RecordedMotion:
+    """The motion of the coordinates.  Raises DataError where these do not give first values of the unknowns."""
+    at = recorded_motion(model, record)
+    if at is None or any(e.force_law is not None and e.force_law.has_state for e in model.elements):
+        why = "not all coordinates are measured as displacements" if at is None else "a law has a state"
         raise DataError(
             f"{', '.join(open_names)} {'has' if len(open_names) == 1 else 'have'} no guess, and {why}",
             cure="write guess = … for the unknowns in the rig file",
         )
-    return x
+    return at

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 
@@ -14,9 +15,11 @@ from dashpot.data.record import Record
 from dashpot.errors import DataError
 from dashpot.model.network import Model
 from dashpot.model.nonlinear.integration import Integrator, Motion
+from dashpot.model.nonlinear.moving_base import NO_BASES, Bases, bases_of
 from dashpot.model.observation import measures_input, observation_model
 
 UNIFORM = 1e-3  # of the step: how far sample times may lie off
+EXACT = 1e-9  # of an input: how much of others may be in what channels show of it
 
 
 @dataclass(frozen=True)
@@ -25,6 +28,9 @@ class RecordData:
 
     on_x (channels, n), on_q (channels, r + s), derivative (channels,): what the outputs show; gain (channels,): index
     of an unknown gain, −1 where known; drift (channels,): whether the sensor's zero is unknown.
+    bases: those known by velocity or acceleration, which stand behind the coordinates in n and behind the forces in s;
+    rated (r + s,): which inputs are such velocities, none where it is empty; steady: samples over which noise of these
+    rates hardly moves a base, whose place the outputs show; all of them where it is 0.
     """
 
     source: str
@@ -37,6 +43,9 @@ class RecordData:
     derivative: tuple[int, ...]
     gain: tuple[int, ...]
     drift: tuple[bool, ...]
+    bases: Bases = NO_BASES
+    rated: tuple[bool, ...] = ()
+    steady: int = 0
 
     @property
     def samples(self) -> int:
@@ -48,43 +57,94 @@ def arranged(model: Model, record: Record) -> RecordData:
     """Raises DataError where an input is not measured, a channel cannot be compared with a motion, or times slip."""
     step = uniform_step(record)
     view = observation_model(model, record.channels, np.ones(1))
-    inputs = measured_inputs(model, record)
+    shown = measured_inputs(model, record)
     values = record.values / _calibration(record)
     outputs = [i for i, channel in enumerate(record.channels) if not measures_input(model, channel)]
     _require_motion(record, outputs)
     by_force = bool(len(model.force_inputs))
-    return RecordData(
-        record.source, step, tuple(record.channels[i].name for i in outputs), inputs, values[:, outputs],
+    data = RecordData(
+        record.source, step, tuple(record.channels[i].name for i in outputs), shown.values, values[:, outputs],
         view.on_x[outputs], view.on_q[outputs], tuple(int(view.derivative[i]) for i in outputs),
         tuple(int(view.gain[i]) for i in outputs),
         tuple(int(view.derivative[i]) > 0 or not by_force for i in outputs),
     )  # fmt: skip
+    return beside_bases(model, data, shown.orders)
 
 
-def measured_inputs(model: Model, record: Record) -> Real:
-    """The inputs as their channels show them, (samples, r + s), SI units.  Raises DataError where one is missing."""
-    usable, combined = _input_channels(model, record)
-    inputs: Real = (record.values / _calibration(record))[:, usable] @ combined.T
-    return inputs
+def beside_bases(model: Model, data: RecordData, orders: Sequence[int]) -> RecordData:
+    """The record with inputs known by a derivative, of these orders (r + s,), as bases that move by themselves.
+
+    The mean of a velocity or an acceleration counts as its sensor's offset.
+    """
+    moved: list[int] = np.flatnonzero(orders).tolist()
+    if not moved:
+        return data
+    bases = bases_of(model, {model.displacement_inputs[j]: orders[j] for j in moved})
+    order = [*np.flatnonzero(np.asarray(orders) == 0), *moved]
+    inputs, on_q = data.inputs[:, order].copy(), data.on_q[:, order]
+    first = len(order) - len(moved)
+    inputs[:, first:] -= np.mean(inputs[:, first:], axis=0)
+    on_base = data.on_x @ bases.matrix(model.coordinates) + on_q[:, first:]
+    on_q[:, first:] = 0.0
+    return replace(
+        data, inputs=inputs, on_x=np.concatenate([data.on_x, on_base], axis=1), on_q=on_q, bases=bases,
+        rated=(*[False] * first, *(orders[j] == 1 for j in moved)),
+    )  # fmt: skip
 
 
-def _input_channels(model: Model, record: Record) -> tuple[list[int], Real]:
-    """Channels that show the inputs, and the weights (r + s, …) with which these follow from them."""
+def in_pieces(data: RecordData) -> list[RecordData]:
+    """A record in pieces of its steady length, about."""
+    count = max(data.samples // data.steady, 1) if data.steady else 1
+    edges = np.linspace(0, data.samples, count + 1).astype(int).tolist()
+    parts = [slice(first, last) for first, last in pairwise(edges)]
+    return [replace(data, inputs=data.inputs[part], outputs=data.outputs[part], steady=0) for part in parts]
+
+
+@dataclass(frozen=True)
+class ShownInputs:
+    """The inputs as their channels show them: values (samples, r + s), SI units; orders (r + s,): which derivative."""
+
+    values: Real
+    orders: tuple[int, ...]
+
+
+def measured_inputs(model: Model, record: Record) -> ShownInputs:
+    """The inputs of a record.  Raises DataError where one is missing."""
+    weights, orders = _input_channels(model, record)
+    return ShownInputs((record.values / _calibration(record)) @ weights.T, orders)
+
+
+def _input_channels(model: Model, record: Record) -> tuple[Real, tuple[int, ...]]:
+    """Weights (r + s, channels) with which the inputs follow from the channels, and the derivatives that follow.
+
+    Displacements and forces come first, then velocities, then accelerations.
+    """
     view = observation_model(model, record.channels, np.ones(1))
-    usable = [
-        i
-        for i, channel in enumerate(record.channels)
-        if measures_input(model, channel) and view.derivative[i] == 0 and view.gain[i] < 0
-    ]
-    C = view.on_q[usable]
-    if np.linalg.matrix_rank(C) < C.shape[1] if C.size else len(model.inputs):
+    q = view.on_q.shape[1]
+    weights, orders = np.zeros((q, len(record.channels))), np.full(q, -1)
+    for order in range(3):
+        open_ = orders < 0
+        usable = [
+            i
+            for i, channel in enumerate(record.channels)
+            if measures_input(model, channel) and view.derivative[i] == order and view.gain[i] < 0
+            and not np.any(view.on_q[i, ~open_])
+        ]  # fmt: skip
+        C = view.on_q[usable]
+        if not C.size:
+            continue
+        inverse = np.linalg.pinv(C)
+        told = open_ & (np.max(np.abs(inverse @ C - np.eye(q)), axis=1) < EXACT)
+        weights[np.ix_(told, usable)] = inverse[told]
+        orders[told] = order
+    if np.any(orders < 0):
         raise DataError(
             "an input of the rig is not measured",
             record.source,
-            "give every input a channel of displacement or force with a known gain",
+            "give every moved point a channel of displacement, velocity or acceleration, and every force one of force, "
+            "with a known gain",
         )
-    weights: Real = np.linalg.pinv(C).astype(np.float64)
-    return usable, weights
+    return weights, tuple(orders.tolist())
 
 
 @dataclass(frozen=True)
@@ -111,9 +171,9 @@ def noise_of_channels(model: Model, record: Record, still: Still) -> NoiseAtRest
         raise DataError(
             f"the record at rest shows no noise of {name}", cure="record it with the sensor connected"
         )
-    usable, combined = _input_channels(model, record)
-    inputs = np.einsum("qc,cd,qd->q", combined, covariance[np.ix_(usable, usable)], combined)
-    return NoiseAtRest(sd, inputs)
+    weights, orders = _input_channels(model, record)
+    inputs = np.einsum("qc,cd,qd->q", weights, covariance, weights)
+    return NoiseAtRest(sd, inputs[np.argsort(np.array(orders) > 0, kind="stable")])
 
 
 def uniform_step(record: Record) -> float:
@@ -159,17 +219,6 @@ def _require_motion(record: Record, outputs: Sequence[int]) -> None:
             record.source,
             "leave it out of the rig file",
         )
-
-
-def measured_coordinates(model: Model, data: RecordData) -> Real | None:
-    """Displacements of all coordinates as the channels show them, (samples, n); None where some are not seen."""
-    chosen = [c for c in range(len(data.names)) if data.derivative[c] == 0 and data.gain[c] < 0]
-    C = data.on_x[chosen]
-    if np.linalg.matrix_rank(C) < model.n if C.size else True:
-        return None
-    seen = data.outputs[:, chosen] - data.inputs @ data.on_q[chosen].T
-    x: Real = seen @ np.linalg.pinv(C).T
-    return x
 
 
 def shown_outputs(machine: Integrator, data: RecordData, motion: Motion) -> tuple[Real, Real | None]:

@@ -18,16 +18,21 @@ from dashpot.data.conditioning.still import Still
 from dashpot.data.record import Record
 from dashpot.errors import DataError, UsageError
 from dashpot.estimate.nonlinear.held_records import released
-from dashpot.estimate.nonlinear.input_levels import InputSizes, with_uncertain_inputs
+from dashpot.estimate.nonlinear.input_levels import (
+    InputSizes,
+    despite_wander,
+    steadied,
+    with_uncertain_inputs,
+)
 from dashpot.estimate.nonlinear.objective import must_be_positive
+from dashpot.estimate.nonlinear.record_constants import RecordConstants, record_constants
 from dashpot.estimate.nonlinear.record_inference import record_estimate
-from dashpot.estimate.nonlinear.record_problem import RecordProblem, enough_for_record
+from dashpot.estimate.nonlinear.record_problem import RecordProblem, begun_problem
 from dashpot.estimate.nonlinear.record_regression import first_record_values, mostly_linear_values
 from dashpot.estimate.nonlinear.records import (
     NoiseAtRest,
     RecordData,
     arranged,
-    measured_coordinates,
     noise_of_channels,
     total_samples,
 )
@@ -35,6 +40,7 @@ from dashpot.estimate.nonlinear.uncertain_inputs import NotSolvedError
 from dashpot.estimate.result import Estimate
 from dashpot.model.elements import Element
 from dashpot.model.network import Model
+from dashpot.model.nonlinear.moving_base import moving_rig
 from dashpot.numerics.levenberg_marquardt import OptimizeResult, QuadraticModel, minimise
 from dashpot.numerics.small_systems import solve_scaled
 
@@ -116,11 +122,28 @@ def fit_records(
     """
     _require_able(model, method)
     data = tuple(arranged(model, record) for record in records)
-    if len({record.names for record in data}) > 1:
+    if len({(record.names, record.bases.names, record.bases.orders) for record in data}) > 1:
         raise DataError(
             "the records have different channels", cure="identify those of one set of channels together"
         )
+    data = data if exact_inputs else steadied(model, data)
     problem, psi = _begun(model, data)
+    at_rest = None if still is None else noise_of_channels(model, records[0], still)
+    ended = None if exact_inputs else _despite_wander(problem, psi, data, at_rest)
+    if ended is None:
+        ended = _with_exact_inputs(problem, psi, progress)
+        if ended.converged and not exact_inputs:
+            ended = _with_true_inputs(ended, data, at_rest)
+    problem, psi = _refined(ended.problem, ended.psi, ended.limits)
+    history = np.concatenate([ended.history, psi[None, : problem.inner]])
+    return replace(ended, problem=problem, psi=psi, history=history)
+
+
+def _with_exact_inputs(
+    problem: RecordProblem, psi: Real, progress: Callable[[int, int], None] | None
+) -> FittedRecords:
+    """The fit with the measured inputs for the true ones, from ψ (M,) or wherever a start must be looked for."""
+    model, data = problem.rig, problem.records
     before = replace(problem, last={})  # a search changes the noise and the last motions of its problem
     far = _far_off(problem, psi)
     if far:
@@ -135,15 +158,26 @@ def fit_records(
         problem, psi = _released(before, psi)
         search = _searched(problem, psi, progress)
     limits = _bounds(problem, search.x[0])
-    ended = FittedRecords(
+    return FittedRecords(
         problem, search.x[0], bool(search.converged[0]), int(search.iterations[0]), search.history, limits
     )
-    if ended.converged and not exact_inputs:
-        at_rest = None if still is None else noise_of_channels(model, records[0], still)
-        ended = _with_true_inputs(ended, data, at_rest)
-    problem, psi = _refined(ended.problem, ended.psi, limits)
-    history = np.concatenate([ended.history, psi[None, : problem.inner]])
-    return replace(ended, problem=problem, psi=psi, history=history)
+
+
+def _despite_wander(
+    problem: RecordProblem, psi: Real, measured: Sequence[RecordData], at_rest: NoiseAtRest | None
+) -> FittedRecords | None:
+    """The fit where noise of bases carries the rig far from where it was; None where it does not."""
+    problem = replace(problem, last={})
+
+    def descend(held: RecordProblem, x: Real, limit: int) -> OptimizeResult:
+        return _descended(held, x, _bounds(held, x), limit)
+
+    begun = despite_wander(problem, psi, measured, descend)
+    if begun is None:
+        return None
+    exact = FittedRecords(problem, begun, True, 0, psi[None, : problem.inner], _bounds(problem, psi))
+    ended = _with_true_inputs(exact, measured, at_rest)
+    return None if ended.noise is None else ended
 
 
 def _require_able(model: Model, method: str | None) -> None:
@@ -275,7 +309,8 @@ def _from_linear(model: Model, records: tuple[RecordData, ...], theta: Real) -> 
     names = model.unknown_names
     values = dict(zip(names, theta.tolist(), strict=True))
     idle = replace(model, elements=tuple(_idle(element, values) for element in model.elements))
-    problem, psi = _begun(idle, records, np.array([values[name] for name in idle.unknown_names]))
+    free = record_constants(moving_rig(model, records[0].bases), records[0])
+    problem, psi = _begun(idle, records, np.array([values[name] for name in idle.unknown_names]), free)
     end = _searched(problem, psi, None).x[0]
     values |= dict(zip(idle.unknown_names, end.tolist(), strict=False))
     begun, start = _begun(model, records, np.array([values[name] for name in names]))
@@ -295,23 +330,19 @@ def _idle(element: Element, values: Mapping[str, float]) -> Element:
 
 
 def _begun(
-    model: Model, records: tuple[RecordData, ...], values: Real | None = None
+    model: Model,
+    records: tuple[RecordData, ...],
+    values: Real | None = None,
+    free: RecordConstants | None = None,
 ) -> tuple[RecordProblem, Real]:
-    """The problem and where its search starts: at θ (unknowns,), or where the motion itself suggests."""
+    """The problem and where its search starts: at θ (unknowns,), or where the motion itself suggests.
+
+    free: which constants of the records are unknown; those that can be found where it is not given.
+    """
     theta = first_record_values(model, records) if values is None else values
-    gains = max((g for record in records for g in record.gain), default=-1) + 1
     sd = np.sqrt(np.mean(np.concatenate([record.outputs for record in records]) ** 2, axis=0))
     sd = np.where(sd > 0, FIRST_NOISE * sd, 1.0)
-    measured = [measured_coordinates(model, record) for record in records]
-    substeps = tuple(
-        enough_for_record(model, theta, record, x) for record, x in zip(records, measured, strict=True)
+    problem, own = begun_problem(model, records, theta, sd, free)
+    return problem, np.concatenate(
+        [theta, np.ones(problem.gains), np.zeros(len(problem.constants.offsets)), own]
     )
-    problem = RecordProblem(model, records, gains, sd, substeps)
-    starts = []
-    for record, x in zip(records, measured, strict=True):
-        start = np.zeros(problem.states)
-        if x is not None:
-            start[: model.n] = x[0]
-            start[model.n : 2 * model.n] = (-3 * x[0] + 4 * x[1] - x[2]) / (2 * record.step_s)
-        starts.append(start)
-    return problem, np.concatenate([theta, np.ones(gains), np.zeros(model.S.shape[1]), *starts])

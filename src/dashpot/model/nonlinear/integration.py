@@ -146,7 +146,7 @@ class Integrator:
         """What the coefficients of the inputs' cubics do in each of the steps between two samples."""
         inputs = self.drive.coefficients.shape[-1]
         columns = 4 * inputs
-        unit = Forcing(self.drive.step_s, np.eye(columns).reshape(columns, 4, inputs))
+        unit = Forcing(self.drive.step_s, np.eye(columns).reshape(columns, 4, inputs), self.drive.rated)
         force, moved = loads(self.model, self.p, unit, self.substeps)
         force = np.moveaxis(force.reshape(columns, self.substeps, 4, self.model.n), 0, -1)
         moved = np.moveaxis(moved.reshape(columns, self.substeps, 4, 2, -1), 0, -1)

@@ -22,10 +22,14 @@ WITHIN = np.array([[NODES[j] ** (m + 1) / (m + 1) for m in range(4)] for j in ra
 
 @dataclass(frozen=True)
 class Forcing:
-    """Inputs of one record as cubics between samples: (samples − 1, 4, r + s), powers of the share of the interval."""
+    """Inputs of one record as cubics between samples: (samples − 1, 4, r + s), powers of the share of the interval.
+
+    rated (r + s,): whether a force is the rate of its cubics, of none where it is empty.
+    """
 
     step_s: float
     coefficients: Real
+    rated: tuple[bool, ...] = ()
 
     @property
     def intervals(self) -> int:
@@ -33,13 +37,13 @@ class Forcing:
         return len(self.coefficients)
 
 
-def forcing(step_s: float, inputs: Real) -> Forcing:
-    """Cubic splines through the samples (samples, r + s) of the inputs, `step_s` apart."""
+def forcing(step_s: float, inputs: Real, rated: tuple[bool, ...] = ()) -> Forcing:
+    """Cubic splines through the samples (samples, r + s) of the inputs, `step_s` apart; `rated` as of Forcing."""
     from scipy.interpolate import CubicSpline  # with it comes all of scipy.optimize
 
     time = np.arange(len(inputs), dtype=float)
     spline = CubicSpline(time, inputs, axis=0)
-    return Forcing(step_s, np.moveaxis(np.asarray(spline.c)[::-1], 0, 1))
+    return Forcing(step_s, np.moveaxis(np.asarray(spline.c)[::-1], 0, 1), rated)
 
 
 @dataclass(frozen=True)
@@ -69,7 +73,8 @@ def propagator(model: Model, p: Real, h: float) -> Propagator:
             "a hysteretic damper has no motion in time",
             cure="use a viscous damper, or settled dwells of a linear rig",
         )
-    if np.linalg.matrix_rank(parts.M) < n:
+    size = np.sqrt(np.abs(np.diagonal(parts.M)))  # masses of one rig may differ by many orders
+    if not np.all(size) or np.linalg.matrix_rank(parts.M / np.outer(size, size)) < n:
         raise ModelError(
             "a coordinate has no mass, so its motion cannot be integrated",
             cure="give every coordinate a mass",
@@ -117,7 +122,8 @@ def loads(model: Model, p: Real, drive: Forcing, substeps: int) -> tuple[Real, R
         return nodes
 
     q, dq = at(powers, 0), at(rates, 1)
-    force = q[..., :r] @ parts.G.T + dq[..., :r] @ parts.F.T + q[..., r:] @ model.S.T
+    applied = np.where(drive.rated[r:], dq[..., r:], q[..., r:]) if any(drive.rated) else q[..., r:]
+    force = q[..., :r] @ parts.G.T + dq[..., :r] @ parts.F.T + applied @ model.S.T
     if np.any(parts.J):
         force = force + at(bends, 2)[..., :r] @ parts.J.T
     return force, np.stack([q[..., :r], dq[..., :r]], axis=2)

@@ -15,7 +15,7 @@ from dashpot.data.conditioning.still import noise_at_rest
 from dashpot.data.record import Record
 from dashpot.estimate.nonlinear.input_levels import InputSizes, own_noise
 from dashpot.estimate.nonlinear.record_inference import uncertain_covariances
-from dashpot.estimate.nonlinear.record_problem import RecordProblem
+from dashpot.estimate.nonlinear.record_problem import RecordProblem, begun_problem
 from dashpot.estimate.nonlinear.records import arranged
 from dashpot.estimate.nonlinear.uncertain_inputs import known_inputs
 from dashpot.estimate.nonlinear.whole_record import fit_records
@@ -36,7 +36,8 @@ def problem_of(samples: int, drive: float) -> tuple[RecordProblem, np.ndarray]:
     sd = np.array([0.01, drive]) * np.std(test.record.values, axis=0)
     data = arranged(test.model, record)
     inputs = (known_inputs(data.inputs, sd[1:]),)
-    problem = RecordProblem(test.model, (data,), 0, sd[:1], (1,), inputs=inputs)
+    problem = begun_problem(test.model, (data,), test.theta, sd[:1])[0]
+    problem = replace(problem, substeps=(1,), inputs=inputs)
     return problem, np.concatenate([test.theta, [0.0, 0.0]])
 
 
@@ -151,7 +152,8 @@ def test_white_residuals_are_not_taken_for_coloured_ones_in_short_records() -> N
     for draw in range(60):
         data = arranged(test.model, test.noisy(0.01, 0.003, 11, draw))
         inputs = (known_inputs(data.inputs, sd[1:]),)
-        problem = RecordProblem(test.model, (data,), 0, sd[:1], (2,), inputs=inputs)
+        problem = begun_problem(test.model, (data,), test.theta, sd[:1])[0]
+        problem = replace(problem, substeps=(2,), inputs=inputs)
         near = problem.quadratic(psi[None])
         fitted = psi + np.linalg.solve(near.symmetric[0], near.gradient[0])
         white, coloured, _ = uncertain_covariances(problem, fitted, sizes)
