@@ -44,7 +44,7 @@ from dashpot.data.conditioning.transients import (
     taken_as_settled,
     transients_matter,
 )
-from dashpot.data.conditioning.whole_record import whole_records
+from dashpot.data.conditioning.whole_record import AT_REST, whole_records
 from dashpot.data.record import Record
 from dashpot.data.spectrum import Spectrum, concatenate
 from dashpot.data.stretch import SettledDwell
@@ -86,7 +86,11 @@ def spectrum(
         parts.append(
             whole_records(whole, band_hz=settings.band, still=settings.still, ramp=settings.degree > 0)
         )
-    return concatenate(parts)
+    lines = concatenate(parts)
+    if settings.still is None or AT_REST not in lines.noise:
+        return lines
+    text = f"noise: that of the record at rest, its spectrum from {settings.still.dof:.0f} values around each line"
+    return replace(lines, notes=(*lines.notes, Notice("noise_at_rest", text)))
 
 
 def _may_repeat(settings: Conditioning) -> bool:

@@ -34,6 +34,7 @@ BIN = 30  # lines, at least, whose mean power says whether something moves there
 BINS = 200  # at most
 STANDS_OUT = 4.0  # standard deviations of a bin's mean power above the floor: a signal
 POLYNOMIAL = 4  # columns 1, jω, (jω)², … of each output channel: the fourth takes the error down by twenty
+AT_REST = "rest"  # kind of noise: as a record with nothing driven shows it
 FLOOR = "floor"  # kind of noise: white, as the top of the spectrum shows it, until residuals show more
 LOWEST = 10  # line up to which a linear drift is felt
 MANY = 200  # lines from which on a column for it costs nothing to speak of
@@ -127,7 +128,7 @@ def whole_record(
         V = np.broadcast_to(diagonal_matrices(floor), (lines, channels, channels))
         kind, dof = FLOOR, 2.0 * lines
     else:
-        V, kind, dof = still.covariance(frequency, samples), "rest", still.dof
+        V, kind, dof = still.covariance(frequency, samples), AT_REST, still.dof
     if np.any(h != 1):
         X, V = X * h, V * h[:, :, None] * np.conj(h)[:, None, :]
     return Spectrum(
@@ -262,8 +263,9 @@ def whole_records(
     used = sum(len(piece.time) for piece in pieces)
     low, high = float(np.min(every.frequency_hz)), float(np.max(every.frequency_hz))
     text = (
-        f"{len(pieces)} whole record{'s' if len(pieces) > 1 else ''} of {used} samples: {every.lines} lines from "
-        f"{low:.4g} to {high:.4g} Hz, transients at both ends estimated with the rest"
+        f"{len(pieces)} whole record{'s' if len(pieces) > 1 else ''} of {used} samples: {every.lines} "
+        f"line{'s' if every.lines > 1 else ''} from {low:.4g} to {high:.4g} Hz, transients at both "
+        "ends estimated with the rest"
     )
     notes.append(Notice("whole_records", text))
     if band_hz is None and every.lines > MANY_LINES:

@@ -100,6 +100,12 @@ DATA_NOTICES: tuple[tuple[str, str, str, str], ...] = (
         "Nothing; compare it with the noise of the sensor.",
     ),
     (
+        "noise_at_rest", RECORDS,
+        ("The noise of every channel, inputs included, is that of the record at rest, smoothed over neighbouring "
+        "lines. It goes before what periods that repeat and what residuals would tell, and lets χ² test the fit."),
+        "Nothing; make sure that sensors, ranges and filters were the same in both records.",
+    ),
+    (
         "input_noise", RECORDS,
         ("The noise of the measured inputs of whole records, by the quiet part of an input's own spectrum or, where it "
         "has none, by what all outputs have in common. The true inputs are unknowns of the fit; values and intervals "
