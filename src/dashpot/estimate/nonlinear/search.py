@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 
 SOFTNESS = (0.3, 0.03)  # relative noise of the stages from afar
 PIECE = 16  # points evaluated at once
-FIRST = 30  # iterations from each of the starts
+FIRST, LONGEST = 30, 100  # iterations from each of the starts, and where the best of them led
 ROUGHLY = 0.03  # standard deviations within which descents end that others follow
 ALIKE = 0.02  # of the values and of the cost, by which ends of softened data differ that are one
 FINEST, COARSEST = 1e-10, 1e-3  # truncation errors of the elongations between which harmonics are enough
@@ -59,14 +59,17 @@ def search_harmonics(likelihood: Likelihood) -> tuple[OptimizeResult, Measured, 
     _remember(exact, warm)
     minimum = best
     if len(exact.y) > 1 or not best.converged[0]:
-        minimum = likelihood.descend_in(exact, np.repeat(best.x, len(exact.y), axis=0), sign, near=near)
+        minimum = likelihood.descend_in(
+            exact, np.repeat(best.x, len(exact.y), axis=0), sign, LONGEST, near=near
+        )
+    last = LONGEST if np.all(minimum.converged) else FIRST  # a valley without an end is followed no further
     if lost_dwells_regained(view, exact, minimum.x):
         minimum = likelihood.descend_in(exact, minimum.x, sign, near=near)
     while True:
         part = measured_part(exact)
         allowed = _allowed(data, float(minimum.cost[0]) / max(first.rows, 1))
         if part.dwells.orders >= MOST or _missing(view, exact, minimum.x) <= allowed:
-            return likelihood.descend_in(exact, minimum.x, sign), exact, warnings
+            return likelihood.descend_in(exact, minimum.x, sign, last), exact, warnings
         exact = replace(exact, nonlinear=part.widened(min(2 * part.dwells.orders + 1, MOST)))
         minimum = likelihood.descend_in(exact, minimum.x, sign, near=near)
 

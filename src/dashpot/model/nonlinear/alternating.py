@@ -216,11 +216,15 @@ def _operated(law: ForceLaw, d: Real, g: Real) -> tuple[Real, Real, Jumps]:
     width, stop = g[:, 0], law.operator == "stop"
     z, states = np.zeros(N), np.zeros((N, times))
     following = np.roll(d, -1, axis=1)
-    for _ in range(3):  # they repeat from the second period on
+    moves = (following - d).T if stop else np.zeros((times, N))
+    low, high = (
+        np.broadcast_to(side, (times, N))
+        for side in ((-width, width) if stop else (following.T - width, following.T + width))
+    )
+    for _ in range(2):  # they repeat from the second period on
         for k in range(times):
             states[:, k] = z
-            free, centre = (z + following[:, k] - d[:, k], 0.0) if stop else (z, following[:, k])
-            z = np.clip(free, centre - width, centre + width)
+            z = np.minimum(np.maximum(z + moves[k], low[k]), high[k])
     free, centre = (states + following - d, np.zeros_like(d)) if stop else (states, following)
     above, below = free > centre + width[:, None], free < centre - width[:, None]
     inside = (~(above | below)).astype(float)

@@ -95,3 +95,15 @@ def test_coefficients_inside_laws_may_be_negative():
     estimate = identify(model, spectrum, "ml")
     assert np.all(np.abs(estimate.values - theta) < 4 * estimate.sd)
     assert estimate["q.b"].value < -2 * estimate["q.b"].sd
+
+
+def test_a_slider_that_never_slips_ends_soon_and_is_said_not_to_show():
+    """Four dwells of a hundredth of its reach: spring and slider share one valley, which was followed for 500 steps."""
+    model, theta = chain("jenkins", 1)
+    spectrum = settled(
+        model, theta, motions("x1", "u"), [4, 5, 6, 7], amplitude=1e-5, orders=(1, 3, 5), noise=0.005,
+        rng=np.random.default_rng(3),
+    )  # fmt: skip
+    estimate = identify(model, spectrum)
+    assert "law_not_seen" in [notice.code for notice in estimate.warnings]
+    assert estimate.iterations <= 40
