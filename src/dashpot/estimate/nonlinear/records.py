@@ -13,6 +13,7 @@ from dashpot.channel import Quantity
 from dashpot.data.conditioning.still import Still
 from dashpot.data.record import Record
 from dashpot.errors import DataError
+from dashpot.io.words import joined
 from dashpot.model.network import Model
 from dashpot.model.nonlinear.integration import Integrator, Motion
 from dashpot.model.nonlinear.moving_base import NO_BASES, Bases, bases_of
@@ -209,9 +210,16 @@ def _calibration(record: Record) -> Real:
 
 
 def _require_motion(record: Record, outputs: Sequence[int]) -> None:
-    """Raises DataError where no channel shows the motion, or one shows a force in elements."""
+    """Raises DataError where no channel shows the motion, one stands still, or one shows a force in elements."""
     if not outputs:
         raise DataError("no channel shows the motion", record.source, "measure a coordinate")
+    still = [record.channels[i].name for i in outputs if not np.ptp(record.values[:, i]) > 0]
+    if still:
+        raise DataError(
+            f"{joined(still)} show{'s' if len(still) == 1 else ''} no motion: the samples are all one number",
+            record.source,
+            "check that the sensor is connected, or leave the channel out of the rig file",
+        )
     forces = [record.channels[i].name for i in outputs if record.channels[i].quantity is Quantity.FORCE]
     if forces:
         raise DataError(

@@ -46,6 +46,21 @@ def test_stribecks_friction_is_given_back_without_guesses(count):
     assert np.max(np.abs(estimate.values / theta - 1)) < 1e-6
 
 
+@pytest.mark.long
+@pytest.mark.parametrize(
+    ("law", "count", "most", "within"),
+    [("stribeck", 3, 63, 1e-6), *(("bouc-wen", count, 31, 1e-3) for count in (1, 2, 3))],
+)
+def test_friction_that_slides_and_hysteresis_are_given_back_from_guesses(law, count, most, within):
+    """Bouc-Wen's force has kinks: 31 harmonics, of which the data are made, leave 6e-4."""
+    model, theta = chain(law, count)
+    channels, amplitude = motions(*model.coordinates, "u"), 1e-3 if count < 3 else 2e-3 / count
+    spectrum = settled(model, theta, channels, FREQUENCIES, orders=(1, 3), amplitude=amplitude, most=most)
+    estimate = identify(guessed(model, theta, 1.03), spectrum, "ml")
+    assert bool(estimate.converged)
+    assert np.max(np.abs(estimate.values / theta - 1)) < within
+
+
 def test_odd_harmonics_do_not_tell_the_sign_of_an_even_law_and_it_is_said():
     model, theta = two_masses("square")
     spectrum = settled(model, theta, ALL, FREQUENCIES, noise=0.005, rng=np.random.default_rng(3))

@@ -176,6 +176,14 @@ def test_an_input_that_is_not_measured_is_named():
         identify_records(model, [blind])
 
 
+def test_a_sensor_that_stands_still_is_named():
+    """It had been fitted by a rig of springs of 1e-15 N/m."""
+    model, theta, data = record("cubic", ALL, samples=60)
+    dead = Record(data.channels, data.time, data.values * np.array([0.0, 1.0, 1.0]))
+    with pytest.raises(DataError, match="x1 shows no motion"):
+        identify_records(guessed(model, theta), [dead])
+
+
 def test_values_too_stiff_for_the_samples_are_refused():
     """Steps enough for them would not fit into any memory."""
     model, theta, data = record("cubic", ALL, samples=50)
