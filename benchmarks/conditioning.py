@@ -9,6 +9,8 @@ the rms error over that of whichever of ten sets of options does best there, kno
 counted in deviations of the Cramér-Rao bound (the median of all answers to the test): a
 test whose answers happen to lie near the truth then decides no row.
 
+`--samples 8 11` makes dwells of so few samples, four a period at least; `--one` a test of one dwell, of one mass.
+
 With `--kept FILE` each test is a line of that file, and those already in it are not done again: a long run may be cut
 and go on, or be shared out to processes of which each has its own `--tests` and `--seed`, and the table is of all.
 """
@@ -33,14 +35,14 @@ from dashpot.data.record import Record
 from dashpot.errors import DashpotError
 from dashpot.estimate.automatic import identify_automatically
 from dashpot.model.motion import channel_samples, integrator
+from dashpot.model.network import Model
 from dashpot.model.observation import observation_model
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 from tests.whole_rigs import chain, record_of
 
-MODEL, THETA = chain(2, 0.08, seed=1)
-CHANNELS: tuple[Channel, ...] = record_of(MODEL, THETA, "random", decay_times=0.1).record.channels
 FREQUENCIES = (4.0, 5.2, 6.5, 8.0, 10.0, 12.5, 15.0, 18.0)
+ONE = (6.5,)  # above and below the resonances of one mass and of two
 TROUBLES = ("quantised", "slope", "frequency", "jitter", "hum", "transients")
 LATER = ("clipped", "fading")  # drawn by a generator of their own: tests of the others stay what they were
 OPTIONS = {
@@ -59,28 +61,63 @@ OPTIONS = {
 
 
 WORST = 10.0  # times the bound: beyond it a treatment has failed
+LEAST_A_PERIOD = 4  # samples, of tests of few
 
 
-def dwells(rng: np.random.Generator, troubles: frozenset[str], most: float = 50.0) -> list[Record]:
-    """One test, of one to `most` periods a dwell."""
-    p, view = MODEL.parameters(THETA), observation_model(MODEL, CHANNELS, np.ones(1))
-    periods = float(np.exp(rng.uniform(0, np.log(most))))
-    each, noise = int(rng.integers(12, 41)), float(np.exp(rng.uniform(np.log(0.003), np.log(0.05))))
+@dataclass(frozen=True)
+class Plan:
+    """What is tested: a rig, its true unknowns, where it is driven, for how long.
+
+    periods: of a dwell, at most; samples: of a dwell, from the first number to the second, or as many as come
+    """
+
+    model: Model
+    theta: Real
+    channels: tuple[Channel, ...]
+    frequencies: tuple[float, ...] = FREQUENCIES
+    periods: float = 50.0
+    samples: tuple[int, int] | None = None
+
+    @staticmethod
+    def of(
+        masses: int, frequencies: tuple[float, ...], periods: float, samples: tuple[int, int] | None
+    ) -> Plan:
+        """For so many masses in a row on a base that moves."""
+        model, theta = chain(masses, 0.08, seed=1)
+        channels = record_of(model, theta, "random", decay_times=0.1).record.channels
+        return Plan(model, theta, channels, frequencies, periods, samples)
+
+    def drawn(self, rng: np.random.Generator) -> tuple[float, float, int]:
+        """Periods, samples a period, and samples of a dwell."""
+        if self.samples is None:
+            periods, each = float(np.exp(rng.uniform(0, np.log(self.periods)))), int(rng.integers(12, 41))
+            return periods, each, max(int(each * periods), 16)
+        count = int(rng.integers(self.samples[0], self.samples[1] + 1))
+        most = max(min(self.periods, count / LEAST_A_PERIOD), 1.0)
+        periods = float(np.exp(rng.uniform(0, np.log(most))))
+        return periods, count / periods, count
+
+
+def dwells(plan: Plan, rng: np.random.Generator, troubles: frozenset[str]) -> list[Record]:
+    """One test."""
+    p, view = plan.model.parameters(plan.theta), observation_model(plan.model, plan.channels, np.ones(1))
+    _, each, samples = plan.drawn(rng)
+    noise = float(np.exp(rng.uniform(np.log(0.003), np.log(0.05))))
     stated = 1 + rng.uniform(-0.02, 0.02) * ("frequency" in troubles)
     slope, bits = rng.uniform(0.02, 0.3) * ("slope" in troubles), int(rng.integers(8, 17))
-    state: Real = np.zeros(2 * MODEL.n)
+    state: Real = np.zeros(2 * plan.model.n)
     own = np.random.default_rng(rng.integers(2**32) if {"clipped", "fading"} & troubles else 0)
     records = []
-    for f in FREQUENCIES:
+    for f in plan.frequencies:
         fade, limit = own.uniform(-0.03, 0.03), own.uniform(1.1, 1.4)
         step = 1 / (each * f)
         wait = 0 if "transients" in troubles else int(4.0 / step)
-        count = wait + max(int(each * periods), 16)
+        count = wait + samples
         fine = np.arange(8 * count + 1) * step / 8
         drive = np.sin(2 * np.pi * f * fine) * 1e-3
-        if "fading" in troubles:
-            drive *= 1 + fade * np.linspace(-1, 1, len(fine))
-        motion = integrator(MODEL, p, step / 8).motion(drive[:, None], state)
+        if "fading" in troubles:  # in what is recorded: as it settles, the drive is even
+            drive *= 1 + fade * np.interp(fine, [wait * step, fine[-1]], [-1, 1])
+        motion = integrator(plan.model, p, step / 8).motion(drive[:, None], state)
         state = np.concatenate([motion.x[-1], motion.v[-1]])
         y = channel_samples(view, p, motion)[:-1:8][wait:]
         t, size = step * np.arange(len(y)), np.std(y, axis=0)
@@ -96,7 +133,7 @@ def dwells(rng: np.random.Generator, troubles: frozenset[str], most: float = 50.
         if "quantised" in troubles:
             code = 4 * size / 2**bits
             y = np.round(y / code) * code
-        records.append(Record(CHANNELS, t, y, f * stated))
+        records.append(Record(plan.channels, t, y, f * stated))
     return records
 
 
@@ -109,15 +146,16 @@ class Answer:
     held: Bools
 
 
-def answer(records: list[Record], conditioning: Conditioning | None) -> Answer | None:
+def answer(plan: Plan, records: list[Record], conditioning: Conditioning | None) -> Answer | None:
     """What identification makes of a test; None where it refuses."""
     try:
-        estimate = identify_automatically(MODEL, spectrum(records, conditioning))
+        estimate = identify_automatically(plan.model, spectrum(records, conditioning))
     except DashpotError:
         return None
     low, high = np.array([estimate[name].interval95 for name in estimate.names]).T
+    truth = plan.theta
     return Answer(
-        estimate.values / THETA - 1, estimate.bound_sd / np.abs(THETA), (low <= THETA) & (high >= THETA)
+        estimate.values / truth - 1, estimate.bound_sd / np.abs(truth), (low <= truth) & (high >= truth)
     )
 
 
@@ -152,18 +190,18 @@ class Tried:
     errors: list[float]
 
 
-def tried(seed: int, only: str | None, periods: float, others: Iterable[Conditioning]) -> Tried:
+def tried(plan: Plan, seed: int, only: str | None, others: Iterable[Conditioning]) -> Tried:
     """One test, by the defaults and by other options."""
     rng = np.random.default_rng(seed)
     drawn = frozenset(t for t in TROUBLES if rng.random() < 0.25)
     later = np.random.default_rng([seed, 1])
     drawn |= frozenset(t for t in LATER if later.random() < 0.25)
     chosen = frozenset([only]) if only else drawn
-    records = dwells(rng, chosen, periods)
-    usual = answer(records, None)
+    records = dwells(plan, rng, chosen)
+    usual = answer(plan, records, None)
     if usual is None:
         return Tried(seed, sorted(chosen), [], [])
-    answers = [usual, *(answer(records, conditioning) for conditioning in others)]
+    answers = [usual, *(answer(plan, records, conditioning) for conditioning in others)]
     return Tried(seed, sorted(chosen), usual.held.tolist(), sizes(answers).tolist())
 
 
@@ -194,6 +232,8 @@ def main() -> None:
         "--only", choices=(*TROUBLES, *LATER), help="nothing but this trouble, in every test"
     )
     options.add_argument("--periods", type=float, default=50.0, help="of a dwell, at most")
+    options.add_argument("--samples", type=int, nargs=2, help="of a dwell, from and to (8 11)")
+    options.add_argument("--one", action="store_true", help="one mass and one dwell")
     options.add_argument(
         "--coverage", action="store_true", help="the defaults alone, ten times as many in a time"
     )
@@ -203,6 +243,9 @@ def main() -> None:
     done: list[Tried] = []
     if settings.kept is not None and settings.kept.exists():
         done = [Tried(**json.loads(line)) for line in settings.kept.read_text().splitlines()]
+    few = None if settings.samples is None else (settings.samples[0], settings.samples[1])
+    frequencies, masses = (ONE, 1) if settings.one else (FREQUENCIES, 2)
+    plan = Plan.of(masses, frequencies, settings.periods, few)
     known, start = {test.seed for test in done}, time.perf_counter()
     for seed in range(settings.seed, settings.seed + settings.tests):
         if time.perf_counter() - start > 60 * settings.minutes:
@@ -210,7 +253,7 @@ def main() -> None:
         if seed in known:
             continue
         others = () if settings.coverage else OPTIONS.values()
-        done.append(tried(seed, settings.only, settings.periods, others))
+        done.append(tried(plan, seed, settings.only, others))
         if settings.kept is not None:
             with settings.kept.open("a") as file:
                 file.write(json.dumps(asdict(done[-1])) + "\n")

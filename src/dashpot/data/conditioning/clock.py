@@ -13,7 +13,8 @@ from dashpot.notices import Notice
 
 UNEVEN = 0.02  # of a sampling step: stamps may be rounded by that much
 ROUNDED = 1e-6  # of a sampling step: stamps that are less off are even
-FEWEST = 16  # samples of a record
+FEWEST = 8  # samples of a record
+TELLING = 16  # stamps that show by what they are rounded
 
 
 def even_step(record: Record) -> float:
@@ -56,7 +57,7 @@ def with_even_stamps(record: Record) -> tuple[Record, Notice | None]:
     noise of the time.  A note says so where the digit is coarse.
     """
     time = record.time
-    if len(time) < FEWEST:
+    if len(time) < TELLING:
         return record, None
     index = np.arange(len(time), dtype=np.float64) - (len(time) - 1) / 2
     step = float(index @ (time - time[0]) / (index @ index))

@@ -13,7 +13,7 @@ from dashpot.data.calibration import calibration
 from dashpot.data.conditioning.account import account_of_dwells, other_motion, summed_up
 from dashpot.data.conditioning.brief_dwells import long_enough
 from dashpot.data.conditioning.clipped_samples import without_clipping
-from dashpot.data.conditioning.clock import FEWEST, with_even_stamps
+from dashpot.data.conditioning.clock import with_even_stamps
 from dashpot.data.conditioning.drift import LEVEL as DRIFT_LEVEL
 from dashpot.data.conditioning.drift import slope_costs, slopes_show
 from dashpot.data.conditioning.drive_fading import LEVEL as FADING_LEVEL
@@ -53,6 +53,7 @@ from dashpot.notices import Notice
 
 WANDERS = "the drive frequency wanders within a dwell, which is nevertheless treated as steady"
 FADES = "the drive's amplitude drifts within a dwell, which is nevertheless treated as steady"
+TELLING = 16  # samples of a dwell that shows by itself whether it is a steady sine
 LONG_ENOUGH = 8  # periods that must be left of a dwell that rests for a part
 
 
@@ -237,7 +238,7 @@ def _why_whole(
         return None
     if settings.transients == "estimate":
         return "taken whole"
-    if not all(record.values.ndim == 2 and len(record.time) >= FEWEST for record in dwells):
+    if not all(record.values.ndim == 2 and len(record.time) >= TELLING for record in dwells):
         return None
     if wanders:
         return "not steady (the drive frequency wanders)"

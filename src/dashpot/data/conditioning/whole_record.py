@@ -27,6 +27,7 @@ from dashpot.io.words import joined
 from dashpot.notices import Notice
 
 GAP = 1.5  # sampling steps: where the next sample is later than this, another record begins
+SHORTEST = 64  # samples of a piece between gaps
 SLIP = 0.1  # of a step: where the next sample is early or late by more, the clock has slipped
 UNEVEN = 0.02  # share of gaps from which on they are the clock's
 HIGHEST = 0.9  # of half the sampling rate: above it the input between the samples is not known well enough
@@ -69,7 +70,7 @@ def without_gaps(record: Record) -> tuple[list[Record], tuple[Notice, ...]]:
     pieces = [
         replace(record, time=record.time[a:b], values=record.values[..., a:b, :])
         for a, b in pairwise(edges)
-        if b - a >= 4 * FEWEST
+        if b - a >= SHORTEST
     ]
     lost = len(record.time) - sum(len(piece.time) for piece in pieces)
     if len(cuts) > UNEVEN * len(steps):
@@ -81,7 +82,7 @@ def without_gaps(record: Record) -> tuple[list[Record], tuple[Notice, ...]]:
         )
     if not pieces:
         raise DataError(
-            f"the time has {len(cuts)} gaps, and no piece between them has {4 * FEWEST} samples",
+            f"the time has {len(cuts)} gaps, and no piece between them has {SHORTEST} samples",
             record.source,
             "give the record without gaps",
         )

@@ -307,7 +307,7 @@ def _p_value(chi2: Real, dof: int, rows: int, spectrum: Spectrum) -> Real:
     if spectrum.noise_given:
         return np.asarray(chdtrc(float(dof), chi2), dtype=float)
     nu, n = spectrum.dof, rows / (2 * spectrum.lines)
-    with np.errstate(invalid="ignore"):
+    with np.errstate(invalid="ignore", divide="ignore"):
         wide = (nu - 1) * (nu - n + 1) / ((nu - n) * (nu - n - 3))
     wide = np.where(np.isfinite(nu), np.where(nu - n - 3 > 0, wide, np.nan), 1.0)
     ratio = float(np.nanmean(wide)) if np.any(np.isfinite(wide)) else 1.0

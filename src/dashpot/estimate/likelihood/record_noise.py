@@ -52,6 +52,7 @@ EACH_IN_DOUBT = 80  # and where that fit may be a wrong valley
 TYPICAL = 8  # rigs of usual size whose noise is tried then, at most: each leads to the right one in half of the cases
 UNEXPLAINED_MOST = 0.5  # of the power of the channels: of a motion without input this is no free decay
 UNEXPLAINED = 0.2  # of a channel's power: what may be left over by a fit whose noise is not known yet
+TELLING = 8.0  # degrees of freedom of a record that has a noise of its own
 POOL_LEVEL = 1e-3  # of the test whether short records share the size of their noise
 
 
@@ -119,7 +120,8 @@ def noise_from_residuals(
         _require_decay(model, residual, exact)
         used = (columns + len(view.names)) / (2 * np.sum(sought) * max(np.sum(outputs), 1))
         power, inputs = _own_power(view, spectrum, sought, exact, residual, inputs, psi, sign)
-        variance, dof = _smoothed(spectrum, power / max(1 - used, 0.1), sought, outputs)
+        left = max(1 - used, 0.1)
+        variance, dof = _smoothed(spectrum, power / left, sought, outputs, left)
         of_inputs = np.maximum(inputs.level / spectrum.samples[:, None], floor)
         before = np.diagonal(V[0], axis1=-2, axis2=-1).real.copy()
         variance = np.where(changes, np.where(outputs, variance, of_inputs), before)
@@ -294,11 +296,13 @@ def _explained(G: Complex, W: Complex) -> Real:
     return taken
 
 
-def _smoothed(spectrum: Spectrum, power: Real, sought: Bools, outputs: Bools) -> tuple[Real, Real]:
+def _smoothed(
+    spectrum: Spectrum, power: Real, sought: Bools, outputs: Bools, left: float = 1.0
+) -> tuple[Real, Real]:
     """Variances (lines, channels) from the power of residuals, and their degrees of freedom (lines,).
 
     Over 2·HALF_WINDOW + 1 lines of a record, over all its lines where they are white; records with fewer lines than
-    that are taken together.
+    that are taken together.  `left` is the share of their freedom that the fit has left to the residuals.
     """
     variance, dof = np.array(power), np.array(spectrum.dof)
     records = [
@@ -318,17 +322,18 @@ def _smoothed(spectrum: Spectrum, power: Real, sought: Bools, outputs: Bools) ->
         dof[lines] = 2.0 * (len(lines) if np.all(white[outputs]) else width)
     size = np.nan_to_num(np.abs(spectrum.amplitudes[0])) ** 2
     if short:
-        _pooled(short, power, size, spectrum.samples, outputs, variance, dof)
+        _pooled(short, power, size, spectrum.samples, outputs, variance, dof, left)
     return np.maximum(variance, SMALLEST**2 * np.mean(size, axis=0)), dof
 
 
 def _pooled(
-    records: list[Ints], power: Real, size: Real, samples: Ints, outputs: Bools, variance: Real, dof: Real
-) -> None:
+    records: list[Ints], power: Real, size: Real, samples: Ints, outputs: Bools, variance: Real, dof: Real,
+    left: float,
+) -> None:  # fmt: skip
     """Noise of short records, white each: of one size per sample, or in proportion to each channel's own size.
 
-    Whichever of the two explains the scatter between the records better; where neither does, each record by itself.
-    Writes into `variance` and `dof`.
+    Whichever of the two explains the scatter between the records better; where neither does, each record by itself,
+    unless one is so short that it says next to nothing of its noise.  Writes into `variance` and `dof`.
     """
     count = np.array([len(lines) for lines in records], dtype=float)
     mean = np.stack([np.mean(power[lines], axis=0) for lines in records])
@@ -344,7 +349,7 @@ def _pooled(
                 scatter = 2 * float(np.sum(count * np.log(level * scale / mean[:, c])))
             choices.append((scatter, level * scale))
         scatter, common = min(choices, key=lambda choice: choice[0])
-        alike = scatter < limit
+        alike = scatter < limit or 2 * left * np.min(count) < TELLING
         together &= alike
         for lines, value in zip(records, common if alike else mean[:, c], strict=True):
             variance[lines, c] = value

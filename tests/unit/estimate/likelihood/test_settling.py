@@ -56,15 +56,35 @@ def test_loads_that_explain_nothing_are_left_out_together(slope: bool) -> None:
     assert away(identify_automatically(MODEL, given)) < 4
 
 
+def every(step: int, records: list[Record]) -> list[Record]:
+    """The same, sampled more slowly."""
+    return [replace(record, time=record.time[::step], values=record.values[::step]) for record in records]
+
+
 def test_what_has_too_few_samples_for_its_loads_is_said_to_count_as_settled() -> None:
-    records = [
-        replace(record, time=record.time[::2], values=record.values[::2])
-        for record in stepped(0.01, periods=1.5, settle=4.0)
-    ]
-    given = spectrum(records)
+    """Six samples a dwell."""
+    given = spectrum(every(5, stepped(0.01, periods=1.5, settle=4.0)))
     assert given.unsettled is None
     (said,) = (note.text for note in given.notes if note.code == "transient_undetectable")
     assert said == "5 dwells are too short to show whether a transient is in them: taken as settled"
+
+
+def test_dwells_of_ten_samples_have_transients_and_frequencies_too() -> None:
+    """Eight draws, 0.2 % noise: 40 intervals, of which five count as two, 95 ± 3 · 5.4 %.
+
+    Off by 1.5 % in their frequency, 20 % held where dwells of less than twelve samples had no say in it.
+    """
+    moving = every(3, stepped(0.01, periods=1.5))
+    assert {len(record.time) for record in moving} == {10}
+    assert len(with_settling_decided(MODEL, spectrum(moving)).records) == len(FREQUENCIES)
+    assert away(identify_automatically(MODEL, spectrum(moving))) < 4
+    held = []
+    for seed in range(8):
+        records = every(2, stepped(0.002, periods=1.0, settle=4.0, seed=seed))
+        stated = [replace(record, frequency_hz=1.015 * (record.frequency_hz or 0.0)) for record in records]
+        low, high = identify_automatically(MODEL, spectrum(stated)).interval()
+        held.append((low <= THETA) & (high >= THETA))
+    assert np.mean(held) > 0.79
 
 
 def test_dwells_that_show_settling_stay_as_they_are() -> None:
