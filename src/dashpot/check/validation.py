@@ -63,6 +63,15 @@ class RecordPrediction:
         _, measured_motion, predicted_motion = self.histories()
         return np.asarray(np.sqrt(np.mean((measured_motion - predicted_motion) ** 2, axis=0)))
 
+    def rescaled(self) -> tuple[Real, Real]:
+        """The factor by which each prediction is nearest to what was measured, and FIT with it, (channels,) each."""
+        there = np.isfinite(self.measured)
+        y, shown = np.where(there, self.measured, 0.0), np.where(there, self.predicted, 0.0)
+        with np.errstate(invalid="ignore", divide="ignore"):
+            factor = np.sum(np.conj(shown) * y, axis=0).real / np.sum(np.abs(shown) ** 2, axis=0)
+            left = np.linalg.norm(y - factor * shown, axis=0) / np.linalg.norm(y, axis=0)
+        return factor, 1 - left
+
     @property
     def p(self) -> Real:
         """Probability of a χ² as large by noise alone, the estimate taken as exact, (channels,); NaN: not known."""

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from dashpot import Channel, dwells, identify, simulate_spectrum
 from dashpot.check.validation import validate
+from dashpot.present.text.validation import prediction_in_words
 from tests.two_masses import SHAKEN, SHAKEN_TRUTH
 
 LINES = np.linspace(1, 12, 400)
@@ -31,3 +34,20 @@ def test_chi2_counts_the_noise_of_the_inputs_that_the_rig_passes_on(noise_of_inp
     rms = np.sqrt(np.mean(np.abs(predicted.measured - predicted.predicted) ** 2, axis=0))
     alone = np.mean(np.abs(predicted.measured) ** 2, axis=0)
     np.testing.assert_allclose(predicted.fit, 1 - rms / np.sqrt(alone))
+
+
+def test_a_record_in_another_unit_is_the_prediction_but_for_a_factor() -> None:
+    channels = (
+        Channel("x1", {"x1": 1.0}, noise=5e-2),
+        Channel("x2", {"x2": 1.0}, noise=5e-2),
+        Channel("u", {"u": 1.0}),
+    )
+    p = SHAKEN.parameters(SHAKEN.theta(SHAKEN_TRUTH))
+    first = simulate_spectrum(SHAKEN, p, channels, dwells(SHAKEN, LINES, 50), np.random.default_rng(3))
+    amplitudes = np.array(first.amplitudes)
+    amplitudes[..., 0] *= 1000
+    predictions = validate(SHAKEN, identify(SHAKEN, first), replace(first, amplitudes=amplitudes))
+    factor, fit = predictions[0].rescaled()
+    assert factor == pytest.approx([1000, 1], rel=0.1)
+    assert np.all(fit > 0.8)
+    assert "x1 is 1000 times its prediction: another unit" in prediction_in_words(predictions)

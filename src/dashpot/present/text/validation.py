@@ -8,9 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from dashpot.check.validation import RecordPrediction, within_noise
+from dashpot.io.words import joined
 from dashpot.present.text.numbers import short
 
 POOR = 0.5  # FIT below which a prediction is of no use
+GOOD = 0.8  # FIT from which on a factor is what a channel is off by
 EXPLANATION = (
     "FIT = 1 − ‖measured − predicted‖ / ‖measured − mean‖ within the band used, from the inputs alone; only the "
     "state in which a record starts and ends is fitted to it."
@@ -37,7 +39,7 @@ def prediction_in_words(predictions: Sequence[RecordPrediction]) -> str:
     if within:
         return f"Predicted to within the noise of the sensors: the largest difference is {missed}."
     if is_poor(predictions):
-        return f"Poorly predicted: measured and predicted differ by {missed}."
+        return f"Poorly predicted: measured and predicted differ by {missed}." + _factors(predictions)
     if within is None:
         return (
             f"The largest difference between measured and predicted is {missed}; whether that is more "
@@ -48,6 +50,18 @@ def prediction_in_words(predictions: Sequence[RecordPrediction]) -> str:
         f"Not predicted to within the noise of the sensors: {loudest.channel} differs by "
         f"{short(loudest.times_noise, 2)} × the noise; the largest difference is {missed}."
     )
+
+
+def _factors(predictions: Sequence[RecordPrediction]) -> str:
+    """Which channels are what is predicted of them but for a factor; "" where none is."""
+    of_channel: dict[str, str] = {}
+    for part in predictions:
+        for name, fit, factor, rescaled in zip(part.channels, part.fit, *part.rescaled(), strict=True):
+            if fit < POOR and rescaled > GOOD:
+                of_channel[name] = f"{name} is {short(float(factor), 2)} times its prediction"
+    if not of_channel:
+        return ""
+    return f" {joined(list(of_channel.values()))}: another unit, gain or sign, or another rig?"
 
 
 def is_poor(predictions: Sequence[RecordPrediction]) -> bool:
