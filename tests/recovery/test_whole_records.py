@@ -10,7 +10,7 @@ import pytest
 from dashpot.channel import Quantity
 from dashpot.data.conditioning.whole_record import whole_record
 from dashpot.estimate.identify import identify
-from tests.record_draws import CASES, draws
+from tests.record_draws import CASES, Case, draws, draws_of
 from tests.whole_rigs import chain, record_of
 
 EACH = 20
@@ -36,6 +36,20 @@ def test_the_stated_error_is_the_bound_of_all_samples() -> None:
     """One draw of a stepped sine: a stated sd is as sure as the size of the noise, one per cent."""
     done = draws(CASES[5], 1, 5)
     assert done.stated[0] == pytest.approx(done.bound, rel=0.04)
+
+
+def test_a_base_that_ends_elsewhere_than_it_began_is_not_taken_for_noisy() -> None:
+    """A part of a record in random motion, 0.3 % noise on the outputs, none on the base: two draws, seeds (3, draw).
+
+    What its ends leak into all lines had counted as noise of the base: stated deviations were eleven times the bound.
+    """
+    test = Case(2, 0.05, "base", "random", 20).test()
+    samples = len(test.record.time)
+    part = slice(int(0.3 * samples), int(0.6 * samples))
+    record = replace(test.record, time=test.record.time[part], values=test.record.values[part])
+    done = draws_of(replace(test, record=record), 0.003, 2, 3)
+    assert done.stated_over_bound == pytest.approx(1.0, abs=0.06)
+    assert done.rms_over_bound < 1.8
 
 
 @pytest.mark.long

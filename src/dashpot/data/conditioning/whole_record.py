@@ -36,6 +36,7 @@ BINS = 200  # at most
 STANDS_OUT = 4.0  # standard deviations of a bin's mean power above the floor: a signal
 POLYNOMIAL = 4  # columns 1, jω, (jω)², … of each output channel: the fourth takes the error down by twenty
 AT_REST = "rest"  # kind of noise: as a record with nothing driven shows it
+ALIKE = 1.4  # by which the mean power of second differences scatters more: neighbours share lines
 FLOOR = "floor"  # kind of noise: white, as the top of the spectrum shows it, until residuals show more
 LOWEST = 10  # line up to which a linear drift is felt
 MANY = 200  # lines from which on a column for it costs nothing to speak of
@@ -172,10 +173,12 @@ def _amplitudes(record: Record, first: int, last: int, *, stated: bool) -> tuple
         Y = fft.rfft(column - column.mean())
         Y *= 2 / samples
         X[:, c] = Y[first : last + 1]
-        floor[c] = variance_at_rest(column) * 4 / samples or white_floor(Y)
-        folded[c] = at_the_top(Y, floor[c])
+        rest = variance_at_rest(column) * 4 / samples
+        floor[c] = rest or white_floor(without_leakage(Y))
+        folded[c] = at_the_top(Y - leaked_by_a_step(column), floor[c])
         if stated:
-            moving.append(_motion_in(Y, float(floor[c]), first, last))
+            # What the ends leak is no motion in the band either.
+            moving.append(_motion_in(Y, rest or white_floor(np.abs(Y) ** 2), first, last))
     if moving and not any(inside for inside, _, _ in moving):
         low, high = min(low for _, low, _ in moving), max(high for _, _, high in moving)
         where = (
@@ -317,19 +320,38 @@ def _require_motion(record: Record) -> None:
             )
 
 
-def white_floor(Y: Complex) -> float:
-    """E[Δ Δ*] of white noise, from the lines Y (N/2 + 1,) of one channel near half the sampling rate.
+def leaked_by_a_step(column: Real) -> Complex:
+    """What the step from the last sample (N,) back to the first puts into the lines, (N/2 + 1,)."""
+    samples = len(column)
+    turn = np.exp(-2j * np.pi * np.arange(1, samples // 2 + 1) / samples)
+    leaked = np.zeros(samples // 2 + 1, dtype=np.complex128)
+    leaked[1:] = 2 * (column[-1] - column[0]) / (samples - 1) / (turn - 1)
+    return leaked
+
+
+def without_leakage(Y: Complex) -> Real:
+    """Power of neighbouring lines (k,) of a record without what its ends leak into them, (k − 2,).
+
+    A record that ends elsewhere than it began leaks into all lines, smoothly from one to the next: second differences
+    have none of it, and six times the power of what is independent from line to line.
+    """
+    power: Real = np.abs(np.diff(Y, 2)) ** 2 / 6
+    return power
+
+
+def white_floor(power: Real) -> float:
+    """E[Δ Δ*] of white noise, from the power (N/2 + 1,) of the lines of one channel near half the sampling rate.
 
     0 where they are not flat, or not far below the others: then they show motion, and tell nothing of the noise.
     """
-    top = np.abs(Y[int(TOP[0] * len(Y)) : int(TOP[1] * len(Y))]) ** 2
+    top = power[int(TOP[0] * len(power)) : int(TOP[1] * len(power))]
     halves = np.array_split(top, 2)
     if len(top) < 2 * BIN:
         return 0.0
     low, high = (float(np.mean(half)) for half in halves)
     level = (low + high) / 2
-    even = abs(low - high) <= STANDS_OUT * level * 2 / len(top) ** 0.5
-    return level if even and level < FAR_BELOW * float(np.mean(np.abs(Y[1:]) ** 2)) else 0.0
+    even = abs(low - high) <= STANDS_OUT * ALIKE * level * 2 / len(top) ** 0.5
+    return level if even and level < FAR_BELOW * float(np.mean(power[1:])) else 0.0
 
 
 def _moving(X: Complex, source: str, highest_hz: float) -> int:

