@@ -92,6 +92,11 @@ def base_travel(model: Model, data: RecordData) -> BaseTravel:
     chosen = _displacements(data)
     reach = np.linalg.pinv(data.on_x[chosen][:, : model.n]) @ data.on_x[chosen][:, model.n :]  # (n, bases)
     beside = _beside(model, data, travel)
+    if not chosen:  # nothing shows where the bases are: they travel as little as they may
+        courses = np.stack([np.ones_like(time), time, time**2 / 2], axis=1)
+        course = np.linalg.lstsq(courses, -travel, rcond=None)[0].T
+        course[np.array(data.bases.orders) == 1, 2] = 0.0
+        travel, start = travel + courses @ course.T, start + course
     if np.any(reach):
         courses, begun = _courses(data)
         columns = np.einsum("tk,nj->tnjk", courses, reach).reshape(beside.size, -1)
