@@ -102,20 +102,21 @@ def test_what_is_not_of_all_channels_is_no_drift(what: str, periods: float) -> N
 
 @pytest.mark.long
 def test_a_drive_that_drifts_costs_neither_coverage_nor_precision() -> None:
-    """60 draws of eight periods, 6 % and 0.5 % noise, against the same draws of an even drive.
+    """40 draws of twenty periods, 6 % and 0.3 % noise, against the same draws of an even drive.
 
-    Coverage of 300 intervals, of which five count as two: 95 ± 3 · 2 %; a ratio of errors scatters by 6 %.
+    Coverage of 200 intervals, of which five count as two: 95 ± 3 · 2.4 %; a ratio of errors scatters by 7 %.  Taken as
+    steady, such dwells give ten times the error, and 81 % of the intervals hold.
     """
     held, error, stated = [], {0.0: [], 0.03: []}, []
-    for seed in range(60):
+    for seed in range(40):
         for drift, errors in error.items():
-            estimate = identify(MODEL, spectrum(dwells(drift, periods=8, noise=0.005, seed=seed)))
+            estimate = identify(MODEL, spectrum(dwells(drift, periods=20, noise=0.003, seed=seed)))
             errors.append((estimate.values - THETA) / THETA)
             if drift:
                 low, high = np.array([estimate[name].interval95 for name in estimate.names]).T
                 held.append((low <= THETA) & (high >= THETA))
                 stated.append(estimate.sd / THETA)
     rms = {drift: np.sqrt(np.mean(np.array(errors) ** 2, axis=0)) for drift, errors in error.items()}
-    assert np.mean(held) == pytest.approx(0.95, abs=0.06)
+    assert np.mean(held) == pytest.approx(0.95, abs=0.072)
     assert np.mean(rms[0.03] / rms[0.0]) < 1.25
     assert np.mean(np.mean(stated, axis=0) / rms[0.03]) == pytest.approx(1.0, abs=0.2)
