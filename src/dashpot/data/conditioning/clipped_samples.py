@@ -40,6 +40,11 @@ class Unclipped:
     notices: list[Notice]
 
 
+def reaches_limits(record: Record) -> bool:
+    """Whether any channel of a dwell stands at what may be the limit of its range."""
+    return record.values.ndim == 2 and any(np.any(_limits(column)) for column in record.values.T)
+
+
 def without_clipping(record: Record) -> Unclipped:
     """The dwell as its channels would be with a wider range, and a notice of each channel that clips.
 

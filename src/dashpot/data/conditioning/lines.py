@@ -12,7 +12,7 @@ from dashpot.arrays import Real
 from dashpot.data.calibration import calibration
 from dashpot.data.conditioning.account import account_of_dwells, other_motion, summed_up
 from dashpot.data.conditioning.brief_dwells import long_enough
-from dashpot.data.conditioning.clipped_samples import without_clipping
+from dashpot.data.conditioning.clipped_samples import reaches_limits, without_clipping
 from dashpot.data.conditioning.clock import with_even_stamps
 from dashpot.data.conditioning.drift import LEVEL as DRIFT_LEVEL
 from dashpot.data.conditioning.drift import slope_costs, slopes_show
@@ -145,18 +145,24 @@ def _evened(
     With what that makes of the variance of each channel's amplitudes, (channels,) of each dwell, and notes.  As they
     are with "none".
     """
-    weaker: list[Real] = [np.ones(len(record.channels)) for record in dwells]
     if settings.refine == "none":
-        return dwells, weaker, []
-    evened, notes = [], []
-    for k, record in enumerate(dwells):
+        return dwells, [np.ones(len(record.channels)) for record in dwells], []
+    whole, notes = [], []
+    for record in dwells:
         even, note = with_even_stamps(record)
-        whole, dropouts = without_dropouts(even)
-        unclipped = without_clipping(whole)
-        evened.append(unclipped.record)
-        weaker[k] = unclipped.weaker
-        notes += [*([] if note is None else [note]), *dropouts, *unclipped.notices]
-    return evened, weaker, notes
+        complete, dropouts = without_dropouts(even)
+        whole.append(complete)
+        notes += [*([] if note is None else [note]), *dropouts]
+    # The sine that stands in for clipped samples is that of the drive's own frequency, which they hide but little.
+    limited = any(reaches_limits(record) for record in whole)
+    at_their_own = at_frequencies(whole, drive_frequencies(whole)) if limited else whole
+    unclipped = [without_clipping(record) for record in at_their_own]
+    notes += [notice for each in unclipped for notice in each.notices]
+    evened = [
+        replace(each.record, frequency_hz=record.frequency_hz)
+        for each, record in zip(unclipped, dwells, strict=True)
+    ]
+    return evened, [each.weaker for each in unclipped], notes
 
 
 def _as_unsettled(
