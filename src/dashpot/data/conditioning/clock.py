@@ -13,18 +13,23 @@ from dashpot.notices import Notice
 
 UNEVEN = 0.02  # of a sampling step: stamps may be rounded by that much
 ROUNDED = 1e-6  # of a sampling step: stamps that are less off are even
-FEWEST = 8  # samples of a record
+FEWEST, FEWEST_OF_A_DWELL = 16, 8  # samples of a record: of one whose frequency is known fewer tell something
 TELLING = 16  # stamps that show by what they are rounded
+
+
+def fewest_samples(record: Record) -> int:
+    """How many samples a record must have to be used whole."""
+    return FEWEST if record.frequency_hz is None else FEWEST_OF_A_DWELL
 
 
 def even_step(record: Record) -> float:
     """The sampling step, s.  Raises DataError where the samples are not evenly spaced."""
     time = record.time
-    if len(time) < FEWEST:
+    if len(time) < fewest_samples(record):
         raise DataError(
             f"a record of {len(time)} samples",
             record.source,
-            f"{FEWEST} samples are the fewest that can be used",
+            f"{fewest_samples(record)} samples are the fewest that can be used",
         )
     index = np.arange(len(time)) - (len(time) - 1) / 2
     step = float(index @ (time - time[0]) / (index @ index))

@@ -14,7 +14,7 @@ from scipy import fft
 from scipy.special import chdtrc
 
 from dashpot.arrays import Real
-from dashpot.data.conditioning.clock import FEWEST
+from dashpot.data.conditioning.clock import FEWEST_OF_A_DWELL
 from dashpot.data.conditioning.drive_frequency import FEW_PERIODS, frequency_step, refine_frequency
 from dashpot.data.conditioning.regression import duration
 from dashpot.data.conditioning.steady_state import periods_of
@@ -168,7 +168,7 @@ def drive_frequencies(records: Sequence[Record]) -> DriveFrequencies:
 def _evidence(record: Record) -> tuple[float, float] | None:
     """(step of the frequency that the samples ask for, its sd), Hz; None where a dwell says nothing of it."""
     f = record.frequency_hz
-    if f is None or periods_of(record) < LEAST_PERIODS or len(record.time) < FEWEST:
+    if f is None or periods_of(record) < LEAST_PERIODS or len(record.time) < FEWEST_OF_A_DWELL:
         return None
     try:
         step, sd = frequency_step(record, f, 1)

@@ -17,7 +17,7 @@ from numpy.polynomial.legendre import legvander
 from scipy.special import chdtrc, chdtri, fdtrc
 
 from dashpot.arrays import Bools, Complex, Real
-from dashpot.data.conditioning.clock import FEWEST, even_step
+from dashpot.data.conditioning.clock import FEWEST_OF_A_DWELL, even_step
 from dashpot.data.conditioning.harmonic_fit import fit_harmonics
 from dashpot.data.conditioning.regression import CHUNK, basis, duration, window
 from dashpot.data.conditioning.still import Still
@@ -254,11 +254,11 @@ def dwells_with_transients(
     """
     spectra = []
     for record in records:
-        if len(record.time) < FEWEST:
+        if len(record.time) < FEWEST_OF_A_DWELL:
             raise DataError(
                 f"a dwell of {len(record.time)} samples is too short to separate its transient from its motion",
                 record.source,
-                f"record {FEWEST} samples at least, or wait until it has settled",
+                f"record {FEWEST_OF_A_DWELL} samples at least, or wait until it has settled",
             )
         even_step(record)
         lines = whole_record(record, band_hz=band_hz, still=still)

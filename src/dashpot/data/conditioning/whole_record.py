@@ -17,7 +17,7 @@ from scipy import fft
 from dashpot.arrays import Complex, Ints, Real, diagonal_matrices
 from dashpot.channel import Channel
 from dashpot.data.calibration import calibration
-from dashpot.data.conditioning.clock import FEWEST, even_step
+from dashpot.data.conditioning.clock import even_step, fewest_samples
 from dashpot.data.conditioning.still import Still, variance_at_rest
 from dashpot.data.record import Record
 from dashpot.data.spectrum import Spectrum, concatenate
@@ -296,7 +296,7 @@ def _aligned(record: Record, step: float) -> tuple[Record, tuple[Channel, ...]]:
         return record, remaining
     first = shifts - shifts.min()
     count = len(record.time) - int(first.max())
-    if count < FEWEST:
+    if count < fewest_samples(record):
         raise DataError("a channel is later than the record is long", record.source, "correct its delay")
     values = np.stack([record.values[s : s + count, c] for c, s in enumerate(first)], axis=-1)
     return replace(record, time=record.time[:count], values=values), remaining

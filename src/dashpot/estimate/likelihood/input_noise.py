@@ -101,7 +101,11 @@ def noise_counted(model: Model, spectrum: Spectrum, covariance: Complex) -> tupl
             counted.append((channel.name, f"{channel.name} {100 * share:.2g} %"))
     notices = []
     if counted:
-        text = f"noise counted for the inputs, of the rms of each: {joined(text for _, text in counted)}"
+        sizes = joined(text for _, text in counted)
+        text = (
+            f"noise counted for the inputs, of the rms of each: {sizes}, as far as records in motion tell it from that "
+            "of the outputs; one at rest would settle it"
+        )
         notices.append(Notice(INPUT_NOISE, text, tuple(name for name, _ in counted)))
     return (*notices, *counted_as_exact(exact))
 

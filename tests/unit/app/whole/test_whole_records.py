@@ -66,8 +66,8 @@ def test_a_record_is_used_whole(dashpot: Command, rig: str) -> None:
     assert away() < 3.7  # one in a thousand for five unknowns
     written = json.loads(Path("e.json").read_text(encoding="utf-8"))
     assert written["fit"]["verdict"] == "cannot tell"
-    (counted,) = [note for note in written["notes"] if "noise counted for the inputs" in note]
-    said = f"{counted[0].upper()}{counted[1:]}"
+    (exact,) = [note for note in written["notes"] if "no noise shows in u, which counts as exact" in note]
+    said = f"{exact[0].upper()}{exact[1:]}"
     assert f"{said}." in " ".join(done.out.split())
     assert said in " ".join(Path("e.html").read_text(encoding="utf-8").split())
 
