@@ -10,12 +10,13 @@ from dashpot.check.diagnosis.ranking import ALIKE, Cause
 from dashpot.check.diagnosis.search import Workbench
 from dashpot.model.observation import measures_input
 
+OF_A_DWELL = ("dwell", "frequency")  # kinds of causes
 LOUD = 0.7  # of the largest amplitude of a channel
 
 
 def at_loud_dwell(bench: Workbench, cause: Cause) -> bool:
     """Whether a cause is of a single dwell in which a channel of the motion is about as large as in any."""
-    if cause.kind not in ("dwell", "frequency") or not cause.of:
+    if cause.kind not in OF_A_DWELL or not cause.of:
         return False
     view, Y = bench.view, np.nan_to_num(np.abs(bench.data.spectrum.amplitudes[0]))
     moves = [c for c, channel in enumerate(view.channels) if not measures_input(bench.data.model, channel)]
@@ -29,8 +30,12 @@ def beside_loud_dwells(
 ) -> list[Cause]:
     """All of the candidates but the `doubtful` ones that a nonlinear element explains about as well, and `nonlinear`.
 
-    The element keeps all dwells as they were labelled.
+    The element keeps all dwells as they were labelled.  One that explains no more than a single dwell does in which
+    little moves, and which is therefore not doubtful, is none.
     """
-    left = min((cause.remaining for cause in nonlinear), default=np.inf)
+    quiet = [c.remaining for c in candidates if c.kind in OF_A_DWELL and c.of and c not in doubtful]
+    bad_dwell = min(quiet, default=np.inf)
+    called_for = [c for c in nonlinear if bad_dwell >= ALIKE * max(c.remaining, 1.0)]
+    left = min((cause.remaining for cause in called_for), default=np.inf)
     kept = [c for c in candidates if not (c in doubtful and left < ALIKE * max(c.remaining, 1.0))]
-    return [*kept, *nonlinear]
+    return [*kept, *called_for]

@@ -7,7 +7,7 @@ import pytest
 
 from dashpot.data.conditioning.whole_record import whole_record
 from dashpot.data.stretch import WholeRecord
-from dashpot.errors import IdentifiabilityError
+from dashpot.errors import DataError, IdentifiabilityError
 from dashpot.estimate.identify import identify
 from dashpot.estimate.inference.record_findings import modes_outside, unrelated_inputs
 from dashpot.model.modes import modes
@@ -30,7 +30,8 @@ def test_an_input_that_shows_noise_alone_is_named() -> None:
     dead = np.array(noisy)
     dead[:, 1] = 1e-6 * rng.normal(size=len(dead))
     assert "unrelated_inputs" in codes(dead)
-    assert "unrelated_inputs" in codes(noisy, (60.0, 95.0))  # nothing was driven there
+    with pytest.raises(DataError, match="no channel moves more than its noise from 60"):
+        codes(noisy, (60.0, 95.0))  # nothing was driven there
 
 
 def test_few_tones_in_a_long_record_are_related() -> None:
