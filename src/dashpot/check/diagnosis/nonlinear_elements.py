@@ -291,7 +291,7 @@ def _fitted_where_seen(data: Prepared, psi: Real, sign: Real) -> list[ScoredElem
     if data.states is None or len(data.model.nonlinear):
         return []
     chi2 = misfit(data, psi, sign)
-    scored = seen_candidates(data, psi)
+    scored = [each for each in seen_candidates(data, psi) if each.fall > HINT * each.chi2]
     return [fitted_in_full(data, psi, sign, each, chi2, 0.0) for each in scored[:FULLY]]
 
 

@@ -97,7 +97,8 @@ def test_the_element_that_a_whole_record_calls_for_is_named_first(name: str) -> 
     assert estimate.assessment.verdict == "does not fit"
     assert estimate.assessment.reasons[0].code == "nonlinear"
     first = estimate.assessment.findings[0]
-    assert first.text.startswith("the data call for a nonlinear element between x and u, ")
+    joined = "u and x" if name == "stop" else "x and u"  # a stop on one side has a direction
+    assert first.text.startswith(f"the data call for a nonlinear element between {joined}, ")
     assert first.text.endswith(" (p < 1e-6)")
     named = {finding.elements[0].name: finding.text for finding in nonlinear(estimate)}
     assert words in named[short]
