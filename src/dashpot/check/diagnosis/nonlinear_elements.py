@@ -49,6 +49,10 @@ NEARLY = 4.0  # times the χ² that the best leaves: others that leave no more a
 ENOUGH = 2.0  # χ² per degree of freedom at which no other candidate is followed
 LIMIT = 15  # iterations of such a fit
 HINT = 0.4  # share of the misfit that a candidate must promise to be followed
+LEFT, ROUGHLY = (
+    0.1,
+    7.0,
+)  # of the misfit in the equation of motion, or χ² of a degree of freedom, that one may leave
 FALLEN = 0.1  # share by which the softened misfit must have fallen for a fit to go on
 SOFT = 0.05  # relative noise of the softened data
 STILL = 1e-9  # of the largest elongation: points that move no further do not move
@@ -291,8 +295,17 @@ def _fitted_where_seen(data: Prepared, psi: Real, sign: Real) -> list[ScoredElem
     if data.states is None or len(data.model.nonlinear):
         return []
     chi2 = misfit(data, psi, sign)
-    scored = [each for each in seen_candidates(data, psi) if each.fall > HINT * each.chi2]
+    scored = [each for each in seen_candidates(data, psi) if _mends(each)]
     return [fitted_in_full(data, psi, sign, each, chi2, 0.0) for each in scored[:FULLY]]
+
+
+def _mends(scored: ScoredElement) -> bool:
+    """Whether the equation of motion holds with a candidate: what is left is little, or nearly noise.
+
+    Where something else is wrong, a fit in full takes long and comes to nothing.
+    """
+    left = scored.chi2 - scored.fall
+    return scored.fall > HINT * scored.chi2 and (left < LEFT * scored.chi2 or left < ROUGHLY * scored.dof)
 
 
 def seen_candidates(data: Prepared, psi: Real, further: bool = False) -> list[ScoredElement]:
