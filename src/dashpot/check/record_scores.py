@@ -13,6 +13,7 @@ import numpy as np
 from scipy.linalg import block_diag
 
 from dashpot.arrays import Real
+from dashpot.check.diagnosis.candidate_elements import feeds_motion
 from dashpot.check.diagnosis.nonlinear_elements import APART, CERTAIN
 from dashpot.check.diagnosis.rig_changes import missing_elements
 from dashpot.check.diagnosis.score_test import steadiness
@@ -61,6 +62,8 @@ def element_called_for(model: Model, motions: Sequence[FollowedRecord]) -> Calle
             continue
         value = float(column @ residual) / left
         share = value**2 * left / total
+        if feeds_motion(element, value):
+            continue
         if share > (least if best is None else best.share) and steadiness(column, residual, value) < certain:
             best = CalledFor(element, share, value)
     return best

@@ -119,6 +119,11 @@ def at_each_scale(elements: Sequence[Element]) -> list[Element]:
     return scaled
 
 
+def feeds_motion(element: Element, value: float) -> bool:
+    """Whether it would be a spring that slips and drives the rig: there is none; what it explains, another law does."""
+    return element.force_law is not None and bool(element.force_law.operator) and value < 0
+
+
 def has_clearance(element: Element) -> bool:
     """Whether a spring's law has a length in it."""
     return element.kind is Kind.SPRING and element.force_law is not None and bool(element.force_law.constants)

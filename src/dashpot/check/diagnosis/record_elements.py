@@ -18,6 +18,7 @@ from dashpot.check.diagnosis.candidate_elements import (
     ScoredElement,
     at_each_scale,
     candidate_elements,
+    feeds_motion,
     has_clearance,
     moving_pairs,
 )
@@ -229,7 +230,11 @@ def _scored(
         place = next(place for place in places.values() if set(place.along) == set(element.along))
         column = place.effect * times.amplitudes(place.force(element))[:, None]
         candidate = test.of(element, rows(column[..., None])[:, 0])
-        if candidate is not None and candidate.fall > LEAST * candidate.chi2:
+        if (
+            candidate is not None
+            and candidate.fall > LEAST * candidate.chi2
+            and not feeds_motion(candidate.element, candidate.value)
+        ):
             scored.append(candidate)
     return _named(scored)
 
