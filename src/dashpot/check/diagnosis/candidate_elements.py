@@ -57,9 +57,8 @@ class ScoredElement:
         return float(fdtrc(1.0, float(max(self.dof - 1, 1)), self.fall / max(left, 1.0)))
 
 
-Motions = Mapping[
-    tuple[str, str], tuple[float, float]
-]  # elongation (m) and its rate (m/s) between two points
+# The largest elongation (m) and rate (m/s) between two points.
+Motions = Mapping[tuple[str, str], tuple[float, float]]
 
 
 def moving_pairs(model: Model) -> list[tuple[str, str]]:

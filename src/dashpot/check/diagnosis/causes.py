@@ -11,7 +11,7 @@ from dashpot.arrays import Bools, Real
 from dashpot.channel import Quantity
 from dashpot.check.diagnosis.crosstalk import cross_talk
 from dashpot.check.diagnosis.likeness import RATIOS, Likeness, likeness
-from dashpot.check.diagnosis.loud_dwells import at_loud_dwell, beside_loud_dwells
+from dashpot.check.diagnosis.loud_dwells import at_loud_dwells, beside_loud_dwells
 from dashpot.check.diagnosis.nonlinear_elements import ENOUGH, called_for
 from dashpot.check.diagnosis.open_calibrations import as_stated, with_open_calibrations
 from dashpot.check.diagnosis.possible_parts import negative_parts
@@ -152,7 +152,7 @@ def _by_chance(as_is: Outcome) -> float:
 
 def _with_nonlinear(bench: Workbench, as_is: Outcome, candidates: list[Cause]) -> list[Cause]:
     """The candidates with the nonlinear elements that the dwells call for, where nothing surer explains the misfit."""
-    doubtful = [cause for cause in candidates if at_loud_dwell(bench, cause)]
+    doubtful = at_loud_dwells(bench, candidates)
     certain = [cause for cause in candidates if cause not in doubtful]
     enough = max(ENOUGH, GROSS * as_is.reduced)
     if _explained(certain, (*PARTICULAR, "dwell"), enough) or not np.all(np.isfinite(as_is.psi)):

@@ -49,10 +49,8 @@ NEARLY = 4.0  # times the χ² that the best leaves: others that leave no more a
 ENOUGH = 2.0  # χ² per degree of freedom at which no other candidate is followed
 LIMIT = 15  # iterations of such a fit
 HINT = 0.4  # share of the misfit that a candidate must promise to be followed
-LEFT, ROUGHLY = (
-    0.1,
-    7.0,
-)  # of the misfit in the equation of motion, or χ² of a degree of freedom, that one may leave
+LEFT = 0.1  # share of the misfit in the equation of motion that a candidate may leave
+ROUGHLY = 7.0  # or χ² of a degree of freedom that it may leave there
 FALLEN = 0.1  # share by which the softened misfit must have fallen for a fit to go on
 SOFT = 0.05  # relative noise of the softened data
 STILL = 1e-9  # of the largest elongation: points that move no further do not move
@@ -216,13 +214,7 @@ def motions_of(data: Prepared, psi: Real) -> Motions:
     p = np.tile(larger.parameters(theta), (len(drive.omega), 1))
     constants = np.tile(larger.inner_constants(theta), (len(drive.omega), 1))
     moved = periodic_response(larger, p, constants, drive).delta[:, -len(probes) :]
-    delta = np.nan_to_num(np.abs(complex_of(moved)[..., 1]))
-    size, speed = np.max(delta, axis=0), np.max(delta * drive.omega[:, None], axis=0)
-    return {
-        pair: (float(d), float(v))
-        for pair, d, v in zip(both, size, speed, strict=True)
-        if d > STILL * np.max(size)
-    }  # fmt: skip
+    return _moving(both, np.nan_to_num(np.abs(complex_of(moved)[..., 1])), drive.omega)
 
 
 def measured_motions(data: Prepared) -> Motions:
@@ -235,10 +227,15 @@ def measured_motions(data: Prepared) -> Motions:
     larger = replace(model, elements=(*model.elements, *probes))
     chosen = slice(len(model.elements), None)
     delta = np.abs(states.X[0] @ larger.B[chosen].T + states.U[0] @ larger.D[chosen].T)
-    size, speed = np.max(delta, axis=0), np.max(delta * data.spectrum.omega[:, None], axis=0)
+    return _moving(both, delta, data.spectrum.omega)
+
+
+def _moving(pairs: Sequence[tuple[str, str]], delta: Real, omega: Real) -> Motions:
+    """The largest elongation (m) and rate (m/s) of those pairs that move; delta (lines, pairs), omega (lines,)."""
+    size, speed = np.max(delta, axis=0), np.max(delta * omega[:, None], axis=0)
     return {
         pair: (float(d), float(v))
-        for pair, d, v in zip(both, size, speed, strict=True)
+        for pair, d, v in zip(pairs, size, speed, strict=True)
         if d > STILL * np.max(size)
     }
 
@@ -261,7 +258,8 @@ def called_for(data: Prepared, psi: Real, sign: Real) -> list[ScoredElement]:
 
     ψ (M,): the best fit of the rig as it is.
     """
-    chi2, fitted = misfit(data, psi, sign), _fitted_where_seen(data, psi, sign)
+    chi2 = misfit(data, psi, sign)
+    fitted = _fitted_where_seen(data, psi, sign, chi2)
     if any(_certain(each) for each in fitted):
         return _nearly_best(fitted)
     for softness, start, followed in (
@@ -290,11 +288,13 @@ def _certain(fitted: ScoredElement) -> bool:
     return fitted.p_value < CERTAIN and fitted.fall > MARKED * fitted.chi2
 
 
-def _fitted_where_seen(data: Prepared, psi: Real, sign: Real) -> list[ScoredElement]:
-    """The best candidates by the equation of motion, fitted in full from there; [] where not all motion is seen."""
+def _fitted_where_seen(data: Prepared, psi: Real, sign: Real, chi2: float) -> list[ScoredElement]:
+    """The best candidates by the equation of motion, fitted in full from there; [] where not all motion is seen.
+
+    chi2: of the rig as it is at ψ (M,).
+    """
     if data.states is None or len(data.model.nonlinear):
         return []
-    chi2 = misfit(data, psi, sign)
     scored = [each for each in seen_candidates(data, psi) if _mends(each)]
     return [fitted_in_full(data, psi, sign, each, chi2, 0.0) for each in scored[:FULLY]]
 
