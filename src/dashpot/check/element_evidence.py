@@ -18,6 +18,7 @@ from dashpot.arrays import Real
 from dashpot.check.diagnosis.candidate_elements import (
     Motions,
     candidate_elements,
+    feeds_motion,
     moving_pairs,
     with_open_constants,
 )
@@ -66,10 +67,17 @@ class ElementEvidence:
     remaining: float
     evidence: float
 
+    @property
+    def passive(self) -> bool:
+        """Whether none of the elements would drive the rig."""
+        return not any(map(feeds_motion, self.elements, self.values))
+
 
 @dataclass(frozen=True)
 class ElementComparison:
     """Candidates by their evidence, the best first; `chosen`: those that together are worth their unknowns, if any.
+
+    Those that would drive the rig are ranked, as friction below zero is, but never chosen.
 
     numbers: how many independent numbers the residuals are worth.
     """
@@ -128,7 +136,7 @@ def compare_in_dwells(model: Model, spectrum: Spectrum) -> ElementComparison:
         element = replace(named, name=free_name(model, named), guess=float(f"{full.value:.4g}"))
         ranked.append(ElementEvidence((element,), (full.value,), left, float(ln_evidence)))
     ranked.sort(key=lambda one: -one.evidence)
-    best = ranked[0] if ranked[0].evidence > DECISIVE else None
+    best = next((one for one in ranked if one.evidence > DECISIVE and one.passive), None)
     return ElementComparison(model.name, float(scored[0].dof), tuple(ranked), best)
 
 
@@ -168,7 +176,9 @@ def compare_in_records(
 
 def _called_for(ranked: Sequence[ElementEvidence]) -> ElementEvidence | None:
     """The fewest elements beside which more are not worth their unknowns; None where none is.  Best first."""
-    worth = [one for one in ranked if one.evidence > max(DECISIVE, ranked[0].evidence - DECISIVE)]
+    ranked = [one for one in ranked if one.passive]
+    most = ranked[0].evidence if ranked else 0.0
+    worth = [one for one in ranked if one.evidence > max(DECISIVE, most - DECISIVE)]
     return min(worth, key=lambda one: len(one.elements)) if worth else None
 
 

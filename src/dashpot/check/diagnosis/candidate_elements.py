@@ -119,8 +119,13 @@ def at_each_scale(elements: Sequence[Element]) -> list[Element]:
 
 
 def feeds_motion(element: Element, value: float) -> bool:
-    """Whether it would be a spring that slips and drives the rig: there is none; what it explains, another law does."""
-    return element.force_law is not None and bool(element.force_law.operator) and value < 0
+    """Whether it would drive the rig: friction or damping below zero, or a spring that slips backwards.
+
+    There is none; what it explains, another law does: friction below zero stands for damping that grows with speed,
+    damping below zero that grows for friction.
+    """
+    law = element.force_law
+    return law is not None and value < 0 and (element.kind is Kind.DAMPER or bool(law.operator))
 
 
 def has_clearance(element: Element) -> bool:

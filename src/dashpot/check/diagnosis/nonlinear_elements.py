@@ -18,6 +18,7 @@ from dashpot.check.diagnosis.candidate_elements import (
     Motions,
     ScoredElement,
     candidate_elements,
+    feeds_motion,
     moving_pairs,
     with_open_constants,
 )
@@ -267,13 +268,18 @@ def called_for(data: Prepared, psi: Real, sign: Real) -> list[ScoredElement]:
         (SOFT, softened(data, psi, sign), SOFTLY),
     ):
         candidates = candidate_elements(data.model, motions_of(data, start))
-        scored = scored_in_dwells(data, start, sign, candidates, softness)
+        scored = _passive(scored_in_dwells(data, start, sign, candidates, softness))
         for candidate in scored[:followed]:
             if candidate.fall > HINT * candidate.chi2:
-                fitted.append(fitted_in_full(data, start, sign, candidate, chi2, softness))
+                fitted += _passive([fitted_in_full(data, start, sign, candidate, chi2, softness)])
             if fitted and fitted[-1].chi2 - fitted[-1].fall < ENOUGH * fitted[-1].dof:
                 return [fitted[-1]] if fitted[-1].p_value < CERTAIN else []
     return _nearly_best(fitted)
+
+
+def _passive(scored: Sequence[ScoredElement]) -> list[ScoredElement]:
+    """Those that do not drive the rig."""
+    return [each for each in scored if not feeds_motion(each.element, each.value)]
 
 
 def _nearly_best(fitted: Sequence[ScoredElement]) -> list[ScoredElement]:
@@ -295,8 +301,8 @@ def _fitted_where_seen(data: Prepared, psi: Real, sign: Real, chi2: float) -> li
     """
     if data.states is None or len(data.model.nonlinear):
         return []
-    scored = [each for each in seen_candidates(data, psi) if _mends(each)]
-    return [fitted_in_full(data, psi, sign, each, chi2, 0.0) for each in scored[:FULLY]]
+    scored = [each for each in _passive(seen_candidates(data, psi)) if _mends(each)]
+    return _passive([fitted_in_full(data, psi, sign, each, chi2, 0.0) for each in scored[:FULLY]])
 
 
 def _mends(scored: ScoredElement) -> bool:
