@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 from itertools import combinations
 
 from scipy.special import fdtrc
@@ -11,7 +12,7 @@ from scipy.special import fdtrc
 from dashpot.arrays import Real
 from dashpot.model.elements import Element, Kind, between
 from dashpot.model.network import Model
-from dashpot.model.nonlinear.force_law import Constant, force_law
+from dashpot.model.nonlinear.force_law import Constant, ForceLaw, force_law
 
 # Kind, law and the share of the motion that its constant is, if it has one.
 LAWS: tuple[tuple[Kind, str, str, float], ...] = (
@@ -73,6 +74,13 @@ def moving_pairs(model: Model) -> list[tuple[str, str]]:
     ]  # fmt: skip
 
 
+@cache
+def _law(kind: Kind, name: str, constant: str) -> ForceLaw:
+    """A law, read once: that takes longer than all that is done with it."""
+    constants = [Constant(constant, 1.0)] if constant else []
+    return force_law(name, constants, damper=kind is Kind.DAMPER)
+
+
 def candidate_elements(model: Model, motions: Motions, further: bool = False) -> list[Element]:
     """Every law of LAWS, and of FURTHER, between the points that move, their constants in proportion to the motion.
 
@@ -87,7 +95,7 @@ def candidate_elements(model: Model, motions: Motions, further: bool = False) ->
     for (first, second), (size, speed) in motions.items():
         for kind, name, constant, share in (*LAWS, *(FURTHER if further else ())):
             value = share * (speed if constant == "v0" else size)
-            law = force_law(name, [Constant(constant, value)] if constant else [], damper=kind is Kind.DAMPER)
+            law = _law(kind, name, constant).with_constants([Constant(constant, value)])
             for points in ((first, second), (second, first))[: 2 if name == ONE_SIDED else 1]:
                 plain = between("_".join([WORDS.get(name, name), kind.value, *points]), kind, *points)
                 if (law.expression.text, frozenset(plain.along)) not in there:

@@ -48,7 +48,7 @@ FULLY = 4  # candidates that are fitted in full where all motion is seen
 FOLLOWED, SOFTLY = 2, 4  # candidates that are fitted in full, the second number from the softened data
 NEARLY = 4.0  # times the χ² that the best leaves: others that leave no more are named, too
 ENOUGH = 2.0  # χ² per degree of freedom at which no other candidate is followed
-LIMIT = 15  # iterations of such a fit
+GLANCE, LIMIT = 5, 15  # iterations of such a fit: before it must have begun to help, and in all
 HINT = 0.4  # share of the misfit that a candidate must promise to be followed
 LEFT = 0.1  # share of the misfit in the equation of motion that a candidate may leave
 ROUGHLY = 7.0  # or χ² of a degree of freedom that it may leave there
@@ -254,14 +254,30 @@ def _descended(
     return (end[0], float(chi2[0])) if np.isfinite(chi2[0]) else (psi, np.inf)
 
 
-def called_for(data: Prepared, psi: Real, sign: Real) -> list[ScoredElement]:
+def _followed(
+    view: ObservationModel, exact: Measured, psi: Real, sign: Real, most: float, *, regaining: bool = False
+) -> tuple[Real, float]:
+    """(ψ, χ²) downhill from ψ (M,) of a candidate, a few steps only where χ² does not come below `most` by then.
+
+    regaining: where it does not, dwells that are lost near a fold are looked for first.
+    """
+    ended, cost = _descended(view, exact, psi, sign, GLANCE)
+    if cost > most and regaining and lost_dwells_regained(view, exact, ended[None]):
+        ended, cost = _descended(view, exact, ended, sign, GLANCE)
+    return _descended(view, exact, ended, sign, LIMIT - GLANCE) if cost < most else (ended, cost)
+
+
+def called_for(data: Prepared, psi: Real, sign: Real, *, thorough: bool = True) -> list[ScoredElement]:
     """Nonlinear elements that the dwells call for, fitted in full, the best first; [] where none is certain.
 
-    ψ (M,): the best fit of the rig as it is.
+    ψ (M,): the best fit of the rig as it is.  Where all motion is seen, those that the equation of motion does not
+    show are looked for only if `thorough`: to reach them from a rig that does not fit takes seconds.
     """
     chi2 = misfit(data, psi, sign)
-    fitted = _fitted_where_seen(data, psi, sign, chi2)
-    if any(_certain(each) for each in fitted):
+    seen = _passive(_scored_where_seen(data, psi))
+    mending = [each for each in seen if _mends(each)]
+    fitted = _passive([fitted_in_full(data, psi, sign, each, chi2, 0.0) for each in mending[:FULLY]])
+    if any(_certain(each) for each in fitted) or (seen and not thorough):
         return _nearly_best(fitted)
     for softness, start, followed in (
         (0.0, psi, FOLLOWED),
@@ -294,15 +310,9 @@ def _certain(fitted: ScoredElement) -> bool:
     return fitted.p_value < CERTAIN and fitted.fall > MARKED * fitted.chi2
 
 
-def _fitted_where_seen(data: Prepared, psi: Real, sign: Real, chi2: float) -> list[ScoredElement]:
-    """The best candidates by the equation of motion, fitted in full from there; [] where not all motion is seen.
-
-    chi2: of the rig as it is at ψ (M,).
-    """
-    if data.states is None or len(data.model.nonlinear):
-        return []
-    scored = [each for each in _passive(seen_candidates(data, psi)) if _mends(each)]
-    return _passive([fitted_in_full(data, psi, sign, each, chi2, 0.0) for each in scored[:FULLY]])
+def _scored_where_seen(data: Prepared, psi: Real) -> list[ScoredElement]:
+    """The candidates beside a linear rig by the equation of motion, the best first; [] where not all motion is seen."""
+    return [] if data.states is None or len(data.model.nonlinear) else seen_candidates(data, psi)
 
 
 def _mends(scored: ScoredElement) -> bool:
@@ -310,8 +320,9 @@ def _mends(scored: ScoredElement) -> bool:
 
     Where something else is wrong, a fit in full takes long and comes to nothing.
     """
-    left = scored.chi2 - scored.fall
-    return scored.fall > HINT * scored.chi2 and (left < LEFT * scored.chi2 or left < ROUGHLY * scored.dof)
+    left, beyond_noise = scored.chi2 - scored.fall, max(scored.chi2 - scored.dof, 0.0)
+    promising = scored.fall > HINT * beyond_noise and scored.p_value < CERTAIN
+    return promising and (left < LEFT * scored.chi2 or left < ROUGHLY * scored.dof)
 
 
 def seen_candidates(data: Prepared, psi: Real, further: bool = False) -> list[ScoredElement]:
@@ -349,15 +360,14 @@ def fitted_in_full(
             extended, {element.name: value}, psi if candidate.psi is None else candidate.psi
         )
         if softness > 0:
-            start, left = _descended(view, _without_raising(measured(larger, softness)), start, sign, LIMIT)
+            soft = _without_raising(measured(larger, softness))
+            start, left = _followed(view, soft, start, sign, candidate.chi2)
             if left > (1 - FALLEN) * candidate.chi2:
                 continue  # what does not help there leads nowhere in sharper data
-        ended, cost = _descended(view, exact, start, sign, LIMIT)
-        if cost > chi2 and lost_dwells_regained(view, exact, ended[None]):  # near a fold
-            ended, cost = _descended(view, exact, ended, sign, LIMIT)
+        ended, cost = _followed(view, exact, start, sign, chi2, regaining=True)
         if cost < least:
             best, least = ended, cost
-        if least < ENOUGH * candidate.dof:
+        if least < chi2:  # a smaller value leads to the same end
             break
     names = [unknown.name for unknown in extended.unknowns]
     values = dict(zip(names, best[: len(names)].tolist(), strict=True))
