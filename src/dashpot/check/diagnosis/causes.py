@@ -217,8 +217,9 @@ def _only(kept: Bools, *, column: int | None = None, line: int | None = None) ->
 
 
 def _of_outcome(outcome: Outcome) -> Cause:
-    left = outcome.reduced if outcome.dof > 0 else np.inf  # nothing left to test it by
-    return Cause(outcome.trial.kind, outcome.trial.of, left, outcome.trial.value)
+    left, trial = outcome.reduced if outcome.dof > 0 else np.inf, outcome.trial  # nothing left to test it by
+    derivative = Likeness(1.0, int(trial.value), 0.0, False, 0.0) if trial.kind == "quantity" else None
+    return Cause(trial.kind, trial.of, left, trial.value, derivative)
 
 
 def _inputs_otherwise(bench: Workbench, base: Trial) -> list[Trial]:
