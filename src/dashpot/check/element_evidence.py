@@ -31,6 +31,7 @@ from dashpot.check.diagnosis.nonlinear_elements import (
     seen_candidates,
     softened,
 )
+from dashpot.check.diagnosis.record_channels import require_sound_channels
 from dashpot.check.diagnosis.wording import free_name
 from dashpot.data.record import Record
 from dashpot.data.spectrum import Spectrum
@@ -146,8 +147,9 @@ def compare_in_records(
     """From whole records, by integration: candidates are scored at the fit of the rig as it is, the best fitted.
 
     Inputs count as exact: were their true values unknown, errors of theirs could explain what an element would.
-    Raises what `identify_records` raises.
+    Raises what `identify_records` raises, and DataError where channels contradict each other.
     """
+    require_sound_channels(model, records[0])
     base = model if len(model.nonlinear) else with_nothing(model)
     fitted = fit_records(base, records, exact_inputs=True)
     estimate = fitted.estimate()
