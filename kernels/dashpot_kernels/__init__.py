@@ -2,7 +2,6 @@
 
 from dashpot_kernels._core import (
     Equation,
-    NonlinearRig,
     Output,
     Records,
     Rig,
@@ -18,7 +17,6 @@ from dashpot_kernels._core import (
 
 __all__ = [
     "Equation",
-    "NonlinearRig",
     "Output",
     "Records",
     "Rig",
@@ -31,4 +29,4 @@ __all__ = [
     "scaled_inverse",
     "set_instructions",
 ]
-__version__ = "0.3.0"
+__version__ = "0.2.1"

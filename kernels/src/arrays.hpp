@@ -37,6 +37,5 @@ inline void require(bool right, const char *what) {
 }
 
 void bind_small_rigs(nb::module_ &module);
-void bind_nonlinear_rigs(nb::module_ &module);
 
 }  // namespace dashpot

@@ -9,6 +9,7 @@ import numpy as np
 from dashpot.arrays import Ints, Real
 from dashpot.data.spectrum import Spectrum
 from dashpot.errors import DataError
+from dashpot.estimate.inference.flat_valley import flat_valley
 from dashpot.estimate.likelihood.chunks import Measured
 from dashpot.estimate.likelihood.objective import (
     bounds,
@@ -30,7 +31,8 @@ from dashpot.numerics.small_systems import scaled_inverse
 class Surface:
     """χ²(ψ) of K repeats with the priors' part; psi (K, M) is its minimum near the estimate, cost (K,) the value there.
 
-    information (K, lines, M, M) of each line at psi; lower, upper (M,) what the model allows.
+    information (K, lines, M, M) of each line at psi; lower, upper (M,) what the model allows; lacking (M, M) the
+    curvature that χ² has where one repeat's information has none.
     """
 
     view: ObservationModel
@@ -41,14 +43,16 @@ class Surface:
     information: Real
     lower: Real
     upper: Real
+    lacking: Real
 
     def at(self, psi: Real, rows: Ints) -> QuadraticModel:
         """χ², minus half its slope, and half its curvature (Gauss-Newton) at ψ, (k, M), of the repeats `rows`."""
         return local(self.view, self.data.pick(rows), psi, self.sign[rows])
 
     def covariance(self) -> Real:
-        """Inverse of information and priors, (K, M, M); NaN where it is singular."""
-        return scaled_inverse(np.sum(self.information, axis=-3) + np.diag(prior_precision(self.view)))
+        """Inverse of information, curvature beside it and priors, (K, M, M); NaN where that is singular."""
+        held = self.lacking + np.diag(prior_precision(self.view))
+        return scaled_inverse(np.sum(self.information, axis=-3) + held)
 
 
 def chi2_surface(model: Model, spectrum: Spectrum, estimate: Estimate) -> Surface:
@@ -78,4 +82,12 @@ def chi2_surface(model: Model, spectrum: Spectrum, estimate: Estimate) -> Surfac
 
     minimum = minimise(evaluate, psi, limit=100, tolerance=1e-6, lower=lower, upper=upper)
     information, _, _ = per_line(view, exact, minimum.x, sign)
-    return Surface(view, exact, sign, minimum.x, minimum.cost, information, lower, upper)
+    # At the estimate itself, as its covariance has it.
+    scale = (
+        1.0
+        if data.noise_known
+        else float(evaluate(psi[:1], np.array([0])).cost[0]) / max(estimate.fit.dof, 1)
+    )
+    valley = flat_valley(view, exact, psi, sign, scale)
+    lacking = np.zeros((len(view.names),) * 2) if valley is None else valley.curvature
+    return Surface(view, exact, sign, minimum.x, minimum.cost, information, lower, upper, lacking)

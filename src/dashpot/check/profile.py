@@ -7,6 +7,7 @@ much as the parabola would at ± t sd is a likelihood-ratio interval and follows
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -116,13 +117,6 @@ def profile(
     )  # fmt: skip
 
 
-def signed_root(rise: Real) -> Real:
-    """The root of a rise of χ², negative where χ² falls; infinite where it is none."""
-    known = np.where(np.isfinite(rise), rise, np.inf)
-    root: Real = np.sign(known) * np.sqrt(np.abs(known))
-    return root
-
-
 @dataclass(frozen=True)
 class Side:
     """One side of the profile: where the rise is reached; what the first repeat met on the way.
@@ -165,14 +159,30 @@ class Walk:
             matrix = at.symmetric[:, others][:, :, others]
             return QuadraticModel(at.cost, at.gradient[:, others], matrix, matrix)
 
+        starts = start + self._kicks[:, None]
+        tried = len(starts)
+        rows, value = np.tile(rows, tried), np.tile(value, tried)
         minimum = minimise(
-            evaluate, start[:, others], limit=60, tolerance=1e-4,
+            evaluate, starts.reshape(-1, start.shape[1])[:, others], limit=60, tolerance=1e-4,
             lower=base.lower[others], upper=base.upper[others],
         )  # fmt: skip
-        return self._root(minimum.cost, rows), whole(minimum.x, np.arange(len(value)))
+        cost = np.where(np.isfinite(minimum.cost), minimum.cost, np.inf).reshape(tried, -1)
+        best = np.argmin(cost, axis=0) * len(start) + np.arange(len(start))
+        return self._root(minimum.cost[best], rows[best]), whole(minimum.x, np.arange(len(value)))[best]
+
+    @cached_property
+    def _kicks(self) -> Real:
+        """Displacements (k, M) of starts, of which the first is none: beside a fold the way out is along a ridge."""
+        none = np.zeros((1, self.base.psi.shape[1]))
+        if not np.any(self.base.lacking):
+            return none
+        covariance = self.base.covariance()[0]
+        away = covariance / np.sqrt(np.diagonal(covariance))[:, None]
+        return np.concatenate([none, away, -away])
 
     def _root(self, cost: Real, rows: Ints) -> Real:
-        return signed_root(cost - self.base.cost[rows])
+        rise = np.where(np.isfinite(cost), cost - self.base.cost[rows], np.inf)
+        return np.sign(rise) * np.sqrt(np.abs(rise))
 
     def end(self, side: float, start: tuple[Real, float] | None = None) -> Side:
         """One side: below the estimate (−1) or above it (1); of the first repeat on from ψ (M,) with its root."""

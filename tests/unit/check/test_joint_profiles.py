@@ -10,6 +10,7 @@ import pytest
 from dashpot.arrays import Real
 from dashpot.check.curvature import with_profile_intervals
 from dashpot.data.spectrum import Spectrum
+from dashpot.errors import IdentifiabilityError
 from dashpot.estimate.automatic import identify_automatically
 from dashpot.estimate.identify import identify
 from dashpot.estimate.likelihood.maximum_likelihood import MaximumLikelihood
@@ -64,11 +65,20 @@ def test_what_the_likelihood_allows_is_in_the_intervals() -> None:
 
 @pytest.mark.long
 def test_coverage_where_there_are_several_valleys() -> None:
-    """40 draws of 11 unknowns that go together: a standard error of about 1.5 points (78 % before)."""
+    """40 draws of 11 unknowns that go together: a standard error of about 1.5 points (78 % before).
+
+    Three have their best fit along a valley without end, where all above the lowest spring vanishes together.
+    """
     model, theta, data = seen_at_two_of_four(40)
-    held = []
+    held, endless = [], 0
     for spectrum in data:
-        estimate = with_profile_intervals(model, spectrum, identify_automatically(model, spectrum))
+        try:
+            estimate = identify_automatically(model, spectrum)
+        except IdentifiabilityError:
+            endless += 1
+            continue
+        estimate = with_profile_intervals(model, spectrum, estimate)
         low, high = estimate.interval()
         held.append((low <= theta) & (theta <= high))
     assert 0.92 <= np.mean(held) <= 0.99
+    assert endless <= 3

@@ -4,8 +4,11 @@ from __future__ import annotations
 
 from functools import partial
 
+import numpy as np
+
 from dashpot.data.spectrum import Spectrum
 from dashpot.estimate.inference import diagnostics, record_findings
+from dashpot.estimate.inference.flat_valley import require_end
 from dashpot.estimate.inference.uncertainty import Inference
 from dashpot.estimate.inference.unseen_laws import require_traces, unseen_laws
 from dashpot.estimate.result import Fit
@@ -33,6 +36,12 @@ def _of_estimate(model: Model, spectrum: Spectrum, part: Inference, fit: Fit) ->
     few = partial(record_findings.few_lines, model, spectrum)
     traces = partial(require_traces, model, names, part.information[0])
     diagnostics.require_determined(names, theta, noise, dead, few, traces)
+    # What runs off because the rig or a channel is another one has a cause, which an estimate must be there to show.
+    sound = not fit.rejected.any() and not np.any(
+        theta[: len(model.unknowns)][diagnostics.of_one_sign(model)] < 0
+    )
+    if part.valley is not None and not bool(part.solution.converged[0]) and sound:
+        require_end(part.valley, names, part.units, theta)
     shown = []
     if fit.known_noise and not part.method.traits.maximum_likelihood:
         shown += diagnostics.bias(names, theta, part.most_likely[0], covariance, part.method)

@@ -12,7 +12,9 @@ from scipy.special import chdtrc
 from dashpot.arrays import Ints, Real
 from dashpot.data.spectrum import FITTED, Spectrum
 from dashpot.estimate.inference.band_stability import BandStability, band_stability
+from dashpot.estimate.inference.flat_valley import Valley, flat_valley
 from dashpot.estimate.inference.noise_in_time import CountedInTime, counted_in_time
+from dashpot.estimate.likelihood.descent import NEAR_END, ROUGH, descend_in_repeats
 from dashpot.estimate.likelihood.maximum_likelihood import MaximumLikelihood
 from dashpot.estimate.likelihood.objective import (
     measured,
@@ -35,6 +37,7 @@ from dashpot.numerics.small_systems import scaled_inverse, solve_scaled
 
 ROUNDING = 1e-30  # χ² of exact data against noise of the data's own size
 UNSETTLED = 0.1  # of χ², by which an end may lie above the minimum of its parabola
+DESCENTS = 3  # into valleys whose bottom lies beside where the descent ended
 MISFIT_LEVEL = 1e-3  # p-value of χ² below which intervals count the misfit of the model
 
 
@@ -62,6 +65,17 @@ class Linearised:
         """What parts of the band know, of chosen repeats."""
         information, scores, _ = self.by_line(repeats)
         return band_stability(frequency_hz, information, scores, np.diag(self.precision))
+
+    def with_curvature(self, curvature: Real) -> Linearised:
+        """This with information (M, M) that no line alone has, spread evenly over them."""
+
+        def by_line(repeats: Ints) -> tuple[Real, Real, Real]:
+            information, scores, cost = self.by_line(repeats)
+            return information + curvature / information.shape[1], scores, cost
+
+        symmetric = self.sums.symmetric + curvature
+        sums = replace(self.sums, symmetric=symmetric, free=symmetric)
+        return replace(self, sums=sums, by_line=by_line)
 
     @cached_property
     def dof(self) -> int:
@@ -97,6 +111,7 @@ class Inference:
     names, units  of all that is estimated
     dof           degrees of freedom of χ²
     information   of all lines and priors, (K, M, M)
+    valley        along which χ² stays low, of one repeat where information lacks a direction
     """
 
     method: Method
@@ -107,6 +122,7 @@ class Inference:
     dof: int
     uncertainty: Uncertainty
     information: Real
+    valley: Valley | None = None
 
 
 def inference(data: Prepared, solution: Solution, method: Method) -> Inference:
@@ -117,6 +133,10 @@ def inference(data: Prepared, solution: Solution, method: Method) -> Inference:
     best = most_likely(data, solution, method.traits)
     # What each line says of many lines and repeats is large, and held no longer than it is needed.
     around = linearise(data, best, method.traits)
+    valley = None
+    if method.traits.maximum_likelihood and solution.bounds is None and len(best.theta) == 1:
+        solution, around, valley = _with_flat_valley(data, solution, around, method.traits)
+        best = solution
     worth = uncertainty(data, best, around, method.traits)
     if method.traits.maximum_likelihood:
         # What runs off to infinity takes steps below its deviations, too, and is nowhere near a minimum.
@@ -127,8 +147,46 @@ def inference(data: Prepared, solution: Solution, method: Method) -> Inference:
     if worth.in_time is not None:
         solution = replace(solution, theta=solution.theta + worth.in_time.step)
     return Inference(
-        method, solution, best.theta, around.names, around.units, around.dof, worth, around.sums.symmetric
+        method,
+        solution,
+        best.theta,
+        around.names,
+        around.units,
+        around.dof,
+        worth,
+        around.sums.symmetric,
+        valley,
     )
+
+
+def _with_flat_valley(
+    data: Prepared, solution: Solution, around: Linearised, traits: Traits
+) -> tuple[Solution, Linearised, Valley | None]:
+    """The bottom of a valley whose information lacks a direction, and the curvature that χ² has along it."""
+    view, exact = data.view, measured(data)
+    sign = data.spectrum.signs(solution.signs, 1)
+    valley = None
+    for _ in range(DESCENTS):
+        scale = 1.0 if data.noise_known else float(around.sums.cost[0]) / max(around.dof, 1)
+        valley = flat_valley(view, exact, solution.theta, sign, scale)
+        if valley is None or not valley.bounded or valley.fall == 0:
+            break
+        end = descend_in_repeats(
+            view,
+            exact,
+            valley.lowest[None],
+            sign,
+            np.zeros(1, dtype=np.int64),
+            limit=ROUGH,
+            tolerance=NEAR_END,
+        )
+        solution = replace(solution, theta=end.x)
+        around = linearise(data, solution, traits)
+    if valley is None or not valley.bounded:
+        return solution, around, valley
+    around = around.with_curvature(valley.curvature)
+    solution = replace(solution, covariance=around.sums.inverse, converged=np.array([valley.fall == 0]))
+    return solution, around, valley
 
 
 def with_noise_of_residuals(data: Prepared, method: Method) -> Prepared:
