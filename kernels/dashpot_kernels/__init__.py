@@ -2,6 +2,7 @@
 
 from dashpot_kernels._core import (
     Equation,
+    NonlinearRig,
     Output,
     Records,
     Rig,
@@ -17,6 +18,7 @@ from dashpot_kernels._core import (
 
 __all__ = [
     "Equation",
+    "NonlinearRig",
     "Output",
     "Records",
     "Rig",
@@ -29,4 +31,4 @@ __all__ = [
     "scaled_inverse",
     "set_instructions",
 ]
-__version__ = "0.2.1"
+__version__ = "0.3.0"

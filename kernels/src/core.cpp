@@ -1,17 +1,13 @@
 // The module: arrays in, arrays out; which instruction set; threads.
 #include <algorithm>
-#include <atomic>
 #include <cmath>
 #include <complex>
 #include <cstdint>
 #include <cstdlib>
 #include <memory>
-#include <new>
 #include <optional>
 #include <stdexcept>
 #include <string>
-#include <system_error>
-#include <thread>
 #include <vector>
 
 #include <nanobind/nanobind.h>
@@ -24,6 +20,7 @@
 
 #include "arrays.hpp"
 #include "problem.hpp"
+#include "threads.hpp"
 
 namespace nb = nanobind;
 using namespace nb::literals;
@@ -36,19 +33,16 @@ namespace avx512 { extern const dashpot::Loops LOOPS; }
 
 namespace {
 
-using dashpot::Array, dashpot::array, dashpot::Complexes, dashpot::Flags, dashpot::Integers, dashpot::numbers,
-    dashpot::Reals, dashpot::require;
+const dashpot::Loops *chosen = nullptr;
 
-// Numbers on the boundaries of cache lines.
-struct Free {
-    void operator()(void *memory) const { std::free(memory); }
-};
-template <class T> using Memory = std::unique_ptr<T[], Free>;
-template <class T> Memory<T> memory(size_t count) {
-    void *place = std::aligned_alloc(64, (std::max<size_t>(count, 1) * sizeof(T) + 63) / 64 * 64);
-    if (!place) throw std::bad_alloc();
-    return Memory<T>(static_cast<T *>(place));
-}
+}  // namespace
+
+const dashpot::Loops &dashpot::loops() { return *chosen; }
+
+namespace {
+
+using dashpot::Array, dashpot::array, dashpot::Complexes, dashpot::Flags, dashpot::Integers, dashpot::numbers,
+    dashpot::Reals, dashpot::require, dashpot::Memory, dashpot::memory, dashpot::share;
 
 std::vector<const dashpot::Loops *> available() {
     std::vector<const dashpot::Loops *> sets = {&baseline::LOOPS};
@@ -60,35 +54,6 @@ std::vector<const dashpot::Loops *> available() {
     }
 #endif
     return sets;
-}
-
-const dashpot::Loops *chosen = nullptr;
-
-// Rows shared out to threads; each piece gets a workspace of its own.
-template <class Work> void share(long rows, int threads, size_t workspace, Work work) {
-    threads = static_cast<int>(std::max<long>(1, std::min<long>(threads, rows)));
-    if (threads == 1) {
-        Memory<char> place = memory<char>(workspace);
-        work(0, rows, place.get());
-        return;
-    }
-    const long piece = std::max<long>(1, rows / (8 * threads));
-    std::atomic<long> next{0};
-    std::vector<Memory<char>> places;
-    for (int k = 0; k < threads; ++k) places.push_back(memory<char>(workspace));
-    auto run = [&](char *place) {
-        for (long from = next.fetch_add(piece); from < rows; from = next.fetch_add(piece))
-            work(from, std::min(rows, from + piece), place);
-    };
-    std::vector<std::thread> team;
-    team.reserve(threads);
-    try {
-        for (int k = 1; k < threads; ++k) team.emplace_back(run, places[k].get());
-    } catch (const std::system_error &) {
-        // The system allows no more threads: those that there are share all rows.
-    }
-    run(places[0].get());
-    for (std::thread &member : team) member.join();
 }
 
 struct Rig {
@@ -732,6 +697,7 @@ NB_MODULE(_core, module) {
              "folded_slopes"_a.none(), "of_columns"_a, "of_basis"_a, "threads"_a = 1)
         .def("residuals", &Records::residuals, "psi"_a, "sign"_a, "folded"_a.none(), "z"_a, "t"_a, "threads"_a = 1);
     dashpot::bind_small_rigs(module);
+    dashpot::bind_nonlinear_rigs(module);
     module.def("line_shares", &line_shares, "information"_a, "inflation"_a, "bread"_a, "threads"_a = 1);
     module.def("harmonic_sums", &harmonic_sums, "values"_a, "turns"_a, "origin"_a, "threads"_a = 1);
     module.def("instruction_sets", [] {

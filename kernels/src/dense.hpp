@@ -37,13 +37,15 @@ static void eliminate(double *__restrict A, double *__restrict R, int m, int k) 
         const double pivot = 1 / A[i * m + i];
         for (int row = i + 1; row < m; ++row) {
             const double factor = A[row * m + i] * pivot;
+            if (factor == 0) continue;  // even and odd harmonics of odd laws know nothing of each other
             for (int j = i + 1; j < m; ++j) A[row * m + j] -= factor * A[i * m + j];
             for (int j = 0; j < k; ++j) R[row * k + j] -= factor * R[i * k + j];
         }
     }
     for (int i = m - 1; i >= 0; --i) {
         for (int row = i + 1; row < m; ++row)
-            for (int j = 0; j < k; ++j) R[i * k + j] -= A[i * m + row] * R[row * k + j];
+            if (A[i * m + row] != 0)
+                for (int j = 0; j < k; ++j) R[i * k + j] -= A[i * m + row] * R[row * k + j];
         for (int j = 0; j < k; ++j) R[i * k + j] /= A[i * m + i];
     }
 }

@@ -105,6 +105,72 @@ struct Ends {
     double *sum = nullptr, *gradient = nullptr, *symmetric = nullptr, *free = nullptr;  // at the end; all or none
 };
 
+// What a law's program may do, in the order of dashpot.model.nonlinear.compiled.CODES: leaves, choices, functions of
+// one operand and of two.
+enum class LawCode : int {
+    NUMBER, NAME, WHERE, MIN, MAX, NEGATIVE, WHOLE_POWER, ABS, SIGN, TANH, EXP, LOG, SQRT, SIN, COS,
+    PLUS, MINUS, TIMES, OVER, POWER, ALL
+};
+
+// `which`: the name (0 d, 1 v, 2 … the law's constants) or the exponent.
+struct LawStep {
+    LawCode code;
+    int which;
+    double number;
+};
+
+// A rig with nonlinear elements, whose laws are programs of steps; `bent` counts these elements.
+struct NonlinearRig {
+    int n, r, s, elements, bent, constants, names, depth;  // names: of the law that has most
+    const double *B, *D, *S;                               // (elements, n), (elements, r), (n, s)
+    const int *chosen, *constant_start, *step_start;       // (bent,), (bent + 1,), (bent + 1,)
+    const LawStep *steps;
+    // Entries of the linear elements: += value * p[element] * factor[element] at place = row (n + r) + column.
+    int cells;
+    const int *cell_element, *cell_place;
+    const double *cell_value;
+};
+
+// N dwells with the harmonics 0 … orders and what drives them; complex numbers as pairs.
+struct Dwells {
+    int count, orders, times;
+    const double *p, *constants, *omega;  // (N, elements), (N, constants), (N,)
+    const double *factors;                // (N, orders + 1, elements), complex
+    const double *U, *f;                  // (N, orders + 1, r) and (N, orders + 1, s), complex
+    bool feeds_back;                      // whether any nonlinear element has a strength
+};
+
+// The equations of harmonic balance and where Newton's method left them, W = 2 orders + 1 real numbers an element.
+struct BalanceAt {
+    double *inverse, *receptance, *share, *driven, *free;  // (N, orders + 1, …), complex
+    double *free_real, *q, *a, *slope, *by_constant, *error;
+};
+
+// Directions: along_p (elements, Q), along_constants (constants, Q), along_U and along_f (N or 1, orders + 1, …, Q),
+// complex, or null; a (N, orders + 1, elements), complex.
+struct Directions {
+    int count;
+    const double *along_p, *along_constants, *along_U, *along_f;
+    bool same;  // along_U and along_f of all dwells
+    const double *a;
+    double *dX, *d_forces, *d_delta;
+};
+
+// Lines of `dwells` dwells, the same in all repeats, and what channels show at them.  The lines of a dwell stand side by
+// side: `line` says which line of the spectrum, `order` which harmonic; first (dwells + 1,).  Dwells holds p and
+// constants by repeat, omega and factors by dwell.
+struct NonlinearLines {
+    int count, dwells, channels, directions;
+    const int *first, *line, *order;
+    const double *rates, *on_x, *on_q, *force;  // (lines, channels) complex, (channels, …)
+    const double *q;                            // (K, lines, r + s), complex
+    const double *start;                        // (K, dwells, e, W), or null
+    const double *along_p, *along_constants;    // (elements, Q), (constants, Q)
+    const double *along_U, *along_f;            // (dwells, orders + 1, …, Q), complex, or null
+    double *shown, *slopes;                     // (K, lines, channels) and (K, lines, channels, Q), complex
+    double *delta, *d_delta, *error;            // (K, dwells, e, W), (K, dwells, e, W, Q), (K, dwells)
+};
+
 enum Kind { SQUARES = 0, LOGARITHMS = 1 };
 
 // One set of loops; each works on rows `from` to `to` with a workspace of the size it names.
@@ -140,6 +206,15 @@ struct Loops {
     void (*harmonic_sums)(const double *values, long from, long to, int channels, const double *turns,
                           int frequencies, double origin, double *sums, double *plain, double *moment,
                           double *largest);
+    unsigned long (*balance_workspace)(const NonlinearRig &, const Dwells &, int directions);
+    void (*balance_forces)(const NonlinearRig &, const Dwells &, const double *q, long from, long to, double *a,
+                           char *work);
+    void (*balance_linear_start)(const NonlinearRig &, const Dwells &, long from, long to, double *q, char *work);
+    void (*balance_solve)(const NonlinearRig &, const Dwells &, const unsigned char *hopeless, long from, long to,
+                          const BalanceAt &, char *work);
+    void (*balance_slopes)(const NonlinearRig &, const Dwells &, const BalanceAt &, const Directions &, long from,
+                           long to, char *work);
+    void (*balance_lines)(const NonlinearRig &, const Dwells &, const NonlinearLines &, long from, long to, char *work);
 };
 
 }  // namespace dashpot

@@ -125,8 +125,11 @@ def _of_nonlinear_records(
     progress: Progress | None,
 ) -> Estimate:
     """The estimate from continuous records of a nonlinear rig, judged if asked for."""
+    from dashpot.check.diagnosis.record_channels import require_sound_channels
+
     model = _model(rig)
     still = None if conditioning is None else conditioning.still
+    require_sound_channels(model, reading.records[0])
     fitted = fit_records(model, reading.records, method, still=still, progress=progress)
     estimate = fitted.estimate()
     if diagnose:

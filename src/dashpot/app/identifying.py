@@ -83,6 +83,7 @@ def _of_whole_records(
 
     from dashpot.app.data_files import conditioning_from, with_noise_record
     from dashpot.app.progress import progress
+    from dashpot.check.diagnosis.record_channels import require_sound_channels
     from dashpot.check.record_verdict import examined_records, explained
     from dashpot.errors import IdentifiabilityError, UsageError
     from dashpot.estimate.nonlinear.whole_record import fit_records
@@ -92,6 +93,7 @@ def _of_whole_records(
         raise UsageError(cause, cure="leave it out")
     wanted = None if chosen == "auto" else chosen
     still = with_noise_record(conditioning_from(options), rig, options, quiet).still
+    require_sound_channels(rig.model, records[0])
     with progress("identify", quiet) as moved:
         fitted = fit_records(rig.model, records, wanted, still=still, progress=moved)
         try:

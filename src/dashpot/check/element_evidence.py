@@ -18,6 +18,7 @@ from dashpot.arrays import Real
 from dashpot.check.diagnosis.candidate_elements import (
     Motions,
     candidate_elements,
+    feeds_motion,
     moving_pairs,
     with_open_constants,
 )
@@ -30,6 +31,7 @@ from dashpot.check.diagnosis.nonlinear_elements import (
     seen_candidates,
     softened,
 )
+from dashpot.check.diagnosis.record_channels import require_sound_channels
 from dashpot.check.diagnosis.wording import free_name
 from dashpot.data.record import Record
 from dashpot.data.spectrum import Spectrum
@@ -66,10 +68,17 @@ class ElementEvidence:
     remaining: float
     evidence: float
 
+    @property
+    def passive(self) -> bool:
+        """Whether none of the elements would drive the rig."""
+        return not any(map(feeds_motion, self.elements, self.values))
+
 
 @dataclass(frozen=True)
 class ElementComparison:
     """Candidates by their evidence, the best first; `chosen`: those that together are worth their unknowns, if any.
+
+    Those that would drive the rig are ranked, as friction below zero is, but never chosen.
 
     numbers: how many independent numbers the residuals are worth.
     """
@@ -128,7 +137,7 @@ def compare_in_dwells(model: Model, spectrum: Spectrum) -> ElementComparison:
         element = replace(named, name=free_name(model, named), guess=float(f"{full.value:.4g}"))
         ranked.append(ElementEvidence((element,), (full.value,), left, float(ln_evidence)))
     ranked.sort(key=lambda one: -one.evidence)
-    best = ranked[0] if ranked[0].evidence > DECISIVE else None
+    best = next((one for one in ranked if one.evidence > DECISIVE and one.passive), None)
     return ElementComparison(model.name, float(scored[0].dof), tuple(ranked), best)
 
 
@@ -138,8 +147,9 @@ def compare_in_records(
     """From whole records, by integration: candidates are scored at the fit of the rig as it is, the best fitted.
 
     Inputs count as exact: were their true values unknown, errors of theirs could explain what an element would.
-    Raises what `identify_records` raises.
+    Raises what `identify_records` raises, and DataError where channels contradict each other.
     """
+    require_sound_channels(model, records[0])
     base = model if len(model.nonlinear) else with_nothing(model)
     fitted = fit_records(base, records, exact_inputs=True)
     estimate = fitted.estimate()
@@ -168,7 +178,9 @@ def compare_in_records(
 
 def _called_for(ranked: Sequence[ElementEvidence]) -> ElementEvidence | None:
     """The fewest elements beside which more are not worth their unknowns; None where none is.  Best first."""
-    worth = [one for one in ranked if one.evidence > max(DECISIVE, ranked[0].evidence - DECISIVE)]
+    ranked = [one for one in ranked if one.passive]
+    most = ranked[0].evidence if ranked else 0.0
+    worth = [one for one in ranked if one.evidence > max(DECISIVE, most - DECISIVE)]
     return min(worth, key=lambda one: len(one.elements)) if worth else None
 
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from dashpot.arrays import Ints, Real
 from dashpot.check.chi2_surface import Surface
-from dashpot.check.profile import CLOSE, Walk
+from dashpot.check.profile import CLOSE, Walk, signed_root
 from dashpot.numerics.levenberg_marquardt import OptimizeResult, QuadraticModel, minimise
 
 Curve = tuple[tuple[float, ...], tuple[float, ...]]
@@ -38,17 +38,14 @@ def joint_profiles(
     value, base = surface.psi[0], surface
     for _ in range(LOWERED):
         ways = _Ways(base, value, half, root)
-        lower = ways.followed(wanted, [(value, _root(base, value)), *_valleys(base, half, seed)])
+        own = base.at(value[None], np.array([0])).cost - base.cost
+        known = [(value, float(signed_root(own)[0])), *_valleys(base, half, seed)]
+        lower = ways.followed(wanted, known)
         if lower is None:
             return {j: ways.curve(j) for j in sorted(ways.ends)}
         minimum = _minimum(base, lower[None])
         base = replace(base, psi=minimum.x, cost=minimum.cost)
     return {}
-
-
-def _root(base: Surface, psi: Real) -> float:
-    rise = float(base.at(psi[None], np.array([0])).cost[0] - base.cost[0])
-    return float(np.sign(rise) * np.sqrt(abs(rise))) if np.isfinite(rise) else np.inf
 
 
 def _minimum(base: Surface, start: Real) -> OptimizeResult:
@@ -64,12 +61,7 @@ def _valleys(base: Surface, half: Real, seed: int) -> list[tuple[Real, float]]:
     """Minima that draws about the estimate lead to, with the root of their rise."""
     away = np.random.default_rng(seed).standard_normal((DRAWS, len(half)))
     ends = _minimum(base, base.psi[0] + SPREAD * half * away)
-    rise = ends.cost - base.cost[0]
-    return [
-        (psi, float(np.sign(r) * np.sqrt(abs(r))))
-        for psi, r in zip(ends.x, rise, strict=True)
-        if np.isfinite(r)
-    ]
+    return list(zip(ends.x, signed_root(ends.cost - base.cost[0]).tolist(), strict=True))
 
 
 class _Ways:

@@ -158,7 +158,7 @@ def _slopes(model: Model, spectrum: Spectrum, part: NonlinearPart, psi: Real) ->
     view = observation_model(model, spectrum.channels, spectrum.omega)
     fresh = replace(part, start=None, warm=WarmStart())
     at = evaluate(view, fresh, psi[None], np.ones((1, len(view.channels))), part.q[:1], None, False)
-    lost = ~at.at.converged[part.dwells.dwell]
+    lost = ~at.converged[part.dwells.dwell]
     if np.all(lost):
         raise IdentifiabilityError(
             "no settled motion is found at the nominal values of the rig", cure="give the unknowns guesses"

@@ -117,6 +117,13 @@ def profile(
     )  # fmt: skip
 
 
+def signed_root(rise: Real) -> Real:
+    """The root of a rise of χ², negative where χ² falls; infinite where it is none."""
+    known = np.where(np.isfinite(rise), rise, np.inf)
+    root: Real = np.sign(known) * np.sqrt(np.abs(known))
+    return root
+
+
 @dataclass(frozen=True)
 class Side:
     """One side of the profile: where the rise is reached; what the first repeat met on the way.
@@ -181,8 +188,7 @@ class Walk:
         return np.concatenate([none, away, -away])
 
     def _root(self, cost: Real, rows: Ints) -> Real:
-        rise = np.where(np.isfinite(cost), cost - self.base.cost[rows], np.inf)
-        return np.sign(rise) * np.sqrt(np.abs(rise))
+        return signed_root(cost - self.base.cost[rows])
 
     def end(self, side: float, start: tuple[Real, float] | None = None) -> Side:
         """One side: below the estimate (−1) or above it (1); of the first repeat on from ψ (M,) with its root."""

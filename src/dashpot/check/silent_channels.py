@@ -6,6 +6,7 @@ import numpy as np
 
 from dashpot.arrays import Bools, Complex, Real
 from dashpot.data.spectrum import Spectrum
+from dashpot.data.stretch import SettledDwell
 from dashpot.estimate.inference.diagnostics import dead_channels
 from dashpot.model.network import Model
 from dashpot.model.observation import measures_input
@@ -29,6 +30,18 @@ def mostly_unheard(measured: Complex, sd: Real, lines: Bools) -> Bools:
     return unheard
 
 
+def fundamental_lines(spectrum: Spectrum) -> Bools:
+    """Lines at the frequency of the drive, (lines,): harmonics may well be noise."""
+    orders = [
+        shared.orders(np.array(f)) if isinstance(shared, SettledDwell) else 1
+        for f, shared in zip(
+            spectrum.frequency_hz, (spectrum.stretches[int(k)] for k in spectrum.stretch), strict=True
+        )
+    ]
+    fundamental: Bools = np.array(orders) == 1
+    return fundamental
+
+
 def silent_channels(model: Model, spectrum: Spectrum) -> dict[str, str]:
     """What channels of moving points show that measured nothing; of one repeat, and of lines that are runs.
 
@@ -38,7 +51,7 @@ def silent_channels(model: Model, spectrum: Spectrum) -> dict[str, str]:
     first = (0,) * len(spectrum.batch)
     Y = spectrum.amplitudes[first]
     variance = np.diagonal(spectrum.covariance, axis1=-2, axis2=-1).real[first]
-    noisy = mostly_unheard(Y, np.sqrt(variance / 2), np.ones(spectrum.lines, dtype=bool))
+    noisy = mostly_unheard(Y, np.sqrt(variance / 2), fundamental_lines(spectrum))
     for c, channel in enumerate(spectrum.channels):
         if measures_input(model, channel) or channel.name in shows:
             continue

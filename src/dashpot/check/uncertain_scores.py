@@ -11,6 +11,7 @@ import numpy as np
 from scipy.special import stdtr
 
 from dashpot.arrays import Real
+from dashpot.check.diagnosis.candidate_elements import feeds_motion
 from dashpot.check.diagnosis.nonlinear_elements import APART, CERTAIN
 from dashpot.check.diagnosis.score_test import PARTS, sums_of_parts
 from dashpot.check.element_evidence import with_candidates
@@ -50,6 +51,8 @@ def element_of_uncertain(problem: RecordProblem, psi: Real) -> CalledFor | None:
         if not own > APART**2 * size:
             continue
         share = float(score**2 / own / total)
+        if feeds_motion(element, float(score / own)):
+            continue
         chance = 2 * float(stdtr(PARTS - 1, -abs(score) / sd))
         if share > (LEAST if best is None else best.share) and chance < CERTAIN / len(candidates):
             best = CalledFor(element, share, float(score / own))

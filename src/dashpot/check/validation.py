@@ -17,13 +17,14 @@ from dashpot.check.residuals import calibrations_of, channel_response, of_channe
 from dashpot.check.verdict import REJECTED
 from dashpot.data.conditioning.whole_record import FLOOR
 from dashpot.data.spectrum import Spectrum
-from dashpot.data.stretch import Stretch, WholeRecord, history_of_lines
+from dashpot.data.stretch import SettledDwell, Stretch, WholeRecord, history_of_lines
 from dashpot.errors import DataError
 from dashpot.estimate.likelihood.objective import measured, predict
+from dashpot.estimate.nonlinear.prediction import noise_of_measured_inputs, predicted_lines
 from dashpot.estimate.preparation.prepared import Prepared
 from dashpot.estimate.result import Estimate
 from dashpot.model.network import Model
-from dashpot.model.observation import channel_unit, observation_model
+from dashpot.model.observation import ObservationModel, channel_unit, observation_model
 
 WEIGHT = 1e-2  # of a channel's size: its weight in the fit of the transients where its noise is not known
 
@@ -103,10 +104,34 @@ def validate(model: Model, estimate: Estimate, spectrum: Spectrum) -> tuple[Reco
     """
     view = observation_model(model, spectrum.channels, spectrum.omega)
     estimate.require_unknowns(view.names, ())
-    theta = estimate.values[: len(model.unknowns)]
-    psi, sign = of_channels(view, theta, calibrations_of(model, estimate))
     outputs = ~view.inputs_alone
     V, known = _weights(spectrum, outputs)
+    predicted = _predicted(model, estimate, view, spectrum, V)
+    variance = np.diagonal(V, axis1=-2, axis2=-1).real
+    if known:
+        variance = variance + _noise_of_inputs(model, estimate, spectrum, V, outputs)
+    parts = []
+    for lines, value in _separate(spectrum):
+        parts.append(_part(model, spectrum, predicted, variance, known, lines, outputs, value))
+    return tuple(parts)
+
+
+def _separate(spectrum: Spectrum) -> list[tuple[Ints, Stretch]]:
+    """Lines of what is predicted by itself: the settled ones together, and those of each whole record."""
+    settled = np.array([isinstance(value, SettledDwell) for value in spectrum.stretches])
+    first = int(np.argmax(settled))
+    owner = np.where(settled, first, np.arange(len(settled)))[spectrum.stretch]
+    return [(np.flatnonzero(owner == k), spectrum.stretches[k]) for k in np.unique(owner)]
+
+
+def _predicted(
+    model: Model, estimate: Estimate, view: ObservationModel, spectrum: Spectrum, V: Complex
+) -> Complex:
+    """What the channels show under the measured inputs, (lines, channels); V takes the inputs as exact."""
+    theta = estimate.values[: len(model.unknowns)]
+    if len(model.nonlinear):
+        return predicted_lines(model, theta, spectrum, V, calibrations_of(model, estimate))[0]
+    psi, sign = of_channels(view, theta, calibrations_of(model, estimate))
     single = replace(spectrum, amplitudes=spectrum.amplitudes[None], covariance=V[None], moments=None)
     data = measured(Prepared(view, single, V[None], None, True, np.ones(1, dtype=bool)))
     if data.q is None:
@@ -114,17 +139,8 @@ def validate(model: Model, estimate: Estimate, spectrum: Spectrum) -> tuple[Reco
             "some input is not measured, so nothing can be predicted",
             cure="record the inputs as well",
         )
-    at = predict(view, data, psi[None], sign[None])
-    predicted = spectrum.amplitudes - at.r[0]
-    variance = np.diagonal(V, axis1=-2, axis2=-1).real
-    if known:
-        variance = variance + _noise_of_inputs(model, estimate, spectrum, outputs)
-    parts = []
-    for number, value in enumerate(spectrum.stretches):
-        lines = np.flatnonzero(spectrum.stretch == number)
-        if len(lines):
-            parts.append(_part(model, spectrum, predicted, variance, known, lines, outputs, value))
-    return tuple(parts)
+    shown: Complex = spectrum.amplitudes - predict(view, data, psi[None], sign[None]).r[0]
+    return shown
 
 
 def _weights(spectrum: Spectrum, outputs: Bools) -> tuple[Complex, bool]:
@@ -139,8 +155,13 @@ def _weights(spectrum: Spectrum, outputs: Bools) -> tuple[Complex, bool]:
     return V, known
 
 
-def _noise_of_inputs(model: Model, estimate: Estimate, spectrum: Spectrum, outputs: Bools) -> Real:
+def _noise_of_inputs(
+    model: Model, estimate: Estimate, spectrum: Spectrum, V: Complex, outputs: Bools
+) -> Real:
     """Variance of the predicted outputs from the noise of the channels that show the inputs, (lines, channels)."""
+    if len(model.nonlinear):
+        theta = estimate.values[: len(model.unknowns)]
+        return noise_of_measured_inputs(model, theta, spectrum, V, calibrations_of(model, estimate)) * outputs
     p = model.parameters(estimate.values[: len(model.unknowns)])
     G = channel_response(model, p, spectrum.channels, spectrum.omega, calibrations_of(model, estimate))
     there = np.isfinite(spectrum.amplitudes) & ~outputs

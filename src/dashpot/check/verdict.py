@@ -10,9 +10,8 @@ import numpy as np
 from dashpot.arrays import Bools, Complex, Real
 from dashpot.check.record_residuals import hum_notices, mains_hum, standing_out
 from dashpot.check.residuals import Residuals, calibrations_of, residuals
-from dashpot.check.silent_channels import mostly_unheard
+from dashpot.check.silent_channels import fundamental_lines, mostly_unheard
 from dashpot.data.spectrum import Spectrum
-from dashpot.data.stretch import SettledDwell
 from dashpot.estimate.assessment import Assessment, Finding, Judgement, Misfit
 from dashpot.estimate.inference.band_stability import DISAGREE
 from dashpot.estimate.inference.diagnostics import dead_channels, of_one_sign
@@ -78,7 +77,7 @@ def assess(model: Model, spectrum: Spectrum, estimate: Estimate) -> Assessment:
             uneven=any(notice.code == UNEVEN for notice in estimate.warnings),
         ),
     ]
-    unheard = [] if spectrum.records else _unheard(left, motions, _fundamentals(spectrum))
+    unheard = [] if spectrum.records else _unheard(left, motions, fundamental_lines(spectrum))
     untested = [] if against else doubts_about(estimate, of_residuals=RESIDUAL in spectrum.noise)
     chance = [notice for notice in estimate.warnings if notice.code == MODES_UNSEEN]
     doubts = [*untested, *chance, *hum_notices(left, motions, tones), *unheard]
@@ -183,18 +182,6 @@ def _growing(estimate: Estimate, deviations: float) -> tuple[str, bool]:
     where = joined(f"{frequency:.3g}" for frequency in modes.frequency_hz[grows])
     several = bool(np.sum(grows) > 1)
     return (f"the mode{'s' if several else ''} at {where} Hz" if where else ""), several
-
-
-def _fundamentals(spectrum: Spectrum) -> Bools:
-    """Lines at the frequency of the drive, (lines,): harmonics may well be noise."""
-    orders = [
-        shared.orders(np.array(f)) if isinstance(shared, SettledDwell) else 1
-        for f, shared in zip(
-            spectrum.frequency_hz, (spectrum.stretches[int(k)] for k in spectrum.stretch), strict=True
-        )
-    ]
-    fundamental: Bools = np.array(orders) == 1
-    return fundamental
 
 
 def _unheard(left: Residuals, motions: Bools, lines: Bools) -> list[Notice]:

@@ -48,7 +48,7 @@ def dwell_information(
     A = _rows(at.J.reshape(*Y.shape, -1), sd)
     B = _rows(at.G.reshape(*Y.shape, -1), sd) if noisy else A[..., :0]
     finite = np.all(np.isfinite(A), axis=(2, 3)) & np.all(np.isfinite(B), axis=(2, 3))  # not so on a fold
-    settled = (finite & at.at.converged.reshape(K, R))[..., None, None]
+    settled = (finite & at.converged.reshape(K, R))[..., None, None]
     if noisy:
         A, B = np.where(settled, A, 0.0), np.where(settled, B, 0.0)
         A = A - B @ (np.linalg.pinv(B) @ A)

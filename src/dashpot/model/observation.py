@@ -104,17 +104,17 @@ class ObservationModel:
         theta = list(self.model.unknown_units)
         return (*theta, *["1"] * self.gains, *["s"] * self.delays)
 
-    @property
+    @cached_property
     def gains(self) -> int:
         """Number of unknown gains."""
         return int(np.max(self.gain, initial=-1)) + 1
 
-    @property
+    @cached_property
     def delays(self) -> int:
         """Number of unknown delays."""
         return int(np.max(self.delay, initial=-1)) + 1
 
-    @property
+    @cached_property
     def m(self) -> int:
         """Number of unknowns of the rig itself."""
         return len(self.model.unknowns)

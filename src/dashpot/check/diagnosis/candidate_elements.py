@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 from itertools import combinations
 
 from scipy.special import fdtrc
@@ -11,7 +12,7 @@ from scipy.special import fdtrc
 from dashpot.arrays import Real
 from dashpot.model.elements import Element, Kind, between
 from dashpot.model.network import Model
-from dashpot.model.nonlinear.force_law import Constant, force_law
+from dashpot.model.nonlinear.force_law import Constant, ForceLaw, force_law
 
 # Kind, law and the share of the motion that its constant is, if it has one.
 LAWS: tuple[tuple[Kind, str, str, float], ...] = (
@@ -57,9 +58,8 @@ class ScoredElement:
         return float(fdtrc(1.0, float(max(self.dof - 1, 1)), self.fall / max(left, 1.0)))
 
 
-Motions = Mapping[
-    tuple[str, str], tuple[float, float]
-]  # elongation (m) and its rate (m/s) between two points
+# The largest elongation (m) and rate (m/s) between two points.
+Motions = Mapping[tuple[str, str], tuple[float, float]]
 
 
 def moving_pairs(model: Model) -> list[tuple[str, str]]:
@@ -72,6 +72,13 @@ def moving_pairs(model: Model) -> list[tuple[str, str]]:
         if first in model.coordinates
         and (model.n <= FEW or frozenset({first, second} - {"ground"}) in joined)
     ]  # fmt: skip
+
+
+@cache
+def _law(kind: Kind, name: str, constant: str) -> ForceLaw:
+    """A law, read once: that takes longer than all that is done with it."""
+    constants = [Constant(constant, 1.0)] if constant else []
+    return force_law(name, constants, damper=kind is Kind.DAMPER)
 
 
 def candidate_elements(model: Model, motions: Motions, further: bool = False) -> list[Element]:
@@ -88,7 +95,7 @@ def candidate_elements(model: Model, motions: Motions, further: bool = False) ->
     for (first, second), (size, speed) in motions.items():
         for kind, name, constant, share in (*LAWS, *(FURTHER if further else ())):
             value = share * (speed if constant == "v0" else size)
-            law = force_law(name, [Constant(constant, value)] if constant else [], damper=kind is Kind.DAMPER)
+            law = _law(kind, name, constant).with_constants([Constant(constant, value)])
             for points in ((first, second), (second, first))[: 2 if name == ONE_SIDED else 1]:
                 plain = between("_".join([WORDS.get(name, name), kind.value, *points]), kind, *points)
                 if (law.expression.text, frozenset(plain.along)) not in there:
@@ -120,8 +127,13 @@ def at_each_scale(elements: Sequence[Element]) -> list[Element]:
 
 
 def feeds_motion(element: Element, value: float) -> bool:
-    """Whether it would be a spring that slips and drives the rig: there is none; what it explains, another law does."""
-    return element.force_law is not None and bool(element.force_law.operator) and value < 0
+    """Whether it would drive the rig: friction or damping below zero, or a spring that slips backwards.
+
+    There is none; what it explains, another law does: friction below zero stands for damping that grows with speed,
+    damping below zero that grows for friction.
+    """
+    law = element.force_law
+    return law is not None and value < 0 and (element.kind is Kind.DAMPER or bool(law.operator))
 
 
 def has_clearance(element: Element) -> bool:

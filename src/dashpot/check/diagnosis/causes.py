@@ -11,7 +11,7 @@ from dashpot.arrays import Bools, Real
 from dashpot.channel import Quantity
 from dashpot.check.diagnosis.crosstalk import cross_talk
 from dashpot.check.diagnosis.likeness import RATIOS, Likeness, likeness
-from dashpot.check.diagnosis.loud_dwells import at_loud_dwell, beside_loud_dwells
+from dashpot.check.diagnosis.loud_dwells import OF_A_DWELL, at_loud_dwells, beside_loud_dwells
 from dashpot.check.diagnosis.nonlinear_elements import ENOUGH, called_for
 from dashpot.check.diagnosis.open_calibrations import as_stated, with_open_calibrations
 from dashpot.check.diagnosis.possible_parts import negative_parts
@@ -43,6 +43,8 @@ DELAYS = (-0.4, -0.2, -0.1, -0.05, -0.02, 0.02, 0.05, 0.1, 0.2, 0.4)  # periods 
 OF_SAMPLES = {"white", "blocks", "periods"}  # kinds of noise that were read from samples
 # What is left out explains little.
 PARTICULAR = tuple(kind for kind in ORDER if kind not in ("dwell", "mode", "channel"))
+# Runs that differ in amplitude may differ because of a nonlinear element.
+SURER = tuple(kind for kind in PARTICULAR if kind != "changed")
 RATES = (2 * np.pi, 1 / (2 * np.pi), 2.0, 0.5, 60.0, 1 / 60)
 FEWER = 200  # rigs drawn for each of them, where all is seen
 OF_ITS_OWN = 0.01  # part of the column of a gain or a delay that the rig's own unknowns must leave
@@ -152,17 +154,18 @@ def _by_chance(as_is: Outcome) -> float:
 
 def _with_nonlinear(bench: Workbench, as_is: Outcome, candidates: list[Cause]) -> list[Cause]:
     """The candidates with the nonlinear elements that the dwells call for, where nothing surer explains the misfit."""
-    doubtful = [cause for cause in candidates if at_loud_dwell(bench, cause)]
+    doubtful = at_loud_dwells(bench, candidates)
     certain = [cause for cause in candidates if cause not in doubtful]
     enough = max(ENOUGH, GROSS * as_is.reduced)
-    if _explained(certain, (*PARTICULAR, "dwell"), enough) or not np.all(np.isfinite(as_is.psi)):
+    if _explained(certain, (*SURER, "dwell"), enough) or not np.all(np.isfinite(as_is.psi)):
         return candidates
+    thorough = not _explained(doubtful, OF_A_DWELL, enough)
     nonlinear = [
         Cause(
             "nonlinear", points_of(scored.element, bench.data.model), (scored.chi2 - scored.fall) / scored.dof,
             scored.value, element=scored.element,
         )
-        for scored in called_for(bench.data, as_is.psi, bench.sign)
+        for scored in called_for(bench.data, as_is.psi, bench.sign, thorough=thorough)
     ]  # fmt: skip
     return beside_loud_dwells(candidates, doubtful, nonlinear)
 
@@ -214,8 +217,9 @@ def _only(kept: Bools, *, column: int | None = None, line: int | None = None) ->
 
 
 def _of_outcome(outcome: Outcome) -> Cause:
-    left = outcome.reduced if outcome.dof > 0 else np.inf  # nothing left to test it by
-    return Cause(outcome.trial.kind, outcome.trial.of, left, outcome.trial.value)
+    left, trial = outcome.reduced if outcome.dof > 0 else np.inf, outcome.trial  # nothing left to test it by
+    derivative = Likeness(1.0, int(trial.value), 0.0, False, 0.0) if trial.kind == "quantity" else None
+    return Cause(trial.kind, trial.of, left, trial.value, derivative)
 
 
 def _inputs_otherwise(bench: Workbench, base: Trial) -> list[Trial]:

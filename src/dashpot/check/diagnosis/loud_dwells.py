@@ -14,15 +14,14 @@ OF_A_DWELL = ("dwell", "frequency")  # kinds of causes
 LOUD = 0.7  # of the largest amplitude of a channel
 
 
-def at_loud_dwell(bench: Workbench, cause: Cause) -> bool:
-    """Whether a cause is of a single dwell in which a channel of the motion is about as large as in any."""
-    if cause.kind not in OF_A_DWELL or not cause.of:
-        return False
+def at_loud_dwells(bench: Workbench, candidates: Sequence[Cause]) -> list[Cause]:
+    """The causes that are of a single dwell in which a channel of the motion is about as large as in any."""
     view, Y = bench.view, np.nan_to_num(np.abs(bench.data.spectrum.amplitudes[0]))
     moves = [c for c, channel in enumerate(view.channels) if not measures_input(bench.data.model, channel)]
     size = Y[:, moves] / view.omega[:, None] ** view.derivative[moves]
     loudest = np.any(size > LOUD * np.max(size, axis=0), axis=1)
-    return any(f"{frequency:g} Hz" in cause.of for frequency in bench.data.spectrum.frequency_hz[loudest])
+    loud = {f"{frequency:g} Hz" for frequency in bench.data.spectrum.frequency_hz[loudest]}
+    return [cause for cause in candidates if cause.kind in OF_A_DWELL and not loud.isdisjoint(cause.of)]
 
 
 def beside_loud_dwells(

@@ -18,6 +18,7 @@ from dashpot.check.diagnosis.candidate_elements import (
     Motions,
     ScoredElement,
     candidate_elements,
+    feeds_motion,
     moving_pairs,
     with_open_constants,
 )
@@ -47,12 +48,10 @@ FULLY = 4  # candidates that are fitted in full where all motion is seen
 FOLLOWED, SOFTLY = 2, 4  # candidates that are fitted in full, the second number from the softened data
 NEARLY = 4.0  # times the χ² that the best leaves: others that leave no more are named, too
 ENOUGH = 2.0  # χ² per degree of freedom at which no other candidate is followed
-LIMIT = 15  # iterations of such a fit
+GLANCE, LIMIT = 5, 15  # iterations of such a fit: before it must have begun to help, and in all
 HINT = 0.4  # share of the misfit that a candidate must promise to be followed
-LEFT, ROUGHLY = (
-    0.1,
-    7.0,
-)  # of the misfit in the equation of motion, or χ² of a degree of freedom, that one may leave
+LEFT = 0.1  # share of the misfit in the equation of motion that a candidate may leave
+ROUGHLY = 7.0  # or χ² of a degree of freedom that it may leave there
 FALLEN = 0.1  # share by which the softened misfit must have fallen for a fit to go on
 SOFT = 0.05  # relative noise of the softened data
 STILL = 1e-9  # of the largest elongation: points that move no further do not move
@@ -216,13 +215,7 @@ def motions_of(data: Prepared, psi: Real) -> Motions:
     p = np.tile(larger.parameters(theta), (len(drive.omega), 1))
     constants = np.tile(larger.inner_constants(theta), (len(drive.omega), 1))
     moved = periodic_response(larger, p, constants, drive).delta[:, -len(probes) :]
-    delta = np.nan_to_num(np.abs(complex_of(moved)[..., 1]))
-    size, speed = np.max(delta, axis=0), np.max(delta * drive.omega[:, None], axis=0)
-    return {
-        pair: (float(d), float(v))
-        for pair, d, v in zip(both, size, speed, strict=True)
-        if d > STILL * np.max(size)
-    }  # fmt: skip
+    return _moving(both, np.nan_to_num(np.abs(complex_of(moved)[..., 1])), drive.omega)
 
 
 def measured_motions(data: Prepared) -> Motions:
@@ -235,10 +228,15 @@ def measured_motions(data: Prepared) -> Motions:
     larger = replace(model, elements=(*model.elements, *probes))
     chosen = slice(len(model.elements), None)
     delta = np.abs(states.X[0] @ larger.B[chosen].T + states.U[0] @ larger.D[chosen].T)
-    size, speed = np.max(delta, axis=0), np.max(delta * data.spectrum.omega[:, None], axis=0)
+    return _moving(both, delta, data.spectrum.omega)
+
+
+def _moving(pairs: Sequence[tuple[str, str]], delta: Real, omega: Real) -> Motions:
+    """The largest elongation (m) and rate (m/s) of those pairs that move; delta (lines, pairs), omega (lines,)."""
+    size, speed = np.max(delta, axis=0), np.max(delta * omega[:, None], axis=0)
     return {
         pair: (float(d), float(v))
-        for pair, d, v in zip(both, size, speed, strict=True)
+        for pair, d, v in zip(pairs, size, speed, strict=True)
         if d > STILL * np.max(size)
     }
 
@@ -256,26 +254,48 @@ def _descended(
     return (end[0], float(chi2[0])) if np.isfinite(chi2[0]) else (psi, np.inf)
 
 
-def called_for(data: Prepared, psi: Real, sign: Real) -> list[ScoredElement]:
+def _followed(
+    view: ObservationModel, exact: Measured, psi: Real, sign: Real, most: float, *, regaining: bool = False
+) -> tuple[Real, float]:
+    """(ψ, χ²) downhill from ψ (M,) of a candidate, a few steps only where χ² does not come below `most` by then.
+
+    regaining: where it does not, dwells that are lost near a fold are looked for first.
+    """
+    ended, cost = _descended(view, exact, psi, sign, GLANCE)
+    if cost > most and regaining and lost_dwells_regained(view, exact, ended[None]):
+        ended, cost = _descended(view, exact, ended, sign, GLANCE)
+    return _descended(view, exact, ended, sign, LIMIT - GLANCE) if cost < most else (ended, cost)
+
+
+def called_for(data: Prepared, psi: Real, sign: Real, *, thorough: bool = True) -> list[ScoredElement]:
     """Nonlinear elements that the dwells call for, fitted in full, the best first; [] where none is certain.
 
-    ψ (M,): the best fit of the rig as it is.
+    ψ (M,): the best fit of the rig as it is.  Where all motion is seen, those that the equation of motion does not
+    show are looked for only if `thorough`: to reach them from a rig that does not fit takes seconds.
     """
-    chi2, fitted = misfit(data, psi, sign), _fitted_where_seen(data, psi, sign)
-    if any(_certain(each) for each in fitted):
+    chi2 = misfit(data, psi, sign)
+    seen = _passive(_scored_where_seen(data, psi))
+    mending = [each for each in seen if _mends(each)]
+    fitted = _passive([fitted_in_full(data, psi, sign, each, chi2, 0.0) for each in mending[:FULLY]])
+    if any(_certain(each) for each in fitted) or (seen and not thorough):
         return _nearly_best(fitted)
     for softness, start, followed in (
         (0.0, psi, FOLLOWED),
         (SOFT, softened(data, psi, sign), SOFTLY),
     ):
         candidates = candidate_elements(data.model, motions_of(data, start))
-        scored = scored_in_dwells(data, start, sign, candidates, softness)
+        scored = _passive(scored_in_dwells(data, start, sign, candidates, softness))
         for candidate in scored[:followed]:
             if candidate.fall > HINT * candidate.chi2:
-                fitted.append(fitted_in_full(data, start, sign, candidate, chi2, softness))
+                fitted += _passive([fitted_in_full(data, start, sign, candidate, chi2, softness)])
             if fitted and fitted[-1].chi2 - fitted[-1].fall < ENOUGH * fitted[-1].dof:
                 return [fitted[-1]] if fitted[-1].p_value < CERTAIN else []
     return _nearly_best(fitted)
+
+
+def _passive(scored: Sequence[ScoredElement]) -> list[ScoredElement]:
+    """Those that do not drive the rig."""
+    return [each for each in scored if not feeds_motion(each.element, each.value)]
 
 
 def _nearly_best(fitted: Sequence[ScoredElement]) -> list[ScoredElement]:
@@ -290,13 +310,9 @@ def _certain(fitted: ScoredElement) -> bool:
     return fitted.p_value < CERTAIN and fitted.fall > MARKED * fitted.chi2
 
 
-def _fitted_where_seen(data: Prepared, psi: Real, sign: Real) -> list[ScoredElement]:
-    """The best candidates by the equation of motion, fitted in full from there; [] where not all motion is seen."""
-    if data.states is None or len(data.model.nonlinear):
-        return []
-    chi2 = misfit(data, psi, sign)
-    scored = [each for each in seen_candidates(data, psi) if _mends(each)]
-    return [fitted_in_full(data, psi, sign, each, chi2, 0.0) for each in scored[:FULLY]]
+def _scored_where_seen(data: Prepared, psi: Real) -> list[ScoredElement]:
+    """The candidates beside a linear rig by the equation of motion, the best first; [] where not all motion is seen."""
+    return [] if data.states is None or len(data.model.nonlinear) else seen_candidates(data, psi)
 
 
 def _mends(scored: ScoredElement) -> bool:
@@ -304,8 +320,9 @@ def _mends(scored: ScoredElement) -> bool:
 
     Where something else is wrong, a fit in full takes long and comes to nothing.
     """
-    left = scored.chi2 - scored.fall
-    return scored.fall > HINT * scored.chi2 and (left < LEFT * scored.chi2 or left < ROUGHLY * scored.dof)
+    left, beyond_noise = scored.chi2 - scored.fall, max(scored.chi2 - scored.dof, 0.0)
+    promising = scored.fall > HINT * beyond_noise and scored.p_value < CERTAIN
+    return promising and (left < LEFT * scored.chi2 or left < ROUGHLY * scored.dof)
 
 
 def seen_candidates(data: Prepared, psi: Real, further: bool = False) -> list[ScoredElement]:
@@ -343,15 +360,14 @@ def fitted_in_full(
             extended, {element.name: value}, psi if candidate.psi is None else candidate.psi
         )
         if softness > 0:
-            start, left = _descended(view, _without_raising(measured(larger, softness)), start, sign, LIMIT)
+            soft = _without_raising(measured(larger, softness))
+            start, left = _followed(view, soft, start, sign, candidate.chi2)
             if left > (1 - FALLEN) * candidate.chi2:
                 continue  # what does not help there leads nowhere in sharper data
-        ended, cost = _descended(view, exact, start, sign, LIMIT)
-        if cost > chi2 and lost_dwells_regained(view, exact, ended[None]):  # near a fold
-            ended, cost = _descended(view, exact, ended, sign, LIMIT)
+        ended, cost = _followed(view, exact, start, sign, chi2, regaining=True)
         if cost < least:
             best, least = ended, cost
-        if least < ENOUGH * candidate.dof:
+        if least < chi2:  # a smaller value leads to the same end
             break
     names = [unknown.name for unknown in extended.unknowns]
     values = dict(zip(names, best[: len(names)].tolist(), strict=True))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -35,12 +35,14 @@ class Workbench:
     """What the trials of one data set share: the data of one repeat, the estimate ψ (M,) and signs.
 
     lines_are_runs: whether each line was measured at a time of its own, not all of them in one record.
+    kept: what was drawn once.
     """
 
     data: Prepared
     psi: Real
     sign: Real
     lines_are_runs: bool = True
+    kept: dict[tuple[int, int], tuple[Real, Complex]] = field(default_factory=dict)
 
     @property
     def view(self) -> ObservationModel:
@@ -53,12 +55,7 @@ class Workbench:
             return []
         arranged = [self._arranged(trial) for trial in trials]
         by_equation = self._own(trials)
-        drawn, _ = candidates(self.data, draws, np.random.default_rng(seed))
-        drawn = drawn[np.all(np.isfinite(drawn), axis=1)]
-        with np.errstate(all="ignore"):
-            G = transfer(self.view, self.data.model.parameters(drawn[:, : self.view.m])).G
-            signs = np.broadcast_to(self.sign, (len(drawn), len(self.sign)))
-            G = calibration_factors(self.view, drawn, signs)[..., None] * G
+        drawn, G = self._drawn(seed, draws)
         followed = FEW if self.data.states is not None else MANY
         best = [
             drawn[np.argsort(_distance(G, one, trial))[:followed]]
@@ -68,6 +65,18 @@ class Workbench:
             best = self._from_afar(trials, arranged, best)
         starts = [_finite([self.psi[None], *by_equation[t], best[t]]) for t in range(len(trials))]
         return self._followed(trials, arranged, starts)
+
+    def _drawn(self, seed: int, draws: int) -> tuple[Real, Complex]:
+        """Rigs drawn at random, ψ (k, M), and what their channels show of the inputs; once for all searches."""
+        if (seed, draws) not in self.kept:
+            drawn, _ = candidates(self.data, draws, np.random.default_rng(seed))
+            drawn = drawn[np.all(np.isfinite(drawn), axis=1)]
+            with np.errstate(all="ignore"):
+                G = transfer(self.view, self.data.model.parameters(drawn[:, : self.view.m])).G
+                signs = np.broadcast_to(self.sign, (len(drawn), len(self.sign)))
+                G = calibration_factors(self.view, drawn, signs)[..., None] * G
+            self.kept[seed, draws] = drawn, G
+        return self.kept[seed, draws]
 
     def refitted(self, trials: Sequence[Trial], pool: Sequence[Real]) -> list[Outcome]:
         """Each trial from its own least squares or the best of a pool of ψ (M,); the hopeless a few steps only."""

@@ -272,10 +272,6 @@ def nonlinear_finding(
     character = CHARACTER[element.kind.value, element.force_law.text]
     if element.kind is Kind.SPRING and element.force_law.text not in ("square", "jenkins"):
         character += ", stiffening" if value > 0 else ", softening"
-    if element.kind is Kind.DAMPER and value < 0:
-        # Friction less a part is damping that grows: what it takes off counts most at low speeds.
-        grows = element.force_law.text == "coulomb"
-        character = f"damping that {'grows' if grows else 'falls'} with speed"
     text = f"the data call for a nonlinear element between {' and '.join(points)}, {character} (p < 1e-6)"
     named = replace(with_open_constants(element), name=free_name(model, element), guess=float(f"{value:.4g}"))
     change = f"[{named.kind.section}] {element_line(named)}"

@@ -18,13 +18,13 @@ from dashpot.arrays import Real
 from dashpot.data.conditioning.period_blocks import PeriodBlocks, period_blocks
 from dashpot.data.conditioning.ramps import common_ramp, contradiction
 from dashpot.data.conditioning.steady_state import periods_of
+from dashpot.data.conditioning.transients import BESIDE, MANY_SAMPLES
 from dashpot.data.record import Record
 from dashpot.errors import DataError
 from dashpot.numerics.combined_tests import fishers_product
 
 LEVEL = 1e-3  # of the test for an amplitude that drifts
 FEWEST_PERIODS = 2.0  # below which drift of a sensor and a growing sine look alike
-BESIDE, MANY_SAMPLES = (1, 2, 3), 24  # multiples of the drive solved for beside it, from so many samples on
 BENT = 2  # degree of the polynomial that the amplitude of many periods may follow
 START = 8  # th part of a dwell in which transients decay
 SLIGHT = 5e-4  # of an amplitude: a drift by less spoils no more than gains are known to

@@ -10,7 +10,7 @@ from dashpot.data.clocks import ClockedRecords
 from dashpot.data.readers.columns import Columns
 from dashpot.data.readers.delimited.amplitudes import is_amplitudes, read_amplitudes
 from dashpot.data.readers.delimited.frf import is_frf, read_frf
-from dashpot.data.readers.delimited.polar import phase_notices, with_real_and_imaginary
+from dashpot.data.readers.delimited.polar import polar_notices, with_real_and_imaginary
 from dashpot.data.readers.delimited.stepped_sine import Circumstances, read_records
 from dashpot.data.record import Record
 from dashpot.data.spectrum import Spectrum
@@ -70,9 +70,9 @@ def interpret(columns: Columns, channels: Sequence[Channel], circumstances: Circ
     columns = with_real_and_imaginary(columns)
     if is_frf(columns):
         lines, notes = read_frf(columns, channels, circumstances.experiment)
-        return Interpreted((), (lines,), (*notes, *phase_notices(columns, lines.frequency_hz)))
+        return Interpreted((), (lines,), (*notes, *polar_notices(columns, lines.frequency_hz)))
     if is_amplitudes(columns):
         lines, notes = read_amplitudes(columns, channels, circumstances.experiment)
-        return Interpreted((), (lines,), (*notes, *phase_notices(columns, lines.frequency_hz)))
+        return Interpreted((), (lines,), (*notes, *polar_notices(columns, lines.frequency_hz)))
     records, notes = read_records(columns, channels, circumstances)
     return Interpreted(tuple(records), (), tuple(notes))

@@ -18,8 +18,8 @@ from dashpot.numerics.levenberg_marquardt import OptimizeResult, QuadraticModel
 def compiled_output(view: ObservationModel, data: Measured) -> Any | None:
     """The kernel's view of the channels, made once for each `data`; None where NumPy is to do the work or must.
 
-    The kernel knows small linear rigs; nonlinear laws are NumPy's, and whole records have passes of their own
-    (`record_kernel.py`).
+    This part of the kernel knows small linear rigs; nonlinear ones (`nonlinear/shown_lines.py`) and whole records
+    (`record_kernel.py`) have parts of their own.
     """
     core = kernel()
     if core is None or data.ends is not None or data.nonlinear is not None or not small(view.model):

@@ -206,6 +206,10 @@ def _of_repeat(model: Model, spectrum: Spectrum, method: Method) -> Complex | No
             tried = left.stepped(sizes, now.unused, steps)
             V_tried = _covariance(V, left, left.parts @ tried)
             psi_tried, left_tried = fitted(V_tried, psi)
+            if len(left_tried.power) < len(
+                left.power
+            ):  # noise of no size, where the rig is no better than none
+                return None
             now_tried = left_tried.weighed(left.parts @ tried)
             if now_tried.deviance <= before + RISE:
                 break

@@ -21,7 +21,7 @@ from dashpot.numerics.levenberg_marquardt import OptimizeResult, minimise
 ASTRAY = 1e-4  # χ² so unlikely may mean a local minimum: other starts are tried
 STARTS = 32
 LARGE = (
-    8  # coordinates above which a rig of like parts that leads to a fit is taken, without a look for others
+    8  # coordinates above which a rig of like parts that leads to a fit is taken without a look for others
 )
 FAR = 1e5  # times the values of like parts and usual ones, beyond which an end is none
 FOLLOWED = 10  # of the starts that have not settled after a few steps

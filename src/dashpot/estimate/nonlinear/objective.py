@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from dashpot.arrays import Complex, Ints, Real, frozen, hermitian
+from dashpot.arrays import Bools, Complex, Ints, Real, frozen, hermitian
 from dashpot.errors import DataError
 from dashpot.estimate.nonlinear.dwells import (
     DwellLines,
@@ -21,22 +21,10 @@ from dashpot.estimate.nonlinear.dwells import (
     measured_elongations,
 )
 from dashpot.estimate.nonlinear.lost_dwells import regained
+from dashpot.estimate.nonlinear.shown_lines import shown_lines
 from dashpot.estimate.preparation.prepared import Prepared
 from dashpot.model.network import Model
-from dashpot.model.nonlinear.harmonic_balance import (
-    Periodic,
-    Slopes,
-    harmonic_unit_forces,
-    periodic_response,
-    slopes,
-)
-from dashpot.model.nonlinear.harmonics import Drive
-from dashpot.model.observation import (
-    ObservationModel,
-    calibration_factors,
-    calibration_slopes,
-    channel_amplitudes,
-)
+from dashpot.model.observation import ObservationModel, calibration_factors, calibration_slopes
 
 if TYPE_CHECKING:
     from dashpot.estimate.likelihood.chunks import Measured
@@ -92,15 +80,15 @@ def _with_orders(delta: Real, orders: int) -> Real:
 class Evaluated:
     """The channels at one ψ and given inputs, (K, lines, channels, …).
 
-    d_delta (K dwells, e, W, m): slopes of the elongations.
+    delta (K dwells, e, W): elongations, and d_delta (…, m) their slopes; converged (K dwells,): which have a response.
     """
 
     predicted: Complex
     J: Complex
     G: Complex
-    at: Periodic
-    drive: Drive
+    delta: Real
     d_delta: Real
+    converged: Bools
 
 
 def evaluate(
@@ -117,34 +105,25 @@ def evaluate(
     psi (K, M), sign (K, channels), q (K, lines, r + s), start as `Periodic.delta` or None.
     """
     model, dwells, K, m = view.model, part.dwells, len(psi), view.m
-    R, nq, r = len(dwells.omega), q.shape[-1], view.model.D.shape[1]
     theta = psi[:, :m]
-    p = np.repeat(model.parameters(theta), R, axis=0)
-    constants = np.repeat(model.inner_constants(theta), R, axis=0)
+    constants = model.inner_constants(theta)
     impossible = np.any(constants[:, must_be_positive(model)] <= 0, axis=-1)
     constants = np.where(impossible[:, None], 1.0, constants)
-    drive = dwells.drive(q, r)
-    at = periodic_response(model, p, constants, drive, start, grow=part.raised)
-    a = harmonic_unit_forces(model, drive, at)
-    X = dwells.lines(at.X, K)
-    forces = model.parameters(theta)[:, None, :] * dwells.lines(a, K)
+    p = model.parameters(theta)
+    at = shown_lines(view, dwells, p, constants, q, start, noisy=noisy, grow=part.raised)
     kappa = calibration_factors(view, psi, sign)
-    predicted = kappa * channel_amplitudes(view, X, q, forces)
-    lost = ~at.converged.reshape(K, R)[:, dwells.dwell]
-    # A dwell without a response shows nothing: a large residual, but a finite one that leaves the others in charge.
-    predicted = np.where(lost[..., None], 0.0, predicted)
-    slope = _slopes(view, part, p, drive, at, a, noisy)
-    dX, da = dwells.lines(slope.X, K), dwells.lines(slope.unit_forces, K)
-    d_forces = p.reshape(K, R, -1)[:, dwells.dwell][..., None] * da
-    d_forces[..., :m] += dwells.lines(a, K)[..., None] * model.T
-    dY = view.rates[..., None] * (view.on_x @ dX) + view.force @ d_forces
-    if noisy:
-        along = dwells.input_directions(nq)[dwells.dwell, dwells.order]
-        dY[..., m:] += view.rates[..., None] * (view.on_q @ along)
-    dY = np.where(lost[..., None, None], 0.0, kappa[..., None] * dY)
-    predicted = np.where(impossible.reshape(K, R)[:, :1, None], np.nan, predicted)
-    J = np.concatenate([dY[..., :m], calibration_slopes(view, psi, predicted)], axis=-1)
-    return Evaluated(predicted, J, dY[..., m:], at, drive, slope.delta[..., :m])
+    predicted, dY = kappa * at.Y, kappa[..., None] * at.dY
+    if not np.all(at.converged):
+        # A dwell without a response shows nothing: a large residual, but a finite one that leaves the others in charge.
+        lost = ~at.converged.reshape(K, -1)[:, dwells.dwell]
+        predicted = np.where(lost[..., None], 0.0, predicted)
+        dY = np.where(lost[..., None, None], 0.0, dY)
+    if np.any(impossible):
+        predicted = np.where(impossible[:, None, None], np.nan, predicted)
+    J = dY[..., :m]
+    if view.gains or view.delays:
+        J = np.concatenate([J, calibration_slopes(view, psi, predicted)], axis=-1)
+    return Evaluated(predicted, J, dY[..., m:], at.delta, at.d_delta, at.converged)
 
 
 def must_be_positive(model: Model) -> Ints:
@@ -155,32 +134,6 @@ def must_be_positive(model: Model) -> Ints:
         if element.force_law is not None and constant.name in element.force_law.positive
     ]
     return np.array(positive, dtype=np.int64)
-
-
-def _slopes(
-    view: ObservationModel, part: NonlinearPart, p: Real, drive: Drive, at: Periodic, a: Complex, noisy: bool
-) -> Slopes:
-    model = view.model
-    along_p, along_g = model.T, model.constants_map[0]
-    if not noisy:
-        return slopes(model, p, drive, at, a, along_p, along_g)
-    nq, r = drive.U.shape[-1] + drive.f.shape[-1], drive.U.shape[-1]
-    directions = part.dwells.input_directions(nq)
-    K, Q = len(p) // len(part.dwells.omega), directions.shape[-1]
-    along = np.concatenate([np.zeros((*directions.shape[:-1], view.m)), directions], axis=-1)
-    along = np.tile(along, (K, 1, 1, 1))
-    widen = [(0, 0), (0, Q)]
-    return slopes(
-        model,
-        p,
-        drive,
-        at,
-        a,
-        np.pad(along_p, widen),
-        np.pad(along_g, widen),
-        along[:, :, :r],
-        along[:, :, r:],
-    )
 
 
 def measured_part(data: Measured) -> NonlinearPart:
@@ -213,8 +166,9 @@ def _predicted(
     noisy = data.q is None
     q, start = _begin(data, part, psi[:, : view.m], known)
     now = evaluate(view, part, psi, sign, q, start, noisy)
-    if known and part.patient and start is None and not np.all(now.at.converged):
-        delta = regained(view.model, psi[:, : view.m], now.drive, now.at)
+    if known and part.patient and start is None and not np.all(now.converged):
+        drive = part.dwells.drive(q, view.model.D.shape[1])
+        delta = regained(view.model, psi[:, : view.m], drive, now.delta, now.converged)
         now = now if delta is None else evaluate(view, part, psi, sign, q, delta, noisy)
     for turn in range(INNER if noisy else 0):
         residual = data.y - now.predicted
@@ -226,7 +180,7 @@ def _predicted(
             break
         change = np.einsum("lqu,klu->klq", directions, step[:, part.dwells.dwell])
         q = q + np.nan_to_num(change)
-        now = evaluate(view, part, psi, sign, q, now.at.delta, noisy)
+        now = evaluate(view, part, psi, sign, q, now.delta, noisy)
     residual = data.y - now.predicted
     J = now.J
     if noisy:
@@ -286,7 +240,7 @@ def _begin(data: Measured, part: NonlinearPart, theta: Real, known: bool) -> tup
 
 def _keep(part: NonlinearPart, now: Evaluated, theta: Real, q: Complex, cost: Real) -> None:
     R = len(part.dwells.omega)
-    delta = now.at.delta.reshape(-1, R, *now.at.delta.shape[1:])
+    delta = now.delta.reshape(-1, R, *now.delta.shape[1:])
     slope = now.d_delta.reshape(*delta.shape, -1)
     total = np.sum(cost, axis=-1)
     for row, repeat in enumerate(part.repeat.tolist()):

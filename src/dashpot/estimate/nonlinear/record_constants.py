@@ -56,12 +56,7 @@ def record_constants(model: Model, data: RecordData) -> RecordConstants:
 
 def _rows_of_position(model: Model, data: RecordData) -> Real:
     """What a constant displacement of each coordinate stretches or shows, (rows, n)."""
-    held = [
-        row
-        for row, kind in enumerate(model.kinds)
-        if kind is Kind.SPRING and not does_nothing(model.elements[row])
-    ]
-    held = [row for row in held if model.elements[row].force_law is None] + _laws_of_position(model)
+    held = _linear_springs(model) + _laws_of_position(model)
     shown = [
         c
         for c, (d, drift) in enumerate(zip(data.derivative, data.drift, strict=True))
@@ -84,6 +79,15 @@ def _rows_of_velocity(model: Model, data: RecordData) -> Real:
     shown = [c for c in shown if data.derivative[c] < 2]
     rows: Real = np.concatenate([model.B[held], data.on_x[shown]])
     return rows
+
+
+def _linear_springs(model: Model) -> list[int]:
+    """Springs without a law of their own that may push."""
+    return [
+        row
+        for row, (kind, element) in enumerate(zip(model.kinds, model.elements, strict=True))
+        if kind is Kind.SPRING and element.force_law is None and not does_nothing(element)
+    ]
 
 
 def _laws_of_position(model: Model) -> list[int]:
@@ -117,14 +121,8 @@ def _shows(model: Model, data: RecordData, column: int) -> bool:
     shown = any(d == 0 and not drift for d, drift in zip(data.derivative, data.drift, strict=True))
     if shown or _laws_of_position(model):
         return True
-    springs = [
-        row
-        for row, kind in enumerate(model.kinds)
-        if kind is Kind.SPRING and not does_nothing(model.elements[row])
-    ]
-    springs = [row for row in springs if model.elements[row].force_law is None]
     n = model.n - len(data.bases.names)
-    B = model.B[springs, :n]
+    B = model.B[_linear_springs(model), :n]
     push = (
         model.S[:n, column]
         if column < model.S.shape[1] - len(data.bases.names)

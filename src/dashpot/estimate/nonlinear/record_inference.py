@@ -26,10 +26,8 @@ from dashpot.model.network import Model
 from dashpot.notices import Notice
 from dashpot.numerics.small_systems import scaled_inverse
 
-DRAWN, MOST_DRAWS = (
-    50_000,
-    160,
-)  # samples of all draws with which the colour of residuals is compared, and draws
+DRAWN = 50_000  # samples of all draws with which the colour of residuals is compared
+MOST_DRAWS = 160  # of short records
 HALF_BAND = 30  # lines on each side over which the residuals' spectrum is smoothed
 CUT_RECORD = "cut_record"  # code of a notice
 EXACT_INPUTS = "exact_inputs"  # code of a notice

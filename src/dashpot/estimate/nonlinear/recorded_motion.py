@@ -28,12 +28,13 @@ class BaseTravel:
 class RecordedMotion:
     """Displacements of the rig's coordinates x (samples, n) and of its displacement inputs u (samples, r).
 
-    beside (samples, n): the coordinates from where bases that are known by a rate carry them.
+    beside (samples, n): the coordinates from where bases that are known by a rate carry them; bases: how these travel.
     """
 
     x: Real
     u: Real
     beside: Real
+    bases: BaseTravel
 
 
 @dataclass(frozen=True)
@@ -50,14 +51,15 @@ def recorded_motion(model: Model, data: RecordData) -> RecordedMotion | None:
     if np.linalg.matrix_rank(C) < model.n if C.size else True:
         return None
     bases = data.bases
-    travel = base_travel(model, data).travel
+    course = base_travel(model, data)
+    travel = course.travel
     beside = _beside(model, data, travel)
     x = beside + travel @ bases.matrix(model.coordinates).T
     shown = [j for j, name in enumerate(model.displacement_inputs) if name not in bases.names]
     moved = [model.displacement_inputs.index(name) for name in bases.names]
     u = np.empty((data.samples, len(model.displacement_inputs)))
     u[:, shown], u[:, moved] = data.inputs[:, : len(shown)], travel
-    return RecordedMotion(x, u, beside)
+    return RecordedMotion(x, u, beside, course)
 
 
 def start_of(model: Model, data: RecordData, at: RecordedMotion | None) -> Start:
@@ -71,7 +73,7 @@ def start_of(model: Model, data: RecordData, at: RecordedMotion | None) -> Start
         state[:n] = x[0]
         state[total : total + n] = (-3 * x[0] + 4 * x[1] - x[2]) / (2 * data.step_s)
     if bases:
-        base = base_travel(model, data).start
+        base = (base_travel(model, data) if at is None else at.bases).start
         state[n:total], state[total + n : 2 * total], forces[-bases:] = base.T
     return Start(state, forces)
 

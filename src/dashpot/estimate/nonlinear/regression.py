@@ -36,15 +36,17 @@ class MeasuredMotion:
     f: Complex
 
     def unit_forces(self, constants: Real) -> Complex:
-        """a of all elements at every line, (K, lines, elements), for inner constants (G,)."""
-        K, R = self.elongations.shape[:2]
-        q = self.elongations.reshape(K * R, *self.elongations.shape[2:])
-        omega = np.tile(self.dwells.omega, K)
+        """a of all elements at every line, (K, lines, elements), for inner constants (G,); of one repeat also for T
+        sets of them (T, G), (T, lines, elements)."""
+        R = self.elongations.shape[1]
+        sets = len(constants) if constants.ndim == 2 else len(self.elongations)
+        q = np.broadcast_to(self.elongations, (sets, *self.elongations.shape[1:]))
+        omega = np.tile(self.dwells.omega, sets)
         times = samples_of(self.model, self.dwells.orders)
-        rows = np.broadcast_to(constants, (K * R, constants.shape[-1]))
-        forces = alternate(self.model, rows, omega, q, times, slopes=False)
-        a = self.linear.copy()
-        a[..., self.model.nonlinear] = self.dwells.lines(np.moveaxis(complex_of(forces.a), -1, 1), K)
+        rows = np.repeat(np.broadcast_to(constants, (sets, constants.shape[-1])), R, axis=0)
+        forces = alternate(self.model, rows, omega, q.reshape(-1, *q.shape[2:]), times, slopes=False)
+        a = np.broadcast_to(self.linear, (sets, *self.linear.shape[1:])).copy()
+        a[..., self.model.nonlinear] = self.dwells.lines(np.moveaxis(complex_of(forces.a), -1, 1), sets)
         return a
 
 
@@ -88,7 +90,9 @@ def scale_of_lines(motion: MeasuredMotion) -> Real:
 def regression(motion: MeasuredMotion, constants: Real, weight: Real) -> tuple[Real, Real]:
     """(parameters (K, unknown elements), residual over the known side (K,)) of weighted least squares.
 
-    The terms' own sizes do not count: they cancel where constants (G,) are far off."""
+    The terms' own sizes do not count: they cancel where constants, as `MeasuredMotion.unit_forces` takes them, are far
+    off.
+    """
     model = motion.model
     strengths = np.any(model.T, axis=0)
     a = motion.unit_forces(constants)

@@ -269,7 +269,7 @@ def lost_dwells_regained(view: ObservationModel, exact: Measured, psi: Real) -> 
         at, _, _, drive = _at_end(view, exact, psi[repeat : repeat + 1], repeat)
         if np.all(at.converged):
             continue
-        delta = regained(view.model, psi[repeat : repeat + 1, : view.m], drive, at)
+        delta = regained(view.model, psi[repeat : repeat + 1, : view.m], drive, at.delta, at.converged)
         if delta is not None:
             warm.delta[repeat], warm.cost[repeat], gained = delta, np.inf, True
             warm.along.pop(repeat, None)

@@ -34,6 +34,7 @@ PURE = (0.3, 0.8, 1.3, 2.5)  # for constants that are pure numbers
 LINEAR_MISFIT = 0.1  # relative noise at which a linear rig is fitted first
 KEPT = 4  # starts that are followed
 FACTORS = (1.5, 1.15, 1.05)  # of the steps by which inner constants are moved from the best of a grid
+TOGETHER = 16  # trials in one call
 MANY, REFINED = 2, 9  # unknown constants from which trials are refined, and how many of them are
 MOVES = 12  # rounds with each of them, at most
 RATIOS = (0.0, 0.03, 0.3, -0.1)  # nonlinear force over the linear one, where nothing tells
@@ -60,20 +61,20 @@ def _by_regression(data: Prepared) -> Real:
     strengths = np.any(model.T, axis=0)
 
     def residual(constants: Real) -> float:
-        p, left = regression(motion, constants, weight)
-        return float(left[0]) if np.all(np.isfinite(p)) else np.inf
+        return float(_residuals(motion, [constants], weight)[0])
 
-    trials = sorted(constant_trials(motion), key=residual)
+    trials = constant_trials(motion)
+    if len(trials) > 1:
+        trials = [trials[k] for k in np.argsort(_residuals(motion, trials, weight), kind="stable")]
     if sum(constant.unknown for _, constant in model.constants) >= MANY:  # too many for a fine grid
         refined = sorted(
             (refined_constants(model, trial, residual) for trial in trials[:REFINED]), key=residual
         )
         trials = distinct_constants(refined)
     thetas = []
-    for constants in trials[:KEPT]:
-        p, _ = regression(motion, constants, weight)
+    for constants, p in zip(trials, regression(motion, np.array(trials[:KEPT]), weight)[0], strict=False):
         theta = np.zeros(len(model.unknowns))
-        theta[strengths] = p[0]
+        theta[strengths] = p
         theta = np.where(model.prior_precision > 0, model.prior_mean, theta)
         slope, known = model.constants_map
         theta[~strengths] = (constants - known) @ slope[:, ~strengths]
@@ -81,6 +82,15 @@ def _by_regression(data: Prepared) -> Real:
             thetas.append(theta)
     low, high = model.bounds
     return np.clip(np.array(thetas).reshape(-1, len(model.unknowns)), low, high)
+
+
+def _residuals(motion: MeasuredMotion, trials: Sequence[Real], weight: Real) -> Real:
+    """What least squares leave with each of some inner constants (G,), inf where they lead nowhere, (trials,)."""
+    left = []
+    for first in range(0, len(trials), TOGETHER):
+        p, residual = regression(motion, np.array(trials[first : first + TOGETHER]), weight)
+        left.append(np.where(np.all(np.isfinite(p), axis=-1), residual, np.inf))
+    return np.concatenate(left)
 
 
 def refined_constants(model: Model, start: Real, residual: Callable[[Real], float]) -> Real:

@@ -13,6 +13,7 @@ import numpy as np
 
 from dashpot.arrays import Bools, Ints, Real, frozen
 from dashpot.model.network import Model
+from dashpot.model.nonlinear.compiled import compiled_forces, compiled_rig
 from dashpot.model.nonlinear.expression import Dual
 from dashpot.model.nonlinear.force_law import ForceLaw
 
@@ -72,6 +73,12 @@ def alternate(
     elongations nearby, whose states are a first guess.
     """
     N, e, W = q.shape
+    rig = None if slopes else compiled_rig(model, times)
+    if rig is not None:
+        nothing = tuple(np.zeros((N, 0)) for _ in range(e))
+        return Alternated(
+            compiled_forces(rig, constants, omega, q, times), np.empty((0, e, W, W)), (), nothing
+        )
     there, rate, back = period_basis((W - 1) // 2, times)
     a = np.empty_like(q)
     slope = np.empty((N, e, W, W) if slopes else (0, e, W, W))

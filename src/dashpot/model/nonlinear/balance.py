@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from dashpot.arrays import Bools, Complex, Ints, Real
 from dashpot.model.network import Model
 from dashpot.model.nonlinear.alternating import Alternated, alternate
+from dashpot.model.nonlinear.compiled import compiled_balance, compiled_rig
 from dashpot.model.nonlinear.harmonics import Drive, complex_of, complex_rows, real_of, rows_of
 from dashpot.model.nonlinear.linear_part import LinearPart, linear_part
 
@@ -117,6 +119,9 @@ def balanced(
 
     A dwell leaves when it has settled, or when its residual no longer falls.
     """
+    rig = compiled_rig(model, times)
+    if rig is not None:
+        return _compiled(model, p, compiled_balance(rig, model, p, constants, drive, q, times, hopeless))
     forces = alternate(model, constants, drive.omega, q, times)
     equations = balance(model, p, drive, secant_of(p[:, model.nonlinear], forces.a, q))
     if not equations.feeds_back:
@@ -133,6 +138,15 @@ def balanced(
         search.step()
     search.leave(np.ones(len(search.rows), dtype=bool))
     return search.ends
+
+
+def _compiled(model: Model, p: Real, ends: tuple[Any, ...]) -> Balanced:
+    """What the kernel's arrays are."""
+    *linear, free, q, a, slope, by_constant, error = ends
+    equations = Balance(LinearPart(*linear), free, p[:, model.nonlinear, None])
+    parts = tuple(by_constant[..., inner] for inner in model.constant_slices)
+    stateless = tuple(np.zeros((len(q), 0)) for _ in parts)
+    return Balanced(equations, q, Alternated(a, slope, parts, stateless), error)
 
 
 class _Newton:

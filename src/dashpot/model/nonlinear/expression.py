@@ -240,9 +240,10 @@ def _power(a: Dual, b: Dual) -> Dual:
 
 
 def _chosen(first: Bools, a: Dual, b: Dual) -> Dual:
-    return _chain(
-        np.where(first, a.value, b.value), (a, np.where(first, 1.0, 0.0)), (b, np.where(first, 0.0, 1.0))
-    )
+    """Value and slopes of a where it is chosen, else of b; what is not chosen may be no number."""
+    names = {**a.slopes, **b.slopes}
+    slopes = {name: np.where(first, a.slopes.get(name, 0.0), b.slopes.get(name, 0.0)) for name in names}
+    return Dual(np.where(first, a.value, b.value), slopes)
 
 
 def _where(test: Dual, a: Dual, b: Dual) -> Dual:

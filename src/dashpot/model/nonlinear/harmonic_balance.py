@@ -23,6 +23,7 @@ from dashpot.arrays import Bools, Complex, Real
 from dashpot.model.network import Model
 from dashpot.model.nonlinear.alternating import Alternated, alternate
 from dashpot.model.nonlinear.balance import Balance, Balanced, balanced, secant_of
+from dashpot.model.nonlinear.compiled import compiled_rig, compiled_slopes, compiled_start, factors_of_orders
 from dashpot.model.nonlinear.harmonics import (
     Drive,
     complex_of,
@@ -118,6 +119,9 @@ def samples_of(model: Model, orders: int) -> int:
 
 def _linear_start(model: Model, p: Real, constants: Real, drive: Drive, times: int) -> Real:
     """Elongations with each nonlinear element replaced by its secant, found by a few rounds."""
+    rig = compiled_rig(model, times)
+    if rig is not None:
+        return compiled_start(rig, model, p, constants, drive, times)
     e = len(model.nonlinear)
     secant = np.zeros((len(p), e), dtype=np.complex128)
     q = np.zeros((len(p), e, 2 * drive.orders + 1))
@@ -125,11 +129,10 @@ def _linear_start(model: Model, p: Real, constants: Real, drive: Drive, times: i
         linear = linear_part(model, p, drive, secant)
         free = np.where(np.isfinite(linear.free), linear.free, 0.0)
         q = real_of(np.moveaxis(free, 1, -1))
-        if not np.any(free):
-            secant = p[:, model.nonlinear].astype(np.complex128)
-            continue
         forces = alternate(model, constants, drive.omega, q, times, slopes=False)
-        secant = 0.5 * (secant + secant_of(p[:, model.nonlinear], forces.a, q))
+        moves = np.any(free, axis=(1, 2))[:, None]
+        along = 0.5 * (secant + secant_of(p[:, model.nonlinear], forces.a, q))
+        secant = np.where(moves, along, p[:, model.nonlinear])
     return q
 
 
@@ -156,8 +159,7 @@ class Slopes:
 
 def harmonic_unit_forces(model: Model, drive: Drive, at: Periodic) -> Complex:
     """a of all elements at every harmonic, (N, H + 1, elements); N per unit of the parameter."""
-    omega = (drive.omega[:, None] * rates_of_orders(drive.orders)).imag
-    a = model.factors(omega) * (at.X @ model.B.T + drive.U @ model.D.T)
+    a = factors_of_orders(model, drive.omega, drive.orders) * (at.X @ model.B.T + drive.U @ model.D.T)
     a[..., model.nonlinear] = np.moveaxis(complex_of(at.forces.a), -1, 1)
     return a
 
@@ -172,6 +174,11 @@ def slopes(
     along_U (N or 1, H + 1, r, Q) and along_f (N or 1, H + 1, s, Q).
     """
     chosen, linear = model.nonlinear, at.linear
+    rig = compiled_rig(model)
+    if rig is not None:
+        parts = linear.inverse, linear.receptance, linear.share
+        along = along_p, along_constants, along_U, along_f
+        return Slopes(*compiled_slopes(rig, model, p, drive, parts, at.forces, a, along))
     Bn, Dn, n = model.B[chosen], model.D[chosen], model.n
     N, orders, Q = len(p), drive.orders, along_p.shape[1]
     strength = p[:, chosen]
@@ -195,11 +202,10 @@ def slopes(
     d_delta = at.equations.solved(at.forces.slope, right).reshape(N, e, W, Q)
     d_rest = complex_rows(np.einsum("nevw,newq->nevq", inner, d_delta))
     dX = moved - linear.inverse @ np.einsum("ei,nheq->nhiq", Bn, d_rest)
-    omega = (drive.omega[:, None] * rates_of_orders(orders)).imag
     elongation = model.B @ dX
     if along_U is not None:
         elongation = elongation + model.D @ along_U
-    d_a = model.factors(omega)[..., None] * elongation
+    d_a = factors_of_orders(model, drive.omega, drive.orders)[..., None] * elongation
     d_a[:, :, chosen] = complex_rows(np.einsum("nevw,newq->nevq", at.forces.slope, d_delta)) + by_constant
     return Slopes(dX, d_a, d_delta)
 

@@ -110,6 +110,24 @@ def test_the_change_mends_the_fit():
     assert "sign = -1" in finding.change
 
 
+@pytest.mark.parametrize("mistake", ["another derivative", "g for m/s²", "sign of the input"])
+def test_the_change_of_a_channel_mends_the_fit_as_it_is_written(mistake):
+    """A velocity for a displacement had been named rightly, with "gain = -1" as the line to write."""
+    rng = np.random.default_rng(4)
+    model, spectrum = clean("thrown", rng)
+    case = MISTAKES[mistake](model, spectrum, rng)
+    finding = diagnose(model, case.spectrum)[0]
+    assert finding.kind in case.kinds
+    _, channels = applied(model, case.spectrum.channels, finding)
+    scale = np.array([c.scale * (c.sign or 1.0) * (c.gain or 1.0) for c in channels])
+    mended = replace(
+        case.spectrum, channels=tuple(replace(c, scale=1.0, sign=None, gain=None) for c in channels),
+        amplitudes=case.spectrum.amplitudes * scale,
+        covariance=scale[:, None] * case.spectrum.covariance * scale,
+    )  # fmt: skip
+    assert float(identify(model, mended).fit.p) > 0.01
+
+
 def test_a_clean_test_fits_and_nothing_is_named():
     model, spectrum = clean("paper", np.random.default_rng(4))
     assessment = examined(model, spectrum, identify(model, spectrum)).assessment

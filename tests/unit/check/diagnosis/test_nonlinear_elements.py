@@ -11,6 +11,7 @@ from dashpot.check.diagnosis.candidate_elements import candidate_elements
 from dashpot.check.diagnosis.diagnose import examined
 from dashpot.check.diagnosis.nonlinear_elements import (
     called_for,
+    fitted_in_full,
     motions_of,
     scored_in_dwells,
     seen_candidates,
@@ -22,6 +23,7 @@ from dashpot.estimate.preparation.prepared import prepare
 from dashpot.model.elements import Element, Kind, between, mass
 from dashpot.model.network import Input, Model
 from dashpot.model.nonlinear.force_law import force_law
+from tests import rigs
 from tests.nonlinear_rigs import chain, motions, noisy, settled, two_masses
 
 ALL = motions("x1", "x2", "u")
@@ -112,6 +114,40 @@ def test_stops_on_one_side_are_told_from_those_on_both_by_even_harmonics_alone()
     assert not any(element.force_law.text == "one-sided" for element in named[1, 3])
     first = named[1, 2, 3][0]
     assert (first.force_law.text, first.along) == ("one-sided", {"x2": 1.0, "u": -1.0})
+
+
+@pytest.mark.parametrize(("law", "words"), [("cubic", "odd, stiffening"), ("v*abs(v)", "grows with speed")])
+def test_harmonics_that_are_mostly_noise_do_not_silence_the_channels_that_show_the_element(law, words):
+    """Its own harmonics are small: at most lines the channels are noise, and runs of two levels seem of two rigs."""
+    model, theta = two_masses(law)
+    spectrum = settled(
+        model, theta, ALL, 2 * FREQUENCIES, orders=(1, 2, 3, 5), amplitude=np.repeat([4e-4, 1e-3], len(FREQUENCIES)),
+        noise=0.01, rng=np.random.default_rng(0),
+    )  # fmt: skip
+    linear = replace(model, elements=model.elements[:-1])
+    first = examined(linear, spectrum, identify(linear, spectrum)).assessment.findings[0]
+    assert (first.kind, first.of) == ("nonlinear", ("x2", "u"))
+    assert words in first.text
+
+
+def test_beside_one_wrong_dwell_no_candidate_is_sought_that_the_equation_of_motion_does_not_show(monkeypatch):
+    """The first mode's dwell is flipped, where a nonlinear element would show as well; six fits took 6 s."""
+    fits = []
+    monkeypatch.setattr(
+        "dashpot.check.diagnosis.nonlinear_elements.fitted_in_full",
+        lambda *given: fits.append(given[3].element.name) or fitted_in_full(*given),
+    )
+    rig = rigs.plain_rig(np.random.default_rng(64), 4)
+    channels = rigs.channels(rig)
+    spectrum = rigs.noisy(rig, channels, rigs.covariance(rig, channels, 0.01), np.random.default_rng(1))
+    loudest = int(np.argmax(np.sum(np.abs(spectrum.amplitudes), axis=1)))
+    Y = spectrum.amplitudes.copy()
+    Y[loudest, : len(rig.model.coordinates)] *= -1
+    wrong = replace(spectrum, amplitudes=Y)
+    findings = examined(rig.model, wrong, identify(rig.model, wrong)).assessment.findings
+    assert findings[0].kind in ("dwell", "frequency")
+    assert findings[0].of == (f"{spectrum.frequency_hz[loudest]:g} Hz",)
+    assert not fits
 
 
 @pytest.mark.long

@@ -104,6 +104,14 @@ def test_the_element_that_a_whole_record_calls_for_is_named_first(name: str) -> 
     assert words in named[short]
 
 
+def test_friction_below_zero_is_damping_that_grows_with_speed_and_the_line_says_so() -> None:
+    """Less damping at low speeds than at high ones had been written as a Coulomb damper with a negative guess."""
+    findings = nonlinear(fitted(recorded(lambda d, v: 4 * v - 0.1 * np.tanh(v / 0.004), noise=0.003)))
+    assert "damping that grows with speed" in findings[0].text
+    assert all(finding.number is not None and finding.number > 0 for finding in findings)
+    assert "coulomb" not in findings[0].change
+
+
 def test_the_remedy_makes_the_record_fit() -> None:
     record = recorded(LAWS["cubic"][0])
     best = nonlinear(fitted(record))[0]

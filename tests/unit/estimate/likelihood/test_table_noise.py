@@ -118,3 +118,12 @@ def test_too_small_and_exact_tables_keep_even_weights() -> None:
     exact, _ = with_residual_noise(RIG, table(0 * SIZE, 0), method("oiv"))
     variance = np.diagonal(exact.covariance, axis1=1, axis2=2).real
     assert np.all(np.ptp(variance, axis=0) == 0)
+
+
+def test_a_table_of_anything_but_motion_finds_no_noise_and_does_not_break_off() -> None:
+    """As decibels read as metres: where the rig explains nothing, sizes of the noise have no ends."""
+    random = np.random.default_rng(4).standard_normal(CLEAN.amplitudes.shape) * (1 + 1j)
+    assert "noise_fitted" not in {
+        note.code
+        for note in with_residual_noise(RIG, replace(CLEAN, amplitudes=random), method("oiv"))[0].notes
+    }

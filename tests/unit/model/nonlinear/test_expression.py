@@ -80,6 +80,15 @@ def test_units_follow_from_the_expression(text, unit, constants):
     assert names == constants
 
 
+def test_slopes_of_what_is_not_chosen_do_not_count() -> None:
+    at = parse("where(d > 0, d**1.5, 2*d) + max(sqrt(d), v)")(
+        {"d": np.array([4.0, -1.0]), "v": np.array([1.0, 3.0])}
+    )
+    assert at.value[0] == 10.0
+    assert np.array_equal(at.slopes["d"][:1], [3.25])
+    assert parse("where(d > 0, d**1.5, 2*d)")({"d": np.array([-1.0])}).slopes["d"] == 2.0
+
+
 @pytest.mark.parametrize("text", ["d + v", "tanh(d)", "exp(v)", "max(d, v)", "where(d > v, d, d)"])
 def test_units_that_make_no_sense_are_refused(text):
     with pytest.raises(ModelError, match="units"):

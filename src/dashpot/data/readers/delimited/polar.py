@@ -1,7 +1,8 @@
 """Tables of amplitude and phase, NAME_amplitude and NAME_phase, as tables of real and imaginary part.
 
 X = amplitude · e^{j phase}.  The phase is in the unit in brackets behind its name, in degrees where there is none;
-NAME_phase_deg and NAME_phase_rad say it in the name.  Responses to inputs are OUT/IN_amplitude, OUT/IN_phase.
+NAME_phase_deg and NAME_phase_rad say it in the name.  Amplitudes in dB, of 20 log10, say so in brackets: NAME_amplitude
+[dB].  Responses to inputs are OUT/IN_amplitude, OUT/IN_phase.
 """
 
 from __future__ import annotations
@@ -28,11 +29,12 @@ FEW = 4  # lines from which on phases are judged
 
 @dataclass(frozen=True)
 class _Polar:
-    """A pair of columns, and the factor from the phase's numbers to rad."""
+    """A pair of columns, the factor from the phase's numbers to rad, and whether amplitudes are in dB."""
 
     amplitude: int
     phase: int
     to_radian: float
+    decibel: bool = False
 
 
 @dataclass(frozen=True)
@@ -73,7 +75,9 @@ class RectangularColumns(Columns):
         for column in computed:
             pair = self.pairs[(column - plain) // 2]
             wave = np.cos if (column - plain) % 2 == 0 else np.sin
-            values[column] = values[pair.amplitude] * wave(values[pair.phase] * pair.to_radian)
+            size = values[pair.amplitude]
+            size = 10 ** (size / 20) if pair.decibel else size
+            values[column] = size * wave(values[pair.phase] * pair.to_radian)
         return values
 
     def sources(self, columns: Iterable[int]) -> set[int]:
@@ -106,9 +110,11 @@ def with_real_and_imaginary(columns: Columns) -> Columns:
             phases = [i for i, other in enumerate(names) if other in [stem + phase for phase in PHASES]]
             if len(phases) != 1:
                 continue
-            pairs.append(_Polar(at, phases[0], _to_radian(columns, phases[0])))
+            unit = columns.unit(at)
+            decibel = unit is not None and unit.lower() == "db"
+            pairs.append(_Polar(at, phases[0], _to_radian(columns, phases[0]), decibel))
             header += [f"{stem}_re", f"{stem}_im"]
-            unit_of += [columns.unit(at)] * 2
+            unit_of += [None if decibel else unit] * 2
     if not pairs:
         return columns
     return RectangularColumns(
@@ -116,15 +122,17 @@ def with_real_and_imaginary(columns: Columns) -> Columns:
     )
 
 
-def phase_notices(columns: Columns, frequency_hz: Real) -> list[Notice]:
-    """What is said of phases whose numbers look like another unit than theirs; [] where there are none.
+def polar_notices(columns: Columns, frequency_hz: Real) -> list[Notice]:
+    """What is said of amplitudes and phases whose numbers look like another unit than theirs; [] where there are none.
 
-    Phases in rad that go beyond a turn are unwrapped, and so move by little from one frequency to the next: others are
-    degrees, which is refused.  Degrees that never exceed π may be radians, or a rig far below its first mode.
+    Amplitudes below zero are refused: they are most likely decibels.  Phases in rad beyond a turn are unwrapped,
+    and so move by little from one frequency to the next: others are degrees, which is refused.  Degrees that never
+    exceed π may be radians, or a rig far below its first mode.
     Raises DataError.
     """
     if not isinstance(columns, RectangularColumns) or len(frequency_hz) < FEW:
         return []
+    _require_amplitudes(columns)
     places = [pair.phase for pair in columns.pairs]
     phases = columns.base.numbers(places, places)
     rows = len(phases[places[0]])
@@ -140,6 +148,21 @@ def phase_notices(columns: Columns, frequency_hz: Real) -> list[Notice]:
         return []
     text = f"phases are read as degrees, and none exceeds {largest:.3g}: they may be radians"
     return [Notice("phase_unit", text, tuple(columns.header[place] for place in in_degrees))]
+
+
+def _require_amplitudes(columns: RectangularColumns) -> None:
+    """Raises DataError where an amplitude of a column that is not in dB is below zero."""
+    places = [pair.amplitude for pair in columns.pairs if not pair.decibel]
+    amplitudes = columns.base.numbers(places, places)
+    for place in places:
+        numbers = amplitudes[place]
+        if np.any(numbers < 0):
+            name, least = shown(columns.header[place]), float(np.nanmin(numbers))
+            raise DataError(
+                f"column {name}: an amplitude of {least:.4g} is below zero, as decibels may be",
+                columns.heading,
+                f"name the column {bare(columns.header[place])[0]}[dB] if they are; else give amplitudes from 0",
+            )
 
 
 def _require_unwrapped(columns: Columns, place: int, numbers: Real) -> None:

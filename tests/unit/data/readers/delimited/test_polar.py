@@ -43,3 +43,19 @@ def test_radians_that_are_degrees_are_refused(tmp_path: Path, response: bool) ->
     X = unwrapped.spectrum().amplitudes[:, 0]
     np.testing.assert_allclose(X, 1.5 * np.exp(10j * PHASE), rtol=1e-12)
     assert not unwrapped.notes
+
+
+def test_amplitudes_in_decibels_are_read_where_they_say_so_and_refused_where_they_do_not(
+    tmp_path: Path,
+) -> None:
+    size = np.geomspace(2.0, 0.1, 10)
+    rows = [f"{f},{20 * np.log10(a)},{p},1,0" for f, a, p in zip(HZ, size, np.degrees(PHASE), strict=True)]
+    path = tmp_path / "t.csv"
+    path.write_text("\n".join(["frequency_hz,x1_amplitude [dB],x1_phase,u_re,u_im", *rows]) + "\n")
+    X = read(path, CHANNELS).spectrum().amplitudes[:, 0]
+    np.testing.assert_allclose(X, size * np.exp(1j * PHASE), rtol=1e-9)
+    path.write_text("\n".join(["frequency_hz,x1_amplitude,x1_phase,u_re,u_im", *rows]) + "\n")
+    with pytest.raises(
+        DataError, match=r"-20 is below zero, as decibels may be; name the column x1_amplitude\[dB\]"
+    ):
+        read(path, CHANNELS)

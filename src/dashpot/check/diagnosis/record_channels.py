@@ -1,0 +1,282 @@
+"""Plain mistakes of channels in whole records of nonlinear rigs, told before any fit.
+
+A wrong sign or unit, or two channels exchanged, keeps a search by integration busy for minutes, to no end.
+Where the channels of displacement show all coordinates, the equation of motion in its weak form tells the mistake at
+once: with the parts of the rig, and any smooth law at the places of its nonlinear elements, its terms cancel or they do
+not.  Elsewhere the motion that follows from the guesses is laid beside the measured one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from itertools import combinations
+
+import numpy as np
+
+from dashpot.arrays import Bools, Ints, Real
+from dashpot.check.diagnosis.likeness import RATIOS
+from dashpot.check.diagnosis.ranking import ORDER, Cause
+from dashpot.check.diagnosis.wording import finding, with_likely_causes
+from dashpot.data.record import Record
+from dashpot.errors import DashpotError, DataError
+from dashpot.estimate.assessment import Finding
+from dashpot.estimate.nonlinear.record_problem import begun_problem
+from dashpot.estimate.nonlinear.record_regression import WeakForm, weak_form
+from dashpot.estimate.nonlinear.recorded_motion import RecordedMotion, recorded_motion
+from dashpot.estimate.nonlinear.records import RecordData, arranged
+from dashpot.model.network import Model
+from dashpot.model.observation import measures_input
+
+MOST, MOST_INTEGRATED = 4000, 1000  # samples that are looked at
+CONTRADICTED = 0.05  # share of a channel's or an equation's power above which something is wrong
+MENDED = 0.05  # share of what contradicts that a mistake put right may leave
+CLOSE = (
+    0.3  # share of a channel's power by which a motion from guesses may differ, for they are off themselves
+)
+GROSS = 5.0  # factor of a unit beyond which guesses tell it from their own error
+ALIKE = 3.0  # times what the best leaves: others are named, too
+ROUNDS = 4  # of the weights of the equations
+SHARES = (0.1, 0.3)  # of the largest speed or elongation, at which the smooth laws bend
+
+
+def require_sound_channels(model: Model, record: Record) -> None:
+    """Raises DataError where the channels contradict the rig and one plain mistake explains it, which is named."""
+    findings = channel_mistakes(model, record)
+    if findings:
+        error = DataError(
+            "the channels contradict each other: whatever its values, the rig does not move like this",
+            record.source,
+            "mend the channel that is named next, in its line of the rig file or in the data",
+        )
+        raise with_likely_causes(error, findings)
+
+
+def channel_mistakes(model: Model, record: Record) -> tuple[Finding, ...]:
+    """Mistakes of one channel, or two exchanged ones, which alone make a record contradict the rig; the best first.
+
+    () where nothing is contradicted, or no one mistake explains it.
+    """
+    bench = _Bench(model, {})
+    as_is = bench.contradiction(record)
+    if as_is is None or not np.max(as_is.shares) > CONTRADICTED:
+        return ()
+    tried = []
+    for cause, mended in _mistakes(model, record, as_is.guessed):
+        left = bench.contradiction(mended)
+        if left is not None and left.much_less_than(as_is):
+            tried.append(replace(cause, remaining=left.total))
+    least = min((cause.remaining for cause in tried), default=0.0)
+    near = [cause for cause in tried if cause.remaining <= ALIKE * least]
+    near.sort(key=lambda cause: (_of_input(model, record, cause), ORDER.index(cause.kind), cause.remaining))
+    return tuple(replace(finding(model, record.channels, cause), remaining=None) for cause in near)
+
+
+def _of_input(model: Model, record: Record, cause: Cause) -> bool:
+    """Whether it is about the channel of an input: of two motions either may be turned, and outputs are more."""
+    return any(measures_input(model, c) for c in record.channels if c.name in cause.of)
+
+
+def _mistakes(model: Model, record: Record, guessed: bool) -> Iterator[tuple[Cause, Record]]:
+    """Causes, and the record as it would be without each.
+
+    guessed: only guesses tell what the rig does, of which the size of one motion, or of the input, says nothing.
+    """
+    values, channels = record.values, record.channels
+    inputs = [measures_input(model, channel) for channel in channels]
+    gross = [ratio for ratio in RATIOS if abs(np.log(ratio)) > np.log(GROSS)]
+    for c, channel in enumerate(channels):
+        ratios = RATIOS if not guessed else gross if not inputs[c] and inputs.count(False) > 1 else ()
+        for number in (-1.0, *ratios):
+            factor = np.ones(len(channels))
+            factor[c] = 1 / number
+            kind = "sign" if number < 0 else "unit"
+            yield Cause(kind, (channel.name,), np.inf, number), replace(record, values=values * factor)
+    for first, second in combinations(range(len(channels)), 2):
+        if inputs[first] != inputs[second]:
+            continue
+        order = np.arange(len(channels))
+        order[[first, second]] = second, first
+        names = (channels[first].name, channels[second].name)
+        yield Cause("swap", names, np.inf), replace(record, values=values[:, order])
+
+
+@dataclass(frozen=True)
+class _Contradiction:
+    """Shares of power, of equations and channels, that contradict the rest; guessed: by the motion of the guesses."""
+
+    shares: Real
+    guessed: bool = False
+
+    @property
+    def total(self) -> float:
+        """All of them together."""
+        return float(np.sum(self.shares))
+
+    def much_less_than(self, before: _Contradiction) -> bool:
+        """Whether next to nothing is left of it."""
+        if self.guessed:
+            return bool(np.max(self.shares) < CLOSE) and self.total < before.total / 2
+        return self.total < MENDED * before.total
+
+
+@dataclass(frozen=True)
+class _Bench:
+    """Where records are tried; shown: channels by the guesses, for the inputs that were integrated already."""
+
+    model: Model
+    shown: dict[bytes, Real | None]
+
+    def contradiction(self, record: Record) -> _Contradiction | None:
+        """What of a record contradicts the rig; None where that cannot be told."""
+        model = self.model
+        try:
+            data = arranged(model, _first_samples(record, MOST))
+            at = recorded_motion(model, data)
+            if at is None:
+                return self._beside_guesses(arranged(model, _first_samples(record, MOST_INTEGRATED)))
+        except DashpotError:
+            return None
+        r = model.D.shape[1] - len(data.bases.names)
+        form = weak_form(model, data.step_s, at.x, at.u, data.inputs[:, r : r + len(model.force_inputs)])
+        return _Contradiction(np.concatenate([_of_equations(form), _of_channels(form, data, at)]))
+
+    def _beside_guesses(self, data: RecordData) -> _Contradiction | None:
+        """Shares of the channels' power by which the motion of the guesses differs; None where a guess is missing."""
+        key = data.inputs.tobytes()
+        if key not in self.shown:
+            self.shown[key] = _by_guesses(self.model, data)
+        shown = self.shown[key]
+        if shown is None:
+            return None
+        y = data.outputs - np.where(data.drift, np.mean(data.outputs, axis=0), 0.0)
+        known = [c for c, gain in enumerate(data.gain) if gain < 0]
+        return _Contradiction(np.array([_apart(y[:, c], shown[:, c]) for c in known]), True)
+
+
+def _first_samples(record: Record, count: int) -> Record:
+    """The first samples of a record, as many as it has."""
+    return replace(record, time=record.time[:count], values=record.values[:count])
+
+
+def _by_guesses(model: Model, data: RecordData) -> Real | None:
+    """What the channels would show by the guesses, from rest; None where one is missing or no motion follows."""
+    given = [u.prior if u.prior is not None else u.guess for u in model.unknowns]
+    theta = np.array([value for value in given if value is not None], dtype=float)
+    if len(theta) < len(given):
+        return None
+    problem, own = begun_problem(model, (data,), theta, np.ones(len(data.names)))
+    psi = np.concatenate([theta, np.ones(problem.gains), np.zeros(len(problem.constants.offsets)), own])
+    residual = problem.residual(0, psi, slopes=False)[0]
+    zero = np.where(data.drift, np.mean(data.outputs, axis=0), 0.0)
+    return data.outputs - zero - residual if np.all(np.isfinite(residual)) else None
+
+
+def _of_channels(form: WeakForm, data: RecordData, at: RecordedMotion) -> Real:
+    """Shares of the channels' power that the motion of the channels of displacement does not show, (channels,)."""
+    n, shares = form.model.n, []
+    for c, power in enumerate(data.derivative):
+        if data.gain[c] >= 0:
+            continue
+        shown = at.x @ data.on_x[c, :n] + at.u @ data.on_q[c, : at.u.shape[1]]
+        measured = data.outputs[:, c] - (np.mean(data.outputs[:, c]) if data.drift[c] else 0.0)
+        shown = shown - (np.mean(shown) if data.drift[c] else 0.0)
+        shares.append(_apart(form.of(measured[:, None], 0), form.of(shown[:, None], power)))
+    return np.array(shares)
+
+
+def _apart(y: Real, p: Real) -> float:
+    """Power of a difference over that of both."""
+    return float(np.sum((y - p) ** 2) / max(np.sum(y**2) + np.sum(p**2), np.finfo(float).tiny))
+
+
+@dataclass(frozen=True)
+class _Terms:
+    """Weak terms of the equation of motion, one a column: those of linear elements, and any law where one is nonlinear.
+
+    columns (rows, k); along (k, n): what a term pulls at; by (k, m): with which unknown it grows; known (k,): what is
+    stated of it.  place (k,): terms of one place make one force; passive (k,): terms that a part below zero would have.
+    """
+
+    columns: Real
+    along: Real
+    by: Real
+    known: Real
+    place: Ints
+    passive: Bools
+
+    def slopes(self) -> Real:
+        """What unknowns do to the equations, (n, rows, m)."""
+        return np.stack([(self.columns * pull) @ self.by for pull in self.along.T])
+
+    def forces(self, theta: Real) -> Real:
+        """All terms at θ (m,), (rows, k)."""
+        forces: Real = self.columns * (self.by @ theta + self.known)
+        return forces
+
+
+def _terms(form: WeakForm) -> _Terms:
+    """Those of a rig in the measured motion.  Inertia is a place of its own, and so is what stands still."""
+    model, points = form.model, [frozenset(e.along.items()) for e in form.model.elements]
+    bent = {points[int(index)] for index in model.nonlinear}
+    linear = [i for i, element in enumerate(model.elements) if element.force_law is None]
+    columns, along, places, passive = [], [], list[object](), list[bool]()
+    for i in linear:
+        power = model.elements[i].law.power
+        columns.append(form.of(form.elongation[:, i : i + 1], power))
+        along.append(model.B[i])
+        places.append((points[i], power == 2))
+        passive.append(power == 2 or points[i] not in bent)
+    for index in model.nonlinear:
+        laws = _smooth_laws(form, int(index))
+        columns.append(laws)
+        along += [model.B[int(index)]] * laws.shape[1]
+        places += [(points[int(index)], False)] * laws.shape[1]
+    columns += [form.of(np.ones((len(form.f), 1)), 0)] * model.n  # zeros of sensors, weights
+    along += list(np.eye(model.n))
+    places += [(i, "still") for i in range(model.n)]
+    free = np.any(model.T[linear], axis=0)
+    more = len(places) - len(linear)
+    by = np.zeros((len(places), int(np.sum(free)) + more))
+    by[: len(linear), : by.shape[1] - more] = model.T[linear][:, free]
+    by[len(linear) :, by.shape[1] - more :] = np.eye(more)
+    order = list(dict.fromkeys(places))
+    return _Terms(
+        np.concatenate(columns, axis=1), np.array(along), by, np.append(model.p0[linear], np.zeros(more)),
+        np.array([order.index(place) for place in places]), np.array(passive + [False] * more),
+    )  # fmt: skip
+
+
+def _of_equations(form: WeakForm) -> Real:
+    """Share of each equation's power that its terms leave, and of all what negative parts have, (n + 1,)."""
+    terms = _terms(form)
+    n, tiny = form.model.n, np.finfo(float).tiny
+    push = np.stack([form.of(form.f[:, i : i + 1], 0)[:, 0] for i in range(n)])
+    A = terms.slopes()
+    b = push - np.stack([(terms.columns * pull) @ terms.known for pull in terms.along.T])
+    first = [int(np.flatnonzero(terms.place == place)[0]) for place in range(int(np.max(terms.place)) + 1)]
+    weight = np.ones(n)
+    for _ in range(ROUNDS):
+        whole = (A * weight[:, None, None]).reshape(-1, A.shape[2])
+        size = np.maximum(np.linalg.norm(whole, axis=0), tiny)
+        theta = np.linalg.lstsq(whole / size, (b * weight[:, None]).ravel(), rcond=1e-9)[0] / size
+        forces = terms.forces(theta)
+        joined = np.stack([np.sum(forces[:, terms.place == k], axis=1) for k in range(len(first))], axis=1)
+        power = np.maximum(
+            np.sum(joined**2, axis=0) @ terms.along[first] ** 2 + np.sum(push**2, axis=1), tiny
+        )
+        weight = 1 / np.sqrt(power)
+    left = np.sum((b - A @ theta) ** 2, axis=1) / power
+    negative = terms.passive & (terms.by @ theta + terms.known < 0)
+    against = np.sum(forces[:, negative] ** 2, axis=0) @ terms.along[negative] ** 2
+    return np.append(left, np.sum(against / power))
+
+
+def _smooth_laws(form: WeakForm, index: int) -> Real:
+    """Weak terms of laws that bend as most do, at the place of an element, (rows, laws)."""
+    d, v = form.elongation[:, index], form.rate[:, index]
+    far, fast = (max(float(np.max(np.abs(motion))), np.finfo(float).tiny) for motion in (d, v))
+    laws = [d, v, d**2, d * np.abs(d), d**3, d**5, v * np.abs(v), v**3]
+    for share in SHARES:
+        laws += [np.tanh(v / (share * fast)), np.maximum(d - share * far, 0), np.minimum(d + share * far, 0)]
+    return form.of(np.stack(laws, axis=1), 0)

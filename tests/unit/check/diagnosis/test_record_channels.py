@@ -1,0 +1,98 @@
+"""Plain mistakes of channels in whole records of nonlinear rigs are named at once, sound channels left alone."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from dashpot.api import identify
+from dashpot.channel import Channel, Quantity
+from dashpot.check.diagnosis.record_channels import channel_mistakes
+from dashpot.data.record import Record
+from dashpot.errors import DataError
+from dashpot.model.network import Model
+from tests.nonlinear_rigs import LAWS, guessed, motions
+from tests.unit.estimate.nonlinear.test_whole_record import chaotic, record
+
+SEEN = (*motions("x1", "x2"), Channel("a1", {"x1": 1.0}, Quantity.ACCELERATION), *motions("u"))
+IN_PART = (*motions("x2"), Channel("a1", {"x1": 1.0}, Quantity.ACCELERATION), *motions("u"))
+NAMES = [channel.name for channel in SEEN]
+
+
+def times(data: Record, name: str, factor: float) -> Record:
+    """The record with one channel times a factor."""
+    factors = [factor if channel.name == name else 1.0 for channel in data.channels]
+    return replace(data, values=data.values * np.array(factors))
+
+
+@pytest.mark.parametrize("law", ["cubic", "coulomb"])
+@pytest.mark.parametrize(
+    ("name", "factor", "words"),
+    [
+        ("a1", -1.0, "a1 reads −1 × what the rig gives: wrong sign?"),
+        ("x1", -1.0, "x1 reads −1 × what the rig gives: wrong sign?"),
+        ("x2", 1e3, "x2 reads 1000 × what the rig gives: mm, not m?"),
+        ("a1", 1 / 9.80665, "a1 reads 0.102 × what the rig gives: g, not m/s²?"),
+        ("u", -1.0, "u reads −1 × what the rig gives: wrong sign?"),
+    ],
+)
+def test_a_wrong_sign_or_unit_is_named_first(law: str, name: str, factor: float, words: str) -> None:
+    model, _, data = record(law, SEEN, noise=0.01)
+    first = channel_mistakes(model, times(data, name, factor))[0]
+    assert (first.of, first.text) == ((name,), words)
+    assert first.channels[0].name == name
+
+
+def test_exchanged_channels_are_named_first() -> None:
+    model, _, data = record("cubic", SEEN, noise=0.01)
+    first = channel_mistakes(model, replace(data, values=data.values[:, [1, 0, 2, 3]]))[0]
+    assert first.text == "x1 and x2 are exchanged"
+
+
+@pytest.mark.parametrize(("name", "factor"), [("a1", -1.0), ("x2", 1e3), ("u", -1.0)])
+def test_where_a_coordinate_is_not_seen_the_motion_of_the_guesses_tells(name: str, factor: float) -> None:
+    model, theta, data = record("cubic", IN_PART, noise=0.01)
+    near = guessed(model, theta, 1.05)
+    assert channel_mistakes(near, data) == ()
+    assert channel_mistakes(near, times(data, name, factor))[0].of == (name,)
+
+
+def test_of_two_motions_either_may_be_turned_and_the_output_is_named_first() -> None:
+    model, _, data = chaotic(250)
+    assert channel_mistakes(model, data) == ()
+    named = channel_mistakes(model, times(data, "f", -1.0))
+    assert [(each.kind, each.of) for each in named] == [("sign", ("x",)), ("sign", ("f",))]
+
+
+def test_an_identification_ends_at_once_with_the_line_to_write() -> None:
+    """It had gone on for minutes, to an end that said nothing."""
+    model, _, data = record("cubic", SEEN, noise=0.01)
+    with pytest.raises(DataError) as caught:
+        identify(model, [times(data, "a1", -1.0)])
+    contradiction, cause = caught.value.problems
+    assert "contradict each other" in contradiction.what
+    assert cause.what == "a likely cause: a1 reads −1 × what the rig gives: wrong sign?"
+    assert cause.cure is not None
+    assert "sign = -1.0" in cause.cure
+
+
+@pytest.mark.parametrize("law", LAWS)
+def test_sound_channels_are_left_alone_under_noise_whatever_the_law(law: str) -> None:
+    """A tenth of each channel is noise; an accelerometer that hangs shows its weight."""
+    model, _, data = record(law, SEEN, noise=0.1)
+    weighed = replace(data, values=data.values + np.array([0.0, 0.0, 9.81, 0.0]))
+    assert channel_mistakes(model, weighed) == ()
+
+
+def test_another_rig_than_the_stated_one_is_no_mistake_of_a_channel() -> None:
+    """A spring that is missing, and a mass that is stated at half its value, are for the fit to tell."""
+    model, theta, data = record("cubic", SEEN, noise=0.01)
+    for elements in (
+        tuple(e for e in model.elements if e.name != "k1"),
+        tuple(replace(e, value=1.35) if e.name == "m2" else e for e in model.elements),
+    ):
+        other: Model = replace(model, elements=elements)
+        assert channel_mistakes(other, data) == ()
+    assert channel_mistakes(guessed(model, theta, 2.0), data) == ()
