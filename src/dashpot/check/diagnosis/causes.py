@@ -7,15 +7,17 @@ from dataclasses import replace
 
 import numpy as np
 
-from dashpot.arrays import Bools, Real
+from dashpot.arrays import Real
 from dashpot.channel import Quantity
+from dashpot.check.diagnosis.bad_dwells import bad_dwells
+from dashpot.check.diagnosis.contradictions import contradiction
 from dashpot.check.diagnosis.crosstalk import cross_talk
 from dashpot.check.diagnosis.likeness import RATIOS, Likeness, likeness
 from dashpot.check.diagnosis.loud_dwells import OF_A_DWELL, at_loud_dwells, beside_loud_dwells
 from dashpot.check.diagnosis.nonlinear_elements import ENOUGH, called_for
 from dashpot.check.diagnosis.open_calibrations import as_stated, with_open_calibrations
 from dashpot.check.diagnosis.possible_parts import negative_parts
-from dashpot.check.diagnosis.ranking import ALIKE, HELPS, ORDER, Cause, points_of, ranked
+from dashpot.check.diagnosis.ranking import ALIKE, HELPS, ORDER, Cause, cause_of, points_of, ranked
 from dashpot.check.diagnosis.rig_changes import changes
 from dashpot.check.diagnosis.run_groups import run_groups
 from dashpot.check.diagnosis.score_test import promises
@@ -23,6 +25,7 @@ from dashpot.check.diagnosis.search import DRAWS, Workbench
 from dashpot.check.diagnosis.trials import (
     Outcome,
     Trial,
+    cells,
     conjugated,
     prepared,
     scaled,
@@ -51,9 +54,7 @@ OF_ITS_OWN = 0.01  # part of the column of a gain or a delay that the rig's own 
 SLIGHT = 0.5  # change of a gain by which its score is followed
 GROSS = 0.02  # part of the misfit that a gross mistake leaves, beside which nothing finer is looked for
 BY_CHANCE = 5.0  # standard deviations by which noise alone may leave more
-MOST_DWELLS = 40
 EXCHANGED = 6  # pairs of channels, the most hopeful, searched afresh where nothing explains the misfit
-RELABELLED = 6.0  # χ² for each number of a dwell below which it belongs to another frequency
 RADIANS = 180 / np.pi  # times which phases are radians that were read as degrees
 SIGN = Likeness(-1.0, 0, 0.0, False, 0.0)
 
@@ -66,20 +67,20 @@ def causes(bench: Workbench, silent: Mapping[str, str], seed: int = 0) -> tuple[
     base = untouched(bench.data)
     channels = [channel.name for channel in bench.view.channels]
     dropped = [
-        without(base, "channel", (name,), _only(base.kept, column=c)) for c, name in enumerate(channels)
+        without(base, "channel", (name,), cells(base.kept, column=c)) for c, name in enumerate(channels)
     ]
     searched = bench.searched([base, *dropped, *_inputs_otherwise(bench, base)], seed)
     as_is, without_one, inputs = searched[0], searched[1 : len(channels) + 1], searched[len(channels) + 1 :]
     pool = [outcome.psi for outcome in searched]
     candidates = _left_out(bench, base, without_one, silent)
-    candidates += [_of_outcome(outcome) for outcome in inputs]
+    candidates += [cause_of(outcome) for outcome in inputs]
     candidates += _mended_channels(bench, base, without_one, pool)
     usual = [*_rearranged(bench, base, channels), *_usual_mistakes(bench, base)]
     otherwise = bench.refitted(usual, pool)
-    candidates += [_of_outcome(outcome) for outcome in otherwise]
+    candidates += [cause_of(outcome) for outcome in otherwise]
     if not _explained(candidates, ORDER[: ORDER.index("gain") + 1]):
         candidates += _slightly_off(bench, base, as_is, pool)
-    candidates += _dwells(bench, base, pool)
+    candidates += bad_dwells(bench, base, pool)
     candidates += _of_another_rig(bench, as_is)
     positive = _of_possible_parts(bench, as_is, [*inputs, *otherwise])
     candidates += positive
@@ -97,7 +98,20 @@ def causes(bench: Workbench, silent: Mapping[str, str], seed: int = 0) -> tuple[
     best = ranked(
         sensible, as_is.reduced, inputs_alone, noise=by_chance, surely=positive, impossible=impossible
     )
-    return as_is.reduced, best
+    return as_is.reduced, _with_contradictions(bench, base, best, without_one)
+
+
+def _with_contradictions(
+    bench: Workbench, base: Trial, ranked_causes: Sequence[Cause], without_one: Sequence[Outcome]
+) -> list[Cause]:
+    """The causes, channels that contradict the others with how they do."""
+    by_name = {outcome.trial.of: (c, outcome) for c, outcome in enumerate(without_one)}
+    return [
+        replace(cause, contradiction=contradiction(bench, base, *by_name[cause.of]))
+        if cause.kind == "channel" and not (cause.shows or cause.untested)
+        else cause
+        for cause in ranked_causes
+    ]
 
 
 def _left_out(
@@ -106,7 +120,7 @@ def _left_out(
     """Each channel left out, with what it shows if it measured nothing."""
     return [
         replace(
-            _of_outcome(outcome), untested=untested(bench.view, base, outcome.trial),
+            cause_of(outcome), untested=untested(bench.view, base, outcome.trial),
             shows=silent.get(outcome.trial.of[0], ""),
         )
         for outcome in outcomes
@@ -127,7 +141,7 @@ def _of_possible_parts(bench: Workbench, as_is: Outcome, outcomes: Sequence[Outc
     if as_is.reduced > limit or not np.any(negative_parts(bench, as_is)):
         return []
     return [
-        _of_outcome(outcome)
+        cause_of(outcome)
         for outcome in outcomes
         if outcome.reduced < limit and not np.any(negative_parts(bench, outcome))
     ]
@@ -194,7 +208,7 @@ def _unusual_mistakes(
     )
     afresh = bench.searched([each.trial for each in exchanged[:EXCHANGED]], seed)
     outcomes = [*cross_talk(bench, base, without_one, pool), *afresh]
-    return [*(_of_outcome(outcome) for outcome in outcomes), *_changed(bench, base, pool)]
+    return [*(cause_of(outcome) for outcome in outcomes), *_changed(bench, base, pool)]
 
 
 def _changed(bench: Workbench, base: Trial, pool: Sequence[Real]) -> list[Cause]:
@@ -205,21 +219,6 @@ def _changed(bench: Workbench, base: Trial, pool: Sequence[Real]) -> list[Cause]
     of = () if groups.element is None else points_of(groups.element, bench.data.model)
     left = groups.chi2 / groups.dof
     return [Cause("changed", of, left, groups.step, element=groups.element, where=groups.where)]
-
-
-def _only(kept: Bools, *, column: int | None = None, line: int | None = None) -> Bools:
-    chosen = np.zeros(kept.shape, dtype=bool)
-    if column is not None:
-        chosen[:, column] = True
-    if line is not None:
-        chosen[line] = True
-    return chosen
-
-
-def _of_outcome(outcome: Outcome) -> Cause:
-    left, trial = outcome.reduced if outcome.dof > 0 else np.inf, outcome.trial  # nothing left to test it by
-    derivative = Likeness(1.0, int(trial.value), 0.0, False, 0.0) if trial.kind == "quantity" else None
-    return Cause(trial.kind, trial.of, left, trial.value, derivative)
 
 
 def _inputs_otherwise(bench: Workbench, base: Trial) -> list[Trial]:
@@ -268,7 +267,7 @@ def _slightly_off(bench: Workbench, base: Trial, as_is: Outcome, pool: Sequence[
         first = outcome.trial.value
         value = first + step if word == "delay" else first * (1.0 + step) - 1.0
         again.append(_recalibrated(bench, base, name, word, value))
-    return [_of_outcome(outcome) for outcome in bench.refitted(again, [outcome.psi for outcome in outcomes])]
+    return [cause_of(outcome) for outcome in bench.refitted(again, [outcome.psi for outcome in outcomes])]
 
 
 def _recalibrated(bench: Workbench, base: Trial, name: str, word: str, step: float) -> Trial:
@@ -341,35 +340,6 @@ def _rearranged(bench: Workbench, base: Trial, channels: Sequence[str]) -> list[
         if np.array_equal(base.kept[:, i], base.kept[:, j])
     ]
     return trials
-
-
-def _dwells(bench: Workbench, base: Trial, pool: Sequence[Real]) -> list[Cause]:
-    """One dwell left out; where that mends the fit, the frequency at which it would belong is looked for.
-
-    None where the lines are those of a record, not of dwells.
-    """
-    if not bench.lines_are_runs:
-        return []
-    lines = base.y.shape[0]
-    worst = np.argsort(-np.min([bench.misfit(psi, base) for psi in pool], axis=0))[:MOST_DWELLS]
-    frequency = bench.data.spectrum.frequency_hz
-    trials = [
-        without(base, "dwell", (f"{frequency[line]:g} Hz",), _only(base.kept, line=int(line)))
-        for line in sorted(worst.tolist())
-        if lines > 3
-    ]
-    outcomes = bench.refitted(trials, pool)
-    causes_found = [_of_outcome(outcome) for outcome in outcomes]
-    if outcomes and not len(
-        bench.data.model.nonlinear
-    ):  # whose harmonics go with the frequency of their dwell
-        best = min(outcomes, key=lambda outcome: outcome.reduced)
-        # Outcomes hold arrays, so they are told apart by what they are, not by comparison.
-        line = sorted(worst.tolist())[next(i for i, outcome in enumerate(outcomes) if outcome is best)]
-        number, left = bench.other_frequency(best.psi, base, line)
-        if left < RELABELLED * base.y.shape[1] * 2:
-            causes_found.append(Cause("frequency", best.trial.of, best.reduced, number))
-    return causes_found
 
 
 def _at_rate(stretch: Stretch, rate: float) -> Stretch:

@@ -7,7 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from dashpot.check.diagnosis.contradictions import Contradiction
 from dashpot.check.diagnosis.likeness import Likeness
+from dashpot.check.diagnosis.trials import Outcome
 from dashpot.model.elements import Element
 from dashpot.model.network import Model
 
@@ -34,6 +36,7 @@ class Cause:
 
     untested: share of the lines that test nothing any more, because what is left of them only gives the input.
     shows: what a channel's own numbers say against it, empty where nothing.
+    contradiction: how a channel differs from what all others say of it, None where no simple form does.
     """
 
     kind: str
@@ -45,6 +48,14 @@ class Cause:
     where: str = ""
     untested: float = 0.0
     shows: str = ""
+    contradiction: Contradiction | None = None
+
+
+def cause_of(outcome: Outcome) -> Cause:
+    """What a trial supposed, as a cause."""
+    left, trial = outcome.reduced if outcome.dof > 0 else np.inf, outcome.trial  # nothing left to test it by
+    derivative = Likeness(1.0, int(trial.value), 0.0, False, 0.0) if trial.kind == "quantity" else None
+    return Cause(trial.kind, trial.of, left, trial.value, derivative)
 
 
 def points_of(element: Element, model: Model) -> tuple[str, ...]:

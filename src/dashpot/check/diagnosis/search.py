@@ -95,14 +95,20 @@ class Workbench:
             ends[t] = end
         return self._outcomes(trials, arranged, ends)
 
+    def inputs(self, outcome: Outcome) -> Complex:
+        """Amplitudes of the inputs by a trial's fit, (lines, r + s)."""
+        with np.errstate(all="ignore"):
+            fitted = predict(self.view, self._arranged(outcome.trial), outcome.psi[None], self.sign[None])
+        q: Complex = fitted.q[0]
+        return q
+
     def expected(self, outcome: Outcome) -> Complex:
         """What the channels should show by a trial's fit, those that it left out as well, (lines, channels)."""
-        data = self._arranged(outcome.trial)
-        psi, sign = outcome.psi[None], self.sign[None]
+        data, q = self._arranged(outcome.trial), self.inputs(outcome)[None]
         with np.errstate(all="ignore"):
-            fitted = predict(self.view, data, psi, sign)
             # The inputs are those of the trial; the residual is of every channel.
-            at = predict(self.view, replace(data, y=outcome.trial.y[None], q=fitted.q), psi, sign)
+            every = replace(data, y=outcome.trial.y[None], q=q)
+            at = predict(self.view, every, outcome.psi[None], self.sign[None])
         shown: Complex = outcome.trial.y - at.r[0]
         return shown
 

@@ -105,3 +105,27 @@ def prepared(data: Prepared, trial: Trial) -> Prepared:
         moments=None,
     )
     return replace(data, spectrum=spectrum, covariance=trial.V[None], states=None)
+
+
+def cells(kept: Bools, *, column: int | None = None, line: int | None = None) -> Bools:
+    """One column or one line of amplitudes (lines, channels)."""
+    chosen = np.zeros(kept.shape, dtype=bool)
+    if column is not None:
+        chosen[:, column] = True
+    if line is not None:
+        chosen[line] = True
+    return chosen
+
+
+def exchanged_lines(base: Trial, kind: str, of: tuple[str, ...], first: int, second: int) -> Trial:
+    """Two lines with the amplitudes of each other."""
+    order = np.arange(len(base.y))
+    order[[first, second]] = order[[second, first]]
+    return Trial(kind, of, np.nan, base.y[order], base.V[order], base.kept[order])
+
+
+def conjugated_line(base: Trial, kind: str, of: tuple[str, ...], line: int) -> Trial:
+    """One line with all phases counted the other way."""
+    y, V = base.y.copy(), base.V.copy()
+    y[line], V[line] = np.conj(y[line]), np.conj(V[line])
+    return Trial(kind, of, 1.0, y, V, base.kept)

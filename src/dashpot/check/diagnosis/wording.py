@@ -9,6 +9,7 @@ from typing import TypeVar
 from dashpot import units
 from dashpot.channel import Channel, Quantity
 from dashpot.check.diagnosis.candidate_elements import with_open_constants
+from dashpot.check.diagnosis.contradictions import Contradiction
 from dashpot.check.diagnosis.likeness import CLOSE, Likeness
 from dashpot.check.diagnosis.ranking import Cause
 from dashpot.errors import DashpotError, Problem
@@ -45,8 +46,21 @@ def finding(model: Model, channels: tuple[Channel, ...], cause: Cause) -> Findin
         return nonlinear_finding(model, cause.of, cause.element, cause.number, cause.remaining)
     if cause.kind == "changed":
         return _changed(model, cause)
+    if of_channels and cause.contradiction is not None:
+        return _contradicting(model, cause, cause.contradiction)
     text, change = _of_modes(cause) or _of_data(cause)
     return Finding(cause.kind, cause.of, text, change, cause.remaining, cause.number)
+
+
+def _contradicting(model: Model, cause: Cause, contradiction: Contradiction) -> Finding:
+    """A channel that contradicts all others in a way that has a name."""
+    name, mended = cause.of[0], contradiction.mended
+    text = f"{name} contradicts all other channels: it {contradiction.text}"
+    if mended is None:
+        change = f"leave {name} out, or mend what it goes through"
+        return Finding(cause.kind, cause.of, text, change, cause.remaining)
+    line = f"[channels] {channel_line(mended, model)}"
+    return Finding(cause.kind, cause.of, text, line, cause.remaining, channels=(mended,))
 
 
 def _of_channel(model: Model, channel: Channel, cause: Cause) -> Finding:
@@ -167,6 +181,11 @@ def _changed(model: Model, cause: Cause) -> Finding:
 
 def _of_data(cause: Cause) -> tuple[str, str]:
     match cause.kind:
+        case "conjugate" if cause.of and cause.of[0].endswith(" Hz"):
+            return (
+                f"the phases of the dwell at {cause.of[0]} have the opposite sign",
+                f"conjugate the amplitudes at {cause.of[0]}",
+            )
         case "conjugate" if cause.of:
             return f"the phase of {cause.of[0]} has the opposite sign", f"conjugate {cause.of[0]} in the data"
         case "conjugate":
@@ -187,6 +206,12 @@ def _of_data(cause: Cause) -> tuple[str, str]:
             return (
                 f"the dwell at {cause.of[0]} contradicts all others",
                 f"leave out {cause.of[0]}, or measure it again",
+            )
+        case "frequency" if len(cause.of) == 2:
+            first, second = cause.of
+            return (
+                f"the dwells labelled {first} and {second} are exchanged",
+                f"label the dwell at {first} {second}, and the one at {second} {first}",
             )
         case "frequency" if cause.of:
             return (
