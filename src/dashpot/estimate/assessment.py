@@ -29,10 +29,10 @@ class Finding:
     """One possible cause of a misfit.
 
     kind       "sign", "unit", "swap", "conjugate", "quantity", "frequency", "dwell", "delay", "gain", "value",
-               "element", "crosstalk", "nonlinear", "changed", "time" or "channel"; "damping" or "mode" of measured
-               modes
-    of         what is meant: the channel, both channels of a swap, the frequency of a dwell or of two, the points that
-               an element would join; empty where it concerns everything
+               "element", "two", "crosstalk", "nonlinear", "changed", "time" or "channel"; "damping" or "mode" of
+               measured modes
+    of         what is meant: the channel, both channels of a swap or of two mistakes, the frequency of a dwell or of
+               two, the points that an element would join; empty where it concerns everything
     text, change  in words, and what to write in the rig file or to do with the data
     remaining  χ² over its degrees of freedom with the remedy taken; None where it was not tried
     number     what was found: a gain, a delay in s, a frequency in Hz, a parameter

@@ -35,6 +35,7 @@ from dashpot.check.diagnosis.trials import (
     with_phases_times,
     without,
 )
+from dashpot.check.diagnosis.two_channels import two_channels
 from dashpot.data.stretch import SettledDwell, Stretch
 from dashpot.estimate.likelihood.objective import measured
 from dashpot.estimate.preparation.prepared import Prepared
@@ -89,7 +90,7 @@ def causes(bench: Workbench, silent: Mapping[str, str], seed: int = 0) -> tuple[
         candidates += _rates(bench, base, seed)
     noise = max(_by_chance(as_is), GROSS * as_is.reduced)
     if not _explained(candidates, (*PARTICULAR, "dwell"), noise):
-        candidates += _unusual_mistakes(bench, base, without_one, otherwise, pool, seed)
+        candidates += _unusual_mistakes(bench, base, without_one, otherwise, pool, noise, seed)
     candidates = _with_nonlinear(bench, as_is, candidates)
     inputs_alone = {each.name for each in bench.view.channels if measures_input(bench.data.model, each)}
     by_chance = _by_chance(as_is) if bench.data.noise_known else np.inf
@@ -197,9 +198,9 @@ def _of_another_rig(bench: Workbench, as_is: Outcome) -> list[Cause]:
 
 def _unusual_mistakes(
     bench: Workbench, base: Trial, without_one: Sequence[Outcome], otherwise: Sequence[Outcome],
-    pool: Sequence[Real], seed: int,
+    pool: Sequence[Real], noise: float, seed: int,
 ) -> list[Cause]:  # fmt: skip
-    """Cross-talk, a rig that changed between runs, and exchanged channels searched afresh.
+    """Cross-talk, a rig that changed between runs, two wrong channels, and exchanged channels searched afresh.
 
     From where the channels as they are led, the way to the rig of two exchanged ones can be too long.
     """
@@ -208,7 +209,11 @@ def _unusual_mistakes(
     )
     afresh = bench.searched([each.trial for each in exchanged[:EXCHANGED]], seed)
     outcomes = [*cross_talk(bench, base, without_one, pool), *afresh]
-    return [*(cause_of(outcome) for outcome in outcomes), *_changed(bench, base, pool)]
+    return [
+        *(cause_of(outcome) for outcome in outcomes),
+        *_changed(bench, base, pool),
+        *two_channels(bench, base, pool, noise),
+    ]
 
 
 def _changed(bench: Workbench, base: Trial, pool: Sequence[Real]) -> list[Cause]:

@@ -34,7 +34,16 @@ from dashpot.model.network import Model
 from dashpot.notices import Notice
 
 LARGEST = 12  # coordinates of the rigs that are diagnosed: trials of larger ones take too long to wait for
-PLAIN = ("sign", "unit", "swap", "conjugate", "quantity", "frequency", "delay")  # mistakes of another kind
+PLAIN = (
+    "sign",
+    "unit",
+    "swap",
+    "two",
+    "conjugate",
+    "quantity",
+    "frequency",
+    "delay",
+)  # mistakes of another kind
 OF_THE_RIG = ("value", "element", "nonlinear")  # kinds of causes
 EXPLAINED = 0.1  # of χ² that a rig which is another one leaves at the most
 SHOWN = 2.0  # χ² per degree of freedom of whole records below which their steady part shows no misfit

@@ -9,6 +9,7 @@ import numpy as np
 
 from dashpot.check.diagnosis.contradictions import Contradiction
 from dashpot.check.diagnosis.likeness import Likeness
+from dashpot.check.diagnosis.stated_units import unit_of_number
 from dashpot.check.diagnosis.trials import Outcome
 from dashpot.model.elements import Element
 from dashpot.model.network import Model
@@ -16,7 +17,7 @@ from dashpot.model.network import Model
 # What explains as much and is more particular is named first.
 ORDER = (
     "sign", "unit", "swap", "conjugate", "quantity", "frequency", "damping", "dwell", "mode", "delay", "gain", "value",
-    "element", "crosstalk", "nonlinear", "changed", "channel",
+    "element", "two", "crosstalk", "nonlinear", "changed", "channel",
 )  # fmt: skip
 HELPS = 0.5  # χ² per degree of freedom must fall below this part of what it was
 NEARLY = 0.3  # or below this part of what noise does not explain
@@ -37,6 +38,7 @@ class Cause:
     untested: share of the lines that test nothing any more, because what is left of them only gives the input.
     shows: what a channel's own numbers say against it, empty where nothing.
     contradiction: how a channel differs from what all others say of it, None where no simple form does.
+    parts: of two channels that are wrong at once, what is wrong with each.
     """
 
     kind: str
@@ -49,6 +51,7 @@ class Cause:
     untested: float = 0.0
     shows: str = ""
     contradiction: Contradiction | None = None
+    parts: tuple[Cause, ...] = ()
 
 
 def cause_of(outcome: Outcome) -> Cause:
@@ -76,6 +79,7 @@ def ranked(
     Without the channel of an input (`inputs`) it moves as it likes at every line, which explains nearly anything.
     Without one of two channels that a line has its motion is as it likes: that explains less than any remedy by which
     most of the misfit goes and all lines stay tested.
+    Of values that explain alike, those that would be another unit's stand first.
     Of signs that explain alike, those of the channels `impossible` stand last: with them no such rig can be built.
     Where the misfit is small and yet beyond what `noise` leaves by chance (∞: not known), half of it is less than
     noise: there counts what is left above 1.
@@ -96,19 +100,25 @@ def ranked(
     alike = ALIKE if best < noise else ALIKE_OF_A_ROUGH_RIG
     share = min(1.0, FINELY * (start - 1)) if small else 1.0
 
-    def place(cause: Cause) -> tuple[bool, bool, float, int, bool, float]:
+    def place(cause: Cause) -> tuple[bool, bool, float, int, bool, bool, float]:
         # Leaving data out leaves less to explain: what keeps them and explains nearly as much says more.
         channel = LEFT_OUT_INPUT if set(cause.of) & set(inputs) else LEFT_OUT
         handicap = {"channel": channel, "dwell": LEFT_OUT_DWELL, "mode": LEFT_OUT_DWELL}.get(cause.kind, 1.0)
         left = cause.remaining * (1 + share * (handicap - 1))
         tier = np.floor(np.log(max(left, best) / best) / np.log(1 + share * (alike - 1)))
         backwards = cause.kind == "sign" and cause.of[0] in impossible
+        odd = (
+            cause.kind == "value"
+            and cause.element is not None
+            and not unit_of_number(cause.element, cause.element.guess, cause.number)
+        )
         return (
             not cause.shows,
             cause not in in_question,
             float(tier),
             ORDER.index(cause.kind),
             backwards,
+            odd,
             cause.remaining,
         )
 

@@ -73,13 +73,19 @@ def stated_values(model: Model) -> list[Element]:
 
 def changes(bench: Workbench, psi: Real, followed: int = FOLLOWED) -> list[Change]:
     """The candidates that the score says would help most, `followed` of them fitted in full from ψ (M,)."""
-    model = bench.data.model
+    model, stated = bench.data.model, stated_values(bench.data.model)
     scored = [
         *_scores(bench, psi, "element", missing_elements(model)),
-        *_scores(bench, psi, "value", stated_values(model)),
+        *_scores(bench, psi, "value", stated),
     ]
     scored.sort(key=lambda entry: -entry[0])
-    return [_fitted(bench, psi, kind, element) for fall, kind, element in scored[:followed] if fall > 0]
+    chosen = [(kind, element) for fall, kind, element in scored[:followed] if fall > 0]
+    if (
+        bench.data.states is not None
+    ):  # a value that is far off has a rig without slopes, yet is found by regression
+        named = {element.name for _, element in chosen}
+        chosen += [("value", element) for element in stated[:followed] if element.name not in named]
+    return [_fitted(bench, psi, kind, element) for kind, element in chosen]
 
 
 def extended(bench: Workbench, psi: Real, elements: Sequence[Element]) -> tuple[Prepared, Real]:

@@ -12,6 +12,7 @@ from dashpot.check.diagnosis.candidate_elements import with_open_constants
 from dashpot.check.diagnosis.contradictions import Contradiction
 from dashpot.check.diagnosis.likeness import CLOSE, Likeness
 from dashpot.check.diagnosis.ranking import Cause
+from dashpot.check.diagnosis.stated_units import USUAL, unit_of_number
 from dashpot.errors import DashpotError, Problem
 from dashpot.estimate.assessment import Finding
 from dashpot.model.elements import Element, Kind
@@ -40,6 +41,11 @@ def finding(model: Model, channels: tuple[Channel, ...], cause: Cause) -> Findin
         return _of_channel(model, by_name[cause.of[0]], cause)
     if of_channels and cause.kind == "swap":
         return _swap(model, by_name[cause.of[0]], by_name[cause.of[1]], cause)
+    if cause.parts:
+        each = [finding(model, channels, part) for part in cause.parts]
+        text, change = " and ".join(part.text for part in each), "; ".join(part.change for part in each)
+        mended = tuple(channel for part in each for channel in part.channels)
+        return Finding(cause.kind, cause.of, text, change, cause.remaining, channels=mended)
     if cause.kind in ("element", "value") and cause.element is not None:
         return _of_rig(model, cause, cause.element)
     if cause.kind == "nonlinear" and cause.element is not None:
@@ -150,6 +156,11 @@ def _of_rig(model: Model, cause: Cause, element: Element) -> Finding:
         stated = next(own for own in model.elements if own.name == element.name)
         text = f"{element.name} would be {number:.4g} {unit}, not {stated.value:g}"
         mended = replace(stated, value=None, guess=float(f"{number:.4g}") if number > 0 else None)
+        other_unit = None if model.angles else unit_of_number(stated, stated.value, number)
+        if other_unit is not None and stated.value is not None:
+            text += f": {stated.value:g} {other_unit}?"
+            scale = units.scale(other_unit, USUAL[stated.kind][0], False)
+            mended = replace(stated, value=float(f"{stated.value * scale:.8g}"))
     else:
         where = (
             " and ".join(element.along)

@@ -88,3 +88,31 @@ def test_a_channel_of_nothing_but_noise_is_given_no_reason() -> None:
     first = diagnose(model, replace(spectrum, amplitudes=Y))[0]
     assert (first.kind, first.of) == ("channel", ("a_x2",))
     assert first.text.endswith("for no simple reason")
+
+
+def test_two_channels_that_are_wrong_at_once_are_named_together_with_both_lines() -> None:
+    model, spectrum = clean()
+    first = diagnose(model, times(times(spectrum, 0, -1.0), 2, 1 / 9.80665))[0]
+    assert (first.kind, first.of) == ("two", ("a_x1", "a_x3"))
+    assert [(channel.name, channel.sign, channel.unit) for channel in first.channels] == [
+        ("a_x1", -1.0, ""),
+        ("a_x3", 1.0, "g"),
+    ]
+
+
+@pytest.mark.parametrize(("unit", "scale"), [("lb", 0.45359237), ("g", 1e-3)])
+def test_a_stated_value_in_another_unit_is_named_with_it_before_others_that_explain_alike(
+    unit: str, scale: float
+) -> None:
+    """With one mass and one spring known either may be off: all others scale with it."""
+    rig = rigs.paper_rig()
+    m2 = float(rig.p[[e.name for e in rig.model.elements].index("m2")])
+    known = rig.knowing({"m2": {"value": round(m2 / scale, 6)}, "k2": {"value": None}})
+    channels = rigs.channels(rig)
+    spectrum = rigs.noisy(
+        rig, channels, rigs.covariance(rig, channels, 0.01, inputs=0.01), np.random.default_rng(2)
+    )
+    first = diagnose(known.model, spectrum)[0]
+    assert (first.kind, first.of) == ("value", ("m2",))
+    assert first.text.endswith(f": {m2 / scale:g} {unit}?")
+    assert first.elements[0].value == pytest.approx(m2, rel=1e-6)

@@ -121,7 +121,7 @@ def test_the_change_of_a_channel_mends_the_fit_as_it_is_written(mistake):
     _, channels = applied(model, case.spectrum.channels, finding)
     scale = np.array([c.scale * (c.sign or 1.0) * (c.gain or 1.0) for c in channels])
     mended = replace(
-        case.spectrum, channels=tuple(replace(c, scale=1.0, sign=None, gain=None) for c in channels),
+        case.spectrum, channels=tuple(replace(c, scale=1.0, sign=1.0, gain=1.0) for c in channels),
         amplitudes=case.spectrum.amplitudes * scale,
         covariance=scale[:, None] * case.spectrum.covariance * scale,
     )  # fmt: skip
