@@ -22,6 +22,7 @@ REACH = 3.0  # periods on either side of one with clipped samples that show the 
 NEAR = 2.5  # deviations of the noise from a limit within which it decides whether a sample is clipped
 MOSTLY = 0.7  # of the clipped samples at a limit, beyond which the motion has to lie there: others rest at it
 DIFFERENT = 0.9  # of the other samples, all of different values: then two alike at a limit are no chance
+ALIKE = 3  # samples at a limit of a channel of which no two others are alike
 DEPTH = 1e-3  # of a channel's range, beyond its limit: less is no matter
 FREEDOM = 8  # samples that there must be around a run beside the parameters of the sine
 ORDERS = 2  # multiples of the drive in the motion around a run
@@ -45,10 +46,11 @@ def reaches_limits(record: Record) -> bool:
     return record.values.ndim == 2 and any(np.any(_limits(column)) for column in record.values.T)
 
 
-def without_clipping(record: Record) -> Unclipped:
+def without_clipping(record: Record, stated_hz: float | None = None) -> Unclipped:
     """The dwell as its channels would be with a wider range, and a notice of each channel that clips.
 
-    Repeats (leading axes) and records without a frequency stay as they are.
+    stated_hz: the frequency by which the dwell is called, where that is not the one at which it moves.  Repeats
+    (leading axes) and records without a frequency stay as they are.
     """
     weaker = np.ones(len(record.channels))
     if record.values.ndim != 2 or record.frequency_hz is None:
@@ -66,7 +68,8 @@ def without_clipping(record: Record) -> Unclipped:
         values = np.array(record.values) if values is None else values
         values[:, c] = column
         weaker[c] = _weaker(record, replaced)
-        text = f"{channel.name} clips in the dwell at {record.frequency_hz:g} Hz"
+        label = record.frequency_hz if stated_hz is None else stated_hz
+        text = f"{channel.name} clips in the dwell at {label:g} Hz"
         told = f"{text} ({counted(int(np.sum(clipped)), 'sample')}): the other samples are used"
         notices.append(Notice("unclipped", told, (channel.name,)))
     return Unclipped(record if values is None else replace(record, values=values), weaker, notices)
@@ -76,14 +79,19 @@ def _limits(column: Real) -> Bools:
     """Which samples are at the greatest value, and which at the least, where those are limits: (2, samples).
 
     Where values come again elsewhere, as those of a coarse converter and of a sine in step with the sampling do, three
-    have to follow each other.
+    have to follow each other, and to be many more than those at the next value.  Where no two others are alike, three
+    alike are a limit, and at the other end of a channel that has one two are.
     """
-    limits = at_limits(column, in_a_row=False)
-    others = column[~np.any(limits, axis=0)]
-    if len(others) == len(column):
-        return limits
+    ends = np.stack([column == np.max(column), column == np.min(column)])
+    others = column[~np.any(ends, axis=0)]
+    if not len(others) or np.ptp(column) == 0:
+        return at_limits(column)
     different = len(np.unique(np.round(others / np.ptp(column), 9)))  # but for rounding
-    return limits if different > DIFFERENT * len(others) else at_limits(column)
+    if different <= DIFFERENT * len(others):
+        return at_limits(column)
+    counts = np.count_nonzero(ends, axis=1)
+    limited: Bools = (counts >= ALIKE) | ((counts >= 2) & (np.max(counts) >= ALIKE))
+    return np.asarray(ends & limited[:, None])
 
 
 def _mended(record: Record, column: Real, limits: Bools) -> tuple[Real, Bools] | None:

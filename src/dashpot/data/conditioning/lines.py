@@ -156,7 +156,10 @@ def _evened(
     # The sine that stands in for clipped samples is that of the drive's own frequency, which they hide but little.
     limited = any(reaches_limits(record) for record in whole)
     at_their_own = at_frequencies(whole, drive_frequencies(whole)) if limited else whole
-    unclipped = [without_clipping(record) for record in at_their_own]
+    unclipped = [
+        without_clipping(record, stated.frequency_hz)
+        for record, stated in zip(at_their_own, dwells, strict=True)
+    ]
     notes += [notice for each in unclipped for notice in each.notices]
     evened = [
         replace(each.record, frequency_hz=record.frequency_hz)

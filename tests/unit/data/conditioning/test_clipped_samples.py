@@ -65,6 +65,38 @@ def test_a_clipped_dwell_whose_frequency_is_off_is_put_right_at_its_own() -> Non
     assert np.mean((np.abs(away) / np.array(sds)) ** 2) < 4.0
 
 
+@pytest.mark.parametrize("clip", [0.97, 0.9])
+def test_few_clipped_samples_of_a_short_dwell_are_seen(clip: float) -> None:
+    """Of 37 samples three to ten at a limit: with no two others alike, that is no chance.  30 draws each."""
+    rng = np.random.default_rng(12)
+    truth = np.exp(1j * (0.4 - np.pi / 2))
+    away, told = [], 0
+    for _ in range(30):
+        whole = dwell(rng, clip, 2, noise=0.003)
+        record = Record(CHANNELS, whole.time[:37], whole.values[:37], F)
+        told += bool(without_clipping(record).notices)
+        X, sd = amplitude(record)
+        away.append(abs(X - truth) / sd)
+    assert told == 30
+    assert np.mean(np.array(away) ** 2) < 4.0  # 2 were sd exact; some 100 with the samples as they are
+
+
+def test_a_dwell_goes_by_its_stated_frequency() -> None:
+    record = replace(dwell(np.random.default_rng(11), 0.7, 12), frequency_hz=1.02 * F)
+    clips = [notice.text for notice in spectrum([record]).notes if notice.code == "unclipped"]
+    assert len(clips) == 1
+    assert clips[0].startswith("x1 clips in the dwell at 4.08 Hz (")
+
+
+def test_a_converter_in_noise_has_no_limits() -> None:
+    """200 dwells of 40 samples, 12 bits: its greatest code comes three times in some, by chance."""
+    rng = np.random.default_rng(13)
+    for _ in range(200):
+        whole = dwell(rng, periods=2, noise=0.003)
+        values = np.round(whole.values[:40] * 1024) / 1024
+        assert without_clipping(Record(CHANNELS, whole.time[:40], values, F)).notices == []
+
+
 def amplitude_as_measured(record: Record) -> complex:
     return complex(spectrum([record], refine="none").amplitudes[0, 0])
 
