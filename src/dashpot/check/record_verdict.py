@@ -9,7 +9,7 @@ import numpy as np
 
 from dashpot.channel import Channel
 from dashpot.check.diagnosis.ranking import Cause, points_of
-from dashpot.check.diagnosis.wording import finding, with_likely_causes
+from dashpot.check.diagnosis.wording import finding, in_place_of_laws, laws_in_words, with_likely_causes
 from dashpot.check.element_evidence import with_nothing
 from dashpot.check.record_scores import CalledFor, element_called_for
 from dashpot.check.uncertain_scores import element_of_uncertain
@@ -92,11 +92,12 @@ def _without_laws(model: Model, records: Sequence[Record]) -> tuple[tuple[Findin
         return (), ()
     if called_for is None:
         return (), ()
-    instead = joined(model.elements[int(index)].name for index in model.nonlinear)
     what = _finding(model, records[0].channels, called_for)
     reason = _reason(model, called_for)
-    text = reason.text.replace("of the residuals", f"of the residuals of the rig without {instead}")
-    return (replace(what, text=f"{what.text}, in place of {instead}"),), (replace(reason, text=text),)
+    text = reason.text.replace(
+        "of the residuals", f"of the residuals of the rig without {laws_in_words(model)}"
+    )
+    return (in_place_of_laws(model, what),), (replace(reason, text=text),)
 
 
 def _finding(model: Model, channels: Sequence[Channel], called_for: CalledFor) -> Finding:

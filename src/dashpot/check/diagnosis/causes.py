@@ -202,12 +202,12 @@ def _unusual_mistakes(
 ) -> list[Cause]:  # fmt: skip
     """Cross-talk, a rig that changed between runs, two wrong channels, and exchanged channels searched afresh.
 
-    From where the channels as they are led, the way to the rig of two exchanged ones can be too long.
+    From where the channels as they are led, the way to the rig of two exchanged ones can be too long; where not all is
+    seen, so can that of a channel, or all phases, with the other sign.
     """
-    exchanged = sorted(
-        (each for each in otherwise if each.trial.kind == "swap"), key=lambda each: each.reduced
-    )
-    afresh = bench.searched([each.trial for each in exchanged[:EXCHANGED]], seed)
+    kinds = ("swap",) if bench.data.states is not None else ("swap", "sign", "conjugate")
+    far = sorted((each for each in otherwise if each.trial.kind in kinds), key=lambda each: each.reduced)
+    afresh = bench.searched([each.trial for each in far[:EXCHANGED]], seed)
     outcomes = [*cross_talk(bench, base, without_one, pool), *afresh]
     return [
         *(cause_of(outcome) for outcome in outcomes),
@@ -227,8 +227,11 @@ def _changed(bench: Workbench, base: Trial, pool: Sequence[Real]) -> list[Cause]
 
 
 def _inputs_otherwise(bench: Workbench, base: Trial) -> list[Trial]:
-    """An input's channel with the other sign or in another unit: leaving it out tells little of the rig."""
-    trials = []
+    """An input's channel with the other sign or in another unit: leaving it out tells little of the rig.
+
+    Where not all motion is seen, all phases the other way as well: no regression leads to that rig.
+    """
+    trials = [] if bench.data.states is not None else _turned(bench, base)
     for c, channel in enumerate(bench.view.channels):
         if measures_input(bench.data.model, channel):
             trials.append(scaled(base, "sign", channel.name, c, -1.0, -1.0))
@@ -330,12 +333,19 @@ def _number(relation: Likeness) -> float:
     return relation.delay if relation.kind == "delay" else relation.number
 
 
+def _turned(bench: Workbench, base: Trial) -> list[Trial]:
+    """All phases the other way; [] where samples gave them."""
+    if set(bench.data.spectrum.noise) <= OF_SAMPLES:
+        return []
+    return [conjugated(base, "conjugate", (), np.ones(base.y.shape[1], dtype=bool))]
+
+
 def _rearranged(bench: Workbench, base: Trial, channels: Sequence[str]) -> list[Trial]:
     """All phases turned or in radians, two channels swapped; the phases of samples are as they should be."""
     count = len(channels)
     trials = []
     if not set(bench.data.spectrum.noise) <= OF_SAMPLES:
-        trials.append(conjugated(base, "conjugate", (), np.ones(count, dtype=bool)))
+        trials += _turned(bench, base)
         if np.max(np.abs(np.angle(base.y[base.kept])), initial=0.0) < 1.01 * np.pi / RADIANS:
             trials.append(with_phases_times(base, "unit", RADIANS))
     trials += [

@@ -17,7 +17,7 @@ from dashpot.check.diagnosis.record_changes import RigChanges, record_changes, w
 from dashpot.check.diagnosis.record_elements import called_for_in_records
 from dashpot.check.diagnosis.search import Workbench
 from dashpot.check.diagnosis.steady_lines import steady_lines
-from dashpot.check.diagnosis.wording import finding, nonlinear_finding
+from dashpot.check.diagnosis.wording import finding, in_place_of_laws, nonlinear_finding
 from dashpot.check.silent_channels import silent_channels
 from dashpot.check.verdict import BEYOND, UNTESTED, assess, with_change_in_time
 from dashpot.data.spectrum import Spectrum
@@ -29,7 +29,6 @@ from dashpot.estimate.likelihood.starting_values import candidates
 from dashpot.estimate.nonlinear.starting_values import linear_rig
 from dashpot.estimate.preparation.prepared import prepare
 from dashpot.estimate.result import Estimate
-from dashpot.io.words import joined
 from dashpot.model.network import Model
 from dashpot.notices import Notice
 
@@ -214,9 +213,8 @@ def _in_place_of_laws(model: Model, spectrum: Spectrum, misfit: float, seed: int
         causes_found = _misfit_and_causes(linear, spectrum, estimate, seed)[1]
     except DashpotError:
         return ()
-    instead = joined(model.elements[int(index)].name for index in model.nonlinear)
     return tuple(
-        replace(each, text=f"{each.text}, in place of {instead}")
+        in_place_of_laws(model, each)
         for each in causes_found
         if each.kind == "nonlinear" and _left(each) < EXPLAINED * misfit
     )

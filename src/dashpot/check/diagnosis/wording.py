@@ -15,6 +15,7 @@ from dashpot.check.diagnosis.ranking import Cause
 from dashpot.check.diagnosis.stated_units import USUAL, unit_of_number
 from dashpot.errors import DashpotError, Problem
 from dashpot.estimate.assessment import Finding
+from dashpot.io.words import joined
 from dashpot.model.elements import Element, Kind
 from dashpot.model.network import Model
 from dashpot.model.rigfile import channel_line, element_line
@@ -56,6 +57,16 @@ def finding(model: Model, channels: tuple[Channel, ...], cause: Cause) -> Findin
         return _contradicting(model, cause, cause.contradiction)
     text, change = _of_modes(cause) or _of_data(cause)
     return Finding(cause.kind, cause.of, text, change, cause.remaining, cause.number)
+
+
+def laws_in_words(model: Model) -> str:
+    """The rig's nonlinear elements, in whose place something else may stand."""
+    return joined(model.elements[int(index)].name for index in model.nonlinear)
+
+
+def in_place_of_laws(model: Model, cause: Finding) -> Finding:
+    """The cause, found with the rig's nonlinear elements left out, as one that stands in their place."""
+    return replace(cause, text=f"{cause.text}, in place of {laws_in_words(model)}")
 
 
 def _contradicting(model: Model, cause: Cause, contradiction: Contradiction) -> Finding:

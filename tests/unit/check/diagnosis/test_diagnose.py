@@ -128,6 +128,21 @@ def test_the_change_of_a_channel_mends_the_fit_as_it_is_written(mistake):
     assert float(identify(model, mended).fit.p) > 0.01
 
 
+@pytest.mark.parametrize("seed", [6, 19])
+def test_phases_the_other_way_are_named_where_not_all_motion_is_seen(seed):
+    """Four coordinates seen at three; from the rig of the phases as they are nothing leads to the right one."""
+    rng = np.random.default_rng(seed)
+    rig = rigs.plain_rig(rng, 4)
+    quantity = (Quantity.DISPLACEMENT, Quantity.ACCELERATION)[int(rng.integers(2))]
+    every = rigs.channels(rig, (quantity,))
+    hidden = int(rng.choice(4))
+    seen = tuple(channel for k, channel in enumerate(every) if k != hidden)
+    spectrum = rigs.noisy(rig, seen, rigs.covariance(rig, seen, 0.01, inputs=0.01), rng)
+    case = MISTAKES["phases the other way"](rig.model, spectrum, rng)
+    first = diagnose(rig.model, case.spectrum)[0]
+    assert (first.kind, first.of) == ("conjugate", ())
+
+
 def test_a_clean_test_fits_and_nothing_is_named():
     model, spectrum = clean("paper", np.random.default_rng(4))
     assessment = examined(model, spectrum, identify(model, spectrum)).assessment
