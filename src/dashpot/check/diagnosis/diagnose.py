@@ -21,7 +21,7 @@ from dashpot.check.diagnosis.wording import finding, in_place_of_laws, nonlinear
 from dashpot.check.silent_channels import silent_channels
 from dashpot.check.verdict import BEYOND, UNTESTED, assess, with_change_in_time
 from dashpot.data.spectrum import Spectrum
-from dashpot.errors import DashpotError
+from dashpot.errors import DashpotError, ModelError
 from dashpot.estimate.assessment import Assessment, Finding
 from dashpot.estimate.identify import identify
 from dashpot.estimate.inference.time_course import TIME_CHANGES, change_notice
@@ -105,7 +105,13 @@ def examined(model: Model, spectrum: Spectrum, estimate: Estimate, *, seed: int 
     """
     if estimate.values.ndim != 1:
         return estimate
-    assessment = assess(model, spectrum, estimate)
+    try:
+        assessment = assess(model, spectrum, estimate)
+    except ModelError as error:
+        if bool(estimate.converged):
+            raise
+        # A search that was lost may end at a rig without any response; what misled it can be told all the same.
+        assessment = Assessment("does not fit", (Notice("no_response", error.problems[0].what),), {}, ())
     linear = not len(model.nonlinear)
     misfit = float(estimate.fit.misfit) ** 2
     elements_found = _nonlinear_elements(model, spectrum, estimate) if linear else ()

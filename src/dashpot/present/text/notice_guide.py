@@ -31,6 +31,11 @@ NOTICES: tuple[tuple[str, str, str, str], ...] = (
         "As for a negative damper: signs, phase convention, delays.",
     ),
     (
+        "no_response", _VERDICT,
+        "The search ended, without converging, at a rig that has no settled motion: some value has no size.",
+        "Follow the causes that are named; else give the unknowns guesses.",
+    ),
+    (
         "perhaps_unstable", _VERDICT,
         ("A mode comes out unstable, but its damping ratio is less than three standard deviations below 0: the data "
         "fit, and say too little about the damping to call the rig found."),

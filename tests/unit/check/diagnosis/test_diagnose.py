@@ -22,7 +22,7 @@ from dashpot.estimate.preparation.prepared import prepare
 from dashpot.model.elements import Kind, between, mass
 from dashpot.model.network import Input, Model
 from tests import partly_seen, rigs
-from tests.mistakes import MISTAKES
+from tests.mistakes import MISTAKES, times
 from tests.two_masses import SHAKEN, SHAKEN_TRUTH
 from tests.unit.check.test_verdict import bench
 from tests.whole_rigs import chain, record_of
@@ -128,19 +128,35 @@ def test_the_change_of_a_channel_mends_the_fit_as_it_is_written(mistake):
     assert float(identify(model, mended).fit.p) > 0.01
 
 
-@pytest.mark.parametrize("seed", [6, 19])
-def test_phases_the_other_way_are_named_where_not_all_motion_is_seen(seed):
-    """Four coordinates seen at three; from the rig of the phases as they are nothing leads to the right one."""
-    rng = np.random.default_rng(seed)
+def seen_at_three_of_four(rng: np.random.Generator) -> tuple[Model, Spectrum]:
+    """A random rig of four coordinates, one of them not measured, at 1 % noise."""
     rig = rigs.plain_rig(rng, 4)
     quantity = (Quantity.DISPLACEMENT, Quantity.ACCELERATION)[int(rng.integers(2))]
     every = rigs.channels(rig, (quantity,))
     hidden = int(rng.choice(4))
     seen = tuple(channel for k, channel in enumerate(every) if k != hidden)
-    spectrum = rigs.noisy(rig, seen, rigs.covariance(rig, seen, 0.01, inputs=0.01), rng)
-    case = MISTAKES["phases the other way"](rig.model, spectrum, rng)
-    first = diagnose(rig.model, case.spectrum)[0]
+    return rig.model, rigs.noisy(rig, seen, rigs.covariance(rig, seen, 0.01, inputs=0.01), rng)
+
+
+@pytest.mark.parametrize("seed", [6, 19])
+def test_phases_the_other_way_are_named_where_not_all_motion_is_seen(seed):
+    """From the rig of the phases as they are nothing leads to the right one."""
+    rng = np.random.default_rng(seed)
+    model, spectrum = seen_at_three_of_four(rng)
+    case = MISTAKES["phases the other way"](model, spectrum, rng)
+    first = diagnose(model, case.spectrum)[0]
     assert (first.kind, first.of) == ("conjugate", ())
+
+
+def test_a_search_that_ends_at_a_rig_without_response_is_diagnosed_as_any_other():
+    """One channel in another unit: a damper of −2e34 N·s/m, of which the verdict had been an error and no cause."""
+    model, spectrum = seen_at_three_of_four(np.random.default_rng(11))
+    wrong = times(spectrum, 1, 1 / 9.80665)
+    estimate = identify(model, wrong)
+    lost = np.where(np.arange(len(estimate.values)) == len(model.unknowns) - 1, -1e300, estimate.values)
+    assessment = examined(model, wrong, replace(estimate, values=lost, converged=np.array(False))).assessment
+    assert assessment.verdict == "does not fit"
+    assert (assessment.findings[0].kind, assessment.findings[0].of) == ("unit", (wrong.channels[1].name,))
 
 
 def test_a_clean_test_fits_and_nothing_is_named():
