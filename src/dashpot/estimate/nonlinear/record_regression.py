@@ -25,6 +25,7 @@ CYCLES = (0, 1, 2, 3, 4, 5, 6)  # of a window: which part of the band it sees
 SMALL = 0.01  # nonlinear force over the others, where these are to explain the motion
 EXPLAINED = 0.1  # of the squared residuals, which laws that show explain at least
 BLIND = 1e-6  # singular value, of columns of size 1, below which a combination leaves no trace in the motion
+SEVERAL = 2  # unknown constants, which one after the other are followed along a valley too slowly
 WIDTH = 64  # samples of a window, about; each half overlaps the next
 
 
@@ -119,6 +120,14 @@ class WeakEquations:
         theta = solve_scaled(A.T @ A, A.T @ b)
         left = b - A @ theta
         return theta[: int(np.sum(self.free))], float(left @ left)
+
+    def left_over(self, constants: Real) -> Real:
+        """What least squares leave of each equation at given inner constants (G,)."""
+        A, b = self._with_laws(constants)
+        size = np.linalg.norm(A, axis=0)
+        scaled = A / np.where(size > 0, size, 1.0)
+        left: Real = b - scaled @ np.linalg.lstsq(scaled, b, rcond=None)[0]
+        return left
 
     def without_laws(self, constants: Real) -> tuple[Real, float]:
         """(unknown parameters, squared residual) without the nonlinear elements, whose forces are then `SMALL`."""
@@ -242,7 +251,37 @@ def _best_constants(equations: WeakEquations) -> tuple[Real, Real]:
     constants = refined_constants(
         model, min(constants_to_try(model, elongation, speed), key=residual), residual
     )
+    constants = _polished(equations, constants)
     return constants, equations.fitted(constants)[0]
+
+
+def _polished(equations: WeakEquations, start: Real) -> Real:
+    """Inner constants (G,) of less residual near the start: several that share a valley are moved together.
+
+    Gauss and Newton with the parameters at their best for each (variable projection, Golub and Pereyra 1973).
+    """
+    from scipy.optimize import least_squares
+
+    model = equations.form.model
+    open_ones = [j for j, (_, c) in enumerate(model.constants) if c.unknown and c.guess is None and start[j]]
+    if len(open_ones) < SEVERAL:
+        return start
+
+    def constants(nepers: Real) -> Real:
+        moved = start.copy()
+        moved[open_ones] *= np.exp(nepers)
+        return moved
+
+    def left_over(nepers: Real) -> Real:
+        return equations.left_over(constants(nepers))
+
+    with np.errstate(all="ignore"):
+        try:
+            end = least_squares(left_over, np.zeros(len(open_ones)))
+        except (ValueError, np.linalg.LinAlgError):  # no number, somewhere on the way
+            return start
+    better = equations.fitted(constants(end.x))[1] < equations.fitted(start)[1]
+    return constants(end.x) if better else start
 
 
 def _measured_motion(model: Model, record: RecordData, open_names: Sequence[str]) -> RecordedMotion:

@@ -56,6 +56,7 @@ HALVINGS = 6  # of the integration's steps, at most
 MOST_STEPS = 10**6  # of all records, which halving must not exceed
 MOVED = 0.05  # standard deviations by which half steps may move an estimate
 SHORTEST = 1e-6  # of a start: the least that lengths and speeds inside laws may become
+QUIETER = 0.5  # of the noise so far: residuals with finer steps, which coarser ones had made
 FAR = 3.0  # standard deviations beyond which one step of Gauss and Newton is not enough
 
 
@@ -134,9 +135,7 @@ def fit_records(
         ended = _with_exact_inputs(problem, psi, progress)
         if ended.converged and not exact_inputs:
             ended = _with_true_inputs(ended, data, at_rest)
-    problem, psi = _refined(ended.problem, ended.psi, ended.limits)
-    history = np.concatenate([ended.history, psi[None, : problem.inner]])
-    return replace(ended, problem=problem, psi=psi, history=history)
+    return _refined(ended) if ended.converged else ended
 
 
 def _with_exact_inputs(
@@ -274,11 +273,12 @@ def _descended(
     )
 
 
-def _refined(problem: RecordProblem, psi: Real, limits: tuple[Real, Real]) -> tuple[RecordProblem, Real]:
-    """The problem with steps halved until that moves the estimate no more, and where it ends, ψ (M,).
+def _refined(fitted: FittedRecords) -> FittedRecords:
+    """The fit with steps halved until that moves the estimate no more.
 
     Kinks of laws make the integration's error fall with the square of the step only.
     """
+    problem, psi = fitted.problem, fitted.psi
     for _ in range(HALVINGS):
         finer = problem.finer()
         steps = [data.samples * count for data, count in zip(finer.records, finer.substeps, strict=True)]
@@ -290,8 +290,23 @@ def _refined(problem: RecordProblem, psi: Real, limits: tuple[Real, Real]) -> tu
         if not moved > MOVED:
             break
         problem = finer
-        psi = np.clip(psi + step, *limits) if moved < FAR else _descended(finer, psi, limits).x[0]
-    return problem, psi
+        if moved < FAR:
+            psi = np.clip(psi + step, *fitted.limits)
+        else:
+            psi = _descended(finer, psi, fitted.limits).x[0]
+        _quietened(problem, psi)
+    history = np.concatenate([fitted.history, psi[None, : problem.inner]])
+    return replace(fitted, problem=problem, psi=psi, history=history)
+
+
+def _quietened(problem: RecordProblem, psi: Real) -> None:
+    """Let the problem know less noise where the residuals at ψ (M,) were errors of coarser steps."""
+    if problem.inputs is not None:
+        return
+    left = np.concatenate([residual for residual, _ in problem.residuals(psi, slopes=False)])
+    ratio = np.sqrt(np.mean(left**2, axis=0))
+    if np.all(ratio < QUIETER):
+        problem.sd = np.maximum(problem.sd * ratio, EXACT * problem.sizes())
 
 
 def _bounds(problem: RecordProblem, psi: Real) -> tuple[Real, Real]:

@@ -23,7 +23,7 @@ from dashpot.model.nonlinear.force_law import force_law
 from dashpot.model.nonlinear.integration import Integrator
 from dashpot.model.nonlinear.propagation import forcing
 from dashpot.model.nonlinear.shooting import integrate
-from tests.nonlinear_rigs import guessed, motions, two_masses
+from tests.nonlinear_rigs import LAWS, chain, guessed, motions, two_masses
 
 STEP = 1 / 200
 
@@ -148,6 +148,72 @@ def test_laws_with_a_state_are_given_back_from_exact_records_as_far_as_the_integ
     estimate = identify_records(guessed(model, theta, 1.1), [data])
     assert bool(estimate.converged)
     assert np.max(np.abs(estimate.values / theta - 1)) < within
+
+
+WITHOUT_STATE = [law for law in LAWS if law not in ("jenkins", "backlash", "bouc-wen")]
+KINKS = {"gap": 1e-5, "one-sided": 1e-5, "bilinear": 1e-5}
+
+
+def exact_record(law, count):
+    """A row of masses for a second, integrated in 64 steps between samples: far finer than a fit begins with."""
+    model, theta = chain(law, count)
+    rng = np.random.default_rng(0)
+    time = STEP * np.arange(300 if law == "stribeck" else 200)
+    tones, phases = rng.uniform(1, 15, 30), rng.uniform(0, 6.3, 30)
+    u = 3e-4 * np.sum(np.cos(2 * np.pi * tones * time[:, None] + phases), axis=1, keepdims=True)
+    machine = Integrator(model, theta, forcing(STEP, u), 64)
+    motion = integrate(machine, np.zeros(machine.states))
+    channels = motions(*model.coordinates, "u")
+    return model, theta, Record(channels, time, np.hstack([motion.state[:, :count], u]))
+
+
+FEW_MASSES = [("cubic", 3), ("coulomb", 4), ("stribeck", 5), ("one-sided", 2)]
+
+
+@pytest.mark.parametrize(
+    ("law", "count"),
+    [
+        *FEW_MASSES,
+        *(
+            pytest.param(law, count, marks=pytest.mark.long)
+            for law in WITHOUT_STATE
+            for count in range(1, 6)
+            if (law, count) not in FEW_MASSES
+        ),
+    ],
+)
+def test_exact_records_of_one_to_five_masses_give_every_law_back_without_guesses(law, count):
+    """Stribeck's friction had begun at a ratio of 2,000, where one constant after the other leads; gaps left 6e-5."""
+    model, theta, data = exact_record(law, count)
+    estimate = identify_records(model, [data])
+    assert bool(estimate.converged)
+    assert np.max(np.abs(estimate.values / theta - 1)) < KINKS.get(law, 1e-6)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(
+    ("law", "count"),
+    [(law, count) for law in ("jenkins", "bouc-wen") for count in range(1, 6)],
+)
+def test_exact_records_give_laws_with_a_state_back_from_guesses(law, count):
+    model, theta, data = exact_record(law, count)
+    estimate = identify_records(guessed(model, theta, 1.03), [data])
+    assert bool(estimate.converged)
+    assert np.max(np.abs(estimate.values / theta - 1)) < 1e-3
+
+
+@pytest.mark.long
+def test_a_search_that_does_not_end_is_not_repeated_with_finer_steps():
+    """Each took twice the time of the one before: a channel at another point was followed for a quarter of an hour."""
+    model, theta, data = record(
+        "coulomb", (*motions("x2"), Channel("a1", {"x1": 1.0}, Quantity.ACCELERATION), *motions("u"))
+    )
+    moved = replace(
+        data, values=np.column_stack([record("coulomb", ALL)[2].values[:, 0], *data.values.T[1:]])
+    )
+    fitted = fit_records(guessed(model, theta, 1.05), [moved])
+    assert not fitted.converged
+    assert fitted.problem.substeps[0] <= 8
 
 
 @pytest.mark.long
