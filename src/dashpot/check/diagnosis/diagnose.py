@@ -11,11 +11,12 @@ from dashpot.check.curvature import with_profile_intervals
 from dashpot.check.diagnosis.causes import causes
 from dashpot.check.diagnosis.channel_changes import channel_changes
 from dashpot.check.diagnosis.directed import directed_causes
-from dashpot.check.diagnosis.nonlinear_elements import MARKED
+from dashpot.check.diagnosis.nonlinear_elements import MARKED, called_for
 from dashpot.check.diagnosis.ranking import Cause, points_of
 from dashpot.check.diagnosis.record_changes import RigChanges, record_changes, with_quiet_noise
 from dashpot.check.diagnosis.record_elements import called_for_in_records
 from dashpot.check.diagnosis.search import Workbench
+from dashpot.check.diagnosis.seen_channels import mistakes_by_equation
 from dashpot.check.diagnosis.steady_lines import steady_lines
 from dashpot.check.diagnosis.wording import finding, in_place_of_laws, nonlinear_finding
 from dashpot.check.silent_channels import silent_channels
@@ -26,7 +27,7 @@ from dashpot.estimate.assessment import Assessment, Finding
 from dashpot.estimate.identify import identify
 from dashpot.estimate.inference.time_course import TIME_CHANGES, change_notice
 from dashpot.estimate.likelihood.starting_values import candidates
-from dashpot.estimate.nonlinear.starting_values import linear_rig
+from dashpot.estimate.nonlinear.starting_values import linear_rig, starting_points
 from dashpot.estimate.preparation.prepared import prepare
 from dashpot.estimate.result import Estimate
 from dashpot.model.network import Model
@@ -63,8 +64,10 @@ def _misfit_and_causes(
 ) -> tuple[float, tuple[Finding, ...]]:
     """χ² per degree of freedom of the rig as it is on the lines that are diagnosed (NaN where none are), and causes."""
     backwards = _pushed_backwards(model, spectrum, estimate)
-    if backwards or model.n > LARGEST or len(model.nonlinear):  # the remedies are tried on linear rigs
+    if backwards or model.n > LARGEST:
         return np.nan, backwards
+    if len(model.nonlinear):  # other remedies are tried on linear rigs
+        return np.nan, _where_laws_are_seen(model, spectrum, estimate, np.inf)
     transients, runs = spectrum.carries_loads, len(spectrum.records)
     if transients:
         if not model.inputs:  # a free decay is nothing but a transient
@@ -118,7 +121,8 @@ def examined(model: Model, spectrum: Spectrum, estimate: Estimate, *, seed: int 
     if linear and (assessment.verdict == "does not fit" or not bool(estimate.converged)):
         assessment, elements_found = _diagnosed(model, spectrum, estimate, assessment, elements_found, seed)
     elif not linear and (assessment.verdict == "does not fit" or not bool(estimate.converged)):
-        others = _in_place_of_laws(model, spectrum, misfit, seed)
+        others = _where_laws_are_seen(model, spectrum, estimate, misfit)
+        others = others or _in_place_of_laws(model, spectrum, misfit, seed)
         assessment = replace(assessment, findings=(*assessment.findings, *others))
     if elements_found:
         assessment = _with_nonlinear_elements(assessment, elements_found, misfit)
@@ -207,6 +211,33 @@ def _nonlinear_elements(model: Model, spectrum: Spectrum, estimate: Estimate) ->
         points, left = points_of(scored.element, model), misfit * (1 - scored.fall / scored.chi2)
         findings.append(nonlinear_finding(model, points, scored.element, scored.value, left))
     return tuple(findings)
+
+
+def _where_laws_are_seen(
+    model: Model, spectrum: Spectrum, estimate: Estimate | None, misfit: float
+) -> tuple[Finding, ...]:
+    """Plain mistakes of channels, else elements beside the rig's own laws, of settled dwells that show all motion."""
+    if spectrum.carries_loads or model.n > LARGEST:
+        return ()
+    data = prepare(model, spectrum)
+    if data.states is None:
+        return ()
+    mistakes = mistakes_by_equation(data, misfit)
+    if mistakes:
+        return tuple(finding(model, spectrum.channels, cause) for cause in mistakes)
+    known = estimate is not None and bool(np.all(np.isfinite(estimate.values)))
+    psi = estimate.values if estimate is not None and known else starting_points(data)[0]
+    (sign,) = spectrum.signs({} if estimate is None else estimate.signs)
+    return tuple(
+        nonlinear_finding(
+            model,
+            points_of(scored.element, model),
+            scored.element,
+            scored.value,
+            (scored.chi2 - scored.fall) / scored.dof,
+        )
+        for scored in called_for(data, psi, sign, thorough=False)
+    )
 
 
 def _in_place_of_laws(model: Model, spectrum: Spectrum, misfit: float, seed: int) -> tuple[Finding, ...]:

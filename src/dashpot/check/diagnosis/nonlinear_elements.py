@@ -30,7 +30,7 @@ from dashpot.estimate.likelihood.chunks import Measured
 from dashpot.estimate.likelihood.nuisance import estimated_inputs
 from dashpot.estimate.likelihood.objective import local, measured, predict
 from dashpot.estimate.nonlinear.dwells import dwells_of
-from dashpot.estimate.nonlinear.search import lost_dwells_regained
+from dashpot.estimate.nonlinear.search import lost_dwells_regained, measured_branches_regained
 from dashpot.estimate.preparation.prepared import Prepared
 from dashpot.model.elements import Element, Kind, between
 from dashpot.model.network import Model
@@ -259,10 +259,15 @@ def _followed(
 ) -> tuple[Real, float]:
     """(ψ, χ²) downhill from ψ (M,) of a candidate, a few steps only where χ² does not come below `most` by then.
 
-    regaining: where it does not, dwells that are lost near a fold are looked for first.
+    regaining: where it does not, dwells that are lost near a fold, or move otherwise than was measured, are looked for
+    first.
     """
     ended, cost = _descended(view, exact, psi, sign, GLANCE)
-    if cost > most and regaining and lost_dwells_regained(view, exact, ended[None]):
+    lost = regaining and cost > ENOUGH * exact.rows
+    here, turned = ended[None], sign[None]
+    if (lost and measured_branches_regained(view, exact, here, turned)) or (
+        lost and cost > most and lost_dwells_regained(view, exact, here)
+    ):
         ended, cost = _descended(view, exact, ended, sign, GLANCE)
     return _descended(view, exact, ended, sign, LIMIT - GLANCE) if cost < most else (ended, cost)
 
@@ -274,7 +279,7 @@ def called_for(data: Prepared, psi: Real, sign: Real, *, thorough: bool = True) 
     show are looked for only if `thorough`: to reach them from a rig that does not fit takes seconds.
     """
     chi2 = misfit(data, psi, sign)
-    seen = _passive(_scored_where_seen(data, psi))
+    seen = _passive(seen_candidates(data, psi))
     mending = [each for each in seen if _mends(each)]
     fitted = _passive([fitted_in_full(data, psi, sign, each, chi2, 0.0) for each in mending[:FULLY]])
     if any(_certain(each) for each in fitted) or (seen and not thorough):
@@ -308,11 +313,6 @@ def _nearly_best(fitted: Sequence[ScoredElement]) -> list[ScoredElement]:
 def _certain(fitted: ScoredElement) -> bool:
     """Whether an element that was fitted in full is called for beyond doubt."""
     return fitted.p_value < CERTAIN and fitted.fall > MARKED * fitted.chi2
-
-
-def _scored_where_seen(data: Prepared, psi: Real) -> list[ScoredElement]:
-    """The candidates beside a linear rig by the equation of motion, the best first; [] where not all motion is seen."""
-    return [] if data.states is None or len(data.model.nonlinear) else seen_candidates(data, psi)
 
 
 def _mends(scored: ScoredElement) -> bool:

@@ -137,6 +137,12 @@ class WarmStart:
     along: dict[int, tuple[Real, Real]] = field(default_factory=dict)
     latest: tuple[bytes, Predicted] | None = None
 
+    def take(self, other: WarmStart, repeat: int) -> None:
+        """The last response of a repeat from another one's memory in place of its own."""
+        self.delta[repeat], self.inputs[repeat] = other.delta[repeat], other.inputs[repeat]
+        self.cost[repeat], self.along[repeat] = other.cost[repeat], other.along[repeat]
+        self.latest = None
+
     def near(self, repeat: int, theta: Real) -> Real:
         """Elongations (dwells, e, W) to start from at θ (unknowns,): the last ones, moved along their slopes.
 

@@ -36,6 +36,8 @@ FIRST, LONGEST = 30, 100  # iterations from each of the starts, and where the be
 ROUGHLY = 0.03  # standard deviations within which descents end that others follow
 ALIKE = 0.02  # of the values and of the cost, by which ends of softened data differ that are one
 FINEST, COARSEST = 1e-10, 1e-3  # truncation errors of the elongations between which harmonics are enough
+GROSS = 1e3  # times what noise makes of the cost: more harmonics do not help a rig that is another one
+NEARER = 0.01  # of the cost, or of what noise alone makes of it, by which another motion must be nearer to the data
 SHARE = 0.1  # of the relative noise
 MOST = 63  # harmonics
 MANY = 2  # unknown constants of a law from which a fit may have several ends: all starts are followed
@@ -63,10 +65,14 @@ def search_harmonics(likelihood: Likelihood) -> tuple[OptimizeResult, Measured, 
             exact, np.repeat(best.x, len(exact.y), axis=0), sign, LONGEST, near=near
         )
     last = LONGEST if np.all(minimum.converged) else FIRST  # a valley without an end is followed no further
-    if lost_dwells_regained(view, exact, minimum.x):
+    if measured_branches_regained(view, exact, minimum.x, sign) or lost_dwells_regained(
+        view, exact, minimum.x
+    ):
         minimum = likelihood.descend_in(exact, minimum.x, sign, near=near)
     while True:
         part = measured_part(exact)
+        if data.noise_known and float(minimum.cost[0]) > GROSS * first.rows:
+            return likelihood.descend_in(exact, minimum.x, sign, FIRST, near=near), exact, warnings
         allowed = _allowed(data, float(minimum.cost[0]) / max(first.rows, 1))
         if part.dwells.orders >= MOST or _missing(view, exact, minimum.x) <= allowed:
             return likelihood.descend_in(exact, minimum.x, sign, last), exact, warnings
@@ -169,7 +175,8 @@ def _allowed(data: Prepared, misfit: float) -> float:
 
 def _fresh(exact: Measured) -> Measured:
     """The same data without memory of earlier responses, for many starts, each of which may lose dwells."""
-    return replace(exact, nonlinear=replace(measured_part(exact), warm=WarmStart(), patient=False))
+    part = measured_part(exact)
+    return replace(exact, nonlinear=replace(part, warm=WarmStart(), patient=False, raised=False))
 
 
 def _ranked(likelihood: Likelihood, one: Prepared, stages: Sequence[Measured]) -> Iterator[tuple[Real, bool]]:
@@ -275,6 +282,27 @@ def lost_dwells_regained(view: ObservationModel, exact: Measured, psi: Real) -> 
             warm.along.pop(repeat, None)
             warm.latest = None
     return gained
+
+
+def measured_branches_regained(view: ObservationModel, exact: Measured, psi: Real, sign: Real) -> bool:
+    """Whether responses at ψ (K, M) are nearer to the data from the measured motion than from the last ones.
+
+    On the way from a start far off a dwell may have come to another motion than was measured, and then keeps to it.
+    They are then remembered in place of the last ones.
+    """
+    part = measured_part(exact)
+    if part.start is None or not part.warm.delta:
+        return False
+    anew = _fresh(exact)
+    with np.errstate(all="ignore"):
+        cost, other = (
+            np.sum(predict_harmonics(view, data, measured_part(data), psi, sign)[5], axis=-1)
+            for data in (exact, anew)
+        )
+    nearer = np.flatnonzero(other < cost - NEARER * np.maximum(np.abs(cost), exact.rows))
+    for repeat in part.repeat[nearer].tolist():
+        part.warm.take(measured_part(anew).warm, repeat)
+    return bool(len(nearer))
 
 
 def _missing(view: ObservationModel, exact: Measured, psi: Real) -> float:

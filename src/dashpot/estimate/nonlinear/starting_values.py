@@ -54,6 +54,15 @@ def starting_points(data: Prepared, *, afar: bool = False) -> Real:
     return np.concatenate([theta, np.broadcast_to(calibrations, (len(theta), len(calibrations)))], axis=1)
 
 
+def harmonics_left(data: Prepared) -> float:
+    """Share of the known forces that least squares on the harmonics leave, at the best constants that are tried.
+
+    Data of one repeat, all motion seen; raises what `measured_motion` raises.
+    """
+    motion = measured_motion(data)
+    return float(np.min(_residuals(motion, constant_trials(motion), scale_of_lines(motion))))
+
+
 def _by_regression(data: Prepared) -> Real:
     model = data.model
     motion = measured_motion(data)

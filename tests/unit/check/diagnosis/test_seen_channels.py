@@ -1,0 +1,87 @@
+"""Plain mistakes of channels beside nonlinear elements, in settled dwells where all motion is seen."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from dashpot.check.diagnosis.diagnose import diagnose, examined
+from dashpot.check.diagnosis.seen_channels import mistakes_by_equation
+from dashpot.errors import IdentifiabilityError
+from dashpot.estimate.identify import identify
+from dashpot.estimate.preparation.prepared import prepare
+from tests.nonlinear_rigs import motions, settled, two_masses
+
+FREQUENCIES = np.linspace(4, 12, 14)
+
+
+def measured(law, wrong=None, factor=1.0):
+    """A rig and its dwells at 0.3 % noise, one channel times `factor`."""
+    model, theta = two_masses(law)
+    spectrum = settled(
+        model,
+        theta,
+        motions("x1", "x2", "u"),
+        FREQUENCIES,
+        orders=(1, 3),
+        noise=3e-3,
+        rng=np.random.default_rng(5),
+    )
+    scale = np.array([factor if channel.name == wrong else 1.0 for channel in spectrum.channels])
+    return model, replace(
+        spectrum,
+        amplitudes=spectrum.amplitudes * scale,
+        covariance=spectrum.covariance * (scale[:, None] * scale),
+    )
+
+
+@pytest.mark.parametrize("law", ["cubic", "gap"])
+@pytest.mark.parametrize(
+    ("wrong", "factor", "kind"), [("x1", -1.0, "sign"), ("x2", 1000.0, "unit"), ("u", 9.80665, "unit")]
+)
+def test_a_channel_of_the_wrong_sign_or_unit_is_named_first(law, wrong, factor, kind):
+    model, spectrum = measured(law, wrong, factor)
+    causes = mistakes_by_equation(prepare(model, spectrum), 1e4)
+    assert (causes[0].kind, causes[0].of, causes[0].number) == (kind, (wrong,), pytest.approx(factor))
+    assert causes[0].remaining < 1.5
+
+
+def test_two_channels_exchanged_are_named_first():
+    model, spectrum = measured("cubic")
+    order = [1, 0, 2]
+    exchanged = replace(
+        spectrum,
+        amplitudes=spectrum.amplitudes[:, order],
+        covariance=spectrum.covariance[:, order][:, :, order],
+    )
+    causes = mistakes_by_equation(prepare(model, exchanged), 1e4)
+    assert (causes[0].kind, causes[0].of) == ("swap", ("x1", "x2"))
+
+
+@pytest.mark.parametrize("law", ["cubic", "gap", "coulomb"])
+def test_right_channels_are_not_called_wrong(law):
+    """Neither as the rig has them, nor where a spring beside the law has a wrong value."""
+    model, spectrum = measured(law)
+    assert mistakes_by_equation(prepare(model, spectrum), 1.0) == []
+    elements = tuple(replace(e, value=2300.0) if e.name == "k1" else e for e in model.elements)
+    stiff = replace(model, elements=elements)
+    assert mistakes_by_equation(prepare(stiff, spectrum), 1e4) == []
+
+
+def test_the_assessment_of_a_fit_that_fails_says_which_channel():
+    model, spectrum = measured("cubic", "x2", -1.0)
+    estimate = examined(model, spectrum, identify(model, spectrum, "ml"))
+    assert estimate.assessment.verdict == "does not fit"
+    (first, *_) = estimate.assessment.findings
+    assert (first.kind, first.of) == ("sign", ("x2",))
+    assert "sign = -1.0" in first.change
+
+
+def test_where_no_fit_comes_to_an_end_the_diagnosis_says_which_channel():
+    model, spectrum = measured("gap", "x2", -1.0)
+    with pytest.raises(IdentifiabilityError, match="leaves no trace"):
+        identify(model, spectrum, "ml")
+    (first, *_) = diagnose(model, spectrum)
+    assert (first.kind, first.of) == ("sign", ("x2",))
