@@ -44,7 +44,7 @@ PYTHON = BIN / ("python.exe" if os.name == "nt" else "python")
 STAMP = VENV / "stamp.json"
 KERNELS = ROOT / "kernels"
 KERNEL_STAMP = VENV / "stamp-kernel.json"
-KERNEL_SECONDS = 300  # after which a build is given up
+KERNEL_SECONDS = 900  # after which a build is given up
 PIP_LOG = VENV / "pip.log"
 REQUIREMENTS = ROOT / "requirements"
 LOCKED = REQUIREMENTS / "locked.txt"
@@ -383,7 +383,7 @@ def install_kernel() -> None:
 
 
 def build_kernel() -> None:
-    say("building the compiled kernel, about half a minute")
+    say("building the compiled kernel, about a minute")
     command: list[str | Path] = [
         PYTHON, "-m", "pip", "--log", PIP_LOG, "install", "--no-deps", "--no-build-isolation", "--no-index",
         "--force-reinstall", KERNELS,
