@@ -83,25 +83,30 @@ def test_a_linear_rig_is_integrated_exactly():
     assert np.max(np.abs(motion.state - again.state) / np.max(np.abs(again.state), axis=0)) < 1e-10
 
 
-@pytest.mark.parametrize(
-    ("law", "tolerance"),
-    [("cubic", 1e-6), ("v**3", 1e-6), ("jenkins", 1e-3), ("bouc-wen", 1e-4), ("backlash", 1e-3)],
-)
-def test_a_motion_that_starts_on_the_settled_one_stays_on_it(law, tolerance):
+STOPS = ("gap", "one-sided", "bilinear")
+FRICTION = ("coulomb", "stribeck", "jenkins", "backlash", "bouc-wen")
+
+
+@pytest.mark.parametrize("law", LAWS)
+def test_a_motion_that_starts_on_the_settled_one_stays_on_it(law):
+    """Harmonic balance and integration agree to 1e-6 for smooth laws, 1e-5 for stops, 1e-3 for friction."""
+    tolerance, substeps = (1e-5, 16) if law in STOPS else (1e-3, 4) if law in FRICTION else (1e-6, 2)
     model, theta = two_masses(law)
     frequency, period, cycles = 5.0, 96, 4
+    amplitude = 5e-4 if law == "quintic" else 1e-3  # at the greater one Newton's method needs a start nearby
     U = np.zeros((1, 44, 1), dtype=complex)
-    U[0, 1, 0] = 1e-3
+    U[0, 1, 0] = amplitude
     at = periodic_response(
         model, model.parameters(theta)[None], model.inner_constants(theta)[None],
         Drive(np.array([2 * np.pi * frequency]), U, np.zeros((1, 44, 0))), times=2048,
     )  # fmt: skip
+    assert np.all(at.converged)
     rates = 2j * np.pi * frequency * np.arange(44)[:, None]
     states = [state[0, 0] for state in at.forces.states if state.size]
     start = np.concatenate([np.sum(at.X[0], axis=0).real, np.sum(rates * at.X[0], axis=0).real, states])
     time = np.arange(period * cycles + 1) / (period * frequency)
-    u = 1e-3 * np.cos(2 * np.pi * frequency * time)[:, None]
-    motion = integrate(Integrator(model, theta, forcing(1 / (period * frequency), u), 2), start)
+    u = amplitude * np.cos(2 * np.pi * frequency * time)[:, None]
+    motion = integrate(Integrator(model, theta, forcing(1 / (period * frequency), u), substeps), start)
     turns = np.exp(2j * np.pi * frequency * np.outer(time, np.arange(44)))
     settled = (turns @ at.X[0]).real
     assert motion.closed
