@@ -21,7 +21,7 @@ from dashpot.check.diagnosis.ranking import ALIKE, HELPS, ORDER, Cause, cause_of
 from dashpot.check.diagnosis.rig_changes import changes
 from dashpot.check.diagnosis.run_groups import run_groups
 from dashpot.check.diagnosis.score_test import promises
-from dashpot.check.diagnosis.search import DRAWS, Workbench
+from dashpot.check.diagnosis.search import DRAWS, FEWER_DRAWS, Workbench
 from dashpot.check.diagnosis.trials import (
     Outcome,
     Trial,
@@ -50,7 +50,6 @@ PARTICULAR = tuple(kind for kind in ORDER if kind not in ("dwell", "mode", "chan
 # Runs that differ in amplitude may differ because of a nonlinear element.
 SURER = tuple(kind for kind in PARTICULAR if kind != "changed")
 RATES = (2 * np.pi, 1 / (2 * np.pi), 2.0, 0.5, 60.0, 1 / 60)
-FEWER = 200  # rigs drawn for each of them, where all is seen
 OF_ITS_OWN = 0.01  # part of the column of a gain or a delay that the rig's own unknowns must leave
 SLIGHT = 0.5  # change of a gain by which its score is followed
 GROSS = 0.02  # part of the misfit that a gross mistake leaves, beside which nothing finer is looked for
@@ -376,7 +375,7 @@ def _rates(bench: Workbench, base: Trial, seed: int) -> list[Cause]:
         states = states_if_seen(view, shifted, bench.data.covariance) if seen else None
         data = replace(bench.data, view=view, spectrum=shifted, states=states)
         # What all coordinates show gives a start that drawn rigs hardly better.
-        draws = FEWER if seen else DRAWS
+        draws = FEWER_DRAWS if seen else DRAWS
         outcome = Workbench(data, bench.psi, bench.sign).searched([base], seed, draws)[0]
         relabelled.append(Cause("frequency", (), outcome.reduced, rate))
     return relabelled

@@ -13,7 +13,7 @@ import numpy as np
 
 from dashpot.arrays import Complex, Real
 from dashpot.channel import Channel
-from dashpot.check.diagnosis.search import Workbench
+from dashpot.check.diagnosis.search import FEWER_DRAWS, Workbench
 from dashpot.check.diagnosis.trials import Outcome, Trial, untouched
 from dashpot.estimate.preparation.state_reconstruction import states_if_seen
 from dashpot.model.observation import observation_model
@@ -23,8 +23,7 @@ LEFT = 0.1  # of the squares of what is wrong with the channel that a form may l
 FEWEST = 6  # lines
 MUCH_LESS = 0.5  # of what a filter of the first order leaves must one of the second
 STEP = 0.02  # of a gain, that two ranges must differ by
-ALIKE = 1.6  # times what the fit without the channel leaves: what the rig with it elsewhere may leave
-FEWER = 200  # rigs drawn for that
+AS_WELL = 1.6  # times what the fit without the channel leaves: what the rig with it elsewhere may leave
 GROUP = 3  # lines in each of two ranges
 LEVELS = 60  # of a limit that are tried
 CUT_OFF = (0.02, 50.0)  # times the lowest and the highest frequency: where a filter's corner may be
@@ -148,8 +147,8 @@ def _elsewhere(bench: Workbench, c: int, outcome: Outcome) -> list[tuple[float, 
         view = observation_model(model, channels, bench.view.omega)
         data = replace(bench.data, view=view, spectrum=spectrum, states=None)
         data = replace(data, states=states_if_seen(view, spectrum, data.covariance))
-        (end,) = Workbench(data, outcome.psi, bench.sign).searched([untouched(data)], draws=FEWER)
-        if end.reduced < ALIKE * max(outcome.reduced, 1.0):
+        (end,) = Workbench(data, outcome.psi, bench.sign).searched([untouched(data)], draws=FEWER_DRAWS)
+        if end.reduced < AS_WELL * max(outcome.reduced, 1.0):
             text = f"shows what the rig does at {point}: is it mounted there?"
             listed.append((0.0, Contradiction(text, mended)))
     return listed

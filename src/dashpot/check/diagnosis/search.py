@@ -19,6 +19,7 @@ from dashpot.estimate.preparation.state_reconstruction import states_if_seen
 from dashpot.model.observation import ObservationModel, calibration_factors, observation_model, transfer
 
 DRAWS = 1500  # rigs drawn at random as starts, ranked for every trial
+FEWER_DRAWS = 200  # where all motion is seen, which gives a start of its own
 FEW, MANY = 3, 12  # of them that are followed: where all is seen, and elsewhere
 SOFTNESS = 0.05  # relative noise added in the stage between logarithms and the likelihood
 SHORT = 8  # iterations after which only the best start of a trial goes on

@@ -49,12 +49,22 @@ def test_stribecks_friction_is_given_back_without_guesses(count):
 @pytest.mark.long
 @pytest.mark.parametrize(
     ("law", "count", "most", "within"),
-    [("stribeck", 3, 63, 1e-6), *(("bouc-wen", count, 31, 1e-3) for count in (1, 2, 3))],
+    [
+        *(("stribeck", count, 63, 1e-6) for count in (3, 4, 5)),
+        *(("bouc-wen", count, 31, 1e-3) for count in range(1, 6)),
+    ],
 )
 def test_friction_that_slides_and_hysteresis_are_given_back_from_guesses(law, count, most, within):
-    """Bouc-Wen's force has kinks: 31 harmonics, of which the data are made, leave 6e-4."""
+    """Bouc-Wen's force has kinks: 31 harmonics, of which the data are made, leave 6e-4.
+
+    At half the drive Stribeck's friction on four masses hardly slides: its constants may then differ by 1 % and leave
+    1e-9 of the motion.
+    """
     model, theta = chain(law, count)
-    channels, amplitude = motions(*model.coordinates, "u"), 1e-3 if count < 3 else 2e-3 / count
+    channels, amplitude = (
+        motions(*model.coordinates, "u"),
+        1e-3 if count < 3 or law == "stribeck" else 2e-3 / count,
+    )
     spectrum = settled(model, theta, channels, FREQUENCIES, orders=(1, 3), amplitude=amplitude, most=most)
     estimate = identify(guessed(model, theta, 1.03), spectrum, "ml")
     assert bool(estimate.converged)
