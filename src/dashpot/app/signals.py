@@ -10,7 +10,7 @@ import signal
 import sys
 import weakref
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from threading import Timer, current_thread, main_thread
 from types import FrameType
 
@@ -162,8 +162,13 @@ def _come_again(number: int) -> None:
     """From a thread, a moment later: raised at once, it would be lost in the same place."""
     again = Timer(PAUSE, _send, (number,))
     again.daemon = True
-    with suppress(RuntimeError):  # no thread can be begun any more
-        again.start()
+    while again.ident is None:
+        try:
+            again.start()
+        except RuntimeError:  # no thread can be begun any more
+            return
+        except (KeyboardInterrupt, Ended):  # one more comes just now: it would be lost as the first was
+            continue
 
 
 def _send(number: int) -> None:
