@@ -30,7 +30,9 @@ def test_a_signal_that_comes_while_another_one_is_put_off_is_lost_without_a_word
     assert len(begun) == 2
 
 
-def test_where_no_thread_can_be_begun_a_signal_stays_lost(monkeypatch):
+def test_where_no_thread_can_be_begun_it_is_not_tried_for_ever(monkeypatch):
+    tried = []
+
     class Timer:
         """A thread that cannot be begun."""
 
@@ -40,7 +42,9 @@ def test_where_no_thread_can_be_begun_a_signal_stays_lost(monkeypatch):
             pass
 
         def start(self):
+            tried.append(self)
             raise RuntimeError
 
     monkeypatch.setattr(signals, "Timer", Timer)
     signals._come_again(signal.SIGINT)
+    assert len(tried) == 1
