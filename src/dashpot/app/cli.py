@@ -155,7 +155,7 @@ def run(args: Sequence[str] | None = None) -> int:
 def _stopped(asked: BaseException) -> int:
     """What a run that was asked to end says, and the exit code that shells expect of it."""
     answered()
-    if isinstance(asked, Ended):
+    if isinstance(asked, Ended) and asked.number != signal.SIGINT:
         _tell([f"ended by {signal.Signals(asked.number).name}; no file is left half-written"])
         return 128 + asked.number
     _tell(["interrupted; no file is left half-written"])

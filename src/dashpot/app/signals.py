@@ -19,9 +19,10 @@ from dashpot.io.lock import clear_locks
 from dashpot.io.scratch import clear_scratch
 
 ENDING = tuple(getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name))
+ANSWERED = (*ENDING, signal.SIGINT)
 
 PAUSE = 0.01  # s, after which a request that was lost comes again
-_asked: list[int] = []  # signals that were raised as exceptions and have had no answer yet
+_asked: set[int] = set()  # signals that were raised as exceptions and have had no answer yet
 _latest: weakref.ref[Ended] | None = None
 
 
@@ -48,14 +49,15 @@ class Ended(BaseException):
 
 
 def end_on_signals() -> None:
-    """SIGTERM and SIGHUP end the run as Ctrl-C does, unless the caller has them ignored (nohup)."""
-    for number in ENDING:
-        if signal.getsignal(number) == signal.SIG_DFL:
+    """SIGTERM, SIGHUP and Ctrl-C end the run, unless the caller has them ignored (nohup) or answers them himself.
+
+    Not Python's own answer to Ctrl-C: a KeyboardInterrupt that a library catches, as pandas does while it is imported,
+    is lost without a trace.
+    """
+    for number in ANSWERED:
+        if signal.getsignal(number) in (signal.SIG_DFL, signal.default_int_handler):
             signal.signal(number, _end)
-    if signal.getsignal(signal.SIGINT) == signal.SIG_DFL:  # as it is until here
-        signal.signal(signal.SIGINT, signal.default_int_handler)
-    if hasattr(signal, "pthread_kill"):
-        sys.unraisablehook = _ask_again
+    sys.unraisablehook = _without_requests
 
 
 def leave_signals() -> None:
@@ -64,8 +66,8 @@ def leave_signals() -> None:
     A second Ctrl-C may have come before the first had cleared all away.
     """
     clear_locks()
-    for number in (*ENDING, signal.SIGINT):
-        if signal.getsignal(number) in (_end, end_at_once, signal.default_int_handler):
+    for number in ANSWERED:
+        if signal.getsignal(number) in (_end, end_at_once):
             signal.signal(number, signal.SIG_DFL)
 
 
@@ -86,7 +88,7 @@ def held_back() -> Iterator[None]:
     def note(number: int, _: FrameType | None) -> None:
         came.append(number)
 
-    before = {number: signal.getsignal(number) for number in (*ENDING, signal.SIGINT)}
+    before = {number: signal.getsignal(number) for number in ANSWERED}
     mask = signal.pthread_sigmask(signal.SIG_BLOCK, ())
     try:
         for number, handler in before.items():
@@ -133,29 +135,27 @@ def end_at_once(number: int, _: FrameType | None) -> None:
 def _end(number: int, frame: FrameType | None) -> None:
     if _latest is not None and _latest() is not None:
         end_at_once(number, frame)
-    _asked.append(number)
+    _asked.add(number)
     raise Ended(number)
 
 
 def request_lost() -> Ended | None:
     """The request to end that some library has caught, so that what fails behind it is no fault of the program."""
-    return Ended(_asked[-1]) if _asked else None
+    return Ended(next(iter(_asked))) if _asked else None
 
 
 def answered() -> None:
     """The run unwinds and says so; what asks it once more ends it at once."""
     _asked.clear()
-    for number in ENDING:
+    for number in ANSWERED:
         if signal.getsignal(number) == _end:
             signal.signal(number, end_at_once)
 
 
-def _ask_again(lost: sys.UnraisableHookArgs) -> None:
-    """A signal that comes within a destructor or the callback of a weak reference is lost there: it comes again."""
-    if isinstance(lost.exc_value, KeyboardInterrupt):
-        _come_again(signal.SIGINT)
-    elif not isinstance(lost.exc_value, Ended):  # which sees to that itself
-        sys.__unraisablehook__(lost)
+def _without_requests(failure: sys.UnraisableHookArgs) -> None:
+    """No word of a request to end that came within a destructor or a callback of the interpreter: it comes again."""
+    if not isinstance(failure.exc_value, Ended):
+        sys.__unraisablehook__(failure)
 
 
 def _come_again(number: int) -> None:
@@ -172,8 +172,9 @@ def _come_again(number: int) -> None:
 
 
 def _send(number: int) -> None:
-    if number in _asked:
-        _asked.remove(number)
-    elif number != signal.SIGINT:
+    if number not in _asked:
         return  # it has been answered meanwhile
-    signal.pthread_kill(main_thread().ident or 0, number)
+    if hasattr(signal, "pthread_kill"):  # which wakes a thread that waits
+        signal.pthread_kill(main_thread().ident or 0, number)
+    else:
+        signal.raise_signal(number)
