@@ -8,9 +8,8 @@ from dataclasses import replace
 import numpy as np
 
 from dashpot.arrays import Real
-from dashpot.channel import Quantity
 from dashpot.check.diagnosis.bad_dwells import bad_dwells
-from dashpot.check.diagnosis.contradictions import contradiction
+from dashpot.check.diagnosis.contradictions import contradiction_of
 from dashpot.check.diagnosis.crosstalk import cross_talk
 from dashpot.check.diagnosis.likeness import RATIOS, Likeness, likeness
 from dashpot.check.diagnosis.loud_dwells import OF_A_DWELL, at_loud_dwells, beside_loud_dwells
@@ -27,6 +26,7 @@ from dashpot.check.diagnosis.trials import (
     Trial,
     cells,
     conjugated,
+    mistakes_of_a_channel,
     prepared,
     scaled,
     swapped,
@@ -107,7 +107,7 @@ def _with_contradictions(
     """The causes, channels that contradict the others with how they do."""
     by_name = {outcome.trial.of: (c, outcome) for c, outcome in enumerate(without_one)}
     return [
-        replace(cause, contradiction=contradiction(bench, base, *by_name[cause.of]))
+        replace(cause, contradiction=contradiction_of(bench, base, *by_name[cause.of]))
         if cause.kind == "channel" and not (cause.shows or cause.untested)
         else cause
         for cause in ranked_causes
@@ -245,15 +245,8 @@ def _usual_mistakes(bench: Workbench, base: Trial) -> list[Trial]:
     trials = []
     for c, channel in enumerate(bench.view.channels):
         name = channel.name
-        trials.append(scaled(base, "sign", name, c, -1.0, -1.0))
-        trials.append(conjugated(base, "conjugate", (name,), np.arange(base.y.shape[1]) == c))
-        trials += [scaled(base, "unit", name, c, 1 / ratio, ratio) for ratio in RATIOS]
+        trials += mistakes_of_a_channel(base, channel, c, omega)
         trials += [scaled(base, "gain", name, c, 1 / gain, gain) for gain in GAINS]
-        trials += [
-            scaled(base, "quantity", name, c, ((1j * omega) ** -power).astype(np.complex128), power)
-            for power in (-2, -1, 1, 2)
-            if channel.quantity is not Quantity.FORCE and 0 <= channel.quantity.derivative + power <= 2
-        ]
         for delay in (part * period for part in DELAYS):
             trials.append(
                 scaled(base, "delay", name, c, np.exp(1j * omega * delay).astype(np.complex128), delay)

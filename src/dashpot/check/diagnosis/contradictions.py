@@ -51,7 +51,7 @@ class _Shown:
         return float(np.sum(away) / max(np.sum(wrong), np.finfo(float).tiny))
 
 
-def contradiction(bench: Workbench, base: Trial, c: int, outcome: Outcome) -> Contradiction | None:
+def contradiction_of(bench: Workbench, base: Trial, c: int, outcome: Outcome) -> Contradiction | None:
     """How channel c differs from what the fit without it gives; None where no form does, or that fit is a bad one."""
     if not outcome.reduced < FITS:
         return None

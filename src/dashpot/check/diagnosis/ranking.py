@@ -69,6 +69,16 @@ def points_of(element: Element, model: Model) -> tuple[str, ...]:
     return points if len(points) > 1 else (*points, "ground")
 
 
+def _odd_value(cause: Cause) -> bool:
+    """Whether it is a stated value that would be another one for no reason of units."""
+    element = cause.element if cause.kind == "value" else None
+    return element is not None and not unit_of_number(element, element.guess, cause.number)
+
+
+def _helps(cause: Cause, start: float, small: bool) -> bool:
+    return cause.remaining < HELPS * start or (small and cause.remaining - 1 < NEARLY * (start - 1))
+
+
 def ranked(
     candidates: Sequence[Cause], start: float, inputs: Collection[str] = (), *, noise: float = np.inf,
     surely: Collection[Cause] = (), impossible: Collection[str] = (),
@@ -85,13 +95,7 @@ def ranked(
     noise: there counts what is left above 1.
     """
     small = start > noise
-    helpful = [
-        cause
-        for cause in candidates
-        if cause.remaining < HELPS * start
-        or (small and cause.remaining - 1 < NEARLY * (start - 1))
-        or cause in surely
-    ]
+    helpful = [cause for cause in candidates if cause in surely or _helps(cause, start, small)]
     if not helpful:
         return []
     mended = any(cause.remaining < MOSTLY * start and not cause.untested for cause in helpful)
@@ -107,18 +111,13 @@ def ranked(
         left = cause.remaining * (1 + share * (handicap - 1))
         tier = np.floor(np.log(max(left, best) / best) / np.log(1 + share * (alike - 1)))
         backwards = cause.kind == "sign" and cause.of[0] in impossible
-        odd = (
-            cause.kind == "value"
-            and cause.element is not None
-            and not unit_of_number(cause.element, cause.element.guess, cause.number)
-        )
         return (
             not cause.shows,
             cause not in in_question,
             float(tier),
             ORDER.index(cause.kind),
             backwards,
-            odd,
+            _odd_value(cause),
             cause.remaining,
         )
 

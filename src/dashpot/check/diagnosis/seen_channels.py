@@ -12,10 +12,8 @@ from itertools import combinations
 
 import numpy as np
 
-from dashpot.channel import Quantity
-from dashpot.check.diagnosis.likeness import RATIOS
 from dashpot.check.diagnosis.ranking import Cause, ranked
-from dashpot.check.diagnosis.trials import Trial, conjugated, prepared, scaled, swapped, untouched
+from dashpot.check.diagnosis.trials import Trial, mistakes_of_a_channel, prepared, swapped, untouched
 from dashpot.errors import DashpotError
 from dashpot.estimate.identify import identify
 from dashpot.estimate.nonlinear.starting_values import harmonics_left
@@ -54,18 +52,12 @@ def mistakes_by_equation(data: Prepared, misfit: float) -> list[Cause]:
 
 def _trials(data: Prepared, base: Trial) -> Sequence[Trial]:
     """Each channel with its sign or its phases turned, in another unit, as another derivative, or for another."""
-    channels, omega = data.spectrum.channels, data.view.omega
-    trials = []
-    for c, channel in enumerate(channels):
-        name = channel.name
-        trials.append(scaled(base, "sign", name, c, -1.0, -1.0))
-        trials.append(conjugated(base, "conjugate", (name,), np.arange(len(channels)) == c))
-        trials += [scaled(base, "unit", name, c, 1 / ratio, ratio) for ratio in RATIOS]
-        trials += [
-            scaled(base, "quantity", name, c, ((1j * omega) ** -power).astype(np.complex128), power)
-            for power in (-2, -1, 1, 2)
-            if channel.quantity is not Quantity.FORCE and 0 <= channel.quantity.derivative + power <= 2
-        ]
+    channels = data.spectrum.channels
+    trials = [
+        trial
+        for c, channel in enumerate(channels)
+        for trial in mistakes_of_a_channel(base, channel, c, data.view.omega)
+    ]
     for first, second in combinations(range(len(channels)), 2):
         names = channels[first].name, channels[second].name
         trials.append(swapped(base, names, first, second))

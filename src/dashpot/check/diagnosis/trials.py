@@ -10,6 +10,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from dashpot.arrays import Bools, Complex, Real
+from dashpot.channel import Channel, Quantity
+from dashpot.check.diagnosis.likeness import RATIOS
 from dashpot.estimate.likelihood.nuisance import inputs_seen
 from dashpot.estimate.preparation.prepared import Prepared
 from dashpot.model.observation import ObservationModel
@@ -129,3 +131,19 @@ def conjugated_line(base: Trial, kind: str, of: tuple[str, ...], line: int) -> T
     y, V = base.y.copy(), base.V.copy()
     y[line], V[line] = np.conj(y[line]), np.conj(V[line])
     return Trial(kind, of, 1.0, y, V, base.kept)
+
+
+def mistakes_of_a_channel(base: Trial, channel: Channel, index: int, omega: Real) -> list[Trial]:
+    """A channel with its sign or its phases turned, in another unit, as another derivative; omega (lines,), rad/s."""
+    name = channel.name
+    trials = [
+        scaled(base, "sign", name, index, -1.0, -1.0),
+        conjugated(base, "conjugate", (name,), np.arange(base.y.shape[1]) == index),
+    ]
+    trials += [scaled(base, "unit", name, index, 1 / ratio, ratio) for ratio in RATIOS]
+    trials += [
+        scaled(base, "quantity", name, index, ((1j * omega) ** -power).astype(np.complex128), power)
+        for power in (-2, -1, 1, 2)
+        if channel.quantity is not Quantity.FORCE and 0 <= channel.quantity.derivative + power <= 2
+    ]
+    return trials

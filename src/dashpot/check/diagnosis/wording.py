@@ -38,25 +38,35 @@ def finding(model: Model, channels: tuple[Channel, ...], cause: Cause) -> Findin
     """A cause in words.  Texts name no option of any command."""
     by_name = {channel.name: channel for channel in channels}
     of_channels = bool(cause.of) and all(name in by_name for name in cause.of)
-    if of_channels and cause.kind in ("sign", "unit", "gain", "delay", "quantity"):
-        return _of_channel(model, by_name[cause.of[0]], cause)
-    if of_channels and cause.kind == "swap":
-        return _swap(model, by_name[cause.of[0]], by_name[cause.of[1]], cause)
     if cause.parts:
-        each = [finding(model, channels, part) for part in cause.parts]
-        text, change = " and ".join(part.text for part in each), "; ".join(part.change for part in each)
-        mended = tuple(channel for part in each for channel in part.channels)
-        return Finding(cause.kind, cause.of, text, change, cause.remaining, channels=mended)
+        return _together(cause, [finding(model, channels, part) for part in cause.parts])
+    of_them = _of_channels(model, [by_name[name] for name in cause.of], cause) if of_channels else None
+    if of_them is not None:
+        return of_them
     if cause.kind in ("element", "value") and cause.element is not None:
         return _of_rig(model, cause, cause.element)
     if cause.kind == "nonlinear" and cause.element is not None:
         return nonlinear_finding(model, cause.of, cause.element, cause.number, cause.remaining)
     if cause.kind == "changed":
         return _changed(model, cause)
-    if of_channels and cause.contradiction is not None:
-        return _contradicting(model, cause, cause.contradiction)
-    text, change = _of_modes(cause) or _of_data(cause)
+    text, change = _of_modes(cause) or _of_dwells(cause) or _of_data(cause)
     return Finding(cause.kind, cause.of, text, change, cause.remaining, cause.number)
+
+
+def _of_channels(model: Model, channels: Sequence[Channel], cause: Cause) -> Finding | None:
+    """A cause that is about channels alone and has a line to write, or another name; None for others."""
+    if cause.kind in ("sign", "unit", "gain", "delay", "quantity"):
+        return _of_channel(model, channels[0], cause)
+    if cause.kind == "swap":
+        return _swap(model, channels[0], channels[1], cause)
+    return None if cause.contradiction is None else _contradicting(model, cause, cause.contradiction)
+
+
+def _together(cause: Cause, parts: Sequence[Finding]) -> Finding:
+    """What is wrong with each of several channels at once."""
+    text, change = " and ".join(part.text for part in parts), "; ".join(part.change for part in parts)
+    mended = tuple(channel for part in parts for channel in part.channels)
+    return Finding(cause.kind, cause.of, text, change, cause.remaining, channels=mended)
 
 
 def laws_in_words(model: Model) -> str:
@@ -201,29 +211,14 @@ def _changed(model: Model, cause: Cause) -> Finding:
     return Finding(cause.kind, cause.of, text, change, cause.remaining, cause.number)
 
 
-def _of_data(cause: Cause) -> tuple[str, str]:
+def _of_dwells(cause: Cause) -> tuple[str, str] | None:
+    """What one dwell, or two, may have wrong; None where it is another thing."""
     match cause.kind:
         case "conjugate" if cause.of and cause.of[0].endswith(" Hz"):
             return (
                 f"the phases of the dwell at {cause.of[0]} have the opposite sign",
                 f"conjugate the amplitudes at {cause.of[0]}",
             )
-        case "conjugate" if cause.of:
-            return f"the phase of {cause.of[0]} has the opposite sign", f"conjugate {cause.of[0]} in the data"
-        case "conjugate":
-            return (
-                "all phases have the opposite sign: the data use e^(−jωt)",
-                "change the sign of the imaginary parts",
-            )
-        case "crosstalk":
-            first, second = cause.of
-            share = 0.0 if cause.number is None else cause.number
-            return (
-                f"{first} shows {_number(share)} × {second} beside its own signal: cross-talk?",
-                f"subtract {_number(share)} × {second} from {first}, or check cables and amplifier",
-            )
-        case "unit":
-            return "the phases are radians, read as degrees", "give the phases in rad, as NAME_phase_rad"
         case "dwell":
             return (
                 f"the dwell at {cause.of[0]} contradicts all others",
@@ -240,6 +235,28 @@ def _of_data(cause: Cause) -> tuple[str, str]:
                 f"the dwell labelled {cause.of[0]} moves like one at {cause.number:.4g} Hz",
                 f"label it {cause.number:.4g} Hz",
             )
+        case _:
+            return None
+
+
+def _of_data(cause: Cause) -> tuple[str, str]:
+    match cause.kind:
+        case "conjugate" if cause.of:
+            return f"the phase of {cause.of[0]} has the opposite sign", f"conjugate {cause.of[0]} in the data"
+        case "conjugate":
+            return (
+                "all phases have the opposite sign: the data use e^(−jωt)",
+                "change the sign of the imaginary parts",
+            )
+        case "crosstalk":
+            first, second = cause.of
+            share = 0.0 if cause.number is None else cause.number
+            return (
+                f"{first} shows {_number(share)} × {second} beside its own signal: cross-talk?",
+                f"subtract {_number(share)} × {second} from {first}, or check cables and amplifier",
+            )
+        case "unit":
+            return "the phases are radians, read as degrees", "give the phases in rad, as NAME_phase_rad"
         case "frequency":
             return _rate(1.0 if cause.number is None else cause.number)
         case _:

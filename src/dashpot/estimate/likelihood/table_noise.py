@@ -9,6 +9,7 @@ channel shows are exact: an error of theirs is one of all outputs, in proportion
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -195,32 +196,48 @@ def _of_repeat(model: Model, spectrum: Spectrum, method: Method) -> Complex | No
     level = 2 * float(np.sum(left.power / variance)) / freedom
     if not np.all(solution.converged) or not level > EXACT:
         return V
-    scaled: Complex = level * V
-    V = scaled
     sizes = level * np.repeat([1.0, BEGUN], left.parts.shape[1] // 2)
-    now = left.weighed(level * variance)
-    even_deviance = now.deviance
+    begun = _Fit(level * V, psi, left, sizes, left.weighed(level * variance))
+    best = _descended(begun, fitted)
+    if best is None:
+        return None
+    if freedom >= SHOWN and begun.weighed.deviance - best.weighed.deviance < 2 * (len(sizes) - 1):  # Akaike
+        return begun.V
+    return best.V
+
+
+@dataclass(frozen=True)
+class _Fit:
+    """A fit at ψ (1, M) with covariance V, and what it leaves over, weighed by parts of the noise of these sizes."""
+
+    V: Complex
+    psi: Real
+    left: _Left
+    sizes: Real
+    weighed: _Weighed
+
+
+def _descended(fit: _Fit, fitted: Callable[[Complex, Real], tuple[Real, _Left]]) -> _Fit | None:
+    """The noise and the rig fitted in turns, until the deviance falls no more; None where it leads nowhere."""
     for turn in range(ROUNDS):
-        before = now.deviance
         for steps in (STEPS, 1):
-            tried = left.stepped(sizes, now.unused, steps)
-            V_tried = _covariance(V, left, left.parts @ tried)
-            psi_tried, left_tried = fitted(V_tried, psi)
-            if len(left_tried.power) < len(
-                left.power
+            sizes = fit.left.stepped(fit.sizes, fit.weighed.unused, steps)
+            V = _covariance(fit.V, fit.left, fit.left.parts @ sizes)
+            psi, left = fitted(V, fit.psi)
+            if len(left.power) < len(
+                fit.left.power
             ):  # noise of no size, where the rig is no better than none
                 return None
-            now_tried = left_tried.weighed(left.parts @ tried)
-            if now_tried.deviance <= before + RISE:
+            tried = _Fit(V, psi, left, sizes, left.weighed(left.parts @ sizes))
+            gain = fit.weighed.deviance - tried.weighed.deviance
+            if gain >= -RISE:
                 break
-        if turn and not now_tried.deviance <= before + RISE:
-            break
-        psi, left, sizes, V, now = psi_tried, left_tried, tried, V_tried, now_tried
-        if turn and before - now.deviance < SETTLED:
-            break
-    if freedom >= SHOWN and even_deviance - now.deviance < 2 * (len(sizes) - 1):  # Akaike
-        return scaled
-    return V
+        if turn and not gain >= -RISE:
+            return fit
+        fit = tried
+        if turn and gain < SETTLED:
+            return fit
+    return fit
 
 
 def _covariance(V: Complex, left: _Left, variance: Real) -> Complex:
