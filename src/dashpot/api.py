@@ -129,7 +129,7 @@ def _of_nonlinear_records(
 
     model = _model(rig)
     still = None if conditioning is None else conditioning.still
-    require_sound_channels(model, reading.records[0])
+    require_sound_channels(model, reading.records)
     fitted = fit_records(model, reading.records, method, still=still, progress=progress)
     estimate = fitted.estimate()
     if diagnose:

@@ -36,9 +36,13 @@ def printable(text: str) -> str:
 
 
 class DashpotError(Exception):
-    """Base of all errors that a user can cause or cure.  `exit_code` is what the command line returns."""
+    """Base of all errors that a user can cause or cure.  `exit_code` is what the command line returns.
+
+    causes: what a diagnosis found behind it (`estimate.assessment.Finding`), the likeliest first.
+    """
 
     exit_code = 2
+    causes: tuple[object, ...] = ()
 
     def __init__(
         self, what: str | Iterable[Problem], where: str | None = None, cure: str | None = None

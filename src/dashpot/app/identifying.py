@@ -93,7 +93,7 @@ def _of_whole_records(
         raise UsageError(cause, cure="leave it out")
     wanted = None if chosen == "auto" else chosen
     still = with_noise_record(conditioning_from(options), rig, options, quiet).still
-    require_sound_channels(rig.model, records[0])
+    require_sound_channels(rig.model, records)
     with progress("identify", quiet) as moved:
         fitted = fit_records(rig.model, records, wanted, still=still, progress=moved)
         try:

@@ -149,7 +149,7 @@ def compare_in_records(
     Inputs count as exact: were their true values unknown, errors of theirs could explain what an element would.
     Raises what `identify_records` raises, and DataError where channels contradict each other.
     """
-    require_sound_channels(model, records[0])
+    require_sound_channels(model, records)
     base = model if len(model.nonlinear) else with_nothing(model)
     fitted = fit_records(base, records, exact_inputs=True)
     estimate = fitted.estimate()

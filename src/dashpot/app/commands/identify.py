@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -36,6 +38,7 @@ if TYPE_CHECKING:
     from dashpot.app.identifying import Identified
     from dashpot.check.validation import RecordPrediction
     from dashpot.data.spectrum import Spectrum
+    from dashpot.estimate.assessment import Finding
     from dashpot.estimate.result import Estimate
     from dashpot.model.rigfile import Rig
 
@@ -100,7 +103,7 @@ def command(
     unsuited = {"--method": chosen != "auto", "--positive": positive, "--matrices": matrices}
     unsuited |= whole | {"--in-parts": in_parts}
     used = (0.0, 1.0 - (hold_out or 0.0))
-    with failure_reported(report, rig):
+    with failure_reported(report, rig), _remedy_written(rig, apply):
         of_modes = modal_estimate(rig, data, modal_sd, seed, quiet, unsuited)
         search = Search(rig, chosen, positive, seed, quiet)
         if of_modes is not None:
@@ -217,22 +220,52 @@ def _histories(
         return ()
 
 
+@contextmanager
+def _remedy_written(rig: str, path: str | None) -> Iterator[None]:
+    """Where the work inside gives no answer, but a cause with a remedy, the rig file is written with that taken."""
+    from dashpot.errors import DashpotError, Problem
+
+    try:
+        yield
+    except DashpotError as error:
+        from dashpot.model.rigfile import read_rig
+
+        useful = _with_a_line(error.causes)
+        if path is None or not useful:
+            raise
+        _write_applied(read_rig(rig), useful[0], path)
+        written = Problem(f"{path} has the first cause corrected", cure="identify with it")
+        raise type(error)([*error.problems, written]) from error
+
+
 def _apply(rig: Rig, estimate: Estimate, path: str | None) -> None:
     """Write the rig file with the first finding's remedy taken, if to a path."""
     if path is None:
         return
+    from dashpot.errors import UsageError
+
+    useful = _with_a_line(() if estimate.assessment is None else estimate.assessment.findings)
+    if not useful:
+        raise UsageError("there is no change to the rig file to apply", "--apply", "leave the option out")
+    _write_applied(rig, useful[0], path)
+
+
+def _with_a_line(findings: Sequence[object]) -> list[Finding]:
+    """Those that have a line of the rig file to write."""
+    from dashpot.estimate.assessment import Finding
+
+    return [each for each in findings if isinstance(each, Finding) and (each.channels or each.elements)]
+
+
+def _write_applied(rig: Rig, finding: Finding, path: str) -> None:
+    """Write the rig file with the remedy of a finding taken."""
     from dataclasses import replace
 
-    from dashpot.errors import UsageError
     from dashpot.estimate.assessment import applied
     from dashpot.io.atomic import write_text
     from dashpot.model.rigfile import write_rig
 
-    findings = () if estimate.assessment is None else estimate.assessment.findings
-    useful = [finding for finding in findings if finding.channels or finding.elements]
-    if not useful:
-        raise UsageError("there is no change to the rig file to apply", "--apply", "leave the option out")
-    model, channels = applied(rig.model, rig.channels, useful[0])
+    model, channels = applied(rig.model, rig.channels, finding)
     write_text(path, write_rig(replace(rig, model=model, channels=channels)))
 
 

@@ -8,7 +8,7 @@ not.  Elsewhere the motion that follows from the guesses is laid beside the meas
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
 
@@ -19,7 +19,7 @@ from dashpot.check.diagnosis.likeness import RATIOS
 from dashpot.check.diagnosis.ranking import ORDER, Cause
 from dashpot.check.diagnosis.wording import finding, with_likely_causes
 from dashpot.data.record import Record
-from dashpot.errors import DashpotError, DataError
+from dashpot.errors import DashpotError, DataError, Problem
 from dashpot.estimate.assessment import Finding
 from dashpot.estimate.nonlinear.record_problem import begun_problem
 from dashpot.estimate.nonlinear.record_regression import WeakForm, weak_form
@@ -37,19 +37,50 @@ CLOSE = (
 GROSS = 5.0  # factor of a unit beyond which guesses tell it from their own error
 ALIKE = 3.0  # times what the best leaves: others are named, too
 ROUNDS = 4  # of the weights of the equations
+IN_ITS_LINE = "mend the channel that is named next, in its line of the rig file or in the data"
+IN_ITS_DATA = "mend the channel that is named next, in the data of this record"
 SHARES = (0.1, 0.3)  # of the largest speed or elongation, at which the smooth laws bend
 
 
-def require_sound_channels(model: Model, record: Record) -> None:
-    """Raises DataError where the channels contradict the rig and one plain mistake explains it, which is named."""
-    findings = channel_mistakes(model, record)
-    if findings:
-        error = DataError(
-            "the channels contradict each other: whatever its values, the rig does not move like this",
-            record.source,
-            "mend the channel that is named next, in its line of the rig file or in the data",
-        )
-        raise with_likely_causes(error, findings)
+def require_sound_channels(model: Model, records: Sequence[Record]) -> None:
+    """Raises DataError where the channels of a record contradict the rig and one plain mistake explains it.
+
+    What is wrong in all records alike is mended in the rig file; what is wrong in some of them, in their data.
+    """
+    found = [(record, channel_mistakes(model, record)) for record in records]
+    wrong = [(record, findings) for record, findings in found if findings]
+    if not wrong:
+        return
+    first = wrong[0][1]
+    if len(wrong) == len(records) and all(_alike(findings[0], first[0]) for _, findings in wrong):
+        raise with_likely_causes(_contradiction(wrong[0][0].source, IN_ITS_LINE), first)
+    problems = [
+        problem
+        for record, findings in wrong
+        for problem in (*_contradiction(record.source, IN_ITS_DATA).problems, *_in_the_data(record, findings))
+    ]
+    raise DataError(problems)
+
+
+def _contradiction(source: str, cure: str) -> DataError:
+    what = "the channels contradict each other: whatever its values, the rig does not move like this"
+    return DataError(what, source, cure)
+
+
+def _alike(first: Finding, second: Finding) -> bool:
+    """Whether both are the same mistake of the same channels."""
+    return (first.kind, first.of, first.number) == (second.kind, second.of, second.number)
+
+
+def _in_the_data(record: Record, findings: Sequence[Finding]) -> Iterator[Problem]:
+    """What may be behind a contradiction in one of several records, with what to do with its numbers."""
+    for each in findings:
+        if each.number is None:
+            first, second = each.of
+            cure = f"exchange {first} and {second} in {record.source}"
+        else:
+            cure = f"multiply {each.of[0]} by {1 / each.number:.6g} in {record.source}"
+        yield Problem(f"a likely cause: in this record, {each.text}", cure=f"{cure}, or leave the record out")
 
 
 def channel_mistakes(model: Model, record: Record) -> tuple[Finding, ...]:

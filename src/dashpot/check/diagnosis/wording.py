@@ -367,5 +367,9 @@ def free_name(model: Model, element: Element) -> str:
 
 def with_likely_causes(error: Failure, findings: Sequence[Finding]) -> Failure:
     """The error, with what may be behind it."""
+    if not findings:
+        return error
     more = [Problem(f"a likely cause: {each.text}", cure=each.change) for each in findings]
-    return type(error)([*error.problems, *more]) if more else error
+    explained = type(error)([*error.problems, *more])
+    explained.causes = tuple(findings)
+    return explained

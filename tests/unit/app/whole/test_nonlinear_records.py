@@ -10,6 +10,7 @@ import pytest
 from scipy.integrate import solve_ivp
 from scipy.interpolate import CubicSpline
 
+from dashpot import read_rig
 from tests.unit.app.conftest import Command
 
 RIG = """
@@ -71,3 +72,18 @@ def test_an_estimate_predicts_another_record_or_the_end_of_its_own_to_the_noise(
     assert "(2 s)" in held.out
     whole, part = (json.loads(Path(name).read_text(encoding="utf-8")) for name in ("whole.json", "part.json"))
     assert part["parameters"]["k"]["value"] != whole["parameters"]["k"]["value"]
+
+
+def test_apply_writes_the_rig_that_contradicting_channels_ask_for(dashpot: Command) -> None:
+    """Where one mistake of a channel stops the identification, its line is written all the same."""
+    recorded("run.csv", 1)
+    Path("rig.toml").write_text(RIG, encoding="utf-8")
+    header, *rows = Path("run.csv").read_text(encoding="utf-8").splitlines()
+    place = header.split(",").index("x")
+    cells = [row.split(",") for row in rows]
+    turned = [",".join([*c[:place], str(-float(c[place])), *c[place + 1 :]]) for c in cells]
+    Path("run.csv").write_text("\n".join([header, *turned]) + "\n", encoding="utf-8")
+    done = dashpot("identify", "rig.toml", "run.csv", "-q", "--apply", "new.toml")
+    assert done.code == 2
+    assert done.err[-1].endswith("new.toml has the first cause corrected; identify with it")
+    assert [channel.sign for channel in read_rig("new.toml").channels] == [1.0, -1.0]

@@ -9,9 +9,10 @@ import pytest
 
 from dashpot.api import identify
 from dashpot.channel import Channel, Quantity
-from dashpot.check.diagnosis.record_channels import channel_mistakes
+from dashpot.check.diagnosis.record_channels import channel_mistakes, require_sound_channels
 from dashpot.data.record import Record
 from dashpot.errors import DataError
+from dashpot.estimate.assessment import Finding
 from dashpot.model.network import Model
 from tests.nonlinear_rigs import LAWS, guessed, motions
 from tests.unit.estimate.nonlinear.test_whole_record import chaotic, record
@@ -76,6 +77,32 @@ def test_an_identification_ends_at_once_with_the_line_to_write() -> None:
     assert cause.what == "a likely cause: a1 reads −1 × what the rig gives: wrong sign?"
     assert cause.cure is not None
     assert "sign = -1.0" in cause.cure
+
+
+def test_a_channel_that_is_wrong_in_one_of_several_records_is_named_with_that_record() -> None:
+    """Turned when the sensor was mounted again: only the first record was looked at."""
+    model, _, data = record("cubic", SEEN, noise=0.01)
+    second = replace(record("cubic", SEEN, noise=0.01, seed=5)[2], source="run2.csv")
+    with pytest.raises(DataError) as caught:
+        identify(model, [data, times(second, "a1", -1.0)])
+    contradiction, cause = caught.value.problems[:2]
+    assert contradiction.where == "run2.csv"
+    assert cause.what == "a likely cause: in this record, a1 reads −1 × what the rig gives: wrong sign?"
+    assert cause.cure == "multiply a1 by -1 in run2.csv, or leave the record out"
+    assert caught.value.causes == ()  # no line of the rig file is right for both
+    swapped = replace(second, values=second.values[:, [1, 0, 2, 3]])
+    with pytest.raises(DataError, match=r"exchange x1 and x2 in run2\.csv"):
+        require_sound_channels(model, [data, swapped])
+
+
+def test_a_channel_that_is_wrong_in_all_records_is_mended_in_the_rig_file() -> None:
+    model, _, data = record("cubic", SEEN, noise=0.01)
+    second = record("cubic", SEEN, noise=0.01, seed=5)[2]
+    with pytest.raises(DataError) as caught:
+        require_sound_channels(model, [times(each, "a1", -1.0) for each in (data, second)])
+    assert "sign = -1.0" in str(caught.value)
+    assert isinstance(caught.value.causes[0], Finding)
+    assert caught.value.causes[0].channels[0].sign == -1.0
 
 
 @pytest.mark.parametrize("law", LAWS)
