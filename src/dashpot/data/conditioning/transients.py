@@ -18,7 +18,7 @@ from scipy.special import chdtrc, chdtri, fdtrc
 
 from dashpot.arrays import Bools, Complex, Real
 from dashpot.data.conditioning.clock import FEWEST_OF_A_DWELL, even_step
-from dashpot.data.conditioning.harmonic_fit import fit_harmonics
+from dashpot.data.conditioning.harmonic_fit import HarmonicFit, fit_harmonics
 from dashpot.data.conditioning.regression import CHUNK, basis, duration, window
 from dashpot.data.conditioning.still import Still
 from dashpot.data.conditioning.whole_record import whole_record
@@ -209,14 +209,9 @@ def _change(record: Record) -> DwellChange | None:
     later = count - count // 2 if count >= MANY_PERIODS else 0
     starts = [0, *(len(record.time) - each * k for k in range(max(later, 1), 0, -1))]
     record = _without_slope(record)
-    fits = []
-    for start in starts:
-        rows = slice(start, start + each)
-        part = replace(record, time=record.time[rows], values=record.values[rows])
-        try:
-            fits.append(fit_harmonics(part, orders=(1,), harmonics="none", drift=0, noise="white"))
-        except DataError:
-            return None
+    fits = [fit for start in starts if (fit := _period(record, slice(start, start + each))) is not None]
+    if len(fits) < len(starts):
+        return None
     difference = fits[0].amplitudes[0] - fits[-1].amplitudes[0]
     if later:
         # The scatter of the later periods knows the colour of the noise.
@@ -224,11 +219,24 @@ def _change(record: Record) -> DwellChange | None:
         variance = 2 * np.var(later_amplitudes, axis=0, ddof=1)
         dof = 2 * (later - 1)
     else:
-        variance = fits[0].covariance[0].diagonal().real + fits[-1].covariance[0].diagonal().real
-        dof = 2 * (each - 3)
+        # What a sine leaves of the first period is no noise: a transient that decays in it would hide itself.
+        rest = _period(record, slice(len(record.time) - each * (count - 1), None))
+        if rest is None:
+            return None
+        variance = 2 * rest.covariance[0].diagonal().real * (count - 1)
+        dof = each * (count - 1) - 3
     noisy = variance > (EXACT * np.max(np.abs(record.values), axis=0)) ** 2
     size = np.abs(fits[-1].amplitudes[0][noisy])
     return DwellChange(difference[noisy], variance[noisy], size, dof, count * periods)
+
+
+def _period(record: Record, rows: slice) -> HarmonicFit | None:
+    """An offset and a sine in whole periods of a dwell, white noise beside them; None where they are not to be told."""
+    part = replace(record, time=record.time[rows], values=record.values[rows])
+    try:
+        return fit_harmonics(part, orders=(1,), harmonics="none", drift=0, noise="white")
+    except DataError:
+        return None
 
 
 def _without_slope(record: Record) -> Record:
