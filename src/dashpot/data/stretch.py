@@ -41,6 +41,8 @@ class WholeRecord:
     polynomial   how many of the columns 1, jω, (jω)², … each output channel has for what the ends of the record alias
     ramp         whether each output channel has the column 1/jω of a linear drift as well
     drive_hz     drive frequency of a dwell that may have settled, which is then steady motion at that frequency
+    weaker       channels some of whose samples were put in by estimate and tell nothing: name, and times what the
+                 variance of an amplitude would be had they been measured
     """
 
     duration_s: float
@@ -49,6 +51,7 @@ class WholeRecord:
     polynomial: int = 4
     ramp: bool = False
     drive_hz: float | None = None
+    weaker: tuple[tuple[str, float], ...] = ()
 
     def __post_init__(self) -> None:
         if not (0 < self.duration_s < np.inf and self.samples > 0 and 0 <= self.polynomial <= MOST_TERMS):

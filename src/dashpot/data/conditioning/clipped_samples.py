@@ -7,13 +7,16 @@ tell nothing, so that amplitudes scatter as those of the other samples alone.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.polynomial.legendre import legvander
+from scipy.special import fdtrc
 
 from dashpot.arrays import Bools, Ints, Real
 from dashpot.data.clipping import at_limits
+from dashpot.data.conditioning.regression import duration
 from dashpot.data.record import Record
 from dashpot.io.words import counted
 from dashpot.notices import Notice
@@ -26,6 +29,9 @@ ALIKE = 3  # samples at a limit of a channel of which no two others are alike
 DEPTH = 1e-3  # of a channel's range, beyond its limit: less is no matter
 FREEDOM = 8  # samples that there must be around a run beside the parameters of the sine
 ORDERS = 2  # multiples of the drive in the motion around a run
+FEW = 2.0  # periods, in which a transient under a clipped sine is not to be told from it
+MOST_BENDS = 6  # degree of the polynomials that amplitude and phase of a sine that is not steady may follow
+LEVEL = 1e-3  # of the tests for it
 MOST = 0.6  # of a channel's samples: of one that clips more the rest says too little
 
 
@@ -73,6 +79,28 @@ def without_clipping(record: Record, stated_hz: float | None = None) -> Unclippe
         told = f"{text} ({counted(int(np.sum(clipped)), 'sample')}): the other samples are used"
         notices.append(Notice("unclipped", told, (channel.name,)))
     return Unclipped(record if values is None else replace(record, values=values), weaker, notices)
+
+
+def doubtful(dwells: Sequence[Record], weaker: Sequence[Real]) -> list[Notice]:
+    """Of dwells that are no steady sines: notices of channels that clip in so few periods that nothing tells of what.
+
+    weaker (channels,) of each dwell, beyond 1 where samples have been put in.
+    """
+    brief = {
+        record.channels[c].name: None
+        for record, times in zip(dwells, weaker, strict=True)
+        if duration(record.time) * (record.frequency_hz or 0.0) < FEW
+        for c in np.flatnonzero(times > 1)
+    }
+    return [
+        Notice(
+            "clipped_in_doubt",
+            f"{name} clips in dwells of less than two periods that are no steady sines: nothing tells what the motion "
+            "was there, and values may be off by more than their intervals say",
+            (name,),
+        )
+        for name in brief
+    ]
 
 
 def _limits(column: Real) -> Bools:
@@ -150,11 +178,40 @@ def _windows(record: Record, clipped: Bools) -> Iterator[tuple[Ints, int, int]]:
 
 
 def _fitted(rows: Real, values: Real, used: Bools) -> tuple[Real, Real] | None:
-    """The motion at all rows by those used, and what it leaves of these; None where they are too few."""
-    if int(np.count_nonzero(used)) - rows.shape[1] < FREEDOM:
+    """The motion at all rows by those used, and what it leaves of these; None where they are too few.
+
+    A steady sine, or where that explains less than noise would let it, one whose amplitude and phase may run.
+    """
+    free = int(np.count_nonzero(used)) - rows.shape[1]
+    if free < FREEDOM:
         return None
+    motion, rest = _least_squares(rows, values, used)
+    for degree in range(1, MOST_BENDS + 1):
+        bent = _with_bends(rows, degree)
+        more = bent.shape[1] - rows.shape[1]
+        if free - more < FREEDOM:
+            break
+        other, less = _least_squares(bent, values, used)
+        before, after = float(np.sum(rest**2)), float(np.sum(less**2))
+        if (
+            fdtrc(more, free - more, max(before - after, 0.0) / more / max(after / (free - more), 1e-300))
+            < LEVEL
+        ):
+            motion, rest, rows, free = other, less, bent, free - more
+    return motion, rest
+
+
+def _least_squares(rows: Real, values: Real, used: Bools) -> tuple[Real, Real]:
     motion: Real = rows @ np.linalg.lstsq(rows[used], values[used], rcond=None)[0]
     return motion, values[used] - motion[used]
+
+
+def _with_bends(rows: Real, degree: int) -> Real:
+    """The basis with another polynomial, and the sine of the drive times one."""
+    shape = legvander(np.linspace(-1.0, 1.0, len(rows)), degree + 1)
+    return np.concatenate(
+        [rows, shape[:, degree + 1 :], rows[:, 2:4] * shape[:, degree : degree + 1]], axis=1
+    )
 
 
 def _basis(record: Record) -> Real:
@@ -167,7 +224,11 @@ def _basis(record: Record) -> Real:
 
 
 def _weaker(record: Record, replaced: Bools) -> float:
-    """The greatest variance of the fundamental from the samples that are not replaced, over that from all."""
+    """The greatest variance of the fundamental from the samples that are not replaced, over that from all.
+
+    With what the noise adds that is put in with those that are.
+    """
     basis = _basis(record)
     all_of_them, some = (np.linalg.inv(rows.T @ rows)[2:4, 2:4] for rows in (basis, basis[~replaced]))
-    return float(np.max(np.linalg.eigvalsh(some)) / np.max(np.linalg.eigvalsh(all_of_them)))
+    ratio = np.max(np.linalg.eigvalsh(some)) / np.max(np.linalg.eigvalsh(all_of_them))
+    return float(ratio + np.mean(replaced))

@@ -12,7 +12,7 @@ from dashpot.arrays import Real
 from dashpot.data.calibration import calibration
 from dashpot.data.conditioning.account import account_of_dwells, other_motion, summed_up
 from dashpot.data.conditioning.brief_dwells import long_enough
-from dashpot.data.conditioning.clipped_samples import reaches_limits, without_clipping
+from dashpot.data.conditioning.clipped_samples import doubtful, reaches_limits, without_clipping
 from dashpot.data.conditioning.clock import with_even_stamps
 from dashpot.data.conditioning.drift import LEVEL as DRIFT_LEVEL
 from dashpot.data.conditioning.drift import slope_costs, slopes_show
@@ -120,8 +120,11 @@ def _of_dwells(dwells: Sequence[Record], settings: Conditioning) -> Spectrum:
     if why_whole is not None:
         if settings.settle == "none":  # what was cut off to see a steady sine is data like the rest
             dwells, notes = uncut, of_stamps
+        notes = [*notes, *doubtful(dwells, weaker)]
         slopes = settings.degree > 0
-        lines = dwells_with_transients(dwells, settings.band, settings.still, why=why_whole, slopes=slopes)
+        lines = dwells_with_transients(
+            dwells, settings.band, settings.still, why=why_whole, slopes=slopes, weaker=weaker
+        )
         return replace(lines, notes=(*notes, *lines.notes))
     if settings.drift == "auto" and slope_costs(dwells):
         settings, evidence = _with_drift(dwells, settings)
@@ -175,13 +178,14 @@ def _as_unsettled(
 
     None where no dwell is, or where one cannot be used so.
     """
-    brief = [record for record in dwells if not shows_settling(record)]
+    brief = [(record, of) for record, of in zip(dwells, weaker, strict=True) if not shows_settling(record)]
     if not brief or not settings.dwells_may_be_whole or any(record.values.ndim != 2 for record in dwells):
         return None
     try:
         whole = dwells_with_transients(
-            brief, settings.band, settings.still, why="too short to show settling", slopes=settings.degree > 0
-        )
+            [record for record, _ in brief], settings.band, settings.still,
+            why="too short to show settling", slopes=settings.degree > 0, weaker=[of for _, of in brief],
+        )  # fmt: skip
     except DashpotError:
         return None
     rest = [(record, of) for record, of in zip(dwells, weaker, strict=True) if shows_settling(record)]

@@ -255,13 +255,16 @@ def dwells_with_transients(
     *,
     why: str = "not settled",
     slopes: bool = False,
+    weaker: Sequence[Real] | None = None,
 ) -> Spectrum:
     """Lines of each dwell with boundary loads of its own, and a column for a slope of each output where `slopes`.
 
-    A note says `why`.  Raises as `whole_record`.
+    A note says `why`.  weaker: times the variance that the channels of each dwell would have with all samples.  Raises
+    as `whole_record`.
     """
     spectra = []
-    for record in records:
+    each = [np.ones(len(record.channels)) for record in records] if weaker is None else weaker
+    for record, times in zip(records, each, strict=True):
         if len(record.time) < FEWEST_OF_A_DWELL:
             raise DataError(
                 f"a dwell of {len(record.time)} samples is too short to separate its transient from its motion",
@@ -273,7 +276,9 @@ def dwells_with_transients(
         if lines.lines < SHORT:
             lines = whole_record(record, band_hz=band_hz, still=still, polynomial=2)
         (whole,) = (value for value in lines.stretches if isinstance(value, WholeRecord))
-        lines = replace(lines, stretches=(replace(whole, drive_hz=record.frequency_hz, ramp=slopes),))
+        fewer = tuple((record.channels[c].name, float(times[c])) for c in np.flatnonzero(times > 1))
+        dwell = replace(whole, drive_hz=record.frequency_hz, ramp=slopes, weaker=fewer)
+        lines = replace(lines, stretches=(dwell,))
         spectra.append(_with_sine_floor(lines, record) if still is None else lines)
     dwells = "one dwell is" if len(spectra) == 1 else f"{len(spectra)} dwells are"
     text = f"{dwells} {why}: all samples are used, the transients at both ends being estimated"

@@ -107,7 +107,7 @@ def noise_from_residuals(
     changes = sought[:, None] & (outputs | inputs.sought)
     begun: LocalMinima | None = None
     psi, sign = np.zeros((1, 0)), np.ones((1, len(spectrum.channels)))
-    used, dof = 0.0, np.array(spectrum.dof)
+    used, dof, weaker = 0.0, np.array(spectrum.dof), _weaker(spectrum)
     for turn in range(ROUNDS):
         data = Prepared(view, spectrum, V, None, True, np.ones(1, dtype=bool))
         exact = measured(data)
@@ -122,6 +122,7 @@ def noise_from_residuals(
         power, inputs = _own_power(view, spectrum, sought, exact, residual, inputs, psi, sign)
         left = max(1 - used, 0.1)
         variance, dof = _smoothed(spectrum, power / left, sought, outputs, left)
+        variance *= weaker
         of_inputs = np.maximum(inputs.level / spectrum.samples[:, None], floor)
         before = np.diagonal(V[0], axis1=-2, axis2=-1).real.copy()
         variance = np.where(changes, np.where(outputs, variance, of_inputs), before)
@@ -135,6 +136,16 @@ def noise_from_residuals(
     weighted = replace(spectrum, covariance=V, noise=kinds, dof=dof * (1 - used))
     assert begun is not None
     return weighted, begun.led_by(psi, sign)
+
+
+def _weaker(spectrum: Spectrum) -> Real:
+    """Times the variance that lines would have were all samples measured, (lines, channels)."""
+    times = np.ones((spectrum.lines, len(spectrum.channels)))
+    for number, value in enumerate(spectrum.stretches):
+        if isinstance(value, WholeRecord) and value.weaker:
+            each = dict(value.weaker)
+            times[spectrum.stretch == number] = [each.get(channel.name, 1.0) for channel in spectrum.channels]
+    return times
 
 
 def _own_power(

@@ -127,8 +127,15 @@ DATA_NOTICES: tuple[tuple[str, str, str, str], ...] = (
     (
         "unclipped", RECORDS,
         ("Samples of a dwell stand at the limit of a channel's range, and the sine that the others follow lies beyond "
-        "it: these alone are used, and the amplitude's noise is that of fewer samples."),
+        "it (where a transient is in them, a sine whose amplitude and phase run): these alone are used, and the "
+        "amplitude's noise is that of fewer samples."),
         "Widen the range or drive less: what is clipped tells nothing. `--refine none` takes the samples as they are.",
+    ),
+    (
+        "clipped_in_doubt", RECORDS,
+        ("A channel clips in dwells that are too short to tell its transient from its steady motion: what stands in "
+        "for the clipped samples may be wrong, and the values with it, by more than the intervals say."),
+        "Widen the range, drive less, or record three periods or more; or leave the channel out of the rig file.",
     ),
     (
         "periods_skipped", RECORDS,
