@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -11,6 +12,7 @@ from dashpot.io.json_document import to_json
 
 if TYPE_CHECKING:
     from dashpot.check.validation import RecordPrediction
+    from dashpot.estimate.assessment import Finding
     from dashpot.estimate.result import Estimate
     from dashpot.model.rigfile import Rig
 
@@ -35,6 +37,14 @@ def estimate_and_rig(path: str, rig: str | None) -> tuple[Estimate, Rig]:
     raise UsageError(f"the rig file {estimate.rig} that {path} names is not there", cure="give it with --rig")
 
 
+@dataclass(frozen=True)
+class Validated:
+    """What an estimate predicts of data, and what may be wrong with them where that is little."""
+
+    predictions: tuple[RecordPrediction, ...]
+    findings: tuple[Finding, ...] = ()
+
+
 def predictions_of(
     rig: Rig,
     estimate: Estimate,
@@ -45,6 +55,14 @@ def predictions_of(
     part: tuple[float, float] = (0.0, 1.0),
 ) -> tuple[RecordPrediction, ...]:
     """What an estimate predicts of data files, or of a part of each record; raises DataError."""
+    return validated(rig, estimate, paths, conditioning, quiet, part=part, diagnosed=False).predictions
+
+
+def validated(
+    rig: Rig, estimate: Estimate, paths: Sequence[str], conditioning: Mapping[str, Any], quiet: bool, *,
+    part: tuple[float, float] = (0.0, 1.0), diagnosed: bool = True,
+) -> Validated:  # fmt: skip
+    """The predictions of data files, or of a part of each record, and why they are bad; raises DataError."""
     from dashpot.app.data_files import (
         conditioning_from,
         measured_data,
@@ -53,21 +71,27 @@ def predictions_of(
         with_noise_record,
     )
     from dashpot.app.progress import progress
+    from dashpot.check.diagnosis.prediction_mistakes import mistakes_in_lines, mistakes_in_records
     from dashpot.check.record_validation import validate_records
-    from dashpot.check.validation import validate
+    from dashpot.check.validation import missed, validate
 
     reading = read_files(rig, paths, conditioning, quiet)
     if len(rig.model.nonlinear) and reading.continuous:
         still = with_noise_record(conditioning_from(conditioning), rig, conditioning, quiet).still
+        records = part_of(reading, part).records
         with progress("validate", quiet):
-            return validate_records(rig.model, estimate, part_of(reading, part).records, still)
+            predictions = validate_records(rig.model, estimate, records, still)
+            wrong = diagnosed and missed(predictions)
+            return Validated(predictions, mistakes_in_records(rig.model, estimate, records) if wrong else ())
     spectrum = measured_data(rig, reading, conditioning, quiet, part=part).spectrum
     with progress("validate", quiet):
-        return validate(rig.model, estimate, spectrum)
+        predictions = validate(rig.model, estimate, spectrum)
+        wrong = diagnosed and missed(predictions)
+        return Validated(predictions, mistakes_in_lines(rig.model, estimate, spectrum) if wrong else ())
 
 
-def figures_of(predictions: Sequence[RecordPrediction]) -> str:
-    """FIT, rms error (of records, SI units), χ² and degrees of freedom of every channel as JSON."""
+def figures_of(predictions: Sequence[RecordPrediction], findings: Sequence[Finding] = ()) -> str:
+    """FIT, rms error (of records, SI units), χ² and degrees of freedom of every channel, and causes, as JSON."""
     rows = [
         {
             "duration_s": part.duration_s,
@@ -84,4 +108,4 @@ def figures_of(predictions: Sequence[RecordPrediction]) -> str:
         }
         for part in predictions
     ]
-    return to_json({"records": rows})
+    return to_json({"records": rows, "diagnosis": [finding.content() for finding in findings]})

@@ -355,7 +355,7 @@ def _fitted(
     stateless = not any(e.force_law is not None and e.force_law.has_state for e in model.elements)
     stated = {element.name for element in base.elements if element.guess is not None}
     starts = [_without_guesses(model, stated)] if seen and stateless else []
-    for start in (*starts, _with_guesses(model, estimate)):
+    for start in (*starts, with_guesses(model, estimate)):
         try:
             found = fit_records(start, records, exact_inputs=True)
         except DashpotError:
@@ -371,7 +371,7 @@ def _without_guesses(model: Model, stated: Set[str]) -> Model:
     return replace(model, elements=tuple(elements))
 
 
-def _with_guesses(model: Model, estimate: Estimate) -> Model:
+def with_guesses(model: Model, estimate: Estimate) -> Model:
     """The model with the estimate as guesses where nothing is stated."""
     values = dict(zip(estimate.names, estimate.values.tolist(), strict=True))
     elements = []

@@ -26,6 +26,7 @@ from dashpot.estimate.result import Estimate
 from dashpot.model.network import Model
 from dashpot.model.observation import ObservationModel, channel_unit, observation_model
 
+MISSED = 0.8  # FIT below which the data may be wrong, or the rig another one
 WEIGHT = 1e-2  # of a channel's size: its weight in the fit of the transients where its noise is not known
 
 
@@ -95,6 +96,11 @@ def within_noise(predictions: Sequence[RecordPrediction]) -> bool | None:
     if not len(tested) or len(tested) < len(probabilities):
         return None
     return bool(np.min(tested) * len(tested) > REJECTED)
+
+
+def missed(predictions: Sequence[RecordPrediction]) -> bool:
+    """Whether some channel is predicted so badly that more than the estimate's own error must be behind it."""
+    return not within_noise(predictions) and any(bool(np.any(part.fit < MISSED)) for part in predictions)
 
 
 def validate(model: Model, estimate: Estimate, spectrum: Spectrum) -> tuple[RecordPrediction, ...]:

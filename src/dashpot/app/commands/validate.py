@@ -48,13 +48,14 @@ def command(
     FILES are the estimate, as identify writes it with --json, and the records.
     """
     from dashpot.app.files import write_result
-    from dashpot.app.validating import estimate_and_rig, figures_of, predictions_of
+    from dashpot.app.validating import estimate_and_rig, figures_of, validated
     from dashpot.errors import UsageError
 
     if len(files) < 2:
         raise UsageError("there is no record to predict", cure="name data files after the estimate")
     estimate, rig_read = estimate_and_rig(files[0], rig)
-    predictions = predictions_of(rig_read, estimate, files[1:], conditioning, quiet)
+    outcome = validated(rig_read, estimate, files[1:], conditioning, quiet)
+    predictions = outcome.predictions
     if figure is not None:
         from dashpot.present.figures.style import write_figure
         from dashpot.present.figures.validation import drawn_of, prediction_figure
@@ -64,11 +65,13 @@ def command(
         from dashpot.app.report_files import provenance, write_report
         from dashpot.present.pages.others import validation_report
 
-        page = validation_report(rig_read.model, rig_read.channels, estimate, predictions, provenance())
+        page = validation_report(
+            rig_read.model, rig_read.channels, estimate, predictions, outcome.findings, provenance()
+        )
         write_report(report, page)
-    write_result(json_out, figures_of(predictions))
+    write_result(json_out, figures_of(predictions, outcome.findings))
     if not quiet and json_out != STDOUT:
         from dashpot.present.tables.layout import console
         from dashpot.present.tables.validation import show_validation
 
-        show_validation(console(), predictions)
+        show_validation(console(), predictions, outcome.findings)

@@ -32,6 +32,7 @@ from dashpot.check.diagnosis.trials import (
     swapped,
     untested,
     untouched,
+    with_form,
     with_phases_times,
     without,
 )
@@ -306,23 +307,12 @@ def _mended_channels(
         expected = bench.expected(outcome)[:, c]
         relation = likeness(base.y[:, c], expected, omega, base.kept[:, c])
         for form in (SIGN, *([] if relation is None else relation.rounded())):
-            trials.append(_mended(bench, base, c, form))
+            trials.append(with_form(base, bench.view.channels[c].name, c, form, omega))
             relations.append(form)
     return [
-        Cause(form.kind, outcome.trial.of, outcome.reduced, _number(form), form)
+        Cause(form.kind, outcome.trial.of, outcome.reduced, form.found, form)
         for outcome, form in zip(bench.refitted(trials, pool), relations, strict=True)
     ]
-
-
-def _mended(bench: Workbench, base: Trial, c: int, form: Likeness) -> Trial:
-    name = bench.view.channels[c].name
-    if form.conjugate:
-        return conjugated(base, "conjugate", (name,), np.arange(base.y.shape[1]) == c)
-    return scaled(base, form.kind, name, c, form.factor(bench.view.omega), form.number)
-
-
-def _number(relation: Likeness) -> float:
-    return relation.delay if relation.kind == "delay" else relation.number
 
 
 def _turned(bench: Workbench, base: Trial) -> list[Trial]:

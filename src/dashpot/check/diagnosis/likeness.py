@@ -42,6 +42,11 @@ class Likeness:
             return "sign"
         return "unit" if known_ratio(self.number) is not None else "gain"
 
+    @property
+    def found(self) -> float:
+        """The number that the finding is about: a delay in s, else the factor."""
+        return self.delay if self.kind == "delay" else self.number
+
     def rounded(self) -> list[Likeness]:
         """This, and before it what it may be meant to be: a usual ratio of units nearby, no delay."""
         if self.conjugate or self.delay:
@@ -76,7 +81,7 @@ def likeness(shown: Complex, expected: Complex, omega: Real, used: Bools) -> Lik
     y, e, w = shown[used], expected[used], omega[used]
     forms = [_real(y, e, w, 0, False), _real(y, e, w, 0, True)]
     forms += [_real(y, e, w, power, False) for power in (-2, -1, 1, 2)]
-    forms.append(_late(y, e, w))
+    forms.append(lateness(y, e, w))
     best = forms[0]
     for form in forms[1:]:
         if form.left < BETTER * best.left:
@@ -94,7 +99,8 @@ def _real(y: Complex, e: Complex, omega: Real, power: int, conjugate: bool) -> L
     return Likeness(number / middle**power, power, 0.0, conjugate, left)
 
 
-def _late(y: Complex, e: Complex, omega: Real) -> Likeness:
+def lateness(y: Complex, e: Complex, omega: Real) -> Likeness:
+    """The delay and the factor by which y (lines,) is nearest to e, however near that is."""
     relative = y / e
     turn = relative / np.abs(relative)
     reach = 2 * np.pi * PERIODS / np.max(omega)

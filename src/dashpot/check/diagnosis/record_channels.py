@@ -17,7 +17,7 @@ import numpy as np
 from dashpot.arrays import Bools, Ints, Real
 from dashpot.check.diagnosis.likeness import RATIOS
 from dashpot.check.diagnosis.ranking import ORDER, Cause
-from dashpot.check.diagnosis.wording import finding, with_likely_causes
+from dashpot.check.diagnosis.wording import finding, mended_in_data, with_likely_causes
 from dashpot.data.record import Record
 from dashpot.errors import DashpotError, DataError, Problem
 from dashpot.estimate.assessment import Finding
@@ -75,12 +75,8 @@ def _alike(first: Finding, second: Finding) -> bool:
 def _in_the_data(record: Record, findings: Sequence[Finding]) -> Iterator[Problem]:
     """What may be behind a contradiction in one of several records, with what to do with its numbers."""
     for each in findings:
-        if each.number is None:
-            first, second = each.of
-            cure = f"exchange {first} and {second} in {record.source}"
-        else:
-            cure = f"multiply {each.of[0]} by {1 / each.number:.6g} in {record.source}"
-        yield Problem(f"a likely cause: in this record, {each.text}", cure=f"{cure}, or leave the record out")
+        change = mended_in_data(each, record.source).change
+        yield Problem(f"a likely cause: in this record, {each.text}", cure=f"{change}, or leave it out")
 
 
 def channel_mistakes(model: Model, record: Record) -> tuple[Finding, ...]:

@@ -28,6 +28,7 @@ KEPT = 16  # of them
 LONG = 30
 ROUGHLY = 1e-2  # standard deviations at which a descent ends
 LIMIT = 2.0  # nepers and radians beyond which a residual of logarithms counts no more
+RATES, RATE_POINTS = (1 / 7, 7.0), 1500  # times all frequencies, in which the clock's own is looked for
 REACH = (0.1, 10.0)  # times its stated frequency within which a dwell's own is looked for
 
 
@@ -113,6 +114,13 @@ class Workbench:
         shown: Complex = outcome.trial.y - at.r[0]
         return shown
 
+    def judged(self, trials: Sequence[Trial]) -> list[Outcome]:
+        """Each trial at the workbench's own ψ, as it is."""
+        if not trials:
+            return []
+        arranged = [self._arranged(trial) for trial in trials]
+        return self._outcomes(trials, arranged, self._fitted(arranged, [self.psi[None]] * len(trials), 0))
+
     def misfit(self, psi: Real, trial: Trial) -> Real:
         """χ² of each line at ψ (M,), (lines,)."""
         with np.errstate(all="ignore"):
@@ -126,14 +134,26 @@ class Workbench:
         low, high = np.log(REACH[0]), np.log(REACH[1])
         for points in (3000, 400):
             grid = middle * np.exp(np.linspace(low, high, points))
-            cost = self._as_if_at(psi, trial, line, grid)
+            cost = self._as_if_at(psi, trial, np.full(points, line), grid)
             middle, left = float(grid[int(np.argmin(cost))]), float(np.min(cost))
             low, high = (edge * 4 / points for edge in (low, high))
         return middle, left
 
-    def _as_if_at(self, psi: Real, trial: Trial, line: int, grid: Real) -> Real:
-        rows = [line] * len(grid)
-        spectrum = replace(self.data.spectrum.select(rows), frequency_hz=grid)
+    def other_rate(self, trial: Trial) -> tuple[float, float]:
+        """The factor of all frequencies with which the lines fit best at the workbench's own ψ, and what they leave."""
+        lines, middle, left = np.arange(len(trial.y)), 1.0, np.inf
+        low, high = np.log(RATES[0]), np.log(RATES[1])
+        for points in (RATE_POINTS, 60):
+            rates = middle * np.exp(np.linspace(low, high, points))
+            at = (rates[:, None] * self.data.spectrum.frequency_hz).ravel()
+            cost = self._as_if_at(self.psi, trial, np.tile(lines, points), at).reshape(points, -1).sum(axis=1)
+            middle, left = float(rates[int(np.argmin(cost))]), float(np.min(cost))
+            low, high = (2 * edge / points for edge in (low, high))
+        return middle, left / max(self._arranged(trial).rows - len(self.psi), 1)
+
+    def _as_if_at(self, psi: Real, trial: Trial, rows: Ints, at: Real) -> Real:
+        """χ² of some lines (rows,), were they at other frequencies (rows,)."""
+        spectrum = replace(self.data.spectrum.select(rows), frequency_hz=at)
         view = observation_model(self.data.model, spectrum.channels, spectrum.omega)
         there = replace(trial, y=trial.y[rows], V=trial.V[rows], kept=trial.kept[rows])
         data = measured(prepared(replace(self.data, view=view, spectrum=spectrum), there))

@@ -11,7 +11,7 @@ import numpy as np
 
 from dashpot.arrays import Bools, Complex, Real
 from dashpot.channel import Channel, Quantity
-from dashpot.check.diagnosis.likeness import RATIOS
+from dashpot.check.diagnosis.likeness import RATIOS, Likeness
 from dashpot.estimate.likelihood.nuisance import inputs_seen
 from dashpot.estimate.preparation.prepared import Prepared
 from dashpot.model.observation import ObservationModel
@@ -61,6 +61,13 @@ def scaled(
     turn[:, index] = factor
     V = turn[:, :, None] * base.V * np.conj(turn)[:, None, :]
     return Trial(kind, (channel,), value, base.y * turn, V, base.kept)
+
+
+def with_form(base: Trial, channel: str, index: int, form: Likeness, omega: Real) -> Trial:
+    """One channel put right by its likeness to what it should show; omega (lines,), rad/s."""
+    if form.conjugate:
+        return conjugated(base, "conjugate", (channel,), np.arange(base.y.shape[1]) == index)
+    return scaled(base, form.kind, channel, index, form.factor(omega), form.number)
 
 
 def swapped(base: Trial, names: tuple[str, str], first: int, second: int) -> Trial:

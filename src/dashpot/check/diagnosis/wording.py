@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import TypeVar
@@ -10,7 +11,7 @@ from dashpot import units
 from dashpot.channel import Channel, Quantity
 from dashpot.check.diagnosis.candidate_elements import with_open_constants
 from dashpot.check.diagnosis.contradictions import Contradiction
-from dashpot.check.diagnosis.likeness import CLOSE, Likeness
+from dashpot.check.diagnosis.likeness import CLOSE, Likeness, known_ratio
 from dashpot.check.diagnosis.ranking import Cause
 from dashpot.check.diagnosis.stated_units import USUAL, unit_of_number
 from dashpot.errors import DashpotError, Problem
@@ -363,6 +364,26 @@ def free_name(model: Model, element: Element) -> str:
     taken = {other.name for other in model.elements} | {*model.coordinates, *(i.name for i in model.inputs)}
     candidates = (word, *(f"{word}_{'_'.join(element.along)}{suffix}" for suffix in ("", "_2", "_3")))
     return next(name for name in candidates if name not in taken)
+
+
+def mended_in_data(cause: Finding, where: str) -> Finding:
+    """The finding with what to do with the numbers in `where`: the line of the rig file is right for other data."""
+    number, names = cause.number, joined(cause.of)
+    usual = None if number is None or cause.kind == "gain" else known_ratio(number)
+    if number is not None and (cause.kind == "sign" or usual is not None):
+        number = -1.0 if usual is None else math.copysign(usual, number)
+    match cause.kind:
+        case "swap":
+            change = f"exchange {names} in {where}"
+        case "delay" if number is not None:
+            change = f"shift {names} by {_number(-1e3 * number)} ms in {where}"
+        case "frequency" if number is not None:
+            change = f"multiply the sampling rate of {where} by {number:.5g}"
+        case "sign" | "unit" | "gain" if number is not None:
+            change = f"multiply {names} by {_number(1 / number, '.6g')} in {where}"
+        case _:
+            change = f"measure {names} again in {where}"
+    return replace(cause, change=change, channels=(), elements=())
 
 
 def with_likely_causes(error: Failure, findings: Sequence[Finding]) -> Failure:

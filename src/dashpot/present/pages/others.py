@@ -9,6 +9,7 @@ from dashpot.check.doubt import doubtful
 from dashpot.check.validation import RecordPrediction, within_noise
 from dashpot.design.advise import Answer
 from dashpot.design.test_setup import drive_units
+from dashpot.estimate.assessment import Finding
 from dashpot.estimate.comparison import Comparison
 from dashpot.estimate.result import Estimate
 from dashpot.io.words import counted, joined
@@ -42,6 +43,7 @@ from dashpot.present.text.study import (
 from dashpot.present.text.validation import (
     EXPLANATION,
     is_poor,
+    mistakes_in_words,
     next_validation_steps,
     prediction_in_words,
 )
@@ -167,16 +169,17 @@ def validation_report(
     channels: Sequence[Channel],
     estimate: Estimate,
     predictions: Sequence[RecordPrediction],
+    findings: tuple[Finding, ...] = (),
     provenance: Provenance | None = None,
 ) -> str:
-    """HTML page of predictions of what was not used."""
+    """HTML page of predictions of what was not used, with what may be wrong with it."""
     columns = tuple(validation_columns(predictions))
     page = Page(
         model.name or "Validation",
         "Records that the estimate was not made from, predicted from their inputs.",
         "good" if within_noise(predictions) else "bad" if is_poor(predictions) else "open",
-        prediction_in_words(predictions),
-        (EXPLANATION,),
+        prediction_in_words(predictions, findings),
+        (*mistakes_in_words(findings), EXPLANATION),
         answer=Block("FIT of every channel", (), (columns,)),
         drawing=rig_picture(model, channels, estimate, doubtful(estimate), 0.95),
         steps=next_validation_steps(predictions),

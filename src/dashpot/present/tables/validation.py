@@ -8,17 +8,22 @@ import numpy as np
 from rich.console import Console
 
 from dashpot.check.validation import RecordPrediction
+from dashpot.estimate.assessment import Finding
 from dashpot.present.tables.layout import TableColumn, show_paragraph, show_table
 from dashpot.present.text.numbers import short
-from dashpot.present.text.validation import EXPLANATION, prediction_in_words
+from dashpot.present.text.validation import EXPLANATION, mistakes_in_words, prediction_in_words
 
 
-def show_validation(out: Console, predictions: Sequence[RecordPrediction]) -> None:
-    """Print a row for each channel of each record, whether they are predicted, and what FIT is."""
+def show_validation(
+    out: Console, predictions: Sequence[RecordPrediction], findings: tuple[Finding, ...] = ()
+) -> None:
+    """Print a row for each channel of each record, whether they are predicted, what may be wrong, and what FIT is."""
     out.print()
     show_table(out, validation_columns(predictions))
     out.print()
-    show_paragraph(out, prediction_in_words(predictions))
+    show_paragraph(out, prediction_in_words(predictions, findings))
+    for line in mistakes_in_words(findings):
+        show_paragraph(out, line)
     show_paragraph(out, EXPLANATION)
 
 

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from dashpot.check.validation import RecordPrediction, within_noise
+from dashpot.estimate.assessment import Finding
 from dashpot.io.words import joined
+from dashpot.present.text.assessment import diagnosis_in_words
 from dashpot.present.text.numbers import short
 
 POOR = 0.5  # FIT below which a prediction is of no use
@@ -28,8 +30,11 @@ class _Prediction:
     times_noise: float
 
 
-def prediction_in_words(predictions: Sequence[RecordPrediction]) -> str:
-    """Whether the records are predicted, and by how many per cent of the motion and times the noise they are missed."""
+def prediction_in_words(predictions: Sequence[RecordPrediction], findings: tuple[Finding, ...] = ()) -> str:
+    """Whether the records are predicted, and by how many per cent of the motion and times the noise they are missed.
+
+    Factors of single channels are named where no `findings` say what is wrong.
+    """
     channels = _channels(predictions)
     if not channels:
         return "Nothing could be predicted."
@@ -39,7 +44,9 @@ def prediction_in_words(predictions: Sequence[RecordPrediction]) -> str:
     if within:
         return f"Predicted to within the noise of the sensors: the largest difference is {missed}."
     if is_poor(predictions):
-        return f"Poorly predicted: measured and predicted differ by {missed}." + _factors(predictions)
+        return f"Poorly predicted: measured and predicted differ by {missed}." + (
+            "" if findings else _factors(predictions)
+        )
     if within is None:
         return (
             f"The largest difference between measured and predicted is {missed}; whether that is more "
@@ -50,6 +57,11 @@ def prediction_in_words(predictions: Sequence[RecordPrediction]) -> str:
         f"Not predicted to within the noise of the sensors: {loudest.channel} differs by "
         f"{short(loudest.times_noise, 2)} × the noise; the largest difference is {missed}."
     )
+
+
+def mistakes_in_words(findings: tuple[Finding, ...]) -> list[str]:
+    """What may be wrong with the data, the likeliest first, each with what to change."""
+    return diagnosis_in_words(tuple(replace(finding, remaining=None) for finding in findings))
 
 
 def _factors(predictions: Sequence[RecordPrediction]) -> str:

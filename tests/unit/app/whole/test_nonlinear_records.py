@@ -46,6 +46,15 @@ def recorded(path: str, seed: int) -> None:
     np.savetxt(path, np.column_stack([time, force(time), x]), "%.9g", ",", header="time_s,f,x", comments="")
 
 
+def turn(path: str, channel: str) -> None:
+    """Write the file with one channel times −1."""
+    header, *rows = Path(path).read_text(encoding="utf-8").splitlines()
+    place = header.split(",").index(channel)
+    cells = [row.split(",") for row in rows]
+    turned = [",".join([*c[:place], str(-float(c[place])), *c[place + 1 :]]) for c in cells]
+    Path(path).write_text("\n".join([header, *turned]) + "\n", encoding="utf-8")
+
+
 def test_an_estimate_predicts_another_record_or_the_end_of_its_own_to_the_noise(dashpot: Command) -> None:
     Path("rig.toml").write_text(RIG, encoding="utf-8")
     recorded("run.csv", 1)
@@ -78,12 +87,21 @@ def test_apply_writes_the_rig_that_contradicting_channels_ask_for(dashpot: Comma
     """Where one mistake of a channel stops the identification, its line is written all the same."""
     recorded("run.csv", 1)
     Path("rig.toml").write_text(RIG, encoding="utf-8")
-    header, *rows = Path("run.csv").read_text(encoding="utf-8").splitlines()
-    place = header.split(",").index("x")
-    cells = [row.split(",") for row in rows]
-    turned = [",".join([*c[:place], str(-float(c[place])), *c[place + 1 :]]) for c in cells]
-    Path("run.csv").write_text("\n".join([header, *turned]) + "\n", encoding="utf-8")
+    turn("run.csv", "x")
     done = dashpot("identify", "rig.toml", "run.csv", "-q", "--apply", "new.toml")
     assert done.code == 2
     assert done.err[-1].endswith("new.toml has the first cause corrected; identify with it")
     assert [channel.sign for channel in read_rig("new.toml").channels] == [1.0, -1.0]
+
+
+def test_validate_names_a_channel_that_is_turned(dashpot: Command) -> None:
+    recorded("run.csv", 1)
+    recorded("other.csv", 2)
+    Path("rig.toml").write_text(RIG, encoding="utf-8")
+    assert dashpot("identify", "rig.toml", "run.csv", "-q", "--json", "e.json").code == 0
+    turn("other.csv", "f")
+    done = dashpot("validate", "e.json", "other.csv", "--json", "v.json", "--report", "v.html")
+    causes = json.loads(Path("v.json").read_text(encoding="utf-8"))["diagnosis"]
+    assert ["sign", ["f"]] in [[cause["kind"], cause["of"]] for cause in causes[:2]]
+    assert "multiply f by −1 in the data" in " ".join(done.out.split())
+    assert "multiply f by −1 in the data" in Path("v.html").read_text(encoding="utf-8")

@@ -88,7 +88,7 @@ def test_a_channel_that_is_wrong_in_one_of_several_records_is_named_with_that_re
     contradiction, cause = caught.value.problems[:2]
     assert contradiction.where == "run2.csv"
     assert cause.what == "a likely cause: in this record, a1 reads −1 × what the rig gives: wrong sign?"
-    assert cause.cure == "multiply a1 by -1 in run2.csv, or leave the record out"
+    assert cause.cure == "multiply a1 by −1 in run2.csv, or leave it out"
     assert caught.value.causes == ()  # no line of the rig file is right for both
     swapped = replace(second, values=second.values[:, [1, 0, 2, 3]])
     with pytest.raises(DataError, match=r"exchange x1 and x2 in run2\.csv"):
