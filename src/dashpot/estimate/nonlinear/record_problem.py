@@ -14,7 +14,12 @@ import numpy as np
 from dashpot.arrays import Real
 from dashpot.errors import ConvergenceError
 from dashpot.estimate.nonlinear.record_constants import RecordConstants, record_constants
-from dashpot.estimate.nonlinear.recorded_motion import RecordedMotion, recorded_motion, start_of
+from dashpot.estimate.nonlinear.recorded_motion import (
+    RecordedMotion,
+    largest_states,
+    recorded_motion,
+    start_of,
+)
 from dashpot.estimate.nonlinear.records import RecordData, shown_outputs
 from dashpot.estimate.nonlinear.uncertain_inputs import (
     InputErrors,
@@ -45,6 +50,7 @@ class RecordProblem:
 
     rig: as it is declared; model: as it moves, with bases that are known by a rate as coordinates behind its own.
     begun: states at the starts of the records, of which those constants that cannot be found stay as they are.
+    held (laws with a state,): how large the states of laws may be, m.
     Where inputs are uncertain, `errors` holds their last errors, and `covariances` what their noise did to the outputs.
     """
 
@@ -53,6 +59,7 @@ class RecordProblem:
     records: tuple[RecordData, ...]
     constants: RecordConstants
     begun: tuple[Real, ...]
+    held: Real
     gains: int
     sd: Real
     substeps: tuple[int, ...]
@@ -85,6 +92,11 @@ class RecordProblem:
     def motions(self) -> dict[int, Motion]:
         """The last motions as starts for other rigs of the same states."""
         return {k: replace(motion, along=None, forces={}) for k, motion in self.last.items()}
+
+    @property
+    def steps(self) -> int:
+        """Steps of all records together."""
+        return sum(data.samples * count for data, count in zip(self.records, self.substeps, strict=True))
 
     def finer(self) -> RecordProblem:
         """The same with half the steps."""
@@ -141,7 +153,9 @@ class RecordProblem:
         """Precision and mean of ψ before the records say anything, (M,) each.
 
         What an acceleration lacks is unlikely to be larger than its largest value: else it could be anything while
-        springs are taken for linear.
+        springs are taken for linear.  States of laws are no larger than elongations are, else those that leave no
+        trace, such as where a play began that was carried along at once, could be anything; but nothing draws them
+        anywhere: their mean is NaN.
         """
         M = self.inner + self.states * len(self.records)
         precision, mean = np.zeros(M), np.zeros(M)
@@ -153,6 +167,9 @@ class RecordProblem:
             largest = np.max(np.abs(data.inputs[:, -first:]), axis=0, initial=0.0) if first else np.zeros(0)
             size = largest[self.constants.biases]
             precision[stop - len(size) : stop] = 1 / np.where(size > 0, size, 1.0) ** 2
+            laws = slice(stop - len(size) - len(self.held), stop - len(size))
+            precision[laws] = 1 / self.held**2
+            mean[laws] = np.nan
         return precision, mean
 
     def data_at(self, k: int, psi: Real) -> RecordData:
@@ -192,7 +209,7 @@ class RecordProblem:
             nothing = np.full((1, M, M), np.nan)
             return QuadraticModel(np.array([np.inf]), nothing[..., 0], nothing, nothing)
         prior, mean = self.priors()
-        away = psi[0] - mean
+        away = np.where(np.isnan(mean), 0.0, psi[0] - mean)
         matrix += np.diag(prior)
         total = cost + float(np.sum(prior * away**2))
         return QuadraticModel(np.array([total]), (gradient - prior * away)[None], matrix[None], matrix[None])
@@ -254,7 +271,9 @@ def begun_problem(
     begun = [start_of(rig, data, at) for data, at in zip(records, measured, strict=True)]
     gains = max((g for data in records for g in data.gain), default=-1) + 1
     states = tuple(start.state for start in begun)
-    problem = RecordProblem(rig, moving, records, free, states, gains, sd, substeps)
+    pairs = zip(records, measured, strict=True)
+    held = np.max([largest_states(rig, theta, data, at) for data, at in pairs], axis=0)
+    problem = RecordProblem(rig, moving, records, free, states, held, gains, sd, substeps)
     own = [part for start in begun for part in (start.state[free.starts], start.forces[free.biases])]
     return problem, np.concatenate(own)
 

@@ -19,6 +19,7 @@ from dashpot.estimate.nonlinear.recorded_motion import RecordedMotion, recorded_
 from dashpot.estimate.nonlinear.records import RecordData
 from dashpot.estimate.nonlinear.starting_values import constants_to_try, refined_constants
 from dashpot.model.network import Model
+from dashpot.model.nonlinear.alternating import operated_states
 from dashpot.numerics.small_systems import solve_scaled
 
 CYCLES = (0, 1, 2, 3, 4, 5, 6)  # of a window: which part of the band it sees
@@ -52,7 +53,9 @@ class WeakForm:
         for row, (index, inner) in enumerate(zip(chosen, model.constant_slices, strict=True)):
             law = model.elements[int(index)].force_law
             assert law is not None
-            unit[:, row] = law(d[:, row], v[:, row], d[:, row], constants[inner]).value
+            g = constants[inner]
+            z = operated_states(law, d[:, row], float(g[0])) if law.operator else d[:, row]
+            unit[:, row] = law(d[:, row], v[:, row], z, g).value
         return unit
 
     def information(self, constants: Real) -> Real:
@@ -287,8 +290,12 @@ def _polished(equations: WeakEquations, start: Real) -> Real:
 def _measured_motion(model: Model, record: RecordData, open_names: Sequence[str]) -> RecordedMotion:
     """The motion of the coordinates.  Raises DataError where these do not give first values of the unknowns."""
     at = recorded_motion(model, record)
-    if at is None or any(e.force_law is not None and e.force_law.has_state for e in model.elements):
-        why = "not all coordinates are measured as displacements" if at is None else "a law has a state"
+    if at is None or any(e.force_law is not None and e.force_law.rate is not None for e in model.elements):
+        why = (
+            "not all coordinates are measured as displacements"
+            if at is None
+            else "the state of a law follows a differential equation"
+        )
         raise DataError(
             f"{', '.join(open_names)} {'has' if len(open_names) == 1 else 'have'} no guess, and {why}",
             cure="write guess = … for the unknowns in the rig file",

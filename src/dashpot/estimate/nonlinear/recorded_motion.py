@@ -9,6 +9,7 @@ import numpy as np
 from dashpot.arrays import Real
 from dashpot.estimate.nonlinear.records import RecordData
 from dashpot.model.network import Model
+from dashpot.model.nonlinear.force_law import ForceLaw
 
 
 @dataclass(frozen=True)
@@ -66,16 +67,45 @@ def start_of(model: Model, data: RecordData, at: RecordedMotion | None) -> Start
     """Where a record of a rig starts, at rest where no motion is measured."""
     bases = len(data.bases.names)
     n, total = model.n, model.n + bases
-    laws = sum(e.force_law is not None and e.force_law.has_state for e in model.elements)
-    state, forces = np.zeros(2 * total + laws), np.zeros(len(model.force_inputs) + bases)
+    laws = laws_with_state(model)
+    state, forces = np.zeros(2 * total + len(laws)), np.zeros(len(model.force_inputs) + bases)
     if at is not None:
         x = at.beside
+        for i, (row, law) in enumerate(laws, 2 * total):
+            if law.operator == "play":  # the middle of where it may be: an edge would hold it
+                state[i] = at.x[0] @ model.B[row] + at.u[0] @ model.D[row]
         state[:n] = x[0]
         state[total : total + n] = (-3 * x[0] + 4 * x[1] - x[2]) / (2 * data.step_s)
     if bases:
         base = (base_travel(model, data) if at is None else at.bases).start
         state[n:total], state[total + n : 2 * total], forces[-bases:] = base.T
     return Start(state, forces)
+
+
+def laws_with_state(model: Model) -> list[tuple[int, ForceLaw]]:
+    """Elements whose laws carry a state, by their rows, in order."""
+    laws = [(row, element.force_law) for row, element in enumerate(model.elements)]
+    return [(row, law) for row, law in laws if law is not None and law.has_state]
+
+
+def largest_states(model: Model, theta: Real, data: RecordData, at: RecordedMotion | None) -> Real:
+    """How large the states of laws may be, (laws with a state,) m: as elongations, and the width of stop and play.
+
+    Where no motion is measured, as the displacement inputs.  theta (unknowns,).
+    """
+    largest = []
+    inner = dict(zip(model.nonlinear.tolist(), model.constant_slices, strict=True))
+    constants = model.inner_constants(theta)
+    for row, law in laws_with_state(model):
+        if at is not None:
+            d = at.x @ model.B[row] + at.u @ model.D[row]
+        else:
+            shown = [j for j, name in enumerate(model.displacement_inputs) if name not in data.bases.names]
+            d = data.inputs[:, : len(shown)] @ model.D[row, shown]
+        width = abs(float(constants[inner[row]][0])) if law.operator else 0.0
+        largest.append(float(np.max(np.abs(d))) + width)
+    sizes = np.array(largest)
+    return np.where(sizes > 0, sizes, 1.0)
 
 
 def base_travel(model: Model, data: RecordData) -> BaseTravel:

@@ -57,6 +57,7 @@ MOST_STEPS = 10**6  # of all records, which halving must not exceed
 MOVED = 0.05  # standard deviations by which half steps may move an estimate
 SHORTEST = 1e-6  # of a start: the least that lengths and speeds inside laws may become
 QUIETER = 0.5  # of the noise so far: residuals with finer steps, which coarser ones had made
+ERRORS_OF_STEPS = 0.1  # of the squared residuals: what halving the steps changes where these are too long
 FAR = 3.0  # standard deviations beyond which one step of Gauss and Newton is not enough
 
 
@@ -153,6 +154,8 @@ def _with_exact_inputs(
     if far:
         problem, psi = _released(problem, psi)
     search = _searched(problem, psi, progress)
+    if not search.converged[0]:
+        problem, search = _with_finer_steps(problem, search, progress)
     if not (far or search.converged[0]):
         problem, psi = _released(before, psi)
         search = _searched(problem, psi, progress)
@@ -254,6 +257,32 @@ def _searched(
     return replace(end, history=np.array(history))
 
 
+def _with_finer_steps(
+    problem: RecordProblem, search: OptimizeResult, progress: Callable[[int, int], None] | None
+) -> tuple[RecordProblem, OptimizeResult]:
+    """A search that did not end, gone on with halved steps while what is left over is mostly their error.
+
+    Corners of laws within steps make the misfit a staircase, on whose last steps a search of exact data goes round.
+    """
+    for _ in range(HALVINGS):
+        finer, psi = problem.finer(), search.x[0]
+        if search.converged[0] or finer.steps > MOST_STEPS or not _steps_are_coarse(problem, finer, psi):
+            break
+        problem = finer
+        search = _searched(problem, psi, progress)
+    return problem, search
+
+
+def _steps_are_coarse(problem: RecordProblem, finer: RecordProblem, psi: Real) -> bool:
+    """Whether steps half as long move what channels show by as much as it is off, at ψ (M,)."""
+    coarse, fine = (
+        np.concatenate([residual for residual, _ in each.residuals(psi, slopes=False)])
+        for each in (problem, finer)
+    )
+    with np.errstate(invalid="ignore"):  # a motion that does not close is no number
+        return bool(np.sum((fine - coarse) ** 2) > ERRORS_OF_STEPS * np.sum(coarse**2))
+
+
 def _descended(
     problem: RecordProblem,
     psi: Real,
@@ -281,8 +310,7 @@ def _refined(fitted: FittedRecords) -> FittedRecords:
     problem, psi = fitted.problem, fitted.psi
     for _ in range(HALVINGS):
         finer = problem.finer()
-        steps = [data.samples * count for data, count in zip(finer.records, finer.substeps, strict=True)]
-        if sum(steps) > MOST_STEPS:
+        if finer.steps > MOST_STEPS:
             break
         around = finer.quadratic(psi[None])
         step = solve_scaled(around.symmetric, around.gradient)[0]

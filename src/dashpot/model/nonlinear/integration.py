@@ -220,15 +220,25 @@ class Integrator:
         a, by_z0 = np.zeros((S, K, e)), np.zeros((S, K, e))
         by_d, by_v, by_g = np.zeros((S, K, e)), np.zeros((S, K, e)), []
         nothing = np.zeros((S, K))
-        for row, (law, inner) in enumerate(zip(self.laws, self.model.constant_slices, strict=True)):
-            g = np.broadcast_to(self.constants[inner], (S, inner.stop - inner.start))
-            held = z[..., self.with_state.index(row)] if law.has_state else nothing
-            at = law(d[..., row], v[..., row], held, g)
+        for row, (law, own) in enumerate(zip(self.laws, self.model.constant_slices, strict=True)):
+            g = np.broadcast_to(self.constants[own], (S, own.stop - own.start))
+            inside, held = nothing, None
+            if law.has_state:
+                inside = z[..., self.with_state.index(row)]
+            if law.operator:
+                held = held_states(law, d[..., row], v[..., row], inside, inside[:, 0], g, 0.0)
+                inside = held.z
+            at = law(d[..., row], v[..., row], inside, g)
             a[..., row] = at.value
             by_d[..., row], by_v[..., row] = at.slopes.get("d", nothing), at.slopes.get("v", nothing)
-            by_z0[..., row] = at.slopes.get("z", nothing)
+            by_z0[..., row] = by_z = at.slopes.get("z", nothing)
             columns = [np.broadcast_to(at.slopes.get(name, nothing), (S, K)) for name in law.constant_names]
-            by_g.append(np.stack(columns, axis=-1) if columns else np.zeros((S, K, 0)))
+            inner = np.stack(columns, axis=-1) if columns else np.zeros((S, K, 0))
+            if held is not None:
+                by_d[..., row] += by_z * held.by_d[..., 0]
+                by_z0[..., row] *= held.by_z0
+                inner = inner + by_z[..., None] * held.by_g
+            by_g.append(inner)
         return StepForces(a, by_d.reshape(S, -1), by_v.reshape(S, -1), by_z0, tuple(by_g), z, (), False)
 
     def _solve(self, free_d: Real, free_v: Real, z0: Real, guess: PointForces | None) -> StepForces:

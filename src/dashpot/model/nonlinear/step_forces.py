@@ -87,21 +87,25 @@ def held_states(law: ForceLaw, d: Real, v: Real, z: Real, z0: Real, g: Real, h: 
 
 
 def _operated_nodes(law: ForceLaw, d: Real, z0: Real, g: Real) -> HeldStates:
+    """Stop and play from node to node; a z0 that they cannot have at the first elongation is moved to where they can.
+
+    What a record is said to begin with may be out of reach: a play is carried along at once.
+    """
     S, K = d.shape
-    tangent = np.zeros((S, K + 2))  # along d at the nodes, z0 and the width
+    tangent, nothing = np.zeros((S, K + 2)), np.zeros((S, K + 2))  # along d at the nodes, z0 and the width
     tangent[:, K] = 1.0
-    z, states, tangents = z0, [z0], [tangent]
+    z, states, tangents = z0, [], []
     width = g[:, 0]
-    for k in range(1, K):
-        change = np.zeros((S, K + 2))
+    for k in range(K):
+        change = nothing.copy()
         change[:, k] = 1.0
-        if law.operator == "stop":
-            change[:, k - 1] = -1.0
-            z, tangent = clipped(
-                z + d[:, k] - d[:, k - 1], tangent + change, np.zeros(S), np.zeros_like(change), width, K + 1
-            )
-        else:
+        if law.operator == "play":
             z, tangent = clipped(z, tangent, d[:, k], change, width, K + 1)
+        else:
+            if k:
+                change[:, k - 1] = -1.0
+                z, tangent = z + d[:, k] - d[:, k - 1], tangent + change
+            z, tangent = clipped(z, tangent, np.zeros(S), nothing, width, K + 1)
         states.append(z)
         tangents.append(tangent)
     total = np.stack(tangents, axis=1)
