@@ -16,6 +16,7 @@ from dashpot.notices import Notice
 from dashpot.numerics.small_systems import standard_deviations
 
 UNSEEN_LAW = "law_not_seen"  # code of a notice
+CONSTANT_HARDLY_SEEN = "constant_hardly_seen"  # code of a notice
 SHARE = 1e-3  # part of a direction from which an unknown belongs to it
 ROUNDING = 1e-13  # of an information matrix with ones on its diagonal
 
@@ -70,6 +71,7 @@ def require_traces(model: Model, names: Sequence[str], information: Real, least:
 def unseen_laws(model: Model, theta: Real, covariance: Real) -> list[Notice]:
     """Warnings of nonlinear elements whose parameter may be 0: the data do not show them.
 
+    Where the element shows, but 0 is within the intervals of lengths or speeds in its law, these are named.
     theta (m,) or longer, covariance (m, m) by the noise alone: an interval that a misfit has widened hides no law.
     """
     if not len(model.nonlinear):
@@ -79,7 +81,13 @@ def unseen_laws(model: Model, theta: Real, covariance: Real) -> list[Notice]:
     notices = []
     for element in (model.elements[int(index)] for index in model.nonlinear):
         law, name = element.force_law, element.name
-        if law is None or name not in values or not abs(values[name]) <= ZERO * sd[name]:
+        if law is None:
+            continue
+        if name not in values or not abs(values[name]) <= ZERO * sd[name]:
+            rough = [
+                c for c in (f"{name}.{c}" for c in law.constant_names if c in law.positive) if c in values
+            ]
+            notices += _hardly_seen(name, [c for c in rough if abs(values[c]) <= ZERO * sd[c]])
             continue
         inner = [f"{name}.{constant.name}" for constant in law.constants if constant.unknown]
         then = f", and {joined(inner)} mean{'s' if len(inner) == 1 else ''} nothing then" if inner else ""
@@ -89,3 +97,16 @@ def unseen_laws(model: Model, theta: Real, covariance: Real) -> list[Notice]:
         )
         notices.append(Notice(UNSEEN_LAW, text, (name,)))
     return notices
+
+
+def _hardly_seen(name: str, rough: Sequence[str]) -> list[Notice]:
+    """A warning of constants `rough` in the law of an element that shows, 0 within their intervals."""
+    if not rough:
+        return []
+    single = len(rough) == 1
+    text = (
+        f"the data hardly show {joined(rough)}: 0 is within {'its interval' if single else 'their intervals'}, which "
+        f"{'is' if single else 'are'} rough then, as are those of {name} and of what else its law holds; drive the rig "
+        "further, or give a value"
+    )
+    return [Notice(CONSTANT_HARDLY_SEEN, text, tuple(rough))]

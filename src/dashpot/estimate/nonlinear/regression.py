@@ -93,6 +93,18 @@ def regression(motion: MeasuredMotion, constants: Real, weight: Real) -> tuple[R
     The terms' own sizes do not count: they cancel where constants, as `MeasuredMotion.unit_forces` takes them, are far
     off.
     """
+    N, right, Phi, h = normal_equations(motion, constants, weight)
+    p = solve_scaled(N, right)
+    e = h - np.einsum("klnu,ku->kln", Phi, p)
+    power = np.sum(np.abs(h) ** 2 * weight[:, None], axis=(1, 2))
+    residual = np.sum(np.abs(e) ** 2 * weight[:, None], axis=(1, 2)) / np.where(power > 0, power, 1.0)
+    return p, residual
+
+
+def normal_equations(
+    motion: MeasuredMotion, constants: Real, weight: Real
+) -> tuple[Real, Real, Complex, Complex]:
+    """Those of `regression`: N (K, u, u), right side (K, u), regressors (K, lines, n, u), known side (K, lines, n)."""
     model = motion.model
     strengths = np.any(model.T, axis=0)
     a = motion.unit_forces(constants)
@@ -103,11 +115,7 @@ def regression(motion: MeasuredMotion, constants: Real, weight: Real) -> tuple[R
     left = hermitian(scaled)
     N = (left @ Phi.reshape(len(Phi), rows, -1)).real + np.diag(1e-18 * model.prior_precision[strengths])
     right = (left @ h.reshape(len(Phi), rows, 1)).real[..., 0]
-    p = solve_scaled(N, right)
-    e = h - np.einsum("klnu,ku->kln", Phi, p)
-    power = np.sum(np.abs(h) ** 2 * weight[:, None], axis=(1, 2))
-    residual = np.sum(np.abs(e) ** 2 * weight[:, None], axis=(1, 2)) / np.where(power > 0, power, 1.0)
-    return p, residual
+    return N, right, Phi, h
 
 
 def regressors_of(model: Model, a: Complex) -> Complex:

@@ -5,13 +5,21 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from itertools import product
+from typing import NoReturn
 
 import numpy as np
 
 from dashpot.arrays import Real
-from dashpot.errors import DashpotError
+from dashpot.errors import DashpotError, IdentifiabilityError
+from dashpot.estimate.inference.unseen_laws import require_traces
 from dashpot.estimate.nonlinear.dwells import dwells_of
-from dashpot.estimate.nonlinear.regression import MeasuredMotion, measured_motion, regression, scale_of_lines
+from dashpot.estimate.nonlinear.regression import (
+    MeasuredMotion,
+    measured_motion,
+    normal_equations,
+    regression,
+    scale_of_lines,
+)
 from dashpot.estimate.preparation.prepared import Prepared
 from dashpot.model.elements import Element
 from dashpot.model.network import Model
@@ -89,8 +97,21 @@ def _by_regression(data: Prepared) -> Real:
         theta[~strengths] = (constants - known) @ slope[:, ~strengths]
         if np.all(np.isfinite(theta)):
             thetas.append(theta)
+    if not thetas:
+        _refuse(motion, trials[0], weight)
     low, high = model.bounds
-    return np.clip(np.array(thetas).reshape(-1, len(model.unknowns)), low, high)
+    return np.clip(np.array(thetas), low, high)
+
+
+def _refuse(motion: MeasuredMotion, constants: Real, weight: Real) -> NoReturn:
+    """Raises IdentifiabilityError: no trial of the inner constants, such as these (G,), determines the parameters."""
+    strengths = np.any(motion.model.T, axis=0)
+    names = [name for name, there in zip(motion.model.unknown_names, strengths, strict=True) if there]
+    require_traces(motion.model, names, normal_equations(motion, constants[None], weight)[0][0])
+    raise IdentifiabilityError(
+        "the measured motion does not determine the unknowns",
+        cure="give guesses of the unknowns, or drive the rig at more frequencies and in more sizes",
+    )
 
 
 def _residuals(motion: MeasuredMotion, trials: Sequence[Real], weight: Real) -> Real:

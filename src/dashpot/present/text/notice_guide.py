@@ -163,6 +163,12 @@ NOTICES: tuple[tuple[str, str, str, str], ...] = (
         "Drive the rig further, so that the law shows, or leave the element out.",
     ),
     (
+        "constant_hardly_seen", _ESTIMATE,
+        ("A nonlinear element shows, but a length or speed inside its law has 0 within its interval. The law's other "
+        "numbers depend on it, along a curve that intervals of the form value ± deviation do not follow."),
+        "Drive the rig further, so that the law shows, or give the constant a value.",
+    ),
+    (
         "coloured_residuals", _ESTIMATE,
         "Residuals of a nonlinear fit to whole records are correlated in time; intervals include that.",
         "The model or the measured input lacks something: look at the residuals' frequencies.",
