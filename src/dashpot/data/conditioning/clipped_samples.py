@@ -81,7 +81,7 @@ def without_clipping(record: Record, stated_hz: float | None = None) -> Unclippe
     return Unclipped(record if values is None else replace(record, values=values), weaker, notices)
 
 
-def doubtful(dwells: Sequence[Record], weaker: Sequence[Real]) -> list[Notice]:
+def notices_of_doubt(dwells: Sequence[Record], weaker: Sequence[Real]) -> list[Notice]:
     """Of dwells that are no steady sines: notices of channels that clip in so few periods that nothing tells of what.
 
     weaker (channels,) of each dwell, beyond 1 where samples have been put in.

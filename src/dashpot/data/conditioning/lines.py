@@ -12,7 +12,7 @@ from dashpot.arrays import Real
 from dashpot.data.calibration import calibration
 from dashpot.data.conditioning.account import account_of_dwells, other_motion, summed_up
 from dashpot.data.conditioning.brief_dwells import long_enough
-from dashpot.data.conditioning.clipped_samples import doubtful, reaches_limits, without_clipping
+from dashpot.data.conditioning.clipped_samples import notices_of_doubt, reaches_limits, without_clipping
 from dashpot.data.conditioning.clock import with_even_stamps
 from dashpot.data.conditioning.drift import LEVEL as DRIFT_LEVEL
 from dashpot.data.conditioning.drift import slope_costs, slopes_show
@@ -29,7 +29,12 @@ from dashpot.data.conditioning.quantisation import rounding_floor, rounding_step
 from dashpot.data.conditioning.repetition import averaged_periods
 from dashpot.data.conditioning.sample_moments import second_moments
 from dashpot.data.conditioning.settings import Conditioning, Treatments, conditioning_of
-from dashpot.data.conditioning.stated_frequency import at_frequencies, drive_frequencies, require_stated
+from dashpot.data.conditioning.stated_frequency import (
+    at_frequencies,
+    beyond_half_rate,
+    drive_frequencies,
+    require_stated,
+)
 from dashpot.data.conditioning.steady_state import (
     driven_throughout,
     periods_of,
@@ -108,6 +113,8 @@ def _of_dwells(dwells: Sequence[Record], settings: Conditioning) -> Spectrum:
     uncut, of_stamps = dwells, list(notes)
     if settings.transients == "settle" and settings.settle == "none" and _unsettled(dwells):
         settings = settings.changed(settle="auto")
+    if settings.refine == "auto":
+        require_stated([record for record in dwells if beyond_half_rate(record)], settings.wanted)
     dwells, cut = driven_parts(dwells, settings)
     notes += cut
     wanders = False
@@ -120,7 +127,7 @@ def _of_dwells(dwells: Sequence[Record], settings: Conditioning) -> Spectrum:
     if why_whole is not None:
         if settings.settle == "none":  # what was cut off to see a steady sine is data like the rest
             dwells, notes = uncut, of_stamps
-        notes = [*notes, *doubtful(dwells, weaker)]
+        notes = [*notes, *notices_of_doubt(dwells, weaker)]
         slopes = settings.degree > 0
         lines = dwells_with_transients(
             dwells, settings.band, settings.still, why=why_whole, slopes=slopes, weaker=weaker

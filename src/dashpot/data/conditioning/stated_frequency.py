@@ -34,7 +34,7 @@ LEAST_PERIODS = 0.98  # of a dwell that has a say
 REPEATS_OF_SHORT = 4.0  # of a dwell of less than two periods that have one
 LABEL = 5e-6  # relative: as labels of six digits are rounded
 EVEN = 1e-7  # relative: what is nearer is the same frequency, however small the noise
-USUAL = ((2 * np.pi, "rad/s"), (1 / (2 * np.pi), "Hz in the place of rad/s"), (60.0, "per minute"))
+USUAL = ((2 * np.pi, "rad/s"), (1 / (2 * np.pi), "Hz in the place of rad/s"), (60.0, "rpm"))
 ALIKE = 0.05  # relative
 MANY = 3  # dwells that are wrong alike, of which the first is told
 
@@ -98,6 +98,11 @@ def require_stated(records: Sequence[Record], orders: Sequence[int]) -> None:
     )
 
 
+def beyond_half_rate(record: Record) -> bool:
+    """Whether a dwell's stated frequency is beyond half its sampling rate, so that nothing can be told of it there."""
+    return (record.frequency_hz or 0.0) * float(np.ptp(record.time)) > 0.5 * (len(record.time) - 1)
+
+
 def moves_elsewhere(record: Record, orders: Sequence[int] = (1,)) -> float | None:
     """The frequency, Hz, at which most channels move where none moves at the stated one; None where all is well.
 
@@ -110,7 +115,7 @@ def moves_elsewhere(record: Record, orders: Sequence[int] = (1,)) -> float | Non
         return None
     time = record.time[:count]
     step = float(time[-1] - time[0]) / (count - 1)
-    if f > 0.45 / step:
+    if abs(f * step - 0.5) < 0.05:
         return None  # too near to half the sampling rate to tell
     values = record.values.reshape(-1, *record.values.shape[-2:])[:MOST_REPEATS, :count]
     Y = np.moveaxis(values, 1, 0).reshape(count, -1)
@@ -127,7 +132,8 @@ def moves_elsewhere(record: Record, orders: Sequence[int] = (1,)) -> float | Non
     resolution = 1 / (count * step)
     near = np.zeros(len(frequency), dtype=bool)
     for order in orders:
-        near |= np.abs(frequency - order * f) <= max(resolution, WITHIN * order * f)
+        seen_at = abs(order * f - round(order * f * step) / step)  # beyond half the sampling rate folded back
+        near |= np.abs(frequency - seen_at) <= max(resolution, WITHIN * order * f)
     if np.max(share[near], initial=0.0) > ABSENT:
         return None
     peaks = np.argmax(share, axis=0)

@@ -35,6 +35,29 @@ def test_radians_per_second_are_refused_and_named() -> None:
     assert "rad/s?" in str(refused.value)
 
 
+@pytest.mark.parametrize("periods", [10.0, 20.0])
+def test_revolutions_per_minute_are_named_beyond_half_the_sampling_rate(periods: float) -> None:
+    """16 samples a period: 60 times the frequency folds to a quarter of the rate, where nothing moves."""
+    with pytest.raises(DataError, match=r"is stated, the record moves at .* Hz: rpm\?") as refused:
+        spectrum(dwells(1, periods=periods, stated=60.0))
+    assert len(refused.value.problems) == 1
+
+
+def test_dwells_sampled_below_their_frequency_move_where_it_folds_to() -> None:
+    """Every sixteenth sample and a bit: the drive is seen at a fraction of its frequency."""
+    records = [
+        replace(r, time=np.arange(len(r.time)) * 1.3 / (r.frequency_hz or 1.0))
+        for r in dwells(1, periods=20.0)
+    ]
+    rng = np.random.default_rng(2)
+    turns = [2 * np.pi * (r.frequency_hz or 0.0) * r.time for r in records]
+    moving = [
+        replace(r, values=np.cos(turn)[:, None] + 0.05 * rng.normal(size=(len(turn), 3)))
+        for r, turn in zip(records, turns, strict=True)
+    ]
+    assert [moves_elsewhere(record) for record in moving] == [None] * 25
+
+
 def test_a_time_base_twice_too_fast_is_refused() -> None:
     with pytest.raises(DataError, match="wrong by the factor 2"):
         spectrum(dwells(2, periods=10.0, stated=2.0))
