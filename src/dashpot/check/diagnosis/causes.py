@@ -27,6 +27,7 @@ from dashpot.check.diagnosis.trials import (
     cells,
     conjugated,
     mistakes_of_a_channel,
+    of_another_derivative,
     prepared,
     scaled,
     swapped,
@@ -203,9 +204,9 @@ def _unusual_mistakes(
     """Cross-talk, a rig that changed between runs, two wrong channels, and exchanged channels searched afresh.
 
     From where the channels as they are led, the way to the rig of two exchanged ones can be too long; where not all is
-    seen, so can that of a channel, or all phases, with the other sign.
+    seen, so can that of a channel, or all phases, with the other sign, or that of another derivative.
     """
-    kinds = ("swap",) if bench.data.states is not None else ("swap", "sign", "conjugate")
+    kinds = ("swap",) if bench.data.states is not None else ("swap", "sign", "conjugate", "quantity")
     far = sorted((each for each in otherwise if each.trial.kind in kinds), key=lambda each: each.reduced)
     afresh = bench.searched([each.trial for each in far[:EXCHANGED]], seed)
     outcomes = [*cross_talk(bench, base, without_one, pool), *afresh]
@@ -252,7 +253,9 @@ def _usual_mistakes(bench: Workbench, base: Trial) -> list[Trial]:
             trials.append(
                 scaled(base, "delay", name, c, np.exp(1j * omega * delay).astype(np.complex128), delay)
             )
-    return trials
+    channels = bench.view.channels
+    motions = [c for c, channel in enumerate(channels) if not measures_input(bench.data.model, channel)]
+    return trials + of_another_derivative(base, channels, motions, omega)
 
 
 def _slightly_off(bench: Workbench, base: Trial, as_is: Outcome, pool: Sequence[Real]) -> list[Cause]:

@@ -5,6 +5,7 @@ Every remedy that leaves the rig as it is becomes one row of a batch: the same m
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -138,6 +139,27 @@ def conjugated_line(base: Trial, kind: str, of: tuple[str, ...], line: int) -> T
     y, V = base.y.copy(), base.V.copy()
     y[line], V[line] = np.conj(y[line]), np.conj(V[line])
     return Trial(kind, of, 1.0, y, V, base.kept)
+
+
+def of_another_derivative(
+    base: Trial, channels: Sequence[Channel], motions: Sequence[int], omega: Real
+) -> list[Trial]:
+    """All channels of the motion, which state one derivative, as another one: a table of accelerances as receptances.
+
+    motions: their indices; omega (lines,), rad/s.  None where they are one, or state several.
+    """
+    stated = {channels[c].quantity for c in motions}
+    if len(motions) < 2 or len(stated) > 1 or Quantity.FORCE in stated:
+        return []
+    (quantity,) = stated
+    trials = []
+    for power in (power for power in (-2, -1, 1, 2) if 0 <= quantity.derivative + power <= 2):
+        trial = base
+        for c in motions:
+            factor = ((1j * omega) ** -power).astype(np.complex128)
+            trial = scaled(trial, "quantity", channels[c].name, c, factor, power)
+        trials.append(replace(trial, of=tuple(channels[c].name for c in motions)))
+    return trials
 
 
 def mistakes_of_a_channel(base: Trial, channel: Channel, index: int, omega: Real) -> list[Trial]:

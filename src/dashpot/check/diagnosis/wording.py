@@ -11,7 +11,8 @@ from dashpot import units
 from dashpot.channel import Channel, Quantity
 from dashpot.check.diagnosis.candidate_elements import with_open_constants
 from dashpot.check.diagnosis.contradictions import Contradiction
-from dashpot.check.diagnosis.likeness import CLOSE, Likeness, known_ratio
+from dashpot.check.diagnosis.likeness import CLOSE, known_ratio
+from dashpot.check.diagnosis.other_quantities import other_quantities, other_quantity
 from dashpot.check.diagnosis.ranking import Cause
 from dashpot.check.diagnosis.stated_units import USUAL, unit_of_number
 from dashpot.errors import DashpotError, Problem
@@ -29,7 +30,6 @@ USUAL_UNITS = {
     Quantity.ACCELERATION: ("m/s²", "g", "mm/s²", "rad/s²"),
     Quantity.FORCE: ("N", "kN", "mN", "lbf"),
 }
-DERIVATIVES = (Quantity.DISPLACEMENT, Quantity.VELOCITY, Quantity.ACCELERATION)
 RATIOS_IN_WORDS = {
     2**0.5: "peak values for rms", 0.5**0.5: "rms for peak values", 2.0: "peak to peak", 0.5: "half of it",
 }  # fmt: skip
@@ -56,6 +56,8 @@ def finding(model: Model, channels: tuple[Channel, ...], cause: Cause) -> Findin
 
 def _of_channels(model: Model, channels: Sequence[Channel], cause: Cause) -> Finding | None:
     """A cause that is about channels alone and has a line to write, or another name; None for others."""
+    if cause.kind == "quantity" and len(channels) > 1 and cause.likeness is not None:
+        return other_quantities(model, channels, cause, cause.likeness)
     if cause.kind in ("sign", "unit", "gain", "delay", "quantity"):
         return _of_channel(model, channels[0], cause)
     if cause.kind == "swap":
@@ -100,7 +102,7 @@ def _of_channel(model: Model, channel: Channel, cause: Cause) -> Finding:
     elif cause.kind == "delay":
         mended, text = _late(channel, number, 1.0 if relation is None else relation.number)
     elif cause.kind == "quantity" and relation is not None:
-        mended, text = _other_quantity(channel, relation)
+        mended, text = other_quantity(channel, relation)
     else:
         mended, text = _other_unit(channel, number)
     line = channel_line(mended, model)
@@ -122,25 +124,6 @@ def _late(channel: Channel, late: float, factor: float) -> tuple[Channel, str]:
     if factor < 0 or abs(factor - 1) > CLOSE:
         text += f" and reads {_number(factor)} × what the rig gives"
     return mended, text
-
-
-def _other_quantity(channel: Channel, relation: Likeness) -> tuple[Channel, str]:
-    """Shown is (jω)^power times what the stated quantity would be."""
-    text = f"{channel.name} behaves like another derivative of the motion than {channel.quantity.value}"
-    if channel.quantity is Quantity.FORCE:
-        return channel, text
-    order = channel.quantity.derivative + relation.power
-    if not 0 <= order <= 2:
-        return channel, text
-    true = DERIVATIVES[order]
-    return (
-        replace(channel, quantity=true, unit="", scale=1.0),
-        f"{channel.name} behaves like {_article(true.value)}, not like {_article(channel.quantity.value)}",
-    )
-
-
-def _article(word: str) -> str:
-    return f"{'an' if word[0] in 'aeiou' else 'a'} {word}"
 
 
 def _other_unit(channel: Channel, number: float) -> tuple[Channel, str]:

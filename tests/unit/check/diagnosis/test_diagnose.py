@@ -128,6 +128,52 @@ def test_the_change_of_a_channel_mends_the_fit_as_it_is_written(mistake):
     assert float(identify(model, mended).fit.p) > 0.01
 
 
+def responses(order: int, *, given: bool = True) -> tuple[Model, Spectrum]:
+    """Responses of two masses to a force, of that order of derivative, in channels that state displacements."""
+    rng = np.random.default_rng(5)
+    model = Model(
+        ("x1", "x2"), (Input("f", "force", {"x2": 1.0}),),
+        (
+            mass("m1", "x1", value=2.0), mass("m2", "x2"), between("c1", Kind.DAMPER, "x1", "ground"),
+            between("c2", Kind.DAMPER, "x1", "x2"), between("k1", Kind.SPRING, "x1", "ground"),
+            between("k2", Kind.SPRING, "x1", "x2"),
+        ),
+    )  # fmt: skip
+    hz = np.linspace(2.0, 20.0, 40)
+    s = 2j * np.pi * hz[:, None, None]
+    D = s**2 * np.diag([2.0, 1.0]) + s * np.array([[11, -3], [-3, 3]]) + np.array([[11e3, -3e3], [-3e3, 3e3]])
+    Y = np.concatenate(
+        [s[:, 0] ** order * np.linalg.solve(D, np.array([[0.0], [1.0]]))[..., 0], np.ones((40, 1))], axis=1
+    )
+    sd = 0.01 * np.abs(Y) * np.array([1.0, 1.0, 0.0])
+    noise = (rng.normal(size=Y.shape) + 1j * rng.normal(size=Y.shape)) * sd
+    channels = (
+        Channel("x1", {"x1": 1.0}),
+        Channel("x2", {"x2": 1.0}),
+        Channel("f", {"f": 1.0}, Quantity.FORCE),
+    )
+    V = 2 * (sd**2)[:, :, None] * np.eye(3)
+    return model, Spectrum(
+        channels, hz, Y + noise, V if given else np.full_like(V, np.nan), np.ones(40, dtype=int), np.full(40, np.inf),
+        ("given" if given else "unknown",) * 40, np.zeros(40, dtype=int),
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize(("order", "given"), [(1, True), (2, True)])
+def test_a_table_of_accelerances_that_is_read_as_receptances_is_named(order: int, given: bool) -> None:
+    model, spectrum = responses(order, given=given)
+    assessment = examined(model, spectrum, identify(model, spectrum)).assessment
+    assert assessment is not None
+    finding = assessment.findings[0]
+    assert (finding.kind, finding.of) == ("quantity", ("x1", "x2"))
+    shown = ("velocities", "accelerations")[order - 1]
+    assert finding.text == f"x1 and x2 behave like {shown}, not like displacements"
+    _, channels = applied(model, spectrum.channels, finding)
+    assert [c.quantity.derivative for c in channels[:2]] == [order, order]
+    if given:
+        assert float(identify(model, replace(spectrum, channels=channels)).fit.p) > 0.001
+
+
 def seen_at_three_of_four(rng: np.random.Generator) -> tuple[Model, Spectrum]:
     """A random rig of four coordinates, one of them not measured, at 1 % noise."""
     rig = rigs.plain_rig(rng, 4)
