@@ -54,7 +54,7 @@ def without_dropouts(record: Record) -> tuple[Record, list[Notice]]:
 def _mended(record: Record, c: int) -> tuple[Real, int] | None:
     """A channel (samples,) with its missed samples put right, and how many; None where it misses none."""
     column = record.values[:, c]
-    runs = list(_runs(column))
+    runs = list(runs_of_one_value(column, SHORTEST))
     step = (record.time[-1] - record.time[0]) / (len(column) - 1)
     assert record.frequency_hz is not None
     periods = len(column) * step * record.frequency_hz
@@ -75,11 +75,11 @@ def _mended(record: Record, c: int) -> tuple[Real, int] | None:
     return (mended, samples) if 0 < count <= max(1.0, PER_PERIOD * periods) else None
 
 
-def _runs(column: Real) -> Iterator[tuple[int, int]]:
-    """Begin and end of each run of one number in a channel (samples,)."""
+def runs_of_one_value(column: Real, shortest: int) -> Iterator[tuple[int, int]]:
+    """Begin and end of each run of one number in a channel (samples,), of so many samples at the least."""
     edges = np.flatnonzero(np.diff(column) != 0) + 1
     begin, end = np.append(0, edges), np.append(edges, len(column))
-    long = end - begin >= SHORTEST
+    long = end - begin >= shortest
     yield from zip(begin[long].tolist(), end[long].tolist(), strict=True)
 
 

@@ -18,6 +18,7 @@ from dashpot.arrays import Complex, Ints, Real, diagonal_matrices
 from dashpot.channel import Channel
 from dashpot.data.calibration import calibration
 from dashpot.data.conditioning.clock import even_step, fewest_samples
+from dashpot.data.conditioning.held_samples import without_held_samples
 from dashpot.data.conditioning.still import Still, variance_at_rest
 from dashpot.data.record import Record
 from dashpot.data.spectrum import Spectrum, concatenate
@@ -249,7 +250,7 @@ def whole_records(
     polynomial: int = POLYNOMIAL,
     ramp: bool = False,
 ) -> Spectrum:
-    """Lines of several records, each with boundary loads of its own; records are cut where samples are missing.
+    """Lines of several records, each with boundary loads of its own; records are cut where samples are missing or held.
 
     Raises as `whole_record`.
     """
@@ -257,8 +258,11 @@ def whole_records(
     pieces: list[Record] = []
     for record in records:
         parts, told = without_gaps(record)
-        pieces += parts
         notes += told
+        for part in parts:
+            moving, told = without_held_samples(part)
+            pieces += moving
+            notes += told
     spectra = [
         whole_record(piece, band_hz=band_hz, still=still, polynomial=polynomial, ramp=ramp)
         for piece in pieces

@@ -113,6 +113,12 @@ DATA_NOTICES: tuple[tuple[str, str, str, str], ...] = (
         "Nothing; compare it with the noise of the sensor. A record at rest (`--noise-record`) tells it better.",
     ),
     (
+        "held_samples", RECORDS,
+        ("A channel of a whole record holds one value, or reads 0, for some samples while the motion goes on. The "
+        "parts on either side are used as separate records."),
+        "Check the cable and the connection.",
+    ),
+    (
         "dropouts", RECORDS,
         ("A channel holds one value, or reads 0, for some samples of a dwell while the motion goes on. The amplitudes "
         "are those of the other samples."),

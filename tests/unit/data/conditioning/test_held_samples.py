@@ -1,0 +1,76 @@
+"""Samples in which a channel holds a value while the motion goes on are cut out of whole records."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from dashpot.arrays import Real
+from dashpot.channel import Channel, Quantity
+from dashpot.data.conditioning.held_samples import without_held_samples
+from dashpot.data.conditioning.whole_record import whole_records
+from dashpot.data.record import Record
+
+CHANNELS = (Channel("x", {"x": 1.0}), Channel("f", {"f": 1.0}, Quantity.FORCE))
+N = 2000
+
+
+def moving(seed: int = 0, *, bits: int = 12, noise: float = 0.01) -> Real:
+    """A motion of many tones and noise through a converter, (samples,)."""
+    rng = np.random.default_rng(seed)
+    f, phase = rng.uniform(0.5, 12, 30), rng.uniform(0, 6.3, 30)
+    time = np.arange(N)[:, None] / 100
+    x = np.sum(np.cos(2 * np.pi * f * time + phase), axis=1)
+    x += noise * np.std(x) * rng.standard_normal(N)
+    step = 2 * np.max(np.abs(x)) / 2**bits
+    return np.asarray(step * np.round(x / step))
+
+
+def record(x: Real, f: Real | None = None) -> Record:
+    force = moving(1) if f is None else f
+    return Record(CHANNELS, np.arange(N) / 100, np.column_stack([x, force]), source="run.csv")
+
+
+@pytest.mark.parametrize("value", ["held", "zero"])
+def test_the_record_is_cut_where_a_channel_holds_a_value(value: str) -> None:
+    x = moving()
+    x[800:950] = x[800] if value == "held" else 0.0
+    parts, (note,) = without_held_samples(record(x))
+    assert [len(part.time) for part in parts] == [800, 1050]
+    assert (note.code, note.of) == ("held_samples", ("x",))
+    assert note.text.startswith("run.csv: x holds a value in 150 samples, first at 8 s")
+    lines = whole_records([record(x)])
+    assert len(lines.records) == 2
+    assert any(told.code == "held_samples" for told in lines.notes)
+
+
+def test_what_rests_for_a_reason_is_left_alone() -> None:
+    """A held drive, a limit, a coarse converter, a motion that dies away, a record that begins at rest."""
+    dying = 0.01 * np.round(100 * moving(2) * np.exp(-np.arange(N) / 150))
+    begun = moving(3)
+    begun[:150] = 0.0
+    for sound in (
+        record(moving(), np.repeat(moving(1)[::100], 100)),
+        record(np.clip(moving(), -5, 5)),
+        record(moving(bits=3)),
+        record(dying),
+        record(begun),
+        record(np.where(np.arange(N) % 400 < 60, 0.0, moving())),
+    ):
+        parts, notes = without_held_samples(sound)
+        assert len(parts) == 1
+        assert notes == ()
+
+
+def test_no_clean_record_is_cut() -> None:
+    for seed in range(40):
+        for bits in (6, 8, 12, 24):
+            assert without_held_samples(record(moving(seed, bits=bits, noise=0.0)))[1] == ()
+
+
+def test_repeats_stay_as_they_are() -> None:
+    one = record(moving())
+    two = replace(one, values=np.stack([one.values, one.values]))
+    assert without_held_samples(two) == ([two], ())
