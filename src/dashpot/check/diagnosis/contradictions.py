@@ -26,6 +26,7 @@ STEP = 0.02  # of a gain, that two ranges must differ by
 AS_WELL = 1.6  # times what the fit without the channel leaves: what the rig with it elsewhere may leave
 GROUP = 3  # lines in each of two ranges
 LEVELS = 60  # of a limit that are tried
+PASSED = 0.7  # of the lines that a filter lets through, what is left of them at the least
 CUT_OFF = (0.02, 50.0)  # times the lowest and the highest frequency: where a filter's corner may be
 
 
@@ -68,6 +69,18 @@ def contradiction_of(bench: Workbench, base: Trial, c: int, outcome: Outcome) ->
     )
     found = [form(shown) for form in forms] + _elsewhere(bench, c, outcome)
     left, best = min(found, key=lambda each: each[0])
+    return best if left < LEFT else None
+
+
+def filtered(frequency_hz: Real, expected: Complex, y: Complex) -> Contradiction | None:
+    """The filter through which lines y (lines,) show what they should, `expected`; None where none explains them.
+
+    Some of the lines must pass: what is less everywhere is another motion, or another unit.
+    """
+    shown = _Shown(frequency_hz, expected, y / expected)
+    if np.quantile(np.abs(shown.ratio), 0.9) < PASSED:
+        return None
+    left, best = min((form(shown) for form in (_low_pass, _high_pass)), key=lambda each: each[0])
     return best if left < LEFT else None
 
 

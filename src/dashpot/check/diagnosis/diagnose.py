@@ -9,7 +9,7 @@ import numpy as np
 from dashpot.check.branches import several_motions
 from dashpot.check.curvature import with_profile_intervals
 from dashpot.check.diagnosis.causes import causes
-from dashpot.check.diagnosis.channel_changes import channel_changes
+from dashpot.check.diagnosis.channel_changes import ChannelChange, channel_changes
 from dashpot.check.diagnosis.directed import directed_causes
 from dashpot.check.diagnosis.nonlinear_elements import MARKED, called_for
 from dashpot.check.diagnosis.ranking import Cause, points_of
@@ -46,6 +46,7 @@ PLAIN = (
 )  # mistakes of another kind
 OF_THE_RIG = ("value", "element", "nonlinear")  # kinds of causes
 EXPLAINED = 0.1  # of χ² that a rig which is another one leaves at the most
+LARGELY = 0.3  # of it that a fit without a channel leaves which is wrong in a way that has a name
 SHOWN = 2.0  # χ² per degree of freedom of whole records below which their steady part shows no misfit
 
 
@@ -142,10 +143,11 @@ def _diagnosed(
     rigs = _other_rigs(model, spectrum, estimate) if share >= EXPLAINED else RigChanges()
     if rigs.left < EXPLAINED:
         causes_found = _with_rigs_first(model, spectrum, rigs, causes_found)
-    explained = rigs.left < EXPLAINED or bool(_parted(causes_found)[0])
-    stepped = None if explained else _stepped_channel(model, spectrum, estimate, rigs)
-    if stepped is not None:
-        assessment, elements_found, share = with_change_in_time(assessment, stepped), (), 1.0
+    leading = _parted(causes_found)[0]
+    explained = rigs.left < EXPLAINED or bool(leading and _left(leading[0]) < SHOWN)
+    wrong = None if explained else _wrong_channel(model, spectrum, estimate, rigs)
+    if wrong is not None:
+        return _with_wrong_channel(model, spectrum, assessment, wrong, causes_found), ()
     if rigs.left < min(EXPLAINED, share / 2) or _of_another_linear_rig(causes_found, on_lines, share):
         elements_found = ()
     elif share < 1 - MARKED:
@@ -164,13 +166,32 @@ def _other_rigs(model: Model, spectrum: Spectrum, estimate: Estimate) -> RigChan
     return record_changes(model, spectrum, estimate)
 
 
-def _stepped_channel(model: Model, spectrum: Spectrum, estimate: Estimate, rigs: RigChanges) -> Notice | None:
-    """The channel whose gain or clock steps against all others, where the rig fits without it."""
+def _wrong_channel(
+    model: Model, spectrum: Spectrum, estimate: Estimate, rigs: RigChanges
+) -> ChannelChange | None:
+    """The channel that is wrong, or changes, against all others, where the rig fits without it."""
     if not np.isfinite(rigs.as_is):
         return None
-    most = rigs.noise + EXPLAINED * max(rigs.as_is - rigs.noise, 0.0)
-    stepped = channel_changes(model, with_quiet_noise(spectrum)[0], estimate, most)
-    return change_notice(stepped[0].change, len(spectrum.records)) if stepped else None
+    excess = max(rigs.as_is - rigs.noise, 0.0)
+    limits = rigs.noise + EXPLAINED * excess, rigs.noise + LARGELY * excess
+    wrong = channel_changes(model, with_quiet_noise(spectrum)[0], estimate, *limits)
+    return wrong[0] if wrong else None
+
+
+def _with_wrong_channel(
+    model: Model, spectrum: Spectrum, assessment: Assessment, wrong: ChannelChange, causes_found: tuple[Finding, ...]
+) -> Assessment:  # fmt: skip
+    """The assessment with that channel as its first cause; what else seems to change in time comes of it."""
+    if wrong.change is not None:
+        assessment = with_change_in_time(assessment, change_notice(wrong.change, len(spectrum.records)))
+        first = assessment.findings[0]
+    else:
+        assert wrong.cause is not None
+        reasons = tuple(reason for reason in assessment.reasons if reason.code not in TIME_CHANGES)
+        assessment = replace(assessment, reasons=reasons or assessment.reasons)
+        first = replace(finding(model, spectrum.channels, wrong.cause), remaining=None)
+    others = (each for each in causes_found if each.of != first.of)
+    return replace(assessment, findings=(first, *others))
 
 
 def _with_rigs_first(

@@ -70,3 +70,33 @@ def test_a_record_without_a_step_has_none(test_of_three: tuple[Model, Record]) -
     estimate = dashpot.identify(model, record, diagnose=True)
     assert estimate.assessment is not None
     assert estimate.assessment.findings == ()
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [
+        ("saturated", "clipped, or saturated"),
+        ("drift", "a zero that drifts"),
+        ("spikes", "jumps off the prediction"),
+    ],
+)
+def test_a_sensor_that_ends_drifts_or_spikes_is_named_first(
+    test_of_three: tuple[Model, Record], name: str, words: str
+) -> None:
+    """What one sensor alone does was "no simple reason", or blamed on another channel's clock."""
+    model, record = test_of_three
+    values = np.array(record.values)
+    x, size = values[:, 1], float(values[:, 1].std())
+    if name == "saturated":
+        values[:, 1] = 1.5 * size * np.tanh(x / (1.5 * size))
+    elif name == "drift":
+        values[:, 1] += 2 * size * np.linspace(-1, 1, len(values)) ** 2
+    else:
+        values[[300, 777, 1500], 1] += 6 * size
+    estimate = dashpot.identify(model, replace(record, values=values), diagnose=True)
+    assert estimate.assessment is not None
+    assert estimate.assessment.verdict == "does not fit"
+    first = estimate.assessment.findings[0]
+    assert first.of == ("x2_dis",)
+    assert words in first.text
