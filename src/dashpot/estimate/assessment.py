@@ -34,7 +34,7 @@ class Finding:
     of         what is meant: the channel, both channels of a swap or of two mistakes, the frequency of a dwell or of
                two, the points that an element would join; empty where it concerns everything
     text, change  in words, and what to write in the rig file or to do with the data
-    remaining  χ² over its degrees of freedom with the remedy taken; None where it was not tried
+    remaining  χ² over its degrees of freedom with the remedy taken; None where it was not tried or no noise is known
     number     what was found: a gain, a delay in s, a frequency in Hz, a parameter
     channels, elements  entries of the rig file as they would be; () where the data must be mended
     """

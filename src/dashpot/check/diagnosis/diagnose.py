@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from dashpot.arrays import diagonal_matrices
 from dashpot.check.branches import several_motions
 from dashpot.check.curvature import with_profile_intervals
 from dashpot.check.diagnosis.causes import causes
@@ -21,7 +22,7 @@ from dashpot.check.diagnosis.steady_lines import steady_lines
 from dashpot.check.diagnosis.wording import finding, in_place_of_laws, nonlinear_finding
 from dashpot.check.silent_channels import silent_channels
 from dashpot.check.verdict import BEYOND, UNTESTED, assess, with_change_in_time
-from dashpot.data.spectrum import Spectrum
+from dashpot.data.spectrum import FITTED, Spectrum
 from dashpot.errors import DashpotError, ModelError
 from dashpot.estimate.assessment import Assessment, Finding
 from dashpot.estimate.identify import identify
@@ -31,6 +32,7 @@ from dashpot.estimate.nonlinear.starting_values import linear_rig, starting_poin
 from dashpot.estimate.preparation.prepared import prepare
 from dashpot.estimate.result import Estimate
 from dashpot.model.network import Model
+from dashpot.model.observation import observation_model
 from dashpot.notices import Notice
 
 LARGEST = 12  # coordinates of the rigs that are diagnosed: trials of larger ones take too long to wait for
@@ -45,6 +47,8 @@ PLAIN = (
     "delay",
 )  # mistakes of another kind
 OF_THE_RIG = ("value", "element", "nonlinear")  # kinds of causes
+MUCH = 0.2  # of a channel's motion, left over without known noise
+SUPPOSED = 0.01  # of an amplitude: its noise where none is known
 EXPLAINED = 0.1  # of χ² that a rig which is another one leaves at the most
 LARGELY = 0.3  # of it that a fit without a channel leaves which is wrong in a way that has a name
 SHOWN = 2.0  # χ² per degree of freedom of whole records below which their steady part shows no misfit
@@ -74,6 +78,8 @@ def _misfit_and_causes(
         if not model.inputs:  # a free decay is nothing but a transient
             return np.nan, ()
         spectrum = steady_lines(model, spectrum)
+    if not spectrum.noise_known:
+        spectrum = _with_supposed_noise(model, spectrum)
     data = prepare(model, spectrum)
     middle, signs = candidates(data, 1, np.random.default_rng(seed))
     psi, sign = middle[0], signs[0]
@@ -87,6 +93,18 @@ def _misfit_and_causes(
     if transients and as_is < SHOWN:
         return as_is, ()
     return as_is, tuple(finding(model, spectrum.channels, cause) for cause in ranked_causes)
+
+
+def _with_supposed_noise(model: Model, spectrum: Spectrum) -> Spectrum:
+    """Amplitudes without known noise with a little of their size.
+
+    What a wrong rig leaves over, which else stands for it, lets every remedy explain all.
+    """
+    alone = observation_model(model, spectrum.channels, spectrum.omega).inputs_alone
+    power = np.where(spectrum.present, np.abs(spectrum.amplitudes) ** 2, 0.0)
+    mean = np.sum(power, axis=0) / np.maximum(np.sum(spectrum.present, axis=0), 1)
+    V = diagonal_matrices(np.where(alone, 0.0, SUPPOSED**2 * (power + SUPPOSED * mean)))
+    return replace(spectrum, covariance=V, noise=(FITTED,) * spectrum.lines)
 
 
 def _pushed_backwards(model: Model, spectrum: Spectrum, estimate: Estimate | None) -> tuple[Finding, ...]:
@@ -121,6 +139,8 @@ def examined(model: Model, spectrum: Spectrum, estimate: Estimate, *, seed: int 
     elements_found = _nonlinear_elements(model, spectrum, estimate) if linear else ()
     if linear and (assessment.verdict == "does not fit" or not bool(estimate.converged)):
         assessment, elements_found = _diagnosed(model, spectrum, estimate, assessment, elements_found, seed)
+    elif linear and not estimate.fit.known_noise and _leaves_much(assessment):
+        assessment = _with_causes_of_much(model, spectrum, estimate, assessment, seed)
     elif not linear and (assessment.verdict == "does not fit" or not bool(estimate.converged)):
         others = _where_laws_are_seen(model, spectrum, estimate, misfit)
         others = others or _in_place_of_laws(model, spectrum, misfit, seed)
@@ -128,6 +148,25 @@ def examined(model: Model, spectrum: Spectrum, estimate: Estimate, *, seed: int 
     if elements_found:
         assessment = _with_nonlinear_elements(assessment, elements_found, misfit)
     return _closed(model, spectrum, *_without_changes_in_time(estimate, assessment))
+
+
+def _leaves_much(assessment: Assessment) -> bool:
+    """Whether much of a channel's motion is left over, which noise that is not known may be or a wrong rig."""
+    return max(assessment.relative_residual.values(), default=0.0) > MUCH
+
+
+def _with_causes_of_much(
+    model: Model, spectrum: Spectrum, estimate: Estimate, assessment: Assessment, seed: int
+) -> Assessment:
+    """The assessment of a fit without known noise, which is none where a remedy explains most of what it leaves."""
+    on_lines, causes_found = _misfit_and_causes(model, spectrum, estimate, seed)
+    if not causes_found or not _left(causes_found[0]) < EXPLAINED * on_lines:
+        return assessment
+    name, left = max(assessment.relative_residual.items(), key=lambda each: each[1])
+    text = f"{100 * left:.0f} % of the motion at {name} is left over, of which one remedy explains most"
+    reasons = (Notice("much_left", text, (name,)), *(r for r in assessment.reasons if r.code not in UNTESTED))
+    kept = tuple(reason for reason in reasons if reason.code != "below_noise")
+    return replace(assessment, verdict="does not fit", reasons=kept, findings=causes_found)
 
 
 def _diagnosed(
@@ -211,6 +250,9 @@ def _parted(causes_found: tuple[Finding, ...]) -> tuple[tuple[Finding, ...], tup
 
 def _closed(model: Model, spectrum: Spectrum, estimate: Estimate, assessment: Assessment) -> Estimate:
     """The estimate with its assessment, of fits looked at closely, and with the intervals that suit it."""
+    if not estimate.fit.known_noise:  # what a remedy leaves has no measure
+        findings = tuple(replace(each, remaining=None) for each in assessment.findings)
+        assessment = replace(assessment, findings=findings)
     if assessment.verdict == "fits":
         assessment = _looked_at_closely(model, spectrum, estimate, assessment)
     if len(model.nonlinear):

@@ -99,6 +99,12 @@ NOTICES: tuple[tuple[str, str, str, str], ...] = (
         "Record the rig at rest and pass that record with `--noise-record`.",
     ),
     (
+        "much_left", _VERDICT,
+        ("No noise is known, much of a channel's motion is left over, and with one remedy most of that is explained: "
+        "noise would not be."),
+        "See the likely cause.",
+    ),
+    (
         "few_degrees", _VERDICT,
         "There are hardly more data than unknowns, so the test of the fit has little power.",
         "Add frequencies or channels.",

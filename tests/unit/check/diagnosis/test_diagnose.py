@@ -159,7 +159,7 @@ def responses(order: int, *, given: bool = True) -> tuple[Model, Spectrum]:
     )  # fmt: skip
 
 
-@pytest.mark.parametrize(("order", "given"), [(1, True), (2, True)])
+@pytest.mark.parametrize(("order", "given"), [(1, True), (2, True), (1, False), (2, False)])
 def test_a_table_of_accelerances_that_is_read_as_receptances_is_named(order: int, given: bool) -> None:
     model, spectrum = responses(order, given=given)
     assessment = examined(model, spectrum, identify(model, spectrum)).assessment
