@@ -287,7 +287,8 @@ def with_candidates(
         first = len(problem.begun[0])
         larger.constants = replace(free, starts=np.append(free.starts, range(first, first + laws)))
         larger.begun = tuple(np.append(start, np.zeros(laws)) for start in problem.begun)
-        larger.last = {}
+        larger.held = np.append(problem.held, np.ones(laws))
+        larger.last = problem.motions_of(extended)
         own = np.insert(own, [len(free.starts)] * laws, 0.0, axis=1)
     values = [before.get(name, 0.0) for name in names]
     at = np.concatenate([values, psi[m : problem.inner], own.ravel()])
@@ -302,7 +303,7 @@ def _scored(fitted: FittedRecords, candidates: Sequence[Element]) -> _Scored | N
     """What the slopes along the candidates say, None where no motion follows."""
     larger, at, added = with_candidates(fitted.problem, fitted.psi, candidates)
     gram, right = np.zeros((len(at), len(at))), np.zeros(len(at))
-    for residual, J in larger.residuals(at):
+    for residual, J in larger.sure_residuals(at):
         if J is None:
             return None
         flat = J.reshape(-1, len(at))

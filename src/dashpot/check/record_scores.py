@@ -86,10 +86,10 @@ def _columns(
     rows, shared, starts, added = [], [], [], []
     for motion in motions:
         own, at, each = replace(motion.problem, sd=np.where(sd > 0, sd, 1.0)), motion.psi, []
-        residual, J = own.residuals(at)[0]
+        residual, J = own.sure_residuals(at)[0]
         for first in range(0, len(candidates), TOGETHER):
             larger, more, places = with_candidates(own, at, candidates[first : first + TOGETHER])
-            slopes = larger.residuals(more)[0][1]
+            slopes = larger.sure_residuals(more)[0][1]
             if J is None or slopes is None:
                 return None
             each.append(slopes[..., list(places)].reshape(residual.size, -1))

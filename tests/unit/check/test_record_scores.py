@@ -7,11 +7,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from dashpot.check.element_evidence import with_candidates
 from dashpot.check.record_verdict import examined_records
 from dashpot.data.record import Record
 from dashpot.estimate.assessment import Assessment, applied
 from dashpot.estimate.nonlinear.whole_record import fit_records
-from dashpot.model.elements import Kind
+from dashpot.model.elements import Kind, between
+from dashpot.model.nonlinear import shooting
+from dashpot.model.nonlinear.force_law import Constant, force_law
 from tests.nonlinear_rigs import motions, two_masses
 from tests.unit.estimate.nonlinear.test_whole_record import record
 
@@ -55,3 +58,24 @@ def test_noise_calls_for_nothing_whatever_its_colour_or_course(colour: float) ->
         data.values + np.std(data.values, axis=0) * e * [0.01, 0.01, 0.03],
     ):
         assert judged("cubic", replace(data, values=noisy)).verdict == "cannot tell"
+
+
+def test_candidates_with_a_state_are_found_from_the_motion_of_the_rig(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Each was followed from sample to sample before, which took most of the time of a verdict."""
+    _, _, data = record("cubic", ALL, noise=0.01, samples=400)
+    fitted = fit_records(two_masses("cubic")[0], [data])
+    slider = between("s", Kind.SPRING, "x1", "u")
+    slider = replace(slider, force_law=force_law("jenkins", [Constant("slip", 3e-4)]))
+    afresh, at, (place,) = with_candidates(fitted.problem, fitted.psi, [slider])
+    afresh.last = {}
+    expected = afresh.sure_residuals(at)[0][1]
+    marched = []
+    monkeypatch.setattr(shooting, "_marched", lambda *given: marched.append(given))
+    slopes = with_candidates(fitted.problem, fitted.psi, [slider])[0].sure_residuals(at)[0][1]
+    assert not marched
+    assert expected is not None
+    assert slopes is not None
+    column = expected[..., place]
+    assert np.max(np.abs(slopes[..., place] - column)) < 1e-6 * np.max(np.abs(column))

@@ -116,12 +116,12 @@ def _likeliest_start(problem: RecordProblem, fixed: Real, start: Real) -> Real:
 
 def followed_records(problem: RecordProblem, psi: Real) -> list[FollowedRecord]:
     """The motions of a fit itself, ψ (M,), with the inputs that are taken for the true ones."""
-    motions = []
+    motions, last = [], problem.motions()
     for k, data in enumerate(problem.records):
         alone = np.concatenate([psi[: problem.inner], psi[problem.of_record(k)]])
         one = replace(
             problem, records=(problem.data_at(k, psi),), begun=(problem.begun[k],), substeps=(problem.substeps[k],),
-            last={}, inputs=None, sd=np.ones(len(data.names)),
+            last={0: last[k]} if k in last else {}, inputs=None, sd=np.ones(len(data.names)),
         )  # fmt: skip
         motions.append(FollowedRecord(one, alone, problem.residual(k, psi, slopes=False)[0] * problem.sd))
     return motions

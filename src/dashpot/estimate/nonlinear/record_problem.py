@@ -17,6 +17,7 @@ from dashpot.estimate.nonlinear.record_constants import RecordConstants, record_
 from dashpot.estimate.nonlinear.recorded_motion import (
     RecordedMotion,
     largest_states,
+    laws_with_state,
     recorded_motion,
     start_of,
 )
@@ -30,10 +31,11 @@ from dashpot.estimate.nonlinear.uncertain_inputs import (
 )
 from dashpot.model.dynamics import matrices
 from dashpot.model.network import Model
+from dashpot.model.nonlinear.alternating import operated_states
 from dashpot.model.nonlinear.integration import Integrator, Motion
 from dashpot.model.nonlinear.moving_base import moving_rig
 from dashpot.model.nonlinear.propagation import forcing
-from dashpot.model.nonlinear.shooting import integrate
+from dashpot.model.nonlinear.shooting import integrate, segment_length, segments_of
 from dashpot.model.nonlinear.tangent import tangent
 from dashpot.numerics.levenberg_marquardt import QuadraticModel
 
@@ -93,6 +95,23 @@ class RecordProblem:
         """The last motions as starts for other rigs of the same states."""
         return {k: replace(motion, along=None, forces={}) for k, motion in self.last.items()}
 
+    def motions_of(self, larger: Model) -> dict[int, Motion]:
+        """The same for a model with further elements of stop or play behind its own, whose states follow the motion."""
+        moved = {}
+        new = [(row, law) for row, law in laws_with_state(larger) if row >= len(self.model.elements)]
+        for k, motion in self.motions().items():
+            intervals = len(motion.state) - 1
+            first = segments_of(intervals, segment_length(intervals))
+            x, u = motion.state[:, : larger.n], self.records[k].inputs[:, : larger.D.shape[1]]
+            states, starts = [motion.state], [motion.starts]
+            for row, law in new:
+                width = next(c.value for c in law.constants if c.value is not None)
+                z = operated_states(law, x @ larger.B[row] + u @ larger.D[row], width)
+                states.append(z[:, None])
+                starts.append(z[first, None])
+            moved[k] = replace(motion, state=np.hstack(states), starts=np.hstack(starts))
+        return moved
+
     @property
     def steps(self) -> int:
         """Steps of all records together."""
@@ -106,6 +125,14 @@ class RecordProblem:
     def residuals(self, psi: Real, slopes: bool = True) -> list[tuple[Real, Real | None]]:
         """For each record: measured less shown, in standard deviations, and slopes of what is shown, (…, unknowns)."""
         return [self.residual(k, psi, slopes) for k in range(len(self.records))]
+
+    def sure_residuals(self, psi: Real) -> list[tuple[Real, Real | None]]:
+        """The same, followed from sample to sample where the last motions are too far off to lead to these."""
+        reached = self.residuals(psi)
+        if self.last and any(slopes is None for _, slopes in reached):
+            self.last = {}
+            reached = self.residuals(psi)
+        return reached
 
     def residual(self, k: int, psi: Real, slopes: bool = True) -> tuple[Real, Real | None]:
         """Those of one record."""

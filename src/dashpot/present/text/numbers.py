@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
+ROUNDING = 1e-14  # of a number: what is less is an error of its computation, no deviation
 DIGITS = 2  # of a standard deviation that are shown
 PLAIN = 7  # digits before the point from which powers of ten are used
 
@@ -20,12 +21,14 @@ def rounded(value: float, sd: float) -> tuple[str, str]:
 
 def alike(values: Sequence[float], sd: float) -> list[str]:
     """Several numbers to the last digit of one standard deviation, with one power of ten where they need it."""
-    if not (math.isfinite(sd) and sd > 0):
-        return [_six(value) for value in values]
+    finite = [abs(v) for v in values if math.isfinite(v)]
+    rounding = ROUNDING * max(finite, default=0.0)
+    if not (math.isfinite(sd) and sd > rounding):
+        return [_six(0.0 if abs(value) < rounding else value) for value in values]
     last = math.floor(math.log10(sd)) - DIGITS + 1
     if round(sd / 10.0**last) >= 10**DIGITS:  # 0.0996 → 0.10
         last += 1
-    largest = max((abs(v) for v in values if math.isfinite(v)), default=0.0)
+    largest = max(finite, default=0.0)
     top = max(math.floor(math.log10(largest)) if largest > 0 else last, last)
     if top >= PLAIN or (last <= -PLAIN and top < 0):
         power = top
