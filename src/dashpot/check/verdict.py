@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from dashpot.arrays import Bools, Complex, Real
+from dashpot.check.limited_channels import LIMITED, limited_channels
 from dashpot.check.record_residuals import hum_notices, mains_hum, standing_out
 from dashpot.check.residuals import Residuals, calibrations_of, residuals
 from dashpot.check.silent_channels import fundamental_lines, mostly_unheard
@@ -62,6 +63,7 @@ def assess(model: Model, spectrum: Spectrum, estimate: Estimate) -> Assessment:
     quiet = replace(left, normalised=np.where(tones, np.nan, left.normalised))
     motions = np.array([not measures_input(model, channel) for channel in spectrum.channels])
     in_time = [notice for notice in estimate.warnings if notice.code in TIME_CHANGES]
+    ended = limited_channels(left, spectrum, motions)
     against = [
         *unphysical(model, estimate),
         *unstable(estimate),
@@ -69,6 +71,7 @@ def assess(model: Model, spectrum: Spectrum, estimate: Estimate) -> Assessment:
         *_silent(model, spectrum),
         *(notice for notice in estimate.warnings if notice.code == DISAGREE),
         *in_time,
+        *ended,
         *standing_out(left, spectrum, motions, tones),
         *_smooth(
             quiet,
@@ -86,12 +89,15 @@ def assess(model: Model, spectrum: Spectrum, estimate: Estimate) -> Assessment:
     noise = _noise_alone(left, tuple(relative)) if _sized_elsewhere(estimate, spectrum) else {}
     return Assessment(
         verdict, (*against, *doubts), relative, _worst(left) if estimate.fit.dof > 0 else (),
-        findings=tuple(_finding_in_time(notice) for notice in in_time), relative_noise=noise,
+        findings=tuple(_finding_of(notice) for notice in (*ended, *in_time)), relative_noise=noise,
     )  # fmt: skip
 
 
-def _finding_in_time(notice: Notice) -> Finding:
-    """A change in the course of a record as what may be wrong; its remedy is not tried."""
+def _finding_of(notice: Notice) -> Finding:
+    """A change in the course of a record, or a channel that ends, as what may be wrong; its remedy is not tried."""
+    if notice.code == LIMITED:
+        change = f"drive less, widen the range, or leave {notice.of[0]} out if others show the motion"
+        return Finding("channel", notice.of, f"{notice.text}: clipped, or saturated?", change, None)
     question, remedy = IN_TIME[notice.code]
     return Finding("time", notice.of, f"{notice.text}: {question}", remedy, None)
 
@@ -102,7 +108,7 @@ def with_change_in_time(assessment: Assessment, notice: Notice) -> Assessment:
     What else seems to change in time is what the fit to that channel makes of the others.
     """
     reasons = [reason for reason in assessment.reasons if reason.code not in TIME_CHANGES]
-    return replace(assessment, reasons=(notice, *reasons), findings=(_finding_in_time(notice),))
+    return replace(assessment, reasons=(notice, *reasons), findings=(_finding_of(notice),))
 
 
 def _sized_elsewhere(estimate: Estimate, spectrum: Spectrum) -> bool:

@@ -9,19 +9,15 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.special import fdtrc
 
 from dashpot.arrays import Bools, Complex, Ints, Real
 from dashpot.check.diagnosis.contradictions import Contradiction, filtered
 from dashpot.check.diagnosis.likeness import ALIKE, Likeness, known_ratio, likeness
+from dashpot.check.limited_channels import limited
 from dashpot.data.stretch import history_of_lines
 
-LOUD = 0.95  # share of a channel's power in the lines by which it is compared
-LEVELS = (0.3, 0.5, 0.7, 0.85)  # of the largest motion, beyond which a channel may read less
-FAR = 0.999  # quantile of the motion that counts as the largest
 EXPLAINED = 0.6  # share of what is wrong that a form must explain
-IMPROBABLE = 1e-6  # p-value of a form by chance
-BENT = 0.6  # of the slope in the middle: what a channel near its limit shows at most
+LOUD = 0.95  # share of a channel's power in the lines by which it is compared
 PIECES = 48  # of a record, whose means say how the zero wanders
 STEPS, SUDDEN = 4, 0.7  # pieces that must make up this share of all that the zero moves, to be steps
 SURELY = 5.0  # standard deviations of a gain that differs from 1
@@ -61,40 +57,6 @@ def contradiction_in_record(of: ShownLines, unit: str) -> Likeness | Contradicti
         return through
     uncertain = float(np.sqrt(left * np.sum(shown**2) / np.sum(should**2) / (2 * len(of.order))))
     return times if abs(gain - 1) > max(RIGHT, SURELY * uncertain) else None
-
-
-def limited(shown: Real, should: Real, independent: int) -> float | None:
-    """Where a channel ends, if what it shows (samples,) bends away from what it should, whatever the time.
-
-    independent: how many of the samples are.  None where it does not bend, or where that explains too little.
-    """
-    largest = float(np.quantile(np.abs(should), FAR))
-    if largest == 0:
-        return None
-    p = should / largest
-    beyond = [np.maximum(side * p - level, 0.0) for side in (1, -1) for level in LEVELS]
-    straight = np.stack([np.ones(len(p)), p], axis=1)
-    whole = np.column_stack([straight, *beyond])
-    rest = _left(straight, shown)[1]
-    values, bent = _left(whole, shown)
-    freedom = independent - whole.shape[1]
-    if not 0 < bent < (1 - EXPLAINED) * rest or freedom < 1:
-        return None
-    if not fdtrc(len(beyond), freedom, (rest - bent) / len(beyond) / (bent / freedom)) < IMPROBABLE:
-        return None
-    slopes = [values[1] + side * np.sum(values[2:][k * 4 : k * 4 + 4]) for k, side in enumerate((1, -1))]
-    side = int(np.argmin(np.abs(slopes)))
-    if not abs(slopes[side]) < BENT * abs(values[1]):
-        return None
-    end = np.array([1.0, (1, -1)[side]])
-    reach = [max(1 - level, 0.0) for level in LEVELS]
-    return float(abs(end @ values[:2] + np.sum(values[2 + 4 * side : 6 + 4 * side] * reach)))
-
-
-def _left(columns: Real, y: Real) -> tuple[Real, float]:
-    """Values of a least-squares fit and the sum of squares that it leaves."""
-    values: Real = np.linalg.lstsq(columns, y, rcond=1e-10)[0].astype(np.float64)
-    return values, float(np.sum((y - columns @ values) ** 2))
 
 
 def _wander(away: Real, duration_s: float, unit: str) -> Contradiction | None:

@@ -280,6 +280,11 @@ NOTICES: tuple[tuple[str, str, str, str], ...] = (
         "Widen `--band`, or record for longer.",
     ),
     (
+        "limited_channel", _ESTIMATE,
+        "A channel of a whole record reads less than it should where the motion is large: clipped, or saturated.",
+        "Drive less or widen the range; leave the channel out where others show the motion.",
+    ),
+    (
         "residual_jump", _ESTIMATE,
         ("At one moment of a whole record a channel departs from the prediction, or all residuals are loud for a "
         "while: samples were lost although the time stamps are even, or something struck the rig. Across the lines "
