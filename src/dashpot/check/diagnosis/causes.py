@@ -8,10 +8,11 @@ from dataclasses import replace
 import numpy as np
 
 from dashpot.arrays import Real
+from dashpot.channel import Quantity
 from dashpot.check.diagnosis.bad_dwells import bad_dwells
 from dashpot.check.diagnosis.contradictions import contradiction_of
 from dashpot.check.diagnosis.crosstalk import cross_talk
-from dashpot.check.diagnosis.likeness import RATIOS, Likeness, likeness
+from dashpot.check.diagnosis.likeness import OF_FORCES, RATIOS, Likeness, known_ratio, likeness
 from dashpot.check.diagnosis.loud_dwells import OF_A_DWELL, at_loud_dwells, beside_loud_dwells
 from dashpot.check.diagnosis.nonlinear_elements import ENOUGH, called_for
 from dashpot.check.diagnosis.open_calibrations import as_stated, with_open_calibrations
@@ -309,7 +310,10 @@ def _mended_channels(
     for c, outcome in enumerate(without_one):
         expected = bench.expected(outcome)[:, c]
         relation = likeness(base.y[:, c], expected, omega, base.kept[:, c])
+        force = bench.view.channels[c].quantity is Quantity.FORCE
         for form in (SIGN, *([] if relation is None else relation.rounded())):
+            if force and form.kind == "unit" and known_ratio(form.number) not in OF_FORCES:
+                continue
             trials.append(with_form(base, bench.view.channels[c].name, c, form, omega))
             relations.append(form)
     return [

@@ -12,6 +12,7 @@ RATIOS = (
     1e3, 1e-3, 1e6, 1e-6, 100.0, 0.01, 9.80665, 1 / 9.80665, 2**0.5, 0.5**0.5, 2.0, 0.5,
     180 / np.pi, np.pi / 180, 2 * np.pi, 1 / (2 * np.pi), 25.4, 1 / 25.4, 0.0254, 1 / 0.0254, 9806.65, 1 / 9806.65,
 )  # fmt: skip
+OF_FORCES = RATIOS[:12]  # forces are in no inches and no degrees
 CLOSE = 0.015  # relative distance within which a gain is taken for a known ratio
 NEAR = 0.25  # nepers within which a usual ratio is tried in the place of what was found
 PERIODS = 1.5  # of the highest frequency: the longest delay that is looked for

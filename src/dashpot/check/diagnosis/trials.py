@@ -12,7 +12,7 @@ import numpy as np
 
 from dashpot.arrays import Bools, Complex, Real
 from dashpot.channel import Channel, Quantity
-from dashpot.check.diagnosis.likeness import RATIOS, Likeness
+from dashpot.check.diagnosis.likeness import OF_FORCES, RATIOS, Likeness
 from dashpot.estimate.likelihood.nuisance import inputs_seen
 from dashpot.estimate.preparation.prepared import Prepared
 from dashpot.model.observation import ObservationModel
@@ -169,7 +169,8 @@ def mistakes_of_a_channel(base: Trial, channel: Channel, index: int, omega: Real
         scaled(base, "sign", name, index, -1.0, -1.0),
         conjugated(base, "conjugate", (name,), np.arange(base.y.shape[1]) == index),
     ]
-    trials += [scaled(base, "unit", name, index, 1 / ratio, ratio) for ratio in RATIOS]
+    ratios = OF_FORCES if channel.quantity is Quantity.FORCE else RATIOS
+    trials += [scaled(base, "unit", name, index, 1 / ratio, ratio) for ratio in ratios]
     trials += [
         scaled(base, "quantity", name, index, ((1j * omega) ** -power).astype(np.complex128), power)
         for power in (-2, -1, 1, 2)

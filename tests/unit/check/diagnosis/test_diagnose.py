@@ -174,6 +174,15 @@ def test_a_table_of_accelerances_that_is_read_as_receptances_is_named(order: int
         assert float(identify(model, replace(spectrum, channels=channels)).fit.p) > 0.001
 
 
+def test_responses_over_radians_per_second_are_no_force_in_inches() -> None:
+    """(2π)² is 39.5, an inch 1 / 39.37 m: "f reads 0.0254 × what the rig gives" had been named, as another unit."""
+    model, spectrum = responses(0)
+    labelled = replace(spectrum, frequency_hz=2 * np.pi * spectrum.frequency_hz)
+    finding = diagnose(model, labelled)[0]
+    assert (finding.kind, finding.of) == ("frequency", ())
+    assert "rad/s given as Hz" in finding.text
+
+
 def seen_at_three_of_four(rng: np.random.Generator) -> tuple[Model, Spectrum]:
     """A random rig of four coordinates, one of them not measured, at 1 % noise."""
     rig = rigs.plain_rig(rng, 4)
