@@ -18,7 +18,7 @@ from dashpot.data.spectrum import Spectrum
 from dashpot.data.stretch import WholeRecord
 from dashpot.errors import DashpotError
 from dashpot.estimate.likelihood.descent import NEAR_END, ROUGH, Effort, Likelihood
-from dashpot.estimate.likelihood.global_search import LocalMinima
+from dashpot.estimate.likelihood.local_minima import LocalMinima
 from dashpot.estimate.likelihood.thinning import thinned
 from dashpot.estimate.preparation.prepared import Prepared
 from dashpot.model.network import Model

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
 from dashpot.arrays import Ints, Real
 from dashpot.errors import ConvergenceError
 from dashpot.estimate.likelihood.chunks import Measured
-from dashpot.estimate.likelihood.descent import ROUGH, Likelihood, Stage, descend_all
+from dashpot.estimate.likelihood.descent import NEAR_END, ROUGH, Likelihood, Stage, descend_all
+from dashpot.estimate.likelihood.local_minima import COMPETING, LocalMinima
 from dashpot.estimate.likelihood.objective import directly_driven, measured
 from dashpot.estimate.likelihood.starting_values import candidates, neighbours
 from dashpot.estimate.likelihood.thinning import thinned
@@ -40,56 +40,9 @@ SMALL_PART = 0.1  # of the middle candidate, below which a start by the equation
 DRAWS = 8  # about an end whose parts noise leaves uncertain, where all is seen
 AROUND = 2.0  # of its standard deviations: minima whose parts differ in sign were found from half of them
 DEEPEST = 8  # minima that are followed to the bottom
-COMPETING = (
-    60.0  # χ² by which a minimum may lie above the lowest one of one repeat and be the lowest of another
-)
 SAME = 1e-3  # of the largest relative change: what differs by less between two minima is not named
 TIE = 0.01  # of χ²: what fits alike
 DOUBT = 9.2  # χ² by which another minimum may lie above and be told to the user: odds of 100 to 1
-
-
-@dataclass(frozen=True)
-class LocalMinima:
-    """Where searches ended, the lowest first: psi (V, M), signs of the channels (V, channels), cost (V,)."""
-
-    psi: Real
-    sign: Real
-    cost: Real
-
-    @staticmethod
-    def none(unknowns: int, channels: int) -> LocalMinima:
-        """No minima yet."""
-        return LocalMinima(np.empty((0, unknowns)), np.empty((0, channels)), np.empty(0))
-
-    def with_ends(self, psi: Real, sign: Real, cost: Real) -> LocalMinima:
-        """With more ends, (k, M), (k, channels) and (k,).
-
-        Those within 2 % of a lower one in every unknown are left out.
-        """
-        psi, sign = np.concatenate([self.psi, psi]), np.concatenate([self.sign, sign])
-        cost = np.concatenate([self.cost, cost])
-        kept: list[int] = []
-        for k in np.argsort(cost):
-            size = np.maximum(np.abs(psi[k]), np.abs(psi[kept]))
-            near = np.abs(psi[k] - psi[kept]) <= 0.02 * size
-            if np.isfinite(cost[k]) and not np.any(
-                np.all(near, axis=-1) & np.all(sign[k] == sign[kept], axis=-1)
-            ):
-                kept.append(int(k))
-            if len(kept) == 4 * DEEPEST:
-                break
-        return self if not kept else LocalMinima(psi[kept], sign[kept], cost[kept])
-
-    def led_by(self, psi: Real, sign: Real) -> LocalMinima:
-        """With ψ (1, M) and signs (1, channels) in the place of the first."""
-        return LocalMinima(
-            np.concatenate([psi, self.psi[1:]]), np.concatenate([sign, self.sign[1:]]), self.cost
-        )
-
-    def competing(self, rows: int) -> LocalMinima:
-        """Those that may be as likely as the lowest one, if noise is what that leaves of so many `rows`."""
-        near = self.cost <= self.cost[:1] * (1 + COMPETING / max(rows, 1))
-        return LocalMinima(self.psi[near], self.sign[near], self.cost[near])
 
 
 # From minima to the answer of each repeat
@@ -132,13 +85,22 @@ def _scale(likelihood: Likelihood, minima: LocalMinima) -> float:
 
 
 def followed_minima(likelihood: Likelihood, minima: LocalMinima) -> LocalMinima:
-    """The minima that compete with the lowest one, followed further down in the first repeat."""
-    margin = COMPETING * _scale(likelihood, minima)
+    """The minima that compete with the lowest one, followed further down in the first repeat.
+
+    They may have been found in fewer lines: where they are many, some steps of all of them tell which are low here.
+    """
     first = np.array([0])
-    deeper = LocalMinima(minima.psi[:0], minima.sign[:0], minima.cost[:0])
     acceptable = _acceptable(likelihood.data, likelihood.exact, minima.psi.shape[-1])
     most = 2 * DEEPEST if minima.cost[0] <= FAR * acceptable else DEEPEST // 2
-    for k in np.flatnonzero(minima.cost <= minima.cost[0] + margin)[:most]:
+    minima = minima.within(COMPETING * _scale(likelihood, minima))
+    none = LocalMinima.none(minima.psi.shape[1], minima.sign.shape[1])
+    for limit in (PATIENCE, ROUGH) if len(minima.cost) > most else ():
+        rows = np.zeros(len(minima.cost), dtype=int)
+        ends = likelihood.descend_in(likelihood.exact, minima.psi, minima.sign, limit, rows, near=NEAR_END)
+        minima = none.with_ends(ends.x, minima.sign, ends.cost)
+        minima = minima.within(COMPETING * _scale(likelihood, minima))
+    deeper = none
+    for k in range(min(len(minima.cost), most)):
         end = likelihood.descend(minima.psi[k : k + 1], minima.sign[k : k + 1], repeats=first, limit=ROUGH)
         if end.converged[0] or k == 0:
             deeper = deeper.with_ends(end.x, minima.sign[k : k + 1], end.cost)

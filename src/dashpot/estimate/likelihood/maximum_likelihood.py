@@ -11,7 +11,6 @@ from dashpot.arrays import Real
 from dashpot.estimate.likelihood.descent import ROUGH, Effort, Likelihood
 from dashpot.estimate.likelihood.free_decay import decay_minima
 from dashpot.estimate.likelihood.global_search import (
-    LocalMinima,
     fits,
     followed_minima,
     from_minima,
@@ -20,6 +19,7 @@ from dashpot.estimate.likelihood.global_search import (
     searched_again,
     seen_directly,
 )
+from dashpot.estimate.likelihood.local_minima import LocalMinima
 from dashpot.estimate.likelihood.record_start import record_starts
 from dashpot.estimate.likelihood.reduced_search import is_reducible, reduced_search
 from dashpot.estimate.likelihood.starting_values import candidates
@@ -114,11 +114,14 @@ class MaximumLikelihood(Method):
             return from_minima(likelihood, minima)
         return likelihood.descend(start, sign), sign, ()
 
-    def rough(self, data: Prepared, *, typical: int | None = None) -> LocalMinima:
+    def rough(
+        self, data: Prepared, more: Prepared | None = None, *, typical: int | None = None
+    ) -> LocalMinima:
         """What the descents of one repeat end in, whatever it is, the lowest first, and what competes with it.
 
         One descent where all is seen, from the equation of motion weighted evenly, or as a typical rig has it: that
         of this number, of which 0 is the middle of all.
+        Elsewhere `more` lines than those that are searched tell which minima are low.
         Raises as `solve`.
         """
         likelihood = Likelihood.of(data, self.effort)
@@ -128,8 +131,9 @@ class MaximumLikelihood(Method):
             end = likelihood.descend(start, sign, limit=ROUGH)
             if np.all(np.isfinite(end.cost)):
                 return LocalMinima(end.x, sign, end.cost)
-        ends = followed_minima(likelihood, global_minima(likelihood, 0))
-        return ends.competing(likelihood.exact.rows)
+        judged = likelihood if more is None else Likelihood.of(more, self.effort)
+        ends = followed_minima(judged, global_minima(likelihood, 0))
+        return ends.competing(judged.exact.rows)
 
     @property
     def effort(self) -> Effort:

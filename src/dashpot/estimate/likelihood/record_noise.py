@@ -22,8 +22,9 @@ from dashpot.data.stretch import WholeRecord
 from dashpot.errors import DataError
 from dashpot.estimate.likelihood.chunks import Measured
 from dashpot.estimate.likelihood.free_decay import decay_minima
-from dashpot.estimate.likelihood.global_search import LocalMinima, seen_directly
+from dashpot.estimate.likelihood.global_search import seen_directly
 from dashpot.estimate.likelihood.input_noise import InputNoise, noise_counted, without_moved
+from dashpot.estimate.likelihood.local_minima import LocalMinima
 from dashpot.estimate.likelihood.maximum_likelihood import MaximumLikelihood
 from dashpot.estimate.likelihood.objective import bounds, local, measured, predict
 from dashpot.estimate.likelihood.record_sums import record_residuals
@@ -199,11 +200,12 @@ def _begun(data: Prepared, exact: Measured, method: MaximumLikelihood) -> LocalM
     if len(decays.cost) and _is_sound(view, exact, best.psi[:1], best.sign[:1], cost):
         return best
     few = thinned(data, EACH_TO_START)
-    first = method.rough(_with_states(few))
+    many = thinned(data, EACH_IN_DOUBT)
+    first = method.rough(_with_states(few), many)
     best, cost = min((best, cost), _further(view, exact, first, method), key=lambda end: end[1])
     if _is_sound(view, exact, best.psi[:1], best.sign[:1], cost):
         return best
-    many = _with_states(thinned(data, EACH_IN_DOUBT))
+    many = _with_states(many)
     others = [] if few is data else [method.rough(many)]
     # What is seen in part is searched from many rigs as it is.
     rigs = TYPICAL if many.states is not None and seen_directly(many) else 1

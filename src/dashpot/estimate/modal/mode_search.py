@@ -11,7 +11,8 @@ from scipy.special import chdtrc
 from dashpot.arrays import Ints, Real
 from dashpot.data.modal_data import ModalData
 from dashpot.errors import ConvergenceError, DataError, IdentifiabilityError, UsageError
-from dashpot.estimate.likelihood.global_search import COMPETING, TIE
+from dashpot.estimate.likelihood.global_search import TIE
+from dashpot.estimate.likelihood.local_minima import COMPETING
 from dashpot.estimate.modal.mode_residuals import modal_misfit
 from dashpot.estimate.modal.pairing import MeasuredModes, measured_modes, with_one_axis
 from dashpot.estimate.modal.starting_values import guessed, like_parts, linear_start, random_rigs, usual_parts

@@ -12,7 +12,7 @@ from dashpot.channel import Channel, Quantity
 from dashpot.data.spectrum import concatenate
 from dashpot.errors import ConvergenceError, IdentifiabilityError, UsageError
 from dashpot.estimate.identify import automatic, identify
-from dashpot.estimate.likelihood.global_search import LocalMinima
+from dashpot.estimate.likelihood.local_minima import LocalMinima
 from dashpot.estimate.likelihood.maximum_likelihood import MaximumLikelihood
 from dashpot.estimate.linear.instrumental_variables import OptimalIV
 from dashpot.estimate.result import Estimate
