@@ -197,6 +197,8 @@ def _jump(of: _Histories) -> TimeChange | None:
     usual = (wide[0] - narrow[0]) / np.maximum(wide[1] - narrow[1], 1)
     usual = np.maximum(usual, _louder_with_motion(of, usual))
     size = np.abs(e) / np.sqrt(np.where(usual > 0, usual, np.inf))
+    edge = round(AT_ONCE * each)  # the terms of the ends have their own errors
+    size[:edge] = size[len(size) - edge :] = 0.0
     limit = max(LEAST, -float(ndtri(IMPROBABLE * each / (2 * len(e)))))
     far = np.flatnonzero(size > limit)
     if not len(far):

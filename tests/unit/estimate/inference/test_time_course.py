@@ -138,6 +138,16 @@ def test_spikes_are_counted() -> None:
     assert change_notice(change, 1).code == "spikes"
 
 
+@pytest.mark.parametrize("sample", [0, 3, SAMPLES - 2])
+def test_what_stands_out_at_an_end_of_the_record_is_no_spike(sample: int) -> None:
+    """The terms of the ends are estimated with the rest, and what they lack of the band stands there."""
+    rng = np.random.default_rng(8)
+    x = motion(rng)
+    y = x + NOISE * rng.normal(size=x.shape)
+    y[sample, 0] += 5.0
+    assert changes(y, x) == ()
+
+
 def test_a_jump_of_all_channels_is_one() -> None:
     """What dies away from one time on, as after samples that are lost."""
     rng = np.random.default_rng(9)
