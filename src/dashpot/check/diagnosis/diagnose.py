@@ -47,6 +47,7 @@ PLAIN = (
     "delay",
 )  # mistakes of another kind
 OF_THE_RIG = ("value", "element", "nonlinear")  # kinds of causes
+LEFT_OUT = ("channel", "dwell")  # remedies that leave data out
 MUCH = 0.2  # of a channel's motion, left over without known noise
 SUPPOSED = 0.01  # of an amplitude: its noise where none is known
 EXPLAINED = 0.1  # of χ² that a rig which is another one leaves at the most
@@ -160,7 +161,8 @@ def _with_causes_of_much(
 ) -> Assessment:
     """The assessment of a fit without known noise, which is none where a remedy explains most of what it leaves."""
     on_lines, causes_found = _misfit_and_causes(model, spectrum, estimate, seed)
-    if not causes_found or not _left(causes_found[0]) < EXPLAINED * on_lines:
+    mended = [each for each in causes_found[:1] if each.kind not in LEFT_OUT]
+    if not mended or not _left(mended[0]) < EXPLAINED * on_lines:
         return assessment
     name, left = max(assessment.relative_residual.items(), key=lambda each: each[1])
     text = f"{100 * left:.0f} % of the motion at {name} is left over, of which one remedy explains most"

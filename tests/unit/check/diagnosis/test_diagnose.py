@@ -174,6 +174,19 @@ def test_a_table_of_accelerances_that_is_read_as_receptances_is_named(order: int
         assert float(identify(model, replace(spectrum, channels=channels)).fit.p) > 0.001
 
 
+def test_noise_that_is_not_known_is_no_misfit_where_leaving_a_channel_out_explains_it() -> None:
+    """Amplitudes of x1 that are nothing but noise: there is no remedy but to leave them out."""
+    model, spectrum = responses(0, given=False)
+    rng = np.random.default_rng(6)
+    amplitudes = np.array(spectrum.amplitudes)
+    size = np.sqrt(np.mean(np.abs(amplitudes[:, 0]) ** 2))
+    amplitudes[:, 0] += size * (rng.normal(size=40) + 1j * rng.normal(size=40))
+    noisy = replace(spectrum, amplitudes=amplitudes)
+    assessment = examined(model, noisy, identify(model, noisy)).assessment
+    assert assessment is not None
+    assert assessment.verdict == "cannot tell"
+
+
 def test_responses_over_radians_per_second_are_no_force_in_inches() -> None:
     """(2π)² is 39.5, an inch 1 / 39.37 m: "f reads 0.0254 × what the rig gives" had been named, as another unit."""
     model, spectrum = responses(0)
