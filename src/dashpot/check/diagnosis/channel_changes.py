@@ -16,7 +16,7 @@ from dashpot.check.diagnosis.contradictions import Contradiction
 from dashpot.check.diagnosis.likeness import Likeness
 from dashpot.check.diagnosis.ranking import Cause
 from dashpot.check.diagnosis.record_changes import MOST_AMPLITUDES
-from dashpot.check.diagnosis.record_contradictions import ShownLines, contradiction_in_record
+from dashpot.check.diagnosis.record_contradictions import ComparedLines, contradiction_in_record
 from dashpot.check.diagnosis.search import LONG, Workbench, descended
 from dashpot.check.diagnosis.steady_lines import steady_lines
 from dashpot.check.diagnosis.trials import untouched, without
@@ -102,7 +102,7 @@ def _told(model: Model, spectrum: Spectrum, c: int, predicted: Complex, left: fl
         stretch = spectrum.stretches[number]
         assert isinstance(stretch, WholeRecord)
         f = spectrum.frequency_hz[its]
-        lines = ShownLines(y[its], predicted[its], f, stretch.orders(f), stretch.duration_s)
+        lines = ComparedLines(y[its], predicted[its], f, stretch.orders(f), stretch.duration_s)
         forms.append(contradiction_in_record(lines, channel_unit(model, channel)))
     causes = [_cause(channel.name, form, left) for form in forms if form is not None]
     surely = [cause for cause in causes if cause.kind != "gain"]

@@ -25,7 +25,7 @@ RIGHT = 0.02  # of a gain: what is nearer to 1 is right
 
 
 @dataclass(frozen=True)
-class ShownLines:
+class ComparedLines:
     """A channel of one record beside what it should show, (lines,): amplitudes, Hz, multiples of 1/T; T in s."""
 
     y: Complex
@@ -35,7 +35,7 @@ class ShownLines:
     duration_s: float
 
 
-def contradiction_in_record(of: ShownLines, unit: str) -> Likeness | Contradiction | None:
+def contradiction_in_record(of: ComparedLines, unit: str) -> Likeness | Contradiction | None:
     """How a channel differs from what it should show, in its `unit`; None where no one form says it."""
     samples = 2 * (int(np.max(of.order)) + 1)
     shown, should = (history_of_lines(values, of.order, samples) for values in (of.y, of.expected))

@@ -352,20 +352,24 @@ def _pooled(
     mean = np.stack([np.mean(power[lines], axis=0) for lines in records])
     per_sample = np.stack([np.full(power.shape[1], 1 / samples[lines[0]]) for lines in records])
     relative = np.stack([np.mean(size[lines], axis=0) for lines in records])
-    limit = float(chdtri(max(len(records) - 1, 1), POOL_LEVEL))
     together = True
-    for c in np.flatnonzero(outputs):
+    seen = (mean > 0) & (relative > 0)
+    for c in np.flatnonzero(outputs & np.any(seen, axis=0)):
+        there = seen[:, c]  # in the others the channel is missing
+        shown, lines_each = mean[there, c], count[there]
         choices = []
-        for scale in (per_sample[:, c], relative[:, c]):
-            level = np.sum(count * mean[:, c] / scale) / np.sum(count)
+        for scale in (per_sample[there, c], relative[there, c]):
+            level = np.sum(lines_each * shown / scale) / np.sum(lines_each)
             with np.errstate(divide="ignore"):
-                scatter = 2 * float(np.sum(count * np.log(level * scale / mean[:, c])))
+                scatter = 2 * float(np.sum(lines_each * np.log(level * scale / shown)))
             choices.append((scatter, level * scale))
         scatter, common = min(choices, key=lambda choice: choice[0])
-        alike = scatter < limit or 2 * left * np.min(count) < TELLING
+        alike = (
+            scatter < chdtri(max(len(shown) - 1, 1), POOL_LEVEL) or 2 * left * np.min(lines_each) < TELLING
+        )
         together &= alike
-        for lines, value in zip(records, common if alike else mean[:, c], strict=True):
-            variance[lines, c] = value
+        for number, value in zip(np.flatnonzero(there), common if alike else shown, strict=True):
+            variance[records[number], c] = value
     for lines, each in zip(records, count, strict=True):
         dof[lines] = 2.0 * (np.sum(count) if together else each)
 

@@ -93,7 +93,7 @@ def regression(motion: MeasuredMotion, constants: Real, weight: Real) -> tuple[R
     The terms' own sizes do not count: they cancel where constants, as `MeasuredMotion.unit_forces` takes them, are far
     off.
     """
-    N, right, Phi, h = normal_equations(motion, constants, weight)
+    N, right, Phi, h = weighted_normal_equations(motion, constants, weight)
     p = solve_scaled(N, right)
     e = h - np.einsum("klnu,ku->kln", Phi, p)
     power = np.sum(np.abs(h) ** 2 * weight[:, None], axis=(1, 2))
@@ -101,7 +101,7 @@ def regression(motion: MeasuredMotion, constants: Real, weight: Real) -> tuple[R
     return p, residual
 
 
-def normal_equations(
+def weighted_normal_equations(
     motion: MeasuredMotion, constants: Real, weight: Real
 ) -> tuple[Real, Real, Complex, Complex]:
     """Those of `regression`: N (K, u, u), right side (K, u), regressors (K, lines, n, u), known side (K, lines, n)."""

@@ -16,9 +16,9 @@ from dashpot.estimate.nonlinear.dwells import dwells_of
 from dashpot.estimate.nonlinear.regression import (
     MeasuredMotion,
     measured_motion,
-    normal_equations,
     regression,
     scale_of_lines,
+    weighted_normal_equations,
 )
 from dashpot.estimate.preparation.prepared import Prepared
 from dashpot.model.elements import Element
@@ -107,7 +107,7 @@ def _refuse(motion: MeasuredMotion, constants: Real, weight: Real) -> NoReturn:
     """Raises IdentifiabilityError: no trial of the inner constants, such as these (G,), determines the parameters."""
     strengths = np.any(motion.model.T, axis=0)
     names = [name for name, there in zip(motion.model.unknown_names, strengths, strict=True) if there]
-    require_traces(motion.model, names, normal_equations(motion, constants[None], weight)[0][0])
+    require_traces(motion.model, names, weighted_normal_equations(motion, constants[None], weight)[0][0])
     raise IdentifiabilityError(
         "the measured motion does not determine the unknowns",
         cure="give guesses of the unknowns, or drive the rig at more frequencies and in more sizes",

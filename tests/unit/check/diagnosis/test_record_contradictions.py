@@ -10,7 +10,7 @@ import pytest
 from dashpot.arrays import Complex, Real
 from dashpot.check.diagnosis.contradictions import Contradiction
 from dashpot.check.diagnosis.likeness import Likeness
-from dashpot.check.diagnosis.record_contradictions import ShownLines, contradiction_in_record
+from dashpot.check.diagnosis.record_contradictions import ComparedLines, contradiction_in_record
 from dashpot.data.stretch import history_of_lines
 
 LINES, DURATION = 400, 20.0
@@ -39,7 +39,7 @@ def form(y: Complex, e: Complex, seed: int) -> Likeness | Contradiction | None:
     rng = np.random.default_rng([seed, 1])
     size = 0.01 * np.sqrt(np.mean(np.abs(e) ** 2) / 2)
     noise = size * (rng.standard_normal(LINES) + 1j * rng.standard_normal(LINES))
-    return contradiction_in_record(ShownLines(y + noise, e, F, ORDER, DURATION), "m")
+    return contradiction_in_record(ComparedLines(y + noise, e, F, ORDER, DURATION), "m")
 
 
 SHAPES: dict[str, tuple[Callable[[Real], Real], str]] = {

@@ -57,6 +57,23 @@ def test_coloured_noise_is_followed() -> None:
     assert np.std(np.log(ratio[inside])) < 0.3  # 61 lines: 0.13
 
 
+def test_a_channel_that_some_short_records_lack_has_the_noise_of_the_others() -> None:
+    """Of twelve records of 40 samples eight lack it; 25 %: 4 sd of what 80 lines tell of a standard deviation."""
+    test = swept()
+    sd = 0.05 * test.size * np.array([1, 1, 1, 1, 0])
+    record = test.noisy(np.random.default_rng(4), sd)
+    begins = np.linspace(200, len(record.time) - 200, 12).astype(int)
+    short = spectrum(
+        [replace(record, time=record.time[k : k + 40], values=record.values[k : k + 40]) for k in begins],
+        drift="none",
+    )
+    amplitudes = short.amplitudes.copy()
+    amplitudes[short.stretch < 8, 0] = np.nan
+    found, _ = with_record_noise(test.model, replace(short, amplitudes=amplitudes), MaximumLikelihood())
+    size = np.sqrt(np.diagonal(found.covariance, axis1=1, axis2=2).real * short.samples[:, None] / 4)
+    assert size[-1, 0] == pytest.approx(sd[0], rel=0.25)
+
+
 def test_noise_of_the_base_is_read_where_nothing_moves() -> None:
     test = swept()
     sd = 0.05 * test.size
