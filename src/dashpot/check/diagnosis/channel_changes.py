@@ -90,7 +90,23 @@ def _without(
         predicted: Complex = np.einsum("lq,lq->l", fit.rig.G[0, :, c], fit.motion[0])
     if not np.all(np.isfinite(spectrum.amplitudes[:, c] - predicted)):
         return None
-    return _told(model, spectrum, c, predicted, left)
+    return _told(model, spectrum, c, predicted + _of_its_ends(spectrum, c, predicted), left)
+
+
+def _of_its_ends(spectrum: Spectrum, c: int, predicted: Complex) -> Complex:
+    """What the ends of each record add to a channel of velocity or acceleration beyond the motion, (lines,).
+
+    A polynomial of s for each derivative (THEORY §8), which the channels of the fit do not tell: it stands at the ends.
+    """
+    added: Complex = np.zeros_like(predicted)
+    for number in spectrum.records if spectrum.channels[c].quantity.derivative else ():
+        its = np.flatnonzero(spectrum.stretch == number)
+        s = 1j * spectrum.omega[its] / np.max(spectrum.omega[its])
+        powers = s[:, None] ** np.arange(spectrum.channels[c].quantity.derivative)
+        left = spectrum.amplitudes[its, c] - predicted[its]
+        columns, both = (np.concatenate([part.real, part.imag]) for part in (powers, left))
+        added[its] = powers @ np.linalg.lstsq(columns, both, rcond=None)[0]
+    return added
 
 
 def _told(model: Model, spectrum: Spectrum, c: int, predicted: Complex, left: float) -> ChannelChange | None:

@@ -8,6 +8,10 @@ import numpy as np
 import pytest
 
 import dashpot
+from dashpot.channel import Quantity
+from dashpot.check.diagnosis.channel_changes import channel_changes
+from dashpot.check.diagnosis.record_changes import with_quiet_noise
+from dashpot.data.conditioning.lines import spectrum
 from dashpot.data.record import Record
 from dashpot.model.network import Model
 from tests.whole_rigs import chain, record_of
@@ -63,6 +67,17 @@ def test_a_gain_that_steps_is_no_slip(test_of_three: tuple[Model, Record]) -> No
     first = estimate.assessment.findings[0]
     assert (first.kind, first.of) == ("time", ("x2_dis",))
     assert first.text.startswith("x2_dis reads 0.7 × as much after")
+
+
+def test_the_ends_of_acceleration_records_are_no_change_of_a_channel() -> None:
+    """Left out of the fit, a channel has no terms of its own for the ends, beside which it jumped by 60 deviations."""
+    model, truth = chain(3, 0.03, base=True, seed=3)
+    test = record_of(model, truth, "random", decay_times=5, quantities=(Quantity.ACCELERATION,), seed=2)
+    sd = 0.01 * test.size * np.array([1, 1, 1, 0])
+    record = test.noisy(np.random.default_rng(5), sd)
+    estimate = dashpot.identify(model, record)
+    lines, _ = with_quiet_noise(spectrum([record]))
+    assert channel_changes(model, lines, estimate, np.inf, np.inf) == []
 
 
 def test_a_record_without_a_step_has_none(test_of_three: tuple[Model, Record]) -> None:
