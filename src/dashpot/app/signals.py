@@ -10,7 +10,7 @@ import signal
 import sys
 import weakref
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from threading import Timer, current_thread, main_thread
 from types import FrameType
 
@@ -45,7 +45,7 @@ class Ended(BaseException):
         global _latest
         _latest = None
         if self.number in _asked:
-            _come_again(self.number)
+            _come_again()
 
 
 def end_on_signals() -> None:
@@ -57,6 +57,8 @@ def end_on_signals() -> None:
     for number in ANSWERED:
         if signal.getsignal(number) in (signal.SIG_DFL, signal.default_int_handler):
             signal.signal(number, _end)
+    if hasattr(signal, "SIGALRM"):
+        signal.signal(signal.SIGALRM, _again)
     sys.unraisablehook = _without_requests
 
 
@@ -66,9 +68,13 @@ def leave_signals() -> None:
     A second Ctrl-C may have come before the first had cleared all away.
     """
     clear_locks()
+    _asked.clear()
     for number in ANSWERED:
         if signal.getsignal(number) in (_end, end_at_once):
             signal.signal(number, signal.SIG_DFL)
+    if _has_alarm():
+        signal.setitimer(signal.ITIMER_REAL, 0)
+        signal.signal(signal.SIGALRM, signal.SIG_IGN)  # the interpreter would leave it to end the process
 
 
 @contextmanager
@@ -132,8 +138,13 @@ def end_at_once(number: int, _: FrameType | None) -> None:
     os._exit(128 + number)
 
 
+def _on_its_way() -> bool:
+    """Whether a request to end is being raised, and nobody has let it go."""
+    return _latest is not None and _latest() is not None
+
+
 def _end(number: int, frame: FrameType | None) -> None:
-    if _latest is not None and _latest() is not None:
+    if _on_its_way():
         end_at_once(number, frame)
     _asked.add(number)
     raise Ended(number)
@@ -147,6 +158,8 @@ def request_lost() -> Ended | None:
 def answered() -> None:
     """The run unwinds and says so; what asks it once more ends it at once."""
     _asked.clear()
+    if _has_alarm():
+        signal.setitimer(signal.ITIMER_REAL, 0)
     for number in ANSWERED:
         if signal.getsignal(number) == _end:
             signal.signal(number, end_at_once)
@@ -158,23 +171,26 @@ def _without_requests(failure: sys.UnraisableHookArgs) -> None:
         sys.__unraisablehook__(failure)
 
 
-def _come_again(number: int) -> None:
-    """From a thread, a moment later: raised at once, it would be lost in the same place."""
-    again = Timer(PAUSE, _send, (number,))
+def _come_again() -> None:
+    """A moment later: raised at once, it would be lost in the same place.
+
+    By an alarm, where there is one.  A thread cannot be begun safely here: a second signal may come meanwhile.
+    """
+    if _has_alarm():
+        signal.setitimer(signal.ITIMER_REAL, PAUSE)
+        return
+    again = Timer(PAUSE, _again)
     again.daemon = True
-    while again.ident is None:
-        try:
-            again.start()
-        except RuntimeError:  # no thread can be begun any more
-            return
-        except (KeyboardInterrupt, Ended):  # one more comes just now: it would be lost as the first was
-            continue
+    with suppress(RuntimeError):  # no thread can be begun any more
+        again.start()
 
 
-def _send(number: int) -> None:
-    if number not in _asked:
-        return  # it has been answered meanwhile
-    if hasattr(signal, "pthread_kill"):  # which wakes a thread that waits
-        signal.pthread_kill(main_thread().ident or 0, number)
-    else:
-        signal.raise_signal(number)
+def _has_alarm() -> bool:
+    """Whether an alarm is ours to set: not where the system has none, nor in another program that uses this one."""
+    return hasattr(signal, "setitimer") and signal.getsignal(signal.SIGALRM) == _again
+
+
+def _again(*_: object) -> None:
+    """Raise a signal that has had no answer, unless another one is being answered by now."""
+    if _asked and not _on_its_way():
+        signal.raise_signal(next(iter(_asked)))
