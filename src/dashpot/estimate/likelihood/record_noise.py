@@ -364,9 +364,8 @@ def _pooled(
                 scatter = 2 * float(np.sum(lines_each * np.log(level * scale / shown)))
             choices.append((scatter, level * scale))
         scatter, common = min(choices, key=lambda choice: choice[0])
-        alike = (
-            scatter < chdtri(max(len(shown) - 1, 1), POOL_LEVEL) or 2 * left * np.min(lines_each) < TELLING
-        )
+        limit = float(chdtri(max(len(shown) - 1, 1), POOL_LEVEL))
+        alike = scatter < limit or 2 * left * float(np.min(lines_each)) < TELLING
         together &= alike
         for number, value in zip(np.flatnonzero(there), common if alike else shown, strict=True):
             variance[records[number], c] = value
