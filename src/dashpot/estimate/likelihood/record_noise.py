@@ -207,8 +207,8 @@ def _begun(data: Prepared, exact: Measured, method: MaximumLikelihood) -> LocalM
         return best
     many = _with_states(many)
     others = [] if few is data else [method.rough(many)]
-    # What is seen in part is searched from many rigs as it is.
-    rigs = TYPICAL if many.states is not None and seen_directly(many) else 1
+    # What is seen in part has been searched from many rigs by then.
+    rigs = TYPICAL if many.states is not None and seen_directly(many) else 0
     for number in range(-len(others), rigs):
         again = method.rough(many, typical=number) if number >= 0 else others[number]
         other = local(view, exact, again.psi[:1], again.sign[:1]).cost[0]
