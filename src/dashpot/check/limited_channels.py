@@ -13,6 +13,7 @@ from dashpot.notices import Notice
 
 LIMITED = "limited_channel"
 LEVELS = (0.3, 0.5, 0.7, 0.85)  # of the largest motion, beyond which a channel may read less
+SIDES = np.array([1.0, -1.0])  # of the motion
 FAR = 0.999  # quantile of the motion that counts as the largest
 IMPROBABLE = 1e-6  # p-value of a form by chance
 BENT = 0.6  # of the slope in the middle: what a channel near its limit shows at most
@@ -53,7 +54,7 @@ def limited(shown: Real, should: Real, independent: int) -> float | None:
     if largest == 0:
         return None
     p = should / largest
-    beyond = [np.maximum(side * p - level, 0.0) for side in (1, -1) for level in LEVELS]
+    beyond = [np.maximum(side * p - level, 0.0) for side in SIDES for level in LEVELS]
     straight = np.stack([np.ones(len(p)), p], axis=1)
     whole = np.column_stack([straight, *beyond])
     rest = _left(straight, shown)[1]
@@ -63,13 +64,13 @@ def limited(shown: Real, should: Real, independent: int) -> float | None:
         return None
     if not fdtrc(len(beyond), freedom, (rest - bent) / len(beyond) / (bent / freedom)) < IMPROBABLE:
         return None
-    slopes = [values[1] + side * np.sum(values[2:][k * 4 : k * 4 + 4]) for k, side in enumerate((1, -1))]
-    side = int(np.argmin(np.abs(slopes)))
-    if not abs(slopes[side]) < BENT * abs(values[1]):
+    offset, slope = values[:2]
+    bends = values[2:].reshape(len(SIDES), len(LEVELS))
+    slopes = slope + SIDES * np.sum(bends, axis=1)  # beyond the last level
+    k = int(np.argmin(np.abs(slopes)))
+    if not abs(slopes[k]) < BENT * abs(slope):
         return None
-    end = np.array([1.0, (1, -1)[side]])
-    reach = [max(1 - level, 0.0) for level in LEVELS]
-    return float(abs(end @ values[:2] + np.sum(values[2 + 4 * side : 6 + 4 * side] * reach)))
+    return float(abs(offset + SIDES[k] * slope + bends[k] @ (1 - np.array(LEVELS))))
 
 
 def _left(columns: Real, y: Real) -> tuple[Real, float]:

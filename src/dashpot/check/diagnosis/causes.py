@@ -27,11 +27,11 @@ from dashpot.check.diagnosis.trials import (
     Trial,
     cells,
     conjugated,
+    exchanged,
     mistakes_of_a_channel,
     of_another_derivative,
     prepared,
     scaled,
-    swapped,
     untested,
     untouched,
     with_form,
@@ -331,19 +331,12 @@ def _turned(bench: Workbench, base: Trial) -> list[Trial]:
 
 def _rearranged(bench: Workbench, base: Trial, channels: Sequence[str]) -> list[Trial]:
     """All phases turned or in radians, two channels swapped; the phases of samples are as they should be."""
-    count = len(channels)
     trials = []
     if not set(bench.data.spectrum.noise) <= OF_SAMPLES:
         trials += _turned(bench, base)
         if np.max(np.abs(np.angle(base.y[base.kept])), initial=0.0) < 1.01 * np.pi / RADIANS:
             trials.append(with_phases_times(base, "unit", RADIANS))
-    trials += [
-        swapped(base, (channels[i], channels[j]), i, j)
-        for j in range(count)
-        for i in range(j)
-        if np.array_equal(base.kept[:, i], base.kept[:, j])
-    ]
-    return trials
+    return trials + exchanged(base, channels)
 
 
 def _at_rate(stretch: Stretch, rate: float) -> Stretch:

@@ -19,8 +19,8 @@ from dashpot.check.diagnosis.steady_lines import steady_lines
 from dashpot.check.diagnosis.trials import (
     Trial,
     cells,
+    exchanged,
     mistakes_of_a_channel,
-    swapped,
     untouched,
     with_form,
     without,
@@ -104,12 +104,7 @@ def _trials(bench: Workbench, base: Trial, spectrum: Spectrum) -> list[Trial]:
         for trial in mistakes_of_a_channel(base, channel, c, bench.view.omega)
         if not (spectrum.carries_loads and trial.kind in OF_FREQUENCY)
     ]
-    return trials + [
-        swapped(base, (channels[j].name, channels[i].name), j, i)
-        for i in range(len(channels))
-        for j in range(i)
-        if np.array_equal(base.kept[:, i], base.kept[:, j])
-    ]
+    return trials + exchanged(base, [channel.name for channel in channels])
 
 
 def _mended(bench: Workbench, base: Trial) -> list[Cause]:

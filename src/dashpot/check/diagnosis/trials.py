@@ -79,6 +79,16 @@ def swapped(base: Trial, names: tuple[str, str], first: int, second: int) -> Tri
     return Trial("swap", names, 1.0, base.y[:, order], V, base.kept[:, order])
 
 
+def exchanged(base: Trial, channels: Sequence[str]) -> list[Trial]:
+    """Any two of the channels, by their names, that are there in the same lines, exchanged."""
+    return [
+        swapped(base, (channels[i], channels[j]), i, j)
+        for j in range(len(channels))
+        for i in range(j)
+        if np.array_equal(base.kept[:, i], base.kept[:, j])
+    ]
+
+
 def conjugated(base: Trial, kind: str, of: tuple[str, ...], chosen: Bools) -> Trial:
     """Phases of the chosen channels (channels,) counted the other way; correlations across are lost."""
     y = np.where(chosen, np.conj(base.y), base.y)
