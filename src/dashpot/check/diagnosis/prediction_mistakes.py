@@ -6,7 +6,7 @@ laid beside what all others expect of it; whole records stand for a few of their
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -48,29 +48,36 @@ def mistakes_in_lines(model: Model, estimate: Estimate, spectrum: Spectrum) -> t
     """
     if len(model.nonlinear) or not model.inputs:
         return ()
-    parts = [spectrum.select(np.flatnonzero(spectrum.stretch == number)) for number in spectrum.records]
+    of_parts = {
+        f"record {count}": _mistakes(
+            model, estimate, spectrum.select(np.flatnonzero(spectrum.stretch == number))
+        )
+        for count, number in enumerate(spectrum.records, start=1)
+    }
     settled = np.flatnonzero(~np.isin(spectrum.stretch, spectrum.records))
     if len(settled):
-        parts.insert(0, spectrum.select(settled))
-    return _gathered([_mistakes(model, estimate, part) for part in parts])
+        of_parts = {"the settled lines": _mistakes(model, estimate, spectrum.select(settled)), **of_parts}
+    return _gathered(of_parts)
 
 
 def mistakes_in_records(model: Model, estimate: Estimate, records: Sequence[Record]) -> tuple[Finding, ...]:
     """As `mistakes_in_lines`, of whole records of a nonlinear rig, whose estimate stands for guesses."""
     known = with_guesses(model, estimate)
-    return _gathered([channel_mistakes(known, record) for record in records])
+    return _gathered(
+        {f"record {k}": channel_mistakes(known, record) for k, record in enumerate(records, start=1)}
+    )
 
 
-def _gathered(of_parts: Sequence[tuple[Finding, ...]]) -> tuple[Finding, ...]:
-    """The findings of all records with what to do with their numbers, and of several with the record."""
+def _gathered(of_parts: Mapping[str, tuple[Finding, ...]]) -> tuple[Finding, ...]:
+    """The findings of the only part with what to do with its numbers, the first of each of several with its name."""
     if len(of_parts) == 1:
-        return tuple(mended_in_data(each, "the data") for each in of_parts[0])
-    gathered = []
-    for number, findings in enumerate(of_parts, start=1):
-        for each in findings[:1]:
-            named = replace(each, text=f"in record {number}, {each.text}")
-            gathered.append(mended_in_data(named, f"record {number}"))
-    return tuple(gathered)
+        (findings,) = of_parts.values()
+        return tuple(mended_in_data(each, "the data") for each in findings)
+    return tuple(
+        mended_in_data(replace(each, text=f"in {name}, {each.text}"), name)
+        for name, findings in of_parts.items()
+        for each in findings[:1]
+    )
 
 
 def _mistakes(model: Model, estimate: Estimate, spectrum: Spectrum) -> tuple[Finding, ...]:

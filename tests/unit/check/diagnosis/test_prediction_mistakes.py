@@ -14,6 +14,8 @@ from dashpot.check.diagnosis.prediction_mistakes import mistakes_in_lines
 from dashpot.check.validation import missed, validate
 from dashpot.data.conditioning.whole_record import whole_records
 from dashpot.data.record import Record
+from dashpot.data.spectrum import concatenate
+from dashpot.data.stretch import SettledDwell
 from dashpot.estimate.identify import identify
 from dashpot.estimate.result import Estimate
 from dashpot.model.motion import channel_samples, integrator
@@ -90,6 +92,15 @@ def test_of_several_records_the_one_that_is_wrong_is_named(estimate: Estimate) -
     assert (finding.kind, finding.of) == ("sign", ("x1",))
     assert finding.text.startswith("in record 2, x1 reads −")
     assert finding.change == "multiply x1 by −1 in record 2"
+
+
+def test_records_are_counted_beside_settled_lines_as_well(estimate: Estimate) -> None:
+    """The first record had been called the second one, and settled lines the first."""
+    wrong = whole_records([times([-1, 1, 1])(record(3))])
+    settled = replace(wrong, stretches=(SettledDwell(),))
+    findings = mistakes_in_lines(SHAKEN, estimate, concatenate([settled, wrong]))
+    assert [finding.text.split(",")[0] for finding in findings] == ["in the settled lines", "in record 1"]
+    assert findings[-1].change == "multiply x1 by −1 in record 1"
 
 
 def test_a_sound_record_and_another_rig_have_no_mistake(estimate: Estimate) -> None:
