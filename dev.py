@@ -3,6 +3,7 @@
 
     python3 dev.py run  [ARGS]   dashpot ARGS; without ARGS, identify the example rig
     python3 dev.py test [ARGS]   the tests, a few minutes; --long: those that take longer; other ARGS go to pytest
+                                 --older: BLAS and the kernel compute as on an older processor (x86 under Linux)
     python3 dev.py check         ruff, mypy and the import contracts
     python3 dev.py bench [NAME]  the benchmarks, all or the named ones; what follows the first -option goes to them
     python3 dev.py env           only make the environment, .venv, with the compiled kernel where it can be built
@@ -13,7 +14,8 @@
     python3 dev.py fuzz [ARGS]   damaged inputs of every kind; --minutes N, --inputs N, --seed S
     python3 dev.py docs [--serve] the manual as a site, docs/_build/html; --serve shows it on this machine until Ctrl-C
 
-The first call makes .venv from requirements/locked.txt, every file checked against its hash. Later calls
+The first call makes .venv from requirements/locked.txt, every file checked against its hash. `run` has the kernel
+built in the background, every other command waits for it. Later calls
 compare a stamp and start at once; a changed lock, another Python or a set-up cut short remakes .venv.
 """
 
@@ -46,6 +48,7 @@ KERNELS = ROOT / "kernels"
 KERNEL_STAMP = VENV / "stamp-kernel.json"
 KERNEL_SECONDS = 900  # after which a build is given up
 PIP_LOG = VENV / "pip.log"
+KERNEL_LOG = VENV / "kernel.log"
 REQUIREMENTS = ROOT / "requirements"
 LOCKED = REQUIREMENTS / "locked.txt"
 PEERS_LOCKED = REQUIREMENTS / "peers-locked.txt"
@@ -53,7 +56,8 @@ DOCS_LOCKED = REQUIREMENTS / "docs-locked.txt"
 SITE = ROOT / "docs" / "_build" / "html"
 EXAMPLE = ["identify", "examples/02_shake_table/rig.toml", "examples/02_shake_table/amplitudes.csv"]
 ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
-PIP_INSTALL_LOCKED = ("install", "--require-hashes", "--only-binary", ":all:", "-r")
+# Without bytecode, which the first import writes of what is used: all of it would take as long as the rest.
+PIP_INSTALL_LOCKED = ("install", "--no-compile", "--require-hashes", "--only-binary", ":all:", "-r")
 COMMANDS = ("run", "test", "check", "bench", "env", "lock", "lowest", "newest", "fuzz", "docs")
 # What the tests of `lowest` and `newest` need beside the wheel; the locked set has more than an old NumPy allows.
 TESTING = ("pytest>=9", "pytest-xdist", "hypothesis", "import-linter", "lmfit", "openpyxl")
@@ -179,6 +183,15 @@ def split_python(extra: Sequence[str]) -> tuple[str, list[str]]:
     return words[at + 1], words[:at] + words[at + 2 :]
 
 
+def older_processor(flags: Iterable[str]) -> dict[str, str]:
+    """What makes BLAS and the kernel compute as on the generation before this x86 processor."""
+    if "avx512f" in flags:
+        return {"OPENBLAS_CORETYPE": "Haswell", "DASHPOT_KERNEL_SET": "avx2"}
+    if "avx2" in flags:
+        return {"OPENBLAS_CORETYPE": "Prescott", "DASHPOT_KERNEL_SET": "baseline"}
+    raise SetupError("no older processor is known that this one can stand for: leave --older out")
+
+
 def child_environment(base: Mapping[str, str], extra: Mapping[str, str]) -> dict[str, str]:
     """The caller's environment without what would mix other packages into .venv or make pip ask questions."""
     mixing = ("PYTHONPATH", "PYTHONHOME", "PIP_TARGET", "PIP_PREFIX")
@@ -253,8 +266,11 @@ def make_venv(place: Path) -> None:
 
 
 @contextlib.contextmanager
-def only_one(path: Path) -> Iterator[None]:
-    """Hold off other dev.py of this clone.  The system frees the lock when its last holder dies."""
+def only_one(path: Path, wait: bool = True) -> Iterator[None]:
+    """Hold off other dev.py of this clone.  The system frees the lock when its last holder dies.
+
+    Raises OSError where another one holds it and `wait` is false.
+    """
     with path.open("a+b") as file:
         os.set_inheritable(file.fileno(), True)
         if sys.platform == "win32":
@@ -279,6 +295,8 @@ def only_one(path: Path) -> Iterator[None]:
         try:
             attempt(wait=False)
         except OSError:
+            if not wait:
+                raise
             say("another dev.py is setting up this clone, waiting for it")
             attempt(wait=True)
         yield
@@ -362,11 +380,42 @@ def find_compiler() -> str | None:
     return next((place for name in names if (place := shutil.which(name))), None)
 
 
+def wanted_kernel(compiler: str | None) -> dict[str, str]:
+    packages = read_stamp(STAMP).get("packages", "")
+    return {"kernel": kernel_stamp(kernel_sources(), str(compiler), packages)}
+
+
+def install_kernel_in_background() -> None:
+    """Let a process of its own build the kernel while this one goes on; other commands wait for it by the lock."""
+    if find_compiler() is None:
+        install_kernel()
+        return
+    if read_stamp(KERNEL_STAMP) == wanted_kernel(find_compiler()):
+        return
+    say(
+        f"the compiled kernel is being built in the background ({KERNEL_LOG}); until then NumPy does its work"
+    )
+    try:
+        with only_one(ROOT / ".venv.lock", wait=False):
+            pass
+    except OSError:
+        return  # being built already
+    nice = ["nice", "-n", "19"] if shutil.which("nice") else []
+    with KERNEL_LOG.open("a") as log:
+        subprocess.Popen(
+            [*nice, sys.executable, __file__, "env"],
+            cwd=ROOT,
+            stdin=subprocess.DEVNULL,
+            stdout=log,
+            stderr=log,
+            start_new_session=True,
+        )
+
+
 def install_kernel() -> None:
     """Build and install the compiled kernel; whatever stands in the way is told in one line, and all works without."""
     compiler = find_compiler()
-    packages = read_stamp(STAMP).get("packages", "")
-    wanted = {"kernel": kernel_stamp(kernel_sources(), str(compiler), packages)}
+    wanted = wanted_kernel(compiler)
     if read_stamp(KERNEL_STAMP) == wanted:
         return
     with only_one(ROOT / ".venv.lock"):
@@ -431,18 +480,32 @@ def run(extra: list[str]) -> int:
     return call([BIN / "dashpot", *EXAMPLE], cwd=ROOT)
 
 
+def processor_flags() -> set[str]:
+    """What this processor can do, as Linux names it; empty elsewhere."""
+    try:
+        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
+    except OSError:
+        return set()
+    return next((set(line.split()) for line in lines if line.startswith("flags")), set())
+
+
 def test(extra: list[str]) -> int:
     if "--long" in extra:
         failure = install_beside(DOCS_LOCKED, "what builds the manual")
         if failure:
             say(f"going on without the tests of the manual: {failure}")
+    variables = {"MPLBACKEND": "Agg", **ONE_THREAD}
+    if "--older" in extra:
+        extra = [word for word in extra if word != "--older"]
+        older = older_processor(processor_flags())
+        say(f"computing as on an older processor: {' '.join(f'{k}={v}' for k, v in older.items())}")
+        variables.update(older)
     # One BLAS thread in each worker: two workers with two threads each fight over two cores.
     # worksteal keeps neighbouring tests together, so fixtures of a module are mostly made once.
     return call(
         [PYTHON, "-m", "pytest", "-q", "-n", "2", "--dist", "worksteal", *extra],
         cwd=ROOT,
-        MPLBACKEND="Agg",
-        **ONE_THREAD,
+        **variables,
     )
 
 
@@ -450,7 +513,7 @@ def check(_: list[str]) -> int:
     chores: dict[str, list[str | Path]] = {
         "ruff check": [PYTHON, "-m", "ruff", "check", "--output-format", "concise", "."],
         "ruff format": [PYTHON, "-m", "ruff", "format", "--check", "--output-format", "concise", "."],
-        "mypy": [PYTHON, "-m", "mypy", "--strict", "src/dashpot", "dev.py"],
+        "mypy": [PYTHON, "-m", "mypy"],
         "import contracts": [BIN / "lint-imports"],
     }
     failed = []
@@ -597,7 +660,10 @@ def main(argv: Sequence[str]) -> int:
         if command in ("lowest", "newest"):
             return other_versions(command, extra)
         make_environment()
-        install_kernel()
+        if command == "run":
+            install_kernel_in_background()
+        else:
+            install_kernel()
         if command == "env":
             return 0
         commands = {"run": run, "test": test, "check": check, "bench": bench, "fuzz": fuzz, "docs": docs}

@@ -14,7 +14,7 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from dashpot.data.record import Record
-from dashpot.estimate.nonlinear.record_prediction import predict_record
+from dashpot.estimate.nonlinear.record_inference import predict_record
 from dashpot.estimate.nonlinear.whole_record import identify_records
 from dashpot.model.rigfile import parse_rig
 

@@ -35,7 +35,7 @@ def write_fleet(path: Path, rigs: int) -> None:
     import pyarrow.parquet as parquet
 
     from dashpot import read_rig
-    from dashpot.model.channel_noise import with_relative_noise
+    from dashpot.model.observation import with_relative_noise
     from dashpot.study.simulate import dwells, simulate_spectrum
 
     rig, rng = read_rig(RIG), np.random.default_rng(0)
@@ -120,9 +120,9 @@ def own_time(pid: int) -> float:
 def per_task(data: Path) -> None:
     """What one task costs the worker, the wire and the one who shares the work out."""
     from dashpot import read_rig
-    from dashpot.fleet.identification import FleetTask, identify_block
+    from dashpot.fleet.data_sets import Treatment
+    from dashpot.fleet.runner import FleetTask, identify_block
     from dashpot.fleet.tables import of_tables
-    from dashpot.fleet.treatment import Treatment
 
     rig = read_rig(RIG)
     next(of_tables([str(data)], "rig").blocks(1))  # loads what is needed

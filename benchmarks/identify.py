@@ -6,22 +6,33 @@ ratios, not seconds.
 
 from __future__ import annotations
 
+import os
+import sys
 import time
 from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
 
 import lmfit
 import numpy as np
 from scipy.optimize import least_squares
 
+import dashpot
 from dashpot.channel import Channel, Quantity
+from dashpot.check.identifiability import determines
+from dashpot.data.record import Record
 from dashpot.data.spectrum import Spectrum
 from dashpot.estimate.identify import identify
 from dashpot.estimate.linear.instrumental_variables import OptimalIV
 from dashpot.model.dynamics import response
 from dashpot.model.elements import Element, Kind, between, mass
 from dashpot.model.network import Input, Model
-from dashpot.reproduce.yamane1989.printed import paper_prints
-from dashpot.reproduce.yamane1989.rig import paper_model
+from dashpot.numerics.blas_threads import THREADS, one_blas_thread
+from dashpot.reproduce.yamane1989.rig import paper_model, paper_prints
+
+sys.path.insert(0, str(Path(__file__).parents[1]))  # for the record of the peers
+from benchmarks.peers import CHANNELS as RECORDED
+from benchmarks.peers import levels, stepped_sine
 
 PAPER, TRUTH = paper_model(), dict(paper_prints().values)
 CASE_3 = np.array(paper_prints().cases["CASE-3"])  # Hz
@@ -65,12 +76,12 @@ def data(model: Model, truth: dict[str, float], hz: np.ndarray, draws: int, nois
 
 
 def best_of(call: Callable[[], object], repeats: int = 7) -> float:
-    """The shortest of some times, s."""
+    """The shortest of some processor times, s."""
     times = []
     for _ in range(repeats):
-        begin = time.perf_counter()
+        begin = time.process_time()
         call()
-        times.append(time.perf_counter() - begin)
+        times.append(time.process_time() - begin)
     return min(times)
 
 
@@ -78,13 +89,19 @@ def one_against_peers(repeats: int = 200) -> None:
     """The paper's rig, amplitudes and their noise given: time, error and coverage, over the same noisy data."""
     names, truth = list(TRUTH), np.array(list(TRUTH.values()))
     spectrum = data(PAPER, TRUTH, CASE_3, repeats, noise=0.1 / np.sqrt(56 / 2))
-    omega, U = spectrum.omega, np.ones((spectrum.lines, 1), dtype=complex)
+    omega = spectrum.omega
     sd = spectrum.sd()[:, :-1]
-    jomega = 1j * omega[:, None]
+    jomega = 1j * omega
 
     def residual(theta: np.ndarray, Y: np.ndarray) -> np.ndarray:
-        X = response(PAPER, PAPER.parameters(theta), omega, U)
-        r = (np.concatenate([X, jomega * X], axis=-1) - Y) / sd
+        """The response of the paper's rig written out, k1 and k2 known."""
+        m1, m2, c1, c2, c3, c4 = theta
+        near = 4600.0 - omega**2 * m1 + jomega * (c1 + c3)
+        far = 9200.0 - omega**2 * m2 + jomega * (c1 + c2 + c4)
+        joint = 4600.0 + jomega * c1
+        scale = (4600.0 + jomega * c2) / (near * far - joint * joint)
+        x1, x2 = joint * scale, near * scale
+        r = (np.stack([x1, x2, jomega * x1, jomega * x2], axis=-1) - Y) / sd
         return np.concatenate([r.real.ravel(), r.imag.ravel()])
 
     def by_scipy(Y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -104,34 +121,74 @@ def one_against_peers(repeats: int = 200) -> None:
             [found.params[n].stderr for n in names]
         )
 
-    def by_dashpot(k: int) -> tuple[np.ndarray, np.ndarray]:
-        lines = spectrum.lines
-        single = Spectrum(
-            spectrum.channels, spectrum.frequency_hz, spectrum.amplitudes[k], spectrum.covariance, spectrum.samples,
-            spectrum.dof, ("given",) * lines, spectrum.experiment,
-        )  # fmt: skip
-        estimate = identify(PAPER, single, OptimalIV())
+    def draw(k: int) -> Spectrum:
+        return replace(spectrum, amplitudes=spectrum.amplitudes[k])
+
+    def by_verb(k: int, model: Model = PAPER) -> tuple[np.ndarray, np.ndarray]:
+        estimate = dashpot.identify(model, draw(k))
         return estimate.values, estimate.sd
 
-    own = best_of(lambda: by_dashpot(0), 100)
+    def by_method(k: int) -> tuple[np.ndarray, np.ndarray]:
+        estimate = identify(PAPER, draw(k), OptimalIV())
+        return estimate.values, estimate.sd
+
+    def by_new_rig(k: int) -> tuple[np.ndarray, np.ndarray]:
+        determines.cache_clear()
+        return by_verb(k, paper_model())
+
     print("One identification of the paper's rig (CASE-3, 25 lines, 6 unknowns, amplitudes given)\n")
     print(
-        "| tool | start | time over dashpot's | rms relative error, % | 95 % intervals that hold the truth, % |"
+        "| tool | start | time over scipy's | rms relative error, % | 95 % intervals that hold the truth, % |"
     )
     print("|---|---|---|---|---|")
+    given = f"{START:g} × truth"
     rows: list[tuple[str, str, Callable[[int], tuple[np.ndarray, np.ndarray]]]] = [
-        ("dashpot oiv", "none needed", by_dashpot),
-        ("scipy least_squares", f"{START:g} × truth", lambda k: by_scipy(spectrum.amplitudes[k, :, :-1])),
-        ("lmfit", f"{START:g} × truth", lambda k: by_lmfit(spectrum.amplitudes[k, :, :-1])),
+        ("scipy least_squares", given, lambda k: by_scipy(spectrum.amplitudes[k, :, :-1])),
+        ("lmfit", given, lambda k: by_lmfit(spectrum.amplitudes[k, :, :-1])),
+        ("dashpot.identify, first call with a rig", "none needed", by_new_rig),
+        ("dashpot.identify, next calls", "none needed", by_verb),
+        ("oiv without the checks of dashpot.identify", "none needed", by_method),
     ]
-    for name, start, solve in rows:
-        taken = own if solve is by_dashpot else best_of(lambda solve=solve: solve(0), 100)
+    # In turn, so that other work on the machine slows all alike.
+    times = [[best_of(lambda solve=solve: solve(0), 20) for *_, solve in rows] for _ in range(15)]
+    taken = np.median(times, axis=0)
+    for (name, start, solve), seconds in zip(rows, taken, strict=True):
         found = [solve(k) for k in range(repeats)]
         away = np.array([theta for theta, _ in found]) - truth
         inside = np.abs(away) <= 1.96 * np.array([s for _, s in found])
         error = 100 * np.sqrt(np.mean((away / truth) ** 2))
-        print(f"| {name} | {start} | {taken / own:.1f} | {error:.2f} | {100 * np.mean(inside):.1f} |")
-    print(f"\ndashpot: {1e3 * own:.1f} ms each; errors and coverage over {repeats} repeats.\n")
+        print(f"| {name} | {start} | {seconds / taken[0]:.2f} | {error:.2f} | {100 * np.mean(inside):.1f} |")
+    print(f"\nscipy: {1e3 * taken[0]:.1f} ms each; errors and coverage over {repeats} repeats.\n")
+
+
+def threads_of_blas(draws: int = 15) -> None:
+    """Processor time of a whole record, judged: BLAS on as many threads as it takes by itself, on one, by the verb."""
+    test = stepped_sine()
+    clean = np.column_stack([test.values, test.base])
+    level = next(iter(levels(test).values()))
+    record = Record(
+        RECORDED, test.time, clean + level * np.random.default_rng(1).standard_normal(clean.shape)
+    )
+    alone = vars(dashpot.identify)["__wrapped__"]
+    asked = {name: os.environ.pop(name) for name in THREADS if name in os.environ}
+
+    def on_one() -> None:
+        with one_blas_thread():
+            alone(paper_model(), record, diagnose=True)
+
+    calls = {
+        "BLAS on one thread": on_one,
+        "dashpot.identify": lambda: dashpot.identify(paper_model(), record, diagnose=True),
+        "BLAS on its default threads": lambda: alone(paper_model(), record, diagnose=True),
+    }
+    times = np.median([[best_of(call, 1) for call in calls.values()] for _ in range(draws)], axis=0)
+    os.environ.update(asked)
+    print(f"One whole record of {len(clean)} samples, four channels and the base, with its verdict\n")
+    print(f"| | processor time over that of one thread ({1e3 * times[0]:.0f} ms) |")
+    print("|---|---|")
+    for name, taken in zip(calls, times, strict=True):
+        print(f"| {name} | {taken / times[0]:.2f} |")
+    print()
 
 
 def batches() -> None:
@@ -182,5 +239,6 @@ def growth() -> None:
 
 if __name__ == "__main__":
     one_against_peers()
+    threads_of_blas()
     batches()
     growth()

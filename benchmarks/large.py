@@ -25,10 +25,10 @@ from dashpot.estimate.likelihood.maximum_likelihood import MaximumLikelihood
 from dashpot.estimate.likelihood.objective import local, measured
 from dashpot.estimate.linear.sparse_gram import SeenMotion, identify_seen
 from dashpot.estimate.preparation.prepared import prepare
+from dashpot.model.dynamics import sparse_amplitudes
 from dashpot.model.elements import Element, Kind, between, mass
 from dashpot.model.network import Input, Model
 from dashpot.model.observation import observation_model
-from dashpot.model.sparse_dynamics import sparse_amplitudes
 from dashpot.study.simulate import dwells, simulate_spectrum
 
 SIZES = {"chain": (1000, 10_000, 100_000), "plate": (32, 100, 316), "seen": (1000, 10_000, 100_000)}

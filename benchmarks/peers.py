@@ -34,8 +34,7 @@ from dashpot.data.conditioning.lines import spectrum
 from dashpot.data.record import Record
 from dashpot.data.spectrum import Spectrum
 from dashpot.estimate.identify import identify
-from dashpot.reproduce.yamane1989.printed import paper_prints
-from dashpot.reproduce.yamane1989.rig import paper_model, true_rig
+from dashpot.reproduce.yamane1989.rig import paper_model, paper_prints, true_rig
 
 RIG, TRUTH = paper_model(), dict(paper_prints().values)
 NAMES, TRUE = tuple(TRUTH), np.array(list(TRUTH.values()))

@@ -15,11 +15,10 @@ from pathlib import Path
 import numpy as np
 
 from dashpot.channel import Quantity
-from dashpot.design.budget import Budget
 from dashpot.design.criteria import AOptimal
-from dashpot.design.frequency_grid import FrequencyGrid, band_grid, natural_band
 from dashpot.design.plan import plan
 from dashpot.design.robust import UniformBox, in_the_worst_case, worst_scenario
+from dashpot.design.schedule import Budget, FrequencyGrid, band_grid, natural_band
 from dashpot.design.test_setup import ShakerLimits, TestSetup, nominal_setup
 
 sys.path.insert(0, str(Path(__file__).parents[1]))  # for the random rigs of the tests

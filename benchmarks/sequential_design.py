@@ -17,10 +17,9 @@ import numpy as np
 
 from dashpot.channel import Channel
 from dashpot.data.spectrum import Spectrum, merge_repeats
-from dashpot.design.budget import Budget
 from dashpot.design.criteria import Minimax
-from dashpot.design.frequency_grid import band_grid
-from dashpot.design.shortest import shortest
+from dashpot.design.robust import shortest
+from dashpot.design.schedule import Budget, band_grid
 from dashpot.design.stopping import enough, known_after, values_after
 from dashpot.design.test_setup import nominal_setup
 from dashpot.errors import IdentifiabilityError, UsageError

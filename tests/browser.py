@@ -1,7 +1,5 @@
 """Pages in headless Chromium: what they ask for, what they complain of, how wide they are."""
 
-from __future__ import annotations
-
 import functools
 import http.server
 import json

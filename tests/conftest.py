@@ -1,7 +1,5 @@
 """Settings that all tests share."""
 
-from __future__ import annotations
-
 import signal
 
 import pytest
@@ -11,9 +9,12 @@ from hypothesis import settings
 settings.register_profile("dashpot", deadline=None)
 settings.load_profile("dashpot")
 
-# A shell starts what runs in the background deaf to Ctrl-C, and so would be the commands that tests interrupt.
+# A shell starts background jobs with Ctrl-C ignored, nohup with SIGHUP ignored. Commands that the tests start and
+# interrupt would inherit that; handlers are not inherited. This process itself goes on ignoring a closed terminal.
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
+if hasattr(signal, "SIGHUP") and signal.getsignal(signal.SIGHUP) is signal.SIG_IGN:
+    signal.signal(signal.SIGHUP, lambda *_: None)
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:

@@ -1,7 +1,5 @@
 """The paper's rig as a test setup, its CASE 3, and data of it: what the tests of design share."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from dashpot.channel import Channel, Quantity

@@ -11,8 +11,6 @@ Blocks of a page are taken in order, in a folder of their own that holds a copy 
 Everything else (```console among it) is not run.  A page that takes long says so by <!-- long -->.
 """
 
-from __future__ import annotations
-
 import contextlib
 import re
 import shutil

@@ -1,7 +1,5 @@
 """Nonlinear rigs of one mass in time, by a Runge-Kutta method of their own, and noise on all that is measured."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
@@ -13,6 +11,7 @@ from dashpot.data.record import Record
 from dashpot.model.elements import Kind, between, mass
 from dashpot.model.network import Input, Model
 from dashpot.model.nonlinear.force_law import Constant, force_law
+from tests.networks import network
 
 RATE, FINER = 150.0, 8  # samples a second, and steps of the integration between two of them
 
@@ -110,10 +109,7 @@ def gap(samples: int = 800) -> DrivenTest:
 
     x = moved(acceleration, samples)
     element = replace(between("q", Kind.SPRING, "x", "ground"), force_law=force_law("gap"))
-    model = Model(
-        ("x",), (Input("f", "force", {"x": 1.0}),),
-        (mass("m", "x"), between("k", Kind.SPRING, "x", "ground"), between("c", Kind.DAMPER, "x", "ground"), element),
-    )  # fmt: skip
+    model = network("x", "f@x", "m@x k:x-ground c:x-ground", element)
     channels = (Channel("x", {"x": 1.0}), Channel("f", {"f": 1.0}, Quantity.FORCE))
     values = np.column_stack([x, force[:: 2 * FINER]])
     record = Record(channels, np.arange(samples) / RATE, values)

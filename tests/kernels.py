@@ -1,7 +1,5 @@
 """What tests of the compiled kernel share: the module, skipped where it is absent, and distances between twins."""
 
-from __future__ import annotations
-
 import tomllib
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -33,8 +31,7 @@ def instruction_sets() -> list[str]:
         import dashpot_kernels
     except ImportError:
         return ["none"]
-    names: list[str] = dashpot_kernels.instruction_sets()
-    return names
+    return dashpot_kernels.instruction_sets()
 
 
 @contextmanager

@@ -4,8 +4,6 @@ Each mistake takes (model, spectrum, generator) and gives the model and spectrum
 kinds of finding that name the true cause and the names they must point at.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 

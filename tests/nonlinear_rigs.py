@@ -1,7 +1,5 @@
 """Nonlinear rigs for tests, and what settled dwells of them show."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
@@ -9,17 +7,12 @@ import numpy as np
 
 from dashpot.arrays import Real
 from dashpot.channel import Channel
-from dashpot.data.spectrum import Spectrum
-from dashpot.data.stretch import SettledDwell
+from dashpot.data.spectrum import SettledDwell, Spectrum
 from dashpot.model.elements import Kind, between, mass
 from dashpot.model.network import Input, Model
 from dashpot.model.nonlinear.continuation import grown_from_rest
 from dashpot.model.nonlinear.force_law import Constant, force_law
-from dashpot.model.nonlinear.harmonic_balance import (
-    harmonic_unit_forces,
-    periodic_response,
-    settled_orders,
-)
+from dashpot.model.nonlinear.harmonic_balance import harmonic_unit_forces, periodic_response, settled_orders
 from dashpot.model.nonlinear.harmonics import Drive
 from dashpot.model.observation import channel_amplitudes, measures_input, observation_model
 

@@ -4,8 +4,6 @@
 Everything here is computed from `study.simulate` and finite differences, nothing from the code under test.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
@@ -20,6 +18,11 @@ from dashpot.study.simulate import Dwells, clean_amplitudes
 
 A, F = Quantity.ACCELERATION, Quantity.FORCE
 K, C, M = Kind.SPRING, Kind.DAMPER, Kind.MASS
+
+
+def _values(text: str) -> dict[str, float]:
+    """Numbers by name."""
+    return {name: float(value) for name, value in (word.split("=") for word in text.split())}
 
 
 @dataclass(frozen=True)
@@ -91,8 +94,7 @@ class Bench:
         turn = np.exp(1j * np.arange(len(self.channels)))
         R = correlation * np.outer(turn, turn.conj())
         np.fill_diagonal(R, 1.0)
-        V: Complex = sd[:, :, None] * R * sd[:, None, :]
-        return V
+        return sd[:, :, None] * R * sd[:, None, :]
 
     def spectrum(
         self, rng: np.random.Generator | None = None, draws: int | None = None, correlation: float = 0.0
@@ -234,20 +236,7 @@ def force_at_one_point() -> Bench:
 
 def noisy_base() -> Bench:
     """Four masses on a base whose motion is measured with noise, by an accelerometer like those on two of the masses."""
-    values = {
-        "m1": 2.0,
-        "m2": 0.5,
-        "m3": 4.0,
-        "m4": 1.0,
-        "k1": 5000.0,
-        "k2": 2500.0,
-        "k3": 9000.0,
-        "k4": 1500.0,
-        "c1": 30.0,
-        "c2": 2.0,
-        "c3": 14.0,
-        "c4": 5.0,
-    }
+    values = _values("m1=2 m2=0.5 m3=4 m4=1 k1=5000 k2=2500 k3=9000 k4=1500 c1=30 c2=2 c3=14 c4=5")
     points = ["u", "x1", "x2", "x3", "x4"]
     elements = [mass(f"m{i}", f"x{i}") for i in range(1, 5)]
     elements += [between(f"k{i}", K, points[i - 1], points[i]) for i in range(1, 5)]
@@ -263,18 +252,7 @@ def noisy_base() -> Bench:
 
 def reaction() -> Bench:
     """Three masses on a base, nothing known: the force that moves the base is measured, and two accelerations."""
-    values = {
-        "m1": 0.7,
-        "m2": 6.0,
-        "m3": 1.5,
-        "k1": 12000.0,
-        "k2": 2500.0,
-        "k3": 6000.0,
-        "c1": 5.0,
-        "c2": 45.0,
-        "c3": 3.0,
-        "c4": 8.0,
-    }
+    values = _values("m1=0.7 m2=6 m3=1.5 k1=12000 k2=2500 k3=6000 c1=5 c2=45 c3=3 c4=8")
     points = ["u", "x1", "x2", "x3"]
     elements = [mass(f"m{i}", f"x{i}") for i in range(1, 4)]
     elements += [between(f"k{i}", K, points[i - 1], points[i]) for i in range(1, 4)]
@@ -292,18 +270,7 @@ def reaction() -> Bench:
 
 def pitch_and_bounce() -> Bench:
     """A body on two axles: bounce, pitch and both wheels, two roads of one profile, the rear one later."""
-    values = {
-        "mb": 1200.0,
-        "J": 1500.0,
-        "mf": 60.0,
-        "mr": 110.0,
-        "kf": 18000.0,
-        "kr": 42000.0,
-        "cf": 900.0,
-        "cr": 3200.0,
-        "tf": 160000.0,
-        "tr": 220000.0,
-    }
+    values = _values("mb=1200 J=1500 mf=60 mr=110 kf=18000 kr=42000 cf=900 cr=3200 tf=160000 tr=220000")
     front, rear = {"z": 1.0, "phi": -1.1}, {"z": 1.0, "phi": 1.6}
     elements = [
         mass("mb", "z"), mass("J", "phi"), mass("mf", "yf"), mass("mr", "yr"),
@@ -327,17 +294,7 @@ def pitch_and_bounce() -> Bench:
 
 def calibrations() -> Bench:
     """Three masses on a base; one channel's gain, another's delay and a third's sign are unknown."""
-    values = {
-        "m1": 4.0,
-        "m2": 0.6,
-        "m3": 1.5,
-        "k1": 2500.0,
-        "k2": 6000.0,
-        "k3": 900.0,
-        "c1": 20.0,
-        "c2": 3.0,
-        "c3": 6.0,
-    }
+    values = _values("m1=4 m2=0.6 m3=1.5 k1=2500 k2=6000 k3=900 c1=20 c2=3 c3=6")
     points = ["u", "x1", "x2", "x3"]
     elements = [mass(f"m{i}", f"x{i}") for i in range(1, 4)]
     elements += [between(f"k{i}", K, points[i - 1], points[i]) for i in range(1, 4)]
@@ -367,11 +324,7 @@ def two(
     ]  # fmt: skip
     elements = [replace(e, value=values[e.name]) if e.name in known.split() else e for e in elements]
     f = np.geomspace(2, 16, 14)
-    channels = (
-        Channel("a1", {"x1": 1}, A),
-        Channel("x2", {"x2": 1}),
-        Channel("u", {"u": 1}),
-    )
+    channels = (Channel("a1", {"x1": 1}, A), Channel("x2", {"x2": 1}), Channel("u", {"u": 1}))
     if full:
         channels = (Channel("x1", {"x1": 1}), *channels[1:])
     model = Model(("x1", "x2"), (Input("u"),), tuple(elements))

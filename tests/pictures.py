@@ -1,7 +1,5 @@
 """The screenshots of docs/images, taken again: `python -m tests.pictures`, after `python3 dev.py docs`."""
 
-from __future__ import annotations
-
 import contextlib
 import subprocess
 import sys

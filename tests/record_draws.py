@@ -4,8 +4,6 @@ Each case is one noise-free record, integrated eight times finer than it is samp
 its outputs.  The bound is that of all samples in time with the starting state unknown, from the slopes of the motion.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np

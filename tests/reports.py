@@ -1,7 +1,5 @@
 """A report of every kind, made by the command from the examples."""
 
-from __future__ import annotations
-
 import contextlib
 import json
 import runpy

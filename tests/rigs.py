@@ -23,6 +23,7 @@ from dashpot.model.elements import Element, Kind, between, mass
 from dashpot.model.modes import modes
 from dashpot.model.network import Input, Model
 from dashpot.model.observation import observation_model
+from tests.networks import network
 
 ALL_KINDS = frozenset(Kind)
 PAPER_KINDS = frozenset({Kind.SPRING, Kind.DAMPER, Kind.MASS})
@@ -256,8 +257,7 @@ def _drive(rng: np.random.Generator, lines: int, inputs: int, same_phase: bool) 
     if same_phase:
         return -1j * size
     phase = rng.uniform(0, 2 * np.pi, (lines, inputs))
-    drive: Complex = size * np.exp(1j * phase)
-    return drive
+    return size * np.exp(1j * phase)
 
 
 # ------------------------------------------------------------------------------------------------ what is measured
@@ -295,12 +295,7 @@ def amplitudes(rig: Rig, chosen: Sequence[Channel]) -> Complex:
 
 
 def covariance(
-    rig: Rig,
-    chosen: Sequence[Channel],
-    relative: float,
-    *,
-    inputs: float = 0.0,
-    correlation: float = 0.0,
+    rig: Rig, chosen: Sequence[Channel], relative: float, *, inputs: float = 0.0, correlation: float = 0.0
 ) -> Complex:
     """V (lines, channels, channels): each channel's noise is `relative` (of its rms over the lines and of its own size,
     half each; `inputs` for the inputs), with one correlation coefficient, turned by random-looking phases.
@@ -312,8 +307,7 @@ def covariance(
     turn = np.exp(1j * np.arange(len(chosen)))
     R = correlation * np.outer(turn, turn.conj())
     np.fill_diagonal(R, 1.0)
-    V: Complex = sd[:, :, None] * R * sd[:, None, :]
-    return V
+    return sd[:, :, None] * R * sd[:, None, :]
 
 
 def perfect(rig: Rig, chosen: Sequence[Channel], V: Complex | None = None) -> Spectrum:
@@ -333,8 +327,7 @@ def complex_noise(rng: np.random.Generator, V: Complex, draws: int | None = None
     root = vectors * np.sqrt(np.maximum(values, 0.0))[..., None, :]
     shape = (() if draws is None else (draws,)) + V.shape[:-1]
     white = (rng.standard_normal(shape) + 1j * rng.standard_normal(shape)) / np.sqrt(2)
-    noise: Complex = np.einsum("...ij,...j->...i", root, white)
-    return noise
+    return np.einsum("...ij,...j->...i", root, white)
 
 
 def states(model: Model, spectrum: Spectrum, V: Complex) -> States:
@@ -382,46 +375,17 @@ def records(
 # ------------------------------------------------------------------------------------------------ named rigs
 
 
+CASE_3 = "1 1.5 2 2.25 2.5 2.75 3 3.25 3.5 3.75 4 5 6 7 8 8.5 9 9.5 10 10.5 11 11.5 12 13 14"  # Hz
+
+
 def paper_rig(frequency_hz: Sequence[float] | None = None) -> Rig:
     """The rig of Yamane (1989), Table 1, k1 and k2 known; by default its CASE 3, u = sin ωt of 1 m."""
-    model = Model(
-        ("x1", "x2"),
-        (Input("u"),),
-        (
-            mass("m1", "x1"), mass("m2", "x2"),
-            between("c1", Kind.DAMPER, "x1", "x2"), between("c2", Kind.DAMPER, "x2", "u"),
-            between("c3", Kind.DAMPER, "x1", "ground"), between("c4", Kind.DAMPER, "x2", "ground"),
-            between("k1", Kind.SPRING, "x1", "x2", value=4600.0), between("k2", Kind.SPRING, "x2", "u", value=4600.0),
-        ),
-        "Yamane 1989",
-    )  # fmt: skip
-    case3 = [
-        1,
-        1.5,
-        2,
-        2.25,
-        2.5,
-        2.75,
-        3,
-        3.25,
-        3.5,
-        3.75,
-        4,
-        5,
-        6,
-        7,
-        8,
-        8.5,
-        9,
-        9.5,
-        10,
-        10.5,
-        11,
-        11.5,
-        12,
-        13,
-        14,
-    ]
-    f = np.array(case3 if frequency_hz is None else frequency_hz, dtype=float)
+    model = network(
+        "x1 x2",
+        "u",
+        "m1@x1 m2@x2 c1:x1-x2 c2:x2-u c3:x1-ground c4:x2-ground k1:x1-x2=4600 k2:x2-u=4600",
+        name="Yamane 1989",
+    )
+    f = np.array(CASE_3.split() if frequency_hz is None else frequency_hz, dtype=float)
     theta = np.array([3.0, 2.7, 30.0, 40.0, 90.0, 50.0])
     return Rig(model, theta, f, np.full((len(f), 1), -1j), np.zeros((len(f), 0), dtype=complex))

@@ -3,6 +3,7 @@
 from dashpot.model.elements import Kind, between, mass
 from dashpot.model.network import Input, Model
 from dashpot.model.rigfile import Rig, parse_rig
+from tests.networks import network
 
 RIG = """\
 name = "Two masses on a shaken base"
@@ -57,15 +58,7 @@ HEAD = 'coordinates = ["x1", "x2"]\n[inputs]\nu = {}\n'
 SEEN = '[channels]\nx1 = { of = "x1" }\nx2 = { of = "x2" }\nu = { of = "u" }\n'
 
 
-SHAKEN = Model(
-    ("x1", "x2"),
-    (Input("u"),),
-    (
-        mass("m1", "x1"), mass("m2", "x2", value=2.7), between("k1", Kind.SPRING, "x1", "x2"),
-        between("k2", Kind.SPRING, "x2", "u", value=4600.0), between("c1", Kind.DAMPER, "x1", "x2"),
-        between("c2", Kind.DAMPER, "x2", "u"),
-    ),
-)  # fmt: skip
+SHAKEN = network("x1 x2", "u", "m1@x1 m2@x2=2.7 k1:x1-x2 k2:x2-u=4600 c1:x1-x2 c2:x2-u")
 SHAKEN_TRUTH = {"m1": 3.0, "k1": 4600.0, "c1": 5.0, "c2": 8.0}
 
 

@@ -4,8 +4,6 @@ The motion is carried exactly through a cubic spline of a much finer sampling th
 tested against closed forms); nothing of it is in the frequency domain.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -218,8 +216,7 @@ def sampled_free_motion(view: ObservationModel, p: Real, step: float, jw: comple
     start = np.concatenate([impulse, A @ impulse], axis=1)
     states = step * np.linalg.solve(np.eye(2 * n) - np.exp(-jw * step) * expm(A * step), start)
     motions = np.stack([states[:n], states[n:], (A @ states)[n:]])
-    shown: Complex = np.stack([on_x @ motions[d] for on_x, d in zip(view.on_x, view.derivative, strict=True)])
-    return shown
+    return np.stack([on_x @ motions[d] for on_x, d in zip(view.on_x, view.derivative, strict=True)])
 
 
 @dataclass(frozen=True)

@@ -105,7 +105,7 @@ def _table(head: str, rows: list[tuple[str, str]]) -> list[str]:
 
 def notices() -> str:
     """A section for each place where notices arise: code, what it says, what to do."""
-    from dashpot.present.text.explained import GUIDE
+    from dashpot.present.text.notice_guide import GUIDE
 
     lines = []
     for place in dict.fromkeys(entry.place for entry in GUIDE.values()):
@@ -119,7 +119,7 @@ def notices() -> str:
 def units() -> str:
     """What is accepted for each quantity, and every symbol with its factor."""
     from dashpot import units as of
-    from dashpot.unit_symbols import SYMBOLS
+    from dashpot.units import SYMBOLS
 
     lines = ["| quantity | SI | accepted, for instance |", "|---|---|---|"]
     for (quantity, angular), entry in of._QUANTITIES.items():

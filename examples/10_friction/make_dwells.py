@@ -12,8 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from dashpot.model.nonlinear.integration import Integrator
-from dashpot.model.nonlinear.propagation import forcing
+from dashpot.model.nonlinear.integration import Integrator, forcing
 from dashpot.model.nonlinear.shooting import integrate
 from dashpot.model.rigfile import read_rig
 

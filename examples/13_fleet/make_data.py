@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from dashpot import read_rig
-from dashpot.model.channel_noise import with_relative_noise
+from dashpot.model.observation import with_relative_noise
 from dashpot.study.simulate import dwells, simulate_spectrum
 
 HERE = Path(__file__).parent

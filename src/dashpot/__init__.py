@@ -12,6 +12,7 @@ Public names are loaded when they are first used, so that `import dashpot` costs
 from __future__ import annotations
 
 from importlib import import_module
+from types import FunctionType
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
@@ -23,7 +24,7 @@ if TYPE_CHECKING:
     from dashpot.data.conditioning.harmonic_fit import HarmonicFit, fit_harmonics
     from dashpot.data.conditioning.lines import spectrum
     from dashpot.data.conditioning.settings import Conditioning
-    from dashpot.data.conditioning.steady_state import settled
+    from dashpot.data.conditioning.transients import settled
     from dashpot.data.modal_data import ModalData
     from dashpot.data.readers import Reading, write_amplitudes, write_records
     from dashpot.data.readers.in_memory import record, records_of
@@ -54,9 +55,8 @@ if TYPE_CHECKING:
     from dashpot.model.dynamics import Matrices, matrices, response, sensitivities
     from dashpot.model.elements import Element, Kind, between, mass
     from dashpot.model.modes import Modes, modes
-    from dashpot.model.network import Input, Model
+    from dashpot.model.network import Input, Model, Unknown
     from dashpot.model.rigfile import Rig, default_channels, parse_rig, read_rig, write_rig
-    from dashpot.model.unknowns import Unknown
     from dashpot.model.unstructured import free_model
     from dashpot.study.simulate import Dwells, dwells, simulate_records, simulate_spectrum
 
@@ -68,7 +68,7 @@ _NAMES = {
     "data.conditioning.harmonic_fit": "HarmonicFit fit_harmonics",
     "data.conditioning.lines": "spectrum",
     "data.conditioning.settings": "Conditioning",
-    "data.conditioning.steady_state": "settled",
+    "data.conditioning.transients": "settled",
     "data.modal_data": "ModalData",
     "data.readers": "Reading write_amplitudes write_records",
     "data.readers.in_memory": "record records_of",
@@ -93,8 +93,7 @@ _NAMES = {
     "model.elements": "Element Kind between mass",
     "model.unstructured": "free_model",
     "model.rigfile": "Rig default_channels parse_rig read_rig write_rig",
-    "model.network": "Input Model",
-    "model.unknowns": "Unknown",
+    "model.network": "Input Model Unknown",
     "notices": "Notice",
     "study.simulate": "Dwells dwells simulate_records simulate_spectrum",
 }
@@ -194,6 +193,9 @@ def __getattr__(name: str) -> object:
     if name not in _HOME:
         raise AttributeError(f"module 'dashpot' has no attribute {name!r}")
     attribute = getattr(import_module(f"dashpot.{_HOME[name]}"), name)
+    if isinstance(attribute, FunctionType):
+        attribute = import_module("dashpot.shorthand").refusing(attribute)
+        attribute.__module__ = "dashpot"  # under which pickle finds it again
     globals()[name] = attribute
     return attribute
 

@@ -13,44 +13,51 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
-from dashpot.channel import Channel
+from dashpot.arrays import Real, random_generator
+from dashpot.channel import Channel, Quantity
 from dashpot.check.identifiability import Structure, structure
 from dashpot.data import readers
 from dashpot.data.conditioning.settings import Conditioning
 from dashpot.data.modal_data import ModalData
 from dashpot.data.readers import Reading
+from dashpot.data.readers.in_memory import records_of
 from dashpot.data.record import Record
 from dashpot.data.spectrum import Spectrum
 from dashpot.errors import DashpotError, UsageError
 from dashpot.estimate import comparison as comparisons
-from dashpot.estimate import identify as identification
-from dashpot.estimate.amplitudes import amplitudes_for
 from dashpot.estimate.automatic import identify_with_noise
 from dashpot.estimate.comparison import Comparison
-from dashpot.estimate.likelihood.settling import with_settling_decided
+from dashpot.estimate.identify import amplitudes_for
+from dashpot.estimate.inference.uncertainty import linear_modes
 from dashpot.estimate.method import Method
 from dashpot.estimate.nonlinear.whole_record import fit_records
 from dashpot.estimate.registry import method as named_method
 from dashpot.estimate.registry import methods_for
-from dashpot.estimate.result import Estimate
+from dashpot.estimate.result import Estimate, Origin, Value
 from dashpot.export.identified_rig import IdentifiedRig, identified_rig
 from dashpot.export.state_space import StateSpace, state_space_of
-from dashpot.export.transfer_functions import TransferFunctions, transfer_functions_of
+from dashpot.export.transfer_functions import TransferFunctions, frequency_responses, transfer_functions_of
+from dashpot.io.atomic import write_text
+from dashpot.io.ledger import opened
 from dashpot.model.network import Model
+from dashpot.model.observation import measures_input
 from dashpot.model.rigfile import Rig, default_channels, read_rig
+from dashpot.numerics.blas_threads import one_blas_thread
 from dashpot.quantities import frequencies as frequencies_of
-from dashpot.study.simulate import dwells, simulate_records
+from dashpot.study.simulate import driven_record, dwells, response_band, simulate_records
 
 if TYPE_CHECKING:
-    from dashpot.present.schematic.drawing import Drawing
-    from dashpot.present.schematic.moving import ModeDrawing
+    from dashpot.present.schematic.drawing import Drawing, ModeDrawing
 
 AnyPath = str | os.PathLike[str]
-Data = Spectrum | Reading | Record | AnyPath | Sequence[Record] | Sequence[AnyPath]
+Columns = Any  # a mapping of names to arrays, a data frame, an xarray Dataset, a structured array: as of `records_of`
+Data = (
+    Spectrum | Reading | Record | AnyPath | Columns | Sequence[Record] | Sequence[AnyPath] | Sequence[Columns]
+)
 Progress = Callable[[int, int], None]
 
 
@@ -69,6 +76,7 @@ def read(
     return readers.read(paths, listed, frequency_hz=frequency_hz)
 
 
+@one_blas_thread()
 def identify(
     rig: Rig | Model,
     data: Data,
@@ -76,27 +84,39 @@ def identify(
     *,
     frequency_hz: float | None = None,
     conditioning: Conditioning | None = None,
-    diagnose: bool = False,
+    judge: bool | None = None,
+    within: float | None = None,
     progress: Progress | None = None,
+    diagnose: bool | None = None,
 ) -> Estimate:
     """Estimate the unknowns of a rig from data.
 
     rig     a Rig, or a Model, whose channels are then its coordinates and inputs in SI units
-    data    a Spectrum (with batch axes: repeats of one test), files by name, Records, or what `read` returned
+    data    a Spectrum (with batch axes: repeats of one test), files by name, Records, what `read` returned, or columns
+            by name with `time_s`: a data frame, a mapping of names to arrays, an xarray Dataset
     method  a method or its name, such as "ml"; without one the most precise that suits the data is chosen
     frequency_hz, conditioning  of time records: their drive frequency, and how they become amplitudes
-    diagnose  judge the fit and, where it fails, look for causes, as the command does (no batch axes): `print` tells
+    judge   judge the fit and, where it fails, look for causes, as the command does; `print` tells.  Without being
+            asked, with a Rig, but not with a Model or batch axes.  (`diagnose` is its former name.)
+    within  the share of every channel's motion within which the rig is to describe it, such as 0.02; without one that
+            of the rig file, or what suits the noise
 
     `progress(done, all)` is called between chunks of repeats.  Raises DataError or UsageError where the data lack what
     the method needs, IdentifiabilityError where they do not determine the unknowns, ConvergenceError where no search
     comes to an end, ModelError where the rig has no steady response.
     """
     chosen = named_method(method) if isinstance(method, str) else method
+    judge = diagnose if judge is None else judge
+    judged = isinstance(rig, Rig) if judge is None else judge
+    asked = rig.within if within is None and isinstance(rig, Rig) else within
+    files: tuple[str, ...] = ()
     if not isinstance(data, Spectrum):
-        data = _reading(rig, data, frequency_hz)
+        with opened() as ledger:
+            data = _reading(rig, data, frequency_hz)
+            files = tuple(ledger.inputs)
         if data.continuous and len(_model(rig).nonlinear):
             return _of_nonlinear_records(
-                rig, data, None if chosen is None else chosen.name, conditioning, diagnose, progress
+                rig, data, None if chosen is None else chosen.name, conditioning, judged, asked, progress
             )
     spectrum = _spectrum(rig, data, frequency_hz, conditioning, [] if chosen is None else [chosen])
     from dashpot.present.text.identifiability import require_identifiable
@@ -104,16 +124,12 @@ def identify(
     model = _model(rig)
     where = rig.path or None if isinstance(rig, Rig) else None
     require_identifiable(model, spectrum.channels, where, spectrum)
-    spectrum = with_settling_decided(model, spectrum, chosen)
-    suited = identification.automatic(model, spectrum) if chosen is None else chosen
-    estimate, spectrum = identify_with_noise(
-        model, spectrum, suited, chosen=chosen is not None, progress=progress
-    )
-    if diagnose:
+    estimate, spectrum = identify_with_noise(model, spectrum, chosen, progress=progress)
+    if judge or (judged and not spectrum.batch):
         from dashpot.check.diagnosis.diagnose import examined
 
-        estimate = examined(model, spectrum, estimate)
-    return _of_rig(rig, estimate)
+        estimate = examined(model, spectrum, estimate, within=asked)
+    return _of_rig(rig, estimate, spectrum, files)
 
 
 def _of_nonlinear_records(
@@ -121,7 +137,8 @@ def _of_nonlinear_records(
     reading: Reading,
     method: str | None,
     conditioning: Conditioning | None,
-    diagnose: bool,
+    judged: bool,
+    within: float | None,
     progress: Progress | None,
 ) -> Estimate:
     """The estimate from continuous records of a nonlinear rig, judged if asked for."""
@@ -132,13 +149,14 @@ def _of_nonlinear_records(
     require_sound_channels(model, reading.records)
     fitted = fit_records(model, reading.records, method, still=still, progress=progress)
     estimate = fitted.estimate()
-    if diagnose:
-        from dashpot.check.record_verdict import examined_records
+    if judged:
+        from dashpot.check.verdict import examined_records
 
-        estimate = examined_records(model, reading.records, estimate, fitted)
+        estimate = examined_records(model, reading.records, estimate, fitted, within)
     return _of_rig(rig, estimate)
 
 
+@one_blas_thread()
 def compare(
     rig: Rig | Model,
     data: Data | None,
@@ -172,6 +190,7 @@ def compare(
     )  # fmt: skip
 
 
+@one_blas_thread()
 def check(
     rig: Rig, data: Data | None = None, *, frequency_hz: float | None = None, seed: int = 0
 ) -> Structure:
@@ -183,10 +202,11 @@ def check(
     return structure(rig.model, rig.channels if spectrum is None else spectrum.channels, spectrum, seed)
 
 
+@one_blas_thread()
 def simulate(
     rig: Rig,
-    values: Mapping[str, float],
-    frequencies: str | Sequence[float],
+    values: Mapping[str, float | Value],
+    frequencies: Any,
     *,
     samples: int = 200,
     amplitudes: Mapping[str, complex] | None = None,
@@ -194,21 +214,27 @@ def simulate(
     rate: float | None = None,
     seed: int = 0,
 ) -> tuple[Record, ...]:
-    """The stepped-sine records that a rig would yield, with the noise that its channels state: one for each dwell.
+    """The records that a rig would yield, with the noise that its channels state.
 
-    values       of the unknowns by name, SI units; guesses of the rig file stand in for what is not given
-    frequencies  Hz: a sequence, or as the command line has them ("1:10:0.5", "1:10/25")
+    values       by name, SI units, or `estimate.parameters()`: unknowns, and known ones that are to be otherwise;
+                 values and guesses of the rig file stand in for what is not given
+    frequencies  Hz, of a dwell each: a sequence, or as the command line has them ("1:10:0.5", "1:10/25"); or what the
+                 inputs do, from rest: a Record, or columns by name with `time_s`, of one or more stretches of time
     samples      of each dwell, spread over `periods`, or taken at `rate` (Hz)
     amplitudes   of the inputs by name, SI units; 1 where not given
 
     Raises UsageError where an unknown has no value or an input does not exist, ModelError where the rig has no steady
     response, DataError where a channel measures what the rig has not.
     """
-    chosen = frequencies_of(frequencies) if isinstance(frequencies, str) else frequencies
+    rig, theta = _with_stated(rig, values)
     model = rig.model
+    if _drives(frequencies):
+        rng = random_generator(seed)
+        drives = _inputs(rig, frequencies)
+        return tuple(driven_record(model, theta, rig.channels, drive, rng) for drive in drives)
+    chosen: Sequence[float] = frequencies_of(frequencies) if isinstance(frequencies, str) else frequencies
     test = dwells(model, chosen, samples, amplitudes=amplitudes, periods=periods, rate=rate)
-    p = model.parameters(model.theta(values))
-    return tuple(simulate_records(model, p, rig.channels, test, np.random.default_rng(seed)))
+    return tuple(simulate_records(model, model.parameters(theta), rig.channels, test, random_generator(seed)))
 
 
 def draw(
@@ -223,9 +249,8 @@ def draw(
     Raises UsageError where the rig has too many bodies for a drawing, or no such mode, ModelError or DataError where
     the rig or its channels cannot be.
     """
-    from dashpot.check.doubt import doubtful, undetermined
-    from dashpot.present.schematic.drawing import schematic
-    from dashpot.present.schematic.moving import mode_drawing, numbered_mode
+    from dashpot.check.data_findings import doubtful, undetermined
+    from dashpot.present.schematic.drawing import mode_drawing, numbered_mode, schematic
 
     model, channels = _model(rig), _channels(rig)
     if mode is not None:
@@ -300,15 +325,136 @@ def export(
 
 
 def _identified(rig: Rig | Estimate, source: Estimate | Rig | Mapping[str, float] | None) -> IdentifiedRig:
-    """A rig with values, whichever way round they are given."""
+    """A rig with values, whichever way round they are given; known values are those of the estimate."""
     estimate = rig if isinstance(rig, Estimate) else source if isinstance(source, Estimate) else None
     whole = rig if isinstance(rig, Rig) else source if isinstance(source, Rig) else None
-    if whole is None:
-        if estimate is None or estimate.rig is None:
-            raise UsageError("the estimate does not name its rig file", cure="give the rig as well")
-        whole = read_rig(estimate.rig)
+    if whole is None or estimate is not None:
+        whole = _rig_of(estimate, whole)
     values = source if isinstance(source, Mapping) else None
     return identified_rig(whole, estimate, values)
+
+
+def frf(
+    estimate: Estimate, output: str, input: str, frequencies_hz: Any, rig: Rig | None = None
+) -> tuple[Any, Any]:
+    """The frequency response that an estimate predicts, and the standard deviation of its real (imaginary) part alike.
+
+    output, input   channels of the rig by name, or a coordinate and an input of it: their amplitudes in SI units
+    frequencies_hz  a number, or an array, whose shape both have
+    rig             of an estimate that does not name its rig file
+
+    Raises UsageError where the rig has no such channel or input, ModelError as `transfer_functions`.
+    """
+    of_rig = _identified(estimate, rig)
+    model, default = of_rig.model, default_channels(of_rig.model)
+    named = {channel.name: channel for channel in (*default, *of_rig.channels)}
+    shown, drive = (_listed(named, name) for name in (output, input))
+    if not measures_input(model, drive) or len(drive.of) != 1:
+        inputs = [channel.name for channel in named.values() if measures_input(model, channel)]
+        raise UsageError(f"{input} is no input of the rig", cure=f"take {' or '.join(inputs)}")
+    if measures_input(model, shown):
+        raise UsageError(f"{output} is an input of the rig", cure="name a channel of its coordinates")
+    frequency_hz = _numbers(frequencies_hz, "frequencies_hz")
+    H, sd = frequency_responses(replace(of_rig, channels=(shown,)), frequency_hz.ravel())
+    ((point, factor),) = drive.of.items()
+    moved = drive.quantity is not Quantity.FORCE
+    points = model.displacement_inputs if moved else model.force_inputs
+    j = points.index(point) + (0 if moved else len(model.displacement_inputs))
+    per_unit = factor * (2j * np.pi * frequency_hz.ravel()) ** (drive.quantity.derivative if moved else 0)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        value, spread = H[:, 0, j] / per_unit, sd[:, 0, j] / abs(per_unit)
+    return value.reshape(frequency_hz.shape)[()], spread.reshape(frequency_hz.shape)[()]
+
+
+def predicted_motion(
+    estimate: Estimate, inputs: Any, rig: Rig | None = None, **changes: float
+) -> tuple[Record, ...]:
+    """What the channels would show under measured or wished inputs, from rest and without noise: Records with their sd.
+
+    inputs   a Record, or columns by name with `time_s` (a data frame, a mapping), or the name of a file
+    changes  values by name, SI units, that are to be otherwise: `with_values`
+
+    Raises DataError where an input is missing, and as `Estimate.with_values` and `simulate`.
+    """
+    changed = with_exact_values(estimate, changes)
+    whole = _rig_of(changed, rig)
+    predicted = [response_band(whole.model, changed, whole.channels, one) for one in _inputs(whole, inputs)]
+    return tuple(replace(record, sd=sd) for record, sd in predicted)
+
+
+def with_exact_values(estimate: Estimate, changes: Mapping[str, float]) -> Estimate:
+    """The estimate with these values exact and the rest as it was: `Estimate.with_values`."""
+    if not changes:
+        return estimate
+    if estimate.values.ndim != 1:
+        raise UsageError("a batch of estimates has no values to change", cure="take one of them")
+    given = {name: float(_numbers(value, name)) for name, value in changes.items()}
+    known = {name: (value, unit) for name, value, unit in estimate.known}
+    for name in given.keys() - {*estimate.names, *known}:
+        raise UsageError(
+            f"{name} is no parameter of the estimate that can be changed",
+            cure=f"its parameters are {', '.join([*estimate.names, *known])}",
+        )
+    at = [j for j, name in enumerate(estimate.names) if name in given]
+
+    def exactly(values: Real) -> Real:
+        changed = np.array(values)
+        changed[at] = [given[estimate.names[j]] for j in at]
+        return changed
+
+    def certain(spread: Real) -> Real:
+        changed = np.array(spread)
+        changed[at], changed[..., at] = 0.0, 0.0
+        return changed
+
+    changed = replace(
+        estimate,
+        values=exactly(estimate.values),
+        free_values=exactly(estimate.free_values),
+        bound_sd=certain(estimate.bound_sd),
+        covariance=certain(estimate.covariance),
+        noise_covariance=certain(estimate.noise_covariance),
+        known=tuple((name, given.get(name, value), unit) for name, (value, unit) in known.items()),
+        profiles={name: curve for name, curve in estimate.profiles.items() if name not in given},
+        modes=None,
+        assessment=None,
+    )
+    if estimate.origin is None:
+        return changed
+    model = _rig_of(changed).model
+    m = len(model.unknowns)
+    return replace(changed, modes=linear_modes(model, changed.values[:m], changed.covariance[:m, :m]))
+
+
+def report(estimate: Estimate, path: AnyPath, level: float = 0.95) -> str:
+    """Write the report of an estimate as HTML, as the command does; the name of the file.
+
+    Responses and residuals are in it where the estimate still has what it was made from: one that was read from JSON
+    has not.  Raises UsageError for another ending and for a batch.
+    """
+    from dashpot.present.pages.page import provenance_of
+    from dashpot.present.pages.report import identification_report
+
+    if estimate.values.ndim != 1:
+        raise UsageError("a batch of estimates has no report", cure="take one of them")
+    name = os.fspath(path)
+    if not name.endswith(".html"):
+        raise UsageError("reports are written as .html", name, "name it so, and print that for a PDF file")
+    rig = _rig_of(estimate)
+    origin = Origin(rig) if estimate.origin is None else estimate.origin
+    with opened() as ledger:
+        for file in filter(os.path.isfile, (*([rig.path] if rig.path else []), *origin.files)):
+            ledger.note_read(file)
+        page = identification_report(
+            rig.model,
+            origin.spectrum,
+            estimate,
+            level,
+            provenance_of("estimate.report(…), in Python"),
+            channels=rig.channels,
+        )
+        write_text(name, page)
+    return name
 
 
 def text(value: Estimate | Comparison) -> str:
@@ -344,9 +490,86 @@ def plot(value: Estimate | Comparison, level: float = 0.95) -> Any:
     return comparison_figure(value, level) if isinstance(value, Comparison) else estimate_figure(value, level)
 
 
-def _of_rig(rig: Rig | Model, estimate: Estimate) -> Estimate:
-    """The estimate with the name of its rig file, where it has one."""
-    return replace(estimate, rig=rig.path) if isinstance(rig, Rig) and rig.path else estimate
+def _of_rig(
+    rig: Rig | Model, estimate: Estimate, spectrum: Spectrum | None = None, files: tuple[str, ...] = ()
+) -> Estimate:
+    """The estimate with its rig, the name of its file where it has one, and what it was made from."""
+    if isinstance(rig, Model):
+        return estimate
+    return replace(estimate, rig=rig.path or estimate.rig, origin=Origin(rig, spectrum, files))
+
+
+def _rig_of(estimate: Estimate | None, rig: Rig | None = None) -> Rig:
+    """The rig that an estimate was made of, or is said to be of, with the known values of the estimate."""
+    if estimate is None or (rig is None and estimate.origin is None and estimate.rig is None):
+        raise UsageError("the estimate does not name its rig file", cure="give the rig as well")
+    if rig is None:
+        rig = read_rig(str(estimate.rig)) if estimate.origin is None else estimate.origin.rig
+    return _with_known(rig, {name: value for name, value, _ in estimate.known})
+
+
+def _with_known(rig: Rig, values: Mapping[str, float]) -> Rig:
+    """The rig with known parameters otherwise."""
+    elements = tuple(
+        replace(element, value=values[element.name])
+        if element.value is not None and element.sd is None and element.name in values
+        else element
+        for element in rig.model.elements
+    )
+    return (
+        rig if elements == rig.model.elements else replace(rig, model=replace(rig.model, elements=elements))
+    )
+
+
+def _with_stated(rig: Rig, values: Mapping[str, float | Value]) -> tuple[Rig, Real]:
+    """The rig with known values as stated, and its unknowns, (unknowns,); what is tied follows them."""
+    numbers = {
+        name: float(_numbers(value.value if isinstance(value, Value) else value, name))
+        for name, value in values.items()
+    }
+    rig = _with_known(rig, numbers)
+    elsewhere = {name for name, value in values.items() if isinstance(value, Value)}
+    elsewhere |= {element.name for element in rig.model.elements if element.value is not None}
+    unknown = set(rig.model.unknown_names)
+    return rig, rig.model.theta(
+        {name: value for name, value in numbers.items() if name in unknown or name not in elsewhere}
+    )
+
+
+def _drives(given: object) -> bool:
+    """Whether it says what inputs do, rather than frequencies."""
+    return isinstance(given, Record | Reading) or _has_columns(given)
+
+
+def _inputs(rig: Rig, data: Any) -> tuple[Record, ...]:
+    """Records of the inputs of a rig, from anything that holds them."""
+    alone = tuple(channel for channel in rig.channels if measures_input(rig.model, channel))
+    return _reading(replace(rig, channels=alone or rig.channels), data, None).records
+
+
+def _has_columns(data: object) -> bool:
+    """Whether it is a table: columns by name."""
+    if isinstance(data, Mapping) or (isinstance(data, np.ndarray) and data.dtype.names):
+        return True
+    return hasattr(data, "columns") or hasattr(data, "data_vars") or hasattr(data, "dims")
+
+
+def _listed(named: Mapping[str, Channel], name: str) -> Channel:
+    """The channel of that name.  Raises UsageError."""
+    if name not in named:
+        raise UsageError(f"there is no channel {name}", cure=f"take one of {', '.join(named)}")
+    return named[name]
+
+
+def _numbers(value: Any, name: str) -> Real:
+    """Finite numbers of any shape.  Raises UsageError."""
+    try:
+        numbers = np.asarray(value, dtype=np.float64)
+    except (TypeError, ValueError):
+        numbers = np.array(np.nan)
+    if isinstance(value, bool | bytes | str) or not np.all(np.isfinite(numbers)):
+        raise UsageError(f"{name} is {value!r}", cure="give a finite number")
+    return numbers
 
 
 def _model(rig: Rig | Model) -> Model:
@@ -374,18 +597,44 @@ def _spectrum(
 
 def _reading(
     rig: Rig | Model,
-    data: Reading | Record | AnyPath | Sequence[Record] | Sequence[AnyPath],
+    data: Data,
     frequency_hz: float | None,
 ) -> Reading:
-    """Files read by the channels of the rig, or what was read before."""
+    """Files read by the channels of the rig, or what was read before, with the calibrations that the rig states."""
     if isinstance(data, Reading):
-        return data
-    several = [data] if isinstance(data, Record | str | os.PathLike) else list(data)
-    records = [item for item in several if isinstance(item, Record)]
-    if records and len(records) == len(several):
-        return Reading(tuple(records), None, ())
-    paths = [item for item in several if not isinstance(item, Record)]
-    return read(paths, _channels(rig), frequency_hz=frequency_hz)
+        return replace(data, records=tuple(_calibrated(rig, record) for record in data.records))
+    single = isinstance(data, Record | str | os.PathLike) or _has_columns(data)
+    if not single and not isinstance(data, Sequence):
+        raise UsageError(
+            f"a {type(data).__name__} is no data",
+            cure="give the name of a file, a data frame or a mapping of columns with time_s, Records or a Spectrum",
+        )
+    several: list[Any] = [data] if single else list(cast("Sequence[Any]", data))
+    if several and all(isinstance(item, str | os.PathLike) for item in several):
+        return read(several, _channels(rig), frequency_hz=frequency_hz)
+    records: list[Record] = []
+    for item in several:
+        if not isinstance(item, Record):
+            records += records_of(item, _channels(rig), frequency_hz=frequency_hz, source=type(item).__name__)
+        else:
+            records.append(_calibrated(rig, item))
+    return Reading(tuple(records), None, ())
+
+
+def _calibrated(rig: Rig | Model, record: Record) -> Record:
+    """The record, whose channels without a calibration of their own take that of the rig's channel of their name.
+
+    Where that measures the same.
+    """
+    stated = {channel.name: channel for channel in rig.channels} if isinstance(rig, Rig) else {}
+
+    def as_stated(channel: Channel) -> Channel:
+        other = stated.get(channel.name, channel)
+        alike = (channel.of, channel.quantity) == (other.of, other.quantity)
+        return other if alike and (channel.gain, channel.delay, channel.sign) == (1.0, 0.0, 1.0) else channel
+
+    channels = tuple(map(as_stated, record.channels))
+    return record if channels == record.channels else replace(record, channels=channels)
 
 
 def _channels(rig: Rig | Model) -> Sequence[Channel]:

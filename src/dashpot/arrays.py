@@ -1,13 +1,16 @@
-"""Array types, and what makes arrays read-only."""
+"""Array types, what makes arrays read-only, and the generators of random ones."""
 
 from __future__ import annotations
 
 from dataclasses import fields
 from functools import cache
+from operator import index
 from typing import Any, TypeVar, cast
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+
+from dashpot.errors import UsageError
 
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -16,7 +19,29 @@ Bools = NDArray[np.bool_]
 
 Scalar = TypeVar("Scalar", bound=np.generic)
 
+SMALLEST = 1e-100  # below this squares underflow, and no measurement is meant
 MANY = 1 << 17  # numbers of all lines from which diagonal matrices are laid out by planes
+
+
+def random_generator(seed: int) -> np.random.Generator:
+    """What draws the numbers that a seed stands for.  Raises UsageError where it is no whole number from 0 on."""
+    try:
+        if index(seed) >= 0:
+            return np.random.default_rng(index(seed))
+    except TypeError:
+        pass
+    raise UsageError(f"the seed is {seed!r}", cure="give a whole number from 0 on")
+
+
+def without_denormals(values: ArrayLike, axis: int) -> np.ndarray:
+    """The values, with 0 along `axis` where all of them are below SMALLEST: nothing was measured there."""
+    array = np.asarray(values)
+    if not array.size or array.ndim < -axis:
+        return array
+    ends = np.max(array, axis=axis, keepdims=True), np.min(array, axis=axis, keepdims=True)
+    largest = np.maximum(*map(np.abs, ends))
+    nothing = (largest > 0) & (largest < SMALLEST)
+    return np.where(nothing, 0.0, array) if np.any(nothing) else array
 
 
 def frozen(values: ArrayLike, dtype: type[Scalar]) -> NDArray[Scalar]:
@@ -97,5 +122,4 @@ def freeze(value: object) -> None:
 
 def hermitian(matrix: NDArray[Scalar]) -> NDArray[Scalar]:
     """Conjugate transpose of the last two axes."""
-    transposed: NDArray[Scalar] = np.conj(np.swapaxes(matrix, -1, -2))
-    return transposed
+    return np.conj(np.swapaxes(matrix, -1, -2))

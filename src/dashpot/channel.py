@@ -7,6 +7,8 @@ from dataclasses import dataclass
 from enum import StrEnum
 from types import MappingProxyType
 
+from dashpot.errors import UsageError
+
 RESERVED_NAMES = ("time_s", "frequency_hz", "experiment")  # columns of data files that no channel can be
 
 
@@ -53,7 +55,11 @@ class Channel:
     same_gain_as: str | None = None
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "of", MappingProxyType(dict(self.of)))
+        try:
+            object.__setattr__(self, "of", MappingProxyType(dict(self.of)))
+        except (TypeError, ValueError):
+            cure = 'give points with factors, such as {"x1": 1}'
+            raise UsageError(f"channel {self.name} measures {self.of!r}", cure=cure) from None
 
     @property
     def factor(self) -> float:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import unicodedata
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -28,11 +29,16 @@ class Problem:
         return printable(f"{place}{self.what}{remedy}")
 
 
-def printable(text: str) -> str:
-    """The text on one line of a terminal: control characters and what turns or hides text are shown escaped (\\x1b)."""
-    if text.isprintable():
-        return text
-    return "".join(ascii(c)[1:-1] if unicodedata.category(c) in _UNSEEN else c for c in text)
+def printable(text: str, kept: str = "") -> str:
+    """The text on one line of a terminal: control characters and what turns or hides text are shown escaped (\\x1b).
+
+    `kept` are those that stay, such as line breaks.
+    """
+    return re.sub(
+        r"[^ -~]",
+        lambda c: ascii(c[0])[1:-1] if unicodedata.category(c[0]) in _UNSEEN and c[0] not in kept else c[0],
+        text,
+    )
 
 
 class DashpotError(Exception):

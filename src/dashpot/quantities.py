@@ -35,7 +35,7 @@ class Amount:
         Raises UsageError where the unit is not one of that quantity, or the value leaves the range of numbers.
         """
         factor = 1.0 if self.unit is None else scale(self.unit, quantity, angular)
-        return _within_range(self.number * factor, str(self))
+        return within_range(self.number * factor, str(self))
 
     def __str__(self) -> str:
         return f"{self.number:g}" if self.unit is None else f"{self.number:g} {self.unit}"
@@ -48,7 +48,7 @@ def amount(text: str) -> Amount:
         raise UsageError(
             f"{text.strip()!r} is not a quantity", cure="write a number, with a unit if you like: 2 mm"
         )
-    return Amount(_within_range(float(match[1]), text), match[2])
+    return Amount(within_range(float(match[1]), text), match[2])
 
 
 def share(text: str) -> float:
@@ -61,7 +61,7 @@ def share(text: str) -> float:
         number = math.nan
     if not re.fullmatch(_NUMBER, bare.strip()) or not math.isfinite(number):
         raise UsageError(f"{text.strip()!r} is not a share", cure="write it as 5% or 0.05")
-    return _within_range(number, text)
+    return within_range(number, text)
 
 
 def positive(value: float, text: str) -> float:
@@ -170,7 +170,8 @@ def _unit_of(piece: str) -> str | None:
     return None if match is None else match[2]
 
 
-def _within_range(value: float, text: str) -> float:
+def within_range(value: float, text: str) -> float:
+    """The value; raises UsageError where squares and products of it would leave floating point."""
     if not (value == 0 or SMALLEST < abs(value) < LARGEST):
         raise UsageError(
             f"{text.strip()!r} is out of range", cure=f"give a magnitude from {SMALLEST:g} to {LARGEST:g}"

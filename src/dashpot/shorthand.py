@@ -6,13 +6,80 @@ is called, as `dashpot.identify` is when it is used; nothing is imported before.
 
 from __future__ import annotations
 
+import reprlib
+from collections.abc import Callable, Mapping, Sequence
+from functools import wraps
 from importlib import import_module
-from typing import Any, cast
+from inspect import signature, unwrap
+from numbers import Integral, Real
+from types import UnionType
+from typing import Any, Literal, ParamSpec, TypeVar, Union, cast, get_args, get_origin
+
+import numpy as np
+
+from dashpot.errors import UsageError
+
+Arguments = ParamSpec("Arguments")
+Result = TypeVar("Result")
 
 
 def call(function: str, *arguments: Any, **options: Any) -> Any:
     """Call a function of `dashpot.api` by its name."""
-    return getattr(import_module("dashpot.api"), function)(*arguments, **options)
+    return refusing(getattr(import_module("dashpot.api"), function))(*arguments, **options)
+
+
+def refusing(function: Callable[Arguments, Result]) -> Callable[Arguments, Result]:
+    """The function; where it fails on an argument that is not of its annotated type, a UsageError names that one."""
+
+    @wraps(function)
+    def called(*arguments: Arguments.args, **options: Arguments.kwargs) -> Result:
+        try:
+            return function(*arguments, **options)
+        except (ArithmeticError, AttributeError, LookupError, RuntimeWarning, TypeError, ValueError) as error:
+            try:
+                given = signature(function).bind(*arguments, **options).arguments
+            except TypeError:  # too many arguments, or too few, which Python says well
+                raise error from None
+            for name, value in given.items():
+                hint = function.__annotations__.get(name, "Any")
+                if not _fits(value, _type_of(hint, unwrap(function).__globals__)):
+                    what = f"{function.__name__}: {name} is {reprlib.repr(value)}"
+                    raise UsageError(what, cure=f"it must be {hint}") from error
+            raise
+
+    return called
+
+
+def _type_of(hint: str, names: dict[str, Any]) -> Any:
+    """What an annotation means; Any where its names are imported for type checkers alone."""
+    try:
+        return eval(hint, names)
+    except NameError:
+        return Any
+
+
+def _fits(value: object, hint: Any) -> bool:
+    """Whether a value is of a type, as far as an isinstance tells; no bytes, and no numbers that are not finite."""
+    kind, inner = get_origin(hint) or hint, get_args(hint)
+    if kind in (Union, UnionType):
+        return any(_fits(value, each) for each in inner)
+    if kind is Literal:
+        return any(type(value) is type(each) and value == each for each in inner)
+    if kind is np.ndarray:
+        return isinstance(value, np.ndarray) and value.size > 0 and bool(np.all(np.isfinite(value)))
+    if kind in (float, int):
+        return isinstance(value, Real if kind is float else Integral) and bool(np.isfinite(float(value)))
+    if kind is Any or not isinstance(kind, type):
+        return True
+    if getattr(kind, "_is_protocol", False):
+        return all(hasattr(value, name) for name in vars(kind) if not name.startswith("_"))
+    if not isinstance(value, kind) or isinstance(value, bytes):
+        return issubclass(kind, Sequence) and isinstance(value, np.ndarray) and _fits(value.tolist(), hint)
+    if isinstance(value, Mapping):
+        return all(_fits(each, inner[1]) for each in value.values()) if len(inner) == 2 else True
+    if isinstance(value, list | tuple) and inner:
+        return all(_fits(each, inner[0]) for each in value[:100])
+    return not (isinstance(value, str) and inner)  # a text is a sequence of texts, but not meant as one
 
 
 class InNotebooks:

@@ -1,7 +1,5 @@
 """Damaged inputs of every kind through the command, for as long as wanted: python3 dev.py fuzz --help."""
 
-from __future__ import annotations
-
 import argparse
 import contextlib
 import io
@@ -150,7 +148,6 @@ class Campaign:
         return 1 if self.found else 0
 
     def _hear(self, worker: subprocess.Popen[str]) -> None:
-        assert worker.stdout is not None
         line = worker.stdout.readline()
         word = self.heard[worker]
         if not line:

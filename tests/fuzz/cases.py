@@ -12,7 +12,7 @@ from pathlib import Path
 
 import click
 
-from dashpot.app.files import InputFile, OutputFile, OutputFolder
+from dashpot.app.options import InputFile, OutputFile, OutputFolder
 from tests.fuzz import corpus, mutation
 
 # Sound values of options, by the parameter's name; any other option gets one that suits none in particular.
@@ -144,13 +144,14 @@ def _reading(rng: random.Random) -> Case:
     if rng.random() < 0.1:
         text = mutation.damaged(rng.choice(QUANTITIES).encode(), rng, "txt").decode("utf-8", "replace")
         return Case(("@quantity", rng.choice((text, rng.choice(EXTREMES)))))
-    texts = corpus.files()
+    attacking = rng.random() < 0.08
+    texts = corpus.attacks() if attacking else corpus.files()
     name = rng.choice(sorted(texts))
     end = name.rpartition(".")[2]
-    kind = {"study.toml": "@study", "estimate.json": "@estimate"}.get(
-        name, "@rig" if end == "toml" else "@data"
-    )
-    files = {name: mutation.damaged(texts[name], rng, end)}
+    rig = end == "toml" and b"[[files]]" not in texts[name]
+    kind = {"study.toml": "@study", "estimate.json": "@estimate"}.get(name, "@rig" if rig else "@data")
+    whole = attacking and rng.random() < 0.5
+    files = {name: texts[name] if whole else mutation.damaged(texts[name], rng, end)}
     if kind == "@study":
         files["rig.toml"] = texts["rig.toml"]
     return Case(("@modes" if name.startswith("modes") else kind, name), files)

@@ -1,7 +1,5 @@
 """Sound inputs of every kind, small ones, from which damaged ones are made."""
 
-from __future__ import annotations
-
 import contextlib
 import io
 import json
@@ -11,11 +9,13 @@ from functools import cache
 from pathlib import Path
 
 import numpy as np
+import openpyxl
 
 from dashpot.app.cli import run
 from dashpot.data.readers.uff.modes import NodalMode
 from dashpot.data.readers.uff.writer import write_universal_file
 from tests import two_masses
+from tests.unit.data.readers.attacks import ATTACKS, write_hdf5
 from tests.unit.data.readers.famos_bytes import dwell
 from tests.unit.data.readers.written import WRITERS, recording, wav
 
@@ -164,6 +164,37 @@ def files() -> dict[str, bytes]:
                     raise RuntimeError(f"the corpus cannot be made: {arguments}: {told.getvalue()}")
         _write_binary()
         return {name: Path(name).read_bytes() for name in sorted(os.listdir())}
+
+
+@cache
+def attacks() -> dict[str, bytes]:
+    """Well-formed files made to harm who reads them, by their names."""
+    made = {
+        "walk.toml": b'folder = "/"\n[[files]]\nname = "**/none.csv"\n',
+        "up.toml": b'[[files]]\nname = "../../etc/passwd"\n',
+        "secret.toml": b'[[files]]\nname = "/etc/passwd"\n',
+        "title.toml": BASE.replace("Two", r"\u001b[31m\u202e\ufffe\n    -1\n").encode(),
+        "formula.toml": BASE.replace("x1", "=1+x1").encode(),
+        "quote.toml": BASE.replace('"x1"', "'x\"1'").replace("\nx1 ", "\n'x\"1' ").encode(),
+        "noise.toml": BASE.replace("unit = ", "noise = 1e200, unit = ").encode(),
+        "long.npy": b"\x93NUMPY\x01\x00v\x00"
+        + b"{'descr': '<f8', 'fortran_order': False, 'shape': (1099511627776,), }".ljust(117) + b"\n",
+        "step.uff": files()["modes.uff"].replace(b" 1.00000e+00", b"1.0000e-320"),
+    }  # fmt: skip
+    with tempfile.TemporaryDirectory() as folder:
+        for k, attack in enumerate(ATTACKS):
+            for suffix in (".h5", ".mat"):
+                path = Path(folder, f"attack{k}{suffix}")
+                write_hdf5(path, attack)
+                made[path.name] = path.read_bytes()
+        path = Path(folder, "corner.xlsx")
+        book = openpyxl.Workbook()
+        for row in (["time_s", "x1", "x2", "u"], *([k / 128, 1.0, 2.0, 3.0] for k in range(32))):
+            book.active.append(row)
+        book.active["XFD1048576"] = 1.0
+        book.save(path)
+        made[path.name] = path.read_bytes()
+    return made
 
 
 def _write_binary() -> None:

@@ -1,7 +1,5 @@
 """Damage: numbers, names, structure and bytes of an input changed as slips, faults and malice change them."""
 
-from __future__ import annotations
-
 import json
 import random
 import re

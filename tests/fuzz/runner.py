@@ -1,7 +1,5 @@
 """One case in this process, with limits; what is wrong with how it ended."""
 
-from __future__ import annotations
-
 import contextlib
 import gc
 import io
@@ -142,11 +140,7 @@ def _run(case: Case, seconds: float, err: io.StringIO, interrupted: bool = True)
     """Run a case in this folder; where it is to be `interrupted`, Ctrl-C comes after so many seconds, else Hang."""
     out, fault, code = io.StringIO(), None, None
     reads = case.arguments[0] in READERS
-    with (
-        contextlib.redirect_stdout(out),
-        contextlib.redirect_stderr(err),
-        _strangers() as strangers,
-    ):
+    with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err), _strangers() as strangers:
         try:
             with _time_limit(seconds, interrupted and not reads) as sent:
                 code = _read(case.arguments) if reads else cli.run(case.arguments)
@@ -165,7 +159,7 @@ def _wrong(case: Case, run: _Run) -> str | None:
         return f"exit code {run.code} after Ctrl-C"
     if not run.interrupted and run.code not in CODES:
         return f"exit code {run.code}"
-    if any("out of memory" in line for line in told):
+    if any("not enough memory" in line for line in told):
         gc.collect()
         return "memory"
     if run.strangers:

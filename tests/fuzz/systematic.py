@@ -1,7 +1,5 @@
 """Damage of every kind to a sound file of every format, one after another: `python -m tests.fuzz.systematic`."""
 
-from __future__ import annotations
-
 import gzip
 import json
 import re

@@ -1,9 +1,8 @@
 """Damage of every kind to every format: a right answer or one clear line, within 5 s and 1 GiB."""
 
-from __future__ import annotations
-
 import json
 import os
+import re
 import subprocess
 import sys
 import zipfile
@@ -44,7 +43,12 @@ def test_recordings_of_labview_are_whole_or_refused(tmp_path: Path) -> None:
     """Its library leaves out, without a word, a segment whose description is cut off."""
     content = corpus.files()["tdms.tdms"]
     path = tmp_path / "cut.tdms"
-    for length in range(1, len(content), 53):
+    segments = [match.start() for match in re.finditer(b"TDSm", content)]
+    for length in (
+        1,
+        len(content) - 1,
+        *(start + within for start in segments for within in (2, 20, 90, 600)),
+    ):
         path.write_bytes(content[:length])
         with pytest.raises(DataError) as refused:
             read(path, parse_rig(corpus.BASE).channels)

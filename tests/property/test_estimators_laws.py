@@ -1,7 +1,5 @@
 """Laws that every estimator obeys on random rigs: order, units, repeats, superfluous knowledge, hard numbers."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Noise-free data give every parameter back, by every estimator, on random identifiable rigs of 1 to 8 coordinates."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """ls and iv against the paper's stacked formulas, written out sample by sample (Yamane 1989, eq. 4-20)."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -115,8 +113,7 @@ def stacked_ls(rig: Rig, dwells: Sequence[Record]) -> Real:
     """Eq. 17 with Q = I, solved by QR: no normal matrix is formed."""
     A, h = Stacked(rig).stack(dwells)
     size = np.linalg.norm(A, axis=0)
-    solution: Real = np.linalg.lstsq(A / size, h, rcond=None)[0] / size
-    return solution
+    return np.linalg.lstsq(A / size, h, rcond=None)[0] / size
 
 
 def stacked_iv(rig: Rig, dwells: Sequence[Record], theta: Real, rounds: int = 60) -> Real:
@@ -155,13 +152,7 @@ def assert_equal(rig: Rig, dwells: Sequence[Record], *, drift: int | None = None
 )
 @settings(max_examples=20)
 def test_random_networks(
-    seed: int,
-    n: int,
-    inputs: tuple[int, int],
-    same_phase: bool,
-    periods: float,
-    jitter: float,
-    noise: float,
+    seed: int, n: int, inputs: tuple[int, int], same_phase: bool, periods: float, jitter: float, noise: float
 ) -> None:
     """Chains and meshes, whole and broken periods, even and uneven steps, channels in any order."""
     rng = np.random.default_rng(seed)

@@ -3,8 +3,6 @@
 Directions are checked against the response itself, by finite differences, not against the slopes that found them.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 

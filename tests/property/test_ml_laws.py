@@ -1,7 +1,5 @@
 """Laws of maximum likelihood on random rigs: slopes, optimal instruments, batches, order and units of channels."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -9,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dashpot.channel import Channel, Quantity
-from dashpot.data.repeats import flattened
+from dashpot.data.spectrum import flattened
 from dashpot.estimate.identify import identify
 from dashpot.estimate.likelihood.maximum_likelihood import MaximumLikelihood
 from dashpot.estimate.likelihood.objective import local, measured

@@ -1,7 +1,5 @@
 """Any rig that a file can describe is written and read back unchanged; any text at all gives a rig or a ModelError."""
 
-from __future__ import annotations
-
 import tomllib
 
 from hypothesis import given
@@ -9,7 +7,7 @@ from hypothesis import strategies as st
 
 from dashpot.channel import Channel, Quantity
 from dashpot.errors import ModelError, Problem
-from dashpot.io.toml_lines import Lines
+from dashpot.io.toml_document import Lines
 from dashpot.model.elements import Element, Kind
 from dashpot.model.network import Input, Model
 from dashpot.model.rigfile import SECTIONS, Rig, parse_rig, write_rig
@@ -109,13 +107,9 @@ def channel(draw: st.DrawFn, name: str, model: Model) -> Channel:
 
 
 @given(rigs())
-def test_a_rig_is_written_and_read_back_unchanged(rig: Rig) -> None:
-    assert parse_rig(write_rig(rig)) == rig
-
-
-@given(rigs())
-def test_every_element_has_its_own_line_in_a_written_rig(rig: Rig) -> None:
+def test_a_rig_is_written_with_a_line_for_each_element_and_read_back_unchanged(rig: Rig) -> None:
     text = write_rig(rig)
+    assert parse_rig(text) == rig
     lines, sections = Lines(text), {kind: section for section, kind in SECTIONS.items()}
     found = [lines.of((sections[one.kind], one.name)) for one in rig.model.elements]
     assert None not in found
@@ -131,7 +125,6 @@ def check(text: str) -> None:
         problems = error.problems
     for problem in problems:
         assert "\n" not in str(problem)
-        assert problem.where is not None
         assert problem.where.startswith("rig.toml")
         assert problem.cure
 
@@ -141,58 +134,14 @@ def test_any_text_gives_a_rig_or_a_model_error(text: str) -> None:
     check(text)
 
 
-KEYS = st.sampled_from(
-    [
-        "name",
-        "coordinates",
-        "angles",
-        "inputs",
-        "masses",
-        "springs",
-        "channels",
-        "x1",
-        "u",
-        "k1",
-        "at",
-        "between",
-        "along",
-        "value",
-        "sd",
-        "min",
-        "max",
-        "unit",
-        "same_as",
-        "times",
-        "of",
-        "quantity",
-        "gain",
-        "kind",
-        "noise",
-        "rate",
-    ]
+WORDS = (
+    "name coordinates angles inputs masses springs channels x1 u k1 at between along value sd min max unit same_as "
+    "times of quantity gain kind noise rate"
 )
+LEAVES = """ "x1" "u" "ground" "k1" "force" "mm" "unknown" "5mV/g" 1 -2.5 true nan inf 1e999 07:32:00 "" """
+KEYS = st.sampled_from(WORDS.split())
 VALUES = st.recursive(
-    st.sampled_from(
-        [
-            '"x1"',
-            '"u"',
-            '"ground"',
-            '"k1"',
-            '"force"',
-            '"mm"',
-            '"unknown"',
-            '"5 mV/g"',
-            "1",
-            "-2.5",
-            "true",
-            "nan",
-            "inf",
-            "1e999",
-            "07:32:00",
-            '""',
-            "'''\n'''",
-        ]
-    ),
+    st.sampled_from([*LEAVES.split(), "'''\n'''"]),
     lambda inner: (
         st.lists(inner, max_size=3).map(lambda items: "[" + ", ".join(items) + "]")
         | st.dictionaries(KEYS, inner, max_size=4).map(

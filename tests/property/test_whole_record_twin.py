@@ -1,7 +1,5 @@
 """Whole records against the truth without noise, and against a slow likelihood of all samples in time with it."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

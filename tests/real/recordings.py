@@ -1,7 +1,5 @@
 """The recordings beside the checkout, which are not part of it, and the examples that were made of them."""
 
-from __future__ import annotations
-
 import runpy
 from pathlib import Path
 

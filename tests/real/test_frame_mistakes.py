@@ -1,7 +1,5 @@
 """Mistakes in the frame's own data: a rig that is only nearly right must not hide their cause."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The raw recordings of all four sets, each read by the manifest of its example and identified with its rig."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -44,7 +42,6 @@ def test_the_shaken_frame() -> None:
     found = identify(rig.model, lines, QUICK)
     late = found["x3.delay"]
     assert late.value == pytest.approx(1.77e-3, abs=3 * late.sd)
-    assert found.modes is not None
     swinging = found.modes.frequency_hz[found.modes.frequency_hz > 1]
     assert swinging == pytest.approx([3.767, 11.20, 16.67], rel=0.02)
 

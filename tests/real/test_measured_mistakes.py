@@ -4,8 +4,6 @@ Left out is what raises χ² less than threefold: beside the rig's own misfit th
 ratio of two channels is measured and nothing known sets the scale, which of the two is off cannot be told either.
 """
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """The recordings as a new user would give them, without any option, against the examples with theirs."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

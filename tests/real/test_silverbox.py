@@ -1,14 +1,12 @@
 """The Silverbox of ../shared/data: five parameters from a part of the multisines, and what they predict."""
 
-from __future__ import annotations
-
 import gzip
 
 import numpy as np
 import pytest
 
 from dashpot.data.record import Record
-from dashpot.estimate.nonlinear.record_prediction import predict_record
+from dashpot.estimate.nonlinear.record_inference import predict_record
 from dashpot.estimate.nonlinear.whole_record import identify_records
 from dashpot.model.rigfile import read_rig
 from tests.real.recordings import EXAMPLES, RAW, needs_recordings

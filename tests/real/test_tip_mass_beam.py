@@ -1,7 +1,5 @@
 """The cantilever with two tip masses from its raw files: one stiffness and one gain from both sets."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np
@@ -45,7 +43,6 @@ def test_a_mass_that_was_not_weighed() -> None:
     assert float(more.fit.misfit) < 0.3 * float(plain.fit.misfit)
     assert more["ms"].value > 0
     # Force over acceleration changes its sign between 11 and 12 Hz (heavy) and between 14 and 15 Hz (light).
-    assert more.modes is not None
     assert 11 < more.modes.frequency_hz[0] < 12
     assert 14 < more.modes.frequency_hz[1] < 15
 

@@ -1,7 +1,5 @@
 """The motor bench from its raw file: calibrations, inertias and stiffness without any start value."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 
@@ -45,7 +43,6 @@ def test_calibrations_are_found(bench: Estimate) -> None:
 
 
 def test_resonance_and_antiresonance(bench: Estimate) -> None:
-    assert bench.modes is not None
     assert bench.modes.frequency_hz[-1] == pytest.approx(76, abs=1)
     assert np.sqrt(bench["k"].value / bench["J2"].value) / (2 * np.pi) == pytest.approx(54, abs=1)
     assert all(bench[name].value > 0 for name in ("c", "d1", "d2"))

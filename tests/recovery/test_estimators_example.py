@@ -1,7 +1,5 @@
 """The example that compares estimators: its files are what its README says, and its table is what comes out."""
 
-from __future__ import annotations
-
 import json
 import runpy
 from pathlib import Path

@@ -1,7 +1,5 @@
 """How often clean tests are called misfits."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """What is mostly noise must not buy a fit, nor an unstable rig pass for one."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Parameters of random rigs from measured modes, without guesses and with points that are not seen."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

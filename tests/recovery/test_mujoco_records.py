@@ -1,7 +1,5 @@
 """Records that MuJoCo has computed, from rigs that MuJoCo holds as nested bodies on springs, identified whole."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

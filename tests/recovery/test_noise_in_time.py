@@ -1,7 +1,5 @@
 """Whole records whose noise grows with time: error, stated error and coverage against the bound of all samples."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -10,7 +8,6 @@ import pytest
 from dashpot.arrays import Real
 from dashpot.data.conditioning.lines import spectrum
 from dashpot.estimate.identify import identify
-from dashpot.estimate.inference.noise_in_time import UNEVEN
 from dashpot.estimate.result import Estimate
 from tests.record_draws import CASES, bound
 from tests.whole_rigs import WholeTest
@@ -22,8 +19,7 @@ def growing_noise(test: WholeTest) -> Real:
     """Standard deviations (samples, channels): 20 times as much at the end as at the start, the input exact."""
     outputs = np.array([set(channel.of) <= set(test.model.coordinates) for channel in test.record.channels])
     growth = np.linspace(0.1, 2.0, len(test.record.time))[:, None]
-    sd: Real = STEPPED.noise * growth * test.size * outputs
-    return sd
+    return STEPPED.noise * growth * test.size * outputs
 
 
 def identified(test: WholeTest, sd: Real, seed: int) -> Estimate:
@@ -39,7 +35,7 @@ def test_noise_that_grows_is_weighted_by_its_size_in_time() -> None:
     least, found = bound(test, sd), identified(test, sd, 0)
     assert np.mean(found.sd / least) == pytest.approx(1.033, abs=0.04)
     assert np.mean(found.bound_sd / least) == pytest.approx(1.01, abs=0.04)
-    assert [notice.code for notice in found.warnings] == [UNEVEN]
+    assert [notice.code for notice in found.warnings] == ["noise_in_time"]
     even = identified(test, np.sqrt(np.mean(sd**2, axis=0)), 0)
     assert not even.warnings
 

@@ -1,7 +1,5 @@
 """Whole records of nonlinear rigs whose inputs were measured with noise: intervals that hold, values on the bound."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

@@ -9,8 +9,6 @@ each dwell is off by up to 5 s and 50 ppm, and each sensor has a rate of its own
 phases only, and dashpot counts it as noise along the amplitude as well.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 

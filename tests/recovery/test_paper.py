@@ -10,9 +10,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from dashpot.reproduce.yamane1989.draws import rms_spread
-from dashpot.reproduce.yamane1989.printed import paper_prints
-from dashpot.reproduce.yamane1989.rig import tables_study
+from dashpot.reproduce.yamane1989.rig import paper_prints, tables_study
+from dashpot.reproduce.yamane1989.tables import rms_spread
 from dashpot.study import montecarlo
 from dashpot.study.grid import scenarios
 

@@ -3,16 +3,13 @@
 600 draws: the share of intervals that hold the truth has a standard error of 0.9 points at 95 %.
 """
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
 from dashpot.check.profile import profile
 from dashpot.estimate.identify import identify
 from dashpot.estimate.likelihood.maximum_likelihood import MaximumLikelihood
-from dashpot.model.elements import Kind, between, mass
-from dashpot.model.network import Input, Model
+from tests.networks import network
 from tests.rigs import Rig, amplitudes, channels, noisy
 
 DRAWS = 600
@@ -25,10 +22,7 @@ def test_profile_intervals_hold_the_truth_where_normal_ones_do_not(
     frequency: float, noise: float, name: str, normal: float
 ) -> None:
     """Near 95 % to 3 standard errors, where value ± 1.96 sd holds it in less than `normal` (measured: 87 and 90 %)."""
-    model = Model(
-        ("x",), (Input("u"),),
-        (mass("m", "x", value=1.0), between("c", Kind.DAMPER, "x", "u"), between("k", Kind.SPRING, "x", "u")),
-    )  # fmt: skip
+    model = network("x", "u", "m@x=1 c:x-u k:x-u")
     rig = Rig(
         model,
         np.array([4.0, 400.0]),

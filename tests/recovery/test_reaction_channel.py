@@ -1,7 +1,5 @@
 """A reaction force at a moved base is data like any other channel: intervals with unknown noise cover as they say."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -11,15 +9,10 @@ from dashpot.arrays import Real
 from dashpot.channel import Channel, Quantity
 from dashpot.estimate.identify import identify
 from dashpot.estimate.likelihood.maximum_likelihood import MaximumLikelihood
-from dashpot.model.elements import Kind, between, mass
-from dashpot.model.network import Input, Model
 from dashpot.study.simulate import dwells, simulate_spectrum, with_constant_noise
+from tests.networks import network
 
-MODEL = Model(
-    ("x",),
-    (Input("u"),),
-    (mass("m", "x"), between("k", Kind.SPRING, "x", "u"), between("c", Kind.DAMPER, "x", "u")),
-)
+MODEL = network("x", "u", "m@x k:x-u c:x-u")
 THETA = np.array([2.0, 3000.0, 12.0])
 REACTION = {"u": 1.0}
 PARTS = {"k": -1.0, "c": -1.0}  # what pulls at the base, written out

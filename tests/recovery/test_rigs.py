@@ -4,8 +4,6 @@ Seeds are stated with each rig.  4,000 draws give a spread to 1.1 %, a share of 
 worst of some 10 unknowns are 4 of those, limits on their mean 2 (unknowns of a rig are correlated).
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

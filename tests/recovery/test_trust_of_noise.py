@@ -1,7 +1,5 @@
 """Which noise of a record is trusted: that of a record at rest before that of its periods before that of residuals."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import cache
 
@@ -16,7 +14,7 @@ from dashpot.data.record import Record
 from dashpot.data.spectrum import Spectrum
 from dashpot.estimate.identify import identify
 from dashpot.estimate.likelihood.maximum_likelihood import MaximumLikelihood
-from dashpot.estimate.likelihood.residual_noise import with_residual_noise
+from dashpot.estimate.likelihood.table_noise import with_residual_noise
 from dashpot.model.dynamics import response
 from tests.whole_rigs import WholeTest, chain, record_of
 
@@ -34,8 +32,7 @@ def coloured(count: int, seed: int, sd: Real) -> Real:
 def true_variance(lines: Spectrum, step: float, samples: int, sd: Real) -> Real:
     """E|Δ|² of the amplitudes of outputs over so many samples, (lines, outputs)."""
     z = np.exp(-1j * lines.omega * step)
-    power: Real = (1 - MEMORY**2) / np.abs(1 - MEMORY * z[:, None]) ** 2 * sd[:-1] ** 2 * 4 / samples
-    return power
+    return (1 - MEMORY**2) / np.abs(1 - MEMORY * z[:, None]) ** 2 * sd[:-1] ** 2 * 4 / samples
 
 
 @cache

@@ -1,7 +1,5 @@
 """Whole records of any excitation against the bound of all samples: error, stated error and coverage."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

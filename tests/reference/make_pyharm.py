@@ -9,8 +9,6 @@ The rig: masses 3 and 2.7 kg, springs 4600 N/m and dampers 20 N s/m from x1 to x
 x1, and one nonlinear element from x2 to the ground.  Smoothed friction is no element of pyHarm: it is added as one.
 """
 
-from __future__ import annotations
-
 import contextlib
 import io
 import json

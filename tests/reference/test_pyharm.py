@@ -1,18 +1,16 @@
 """Harmonic balance against pyHarm, an independent code, at equal harmonics and instants (figures: make_pyharm.py)."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from dashpot.model.elements import Kind, between, mass
-from dashpot.model.network import Input, Model
+from dashpot.model.elements import Kind, between
 from dashpot.model.nonlinear.force_law import Constant, force_law
 from dashpot.model.nonlinear.harmonic_balance import periodic_response
 from dashpot.model.nonlinear.harmonics import Drive
+from tests.networks import network
 
 FIGURES = json.loads((Path(__file__).parent / "pyharm.json").read_text(encoding="utf-8"))
 INSTANTS = 512
@@ -28,20 +26,11 @@ LAWS = {
 def rig(law):
     constants = [Constant(name, value) for name, value in LAWS[law][1].items()]
     spring = between("q", Kind.SPRING, "x2", "ground", value=LAWS[law][0])
-    return Model(
-        ("x1", "x2"),
-        (Input("f", "force", {"x1": 1.0}),),
-        (
-            mass("m1", "x1", value=3.0),
-            mass("m2", "x2", value=2.7),
-            between("k1", Kind.SPRING, "x1", "x2", value=4600.0),
-            between("k2", Kind.SPRING, "x2", "ground", value=4600.0),
-            between("c1", Kind.DAMPER, "x1", "x2", value=20.0),
-            between("c2", Kind.DAMPER, "x2", "ground", value=20.0),
-            type(spring)(
-                "q", Kind.SPRING, spring.along, value=spring.value, force_law=force_law(law, constants)
-            ),
-        ),
+    return network(
+        "x1 x2",
+        "f@x1",
+        "m1@x1=3 m2@x2=2.7 k1:x1-x2=4600 k2:x2-ground=4600 c1:x1-x2=20 c2:x2-ground=20",
+        type(spring)("q", Kind.SPRING, spring.along, value=spring.value, force_law=force_law(law, constants)),
     )
 
 

@@ -1,7 +1,5 @@
 """dev.py's pure functions, and its file and process handling in a temporary folder; no network."""
 
-from __future__ import annotations
-
 import json
 import os
 import subprocess
@@ -104,6 +102,15 @@ def test_benchmarks_are_chosen_by_name_and_keep_their_options() -> None:
         dev.split_bench(["c"], ["a", "b"])
 
 
+def test_an_older_processor_lacks_what_this_one_has() -> None:
+    assert dev.older_processor({"sse2", "avx2", "avx512f"}) == {
+        "OPENBLAS_CORETYPE": "Haswell", "DASHPOT_KERNEL_SET": "avx2",
+    }  # fmt: skip
+    assert dev.older_processor({"sse2", "avx2"})["DASHPOT_KERNEL_SET"] == "baseline"
+    with pytest.raises(dev.SetupError, match="--older"):
+        dev.older_processor({"asimd"})
+
+
 def test_a_child_does_not_inherit_other_packages() -> None:
     made = dev.child_environment(
         {"PYTHONPATH": "/elsewhere", "PIP_TARGET": "/x", "HOME": "/h"}, {"OMP_NUM_THREADS": "1"}
@@ -138,6 +145,25 @@ def test_places_in_a_lock_file_are_found() -> None:
     assert dev.addresses_in("\n".join(["a==1 \\", "    --hash=sha256:00", *lines])) == lines
 
 
+def test_the_kernel_is_built_in_the_background_by_one_process(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    begun: list[list[str]] = []
+    monkeypatch.setattr(dev, "ROOT", tmp_path)
+    monkeypatch.setattr(dev, "STAMP", tmp_path / "stamp.json")
+    monkeypatch.setattr(dev, "KERNEL_STAMP", tmp_path / "stamp-kernel.json")
+    monkeypatch.setattr(dev, "KERNEL_LOG", tmp_path / "kernel.log")
+    monkeypatch.setattr(dev, "find_compiler", lambda: "c++")
+    monkeypatch.setattr(dev.subprocess, "Popen", lambda command, **_: begun.append(command))
+    dev.install_kernel_in_background()
+    assert [command[-1] for command in begun] == ["env"]
+    with dev.only_one(tmp_path / ".venv.lock"):
+        dev.install_kernel_in_background()
+    dev.write_stamp(dev.KERNEL_STAMP, dev.wanted_kernel("c++"))
+    dev.install_kernel_in_background()
+    assert len(begun) == 1
+
+
 def test_exit_codes_are_passed_on() -> None:
     assert dev.call([sys.executable, "-c", "raise SystemExit(3)"]) == 3
 
@@ -166,5 +192,20 @@ def test_set_up_is_done_by_one_at_a_time(tmp_path: Path) -> None:
         )
         for _ in range(4)
     ]
-    assert [child.wait(timeout=30) for child in children] == [0] * 4
+    assert [child.wait(timeout=300) for child in children] == [0] * 4
     assert counter.read_text() == "4"
+
+
+def test_the_kernel_carries_its_licence_and_says_what_a_build_lacks(tmp_path: Path) -> None:
+    make = "from scikit_build_core.build import prepare_metadata_for_build_wheel as make; make(sys.argv[1])"
+    subprocess.run([sys.executable, "-c", f"import sys; {make}", tmp_path], cwd=dev.KERNELS, check=True)
+    (made,) = tmp_path.glob("*.dist-info")
+    assert (made / "licenses" / "LICENSE").read_bytes() == (dev.ROOT / "LICENSE").read_bytes()
+    assert {"Keywords:", "Classifier:"} <= set((made / "METADATA").read_text("utf-8").split())
+    build = "from scikit_build_core.build import build_wheel as make; make(sys.argv[1])"
+    done = subprocess.run(
+        [sys.executable, "-c", f"import sys; {build}", tmp_path], cwd=dev.KERNELS, capture_output=True, text=True,
+        env={"PATH": str(dev.BIN), "CXX": str(tmp_path / "none")},
+    )  # fmt: skip
+    assert done.returncode
+    assert "no C++ compiler: install one" in " ".join((done.stdout + done.stderr).split())

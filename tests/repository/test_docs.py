@@ -1,7 +1,5 @@
 """README, manual and examples: commands and programs run as printed, references are complete, links lead somewhere."""
 
-from __future__ import annotations
-
 import dataclasses
 import re
 from importlib import import_module
@@ -87,7 +85,14 @@ def test_options_that_are_named_exist() -> None:
     for name in COMMANDS:
         parameters = import_module(f"dashpot.app.commands.{name}").command.params
         of[name] = {option for p in parameters for option in (*p.opts, *p.secondary_opts)} | {"--help"}
-    others = {"--version", "--serve", "--long", "--nworkers", "--nthreads"}  # dashpot itself, dev.py, Dask
+    others = {
+        "--version",
+        "--serve",
+        "--long",
+        "--older",
+        "--nworkers",
+        "--nthreads",
+    }  # dashpot itself, dev.py, Dask
     every = others.union(*of.values())
     for page in [*pages(), ROOT / "examples" / "README.md"]:
         text = page.read_text(encoding="utf-8").replace("\\\n", " ")

@@ -1,7 +1,5 @@
 """The walls between the packages, as contracts in pyproject.toml."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The manual as a site: it builds without a warning, and its pages need nothing that does not stand beside them."""
 
-from __future__ import annotations
-
 import os
 import re
 import subprocess

@@ -1,8 +1,8 @@
 """The public verbs as people type them, and values as they show themselves."""
 
-from __future__ import annotations
-
 import inspect
+import math
+import pickle
 import re
 from dataclasses import replace
 from pathlib import Path
@@ -15,6 +15,7 @@ import dashpot
 from dashpot import Estimate, Rig, api
 from dashpot.app.cli import run
 from dashpot.data.readers import write_records
+from dashpot.shorthand import refusing
 from tests.two_masses import RIG, VALUES
 from tests.whole_rigs import chain, record_of
 
@@ -200,7 +201,7 @@ def test_continuous_records_of_nonlinear_rigs_are_integrated(
     monkeypatch.setattr(api, "fit_records", integrated)
     table = {name: np.zeros(50) for name in ("x1", "x2", "u")} | {"time_s": np.arange(50) / 100}
     record = dashpot.record(table, bent.channels)
-    assert bent.identify(record).values is answer.values
+    assert bent.identify(record, judge=False).values is answer.values
     assert asked == [bent.model, (record,), None]
     assert rig.read("data.csv").continuous is False
 
@@ -212,17 +213,14 @@ def test_a_whole_record_is_judged_by_the_noise_that_its_fit_rests_on() -> None:
     rng = np.random.default_rng(4)
     noise = 0.02 * record.values.std(axis=0) * rng.normal(size=record.values.shape) * [1, 1, 0]
     estimate = dashpot.identify(model, replace(record, values=record.values + noise), diagnose=True)
-    assert estimate.assessment is not None
-    assert estimate.assessment.verdict == "cannot tell"
+    assert estimate.assessment.verdict == "fits"
     values = record.values + noise
     values[len(values) // 2 :, 1] *= 1.3
     estimate = dashpot.identify(model, replace(record, values=values), diagnose=True)
-    assert estimate.assessment is not None
     assert estimate.assessment.verdict == "does not fit"
     first = estimate.assessment.findings[0]
     assert (first.kind, first.of) == ("time", ("x2_dis",))
     said = re.search(r"after ([\d.]+) s", first.text)
-    assert said is not None
     assert float(said[1]) == pytest.approx(record.time[len(values) // 2], rel=0.02)
 
 
@@ -238,3 +236,186 @@ def test_a_model_that_cannot_be_found_is_refused_as_a_rig_is_and_all_its_unknown
         dashpot.identify(free, spectrum)
     words = set(re.findall(r"\w+", str(refused.value)))
     assert words >= {element.name for element in free.elements}
+
+
+def columns(records: tuple[dashpot.Record, ...]) -> dict[str, np.ndarray]:
+    """Dwells as one table by name."""
+    names = [channel.name for channel in records[0].channels]
+    table = {
+        "frequency_hz": np.concatenate([np.full(len(one.time), one.frequency_hz) for one in records]),
+        "time_s": np.concatenate([one.time for one in records]),
+    }
+    values = np.concatenate([one.values for one in records])
+    return table | dict(zip(names, values.T, strict=True))
+
+
+def test_tables_of_any_library_are_data(rig: Rig) -> None:
+    pandas, polars, xarray = (pytest.importorskip(name) for name in ("pandas", "polars", "xarray"))
+    table = columns(rig.read("data.csv").records)
+    expected = rig.identify("data.csv")
+    for data in (
+        table,
+        pandas.DataFrame(table),
+        polars.DataFrame(table),
+        xarray.Dataset({name: ("sample", values) for name, values in table.items()}),
+        [pandas.DataFrame(table)],
+    ):
+        found = rig.identify(data)
+        np.testing.assert_allclose(found.values, expected.values, atol=1e-9 * expected.sd.min(), rtol=1e-12)
+    for wrong in (5, None, object(), {"time_s": [0.0, 1.0]}, [3]):
+        with pytest.raises(dashpot.DashpotError):
+            rig.identify(wrong)
+
+
+def test_a_rig_judges_unless_it_is_told_not_to(rig: Rig) -> None:
+    spectrum = rig.read("data.csv").spectrum()
+    assert rig.identify("data.csv").assessment.verdict == "fits"
+    assert rig.identify("data.csv", judge=False).assessment is None
+    assert rig.identify("data.csv", diagnose=False).assessment is None
+    assert dashpot.identify(rig.model, spectrum).assessment is None
+    assert dashpot.identify(rig.model, spectrum, judge=True).assessment.verdict == "fits"
+    batch = replace(spectrum, amplitudes=np.stack([spectrum.amplitudes] * 2))
+    assert rig.identify(batch).assessment is None
+
+
+def test_a_frequency_response_is_that_of_the_rig_and_its_spread_that_of_draws(rig: Rig) -> None:
+    estimate = rig.identify("data.csv")
+    hz = np.array([[1.0, 4.0], [7.0, 12.0]])
+    value, sd = estimate.frf("x2", "u", hz)
+    p = rig.model.parameters(estimate.values)
+    moved = dashpot.response(rig.model, p, 2 * np.pi * hz.ravel(), np.ones((4, 1)), np.zeros((4, 0)))
+    np.testing.assert_allclose(value, moved[:, 1].reshape(2, 2), rtol=1e-9)
+    rng = np.random.default_rng(3)
+    drawn = np.array(
+        [
+            estimate.with_values(**dict(zip(estimate.names, theta, strict=True))).frf("x2", "u", hz)[0]
+            for theta in rng.multivariate_normal(estimate.values, estimate.covariance, 1500)
+        ]
+    )
+    both = np.sqrt((drawn.real.var(axis=0) + drawn.imag.var(axis=0)) / 2)
+    np.testing.assert_allclose(
+        sd, both, rtol=0.08
+    )  # 1,500 draws of both parts: 1.8 % each, and the slope's bend
+    one, spread = estimate.frf("x2", "u", 4.0)
+    assert (one, spread) == (value[0, 1], sd[0, 1])
+    for wrong in (("x9", "u"), ("x2", "x1"), ("u", "u")):
+        with pytest.raises(dashpot.UsageError):
+            estimate.frf(*wrong, 4.0)
+
+
+def test_values_are_changed_and_known_ones_too(rig: Rig) -> None:
+    estimate = rig.identify("data.csv")
+    other = estimate.with_values(c1=25.0, m2=4.0)
+    j = estimate.names.index("c1")
+    kept = [k for k in range(len(estimate.names)) if k != j]
+    assert (other["c1"].value, other["c1"].sd, other["c1"].bound_sd) == (25.0, 0.0, 0.0)
+    np.testing.assert_array_equal(other.values[kept], estimate.values[kept])
+    np.testing.assert_array_equal(
+        other.covariance[np.ix_(kept, kept)], estimate.covariance[np.ix_(kept, kept)]
+    )
+    assert other.parameters()["m2"].value == 4.0
+    assert other.modes is not None
+    model = dashpot.parse_rig(RIG.replace("2.7", "4")).model
+    np.testing.assert_allclose(
+        other.modes.frequency_hz, dashpot.modes(model, model.parameters(other.values)).frequency_hz
+    )
+    Path("e.json").write_text(estimate.to_json(), encoding="utf-8")
+    loaded = Estimate.load("e.json").with_values(c1=25.0, m2=4.0)
+    for same in (loaded.frf("x1", "u", 3.0), other.frf("x1", "u", 3.0, rig)):
+        assert same[0] == pytest.approx(other.frf("x1", "u", 3.0)[0], rel=1e-9)
+    assert abs(other.frf("x1", "u", 3.0)[0] / estimate.frf("x1", "u", 3.0)[0] - 1) > 0.01
+    for wrong in ({"zeta": 1.0}, {"c1": "much"}, {"c1": float("nan")}):
+        with pytest.raises(dashpot.UsageError):
+            estimate.with_values(**wrong)
+
+
+def test_an_estimate_predicts_motion_with_its_uncertainty(rig: Rig) -> None:
+    estimate = rig.identify("data.csv")
+    time = np.arange(0, 8, 0.005)
+    inputs = {"time_s": time, "u": 10.0 * np.sin(2 * np.pi * 3.0 * time)}  # mm, the unit of the channel
+    (predicted,) = estimate.simulate(inputs)
+    amplitude, spread = estimate.frf("x1", "u", 3.0)
+    column = [channel.name for channel in predicted.channels].index("x1")
+    settled = time > 6
+    assert predicted.sd is not None
+    motion = 0.01 * (amplitude * np.exp(2j * np.pi * 3.0 * time)).imag
+    np.testing.assert_allclose(
+        predicted.values[settled, column], motion[settled], atol=2e-3 * abs(motion).max()
+    )
+    assert predicted.sd[settled, column].max() == pytest.approx(0.01 * spread, rel=0.6)
+    (clean,) = replace(rig, channels=tuple(replace(c, noise=0.0) for c in rig.channels)).simulate(
+        estimate.parameters(), inputs
+    )
+    np.testing.assert_allclose(clean.values[:, column], predicted.values[:, column], rtol=1e-9, atol=1e-12)
+    (stiffer,) = estimate.simulate(inputs, m2=6.0)
+    assert np.abs(stiffer.values - predicted.values).max() > 0.05 * abs(motion).max()
+
+
+def test_an_estimate_writes_its_report(rig: Rig) -> None:
+    estimate = rig.identify("data.csv")
+    assert estimate.report("r.html") == "r.html"
+    page = Path("r.html").read_text(encoding="utf-8")
+    assert "Residuals" in page
+    assert "data.csv" in page
+    Path("e.json").write_text(estimate.to_json(), encoding="utf-8")
+    Estimate.load("e.json").report("again.html")
+    assert "c1" in Path("again.html").read_text(encoding="utf-8")
+    with pytest.raises(dashpot.UsageError):
+        estimate.report("r.docx")
+
+
+FUNCTIONS = [name for name in dashpot.__all__ if inspect.isfunction(getattr(dashpot, name))]
+REFUSING = [name for name in FUNCTIONS if name != "mass"]  # whose name is refused by the Model that has it
+
+
+@pytest.mark.parametrize("wrong", [None, b"abc", 3, math.nan])
+def test_arguments_of_other_types_are_named(wrong: object, rig: Rig) -> None:
+    for name in REFUSING:
+        function = getattr(dashpot, name)
+        needed = [one for one in inspect.signature(function).parameters.values() if one.default is one.empty]
+        options = {one.name: wrong for one in needed if one.kind is one.KEYWORD_ONLY}
+        positional = [wrong for one in needed if one.kind is one.POSITIONAL_OR_KEYWORD]
+        with pytest.raises(dashpot.DashpotError) as refused:
+            function(*positional, **options)
+        assert "\n" not in str(refused.value)
+    with pytest.raises(dashpot.UsageError, match="identify: conditioning is 3"):
+        rig.identify("data.csv", conditioning=3)
+
+
+def test_public_functions_are_found_again_by_pickle_and_leave_faults_of_their_own() -> None:
+    assert all(
+        pickle.loads(pickle.dumps(getattr(dashpot, name))) is getattr(dashpot, name) for name in FUNCTIONS
+    )
+
+    def faulty(number: "float") -> float:
+        return number / 0
+
+    with pytest.raises(ZeroDivisionError):
+        refusing(faulty)(1.0)
+    with pytest.raises(TypeError, match="missing 1 required"):
+        refusing(faulty)()
+
+
+@pytest.mark.parametrize("size", [1e-120, 1e-160, 1e-310, 5e-324])
+def test_denormals_are_nothing_and_raise_no_warning(size: float, rig: Rig) -> None:
+    records = [replace(record, values=size * record.values) for record in rig.read("data.csv").records]
+    assert not any(np.any(record.values) for record in records)
+    with pytest.raises(dashpot.IdentifiabilityError):
+        rig.identify(records)
+
+
+def test_counts_and_lists_that_cannot_be_are_refused(rig: Rig) -> None:
+    test = dashpot.dwells(rig.model, [2.0, 3.0], 64)
+    p, rng = rig.model.parameters(rig.model.theta(VALUES)), np.random.default_rng(0)
+    for wrong in (
+        lambda: dashpot.simulate_spectrum(rig.model, p, rig.channels, test, rng, draws=-1),
+        lambda: dashpot.simulate_spectrum(rig.model, p, rig.channels, test, rng, drift=-1),
+        lambda: dashpot.concatenate([]),
+        lambda: rig.identify([]),
+        lambda: dashpot.Channel("x1", None),  # type: ignore[arg-type]
+        lambda: dashpot.Record(None, None, None),  # type: ignore[arg-type]
+        lambda: dashpot.Record(rig.channels, [0, 1], [[1, 2], [3]]),  # type: ignore[arg-type]
+        lambda: dashpot.Record(rig.channels, [0, 1], [["a"], ["b"]]),  # type: ignore[arg-type]
+    ):
+        with pytest.raises(dashpot.DashpotError):
+            wrong()

@@ -1,11 +1,12 @@
 """Arrays: diagonal matrices hold what is on their diagonals, however many there are."""
 
-from __future__ import annotations
+from typing import Any, cast
 
 import numpy as np
 import pytest
 
-from dashpot.arrays import MANY, diagonal_matrices, frozen, is_diagonal
+from dashpot.arrays import MANY, diagonal_matrices, frozen, is_diagonal, random_generator
+from dashpot.errors import UsageError
 
 
 @pytest.mark.parametrize(
@@ -43,3 +44,14 @@ def test_very_many_matrices_take_the_memory_of_their_diagonals() -> None:
     matrices = diagonal_matrices(values)
     assert is_diagonal(matrices)
     assert held() - before < 0.5 * matrices.nbytes
+
+
+@pytest.mark.parametrize("seed", [-1, None, b"1", "1", 1.5, float("nan")])
+def test_what_is_no_seed_is_refused(seed: object) -> None:
+    with pytest.raises(UsageError, match="seed"):
+        random_generator(cast(Any, seed))
+
+
+@pytest.mark.parametrize("seed", [0, np.int64(7), 1 << 80])
+def test_a_seed_draws_the_same_again(seed: int) -> None:
+    assert random_generator(seed).random() == random_generator(seed).random()

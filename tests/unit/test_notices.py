@@ -1,7 +1,5 @@
 """Notices: a sentence for readers and a code for programs."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import FrozenInstanceError, replace
 

@@ -1,7 +1,5 @@
 """Quantities, shares and lists of frequencies as they are written in commands and study files."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given
@@ -33,11 +31,7 @@ def test_lists_and_ranges_of_frequencies(text: str, expected: list[float]) -> No
     np.testing.assert_allclose(frequencies(text), expected, rtol=1e-12)
 
 
-@given(
-    start=st.floats(0.1, 50),
-    step=st.floats(0.01, 3),
-    count=st.integers(1, 200),
-)
+@given(start=st.floats(0.1, 50), step=st.floats(0.01, 3), count=st.integers(1, 200))
 def test_a_step_that_divides_the_range_reaches_its_end(start: float, step: float, count: int) -> None:
     found = frequencies(f"{start!r}:{start + count * step!r}:{step!r}")
     assert len(found) == count + 1

@@ -1,6 +1,7 @@
 """The command `dashpot`: finds the command asked for, runs it, and turns what goes wrong into lines and exit codes.
 
-0 done; 2 bad usage, model or data; 3 not identifiable or not converged; 1 internal error; 130 interrupted.
+0 done; 2 bad usage, model or data; 3 not identifiable or not converged; 4 does not fit, where that is asked;
+5 not enough memory; 1 internal error; 130 interrupted.
 """
 
 from __future__ import annotations
@@ -17,10 +18,10 @@ import click
 from click.shell_completion import CompletionItem
 
 from dashpot.app.commands import COMMANDS
-from dashpot.app.help import WIDEST
+from dashpot.app.memory import CURE, EXIT_CODE, NotEnoughMemoryError, lacked, limited, one_thread, secure_room
+from dashpot.app.options import WIDEST
 from dashpot.app.report_files import ARGUMENTS
 from dashpot.app.signals import Ended, answered, end_on_signals, leave_signals, request_lost
-from dashpot.app.workers import one_thread
 from dashpot.errors import DashpotError, printable
 from dashpot.io import ledger
 
@@ -57,8 +58,11 @@ class Commands(click.Group):
         return command
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
-        """As click does; reports name the command by what was typed."""
+        """As click does, with the help where nothing is typed; reports name the command by what was typed."""
         ctx.meta[ARGUMENTS] = tuple(args)
+        if not args and not ctx.resilient_parsing:
+            click.echo(ctx.get_help())
+            ctx.exit(USAGE)
         return super().parse_args(ctx, args)
 
     def resolve_command(
@@ -71,6 +75,7 @@ class Commands(click.Group):
             near = get_close_matches(args[0], COMMANDS, n=1)
             cure = f"did you mean {near[0]}?" if near else f"the commands are {', '.join(COMMANDS)}"
             raise click.UsageError(f"there is no command {args[0]!r}; {cure}", ctx)
+        secure_room()
         return super().resolve_command(ctx, args)
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
@@ -135,9 +140,6 @@ def run(args: Sequence[str] | None = None) -> int:
         # else here does.  What is still buffered must not complain at exit.
         _silence_stdout()
         return BROKEN_PIPE
-    except click.exceptions.NoArgsIsHelpError as asked:
-        click.echo(asked.format_message())
-        return USAGE
     except click.ClickException as error:
         return _usage(error)
     except DashpotError as error:
@@ -146,7 +148,7 @@ def run(args: Sequence[str] | None = None) -> int:
         asked_by = _stop_behind(error) or request_lost()
         if asked_by is not None:
             return _stopped(asked_by)
-        if os.environ.get(TRACEBACK) and not isinstance(error, MemoryError):
+        if os.environ.get(TRACEBACK) and not lacked(error):
             raise
         return _failed(error)
     return result if isinstance(result, int) else 0
@@ -175,6 +177,8 @@ def _stop_behind(error: BaseException) -> BaseException | None:
 
 def _refused(error: DashpotError) -> int:
     """One line for each of the first problems."""
+    if limited() and lacked(error):
+        return _starved(error)
     _tell(str(problem) for problem in error.problems[:MOST_PROBLEMS])
     if len(error.problems) > MOST_PROBLEMS:
         _tell([f"{len(error.problems) - MOST_PROBLEMS} more problems; mend these first"])
@@ -183,17 +187,22 @@ def _refused(error: DashpotError) -> int:
 
 def _failed(error: Exception) -> int:
     """What the system refuses is the user's to mend; anything else is a fault of the program."""
+    if lacked(error):
+        return _starved(error)
     if isinstance(error, OSError):
         place = "standard output" if error.filename is None else str(error.filename)
         _silence_stdout()
         _tell([f"{place}: cannot be used ({error.strerror or error}); check the path and the space left"])
         return USAGE
-    if isinstance(error, MemoryError):
-        _tell(["out of memory; give fewer frequencies, draws or samples at a time"])
-        return USAGE
     cause = " ".join(f"{type(error).__name__}: {error}".split())[:300]
     _tell([f"internal error, please report ({cause}); {TRACEBACK}=1 shows where"])
     return FAULT
+
+
+def _starved(error: Exception) -> int:
+    """A lack of memory blames no file: what it stops first is no more than the next in line."""
+    _tell([str(error) if isinstance(error, NotEnoughMemoryError) else f"not enough memory: {CURE}"])
+    return EXIT_CODE
 
 
 def _complete() -> int:
@@ -226,12 +235,17 @@ def _usage(error: click.ClickException) -> int:
 
 
 def _open_closed() -> None:
-    """Standard streams that the caller has closed lead nowhere, rather than into the first file that is opened."""
+    """Standard streams that the caller has closed lead nowhere, rather than into the first file that is opened.
+
+    What is written to stdout then fails, as it does on a full disk.
+    """
     for number in range(3):
         try:
             os.fstat(number)
         except OSError:
-            os.open(os.devnull, os.O_RDWR)  # takes the lowest number that is free
+            os.open(
+                os.devnull, os.O_RDONLY if number == 1 else os.O_RDWR
+            )  # takes the lowest number that is free
     for number, (name, mode) in enumerate((("stdin", "r"), ("stdout", "w"), ("stderr", "w"))):
         if getattr(sys, name) is None:
             setattr(sys, name, os.fdopen(number, mode, encoding="utf-8", closefd=False))
@@ -248,6 +262,8 @@ def main() -> None:
                 stream.reconfigure(errors="replace")
         if not os.environ.get("COLUMNS", "").strip("0"):
             os.environ.pop("COLUMNS", None)  # a width of 0 is none
+        for name in ("MPLBACKEND", "SOURCE_DATE_EPOCH"):  # figures have no window and say no date
+            os.environ.pop(name, None)
         one_thread()
         if not os.environ.get(TRACEBACK) and not sys.warnoptions:
             # What matters is in the results; warnings of the interpreter and of libraries are for developers.

@@ -43,7 +43,10 @@ def read_files(rig: Rig, paths: Sequence[str], options: Mapping[str, Any], quiet
     require_each_once(paths)
     with progress(reading_of(paths), quiet):
         reading = read(paths, rig.channels, frequency_hz=options["frequency"])
-    _require_use_of_frequency(reading, options["frequency"])
+    stated = options["frequency"]
+    if stated is not None and not any(record.frequency_hz == stated for record in reading.records):
+        cause = "--frequency is for records that name no drive frequency, and these data name theirs"
+        raise UsageError(cause, cure="leave it out")
     tell_notes(reading.notes, quiet)
     return reading
 
@@ -77,7 +80,7 @@ def measured_data(
     Raises DataError.
     """
     from dashpot.app.progress import progress
-    from dashpot.estimate.amplitudes import amplitudes_for, conditioning_for
+    from dashpot.estimate.identify import amplitudes_for, conditioning_for
     from dashpot.estimate.registry import method_class
 
     traits = [method_class(name).traits for name in moments_for if name != "auto"]
@@ -99,13 +102,6 @@ def measured_data(
         treated = conditioning_for(rig.model, reading, conditioning, traits)
         dwells = used_dwells(reading.records, spectrum, treated)
     return MeasuredData(spectrum, conditioning.untried if reading.records else (), dwells)
-
-
-def _require_use_of_frequency(reading: Reading, stated: float | None) -> None:
-    """Raises UsageError where a frequency is stated and every record or table names its own."""
-    if stated is not None and not any(record.frequency_hz == stated for record in reading.records):
-        cause = "--frequency is for records that name no drive frequency, and these data name theirs"
-        raise UsageError(cause, cure="leave it out")
 
 
 def read_spectrum(

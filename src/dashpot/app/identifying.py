@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
+
+from dashpot.errors import UsageError
 
 if TYPE_CHECKING:
     from dashpot.data.conditioning.used_dwells import UsedDwell
@@ -12,8 +14,119 @@ if TYPE_CHECKING:
     from dashpot.data.spectrum import Spectrum
     from dashpot.errors import ConvergenceError, DashpotError, IdentifiabilityError
     from dashpot.estimate.result import Estimate
+    from dashpot.fleet.data_sets import Treatment
     from dashpot.model.network import Model
     from dashpot.model.rigfile import Rig
+
+
+# identify from a file of measured modes, which takes the place of test data.
+
+
+def modal_estimate(
+    rig_path: str,
+    data: tuple[str, ...],
+    relative_sd: tuple[float, float, float],
+    seed: int,
+    quiet: bool,
+    unsuited: Mapping[str, bool],
+) -> tuple[Rig, Estimate] | None:
+    """The rig and the estimate from a file of modes; None where the data are another thing.
+
+    `unsuited` are options that need amplitudes, and whether they are given.  Raises UsageError for these, DataError.
+    """
+    from dataclasses import replace
+
+    from dashpot.app.data_files import tell_notes
+    from dashpot.data.readers.modal_files import holds_modes, modes_and_notes
+    from dashpot.errors import UsageError
+
+    if len(data) != 1 or not holds_modes(data[0]):
+        return None
+    from dashpot.app.progress import progress
+    from dashpot.check.modal_verdict import examined_modes
+    from dashpot.estimate.modal.identify_modal import identify_modal  # loads scipy.optimize
+    from dashpot.model.rigfile import read_rig
+
+    given = [name for name, is_given in unsuited.items() if is_given]
+    if given:
+        raise UsageError(
+            f"{data[0]} holds modes, to which {given[0]} does not apply", cure=f"leave {given[0]} out"
+        )
+    rig = read_rig(rig_path)
+    modes, notes = modes_and_notes(data[0], rig.model.coordinates, rig.channels, relative_sd)
+    tell_notes(notes, quiet)
+    estimate = identify_modal(rig.model, modes, seed=seed)
+    with progress("examine", quiet):
+        return rig, replace(examined_modes(rig.model, modes, estimate, seed=seed), rig=rig_path)
+
+
+# Data sets that workers read and identify: how they are treated, and one rig's merged into one estimate.
+
+
+def treatment_from(
+    rig: Rig, chosen: str, positive: bool, seed: int, options: Mapping[str, Any], quiet: bool
+) -> Treatment:
+    """How every data set is treated, from the options of `conditioning_options` and of the estimator.
+
+    Raises UsageError where the method holds no bounds, DataError for a noise record that cannot be used.
+    """
+    from dashpot.app.data_files import conditioning_from, with_noise_record
+    from dashpot.app.parameters import require_bounds_held
+    from dashpot.fleet.data_sets import Treatment
+
+    if positive:
+        require_bounds_held(chosen)
+    settings = with_noise_record(conditioning_from(options), rig, options, quiet)
+    method = None if chosen == "auto" else chosen
+    return Treatment(method, settings, options["frequency"], positive, seed)
+
+
+def estimate_in_parts(
+    path: str,
+    rig: Rig,
+    data: Sequence[str],
+    treatment: Treatment,
+    workers: int | None,
+    dask: str | None,
+    quiet: bool,
+) -> Estimate:
+    """The merged estimate of all files, shared out to worker processes or a cluster.
+
+    Raises UsageError for nonlinear rigs and files given twice, and what `identify_in_parts` raises.
+    """
+    from dataclasses import replace
+
+    from dashpot.app.data_files import require_each_once, tell_notes
+    from dashpot.app.progress import progress
+    from dashpot.app.workers import shared_out
+    from dashpot.fleet.record_parts import identify_in_parts
+    from dashpot.io.ledger import noted
+
+    if len(rig.model.nonlinear):
+        raise UsageError(
+            "parts can be merged for linear rigs only",
+            "--in-parts",
+            "identify some of the files together, without it",
+        )
+    require_each_once(data)
+    files = [noted(name) for name in data]
+    with shared_out(dask, workers, len(files) == 1) as mapper, progress("identify", quiet) as moved:
+        estimate = identify_in_parts(rig, files, treatment, mapper=mapper, progress=moved)
+    tell_notes(estimate.notes, quiet)
+    return replace(estimate, rig=path)
+
+
+def require_in_parts(in_parts: bool, sharing: Mapping[str, bool], whole: Mapping[str, bool]) -> None:
+    """Raises UsageError for options given that need --in-parts (`sharing`), or that it cannot serve (`whole`)."""
+    wrong = next((name for name, given in (whole if in_parts else sharing).items() if given), None)
+    if wrong is None:
+        return
+    if in_parts:
+        raise UsageError(
+            f"{wrong} needs all data at once, and --in-parts never has them",
+            cure="identify one file, without it",
+        )
+    raise UsageError(f"{wrong} shares out the parts of --in-parts", cure="give that too, or leave it out")
 
 
 @dataclass(frozen=True)
@@ -44,7 +157,6 @@ def identified_in_parts(
     dask: str | None,
 ) -> Identified:  # fmt: skip
     """From every file by itself, merged."""
-    from dashpot.app.in_parts import estimate_in_parts, treatment_from
 
     treatment = treatment_from(rig, search.chosen, search.positive, search.seed, conditioning, search.quiet)
     return Identified(rig, estimate_in_parts(search.path, rig, data, treatment, workers, dask, search.quiet))
@@ -84,7 +196,7 @@ def _of_whole_records(
     from dashpot.app.data_files import conditioning_from, with_noise_record
     from dashpot.app.progress import progress
     from dashpot.check.diagnosis.record_channels import require_sound_channels
-    from dashpot.check.record_verdict import examined_records, explained
+    from dashpot.check.verdict import examined_records, with_causes
     from dashpot.errors import IdentifiabilityError, UsageError
     from dashpot.estimate.nonlinear.whole_record import fit_records
 
@@ -99,9 +211,9 @@ def _of_whole_records(
         try:
             estimate = fitted.estimate()
         except IdentifiabilityError as error:
-            raise explained(error, rig.model, records) from error
+            raise with_causes(error, rig.model, records) from error
     with progress("examine", quiet):
-        return replace(examined_records(rig.model, records, estimate, fitted), rig=path)
+        return replace(examined_records(rig.model, records, estimate, fitted, rig.within), rig=path)
 
 
 def _estimated(search: Search, rig: Rig, spectrum: Spectrum) -> tuple[Estimate, Spectrum]:
@@ -114,21 +226,22 @@ def _estimated(search: Search, rig: Rig, spectrum: Spectrum) -> tuple[Estimate, 
     from dashpot.app.progress import progress
     from dashpot.check.diagnosis.diagnose import examined
     from dashpot.errors import ConvergenceError, IdentifiabilityError
-    from dashpot.estimate.automatic import identify_with_noise, suited_method
+    from dashpot.estimate.automatic import identify_with_noise
     from dashpot.present.text.identifiability import require_identifiable
 
     seed, wanted = search.seed, None if search.chosen == "auto" else search.chosen
-    method = suited_method(wanted, rig.model, spectrum, seed=seed, positive=search.positive)
     require_identifiable(rig.model, spectrum.channels, search.path, spectrum)
     with progress("identify", search.quiet) as moved:
         try:
             estimate, spectrum = identify_with_noise(
-                rig.model, spectrum, method, chosen=wanted is not None, seed=seed, progress=moved
+                rig.model, spectrum, wanted, seed=seed, positive=search.positive, progress=moved
             )
         except (IdentifiabilityError, ConvergenceError) as error:
             raise _explained(error, rig.model, spectrum, seed) from error
     with progress("examine", search.quiet):
-        return replace(examined(rig.model, spectrum, estimate, seed=seed), rig=search.path), spectrum
+        return replace(
+            examined(rig.model, spectrum, estimate, seed=seed, within=rig.within), rig=search.path
+        ), spectrum
 
 
 def _explained(

@@ -2,22 +2,19 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from functools import wraps
+from typing import TYPE_CHECKING, Any, TypeVar, cast
 
 import click
 
-from dashpot.app.files import OutputFile
-from dashpot.app.help import option
-from dashpot.app.options import OUTPUT
+from dashpot.app.options import OUTPUT, OutputFile, option
 from dashpot.errors import UsageError
-from dashpot.io.name_endings import REPORTS, chosen_format
+from dashpot.io.words import REPORTS, chosen_format
 
 if TYPE_CHECKING:
-    from dashpot.present.pages.page import Provenance, SourceFile
+    from dashpot.present.pages.page import Provenance
 
 ARGUMENTS = "dashpot.arguments"  # what was typed, in the context's meta
 LABELS = "dashpot.labels"  # lines of the first page, there too
@@ -27,23 +24,8 @@ QUIET = (
     "--disable-background-networking", "--disable-component-update", "--disable-sync", "--no-pdf-header-footer",
 )  # fmt: skip
 PRINTING_S = 120.0
-LIBRARIES = ("numpy", "scipy")
 
 Function = TypeVar("Function", bound=Callable[..., Any])
-
-
-class ReportFile(OutputFile):
-    """A report to write: .html, or .pdf where there is a browser that prints it."""
-
-    def __init__(self) -> None:
-        super().__init__(formats=REPORTS)
-
-    def convert(self, value: object, param: click.Parameter | None, ctx: click.Context | None) -> str:
-        """The path.  Raises UsageError where it could not be written after the work."""
-        target = super().convert(value, param, ctx)
-        if is_pdf(target):
-            browser()
-        return target
 
 
 def _kept(context: click.Context, _: click.Parameter, labels: tuple[str, ...]) -> None:
@@ -54,16 +36,26 @@ def _kept(context: click.Context, _: click.Parameter, labels: tuple[str, ...]) -
 
 
 def report_option(function: Function) -> Function:
-    """Decorator: --report as the parameter `report`, and --label, which `provenance` takes."""
+    """Decorator: --report as the parameter `report`, and --label, which `provenance` takes.
+
+    A browser for PDF is looked for once all parameters have been checked, before the work.
+    """
+
+    @wraps(function)
+    def with_browser(*args: Any, **parameters: Any) -> Any:
+        if parameters["report"] is not None and is_pdf(parameters["report"]):
+            browser()
+        return function(*args, **parameters)
+
     label = option(
         "--label", multiple=True, metavar="TEXT", group=OUTPUT, expose_value=False, callback=_kept,
         help="Print a line at the head of the report, such as 'Client: A. Smith'; may be repeated.",
     )  # fmt: skip
     report = option(
-        "--report", type=ReportFile(), metavar="FILE.html|pdf", group=OUTPUT, is_eager=True,
+        "--report", type=OutputFile(formats=REPORTS), metavar="FILE.html|pdf", group=OUTPUT, is_eager=True,
         help="Write a report with figures as one HTML file, or as PDF (needs Chromium or Chrome).",
     )  # fmt: skip
-    return report(label(function))
+    return report(label(cast(Function, with_browser)))
 
 
 def is_pdf(target: str) -> bool:
@@ -118,7 +110,7 @@ def _printed(html: str) -> bytes:
     import subprocess
 
     from dashpot.errors import DataError
-    from dashpot.io.scratch import scratch
+    from dashpot.io.atomic import scratch
 
     with scratch() as files:
         page = files.write("report.html", html.encode("utf-8", errors="backslashreplace"))
@@ -142,27 +134,14 @@ def _printed(html: str) -> bytes:
 
 def provenance() -> Provenance:
     """How the running command computes its result; files are those read so far."""
-    import platform
     import shlex
-    from datetime import datetime
-    from importlib.metadata import version
 
-    from dashpot import __version__
-    from dashpot.present.pages.page import Provenance
+    from dashpot.present.pages.page import provenance_of
 
     context = click.get_current_context()
     arguments = context.meta.get(ARGUMENTS, ())
-    versions = [("dashpot", __version__), ("Python", platform.python_version())]
-    versions += [(name, version(name)) for name in LIBRARIES]
-    return Provenance(
-        datetime.now().astimezone().strftime("%Y-%m-%d %H:%M %z"),
-        tuple(versions),
-        shlex.join(["dashpot", *arguments]),
-        os.getcwd(),
-        tuple(_settings(context)),
-        tuple(_files()),
-        context.meta.get(LABELS, ()),
-    )
+    command = shlex.join(["dashpot", *arguments])
+    return provenance_of(command, tuple(_settings(context)), context.meta.get(LABELS, ()))
 
 
 def _settings(context: click.Context) -> list[tuple[str, str, bool]]:
@@ -183,22 +162,3 @@ def _shown(value: Any) -> str:
     if isinstance(value, tuple | list):
         return ",".join(_shown(part) for part in value)
     return f"{value:g}" if isinstance(value, float) else str(value)[:200]
-
-
-def _files() -> list[SourceFile]:
-    """The files that were read, with their checksums."""
-    import hashlib
-
-    from dashpot.io import ledger
-    from dashpot.io.ledger import noted
-    from dashpot.present.pages.page import SourceFile
-
-    entries = ledger.current()
-    files = []
-    for name in () if entries is None else tuple(entries.inputs):
-        path = Path(name)
-        if path.is_file():
-            with open(noted(name), "rb") as stream:
-                digest = hashlib.file_digest(stream, "sha256").hexdigest()
-            files.append(SourceFile(name, path.stat().st_size, digest))
-    return files

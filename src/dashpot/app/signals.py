@@ -14,9 +14,7 @@ from contextlib import contextmanager, suppress
 from threading import Timer, current_thread, main_thread
 from types import FrameType
 
-from dashpot.io.atomic import clear_away
-from dashpot.io.lock import clear_locks
-from dashpot.io.scratch import clear_scratch
+from dashpot.io.atomic import clear_away, clear_locks, clear_scratch
 
 ENDING = tuple(getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name))
 ANSWERED = (*ENDING, signal.SIGINT)

@@ -72,8 +72,7 @@ def validated(
     )
     from dashpot.app.progress import progress
     from dashpot.check.diagnosis.prediction_mistakes import mistakes_in_lines, mistakes_in_records
-    from dashpot.check.record_validation import validate_records
-    from dashpot.check.validation import missed, validate
+    from dashpot.check.validation import missed, validate, validate_records
 
     reading = read_files(rig, paths, conditioning, quiet)
     if len(rig.model.nonlinear) and reading.continuous:

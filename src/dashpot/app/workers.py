@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import platform
 import signal
 import time
 from collections.abc import Callable, Iterable, Iterator
@@ -11,17 +12,20 @@ from queue import SimpleQueue
 from threading import Thread
 from typing import TYPE_CHECKING, Any
 
+from dashpot.app.memory import one_thread, secure_room
 from dashpot.app.signals import ENDING, end_at_once, held_back
 from dashpot.errors import UsageError
+from dashpot.io.json_document import optional_library
+from dashpot.numerics.blas_threads import THREADS
 
 if TYPE_CHECKING:
     from concurrent.futures import Future, ProcessPoolExecutor
 
-PATIENCE = 3.0  # s, for a process that was told to end
+
+PATIENCE_WORKERS = 3.0  # s, for a process that was told to end
 AHEAD = 3  # tasks that wait for each process
 MOST_KILLED = 3  # times in a row that processes may be killed before anything is finished
 _NOTHING = object()
-THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 Map = Callable[[Callable[[Any], Any], Iterable[Any]], Iterable[Any]]
 
 
@@ -30,15 +34,6 @@ def cores() -> int:
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
-
-
-def one_thread() -> None:
-    """Let BLAS compute on one thread, unless the user says otherwise; to be called before NumPy is imported.
-
-    Matrices here are small and many: on cores that have other work, waking threads takes most of the time.
-    """
-    for name in THREADS:
-        os.environ.setdefault(name, "1")
 
 
 @contextmanager
@@ -159,7 +154,7 @@ class _Pool:
             )  # Python 3.14 has a public name for this
             for process in workers:
                 process.terminate()
-            deadline = time.monotonic() + PATIENCE
+            deadline = time.monotonic() + PATIENCE_WORKERS
             for process in workers:
                 process.join(max(deadline - time.monotonic(), 0.0))
                 process.kill()
@@ -167,7 +162,7 @@ class _Pool:
                 results._writer.close()
             self.executor.shutdown(wait=False, cancel_futures=True)
             if keeper is not None:
-                keeper.join(PATIENCE)
+                keeper.join(PATIENCE_WORKERS)
 
 
 def _hush_cancelled_futures() -> None:
@@ -194,6 +189,7 @@ def _begin_worker() -> None:
         if signal.getsignal(number) != signal.SIG_IGN:
             signal.signal(number, end_at_once)
     Thread(target=_end_with_parent, daemon=True).start()
+    secure_room()
 
 
 def _end_with_parent() -> None:
@@ -205,5 +201,130 @@ def _end_with_parent() -> None:
         return
     connection.wait([parent.sentinel])
     os.kill(os.getpid(), signal.SIGTERM)
-    time.sleep(PATIENCE)
+    time.sleep(PATIENCE_WORKERS)
     end_at_once(signal.SIGTERM, None)
+
+
+# Work shared out to the processes of a cluster by Dask: a `map` for the layers below, which know of none.
+#
+# Dask is an extra, and imported only when it is asked for.
+
+
+LOCAL = "local"
+PATIENCE = 20.0  # s, for a scheduler to answer
+
+
+@contextmanager
+def shared_out(dask: str | None, processes: int | None, small: bool) -> Iterator[Map]:
+    """A `map` over a cluster where one is named, else over processes of this machine.
+
+    Where their number is not given, it is that of the cores, and one for work so `small` that more cost more.
+    """
+    if processes is None:
+        processes = 1 if small and dask is None else cores()
+    if dask is None:
+        with mapping(processes) as mapper:
+            yield mapper
+        return
+    with cluster_mapping(dask, processes) as mapper:
+        yield mapper
+
+
+@contextmanager
+def cluster_mapping(address: str, processes: int | None = None) -> Iterator[Map]:
+    """A `map` over the workers of the scheduler at `address`, or over that many processes of this machine ("local").
+
+    A worker that is lost costs the tasks it was at, which others compute again.  Raises UsageError where Dask is not
+    installed, no scheduler answers, it has no workers, or they have another version of dashpot.
+    """
+    distributed = optional_library("distributed", "scale", "a Dask cluster")
+    if address == LOCAL:
+        one_thread()
+        cluster = distributed.LocalCluster(
+            n_workers=processes or cores(),
+            threads_per_worker=1,
+            processes=True,
+            dashboard_address=None,
+            silence_logs=50,
+        )
+        with cluster, distributed.Client(cluster) as client:
+            yield _mapper(distributed, client)
+        return
+    with _client(distributed, address) as client:
+        _require_alike(client, address)
+        yield _mapper(distributed, client)
+
+
+def _client(distributed: Any, address: str) -> Any:
+    try:
+        return distributed.Client(address, timeout=PATIENCE)
+    except (OSError, ValueError, TypeError) as error:
+        cause = " ".join(str(error).split())[:150]
+        raise UsageError(
+            f"the Dask scheduler does not answer ({cause})",
+            address,
+            "start one: dask scheduler, and workers: dask worker ADDRESS --nworkers auto --nthreads 1",
+        ) from None
+
+
+def state() -> dict[str, str]:
+    """What the numbers that a process computes depend on beside its tasks."""
+    from importlib.metadata import PackageNotFoundError, version
+
+    try:
+        version_here = version("dashpot")
+    except PackageNotFoundError:
+        version_here = "none"
+    return {
+        "dashpot": version_here,
+        "NumPy": version("numpy"),
+        "SciPy": version("scipy"),
+        "machine": platform.machine(),
+    }
+
+
+def _require_alike(client: Any, address: str) -> None:
+    """Raises UsageError where there are no workers, or some would compute other numbers."""
+    workers = client.run(state)
+    if not workers:
+        raise UsageError(
+            "the scheduler has no workers", address, "start some: dask worker ADDRESS --nthreads 1"
+        )
+    wanted = state()
+    for worker, has in workers.items():
+        for name, value in wanted.items():
+            if has.get(name) != value:
+                raise UsageError(
+                    f"the worker {worker} has {name} {has.get(name)}, here it is {value}",
+                    address,
+                    "install the same versions on all machines",
+                )
+
+
+def _mapper(distributed: Any, client: Any) -> Map:
+    def mapped(function: Callable[[Any], Any], tasks: Iterable[Any]) -> Iterator[Any]:
+        waiting = iter(tasks)
+        finished = distributed.as_completed(with_results=False)
+
+        def submit() -> bool:
+            for task in waiting:
+                finished.add(client.submit(function, task, pure=False))
+                return True
+            return False
+
+        ahead = AHEAD * max(sum(client.nthreads().values()), 1)
+        while finished.count() < ahead and submit():
+            pass
+        for future in finished:
+            try:
+                result = future.result()
+            except distributed.KilledWorker as error:
+                raise UsageError(
+                    f"workers were killed several times at the same task ({str(error)[:100]})",
+                    cure="their memory may be too small: start fewer on each machine",
+                ) from None
+            future.release()
+            submit()
+            yield result
+
+    return mapped

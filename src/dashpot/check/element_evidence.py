@@ -15,21 +15,21 @@ from typing import Any
 import numpy as np
 
 from dashpot.arrays import Real
-from dashpot.check.diagnosis.candidate_elements import (
+from dashpot.check.diagnosis.nonlinear_elements import (
+    SOFT_NONLINEAR_ELEMENTS as SOFT,
+)
+from dashpot.check.diagnosis.nonlinear_elements import (
     Motions,
     candidate_elements,
     feeds_motion,
-    moving_pairs,
-    with_open_constants,
-)
-from dashpot.check.diagnosis.nonlinear_elements import (
-    SOFT,
     fitted_in_full,
     misfit,
     motions_of,
+    moving_pairs,
     scored_in_dwells,
     seen_candidates,
     softened,
+    with_open_constants,
 )
 from dashpot.check.diagnosis.record_channels import require_sound_channels
 from dashpot.check.diagnosis.wording import free_name
@@ -37,10 +37,8 @@ from dashpot.data.record import Record
 from dashpot.data.spectrum import Spectrum
 from dashpot.errors import DashpotError, UsageError
 from dashpot.estimate.identify import identify
-from dashpot.estimate.nonlinear.record_problem import RecordProblem
-from dashpot.estimate.nonlinear.recorded_motion import recorded_motion
-from dashpot.estimate.nonlinear.records import RecordData
-from dashpot.estimate.nonlinear.uncertain_inputs import InputErrors
+from dashpot.estimate.nonlinear.record_problem import InputErrors, RecordProblem
+from dashpot.estimate.nonlinear.records import RecordData, recorded_motion
 from dashpot.estimate.nonlinear.whole_record import FittedRecords, fit_records
 from dashpot.estimate.preparation.prepared import prepare
 from dashpot.estimate.result import FORMAT, Estimate
@@ -52,7 +50,6 @@ from dashpot.model.rigfile import element_line
 
 FOLLOWED = 4  # single candidates that are fitted in full
 TOGETHER = (2, 1)  # sets of two and of three elements that are
-PROMISING = 20  # single candidates of which sets are made
 DECISIVE = 5.0  # ln E above which an element is worth its unknowns
 
 
@@ -99,7 +96,7 @@ class ElementComparison:
                 ],
                 "remaining": one.remaining,
                 "ln_evidence": one.evidence,
-            }  # fmt: skip
+            }
 
         return to_json(
             {
@@ -153,7 +150,9 @@ def compare_in_records(
     base = model if len(model.nonlinear) else with_nothing(model)
     fitted = fit_records(base, records, exact_inputs=True)
     estimate = fitted.estimate()
-    numbers = _independent(fitted, estimate)
+    # How many independent numbers the residuals are worth
+    ratio = float(np.median(estimate.sd / estimate.bound_sd))
+    numbers = sum(record.outputs.size for record in fitted.problem.records) / max(ratio, 1.0) ** 2
     candidates = record_candidates(base, fitted.problem.records[0], further=True)
     scored = _scored(fitted, candidates)
     if scored is None or not candidates:
@@ -190,12 +189,6 @@ def with_nothing(model: Model) -> Model:
         between("idle", Kind.SPRING, model.coordinates[0], "ground", value=0.0), force_law=force_law("d**9")
     )
     return replace(model, elements=(*model.elements, idle))
-
-
-def _independent(fitted: FittedRecords, estimate: Estimate) -> float:
-    """How many independent numbers the residuals are worth."""
-    ratio = float(np.median(estimate.sd / estimate.bound_sd))
-    return sum(record.outputs.size for record in fitted.problem.records) / max(ratio, 1.0) ** 2
 
 
 def record_candidates(model: Model, record: RecordData, further: bool = False) -> list[Element]:
@@ -243,7 +236,7 @@ class _Scored:
         single: list[tuple[int, ...]] = [(i,) for i in range(len(self.added))]
         single.sort(key=self.fall, reverse=True)
         trials = single[:FOLLOWED]
-        promising = sorted(i for (i,) in single[:PROMISING])
+        promising = sorted(i for (i,) in single[:20])  # single candidates of which sets are made
         for size, count in enumerate(TOGETHER, 2):
             trials += sorted(combinations(promising, size), key=self.fall, reverse=True)[:count]
         return trials
@@ -263,10 +256,7 @@ class _Scored:
 
     def _solution(self, chosen: tuple[int, ...]) -> Real:
         columns = self._columns(chosen)
-        solution: Real = (
-            np.linalg.pinv(self.matrix[np.ix_(columns, columns)], rcond=1e-12) @ self.right[columns]
-        )
-        return solution
+        return np.linalg.pinv(self.matrix[np.ix_(columns, columns)], rcond=1e-12) @ self.right[columns]
 
 
 def with_candidates(

@@ -7,32 +7,77 @@ looked for.  Sentences are made in `present`.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 
-from dashpot.arrays import Real, freeze
+from dashpot.arrays import Real, freeze, random_generator
 from dashpot.channel import Channel, Quantity
-from dashpot.check.directions import DRAWS, Deficiency, Deficient, LinesAtHand, right_vectors
-from dashpot.check.permutation import permutation_ambiguities
 from dashpot.check.structure import (
+    DRAWS,
+    Deficiency,
+    Deficient,
     Draw,
     LinePattern,
+    LinesAtHand,
     enough_lines,
     exact,
     floating,
     generic_lines,
     lines_of,
     nominal,
+    right_vectors,
     view_of,
 )
 from dashpot.data.spectrum import Spectrum
 from dashpot.errors import UsageError
+from dashpot.model.elements import Element, Kind
 from dashpot.model.network import Model
 from dashpot.numerics import finite_field as field
 
+# Exchanges of unseen coordinates that a whole rig allows: the data cannot say which is which.
+
+
+Shape = tuple[Kind, frozenset[tuple[str, float]]]  # of an element
+
+
+def permutation_ambiguities(model: Model, channels: Sequence[Channel]) -> tuple[tuple[str, str], ...]:
+    """Pairs of coordinates that no channel and no force touches, with elements alike whose values are all unknown."""
+    touched = {point for channel in channels for point in channel.of}
+    touched |= {point for given in model.inputs for point in given.at}
+    for element in model.elements:
+        if element.name in touched:
+            touched |= set(element.along)
+    hidden = [x for x in model.coordinates if x not in touched][:40]  # unseen coordinates looked at
+    tied = {e.same_as for e in model.elements} | {e.name for e in model.elements if e.same_as is not None}
+    shapes = {_shape(e, e.along) for e in model.elements}
+    pairs = []
+    for i, first in enumerate(hidden):
+        for second in hidden[i + 1 :]:
+            moved = [e for e in model.elements if (first in e.along) != (second in e.along)]
+            if not moved or any(e.value is not None or e.name in tied for e in moved):
+                continue
+            swap = {first: second, second: first}
+            if all(_has_image(e, swap, shapes) for e in moved):
+                pairs.append((first, second))
+    return tuple(pairs)
+
+
+def _shape(element: Element, along: Mapping[str, float]) -> Shape:
+    return element.kind, frozenset(along.items())
+
+
+def _has_image(element: Element, swap: Mapping[str, str], shapes: set[Shape]) -> bool:
+    """Whether the rig has the element that this one becomes when two coordinates are exchanged."""
+    image = {swap.get(point, point): factor for point, factor in element.along.items()}
+    turned = {point: -factor for point, factor in image.items()}
+    return _shape(element, image) in shapes or _shape(element, turned) in shapes
+
+
 MANY = 2_000_000  # coordinates² · unknowns² above which lines are counted that add to the rank
+KEPT = 16  # rigs with their channels and patterns of lines, of which the answer is remembered
 LARGE = 300_000_000  # and above which exact ranks take too long for a check before each identification
 
 
@@ -75,7 +120,7 @@ def structure(
             "a rig with nonlinear elements cannot be checked before it is identified",
             cure="identify it: its intervals say what the data determine",
         )
-    rng = np.random.default_rng(seed)
+    rng = random_generator(seed)
     view = view_of(model, channels)
     names = view.names
     draws = _draws(model, channels, _lines_enough(model, channels, len(names), rng), rng)
@@ -89,6 +134,18 @@ def structure(
     if spectrum is not None:
         return _with_lines(base, model, channels, lines_of(model, spectrum), rate, rng)
     return base
+
+
+@lru_cache(maxsize=KEPT)
+def determines(model: Model, channels: tuple[Channel, ...], lines: LinePattern) -> bool:
+    """Whether such lines determine every unknown; kept for the rigs, channels and patterns asked for last.
+
+    Some of the lines are tried first: the others can only add.  Raises as `structure`.
+    """
+    unknowns = len(view_of(model, channels).names)
+    rng = np.random.default_rng(0)
+    some = lines.spread(2 + -(-unknowns // max(len(channels), 1)))
+    return any(field.rank(exact(model, channels, chosen, rng).rows) == unknowns for chosen in (some, lines))
 
 
 def is_large(model: Model) -> bool:
@@ -179,14 +236,11 @@ def _with_lines(
 ) -> Structure:
     """The verdict on the lines at hand, where more lines would determine everything."""
     M = len(base.names)
-    if _work(model) > MANY and _some_are_enough(model, channels, lines, rng, M):
+    if determines(model, tuple(channels), lines):
         return base
     draw = exact(model, channels, lines, rng)
     rank = field.rank(draw.rows)
-    if rank < M:  # once more: a random point may be unlucky
-        draw = exact(model, channels, lines, rng)
-        rank = max(rank, field.rank(draw.rows))
-    if rank == M:
+    if rank == M:  # the first random point was unlucky
         return base
     reduced, pivots = field.echelon(draw.rows)
     free = [j for j in range(M) if j not in set(pivots)]
@@ -205,18 +259,6 @@ def _with_lines(
         ),
     )
     return replace(base, rank=rank, deficiencies=(deficiency,))
-
-
-def _some_are_enough(
-    model: Model, channels: Sequence[Channel], lines: LinePattern, rng: np.random.Generator, M: int
-) -> bool:
-    """Whether some of the lines, spread over the band, already determine everything."""
-    count = 2 + -(-M // max(len(channels), 1))
-    some = np.unique(np.linspace(0, len(lines.frequency) - 1, count).astype(int))
-    chosen = LinePattern(
-        np.unique(lines.frequency[some], return_inverse=True)[1], lines.present[some], lines.driven[some]
-    )
-    return field.rank(exact(model, channels, chosen, rng).rows) == M
 
 
 def _lines_missing(

@@ -10,7 +10,7 @@ from dashpot.check.diagnosis.modal_causes import diagnose_modes
 from dashpot.check.verdict import doubts_about, rejected, unphysical, unstable, worst_of
 from dashpot.data.modal_data import ModalData
 from dashpot.estimate.assessment import Assessment, Judgement, Misfit
-from dashpot.estimate.modal.mode_residuals import ModeResiduals, mode_residuals
+from dashpot.estimate.modal.mode_search import mode_residuals
 from dashpot.estimate.result import Estimate
 from dashpot.model.network import Model
 
@@ -31,11 +31,7 @@ def assess_modes(model: Model, data: ModalData, estimate: Estimate) -> Assessmen
     against = [*unphysical(model, estimate), *unstable(estimate), *rejected(estimate)]
     doubts = [] if against else doubts_about(estimate)
     verdict: Judgement = "does not fit" if against else "cannot tell" if doubts else "fits"
-    return Assessment(verdict, (*against, *doubts), _relative(data, left), _worst(data, left))
-
-
-def _relative(data: ModalData, left: ModeResiduals) -> dict[str, float]:
-    """Rms of measured − predicted over rms of measured at each point, shapes taken at the same size each."""
+    # Rms of measured − predicted over rms of measured at each point, shapes taken at the same size each
     parts = {}
     with np.errstate(invalid="ignore"):
         size = np.sqrt(np.nansum(np.abs(left.measured) ** 2, axis=1))
@@ -44,10 +40,6 @@ def _relative(data: ModalData, left: ModeResiduals) -> dict[str, float]:
         motion = np.sum(np.abs(shown[there] / size[there]) ** 2)
         if motion > 0:
             parts[name] = float(np.sqrt(np.sum(np.abs(away[there] / size[there]) ** 2) / motion))
-    return parts
-
-
-def _worst(data: ModalData, left: ModeResiduals) -> tuple[Misfit, ...]:
     with np.errstate(invalid="ignore", divide="ignore"):
         shapes = np.where(left.sd > 0, np.abs(left.shape) / left.sd, np.nan)
     columns = {FREQUENCY: np.abs(left.frequency), DAMPING: np.abs(left.damping)}
@@ -58,4 +50,4 @@ def _worst(data: ModalData, left: ModeResiduals) -> tuple[Misfit, ...]:
         for hz, sd in zip(data.frequency_hz, column, strict=True)
         if np.isfinite(sd) and sd > 0
     ]
-    return worst_of(misfits)
+    return Assessment(verdict, (*against, *doubts), parts, worst_of(misfits))

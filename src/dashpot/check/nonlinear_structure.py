@@ -13,10 +13,9 @@ import numpy as np
 
 from dashpot.arrays import Complex, Real
 from dashpot.channel import Channel
-from dashpot.check.directions import Deficiency
 from dashpot.check.identifiability import Structure
-from dashpot.data.spectrum import Spectrum
-from dashpot.data.stretch import SettledDwell
+from dashpot.check.structure import Deficiency
+from dashpot.data.spectrum import SettledDwell, Spectrum
 from dashpot.errors import DashpotError, IdentifiabilityError, ModelError
 from dashpot.estimate.nonlinear.dwells import WarmStart
 from dashpot.estimate.nonlinear.objective import NonlinearPart, evaluate, nonlinear_part
@@ -168,8 +167,7 @@ def _slopes(model: Model, spectrum: Spectrum, part: NonlinearPart, psi: Real) ->
     moving = np.array([not measures_input(model, channel) for channel in spectrum.channels])
     size = np.sqrt(np.mean(np.abs(np.where(there, y, 0.0)) ** 2, axis=0))
     scaled = J / np.where(size > 0, size, 1.0)[:, None]
-    chosen: Complex = scaled[:, moving][there[:, moving]]
-    return chosen
+    return scaled[:, moving][there[:, moving]]
 
 
 def blind_laws(model: Model, spectrum: Spectrum) -> Structure | None:

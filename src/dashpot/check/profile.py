@@ -6,24 +6,108 @@ much as the parabola would at ± t sd is a likelihood-ratio interval and follows
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 
 from dashpot.arrays import Bools, Ints, Real, freeze
-from dashpot.check.chi2_surface import Surface, chi2_surface
-from dashpot.data.spectrum import Spectrum
-from dashpot.errors import UsageError
+from dashpot.data.spectrum import SettledDwell, Spectrum
+from dashpot.errors import DashpotError, DataError, UsageError
 from dashpot.estimate.identify import identify
-from dashpot.estimate.result import Estimate
+from dashpot.estimate.inference.flat_valley import flat_valley
+from dashpot.estimate.likelihood.chunks import Measured
+from dashpot.estimate.likelihood.descent import Stage
+from dashpot.estimate.likelihood.objective import (
+    bounds,
+    local,
+    measured,
+    per_line,
+    prior_mean,
+    prior_precision,
+)
+from dashpot.estimate.preparation.prepared import prepare
+from dashpot.estimate.registry import AUTOMATIC  # those that end in the minimum of χ²
+from dashpot.estimate.result import MISFIT, Estimate
 from dashpot.model.network import Model
-from dashpot.numerics.levenberg_marquardt import QuadraticModel, minimise
+from dashpot.model.observation import ObservationModel
+from dashpot.numerics.levenberg_marquardt import OptimizeResult, QuadraticModel, minimise
+from dashpot.numerics.small_systems import scaled_inverse
+
+# χ² of the data as a function of the unknowns, around an estimate: what profiles and sensitivities are made
+# of.
+
+
+@dataclass(frozen=True)
+class Surface:
+    """χ²(ψ) of K repeats with the priors' part; psi (K, M) is its minimum near the estimate, cost (K,) the value there.
+
+    information (K, lines, M, M) of each line at psi; lower, upper (M,) what the model allows; lacking (M, M) the
+    curvature that χ² has where one repeat's information has none.
+    """
+
+    view: ObservationModel
+    data: Measured
+    sign: Real
+    psi: Real
+    cost: Real
+    information: Real
+    lower: Real
+    upper: Real
+    lacking: Real
+
+    def at(self, psi: Real, rows: Ints) -> QuadraticModel:
+        """χ², minus half its slope, and half its curvature (Gauss-Newton) at ψ, (k, M), of the repeats `rows`."""
+        return local(self.view, self.data.pick(rows), psi, self.sign[rows])
+
+    def covariance(self) -> Real:
+        """Inverse of information, curvature beside it and priors, (K, M, M); NaN where that is singular."""
+        held = self.lacking + np.diag(prior_precision(self.view))
+        return scaled_inverse(np.sum(self.information, axis=-3) + held)
+
+
+def chi2_surface(model: Model, spectrum: Spectrum, estimate: Estimate) -> Surface:
+    """χ² around `estimate`, weighed as `identify` weighs; leading batch axes become one of K repeats.
+
+    Raises DataError where the estimate has other unknowns.
+    """
+    data = prepare(model, spectrum)
+    view = data.view
+    if view.names != estimate.names:
+        raise DataError(
+            "the unknowns of the estimate are not those of the rig and its channels", cure="identify again"
+        )
+    psi = estimate.values.reshape(-1, len(view.names))
+    sign = spectrum.signs(estimate.signs, len(psi))
+    exact = measured(data)
+    if not data.noise_known and np.any(model.prior_precision):
+        # Priors weigh against noise of the right size: that which makes χ² its degrees of freedom.
+        penalty = np.sum(prior_precision(view) * (psi - prior_mean(view)) ** 2, axis=-1)
+        cost = local(view, exact, psi, sign).cost - penalty
+        size = cost / np.maximum(estimate.fit.dof - penalty, 1.0)
+        exact = exact.with_noise(np.maximum(size, 1e-300))
+    lower, upper = bounds(view, False)
+
+    def evaluate(at: Real, rows: Ints) -> QuadraticModel:
+        return local(view, exact.pick(rows), at, sign[rows])
+
+    minimum = minimise(evaluate, psi, limit=100, tolerance=1e-6, lower=lower, upper=upper)
+    information, _, _ = per_line(view, exact, minimum.x, sign)
+    # At the estimate itself, as its covariance has it.
+    scale = (
+        1.0
+        if data.noise_known
+        else float(evaluate(psi[:1], np.array([0])).cost[0]) / max(estimate.fit.dof, 1)
+    )
+    valley = flat_valley(view, exact, psi, sign, scale)
+    lacking = np.zeros((len(view.names),) * 2) if valley is None else valley.curvature
+    return Surface(view, exact, sign, minimum.x, minimum.cost, information, lower, upper, lacking)
+
 
 MISLEADS = 0.1  # of the normal interval's length by which an end may be off
 FRACTIONS = (0.25, 0.5, 0.75, 1.0)  # of the normal half-length, the first steps outwards
 GROWTH, FARTHEST = 1.5, 24  # then steps grow; 1.5²⁴ is 17,000 half-lengths
-REFINEMENTS = 12
 CLOSE = 1e-3  # of the root of the rise
 
 
@@ -120,8 +204,7 @@ def profile(
 def signed_root(rise: Real) -> Real:
     """The root of a rise of χ², negative where χ² falls; infinite where it is none."""
     known = np.where(np.isfinite(rise), rise, np.inf)
-    root: Real = np.sign(known) * np.sqrt(np.abs(known))
-    return root
+    return np.sign(known) * np.sqrt(np.abs(known))
 
 
 @dataclass(frozen=True)
@@ -199,7 +282,7 @@ class Walk:
             step = FRACTIONS[turn] if turn < len(FRACTIONS) else GROWTH ** (turn + 1 - len(FRACTIONS))
             if not bracket.step_out(step):
                 break
-        for _ in range(REFINEMENTS):
+        for _ in range(12):  # at most
             if not bracket.refine():
                 break
         return Side(bracket.end, bracket.points, bracket.rises, bracket.improved, bracket.visited)
@@ -293,3 +376,200 @@ class _Bracket:
             moved != 0, (psi - self.psi[rows]) / np.where(moved != 0, moved, 1.0), self.slope[rows]
         )
         self.psi[rows], self.inner[rows], self.inner_root[rows] = psi, distance, root
+
+
+# Profile intervals of several unknowns together: what one profile meets on its way counts for all of them.
+#
+# Where χ² has bent or several valleys, the way out along one profile may stay in a valley that ends early,
+# while χ² is as low in another. Every point at which χ² has risen by less than at the ends of an interval
+# belongs to that interval, of whichever unknown the profile was: where the interval ends short of it, the
+# way is taken up again from there.
+
+
+Curve = tuple[tuple[float, ...], tuple[float, ...]]
+
+MOST_WAYS = 120  # outwards, in all
+SHORT = 0.02  # of the half-length of a normal interval: what an interval ends short of
+DRAWS = 40  # points from which other valleys are looked for
+SPREAD = 1.5  # half-lengths of the normal intervals: their standard deviation
+
+
+def joint_profiles(
+    surface: Surface, wanted: Sequence[int], half: Real, root: Real, seed: int = 0
+) -> dict[int, Curve]:
+    """Curves (`Profile.curve`) of the unknowns `wanted`, and of all whose normal interval is too short (no batch axes).
+
+    half (M,): half-lengths of the normal intervals about the estimate; root (M,): of the rise of χ² at the ends.
+    Nothing where ever lower χ² is met.
+    """
+    value, base = surface.psi[0], surface
+    for _ in range(3):  # times that a lower χ² is met before nothing is said
+        ways = _Ways(base, value, half, root)
+        own = base.at(value[None], np.array([0])).cost - base.cost
+        known = [(value, float(signed_root(own)[0])), *_valleys(base, half, seed)]
+        lower = ways.followed(wanted, known)
+        if lower is None:
+            return {j: ways.curve(j) for j in sorted(ways.ends)}
+        minimum = _minimum(base, lower[None])
+        base = replace(base, psi=minimum.x, cost=minimum.cost)
+    return {}
+
+
+def _minimum(base: Surface, start: Real) -> OptimizeResult:
+    """Minima of χ² reached from `start`, (k, M)."""
+
+    def evaluate(psi: Real, rows: Ints) -> QuadraticModel:
+        return base.at(psi, np.zeros(len(psi), dtype=np.int64))
+
+    return minimise(evaluate, start, limit=60, tolerance=1e-4, lower=base.lower, upper=base.upper)
+
+
+def _valleys(base: Surface, half: Real, seed: int) -> list[tuple[Real, float]]:
+    """Minima that draws about the estimate lead to, with the root of their rise."""
+    away = np.random.default_rng(seed).standard_normal((DRAWS, len(half)))
+    ends = _minimum(base, base.psi[0] + SPREAD * half * away)
+    return list(zip(ends.x, signed_root(ends.cost - base.cost[0]).tolist(), strict=True))
+
+
+class _Ways:
+    """All ways outwards from one minimum, and what they met: ψ (M,) with roots of the rise."""
+
+    def __init__(self, base: Surface, value: Real, half: Real, root: Real) -> None:
+        self.base, self.value, self.half, self.root = base, value, half, root
+        self.visited: list[tuple[Real, float]] = []
+        self.ends: dict[int, list[float]] = {}
+        self.points: dict[int, list[tuple[float, float]]] = {}
+        self.count = 0
+
+    def followed(self, wanted: Sequence[int], known: Sequence[tuple[Real, float]]) -> Real | None:
+        """Follow all ways; a ψ (M,) where χ² is lower than at the minimum that they start from, if one is met.
+
+        known: ψ (M,) and roots of the rise that were met elsewhere.
+        """
+        self.visited += [point for point in known if abs(point[1]) <= np.max(self.root)]
+        for j in wanted:
+            self._profiled(j)
+        sides = [(j, side) for j in range(len(self.value)) for side in (0, 1)]
+        for _ in range(6):  # rounds in which ways are taken up again
+            lower = [psi for psi, root in self.visited if root < -CLOSE * np.min(self.root)]
+            if lower:
+                return lower[-1]
+            taken_up = [self._taken_up(j, side) for j, side in sides]
+            if not any(taken_up):
+                break
+        return None
+
+    def _profiled(self, j: int) -> None:
+        self.ends[j], self.points[j] = [self.base.psi[0, j]] * 2, [(self.base.psi[0, j], 0.0)]
+        for side in (0, 1):
+            self._followed(j, side, None)
+
+    def _taken_up(self, j: int, side: int) -> bool:
+        """Whether the interval of one unknown ended short of what was met elsewhere, and goes on now."""
+        outwards = 2 * side - 1
+        inside = [(psi, root) for psi, root in self.visited if root < (1 - CLOSE) * self.root[j]]
+        if not inside or self.count >= MOST_WAYS:
+            return False
+        start = max(inside, key=lambda point: outwards * point[0][j])
+        end = self.ends[j][side] if j in self.ends else self.value[j] + outwards * self.half[j]
+        if outwards * (start[0][j] - end) <= SHORT * self.half[j]:
+            return False
+        if j not in self.ends:
+            self._profiled(j)
+            return True
+        self._followed(j, side, start)
+        return True
+
+    def _followed(self, j: int, side: int, start: tuple[Real, float] | None) -> None:
+        walk = Walk(self.base, j, self.root[[j]], self.half[[j]])
+        outwards = 2.0 * side - 1
+        way = walk.end(outwards, start)
+        self.count += 1
+        self.visited += way.visited
+        self.points[j] += zip(way.points, way.rises, strict=True)
+        reached = float(way.end[0])
+        if start is not None:
+            self.points[j].append((float(start[0][j]), start[1] ** 2))
+            reached = outwards * max(outwards * reached, outwards * float(start[0][j]))
+        self.ends[j][side] = outwards * max(outwards * reached, outwards * self.ends[j][side])
+
+    def curve(self, j: int) -> Curve:
+        """(values, roots) from one end to the other, the root of the rise over that at the ends; 0 at the estimate."""
+        low, high = self.ends[j]
+        points = [(v, r) for v, r in self.points[j] if low < v < high and v != self.value[j]]
+        values, rises = np.array(sorted(points)).reshape(-1, 2).T
+        roots = np.clip(np.sqrt(np.clip(rises, 0.0, None)) / self.root[j], 0.0, 1.0)
+        above = values > self.value[j]
+        # At any level the interval goes as far as χ² is low anywhere.
+        up = np.minimum.accumulate(roots[above][::-1])[::-1]
+        down = np.minimum.accumulate(roots[~above])
+        return (
+            (low, *values[~above].tolist(), float(self.value[j]), *values[above].tolist(), high),
+            (-1.0, *(-down).tolist(), 0.0, *up.tolist(), 1.0),
+        )
+
+
+# Whether χ² is a parabola as far as the intervals reach, and intervals that follow it where it is not
+# (THEORY §11).
+#
+# Along the tangent of its profile each unknown is moved by twice its standard deviation to both sides, the
+# others with it: where χ² is a parabola it rises by 4. That costs two values of χ² for each unknown;
+# profiles are taken of those alone whose rise is another.
+
+
+REACH = 2.0  # standard deviations
+BENT = 0.12  # relative error of the root of the rise there
+OPEN = 5.0  # sd over the value from which on the data say nothing of it, along whatever curve
+MOST_AMPLITUDES = 3000  # with more, profiles take longer than anyone waits
+
+
+def with_profile_intervals(model: Model, spectrum: Spectrum, estimate: Estimate) -> Estimate:
+    """The estimate with the profile's 95 % interval of each unknown along which χ² is no parabola (no batch axes).
+
+    It is unchanged where that takes long, where intervals count a misfit, and where bounds hold unknowns.
+    """
+    if not _profiled(model, spectrum, estimate):
+        return estimate
+    try:
+        precise = estimate.noise_sd < OPEN * np.abs(estimate.values)
+        bent = np.flatnonzero(bent_unknowns(model, spectrum, estimate) & precise)[:12]
+        if not len(bent):
+            return estimate
+        surface = chi2_surface(model, spectrum, estimate)
+        low, high = replace(estimate, profiles={}).interval()
+        half = (high - low) / 2
+        curves = joint_profiles(
+            surface, bent.tolist(), half, half / np.sqrt(np.diagonal(surface.covariance()[0]))
+        )
+    except DashpotError:
+        return estimate  # nothing is said of the surface of such a rig
+    return replace(estimate, profiles={estimate.names[j]: curve for j, curve in curves.items()})
+
+
+def bent_unknowns(model: Model, spectrum: Spectrum, estimate: Estimate) -> Bools:
+    """(unknowns,): whether χ² at ± 2 standard deviations is far from what the covariance says (no batch axes)."""
+    data = prepare(model, spectrum)
+    stage = Stage(data.view, measured(data))
+    sd = estimate.noise_sd
+    with np.errstate(all="ignore"):
+        away = REACH * estimate.noise_covariance / sd
+        points = np.concatenate([estimate.values[None], estimate.values + away.T, estimate.values - away.T])
+        # Intervals of estimated noise are wider than the parabola of that noise.
+        widened = np.where(estimate.bound_sd > 0, sd / estimate.bound_sd, 1.0)
+        sign = spectrum.signs(estimate.signs, len(points))
+        cost = stage.cost(points, sign, np.zeros(len(points), dtype=np.int64))
+        scale = 1.0 if data.noise_known else cost[0] / max(estimate.fit.dof, 1)
+        root: Real = np.sqrt(np.maximum(cost[1:] - cost[0], 0.0) / scale).reshape(2, -1) / widened
+    bent: Bools = ~np.all(np.abs(root / REACH - 1) < BENT, axis=0)
+    return bent & np.isfinite(sd) & (sd > 0)
+
+
+def _profiled(model: Model, spectrum: Spectrum, estimate: Estimate) -> bool:
+    """Whether profiles are worth their time, and mean what they say."""
+    plain = all(isinstance(stretch, SettledDwell) for stretch in spectrum.stretches)
+    small = len(estimate.names) <= 40 and spectrum.amplitudes.size <= MOST_AMPLITUDES
+    sound = bool(estimate.converged) and estimate.basis != MISFIT
+    free = np.array_equal(estimate.free_values, estimate.values)
+    unweighed = estimate.fit.known_noise or not np.any(model.prior_precision)
+    efficient = estimate.method in AUTOMATIC and not len(model.nonlinear)
+    return plain and small and sound and free and unweighed and efficient

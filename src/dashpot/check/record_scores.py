@@ -11,15 +11,16 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.linalg import block_diag
+from scipy.special import stdtr
 
 from dashpot.arrays import Real
-from dashpot.check.diagnosis.candidate_elements import feeds_motion
-from dashpot.check.diagnosis.nonlinear_elements import APART, CERTAIN
-from dashpot.check.diagnosis.rig_changes import missing_elements
-from dashpot.check.diagnosis.score_test import steadiness
+from dashpot.check.diagnosis.nonlinear_elements import APART, CERTAIN, feeds_motion
+from dashpot.check.diagnosis.search import PARTS, missing_elements, steadiness, sums_of_parts
 from dashpot.check.element_evidence import record_candidates, with_candidates
-from dashpot.estimate.nonlinear.record_prediction import FollowedRecord
-from dashpot.estimate.nonlinear.records import RecordData
+from dashpot.estimate.nonlinear.input_levels import all_linearised, cleared, drawn_noise, stated_precision
+from dashpot.estimate.nonlinear.record_inference import FollowedRecord
+from dashpot.estimate.nonlinear.record_problem import RecordProblem
+from dashpot.estimate.nonlinear.records import RecordData, total_samples
 from dashpot.model.elements import Element
 from dashpot.model.network import Model
 
@@ -48,7 +49,7 @@ def element_called_for(model: Model, motions: Sequence[FollowedRecord]) -> Calle
     unknowns = len(motions[0].psi) + len(candidates)
     if sum(motion.residual.size for motion in motions) * unknowns > MOST_NUMBERS:
         return None
-    columns = _columns(motions, candidates)
+    columns = _columns_record_scores(motions, candidates)
     if columns is None:
         return None
     residual, added, size = columns
@@ -75,7 +76,7 @@ def elements_to_try(model: Model, data: RecordData) -> list[Element]:
     return [*record_candidates(model, data), *missing]
 
 
-def _columns(
+def _columns_record_scores(
     motions: Sequence[FollowedRecord], candidates: Sequence[Element]
 ) -> tuple[Real, Real, Real] | None:
     """Residuals (rows,) and columns of the candidates (rows, count) less what the rig itself can do, in order of time.
@@ -104,3 +105,69 @@ def _columns(
     own_columns = own_columns / np.maximum(np.linalg.norm(own_columns, axis=0), np.finfo(float).tiny)
     left = both - own_columns @ np.linalg.lstsq(own_columns, both, rcond=1e-12)[0]
     return left[:, 0], left[:, 1:], np.linalg.norm(both[:, 1:], axis=0)
+
+
+# Elements that whole records call for where their inputs are uncertain: scores in the metric of all noise
+# (THEORY §9).
+#
+# What the errors of the inputs can explain counts for nothing, as what the rig's own unknowns can.
+
+
+def element_of_uncertain(problem: RecordProblem, psi: Real) -> CalledFor | None:
+    """The element that explains most of what is left over, where that is beyond doubt; None where none is.
+
+    psi (M,): the end of the search of a problem with uncertain inputs.
+    """
+    candidates = elements_to_try(problem.rig, problem.records[0])
+    if total_samples(problem.records) * (len(psi) + len(candidates)) > MOST_NUMBERS:
+        return None
+    linear = all_linearised(problem, psi)
+    columns = _columns(problem, psi, candidates)
+    if not linear or columns is None:
+        return None
+    prior = stated_precision(problem)
+    alone = [record.weighed(column) for record, column in zip(linear, columns, strict=True)]
+    solved = cleared(linear, prior, columns)
+    noise = drawn_noise(linear, prior)
+    before, left, product = np.zeros((3, len(candidates)))
+    for k, record in enumerate(linear):
+        before += np.sum(columns[k] * alone[k], axis=(0, 1))
+        left += np.sum(columns[k] * solved[k], axis=(0, 1))
+        product += np.einsum("nck,nc->k", solved[k], record.residual)
+    spread = np.sqrt(left * _course(solved, noise.data, noise.draws))
+    total = sum(record.cost for record in linear)
+    best = None
+    for element, size, own, score, sd in zip(candidates, before, left, product, spread, strict=True):
+        if not own > APART**2 * size:
+            continue
+        share = float(score**2 / own / total)
+        if feeds_motion(element, float(score / own)):
+            continue
+        chance = 2 * float(stdtr(PARTS - 1, -abs(score) / sd))
+        if share > (LEAST if best is None else best.share) and chance < CERTAIN / len(candidates):
+            best = CalledFor(element, share, float(score / own))
+    return best
+
+
+def _columns(problem: RecordProblem, psi: Real, candidates: Sequence[Element]) -> list[Real] | None:
+    """Slopes of what the channels show along the candidates, (samples, channels, count) of each record."""
+    parts: list[list[Real]] = [[] for _ in problem.records]
+    for first in range(0, len(candidates), TOGETHER):
+        larger, at, places = with_candidates(problem, psi, candidates[first : first + TOGETHER])
+        for k in range(len(problem.records)):
+            slopes = larger.residual(k, at)[1]
+            if slopes is None:
+                return None
+            parts[k].append(slopes[..., list(places)])
+    return [np.concatenate(part, axis=-1) for part in parts]
+
+
+def _course(columns: Sequence[Real], data: Sequence[Real], draws: Sequence[Real]) -> Real:
+    """How much more candidates' scores scatter over parts of the records than those of drawn noise, at least 1."""
+    measured, usual = np.zeros(columns[0].shape[2]), np.zeros(columns[0].shape[2])
+    for column, residual, noise in zip(columns, data, draws, strict=True):
+        each = sums_of_parts(np.einsum("nck,nc->nk", column, residual))
+        drawn = sums_of_parts(np.einsum("nck,ncd->nkd", column, noise))
+        measured += np.sum((each - np.mean(each, axis=0)) ** 2, axis=0)
+        usual += np.mean(np.sum((drawn - np.mean(drawn, axis=0)) ** 2, axis=0), axis=-1)
+    return np.maximum(measured / np.maximum(usual, np.finfo(float).tiny), 1.0)

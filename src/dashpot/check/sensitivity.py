@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from dashpot.arrays import Real, freeze
-from dashpot.check.chi2_surface import chi2_surface
+from dashpot.check.profile import chi2_surface
 from dashpot.data.spectrum import Spectrum
 from dashpot.errors import UsageError
 from dashpot.estimate.identify import automatic, identify
@@ -123,5 +123,4 @@ def _by_repetition(model: Model, spectrum: Spectrum, method: Method, name: str) 
             replace(e, value=value * (1 + sign * STEP)) if e.name == name else e for e in model.elements
         )
         ends.append(identify(replace(model, elements=elements), spectrum, method).values)
-    slope: Real = (ends[0] - ends[1]) / (2 * STEP * value)
-    return slope
+    return (ends[0] - ends[1]) / (2 * STEP * value)

@@ -15,12 +15,21 @@ from scipy.special import chdtrc
 from dashpot.arrays import Bools, Complex, Ints, Real, freeze
 from dashpot.check.residuals import calibrations_of, channel_response, of_channels
 from dashpot.check.verdict import REJECTED
+from dashpot.data.conditioning.still import Still
 from dashpot.data.conditioning.whole_record import FLOOR
-from dashpot.data.spectrum import Spectrum
-from dashpot.data.stretch import SettledDwell, Stretch, WholeRecord, history_of_lines
+from dashpot.data.record import Record
+from dashpot.data.spectrum import SettledDwell, Spectrum, Stretch, WholeRecord, history_of_lines
 from dashpot.errors import DataError
 from dashpot.estimate.likelihood.objective import measured, predict
 from dashpot.estimate.nonlinear.prediction import noise_of_measured_inputs, predicted_lines
+from dashpot.estimate.nonlinear.record_inference import FollowedRecord, followed_record
+from dashpot.estimate.nonlinear.record_problem import (
+    LinearisedRecord,
+    NotSolvedError,
+    OutputCovariance,
+    known_inputs,
+)
+from dashpot.estimate.nonlinear.records import NoiseAtRest, noise_of_channels
 from dashpot.estimate.preparation.prepared import Prepared
 from dashpot.estimate.result import Estimate
 from dashpot.model.network import Model
@@ -117,17 +126,13 @@ def validate(model: Model, estimate: Estimate, spectrum: Spectrum) -> tuple[Reco
     if known:
         variance = variance + _noise_of_inputs(model, estimate, spectrum, V, outputs)
     parts = []
-    for lines, value in _separate(spectrum):
-        parts.append(_part(model, spectrum, predicted, variance, known, lines, outputs, value))
-    return tuple(parts)
-
-
-def _separate(spectrum: Spectrum) -> list[tuple[Ints, Stretch]]:
-    """Lines of what is predicted by itself: the settled ones together, and those of each whole record."""
+    # Lines of what is predicted by itself: the settled ones together, and those of each whole record
     settled = np.array([isinstance(value, SettledDwell) for value in spectrum.stretches])
     first = int(np.argmax(settled))
     owner = np.where(settled, first, np.arange(len(settled)))[spectrum.stretch]
-    return [(np.flatnonzero(owner == k), spectrum.stretches[k]) for k in np.unique(owner)]
+    for lines, value in [(np.flatnonzero(owner == k), spectrum.stretches[k]) for k in np.unique(owner)]:
+        parts.append(_part(model, spectrum, predicted, variance, known, lines, outputs, value))
+    return tuple(parts)
 
 
 def _predicted(
@@ -145,8 +150,7 @@ def _predicted(
             "some input is not measured, so nothing can be predicted",
             cure="record the inputs as well",
         )
-    shown: Complex = spectrum.amplitudes - predict(view, data, psi[None], sign[None]).r[0]
-    return shown
+    return spectrum.amplitudes - predict(view, data, psi[None], sign[None]).r[0]
 
 
 def _weights(spectrum: Spectrum, outputs: Bools) -> tuple[Complex, bool]:
@@ -175,8 +179,7 @@ def _noise_of_inputs(
         np.where(there[..., None], G, 0.0)
     )  # outputs for what the channels of the inputs show
     noise = np.where(there[..., None] & there[..., None, :], np.nan_to_num(spectrum.covariance), 0.0)
-    variance: Real = np.einsum("lij,ljk,lik->li", H, noise, H.conj()).real * outputs
-    return variance
+    return np.einsum("lij,ljk,lik->li", H, noise, H.conj()).real * outputs
 
 
 def _part(
@@ -211,3 +214,78 @@ def _part(
         0.0 if record is None else record.duration_s,
         0 if record is None else record.samples,
     )
+
+
+# How well an estimate of a nonlinear rig predicts whole records that it was not made of, from their inputs
+# alone.
+
+
+def validate_records(
+    model: Model, estimate: Estimate, records: Sequence[Record], still: Still | None = None
+) -> tuple[RecordPrediction, ...]:
+    """What the estimate predicts of each whole record of a nonlinear rig; the state at its start is taken from it.
+
+    still: the noise that a record at rest shows; χ² counts that of the channels and, through the rig, of the inputs.
+    Raises DataError where the estimate is of another rig, or a record does not suit it.
+    """
+    estimate.require_unknowns([unknown.name for unknown in model.unknowns])
+    return tuple(_prediction(model, estimate, record, still) for record in records)
+
+
+def _prediction(model: Model, estimate: Estimate, record: Record, still: Still | None) -> RecordPrediction:
+    followed = followed_record(model, estimate, record)
+    motion = followed.compared()
+    samples, channels = motion.measured.shape
+    duration = float(motion.time[-1] + motion.time[1])
+    units = {channel.name: channel_unit(model, channel) for channel in record.channels}
+    lines = _lines(motion.measured)
+    chi2, dof = np.full(channels, np.nan), np.full(channels, float(samples))
+    if still is not None and len(model.inputs):
+        chi2, dof = _chi2(followed, noise_of_channels(model, record, still))
+    return RecordPrediction(
+        motion.names,
+        tuple(units[name] for name in motion.names),
+        np.arange(len(lines)) / duration,
+        lines,
+        _lines(motion.predicted),
+        1 - motion.relative,
+        chi2,
+        dof,
+        duration,
+        samples,
+    )
+
+
+def _chi2(followed: FollowedRecord, noise: NoiseAtRest) -> tuple[Real, Real]:
+    """χ² of each channel's residual by itself, and its degrees of freedom, (channels,): the start is free.
+
+    Noise of the inputs counts as the rig passes it on; NaN where the motion hangs too much on them for that.
+    """
+    data = followed.data
+    known = known_inputs(data.inputs, np.sqrt(noise.inputs))
+    problem = replace(followed.problem, sd=noise.outputs, inputs=(known,), errors={}, covariances={})
+    residual, J = problem.residual(0, followed.psi)
+    if J is None:
+        raise DataError("the motion cannot be followed", data.source, "check that it is a record of this rig")
+    V, starts = problem.covariances[0], np.arange(problem.inner, len(followed.psi))
+    chi2, dof = np.empty(len(data.names)), np.empty(len(data.names))
+    for c in range(len(data.names)):
+        only = np.array([c])
+        along = replace(V.tangent, shown=V.tangent.shown[:, only], direct=V.tangent.direct[:, only])
+        by_itself = OutputCovariance(along, V.weight[only], known)
+        drifting = np.flatnonzero(np.array(data.drift)[only])
+        linear = LinearisedRecord(by_itself, residual[:, only], J[:, only][..., starts], starts, drifting)
+        try:
+            normal = linear.normal_equations()
+        except NotSolvedError:
+            chi2[c] = np.nan
+        else:
+            free = np.linalg.lstsq(normal.matrix, normal.gradient, rcond=1e-12)[0]
+            chi2[c] = normal.cost - float(normal.gradient @ free)
+        dof[c] = data.samples - len(starts) - len(drifting)
+    return chi2, dof
+
+
+def _lines(history: Real) -> Complex:
+    """Peak amplitudes of a history (samples, channels) at the multiples of 1/T, the constant term among them."""
+    return np.fft.rfft(history, axis=0) * (2 / len(history))

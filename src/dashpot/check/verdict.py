@@ -6,34 +6,298 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
+from scipy.special import fdtrc
 
-from dashpot.arrays import Bools, Complex, Real
-from dashpot.check.limited_channels import LIMITED, limited_channels
-from dashpot.check.record_residuals import hum_notices, mains_hum, standing_out
+from dashpot.arrays import Bools, Complex, Ints, Real
+from dashpot.channel import Channel
+from dashpot.check.diagnosis.ranking import Cause, points_of
+from dashpot.check.diagnosis.wording import finding, in_place_of_laws, laws_in_words, with_likely_causes
+from dashpot.check.discrepancy import discrepancies
+from dashpot.check.element_evidence import with_nothing
+from dashpot.check.record_scores import CalledFor, element_called_for, element_of_uncertain
 from dashpot.check.residuals import Residuals, calibrations_of, residuals
-from dashpot.check.silent_channels import fundamental_lines, mostly_unheard
-from dashpot.data.spectrum import Spectrum
-from dashpot.estimate.assessment import Assessment, Finding, Judgement, Misfit
-from dashpot.estimate.inference.band_stability import DISAGREE
-from dashpot.estimate.inference.diagnostics import dead_channels, of_one_sign
-from dashpot.estimate.inference.free_motion import MODES_UNSEEN
-from dashpot.estimate.inference.noise_in_time import UNEVEN
-from dashpot.estimate.inference.time_course import CLOCK_STEP, GAIN_STEP, JUMP, SPIKES, TIME_CHANGES
+from dashpot.data.record import Record
+from dashpot.data.spectrum import SettledDwell, Spectrum, WholeRecord, history_of_lines
+from dashpot.errors import DashpotError, DataError, IdentifiabilityError
+from dashpot.estimate.assessment import Assessment, Discrepancy, Finding, Judgement, Misfit
+from dashpot.estimate.inference.diagnostics import MODES_UNSEEN, dead_channels, of_one_sign
+from dashpot.estimate.inference.time_course import (
+    CLOCK_STEP,
+    DISAGREE,
+    GAIN_STEP,
+    JUMP,
+    SPIKES,
+    TIME_CHANGES,
+    UNEVEN,
+)
 from dashpot.estimate.likelihood.record_noise import RESIDUAL
+from dashpot.estimate.nonlinear.objective import nonlinear_part
+from dashpot.estimate.nonlinear.record_inference import (
+    CUT_RECORD,
+    FollowedRecord,
+    PredictedMotion,
+    followed_record,
+    followed_records,
+)
+from dashpot.estimate.nonlinear.search import linear_rig
+from dashpot.estimate.nonlinear.whole_record import FittedRecords, fit_records
+from dashpot.estimate.preparation.prepared import prepare
 from dashpot.estimate.result import Estimate
 from dashpot.io.words import joined
+from dashpot.model.elements import Kind
 from dashpot.model.network import Model
+from dashpot.model.nonlinear.harmonic_balance import periodic_response
 from dashpot.model.observation import measures_input
 from dashpot.notices import Notice
+
+# Channels of whole records that bend away from what they should show where it is large: clipped, or
+# saturated.
+
+
+LIMITED = "limited_channel"
+LEVELS = (0.3, 0.5, 0.7, 0.85)  # of the largest motion, beyond which a channel may read less
+SIDES = np.array([1.0, -1.0])  # of the motion
+FAR = 0.999  # quantile of the motion that counts as the largest
+IMPROBABLE = 1e-6  # p-value of a form by chance
+BENT = 0.6  # of the slope in the middle: what a channel near its limit shows at most
+ENDS = 0.02  # of a record at either end, where what its ends leave in its lines is least well known
+BY_BENDING = 0.4  # share of what a straight line leaves that bending must explain
+
+
+def limited_channels(left: Residuals, spectrum: Spectrum, motions: Bools) -> list[Notice]:
+    """Motions (channels,) that end in some whole record, by the fit to all channels, with where they do."""
+    notices: dict[str, Notice] = {}
+    for number in spectrum.records:
+        its, stretch = np.flatnonzero(spectrum.stretch == number), spectrum.stretches[number]
+        assert isinstance(stretch, WholeRecord)
+        order = stretch.orders(spectrum.frequency_hz[its])
+        samples = 2 * (int(np.max(order)) + 1)
+        for c in np.flatnonzero(motions):
+            y, p = left.measured[its, c], left.predicted[its, c]
+            if not np.all(np.isfinite(y) & np.isfinite(p)):
+                continue
+            end = clipped_at(
+                history_of_lines(y, order, samples), history_of_lines(p, order, samples), 2 * len(its)
+            )
+            if end is not None:
+                name = left.channels[c]
+                text = f"{name} reads too little where it moves much, as if it ended at {end:.3g} {left.units[c]}"
+                notices.setdefault(name, Notice(LIMITED, text, (name,)))
+    return list(notices.values())
+
+
+def clipped_at(shown: Real, should: Real, independent: int) -> float | None:
+    """Where a channel ends, if what it shows (samples,) bends away from what it should, whatever the time.
+
+    independent: how many of the samples are.  None where it does not bend, or where that explains too little.
+    """
+    ends = int(ENDS * len(should))
+    shown, should = shown[ends : len(shown) - ends], should[ends : len(should) - ends]
+    largest = float(np.quantile(np.abs(should), FAR))
+    if largest == 0:
+        return None
+    p = should / largest
+    beyond = [np.maximum(side * p - level, 0.0) for side in SIDES for level in LEVELS]
+    straight = np.stack([np.ones(len(p)), p], axis=1)
+    whole = np.column_stack([straight, *beyond])
+    rest = _left(straight, shown)[1]
+    values, bent = _left(whole, shown)
+    freedom = independent - whole.shape[1]
+    if not 0 < bent < (1 - BY_BENDING) * rest or freedom < 1:
+        return None
+    if not fdtrc(len(beyond), freedom, (rest - bent) / len(beyond) / (bent / freedom)) < IMPROBABLE:
+        return None
+    offset, slope = values[:2]
+    bends = values[2:].reshape(len(SIDES), len(LEVELS))
+    slopes = slope + SIDES * np.sum(bends, axis=1)  # beyond the last level
+    k = int(np.argmin(np.abs(slopes)))
+    if not abs(slopes[k]) < BENT * abs(slope):
+        return None
+    return float(abs(offset + SIDES[k] * slope + bends[k] @ (1 - np.array(LEVELS))))
+
+
+def _left(columns: Real, y: Real) -> tuple[Real, float]:
+    """Values of a least-squares fit and the sum of squares that it leaves."""
+    values: Real = np.linalg.lstsq(columns, y, rcond=1e-10)[0].astype(np.float64)
+    return values, float(np.sum((y - columns @ values) ** 2))
+
+
+# Single lines of whole records that stand out of a noise which is itself read from the residuals.
+
+
+IMPROBABLE_RECORD_RESIDUALS = 1e-4  # chance of the largest residual of a right rig
+FELT = 0.005  # of a channel's largest amplitude: what stands out less is of no account
+MAINS_HZ = (50.0, 60.0)
+UNDRIVEN = 0.3  # of an amplitude: what the rig can explain of a tone that nothing drives
+
+
+def standing_out(left: Residuals, spectrum: Spectrum, outputs: Bools, hum: Bools) -> list[Notice]:
+    """Outputs with a line that noise of the size of all the others would not show; `hum` (lines, channels) apart.
+
+    Where the mean of n squares scales them, the largest of N exceeds s² with a chance of about N (1 − s²/n)ⁿ⁻¹
+    (Fisher 1929).
+    """
+    of_residuals = np.array([kind == RESIDUAL for kind in spectrum.noise])
+    if not np.any(of_residuals):
+        return []
+    square = np.where(of_residuals[:, None] & outputs, np.nan_to_num(np.abs(left.normalised)) ** 2 / 2, 0.0)
+    square[hum] = 0.0
+    square[_slight(left)] = 0.0
+    n = np.maximum(spectrum.dof / 2, 2.0)[:, None]
+    with np.errstate(divide="ignore"):
+        chance = np.sum(of_residuals) * np.exp((n - 1) * np.log1p(-np.minimum(square / n, 1.0)))
+    worst: Ints = np.argmin(chance, axis=0)
+    notices = []
+    for c in np.flatnonzero(np.min(chance, axis=0) < IMPROBABLE_RECORD_RESIDUALS):
+        name, line = left.channels[c], worst[c]
+        off = f"{np.sqrt(square[line, c]):.2g} sd off"
+        text = f"{name} at {left.frequency_hz[line]:.4g} Hz is {off}, more than noise explains"
+        notices.append(Notice("standing_out", text, (name,)))
+    return notices
+
+
+def hum_notices(left: Residuals, outputs: Bools, hum: Bools) -> list[Notice]:
+    """Outputs (channels,) that carry the tone of the mains, `hum` (lines, channels)."""
+    hums = hum & outputs & (np.abs(np.nan_to_num(left.normalised)) ** 2 / 2 > 16)
+    names = tuple(name for name, there in zip(left.channels, np.any(hums, axis=0), strict=True) if there)
+    if not names:
+        return []
+    at = np.unique(_multiple(left.frequency_hz[np.any(hums, axis=1)]))
+    where = joined(f"{f:g}" for f in at)
+    carry = "carries" if len(names) == 1 else "carry"
+    text = f"{joined(names)} {carry} a tone at {where} Hz that nothing drives: mains hum?"
+    return [Notice("mains_hum", text, names)]
+
+
+def mains_hum(left: Residuals, spectrum: Spectrum) -> Bools:
+    """Amplitudes of whole records beside a multiple of the mains' frequency that the rig does not explain.
+
+    (lines, channels).
+    """
+    duration_s = np.array([getattr(stretch, "duration_s", 0.0) for stretch in spectrum.stretches])
+    near = np.abs(left.frequency_hz - _multiple(left.frequency_hz)) * duration_s[spectrum.stretch]
+    whole = np.isin(spectrum.stretch, spectrum.records)
+    with np.errstate(invalid="ignore"):
+        undriven = np.abs(left.predicted) < UNDRIVEN * np.abs(left.measured)
+    return (whole & (near <= 2.0))[:, None] & undriven
+
+
+def _multiple(frequency_hz: Real) -> Real:
+    """The multiples of a mains frequency that are nearest, (lines,)."""
+    mains = np.array(MAINS_HZ)
+    around = mains * np.maximum(np.round(frequency_hz[:, None] / mains), 1)
+    nearest = np.argmin(np.abs(around - frequency_hz[:, None]), axis=1)
+    return around[np.arange(len(around)), nearest]
+
+
+def _slight(left: Residuals) -> Bools:
+    away = np.abs(np.nan_to_num(left.measured - left.predicted))
+    return away < FELT * np.nanmax(np.abs(np.nan_to_num(left.measured)), axis=0)
+
+
+# Channels whose own numbers say that they measured nothing: still, stuck at one value, or below their
+# noise.
+
+
+HEARD = 3.0  # standard deviations that an amplitude must have to be more than noise
+MOSTLY = 0.5  # share of a channel's lines
+FEWEST = 4  # lines at which a channel that moves does not read alike
+ALIKE = 1e-9  # of its size
+
+
+def mostly_unheard(measured: Complex, sd: Real, lines: Bools) -> Bools:
+    """Channels that are little else than noise at the given `lines` (lines,), (channels,).
+
+    measured (lines, channels), NaN where nothing was; sd (lines, channels) of the real and of the imaginary part.
+    """
+    present = np.isfinite(measured) & lines[:, None]
+    with np.errstate(invalid="ignore"):
+        heard = present & (np.abs(measured) > HEARD * np.sqrt(2) * sd)
+    share = np.sum(heard, axis=0) / np.maximum(np.sum(present, axis=0), 1)
+    return (share < MOSTLY) & np.any(sd > 0, axis=0)
+
+
+def fundamental_lines(spectrum: Spectrum) -> Bools:
+    """Lines at the frequency of the drive, (lines,): harmonics may well be noise."""
+    orders = [
+        shared.orders(np.array(f)) if isinstance(shared, SettledDwell) else 1
+        for f, shared in zip(
+            spectrum.frequency_hz, (spectrum.stretches[int(k)] for k in spectrum.stretch), strict=True
+        )
+    ]
+    return np.array(orders) == 1
+
+
+def silent_channels(model: Model, spectrum: Spectrum) -> dict[str, str]:
+    """What channels of moving points show that measured nothing; of one repeat, and of lines that are runs.
+
+    The first repeat counts; below the noise is a channel only whose noise is known.
+    """
+    shows = dict.fromkeys(dead_channels(model, spectrum), "shows no motion at any line")
+    first = (0,) * len(spectrum.batch)
+    Y = spectrum.amplitudes[first]
+    variance = np.diagonal(spectrum.covariance, axis1=-2, axis2=-1).real[first]
+    noisy = mostly_unheard(Y, np.sqrt(variance / 2), fundamental_lines(spectrum))
+    for c, channel in enumerate(spectrum.channels):
+        if measures_input(model, channel) or channel.name in shows:
+            continue
+        y = Y[np.isfinite(Y[:, c]), c]
+        if len(y) >= FEWEST and np.all(np.abs(y - y[0]) <= ALIKE * np.abs(y[0])):
+            shows[channel.name] = "reads the same at every line"
+        elif noisy[c]:
+            shows[channel.name] = "shows little but noise at most lines"
+    return shows
+
+
+# Dwells at which a nonlinear rig has more than one settled motion: the measured one has been taken.
+
+
+APART = 0.05  # relative difference of two motions
+MOST = 6  # frequencies that are named
+
+
+def several_motions(model: Model, spectrum: Spectrum, estimate: Estimate) -> list[Notice]:
+    """A notice where the motion from the measured one differs from that which the linear response leads to.
+
+    Folds lie around such dwells: a drive that is raised or swept otherwise would settle elsewhere.
+    """
+    try:
+        part = nonlinear_part(prepare(model, spectrum), np.nan_to_num(spectrum.amplitudes)[None], None)
+    except DashpotError:
+        return []
+    if part.start is None:
+        return []
+    theta = estimate.values[: len(model.unknowns)]
+    rows = len(part.dwells.omega)
+    p, constants = (
+        np.tile(model.parameters(theta), (rows, 1)),
+        np.tile(model.inner_constants(theta), (rows, 1)),
+    )
+    drive = part.dwells.drive(part.q[:1], model.D.shape[1])
+    measured = periodic_response(model, p, constants, drive, part.start[0])
+    other = periodic_response(model, p, constants, drive)
+    size = np.max(np.abs(measured.delta), axis=(1, 2))
+    away = np.max(np.abs(measured.delta - other.delta), axis=(1, 2))
+    several = measured.converged & other.converged & (away > APART * size)
+    if not np.any(several):
+        return []
+    frequencies = np.unique(np.round(part.dwells.omega[several] / (2 * np.pi), 9))
+    named = [f"{f:.4g}" for f in frequencies[:MOST]]
+    more = f" and {len(frequencies) - MOST} more" if len(frequencies) > MOST else ""
+    where = f"{joined(named)} Hz{more}"
+    text = f"folds lie around {where}: more than one motion is possible there; the measured one is used"
+    return [Notice("several_motions", text)]
+
 
 REJECTED = 0.01  # p-value of χ² below which a rig does not fit: one clean test in a hundred
 MORE_THAN_NOISE = 2.0  # rms of a channel's residuals over the noise
 PERHAPS_UNSTABLE = "perhaps_unstable"  # a code
-FEWEST = 4  # degrees of freedom below which χ² has no power to speak of
 BEYOND = 3.0  # standard deviations by which a sign or a damping ratio must be wrong
 SMOOTH = 4.5  # standard deviations of the correlation of neighbouring residuals
 WORST = 3  # amplitudes that are named
 UNTESTED = ("no_noise", "noise_from_residuals", "few_degrees")  # codes of doubts that no χ² has settled
+# Codes of reasons that say nothing against a rig that describes the motion as closely as it should.
+BY_SIZE = {"chi2", "smooth_residuals", "standing_out", "no_noise", "noise_from_residuals"}
 # What a change in the course of a record may be, and what to do about it, by its code.
 IN_TIME = {
     GAIN_STEP: (
@@ -55,8 +319,13 @@ IN_TIME = {
 }
 
 
-def assess(model: Model, spectrum: Spectrum, estimate: Estimate) -> Assessment:
-    """The verdict on one estimate (no batch axes) from the spectrum it was made of."""
+def assess(
+    model: Model, spectrum: Spectrum, estimate: Estimate, *, within: float | None = None
+) -> Assessment:
+    """The verdict on one estimate (no batch axes) from the spectrum it was made of.
+
+    within: the share of the motion of every channel within which the rig is to describe it; None: what suits the noise.
+    """
     theta = estimate.values[: len(model.unknowns)]
     left = residuals(model, theta, spectrum, calibrations_of(model, estimate))
     tones = mains_hum(left, spectrum)
@@ -64,10 +333,13 @@ def assess(model: Model, spectrum: Spectrum, estimate: Estimate) -> Assessment:
     motions = np.array([not measures_input(model, channel) for channel in spectrum.channels])
     in_time = [notice for notice in estimate.warnings if notice.code in TIME_CHANGES]
     ended = limited_channels(left, spectrum, motions)
+    elsewhere = _sized_elsewhere(estimate, spectrum)
+    shares = discrepancies(quiet, estimate, motions, elsewhere, within)
     against = [
         *unphysical(model, estimate),
         *unstable(estimate),
         *rejected(estimate),
+        *([] if elsewhere and float(estimate.fit.p) >= REJECTED else too_far_off(shares)),
         *_silent(model, spectrum),
         *(notice for notice in estimate.warnings if notice.code == DISAGREE),
         *in_time,
@@ -76,7 +348,7 @@ def assess(model: Model, spectrum: Spectrum, estimate: Estimate) -> Assessment:
         *_smooth(
             quiet,
             motions,
-            least=1.0 if _sized_elsewhere(estimate, spectrum) else 0.5,
+            least=1.0 if elsewhere else 0.5,
             uneven=any(notice.code == UNEVEN for notice in estimate.warnings),
         ),
     ]
@@ -85,12 +357,57 @@ def assess(model: Model, spectrum: Spectrum, estimate: Estimate) -> Assessment:
     chance = [notice for notice in estimate.warnings if notice.code == MODES_UNSEEN]
     doubts = [*untested, *chance, *hum_notices(left, motions, tones), *unheard]
     verdict: Judgement = "does not fit" if against else "cannot tell" if doubts else "fits"
-    relative = _relative(left, motions)
-    noise = _noise_alone(left, tuple(relative)) if _sized_elsewhere(estimate, spectrum) else {}
+    relative = _relative_verdict(left, motions)
+    limits = [share.within for share in shares.values() if share is not None]
     return Assessment(
-        verdict, (*against, *doubts), relative, _worst(left) if estimate.fit.dof > 0 else (),
-        findings=tuple(_finding_of(notice) for notice in (*ended, *in_time)), relative_noise=noise,
-    )  # fmt: skip
+        verdict,
+        (*against, *doubts),
+        relative,
+        _worst_verdict(left) if estimate.fit.dof > 0 else (),
+        findings=tuple(_finding_of(notice) for notice in (*ended, *in_time)),
+        relative_noise=_noise_alone(left, tuple(relative)) if elsewhere else {},
+        discrepancy=shares,
+        within=max(limits, default=None) if within is None else within,
+    )
+
+
+def settled_by_size(assessment: Assessment, asked: bool) -> Assessment:
+    """The verdict by how much of the motion the rig leaves, after the diagnosis.
+
+    What χ² rejects, or cannot test, fits where the data show that it is as little as it should be, and no cause was
+    found.  Where a share of the motion was asked for, only what the data show fits.
+    """
+    codes = {reason.code for reason in assessment.reasons}
+    if assessment.described and not assessment.findings and codes <= BY_SIZE:
+        return replace(assessment, verdict="fits", reasons=())
+    if assessment.verdict == "does not fit" or assessment.described or not asked:
+        return assessment
+    notices = []
+    for name, share in assessment.discrepancy.items():
+        if share is None:
+            notices.append(
+                Notice("discrepancy_unknown", f"noise and misfit of {name} cannot be told apart", (name,))
+            )
+        elif share.upper95 > share.within:
+            bound, limit = f"{100 * share.upper95:.3g} %", f"{100 * share.within:.3g} %"
+            text = f"the rig may miss up to {bound} of the motion at {name}, and {limit} is asked"
+            notices.append(Notice("discrepancy_bound", text, (name,)))
+    others = (reason for reason in assessment.reasons if reason.code not in UNTESTED)
+    return replace(assessment, verdict="cannot tell", reasons=(*notices, *others))
+
+
+def too_far_off(shares: Mapping[str, Discrepancy | None]) -> list[Notice]:
+    """That the rig misses more of some channels than it should, beyond doubt by the noise; the worst is named."""
+    missed = {
+        name: share.lower95
+        for name, share in shares.items()
+        if share is not None and share.lower95 > share.within
+    }
+    if not missed:
+        return []
+    name = max(missed, key=lambda each: missed[each])
+    text = f"the rig misses at least {100 * missed[name]:.3g} % of the motion at {name}"
+    return [Notice("discrepancy", text, tuple(missed))]
 
 
 def _finding_of(notice: Notice) -> Finding:
@@ -239,7 +556,7 @@ def _likeness(r: Complex, loud: Bools) -> float:
     return float(correlation / np.sqrt(variance))
 
 
-def _relative(left: Residuals, motions: Bools) -> Mapping[str, float]:
+def _relative_verdict(left: Residuals, motions: Bools) -> Mapping[str, float]:
     """What the model leaves of the motion of each channel, (0 … 1).
 
     Measured inputs count where the fit meets the outputs by another input than was measured: it is more than noise
@@ -247,8 +564,7 @@ def _relative(left: Residuals, motions: Bools) -> Mapping[str, float]:
     """
 
     def rms(values: Complex) -> Real:
-        power: Real = np.sqrt(np.nanmean(np.abs(values) ** 2, axis=0))
-        return power
+        return np.sqrt(np.nanmean(np.abs(values) ** 2, axis=0))
 
     shown = np.any(np.isfinite(left.measured), axis=0)
     away = np.where(np.isfinite(left.measured), left.measured - left.predicted, np.nan)
@@ -281,7 +597,7 @@ def worst_of(misfits: Iterable[Misfit]) -> tuple[Misfit, ...]:
     return tuple(sorted(misfits, key=lambda misfit: -misfit.sd)[:WORST])
 
 
-def _worst(left: Residuals) -> tuple[Misfit, ...]:
+def _worst_verdict(left: Residuals) -> tuple[Misfit, ...]:
     size = np.nan_to_num(np.abs(left.normalised)) / np.sqrt(2)
     order = np.argsort(-size, axis=None)[:WORST]
     misfits = []
@@ -294,3 +610,131 @@ def _worst(left: Residuals) -> tuple[Misfit, ...]:
                 )
             )
     return tuple(misfits)
+
+
+# The verdict on whole records of a nonlinear rig: by the signs of its parts, and by what an element more
+# explains.
+
+
+def examined_records(
+    model: Model,
+    records: Sequence[Record],
+    estimate: Estimate,
+    fitted: FittedRecords | None = None,
+    within: float | None = None,
+) -> Estimate:
+    """The estimate from whole records of a nonlinear rig with its assessment; `fitted` as of `assess_records`.
+
+    Noise and what the rig leaves are not told apart there, so that nothing fits `within` a share of the motion.
+    """
+    assessment = assess_records(model, records, estimate, fitted)
+    unknown = dict.fromkeys(assessment.relative_residual)
+    assessment = replace(assessment, discrepancy=unknown, within=within)
+    return replace(estimate, assessment=settled_by_size(assessment, within is not None))
+
+
+def assess_records(
+    model: Model, records: Sequence[Record], estimate: Estimate, fitted: FittedRecords | None = None
+) -> Assessment:
+    """The verdict on an estimate from whole records; "fits" where χ² of a noise known from rest is no larger.
+
+    It is "does not fit" where χ² rejects it, parts are negative, or an element more would explain what residuals are
+    left (THEORY §9).
+    Residuals are those of the motion that follows from the inputs and the start of each record; where it depends too
+    much on its start to be followed, none are told.
+
+    fitted: the fit that the estimate is of.  With noise of the inputs, residuals are beside the motion that their
+    likeliest values give.  Without it the measured inputs count as exact.
+    """
+    against = [*unphysical(model, estimate), *rejected(estimate)]
+    cut = any(notice.code == CUT_RECORD for notice in estimate.warnings)
+    uncertain = fitted is not None and fitted.problem.inputs is not None and not cut
+    called_for: CalledFor | None = None
+    if uncertain and fitted is not None:
+        trails = followed_records(fitted.problem, fitted.psi)
+        called_for = element_of_uncertain(fitted.problem, fitted.psi) if bool(estimate.converged) else None
+    else:
+        trails = [] if cut else _followed(model, records, estimate)
+        called_for = element_called_for(model, trails) if trails and bool(estimate.converged) else None
+    findings: tuple[Finding, ...] = ()
+    if called_for is not None:
+        findings = (_finding(model, records[0].channels, called_for),)
+        against = [*against, _reason(model, called_for)]
+    elif not bool(estimate.converged):
+        findings, reasons = _without_laws(model, records)
+        against = [*against, *reasons]
+    motions = [motion.compared() for motion in trails]
+    doubts = [] if against else powerless(estimate)
+    verdict: Judgement = "does not fit" if against else "cannot tell" if doubts else "fits"
+    return Assessment(verdict, (*against, *doubts), _relative(motions), _worst(motions), findings)
+
+
+def with_causes(error: IdentifiabilityError, model: Model, records: Sequence[Record]) -> IdentifiabilityError:
+    """The error of a fit whose laws leave no trace, with the element that the records call for in their place."""
+    findings, _ = _without_laws(model, records)
+    return with_likely_causes(error, findings)
+
+
+def _without_laws(model: Model, records: Sequence[Record]) -> tuple[tuple[Finding, ...], tuple[Notice, ...]]:
+    """What the records call for where the rig's own nonlinear elements are left out, and that they do; () for none."""
+    try:
+        linear = with_nothing(linear_rig(model))
+        fitted = fit_records(linear, records, exact_inputs=True)
+        called_for = element_called_for(linear, followed_records(fitted.problem, fitted.psi))
+    except DashpotError:
+        return (), ()
+    if called_for is None:
+        return (), ()
+    what = _finding(model, records[0].channels, called_for)
+    reason = _reason(model, called_for)
+    text = reason.text.replace(
+        "of the residuals", f"of the residuals of the rig without {laws_in_words(model)}"
+    )
+    return (in_place_of_laws(model, what),), (replace(reason, text=text),)
+
+
+def _finding(model: Model, channels: Sequence[Channel], called_for: CalledFor) -> Finding:
+    """The element as what may be wrong, with its line of the rig file; it was not fitted."""
+    element = called_for.element
+    kind = "element" if element.force_law is None else "nonlinear"
+    cause = Cause(kind, points_of(element, model), 1 - called_for.share, called_for.value, element=element)
+    return replace(finding(model, tuple(channels), cause), remaining=None)
+
+
+def _reason(model: Model, called_for: CalledFor) -> Notice:
+    element, points = called_for.element, points_of(called_for.element, model)
+    part = f"a missing {element.kind.value}" if element.force_law is None else "a nonlinear element"
+    place = f"at {points[0]}" if element.kind is Kind.MASS else f"between {joined(points)}"
+    text = f"{part} {place} explains {100 * called_for.share:.0f} % of the residuals (p < 1e-6)"
+    return Notice("element_called_for", text, points)
+
+
+def _followed(model: Model, records: Sequence[Record], estimate: Estimate) -> list[FollowedRecord]:
+    try:
+        return [followed_record(model, estimate, record) for record in records]
+    except DataError:  # no motion can be followed
+        return []
+
+
+def _relative(motions: Sequence[PredictedMotion]) -> dict[str, float]:
+    """Rms of measured − predicted over rms of measured, less its mean, over all records."""
+    if not motions:
+        return {}
+    away = np.sum([len(motion.time) * motion.rms**2 for motion in motions], axis=0)
+    size = np.sum([len(motion.time) * np.var(motion.measured, axis=0) for motion in motions], axis=0)
+    parts = np.sqrt(away / np.where(size > 0, size, np.inf))
+    return dict(zip(motions[0].names, parts.tolist(), strict=True))
+
+
+def _worst(motions: Sequence[PredictedMotion]) -> tuple[Misfit, ...]:
+    """The lines of the residuals' spectra that stand out most, against the rms of all lines of their channel."""
+    misfits = []
+    for motion in motions:
+        residual = motion.measured - motion.predicted
+        lines = np.abs(np.fft.rfft(residual - np.mean(residual, axis=0), axis=0))[1:]
+        duration = len(motion.time) * float(motion.time[1] - motion.time[0])
+        size = lines / np.maximum(np.sqrt(np.mean(lines**2, axis=0)), 1e-300)
+        for name, column in zip(motion.names, size.T, strict=True):
+            line = int(np.argmax(column))
+            misfits.append(Misfit(name, (line + 1) / duration, float(column[line])))
+    return worst_of(misfits)

@@ -14,22 +14,18 @@ import numpy as np
 from dashpot import units
 from dashpot.arrays import Real, freeze
 from dashpot.channel import Quantity
-from dashpot.data.clipping import samples_at_limit
-from dashpot.data.readers.columns import Columns, bare
+from dashpot.data.readers.columns import Columns, bare, frequency_column, read_time, time_column
 from dashpot.data.readers.datafile import open_file
 from dashpot.data.readers.registry import reader_of
-from dashpot.data.readers.sampling import frequency_column, read_time, time_column
+from dashpot.data.record import samples_at_limit
 from dashpot.errors import DashpotError, DataError
 from dashpot.io.toml_document import toml_key
 from dashpot.io.words import quoted
 from dashpot.notices import Notice
 
-MOST_COLUMNS = 64
-MOST_PARTS = 200
 MOST_SAMPLES = 1 << 22  # of a column of which the resolution is sought
 BANDS = 60  # of the frequency content
 GAP = 1.5  # steps
-MOST_STRETCHES = 10_000  # that are looked at: more are no recording
 FEWEST_FOR_CONTENT, LONGEST_FOR_CONTENT = 16, 1 << 16  # samples of a stretch whose frequency content is shown
 WORDS = {
     Quantity.FORCE: ("force", "load", "kraft", "hammer", "torque"),
@@ -134,7 +130,7 @@ def inspect_file(path: str | os.PathLike[str]) -> Inspection:
     parts: list[InspectedPart] = []
     more = 0
     for columns in reader.parts(file):
-        if len(parts) < MOST_PARTS:
+        if len(parts) < 200:
             parts.append(_part(columns))
         else:
             more += 1
@@ -156,7 +152,14 @@ def _part(columns: Columns) -> InspectedPart:
     driven: Real = np.zeros(0)
     if f_at is not None:
         driven = _values(partial(_numbers, columns, f_at), damaged)
-    stretches = _stretches(time, driven)
+    # Where the drive changes its frequency or the clock starts again another stretch begins
+    new = np.diff(time) <= 0
+    if len(driven) == len(time):
+        new |= driven[1:] != driven[:-1]
+    edges = [0, *(np.flatnonzero(new) + 1).tolist(), len(time)]
+    ends = [(begin, end) for begin, end in pairwise(edges) if end > begin + 1]
+    # stretches that are looked at: more are no recording
+    stretches = [_stretch(time, begin, end) for begin, end in ends[:10_000]]
     rates = [stretch.rate_hz for stretch in stretches]
     inspected: list[InspectedColumn] = []
     others, samples = [], len(time)
@@ -164,7 +167,7 @@ def _part(columns: Columns) -> InspectedPart:
         if i in (time_at, f_at):
             continue
         values: Real = np.zeros(0)
-        if len(inspected) < MOST_COLUMNS:
+        if len(inspected) < 64:
             values = _values(
                 partial(_numbers, columns, i), damaged if _begins_with_number(columns, i) else []
             )
@@ -232,16 +235,6 @@ class _Stretch:
     gaps: int
     longest_gap: tuple[float, float] | None
     duration_s: float
-
-
-def _stretches(time: Real, driven: Real) -> list[_Stretch]:
-    """Where the drive changes its frequency or the clock starts again another stretch begins."""
-    new = np.diff(time) <= 0
-    if len(driven) == len(time):
-        new |= driven[1:] != driven[:-1]
-    edges = [0, *(np.flatnonzero(new) + 1).tolist(), len(time)]
-    ends = [(begin, end) for begin, end in pairwise(edges) if end > begin + 1]
-    return [_stretch(time, begin, end) for begin, end in ends[:MOST_STRETCHES]]
 
 
 def _stretch(time: Real, begin: int, end: int) -> _Stretch:

@@ -19,12 +19,10 @@ from dashpot.notices import Notice
 SMOOTH = "smooth"  # kind of noise
 WINDOW = 9  # lines that a polynomial goes through
 DEGREES = (3, 5)  # of the polynomial, and of the one that must leave as much
-FEWEST = 24  # lines of an experiment
 ALIKE = 1.5  # ratio of the variances that the two leave, above which the lower one is bent
 MOSTLY = 0.5  # share of the lines at which it must not be
 LARGEST = 0.3  # of the motion: what scatters more is no noise about a curve
 EXACT = 1e-18  # of the mean square of the motion
-ROUNDS = 20
 
 
 def with_local_noise(spectrum: Spectrum) -> Spectrum:
@@ -40,7 +38,7 @@ def with_local_noise(spectrum: Spectrum) -> Spectrum:
         lines = np.flatnonzero(spectrum.experiment == experiment)
         lines = lines[np.argsort(spectrum.frequency_hz[lines], kind="stable")]
         f, y = spectrum.frequency_hz[lines], spectrum.amplitudes[lines]
-        if len(lines) < FEWEST or np.any(np.diff(f) <= 0) or np.any(np.isnan(y)):
+        if len(lines) < 24 or np.any(np.diff(f) <= 0) or np.any(np.isnan(y)):  # lines of an experiment
             return spectrum
         behind = np.inf
         for c in range(y.shape[1]):
@@ -78,10 +76,7 @@ def _noise_of(f: Real, y: Complex) -> tuple[Real, float] | None:
 
 def _drawn_together(scatter: Real) -> Real:
     """The mean over neighbouring windows."""
-    mean: Real = np.convolve(
-        np.pad(scatter, WINDOW // 2, mode="edge"), np.ones(WINDOW) / WINDOW, mode="valid"
-    )
-    return mean
+    return np.convolve(np.pad(scatter, WINDOW // 2, mode="edge"), np.ones(WINDOW) / WINDOW, mode="valid")
 
 
 def _scatter(f: Real, y: Complex, degree: int) -> Real:
@@ -94,8 +89,7 @@ def _scatter(f: Real, y: Complex, degree: int) -> Real:
     Q = np.linalg.qr(t[..., None] ** np.arange(degree + 1))[0]
     z = y[at]
     left = z - np.einsum("lwd,ld->lw", Q, np.einsum("lwd,lw->ld", Q, z))
-    scatter: Real = np.sum(np.abs(left) ** 2, axis=1) / (WINDOW - degree - 1)
-    return scatter
+    return np.sum(np.abs(left) ** 2, axis=1) / (WINDOW - degree - 1)
 
 
 def _of_constant_and_share(scatter: Real, size: Real, at: Real) -> Real:
@@ -106,7 +100,7 @@ def _of_constant_and_share(scatter: Real, size: Real, at: Real) -> Real:
     A = np.stack([np.ones_like(size), size / unit], axis=1)
     mean = np.full(len(scatter), float(np.mean(scatter)))
     coefficients = np.zeros(2)
-    for _ in range(ROUNDS):
+    for _ in range(20):
         coefficients, _ = nnls(A / mean[:, None], scatter / mean)
         mean = np.maximum(A @ coefficients, 1e-12 * float(np.mean(scatter)))
     variance: Real = coefficients[0] + coefficients[1] * at / unit

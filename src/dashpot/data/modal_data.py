@@ -61,8 +61,7 @@ class ModalData:
     def eigenvalues(self) -> Complex:
         """λ = 2πf (−ζ + j √(1 − ζ²)), (..., modes), 1/s; ζ = 0 where not measured."""
         zeta = np.nan_to_num(self.damping_ratio)
-        values: Complex = 2 * np.pi * self.frequency_hz * (-zeta + 1j * np.sqrt(1 - zeta**2))
-        return values
+        return 2 * np.pi * self.frequency_hz * (-zeta + 1j * np.sqrt(1 - zeta**2))
 
 
 def of_eigenvalues(

@@ -7,10 +7,53 @@ from functools import cached_property
 
 import numpy as np
 
-from dashpot.arrays import Real, freeze
+from dashpot.arrays import Bools, Real, freeze, without_denormals
 from dashpot.channel import Channel
 from dashpot.errors import DataError
 from dashpot.shorthand import InNotebooks
+
+# Samples that rest at the greatest or least value of a channel: a converter or amplifier at its limit.
+
+
+SHARE = 0.01  # of all samples, or of LOUD times as many loud ones, that are at the limit
+LOUD = 10  # so that the short blows of a hammer count, too
+HALF = 0.5  # of the way from the median to the limit, beyond which a sample is loud
+AT_REST = 0.5  # of all samples: a value that so many have is where the channel rests
+MOST = 1 << 20  # samples of which the median is taken, evenly spread over a record
+NEXT = 8  # times as many samples as at the value next to the limit: fewer are the steps of a converter
+
+
+def samples_at_limit(values: Real) -> int:
+    """How many samples (samples,) are at the greatest or the least value, where three in a row are."""
+    return int(np.count_nonzero(at_limits(values)))
+
+
+def at_limits(values: Real, *, in_a_row: bool = True) -> Bools:
+    """Which samples are at the greatest value, and which at the least, where those are limits: (2, samples).
+
+    in_a_row: three of them have to follow each other somewhere, which of a sine with few samples a period they may not.
+    """
+    limits = np.zeros((2, len(values)), dtype=bool)
+    if not len(values) or np.ptp(values) == 0:
+        return limits
+    highest, lowest = np.max(values), np.min(values)
+    for side, (limit, other, extreme, beyond) in enumerate(
+        ((highest, lowest, np.max, np.greater), (lowest, highest, np.min, np.less))
+    ):
+        at = values == limit
+        count = int(np.count_nonzero(at))
+        if count < 3 or count > AT_REST * len(values):
+            continue
+        if in_a_row and not np.any(at[2:] & at[1:-1] & at[:-2]):
+            continue
+        median = float(np.median(values[:: 1 + len(values) // MOST]))
+        loud = len(values)
+        if limit != median:
+            loud = int(np.count_nonzero(beyond(values, median + HALF * (limit - median))))
+        following = extreme(values, where=~at, initial=other)
+        if count >= SHARE * min(len(values), LOUD * loud) and count >= NEXT * np.sum(values == following):
+            limits[side] = at
+    return limits
 
 
 @dataclass(frozen=True)
@@ -22,6 +65,7 @@ class Record(InNotebooks):
     frequency_hz  the drive frequency of a stepped-sine dwell, None where it is not one
     experiment    which experiment the record belongs to
     source        where it came from, for messages
+    sd            (samples, channels), of values that an estimate predicts: their standard deviation
     """
 
     channels: tuple[Channel, ...]
@@ -30,6 +74,7 @@ class Record(InNotebooks):
     frequency_hz: float | None = None
     experiment: int = 0
     source: str = "record"
+    sd: Real | None = None
 
     def __repr__(self) -> str:
         driven = "" if self.frequency_hz is None else f", driven at {self.frequency_hz:g} Hz"
@@ -42,8 +87,13 @@ class Record(InNotebooks):
         return {}
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "channels", tuple(self.channels))
-        freeze(self)
+        try:
+            object.__setattr__(self, "channels", tuple(self.channels))
+            object.__setattr__(self, "values", without_denormals(self.values, -2))
+            freeze(self)
+        except (TypeError, ValueError):
+            cure = "give Channels, times (samples,) and values (samples, channels)"
+            raise DataError("channels, time or values are no arrays of numbers", self.source, cure) from None
         if self.values.shape[-2:] != (len(self.time), len(self.channels)):
             raise DataError(
                 f"values of shape {self.values.shape} do not fit {len(self.time)} samples "

@@ -5,20 +5,165 @@ Wherever amplitudes come from (records, tables, FRF files, simulation), estimati
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from math import prod
 from typing import Any
 
 import numpy as np
+from scipy.fft import next_fast_len
 
 from dashpot.arrays import Bools, Complex, Ints, Real, freeze
 from dashpot.channel import Channel
-from dashpot.data.labelled_arrays import labelled_spectrum
-from dashpot.data.stretch import SettledDwell, Stretch, WholeRecord, joined_stretches, selected
 from dashpot.errors import DataError
+from dashpot.io.json_document import optional_library
 from dashpot.notices import Notice
 from dashpot.shorthand import InNotebooks
+
+# A Spectrum as labelled arrays of xarray.
+
+
+def labelled_spectrum(spectrum: Spectrum) -> Any:
+    """An xarray Dataset: amplitude (…, line, channel), covariance (…, line, channel, other); … repeats.
+
+    SI units.  Coordinates: frequency_hz, experiment, samples, dof and noise of each line, quantity of each channel.
+    Repeats that have one covariance share it.  Raises UsageError without xarray.
+    """
+    xarray = optional_library("xarray", "analysis", "to_xarray")
+    repeats = [f"repeat_{axis}" for axis in range(len(spectrum.batch))]
+    shared = spectrum.covariance.shape[:-3] != spectrum.batch
+    V = spectrum.covariance.reshape(spectrum.covariance.shape[-3:]) if shared else spectrum.covariance
+    names = [channel.name for channel in spectrum.channels]
+    return xarray.Dataset(
+        {
+            "amplitude": ([*repeats, "line", "channel"], spectrum.amplitudes),
+            "covariance": ([*([] if shared else repeats), "line", "channel", "other"], V),
+        },
+        coords={
+            "channel": names,
+            "other": names,
+            "quantity": ("channel", [channel.quantity.value for channel in spectrum.channels]),
+            "frequency_hz": ("line", spectrum.frequency_hz),
+            "experiment": ("line", spectrum.experiment),
+            "samples": ("line", spectrum.samples),
+            "dof": ("line", spectrum.dof),
+            "noise": ("line", list(spectrum.noise)),
+        },
+    )
+
+
+# What lines of a Spectrum have in common: a settled dwell, or a whole record with its transient (THEORY
+# §8).
+
+
+MOST_TERMS = 6  # of a polynomial
+
+
+@dataclass(frozen=True)
+class SettledDwell:
+    """Lines of a steady state: no transient is in them.
+
+    fundamental_hz: drive frequency whose multiples the lines are; None where each line stands for itself.
+    """
+
+    fundamental_hz: float | None = None
+
+    def orders(self, frequency_hz: Real) -> Ints:
+        """Multiples of the fundamental that lines at `frequency_hz` are, 1 without one; shape of `frequency_hz`."""
+        if self.fundamental_hz is None:
+            return np.ones(np.shape(frequency_hz), dtype=np.int64)
+        return np.rint(np.asarray(frequency_hz) / self.fundamental_hz).astype(np.int64)
+
+
+@dataclass(frozen=True)
+class WholeRecord:
+    """Lines k / T of one stretch of samples, whose motion need not return to where it began.
+
+    duration_s   T = N times the sampling step, s
+    samples      N
+    loads        whether the lines carry boundary loads, an impulse and a doublet at every coordinate (THEORY (W));
+                 False where the motion is periodic in T, or starts and ends at rest
+    polynomial   how many of the columns 1, jω, (jω)², … each output channel has for what the ends of the record alias
+    ramp         whether each output channel has the column 1/jω of a linear drift as well
+    drive_hz     drive frequency of a dwell that may have settled, which is then steady motion at that frequency
+    weaker       channels some of whose samples were put in by estimate and tell nothing: name, and times what the
+                 variance of an amplitude would be had they been measured
+    """
+
+    duration_s: float
+    samples: int
+    loads: bool = True
+    polynomial: int = 4
+    ramp: bool = False
+    drive_hz: float | None = None
+    weaker: tuple[tuple[str, float], ...] = ()
+
+    def __post_init__(self) -> None:
+        if not (0 < self.duration_s < np.inf and self.samples > 0 and 0 <= self.polynomial <= MOST_TERMS):
+            raise DataError(
+                f"a record of {self.samples} samples in {self.duration_s:g} s with {self.polynomial} polynomials",
+                cure="its duration and samples must be positive, its columns 0 to 6",
+            )
+
+    @property
+    def step_s(self) -> float:
+        """Sampling step, s."""
+        return self.duration_s / self.samples
+
+    def orders(self, frequency_hz: Real) -> Ints:
+        """Multiples of 1/T that lines at `frequency_hz` are, of its shape."""
+        return np.rint(np.asarray(frequency_hz) * self.duration_s).astype(np.int64)
+
+
+Stretch = SettledDwell | WholeRecord
+
+
+def samples_of_squares(order: Ints) -> int:
+    """Samples of a history of these lines at which its squares alias nothing: twice what the lines ask for."""
+    return int(next_fast_len(4 * (int(np.max(order)) + 1), real=True))
+
+
+def history_of_lines(amplitudes: Complex, order: Ints, samples: int) -> Real:
+    """The motion of a record whose lines k/T are those of `order` (lines,), without all others, (samples, ...).
+
+    amplitudes (lines, ...), peak, in any unit: the history has the same.  Other than the record's own number of samples
+    show the same motion more or less finely.
+    """
+    lines = np.zeros((samples // 2 + 1, *amplitudes.shape[1:]), dtype=np.complex128)
+    lines[order] = amplitudes * samples / 2
+    return np.fft.irfft(lines, samples, axis=0)
+
+
+def joined_stretches(
+    parts: Sequence[tuple[Ints, tuple[Stretch, ...]]],
+) -> tuple[Ints, tuple[Stretch, ...]]:
+    """Stretches of several spectra put one after another, (lines of all,).
+
+    Records and dwells stay apart, even where they are alike; lines that stand for themselves share one stretch.
+    """
+    stretches: list[Stretch] = []
+    alone = SettledDwell()
+    lines = []
+    for stretch, values in parts:
+        number = np.zeros(len(values), dtype=np.int64)
+        for i, value in enumerate(values):
+            if value == alone and alone in stretches:
+                number[i] = stretches.index(alone)
+                continue
+            number[i] = len(stretches)
+            stretches.append(value)
+        lines.append(number[stretch])
+    return np.concatenate(lines) if lines else np.zeros(0, dtype=np.int64), tuple(stretches)
+
+
+def selected(stretch: Ints, stretches: tuple[Stretch, ...]) -> tuple[Ints, tuple[Stretch, ...]]:
+    """The stretches that are still used by lines with the numbers `stretch`, renumbered.  stretch (lines,)."""
+    if not len(stretch):
+        return stretch, stretches[:1]
+    used, number = np.unique(stretch, return_inverse=True)
+    return number.astype(np.int64), tuple(stretches[int(i)] for i in used)
+
 
 FITTED = "fitted"  # kind of noise
 
@@ -157,8 +302,7 @@ class Spectrum(InNotebooks):
     def present(self) -> Bools:
         """Which channels were measured at which line in all repeats, (lines, channels)."""
         finite = np.isfinite(self.amplitudes)
-        present: Bools = np.asarray(finite.reshape(-1, *finite.shape[-2:]).all(axis=0))
-        return present
+        return np.asarray(finite.reshape(-1, *finite.shape[-2:]).all(axis=0))
 
     @cached_property
     def complete(self) -> bool:
@@ -260,8 +404,10 @@ class Spectrum(InNotebooks):
 def concatenate(spectra: Sequence[Spectrum]) -> Spectrum:
     """Lines of all the spectra, one after another.  Channels are matched by name.
 
-    Raises DataError where channels of one name are described differently, or the batches do not match.
+    Raises DataError where there are none, channels of one name are described differently, or batches do not match.
     """
+    if not len(spectra):
+        raise DataError("there are no data", cure="give at least one record or spectrum")
     if len(spectra) == 1:
         return spectra[0]
     channels = _channels_of_all(spectra)
@@ -272,6 +418,11 @@ def concatenate(spectra: Sequence[Spectrum]) -> Spectrum:
     def joined(name: str) -> np.ndarray:
         return np.concatenate([getattr(spectrum, name) for spectrum in spectra])
 
+    # The same lines with dwells of which it is not decided as whole records; None where there are none
+    if all(spectrum.unsettled is None for spectrum in spectra):
+        unsettled = None
+    else:
+        unsettled = concatenate([spectrum.unsettled or spectrum for spectrum in spectra])
     return Spectrum(
         channels,
         joined("frequency_hz"),
@@ -284,15 +435,8 @@ def concatenate(spectra: Sequence[Spectrum]) -> Spectrum:
         _moments(spectra, [channel.name for channel in channels], batch),
         tuple(dict.fromkeys(note for spectrum in spectra for note in spectrum.notes)),
         *joined_stretches([(spectrum.stretch, spectrum.stretches) for spectrum in spectra]),
-        _unsettled(spectra),
+        unsettled,
     )
-
-
-def _unsettled(spectra: Sequence[Spectrum]) -> Spectrum | None:
-    """The same lines with dwells of which it is not decided as whole records; None where there are none."""
-    if all(spectrum.unsettled is None for spectrum in spectra):
-        return None
-    return concatenate([spectrum.unsettled or spectrum for spectrum in spectra])
 
 
 def _channels_of_all(spectra: Sequence[Spectrum]) -> tuple[Channel, ...]:
@@ -398,3 +542,38 @@ def _average(group: Spectrum) -> Spectrum:
         np.zeros(1, dtype=np.int64),
         group.stretches[:1],
     )
+
+
+# The repeats of a test, the leading axes of a Spectrum, as one axis and in chunks.
+
+
+def flattened(spectrum: Spectrum) -> Spectrum:
+    """The same spectrum with exactly one leading axis of repeats on amplitudes, covariance (or 1) and moments."""
+    if len(spectrum.batch) == 1 and spectrum.covariance.ndim == 4 and spectrum.moments is None:
+        return spectrum
+    repeats = prod(spectrum.batch)
+    V = spectrum.covariance
+    if V.ndim == 3:
+        V = V[None]
+    elif V.shape[:-3] != (1,):
+        V = np.broadcast_to(V, (*spectrum.batch, *V.shape[-3:])).reshape(repeats, *V.shape[-3:])
+    moments = None
+    if spectrum.moments is not None:
+        M = spectrum.moments.products
+        moments = Moments(
+            np.broadcast_to(M, (*spectrum.batch, *M.shape[-3:])).reshape(repeats, *M.shape[-3:])
+        )
+    amplitudes = spectrum.amplitudes.reshape(repeats, *spectrum.amplitudes.shape[-2:])
+    return spectrum.derived(amplitudes=amplitudes, covariance=V, moments=moments)
+
+
+def in_chunks(flat: Spectrum, size: int) -> Iterator[Spectrum]:
+    """The repeats of a flat spectrum, `size` at a time."""
+    if len(flat.amplitudes) <= size:
+        yield flat
+        return
+    for first in range(0, len(flat.amplitudes), size):
+        rows = slice(first, first + size)
+        V = flat.covariance if len(flat.covariance) == 1 else flat.covariance[rows]
+        moments = None if flat.moments is None else Moments(flat.moments.products[rows])
+        yield flat.derived(amplitudes=flat.amplitudes[rows], covariance=V, moments=moments)

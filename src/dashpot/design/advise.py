@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from itertools import combinations
+from math import comb
 from typing import Literal
 
 import numpy as np
@@ -11,11 +14,14 @@ import numpy as np
 from dashpot.arrays import Real
 from dashpot.channel import Channel
 from dashpot.data.spectrum import Spectrum
-from dashpot.design.alternative import Alternative, compare_tests
-from dashpot.design.budget import NYQUIST, Budget
-from dashpot.design.criteria import Criterion, Robustness
-from dashpot.design.drive_of_laws import drives_that_show
-from dashpot.design.frequency_grid import FrequencyGrid, band_grid, natural_band
+from dashpot.design.allocation import optimise
+from dashpot.design.criteria import (
+    Criterion,
+    ExpectedPrecision,
+    Robustness,
+    criterion_value,
+    expected_precision,
+)
 from dashpot.design.plan import Plan, plan
 from dashpot.design.robust import (
     GaussianPrior,
@@ -25,13 +31,20 @@ from dashpot.design.robust import (
     gaussian_prior_of,
     in_the_worst_case,
     on_average,
+    shortest,
     shortest_in_the_worst_case,
     slowest_settling,
     uniform_box_of,
 )
-from dashpot.design.schedule import Schedule, even_schedule
-from dashpot.design.sensors import Choice, choose
-from dashpot.design.shortest import shortest
+from dashpot.design.schedule import (
+    NYQUIST,
+    Budget,
+    FrequencyGrid,
+    Schedule,
+    band_grid,
+    even_schedule,
+    natural_band,
+)
 from dashpot.design.stopping import (
     SequentialEstimates,
     Verdict,
@@ -44,12 +57,260 @@ from dashpot.design.stopping import (
 )
 from dashpot.design.test_setup import ShakerLimits, TestSetup, drive_units, nominal_setup
 from dashpot.design.transients import UnsettledTest, unsettled_test
-from dashpot.errors import IdentifiabilityError, UsageError
+from dashpot.errors import DashpotError, IdentifiabilityError, UsageError
 from dashpot.estimate.identify import identify
+from dashpot.estimate.linear.instrumental_variables import InstrumentalVariables
 from dashpot.estimate.result import Estimate
-from dashpot.model.channel_noise import with_relative_noise
 from dashpot.model.network import Model
-from dashpot.model.observation import measures_input
+from dashpot.model.observation import calibration_names, measures_input, noise_sd, with_relative_noise
+from dashpot.numerics.small_systems import scaled_inverse
+
+# At which drive the nonlinear elements of a rig show in a planned test.
+
+
+SHARES = np.geomspace(0.01, 1.0, 17)  # of the planned drive
+CLEAR = 3.0  # standard deviations at which a law shows
+
+
+def drives_that_show(setup: TestSetup, schedule: Schedule, known: Real) -> list[str]:
+    """A sentence for each nonlinear element: from which share of the planned drive its parameter is clear of zero.
+
+    known (scenarios, q, q): what is known before the test, in parts of the sizes.
+    """
+    model, names = setup.model, setup.names
+    planned = setup.drive(schedule.frequency_hz, schedule.pattern)
+    clear = np.zeros((len(SHARES), len(names)), dtype=bool)
+    for row, share in enumerate(SHARES):
+        each = setup.per_sample(schedule.frequency_hz, share * planned)
+        M = known[0] + np.einsum("i,iab->ab", schedule.samples, each[0])
+        with np.errstate(all="ignore"):
+            relative = np.sqrt(np.diagonal(scaled_inverse(M)))
+        clear[row] = CLEAR * relative < 1
+    sentences = []
+    unit = "/".join(dict.fromkeys(drive_units(model).values()))
+    size = float(np.max(np.abs(planned)))
+    for index in model.nonlinear:
+        for j in np.flatnonzero(model.T[index]):
+            rows = np.flatnonzero(clear[:, j])
+            if not len(rows):
+                sentences.append(f"{names[j]} does not show at this drive: drive further, or measure longer")
+            elif rows[0]:
+                share = float(SHARES[rows[0]])
+                sentences.append(
+                    f"{names[j]} shows (three standard deviations) from about {100 * share:.2g} % of the drive on, "
+                    f"{share * size:.2g} {unit} at most"
+                )
+    return list(dict.fromkeys(sentences))
+
+
+# Another test beside a plan: what it would give, and how many times the samples it takes.
+
+
+def spread_of_iv(setup: TestSetup, schedule: Schedule) -> ExpectedPrecision | None:
+    """What the paper's bootstrap instrumental variables would give from the same test (the sandwich of THEORY §5).
+
+    None where they cannot be used: some coordinate is not seen, a calibration is unknown, or an element is nonlinear.
+    """
+    if calibration_names(setup.channels) or len(setup.model.nonlinear):
+        return None
+    seen = setup.seen(schedule.frequency_hz, schedule.pattern)
+    sd = noise_sd(setup.channels, seen.Y)
+    variance = 4 * sd**2 / schedule.samples[:, None]
+    V = (variance[..., None] * np.eye(len(setup.channels))).astype(np.complex128)
+    count = len(schedule.frequency_hz)
+    spectrum = Spectrum(
+        setup.channels, schedule.frequency_hz, seen.Y, V, np.maximum(schedule.samples, 1).astype(np.int64),
+        np.full(count, np.inf), ("given",) * count, np.zeros(count, dtype=np.int64),
+    )  # fmt: skip
+    try:
+        estimate = identify(setup.model, spectrum, InstrumentalVariables())
+    except DashpotError:
+        return None
+    size = np.abs(np.where(estimate.values == 0, 1.0, estimate.values))
+    C = estimate.noise_covariance
+    rms = float(np.sqrt(np.mean(np.diagonal(C) / size**2)))
+    return ExpectedPrecision(estimate.names, estimate.units, estimate.values, np.sqrt(np.diagonal(C)), C, rms)
+
+
+def _beside(setup: TestSetup, found: ExpectedPrecision, known: Real) -> ExpectedPrecision:
+    """An estimate weighed with what is known, (scenarios, q, q) in parts of the sizes, at the nominal values."""
+    size = setup.sizes[0]
+    outer = np.outer(size, size)
+    C = np.linalg.inv(np.linalg.inv(found.covariance / outer) + known[0]) * outer
+    rms = float(np.sqrt(np.mean(np.diagonal(C) / size**2)))
+    return replace(found, sd=np.sqrt(np.diagonal(C)), covariance=C, figure=rms)
+
+
+@dataclass(frozen=True)
+class Alternative:
+    """Another test beside the plan.
+
+    predicted   what it would give with the optimal estimator, from as many samples as it has
+    iv          the same with the paper's bootstrap; None where that cannot be used
+    factor      how many times the plan's samples it takes to be as good as the plan; inf where it never is
+    factor_iv   the same with the paper's bootstrap
+    """
+
+    schedule: Schedule
+    predicted: ExpectedPrecision
+    iv: ExpectedPrecision | None
+    factor: float
+    factor_iv: float | None
+
+
+def compare_tests(
+    setup: TestSetup,
+    criterion: Criterion,
+    plan: Plan,
+    other: Schedule,
+    *,
+    known: Real | None = None,
+    robustness: Robustness = "worst",
+) -> Alternative:
+    """Another test against a plan.
+
+    Raises IdentifiabilityError where it does not determine the unknowns, whatever the number of its samples.
+    known (unknowns, unknowns): information in SI units.
+    """
+    prior = setup.prior if known is None else known
+    M = other.information(setup)
+    predicted = expected_precision(setup, criterion, prior + M, robustness)
+    terms = criterion.terms(setup, robustness)
+    aim = criterion_value(terms, prior + plan.schedule.information(setup)).F
+    times = _times_as_long(lambda t: criterion_value(terms, prior + t * M).F, aim)
+    ratio = float(np.sum(other.samples)) / max(float(np.sum(plan.schedule.samples)), 1.0)
+    iv = spread_of_iv(setup, other)
+    factor_iv = None
+    if iv is not None and known is None:
+        names = [u.name for u in setup.model.unknowns]
+        factor_iv = ratio * (iv.rms(names) / plan.predicted.rms(names)) ** 2
+    if iv is not None and known is not None:
+        iv = _beside(setup, iv, known)
+    return Alternative(other, predicted, iv, ratio * times, factor_iv)
+
+
+def _times_as_long(F: Callable[[float], float], aim: float) -> float:
+    """The factor at which a falling F reaches `aim`, between e⁻²⁰ and e⁴⁰; inf beyond."""
+    low, high = -20.0, 40.0
+    if aim < F(float(np.exp(high))):
+        return math.inf
+    for _ in range(80):
+        middle = (low + high) / 2
+        low, high = (middle, high) if aim < F(float(np.exp(middle))) else (low, middle)
+    return float(np.exp(high))
+
+
+# Which sensors to mount: the best few of those that could be.
+
+
+EXACT = 300  # sets that are all tried
+COARSE = 60  # points of the grid on which sets are ranked
+
+Sensors = tuple[str, ...]  # names of channels
+
+
+@dataclass(frozen=True)
+class Choice:
+    """Sets of sensors in order of merit: names and the criterion's figure at the best test with them.
+
+    `complete` says whether all sets were tried; else a greedy choice was improved by exchanges.
+    """
+
+    ranking: tuple[tuple[tuple[str, ...], float], ...]
+    complete: bool
+
+    @property
+    def best(self) -> tuple[str, ...]:
+        """Names of the best set."""
+        return self.ranking[0][0]
+
+
+def choose(
+    setup: TestSetup,
+    criterion: Criterion,
+    samples: float,
+    grid: FrequencyGrid,
+    count: int,
+    among: Sequence[str] = (),
+    *,
+    known: Real | None = None,
+    robustness: Robustness = "worst",
+) -> Choice:
+    """The best `count` of the channels `among` (by default all that see more than inputs); the others stay.
+
+    Raises UsageError for names that are no channels, IdentifiabilityError where no set determines the unknowns.
+    """
+    pool = _pool(setup, count, among, after_data=known is not None)
+    step = max(1, len(grid.frequency_hz) // COARSE)
+    coarse = FrequencyGrid(grid.frequency_hz[::step], grid.pattern[::step], free=False)
+    figures: dict[Sensors, float] = {}
+
+    def figure(chosen: Sensors, grid: FrequencyGrid) -> float:
+        kept = [c for c in setup.channels if c.name not in pool or c.name in chosen]
+        try:
+            chosen_setup = setup.with_channels(kept)
+            prior = chosen_setup.prior if known is None else known
+            terms = criterion.terms(chosen_setup, robustness)
+            return criterion.figure(optimise(chosen_setup.information, terms, prior, samples, grid).F)
+        except (IdentifiabilityError, UsageError):
+            return np.inf
+
+    def score(chosen: Sensors) -> float:
+        if chosen not in figures:
+            figures[chosen] = figure(chosen, coarse)
+        return figures[chosen]
+
+    complete = comb(len(pool), count) <= EXACT
+    if complete:
+        for chosen in combinations(pool, count):
+            score(chosen)
+    else:
+        _exchange(pool, count, score)
+    sets = sorted((chosen for chosen in figures if len(chosen) == count), key=figures.__getitem__)
+    figures |= {chosen: figure(chosen, grid) for chosen in sets[:3]}
+    ranking = sorted(((c, figures[c]) for c in sets if np.isfinite(figures[c])), key=lambda entry: entry[1])
+    if not ranking or not np.isfinite(ranking[0][1]):
+        raise IdentifiabilityError(
+            f"no {count} of these sensors determine the unknowns",
+            cure="mount more, or give a parameter its value",
+        )
+    return Choice(tuple(ranking), complete)
+
+
+def _pool(setup: TestSetup, count: int, among: Sequence[str], after_data: bool) -> list[str]:
+    """Names of the sensors to choose from."""
+    names = [channel.name for channel in setup.channels]
+    pool = list(among) if among else [c.name for c in setup.channels if not measures_input(setup.model, c)]
+    for name in pool:
+        if name not in names:
+            raise UsageError(f"the rig has no channel {name}", cure=f"it has {', '.join(names)}")
+    if not 0 < count <= len(pool):
+        raise UsageError(f"{count} of {len(pool)} sensors", cure=f"pick between 1 and {len(pool)}")
+    if after_data and len(setup.names) > len(setup.model.unknowns):
+        raise UsageError(
+            "sensors with unknown calibrations cannot be chosen after data", cure="calibrate them"
+        )
+    return pool
+
+
+def _exchange(pool: Sequence[str], count: int, score: Callable[[Sensors], float]) -> None:
+    """Leave out the least useful sensor until `count` are left, then exchange one by one while that helps."""
+    order = {name: i for i, name in enumerate(pool)}
+
+    def figure(names: set[str]) -> float:
+        return score(tuple(sorted(names, key=order.__getitem__)))
+
+    chosen = set(pool)
+    while len(chosen) > count:
+        chosen = min((chosen - {name} for name in chosen), key=figure)
+    lowest = figure(chosen)
+    for _ in range(10):
+        swaps = [(chosen - {a}) | {b} for a in chosen for b in set(pool) - chosen]
+        best = min(swaps, key=figure)
+        if figure(best) >= lowest * (1 - 1e-9):
+            return
+        chosen, lowest = best, figure(best)
+
 
 ASSUMED = 0.01  # relative noise where no channel states any
 FIRST_SAMPLES, FIRST_TIME = 1000.0, 60.0  # where the search for the shortest test starts

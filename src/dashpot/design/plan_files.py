@@ -9,9 +9,8 @@ import numpy as np
 
 from dashpot.design.advise import Answer
 from dashpot.design.allocation import Allocation
-from dashpot.design.alternative import Alternative
+from dashpot.design.criteria import ExpectedPrecision, expected_precision
 from dashpot.design.plan import Plan
-from dashpot.design.precision import ExpectedPrecision, expected_precision
 from dashpot.design.schedule import Dwell, Schedule
 from dashpot.io.json_document import to_json
 
@@ -20,19 +19,31 @@ def answer_to_json(answer: Answer) -> str:
     """An answer as JSON: the plan's contract with what was asked beside it."""
     extra: dict[str, Any] = {"notes": list(answer.notes)}
     if answer.comparison is not None:
-        extra["against"] = _against(answer.comparison)
+        other = answer.comparison
+        extra["against"] = {
+            "frequencies_hz": other.schedule.frequency_hz.tolist(),
+            "predicted": _spreads(other.predicted),
+            "figure": other.predicted.figure,
+            "iv": None if other.iv is None else _spreads(other.iv),
+            "sample_factor": other.factor,
+            "sample_factor_iv": other.factor_iv,
+        }
     if answer.unsettled is not None:
         whole = answer.unsettled
         extra["used_whole"] = {
-            "predicted": _spreads(whole.predicted), "figure": whole.predicted.figure, "samples": whole.samples,
-            "thrown_away": whole.thrown_away, "one_record": whole.joined,
-        }  # fmt: skip
+            "predicted": _spreads(whole.predicted),
+            "figure": whole.predicted.figure,
+            "samples": whole.samples,
+            "thrown_away": whole.thrown_away,
+            "one_record": whole.joined,
+        }
     if answer.choice is not None:
         ranking = answer.choice.ranking[:20]
         extra["sensors"] = {
-            "best": list(answer.choice.best), "complete": answer.choice.complete,
+            "best": list(answer.choice.best),
+            "complete": answer.choice.complete,
             "ranking": [{"sensors": list(names), "figure": figure} for names, figure in ranking],
-        }  # fmt: skip
+        }
     if answer.robust is not None:
         extra["worst_case"] = answer.robust.worst
     if answer.so_far is not None:
@@ -54,17 +65,6 @@ def _spreads(p: ExpectedPrecision) -> dict[str, Any]:
     return {name: {"sd": float(sd)} for name, sd in zip(p.names, p.sd, strict=True)}
 
 
-def _against(other: Alternative) -> dict[str, Any]:
-    return {
-        "frequencies_hz": other.schedule.frequency_hz.tolist(),
-        "predicted": _spreads(other.predicted),
-        "figure": other.predicted.figure,
-        "iv": None if other.iv is None else _spreads(other.iv),
-        "sample_factor": other.factor,
-        "sample_factor_iv": other.factor_iv,
-    }
-
-
 def _nothing_to_do(answer: Answer) -> Plan:
     """A plan without dwells: the target is reached already."""
     none, index = np.zeros(0), np.zeros(0, dtype=np.int64)
@@ -82,9 +82,12 @@ def plan_to_json(plan: Plan, extra: Mapping[str, Any] | None = None) -> str:
     for j, name in enumerate(p.names):
         sd, v = float(p.sd[j]), float(p.values[j])
         predicted[name] = {
-            "value": v, "sd": sd, "relative_sd": float(p.relative[j]), "interval95": [v - 1.96 * sd, v + 1.96 * sd],
+            "value": v,
+            "sd": sd,
+            "relative_sd": float(p.relative[j]),
+            "interval95": [v - 1.96 * sd, v + 1.96 * sd],
             "unit": p.units[j],
-        }  # fmt: skip
+        }
     content: dict[str, Any] = {
         "dwells": [_dwell(dwell) for dwell in plan.dwells],
         "predicted": predicted,

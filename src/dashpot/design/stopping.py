@@ -181,7 +181,10 @@ def sequential_estimates(
     m = len(model.unknowns)
     values, sd, low, high = (np.full((len(counts), m), np.nan) for _ in range(4))
     if whole is not None:
-        model = _guessing(model, whole)
+        unknowns = {unknown.name for unknown in model.unknowns if unknown.prior is None}
+        guesses = {n: float(v) for n, v in zip(whole.names, whole.values, strict=True) if n in unknowns}
+        elements = tuple(replace(e, guess=guesses.get(e.name, e.guess)) for e in model.elements)
+        model = replace(model, elements=elements)
         if method is None and isinstance(automatic(model, spectrum), MaximumLikelihood):
             method = MaximumLikelihood(starts=4, candidates=4, rounds=1)
     for k, count in enumerate(counts):
@@ -202,14 +205,6 @@ def sequential_estimates(
     total = np.cumsum(spectrum.samples)[counts - 1]
     names = model.unknown_names
     return SequentialEstimates(names, total, values, sd, low, high)
-
-
-def _guessing(model: Model, estimate: Estimate) -> Model:
-    """The model with what was estimated as guesses of its unknowns."""
-    unknowns = {unknown.name for unknown in model.unknowns if unknown.prior is None}
-    guesses = {n: float(v) for n, v in zip(estimate.names, estimate.values, strict=True) if n in unknowns}
-    elements = tuple(replace(e, guess=guesses.get(e.name, e.guess)) for e in model.elements)
-    return replace(model, elements=elements)
 
 
 @dataclass(frozen=True)
@@ -256,8 +251,10 @@ def enough(
 
     excess = excess_of(estimate.covariance)
     what = {
-        "each": worst, "rms": "the rms of the relative standard deviations", "volume": "the confidence region",
-    }[reading]  # fmt: skip
+        "each": worst,
+        "rms": "the rms of the relative standard deviations",
+        "volume": "the confidence region",
+    }[reading]
     if excess <= 1:
         narrow = "every interval is" if reading == "each" else f"{what} is"
         return Verdict(True, worst, excess, 0.0, f"{narrow} as small as was asked")
@@ -283,8 +280,7 @@ def _with_more_samples(estimate: Estimate, known: Real | None, size: Real) -> Ca
 
     def covariance(times: float) -> Real:
         left = np.sqrt((1 + (widened - 1) / times) / widened)
-        after: Real = np.linalg.inv(fixed + times * (total - fixed)) * scale * np.outer(left, left)
-        return after
+        return np.linalg.inv(fixed + times * (total - fixed)) * scale * np.outer(left, left)
 
     return covariance
 

@@ -9,17 +9,265 @@ from typing import ClassVar
 
 import numpy as np
 
-from dashpot.arrays import Complex, Ints, Real, freeze
+from dashpot.arrays import Bools, Complex, Ints, Real, freeze, frozen, hermitian
 from dashpot.channel import Channel
-from dashpot.design.harmonic_information import dwell_information
-from dashpot.design.information import Outputs, outputs, per_sample
-from dashpot.errors import ModelError, UsageError
+from dashpot.data.spectrum import Spectrum
+from dashpot.errors import DataError, ModelError, UsageError
+from dashpot.estimate.nonlinear.dwells import FEWEST, DwellLines, WarmStart
+from dashpot.estimate.nonlinear.objective import Evaluated, NonlinearPart, evaluate
 from dashpot.model.modes import modes
 from dashpot.model.network import Model
-from dashpot.model.observation import calibration_names, channel_unit, input_channels
+from dashpot.model.observation import (
+    calibration_names,
+    calibration_slopes,
+    channel_unit,
+    input_channels,
+    measures_input,
+    noise_sd,
+    observation_model,
+    transfer,
+)
+
+# Fisher information of dwells of rigs with nonlinear elements: harmonics of the settled motion at a given
+# drive.
+
+
+ORDERS = 5  # harmonics that are measured
+EXACT = 1e-9  # of the largest amplitude: noise of inputs without noise beside noisy ones
+
+
+def dwell_information(
+    model: Model, theta: Real, channels: Sequence[Channel], omega: Real, drive: Complex
+) -> Real:
+    """What one sample of each dwell tells about ψ, (scenarios, dwells, parameters, parameters), SI units of ψ.
+
+    theta (scenarios, unknowns), omega (dwells,), drive (dwells, r + s).  N samples give the amplitude of each harmonic
+    a covariance 4 R / N.  A dwell without a settled motion, or on a fold, tells nothing.  Raises UsageError for a
+    channel of motion without noise.
+    """
+    moving = np.array([not measures_input(model, channel) for channel in channels])
+    exact = [
+        c.name for c, moves in zip(channels, moving, strict=True) if moves and not c.noise + c.relative_noise
+    ]
+    if exact:
+        raise UsageError(
+            f"channel {exact[0]} has no noise, which makes its information infinite",
+            cure="state its noise (or relative_noise) in the rig file, or leave the channel out",
+        )
+    noisy = any(
+        c.noise + c.relative_noise > 0 for c, moves in zip(channels, moving, strict=True) if not moves
+    )
+    at = _evaluated(model, theta, channels, omega, drive, noisy)
+    K, R = len(theta), len(omega)
+    Y = at.predicted.reshape(K, R, ORDERS, -1)
+    sd = noise_sd(channels, Y[:, :, 0])[:, :, None]
+    sd = np.maximum(sd, EXACT * np.max(np.abs(Y), axis=(1, 2), keepdims=True))
+    A = _rows(at.J.reshape(*Y.shape, -1), sd)
+    B = _rows(at.G.reshape(*Y.shape, -1), sd) if noisy else A[..., :0]
+    finite = np.all(np.isfinite(A), axis=(2, 3)) & np.all(np.isfinite(B), axis=(2, 3))  # not so on a fold
+    settled = (finite & at.converged.reshape(K, R))[..., None, None]
+    if noisy:
+        A, B = np.where(settled, A, 0.0), np.where(settled, B, 0.0)
+        A = A - B @ (np.linalg.pinv(B) @ A)
+    return np.where(settled, np.swapaxes(A, -1, -2) @ A, 0.0)
+
+
+def _evaluated(
+    model: Model, theta: Real, channels: Sequence[Channel], omega: Real, drive: Complex, noisy: bool
+) -> Evaluated:
+    """Channels at the harmonics of all dwells, (scenarios, dwells · ORDERS, channels), and their slopes."""
+    dwells, orders = len(omega), np.arange(1, ORDERS + 1)
+    smooth = all(e.force_law is None or e.force_law.smooth for e in model.elements)
+    lines = DwellLines(
+        frozen(omega, np.float64), np.repeat(np.arange(dwells), ORDERS), np.tile(orders, dwells),
+        np.tile(orders - 1, dwells), ORDERS, max(FEWEST[smooth], 2 * ORDERS + 1),
+    )  # fmt: skip
+    view = observation_model(model, channels, np.outer(omega, orders).ravel())
+    q = np.zeros((len(theta), dwells * ORDERS, drive.shape[-1]), dtype=np.complex128)
+    q[:, ::ORDERS] = drive
+    part = NonlinearPart(lines, None, q, np.arange(len(theta)), WarmStart())
+    calibrations = np.concatenate([np.ones(view.gains), np.zeros(view.delays)])
+    psi = np.concatenate([theta, np.tile(calibrations, (len(theta), 1))], axis=1)
+    return evaluate(view, part, psi, np.ones((len(theta), len(channels))), q, None, noisy)
+
+
+def _rows(slopes: Complex, sd: Real) -> Real:
+    """Slopes of real and imaginary parts in standard deviations of one sample, (…, dwells, rows, columns)."""
+    scaled = slopes / (np.sqrt(2.0) * sd[..., None])
+    both = np.stack([scaled.real, scaled.imag], axis=2)
+    return both.reshape(*both.shape[:2], -1, both.shape[-1])
+
+
+# Fisher information of a planned test, for any linear set of channels (THEORY §4, §6).
+#
+# A channel is y = C(ω, p) (X, U, f) + noise, force channels included: the force in element i is p_i φ_i
+# δ_i, the reaction at a displacement input u is Dᵀ (p ∘ a). With J = ∂Y/∂ψ the information of amplitudes
+# with covariance V = E[Δ Δᴴ] is 2 Re Jᴴ V⁻¹ J; inputs that are measured with noise, or not at all, are
+# unknowns of each line and are projected out. ψ are the unknowns θ and then the unknown gains and delays of
+# the channels, which all lines share.
+
+
+NONE = 1e-9  # of a channel's largest sensitivity: below it, a channel does not see the parameters
+
+
+@dataclass(frozen=True)
+class Outputs:
+    """Noise-free amplitudes of the channels and their slopes, SI units.
+
+    Y             (..., lines, channels)
+    by_parameter  ∂Y/∂ψ, (..., lines, channels, parameters), gains as ∂/∂ ln gain
+    by_input      ∂Y/∂(U, f), (..., lines, channels, r + s)
+    motion        displacement of each input along itself, (..., lines, r + s), m: U, and Sᵀ X for forces
+    force         force that each input exerts, (..., lines, r + s), N: reactions, and f
+    """
+
+    Y: Complex
+    by_parameter: Complex
+    by_input: Complex
+    motion: Complex
+    force: Complex
+
+
+def outputs(model: Model, p: Real, channels: Sequence[Channel], omega: Real, drive: Complex) -> Outputs:
+    """What the channels show of the rig with parameters p (..., elements) under `drive` = (U, f) (..., lines, r + s).
+
+    Raises DataError where a channel measures what the rig has not.
+    """
+    r = len(model.displacement_inputs)
+    view = observation_model(model, channels, omega)
+    rig = transfer(view, p)
+    q = np.broadcast_to(drive, (*np.broadcast_shapes(rig.X.shape[:-2], drive.shape[:-1]), drive.shape[-1]))
+    Y = rig.amplitudes(q)
+    nominal = np.array([*[0.0] * view.m, *[1.0] * view.gains, *[0.0] * view.delays])
+    by_parameter = np.concatenate([rig.slopes(q), calibration_slopes(view, nominal, Y)], axis=-1)
+    X, U, f = np.einsum("...nq,...q->...n", rig.X, q), q[..., :r], q[..., r:]
+    reactions = (p[..., None, :] * rig.unit_forces(q)) @ model.D
+    return Outputs(
+        Y,
+        by_parameter,
+        np.broadcast_to(rig.G, (*q.shape[:-1], *rig.G.shape[-2:])),
+        np.concatenate([U, X @ model.S], axis=-1),
+        np.concatenate([reactions, f], axis=-1),
+    )
+
+
+def fisher(J: Complex, G: Complex, V: Complex, names: Sequence[str]) -> Real:
+    """2 Re Jᴴ V⁻¹ J with the line's own unknowns (slopes G) projected out; (..., lines, parameters, parameters).
+
+    J (..., lines, channels, parameters), G (..., lines, channels, inputs), V (..., lines, channels, channels).  A
+    channel with zero variance is exact: it must not depend on the parameters (it fixes inputs).  Rows of zeros are
+    no measurement.  Raises UsageError for an exact channel that depends on them; `names` are the channels'.
+    """
+    variance = np.diagonal(V, axis1=-2, axis2=-1).real
+    silent = ~np.any(J != 0, axis=-1) & ~np.any(G != 0, axis=-1)
+    exact = (variance == 0) & ~silent
+    count = exact.shape[-1]
+    patterns = np.concatenate([exact, silent], axis=-1)
+    flat = patterns.reshape(-1, patterns.shape[-2], patterns.shape[-1])
+    if np.any(flat != flat[:1]):  # repeats that differ in what they measure: one by one
+        lead = J.shape[:-3]
+        whole = [np.broadcast_to(part, (*lead, *part.shape[-3:])) for part in (J, G, V)]
+        parts = [fisher(whole[0][k], whole[1][k], whole[2][k], names) for k in np.ndindex(lead)]
+        return np.stack(parts).reshape(*lead, *parts[0].shape)
+    total = np.zeros((*J.shape[:-2], J.shape[-1], J.shape[-1]))
+    for pattern in np.unique(flat[0], axis=0):
+        lines = np.flatnonzero(np.all(flat[0] == pattern, axis=-1))
+        at_exact, unused = pattern[:count], pattern[count:]
+        noisy = ~at_exact & ~unused
+        part = J[..., lines, :, :]
+        seen = part[..., at_exact, :]
+        size = np.max(np.abs(part), initial=0.0)
+        if seen.size and np.max(np.abs(seen)) > NONE * size:
+            worst = np.flatnonzero(at_exact)[
+                int(np.argmax(np.max(np.abs(seen), axis=(*range(seen.ndim - 2), -1))))
+            ]
+            raise UsageError(
+                f"channel {names[worst]} has no noise, which makes its information infinite",
+                cure="state its noise (or relative_noise) in the rig file, or leave the channel out",
+            )
+        free = _free_inputs(G[..., lines, :, :][..., at_exact, :])
+        W = V[..., lines, :, :][..., noisy, :][..., noisy]
+        total[..., lines, :, :] = _projected(
+            part[..., noisy, :], G[..., lines, :, :][..., noisy, :] @ free, W
+        )
+    return total
+
+
+def _free_inputs(E: Complex) -> Complex:
+    """Orthonormal directions of the inputs that exact channels leave free, (..., lines, inputs, directions)."""
+    inputs = E.shape[-1]
+    if E.shape[-2] == 0 or inputs == 0:
+        return np.broadcast_to(np.eye(inputs, dtype=complex), (*E.shape[:-2], inputs, inputs))
+    size = np.max(np.abs(E), axis=-1, keepdims=True)
+    _, s, Vh = np.linalg.svd(E / np.where(size > 0, size, 1.0), full_matrices=True)
+    rank = int(np.min(np.sum(s > 1e-9, axis=-1)))
+    return hermitian(Vh[..., rank:, :])
+
+
+def _projected(J: Complex, G: Complex, V: Complex) -> Real:
+    """2 Re Jᴴ V⁻¹ J without the part that G explains."""
+    sd = np.sqrt(np.diagonal(V, axis1=-2, axis2=-1).real)
+    J, G = J / sd[..., None], G / sd[..., None]
+    R = V / (sd[..., :, None] * sd[..., None, :])
+    correlated: Bools = R * (1 - np.eye(R.shape[-1])) != 0
+    if np.any(correlated):
+        try:
+            root = np.linalg.cholesky(R)
+        except np.linalg.LinAlgError:
+            raise DataError(
+                "the noise of some channels is perfectly correlated", cure="leave one of them out"
+            ) from None
+        J = np.linalg.solve(root, J).astype(np.complex128)
+        G = np.linalg.solve(root, G).astype(np.complex128)
+    if G.shape[-1]:
+        size = np.linalg.norm(G, axis=-2, keepdims=True)
+        basis, s, _ = np.linalg.svd(G / np.where(size > 0, size, 1.0), full_matrices=False)
+        Q: Complex = basis * (s > 1e-12 * np.max(s, axis=-1, keepdims=True, initial=0.0))[..., None, :]
+        J = J - Q @ (hermitian(Q) @ J)
+    rows = np.concatenate([J.real, J.imag], axis=-2)
+    information: Real = 2 * (np.swapaxes(rows, -1, -2) @ rows)
+    return information
+
+
+def per_sample(channels: Sequence[Channel], seen: Outputs) -> Real:
+    """Information that one sample of each line adds, (..., lines, parameters, parameters), in SI units of ψ.
+
+    N samples of a dwell give amplitudes with V = 4 R / N, R the covariance of one sample (white noise, whole periods
+    or many).  What the size of relative noise itself tells about the parameters is left out, as the estimators do.
+    """
+    sd = noise_sd(channels, seen.Y)
+    dumb = _without_signal(
+        channels, seen, np.any(np.abs(seen.by_parameter) > 0, axis=(*range(seen.Y.ndim - 1), -1))
+    )
+    # Relative noise of a channel that does not move is no noise, but no signal either: the channel is left out.
+    J = np.where(dumb[..., None], 0.0, seen.by_parameter)
+    G = np.where(dumb[..., None], 0.0, seen.by_input)
+    V = ((4 * sd**2)[..., None] * np.eye(len(channels))).astype(np.complex128)
+    return fisher(J, G, V, [channel.name for channel in channels])
+
+
+def _without_signal(channels: Sequence[Channel], seen: Outputs, sees: Bools | bool) -> Bools:
+    """Channels that see the rig move (not only its inputs), have relative noise and are silent at a line."""
+    relative = np.array([c.relative_noise > 0 and c.noise == 0 for c in channels])
+    return relative & sees & (noise_sd(channels, seen.Y) == 0)
+
+
+def spectrum_information(model: Model, p: Real, spectrum: Spectrum, drive: Complex) -> Real:
+    """Information of each line of existing data at parameters p, (lines, parameters, parameters), SI units of ψ.
+
+    `drive` (lines, r + s) are the amplitudes of the inputs.  The noise is the spectrum's covariance.
+    """
+    seen = outputs(model, p, spectrum.channels, spectrum.omega, drive)
+    present = np.isfinite(spectrum.amplitudes)
+    J = np.where(present[..., None], seen.by_parameter, 0.0)
+    G = np.where(present[..., None], seen.by_input, 0.0)
+    names = [channel.name for channel in spectrum.channels]
+    return fisher(J, G, np.where(np.isnan(spectrum.covariance), 0.0, spectrum.covariance), names)
+
 
 UNDAMPED = 1e-7  # damping ratio that is rounding
 CHUNK = 300_000  # complex numbers at once: they stay in the cache
+LINES = 300_000  # slopes of channels at once, complex numbers: 5 MB, of which there are several copies
 SETTLED = 1e-3  # what is left of a transient when a dwell starts
 
 
@@ -45,8 +293,11 @@ class ShakerLimits:
     def given(self) -> dict[str, float]:
         """The limits that are there, by name, SI units."""
         every = {
-            "stroke": self.stroke, "velocity": self.velocity, "acceleration": self.acceleration, "force": self.force,
-        }  # fmt: skip
+            "stroke": self.stroke,
+            "velocity": self.velocity,
+            "acceleration": self.acceleration,
+            "force": self.force,
+        }
         return {name: value for name, value in every.items() if value is not None}
 
     def use(self, omega: Real, motion: Complex, force: Complex) -> Real:
@@ -60,8 +311,7 @@ class ShakerLimits:
         parts = [np.max(sizes[name], axis=-1) / value for name, value in self.given.items()]
         if not parts:
             return np.zeros(X.shape[:-1])
-        most: Real = np.max(np.stack(parts), axis=0)
-        return most
+        return np.max(np.stack(parts), axis=0)
 
 
 @dataclass(frozen=True)
@@ -124,8 +374,7 @@ class TestSetup:
 
     def known(self, information: Real) -> Real:
         """An information (q, q) in SI units of ψ, in parts of the sizes of each scenario, (scenarios, q, q)."""
-        relative: Real = information * self.sizes[:, :, None] * self.sizes[:, None, :]
-        return relative
+        return information * self.sizes[:, :, None] * self.sizes[:, None, :]
 
     def with_channels(self, channels: Sequence[Channel]) -> TestSetup:
         """The same setup with other sensors."""
@@ -214,10 +463,26 @@ class TestSetup:
                 theta = self.theta[first : first + step]
                 parts.append(dwell_information(self.model, theta, self.channels, omega, drive))
                 continue
-            seen = outputs(self.model, self.p[first : first + step], self.channels, omega, drive)
+            parts.append(self._of_lines(self.p[first : first + step], omega, drive))
+        every = np.concatenate(parts)
+        every *= self.sizes[:, None, :, None] * self.sizes[:, None, None, :]
+        return every
+
+    def _of_lines(self, p: Real, omega: Real, drive: Complex) -> Real:
+        """`per_sample` at parameters p (scenarios, elements), some lines at a time: slopes of all would fill memory.
+
+        Where a channel with noise in proportion alone is silent, lines are looked at together: whether it sees the rig
+        shows at some.
+        """
+        each = len(p) * max(len(self.channels) * (len(self.names) + len(self.model.elements)), 1)
+        step, parts = max(1, LINES // each), []
+        for first in range(0, max(len(omega), 1), step):
+            some = slice(first, first + step)
+            seen = outputs(self.model, p, self.channels, omega[some], drive[some])
+            if step < len(omega) and np.any(_without_signal(self.channels, seen, sees=True)):
+                return per_sample(self.channels, outputs(self.model, p, self.channels, omega, drive))
             parts.append(per_sample(self.channels, seen))
-        relative: Real = np.concatenate(parts) * (self.sizes[:, None, :, None] * self.sizes[:, None, None, :])
-        return relative
+        return np.concatenate(parts, axis=1) if len(parts) > 1 else parts[0]
 
     @cached_property
     def undamped(self) -> tuple[float, ...]:
@@ -229,8 +494,7 @@ class TestSetup:
         """Information of parameters that are known with an sd, in parts of their size, (scenarios, q, q)."""
         extra = np.zeros(len(self.names) - len(self.model.unknowns))
         precision = np.concatenate([self.model.prior_precision, extra])
-        diagonal: Real = (precision * self.sizes**2)[..., None] * np.eye(len(precision))
-        return diagonal
+        return (precision * self.sizes**2)[..., None] * np.eye(len(precision))
 
     def resonances(self) -> list[tuple[float, float]]:
         """(frequency in Hz, damping ratio) of all oscillating modes of all scenarios.

@@ -17,20 +17,18 @@ from dashpot.data.conditioning.transients import continuous, dwells_with_transie
 from dashpot.data.conditioning.whole_record import whole_records
 from dashpot.data.record import Record
 from dashpot.data.spectrum import Spectrum, concatenate
-from dashpot.design.criteria import Criterion
+from dashpot.design.criteria import Criterion, ExpectedPrecision, expected_precision
 from dashpot.design.plan import Plan
-from dashpot.design.precision import ExpectedPrecision, expected_precision
 from dashpot.design.test_setup import TestSetup
 from dashpot.errors import DashpotError
 from dashpot.estimate.likelihood.objective import local, measured, prior_precision
 from dashpot.estimate.preparation.prepared import prepare
-from dashpot.model.channel_noise import noise_sd
 from dashpot.model.motion import channel_samples, integrator
 from dashpot.model.network import Model
-from dashpot.model.observation import observation_model
+from dashpot.model.observation import noise_sd, observation_model, small
 
 SMOOTH = 20  # samples in a period from which on a spline through the drive is the drive
-MOST_SAMPLES = 2_000_000  # of a test whose motion is computed
+MOST_NUMBERS = 50_000_000  # samples × channels × (loads at the ends + channels): 400 MB of slopes and noise
 
 
 @dataclass(frozen=True)
@@ -55,12 +53,13 @@ def unsettled_test(
     """The test of a plan, used whole at the nominal values, beside what is `known` (scenarios, q, q).
 
     None where nothing can be said: no sampling rate, a rig with nonlinear elements, hysteretic dampers or coordinates
-    without mass, a test too long to compute.
+    without mass, a test too long to compute, a large rig (its 2 n loads at the ends of a record cost lines × channels ×
+    n²: the plan itself takes less).
     """
-    if rate is None or len(setup.model.nonlinear) or not plan.dwells:
+    if rate is None or len(setup.model.nonlinear) or not plan.dwells or not small(setup.model):
         return None
     counts = [round((dwell.settle_s + (dwell.time_s or 0.0)) * rate) for dwell in plan.dwells]
-    if sum(counts) > MOST_SAMPLES:
+    if sum(counts) * len(setup.channels) * (2 * setup.model.n + len(setup.channels)) > MOST_NUMBERS:
         return None
     frequency = np.array([dwell.frequency_hz for dwell in plan.dwells])
     drive = setup.drive(frequency, plan.schedule.pattern)
@@ -72,7 +71,12 @@ def unsettled_test(
             setup.model, setup.p[0], setup.channels, frequency, drive, counts, [1 / rate] * len(counts)
         )
         lines = lines_of_dwells(records, setup.channels, joined=joined)
-        information = _information(setup.model, setup.theta[0], lines)
+        # Information of lines without noise at the true θ, (q, q) in SI units of ψ, loads projected out
+        data = prepare(setup.model, lines, states=False)
+        gains = np.ones(data.view.gains)
+        psi = np.concatenate([setup.theta[0], gains, np.zeros(data.view.delays)])
+        at = local(data.view, measured(data), psi[None], np.ones((1, len(lines.channels))))
+        information = at.symmetric[0] - np.diag(prior_precision(data.view))  # which the lines do not tell
         predicted = expected_precision(nominal, criterion, prior + nominal.known(information))
         settled = expected_precision(nominal, criterion, prior + plan.schedule.information(nominal))
     except DashpotError:
@@ -117,15 +121,16 @@ def unsettled_dwells(
 def _calibrated(channel: Channel) -> Channel:
     """The channel with what is known of its calibration taken out."""
     return replace(
-        channel, gain=None if channel.gain is None else 1.0, delay=None if channel.delay is None else 0.0,
+        channel,
+        gain=None if channel.gain is None else 1.0,
+        delay=None if channel.delay is None else 0.0,
         sign=None if channel.sign is None else 1,
-    )  # fmt: skip
+    )
 
 
 def _waves(time: Real, frequency_hz: float, q: Complex) -> Real:
     """Re(q e^{jωt}), (samples, r + s)."""
-    wave: Real = (q * np.exp(2j * np.pi * frequency_hz * time)[:, None]).real
-    return wave
+    return (q * np.exp(2j * np.pi * frequency_hz * time)[:, None]).real
 
 
 def lines_of_dwells(records: Sequence[Record], channels: Sequence[Channel], *, joined: bool) -> Spectrum:
@@ -158,13 +163,3 @@ def _with_noise(lines: Spectrum, sd: Real) -> Spectrum:
     return replace(
         lines, covariance=V.astype(np.complex128), noise=("given",) * count, dof=np.full(count, np.inf)
     )
-
-
-def _information(model: Model, theta: Real, lines: Spectrum) -> Real:
-    """Information of lines without noise at the true θ, (q, q) in SI units of ψ, loads projected out."""
-    data = prepare(model, lines, states=False)
-    gains = np.ones(data.view.gains)
-    psi = np.concatenate([theta, gains, np.zeros(data.view.delays)])
-    at = local(data.view, measured(data), psi[None], np.ones((1, len(lines.channels))))
-    information: Real = at.symmetric[0] - np.diag(prior_precision(data.view))  # which the lines do not tell
-    return information

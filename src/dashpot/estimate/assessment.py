@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, fields, replace
 from types import MappingProxyType
 from typing import Any, Literal
 
@@ -22,6 +22,19 @@ class Misfit:
     channel: str
     frequency_hz: float
     sd: float
+
+
+@dataclass(frozen=True)
+class Discrepancy:
+    """What the rig leaves of a channel's motion beyond noise, as a share of it, with one-sided 95 % bounds.
+
+    within  the share within which the channel counts as described: what was asked, or what suits its noise
+    """
+
+    value: float
+    lower95: float
+    upper95: float
+    within: float
 
 
 @dataclass(frozen=True)
@@ -66,6 +79,8 @@ class Assessment:
                        known from more than the residuals
     worst              the amplitudes furthest from the prediction, the worst first
     findings           possible causes, the best first; empty where all is well or nothing tried explains it
+    discrepancy        what the rig leaves of each channel beyond noise; None where they cannot be told apart
+    within             the share of the motion asked for, or the largest that the channels' noise suggests; None: none
     """
 
     verdict: Judgement
@@ -74,14 +89,24 @@ class Assessment:
     worst: tuple[Misfit, ...] = ()
     findings: tuple[Finding, ...] = ()
     relative_noise: Mapping[str, float] = field(default_factory=dict)
+    discrepancy: Mapping[str, Discrepancy | None] = field(default_factory=dict)
+    within: float | None = None
 
     def __post_init__(self) -> None:
-        for name in ("relative_residual", "relative_noise"):
+        for name in ("relative_residual", "relative_noise", "discrepancy"):
             object.__setattr__(self, name, MappingProxyType(dict(getattr(self, name))))
 
     def __reduce__(self) -> tuple[object, ...]:
-        left, noise = dict(self.relative_residual), dict(self.relative_noise)
-        return Assessment, (self.verdict, self.reasons, left, self.worst, self.findings, noise)
+        values = (getattr(self, each.name) for each in fields(self))
+        return Assessment, tuple(
+            dict(value) if isinstance(value, MappingProxyType) else value for value in values
+        )
+
+    @property
+    def described(self) -> bool:
+        """Whether the data show every channel to be described as closely as it should."""
+        shares = self.discrepancy.values()
+        return bool(shares) and all(each is not None and each.upper95 <= each.within for each in shares)
 
     def fit_content(self) -> dict[str, Any]:
         """What the JSON of an estimate says of the fit beside χ²."""
@@ -91,6 +116,13 @@ class Assessment:
             "reason_codes": [notice.code for notice in self.reasons],
             "relative_residual": dict(self.relative_residual),
             "relative_noise": dict(self.relative_noise),
+            "discrepancy": {
+                name: dict.fromkeys(("value", "lower95", "upper95", "within"))
+                if each is None
+                else asdict(each)
+                for name, each in self.discrepancy.items()
+            },
+            "within": self.within,
             "worst": [
                 {"channel": line.channel, "frequency_hz": line.frequency_hz, "sd": line.sd}
                 for line in self.worst
@@ -110,8 +142,13 @@ def assessment_from(fit: Mapping[str, Any], diagnosis: Sequence[Mapping[str, Any
         Finding(d["kind"], tuple(d["of"]), d["text"], d["change"], d["remaining"], d["number"])
         for d in diagnosis
     )
-    noise = fit.get("relative_noise", {})  # files of former versions have none
-    return Assessment(fit["verdict"], reasons, fit["relative_residual"], worst, findings, noise)
+    # Files of former versions have no noise and no discrepancy.
+    shares = fit.get("discrepancy", {}).items()
+    discrepancy = {name: None if share["value"] is None else Discrepancy(**share) for name, share in shares}
+    noise, within = fit.get("relative_noise", {}), fit.get("within")
+    return Assessment(
+        fit["verdict"], reasons, fit["relative_residual"], worst, findings, noise, discrepancy, within
+    )
 
 
 def applied(model: Model, channels: Sequence[Channel], finding: Finding) -> tuple[Model, tuple[Channel, ...]]:

@@ -8,7 +8,7 @@ from many starts among rigs of positive parts; the likelier end is taken, and th
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -20,8 +20,8 @@ from dashpot.estimate.identify import automatic, identify
 from dashpot.estimate.inference.diagnostics import largest_of_kind, of_one_sign
 from dashpot.estimate.likelihood.global_search import DOUBT, TIE, apart, not_unique
 from dashpot.estimate.likelihood.maximum_likelihood import MaximumLikelihood
-from dashpot.estimate.likelihood.residual_noise import with_residual_noise
 from dashpot.estimate.likelihood.settling import with_settling_decided
+from dashpot.estimate.likelihood.table_noise import with_residual_noise
 from dashpot.estimate.method import Method
 from dashpot.estimate.registry import method as method_named
 from dashpot.estimate.result import Estimate
@@ -69,7 +69,10 @@ def identify_automatically(
         estimate = identify(model, spectrum, first, progress=progress)
     except (IdentifiabilityError, ConvergenceError) as error:
         return _in_place_of(model, spectrum, first, plain, error)
-    doubtful = not plausible(model, estimate) or (_loose(model, estimate) and noisy(model, spectrum))
+    # Whether a part is uncertain enough to be another's in another valley
+    doubtful = not plausible(model, estimate) or (
+        bool(np.any(_below(model, estimate, LOOSE))) and noisy(model, spectrum)
+    )
     if not doubtful or model.n > LARGEST:
         return estimate
     second = _searched(model, spectrum, plain)
@@ -79,20 +82,28 @@ def identify_automatically(
 def identify_with_noise(
     model: Model,
     spectrum: Spectrum,
-    method: Method,
+    method: Method | str | None = None,
     *,
-    chosen: bool,
     seed: int = 0,
+    positive: bool = False,
     progress: Callable[[int, int], None] | None = None,
 ) -> tuple[Estimate, Spectrum]:
-    """The estimate, and the spectrum with the noise that it rests on, which is what judges the fit.
+    """The estimate that all commands and Python give, and the spectrum with the noise it rests on, which judges it.
 
-    A method that was `chosen` stands; another may take the place of one that was not.  Raises as `identify`.
+    A method that is named or given stands; without one, another may take the place of the one that suits.  `seed` and
+    `positive` as of `suited_method`; they stand in a method that is given.  Raises as that and `identify`.
     """
-    spectrum, method = with_residual_noise(model, spectrum, method)
-    if chosen:
-        return identify(model, spectrum, method, progress=progress), spectrum
-    return identify_automatically(model, spectrum, method, seed=seed, progress=progress), spectrum
+    given = (
+        suited_method(method, model, spectrum, seed=seed, positive=positive)
+        if isinstance(method, str)
+        else method
+    )
+    spectrum = with_settling_decided(model, spectrum, given)
+    first = suited_method(None, model, spectrum, seed=seed, positive=positive) if given is None else given
+    spectrum, first = with_residual_noise(model, spectrum, first)
+    if given is not None:
+        return identify(model, spectrum, first, progress=progress), spectrum
+    return identify_automatically(model, spectrum, first, seed=seed, progress=progress), spectrum
 
 
 def plausible(model: Model, estimate: Estimate) -> bool:
@@ -121,17 +132,11 @@ def noisy(model: Model, spectrum: Spectrum) -> bool:
     return not bool(np.all(share <= NOISY))
 
 
-def _loose(model: Model, estimate: Estimate) -> bool:
-    """Whether a part is uncertain enough to be another's in another valley."""
-    return bool(np.any(_below(model, estimate, LOOSE)))
-
-
 def _below(model: Model, estimate: Estimate, deviations: float) -> Bools:
     """Parts below so many standard deviations, (unknowns,); entries of free matrices and nonlinear terms never are."""
     physical = of_one_sign(model)
     values, sd = estimate.values[: len(physical)], estimate.noise_sd[: len(physical)]
-    below: Bools = physical & (values < deviations * sd)
-    return below
+    return physical & (values < deviations * sd)
 
 
 def _in_place_of(
@@ -204,7 +209,10 @@ def _likelier(model: Model, first: Estimate, second: Estimate) -> Estimate:
     taken, rivals = _preferred(model, first, second)
     if not taken:
         return replace(first, warnings=(*rivals, *first.warnings))
-    return _replacing(first, second, rivals, first_ended)
+    failing = "ended in another minimum" if first_ended else "did not converge"
+    changed = Notice("another_method", f"{first.method} {failing}; ml, from many starts, is used instead")
+    rest = (notice for notice in second.warnings if notice.code != "not_unique")
+    return replace(second, warnings=(*rivals, *rest, changed))
 
 
 def _preferred(model: Model, first: Estimate, second: Estimate) -> tuple[bool, tuple[Notice, ...]]:
@@ -226,11 +234,3 @@ def _preferred(model: Model, first: Estimate, second: Estimate) -> tuple[bool, t
         better, other = (second, first) if taken else (first, second)
         rivals = (not_unique(better.names, better.units, better.values, other.values, abs(above)),)
     return taken, rivals
-
-
-def _replacing(first: Estimate, second: Estimate, rivals: Sequence[Notice], ended: bool) -> Estimate:
-    """The second estimate, with `rivals` told and why the first is not taken: whether it had ended at all."""
-    failing = "ended in another minimum" if ended else "did not converge"
-    changed = Notice("another_method", f"{first.method} {failing}; ml, from many starts, is used instead")
-    rest = (notice for notice in second.warnings if notice.code != "not_unique")
-    return replace(second, warnings=(*rivals, *rest, changed))

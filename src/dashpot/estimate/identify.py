@@ -2,26 +2,41 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import replace
-from functools import cache
+from functools import cache, partial
 from typing import Any
 
 import numpy as np
 
 from dashpot.arrays import Real, frozen
-from dashpot.data.repeats import flattened, in_chunks
-from dashpot.data.spectrum import Spectrum
+from dashpot.data.conditioning.settings import Conditioning, Orders, SampleMoments
+from dashpot.data.readers import Reading
+from dashpot.data.record import Record
+from dashpot.data.spectrum import Spectrum, flattened, in_chunks
 from dashpot.errors import DataError, UsageError
-from dashpot.estimate.inference.derived import known_values, linear_modes, tied_values
-from dashpot.estimate.inference.free_motion import modes_unseen
-from dashpot.estimate.inference.notices import notices
+from dashpot.estimate.inference import diagnostics
+from dashpot.estimate.inference.diagnostics import (
+    few_lines,
+    modes_unseen,
+    of_records,
+    require_traces,
+    unseen_laws,
+)
+from dashpot.estimate.inference.flat_valley import require_end
 from dashpot.estimate.inference.time_course import time_change_notices
-from dashpot.estimate.inference.uncertainty import Inference, inference, with_noise_of_residuals
+from dashpot.estimate.inference.uncertainty import (
+    Inference,
+    inference,
+    known_values,
+    linear_modes,
+    tied_values,
+    with_noise_of_residuals,
+)
 from dashpot.estimate.likelihood.maximum_likelihood import MaximumLikelihood
-from dashpot.estimate.likelihood.residual_noise import with_residual_noise
 from dashpot.estimate.likelihood.settling import with_settling_decided
-from dashpot.estimate.method import Method, Solution, require_suited
+from dashpot.estimate.likelihood.table_noise import with_residual_noise
+from dashpot.estimate.method import Method, Solution, Traits, require_suited
 from dashpot.estimate.preparation.prepared import prepare
 from dashpot.estimate.preparation.state_reconstruction import unseen
 from dashpot.estimate.registry import AUTOMATIC, method_class
@@ -29,7 +44,60 @@ from dashpot.estimate.registry import method as method_named
 from dashpot.estimate.result import MISFIT, RESIDUALS, SENSOR_NOISE, Estimate, Fit
 from dashpot.model.network import Model
 from dashpot.model.observation import observation_model
+from dashpot.notices import Notice
 from dashpot.numerics.small_systems import standard_deviations
+
+# Amplitudes for one rig: what its elements and the methods ask of the conditioning, decided here for
+# everyone.
+
+
+HIGHEST = 5  # harmonics of dwells that tell of nonlinear elements, as far as the sampling shows them
+USABLE = 0.45  # of the sampling rate
+
+
+def amplitudes_for(
+    model: Model, reading: Reading, settings: Conditioning, methods: Collection[Traits]
+) -> Spectrum:
+    """The amplitudes of all that was read, treated as the rig and the methods need, short dwells decided.
+
+    `settings` as of `conditioning_for`.  Raises DataError where a method needs samples that the files do not hold.
+    """
+    treated = conditioning_for(model, reading, settings, methods)
+    return with_settling_decided(model, reading.spectrum(treated))
+
+
+def conditioning_for(
+    model: Model, reading: Reading, settings: Conditioning, methods: Collection[Traits]
+) -> Conditioning:
+    """The settings, with what they leave open decided by the rig and by what the methods declare to need.
+
+    Second moments: a single method that cannot do without insists on them.  Dwells that have not settled are cut to
+    what has, rather than used whole, where one of the methods knows no transients or the rig is not linear.  Of a
+    nonlinear rig, harmonics are data.
+    """
+    needs = [traits.moments for traits in methods]
+    moments: SampleMoments = False
+    if reading.amplitudes is None and any(needs):
+        moments = needs[0] if len(needs) == 1 else "auto"
+    changed = settings.changed(moments=moments)
+    nonlinear = bool(len(model.nonlinear))
+    if changed.transients == "auto" and (nonlinear or not all(traits.transients for traits in methods)):
+        changed = changed.changed(transients="settle")
+    if nonlinear and changed.orders == "auto":
+        changed = changed.changed(orders=_orders_of_nonlinear(reading.records))
+    return changed
+
+
+def _orders_of_nonlinear(records: Sequence[Record]) -> Orders:
+    """Multiples of the drive frequency of dwells, as far as they are sampled."""
+    highest = HIGHEST
+    for record in records:
+        if record.frequency_hz is not None and len(record.time) > 1:
+            rate = (len(record.time) - 1) / float(record.time[-1] - record.time[0])
+            highest = min(highest, int(USABLE * rate / record.frequency_hz))
+            highest = min(highest, (len(record.time) - 4) // 3)
+    return tuple(range(1, max(highest, 1) + 1))
+
 
 CHUNK = 2_000_000  # complex numbers of amplitudes at once: keeps the working set of a batch near 1 GB
 
@@ -82,9 +150,11 @@ def automatic(model: Model, spectrum: Spectrum, *, bounded: bool = False) -> Met
     for name in AUTOMATIC:
         traits = method_class(name).traits
         asked = (
-            (by_output, traits.by_output), (bounded, traits.bounds), (transients, traits.transients),
+            (by_output, traits.by_output),
+            (bounded, traits.bounds),
+            (transients, traits.transients),
             (bool(len(model.nonlinear)), traits.nonlinear and traits.maximum_likelihood and traits.by_output),
-        )  # fmt: skip
+        )
         if all(able or not wanted for wanted, able in asked):
             break
     return method_named(name)
@@ -140,7 +210,11 @@ def _estimate(
     chi2, p = join(lambda part: part.uncertainty.chi2), join(lambda part: part.uncertainty.p)
     fit = Fit(chi2, some.dof, p, spectrum.noise_known)
     m = len(model.unknowns)
-    lower, upper = _bounds(first, len(some.names))
+    unknowns = len(some.names)
+    if first.bounds is None:
+        lower, upper = _no_bounds(unknowns)
+    else:
+        lower, upper = np.full(unknowns, first.bounds.lower), np.full(unknowns, first.bounds.upper)
     warnings = dict.fromkeys(notice for part in parts for notice in part.solution.warnings)
     bands = [part.uncertainty.bands for part in parts if part.uncertainty.bands is not None]
     shown = notices(model, spectrum, None if batch else parts[0], fit)
@@ -171,13 +245,6 @@ def _estimate(
     )
 
 
-def _bounds(solution: Solution, unknowns: int) -> tuple[Real, Real]:
-    """What the estimates were held to, (unknowns,) each."""
-    if solution.bounds is None:
-        return _no_bounds(unknowns)
-    return np.full(unknowns, solution.bounds.lower), np.full(unknowns, solution.bounds.upper)
-
-
 @cache
 def _no_bounds(unknowns: int) -> tuple[Real, Real]:
     endless = np.full(unknowns, np.inf)
@@ -199,3 +266,46 @@ def _basis(fit: Fit, bands_disagree: bool) -> str:
     if fit.rejected.any() or bands_disagree:
         return MISFIT
     return SENSOR_NOISE if fit.known_noise else RESIDUALS
+
+
+# What stands beside an estimate, in the order in which it is told.
+
+
+def notices(model: Model, spectrum: Spectrum, single: Inference | None, fit: Fit) -> list[Notice]:
+    """What an estimate without batch axes shows of itself (None: there are several), and what the data show.
+
+    Raises IdentifiabilityError where the data do not determine a single estimate.
+    """
+    of_estimate = [] if single is None else _of_estimate(model, spectrum, single, fit)
+    return of_estimate + diagnostics.of_data(model, spectrum)
+
+
+def _of_estimate(model: Model, spectrum: Spectrum, part: Inference, fit: Fit) -> list[Notice]:
+    names, bands, bounds = part.names, part.uncertainty.bands, part.solution.bounds
+    theta, covariance, noise = (
+        part.solution.theta[0],
+        part.uncertainty.covariance[0],
+        part.uncertainty.noise[0],
+    )
+    dead = partial(diagnostics.dead_channels, model, spectrum)
+    few = partial(few_lines, model, spectrum)
+    traces = partial(require_traces, model, names, part.information[0])
+    diagnostics.require_determined(names, theta, noise, dead, few, traces)
+    # What runs off because the rig or a channel is another one has a cause, which an estimate must be there to show.
+    sound = not fit.rejected.any() and not np.any(
+        theta[: len(model.unknowns)][diagnostics.of_one_sign(model)] < 0
+    )
+    if part.valley is not None and not bool(part.solution.converged[0]) and sound:
+        require_end(part.valley, names, part.units, theta)
+    shown = []
+    if fit.known_noise and not part.method.traits.maximum_likelihood:
+        shown += diagnostics.bias(names, theta, part.most_likely[0], covariance, part.method)
+    shown += [] if bands is None else bands.notices(names)
+    in_time = part.uncertainty.in_time
+    shown += [] if in_time is None else [uneven.notice() for uneven in in_time.uneven if uneven is not None]
+    shown += diagnostics.of_estimate(model, theta, covariance, noise, fit)
+    shown += unseen_laws(model, theta, noise)
+    if part.method.traits.maximum_likelihood:
+        shown += diagnostics.prior_conflict(model, theta, noise)
+    shown += of_records(model, theta, noise, spectrum)
+    return shown if bounds is None else shown + diagnostics.held(names, theta, bounds)

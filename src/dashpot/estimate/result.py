@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -9,21 +10,240 @@ from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
-from dashpot.arrays import Bools, Complex, Ints, Real, freeze
-from dashpot.errors import DataError
-from dashpot.estimate.assessment import Assessment
-from dashpot.estimate.exports import correlated_numbers, dataframe, dataset
-from dashpot.estimate.inference.intervals import bounded_interval, profile_interval
-from dashpot.estimate.soundness import require_sound
-from dashpot.io.json_document import from_json, to_json
+from dashpot.arrays import Bools, Complex, Ints, Real, freeze, frozen
+from dashpot.errors import DataError, Problem, UsageError
+from dashpot.estimate.assessment import Assessment, assessment_from
+from dashpot.io.json_document import from_json, nullable, optional_library, to_json
 from dashpot.io.ledger import noted
-from dashpot.io.words import shown
+from dashpot.io.words import listed, shown
 from dashpot.notices import Notice
+from dashpot.quantities import LARGEST
 from dashpot.shorthand import Printable, call
 
 if TYPE_CHECKING:
+    from dashpot.data.record import Record
+    from dashpot.data.spectrum import Spectrum
     from dashpot.export.state_space import StateSpace
     from dashpot.export.transfer_functions import TransferFunctions
+    from dashpot.model.rigfile import Rig
+
+
+# An Estimate in the terms of other libraries: a table, numbers that carry their uncertainty, labelled
+# arrays.
+
+
+EXTRA = "analysis"
+
+
+def dataframe(estimate: Estimate, level: float = 0.95) -> Any:
+    """A pandas DataFrame: a row for each parameter of the rig; value, sd, low, high, bound_sd, unit, known.
+
+    `low` and `high` are the ends of the intervals at `level`.  Raises UsageError without pandas, and for a batch.
+    """
+    _require_single(estimate)
+    pandas = optional_library("pandas", EXTRA, "to_dataframe")
+    ends = dict(zip(estimate.names, zip(*estimate.interval(level), strict=True), strict=True))
+    for name, root, times, _ in estimate.tied:
+        ends[name] = tuple(sorted(times * end for end in ends[root]))
+    rows = [
+        (value.name, value.value, value.sd, *ends.get(value.name, value.interval95), value.bound_sd, value.unit,
+         value.known)
+        for value in estimate.parameters().values()
+    ]  # fmt: skip
+    columns = ["parameter", "value", "sd", "low", "high", "bound_sd", "unit", "known"]
+    return pandas.DataFrame(rows, columns=columns).set_index("parameter")
+
+
+def correlated_numbers(estimate: Estimate) -> dict[str, Any]:
+    """Numbers of the package `uncertainties` by name, their correlations kept: unknown and tied parameters.
+
+    Those that are exactly known are plain numbers.  Raises UsageError without uncertainties, and for a batch.
+    """
+    _require_single(estimate)
+    library = optional_library("uncertainties", EXTRA, "to_uncertainties")
+    correlated = library.correlated_values(
+        estimate.values.tolist(), estimate.covariance.tolist(), estimate.names
+    )
+    numbers = dict(zip(estimate.names, correlated, strict=True))
+    numbers |= {name: times * numbers[root] for name, root, times, _ in estimate.tied}
+    return numbers | {name: value for name, value, _ in estimate.known}
+
+
+def dataset(estimate: Estimate) -> Any:
+    """An xarray Dataset: value, sd, bound_sd (…, parameter) and covariance (…, parameter, other); … repeats.
+
+    Raises UsageError without xarray.
+    """
+    xarray = optional_library("xarray", EXTRA, "to_xarray")
+    repeats = [f"repeat_{axis}" for axis in range(estimate.values.ndim - 1)]
+    names = list(estimate.names)
+    along = [*repeats, "parameter"]
+    return xarray.Dataset(
+        {
+            "value": (along, estimate.values),
+            "sd": (along, estimate.sd),
+            "bound_sd": (along, estimate.bound_sd),
+            "covariance": ([*along, "other"], estimate.covariance),
+            "converged": (repeats, estimate.converged),
+        },
+        coords={"parameter": names, "other": names, "unit": ("parameter", list(estimate.units))},
+        attrs={"model": estimate.model, "method": estimate.method, "intervals_count": estimate.basis},
+    )
+
+
+def _require_single(estimate: Estimate) -> None:
+    if estimate.values.ndim != 1:
+        raise UsageError("this is a batch of estimates", cure="use to_xarray, or take one of them")
+
+
+# Whether an estimate that was read from a file can be one: what a hand or a fault may have changed in it.
+
+
+ASYMMETRY = 1e-9  # of an entry of a covariance, in standard deviations
+
+
+def require_sound(estimate: Estimate, where: str) -> None:
+    """Raises DataError, placed at `where`, with everything that no estimate can have."""
+    problems = [
+        Problem(what, where, "write it again with dashpot, or correct it") for what in _faults(estimate)
+    ]
+    if problems:
+        raise DataError(problems)
+
+
+def _faults(estimate: Estimate) -> Iterator[str]:
+    names, count = estimate.names, len(estimate.names)
+    texts = (*names, *estimate.units, estimate.model, estimate.method, estimate.basis)
+    if not all(isinstance(text, str) for text in (*texts, "" if estimate.rig is None else estimate.rig)):
+        yield "a name, a unit or the rig is not text"
+        return
+    if len(set(names)) < count:
+        yield f"order: {next(name for name in names if names.count(name) > 1)} is named twice"
+    if np.ndim(estimate.iterations) or np.ndim(estimate.converged):
+        yield "iterations: not one number"
+        return
+    for name in ("covariance", "noise_covariance"):
+        matrix = getattr(estimate, name)
+        if matrix.shape != (count, count):
+            yield f"{name}: {matrix.shape} numbers, and {count} unknowns"
+            return
+        yield from _matrix_faults(name, matrix, names)
+    yield from _value_faults(estimate)
+    yield from _reference_faults(estimate)
+
+
+def _value_faults(estimate: Estimate) -> Iterator[str]:
+    """Values that are lost, sizes below 0 and bounds that leave no room."""
+    names = estimate.names
+    for name, value in zip(names, estimate.values, strict=True):
+        if np.isfinite(value) and abs(value) > LARGEST:
+            yield f"{name}: {value:g} is out of range"
+    if bool(estimate.converged):
+        lost = [name for name, value in zip(names, estimate.values, strict=True) if not np.isfinite(value)]
+        if lost:
+            yield f"{listed(lost)}: no value"
+    for label, array in (("bound_sd", estimate.bound_sd), ("interval_dof", estimate.dof)):
+        wrong = [name for name, value in zip(names, array, strict=True) if value < 0]
+        if wrong:
+            yield f"{listed(wrong)}: {label} is negative"
+    for name, low, high in zip(names, estimate.lower, estimate.upper, strict=True):
+        if not low <= high:
+            yield f"{name}: min is above max"
+
+
+def _reference_faults(estimate: Estimate) -> Iterator[str]:
+    """Tied and known elements that refer to nothing or have no value."""
+    for _, root, times, _ in estimate.tied:
+        if root not in estimate.names:
+            yield f"tied: {root} is not among the unknowns"
+        if not np.isfinite(times):
+            yield f"tied: {times} is not a finite number"
+    for name, value, _ in estimate.known:
+        if not abs(value) <= LARGEST:
+            yield f"{name}: no value, or one that is out of range"
+
+
+def _matrix_faults(label: str, matrix: np.ndarray, names: tuple[str, ...]) -> Iterator[str]:
+    """Variances must not be negative, correlations not beyond 1, and the matrix symmetric; null is not known."""
+    variances = np.diagonal(matrix)
+    negative = [name for name, value in zip(names, variances, strict=True) if value < 0]
+    if negative:
+        yield f"{label}: the variance of {listed(negative)} is negative"
+        return
+    sd = np.sqrt(variances)
+    size = np.outer(sd, sd)
+    with np.errstate(invalid="ignore", over="ignore"):
+        skew = np.abs(matrix - matrix.T) > ASYMMETRY * size
+        beyond = np.abs(matrix) > (1 + ASYMMETRY) * size
+    if np.any(skew):
+        yield f"{label}: not symmetric"
+    elif np.any(beyond):
+        i, j = np.argwhere(beyond)[0]
+        yield f"{label}: the correlation of {names[i]} and {names[j]} is beyond 1"
+
+
+# Intervals from an estimate and its standard deviation, cut off at bounds where there are some.
+
+
+def bounded_interval(
+    values: Real, free: Real, sd: Real, dof: Real, lower: Real, upper: Real, level: float
+) -> tuple[Real, Real]:
+    """Ends of the intervals at `level` around the free estimates, each (..., m), all arguments (..., m) or (m,).
+
+    Where an unknown has bounds, the interval is that of the free estimate, cut off at them: what it holds of the
+    allowed values it held before, so its coverage is kept.  Where the free estimate lies beyond a bound, the cut
+    interval would shrink to nothing; there its far end is that of the distribution truncated at the bound, which
+    passes into the other one smoothly.  The interval always holds the value.
+    """
+    from scipy.special import stdtrit  # scipy.stats costs half a second of start-up
+
+    half = stdtrit(dof, 0.5 + level / 2) * sd
+    low, high = free - half, free + half
+    if np.any(np.isfinite(lower) | np.isfinite(upper)):
+        high = np.where(free < lower, free + sd * truncated_reach((lower - free) / sd, dof, level), high)
+        low = np.where(free > upper, free - sd * truncated_reach((free - upper) / sd, dof, level), low)
+        low, high = np.clip(low, lower, upper), np.clip(high, lower, upper)
+        low, high = np.minimum(low, values), np.maximum(high, values)
+    return low, high
+
+
+def profile_interval(
+    curve: tuple[Sequence[float], Sequence[float]], dof: float, level: float
+) -> tuple[float, float]:
+    """Ends at `level` of the interval from a profile: (values, roots), both ascending.
+
+    A root is that of the rise of χ², with the side's sign, over the root at the ends of the 95 % interval, −1 and 1.
+    Beyond what the profile has seen the ends grow as far as it did; where it saw no limit there is none.
+    """
+    from scipy.special import stdtrit
+
+    values, roots = (np.asarray(part, dtype=float) for part in curve)
+    reach = float(stdtrit(dof, 0.5 + level / 2) / stdtrit(dof, 0.975))
+    seen = np.isfinite(values)
+    middle = float(np.interp(0.0, roots[seen], values[seen]))
+    ends = []
+    for root in (-reach, reach):
+        edge = -1 if root > 0 else 0
+        last, at = float(values[seen][edge]), float(roots[seen][edge])
+        if abs(root) <= abs(at):
+            ends.append(float(np.interp(root, roots[seen], values[seen])))
+        elif not seen[edge]:
+            ends.append(float(values[edge]))
+        else:
+            ends.append(middle + (last - middle) * root / at if at else last)
+    return ends[0], ends[1]
+
+
+def truncated_reach(beyond: Real, dof: Real, level: float) -> Real:
+    """How far from its centre a t distribution cut off at `beyond` > 0 holds `level` of what is left, (...,)."""
+    from scipy.special import stdtr, stdtrit
+
+    beyond = np.where(np.isfinite(beyond), np.maximum(beyond, 0.0), 0.0)
+    left = (1 - level) * stdtr(dof, -beyond)
+    with np.errstate(all="ignore"):
+        reach = -stdtrit(dof, left)
+    return np.where(np.isfinite(reach), np.maximum(reach, beyond), beyond)
+
 
 FORMAT = "0.1"
 SENSOR_NOISE, RESIDUALS, MISFIT = "sensor noise", "residuals", "model misfit"  # what intervals may rest on
@@ -110,6 +330,15 @@ class Fit:
 
 
 @dataclass(frozen=True)
+class Origin:
+    """What an estimate was made from: the rig, the amplitudes, None where there were none, and names of files."""
+
+    rig: Rig
+    spectrum: Spectrum | None = None
+    files: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
 class Estimate(Printable):
     """Values of the unknowns with their full covariance; every array may have leading batch axes.
 
@@ -136,6 +365,7 @@ class Estimate(Printable):
     assessment          verdict and diagnosis, where they were made
     rig                 name of the rig file, where it came from one
     profiles            profiles (`profile_interval`) of the unknowns along which χ² is no parabola, by name
+    origin              what it was made from, where that was a Rig; it is not saved
     """
 
     model: str
@@ -164,6 +394,7 @@ class Estimate(Printable):
     assessment: Assessment | None = None
     rig: str | None = None
     profiles: Mapping[str, tuple[tuple[float, ...], tuple[float, ...]]] = field(default_factory=dict)
+    origin: Origin | None = field(default=None, repr=False, compare=False)
 
     def __post_init__(self) -> None:
         freeze(self)
@@ -188,12 +419,12 @@ class Estimate(Printable):
     @property
     def sd(self) -> Real:
         """Standard deviations, (..., m), SI units."""
-        return np.sqrt(np.diagonal(self.covariance, axis1=-2, axis2=-1))
+        return frozen(np.sqrt(np.diagonal(self.covariance, axis1=-2, axis2=-1)), np.float64)
 
     @property
     def noise_sd(self) -> Real:
         """Standard deviations from the sensors' noise alone, (..., m), SI units."""
-        return np.sqrt(np.diagonal(self.noise_covariance, axis1=-2, axis2=-1))
+        return frozen(np.sqrt(np.diagonal(self.noise_covariance, axis1=-2, axis2=-1)), np.float64)
 
     def interval(self, level: float = 0.95) -> tuple[Real, Real]:
         """Lower and upper ends of the intervals at `level`, each (..., m); cut off at bounds (`bounded_interval`).
@@ -254,7 +485,6 @@ class Estimate(Printable):
         """The estimate as JSON (no batch axes); `from_json` loads it again.  Raises DataError for a batch."""
         if self.values.ndim != 1:
             raise DataError("a batch of estimates is not written as JSON", cure="save its arrays instead")
-        from dashpot.estimate.estimate_json import content_of
 
         return to_json(content_of(self))
 
@@ -287,6 +517,40 @@ class Estimate(Printable):
         """The transfer functions of its rig: `dashpot.transfer_functions`."""
         return cast("TransferFunctions", call("transfer_functions", self, rig, **options))
 
+    def frf(self, output: str, input: str, frequencies_hz: Any, rig: Any = None) -> tuple[Any, Any]:
+        """Amplitudes of a channel per unit of an input, and the standard deviation of real and imaginary part alike.
+
+        SI units, both of the shape of the frequencies (Hz).  `rig` where the estimate does not name its rig file.
+        Raises UsageError where the rig has no such channel or input, ModelError for nonlinear elements.
+        """
+        return cast("tuple[Any, Any]", call("frf", self, output, input, frequencies_hz, rig))
+
+    def simulate(self, inputs: Any, rig: Any = None, **changes: Any) -> tuple[Record, ...]:
+        """What the channels would show, from rest and without noise, with its standard deviation (`Record.sd`).
+
+        inputs   a Record, columns by name with `time_s`, or the name of a file; a Record comes back for each stretch
+        changes  values by name, SI units, that are to be otherwise, as of `with_values`
+
+        Raises DataError where an input is missing.
+        """
+        return cast("tuple[Record, ...]", call("predicted_motion", self, inputs, rig, **changes))
+
+    def with_values(self, **changes: Any) -> Estimate:
+        """The estimate with these values, SI units, exact and the rest as it was.
+
+        The modes are those of the rig so changed, where that is known.  Raises UsageError for a name that is no
+        unknown and no known parameter, and for a value that is no finite number.
+        """
+        return cast("Estimate", call("with_exact_values", self, changes))
+
+    def report(self, path: Any, level: float = 0.95) -> str:
+        """Write the report as HTML, as the command does; the name of the file.
+
+        Measured responses are in it where the estimate was made here, not where it was read from JSON.
+        Raises UsageError for another ending, for a batch, and where the rig is not known.
+        """
+        return cast(str, call("report", self, path, level))
+
     def export(self, path: Any, rig: Any = None, **options: Any) -> tuple[str, ...]:
         """Write it with its rig for another program, by the end of the file's name; the names of the files."""
         return cast("tuple[str, ...]", call("export", self, path, rig, **options))
@@ -294,7 +558,6 @@ class Estimate(Printable):
     @staticmethod
     def from_json(text: str, where: str = "estimate") -> Estimate:
         """The estimate that `to_json` wrote.  Raises DataError where the text is not one."""
-        from dashpot.estimate.estimate_json import estimate_from
 
         try:
             estimate = estimate_from(from_json(text))
@@ -318,3 +581,181 @@ class Estimate(Printable):
         except (OSError, UnicodeDecodeError) as error:
             raise DataError("the file cannot be read", str(path), REMEDY) from error
         return Estimate.from_json(text, str(path))
+
+
+# An Estimate as the content of a JSON file, and back.
+
+
+MOST_COVARIANCE = 1000  # unknowns, above which the covariance is null
+
+
+def content_of(estimate: Estimate) -> dict[str, Any]:
+    """What `Estimate.to_json` writes (no batch axes)."""
+    assessment = estimate.assessment
+    return {
+        "dashpot": FORMAT,
+        "model": estimate.model,
+        **({} if estimate.rig is None else {"rig": estimate.rig}),
+        "method": estimate.method,
+        "status": estimate.status,
+        "iterations": int(estimate.iterations),
+        "parameters": _parameters(estimate),
+        "order": list(estimate.names),
+        "covariance": _covariance_rows(estimate.covariance),
+        "noise_covariance": _covariance_rows(estimate.noise_covariance),
+        "intervals_count": estimate.basis,
+        "tied": [list(tie) for tie in estimate.tied],
+        "signs": {name: float(sign) for name, sign in estimate.signs.items()},
+        "modes": [] if estimate.modes is None else _mode_rows(estimate.modes),
+        "fit": {
+            "chi2": float(estimate.fit.chi2), "dof": estimate.fit.dof, "p": float(estimate.fit.p),
+            "known_noise": estimate.fit.known_noise,
+            **({} if assessment is None else assessment.fit_content()),
+        },
+        "diagnosis": [] if assessment is None else [finding.content() for finding in assessment.findings],
+        "history": estimate.history.tolist(),
+        "warnings": [str(notice) for notice in estimate.warnings],
+        "codes": [notice.code for notice in estimate.warnings],
+        "concerns": [list(notice.of) for notice in estimate.warnings],
+        "notes": [str(notice) for notice in estimate.notes],
+        "note_codes": [notice.code for notice in estimate.notes],
+        "note_concerns": [list(notice.of) for notice in estimate.notes],
+    }  # fmt: skip
+
+
+def _parameters(estimate: Estimate) -> dict[str, dict[str, Any]]:
+    """An entry for each parameter: all have values, the unknowns what belongs to their intervals as well."""
+    entries: dict[str, dict[str, Any]] = {
+        name: {
+            "value": v.value, "sd": v.sd, "interval95": list(v.interval95), "unit": v.unit, "known": v.known,
+            "bound_sd": v.bound_sd,
+        }
+        for name, v in estimate.parameters().items()
+    }  # fmt: skip
+    columns = (estimate.noise_sd, estimate.dof, estimate.lower, estimate.upper, estimate.free_values)
+    for j, name in enumerate(estimate.names):
+        noise, dof, low, high, free = (float(column[j]) for column in columns)
+        entries[name] |= {"noise_sd": noise, "interval_dof": dof}
+        if math.isfinite(low) or math.isfinite(high) or free != float(estimate.values[j]):
+            entries[name] |= {"min": low, "max": high, "without_limits": free}
+        if name in estimate.profiles:
+            at, roots = estimate.profiles[name]
+            entries[name]["profile"] = {"values": list(at), "roots": list(roots)}
+    return entries
+
+
+def _mode_rows(modes: ModeValues) -> list[dict[str, Any]]:
+    rows = []
+    for k in range(len(modes.eigenvalues)):
+        rows.append(
+            {
+                "frequency_hz": float(modes.frequency_hz[k]),
+                "damping_ratio": float(modes.damping_ratio[k]),
+                "eigenvalue": [float(modes.eigenvalues[k].real), float(modes.eigenvalues[k].imag)],
+                "frequency_sd": float(modes.frequency_sd[k]),
+                "damping_sd": float(modes.damping_sd[k]),
+                "shape": [[float(z.real), float(z.imag)] for z in modes.shapes[k]],
+            }
+        )
+    return rows
+
+
+def estimate_from(content: Mapping[str, Any]) -> Estimate:
+    """The Estimate of such a content.  Raises what Python raises where something is missing or of a wrong type."""
+    names = tuple(content["order"])
+    parameters, fit = content["parameters"], content["fit"]
+    unknowns = [parameters[name] for name in names]
+    return Estimate(
+        model=content["model"],
+        method=content["method"],
+        names=names,
+        units=tuple(entry["unit"] for entry in unknowns),
+        values=_numbers([entry["value"] for entry in unknowns]),
+        covariance=_covariance(content["covariance"], [entry["sd"] for entry in unknowns]),
+        noise_covariance=_covariance(content["noise_covariance"], [entry["noise_sd"] for entry in unknowns]),
+        bound_sd=_numbers([entry["bound_sd"] for entry in unknowns]),
+        dof=_numbers([entry["interval_dof"] for entry in unknowns], math.inf),
+        lower=_numbers([entry.get("min") for entry in unknowns], -math.inf),
+        upper=_numbers([entry.get("max") for entry in unknowns], math.inf),
+        free_values=_numbers([entry.get("without_limits", entry["value"]) for entry in unknowns]),
+        basis=content["intervals_count"],
+        converged=np.asarray(content["status"] == "converged"),
+        iterations=np.asarray(content["iterations"], dtype=np.int64),
+        history=_rows(content["history"]),
+        assessment=assessment_from(fit, content.get("diagnosis", [])),
+        fit=_fit(fit),
+        known=tuple((n, float(e["value"]), str(e["unit"])) for n, e in parameters.items() if e["known"]),
+        tied=tuple((str(a), str(b), float(c), str(d)) for a, b, c, d in content["tied"]),
+        modes=_modes(content["modes"]),
+        signs={name: np.asarray(float(sign)) for name, sign in content["signs"].items()},
+        warnings=_notices(content, "warnings", "codes", "concerns"),
+        notes=_notices(content, "notes", "note_codes", "note_concerns"),
+        rig=content.get("rig"),
+        profiles={
+            name: _profile(entry["profile"])
+            for name, entry in zip(names, unknowns, strict=True)
+            if "profile" in entry
+        },
+    )
+
+
+def _profile(content: Mapping[str, Any]) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    """Values and roots; an end that is null is no limit on its side."""
+    roots = tuple(float(root) for root in content["roots"])
+    values = tuple(
+        nullable(value, math.copysign(math.inf, root))
+        for value, root in zip(content["values"], roots, strict=True)
+    )
+    return values, roots
+
+
+def _numbers(values: Sequence[Any], missing: float = math.nan) -> Real:
+    """Numbers of which some may be null."""
+    return np.array([nullable(value, missing) for value in values])
+
+
+def _rows(rows: Sequence[Sequence[Any]]) -> Real:
+    return np.array([[nullable(value) for value in row] for row in rows])
+
+
+def _covariance_rows(covariance: Real) -> list[list[float]] | None:
+    """The rows of a covariance; None of more than MOST_COVARIANCE unknowns, whose square nobody wants in a text."""
+    if len(covariance) > MOST_COVARIANCE:
+        return None
+    return covariance.tolist()
+
+
+def _covariance(rows: Sequence[Sequence[Any]] | None, sd: Sequence[Any]) -> Real:
+    """A covariance of a file; where it was left out, the variances alone."""
+    return np.diag(_numbers(sd) ** 2) if rows is None else _rows(rows)
+
+
+def _fit(fit: Mapping[str, Any]) -> Fit:
+    chi2, p = np.asarray(nullable(fit["chi2"])), np.asarray(nullable(fit["p"]))
+    return Fit(chi2, int(fit["dof"]), p, bool(fit["known_noise"]))
+
+
+def _modes(rows: Sequence[Mapping[str, Any]]) -> ModeValues | None:
+    modes = ModeValues(
+        np.array([complex(*row["eigenvalue"]) for row in rows]),
+        np.array([row["frequency_hz"] for row in rows], dtype=float),
+        np.array([row["damping_ratio"] for row in rows], dtype=float),
+        _numbers([row["frequency_sd"] for row in rows]),
+        _numbers([row["damping_sd"] for row in rows]),
+        np.array([[complex(*z) for z in row["shape"]] for row in rows]),
+    )
+    return modes if rows else None
+
+
+def _notices(content: Mapping[str, Any], texts: str, codes: str, concerns: str) -> tuple[Notice, ...]:
+    """Notices of a file; those of older files have texts alone, and no code."""
+    sentences = content.get(texts, [])
+    return tuple(
+        Notice(str(code), str(text), tuple(str(name) for name in of))
+        for text, code, of in zip(
+            sentences,
+            content.get(codes, [""] * len(sentences)),
+            content.get(concerns, [()] * len(sentences)),
+            strict=True,
+        )
+    )

@@ -12,8 +12,7 @@ from dashpot.channel import Channel
 from dashpot.errors import UsageError
 from dashpot.export.identified_rig import IdentifiedRig
 from dashpot.export.state_space import Port, StateSpace
-from dashpot.io.json_document import to_json
-from dashpot.io.optional import optional_library
+from dashpot.io.json_document import optional_library, to_json
 from dashpot.model.dynamics import no_steady_response
 from dashpot.model.observation import channel_unit, input_channels, observation_model, transfer
 from dashpot.model.rigfile.rig import is_electrical
@@ -70,12 +69,15 @@ class TransferFunctions:
 
         rows = [
             {
-                "output": seen.name, "input": source.name, "gain": float(self.gain[i, j]),
-                "zeros": pairs(self.zeros[i][j]), "numerator": self.numerator(i, j).tolist(),
+                "output": seen.name,
+                "input": source.name,
+                "gain": float(self.gain[i, j]),
+                "zeros": pairs(self.zeros[i][j]),
+                "numerator": self.numerator(i, j).tolist(),
             }
             for i, seen in enumerate(self.outputs)
             for j, source in enumerate(self.inputs)
-        ]  # fmt: skip
+        ]
         content: dict[str, Any] = {
             "dashpot": "transfer functions",
             "model": self.name,

@@ -114,7 +114,9 @@ def measured_responses(rig: IdentifiedRig, data: Spectrum) -> list[NodalFunction
                 continue
             frequency = data.frequency_hz[there]
             ratio = compared.measured[there, c] / compared.inputs[there, j]
-            ratio = ratio / _calibration(name, calibrations, frequency)
+            gain = calibrations.get(f"{name}.gain", 1.0) * calibrations.get(f"{name}.sign", 1.0)
+            late = calibrations.get(f"{name}.delay", 0.0)
+            ratio = ratio / (gain * np.exp(-2j * np.pi * frequency * late))
             functions.append(_function(rig, outputs[name], j, frequency, ratio, "measured"))
     if not functions:
         raise DataError(
@@ -122,13 +124,6 @@ def measured_responses(rig: IdentifiedRig, data: Spectrum) -> list[NodalFunction
             cure="leave the data out, and give frequencies",
         )
     return functions
-
-
-def _calibration(name: str, calibrations: dict[str, float], frequency_hz: Real) -> Complex:
-    gain = calibrations.get(f"{name}.gain", 1.0) * calibrations.get(f"{name}.sign", 1.0)
-    late = calibrations.get(f"{name}.delay", 0.0)
-    factor: Complex = gain * np.exp(-2j * np.pi * frequency_hz * late)
-    return factor
 
 
 def _function(

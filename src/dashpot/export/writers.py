@@ -12,10 +12,10 @@ from dashpot.errors import UsageError
 from dashpot.export.fmu.archive import write_fmu
 from dashpot.export.formats import ExportOptions, Written
 from dashpot.export.identified_rig import IdentifiedRig
-from dashpot.export.matrix_market import write_matrix_market
 from dashpot.export.mujoco import mujoco_model
 from dashpot.export.parameter_tables import (
     write_matlab_parameters,
+    write_matrix_market,
     write_parameter_csv,
     write_parameter_parquet,
 )

@@ -8,13 +8,50 @@ import re
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from glob import glob, has_magic
 from typing import Literal
 
 import numpy as np
 
+from dashpot.data.conditioning.settings import Conditioning
+from dashpot.data.readers import Reading
+from dashpot.data.readers.manifest import files_fitting, is_pattern
+from dashpot.data.spectrum import Spectrum
 from dashpot.errors import UsageError
+from dashpot.estimate.automatic import suited_method
+from dashpot.estimate.identify import amplitudes_for
+from dashpot.estimate.method import Method
+from dashpot.estimate.registry import method_class
 from dashpot.io.ledger import noted
+from dashpot.model.rigfile import Rig
+
+# How every data set of a fleet is treated.
+
+
+@dataclass(frozen=True)
+class Treatment:
+    """How every data set of a fleet is treated: method (None: the one that suits), conditioning of time records."""
+
+    method: str | None = None
+    conditioning: Conditioning = field(default_factory=Conditioning)
+    frequency_hz: float | None = None
+    positive: bool = False
+    seed: int = 0
+
+    def chosen(self, rig: Rig, spectrum: Spectrum) -> Method:
+        """The method that one data set is identified by.
+
+        Raises UsageError where there is no such method, DataError where a channel measures what the rig has not.
+        """
+        return suited_method(self.method, rig.model, spectrum, seed=self.seed, positive=self.positive)
+
+    def spectrum(self, rig: Rig, reading: Reading) -> Spectrum:
+        """The amplitudes of a data set; what its manifest says of conditioning counts first.
+
+        Raises DataError where its samples cannot be used, UsageError where there is no such method.
+        """
+        methods = [] if self.method is None else [method_class(self.method).traits]
+        return amplitudes_for(rig.model, reading, self.conditioning.changed(**reading.conditioning), methods)
+
 
 PIECE = 1 << 20  # bytes of a file that are read at once
 
@@ -74,19 +111,13 @@ def expanded(patterns: Iterable[str], order: Order = "name") -> list[str]:
     """Files that names and patterns (data/*.parquet, ** for folders within) lead to, each once.
 
     In the order of their names, numbers in them counted as such (run2 before run10), of the time when they were last
-    changed, or as given.  Raises UsageError where a name or a pattern leads to nothing.
+    changed, or as given.  Raises UsageError where a name leads to nothing, DataError as `files_fitting`.
     """
     files: dict[str, None] = {}
     for pattern in patterns:
-        found = [pattern]
-        if has_magic(pattern) and not os.path.exists(pattern):
-            found = sorted(
-                (path for path in glob(pattern, recursive=True) if os.path.isfile(path)), key=natural
-            )
-            if not found:
-                raise UsageError("no file matches this pattern", pattern, "correct the pattern or the folder")
-        elif not os.path.exists(pattern):
+        if not is_pattern(pattern) and not os.path.exists(pattern):
             raise UsageError("there is no such file", pattern, "correct the name or the folder")
+        found = sorted(files_fitting(pattern), key=natural) if is_pattern(pattern) else [pattern]
         files.update(dict.fromkeys(found))
     if order == "name":
         return sorted(files, key=natural)

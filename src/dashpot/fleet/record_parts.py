@@ -3,22 +3,286 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
+import numpy as np
+from scipy.special import bdtrc, chdtrc
+
+from dashpot.arrays import Real
 from dashpot.check.diagnosis.diagnose import examined
-from dashpot.check.merged_parts import merged_parts
+from dashpot.check.verdict import (
+    PERHAPS_UNSTABLE,
+    rejected,
+    unphysical,
+    unstable,
+    unstable_by_chance,
+    worst_of,
+)
 from dashpot.data.conditioning.clock import cut
 from dashpot.data.conditioning.transients import continuous
 from dashpot.data.readers import Reading, read
 from dashpot.data.spectrum import Spectrum
-from dashpot.errors import ConvergenceError, DashpotError
+from dashpot.errors import ConvergenceError, DashpotError, DataError
+from dashpot.estimate.assessment import Assessment, Finding, Judgement
 from dashpot.estimate.automatic import identify_with_noise
-from dashpot.estimate.result import Estimate
-from dashpot.fleet.treatment import Treatment
+from dashpot.estimate.inference.uncertainty import linear_modes
+from dashpot.estimate.result import MISFIT, Estimate, Fit
+from dashpot.fleet.data_sets import Treatment
 from dashpot.io.words import counted
+from dashpot.model.network import Model
 from dashpot.model.rigfile import Rig
 from dashpot.notices import Notice
+
+# Estimates of one rig from data apart, merged: as if all data had been identified at once.
+#
+# For small noise −2 ln(likelihood) of each part is a parabola around its own estimate, known by that and
+# its information, so that the parabolas add up without their data: what this loses goes with the share of
+# noise in a part squared.
+
+
+DISAGREE = 1e-3  # p-value below which the scatter of the parts' estimates is more than their noise
+
+
+@dataclass(frozen=True)
+class Merged:
+    """One estimate of all parts, and how the parts scatter about it.
+
+    estimate  without assessment
+    chi2      χ² of the parts' estimates about the merged one, by their full covariances
+    dof       its degrees of freedom, (parts − 1) × unknowns
+    p         probability of a larger one if one rig is behind all parts
+    away      (parts, unknowns)  how far each lies from the merged one, in standard deviations of the difference
+    """
+
+    estimate: Estimate
+    chi2: float
+    dof: int
+    p: float
+    away: Real
+
+    @property
+    def disagree(self) -> bool:
+        """Whether the parts differ by more than their noise."""
+        return self.p < DISAGREE
+
+
+def merge_estimates(model: Model, parts: Sequence[Estimate]) -> Merged:
+    """Merge estimates of the same unknowns of `model` from data that share no noise; none has batch axes.
+
+    Each counts by its information from the sensors' noise; priors count once.  Intervals are widened where those of the
+    parts are, and where the parts scatter more than they promise.  Raises DataError where their unknowns or the signs
+    of channels differ, or one does not determine the unknowns.
+    """
+    _require_alike(parts)
+    scale = parts[0].noise_sd
+    free = np.array([part.free_values for part in parts]) / scale
+    prior = np.concatenate([model.prior_precision, np.zeros(len(scale) - len(model.unknowns))]) * scale**2
+    mean = np.concatenate([model.prior_mean, np.zeros(len(scale) - len(model.unknowns))]) / scale
+    precision = np.array([_inverse(part.noise_covariance / np.outer(scale, scale)) for part in parts])
+    told = precision - np.diag(prior)  # by the data alone
+    total = np.sum(told, axis=0) + np.diag(prior)
+    weighted = np.einsum("pij,pj->pi", precision, free) - prior * mean
+    theta = np.linalg.solve(total, np.sum(weighted, axis=0) + prior * mean)
+    noise = _inverse(total)
+    spread = np.array([part.covariance / np.outer(scale, scale) for part in parts])
+    covariance = noise @ (np.einsum("pij,pjk,pkl->il", told, spread, told) + np.diag(prior)) @ noise
+    off = free - theta
+    scatter = float(np.einsum("pi,pij,pj->", off, np.array([_inverse(each) for each in spread]), off))
+    dof = (len(parts) - 1) * len(scale)
+    p = float(chdtrc(dof, scatter)) if dof else 1.0
+    dof_of_intervals = np.sum([part.dof for part in parts], axis=0)
+    if p < DISAGREE:
+        covariance = covariance * (scatter / dof)
+        dof_of_intervals = np.minimum(dof_of_intervals, dof)
+    widened = p < DISAGREE or any(part.basis == MISFIT for part in parts)
+    alone = np.maximum(np.diagonal(spread, axis1=-2, axis2=-1) - np.diagonal(noise), np.finfo(float).tiny)
+    units = np.outer(scale, scale)
+    estimate = _estimate(
+        model, parts, theta * scale, (covariance if widened else noise) * units, noise * units
+    )
+    basis = MISFIT if widened else parts[0].basis
+    return Merged(replace(estimate, basis=basis, dof=dof_of_intervals), scatter, dof, p, off / np.sqrt(alone))
+
+
+def _inverse(matrix: Real) -> Real:
+    """Of a covariance whose diagonal is near 1.  Raises DataError where it is singular."""
+    try:
+        inverse = np.linalg.inv(matrix)
+    except np.linalg.LinAlgError:
+        inverse = np.full_like(matrix, np.nan)
+    if not np.all(np.isfinite(inverse)):
+        raise DataError("a part of the data does not determine the unknowns", cure="leave it out")
+    return (inverse + inverse.T) / 2
+
+
+def _require_alike(parts: Sequence[Estimate]) -> None:
+    """Raises DataError where estimates cannot be merged."""
+    first = parts[0]
+    for part in parts:
+        if part.names != first.names:
+            names = sorted(set(part.names) ^ set(first.names))
+            raise DataError(
+                f"parts of the data estimate different unknowns ({', '.join(names)})", cure="identify apart"
+            )
+        for channel, sign in first.signs.items():
+            if float(part.signs[channel]) != float(sign):
+                raise DataError(
+                    f"the sign of {channel} comes out differently in different parts of the data",
+                    cure="was a sensor turned? identify the parts before and after apart",
+                )
+
+
+def _estimate(
+    model: Model, parts: Sequence[Estimate], theta: Real, covariance: Real, noise: Real
+) -> Estimate:
+    """The merged estimate with intervals from `covariance`, whatever they rest on."""
+    first, m = parts[0], len(model.unknowns)
+    chi2, dof = sum(float(part.fit.chi2) for part in parts), sum(part.fit.dof for part in parts)
+    tested = all(np.isfinite(part.fit.p) for part in parts)
+    p = float(chdtrc(dof, chi2)) if tested else np.nan
+    over_bound = np.mean([(part.bound_sd / part.noise_sd) ** 2 for part in parts], axis=0)
+    return replace(
+        first,
+        values=np.clip(theta, first.lower, first.upper),
+        free_values=theta,
+        covariance=covariance,
+        noise_covariance=noise,
+        bound_sd=np.sqrt(np.diagonal(noise) * over_bound),
+        converged=np.asarray(np.all([part.converged for part in parts])),
+        iterations=np.sum([part.iterations for part in parts]),
+        history=np.array([theta]),
+        fit=Fit(np.array(chi2), dof, np.array(p), all(part.fit.known_noise for part in parts)),
+        modes=linear_modes(model, theta[:m], covariance[:m, :m]),
+        warnings=_together([part.warnings for part in parts]),
+        notes=_together([part.notes for part in parts]),
+        assessment=None,
+        profiles={},
+    )
+
+
+def _together(each: Sequence[Sequence[Notice]]) -> tuple[Notice, ...]:
+    """What is noticed in any part, once, and in how many it is where that is not all."""
+    first: dict[tuple[str, tuple[str, ...]], Notice] = {}
+    count: dict[tuple[str, tuple[str, ...]], int] = {}
+    for notices in each:
+        for key, notice in {(notice.code, notice.of): notice for notice in notices}.items():
+            first.setdefault(key, notice)
+            count[key] = count.get(key, 0) + 1
+    return tuple(
+        notice
+        if count[key] == len(each)
+        else replace(notice, text=f"{notice.text} ({count[key]} of {len(each)} parts)")
+        for key, notice in first.items()
+    )
+
+
+# What parts of the data of one rig, each identified and examined by itself, say together.
+
+
+ALARMS = 0.02  # of sound parts that are taken for misfits, at the most
+
+
+def merged_parts(model: Model, names: Sequence[str], parts: Sequence[Estimate]) -> Estimate:
+    """One estimate from those of parts that share no noise, assessed; `names` says which part each is of.
+
+    Raises DataError where they cannot be merged.
+    """
+    together = merge_estimates(model, parts)
+    assessed = [part.assessment for part in parts if part.assessment is not None]
+    against = [
+        *unphysical(model, together.estimate),
+        *unstable(together.estimate),
+        *rejected(together.estimate),
+        *_disagreement(together, names),
+        *_misfits(names, parts),
+    ]
+    doubts = [] if against else [*_common_doubts(assessed), *unstable_by_chance(together.estimate)]
+    verdict: Judgement = "does not fit" if against else "cannot tell" if doubts else "fits"
+    assessment = Assessment(
+        verdict,
+        (*against, *doubts),
+        _over_parts([each.relative_residual for each in assessed]),
+        worst_of(misfit for each in assessed for misfit in each.worst),
+        _findings(assessed) if against else (),
+        _over_parts([each.relative_noise for each in assessed]),
+    )
+    return replace(together.estimate, assessment=assessment, notes=(_how(together), *together.estimate.notes))
+
+
+def _how(together: Merged) -> Notice:
+    text = (
+        f"{counted(len(together.away), 'part')} of the data, each identified by itself, and merged; their scatter "
+        f"has χ² {together.chi2:.4g} with {together.dof} degrees of freedom (p = {together.p:.2g})"
+    )
+    return Notice("parts_merged", text)
+
+
+def _disagreement(together: Merged, names: Sequence[str]) -> list[Notice]:
+    """That the parts are not of one rig, if they are not."""
+    if not together.disagree:
+        return []
+    part, unknown = divmod(int(np.argmax(np.abs(together.away))), len(together.estimate.names))
+    name, away = together.estimate.names[unknown], together.away[part, unknown]
+    text = (
+        f"the parts disagree by more than their noise (p = {together.p:.1g}): {name} of {names[part]} lies "
+        f"{abs(away):.3g} standard deviations {'above' if away > 0 else 'below'} the merged one"
+    )
+    return [Notice("parts_disagree", text, (name,))]
+
+
+def _misfits(names: Sequence[str], parts: Sequence[Estimate]) -> list[Notice]:
+    """That more parts do not fit than sound ones would, and why most of these do not."""
+    wrong = [
+        (name, part.assessment)
+        for name, part in zip(names, parts, strict=True)
+        if part.assessment is not None and part.assessment.verdict == "does not fit"
+    ]
+    if not wrong or bdtrc(len(wrong) - 1, len(parts), ALARMS) > DISAGREE:
+        return []
+    codes = Counter(reason.code for _, assessment in wrong for reason in assessment.reasons)
+    most, _ = codes.most_common(1)[0]
+    name, reason = next(
+        (name, reason) for name, each in wrong for reason in each.reasons if reason.code == most
+    )
+    text = f"{len(wrong)} of {counted(len(parts), 'part')} do not fit by themselves: {reason.text} ({name})"
+    return [Notice("parts_misfit", text, reason.of)]
+
+
+def _common_doubts(assessed: Sequence[Assessment]) -> list[Notice]:
+    """Why it cannot be told whether the rig fits, where most parts cannot tell; stability is for all to show."""
+    doubts = [
+        [reason for reason in each.reasons if reason.code != PERHAPS_UNSTABLE]
+        for each in assessed
+        if each.verdict == "cannot tell"
+    ]
+    unsure = [reasons for reasons in doubts if reasons]
+    if 2 * len(unsure) <= len(assessed):
+        return []
+    codes = Counter(reason.code for reasons in unsure for reason in reasons)
+    most, _ = codes.most_common(1)[0]
+    return [next(reason for reasons in unsure for reason in reasons if reason.code == most)]
+
+
+def _over_parts(shares: Sequence[Mapping[str, float]]) -> dict[str, float]:
+    """The rms over the parts of a share of each channel's motion; of channels that all parts have."""
+    names = [name for name in shares[0] if all(name in each for each in shares)] if shares else []
+    return {name: float(np.sqrt(np.mean([each[name] ** 2 for each in shares]))) for name in names}
+
+
+def _findings(assessed: Sequence[Assessment]) -> tuple[Finding, ...]:
+    """Causes that parts name, those named by most first, and of these those that are named earlier."""
+    count: Counter[tuple[str, tuple[str, ...]]] = Counter()
+    best: dict[tuple[str, tuple[str, ...]], tuple[int, Finding]] = {}
+    for each in assessed:
+        for place, finding in enumerate(each.findings):
+            key = finding.kind, finding.of
+            count[key] += 1
+            best[key] = min(best.get(key, (place, finding)), (place, finding), key=lambda entry: entry[0])
+    ordered = sorted(best, key=lambda key: (-count[key], best[key][0]))
+    return tuple(best[key][1] for key in ordered)
+
 
 MOST_LINES = 250_000  # of a part: some 2 kB each are held while it is identified
 
@@ -124,12 +388,13 @@ def parts_of(task: FileTask, reading: Reading) -> Iterator[tuple[str, Spectrum]]
 def _identified(task: FileTask, spectrum: Spectrum, name: str) -> Estimate:
     """The estimate of a part, examined.  Raises ConvergenceError where the iteration does not come to an end."""
     model, treatment = task.rig.model, task.treatment
-    method = treatment.chosen(task.rig, spectrum)
     estimate, spectrum = identify_with_noise(
-        model, spectrum, method, chosen=treatment.method is not None, seed=treatment.seed
+        model, spectrum, treatment.method, seed=treatment.seed, positive=treatment.positive
     )
     if not bool(estimate.converged):
         raise ConvergenceError(
-            f"{method.name} did not converge in {int(estimate.iterations)} iterations", name, "leave it out"
+            f"{estimate.method} did not converge in {int(estimate.iterations)} iterations",
+            name,
+            "leave it out",
         )
-    return examined(model, spectrum, estimate, seed=treatment.seed)
+    return examined(model, spectrum, estimate, seed=treatment.seed, within=task.rig.within)

@@ -9,34 +9,158 @@ from __future__ import annotations
 import json
 import platform
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from dashpot.arrays import Real
-from dashpot.errors import UsageError
-from dashpot.fleet.data_sets import BlockPart, Source
-from dashpot.fleet.identification import (
-    WIDE,
-    Columns,
-    FleetBlock,
-    FleetTask,
-    estimated_names,
-    identify_block,
-)
-from dashpot.fleet.pooling import Population, pooled
-from dashpot.fleet.survey import LEVEL, Usual, survey
-from dashpot.fleet.treatment import Treatment
-from dashpot.io.atomic import remove_parts
-from dashpot.io.lock import locked
-from dashpot.model.observation import observation_model
+from dashpot.arrays import Bools, Ints, Real
+from dashpot.data.spectrum import Spectrum
+from dashpot.errors import DashpotError, UsageError
+from dashpot.estimate.identify import identify
+from dashpot.estimate.result import Estimate
+from dashpot.fleet.data_sets import BlockPart, Source, Treatment
+from dashpot.fleet.pooling import LEVEL, Population, Usual, pooled, survey
+from dashpot.fleet.tables import Cut, PartReader, alike_cuts, stacked_cuts
+from dashpot.io.atomic import locked, remove_parts
+from dashpot.model.observation import calibration_names, observation_model
 from dashpot.model.rigfile import Rig
 from dashpot.numerics.kernel import description
-from dashpot.study.fingerprint import fields_of, fingerprint_of
-from dashpot.study.store import METADATA, digest_of_columns, read_table, write_table
+from dashpot.study.store import (
+    METADATA,
+    digest_of_columns,
+    fields_of,
+    fingerprint_of,
+    read_table,
+    write_table,
+)
+
+# What a worker does with a block of data sets: read each, identify those alike as one batch, one row for
+# each.
+
+
+Columns = dict[str, np.ndarray]
+WIDE = ("value", "sd", "lower", "upper")  # one column each for every unknown
+PLAIN = ("name", "source", "status", "reason", "lines", "iterations", "chi2", "dof", "p")
+
+
+@dataclass(frozen=True)
+class FleetTask:
+    """Some data sets of one rig; `key` names the block."""
+
+    key: str
+    rig: Rig
+    treatment: Treatment
+    parts: tuple[BlockPart, ...]
+
+
+@dataclass(frozen=True)
+class FleetBlock:
+    """The rows of a block, by column."""
+
+    key: str
+    columns: Columns
+
+
+def identify_block(task: FleetTask) -> FleetBlock:
+    """Identify a block.  A function of the module, so that any process can be sent it.
+
+    What is wrong with a data set stands in its row.  Raises DataError where a table cannot be read, or has changed.
+    """
+    columns = _empty(estimated_names(task.rig), task.parts)
+    cuts: dict[int, Cut] = {}
+    first = 0
+    for part in task.parts:
+
+        def failed(k: int, error: Exception, first: int = first) -> None:
+            columns["reason"][first + k] = reason_of(error, columns["source"][first + k])
+
+        read = PartReader(task.rig, task.treatment, failed).cuts(part.loaded())
+        cuts |= {first + k: cut for k, cut in read.items()}
+        first += len(part.names)
+    for k, cut in cuts.items():
+        columns["lines"][k] = cut.end - cut.first
+    for places in alike_cuts(cuts):
+        for k in _together(task, places, [cuts[k] for k in places], columns):
+            _alone(task, k, cuts[k].spectrum(), columns)
+    return FleetBlock(task.key, columns)
+
+
+def reason_of(error: Exception, source: str) -> str:
+    """Why a data set failed, in one line; the name of its file stands beside it anyway."""
+    if not isinstance(error, DashpotError):
+        return f"internal error ({type(error).__name__}: {' '.join(str(error).split())[:200]})"
+    first = error.problems[0]
+    place = first.where.removeprefix(source).lstrip(": ") if first.where else None
+    return str(replace(first, where=place or None))
+
+
+def estimated_names(rig: Rig) -> tuple[str, ...]:
+    """Names of all that may be estimated: the unknowns of the rig, gains and delays."""
+    return (*rig.model.unknown_names, *calibration_names(rig.channels))
+
+
+# Batches
+
+
+def _together(task: FleetTask, places: Sequence[int], cuts: Sequence[Cut], columns: Columns) -> list[int]:
+    """Enter the estimates of data sets that are alike; the places of those that need a look at them alone."""
+    if len(cuts) == 1:
+        return list(places)
+    try:
+        method = task.treatment.chosen(task.rig, cuts[0].spectrum())
+        batch = identify(task.rig.model, stacked_cuts(cuts), method)
+    except Exception:  # each is tried alone, and says itself what is wrong with it
+        return list(places)
+    usable = batch.converged & np.all(np.isfinite(batch.sd), axis=-1)
+    _enter(columns, np.asarray(places), batch, usable)
+    return [k for k, good in zip(places, usable, strict=True) if not good]
+
+
+def _alone(task: FleetTask, k: int, spectrum: Spectrum, columns: Columns) -> None:
+    try:
+        estimate = identify(task.rig.model, spectrum, task.treatment.chosen(task.rig, spectrum))
+    except Exception as error:
+        columns["reason"][k] = reason_of(error, columns["source"][k])
+    else:
+        _enter(columns, np.array([k]), estimate, np.array([True]))
+
+
+# Rows as columns
+
+
+def _empty(names: Sequence[str], parts: Sequence[BlockPart]) -> Columns:
+    """A row for each data set, failed so far: what PLAIN names, then NAME:value, NAME:sd … of every unknown."""
+    count = sum(len(part.names) for part in parts)
+    columns: Columns = {
+        "name": np.array([name for part in parts for name in part.names], dtype=object),
+        "source": np.array([source for part in parts for source in part.sources], dtype=object),
+        "status": np.array(["failed"] * count, dtype=object),
+        "reason": np.array([""] * count, dtype=object),
+        "lines": np.zeros(count, dtype=np.int64),
+        "iterations": np.zeros(count, dtype=np.int64),
+    }
+    columns |= {name: np.full(count, np.nan) for name in ("chi2", "dof", "p")}
+    return columns | {f"{name}:{key}": np.full(count, np.nan) for name in names for key in WIDE}
+
+
+def _enter(columns: Columns, places: Ints, estimate: Estimate, usable: Bools) -> None:
+    """Write the usable estimates of a batch (or a single one) into their rows."""
+    rows = places[usable]
+    converged = np.atleast_1d(estimate.converged)[usable]
+    columns["status"][rows] = np.where(converged, "converged", "not converged")
+    columns["iterations"][rows] = np.atleast_1d(estimate.iterations)[usable]
+    columns["chi2"][rows] = np.atleast_1d(estimate.fit.chi2)[usable]
+    columns["p"][rows] = np.atleast_1d(estimate.fit.p)[usable]
+    columns["dof"][rows] = estimate.fit.dof
+    wide = (estimate.values, estimate.sd, *estimate.interval())
+    for key, numbers in zip(WIDE, wide, strict=True):
+        of_rows = np.atleast_2d(numbers)[usable]
+        for j, name in enumerate(estimate.names):
+            columns[f"{name}:{key}"][rows] = of_rows[:, j]
+
 
 FORMAT = 2
 # Data sets up to which blocks have that size, which is part of what the last bits depend on.
@@ -113,9 +237,11 @@ class FleetOutcome:
             }  # fmt: skip
             if (of := populations.get(row.name)) is not None:
                 parameters[row.name]["population"] = {
-                    "mean": of.mean, "mean_sd": of.mean_sd, "spread": of.spread,
+                    "mean": of.mean,
+                    "mean_sd": of.mean_sd,
+                    "spread": of.spread,
                     "spread_interval95": list(of.spread_interval),
-                }  # fmt: skip
+                }
         return {
             "dashpot": version("dashpot"), "rig": self.rig, "data_sets": self.count, "failed": len(self.failed),
             "misfits": len(self.misfits), "parameters": parameters,
@@ -171,8 +297,7 @@ def outcome_of(rig: Rig, blocks: Sequence[Columns], pool: bool, kept: int = 0) -
 
 def _of_answers(columns: Columns, name: str) -> Real:
     """A column with NaN where the iteration has not converged."""
-    answered: Real = np.where(columns["status"] == "converged", columns[name], np.nan)
-    return answered
+    return np.where(columns["status"] == "converged", columns[name], np.nan)
 
 
 def machine() -> str:
@@ -202,12 +327,13 @@ def _run(
     order: list[str] = []
     finished: dict[str, Columns] = {}
     kept = 0
-    basis = fingerprint_of((_rig_parts(rig), treatment, estimated_names(rig), machine(), FORMAT))
+    model = {name: value for name, value in fields_of(rig.model) if name != "name"}
+    basis = fingerprint_of(((model, rig.channels), treatment, estimated_names(rig), machine(), FORMAT))
 
     def work() -> Iterator[FleetTask]:
         nonlocal kept
         for parts in source.blocks(block_size(source.count)):
-            key = _key(basis, parts)
+            key = fingerprint_of((basis, [part.checksum() for part in parts]))[:32]
             order.append(key)
             whole = None if folder is None else _read(folder, key, estimated_names(rig))
             if whole is None:
@@ -223,25 +349,11 @@ def _run(
     tell()
     for block in mapper(identify_block, work()):
         if folder is not None:
-            _write(folder, block)
+            label = {"key": block.key, "sha256": digest_of_columns(block.columns)}
+            write_table(folder / f"{block.key}.parquet", block.columns, json.dumps(label).encode())
         finished[block.key] = block.columns
         tell()
     return [finished[key] for key in order], kept
-
-
-def _rig_parts(rig: Rig) -> object:
-    """All of a rig that an estimate depends on."""
-    model = {name: value for name, value in fields_of(rig.model) if name != "name"}
-    return (model, rig.channels)
-
-
-def _key(basis: str, parts: Sequence[BlockPart]) -> str:
-    return fingerprint_of((basis, [part.checksum() for part in parts]))[:32]
-
-
-def _write(folder: Path, block: FleetBlock) -> None:
-    label = {"key": block.key, "sha256": digest_of_columns(block.columns)}
-    write_table(folder / f"{block.key}.parquet", block.columns, json.dumps(label).encode())
 
 
 def _read(folder: Path, key: str, names: Sequence[str]) -> Columns | None:

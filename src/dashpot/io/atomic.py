@@ -10,12 +10,172 @@ import errno
 import os
 import re
 import secrets
+import shutil
 import stat
-from collections.abc import Iterable
-from contextlib import suppress
+import sys
+import tempfile
+import weakref
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from pathlib import Path
 
-from dashpot.errors import DataError
+from dashpot.errors import DataError, UsageError
 from dashpot.io import ledger
+from dashpot.io.ledger import AnyPath
+
+# Files that other programs need for a moment: in a folder of their own, gone when the work is done.
+
+
+_lasting: dict[str, int] = {}  # folders that are there until they are let go, and the process that made each
+
+
+@dataclass(frozen=True)
+class Scratch:
+    """A folder that lasts as long as the work in it."""
+
+    folder: Path
+
+    def write(self, name: str, content: bytes | Iterable[bytes]) -> Path:
+        """Where the content, whole or in pieces, now stands.  Raises DataError where there is no room for it."""
+        path = self.folder / name
+        with path.open("wb", buffering=0) as file:
+            for piece in (content,) if isinstance(content, bytes) else content:
+                left = memoryview(piece)
+                try:
+                    while left:
+                        left = left[file.write(left) :]
+                except OSError as error:
+                    what = f"there is no room for a file in between ({error.strerror})"
+                    cure = "make room there, or set TMPDIR to a folder on a larger disk"
+                    raise DataError(what, str(self.folder), cure) from None
+        return path
+
+    def read(self, name: str) -> bytes:
+        """What another program has written there.  Raises OSError where it has not."""
+        return (self.folder / name).read_bytes()
+
+
+@contextmanager
+def scratch() -> Iterator[Scratch]:
+    """A folder for files in between, removed at the end whatever happens."""
+    with tempfile.TemporaryDirectory(prefix="dashpot-") as folder:
+        yield Scratch(Path(folder))
+
+
+def lasting_scratch() -> Scratch:
+    """A folder for files that are read until their reader is let go: removed with it, or when the process ends."""
+    folder = tempfile.mkdtemp(prefix="dashpot-")
+    lasting = Scratch(Path(folder))
+    _lasting[folder] = os.getpid()
+    weakref.finalize(lasting, _remove, folder)
+    return lasting
+
+
+def clear_scratch() -> None:
+    """Remove the folders that last: for a signal handler that ends the process at once."""
+    for folder in tuple(_lasting):
+        _remove(folder)
+
+
+def _remove(folder: str) -> None:
+    if _lasting.pop(folder, None) == os.getpid():  # not in processes that were forked from it
+        shutil.rmtree(folder, ignore_errors=True)
+
+
+# A folder held by one process at a time. The system frees the lock when its holder dies, however that
+# happens.
+
+
+LOCK = ".lock"  # the file that is locked; it names the process that holds it
+_held_here: set[str] = set()  # locks of this process, for a handler that ends it at once
+
+
+@contextmanager
+def locked(folder: AnyPath) -> Iterator[None]:
+    """Hold an existing folder until the end.
+
+    Raises UsageError where another process holds it, or nothing can be written there.
+    """
+    path = os.path.join(folder, LOCK)
+    try:
+        descriptor = _held(path)
+    except OSError as error:
+        raise UsageError(
+            f"the folder cannot be used ({error.strerror or error})", os.fspath(folder), "name another one"
+        ) from None
+    if descriptor is None:
+        raise UsageError(
+            f"another dashpot {_holder(path)}is working in this folder",
+            os.fspath(folder),
+            "wait until it has finished, or name another folder",
+        )
+    _held_here.add(path)
+    try:
+        os.ftruncate(descriptor, 0)
+        os.write(descriptor, f"{os.getpid()}\n".encode())
+        yield
+    finally:
+        with suppress(OSError):
+            os.unlink(path)
+        _held_here.discard(path)
+        os.close(descriptor)
+
+
+def clear_locks() -> None:
+    """Delete the lock files of this process: for a signal handler that ends it at once."""
+    for path in tuple(_held_here):
+        with suppress(OSError):
+            os.unlink(path)
+
+
+def _held(path: str) -> int | None:
+    """A descriptor of the locked file; None where another process has it."""
+    while True:
+        descriptor = os.open(path, os.O_RDWR | os.O_CREAT, 0o666)
+        try:
+            if not _lock(descriptor):
+                os.close(descriptor)
+                return None
+            # Its last holder may have deleted the file between the two calls: the lock is then on nothing.
+            if _same(descriptor, path):
+                return descriptor
+            os.close(descriptor)
+        except BaseException:
+            with suppress(OSError):
+                os.close(descriptor)
+            raise
+
+
+def _lock(descriptor: int) -> bool:
+    """Lock at once, or say that another process holds the lock."""
+    try:
+        if sys.platform == "win32":
+            import msvcrt
+
+            msvcrt.locking(descriptor, msvcrt.LK_NBLCK, 1)
+        else:
+            import fcntl
+
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except (BlockingIOError, PermissionError):
+        return False
+    return True
+
+
+def _same(descriptor: int, path: str) -> bool:
+    try:
+        return os.path.samestat(os.fstat(descriptor), os.stat(path))
+    except FileNotFoundError:
+        return False
+
+
+def _holder(path: str) -> str:
+    """(process 1234), or nothing where the file does not say."""
+    with suppress(OSError, ValueError), open(path, "rb") as file:
+        return f"(process {int(file.read(32))}) "
+    return ""
+
 
 PART = ".dashpot-", ".part"  # what the names of temporary files begin and end with
 _BINARY = getattr(os, "O_BINARY", 0)

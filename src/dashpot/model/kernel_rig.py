@@ -20,15 +20,11 @@ def kernel_rig(kernel: Any, model: Model, omega: Real) -> Any | None:
         return None
     key = (kernel, omega.tobytes())
     if key not in model.views:
-        model.views[key] = _kernel_rig(kernel, model, omega)
+        factors = np.stack([law.factor(omega) for law in MATRICES.values()])
+        imaginary = np.any(factors.imag, axis=-1)
+        model.views[key] = kernel.Rig(
+            model.B, model.D, model.T, model.p0, model.S, model.letters,
+            np.where(imaginary[:, None], factors.imag, factors.real), imaginary, np.ascontiguousarray(omega),
+            model.prior_precision, model.prior_mean,
+        )  # fmt: skip
     return model.views[key]
-
-
-def _kernel_rig(kernel: Any, model: Model, omega: Real) -> Any:
-    factors = np.stack([law.factor(omega) for law in MATRICES.values()])
-    imaginary = np.any(factors.imag, axis=-1)
-    return kernel.Rig(
-        model.B, model.D, model.T, model.p0, model.S, model.letters,
-        np.where(imaginary[:, None], factors.imag, factors.real), imaginary, np.ascontiguousarray(omega),
-        model.prior_precision, model.prior_mean,
-    )  # fmt: skip

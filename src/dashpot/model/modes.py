@@ -58,7 +58,12 @@ def modes(model: Model, p: Real) -> Modes:
     poles, shapes = poles[order], shapes[order]
     largest = shapes[np.arange(len(shapes)), np.abs(shapes).argmax(axis=-1), None]
     shapes = shapes / np.where(largest == 0, 1.0, largest)
-    return Modes(poles, shapes, _eigenvalue_sensitivity(model, parts, poles, shapes))
+    denominator = ((2 * poles[:, None] * (shapes @ parts.M) + shapes @ parts.C) * shapes).sum(axis=-1)
+    factor = model.pole_factors(poles)
+    elongation = shapes @ model.B.T
+    with np.errstate(divide="ignore", invalid="ignore"):
+        sensitivity: Complex = -factor * elongation**2 / denominator[:, None]
+    return Modes(poles, shapes, sensitivity)
 
 
 def _upper_half(parts: Matrices, sizes: tuple[float, float, float], rate: float) -> tuple[Complex, Complex]:
@@ -135,16 +140,6 @@ def _typical_rate(M: float, C: float, K: float) -> float:
     if M > 0 and C > 0:
         return C / M
     return 1.0
-
-
-def _eigenvalue_sensitivity(model: Model, parts: Matrices, values: Complex, shapes: Complex) -> Complex:
-    slope = 2 * values[:, None, None] * parts.M + parts.C
-    denominator = ((slope @ shapes[..., None])[..., 0] * shapes).sum(axis=-1)
-    factor = model.pole_factors(values)
-    elongation = shapes @ model.B.T
-    with np.errstate(divide="ignore", invalid="ignore"):
-        sensitivity: Complex = -factor * elongation**2 / denominator[:, None]
-    return sensitivity
 
 
 def eigenpairs(model: Model, p: Real) -> tuple[Complex, Complex]:

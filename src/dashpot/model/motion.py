@@ -130,8 +130,7 @@ def carried(phi: Real, driven: Real, start: Real) -> Real:
     out[0] = first
     for k, value in enumerate(values):
         out[1:, k], _ = lfilter([1.0], [1.0, -value], modal[k], zi=[value * first[k]])
-    states: Real = (out @ vectors.T).real
-    return states
+    return (out @ vectors.T).real
 
 
 def channel_samples(view: ObservationModel, p: Real, motion: LinearMotion) -> Real:

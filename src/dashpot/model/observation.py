@@ -8,10 +8,10 @@ channel's calibration; what is known of it has been taken out when raw numbers b
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import cast
+from typing import Protocol, cast
 
 import numpy as np
 from scipy import sparse
@@ -19,13 +19,102 @@ from scipy.sparse.csgraph import connected_components
 
 from dashpot.arrays import Bools, Complex, Ints, Real, frozen
 from dashpot.channel import Channel, Quantity
-from dashpot.model.channel_incidence import channel_incidence, unknown_calibrations
-from dashpot.model.channel_transfer import ChannelTransfer, Reduced
-from dashpot.model.dynamics import stiffness
+from dashpot.errors import DataError
+from dashpot.model.dynamics import solve_stiffness, stiffness
 from dashpot.model.network import Model
-from dashpot.model.sparse_dynamics import solve_stiffness
 from dashpot.numerics.small_systems import solve_small
 from dashpot.units import si_unit
+
+# How channels hang on coordinates, inputs and elements, and which of their calibrations are unknown.
+
+
+def channel_incidence(model: Model, channels: Sequence[Channel]) -> tuple[Real, Real, Real]:
+    """Factors of the channels on coordinates, on inputs and on element forces; each (channels, …).
+
+    Raises DataError where a channel shows what the rig has not.
+    """
+    r, s = len(model.displacement_inputs), len(model.force_inputs)
+    on_x, on_q, force = parts = tuple(
+        np.zeros((len(channels), size)) for size in (model.n, r + s, len(model.elements))
+    )
+    moved = {name: j for j, name in enumerate(model.displacement_inputs)}
+    points = {name: (on_x, i) for i, name in enumerate(model.coordinates)}
+    points |= {name: (on_q, j) for name, j in moved.items()}
+    forces = {name: (on_q, r + j) for j, name in enumerate(model.force_inputs)}
+    forces |= {element.name: (force, i) for i, element in enumerate(model.elements)}
+    for c, channel in enumerate(channels):
+        is_force = channel.quantity is Quantity.FORCE
+        for name, factor in channel.of.items():
+            part, column = (forces if is_force else points).get(name, (None, 0))
+            if part is not None:
+                part[c, column] += factor
+            elif is_force and name in moved:
+                force[c] += factor * model.D[:, moved[name]]
+            else:
+                what, names = ("the force of ", [*moved, *forces]) if is_force else ("", list(points))
+                raise DataError(
+                    f"channel {channel.name} measures {what}{name}, which the rig does not have",
+                    cure=f"it has {', '.join(names)}",
+                )
+    on_x, on_q, force = (frozen(part, np.float64) for part in parts)
+    return on_x, on_q, force
+
+
+def unknown_calibrations(channels: Sequence[Channel]) -> tuple[Ints, Ints]:
+    """Index of each channel's unknown gain and delay, −1 where known; (channels,) each.
+
+    Raises DataError where a channel shares a gain that is known.
+    """
+    names = {channel.name: c for c, channel in enumerate(channels)}
+    gain, delay = np.full(len(channels), -1), np.full(len(channels), -1)
+    for c, channel in enumerate(channels):
+        if channel.gain is None and channel.same_gain_as is None:
+            gain[c] = int(np.max(gain)) + 1
+        if channel.delay is None:
+            delay[c] = int(np.max(delay)) + 1
+    for c, channel in enumerate(channels):
+        if channel.same_gain_as is not None:
+            owner = names.get(channel.same_gain_as)
+            if owner is None or gain[owner] < 0:
+                raise DataError(
+                    f"channel {channel.name} shares the gain of {channel.same_gain_as}, which has no unknown gain",
+                    cure='name a channel with gain = "unknown"',
+                )
+            gain[c] = gain[owner]
+    return frozen(gain, np.int64), frozen(delay, np.int64)
+
+
+# What the likelihood asks of a rig: its channels as functions of the inputs, of the whole rig or a reduced
+# one.
+
+
+class ChannelTransfer(Protocol):
+    """The channels as functions of the inputs, whoever computed them."""
+
+    @property
+    def G(self) -> Complex:
+        """y = G q, (..., lines, channels, r + s)."""
+
+    def amplitudes(self, q: Complex) -> Complex:
+        """y under inputs q (..., lines, r + s); (..., lines, channels)."""
+
+    def slopes(self, q: Complex) -> Complex:
+        """∂y/∂ψ at fixed inputs; (..., lines, channels, M)."""
+
+    def calibrated(self, kappa: Complex, psi: Real) -> ChannelTransfer:
+        """The same with calibrations κ (..., lines, channels, 1) at ψ."""
+
+
+class Reduced(Protocol):
+    """A rig on the span of few motions."""
+
+    @property
+    def size(self) -> int:
+        """How many."""
+
+    def transfer(self, view: ObservationModel, theta: Real) -> ChannelTransfer:
+        """The channels at θ (..., unknowns)."""
+
 
 SPARSE_FROM = 48  # coordinates: above it a factorisation of the sparse pattern beats dense stacks
 
@@ -127,8 +216,7 @@ class ObservationModel:
     @cached_property
     def inputs_alone(self) -> Bools:
         """Which channels show inputs and nothing else of the rig, (channels,)."""
-        alone: Bools = np.any(self.on_q, axis=-1) & ~np.any(self.on_x, axis=-1) & ~np.any(self.force, axis=-1)
-        return alone
+        return np.any(self.on_q, axis=-1) & ~np.any(self.on_x, axis=-1) & ~np.any(self.force, axis=-1)
 
     @cached_property
     def sees(self) -> Bools:
@@ -144,8 +232,7 @@ class ObservationModel:
         looking = np.abs(self.on_x) + abs(self.force) @ B
         direct = np.abs(self.on_q)
         direct[:, : model.D.shape[1]] += abs(self.force) @ abs(model.D)
-        sees: Bools = ((looking @ member > 0).astype(float) @ (member.T @ driven > 0) > 0) | (direct > 0)
-        return sees
+        return ((looking @ member > 0).astype(float) @ (member.T @ driven > 0) > 0) | (direct > 0)
 
     def at_lines(self, lines: slice) -> ObservationModel:
         """The same channels at some of the frequencies; made once for each."""
@@ -161,8 +248,7 @@ class ObservationModel:
     @cached_property
     def is_direct(self) -> Bools:
         """Which channels depend on X, U and f alone, (channels,)."""
-        direct: Bools = np.array([is_direct(self.model, channel) for channel in self.channels], dtype=bool)
-        return direct
+        return np.array([is_direct(self.model, channel) for channel in self.channels], dtype=bool)
 
     @cached_property
     def direct(self) -> Complex:
@@ -277,8 +363,7 @@ def channel_amplitudes(view: ObservationModel, X: Complex, q: Complex, forces: C
     X (..., lines, n) m, q = (U, f) (..., lines, r + s), `forces` p ∘ a of the elements (..., lines, elements) N: the
     elements' own law says what they are.
     """
-    Y: Complex = view.rates * (X @ view.on_x.T + q @ view.on_q.T) + forces @ view.force.T
-    return Y
+    return view.rates * (X @ view.on_x.T + q @ view.on_q.T) + forces @ view.force.T
 
 
 @dataclass(frozen=True)
@@ -303,8 +388,7 @@ class Transfer:
 
     def amplitudes(self, q: Complex) -> Complex:
         """y = G q under inputs q (..., lines, r + s); (..., lines, channels)."""
-        y: Complex = np.einsum("...cq,...q->...c", self.G, q)
-        return y
+        return np.einsum("...cq,...q->...c", self.G, q)
 
     def unit_forces(self, q: Complex) -> Complex:
         """a = φ (B X + D U) under inputs q (..., lines, r + s); (..., lines, elements), N per unit of p."""
@@ -316,7 +400,10 @@ class Transfer:
 
     def slopes(self, q: Complex) -> Complex:
         """∂y/∂ψ at fixed inputs q (..., lines, r + s), ∂y/∂θ without calibrations; (..., lines, channels, M)."""
-        by_theta: Complex = (self.E * self.unit_forces(q)[..., None, :]) @ self.view.model.T
+        model = self.view.model
+        by_theta = _times(
+            self.E * self.unit_forces(q)[..., None, :], model.T if small(model) else model.sparse_T
+        )
         if self.psi is None or not (self.view.gains or self.view.delays):
             return by_theta
         by_calibration = calibration_slopes(self.view, self.psi, self.amplitudes(q))
@@ -397,3 +484,31 @@ def _times(rows: Complex, matrix: Real | sparse.csr_array | sparse.csc_array) ->
     """rows (..., k) times a full or sparse matrix (k, j)."""
     flat: Complex = np.asarray(rows.reshape(-1, rows.shape[-1]) @ matrix)
     return flat.reshape(*rows.shape[:-1], matrix.shape[1])
+
+
+# The noise that channels are declared to have, for simulation and design.
+
+
+def noise_sd(channels: Sequence[Channel], Y: Complex) -> Real:
+    """Standard deviation of one sample's noise, SI units of the quantity; `Y` (..., lines, channels) amplitudes.
+
+    Absolute and relative part are independent: √((noise · scale / |sign · gain|)² + (relative_noise |Y|)²).
+    """
+    floor = np.array([channel.noise * channel.scale / abs(channel.factor) for channel in channels])
+    relative = np.array([channel.relative_noise for channel in channels])
+    return np.hypot(floor, relative * np.abs(Y))
+
+
+def with_relative_noise(
+    model: Model, channels: Iterable[Channel], level: float, *, drives: bool = False
+) -> tuple[Channel, ...]:
+    """Channels with noise of sd = level × amplitude of that channel at that frequency and no other (paper eq. 21).
+
+    Channels of the inputs stay as they are unless `drives`.
+    """
+    return tuple(
+        channel
+        if measures_input(model, channel) and not drives
+        else replace(channel, noise=0.0, relative_noise=level)
+        for channel in channels
+    )

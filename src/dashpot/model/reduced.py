@@ -15,10 +15,10 @@ import numpy as np
 from scipy import sparse
 
 from dashpot.arrays import Complex, Real
+from dashpot.model.dynamics import solve_stiffness
 from dashpot.model.elements import MATRICES
 from dashpot.model.network import Model
 from dashpot.model.observation import ObservationModel, calibration_slopes
-from dashpot.model.sparse_dynamics import solve_stiffness
 from dashpot.numerics.small_systems import solve_small
 
 DEPENDENT = (
@@ -61,7 +61,10 @@ class ReducedRig:
         C_y = np.broadcast_to(view.rates[..., None] * self.on_y, (*lead, lines, *self.on_y.shape)).copy()
         C_q = np.broadcast_to(view.direct_q, (*lead, *view.direct_q.shape)).copy()
         for part in self.parts:
-            weight = MATRICES[part.letter].factor(view.omega) * _times(part, theta)
+            # The unknown of a part, (..., 1): the factor that its matrices have
+            weight = MATRICES[part.letter].factor(view.omega) * (
+                np.ones((*theta.shape[:-1], 1)) if part.unknown is None else theta[..., part.unknown, None]
+            )
             stiff += weight[..., None, None] * part.inner
             driven += weight[..., None, None] * part.driven
             C_y += weight[..., None, None] * part.on_y
@@ -71,11 +74,6 @@ class ReducedRig:
         solved = solve_small(stiff, right)
         adjoint, y = np.split(solved, [C_y.shape[-2]], axis=-1)
         return ReducedTransfer(view, self, C_q + C_y @ y, y, adjoint)
-
-
-def _times(part: ReducedPart, theta: Real) -> Real:
-    """The unknown of a part, (..., 1): the factor that its matrices have."""
-    return np.ones((*theta.shape[:-1], 1)) if part.unknown is None else theta[..., part.unknown, None]
 
 
 @dataclass(frozen=True)
@@ -99,8 +97,7 @@ class ReducedTransfer:
 
     def amplitudes(self, q: Complex) -> Complex:
         """y = G q under inputs q (..., lines, r + s); (..., lines, channels)."""
-        y: Complex = np.einsum("...cq,...q->...c", self.G, q)
-        return y
+        return np.einsum("...cq,...q->...c", self.G, q)
 
     def slopes(self, q: Complex) -> Complex:
         """∂y/∂ψ at fixed inputs q (..., lines, r + s), ∂y/∂θ without calibrations; (..., lines, channels, M)."""

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from fractions import Fraction
+from functools import lru_cache
 
 import numpy as np
 
@@ -18,6 +19,7 @@ PRIME = 2147483629  # the largest below 2³¹ with −1 a square: products fit 6
 ROOT = pow(2, (PRIME - 1) // 4, PRIME)  # √−1, 2 being no square
 
 
+@lru_cache(maxsize=4096)
 def residue(number: float) -> int:
     """The number as it is written (0.6 is 3/5, 1/3 in sixteen digits is 1/3), modulo PRIME."""
     fraction = Fraction(number).limit_denominator(1000)

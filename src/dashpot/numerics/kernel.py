@@ -19,6 +19,9 @@ from dashpot.errors import UsageError
 VARIABLE = "DASHPOT_KERNEL"
 THREADS = "DASHPOT_KERNEL_THREADS"
 CHOICES = ("auto", "compiled", "numpy")
+MOST_THREADS = (
+    1024  # processors that one process can be bound to (CPU_SETSIZE of glibc); more threads only wait
+)
 
 _choice: ContextVar[str | None] = ContextVar("kernel", default=None)
 
@@ -37,7 +40,7 @@ def kernel() -> Any | None:
     if module is None and choice == "compiled":
         raise UsageError(
             "the compiled kernel is not installed",
-            cure="pip install 'dashpot[fast]', or let the choice be auto",
+            cure="pip install ./kernels from the copy of dashpot (needs a C++ compiler), or let the choice be auto",
         )
     return module
 
@@ -69,9 +72,18 @@ def threads() -> int:
 
 @cache
 def environment() -> tuple[str, int]:
-    """The choice and the threads that the environment asks for, read once: a single fit asks for them many times."""
-    given = os.environ.get(THREADS, "1")
-    return os.environ.get(VARIABLE) or "auto", max(1, int(given)) if given.isdigit() else 1
+    """The choice and the threads that the environment asks for, read once: a single fit asks for them many times.
+
+    Raises UsageError where the threads are no whole number or too many.
+    """
+    given = os.environ.get(THREADS) or "1"
+    count = (
+        int(given) if given.isascii() and given.isdecimal() and len(given) <= len(str(MOST_THREADS)) else -1
+    )
+    if not 0 <= count <= MOST_THREADS:
+        cure = f"give a whole number up to {MOST_THREADS}, or leave it unset for one thread"
+        raise UsageError(f"{THREADS} is {given[:40]!r}", cure=cure)
+    return os.environ.get(VARIABLE) or "auto", max(1, count)
 
 
 def description() -> str:
@@ -86,5 +98,4 @@ def _compiled() -> ModuleType | None:
         import dashpot_kernels
     except ImportError:
         return None
-    module: ModuleType = dashpot_kernels
-    return module
+    return dashpot_kernels

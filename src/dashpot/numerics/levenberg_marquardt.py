@@ -12,7 +12,8 @@ from dashpot.arrays import Bools, Ints, Real
 from dashpot.numerics.small_systems import scaled_inverse, solve_scaled
 
 ROUNDING = 1e-5  # standard deviations
-FEW = 16  # repeats whose curvature is evaluated in one call
+BLUR = 1e-10  # of the cost: its rounding where the noise of stiff chains is ill-conditioned
+TOGETHER = 800  # unknowns × repeats × their displaced copies whose slopes are evaluated in one call
 PATIENCE = 12  # iterations after which Newton's own matrix is worth its evaluations
 
 
@@ -89,8 +90,7 @@ class OptimizeResult:
 def without_bounds(x: Real, around: QuadraticModel, lower: Real, upper: Real) -> Real:
     """Where the minima x, (k, m), would lie without bounds: one full step on where a bound holds, else x itself."""
     held = np.any((x <= lower) | (x >= upper), axis=-1, keepdims=True)
-    free: Real = np.where(held, x + solve_scaled(around.symmetric, around.gradient), x)
-    return free
+    return np.where(held, x + solve_scaled(around.symmetric, around.gradient), x)
 
 
 def minimise(
@@ -136,40 +136,56 @@ class _Search:
         repeats = len(start)
         self.evaluate, self.low, self.high, self.longest = evaluate, low, high, longest
         self.tolerance, self.patience = tolerance, patience
+        # Newton's matrix takes an evaluation for each unknown: of very many, further steps come cheaper for longer.
+        self.newton_from = max(patience, start.shape[-1] // 4)
         self.ends, self.costs = start, np.full(repeats, np.inf)
         self.converged = np.zeros(repeats, dtype=bool)
         self.iterations = np.zeros(repeats, dtype=np.int64)
         self.history = [start[0].copy()]
         self.active: Ints = np.flatnonzero(np.all(np.isfinite(start), axis=-1))
-        self.damping = np.zeros(len(self.active))
+        self.damping, self.length = np.zeros(len(self.active)), np.full(len(self.active), np.inf)
         if len(self.active):
             self.x = start[self.active]
             self.around = self._evaluated(self.x)
 
     def _evaluated(self, x: Real) -> QuadraticModel:
         with np.errstate(all="ignore"):
-            return _finite(self.evaluate(x, self.active))
+            local = self.evaluate(x, self.active)
+            cost = np.where(np.isfinite(local.cost), local.cost, np.inf)
+            return QuadraticModel(cost, local.gradient, local.symmetric, local.free)
 
     def step(self, turn: int) -> None:
         """One iteration of all that still move."""
         convex = np.zeros(len(self.active), dtype=bool)
-        if turn >= self.patience:
+        if turn >= self.newton_from:
             self.around, convex = _curved(self.evaluate, self.x, self.active, self.around)
-            self.damping = np.where(convex & (turn == self.patience), 0.0, self.damping)
+            self.damping = np.where(convex & (turn == self.newton_from), 0.0, self.damping)
         x, around, damping = self.x, self.around, self.damping
         step, spread = _step(x, around, damping, convex, self.low, self.high)
         trial = np.clip(x + np.clip(np.nan_to_num(step), -self.longest, self.longest), self.low, self.high)
         there = self._evaluated(trial)
         usable = np.all(np.isfinite(step), axis=-1)
-        better = usable & (there.cost <= around.cost * (1 + 1e-12) + 1e-12)
+        with np.errstate(all="ignore"):  # steps from where there is no cost yet, or into the infinite
+            promised, blur = _promised(around, trial - x), BLUR * np.abs(around.cost)
+            # A step that promises less than the rounding of the cost is not refused for that rounding.
+            allowed = np.where(promised <= blur, blur, 1e-12 * around.cost + 1e-12)
+            better = usable & (there.cost <= around.cost + allowed)
+            # Damping after a step that lowered the cost: a third where it kept its promise, as before where
+            # it hardly did
+            with np.errstate(all="ignore"):
+                kept = np.nan_to_num((around.cost - there.cost) / promised)
+            factor = np.where(kept > 0.75, 1 / 3, np.where(kept > 0.25, 0.7, 1.0))
+            calm = np.where(damping * factor > 1e-7, damping * factor, 0.0)
+            length = np.max(np.abs(trial - x) / spread, axis=-1)
         near = max(self.tolerance, min(self.tolerance * 10.0 ** (turn // self.patience - 1), ROUNDING))
         small = np.all(np.abs(trial - x) <= np.maximum(near * spread, 1e-13 * np.abs(x)), axis=-1)
-        with np.errstate(all="ignore"):  # steps from where there is no cost yet, or into the infinite
-            calm = _calmer(damping, around.cost - there.cost, _promised(around, trial - x))
         self.x = np.where(better[:, None], trial, x)
         self.around = there.where(better, around)
-        # A tiny full step ends the search.  So does a tiny rejected one: nothing lower is left within rounding.
-        done = small & usable & ((damping == 0) | ~better)
+        # A tiny full step ends the search.  So does a tiny rejected one: nothing lower is left within rounding; and one
+        # that grows where the cost can tell nothing: only rounding of the slope makes it.
+        grows = (length <= ROUNDING) & (length >= self.length) & (promised <= blur)
+        done = (small | grows) & usable & ((damping == 0) | ~better)
+        self.length = np.where(better & (damping == 0), length, np.inf)
         self.damping = np.where(better, np.where(small, 0.0, calm), np.maximum(damping * 3, 1e-5))
         self._record(done)
 
@@ -184,6 +200,7 @@ class _Search:
         keep = ~(done | (self.damping > 1e14))
         if not np.all(keep):
             self.active, self.x, self.damping = active[keep], self.x[keep], self.damping[keep]
+            self.length = self.length[keep]
             self.around = self.around.rows(keep)
 
 
@@ -199,8 +216,9 @@ def _curved(
     with np.errstate(all="ignore"):
         spread = 1 / np.sqrt(np.diagonal(around.symmetric, axis1=-2, axis2=-1))
         width = 1e-4 * np.where(np.isfinite(spread), spread, 1.0)
-        # All unknowns of one repeat at once, for a call costs more than its few numbers; many repeats one by one.
-        together = m if len(x) <= FEW else 1
+        # Several unknowns at once where they are few, for a call costs more than its numbers; of many, what one call
+        # holds grows with the square of their number.
+        together = max(1, min(m, TOGETHER // (m * len(x))))
         columns = []
         for first in range(0, m, together):
             moved = [x + width[:, j, None] * np.eye(m)[j] for j in range(first, min(first + together, m))]
@@ -219,21 +237,7 @@ def _curved(
 def _promised(around: QuadraticModel, step: Real) -> Real:
     """By how much a step would lower the cost were it the parabola that Gauss and Newton take it for."""
     bent = np.einsum("ki,kij,kj->k", step, around.symmetric, step)
-    fall: Real = 2 * np.sum(around.gradient * step, axis=-1) - bent
-    return fall
-
-
-def _calmer(damping: Real, gained: Real, promised: Real) -> Real:
-    """Damping after a step that lowered the cost: a third where it kept its promise, as before where it hardly did."""
-    with np.errstate(all="ignore"):
-        kept = np.nan_to_num(gained / promised)
-    factor = np.where(kept > 0.75, 1 / 3, np.where(kept > 0.25, 0.7, 1.0))
-    return np.where(damping * factor > 1e-7, damping * factor, 0.0)
-
-
-def _finite(local: QuadraticModel) -> QuadraticModel:
-    cost = np.where(np.isfinite(local.cost), local.cost, np.inf)
-    return QuadraticModel(cost, local.gradient, local.symmetric, local.free)
+    return 2 * np.sum(around.gradient * step, axis=-1) - bent
 
 
 def _step(

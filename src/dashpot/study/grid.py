@@ -14,8 +14,8 @@ from dashpot.arrays import Ints
 from dashpot.channel import Channel
 from dashpot.errors import UsageError
 from dashpot.io.words import listed
-from dashpot.model.channel_noise import with_relative_noise
 from dashpot.model.network import Model
+from dashpot.model.observation import with_relative_noise
 from dashpot.study.scenario import Scenario
 from dashpot.study.simulate import Dwells, NoiseBasis, dwells, with_constant_noise
 

@@ -13,15 +13,13 @@ from pathlib import Path
 from typing import Any
 
 from dashpot.errors import DashpotError, UsageError
-from dashpot.io.atomic import PART, remove_parts, write_text
+from dashpot.io.atomic import LOCK, PART, locked, remove_parts, write_text
 from dashpot.io.json_document import from_json, to_json
-from dashpot.io.lock import LOCK, locked
 from dashpot.notices import Notice
 from dashpot.study.grid import Study, scenarios
-from dashpot.study.montecarlo import BLOCK, Map, Results, Task, run_scenarios, run_task
+from dashpot.study.montecarlo import BLOCK, LEVELS, Map, Results, Summary, Task, run_scenarios, run_task
 from dashpot.study.scenario import Scenario
 from dashpot.study.store import State, write_table
-from dashpot.study.summary import LEVELS, Summary
 
 FORMAT = 3
 

@@ -21,9 +21,17 @@ from dashpot.estimate.identify import automatic, identify
 from dashpot.estimate.likelihood.maximum_likelihood import MaximumLikelihood
 from dashpot.estimate.registry import method_class
 from dashpot.model.network import Model
-from dashpot.study.fingerprint import fields_of, fingerprint_of
-from dashpot.study.nonlinear_motion import SettledMotion, settled_motion, settled_spectrum
-from dashpot.study.simulate import Dwells, NoiseBasis, clean_spectrum, simulate_spectrum, with_noise_drawn
+from dashpot.study.simulate import (
+    Dwells,
+    NoiseBasis,
+    SettledMotion,
+    clean_spectrum,
+    settled_motion,
+    settled_spectrum,
+    simulate_spectrum,
+    with_noise_drawn,
+)
+from dashpot.study.store import fields_of, fingerprint_of
 
 
 @dataclass(frozen=True)

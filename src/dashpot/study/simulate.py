@@ -19,12 +19,212 @@ from numpy.polynomial.legendre import legvander
 from dashpot.arrays import Complex, Ints, Real, freeze
 from dashpot.channel import Channel, Quantity
 from dashpot.data.record import Record
-from dashpot.data.spectrum import Moments, Spectrum
-from dashpot.errors import DataError, UsageError
-from dashpot.model.channel_noise import noise_sd
+from dashpot.data.spectrum import Moments, SettledDwell, Spectrum
+from dashpot.errors import ConvergenceError, DataError, UsageError
+from dashpot.estimate.nonlinear.record_problem import enough_substeps
+from dashpot.estimate.nonlinear.records import (
+    RecordData,
+    ShownInputs,
+    beside_bases,
+    measured_inputs,
+    shown_outputs,
+    uniform_step,
+)
+from dashpot.estimate.result import Estimate
 from dashpot.model.dynamics import response, unit_forces
+from dashpot.model.motion import channel_samples, integrator
 from dashpot.model.network import Model
-from dashpot.model.observation import channel_amplitudes, input_channels, measures_input, observation_model
+from dashpot.model.nonlinear.backbone import channel_harmonics
+from dashpot.model.nonlinear.continuation import grown_from_rest
+from dashpot.model.nonlinear.harmonic_balance import Periodic, periodic_response, settled_orders
+from dashpot.model.nonlinear.harmonics import Drive
+from dashpot.model.nonlinear.integration import Integrator, forcing
+from dashpot.model.nonlinear.moving_base import moving_rig
+from dashpot.model.nonlinear.shooting import integrate
+from dashpot.model.observation import (
+    ObservationModel,
+    channel_amplitudes,
+    input_channels,
+    measures_input,
+    noise_sd,
+    observation_model,
+)
+
+# The motion of a rig under a record of its inputs, as its channels would show it.
+
+
+DEGREE = 7  # of the splines that shift late channels: exact to 1e-3 at four samples a cycle
+
+
+def driven_record(
+    model: Model, theta: Real, channels: Sequence[Channel], drive: Record, rng: np.random.Generator
+) -> Record:
+    """What the channels show while the inputs do what `drive` measured, from rest; noise included.
+
+    Noise is that of each channel's `noise`, and its `relative_noise` of the channel's largest value.  Inputs that are
+    measured as velocity or acceleration are integrated, their mean being taken for the sensor's offset.  Known delays
+    of the inputs are taken out, those of `channels` put in; before its start nothing moves.
+    Raises DataError where an input is not in `drive` or a channel of a nonlinear rig measures forces in elements,
+    ModelError where a linear rig has no motion in time, ConvergenceError where the motion cannot be followed.
+    theta (unknowns,), SI units.
+    """
+    channels = tuple(channels)
+    step = uniform_step(drive)
+    drive = _on_time(drive, step)
+    view = observation_model(model, channels, np.ones(1))
+    if len(model.nonlinear):
+        values = _nonlinear(view, theta, drive.source, step, measured_inputs(model, drive))
+    else:
+        p = model.parameters(theta)
+        inputs = measured_inputs(model, _as_moved(model, drive, step)).values
+        values = channel_samples(view, p, integrator(model, p, step).motion(inputs))
+    given = {(tuple(c.of.items()), c.quantity): number for number, c in enumerate(drive.channels)}
+    for c, channel in enumerate(channels):
+        number = given.get((tuple(channel.of.items()), channel.quantity))
+        if number is not None and measures_input(model, channel):
+            values[:, c] = drive.values[:, number] / drive.channels[number].factor
+    sd = noise_sd(channels, np.max(np.abs(values), axis=0)[None].astype(complex))[0]
+    values = _later(values, _delays(channels) / step) + sd * rng.standard_normal(values.shape)
+    factor = np.array([channel.factor for channel in channels])
+    return Record(channels, drive.time, factor * values, source="simulation")
+
+
+def _on_time(drive: Record, step: float) -> Record:
+    """The record with known delays taken out."""
+    channels = tuple(c if c.delay is None else replace(c, delay=0.0) for c in drive.channels)
+    return replace(drive, channels=channels, values=_later(drive.values, -_delays(drive.channels) / step))
+
+
+def _delays(channels: Sequence[Channel]) -> Real:
+    """Delays of the channels, (channels,) s, 0 where they are unknown."""
+    return np.array([0.0 if channel.delay is None else channel.delay for channel in channels])
+
+
+def _as_moved(model: Model, drive: Record, step: float) -> Record:
+    """The record with inputs as displacements where no sensor shows them as such."""
+    channels, values = list(drive.channels), np.array(drive.values)
+    moved = [
+        c
+        for c, channel in enumerate(channels)
+        if measures_input(model, channel) and channel.quantity is not Quantity.FORCE
+    ]
+    shown = {
+        point for c in moved if channels[c].quantity is Quantity.DISPLACEMENT for point in channels[c].of
+    }
+    for c in moved:
+        times = {Quantity.VELOCITY: 1, Quantity.ACCELERATION: 2}.get(channels[c].quantity, 0)
+        if times and not set(channels[c].of) <= shown:
+            values[:, c] = _integrated(values[:, c], step, times)
+            channels[c] = replace(channels[c], quantity=Quantity.DISPLACEMENT)
+    return replace(drive, channels=tuple(channels), values=values)
+
+
+def _integrated(rates: Real, step: float, times: int) -> Real:
+    """Samples (samples,) less their mean, integrated so many times from rest."""
+    from scipy.interpolate import CubicSpline
+
+    time = step * np.arange(len(rates))
+    spline = CubicSpline(time, rates - np.mean(rates)).antiderivative(times)
+    return np.asarray(spline(time), dtype=np.float64)
+
+
+def _later(values: Real, steps: Real) -> Real:
+    """Samples (samples, channels), each channel later by so many steps (channels,); its ends go on as they are."""
+    from scipy.interpolate import make_interp_spline
+
+    out = np.array(values, dtype=np.float64)
+    index = np.arange(len(values), dtype=np.float64)
+    degree = min(DEGREE, (len(values) - 1) // 2 * 2 - 1)
+    for c in np.flatnonzero(steps) if degree > 0 else ():
+        at = np.clip(index - steps[c], 0.0, index[-1])
+        out[:, c] = make_interp_spline(index, values[:, c], k=degree)(at)
+    return out
+
+
+def _nonlinear(view: ObservationModel, theta: Real, source: str, step: float, shown: ShownInputs) -> Real:
+    """What the channels of a nonlinear rig show, (samples, channels)."""
+    model, channels = view.model, view.channels
+    forces = [c.name for c in channels if c.quantity is Quantity.FORCE and not measures_input(model, c)]
+    if forces:
+        raise DataError(
+            f"channel {forces[0]} measures the force in elements, which records in time do not show",
+            cure="leave it out of the rig file",
+        )
+    count = len(channels)
+    data = RecordData(
+        source, step, tuple(channel.name for channel in channels), shown.values, np.zeros((len(shown.values), count)),
+        view.on_x, view.on_q, tuple(int(order) for order in view.derivative), (-1,) * count, (False,) * count,
+    )  # fmt: skip
+    data = beside_bases(model, data, shown.orders)
+    substeps = 2 * enough_substeps(model, theta, step)
+    machine = Integrator(
+        moving_rig(model, data.bases), theta, forcing(step, data.inputs, data.rated), substeps
+    )
+    # The state (states,) in which the rig does not move, though a base may whose velocity is known
+    start, bases, n = np.zeros(machine.states), data.bases, model.n
+    rates = np.where(np.array(bases.orders) == 1, data.inputs[0, len(model.inputs) - len(bases.names) :], 0.0)
+    start[machine.model.n : machine.model.n + n] = -bases.matrix(model.coordinates) @ rates
+    start[machine.model.n + n : 2 * machine.model.n] = rates
+    motion = integrate(machine, start)
+    if not motion.closed:
+        raise ConvergenceError("the motion cannot be followed", cure="sample the input faster, or drive less")
+    values = shown_outputs(machine, data, motion)[0]
+    for c in (c for c, channel in enumerate(channels) if channel.quantity is Quantity.FORCE):
+        values[:, c] = data.inputs @ data.on_q[c]
+    return values
+
+
+# The response to a record of the inputs that an estimate predicts, with what its uncertainty makes of it.
+
+
+STEP = 0.1  # standard deviations of an unknown, of the central differences
+
+
+def response_band(
+    model: Model, estimate: Estimate, channels: Sequence[Channel], drive: Record
+) -> tuple[Record, Real]:
+    """What the channels would show under the inputs of `drive`, from rest, without noise, and its standard deviation.
+
+    The second is (samples, channels) in the units of the record's values: √(g Σ gᵀ) with the slopes g of each sample
+    and the covariance Σ of the estimate.  Gains, delays and signs are those of the estimate where it has them.
+    Raises DataError where the estimate is not of this rig, and as `driven_record`.
+    """
+    estimate.require_unknowns(model.unknown_names)
+    m, names = len(model.unknowns), estimate.names
+    nobody = np.random.default_rng(0)  # the channels have no noise to draw
+
+    def shown(psi: Real) -> Record:
+        calibrated = _Calibrated(dict(zip(names, psi.tolist(), strict=True)), estimate.signs)
+        moved = replace(drive, channels=tuple(map(calibrated, drive.channels)))
+        return driven_record(model, psi[:m], tuple(map(calibrated, channels)), moved, nobody)
+
+    psi, covariance = np.array(estimate.values), np.array(estimate.covariance)
+    predicted = shown(psi)
+    sd = np.sqrt(np.maximum(np.diagonal(covariance), 0.0))
+    slopes = np.zeros((*predicted.values.shape, len(psi)))
+    for j in np.flatnonzero(sd > 0):
+        away = STEP * sd[j] * np.eye(len(psi))[j]
+        slopes[..., j] = (shown(psi + away).values - shown(psi - away).values) / (2 * STEP * sd[j])
+    band = np.sqrt(np.maximum(np.einsum("sci,ij,scj->sc", slopes, covariance, slopes, optimize=True), 0.0))
+    return predicted, band
+
+
+@dataclass(frozen=True)
+class _Calibrated:
+    """Channels without noise, with the gains, delays and signs that an estimate found."""
+
+    values: Mapping[str, float]
+    signs: Mapping[str, Real]
+
+    def __call__(self, channel: Channel) -> Channel:
+        owner = channel.name if channel.same_gain_as is None else channel.same_gain_as
+        gain = self.values.get(f"{owner}.gain") if channel.gain is None else channel.gain
+        delay = self.values.get(f"{channel.name}.delay") if channel.delay is None else channel.delay
+        sign = channel.sign
+        if sign is None and channel.name in self.signs:
+            sign = float(self.signs[channel.name])
+        return replace(channel, noise=0.0, relative_noise=0.0, gain=gain, delay=delay, sign=sign)
+
 
 NoiseBasis = Literal["given", "estimated"]
 CACHED = 2**14  # random numbers at a time, which stay in the processor's cache
@@ -66,8 +266,7 @@ class Dwells:
         """Sample times of one dwell, (samples,), s."""
         count = int(self.samples[line])
         step = self.periods[line] / (count * self.frequency_hz[line])
-        times: Real = np.arange(count) * step
-        return times
+        return np.arange(count) * step
 
 
 def dwells(
@@ -219,8 +418,12 @@ def simulate_spectrum(
     with its degrees of freedom.  `drift` is the degree of the trend solved for (None: not even an offset), `moments`
     adds the second moments for the methods that work on samples.  The amplitudes depend on neither.
     p (elements,), SI units; `draws` repeats make a leading axis.  Raises DataError where a dwell has too few samples or
-    a channel measures what the rig has not, ModelError where the rig has no steady response.
+    a channel measures what the rig has not, ModelError where the rig has no steady response, UsageError where `draws`
+    or `drift` is negative.
     """
+    for name, count in {"draws": draws, "drift": drift}.items():
+        if count is not None and count < 0:
+            raise UsageError(f"{name} is {count}", cure="give a whole number from 0 on, or leave it out")
     channels = tuple(channels)
     Y = clean_amplitudes(model, p, channels, test)
     sd = noise_sd(channels, Y)
@@ -246,9 +449,7 @@ def simulate_spectrum(
         V = V[0] if V.ndim == 4 else V
         products = None if products is None else products[0]
     kept, experiment = None if products is None else Moments(products), np.zeros(lines, dtype=np.int64)
-    return Spectrum(
-        channels, test.frequency_hz, A, V, test.samples, dof, (basis,) * lines, experiment, kept
-    )  # fmt: skip
+    return Spectrum(channels, test.frequency_hz, A, V, test.samples, dof, (basis,) * lines, experiment, kept)
 
 
 def _with_errors(Y: Complex, root: Real, sd: Real, rng: np.random.Generator, draws: int) -> Complex:
@@ -367,3 +568,115 @@ def _moments(A: Complex, gram: Real, residual: Real) -> Real:
     channels = A.shape[-1]
     products[..., :channels, :channels] += residual
     return products
+
+
+# Simulated tests of rigs with nonlinear elements: settled dwells by harmonic balance, records by
+# integration.
+
+
+ORDERS = 7  # harmonics to begin with
+FINEST = 1e-6  # truncation error of the elongations
+SEEN = 5  # harmonics in tables of amplitudes
+
+
+@dataclass(frozen=True)
+class SettledMotion:
+    """Harmonics of the channels in every dwell, (dwells, H + 1, channels), SI units, of unknown calibrations 1."""
+
+    channels: tuple[Channel, ...]
+    harmonics: Complex
+
+
+def settled_motion(model: Model, theta: Real, channels: Sequence[Channel], test: Dwells) -> SettledMotion:
+    """The motion that each dwell of a test settles to, with as many harmonics as it needs; theta (unknowns,).
+
+    Where several motions are possible it is that which a drive raised slowly from rest leads to.
+    Raises ConvergenceError, which names the frequency, where none is found.
+    """
+    rows = len(test.frequency_hz)
+    U, f = (np.zeros((rows, ORDERS + 1, part.shape[1]), dtype=np.complex128) for part in (test.U, test.f))
+    U[:, 1], f[:, 1] = test.U, test.f
+    p, constants = (
+        np.tile(model.parameters(theta), (rows, 1)),
+        np.tile(model.inner_constants(theta), (rows, 1)),
+    )
+    drive = Drive(test.omega, U, f)
+    at = periodic_response(model, p, constants, drive)
+    if not np.all(at.converged):  # with few harmonics, which costs little
+        at = _followed(model, theta, drive, at)
+    at, drive = settled_orders(model, p, constants, drive, at.delta, tolerance=FINEST)
+    if not np.all(at.converged):
+        at = _followed(model, theta, drive, at)
+    return SettledMotion(tuple(channels), channel_harmonics(model, p, channels, drive, at))
+
+
+def _followed(model: Model, theta: Real, drive: Drive, at: Periodic) -> Periodic:
+    """The motions with those that Newton's method missed found by following the drive's growth, through folds.
+
+    Raises ConvergenceError, which names the frequency, where that fails as well.
+    """
+    delta = at.delta.copy()
+    for row in np.flatnonzero(~at.converged):
+        one = np.arange(len(drive.omega)) == row
+        try:
+            delta[row] = grown_from_rest(model, theta, drive.rows(one))
+        except ConvergenceError as error:
+            raise ConvergenceError(
+                f"harmonic balance finds no response at {drive.omega[row] / (2 * np.pi):g} Hz",
+                cure="drive less there, or leave it out",
+            ) from error
+    rows = len(delta)
+    p, constants = (
+        np.tile(model.parameters(theta), (rows, 1)),
+        np.tile(model.inner_constants(theta), (rows, 1)),
+    )
+    return periodic_response(model, p, constants, drive, delta)
+
+
+def settled_records(motion: SettledMotion, test: Dwells, rng: np.random.Generator) -> list[Record]:
+    """One steady record for each dwell, noise and known calibrations of the channels included."""
+    channels = motion.channels
+    sd = noise_sd(channels, motion.harmonics[:, 1])
+    factor = np.array([channel.factor for channel in channels])
+    delay = np.array([0.0 if channel.delay is None else channel.delay for channel in channels])
+    orders = np.arange(motion.harmonics.shape[1])
+    records = []
+    for line, omega in enumerate(test.omega):
+        time = test.time(line)
+        turns = np.exp(
+            1j * omega * orders[:, None] * (time[:, None, None] - delay)
+        )  # (samples, H + 1, channels)
+        values = np.sum((turns * motion.harmonics[line]).real, axis=1)
+        values = values + sd[line] * rng.standard_normal(values.shape)
+        frequency = float(test.frequency_hz[line])
+        source = f"simulation at {frequency:g} Hz"
+        records.append(Record(channels, time, factor * values, frequency, source=source))
+    return records
+
+
+def settled_spectrum(
+    motion: SettledMotion, test: Dwells, rng: np.random.Generator | None, *, draws: int | None = None
+) -> Spectrum:
+    """Amplitudes of the first harmonics of each dwell, as white noise on the samples of whole periods leaves them.
+
+    `draws` repeats make a leading axis; without `rng` the amplitudes are exact and the covariance is that of noise.
+    """
+    channels, dwells = motion.channels, len(test.frequency_hz)
+    count = min(SEEN, motion.harmonics.shape[1] - 1)
+    sd = noise_sd(channels, motion.harmonics[:, 1]) * np.sqrt(2 / test.samples)[:, None]  # of Re and Im, each
+    Y = motion.harmonics[:, 1 : count + 1].reshape(dwells * count, -1)
+    spread = np.repeat(sd, count, axis=0)
+    shape = (2, *(() if draws is None else (draws,)), *Y.shape)
+    error = np.zeros(shape) if rng is None else rng.standard_normal(shape)
+    return Spectrum(
+        channels,
+        np.outer(test.frequency_hz, np.arange(1, count + 1)).ravel(),
+        Y + spread * (error[0] + 1j * error[1]),
+        ((2 * spread[..., None] ** 2) * np.eye(len(channels))).astype(np.complex128),
+        np.repeat(test.samples, count),
+        np.full(len(Y), np.inf),
+        ("given",) * len(Y),
+        np.zeros(len(Y), dtype=np.int64),
+        stretch=np.repeat(np.arange(dwells), count),
+        stretches=tuple(SettledDwell(float(f)) for f in test.frequency_hz),
+    )

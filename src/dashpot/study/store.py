@@ -9,7 +9,8 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, fields, is_dataclass, replace
+from enum import Enum
 from functools import cache
 from pathlib import Path
 from typing import Any, Literal
@@ -17,8 +18,47 @@ from typing import Any, Literal
 import numpy as np
 
 from dashpot.errors import DataError
-from dashpot.io.arrow_arrays import array_of, arrow_table
 from dashpot.io.atomic import write_bytes
+from dashpot.io.json_document import array_of, arrow_table
+
+# Fingerprints: digests of values of which every bit counts and no order that means nothing.
+
+
+def fingerprint_of(value: object) -> str:
+    """SHA-256 of the canonical form of a value: equal values have equal ones, whoever computes them.
+
+    Raises TypeError for a value that has no canonical form.
+    """
+    return hashlib.sha256(json.dumps(_canonical(value)).encode()).hexdigest()
+
+
+def fields_of(value: object) -> list[tuple[str, object]]:
+    """Names and values of a dataclass's fields."""
+    assert is_dataclass(value)
+    return [(field.name, getattr(value, field.name)) for field in fields(value)]
+
+
+def _canonical(value: object) -> object:
+    """A value as JSON of which every bit counts and no order that means nothing: equal values give equal texts."""
+    if isinstance(value, Enum):
+        return _canonical(value.value)
+    if isinstance(value, np.ndarray | np.generic):
+        array = np.asarray(value)
+        return [str(array.dtype), list(array.shape), hashlib.sha256(array.tobytes()).hexdigest()]
+    if is_dataclass(value):
+        return {name: _canonical(content) for name, content in fields_of(value)}
+    if isinstance(value, Mapping):
+        return {str(key): _canonical(value[key]) for key in sorted(value)}
+    if isinstance(value, frozenset | set):
+        return [_canonical(entry) for entry in sorted(value)]
+    if isinstance(value, tuple | list):
+        return [_canonical(entry) for entry in value]
+    if isinstance(value, float):
+        return value.hex()
+    if value is None or isinstance(value, str | int):
+        return value
+    raise TypeError(f"{type(value).__name__} has no canonical form")
+
 
 WIDE = ("values", "sd", "half")  # one column an unknown
 METADATA = b"dashpot"  # the key in the file's metadata
@@ -57,7 +97,9 @@ def write_block(path: Path, block: Mapping[str, Mapping[str, np.ndarray]], label
     for name in WIDE:
         wide = np.concatenate([repeats[name] for repeats in block.values()])
         columns |= {f"{name}_{i}": np.ascontiguousarray(wide[:, i]) for i in range(wide.shape[1])}
-    write_table(path, columns, _meta(label, columns))
+    write_table(
+        path, columns, json.dumps({"label": asdict(label), "sha256": digest_of_columns(columns)}).encode()
+    )
 
 
 def read_block(path: Path, label: Label) -> Block:
@@ -118,10 +160,6 @@ def _by_method(columns: Mapping[str, np.ndarray], label: Label) -> Block:
             },
         }
     return blocks
-
-
-def _meta(label: Label, columns: Mapping[str, np.ndarray]) -> bytes:
-    return json.dumps({"label": asdict(label), "sha256": digest_of_columns(columns)}).encode()
 
 
 def digest_of_columns(columns: Mapping[str, np.ndarray]) -> str:

@@ -1,7 +1,5 @@
 """Narrow terminals lose nothing, odd names of files and parts do no harm, whatever way Python is started."""
 
-from __future__ import annotations
-
 import os
 import re
 import subprocess
@@ -91,3 +89,11 @@ def test_a_new_command_is_a_module_and_a_line(dashpot: Command, monkeypatch: pyt
     assert dashpot("greet").out == "hello\n"
     assert "Say hello." in dashpot("--help").out
     assert "did you mean greet?" in dashpot("gret").err[0]
+
+
+@pytest.mark.parametrize("epoch", ["nonsense", "9" * 20])
+def test_settings_of_other_programs_do_not_reach_figures(data: Path, tmp_path: Path, epoch: str) -> None:
+    words = [sys.executable, "-m", "dashpot", "draw", "rig.toml", "--out", "rig.pdf"]
+    around = os.environ | {"MPLBACKEND": "nonsense", "SOURCE_DATE_EPOCH": epoch}
+    done = subprocess.run(words, capture_output=True, text=True, cwd=tmp_path, env=around, check=False)
+    assert (done.returncode, done.stderr) == (0, "")

@@ -1,7 +1,5 @@
 """Data files named on the command line."""
 
-from __future__ import annotations
-
 import os
 
 import pytest

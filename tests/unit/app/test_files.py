@@ -1,20 +1,21 @@
 """No output of a call is an input of it, whatever the command and the option; and outputs that are full or closed."""
 
-from __future__ import annotations
-
+import json
 import os
+import re
 import signal
 import subprocess
 import sys
 from collections.abc import Iterator
 from importlib import import_module
+from itertools import combinations
 from pathlib import Path
 
 import click
 import pytest
 
 from dashpot.app.commands import COMMANDS
-from dashpot.app.files import InputFile, OutputFile, OutputFolder
+from dashpot.app.options import InputFile, OutputFile, OutputFolder
 from tests.unit.app.conftest import RIG, Command
 
 PATHS = (InputFile, OutputFile, OutputFolder)
@@ -28,15 +29,12 @@ def _command(name: str) -> click.Command:
     return found
 
 
-def _pairs() -> Iterator[tuple[str, str, str]]:
-    for name in COMMANDS:
-        parameters = _command(name).params
-        for one in parameters:
-            for other in parameters:
-                if isinstance(one.type, OutputFile) and isinstance(other.type, InputFile):
-                    assert one.name
-                    assert other.name
-                    yield name, one.name, other.name
+def _outputs(name: str) -> list[str]:
+    return [str(one.name) for one in _command(name).params if isinstance(one.type, OutputFile)]
+
+
+def _inputs(name: str) -> list[str]:
+    return [str(one.name) for one in _command(name).params if isinstance(one.type, InputFile)]
 
 
 def _arguments(command: click.Command, given: dict[str, str]) -> list[str]:
@@ -69,38 +67,43 @@ def _parameter(command: str, name: str) -> click.Parameter:
     return parameter
 
 
-@pytest.mark.parametrize("kind", ["same", "spelling", "symlink", "hard link"])
-@pytest.mark.parametrize(("name", "output", "source"), list(_pairs()))
-def test_no_output_is_an_input(dashpot: Command, name: str, output: str, source: str, kind: str) -> None:
+def _kept(dashpot: Command, name: str, output: str, source: str, kind: str = "same") -> None:
+    """A call that would overwrite what it reads is refused, and the file is as it was."""
     end = _end(_parameter(name, output))
     precious, soft, hard = (f"{stem}.{end}" for stem in ("precious", "soft", "hard"))
+    for path in (soft, hard):
+        Path(path).unlink(missing_ok=True)
     Path(precious).write_text("measured", encoding="utf-8")
-    other = {
-        "same": precious,
-        "spelling": f"../{Path.cwd().name}/./{precious}",
-        "symlink": soft,
-        "hard link": hard,
-    }[kind]
     os.symlink(precious, soft)
     os.link(precious, hard)
+    spelling = f"../{Path.cwd().name}/./{precious}"
+    other = {"same": precious, "spelling": spelling, "symlink": soft, "hard link": hard}[kind]
     ran = dashpot(name, *_arguments(_command(name), {output: other, source: precious}))
-    assert ran.code == 2, ran.err
+    assert (ran.code, len(ran.err)) == (2, 1), (output, source, ran.err)
     assert "this would overwrite a file that is read" in ran.err[0]
-    assert len(ran.err) == 1
     assert Path(precious).read_text(encoding="utf-8") == "measured"
+
+
+@pytest.mark.parametrize("kind", ["spelling", "symlink", "hard link"])
+def test_no_output_is_an_input_by_another_name(dashpot: Command, kind: str) -> None:
+    _kept(dashpot, "identify", "report", "data", kind)
+
+
+@pytest.mark.parametrize("name", [name for name in COMMANDS if _outputs(name) and _inputs(name)])
+def test_no_output_of_a_command_is_an_input(dashpot: Command, name: str) -> None:
+    for output in _outputs(name):
+        for source in _inputs(name):
+            _kept(dashpot, name, output, source)
 
 
 def test_two_outputs_are_two_files(dashpot: Command) -> None:
     for name in COMMANDS:
-        outputs = [p.name for p in _command(name).params if isinstance(p.type, OutputFile) and p.name]
-        for one in outputs:
-            for other in outputs:
-                if one != other:
-                    ends = [_end(_parameter(name, each)) for each in (one, other)]
-                    file = f"x.{next((end for end in ends if end != ANY), ANY)}"
-                    ran = dashpot(name, *_arguments(_command(name), {one: file, other: file, "rig": "r"}))
-                    assert ran.code == 2
-                    assert "two outputs have this name" in ran.err[0]
+        for one, other in combinations(_outputs(name), 2):
+            ends = [_end(_parameter(name, each)) for each in (one, other)]
+            file = f"x.{next((end for end in ends if end != ANY), ANY)}"
+            ran = dashpot(name, *_arguments(_command(name), {one: file, other: file, "rig": "r"}))
+            assert ran.code == 2
+            assert "two outputs have this name" in ran.err[0]
 
 
 def _of_formats() -> Iterator[tuple[str, str]]:
@@ -152,19 +155,14 @@ def test_the_data_of_a_comparison_are_kept(dashpot: Command, rig: Path, data: Pa
 
 def _process(*args: str, **options: object) -> subprocess.CompletedProcess[bytes]:
     return subprocess.run(  # type: ignore[call-overload, no-any-return]
-        [sys.executable, "-m", "dashpot", *args], stderr=subprocess.PIPE, timeout=120, **options
+        [sys.executable, "-m", "dashpot", *args], stderr=subprocess.PIPE, timeout=300, **options
     )
 
 
 @pytest.mark.skipif(not os.path.exists("/dev/full"), reason="this system has no /dev/full")
 def test_a_full_standard_output_is_told(tmp_path: Path) -> None:
     (tmp_path / "rig.toml").write_text(RIG, encoding="utf-8")
-    for args in (
-        ["check", "rig.toml"],
-        ["check", "rig.toml", "--json", "-"],
-        ["--version"],
-        ["check", "--help"],
-    ):
+    for args in (["check", "rig.toml", "--json", "-"], ["--version"], []):
         with open("/dev/full", "wb") as full:
             done = _process(*args, stdout=full, cwd=tmp_path)
         assert done.returncode == 2, args
@@ -179,14 +177,22 @@ def test_a_full_standard_output_is_told(tmp_path: Path) -> None:
 def test_closed_standard_streams_do_no_harm(tmp_path: Path) -> None:
     (tmp_path / "rig.toml").write_text(RIG, encoding="utf-8")
     done = subprocess.run(
-        ["sh", "-c", f'"{sys.executable}" -m dashpot check rig.toml --json out.json <&- >&- 2>&-'],
+        ["sh", "-c", f'"{sys.executable}" -m dashpot check rig.toml --json out.json <&- >&-'],
         cwd=tmp_path,
-        timeout=120,
+        timeout=300,
+        stderr=subprocess.PIPE,
+    )
+    assert done.returncode == 2
+    assert b"standard output" in done.stderr
+    done = subprocess.run(
+        ["sh", "-c", f'"{sys.executable}" -m dashpot check rig.toml --json out.json --quiet <&- 2>&-'],
+        cwd=tmp_path,
+        timeout=300,
     )
     assert done.returncode == 0
     assert (tmp_path / "out.json").read_text(encoding="utf-8").startswith("{\n")
     done = subprocess.run(
-        ["sh", "-c", f'"{sys.executable}" -m dashpot new other.toml <&-'], cwd=tmp_path, timeout=120
+        ["sh", "-c", f'"{sys.executable}" -m dashpot new other.toml <&-'], cwd=tmp_path, timeout=300
     )
     assert done.returncode == 0
 
@@ -223,8 +229,26 @@ def parts():
 cli.cli.main = lambda *_, **__: write_bytes("out", parts())
 cli.main()
 """
-    done = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, timeout=60, capture_output=True)
+    done = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, timeout=300, capture_output=True)
     assert done.returncode == 128 + getattr(signal, name)
     assert b"no file is left half-written" in done.stderr
     assert os.listdir(tmp_path) == ["out"]
     assert (tmp_path / "out").read_text(encoding="utf-8") == "old"
+
+
+def test_control_characters_of_names_labels_and_files_are_shown_escaped(dashpot: Command, data: Path) -> None:
+    evil = "\u202eevil\x1b[31m\ufffe"
+    rig = Path("rig.toml")
+    named = json.dumps(f"T{evil}\n    -1\n")
+    rig.write_text(re.sub("^name = .*", lambda _: f"name = {named}", rig.read_text("utf-8")), "utf-8")
+    data.rename(f"{evil}.csv")
+    told = dashpot("identify rig.toml --json out.json --report out.html --label", evil, f"{evil}.csv").out
+    assert "T\\u202eevil\\x1b[31m\\ufffe -1\n" in told
+    for to in ("out.uff", "out.m"):
+        assert dashpot("export out.json -o", to).code == 0
+    stored = json.loads(Path("out.json").read_text("utf-8")) | {"model": evil}  # not as dashpot writes it
+    Path("out.json").write_text(json.dumps(stored), encoding="utf-8")
+    told += dashpot("validate out.json --report valid.html", f"{evil}.csv").out
+    for text in (told, *(Path(n).read_text("utf-8") for n in ("out.uff", "out.m", "out.html", "valid.html"))):
+        assert "u202eevil" in text
+        assert not set(evil) & set(text) - set("evil[31m")

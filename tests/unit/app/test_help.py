@@ -1,7 +1,5 @@
 """Help, completion and the ways to start the command."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from importlib import import_module
@@ -16,8 +14,12 @@ from tests.unit.app.conftest import Command
 
 @pytest.mark.parametrize("name", list(COMMANDS))
 def test_help_groups_every_option_and_ends_with_examples(dashpot: Command, name: str) -> None:
-    out = dashpot(name, "--help").out
+    done = dashpot(f"{name} --help")
+    out = done.out
+    assert done.code == 0
+    assert out.startswith(f"Usage: dashpot {name}")
     assert "\nExamples:\n" in out
+    assert ("Exit codes:" in out) == ("5 not enough memory" in " ".join(out.split()))
     assert out.index("Positional arguments:") < out.index("General:") < out.index("Examples:")
     assert all(len(line) <= 80 for line in out[: out.index("Examples:")].splitlines())
 

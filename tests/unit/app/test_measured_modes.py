@@ -1,7 +1,5 @@
 """identify from a file of measured modes."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

@@ -1,21 +1,19 @@
 """Values of options: the same syntax in every command, and extreme numbers refused in one line."""
 
-from __future__ import annotations
-
 import json
 import os
 from contextlib import suppress
 from importlib import import_module
+from itertools import product
 from pathlib import Path
 
 import click
 import pytest
 
 from dashpot import quantities
-from dashpot.app import parameter_types as types
+from dashpot.app import options as types
 from dashpot.app.commands import COMMANDS
-from dashpot.app.files import InputFile, OutputFile, OutputFolder
-from dashpot.app.parameter_types import Count, TextType
+from dashpot.app.options import Count, InputFile, OutputFile, OutputFolder, TextType
 from dashpot.errors import UsageError
 from dashpot.model.rigfile import read_rig
 from tests.unit.app.conftest import Command
@@ -28,18 +26,17 @@ def commands() -> dict[str, click.Command]:
     return {name: import_module(f"dashpot.app.commands.{name}").command for name in COMMANDS}
 
 
-def numeric_options() -> list[tuple[str, str, str]]:
-    """(command, option, form) for every option that takes a number or a quantity, in every form that it takes."""
-    found = []
+def numeric_options() -> dict[str, tuple[str, str, list[str]]]:
+    """(command, option, forms that it takes) for every type of option that takes a number or a quantity."""
+    found = {}
+    others = InputFile | OutputFile | OutputFolder | click.Choice | click.types.StringParamType
     for name, command in commands().items():
         for parameter in command.params:
             takes_value = isinstance(parameter, click.Option) and not parameter.is_flag
-            if takes_value and not isinstance(
-                parameter.type,
-                InputFile | OutputFile | OutputFolder | click.Choice | click.types.StringParamType,
-            ):
-                found += [(name, parameter.opts[0], form) for form in FORMS if taken(parameter, form)]
-    return found
+            if takes_value and not isinstance(parameter.type, others):
+                forms = [form for form in FORMS if taken(parameter, form)]
+                found.setdefault(repr(vars(parameter.type)), (name, parameter.opts[0], forms))
+    return {f"{command} {option}": (command, option, forms) for command, option, forms in found.values()}
 
 
 def taken(parameter: click.Parameter, form: str) -> bool:
@@ -51,10 +48,9 @@ def taken(parameter: click.Parameter, form: str) -> bool:
     return False
 
 
-@pytest.mark.parametrize(("command", "option", "form"), numeric_options())
-def test_extreme_numbers_are_refused_in_one_line(
-    dashpot: Command, rig: Path, command: str, option: str, form: str
-) -> None:
+@pytest.mark.parametrize("case", numeric_options())
+def test_extreme_numbers_are_refused_in_one_line(dashpot: Command, rig: Path, case: str) -> None:
+    command, option, forms = numeric_options()[case]
     for name in ("data.csv", "estimate.json"):  # never read
         Path(name).write_text("{}", encoding="utf-8")
     before = sorted(os.listdir())
@@ -66,14 +62,13 @@ def test_extreme_numbers_are_refused_in_one_line(
         "export": ["rig.toml", "--out", "o.json"], "response": ["rig.toml", "--out", "o.svg"],
         "fleet": ["rig.toml", "data.csv", "--out", "o.parquet"],
     }  # fmt: skip
-    for extreme in EXTREMES:
+    for form, extreme in product(forms, EXTREMES):
         value = form.format(extreme)
         done = dashpot(command, *needed[command], f"{option}={value}")
         assert done.code == 2, (option, value, done)
         assert done.out == ""
         assert len(done.err) == 1
-        assert done.err[0].startswith("dashpot: ")
-        assert "Traceback" not in done.err[0]
+        assert f"'{option}'" in done.err[0], done.err  # not what the files say
     assert sorted(os.listdir()) == before
 
 
@@ -178,10 +173,7 @@ def test_design_after_records_conditions_them_as_identify_does(dashpot: Command,
     """What --settle discards counts as measured in neither."""
     counted = {}
     for settle in ("none", "200 ms"):
-        told = dashpot(
-            "design", "rig.toml", "--samples", "400", "--after", "data.csv", "--target", "1%", "--json", "-",
-            "--settle", settle,
-        )  # fmt: skip
+        told = dashpot("design rig.toml --samples 400 --after data.csv --target 1% --json - --settle", settle)
         assert told.code == 0, told.err
         assert dashpot("spectrum", "rig.toml", "data.csv", "-o", "a.csv", "--settle", settle).code == 0
         spectrum = read_rig("rig.toml").read("a.csv").spectrum()

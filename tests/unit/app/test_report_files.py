@@ -1,7 +1,5 @@
 """--report of every command that has one."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import re
@@ -24,10 +22,8 @@ def words(path: str) -> str:
 
 
 def test_identify(dashpot: Command, data: Path) -> None:
-    done = dashpot(
-        "identify", "rig.toml", "data.csv", "--report", "r.html", "--json", "e.json", "--seed", "3", "-q"
-    )
-    assert done.code == 0
+    sent = "--report", "r.html", "--json", "e.json", "--seed", "3", "-q"
+    assert dashpot("identify", "rig.toml", "data.csv", *sent).code == 0
     text = words("r.html")
     assert "dashpot identify rig.toml data.csv --report r.html --json e.json --seed 3 -q" in text
     assert hashlib.sha256(Path("data.csv").read_bytes()).hexdigest() in text
@@ -38,15 +34,13 @@ def test_identify(dashpot: Command, data: Path) -> None:
     assert "--seed 3" in text
 
 
-def test_labels_head_every_report(dashpot: Command, data: Path) -> None:
+def test_labels_head_a_report(dashpot: Command, data: Path) -> None:
     Path("u.toml").write_text(UNDETERMINED, encoding="utf-8")
     labels = ("--label", "Client: <A> & Sons", "--label", "  Test 12,\n run 3 ")
-    for line in ("identify rig.toml data.csv", "check u.toml", "compare rig.toml data.csv"):
-        done = dashpot(*line.split(), *labels, "--report", "r.html")
-        assert done.code == (3 if "u.toml" in line else 0)
-        html = Path("r.html").read_text(encoding="utf-8")
-        first = html[: html.index('class="verdict')]
-        assert "<li>Client: &lt;A&gt; &amp; Sons</li><li>Test 12, run 3</li>" in first
+    assert dashpot("check", "u.toml", *labels, "--report", "r.html").code == 3
+    html = Path("r.html").read_text(encoding="utf-8")
+    first = html[: html.index('class="verdict')]
+    assert "<li>Client: &lt;A&gt; &amp; Sons</li><li>Test 12, run 3</li>" in first
     done = dashpot("identify", "rig.toml", "data.csv", *labels)
     assert done.code == 2
     assert "give --report" in done.err[0]
@@ -76,10 +70,11 @@ def test_compare_check_design_validate(dashpot: Command, data: Path) -> None:
         "validate e.json data.csv --figure v.pdf",
     ):
         command = line.split()[0]
-        done = dashpot(*line.split(), "--report", f"{command}.html", "-q")
+        done = dashpot(*line.split(), "--report", f"{command}.html", "--label", "Test 12", "-q")
         assert (done.code, done.err) == (0, []), line
         text = words(f"{command}.html")
         assert f"dashpot {line} --report" in text
+        assert "<li>Test 12</li>" in Path(f"{command}.html").read_text(encoding="utf-8")
         assert "What next" in text
     assert "Use the values of oiv" in words("compare.html")
     assert "All unknowns can be found" in words("check.html")
@@ -107,6 +102,9 @@ def test_without_a_browser_pdf_is_refused_before_the_work(
     assert len(done.err) == 1
     assert "name the report .html" in done.err[0]
     assert done.out == ""
+    Path("r.pdf").symlink_to("data.csv")
+    done = dashpot("identify", "--report", "r.pdf", "rig.toml", "data.csv")
+    assert "overwrite" in done.err[0]
 
 
 def test_a_browser_that_fails_leaves_no_file(

@@ -1,7 +1,5 @@
 """Processes that share out work, and what is left of them."""
 
-from __future__ import annotations
-
 import os
 import signal
 import struct
@@ -55,7 +53,6 @@ def _half_told(path: Path) -> None:
     frame: FrameType | None = sys._getframe()
     while frame is not None and "result_queue" not in frame.f_locals:
         frame = frame.f_back
-    assert frame is not None
     os.write(frame.f_locals["result_queue"]._writer.fileno(), struct.pack("!i", 1000))
     path.touch()
     time.sleep(600)

@@ -1,18 +1,15 @@
 """Weak combinations, and lines that carry nothing."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from dashpot.check.chi2_surface import chi2_surface
-from dashpot.check.collinearity import collinearity
+from dashpot.check.data_findings import collinearity
+from dashpot.check.profile import chi2_surface
 from dashpot.data.spectrum import Spectrum
 from dashpot.estimate.identify import identify
-from dashpot.model.elements import Kind, between, mass
-from dashpot.model.network import Input, Model
+from tests.networks import network
 from tests.rigs import Rig, channels, covariance, noisy, paper_rig
 
 
@@ -23,13 +20,7 @@ def measured(rig: Rig, noise: float = 0.03, seed: int = 1) -> Spectrum:
 
 def two_dampers() -> Rig:
     """A damper and a hysteretic one side by side, lines within 2 %: only ω c + h is seen well."""
-    model = Model(
-        ("x",), (Input("u"),),
-        (
-            mass("m", "x", value=1.0), between("k", Kind.SPRING, "x", "u"), between("c", Kind.DAMPER, "x", "u"),
-            between("h", Kind.HYSTERETIC, "x", "u"),
-        ),
-    )  # fmt: skip
+    model = network("x", "u", "m@x=1 k:x-u c:x-u h:x-u")
     f = np.array([2.97, 3.0, 3.03])
     return Rig(model, np.array([400.0, 2.0, 40.0]), f, np.full((3, 1), 1e-2 + 0j), np.zeros((3, 0), complex))
 

@@ -1,30 +1,23 @@
 """Intervals follow χ² where it is no parabola, by themselves; elsewhere nothing changes."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from dashpot.channel import Quantity
-from dashpot.check.curvature import bent_unknowns, with_profile_intervals
 from dashpot.check.diagnosis.diagnose import examined
-from dashpot.check.profile import profile
+from dashpot.check.profile import bent_unknowns, profile, with_profile_intervals
 from dashpot.estimate.identify import automatic, identify
 from dashpot.estimate.likelihood.maximum_likelihood import MaximumLikelihood
-from dashpot.estimate.likelihood.residual_noise import with_residual_noise
+from dashpot.estimate.likelihood.table_noise import with_residual_noise
 from dashpot.estimate.result import Estimate
-from dashpot.model.elements import Kind, between, mass
-from dashpot.model.network import Input, Model
 from dashpot.present.text.estimate import profiles_in_words
 from tests import rigs
+from tests.networks import network
 from tests.whole_rigs import four_seen_at_two
 
-RIG = Model(
-    ("x",), (Input("u"),),
-    (mass("m", "x", value=1.0), between("c", Kind.DAMPER, "x", "u"), between("k", Kind.SPRING, "x", "u")),
-)  # fmt: skip
+RIG = network("x", "u", "m@x=1 c:x-u k:x-u")
 TRUTH = np.array([4.0, 400.0])
 
 

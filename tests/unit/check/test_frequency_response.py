@@ -1,16 +1,14 @@
 """Responses as they are shown: in the input's own quantity, with a band that Monte Carlo confirms."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
-from dashpot import Channel, Input, Kind, Model, Quantity, between, dwells, identify, mass, simulate_spectrum
-from dashpot.check.frequency_response import FrequencyResponse, responses_of_channels
-from dashpot.check.residuals import residuals
+from dashpot import Channel, Quantity, dwells, identify, simulate_spectrum
+from dashpot.check.residuals import FrequencyResponse, residuals, responses_of_channels
 from dashpot.data.conditioning.lines import spectrum as lines_of
 from dashpot.estimate.result import Estimate
 from dashpot.model.dynamics import response
+from tests.networks import network
 from tests.two_masses import SHAKEN, SHAKEN_TRUTH
 from tests.whole_rigs import chain, record_of
 
@@ -85,11 +83,7 @@ def test_the_band_is_as_wide_as_estimates_scatter() -> None:
 
 
 def test_several_inputs_at_once_have_no_response() -> None:
-    model = Model(
-        ("x",),
-        (Input("u"), Input("f", "force", {"x": 1.0})),
-        (mass("m", "x"), between("k", Kind.SPRING, "x", "u")),
-    )
+    model = network("x", "u f@x", "m@x k:x-u")
     channels = (
         Channel("x", {"x": 1.0}, noise=0.1),
         Channel("u", {"u": 1.0}),

@@ -1,17 +1,18 @@
 """Rigs that cannot be found: exact ranks, directions, what would help."""
 
-from __future__ import annotations
-
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
 
 from dashpot import parse_rig
 from dashpot.channel import Channel, Quantity
-from dashpot.check.directions import LinesAtHand
-from dashpot.check.identifiability import Structure, structure
+from dashpot.check import identifiability
+from dashpot.check.identifiability import Structure, determines, structure
+from dashpot.check.structure import LinePattern, LinesAtHand, exact, lines_of
 from dashpot.errors import IdentifiabilityError
+from dashpot.numerics import finite_field as field
 from tests.rigs import channels, paper_rig, perfect, random_rig
 from tests.two_masses import two_mass_rig
 
@@ -87,6 +88,53 @@ def test_an_input_that_was_never_driven() -> None:
     assert structure(rig.model, seen, perfect(rig, seen)).identifiable
     still = replace(rig, U=rig.U * 0.0)
     assert structure(rig.model, seen, perfect(still, seen)).rank == 0
+
+
+def test_some_of_the_lines_decide_as_all_of_them_do() -> None:
+    rng = np.random.default_rng(7)
+    decided = []
+    for _ in range(60):
+        rig = random_rig(rng, int(rng.integers(1, 5)), known=float(rng.choice([0.0, 0.3])))
+        seen = channels(rig)
+        lines = int(rng.integers(1, 12))
+        present = rng.random((lines, len(seen))) < rng.choice([0.3, 0.7, 1.0])
+        driven = rng.random((lines, len(rig.model.inputs))) < 0.8
+        pattern = LinePattern(np.arange(lines), present, driven)
+        all_lines = exact(rig.model, seen, pattern, np.random.default_rng(1))
+        full = field.rank(all_lines.rows) == all_lines.rows.shape[1]
+        assert determines(rig.model, tuple(seen), pattern) == full
+        decided.append(full)
+    assert 10 < sum(decided) < 50
+
+
+def test_the_answer_is_kept_for_a_rig_its_channels_and_its_lines(monkeypatch: pytest.MonkeyPatch) -> None:
+    """An equal rig asks no more; another value, channel or pattern of lines does."""
+    asked: list[int] = []
+
+    def counted(*arguments: Any) -> Any:
+        asked.append(1)
+        return exact(*arguments)
+
+    monkeypatch.setattr(identifiability, "exact", counted)
+    determines.cache_clear()
+    rig = paper_rig()
+    seen = tuple(channels(rig))
+    lines = lines_of(rig.model, perfect(rig, seen))
+    assert determines(rig.model, seen, lines)
+    assert determines(paper_rig().model, tuple(channels(rig)), lines_of(rig.model, perfect(rig, seen)))
+    assert len(asked) == 1
+    first, *rest = rig.model.elements
+    known = replace(rig.model, elements=(replace(first, value=1.0), *rest))
+    idle = LinePattern(lines.frequency, lines.present, np.zeros_like(lines.driven))
+    for others in (
+        (known, seen, lines),
+        (rig.model, (replace(seen[0], gain=None), *seen[1:]), lines),
+        (rig.model, seen, idle),
+    ):
+        before = len(asked)
+        determines(*others)
+        assert len(asked) > before
+    determines.cache_clear()
 
 
 def test_combinations_are_coefficients_of_what_can_be_found() -> None:

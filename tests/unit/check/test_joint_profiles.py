@@ -1,14 +1,12 @@
 """Intervals where χ² has several valleys: they reach as far as χ² is low, whichever profile found it."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from dashpot.arrays import Real
-from dashpot.check.curvature import with_profile_intervals
+from dashpot.check.profile import with_profile_intervals
 from dashpot.data.spectrum import Spectrum
 from dashpot.errors import IdentifiabilityError
 from dashpot.estimate.automatic import identify_automatically

@@ -1,7 +1,5 @@
 """The verdict of parts that are merged: of their estimates together, and of how many fit by themselves."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -9,12 +7,12 @@ import numpy as np
 import pytest
 
 from dashpot.check.diagnosis.diagnose import examined
-from dashpot.check.merged_parts import merged_parts
 from dashpot.data.spectrum import Spectrum
 from dashpot.estimate.assessment import Assessment, Judgement
 from dashpot.estimate.identify import identify
 from dashpot.estimate.result import Estimate
-from dashpot.model.channel_noise import with_relative_noise
+from dashpot.fleet.record_parts import merged_parts
+from dashpot.model.observation import with_relative_noise
 from dashpot.model.rigfile import parse_rig
 from dashpot.notices import Notice
 from dashpot.study.simulate import dwells, simulate_spectrum
@@ -57,7 +55,6 @@ def judged(estimate: Estimate, verdict: Judgement, *reasons: Notice) -> Estimate
 
 def test_sound_parts_fit_together_and_it_is_said_how_they_scatter() -> None:
     estimate = merged_parts(READ.model, NAMES, parts())
-    assert estimate.assessment is not None
     assert estimate.assessment.verdict == "fits"
     assert estimate.notes[0].code == "parts_merged"
     assert str(estimate.notes[0]).startswith("6 parts of the data")

@@ -1,7 +1,5 @@
 """The verdict on measured modes: mistakes are named first, clean tests pass as often as χ² says."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -92,8 +90,7 @@ def test_stated_values_that_contradict_each_other_are_both_named() -> None:
     """Modes show ratios: a spring stated too stiff is a mass stated too heavy."""
     model, data = clean(k1={"value": 4000.0})
     stated = replace(
-        model,
-        elements=tuple(replace(e, value=5200.0) if e.name == "k1" else e for e in model.elements),
+        model, elements=tuple(replace(e, value=5200.0) if e.name == "k1" else e for e in model.elements)
     )
     findings = {finding.of: finding for finding in assessed(stated, data).findings[:2]}
     assert {finding.kind for finding in findings.values()} == {"value"}

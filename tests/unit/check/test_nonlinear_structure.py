@@ -1,23 +1,21 @@
 """What data can tell of nonlinear elements, and dwells between folds."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from dashpot.channel import Channel, Quantity
-from dashpot.check.branches import several_motions
 from dashpot.check.nonlinear_structure import blind_laws, nonlinear_structure
+from dashpot.check.verdict import several_motions
 from dashpot.errors import IdentifiabilityError
 from dashpot.estimate.identify import identify
-from dashpot.model.elements import Kind, between, mass
-from dashpot.model.network import Input, Model
+from dashpot.model.elements import Kind, between
 from dashpot.model.nonlinear.continuation import followed, frequency_sweep
 from dashpot.model.nonlinear.force_law import Constant, force_law
 from dashpot.model.nonlinear.harmonics import Drive
 from dashpot.present.text.identifiability import require_identifiable
+from tests.networks import network
 from tests.nonlinear_rigs import LAWS, motions, settled, two_masses
 
 ALL = motions("x1", "x2", "u")
@@ -78,14 +76,7 @@ def test_data_are_refused_for_the_unknowns_that_cannot_be_told_apart_and_no_othe
 
 def test_dwells_between_folds_are_named():
     spring = between("k3", Kind.SPRING, "x", "ground")
-    model = Model(
-        ("x",),
-        (Input("f", "force", {"x": 1.0}),),
-        (
-            mass("m", "x"), between("k", Kind.SPRING, "x", "ground"), between("c", Kind.DAMPER, "x", "ground"),
-            replace(spring, force_law=force_law("cubic")),
-        ),
-    )  # fmt: skip
+    model = network("x", "f@x", "m@x k:x-ground c:x-ground", replace(spring, force_law=force_law("cubic")))
     theta = np.array([1.0, 1.0, 0.1, 1.0])
     channels = (*motions("x"), Channel("f", {"f": 1.0}, Quantity.FORCE))
     omega = np.array([0.6, 1.0, 1.6, 2.6])

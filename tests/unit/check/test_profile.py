@@ -1,7 +1,5 @@
 """Profile likelihood: ends, bounds, repeats."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -12,7 +10,7 @@ from dashpot.data.spectrum import Spectrum
 from dashpot.errors import UsageError
 from dashpot.estimate.identify import automatic, identify
 from dashpot.estimate.likelihood.maximum_likelihood import MaximumLikelihood
-from dashpot.estimate.likelihood.residual_noise import with_residual_noise
+from dashpot.estimate.likelihood.table_noise import with_residual_noise
 from dashpot.estimate.linear.instrumental_variables import OptimalIV
 from tests.rigs import Rig, channels, covariance, noisy, paper_rig, perfect
 

@@ -1,7 +1,5 @@
 """Single residuals of whole records: what stands out of noise that was read from the residuals themselves."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -9,11 +7,11 @@ import pytest
 
 from dashpot.arrays import Bools, Complex
 from dashpot.channel import Channel
-from dashpot.check.record_residuals import IMPROBABLE, hum_notices, mains_hum
-from dashpot.check.record_residuals import standing_out as standing_out_of
 from dashpot.check.residuals import Residuals
-from dashpot.data.spectrum import Spectrum
-from dashpot.data.stretch import WholeRecord
+from dashpot.check.verdict import IMPROBABLE_RECORD_RESIDUALS as IMPROBABLE
+from dashpot.check.verdict import hum_notices, mains_hum
+from dashpot.check.verdict import standing_out as standing_out_of
+from dashpot.data.spectrum import Spectrum, WholeRecord
 from dashpot.notices import Notice
 
 LINES, DURATION = 400, 10.0  # so that lines are 0.1 Hz apart
@@ -45,8 +43,7 @@ def record(noise: Complex) -> tuple[Residuals, Spectrum]:
 
 
 def white(rng: np.random.Generator) -> Complex:
-    noise: Complex = 0.1 * (rng.normal(size=LINES) + 1j * rng.normal(size=LINES))
-    return noise
+    return 0.1 * (rng.normal(size=LINES) + 1j * rng.normal(size=LINES))
 
 
 def test_noise_stands_out_no_more_often_than_stated() -> None:
@@ -59,7 +56,7 @@ def test_noise_stands_out_no_more_often_than_stated() -> None:
 
 def test_the_stated_chance_is_that_of_the_largest_square(monkeypatch: pytest.MonkeyPatch) -> None:
     """At one in ten the alarms of 400 draws are 38 ± 6."""
-    monkeypatch.setattr("dashpot.check.record_residuals.IMPROBABLE", 0.1)
+    monkeypatch.setattr("dashpot.check.verdict.IMPROBABLE_RECORD_RESIDUALS", 0.1)
     rng = np.random.default_rng(12)
     alarms = sum(bool(standing_out(*record(white(rng)), OUTPUTS)) for _ in range(400))
     assert 20 < alarms < 60

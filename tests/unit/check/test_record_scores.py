@@ -1,14 +1,12 @@
 """Elements that whole records of nonlinear rigs call for beside those that the rig has."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from dashpot.check.element_evidence import with_candidates
-from dashpot.check.record_verdict import examined_records
+from dashpot.check.verdict import examined_records
 from dashpot.data.record import Record
 from dashpot.estimate.assessment import Assessment, applied
 from dashpot.estimate.nonlinear.whole_record import fit_records
@@ -75,7 +73,5 @@ def test_candidates_with_a_state_are_found_from_the_motion_of_the_rig(
     monkeypatch.setattr(shooting, "_marched", lambda *given: marched.append(given))
     slopes = with_candidates(fitted.problem, fitted.psi, [slider])[0].sure_residuals(at)[0][1]
     assert not marched
-    assert expected is not None
-    assert slopes is not None
     column = expected[..., place]
     assert np.max(np.abs(slopes[..., place] - column)) < 1e-6 * np.max(np.abs(column))

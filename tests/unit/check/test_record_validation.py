@@ -1,12 +1,10 @@
 """Whole records of nonlinear rigs that were not used, against noise that a record at rest shows."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
 
-from dashpot.check.record_validation import validate_records
+from dashpot.check.validation import validate_records
 from dashpot.data.conditioning.still import noise_at_rest
 from dashpot.estimate.nonlinear.whole_record import fit_records
 from dashpot.estimate.result import Estimate

@@ -1,17 +1,14 @@
 """The verdict on whole records of nonlinear rigs."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from dashpot.check.record_verdict import assess_records
+from dashpot.check.verdict import assess_records
 from dashpot.data.conditioning.still import noise_at_rest
 from dashpot.data.record import Record
 from dashpot.estimate.assessment import Assessment
-from dashpot.estimate.nonlinear.record_inference import CUT_RECORD
 from dashpot.estimate.nonlinear.whole_record import fit_records, identify_records
 from dashpot.estimate.result import Estimate
 from dashpot.model.network import Model
@@ -48,7 +45,7 @@ def test_a_part_that_is_negative_beyond_doubt_is_no_fit(fitted: tuple[Model, Rec
 
 def test_motion_that_cannot_be_followed_whole_is_not_compared(fitted: tuple[Model, Record, Estimate]) -> None:
     model, data, estimate = fitted
-    cut = replace(estimate, warnings=(Notice(CUT_RECORD, "cut into 3 pieces"),))
+    cut = replace(estimate, warnings=(Notice("cut_record", "cut into 3 pieces"),))
     assert assess_records(model, [data], cut).relative_residual == {}
 
 

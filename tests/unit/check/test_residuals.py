@@ -1,7 +1,5 @@
 """Predicted amplitudes and normalised residuals."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -11,39 +9,19 @@ from dashpot import (
     Channel,
     DataError,
     Input,
-    Kind,
-    Model,
     Quantity,
     Spectrum,
-    between,
     dwells,
     identify,
-    mass,
     method,
     response,
     simulate_spectrum,
 )
 from dashpot.arrays import Real
-from dashpot.check.residuals import (
-    calibrations_of,
-    channel_response,
-    correlation,
-    residuals,
-    response_curve,
-)
+from dashpot.check.residuals import calibrations_of, channel_response, correlation, residuals, response_curve
+from tests.networks import network
 
-MODEL = Model(
-    ("x1", "x2"),
-    (Input("u"),),
-    (
-        mass("m1", "x1"),
-        mass("m2", "x2", value=2.7),
-        between("k1", Kind.SPRING, "x1", "x2"),
-        between("k2", Kind.SPRING, "x2", "u", value=4600.0),
-        between("c1", Kind.DAMPER, "x1", "x2"),
-        between("c2", Kind.DAMPER, "x2", "u"),
-    ),
-)
+MODEL = network("x1 x2", "u", "m1@x1 m2@x2=2.7 k1:x1-x2 k2:x2-u=4600 c1:x1-x2 c2:x2-u")
 THETA = MODEL.theta({"m1": 3.0, "k1": 4600.0, "c1": 20.0, "c2": 30.0})
 F = np.geomspace(1, 15, 12)
 
@@ -168,7 +146,6 @@ def test_a_misplaced_line_is_the_worst() -> None:
     X[4, 1] += 50
     found = residuals(MODEL, THETA, replace(spectrum, amplitudes=X))
     worst = found.worst()
-    assert worst is not None
     assert worst[0] == "a2"
     assert worst[1] == pytest.approx(F[4])
     assert worst[2] > 10
@@ -217,7 +194,6 @@ def test_the_curve_passes_through_the_predictions() -> None:
     spectrum = simulated(11)
     found = residuals(MODEL, THETA, spectrum)
     curve = response_curve(MODEL, THETA, spectrum, found, points=2000)
-    assert curve is not None
     near = np.array([np.interp(F, curve.frequency_hz, np.abs(curve.response[:, c])) for c in range(4)]).T
     np.testing.assert_allclose(near, np.abs(curve.predicted), rtol=1e-3)
     two = replace(MODEL, inputs=(Input("u"), Input("f", "force", {"x1": 1.0})))

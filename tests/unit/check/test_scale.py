@@ -1,7 +1,5 @@
 """What fixes the size of the forces."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -20,7 +18,7 @@ from dashpot import (
     modes,
     response,
 )
-from dashpot.check.scale import free_scales, require_scale
+from dashpot.check.structure import free_scales, require_scale
 
 FORCE = Quantity.FORCE
 

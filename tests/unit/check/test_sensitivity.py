@@ -1,7 +1,5 @@
 """Errors of known parameters move the estimates as stated."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -15,8 +13,7 @@ from dashpot.estimate.identify import identify
 from dashpot.estimate.likelihood.maximum_likelihood import MaximumLikelihood
 from dashpot.estimate.linear.instrumental_variables import InstrumentalVariables, OptimalIV
 from dashpot.estimate.method import Method
-from dashpot.model.elements import Kind, between, mass
-from dashpot.model.network import Input, Model
+from tests.networks import network
 from tests.rigs import Rig, channels, covariance, noisy, paper_rig
 from tests.whole_rigs import chain, record_of
 
@@ -81,9 +78,7 @@ def test_errors_of_known_parameters_in_whole_records() -> None:
 
 
 def test_nothing_known_has_no_errors() -> None:
-    model = Model(
-        ("x",), (Input("f", "force", {"x": 1.0}),), (mass("m", "x"), between("k", Kind.SPRING, "x", "ground"))
-    )
+    model = network("x", "f@x", "m@x k:x-ground")
     rig = Rig(
         model,
         np.array([1.0, 400.0]),

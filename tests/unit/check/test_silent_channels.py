@@ -1,7 +1,5 @@
 """What channels show that measured nothing, and that it is named before any remedy of the channel."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -9,7 +7,7 @@ import pytest
 
 from dashpot.arrays import Complex
 from dashpot.check.diagnosis.diagnose import diagnose
-from dashpot.check.silent_channels import silent_channels
+from dashpot.check.verdict import silent_channels
 from dashpot.data.spectrum import Spectrum
 from tests.unit.data.test_local_noise import RIG, functions
 
@@ -29,8 +27,7 @@ def of_a_test(x1: Complex | None = None) -> Spectrum:
 def noise_alone(seed: int) -> Complex:
     sd = np.sqrt(of_a_test().covariance[:, 0, 0].real / 2)
     rng = np.random.default_rng(seed)
-    drawn: Complex = sd * (rng.standard_normal(12) + 1j * rng.standard_normal(12))
-    return drawn
+    return sd * (rng.standard_normal(12) + 1j * rng.standard_normal(12))
 
 
 @pytest.mark.parametrize(

@@ -1,7 +1,5 @@
 """Predictions of records that an estimate was not made from."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Data that once passed for a fit, or were blamed on the wrong thing: the verdict says what they are."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -24,6 +22,7 @@ from dashpot.model.network import Input, Model
 from dashpot.notices import Notice
 from dashpot.present.text.identifiability import require_identifiable
 from tests import rigs
+from tests.networks import network
 from tests.nonlinear_rigs import motions, settled, two_masses
 from tests.two_masses import PUSHED, two_mass_rig
 from tests.unit.data.test_local_noise import RIG, functions
@@ -53,15 +52,7 @@ def bump(lines: int, sd: float | None) -> tuple[Model, Spectrum]:
     if sd is not None:
         covariance = np.zeros((lines, 2, 2), dtype=complex)
         covariance[:, 0, 0] = (sd * np.abs(both.amplitudes[:, 0])) ** 2
-    one = Model(
-        ("x1",),
-        (Input("f", "force", {"x1": 1.0}),),
-        (
-            mass("m", "x1"),
-            between("k", Kind.SPRING, "x1", "ground"),
-            between("c", Kind.DAMPER, "x1", "ground"),
-        ),
-    )
+    one = network("x1", "f@x1", "m@x1 k:x1-ground c:x1-ground")
     data = replace(
         both,
         channels=tuple(both.channels[c] for c in shown),
@@ -114,7 +105,6 @@ def test_nobody_signs_a_rig_that_noise_alone_makes_unstable() -> None:
         covariance[:, [0, 1], [0, 1]] = size + 0.01 * np.mean(size, axis=0)
         data = replace(few, covariance=covariance, noise=("given",) * 12)
         estimate = identify(RIG, data)
-        assert estimate.modes is not None
         judged = assess(RIG, data, estimate)
         seen.add((bool(np.any(estimate.modes.damping_ratio < 0)), judged.verdict))
         assert ("perhaps_unstable" in {reason.code for reason in judged.reasons}) == (
@@ -174,7 +164,6 @@ def test_a_motor_bench_without_its_sign_and_delay_does_not_fit() -> None:
     """Either angle may be the one that is turned: both are named, and nothing is called converged and good."""
     model, data = bench()
     estimate = examined(model, data, identify_automatically(model, data))
-    assert estimate.assessment is not None
     assert estimate.assessment.verdict == "does not fit"
     first, *others = estimate.assessment.findings
     assert (first.kind, first.of) == ("delay", ("theta_l",))
@@ -192,7 +181,6 @@ def test_one_bad_dwell_of_many_is_named(fault: str) -> None:
     records[bad] = Record(CHANNELS, records[bad].time, values, records[bad].frequency_hz)
     data = spectrum(records)
     estimate = examined(PAPER.model, data, identify_automatically(PAPER.model, data))
-    assert estimate.assessment is not None
     assert estimate.assessment.verdict == "does not fit"
     first = estimate.assessment.findings[0]
     assert (first.kind, first.of) == ("dwell", (f"{records[bad].frequency_hz:g} Hz",))

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from dashpot.data.clipping import samples_at_limit
+from dashpot.data.record import samples_at_limit
 
 TIME = np.arange(2000) / 200
 SINE = np.sin(2 * np.pi * 1.7 * TIME)

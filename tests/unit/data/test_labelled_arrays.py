@@ -1,7 +1,5 @@
 """Amplitudes as labelled arrays."""
 
-from __future__ import annotations
-
 import sys
 
 import numpy as np
@@ -33,4 +31,4 @@ def test_without_the_library_its_extra_is_named(batch: Spectrum, monkeypatch: py
     monkeypatch.setitem(sys.modules, "xarray", None)
     with pytest.raises(UsageError, match="xarray") as caught:
         batch.to_xarray()
-    assert "dashpot[analysis]" in str(caught.value.problems[0].cure)
+    assert ".[analysis]" in str(caught.value.problems[0].cure)

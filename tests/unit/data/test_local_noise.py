@@ -1,7 +1,5 @@
 """The noise of amplitudes without standard deviations, from how they scatter over frequency."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -15,11 +13,7 @@ from dashpot.model.dynamics import response
 from tests.two_masses import PUSHED, pushed_pair
 
 RIG = pushed_pair("ground")
-CHANNELS = (
-    Channel("x1", {"x1": 1.0}),
-    Channel("x2", {"x2": 1.0}),
-    Channel("f", {"f": 1.0}, Quantity.FORCE),
-)
+CHANNELS = (Channel("x1", {"x1": 1.0}), Channel("x2", {"x2": 1.0}), Channel("f", {"f": 1.0}, Quantity.FORCE))
 
 
 def functions(lines: int, relative: float, seed: int = 0, truth: dict[str, float] = PUSHED) -> Spectrum:

@@ -8,9 +8,8 @@ import pytest
 
 from dashpot.channel import Channel
 from dashpot.data.readers.delimited.amplitudes import read_amplitudes, write_amplitudes
-from dashpot.data.readers.delimited.opening import open_table
-from dashpot.data.spectrum import Spectrum, concatenate, merge_repeats
-from dashpot.data.stretch import SettledDwell, WholeRecord
+from dashpot.data.readers.delimited.table import open_table
+from dashpot.data.spectrum import SettledDwell, Spectrum, WholeRecord, concatenate, merge_repeats
 from dashpot.errors import DataError
 
 RECORD = WholeRecord(10.0, 1000)

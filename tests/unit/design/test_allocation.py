@@ -7,13 +7,8 @@ import pytest
 
 from dashpot.channel import Channel
 from dashpot.design.allocation import optimise
-from dashpot.design.criteria import (
-    AOptimal,
-    DOptimal,
-    Minimax,
-    criterion_value,
-)
-from dashpot.design.frequency_grid import FrequencyGrid, band_grid
+from dashpot.design.criteria import AOptimal, DOptimal, Minimax, criterion_value
+from dashpot.design.schedule import FrequencyGrid, band_grid
 from dashpot.design.test_setup import nominal_setup
 from dashpot.errors import IdentifiabilityError
 from tests.designs import paper_setup

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import pytest
 
-from dashpot.design.budget import Budget
 from dashpot.design.criteria import AOptimal
-from dashpot.design.frequency_grid import band_grid
 from dashpot.design.plan import plan
+from dashpot.design.schedule import Budget, band_grid
 from dashpot.errors import UsageError
 from tests.designs import BAND, paper_setup
 

@@ -7,10 +7,8 @@ import pytest
 
 from dashpot.channel import Channel
 from dashpot.design.allocation import optimise
-from dashpot.design.criteria import (
-    AOptimal,
-)
-from dashpot.design.frequency_grid import band_grid
+from dashpot.design.criteria import AOptimal
+from dashpot.design.schedule import band_grid
 from dashpot.design.test_setup import ShakerLimits, drive_patterns, nominal_setup
 from dashpot.errors import UsageError
 from tests.designs import paper_setup

@@ -7,11 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from dashpot.design import harmonic_information
-from dashpot.design.drive_of_laws import drives_that_show
-from dashpot.design.harmonic_information import dwell_information
+from dashpot.design import test_setup as harmonic_information
+from dashpot.design.advise import drives_that_show
 from dashpot.design.schedule import Schedule
-from dashpot.design.test_setup import ShakerLimits, nominal_setup
+from dashpot.design.test_setup import ShakerLimits, dwell_information, nominal_setup
 from dashpot.errors import UsageError
 from dashpot.estimate.identify import identify
 from dashpot.estimate.nonlinear.objective import evaluate

@@ -9,14 +9,13 @@ import pytest
 
 from dashpot.channel import Channel, Quantity
 from dashpot.data.spectrum import Spectrum
-from dashpot.design.information import fisher, outputs, per_sample, spectrum_information
+from dashpot.design.test_setup import fisher, outputs, per_sample, spectrum_information
 from dashpot.errors import DataError, UsageError
 from dashpot.estimate.identify import identify
 from dashpot.estimate.likelihood.maximum_likelihood import MaximumLikelihood
 from dashpot.estimate.linear import auxiliary_model as equation
 from dashpot.estimate.linear.auxiliary_model import auxiliary, information
-from dashpot.model.channel_noise import noise_sd
-from dashpot.model.observation import calibration_names
+from dashpot.model.observation import calibration_names, noise_sd
 from tests.rigs import Rig, amplitudes, channels, covariance, paper_rig, perfect, random_rig, states
 
 

@@ -7,16 +7,9 @@ from itertools import product
 import numpy as np
 import pytest
 
-from dashpot.design.allocation import optimise
-from dashpot.design.criteria import (
-    AOptimal,
-    Criterion,
-    DOptimal,
-    Minimax,
-    criterion_value,
-)
-from dashpot.design.frequency_grid import FrequencyGrid
-from dashpot.design.interior_point import optimal_shares
+from dashpot.design.allocation import optimal_shares, optimise
+from dashpot.design.criteria import AOptimal, Criterion, DOptimal, Minimax, criterion_value
+from dashpot.design.schedule import FrequencyGrid
 from tests.designs import random_information, setup_in_scenarios
 
 

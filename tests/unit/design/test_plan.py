@@ -5,11 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from dashpot.design.budget import Budget
-from dashpot.design.criteria import AOptimal
-from dashpot.design.frequency_grid import band_grid
+from dashpot.design.criteria import AOptimal, expected_precision
 from dashpot.design.plan import plan
-from dashpot.design.precision import expected_precision
+from dashpot.design.schedule import Budget, band_grid
 from dashpot.design.stopping import known_after, values_after
 from dashpot.design.test_setup import nominal_setup
 from dashpot.estimate.identify import identify

@@ -6,11 +6,10 @@ import json
 
 import pytest
 
-from dashpot.design.budget import Budget
 from dashpot.design.criteria import AOptimal
-from dashpot.design.frequency_grid import band_grid
 from dashpot.design.plan import plan
 from dashpot.design.plan_files import plan_to_csv, plan_to_json
+from dashpot.design.schedule import Budget, band_grid
 from tests.designs import BAND, paper_setup
 
 

@@ -10,9 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from dashpot.design.budget import Budget
 from dashpot.design.criteria import AOptimal
-from dashpot.design.frequency_grid import band_grid
 from dashpot.design.plan import plan
 from dashpot.design.robust import (
     GaussianPrior,
@@ -20,12 +18,13 @@ from dashpot.design.robust import (
     gaussian_prior_of,
     in_the_worst_case,
     on_average,
+    shortest,
     shortest_in_the_worst_case,
     slowest_settling,
     uniform_box_of,
     worst_scenario,
 )
-from dashpot.design.shortest import shortest
+from dashpot.design.schedule import Budget, band_grid
 from dashpot.design.test_setup import TestSetup
 from dashpot.errors import UsageError
 from dashpot.estimate.identify import identify
@@ -89,9 +88,6 @@ def test_the_shortest_robust_test() -> None:
     nominal = shortest(own, AOptimal(), 0.02, budget, grid_of(own))
     safe = shortest_in_the_worst_case(own, AOptimal(), 0.02, budget, box, grid_of)
     calm = on_average(own, AOptimal(), budget, box, grid_of, target=0.02)
-    assert nominal is not None
-    assert safe.plan is not None
-    assert calm.plan is not None
     assert nominal.samples < calm.plan.samples < safe.plan.samples
     assert safe.worst <= 0.02
     after, _ = worst_scenario(own, AOptimal(), safe.plan.schedule, box, count=1000, seed=9)

@@ -9,13 +9,9 @@ import pytest
 
 from dashpot.data.conditioning.lines import spectrum
 from dashpot.design.allocation import Allocation
-from dashpot.design.budget import MIN_SAMPLES, Budget
-from dashpot.design.criteria import AOptimal
-from dashpot.design.frequency_grid import band_grid
-from dashpot.design.plan import plan
-from dashpot.design.precision import expected_precision
-from dashpot.design.rounding import DesignProblem, DwellShares
-from dashpot.design.schedule import Schedule
+from dashpot.design.criteria import AOptimal, expected_precision
+from dashpot.design.plan import DesignProblem, DwellShares, plan
+from dashpot.design.schedule import Budget, Schedule, band_grid
 from dashpot.estimate.identify import identify
 from tests import rigs
 from tests.designs import BAND, paper_setup
@@ -55,7 +51,7 @@ def test_identify_can_use_every_dwell_of_a_small_plan() -> None:
     """As few samples as dwells may have, each over one period."""
     own = paper_setup()
     schedule = plan(own, AOptimal(), Budget(samples=32), band_grid(own, *BAND)).schedule
-    assert np.min(schedule.samples) == MIN_SAMPLES
+    assert np.min(schedule.samples) == 8
     rig = rigs.paper_rig()
     test = replace(
         rig, frequency_hz=schedule.frequency_hz, U=np.ones((len(schedule.samples), 1), dtype=complex),

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import pytest
 
+from dashpot.design.advise import choose
 from dashpot.design.criteria import AOptimal
-from dashpot.design.frequency_grid import band_grid
-from dashpot.design.sensors import choose
+from dashpot.design.schedule import band_grid
 from dashpot.errors import UsageError
 from tests.designs import BAND, paper_setup
 
@@ -22,7 +22,7 @@ def test_sensors_by_all_sets_and_by_exchange(monkeypatch: pytest.MonkeyPatch) ->
         frozenset({"x1", "dx1"}),
         frozenset({"x2", "dx2"}),
     }
-    monkeypatch.setattr("dashpot.design.sensors.EXACT", 0)
+    monkeypatch.setattr("dashpot.design.advise.EXACT", 0)
     quick = choose(own, AOptimal(), 1400, grid, 2)
     assert not quick.complete
     assert quick.ranking[0][1] == pytest.approx(found.ranking[0][1], rel=1e-3)

@@ -7,9 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from dashpot.design import test_setup
 from dashpot.design.test_setup import ShakerLimits, nominal_setup
 from dashpot.errors import UsageError
-from tests.designs import paper_setup
+from tests.designs import light_setup, paper_setup
 from tests.rigs import paper_rig
 
 
@@ -34,3 +35,15 @@ def test_limits_of_the_shaker_set_the_amplitudes() -> None:
     free = nominal_setup(loose, own.channels, rig.theta[[0, 1, 2, 4, 5]], limits=ShakerLimits(force=1))
     with pytest.raises(UsageError, match="none of its limits"):
         free.drive(f, k)
+
+
+@pytest.mark.parametrize(("relative", "floor"), [(0.0, 1e-5), (0.1, 1e-6), (0.1, 0.0)])
+def test_lines_some_at_a_time_are_lines_all_together(
+    relative: float, floor: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    setup = light_setup(floor, relative)
+    f = np.linspace(0.5, 25.0, 37)
+    pattern = np.zeros(37, dtype=np.int64)
+    together = setup.information(f, pattern)
+    monkeypatch.setattr(test_setup, "LINES", 60)
+    np.testing.assert_allclose(setup.information(f, pattern), together, rtol=1e-12)

@@ -51,8 +51,6 @@ def test_long_dwells_tell_what_settled_ones_tell() -> None:
 def test_waiting_is_called_a_waste_where_it_is() -> None:
     own = light_setup(2e-3, 0.0)
     waits = advised(own, settle=own.settling() / 2)
-    assert waits.plan is not None
-    assert waits.unsettled is not None
     assert waits.unsettled.joined
     assert waits.unsettled.predicted.figure < 0.9 * waits.plan.predicted.figure
     kept = (waits.unsettled.predicted.figure / waits.plan.predicted.figure) ** 2

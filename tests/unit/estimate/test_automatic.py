@@ -1,7 +1,5 @@
 """Without a named method: the one that suits, and another where it is no answer."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 

@@ -1,14 +1,12 @@
 """The JSON of an estimate of very many unknowns leaves its covariance out, and is read again with the variances."""
 
-from __future__ import annotations
-
 import json
 
 import numpy as np
 import pytest
 
 from dashpot import Estimate, identify
-from dashpot.estimate import estimate_json
+from dashpot.estimate import result as estimate_json
 from tests.partly_seen import noisy_base
 
 

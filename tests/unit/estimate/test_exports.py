@@ -1,7 +1,5 @@
 """Estimates in the terms of other libraries."""
 
-from __future__ import annotations
-
 import sys
 from dataclasses import replace
 
@@ -70,7 +68,7 @@ def test_what_is_missing_is_named_with_its_extra(estimate, way, module, monkeypa
     monkeypatch.setitem(sys.modules, module, None)
     with pytest.raises(UsageError, match=module) as caught:
         getattr(estimate, way)()
-    assert "dashpot[analysis]" in str(caught.value.problems[0].cure)
+    assert ".[analysis]" in str(caught.value.problems[0].cure)
 
 
 def test_a_batch_is_no_table():

@@ -1,7 +1,5 @@
 """Estimators by name: what each declares is all that others know of it."""
 
-from __future__ import annotations
-
 import sys
 from dataclasses import dataclass, fields
 from types import MappingProxyType, ModuleType
@@ -11,7 +9,7 @@ import numpy as np
 import pytest
 
 from dashpot import DataError, MaximumLikelihood, OptimalIV, UsageError, compare, identify
-from dashpot.check.scale import require_scale_seen
+from dashpot.check.structure import require_scale_seen
 from dashpot.estimate import registry
 from dashpot.estimate.identify import automatic
 from dashpot.estimate.method import Method, Solution, Traits

@@ -1,7 +1,5 @@
 """Estimates read from files: whatever a hand or a fault has changed is one clear line, never a number."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable
 from typing import Any

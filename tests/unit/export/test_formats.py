@@ -1,7 +1,5 @@
 """A new export is a writer and a line, for Python and the command alike; its names load neither NumPy nor a writer."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from importlib import import_module

@@ -1,13 +1,12 @@
 """Data sets of a fleet: files by pattern."""
 
-from __future__ import annotations
-
 import os
 from pathlib import Path
 
 import pytest
 
-from dashpot.errors import UsageError
+from dashpot.data.readers import manifest
+from dashpot.errors import DataError
 from dashpot.fleet.data_sets import BlockPart, Files, expanded, of_files
 
 
@@ -20,8 +19,23 @@ def test_patterns_in_natural_order(tmp_path: Path) -> None:
     assert [Path(path).name for path in expanded([pattern], "time")] == ["run10.csv", "run2.csv", "run1.csv"]
     given = [str(tmp_path / "run2.csv"), pattern]
     assert [Path(path).name for path in expanded(given, "given")] == ["run2.csv", "run1.csv", "run10.csv"]
-    with pytest.raises(UsageError, match="no file matches this pattern"):
-        expanded([str(tmp_path / "*.parquet")])
+    (tmp_path / "more" / "in").mkdir(parents=True)
+    (tmp_path / "more" / "in" / "run3.csv").symlink_to(tmp_path / "run1.csv")
+    assert expanded([str(tmp_path / "**/run3.csv")]) == [str(tmp_path / "more" / "in" / "run3.csv")]
+    for pattern in (str(tmp_path / "*.parquet"), str(tmp_path / "mor*")):
+        with pytest.raises(DataError, match="no file fits this pattern"):
+            expanded([pattern])
+
+
+def test_a_pattern_does_not_go_through_the_whole_file_system(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with pytest.raises(DataError, match="whole file system"):
+        expanded(["/**/none.csv"])
+    (tmp_path / "a" / "b" / "c").mkdir(parents=True)
+    monkeypatch.setattr(manifest, "DEEPEST", 1)
+    with pytest.raises(DataError, match="name the folder more closely"):
+        expanded([str(tmp_path / "**/none.csv")])
 
 
 def test_checksums_change_with_the_content(tmp_path: Path) -> None:

@@ -1,7 +1,5 @@
 """Fleets in blocks: the same whoever computes them, kept over interruptions, with failures told and not spread."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -14,11 +12,9 @@ from dashpot.data.readers import write_amplitudes, write_records
 from dashpot.errors import UsageError
 from dashpot.estimate.identify import identify
 from dashpot.fleet import runner
-from dashpot.fleet.data_sets import Source, of_files
-from dashpot.fleet.identification import FleetBlock, FleetTask
-from dashpot.fleet.runner import block_size, run_fleet
-from dashpot.fleet.treatment import Treatment
-from dashpot.model.channel_noise import with_relative_noise
+from dashpot.fleet.data_sets import Source, Treatment, of_files
+from dashpot.fleet.runner import FleetBlock, FleetTask, block_size, run_fleet
+from dashpot.model.observation import with_relative_noise
 from dashpot.model.rigfile import Rig, parse_rig
 from dashpot.study.simulate import dwells, simulate_spectrum
 from tests.unit.app.conftest import RIG, VALUES

@@ -1,17 +1,14 @@
 """Rows of many rigs read at once are what each of them is alone; what is wrong with one says that one."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
 
-from dashpot.fleet import spectra
-from dashpot.fleet.spectra import PartReader, alike_cuts, stacked_cuts
-from dashpot.fleet.tables import HeldRows
-from dashpot.fleet.treatment import Treatment
+from dashpot.fleet import tables as spectra
+from dashpot.fleet.data_sets import Treatment
+from dashpot.fleet.tables import HeldRows, PartReader, alike_cuts, stacked_cuts
 from dashpot.model.rigfile import Rig, parse_rig
 from tests.unit.app.conftest import RIG
 

@@ -1,7 +1,5 @@
 """Tables of many rigs: cut into blocks without being held, read by whoever identifies them."""
 
-from __future__ import annotations
-
 import pickle
 from pathlib import Path
 
@@ -11,7 +9,7 @@ import pyarrow.parquet as parquet
 import pytest
 
 from dashpot.errors import DataError
-from dashpot.fleet import parquet_groups
+from dashpot.fleet import tables as parquet_groups
 from dashpot.fleet.data_sets import DataSet, Source
 from dashpot.fleet.tables import HeldRows, ParquetRows, of_tables
 

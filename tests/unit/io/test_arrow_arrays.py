@@ -1,7 +1,5 @@
 """Columns of Arrow and arrays of NumPy: the same numbers there and back, without pandas."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from typing import Any
@@ -10,7 +8,7 @@ import numpy as np
 import pyarrow as pa
 import pytest
 
-from dashpot.io.arrow_arrays import array_of, arrow_table
+from dashpot.io.json_document import array_of, arrow_table
 
 COLUMNS: dict[str, Any] = {
     "numbers": np.array([1.0, np.nan, -np.inf, 0.1]),
@@ -55,7 +53,7 @@ def test_an_array_has_the_numbers_and_kind_of_the_column(column: Any) -> None:
 def test_pandas_is_not_loaded() -> None:
     program = """
 import sys, numpy as np
-from dashpot.io.arrow_arrays import array_of, arrow_table
+from dashpot.io.json_document import array_of, arrow_table
 names = ["a", "b", "c"]
 words = {"name": np.array(names, dtype=object), "word": np.array(names), "list": names}
 table = arrow_table({"x": np.arange(3.0), **words})

@@ -1,7 +1,5 @@
 """Files are written whole or not at all, through links, into devices and pipes, and leave nothing behind."""
 
-from __future__ import annotations
-
 import errno
 import os
 import stat

@@ -1,7 +1,5 @@
 """JSON in and out: what JSON has not is null, and nothing else is changed."""
 
-from __future__ import annotations
-
 import json
 import math
 from types import MappingProxyType

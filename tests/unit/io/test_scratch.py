@@ -1,7 +1,5 @@
 """Scratch files go with what needs them."""
 
-from __future__ import annotations
-
 import gc
 import os
 from pathlib import Path
@@ -9,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from dashpot.errors import DataError
-from dashpot.io.scratch import Scratch, clear_scratch, lasting_scratch
+from dashpot.io.atomic import Scratch, clear_scratch, lasting_scratch
 
 
 def test_it_lasts_as_long_as_it_is_held() -> None:

@@ -1,7 +1,5 @@
 """TOML files: what cannot be read is told with its place, and problems come in the order of the lines."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

@@ -4,7 +4,7 @@ import tomllib
 
 import pytest
 
-from dashpot.io.toml_lines import Lines
+from dashpot.io.toml_document import Lines
 
 TEXT = '''# a comment = 1
 name = "a # b = [ {"   # k = 2

@@ -1,7 +1,5 @@
 """Names and values in messages."""
 
-from __future__ import annotations
-
 import tomllib
 
 import pytest

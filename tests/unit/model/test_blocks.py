@@ -1,7 +1,5 @@
 """Matrices as blocks: the elements make up the same matrix; a frame in space is identified in the sparse pattern."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy import sparse
@@ -12,10 +10,9 @@ from dashpot.errors import ModelError
 from dashpot.estimate.identify import identify
 from dashpot.estimate.likelihood.maximum_likelihood import MaximumLikelihood
 from dashpot.model.blocks import block_elements
-from dashpot.model.dynamics import matrices, response
+from dashpot.model.dynamics import FROM, matrices, response
 from dashpot.model.elements import Kind, mass
 from dashpot.model.network import Input, Model
-from dashpot.model.sparse_dynamics import FROM
 
 POINTS = ("a", "b", "c", "d")
 

@@ -1,7 +1,5 @@
 """Dynamics: laws of physics, closed forms against finite differences, and rigs with known answers."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np
@@ -21,6 +19,7 @@ from dashpot.model.elements import Element, Kind, between, mass
 from dashpot.model.modes import modes
 from dashpot.model.network import Input, Model
 from dashpot.numerics.small_systems import solve_small
+from tests.networks import network
 
 
 def spring(name: str, first: str, second: str = "ground", **known: Any) -> Element:
@@ -31,14 +30,7 @@ def damper(name: str, first: str, second: str = "ground", **known: Any) -> Eleme
     return between(name, Kind.DAMPER, first, second, **known)
 
 
-PAPER = Model(
-    ("x1", "x2"),
-    (Input("u"),),
-    (
-        mass("m1", "x1"), mass("m2", "x2"), spring("k1", "x1", "x2"), spring("k2", "x2", "u"),
-        damper("c1", "x1", "x2"), damper("c2", "x2", "u"), damper("c3", "x1"), damper("c4", "x2"),
-    ),
-)  # fmt: skip
+PAPER = network("x1 x2", "u", "m1@x1 m2@x2 k1:x1-x2 k2:x2-u c1:x1-x2 c2:x2-u c3:x1-ground c4:x2-ground")
 PAPER_P = np.array([3.0, 2.7, 4600.0, 4600.0, 30.0, 40.0, 90.0, 50.0])
 
 # Every kind of element, levers, two displacement inputs with masses and inerters on them, two forces

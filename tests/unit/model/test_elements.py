@@ -1,7 +1,5 @@
 """A new kind of element is its name and its law, in one module."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 

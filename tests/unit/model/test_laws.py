@@ -1,14 +1,11 @@
 """Laws of elements: what each kind declares, and that the dynamics rests on it alone."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
 from dashpot import Element, Input, Kind, Model
 from dashpot.model.dynamics import dynamic_stiffness, matrices
-from dashpot.model.elements import MATRICES
-from dashpot.model.laws import Law
+from dashpot.model.elements import MATRICES, Law
 
 OMEGA = np.array([-7.0, 0.0, 0.5, 30.0])
 

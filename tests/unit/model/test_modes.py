@@ -1,7 +1,5 @@
 """Modes: those of many rigs are those of each, and their slopes are those of differences."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

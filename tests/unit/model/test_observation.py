@@ -8,7 +8,6 @@ import pytest
 from dashpot.channel import Channel, Quantity
 from dashpot.errors import DataError
 from dashpot.model import observation
-from dashpot.model.channel_noise import noise_sd, with_relative_noise
 from dashpot.model.dynamics import response, unit_forces
 from dashpot.model.elements import Kind, between, mass
 from dashpot.model.network import Input, Model
@@ -21,8 +20,10 @@ from dashpot.model.observation import (
     input_channels,
     is_direct,
     measures_input,
+    noise_sd,
     observation_model,
     transfer,
+    with_relative_noise,
 )
 from tests.partly_seen import calibrations, reaction
 from tests.rigs import random_rig

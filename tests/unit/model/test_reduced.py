@@ -1,7 +1,5 @@
 """A rig on the span of few motions: exact where they were computed, in its slopes too, and near to second order."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -35,7 +33,6 @@ def viewed(seed: int, n: int = 12, lines: int = 2) -> tuple[ObservationModel, np
 def test_exact_where_the_motions_were_computed(seed: int) -> None:
     view, theta = viewed(seed)
     small = replace(view, reduced=on_basis(view, view.model.parameters(theta)))
-    assert small.reduced is not None
     assert small.reduced.size <= view.model.n
     psi, sign = theta[None], np.ones((1, len(view.channels)))
     full, other = calibrated_transfer(view, psi, sign), calibrated_transfer(small, psi, sign)

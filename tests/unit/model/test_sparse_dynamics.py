@@ -1,14 +1,11 @@
 """Large rigs in their sparse pattern: against the dense twin."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy import sparse
 
-from dashpot.model.dynamics import amplitudes
-from dashpot.model.incidence import row_products
-from dashpot.model.sparse_dynamics import solve_stiffness, sparse_amplitudes
+from dashpot.model.dynamics import amplitudes, solve_stiffness, sparse_amplitudes
+from dashpot.model.network import row_products
 from tests.rigs import random_rig
 
 

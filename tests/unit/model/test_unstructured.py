@@ -1,7 +1,5 @@
 """Free matrices in rig files: which entries they are, what is wrong with them, and that they are written again."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import replace
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.stats import combine_pvalues
 
-from dashpot.numerics.combined_tests import fishers_product
+from dashpot.numerics.variance_tests import fishers_product
 
 
 def test_as_scipy() -> None:

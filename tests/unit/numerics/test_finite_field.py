@@ -1,7 +1,5 @@
 """Exact ranks, null spaces and solutions modulo a prime."""
 
-from __future__ import annotations
-
 import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st

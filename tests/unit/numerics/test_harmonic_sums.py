@@ -1,7 +1,5 @@
 """Sums of even samples against waves: the compiled pass, its twin, and the Gram in closed form."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

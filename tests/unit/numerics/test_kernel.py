@@ -1,7 +1,5 @@
 """The choice between the compiled kernel and NumPy."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 import pytest
@@ -48,7 +46,14 @@ def test_a_choice_lasts_as_long_as_its_context(monkeypatch: pytest.MonkeyPatch) 
     assert choice.kernel() is module
 
 
-@pytest.mark.parametrize(("given", "count"), [("3", 3), ("0", 1), ("many", 1)])
+@pytest.mark.parametrize(("given", "count"), [("3", 3), ("0", 1), ("", 1), ("1024", 1024)])
 def test_threads_are_a_number(monkeypatch: pytest.MonkeyPatch, given: str, count: int) -> None:
     monkeypatch.setenv(choice.THREADS, given)
     assert choice.threads() == count
+
+
+@pytest.mark.parametrize("given", ["many", "²", "٣", "-1", "1025", "9" * 23, "9" * 5000])
+def test_threads_that_are_no_number_are_one_line(monkeypatch: pytest.MonkeyPatch, given: str) -> None:
+    monkeypatch.setenv(choice.THREADS, given)
+    with pytest.raises(UsageError, match=choice.THREADS):
+        choice.threads()

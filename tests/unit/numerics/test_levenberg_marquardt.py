@@ -1,7 +1,5 @@
 """The search alone: slow problems, bounds, lengths of steps, and which of two ends is kept."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

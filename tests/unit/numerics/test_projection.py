@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from dashpot.numerics.projection import orthonormal, real_rows
+from dashpot.numerics.small_systems import orthonormal, real_rows
 
 
 def test_dependent_and_absent_columns_are_left_out() -> None:

@@ -1,7 +1,5 @@
 """Stacks of small systems: the kernel's inverses against NumPy's, and what is singular."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

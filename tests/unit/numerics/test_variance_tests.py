@@ -1,7 +1,5 @@
 """Whether variances are alike."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.stats import bartlett

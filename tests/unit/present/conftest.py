@@ -1,7 +1,5 @@
 """A rig, a test of it, and estimates that fit and that do not."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -7,11 +7,9 @@ import pytest
 
 from dashpot.errors import UsageError
 from dashpot.model.modes import modes
-from dashpot.reproduce.yamane1989.draws import farther, rms_spread
-from dashpot.reproduce.yamane1989.printed import paper_prints
 from dashpot.reproduce.yamane1989.reproduction import reproduce
-from dashpot.reproduce.yamane1989.rig import paper_model, tables_study
-from dashpot.reproduce.yamane1989.tables import eigenvalues
+from dashpot.reproduce.yamane1989.rig import paper_model, paper_prints, tables_study
+from dashpot.reproduce.yamane1989.tables import eigenvalues, farther, rms_spread
 from dashpot.study.grid import scenarios
 from dashpot.study.montecarlo import run_scenarios
 

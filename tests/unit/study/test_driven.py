@@ -1,7 +1,5 @@
 """The motion under a record of the inputs: sensors of any kind, late ones too, and the band of an estimate."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -16,8 +14,7 @@ from dashpot.estimate.identify import identify
 from dashpot.estimate.likelihood.maximum_likelihood import MaximumLikelihood
 from dashpot.estimate.nonlinear.whole_record import identify_records
 from dashpot.model.motion import integrator
-from dashpot.study.driven import driven_record
-from dashpot.study.response_band import response_band
+from dashpot.study.simulate import driven_record, response_band
 from tests.nonlinear_rigs import motions, two_masses
 from tests.whole_rigs import chain
 

@@ -18,9 +18,9 @@ from dashpot.model.elements import Kind, between, mass
 from dashpot.model.network import Input, Model
 from dashpot.study import montecarlo
 from dashpot.study.grid import ScenarioGrid, Study, TrueRig, scenarios, share_out, with_unknowns
+from dashpot.study.montecarlo import Repeats, summarise
 from dashpot.study.runner import rehearse, run_study
 from dashpot.study.simulate import standard_channels
-from dashpot.study.summary import Repeats, summarise
 
 MOTION = (Quantity.DISPLACEMENT, Quantity.VELOCITY)
 

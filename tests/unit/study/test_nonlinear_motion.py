@@ -1,7 +1,5 @@
 """Simulated dwells and records of nonlinear rigs, and their curves."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -10,12 +8,10 @@ import pytest
 from dashpot.data.record import Record
 from dashpot.errors import UsageError
 from dashpot.estimate.identify import identify
-from dashpot.study.driven import driven_record
 from dashpot.study.montecarlo import run_scenarios
-from dashpot.study.nonlinear_motion import settled_motion, settled_records, settled_spectrum
 from dashpot.study.response_curves import frequency_curve
 from dashpot.study.scenario import Scenario
-from dashpot.study.simulate import dwells
+from dashpot.study.simulate import driven_record, dwells, settled_motion, settled_records, settled_spectrum
 from tests.nonlinear_rigs import motions, two_masses
 
 ALL = motions("x1", "x2", "u")

@@ -1,7 +1,5 @@
 """Scenarios whose dwells do not wait for the steady state."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

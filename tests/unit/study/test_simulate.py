@@ -8,9 +8,9 @@ import pytest
 from dashpot.channel import Channel, Quantity
 from dashpot.data.conditioning import lines as harmonics
 from dashpot.errors import DataError, UsageError
-from dashpot.model.channel_noise import noise_sd, with_relative_noise
 from dashpot.model.elements import Kind, between, mass
 from dashpot.model.network import Input, Model
+from dashpot.model.observation import noise_sd, with_relative_noise
 from dashpot.study import simulate as sim
 
 MOTION = (Quantity.DISPLACEMENT, Quantity.VELOCITY)

@@ -1,7 +1,5 @@
 """Blocks of a study on disk: every kind of damage is found, computed again, and said; one process at a time."""
 
-from __future__ import annotations
-
 import shutil
 import subprocess
 import sys
@@ -13,7 +11,7 @@ import numpy as np
 import pytest
 
 from dashpot.errors import DataError, UsageError
-from dashpot.io.lock import LOCK, locked
+from dashpot.io.atomic import LOCK, locked
 from dashpot.study import montecarlo
 from dashpot.study.grid import Study
 from dashpot.study.runner import run_study
@@ -188,13 +186,12 @@ def test_a_folder_is_one_processs_at_a_time(study: Study, tmp_path: Path) -> Non
     run_study(study, folder, block=10)
     assert not (folder / LOCK).exists()
     code = (
-        "import sys; from dashpot.io.lock import locked\n"
+        "import sys; from dashpot.io.atomic import locked\n"
         f"with locked({str(folder)!r}): print('held', flush=True); sys.stdin.read()"
     )
     holder = subprocess.Popen(
         [sys.executable, "-c", code], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
     )
-    assert holder.stdout is not None
     assert holder.stdout.readline() == "held\n"
     part = folder / "draws" / ".dashpot-0.part"
     part.write_text("being written by the other")

@@ -166,11 +166,7 @@ WRONG = [
     ('["oiv"]', "[3]", "2: methods: 3 is not a name; write names in quotes"),
     ('file = "rig.toml"\n', "", "3: rigs.one: the rig file is not named"),
     ("rig.toml", "rag.toml", "there is no such file"),
-    (
-        "values = { m = 3.0 }",
-        "",
-        "3: rigs.one: the true value of m is not given; add values = { m = … }, in kg",
-    ),
+    ("values = { m = 3.0 }", "", "3: rigs.one: the true value of m is not given; add values = { m = … }"),
     ("{ m = 3.0 }", "{ m = 3.0, q = 1 }", "5: rigs.one.values.q: the rig has no such parameter of its own"),
     ("{ m = 3.0 }", '{ m = "3" }', '5: rigs.one.values.m: "3" is not a number'),
     ("{ m = 3.0 }", "{ m = inf }", "5: rigs.one.values.m: inf is not finite"),
@@ -186,41 +182,17 @@ WRONG = [
     ("noise = [0.1]\n", "", "8: grid[0]: the noise is not given; add noise = [0.01, 0.1]"),
     ("noise = [0.1]", "noise = [-0.1]", "9: grid[0].noise: a noise of -0.1"),
     ("noise = [0.1]", "nois = [0.1]", '9: grid[0].nois: unknown key; did you mean "noise"?'),
-    (
-        "noise = [0.1]",
-        "noise = 0.1\nkind = 'constant'",
-        "8: grid[0]: constant noise has no size; add reference",
-    ),
+    ("noise = [0.1]", "noise = 0.1\nkind = 'constant'", "8: grid[0]: constant noise has no size; add"),
     ("noise = [0.1]", "noise = 0.1\nkind = 'white'", '10: grid[0].kind: "white" is not a kind of noise'),
     ("noise = [0.1]", "noise = 0.1\nreference = 'few2'", '10: grid[0].reference: "few2" is not a set'),
     ("samples = 56", "", "8: grid[0]: the number of samples is not given"),
     ("samples = 56", "samples = 1", "10: grid[0].samples: 1 is out of range"),
-    (
-        "samples = 56",
-        "samples_in_all = 5",
-        "8: grid[0]: 5 samples are too few for 3 frequencies; take 6 or more",
-    ),
-    (
-        "samples = 56",
-        "samples = 56\nsamples_in_all = 60",
-        "8: grid[0]: samples and samples_in_all are both given",
-    ),
-    (
-        "samples = 56",
-        "samples = 56\nfrequencies = 'many'",
-        '11: grid[0].frequencies: "many" is not a set of freq',
-    ),
-    (
-        "samples = 56",
-        "samples = 56\nunknowns = 'two'",
-        '11: grid[0].unknowns: "two" is not a set of unknowns',
-    ),
+    ("samples = 56", "samples_in_all = 5", "8: grid[0]: 5 samples are too few for 3 frequencies; take 6"),
+    ("samples = 56", "samples = 56\nsamples_in_all = 60", "8: grid[0]: samples and samples_in_all are both"),
+    ("samples = 56", "samples = 56\nfrequencies = 'many'", '11: grid[0].frequencies: "many" is not a set'),
+    ("samples = 56", "samples = 56\nunknowns = 'two'", '11: grid[0].unknowns: "two" is not a set'),
     ("samples = 56", "samples = 56\nrigs = 'two'", '11: grid[0].rigs: "two" is not a rig; there are one'),
-    (
-        "samples = 56",
-        "samples = 56\ncovariance = 'guessed'",
-        '11: grid[0].covariance: "guessed" is not a covariance',
-    ),
+    ("samples = 56", "samples = 56\ncovariance = 'guessed'", '11: grid[0].covariance: "guessed"'),
     ("[[grid]]\nnoise = [0.1]\nsamples = 56\n", "", "grid: there is no grid; add [[grid]]"),
     ("[frequencies]", "[unknowns]\nall = ['m']\n[frequencies]", "7: unknowns.all: the name all is taken"),
     (
@@ -228,11 +200,7 @@ WRONG = [
         "[unknowns]\ntwo = ['m', 'z']\n[frequencies]",
         '7: unknowns.two: "z" is not a parameter',
     ),
-    (
-        "[frequencies]",
-        "[amplitudes]\nw = 1\n[frequencies]",
-        "7: amplitudes.w: no rig has this input; there are u",
-    ),
+    ("[frequencies]", "[amplitudes]\nw = 1\n[frequencies]", "7: amplitudes.w: no rig has this input"),
     ("[frequencies]", "[frequencies", "6: Expected ']' at the end of a table declaration"),
     ("[rigs.one]", "rigs = 5\n[one]", "3: rigs: this is not a table"),
 ]
@@ -316,10 +284,7 @@ def test_values_levels_and_amplitudes_may_carry_units(folder):
 
 @pytest.mark.parametrize(
     ("wrong", "message"),
-    [
-        ('noise = ["10 mm"]', "grid[0].noise"),
-        ('noise = ["-10 %"]', "grid[0].noise: a noise of -0.1"),
-    ],
+    [('noise = ["10 mm"]', "grid[0].noise"), ('noise = ["-10 %"]', "grid[0].noise: a noise of -0.1")],
 )
 def test_what_is_no_share_is_told(folder, wrong, message):
     with pytest.raises(UsageError) as caught:

@@ -5,20 +5,21 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
-from dashpot.app.files import STDOUT
-from dashpot.app.help import dashpot_command, option
 from dashpot.app.options import (
     DATA_HELP,
+    STDOUT,
     conditioning_options,
+    dashpot_command,
     data_argument,
     json_option,
     level_option,
+    names,
+    option,
     quiet_option,
     rig_argument,
     seed_option,
     whole_record_options,
 )
-from dashpot.app.parameter_types import names
 from dashpot.app.report_files import failure_reported, report_option
 
 if TYPE_CHECKING:
@@ -59,10 +60,10 @@ def command(
     """Check whether the unknowns of RIG can be found from its channels and, with DATA, which ones only poorly.
 
     Exit codes: 0 all can be found; 2 bad usage, model or data; 3 some cannot: each line says which combinations can be
-    found and what would help.
+    found and what would help; 5 not enough memory.
     """
     from dashpot.app.data_files import read_spectrum
-    from dashpot.app.files import write_result
+    from dashpot.app.options import write_result
     from dashpot.app.progress import progress
     from dashpot.check.identifiability import structure
     from dashpot.check.nonlinear_structure import nonlinear_structure
@@ -95,7 +96,7 @@ def command(
         require_full_rank(verdict, rig_read.model, channels, rig)
     if report is not None:
         from dashpot.app.report_files import provenance, write_report
-        from dashpot.present.pages.check import check_report
+        from dashpot.present.pages.others import check_report
 
         page = check_report(rig_read.model, channels, verdict, spectrum, examined, level, provenance())
         write_report(report, page)
@@ -131,8 +132,7 @@ def _with_data(
 ) -> DataFindings:
     """What the data say."""
     from dashpot.check.data_findings import data_findings
-    from dashpot.estimate.identify import automatic, identify
-    from dashpot.estimate.registry import method
+    from dashpot.estimate.automatic import identify_with_noise
 
-    estimate = identify(rig.model, spectrum, method(automatic(rig.model, spectrum).name, seed=seed))
+    estimate, spectrum = identify_with_noise(rig.model, spectrum, seed=seed)
     return data_findings(rig.model, spectrum, estimate, profiled, level, known)

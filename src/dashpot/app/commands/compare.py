@@ -7,23 +7,25 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from dashpot.app.files import STDOUT
-from dashpot.app.help import dashpot_command, option
 from dashpot.app.options import (
+    AMOUNTS,
     DATA_HELP,
+    INPUT_FILE,
     NOT_CONVERGED,
+    STDOUT,
     conditioning_options,
+    dashpot_command,
     data_argument,
     figure_option,
     json_option,
     level_option,
     modal_sd_option,
+    option,
     quiet_option,
     rig_argument,
     seed_option,
     whole_record_options,
 )
-from dashpot.app.parameter_types import AMOUNTS, INPUT_FILE
 from dashpot.app.report_files import report_option
 from dashpot.estimate.registry import METHODS, methods_for
 
@@ -46,23 +48,30 @@ WHAT = "What to compare"
 @rig_argument
 @data_argument(DATA_HELP)
 @option(
-    "--methods", metavar="A,B,…", group=WHAT,
+    "--methods",
+    metavar="A,B,…",
+    group=WHAT,
     help=f"Estimators, in the order of the rows: {', '.join(METHODS)}.  [default: all that suit]",
-)  # fmt: skip
+)
 @option(
     "--modal", "modal_file", type=INPUT_FILE, metavar="FILE", group=WHAT,
     help="Add an estimate from measured modes: CSV or JSON (frequency_hz, frequency_sd, damping_ratio, damping_sd, "
     "NAME_re, NAME_im, NAME_sd), or a universal file (dataset 55).",
 )  # fmt: skip
 @option(
-    "--truth", type=AMOUNTS, metavar="m1=3,…", group=WHAT,
+    "--truth",
+    type=AMOUNTS,
+    metavar="m1=3,…",
+    group=WHAT,
     help="True values where they are known; intervals that miss them are marked.  A bare number is in SI units.",
-)  # fmt: skip
+)
 @modal_sd_option(WHAT)
 @option(
-    "--elements", is_flag=True, group=WHAT,
+    "--elements",
+    is_flag=True,
+    group=WHAT,
     help="Compare nonlinear elements that the rig might have, ranked by evidence, instead of methods.",
-)  # fmt: skip
+)
 @figure_option("Draw the intervals.")
 @report_option
 @json_option("all estimates")
@@ -82,9 +91,9 @@ def command(
     DATA as for identify; with --modal FILE they may be left out.  A method that does not suit the data is named with
     the reason.
 
-    Exit codes: 0 done; 2 bad usage, model or data; 3 a method did not converge.
+    Exit codes: 0 done; 2 bad usage, model or data; 3 a method did not converge; 5 not enough memory.
     """
-    from dashpot.app.files import write_result
+    from dashpot.app.options import write_result
     from dashpot.app.parameters import true_values
     from dashpot.model.rigfile import read_rig
 
@@ -132,7 +141,7 @@ def _elements(
 ) -> int:
     """Nonlinear elements by evidence: from whole records by integration, else from the harmonics of dwells."""
     from dashpot.app.data_files import measured_data, read_files
-    from dashpot.app.files import write_result
+    from dashpot.app.options import write_result
     from dashpot.app.progress import progress
     from dashpot.check.element_evidence import compare_in_dwells, compare_in_records
     from dashpot.model.rigfile import read_rig
@@ -189,7 +198,7 @@ def _spectrum(
     data: Sequence[str], rig: Rig, chosen: list[str], conditioning: dict[str, Any], quiet: bool
 ) -> Spectrum:
     from dashpot.app.data_files import read_spectrum
-    from dashpot.check.scale import require_scale
+    from dashpot.check.structure import require_scale
 
     require_scale(rig.model, rig.channels, rig.path)
     return read_spectrum(rig, data, conditioning, quiet, moments_for=chosen)
@@ -200,7 +209,7 @@ def _compared(
     seed: int, quiet: bool,
 ) -> Comparison:  # fmt: skip
     from dashpot.app.progress import progress
-    from dashpot.check.scale import require_scale_seen
+    from dashpot.check.structure import require_scale_seen
     from dashpot.errors import DashpotError
     from dashpot.estimate.comparison import compare
     from dashpot.estimate.registry import method, method_class

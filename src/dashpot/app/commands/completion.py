@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import click
 
-from dashpot.app.help import dashpot_command
+from dashpot.app.options import dashpot_command
 
 SHELLS = ["bash", "zsh", "fish"]
 

@@ -8,21 +8,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import click
 
-from dashpot.app.files import STDOUT
-from dashpot.app.help import dashpot_command, option
 from dashpot.app.options import (
-    conditioning_options,
-    dask_option,
-    figure_option,
-    file_option,
-    json_option,
-    quiet_option,
-    relative_noise_option,
-    rig_argument,
-    set_option,
-    transient_options,
-)
-from dashpot.app.parameter_types import (
     AMOUNT,
     AMPLITUDE,
     BAND,
@@ -32,10 +18,23 @@ from dashpot.app.parameter_types import (
     SENSORS,
     SETTLING,
     SHARE,
+    STDOUT,
     TARGET,
     TIME,
     Count,
+    conditioning_options,
+    dashpot_command,
+    dask_option,
+    figure_option,
+    file_option,
+    json_option,
     names,
+    option,
+    quiet_option,
+    relative_noise_option,
+    rig_argument,
+    set_option,
+    transient_options,
 )
 from dashpot.app.report_files import report_option
 
@@ -67,23 +66,32 @@ TEST, SHAKER, ROBUST = "The test", "The shaker", "Robustness"
     "--time", type=TIME, metavar="10min", group=BUDGET, help="Duration of the whole test, settling included."
 )
 @option(
-    "--target", type=TARGET, metavar="1%|c2=2%,…", group=BUDGET,
+    "--target",
+    type=TARGET,
+    metavar="1%|c2=2%,…",
+    group=BUDGET,
     help="Relative standard deviation to reach; without --samples and --time the shortest test that reaches it is "
     "designed.",
-)  # fmt: skip
+)
 @option(
     "--for", "wanted", default="all", show_default=True, metavar="all|worst|volume|NAME,…", group=AIM,
     help="What should be precise: all unknowns on average, the worst one, the volume of the confidence region, or the "
     "unknowns named.",
 )  # fmt: skip
 @option(
-    "--sensors", type=SENSORS, metavar='"pick 3 of a,b,…"', group=AIM,
+    "--sensors",
+    type=SENSORS,
+    metavar='"pick 3 of a,b,…"',
+    group=AIM,
     help="Choose the best few of these channels; channels that are not listed stay.",
-)  # fmt: skip
+)
 @option(
-    "--against", type=INPUT_FILE_OR, metavar="FILE|LIST|RANGE", group=AIM,
+    "--against",
+    type=INPUT_FILE_OR,
+    metavar="FILE|LIST|RANGE",
+    group=AIM,
     help="Compare with another test: a data file, or frequencies in Hz as 1,2,5, 1:10:0.5 or 1:10/25.",
-)  # fmt: skip
+)
 @set_option(BASIS, "settings", "Values to design for")
 @option(
     "--estimate", "estimate_file", type=INPUT_FILE, metavar="FILE.json", group=BASIS,
@@ -95,9 +103,12 @@ TEST, SHAKER, ROBUST = "The test", "The shaker", "Robustness"
 )  # fmt: skip
 @relative_noise_option(BASIS)
 @option(
-    "--band", type=BAND, metavar="LOWER:UPPER", group=TEST,
+    "--band",
+    type=BAND,
+    metavar="LOWER:UPPER",
+    group=TEST,
     help="Frequencies to choose from, Hz.  [default: around the resonances]",
-)  # fmt: skip
+)
 @option("--grid", type=FREQUENCY, metavar="HZ", group=TEST, help="Use only multiples of this frequency.")
 @option("--max-frequencies", type=Count(1, 10_000), metavar="N", group=TEST, help="Largest number of dwells.")
 @option("--min-dwell", type=TIME, metavar="5s", group=TEST, help="Shortest dwell.")
@@ -114,13 +125,19 @@ TEST, SHAKER, ROBUST = "The test", "The shaker", "Robustness"
     "--max-acceleration", type=AMOUNT, metavar="2gn", group=SHAKER, help="Largest acceleration amplitude."
 )
 @option(
-    "--max-force", type=AMOUNT, metavar="100N", group=SHAKER,
+    "--max-force",
+    type=AMOUNT,
+    metavar="100N",
+    group=SHAKER,
     help="Largest force amplitude; for a moved base, of the force that moves it.",
-)  # fmt: skip
+)
 @option(
-    "--amplitude", type=AMPLITUDE, metavar="[INPUT=]VALUE", group=SHAKER,
+    "--amplitude",
+    type=AMPLITUDE,
+    metavar="[INPUT=]VALUE",
+    group=SHAKER,
     help="Amplitude of the drive, where no limit is given.",
-)  # fmt: skip
+)
 @option(
     "--drive", "drives", multiple=True, metavar="u,-v", group=SHAKER,
     help="Inputs that move together, in phase or (with -) in antiphase.  May be repeated.",
@@ -129,10 +146,12 @@ TEST, SHAKER, ROBUST = "The test", "The shaker", "Robustness"
     "--doubt", type=SHARE, metavar="30%", group=ROBUST, help="How far the values to design for may be wrong."
 )
 @option(
-    "--robust", type=click.Choice(["worst", "average"]), group=ROBUST,
+    "--robust",
+    type=click.Choice(["worst", "average"]),
+    group=ROBUST,
     help="Design for the worst case of the doubt, or for the average.  Without --doubt, the covariance of --estimate "
     "or --after is the doubt.",
-)  # fmt: skip
+)
 @json_option("the plan")
 @file_option("--csv", "FILE.csv", "Write the dwells for the shaker's controller.")
 @figure_option("Draw dwells, information and the expected intervals.")
@@ -141,9 +160,11 @@ TEST, SHAKER, ROBUST = "The test", "The shaker", "Robustness"
 @conditioning_options
 @transient_options
 @option(
-    "--workers", type=Count(1, 1024), metavar="N",
+    "--workers",
+    type=Count(1, 1024),
+    metavar="N",
     help="Worker processes that share out the search for the worst case.  [default: 1]",
-)  # fmt: skip
+)
 @dask_option
 @quiet_option
 def command(rig: str, json_out: str | None, report: str | None, quiet: bool, **options: Any) -> int:
@@ -153,16 +174,16 @@ def command(rig: str, json_out: str | None, report: str | None, quiet: bool, **o
     deviations in per cent are of the values.  The duality gap that is printed proves how close to optimal the test is
     (equivalence theorem).
     """
-    from dashpot.app.files import write_result
-    from dashpot.check.scale import require_scale
+    from dashpot.app.options import write_result
+    from dashpot.check.structure import require_scale
     from dashpot.io.atomic import write_text
     from dashpot.model.rigfile import read_rig
 
     rig_read = read_rig(rig)
     require_scale(rig_read.model, rig_read.channels, rig)
 
-    from dashpot.app.cluster import shared_out
     from dashpot.app.progress import progress
+    from dashpot.app.workers import shared_out
     from dashpot.design.advise import answer
     from dashpot.design.plan_files import answer_to_json, plan_to_csv
     from dashpot.design.test_setup import drive_units
@@ -203,7 +224,9 @@ def _question(rig: Rig, options: Mapping[str, Any], quiet: bool) -> Question:
     values = parameter_values(rig, merged(options["settings"], "--set"))
     _require_masses(rig, values)
     if earlier is None and estimate is not None:
-        values = {**_values_of(rig, estimate), **values}
+        unknowns = rig.model.unknown_names
+        pairs = zip(estimate.names, estimate.values, strict=True)
+        values = {**{name: float(value) for name, value in pairs if name in unknowns}, **values}
     criterion, target = _criterion(options["wanted"], options["target"])
     settling = options["settling_time"]
     return Question(
@@ -248,7 +271,7 @@ def _require_worst_case(options: Mapping[str, Any]) -> None:
 def _channels(rig: Rig, relative_noise: float | None) -> tuple[Channel, ...]:
     if relative_noise is None:
         return rig.channels
-    from dashpot.model.channel_noise import with_relative_noise
+    from dashpot.model.observation import with_relative_noise
 
     return with_relative_noise(rig.model, rig.channels, relative_noise)
 
@@ -275,12 +298,6 @@ def _load(path: str) -> Estimate:
     from dashpot.estimate.result import Estimate
 
     return Estimate.load(path)
-
-
-def _values_of(rig: Rig, estimate: Estimate) -> dict[str, float]:
-    unknowns = rig.model.unknown_names
-    pairs = zip(estimate.names, estimate.values, strict=True)
-    return {name: float(value) for name, value in pairs if name in unknowns}
 
 
 def _require_masses(rig: Rig, values: Mapping[str, float]) -> None:
@@ -324,9 +341,11 @@ def _limits(rig: Rig, options: Mapping[str, Any]) -> ShakerLimits:
         return None if amount is None else amount.si(quantity, angular)
 
     return ShakerLimits(
-        limit("stroke", "displacement"), limit("max_velocity", "velocity"),
-        limit("max_acceleration", "acceleration"), limit("max_force", "force"),
-    )  # fmt: skip
+        limit("stroke", "displacement"),
+        limit("max_velocity", "velocity"),
+        limit("max_acceleration", "acceleration"),
+        limit("max_force", "force"),
+    )
 
 
 def _uncertainty(
@@ -370,7 +389,7 @@ def _against(rig: Rig, options: Mapping[str, Any], quiet: bool) -> tuple[float, 
 def _draw(result: Answer, figure_out: str | None, progress_out: str | None, question: Question) -> None:
     if figure_out is None and progress_out is None:
         return
-    from dashpot.present.figures.planned_test import planned_test_figure, sequential_figure
+    from dashpot.present.figures.design import planned_test_figure, sequential_figure
     from dashpot.present.figures.style import write_figure
 
     if figure_out is not None and result.plan is not None:

@@ -4,10 +4,16 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from dashpot.app.help import dashpot_command, option
-from dashpot.app.options import level_option, out_option, rig_argument
-from dashpot.app.parameter_types import INPUT_FILE, Count
-from dashpot.io.name_endings import PICTURES
+from dashpot.app.options import (
+    INPUT_FILE,
+    Count,
+    dashpot_command,
+    level_option,
+    option,
+    out_option,
+    rig_argument,
+)
+from dashpot.io.words import PICTURES
 
 if TYPE_CHECKING:
     from dashpot.estimate.result import Estimate
@@ -28,9 +34,12 @@ WHAT = "What to draw"
     help="An estimate (JSON of identify), whose values and intervals are written beside the elements.",
 )  # fmt: skip
 @option(
-    "--mode", type=Count(1, 10_000), metavar="N", group=WHAT,
+    "--mode",
+    type=Count(1, 10_000),
+    metavar="N",
+    group=WHAT,
     help="Draw mode N: of the estimate, or of a rig file that gives every value or guess.  In SVG it is animated.",
-)  # fmt: skip
+)
 @out_option("FILE.svg|png|pdf", "The drawing.", formats=PICTURES)
 @level_option
 def command(rig: str, estimate_file: str | None, mode: int | None, out: str, level: float) -> None:
@@ -39,7 +48,7 @@ def command(rig: str, estimate_file: str | None, mode: int | None, out: str, lev
     Heavy lines are unknown (or found, with an estimate), thin ones known; broken ones are in doubt: the interval is
     wider than half the value or, without an estimate, the channels cannot determine them.
     """
-    from dashpot.check.doubt import doubtful, undetermined
+    from dashpot.check.data_findings import doubtful, undetermined
     from dashpot.estimate.result import Estimate
     from dashpot.model.rigfile import read_rig
     from dashpot.present.schematic.drawing import schematic
@@ -57,7 +66,7 @@ def command(rig: str, estimate_file: str | None, mode: int | None, out: str, lev
 
 
 def _draw_mode(rig: Rig, estimate: Estimate | None, mode: int, out: str) -> None:
-    from dashpot.present.schematic.moving import mode_drawing, numbered_mode
+    from dashpot.present.schematic.drawing import mode_drawing, numbered_mode
 
     title, shape = numbered_mode(rig.model, estimate, mode)
     mode_drawing(rig.model, shape, title).save(out)

@@ -7,14 +7,17 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from dashpot.app.help import dashpot_command, option
 from dashpot.app.options import (
+    AMOUNTS,
+    FREQUENCIES,
+    INPUT_FILE,
     conditioning_options,
+    dashpot_command,
+    option,
     out_option,
     quiet_option,
     whole_record_options,
 )
-from dashpot.app.parameter_types import AMOUNTS, FREQUENCIES, INPUT_FILE
 from dashpot.export.formats import contents
 
 if TYPE_CHECKING:
@@ -58,14 +61,18 @@ RIG = "The rig"
     "differentiated as far as outputs need]",
 )  # fmt: skip
 @option(
-    "--frequencies", type=FREQUENCIES, metavar="LIST|RANGE", group=WHAT,
+    "--frequencies",
+    type=FREQUENCIES,
+    metavar="LIST|RANGE",
+    group=WHAT,
     help="Frequencies of frequency responses, Hz: 1,2,5, or 1:10:0.5, or 1:10/25, or 1:10/25log.",
-)  # fmt: skip
+)
 @option("--no-binary", is_flag=True, group=WHAT, help="Leave the compiled binary out of an FMU.")
 @out_option(
-    "FILE", "The file to write; its extension sets the format: .mat .json (state space), .fmu, .uff .unv (modes, "
+    "FILE",
+    "The file to write; its extension sets the format: .mat .json (state space), .fmu, .uff .unv (modes, "
     "frequency responses), .mtx (M, C, K: one file each), .xml (MuJoCo), .csv .parquet .m (parameters).",
-)  # fmt: skip
+)
 @conditioning_options
 @whole_record_options
 @quiet_option

@@ -7,13 +7,15 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from dashpot.app.cli import resumable
-from dashpot.app.help import dashpot_command, option
 from dashpot.app.options import (
+    INPUT_FILE_OR,
     NOT_CONVERGED,
     conditioning_options,
+    dashpot_command,
     dask_option,
     json_option,
     method_option,
+    option,
     out_option,
     positive_option,
     quiet_option,
@@ -22,13 +24,11 @@ from dashpot.app.options import (
     whole_record_options,
     workers_option,
 )
-from dashpot.app.parameter_types import INPUT_FILE_OR
 from dashpot.errors import printable
 
 if TYPE_CHECKING:
-    from dashpot.fleet.data_sets import Source
+    from dashpot.fleet.data_sets import Source, Treatment
     from dashpot.fleet.runner import FleetOutcome
-    from dashpot.fleet.treatment import Treatment
     from dashpot.model.rigfile import Rig
 
 FLEET = "The fleet"
@@ -43,26 +43,33 @@ ENDING = ".blocks"  # of the folder in which finished blocks are kept
 )
 @rig_argument
 @click.argument(
-    "data", type=INPUT_FILE_OR, nargs=-1, required=True,
+    "data",
+    type=INPUT_FILE_OR,
+    nargs=-1,
+    required=True,
     help="Data files, one for each rig, or patterns in quotes such as 'data/**/*.csv'.",
-)  # fmt: skip
+)
 @out_option(
     "FILE.parquet",
     "Write a row for each data set; finished blocks are kept beside it, in FILE.blocks.",
     formats=("parquet",),
 )
 @option(
-    "--rig-column", metavar="NAME", group=FLEET,
+    "--rig-column",
+    metavar="NAME",
+    group=FLEET,
     help="The files are tables (Parquet, CSV) of many rigs, and this column names them.",
-)  # fmt: skip
+)
 @option(
     "--order", type=click.Choice(["name", "time", "given"]), default="name", show_default=True, group=FLEET,
     help="Order of the files, along which drift is looked for: by name, by time of change, or as given.",
 )  # fmt: skip
 @option(
-    "--pool", is_flag=True, group=FLEET,
+    "--pool",
+    is_flag=True,
+    group=FLEET,
     help="Estimate the population that the rigs come from, and draw each rig's estimate towards it.",
-)  # fmt: skip
+)
 @method_option(FLEET)
 @positive_option(FLEET)
 @json_option("the summary of the fleet")
@@ -82,12 +89,14 @@ def command(
 
     The result has one row for each data set: every unknown with its standard deviation and 95 % interval, χ², and how
     far the rig is from the others. A data set that fails has its reason there and does not stop the rest. Rigs unlike
-    the others, and drift along the fleet, are named. Where none can be identified, the exit code is 3.
+    the others, and drift along the fleet, are named.
+
+    Exit codes: 0 done; 2 bad usage, model or data; 3 no data set can be identified; 5 not enough memory.
 
     Run again, only data sets that are new or have changed are computed. The result is the same to the bit with any
     number of workers.
     """
-    from dashpot.app.in_parts import treatment_from
+    from dashpot.app.identifying import treatment_from
     from dashpot.fleet.data_sets import expanded, of_files
     from dashpot.fleet.tables import of_tables
     from dashpot.io.ledger import noted
@@ -118,8 +127,8 @@ def _run(
 ) -> FleetOutcome:  # fmt: skip
     from pathlib import Path
 
-    from dashpot.app.cluster import shared_out
     from dashpot.app.progress import progress
+    from dashpot.app.workers import shared_out
     from dashpot.fleet.runner import run_fleet
 
     with shared_out(dask, workers, source.count < FEW) as mapper, progress("fleet", quiet) as moved:
@@ -132,7 +141,7 @@ def _write(outcome: FleetOutcome, out: str, json_out: str | None, quiet: bool) -
     import json
     from pathlib import Path
 
-    from dashpot.app.files import STDOUT, write_result
+    from dashpot.app.options import STDOUT, write_result
     from dashpot.io.json_document import to_json
     from dashpot.present.tables.fleet import show_fleet
     from dashpot.present.tables.layout import console

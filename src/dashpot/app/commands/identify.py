@@ -8,14 +8,15 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from dashpot.app.files import STDOUT, write_result
-from dashpot.app.help import dashpot_command, option
 from dashpot.app.options import (
     DATA_HELP,
     DOES_NOT_FIT,
     NOT_CONVERGED,
+    PART,
     RECORDS,
+    STDOUT,
     conditioning_options,
+    dashpot_command,
     dask_option,
     data_argument,
     figure_option,
@@ -24,14 +25,15 @@ from dashpot.app.options import (
     level_option,
     method_option,
     modal_sd_option,
+    option,
     positive_option,
     quiet_option,
     rig_argument,
     seed_option,
     whole_record_options,
     workers_option,
+    write_result,
 )
-from dashpot.app.parameter_types import PART
 from dashpot.app.report_files import failure_reported, report_option
 
 if TYPE_CHECKING:
@@ -54,18 +56,27 @@ ESTIMATION = "Estimation"
 @data_argument(DATA_HELP, required=True)
 @method_option(ESTIMATION)
 @positive_option(ESTIMATION)
+@option("--strict", is_flag=True, group=ESTIMATION, help="Exit with code 4 where the model does not fit.")
 @option(
-    "--strict", is_flag=True, group=ESTIMATION,
-    help="Exit with code 4 where the model does not fit.",
-)  # fmt: skip
+    "--within",
+    type=PART,
+    metavar="2%",
+    group=ESTIMATION,
+    help="The share of every channel's motion within which the model is to describe it.",
+)
 @option(
-    "--hold-out", type=PART, metavar="25%", group=RECORDS,
+    "--hold-out",
+    type=PART,
+    metavar="25%",
+    group=RECORDS,
     help="Hold out this share of every record, at its end, and predict it.",
-)  # fmt: skip
+)
 @option(
-    "--in-parts", is_flag=True, group=RECORDS,
+    "--in-parts",
+    is_flag=True,
+    group=RECORDS,
     help="Identify every file by itself, very long records in pieces, and merge what they say: data beyond memory.",
-)  # fmt: skip
+)
 @workers_option
 @dask_option
 @modal_sd_option("Measured modes")
@@ -81,9 +92,9 @@ ESTIMATION = "Estimation"
 @quiet_option
 def command(
     rig: str, data: tuple[str, ...], chosen: str, positive: bool, json_out: str | None, figure: str | None,
-    report: str | None, strict: bool, hold_out: float | None, apply: str | None, matrices: bool, level: float,
-    seed: int, quiet: bool, modal_sd: tuple[float, float, float], in_parts: bool, workers: int | None,
-    dask: str | None, **conditioning: Any,
+    report: str | None, strict: bool, within: float | None, hold_out: float | None, apply: str | None,
+    matrices: bool, level: float, seed: int, quiet: bool, modal_sd: tuple[float, float, float], in_parts: bool,
+    workers: int | None, dask: str | None, **conditioning: Any,
 ) -> int:  # fmt: skip
     """Estimate the unknown masses, dampers and springs of RIG (a rig file, TOML) from DATA.
 
@@ -92,16 +103,21 @@ def command(
     (UFF, MAT, HDF5, TDMS, Excel, …) are read as they are, and so are files of measured modes, one alone.
 
     Exit codes: 0 done, whatever the verdict; 2 bad usage, model or data; 3 the data do not determine the unknowns, or
-    the iteration did not converge; 4 with --strict, the model does not fit.
+    the iteration did not converge; 4 with --strict, the model does not fit; 5 not enough memory.
     """
-    from dashpot.app.identifying import Identified, Search, identified_in_parts, identified_together
-    from dashpot.app.in_parts import require_in_parts
-    from dashpot.app.measured_modes import modal_estimate
+    from dashpot.app.identifying import (
+        Identified,
+        Search,
+        identified_in_parts,
+        identified_together,
+        modal_estimate,
+        require_in_parts,
+    )
 
     whole = {"--hold-out": hold_out is not None, "--figure": figure is not None}
     require_in_parts(in_parts, {"--workers": workers is not None, "--dask": dask is not None}, whole)
     unsuited = {"--method": chosen != "auto", "--positive": positive, "--matrices": matrices}
-    unsuited |= whole | {"--in-parts": in_parts}
+    unsuited |= whole | {"--in-parts": in_parts, "--within": within is not None}
     used = (0.0, 1.0 - (hold_out or 0.0))
     with failure_reported(report, rig), _remedy_written(rig, apply):
         of_modes = modal_estimate(rig, data, modal_sd, seed, quiet, unsuited)
@@ -110,10 +126,10 @@ def command(
             found = Identified(*of_modes)
         elif in_parts:
             found = identified_in_parts(
-                search, _rig(rig, chosen, positive, matrices), data, conditioning, workers, dask
+                search, _rig(rig, chosen, positive, matrices, within), data, conditioning, workers, dask
             )
         else:
-            rig_read = _rig(rig, chosen, positive, matrices)
+            rig_read = _rig(rig, chosen, positive, matrices, within)
             found = identified_together(search, rig_read, data, conditioning, used, report is not None)
     held = (
         () if hold_out is None else _predicted(found.rig, found.estimate, data, conditioning, (used[1], 1.0))
@@ -130,9 +146,12 @@ def command(
 
 
 def _draw(
-    path: str | None, rig: Rig, spectrum: Spectrum | None, estimate: Estimate,
+    path: str | None,
+    rig: Rig,
+    spectrum: Spectrum | None,
+    estimate: Estimate,
     histories: tuple[RecordPrediction, ...],
-) -> None:  # fmt: skip
+) -> None:
     """Draw the fit, if to a path: of records without a spectrum, their histories."""
     if path is None:
         return
@@ -143,15 +162,18 @@ def _draw(
 
         write_figure(path, prediction_figure(drawn_of(histories)))
     else:
-        from dashpot.present.pages.evidence import fit_figure
+        from dashpot.present.pages.report import fit_figure
 
         write_figure(path, fit_figure(rig.model, spectrum, estimate))
 
 
 def _write_report(
-    path: str | None, found: Identified, level: float, held: tuple[RecordPrediction, ...],
+    path: str | None,
+    found: Identified,
+    level: float,
+    held: tuple[RecordPrediction, ...],
     histories: tuple[RecordPrediction, ...],
-) -> None:  # fmt: skip
+) -> None:
     """Write the report, if to a path."""
     if path is None:
         return
@@ -173,15 +195,18 @@ def _write_report(
     write_report(path, page)
 
 
-def _rig(path: str, chosen: str, positive: bool, matrices: bool) -> Rig:
+def _rig(path: str, chosen: str, positive: bool, matrices: bool, within: float | None) -> Rig:
     """The rig, with all that can be refused before data are read."""
+    from dataclasses import replace
+
     from dashpot.app.parameters import require_bounds_held
-    from dashpot.check.scale import require_scale_seen
+    from dashpot.check.structure import require_scale_seen
     from dashpot.estimate.registry import method_class
     from dashpot.model.rigfile import read_rig
     from dashpot.present.text.identifiability import require_identifiable
 
     rig = read_rig(path)
+    rig = rig if within is None else replace(rig, within=within)
     rig.model.require_unknowns(path)
     if positive:
         require_bounds_held(chosen)
@@ -279,7 +304,7 @@ def _show(
     show_estimate(console(), estimate, level, untried=untried)
     if matrices or _of_free_matrices(rig):
         from dashpot.estimate.linear.definite import matrices_of
-        from dashpot.present.tables.matrices import show_matrices
+        from dashpot.present.tables.estimate import show_matrices
 
         angular = set(rig.model.coordinates) <= rig.model.angles
         show_matrices(console(), matrices_of(rig.model, estimate), angular)
@@ -314,7 +339,7 @@ def _check_matrices(rig: Rig, wanted: bool) -> None:
 
 def _ending(estimate: Estimate, strict: bool) -> int:
     """The exit code, and a line where the iteration has not converged."""
-    from dashpot.estimate.inference.unseen_laws import UNSEEN_LAW
+    from dashpot.estimate.inference.diagnostics import UNSEEN_LAW
     from dashpot.present.text.estimate import sentence
 
     if bool(estimate.converged):

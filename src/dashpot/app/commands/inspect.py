@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from dashpot.app.help import dashpot_command
-from dashpot.app.options import data_argument, file_option
+from dashpot.app.options import dashpot_command, data_argument, file_option
 
 
 @dashpot_command(

@@ -6,9 +6,7 @@ from typing import Any
 
 import click
 
-from dashpot.app.files import OutputFile
-from dashpot.app.help import dashpot_command, option
-from dashpot.app.parameter_types import MASS, Count, TextType
+from dashpot.app.options import MASS, Count, OutputFile, TextType, dashpot_command, option
 from dashpot.errors import DashpotError, UsageError
 
 HEAVIEST = 1e9  # kg

@@ -4,9 +4,15 @@ from __future__ import annotations
 
 import click
 
-from dashpot.app.help import dashpot_command, option
-from dashpot.app.options import quiet_option, seed_option, workers_option
-from dashpot.app.parameter_types import FOLDER, Count
+from dashpot.app.options import (
+    FOLDER,
+    Count,
+    dashpot_command,
+    option,
+    quiet_option,
+    seed_option,
+    workers_option,
+)
 from dashpot.app.report_files import report_option
 from dashpot.errors import printable
 

@@ -5,10 +5,21 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
-from dashpot.app.files import OutputFile
-from dashpot.app.help import dashpot_command, option
-from dashpot.app.options import OUTPUT, VALUES, figure_option, quiet_option, rig_argument, set_option
-from dashpot.app.parameter_types import AMPLITUDE, BAND, FREQUENCY, Count
+from dashpot.app.options import (
+    AMPLITUDE,
+    BAND,
+    FREQUENCY,
+    OUTPUT,
+    VALUES,
+    Count,
+    OutputFile,
+    dashpot_command,
+    figure_option,
+    option,
+    quiet_option,
+    rig_argument,
+    set_option,
+)
 
 if TYPE_CHECKING:
     from dashpot.model.rigfile import Rig
@@ -28,9 +39,12 @@ TEST = "The drive"
 @set_option("The rig", "values", VALUES)
 @option("--band", type=BAND, metavar="LOWER:UPPER", group=TEST, help="Frequencies of the curves, Hz.")
 @option(
-    "--at", type=FREQUENCY, metavar="HZ", group=TEST,
+    "--at",
+    type=FREQUENCY,
+    metavar="HZ",
+    group=TEST,
     help="In place of --band: one frequency, at which the drive grows from 1 % of --amplitude to all of it.",
-)  # fmt: skip
+)
 @option(
     "--amplitude", "amplitudes", type=AMPLITUDE, multiple=True, metavar="[INPUT=]VALUE", group=TEST,
     help="Amplitude of all inputs (2mm, 10N) or of one (u=2mm).  May be repeated: one curve for each.  "
@@ -114,9 +128,12 @@ def _drives(
 
 
 def _curves(
-    rig: Rig, values: Mapping[str, float], band: tuple[float, float] | None, at: float | None,
+    rig: Rig,
+    values: Mapping[str, float],
+    band: tuple[float, float] | None,
+    at: float | None,
     amplitudes: Sequence[Amount | Mapping[str, Amount]],
-) -> list[MotionCurve]:  # fmt: skip
+) -> list[MotionCurve]:
     from dashpot.study.response_curves import amplitude_curve, frequency_curve
 
     theta = rig.model.theta(values)
@@ -173,7 +190,7 @@ def _draw(
 ) -> None:
     import numpy as np
 
-    from dashpot.present.figures.response_curves import DrawnCurve, response_curves
+    from dashpot.present.figures.response import DrawnCurve, response_curves
     from dashpot.present.figures.style import write_figure
 
     moving = _moving(rig)

@@ -7,23 +7,22 @@ from typing import TYPE_CHECKING
 
 import click
 
-from dashpot.app.help import dashpot_command, option
 from dashpot.app.options import (
+    AMPLITUDE,
+    FREQUENCIES,
+    FREQUENCY,
+    INPUT_FILE,
+    NUMBER,
     VALUES,
+    Count,
+    dashpot_command,
+    option,
     out_option,
     quiet_option,
     relative_noise_option,
     rig_argument,
     seed_option,
     set_option,
-)
-from dashpot.app.parameter_types import (
-    AMPLITUDE,
-    FREQUENCIES,
-    FREQUENCY,
-    INPUT_FILE,
-    NUMBER,
-    Count,
 )
 from dashpot.errors import printable
 
@@ -52,27 +51,36 @@ NOISE = "Noise"
 @rig_argument
 @set_option("The rig", "values", VALUES)
 @option(
-    "--frequencies", type=FREQUENCIES, metavar="LIST|RANGE", group=TEST,
+    "--frequencies",
+    type=FREQUENCIES,
+    metavar="LIST|RANGE",
+    group=TEST,
     help="Frequencies in Hz: a list 1,2,5, start:stop:step, or start:stop/points (start:stop/pointslog on a "
     "logarithmic scale).",
-)  # fmt: skip
+)
 @option(
     "--input", "input_file", type=INPUT_FILE, metavar="FILE", group=TEST,
     help="In place of --frequencies: a record whose input channels drive the rig from rest, of any excitation.",
 )  # fmt: skip
 @option(
-    "--estimate", type=INPUT_FILE, metavar="FILE.json", group="The rig",
+    "--estimate",
+    type=INPUT_FILE,
+    metavar="FILE.json",
+    group="The rig",
     help="Take the values of an estimate, with --input: writes its prediction without noise, and the uncertainty of "
     "each predicted output as NAME_sd.",
-)  # fmt: skip
+)
 @option(
     "--samples", type=Count(4, 100_000_000), default=200, show_default=True, metavar="N", group=TEST,
     help="Samples of each dwell.",
 )  # fmt: skip
 @option(
-    "--rate", type=FREQUENCY, metavar="HZ", group=TEST,
+    "--rate",
+    type=FREQUENCY,
+    metavar="HZ",
+    group=TEST,
     help="Sampling rate.  [default: the samples spread over --periods]",
-)  # fmt: skip
+)
 @option(
     "--periods", type=NUMBER, default="10", show_default=True, metavar="N", group=TEST,
     help="Periods of each dwell, where no rate is given.",
@@ -116,7 +124,7 @@ def command(
     import numpy as np
 
     from dashpot.data.readers import write_records
-    from dashpot.model.channel_noise import with_relative_noise
+    from dashpot.model.observation import with_relative_noise
     from dashpot.study import simulate as study
 
     channels = rig_read.channels
@@ -124,7 +132,7 @@ def command(
         channels = with_relative_noise(model, channels, relative_noise)
     theta, rng = model.theta(values_si), np.random.default_rng(seed)
     if frequencies is None:
-        from dashpot.study.driven import driven_record
+        from dashpot.study.simulate import driven_record
 
         with progress("simulate", quiet):
             record = driven_record(model, theta, channels, _input_record(rig_read, str(input_file)), rng)
@@ -148,7 +156,7 @@ def _write_prediction(
     from dashpot.data.readers import write_records
     from dashpot.errors import UsageError
     from dashpot.estimate.result import Estimate
-    from dashpot.study.response_band import response_band
+    from dashpot.study.simulate import response_band
 
     if input_file is None or with_values:
         raise UsageError(
@@ -207,7 +215,7 @@ def _write_dwells(
     from dashpot.study import simulate as study
 
     if len(model.nonlinear):
-        from dashpot.study.nonlinear_motion import settled_motion, settled_records, settled_spectrum
+        from dashpot.study.simulate import settled_motion, settled_records, settled_spectrum
 
         motion = settled_motion(model, theta, channels, test)
         if table:

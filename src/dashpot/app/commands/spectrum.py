@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from typing import Any
 
-from dashpot.app.help import dashpot_command
 from dashpot.app.options import (
     conditioning_options,
+    dashpot_command,
     data_argument,
     out_option,
     quiet_option,

@@ -10,9 +10,16 @@ import click
 
 from dashpot.app.cli import resumable
 from dashpot.app.data_files import tell_notes
-from dashpot.app.help import dashpot_command, option
-from dashpot.app.options import dask_option, quiet_option, workers_option
-from dashpot.app.parameter_types import FOLDER, INPUT_FILE, Count
+from dashpot.app.options import (
+    FOLDER,
+    INPUT_FILE,
+    Count,
+    dashpot_command,
+    dask_option,
+    option,
+    quiet_option,
+    workers_option,
+)
 from dashpot.app.report_files import report_option
 from dashpot.errors import printable
 
@@ -29,9 +36,12 @@ FEW = 2000  # identifications below which starting processes costs more than the
     help="Folder for draws, summary and pictures.  [default: a folder of the file's name]",
 )  # fmt: skip
 @option(
-    "--draws", type=Count(2), metavar="N", group="The study",
+    "--draws",
+    type=Count(2),
+    metavar="N",
+    group="The study",
     help="Draws of each scenario, in place of those in the file.",
-)  # fmt: skip
+)
 @report_option
 @workers_option
 @dask_option
@@ -47,7 +57,7 @@ def command(
     method, and pictures.  The result depends on the file alone, to the bit: neither on the number of processes nor on
     interruptions.
     """
-    from dashpot.app.files import check_folder, write_pictures
+    from dashpot.app.options import check_folder, write_pictures
     from dashpot.study.studyfile import read_study
 
     description = read_study(study)
@@ -56,9 +66,9 @@ def command(
 
     from dataclasses import replace
 
-    from dashpot.app.cluster import shared_out
     from dashpot.app.progress import progress
-    from dashpot.present.figures.study_results import study_pictures
+    from dashpot.app.workers import shared_out
+    from dashpot.present.figures.study import study_pictures
     from dashpot.present.tables.layout import console
     from dashpot.present.tables.study import show_study
     from dashpot.study.grid import scenarios

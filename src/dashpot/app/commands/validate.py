@@ -4,18 +4,19 @@ from __future__ import annotations
 
 from typing import Any
 
-from dashpot.app.files import STDOUT
-from dashpot.app.help import dashpot_command, option
 from dashpot.app.options import (
+    INPUT_FILE,
     RECORDS,
+    STDOUT,
     conditioning_options,
+    dashpot_command,
     data_argument,
     figure_option,
     json_option,
+    option,
     quiet_option,
     whole_record_options,
 )
-from dashpot.app.parameter_types import INPUT_FILE
 from dashpot.app.report_files import report_option
 
 
@@ -28,9 +29,12 @@ from dashpot.app.report_files import report_option
     "The estimate (JSON of identify), then data files as for identify.", name="files", required=True
 )
 @option(
-    "--rig", type=INPUT_FILE, metavar="RIG.toml", group=RECORDS,
+    "--rig",
+    type=INPUT_FILE,
+    metavar="RIG.toml",
+    group=RECORDS,
     help="The rig file of the estimate.  [default: the one that the estimate names]",
-)  # fmt: skip
+)
 @json_option("the figures")
 @figure_option(
     "Draw the first record, or the settled lines, measured and predicted.", "--figure", "--picture"
@@ -47,7 +51,7 @@ def command(
 
     FILES are the estimate, as identify writes it with --json, and the records.
     """
-    from dashpot.app.files import write_result
+    from dashpot.app.options import write_result
     from dashpot.app.validating import estimate_and_rig, figures_of, validated
     from dashpot.errors import UsageError
 

@@ -12,25 +12,162 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from dashpot.arrays import Complex, Ints, Real
-from dashpot.check.diagnosis.contradictions import Contradiction
-from dashpot.check.diagnosis.likeness import Likeness
-from dashpot.check.diagnosis.ranking import Cause
-from dashpot.check.diagnosis.record_changes import MOST_AMPLITUDES
-from dashpot.check.diagnosis.record_contradictions import ComparedLines, contradiction_in_record
-from dashpot.check.diagnosis.search import LONG, Workbench, descended
-from dashpot.check.diagnosis.steady_lines import steady_lines
-from dashpot.check.diagnosis.trials import untouched, without
-from dashpot.data.spectrum import Spectrum
-from dashpot.data.stretch import WholeRecord
+from dashpot.check.diagnosis.contradictions import Contradiction, filtered
+from dashpot.check.diagnosis.ranking import HELPS, Cause, points_of
+from dashpot.check.diagnosis.search import LONG, Workbench, changes, descended
+from dashpot.check.diagnosis.steady_lines import steady_lines, working_noise
+from dashpot.check.diagnosis.trials import ALIKE, Likeness, known_ratio, likeness, untouched, without
+from dashpot.check.verdict import clipped_at
+from dashpot.data.spectrum import Spectrum, WholeRecord, history_of_lines
 from dashpot.errors import DashpotError
 from dashpot.estimate.inference.time_course import TimeChange, time_changes
 from dashpot.estimate.likelihood.objective import measured, record_fit
+from dashpot.estimate.likelihood.record_noise import RESIDUAL
 from dashpot.estimate.preparation.prepared import prepare
 from dashpot.estimate.result import Estimate
 from dashpot.model.network import Model
 from dashpot.model.observation import channel_unit, measures_input
 
-STEPS = ("gain", "clock")  # kinds of changes that one channel alone can have, and that last
+# Another linear rig as the cause of a misfit of whole records: fitted to all of their lines, with loads of
+# the ends.
+#
+# Lines without transients (`steady_lines`) are good to a few per cent, which hides a value that is wrong by
+# as little and leaves of a larger one more than it should. Few candidates need a fit: their scores tell
+# which.
+
+
+MOST_AMPLITUDES = 30_000  # complex numbers of all channels: more take seconds
+NAMED = 3
+QUIETEST = 1.3  # χ² per degree of freedom that noise leaves if it is taken to be as low as where it is lowest
+
+
+@dataclass(frozen=True)
+class RigChanges:
+    """Rigs with one linear part otherwise, the best first, and χ² per degree of freedom of the rig as it is.
+
+    noise: χ² per degree of freedom that noise alone leaves.
+    """
+
+    as_is: float = np.inf
+    causes: tuple[Cause, ...] = ()
+    noise: float = 1.0
+
+    @property
+    def left(self) -> float:
+        """The part of what noise does not explain that the best of them leaves, 1 where there is none."""
+        if not self.causes or self.as_is <= self.noise:
+            return 1.0
+        return max(self.causes[0].remaining - self.noise, 0.0) / (self.as_is - self.noise)
+
+
+def with_quiet_noise(spectrum: Spectrum) -> tuple[Spectrum, float]:
+    """The spectrum of whole records for trials, and χ² per degree of freedom that noise alone leaves there.
+
+    Noise that was read from the residuals of this very rig is taken to be as low as where it is lowest.
+    """
+    if RESIDUAL not in spectrum.noise:
+        return spectrum, 1.0
+    variance = working_noise(spectrum)[:, :, None] * np.eye(len(spectrum.channels))
+    return replace(spectrum, covariance=variance.astype(np.complex128)), QUIETEST
+
+
+def record_changes(model: Model, spectrum: Spectrum, estimate: Estimate | None) -> RigChanges:
+    """What a missing linear element, or a stated value that is wrong, explains of whole records."""
+    if (
+        estimate is None
+        or not np.all(np.isfinite(estimate.values))
+        or spectrum.amplitudes.size > MOST_AMPLITUDES
+    ):
+        return RigChanges()
+    quiet, noise = with_quiet_noise(spectrum)
+    try:
+        data = prepare(model, quiet, states=False)
+    except DashpotError:
+        return RigChanges()
+    sign, exact = quiet.signs(estimate.signs), measured(data)
+    row = np.zeros(1, dtype=np.int64)
+    ends, chi2 = descended(data.view, exact, estimate.values[None], sign, row, LONG)
+    as_is = float(chi2[0]) / max(exact.rows - len(ends[0]), 1)
+    if not np.isfinite(as_is):
+        return RigChanges()
+    tried = [
+        Cause(each.kind, points_of(each.element, model), each.reduced, each.number, element=each.element)
+        for each in changes(Workbench(data, ends[0], sign[0]), ends[0], NAMED)
+        if each.reduced - noise < HELPS * (as_is - noise)
+    ]
+    return RigChanges(as_is, tuple(sorted(tried, key=lambda cause: cause.remaining)[:NAMED]), noise)
+
+
+# What a channel shows in a whole record in the place of what all others say of it: in frequency and in
+# time.
+#
+# The fit without the channel predicts it. Beside that stand the forms that one sensor alone can give a
+# motion: another sign, unit or delay, an end of its range, a zero that wanders, a filter, spikes.
+
+
+EXPLAINED = 0.6  # share of what is wrong that a form must explain
+LOUD = 0.95  # share of a channel's power in the lines by which it is compared
+PIECES = 48  # of a record, whose means say how the zero wanders
+STEPS, SUDDEN = 4, 0.7  # pieces that must make up this share of all that the zero moves, to be steps
+SURELY = 5.0  # standard deviations of a gain that differs from 1
+RIGHT = 0.02  # of a gain: what is nearer to 1 is right
+
+
+@dataclass(frozen=True)
+class ComparedLines:
+    """A channel of one record beside what it should show, (lines,): amplitudes, Hz, multiples of 1/T; T in s."""
+
+    y: Complex
+    expected: Complex
+    frequency_hz: Real
+    order: Ints
+    duration_s: float
+
+
+def contradiction_in_record(of: ComparedLines, unit: str) -> Likeness | Contradiction | None:
+    """How a channel differs from what it should show, in its `unit`; None where no one form says it."""
+    samples = 2 * (int(np.max(of.order)) + 1)
+    shown, should = (history_of_lines(values, of.order, samples) for values in (of.y, of.expected))
+    limit = clipped_at(shown, should, 2 * len(of.order))
+    if limit is not None:
+        text = f"reads too little where it moves much, as if it ended at {limit:.3g} {unit}: clipped, or saturated?"
+        return Contradiction(text)
+    gain = float(shown @ should / (should @ should)) if np.any(should) else 0.0
+    left = float(np.sum((shown - gain * should) ** 2) / max(np.sum(shown**2), np.finfo(float).tiny))
+    times = Likeness(gain, 0, 0.0, False, left)
+    # The loudest lines (lines,), of most of the power
+    power = np.abs(of.expected) ** 2
+    order = np.argsort(-power)
+    kept = order[: int(np.searchsorted(np.cumsum(power[order]), LOUD * np.sum(power))) + 1]
+    loud = np.isin(np.arange(len(power)), kept)
+    form = times if left < ALIKE else likeness(of.y, of.expected, 2 * np.pi * of.frequency_hz, loud)
+    if form is not None and form.kind in ("sign", "unit", "quantity", "delay"):
+        ratio = known_ratio(form.number) if form.kind == "unit" else None
+        return form if ratio is None else replace(form, number=float(np.copysign(ratio, form.number)))
+    wander = _wander(shown - gain * should, of.duration_s, unit)
+    through = filtered(of.frequency_hz[loud], of.expected[loud], of.y[loud]) if wander is None else wander
+    if through is not None or form is None or form.kind != "gain":
+        return through
+    uncertain = float(np.sqrt(left * np.sum(shown**2) / np.sum(should**2) / (2 * len(of.order))))
+    return times if abs(gain - 1) > max(RIGHT, SURELY * uncertain) else None
+
+
+def _wander(away: Real, duration_s: float, unit: str) -> Contradiction | None:
+    """That the zero of a channel drifts or steps, where that is most of what is wrong with it."""
+    edges = np.linspace(0, len(away), PIECES + 1).astype(np.int64)
+    means = np.add.reduceat(away, edges[:-1]) / np.diff(edges)
+    if float(np.mean(means**2)) < EXPLAINED * float(np.mean(away**2)):
+        return None
+    size, steps = float(np.ptp(means)), np.abs(np.diff(means))
+    k = int(np.argmax(steps))
+    if np.sum(np.sort(steps)[-STEPS:]) > SUDDEN * np.sum(steps):
+        at = duration_s * (k + 1) / PIECES
+        text = f"has a zero that steps by {steps[k]:.3g} {unit} near {at:.3g} s: another range, or a cable that moved?"
+        return Contradiction(text)
+    return Contradiction(f"has a zero that drifts by {size:.3g} {unit}: its amplifier, or the temperature?")
+
+
+STEPS_CHANNEL_CHANGES = ("gain", "clock")  # kinds of changes that one channel alone can have, and that last
 MOST_CHANNELS = 8  # tried
 MUCH = 10.0  # χ² per degree of freedom of a fit that another start may better
 
@@ -129,7 +266,7 @@ def _told(model: Model, spectrum: Spectrum, c: int, predicted: Complex, left: fl
         return (y - predicted)[lines], predicted[lines]
 
     found = time_changes(unweighted, spectrum, np.array([c]))
-    lasting = [change for change in found if change.kind in STEPS]
+    lasting = [change for change in found if change.kind in STEPS_CHANNEL_CHANGES]
     named = lasting or [change for change in found if change.kind == "jump"]
     if lasting or not causes:  # a gain that steps is on the whole another gain
         return ChannelChange(left, change=named[0]) if named else None

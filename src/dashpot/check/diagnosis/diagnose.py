@@ -6,29 +6,39 @@ from dataclasses import replace
 
 import numpy as np
 
-from dashpot.arrays import diagonal_matrices
-from dashpot.check.branches import several_motions
-from dashpot.check.curvature import with_profile_intervals
-from dashpot.check.diagnosis.causes import causes
-from dashpot.check.diagnosis.channel_changes import ChannelChange, channel_changes
-from dashpot.check.diagnosis.directed import directed_causes
-from dashpot.check.diagnosis.nonlinear_elements import MARKED, called_for
+from dashpot.arrays import diagonal_matrices, random_generator
+from dashpot.check.diagnosis.causes import causes, directed_causes
+from dashpot.check.diagnosis.channel_changes import (
+    ChannelChange,
+    RigChanges,
+    channel_changes,
+    record_changes,
+    with_quiet_noise,
+)
+from dashpot.check.diagnosis.nonlinear_elements import MARKED, called_for, called_for_in_records
 from dashpot.check.diagnosis.ranking import Cause, points_of
-from dashpot.check.diagnosis.record_changes import RigChanges, record_changes, with_quiet_noise
-from dashpot.check.diagnosis.record_elements import called_for_in_records
+from dashpot.check.diagnosis.record_channels import mistakes_by_equation
 from dashpot.check.diagnosis.search import Workbench
-from dashpot.check.diagnosis.seen_channels import mistakes_by_equation
 from dashpot.check.diagnosis.steady_lines import steady_lines
 from dashpot.check.diagnosis.wording import finding, in_place_of_laws, nonlinear_finding
-from dashpot.check.silent_channels import silent_channels
-from dashpot.check.verdict import BEYOND, UNTESTED, assess, with_change_in_time
+from dashpot.check.profile import with_profile_intervals
+from dashpot.check.verdict import (
+    BEYOND,
+    UNTESTED,
+    assess,
+    rejected,
+    settled_by_size,
+    several_motions,
+    silent_channels,
+    with_change_in_time,
+)
 from dashpot.data.spectrum import FITTED, Spectrum
 from dashpot.errors import DashpotError, ModelError
 from dashpot.estimate.assessment import Assessment, Finding
 from dashpot.estimate.identify import identify
 from dashpot.estimate.inference.time_course import TIME_CHANGES, change_notice
-from dashpot.estimate.likelihood.starting_values import candidates
-from dashpot.estimate.nonlinear.starting_values import linear_rig, starting_points
+from dashpot.estimate.likelihood.global_search import candidates
+from dashpot.estimate.nonlinear.search import linear_rig, starting_points
 from dashpot.estimate.preparation.prepared import prepare
 from dashpot.estimate.result import Estimate
 from dashpot.model.network import Model
@@ -82,7 +92,7 @@ def _misfit_and_causes(
     if not spectrum.noise_known:
         spectrum = _with_supposed_noise(model, spectrum)
     data = prepare(model, spectrum)
-    middle, signs = candidates(data, 1, np.random.default_rng(seed))
+    middle, signs = candidates(data, 1, random_generator(seed))
     psi, sign = middle[0], signs[0]
     if estimate is not None and np.all(np.isfinite(estimate.values)):
         psi = estimate.values
@@ -121,15 +131,17 @@ def _pushed_backwards(model: Model, spectrum: Spectrum, estimate: Estimate | Non
     return (finding(model, spectrum.channels, turned),)
 
 
-def examined(model: Model, spectrum: Spectrum, estimate: Estimate, *, seed: int = 0) -> Estimate:
+def examined(
+    model: Model, spectrum: Spectrum, estimate: Estimate, *, seed: int = 0, within: float | None = None
+) -> Estimate:
     """The estimate with its assessment, and a diagnosis where the rig does not fit; batches as they are.
 
-    Where the rig fits, the intervals follow χ² where that is no parabola.
+    within: as of `assess`.  Where the rig fits, the intervals follow χ² where that is no parabola.
     """
     if estimate.values.ndim != 1:
         return estimate
     try:
-        assessment = assess(model, spectrum, estimate)
+        assessment = assess(model, spectrum, estimate, within=within)
     except ModelError as error:
         if bool(estimate.converged):
             raise
@@ -148,7 +160,9 @@ def examined(model: Model, spectrum: Spectrum, estimate: Estimate, *, seed: int 
         assessment = replace(assessment, findings=(*assessment.findings, *others))
     if elements_found:
         assessment = _with_nonlinear_elements(assessment, elements_found, misfit)
-    return _closed(model, spectrum, *_without_changes_in_time(estimate, assessment))
+    estimate, assessment = _without_changes_in_time(estimate, assessment)
+    assessment = settled_by_size(assessment, within is not None)
+    return _closed(model, spectrum, estimate, assessment)
 
 
 def _leaves_much(assessment: Assessment) -> bool:
@@ -255,7 +269,9 @@ def _closed(model: Model, spectrum: Spectrum, estimate: Estimate, assessment: As
     if not estimate.fit.known_noise:  # what a remedy leaves has no measure
         findings = tuple(replace(each, remaining=None) for each in assessment.findings)
         assessment = replace(assessment, findings=findings)
-    if assessment.verdict == "fits":
+    if assessment.verdict == "fits" and not rejected(
+        estimate
+    ):  # scores over a noise that is too small prove nothing
         assessment = _looked_at_closely(model, spectrum, estimate, assessment)
     if len(model.nonlinear):
         estimate = replace(
@@ -335,9 +351,11 @@ def _with_nonlinear_elements(
     others = [each for each in assessment.findings if each.kind not in (*PLAIN, "nonlinear")]
     reasons = [each for each in assessment.reasons if each.code not in UNTESTED]
     return replace(
-        assessment, verdict="does not fit", reasons=(Notice("nonlinear", text, elements_found[0].of), *reasons),
+        assessment,
+        verdict="does not fit",
+        reasons=(Notice("nonlinear", text, elements_found[0].of), *reasons),
         findings=(*leading, *elements_found, *others),
-    )  # fmt: skip
+    )
 
 
 def _of_another_linear_rig(causes_found: tuple[Finding, ...], misfit: float, share: float) -> bool:

@@ -11,18 +11,22 @@ import numpy as np
 from dashpot.arrays import Real
 from dashpot.check.diagnosis.causes import BY_CHANCE, RATES
 from dashpot.check.diagnosis.diagnose import LARGEST
-from dashpot.check.diagnosis.likeness import Likeness
 from dashpot.check.diagnosis.ranking import Cause, points_of, ranked
-from dashpot.check.diagnosis.rig_changes import APART, FOLLOWED, missing_elements, stated_values
-from dashpot.check.diagnosis.score_test import promised
+from dashpot.check.diagnosis.search import APART, FOLLOWED, missing_elements, promised, stated_values
+from dashpot.check.diagnosis.trials import Likeness
 from dashpot.check.diagnosis.wording import finding
 from dashpot.data.modal_data import ModalData
 from dashpot.errors import DashpotError
 from dashpot.estimate.assessment import Finding
-from dashpot.estimate.modal.mode_residuals import modal_misfit, mode_residuals
-from dashpot.estimate.modal.mode_search import searched_from
-from dashpot.estimate.modal.pairing import measured_modes, with_one_axis
-from dashpot.estimate.modal.starting_values import like_parts, random_rigs
+from dashpot.estimate.modal.mode_search import (
+    like_parts,
+    measured_modes,
+    modal_misfit,
+    mode_residuals,
+    random_rigs,
+    searched_from,
+    with_one_axis,
+)
 from dashpot.estimate.result import Estimate
 from dashpot.model.elements import Element
 from dashpot.model.network import Model
@@ -70,8 +74,15 @@ def diagnose_modes(
     """
     if model.n > LARGEST or not np.all(np.isfinite(estimate.values)):
         return ()
-    bench = _Bench(model, data, _starts(model, data, estimate, seed))
-    plain = (*_shapes_mended(data), *_other_units(data))
+    seen = set(data.points) == set(model.coordinates) and bool(np.all(np.isfinite(data.shapes)))
+    flat = with_one_axis(data)
+    drawn = random_rigs(model, flat, 0 if seen else DRAWS, np.random.default_rng(seed))
+    bench = _Bench(model, data, np.concatenate([estimate.values[None], like_parts(model, flat)[None], drawn]))
+    # Frequencies per second or minute for radians and the like; loss factors or per cent for damping ratios
+    trials = [_Trial("frequency", (), _times(data, rate, 1.0), rate) for rate in RATES]
+    if np.any(np.isfinite(data.damping_ratio)):
+        trials += [_Trial("damping", (), _times(data, 1.0, 1 / number), number) for number in DAMPINGS]
+    plain = (*_shapes_mended(data), *trials)
     candidates = [bench.tried(trial)[0] for trial in plain]
     noise = 1 + BY_CHANCE * (2 / max(estimate.fit.dof, 1)) ** 0.5
     if not any(cause.remaining < noise for cause in candidates):
@@ -80,14 +91,6 @@ def diagnose_modes(
         candidates += _other_rigs(bench, estimate.values)
     as_is = _reduced(model, data, float(estimate.fit.chi2))
     return tuple(finding(model, (), cause) for cause in ranked(candidates, as_is))
-
-
-def _starts(model: Model, data: ModalData, estimate: Estimate, seed: int) -> Real:
-    """The estimate, a rig of like parts and, where the points do not show all, rigs at random: (K, unknowns)."""
-    seen = set(data.points) == set(model.coordinates) and bool(np.all(np.isfinite(data.shapes)))
-    flat = with_one_axis(data)
-    drawn = random_rigs(model, flat, 0 if seen else DRAWS, np.random.default_rng(seed))
-    return np.concatenate([estimate.values[None], like_parts(model, flat)[None], drawn])
 
 
 def _reduced(model: Model, data: ModalData, chi2: float) -> float:
@@ -122,21 +125,15 @@ def _divided(data: ModalData, name: str, number: float) -> ModalData:
     return replace(data, shapes=data.shapes * factor, shape_covariance=covariance)
 
 
-def _other_units(data: ModalData) -> list[_Trial]:
-    """Frequencies per second or minute for radians and the like; loss factors or per cent for damping ratios."""
-    trials = [_Trial("frequency", (), _times(data, rate, 1.0), rate) for rate in RATES]
-    if np.any(np.isfinite(data.damping_ratio)):
-        trials += [_Trial("damping", (), _times(data, 1.0, 1 / number), number) for number in DAMPINGS]
-    return trials
-
-
 def _times(data: ModalData, rate: float, damping: float) -> ModalData:
     """Frequencies and damping ratios times a factor each."""
     factor = np.array([rate, damping])
     return replace(
-        data, frequency_hz=data.frequency_hz * rate, damping_ratio=data.damping_ratio * damping,
+        data,
+        frequency_hz=data.frequency_hz * rate,
+        damping_ratio=data.damping_ratio * damping,
         covariance=data.covariance * np.outer(factor, factor),
-    )  # fmt: skip
+    )
 
 
 def _without_one_mode(data: ModalData) -> list[_Trial]:
@@ -160,29 +157,27 @@ def _of_point(bench: _Bench, name: str) -> list[Cause]:
         return []
     kept = np.array([point != name for point in data.points])
     rest = replace(
-        data, points=tuple(np.array(data.points)[kept]), shapes=data.shapes[:, kept],
+        data,
+        points=tuple(np.array(data.points)[kept]),
+        shapes=data.shapes[:, kept],
         shape_covariance=data.shape_covariance[:, kept][:, :, kept],
-    )  # fmt: skip
+    )
     alone, theta = bench.tried(_Trial("channel", (name,), rest))
-    gain = _gain(bench.model, data, name, theta)
-    if gain == 0:
-        return [alone]
-    forms = Likeness(gain, 0, 0.0, conjugate=False, left=0.0).rounded()
-    trials = [_Trial(form.kind, (name,), _divided(data, name, form.number), form.number) for form in forms]
-    return [alone, *(bench.tried(trial)[0] for trial in trials)]
-
-
-def _gain(model: Model, data: ModalData, name: str, theta: Real) -> float:
-    """What a point shows over what the rig at `theta` (unknowns,) has there; 0 where that cannot be told."""
+    # What a point shows over what the rig at `theta` (unknowns,) has there; 0 where that cannot be told
     ignored = np.where([point == name for point in data.points], 1e12, 1.0)  # so it does not scale the shapes
     left = mode_residuals(
-        model, replace(data, shape_covariance=data.shape_covariance * np.outer(ignored, ignored)), theta
+        bench.model, replace(data, shape_covariance=data.shape_covariance * np.outer(ignored, ignored)), theta
     )
     at = data.points.index(name)
     shown, expected = left.measured[:, at], left.measured[:, at] - left.shape[:, at]
     there = np.isfinite(shown) & np.isfinite(expected)
     power = float(np.sum(np.abs(expected[there]) ** 2))
-    return float(np.sum((np.conj(expected) * shown)[there].real)) / power if power > 0 else 0.0
+    gain = float(np.sum((np.conj(expected) * shown)[there].real)) / power if power > 0 else 0.0
+    if gain == 0:
+        return [alone]
+    forms = Likeness(gain, 0, 0.0, conjugate=False, left=0.0).rounded()
+    trials = [_Trial(form.kind, (name,), _divided(data, name, form.number), form.number) for form in forms]
+    return [alone, *(bench.tried(trial)[0] for trial in trials)]
 
 
 # Another rig

@@ -8,53 +8,317 @@ those that promise most are fitted (Rao's score test; for whole records the scor
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from functools import cache
+from itertools import combinations
 
 import numpy as np
+from scipy.fft import next_fast_len
+from scipy.special import fdtrc
 
-from dashpot.arrays import Complex, Real, hermitian
-from dashpot.check.diagnosis.candidate_elements import (
-    ONE_SIDED,
-    Motions,
-    ScoredElement,
-    candidate_elements,
-    feeds_motion,
-    moving_pairs,
-    with_open_constants,
-)
-from dashpot.check.diagnosis.score_test import Promise, promised, promises
-from dashpot.check.diagnosis.search import descended
-from dashpot.check.diagnosis.seen_elements import scored_by_equation
+from dashpot.arrays import Complex, Ints, Real, hermitian
+from dashpot.check.diagnosis.search import Promise, descended, promised, promises, steadiness
+from dashpot.data.conditioning.still import HALF_WINDOW, smoothed
+from dashpot.data.spectrum import Spectrum, WholeRecord, history_of_lines
 from dashpot.errors import DashpotError
+from dashpot.estimate.inference.time_course import UNEVEN
 from dashpot.estimate.likelihood.chunks import Measured
-from dashpot.estimate.likelihood.nuisance import estimated_inputs
-from dashpot.estimate.likelihood.objective import local, measured, predict
+from dashpot.estimate.likelihood.objective import (
+    RecordFit,
+    estimated_inputs,
+    local,
+    measured,
+    predict,
+    record_fit,
+)
+from dashpot.estimate.linear.auxiliary_model import equation_covariance
+from dashpot.estimate.linear.gram import known_side
+from dashpot.estimate.linear.least_squares import equation
 from dashpot.estimate.nonlinear.dwells import dwells_of
+from dashpot.estimate.nonlinear.regression import MeasuredMotion, measured_motion, regressors_of
 from dashpot.estimate.nonlinear.search import lost_dwells_regained, measured_branches_regained
-from dashpot.estimate.preparation.prepared import Prepared
+from dashpot.estimate.preparation.prepared import Prepared, prepare
+from dashpot.estimate.preparation.state_reconstruction import States
+from dashpot.estimate.result import Estimate
 from dashpot.model.elements import Element, Kind, between
 from dashpot.model.network import Model
-from dashpot.model.nonlinear.alternating import alternate
-from dashpot.model.nonlinear.force_law import force_law
+from dashpot.model.nonlinear.alternating import alternate, operated_states
+from dashpot.model.nonlinear.force_law import Constant, ForceLaw, force_law
 from dashpot.model.nonlinear.harmonic_balance import periodic_response, samples_of
 from dashpot.model.nonlinear.harmonics import complex_of, real_of
-from dashpot.model.observation import ObservationModel, Transfer, calibrated_transfer
+from dashpot.model.observation import (
+    ObservationModel,
+    Transfer,
+    calibrated_transfer,
+    calibration_factors,
+    observation_model,
+)
+from dashpot.numerics.small_systems import orthonormal, real_rows
+
+# Nonlinear elements that a rig might have: laws between points that move, and what is said for each.
+
+
+# Kind, law and the share of the motion that its constant is, if it has one.
+LAWS: tuple[tuple[Kind, str, str, float], ...] = (
+    (Kind.SPRING, "cubic", "", 0.0),
+    (Kind.SPRING, "square", "", 0.0),
+    (Kind.SPRING, "quadratic", "", 0.0),
+    (Kind.SPRING, "quintic", "", 0.0),
+    (Kind.SPRING, "gap", "gap", 0.5),
+    (Kind.SPRING, "one-sided", "gap", 0.3),
+    (Kind.SPRING, "jenkins", "slip", 0.3),
+    (Kind.DAMPER, "quadratic", "", 0.0),
+    (Kind.DAMPER, "cubic", "", 0.0),
+    (Kind.DAMPER, "coulomb", "v0", 0.1),
+)
+FURTHER = (
+    (Kind.SPRING, "d**4", "", 0.0),
+    (Kind.DAMPER, "d**2*v", "", 0.0),
+)  # tried where elements are compared
+ONE_SIDED = "one-sided"  # a law that may act either way
+WORDS = {"d**4": "quartic", "d**2*v": "growing"}  # in names of elements
+FEW = 4  # coordinates up to which any two points are tried, and not only those that an element joins
+SCALES = (1.0, 0.4, 0.2, 1.6)  # times the usual clearance: others that are tried
+
+
+@dataclass(frozen=True)
+class ScoredElement:
+    """A candidate: how far χ² falls with it, from `chi2` with `dof` degrees of freedom, and the value it would have.
+
+    psi (M,): the rig's own unknowns beside it, where they are known better than by the fit without it.
+    """
+
+    element: Element
+    fall: float
+    chi2: float
+    dof: int
+    value: float
+    psi: Real | None = None
+
+    @property
+    def p_value(self) -> float:
+        """Probability of such a fall by noise alone, what is left being noise."""
+        left = max(self.chi2 - self.fall, 1e-300) / max(self.dof - 1, 1)
+        return float(fdtrc(1.0, float(max(self.dof - 1, 1)), self.fall / max(left, 1.0)))
+
+
+# The largest elongation (m) and rate (m/s) between two points.
+Motions = Mapping[tuple[str, str], tuple[float, float]]
+
+
+def moving_pairs(model: Model) -> list[tuple[str, str]]:
+    """Any two points that move against each other; in large rigs only those that an element joins."""
+    points = [*model.coordinates, *model.displacement_inputs, "ground"]
+    joined = {frozenset(element.along) for element in model.elements}
+    return [
+        (first, second)
+        for first, second in combinations(points, 2)
+        if first in model.coordinates
+        and (model.n <= FEW or frozenset({first, second} - {"ground"}) in joined)
+    ]
+
+
+@cache
+def _law(kind: Kind, name: str, constant: str) -> ForceLaw:
+    """A law, read once: that takes longer than all that is done with it."""
+    constants = [Constant(constant, 1.0)] if constant else []
+    return force_law(name, constants, damper=kind is Kind.DAMPER)
+
+
+def candidate_elements(model: Model, motions: Motions, further: bool = False) -> list[Element]:
+    """Every law of LAWS, and of FURTHER, between the points that move, their constants in proportion to the motion.
+
+    Where the rig has such an element already there is none.
+    """
+    there = {
+        (element.force_law.expression.text, frozenset(element.along))
+        for element in model.elements
+        if element.force_law is not None
+    }
+    candidates = []
+    for (first, second), (size, speed) in motions.items():
+        for kind, name, constant, share in (*LAWS, *(FURTHER if further else ())):
+            value = share * (speed if constant == "v0" else size)
+            law = _law(kind, name, constant).with_constants([Constant(constant, value)])
+            for points in ((first, second), (second, first))[: 2 if name == ONE_SIDED else 1]:
+                plain = between("_".join([WORDS.get(name, name), kind.value, *points]), kind, *points)
+                if (law.expression.text, frozenset(plain.along)) not in there:
+                    candidates.append(replace(plain, force_law=law))
+    return candidates
+
+
+def with_open_constants(element: Element) -> Element:
+    """The element with its inner constants unknown, what they were as guesses."""
+    assert element.force_law is not None
+    constants = [
+        replace(c, value=None, guess=float(f"{c.value:.3g}"))
+        for c in element.force_law.constants
+        if c.value is not None
+    ]
+    return replace(element, force_law=element.force_law.with_constants(constants))
+
+
+def at_each_scale(elements: Sequence[Element]) -> list[Element]:
+    """The elements, springs with a clearance at several values of it."""
+    scaled = []
+    for element in elements:
+        law = element.force_law
+        assert law is not None
+        for scale in SCALES if has_clearance(element) else (1.0,):
+            constants = [replace(c, value=scale * c.value) for c in law.constants if c.value is not None]
+            scaled.append(replace(element, force_law=law.with_constants(constants)))
+    return scaled
+
+
+def feeds_motion(element: Element, value: float) -> bool:
+    """Whether it would drive the rig: friction or damping below zero, or a spring that slips backwards.
+
+    There is none; what it explains, another law does: friction below zero stands for damping that grows with speed,
+    damping below zero that grows for friction.
+    """
+    law = element.force_law
+    return law is not None and value < 0 and (element.kind is Kind.DAMPER or bool(law.operator))
+
+
+def has_clearance(element: Element) -> bool:
+    """Whether a spring's law has a length in it."""
+    return element.kind is Kind.SPRING and element.force_law is not None and bool(element.force_law.constants)
+
+
+# Nonlinear elements where all motion was measured, by the equation of motion: nothing is balanced or
+# searched.
+#
+# A candidate's force in the measured motion is one more column of a regression, weighed by what noise of
+# the motion leaves in the equation. A rig that is far off, dwells beside a fold and lost branches do not
+# matter here, as they do where a candidate is scored beside the fit of a rig without it (THEORY §9).
+
+
+SOFT = 0.01  # of each amplitude: what harmonics that were not measured leave out of a force
+APART = 1e-4  # part of a column that the rig's own unknowns must leave
+NEAR = 1e-4  # relative step of differences along constants inside the rig's own laws
+FAR = 2.0  # times such a constant, or one over it: as far as one round moves it
+
+
+def scored_by_equation(data: Prepared, psi: Real, elements: Sequence[Element]) -> list[ScoredElement]:
+    """The best candidate of each place and law, with all values of the rig beside it, the best first.
+
+    data: of one repeat, settled dwells of a rig without unknown calibrations; psi (M,) its best fit, from which the
+    constants inside its own laws are moved.  [] where some motion is not seen.
+    """
+    model, states = data.model, data.states
+    if states is None or len(psi) > len(model.unknowns) or not elements:
+        return []
+    every = [replace(e, name=f"{e.name} {k}") for k, e in enumerate(at_each_scale(elements))]
+    extended = replace(model, elements=(*model.elements, *every))
+    try:
+        motion = measured_motion(data.of_rig(extended))
+        own = measured_motion(data) if len(model.nonlinear) else None
+    except DashpotError:
+        return []
+    count = len(model.elements)
+    added = motion.unit_forces(extended.constants_map[1])[..., count:]
+    columns = added[0, :, None, :] * extended.B[count:].T
+    scored = _Regression(data, _softened(states), own, columns).scored(psi, every)
+    best: dict[str, ScoredElement] = {}
+    for candidate in sorted(scored, key=lambda each: -each.fall):
+        name = candidate.element.name.rsplit(" ", 1)[0]
+        best.setdefault(name, replace(candidate, element=replace(candidate.element, name=name)))
+    return list(best.values())
+
+
+def _softened(states: States) -> States:
+    """The states with the noise that unmeasured harmonics amount to."""
+    soft = (SOFT * np.abs(states.z)) ** 2
+    return replace(states, covariance=states.covariance + soft[..., None] * np.eye(soft.shape[-1]))
+
+
+@dataclass(frozen=True)
+class _Regression:
+    """The equation of motion at all lines; columns (lines, n, candidates): unit forces on the coordinates.
+
+    own: the measured motion, where the rig has laws of its own.
+    """
+
+    data: Prepared
+    states: States
+    own: MeasuredMotion | None
+    columns: Complex
+
+    def scored(self, psi: Real, elements: Sequence[Element]) -> list[ScoredElement]:
+        """All candidates, weighed with the values that the best one asks for."""
+        scored: list[ScoredElement] = []
+        for _ in range(3):  # rounds of weights, which depend on the values
+            scored = self._weighed_at(psi, elements)
+            if not scored:
+                return []
+            best = max(scored, key=lambda each: each.fall)
+            assert best.psi is not None
+            psi = best.psi
+        return scored
+
+    def _weighed_at(self, psi: Real, elements: Sequence[Element]) -> list[ScoredElement]:
+        """With weights of the values ψ (M,)."""
+        model = self.data.model
+        Phi, h = self._of_the_rig(psi)
+        Se = equation_covariance(model, model.parameters(psi[None]), self.states)
+        every = np.concatenate([Phi[0], h[0, ..., None], self.columns], axis=-1)
+        try:
+            white = np.linalg.solve(np.linalg.cholesky(Se[0]), every)
+        except np.linalg.LinAlgError:
+            return []
+        rows = real_rows(white[None])[0]
+        m = Phi.shape[-1]
+        own, side, columns = rows[:, :m], rows[:, m], rows[:, m + 1 :]
+        Q, back, _ = (part[0] for part in orthonormal(own[None]))
+        residual, left = side - Q @ (Q.T @ side), columns - Q @ (Q.T @ columns)
+        squares = np.sum(left**2, axis=0)
+        apart = squares > APART**2 * np.sum(columns**2, axis=0)
+        value = np.where(apart, left.T @ residual / np.where(apart, squares, 1.0), 0.0)
+        theta = _within_reach(model, psi, back @ (Q.T @ (side[:, None] - value * columns)))
+        chi2, dof = 2 * float(residual @ residual), max(len(side) - m - 1, 1)
+        return [
+            ScoredElement(element, 2 * float(p**2 * size), chi2, dof, float(p), values)
+            for element, p, size, values, usable in zip(elements, value, squares, theta.T, apart, strict=True)
+            if usable
+        ]
+
+    def _of_the_rig(self, psi: Real) -> tuple[Complex, Complex]:
+        """Φ and h of the rig as it is, e = Φ θ − h, linear in the constants inside its laws about ψ (M,)."""
+        model = self.data.model
+        if self.own is None:
+            return equation(model, self.states)
+        constants, p = model.inner_constants(psi), model.parameters(psi)
+        a = self.own.unit_forces(constants)
+        Phi, h = regressors_of(model, a), known_side(model, a, self.own.f)
+        along = model.constants_map[0]
+        for column in np.flatnonzero(np.any(along, axis=0)):
+            step = NEAR * max(abs(psi[column]), np.finfo(float).tiny)
+            moved = self.own.unit_forces(constants + step * along[:, column])
+            slope = ((moved - a) / step * p) @ model.B
+            Phi[..., column] += slope
+            h = h + slope * psi[column]
+        return Phi, h
+
+
+def _within_reach(model: Model, psi: Real, theta: Real) -> Real:
+    """θ (unknowns, candidates) with constants inside laws no further from ψ (unknowns,) than slopes can tell."""
+    inner = np.any(model.constants_map[0], axis=0)
+    near = np.abs(psi[:, None])
+    return np.where(inner[:, None], np.clip(theta, near / FAR, near * FAR), theta)
+
 
 CERTAIN = 1e-6  # p-value below which a nonlinear element is called for
 MARKED = 0.3  # share of the misfit that it must explain
-APART = 1e-4  # part of a column that the rig's own unknowns must leave
 TOGETHER = 12  # candidates that are scored at once
-FULLY = 4  # candidates that are fitted in full where all motion is seen
 FOLLOWED, SOFTLY = 2, 4  # candidates that are fitted in full, the second number from the softened data
-NEARLY = 4.0  # times the χ² that the best leaves: others that leave no more are named, too
+NEARLY_NONLINEAR_ELEMENTS = 4.0  # times the χ² that the best leaves: others that leave no more are named, too
 ENOUGH = 2.0  # χ² per degree of freedom at which no other candidate is followed
 GLANCE, LIMIT = 5, 15  # iterations of such a fit: before it must have begun to help, and in all
 HINT = 0.4  # share of the misfit that a candidate must promise to be followed
 LEFT = 0.1  # share of the misfit in the equation of motion that a candidate may leave
 ROUGHLY = 7.0  # or χ² of a degree of freedom that it may leave there
 FALLEN = 0.1  # share by which the softened misfit must have fallen for a fit to go on
-SOFT = 0.05  # relative noise of the softened data
-STILL = 1e-9  # of the largest elongation: points that move no further do not move
+SOFT_NONLINEAR_ELEMENTS = 0.05  # relative noise of the softened data
 ROUNDED = 1e-9  # of the largest harmonic of a force: what is smaller is none
 
 
@@ -78,7 +342,9 @@ def scored_in_dwells(
         alike = [e for e in elements if e.force_law is not None and e.force_law.smooth is not rough]
         for first in range(0, len(alike), TOGETHER):
             try:
-                scored += _scored(data, psi, sign, alike[first : first + TOGETHER], softness)
+                scored += _scored_nonlinear_elements(
+                    data, psi, sign, alike[first : first + TOGETHER], softness
+                )
             except DashpotError:
                 continue
     return _best_first(scored)
@@ -138,8 +404,9 @@ def _columns(data: Prepared, psi: Real, sign: Real, elements: Sequence[Element],
     )
     rig = calibrated_transfer(
         data.of_rig(straight).view,
-        _with_elements(straight, {element.name: 0.0 for element in elements}, psi)[None], sign[None],
-    )  # fmt: skip
+        _with_elements(straight, {element.name: 0.0 for element in elements}, psi)[None],
+        sign[None],
+    )
     assert isinstance(rig, Transfer)
     r, chosen = data.model.D.shape[1], bent.nonlinear
     X = np.einsum("...nq,...q->...n", rig.X, q)[0]
@@ -157,11 +424,10 @@ def _columns(data: Prepared, psi: Real, sign: Real, elements: Sequence[Element],
     # The square of a sine has no fundamental but rounding.
     rounding = ROUNDED * np.max(np.abs(at_harmonics), axis=1)[dwells.dwell]
     unit_forces = np.where(np.abs(unit_forces) > rounding, unit_forces, 0.0)
-    columns: Complex = rig.E[..., chosen] * unit_forces[:, None, :]
-    return columns
+    return rig.E[..., chosen] * unit_forces[:, None, :]
 
 
-def _scored(
+def _scored_nonlinear_elements(
     data: Prepared, psi: Real, sign: Real, elements: Sequence[Element], softness: float
 ) -> list[ScoredElement]:
     extended = replace(data.model, elements=(*data.model.elements, *elements))
@@ -243,7 +509,9 @@ def _moving(pairs: Sequence[tuple[str, str]], delta: Real, omega: Real) -> Motio
 
 def softened(data: Prepared, psi: Real, sign: Real) -> Real:
     """ψ (M,) of the rig as it is from the softened data, from ψ of the data themselves."""
-    return _descended(data.view, measured(replace(data, states=None), SOFT), psi, sign, 2 * LIMIT)[0]
+    return _descended(
+        data.view, measured(replace(data, states=None), SOFT_NONLINEAR_ELEMENTS), psi, sign, 2 * LIMIT
+    )[0]
 
 
 def _descended(
@@ -281,12 +549,13 @@ def called_for(data: Prepared, psi: Real, sign: Real, *, thorough: bool = True) 
     chi2 = misfit(data, psi, sign)
     seen = _passive(seen_candidates(data, psi))
     mending = [each for each in seen if _mends(each)]
-    fitted = _passive([fitted_in_full(data, psi, sign, each, chi2, 0.0) for each in mending[:FULLY]])
+    # candidates that are fitted in full where all motion is seen
+    fitted = _passive([fitted_in_full(data, psi, sign, each, chi2, 0.0) for each in mending[:4]])
     if any(_certain(each) for each in fitted) or (seen and not thorough):
         return _nearly_best(fitted)
     for softness, start, followed in (
         (0.0, psi, FOLLOWED),
-        (SOFT, softened(data, psi, sign), SOFTLY),
+        (SOFT_NONLINEAR_ELEMENTS, softened(data, psi, sign), SOFTLY),
     ):
         candidates = candidate_elements(data.model, motions_of(data, start))
         scored = _passive(scored_in_dwells(data, start, sign, candidates, softness))
@@ -306,7 +575,11 @@ def _passive(scored: Sequence[ScoredElement]) -> list[ScoredElement]:
 def _nearly_best(fitted: Sequence[ScoredElement]) -> list[ScoredElement]:
     """The certain ones that leave hardly more than the best of them, or than noise; the best first."""
     certain = sorted(filter(_certain, fitted), key=lambda each: -each.fall)
-    most = max((NEARLY * (certain[0].chi2 - certain[0].fall), ENOUGH * certain[0].dof)) if certain else 0.0
+    most = (
+        max((NEARLY_NONLINEAR_ELEMENTS * (certain[0].chi2 - certain[0].fall), ENOUGH * certain[0].dof))
+        if certain
+        else 0.0
+    )
     return [each for each in certain if each.chi2 - each.fall <= most]
 
 
@@ -376,3 +649,268 @@ def fitted_in_full(
     fitted_element = replace(candidate.element, force_law=law.with_constants(constants))
     fall = max(chi2 - least, 0.0)
     return replace(candidate, element=fitted_element, fall=fall, chi2=chi2, value=values[element.name])
+
+
+# Nonlinear elements that whole records call for beside a linear rig, by the score of each alone (THEORY
+# §9).
+#
+# Under the motion of the record a candidate pushes with a force that is known in time; its lines, carried
+# to the channels by the linear rig, are one column, the inputs and the ends of the records taken out. What
+# a linear spring or damper at the same place does as well counts for nothing: a missing linear element must
+# not pass for a nonlinear one.
+
+
+MOST_AMPLITUDES = 100_000  # complex numbers of all channels
+STEADY = 1e-3  # p-value below which all parts of the records agree that there is one
+OVERSAMPLED = 2  # times the samples of a record: kinks of a law reach beyond its lines
+LEAST = 0.02  # of what is left over, that a candidate must explain: mistakes of other kinds leave it less by chance
+NEARLY = 0.5  # of what the best explains: others that explain as much are named, too
+MOST = 3  # candidates that are named
+HANDICAP = 0.85  # of what a law explains by such a choice, beside laws without one
+QUIET = 0.05  # share of the lines that have nothing but noise at the least
+STILL = 1e-9  # of the largest elongation: points that move no further do not move
+
+
+def called_for_in_records(model: Model, spectrum: Spectrum, estimate: Estimate) -> list[ScoredElement]:
+    """Candidates of which the whole records leave no doubt, the best first; [] where there is none.
+
+    spectrum: without batch axes, with the noise that the estimate of a linear rig rests on.
+    """
+    whole = bool(spectrum.records) and len(spectrum.records) == len(spectrum.stretches)
+    if not whole or spectrum.amplitudes.size > MOST_AMPLITUDES or not np.all(np.isfinite(estimate.values)):
+        return []
+    try:
+        data = prepare(model, spectrum, states=False)
+        exact = measured(data)
+    except DashpotError:
+        return []
+    if exact.ends is None:
+        return []
+    psi, sign = estimate.values[None], spectrum.signs(estimate.signs)
+    with np.errstate(all="ignore"):
+        fit = record_fit(data.view, exact, psi, sign)
+        slopes = predict(data.view, exact, psi, sign).J
+    if not np.all(np.isfinite(slopes)):
+        return []
+    places = _places(data.view, spectrum, fit, exact, psi, sign)
+    uneven = any(notice.code == UNEVEN for notice in estimate.warnings)
+    return _scored(model, exact, spectrum, fit, slopes, places, uneven)
+
+
+@dataclass(frozen=True)
+class _Times:
+    """The samples of whole records, and which of their lines are in the band."""
+
+    lines: tuple[Ints, ...]
+    order: tuple[Ints, ...]
+    samples: tuple[int, ...]
+
+    @staticmethod
+    def of(spectrum: Spectrum) -> _Times:
+        """Those of a spectrum's whole records."""
+        lines, order, samples = [], [], []
+        for number in spectrum.records:
+            record = spectrum.stretches[number]
+            assert isinstance(record, WholeRecord)
+            lines.append(np.flatnonzero(spectrum.stretch == number))
+            order.append(record.orders(spectrum.frequency_hz[lines[-1]]))
+            samples.append(int(next_fast_len(OVERSAMPLED * record.samples, real=True)))
+        return _Times(tuple(lines), tuple(order), tuple(samples))
+
+    def history(self, amplitudes: Complex) -> Real:
+        """Motion in time of amplitudes (lines, ...), one record after the other, (samples of all, ...)."""
+        return np.concatenate(
+            [
+                history_of_lines(amplitudes[lines], order, samples)
+                for lines, order, samples in zip(self.lines, self.order, self.samples, strict=True)
+            ]
+        )
+
+    def amplitudes(self, history: Real) -> Complex:
+        """Lines (lines,) of a history (samples of all,)."""
+        out = np.zeros(sum(map(len, self.lines)), dtype=np.complex128)
+        pieces = np.split(history, np.cumsum(self.samples)[:-1])
+        for lines, order, piece in zip(self.lines, self.order, pieces, strict=True):
+            out[lines] = np.fft.rfft(piece)[order] * (2 / len(piece))
+        return out
+
+
+@dataclass(frozen=True)
+class _Place:
+    """Two points between which an element may be: how they move, and what a unit force between them does.
+
+    along: the points with their signs; motion (lines,); effect (lines, channels); elongation, rate (samples of all,), m
+    and m/s
+    """
+
+    along: Mapping[str, float]
+    motion: Complex
+    effect: Complex
+    elongation: Real
+    rate: Real
+
+    @property
+    def size(self) -> float:
+        """The largest elongation, m."""
+        return float(np.max(np.abs(self.elongation)))
+
+    def force(self, element: Element) -> Real:
+        """Unit force of an element here, (samples of all,), along the place, whichever way round the element is."""
+        law = element.force_law
+        assert law is not None
+        constants = np.array([constant.value for constant in law.constants], dtype=float)
+        way = next(element.along[point] * factor for point, factor in self.along.items())
+        d, v = way * self.elongation, way * self.rate
+        z = operated_states(law, d, constants[0]) if law.operator else d
+        return way * np.broadcast_to(law(d, v, z, constants).value, v.shape)
+
+
+def _places(
+    view: ObservationModel, spectrum: Spectrum, fit: RecordFit, exact: Measured, psi: Real, sign: Real
+) -> dict[tuple[str, str], _Place]:
+    """The places by their points, of those that move.
+
+    The motion is that of the linear rig, and what the residuals of the channels add to it beyond noise (Wiener).
+    """
+    model, pairs = view.model, moving_pairs(view.model)
+    probes = [between(f"place {a} {b}", Kind.SPRING, a, b, value=0.0) for a, b in pairs]
+    larger = replace(model, elements=(*model.elements, *probes))
+    rig = calibrated_transfer(observation_model(larger, view.channels, view.omega), psi, sign)
+    assert isinstance(rig, Transfer)
+    assert isinstance(fit.rig, Transfer)
+    effect = rig.E[0][..., len(model.elements) :]
+    X = np.einsum("lnq,lq->ln", fit.rig.X[0], fit.motion[0])
+    r = fit.r[0]
+    share = _beyond_noise(spectrum, r)
+    moving = np.any(view.on_x, axis=1) & ~np.any(view.force, axis=1)
+    rates = (1j * view.omega[:, None]) ** view.derivative * calibration_factors(view, psi, sign)[0]
+    X = X + (share * r / rates)[:, moving] @ np.linalg.pinv(view.on_x[moving]).T
+    U = fit.motion[0, :, : model.D.shape[1]]
+    motion = X @ larger.B[len(model.elements) :].T + U @ larger.D[len(model.elements) :].T
+    times = _Times.of(spectrum)
+    elongation = times.history(motion)
+    rate = times.history(1j * view.omega[:, None] * motion)
+    reach = np.max(np.abs(elongation), axis=0)
+    return {
+        pair: _Place(probes[j].along, motion[:, j], effect[..., j], elongation[:, j], rate[:, j])
+        for j, pair in enumerate(pairs)
+        if reach[j] > STILL * np.max(reach)
+    }
+
+
+def _beyond_noise(spectrum: Spectrum, residual: Complex) -> Real:
+    """Share of the residuals that is no noise, (lines, channels): white noise is as low as where they are quietest."""
+    power = np.empty(residual.shape)
+    for number in spectrum.records:
+        lines = np.flatnonzero(spectrum.stretch == number)
+        power[lines] = smoothed((np.abs(residual[lines]) ** 2).astype(np.complex128), HALF_WINDOW).real
+    noise = np.quantile(power, QUIET, axis=0)
+    return np.maximum(1 - noise / np.maximum(power, np.finfo(float).tiny), 0.0)
+
+
+def _scored(
+    model: Model,
+    exact: Measured,
+    spectrum: Spectrum,
+    fit: RecordFit,
+    slopes: Complex,
+    places: dict[tuple[str, str], _Place],
+    uneven: bool,
+) -> list[ScoredElement]:
+    """The candidates that pass, the best first; slopes (1, lines, channels, M).
+
+    Of noise that is `uneven` in time no test holds but that of all parts of the records.
+    """
+
+    def rows(columns: Complex) -> Real:
+        """Columns (lines, channels, k) with unit noise, inputs and ends taken out, (rows, k)."""
+        return real_rows(fit.root @ fit.left_of(columns[None]))[0]
+
+    times, rate = _Times.of(spectrum), 1j * spectrum.omega
+    linear = [
+        place.effect * (factor * place.motion)[:, None] for place in places.values() for factor in (1.0, rate)
+    ]
+    own = real_rows(fit.root @ slopes)
+    beside = np.concatenate([own[0], rows(np.stack(linear, axis=-1))], axis=-1)
+    test = _Test(
+        times, orthonormal(own)[0][0], orthonormal(beside[None])[0][0], real_rows(fit.root @ fit.r[..., None])[0, :, 0],
+        max(exact.rows - int(fit.of_ends.rank[0]) - beside.shape[-1] - 1, 1), uneven,
+    )  # fmt: skip
+    scored = []
+    motions = {pair: (place.size, float(np.max(np.abs(place.rate)))) for pair, place in places.items()}
+    for element in at_each_scale(candidate_elements(model, motions)):
+        place = next(place for place in places.values() if set(place.along) == set(element.along))
+        column = place.effect * times.amplitudes(place.force(element))[:, None]
+        candidate = test.of(element, rows(column[..., None])[:, 0])
+        if (
+            candidate is not None
+            and candidate.fall > LEAST * candidate.chi2
+            and not feeds_motion(candidate.element, candidate.value)
+        ):
+            scored.append(candidate)
+    return _named(scored)
+
+
+def _named(scored: Sequence[ScoredElement]) -> list[ScoredElement]:
+    """The best of each place and law, the best first, as far as they explain nearly as much as the best of all."""
+
+    def explains(candidate: ScoredElement) -> float:
+        return candidate.fall * (HANDICAP if has_clearance(candidate.element) else 1.0)
+
+    best: dict[str, ScoredElement] = {}
+    for candidate in sorted(scored, key=explains, reverse=True):
+        best.setdefault(candidate.element.name, candidate)
+    named = list(best.values())
+    return [candidate for candidate in named if explains(candidate) >= NEARLY * explains(named[0])][:MOST]
+
+
+@dataclass(frozen=True)
+class _Test:
+    """What a candidate explains of the residual beside others; orthonormal columns and sides with unit noise.
+
+    own (rows, M): of the rig's own unknowns; beside (rows, M + 2 places): with the linear elements; residual (rows,);
+    rows: real parts of lines by channels, then imaginary ones
+    """
+
+    times: _Times
+    own: Real
+    beside: Real
+    residual: Real
+    dof: int
+    uneven: bool
+
+    def of(self, element: Element, column: Real) -> ScoredElement | None:
+        """The candidate with its column (rows,); None where it is in doubt."""
+        nonlinear = _left(self.beside, column)
+        if not _size(nonlinear) > APART * _size(column):
+            return None
+        beyond = _left(self.beside, self.residual)
+        value = float(nonlinear @ beyond) / float(nonlinear @ nonlinear)
+        # The cost is −2 ln L: twice the square of what has unit noise.
+        chi2, fall = 2 * float(beyond @ beyond), 2 * value * float(nonlinear @ beyond)
+        test = ScoredElement(element, fall, chi2, self.dof, value)
+        if not (test.p_value < CERTAIN and self._steady(nonlinear, beyond, value)):
+            return None
+        alone = _left(self.own, column)
+        value = float(alone @ self.residual) / float(alone @ alone)
+        chi2 = 2 * float(self.residual @ self.residual)
+        return ScoredElement(element, 2 * value * float(alone @ self.residual), chi2, self.dof, value)
+
+    def _steady(self, column: Real, residual: Real, value: float) -> bool:
+        """Whether the parameter is beyond doubt by its scatter over parts of the records in time."""
+        histories = self._history(column), self._history(residual)
+        return steadiness(*histories, value, uneven=self.uneven) < (CERTAIN if self.uneven else STEADY)
+
+    def _history(self, rows: Real) -> Real:
+        """Rows in time, (samples of all, channels)."""
+        real, imaginary = np.split(rows, 2)
+        lines = sum(map(len, self.times.lines))
+        return self.times.history((real + 1j * imaginary).reshape(lines, -1))
+
+
+def _left(basis: Real, column: Real) -> Real:
+    return column - basis @ (basis.T @ column)
+
+
+def _size(column: Real) -> float:
+    return float(np.sqrt(column @ column))

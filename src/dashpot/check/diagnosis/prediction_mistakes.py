@@ -11,15 +11,17 @@ from dataclasses import replace
 
 import numpy as np
 
-from dashpot.check.diagnosis.likeness import Likeness, lateness, likeness
 from dashpot.check.diagnosis.ranking import Cause, cause_of, ranked
 from dashpot.check.diagnosis.record_channels import channel_mistakes
 from dashpot.check.diagnosis.search import Workbench
 from dashpot.check.diagnosis.steady_lines import steady_lines
 from dashpot.check.diagnosis.trials import (
+    Likeness,
     Trial,
     cells,
     exchanged,
+    lateness,
+    likeness,
     mistakes_of_a_channel,
     untouched,
     with_form,
@@ -92,18 +94,6 @@ def _mistakes(model: Model, estimate: Estimate, spectrum: Spectrum) -> tuple[Fin
     (as_is,) = bench.judged([base])
     if not as_is.reduced > SHOWN:
         return ()
-    tried = [cause_of(each) for each in bench.judged(_trials(bench, base, spectrum))]
-    tried += _mended(bench, base)
-    rate, left = bench.other_rate(base)
-    tried.append(Cause("frequency", (), left, rate))
-    most = max(EXPLAINED * as_is.reduced, 1.0)
-    explaining = [cause for cause in tried if cause.remaining < most]
-    inputs = {channel.name for channel in lines.channels if measures_input(model, channel)}
-    return tuple(finding(model, lines.channels, cause) for cause in ranked(explaining, as_is.reduced, inputs))
-
-
-def _trials(bench: Workbench, base: Trial, spectrum: Spectrum) -> list[Trial]:
-    """Each channel's usual mistakes, and two channels exchanged."""
     channels = bench.view.channels
     trials = [
         trial
@@ -111,7 +101,17 @@ def _trials(bench: Workbench, base: Trial, spectrum: Spectrum) -> list[Trial]:
         for trial in mistakes_of_a_channel(base, channel, c, bench.view.omega)
         if not (spectrum.carries_loads and trial.kind in OF_FREQUENCY)
     ]
-    return trials + exchanged(base, [channel.name for channel in channels])
+    tried = [
+        cause_of(each)
+        for each in bench.judged(trials + exchanged(base, [channel.name for channel in channels]))
+    ]
+    tried += _mended(bench, base)
+    rate, left = bench.other_rate(base)
+    tried.append(Cause("frequency", (), left, rate))
+    most = max(EXPLAINED * as_is.reduced, 1.0)
+    explaining = [cause for cause in tried if cause.remaining < most]
+    inputs = {channel.name for channel in lines.channels if measures_input(model, channel)}
+    return tuple(finding(model, lines.channels, cause) for cause in ranked(explaining, as_is.reduced, inputs))
 
 
 def _mended(bench: Workbench, base: Trial) -> list[Cause]:

@@ -7,12 +7,32 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from dashpot import units
 from dashpot.check.diagnosis.contradictions import Contradiction
-from dashpot.check.diagnosis.likeness import Likeness
-from dashpot.check.diagnosis.stated_units import unit_of_number
-from dashpot.check.diagnosis.trials import Outcome
-from dashpot.model.elements import Element
+from dashpot.check.diagnosis.trials import CLOSE, Likeness, Outcome
+from dashpot.model.elements import Element, Kind
 from dashpot.model.network import Model
+
+# Stated values of elements whose numbers are in another unit than was written.
+
+
+USUAL = {
+    Kind.MASS: ("mass", ("g", "lb", "t")),
+    Kind.SPRING: ("stiffness", ("N/mm", "lbf/in")),
+    Kind.DAMPER: ("damping", ("N·s/mm", "lbf·s/in")),
+}
+
+
+def unit_of_number(element: Element, stated: float | None, value: float | None) -> str | None:
+    """The unit in which the number `stated`, taken for the SI one, would be `value`; None where none is usual."""
+    quantity, usual = USUAL.get(element.kind, ("", ()))
+    if stated is None or value is None or stated == 0:
+        return None
+    for unit in usual:
+        if abs(value / (stated * units.scale(unit, quantity, False)) - 1) < CLOSE:
+            return unit
+    return None
+
 
 # What explains as much and is more particular is named first.
 ORDER = (
@@ -26,7 +46,6 @@ FINELY = 1 / 6  # of a small misfit above 1 is the share of the handicaps, and o
 LEFT_OUT_DWELL, LEFT_OUT, LEFT_OUT_INPUT = 1.7, 2.0, 4.0
 # Ratio of what is left within which two causes explain alike, and where even the best leaves more than noise.
 ALIKE, ALIKE_OF_A_ROUGH_RIG = 1.6, 1.7
-MOST = 5  # findings that are named
 GIVEN_UP = 0.25  # share of the lines that test nothing without a channel, above which it says little of them
 MOSTLY = 0.1  # of χ² that a remedy which explains most of it leaves at the most
 
@@ -69,12 +88,6 @@ def points_of(element: Element, model: Model) -> tuple[str, ...]:
     return points if len(points) > 1 else (*points, "ground")
 
 
-def _odd_value(cause: Cause) -> bool:
-    """Whether it is a stated value that would be another one for no reason of units."""
-    element = cause.element if cause.kind == "value" else None
-    return element is not None and not unit_of_number(element, element.guess, cause.number)
-
-
 def _helps(cause: Cause, start: float, small: bool) -> bool:
     return cause.remaining < HELPS * start or (small and cause.remaining - 1 < NEARLY * (start - 1))
 
@@ -111,17 +124,19 @@ def ranked(
         left = cause.remaining * (1 + share * (handicap - 1))
         tier = np.floor(np.log(max(left, best) / best) / np.log(1 + share * (alike - 1)))
         backwards = cause.kind == "sign" and cause.of[0] in impossible
+        # Whether it is a stated value that would be another one for no reason of units
+        element = cause.element if cause.kind == "value" else None
         return (
             not cause.shows,
             cause not in in_question,
             float(tier),
             ORDER.index(cause.kind),
             backwards,
-            _odd_value(cause),
+            element is not None and not unit_of_number(element, element.guess, cause.number),
             cause.remaining,
         )
 
     named: dict[tuple[str, tuple[str, ...]], Cause] = {}
     for cause in sorted(helpful, key=place):
         named.setdefault((cause.kind, cause.of), cause)
-    return list(named.values())[:MOST]
+    return list(named.values())[:5]  # findings that are named

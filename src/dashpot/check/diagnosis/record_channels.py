@@ -15,28 +15,87 @@ from itertools import combinations
 import numpy as np
 
 from dashpot.arrays import Bools, Ints, Real
-from dashpot.check.diagnosis.likeness import RATIOS
-from dashpot.check.diagnosis.ranking import ORDER, Cause
+from dashpot.check.diagnosis.ranking import ORDER, Cause, ranked
+from dashpot.check.diagnosis.trials import RATIOS, Trial, mistakes_of_a_channel, prepared, swapped, untouched
 from dashpot.check.diagnosis.wording import finding, mended_in_data, with_likely_causes
 from dashpot.data.record import Record
 from dashpot.errors import DashpotError, DataError, Problem
 from dashpot.estimate.assessment import Finding
+from dashpot.estimate.identify import identify
 from dashpot.estimate.nonlinear.record_problem import begun_problem
 from dashpot.estimate.nonlinear.record_regression import WeakForm, weak_form
-from dashpot.estimate.nonlinear.recorded_motion import RecordedMotion, recorded_motion
-from dashpot.estimate.nonlinear.records import RecordData, arranged
+from dashpot.estimate.nonlinear.records import RecordData, RecordedMotion, arranged, recorded_motion
+from dashpot.estimate.nonlinear.search import harmonics_left
+from dashpot.estimate.preparation.prepared import Prepared
+from dashpot.estimate.preparation.state_reconstruction import states_if_seen
 from dashpot.model.network import Model
 from dashpot.model.observation import measures_input
 
+# Plain mistakes of channels in settled dwells of nonlinear rigs, by the equation of motion where all motion
+# is seen.
+#
+# A rig with laws of its own takes seconds to fit, and a wrong one minutes: each mistake is tried on the
+# regression of the measured harmonics (Yasuda and Watanabe's, THEORY §9), which takes milliseconds, and the
+# best are fitted in full.
+
+
+PROMISED = 0.3  # of what the equation leaves as it is: as much as it may leave with a mistake put right
+MENDED = 0.1  # of the misfit: as much as a mistake may leave
+FOLLOWED = 3  # mistakes that are fitted in full
+
+
+def mistakes_by_equation(data: Prepared, misfit: float) -> list[Cause]:
+    """What a channel may show in the place of what is stated, the best first; data of one repeat, all motion seen.
+
+    misfit: χ² over its degrees of freedom as it is; ∞ where there is no fit.
+    """
+    base = untouched(data)
+    # Each channel with its sign or its phases turned, in another unit, as another derivative, or for another
+    channels = data.spectrum.channels
+    trials = [
+        trial
+        for c, channel in enumerate(channels)
+        for trial in mistakes_of_a_channel(base, channel, c, data.view.omega)
+    ]
+    for first, second in combinations(range(len(channels)), 2):
+        names = channels[first].name, channels[second].name
+        trials.append(swapped(base, names, first, second))
+    left = np.array([_left(data, trial) for trial in trials])
+    mending = np.flatnonzero(left < PROMISED * _left(data, base))
+    causes = []
+    for k in mending[np.argsort(left[mending])][:FOLLOWED].tolist():
+        trial = trials[k]
+        mended = replace(
+            data.spectrum, amplitudes=np.where(trial.kept, trial.y, np.nan), covariance=trial.V, moments=None
+        )
+        try:
+            fitted = identify(data.model, mended, "ml")
+        except DashpotError:
+            continue
+        remaining = float(fitted.fit.misfit) ** 2
+        if remaining < MENDED * misfit:
+            causes.append(Cause(trial.kind, trial.of, remaining, trial.value))
+    return ranked(causes, misfit)
+
+
+def _left(data: Prepared, trial: Trial) -> float:
+    """Share of the known forces that the equation of motion leaves; ∞ where there is no regression."""
+    supposed = prepared(data, trial)
+    states = states_if_seen(supposed.view, supposed.spectrum, supposed.covariance)
+    try:
+        return np.inf if states is None else harmonics_left(replace(supposed, states=states))
+    except DashpotError:
+        return np.inf
+
+
 MOST, MOST_INTEGRATED = 4000, 1000  # samples that are looked at
 CONTRADICTED = 0.05  # share of a channel's or an equation's power above which something is wrong
-MENDED = 0.05  # share of what contradicts that a mistake put right may leave
+MENDED_RECORD_CHANNELS = 0.05  # share of what contradicts that a mistake put right may leave
 CLOSE = (
     0.3  # share of a channel's power by which a motion from guesses may differ, for they are off themselves
 )
 GROSS = 5.0  # factor of a unit beyond which guesses tell it from their own error
 ALIKE = 3.0  # times what the best leaves: others are named, too
-ROUNDS = 4  # of the weights of the equations
 IN_ITS_LINE = "mend the channel that is named next, in its line of the rig file or in the data"
 IN_ITS_DATA = "mend the channel that is named next, in the data of this record"
 SHARES = (0.1, 0.3)  # of the largest speed or elongation, at which the smooth laws bend
@@ -144,7 +203,7 @@ class _Contradiction:
         """Whether next to nothing is left of it."""
         if self.guessed:
             return bool(np.max(self.shares) < CLOSE) and self.total < before.total / 2
-        return self.total < MENDED * before.total
+        return self.total < MENDED_RECORD_CHANNELS * before.total
 
 
 @dataclass(frozen=True)
@@ -238,8 +297,7 @@ class _Terms:
 
     def forces(self, theta: Real) -> Real:
         """All terms at θ (m,), (rows, k)."""
-        forces: Real = self.columns * (self.by @ theta + self.known)
-        return forces
+        return self.columns * (self.by @ theta + self.known)
 
 
 def _terms(form: WeakForm) -> _Terms:
@@ -283,7 +341,7 @@ def _of_equations(form: WeakForm) -> Real:
     b = push - np.stack([(terms.columns * pull) @ terms.known for pull in terms.along.T])
     first = [int(np.flatnonzero(terms.place == place)[0]) for place in range(int(np.max(terms.place)) + 1)]
     weight = np.ones(n)
-    for _ in range(ROUNDS):
+    for _ in range(4):  # rounds of the weights of the equations
         whole = (A * weight[:, None, None]).reshape(-1, A.shape[2])
         size = np.maximum(np.linalg.norm(whole, axis=0), tiny)
         theta = np.linalg.lstsq(whole / size, (b * weight[:, None]).ravel(), rcond=1e-9)[0] / size

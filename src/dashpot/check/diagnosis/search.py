@@ -2,21 +2,110 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import combinations
+from types import MappingProxyType
 
 import numpy as np
+from scipy.special import stdtr
 
 from dashpot.arrays import Complex, Ints, Real
 from dashpot.check.diagnosis.trials import Outcome, Trial, prepared
 from dashpot.estimate.likelihood.chunks import Measured
 from dashpot.estimate.likelihood.descent import Stage, descend_all, descend_in_repeats
-from dashpot.estimate.likelihood.objective import directly_driven, measured, predict
-from dashpot.estimate.likelihood.starting_values import candidates
+from dashpot.estimate.likelihood.global_search import candidates, seen_directly
+from dashpot.estimate.likelihood.objective import bounds, directly_driven, local, measured, predict
 from dashpot.estimate.linear.least_squares import compensated
 from dashpot.estimate.preparation.prepared import Prepared
 from dashpot.estimate.preparation.state_reconstruction import states_if_seen
+from dashpot.model.elements import Element, Kind, between, mass
+from dashpot.model.network import Model
 from dashpot.model.observation import ObservationModel, calibration_factors, observation_model, transfer
+
+# Rao's score test: how far χ² would fall if something fixed were free, by the slopes at its present value.
+#
+# Source: THEORY §11. Many suppositions are judged by one evaluation of the likelihood, each by itself
+# beside the rig's own unknowns.
+
+
+PARTS = 40  # of records, each of which tells a parameter by itself
+
+
+@dataclass(frozen=True)
+class Promise:
+    """What freeing one unknown promises: the fall of χ² from `chi2`, and the step of the unknown."""
+
+    name: str
+    fall: float
+    chi2: float
+    step: float
+
+
+def promises(
+    view: ObservationModel, data: Measured, psi: Real, sign: Real, added: Collection[str], apart: float,
+    together: Mapping[str, Collection[str]] = MappingProxyType({}),
+) -> list[Promise]:  # fmt: skip
+    """What each of the unknowns `added` promises at ψ (M,), the best fit of the others.
+
+    Left out is what the others can do as well: where less than `apart` of its column is its own.  Each name of
+    `together` is one more unknown, by which some of the added move alike.
+    """
+    with np.errstate(all="ignore"):
+        at = local(view, data, psi[None], sign[None])
+    information, score = at.symmetric[0], at.gradient[0]
+    names = (*view.names, *together)
+    alike = [[float(name in members) for name in view.names] for members in together.values()]
+    moves = np.concatenate([np.eye(len(psi)), np.reshape(alike, (-1, len(psi)))])
+    fixed = [name in added or name in together for name in names]
+    return promised(names, fixed, moves @ information @ moves.T, moves @ score, float(at.cost[0]), apart)
+
+
+def promised(
+    names: Sequence[str], fixed: Sequence[bool], information: Real, score: Real, chi2: float, apart: float
+) -> list[Promise]:
+    """What each of those that are `fixed` promises, by the information (N, N) and score (N,) of all `names`.
+
+    chi2 and apart as in `promises`.
+    """
+    if not (np.all(np.isfinite(information)) and np.all(np.isfinite(score))):
+        return []
+    own = np.diag(information)
+    scale = np.sqrt(np.where(own > np.finfo(float).tiny, own, 1.0))  # what moves nothing promises nothing
+    information, score = information / np.outer(scale, scale), score / scale
+    free = np.flatnonzero(~np.array(fixed))
+    inverse = np.linalg.pinv(information[np.ix_(free, free)], rcond=1e-12)
+    listed = []
+    for j in np.flatnonzero(fixed).tolist():
+        cross = information[free, j]
+        left = information[j, j] - cross @ inverse @ cross
+        if left > apart**2:
+            push = score[j] - cross @ inverse @ score[free]
+            listed.append(Promise(names[j], float(push**2 / left), chi2, float(push / left / scale[j])))
+    return listed
+
+
+def sums_of_parts(values: Real) -> Real:
+    """Sums over PARTS equal parts of records, (PARTS, ...), of values (samples, ...)."""
+    return np.add.reduceat(
+        values, np.linspace(0, len(values), PARTS, endpoint=False).astype(np.int64), axis=0
+    )
+
+
+def steadiness(column: Real, residual: Real, value: float, *, uneven: bool = False) -> float:
+    """p-value of the parameter `value` of a column in time by its scatter over parts of the records.
+
+    That scatter is there whatever colour and course the noise has; what comes once is no element.
+    Where noise is `uneven` in time, no more parts count than tell something of the parameter.
+    column, residual: (samples of all records,), or with channels on a second axis.
+    """
+    rows = column.reshape(len(column), -1), (residual - value * column).reshape(len(column), -1)
+    each = sums_of_parts(np.sum(rows[0] * rows[1], axis=1))
+    spread = max(float(np.sqrt(np.sum(each**2))), np.finfo(float).tiny)
+    tell = sums_of_parts(np.sum(rows[0] ** 2, axis=1))
+    count = float(np.sum(tell) ** 2 / max(np.sum(tell**2), np.finfo(float).tiny)) if uneven else PARTS
+    return 2 * float(stdtr(max(count - 1, 1.0), -abs(value) * float(np.sum(column * column)) / spread))
+
 
 DRAWS = 1500  # rigs drawn at random as starts, ranked for every trial
 FEWER_DRAWS = 200  # where all motion is seen, which gives a start of its own
@@ -101,8 +190,7 @@ class Workbench:
         """Amplitudes of the inputs by a trial's fit, (lines, r + s)."""
         with np.errstate(all="ignore"):
             fitted = predict(self.view, self._arranged(outcome.trial), outcome.psi[None], self.sign[None])
-        q: Complex = fitted.q[0]
-        return q
+        return fitted.q[0]
 
     def expected(self, outcome: Outcome) -> Complex:
         """What the channels should show by a trial's fit, those that it left out as well, (lines, channels)."""
@@ -111,8 +199,7 @@ class Workbench:
             # The inputs are those of the trial; the residual is of every channel.
             every = replace(data, y=outcome.trial.y[None], q=q)
             at = predict(self.view, every, outcome.psi[None], self.sign[None])
-        shown: Complex = outcome.trial.y - at.r[0]
-        return shown
+        return outcome.trial.y - at.r[0]
 
     def judged(self, trials: Sequence[Trial]) -> list[Outcome]:
         """Each trial at the workbench's own ψ, as it is."""
@@ -312,5 +399,123 @@ def _distance(G: Complex, exact: Measured, trial: Trial) -> Real:
             shown = (G @ v)[..., 0]
         away = np.abs(np.log(np.where(used, trial.y / shown, 1.0))) ** 2
     away = np.where(np.isfinite(away), np.minimum(away, LIMIT**2), LIMIT**2)
-    total: Real = np.sum(np.where(used, away, 0.0), axis=(-2, -1))
-    return total
+    return np.sum(np.where(used, away, 0.0), axis=(-2, -1))
+
+
+# Suppositions about the rig: a missing element between any two points, a stated value that is wrong.
+#
+# All candidates are added to the model at once, with no effect; one evaluation of the likelihood then gives
+# the score of each, projected on what the rig's own unknowns can do, and by it how far χ² would fall (Rao's
+# score test).
+
+
+FOLLOWED = 6  # candidates that are fitted in full
+APART = 0.01  # part of a column that the rig's own unknowns must leave for it to count as something else
+
+
+@dataclass(frozen=True)
+class Change:
+    """A rig with one thing otherwise, fitted: the element as it would be, its parameter and what is left of χ²."""
+
+    kind: str
+    element: Element
+    number: float
+    chi2: float
+    dof: int
+
+    @property
+    def reduced(self) -> float:
+        """χ² over its degrees of freedom."""
+        return self.chi2 / max(self.dof, 1)
+
+
+def missing_elements(model: Model) -> list[Element]:
+    """A spring and a damper between any two points, unless there is one, and a mass where there is none."""
+    points = [*model.coordinates, *model.displacement_inputs, "ground"]
+    there = {(element.kind, frozenset(element.along.items())) for element in model.elements}
+    candidates = []
+    for first, second in combinations(points, 2):
+        if first not in model.coordinates:
+            continue  # between inputs, or an input and the ground: it moves nothing
+        for kind, letter in ((Kind.SPRING, "k"), (Kind.DAMPER, "c")):
+            candidates.append(between(f"{letter}_{first}_{second}", kind, first, second))
+    candidates += [mass(f"m_{x}", x) for x in model.coordinates]
+    return [
+        element
+        for element in candidates
+        if (element.kind, frozenset(element.along.items())) not in there
+        and (element.kind, frozenset((point, -factor) for point, factor in element.along.items()))
+        not in there
+    ]
+
+
+def stated_values(model: Model) -> list[Element]:
+    """The elements whose value is stated as exact, each as if it were unknown."""
+    return [
+        replace(element, value=None, guess=element.value)
+        for element in model.elements
+        if element.value is not None and element.sd is None and element.same_as is None and element.value != 0
+    ]
+
+
+def changes(bench: Workbench, psi: Real, followed: int = FOLLOWED) -> list[Change]:
+    """The candidates that the score says would help most, `followed` of them fitted in full from ψ (M,)."""
+    model, stated = bench.data.model, stated_values(bench.data.model)
+    scored = [
+        *_scores(bench, psi, "element", missing_elements(model)),
+        *_scores(bench, psi, "value", stated),
+    ]
+    scored.sort(key=lambda entry: -entry[0])
+    chosen = [(kind, element) for fall, kind, element in scored[:followed] if fall > 0]
+    if (
+        bench.data.states is not None
+    ):  # a value that is far off has a rig without slopes, yet is found by regression
+        named = {element.name for _, element in chosen}
+        chosen += [("value", element) for element in stated[:followed] if element.name not in named]
+    return [_fitted(bench, psi, kind, element) for kind, element in chosen]
+
+
+def extended(bench: Workbench, psi: Real, elements: Sequence[Element]) -> tuple[Prepared, Real]:
+    """The bench's data of a rig with the candidates as unknowns, and the ψ there that means the same as ψ (M,).
+
+    Candidates are elements of the bench's own rig or new ones.
+    """
+    model = bench.data.model
+    candidates = {element.name: element for element in elements}
+    start = dict.fromkeys(candidates, 0.0)
+    start |= {e.name: float(e.value) for e in model.elements if e.name in candidates and e.value is not None}
+    m = len(model.unknowns)
+    start |= zip((unknown.name for unknown in model.unknowns), psi[:m].tolist(), strict=True)
+    there = tuple(candidates.pop(e.name, e) for e in model.elements)
+    larger = bench.data.of_rig(replace(model, elements=(*there, *candidates.values())))
+    return larger, np.array([*(start[unknown.name] for unknown in larger.model.unknowns), *psi[m:]])
+
+
+def _scores(
+    bench: Workbench, psi: Real, kind: str, elements: list[Element]
+) -> list[tuple[float, str, Element]]:
+    """(fall of χ² that the score promises, kind, element) of each candidate."""
+    if not elements:
+        return []
+    larger, start = extended(bench, psi, elements)
+    by_name = {element.name: element for element in elements}
+    listed = promises(larger.view, measured(larger), start, bench.sign, by_name.keys(), APART)
+    return [(promise.fall, kind, by_name[promise.name]) for promise in listed]
+
+
+def _fitted(bench: Workbench, psi: Real, kind: str, element: Element) -> Change:
+    larger, start = extended(bench, psi, [element])
+    view, data = larger.view, measured(larger)
+    starts = start[None]
+    if larger.states is not None and seen_directly(larger):
+        # A rig that lacks a part may have ended among negative masses, from which nothing leads back.
+        starts = np.concatenate([starts, compensated(larger.model, larger.states)])
+        starts = starts[np.all(np.isfinite(starts), axis=1)]
+    rows, signs = np.zeros(len(starts), dtype=np.int64), np.repeat(bench.sign[None], len(starts), axis=0)
+    ends, chi2 = descended(view, data, starts, signs, rows, 2 * LONG)
+    # A rig of other parts that are possible, not one that turns the given one round: exchanged channels would be that.
+    possible = np.all(ends > bounds(view, positive=True)[0], axis=1)
+    possible[0] = True
+    best = int(np.argmin(np.where(possible, chi2, np.inf)))
+    number = float(ends[best, view.names.index(element.name)])
+    return Change(kind, element, number, float(chi2[best]), data.rows - len(start))

@@ -13,10 +13,9 @@ import numpy as np
 
 from dashpot.arrays import Complex, Ints, Real
 from dashpot.data.conditioning.whole_record import FLOOR
-from dashpot.data.spectrum import Spectrum
-from dashpot.data.stretch import SettledDwell, WholeRecord
+from dashpot.data.spectrum import SettledDwell, Spectrum, WholeRecord
+from dashpot.estimate.likelihood.descent import loudest
 from dashpot.estimate.likelihood.record_noise import RESIDUAL
-from dashpot.estimate.likelihood.thinning import loudest
 from dashpot.model.network import Model
 from dashpot.model.observation import measures_input
 
@@ -78,8 +77,7 @@ def working_noise(spectrum: Spectrum) -> Real:
     quietest = np.min(np.where(np.isfinite(variance), variance, np.inf), axis=0)
     from_fit = np.array([kind in (RESIDUAL, FLOOR) for kind in spectrum.noise])
     working = np.where(from_fit[:, None], np.minimum(variance, quietest), variance)
-    least: Real = np.nan_to_num(working) + LEAST**2 * np.nan_to_num(size)
-    return least
+    return np.nan_to_num(working) + LEAST**2 * np.nan_to_num(size)
 
 
 def _frequencies(
@@ -119,5 +117,4 @@ def _seen_through(at: Real, f: Real, Y: Complex, duration_s: float, part: float)
     x = away * part
     with np.errstate(divide="ignore", invalid="ignore"):
         window = np.where(np.abs(np.abs(x) - 1) < 1e-9, 0.5, np.sinc(x) / (1 - x**2))
-    seen: Complex = (window * np.exp(2j * np.pi * away * (1 - part / 2))) @ Y
-    return seen
+    return (window * np.exp(2j * np.pi * away * (1 - part / 2))) @ Y

@@ -9,18 +9,50 @@ from typing import TypeVar
 
 from dashpot import units
 from dashpot.channel import Channel, Quantity
-from dashpot.check.diagnosis.candidate_elements import with_open_constants
 from dashpot.check.diagnosis.contradictions import Contradiction
-from dashpot.check.diagnosis.likeness import CLOSE, known_ratio
-from dashpot.check.diagnosis.other_quantities import other_quantities, other_quantity
-from dashpot.check.diagnosis.ranking import Cause
-from dashpot.check.diagnosis.stated_units import USUAL, unit_of_number
+from dashpot.check.diagnosis.nonlinear_elements import with_open_constants
+from dashpot.check.diagnosis.ranking import USUAL, Cause, unit_of_number
+from dashpot.check.diagnosis.trials import CLOSE, Likeness, known_ratio
 from dashpot.errors import DashpotError, Problem
 from dashpot.estimate.assessment import Finding
 from dashpot.io.words import joined
 from dashpot.model.elements import Element, Kind
 from dashpot.model.network import Model
 from dashpot.model.rigfile import channel_line, element_line
+
+# Channels that show another derivative of the motion than they state, in words and as they should be.
+
+
+DERIVATIVES = (Quantity.DISPLACEMENT, Quantity.VELOCITY, Quantity.ACCELERATION)
+
+
+def other_quantity(channel: Channel, relation: Likeness) -> tuple[Channel, str]:
+    """Shown is (jω)^power times what the stated quantity would be."""
+    text = f"{channel.name} behaves like another derivative of the motion than {channel.quantity.value}"
+    if channel.quantity is Quantity.FORCE:
+        return channel, text
+    order = channel.quantity.derivative + relation.power
+    if not 0 <= order <= 2:
+        return channel, text
+    true = DERIVATIVES[order]
+    return (
+        replace(channel, quantity=true, unit="", scale=1.0),
+        f"{channel.name} behaves like {_article(true.value)}, not like {_article(channel.quantity.value)}",
+    )
+
+
+def other_quantities(model: Model, channels: Sequence[Channel], cause: Cause, relation: Likeness) -> Finding:
+    """All channels of the motion that show another derivative than they state."""
+    mended = tuple(other_quantity(channel, relation)[0] for channel in channels)
+    true, stated = (f"{each[0].quantity.value}s".replace("ys", "ies") for each in (mended, channels))
+    text = f"{joined(cause.of)} behave like {true}, not like {stated}"
+    change = "[channels] " + "; ".join(channel_line(channel, model) for channel in mended)
+    return Finding(cause.kind, cause.of, text, change, cause.remaining, cause.number, channels=mended)
+
+
+def _article(word: str) -> str:
+    return f"{'an' if word[0] in 'aeiou' else 'a'} {word}"
+
 
 Failure = TypeVar("Failure", bound=DashpotError)
 
@@ -31,8 +63,11 @@ USUAL_UNITS = {
     Quantity.FORCE: ("N", "kN", "mN", "lbf"),
 }
 RATIOS_IN_WORDS = {
-    2**0.5: "peak values for rms", 0.5**0.5: "rms for peak values", 2.0: "peak to peak", 0.5: "half of it",
-}  # fmt: skip
+    2**0.5: "peak values for rms",
+    0.5**0.5: "rms for peak values",
+    2.0: "peak to peak",
+    0.5: "half of it",
+}
 
 
 def finding(model: Model, channels: tuple[Channel, ...], cause: Cause) -> Finding:

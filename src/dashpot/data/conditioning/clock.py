@@ -14,7 +14,6 @@ from dashpot.notices import Notice
 UNEVEN = 0.02  # of a sampling step: stamps may be rounded by that much
 ROUNDED = 1e-6  # of a sampling step: stamps that are less off are even
 FEWEST, FEWEST_OF_A_DWELL = 16, 8  # samples of a record: of one whose frequency is known fewer tell something
-TELLING = 16  # stamps that show by what they are rounded
 
 
 def fewest_samples(record: Record) -> int:
@@ -31,9 +30,7 @@ def even_step(record: Record) -> float:
             record.source,
             f"{fewest_samples(record)} samples are the fewest that can be used",
         )
-    index = np.arange(len(time)) - (len(time) - 1) / 2
-    step = float(index @ (time - time[0]) / (index @ index))
-    away = np.abs(time - np.mean(time) - step * index)
+    index, step, away = _line(time)
     # Rounded stamps stay within a digit of the line through all of them, however long the record is.
     if np.max(away) > max(UNEVEN * step, 1.01 * _digit(time)):
         row = int(np.argmax(away)) + 1
@@ -42,7 +39,18 @@ def even_step(record: Record) -> float:
             record.source,
             "record with a steady clock; resampling adds errors that look like motion",
         )
-    return step
+    rounding = max(float(np.max(away)), 2 * float(np.spacing(np.max(np.abs(time)))))
+    return _simplest(time, index, step, 2 * rounding) if rounding <= ROUNDED * step else step
+
+
+def _line(time: Real) -> tuple[Real, float, Real]:
+    """The straight line through the stamps: indices from the middle, its step and how far each stamp is off, s.
+
+    NumPy's sums have the same bits on every processor, those of BLAS do not.
+    """
+    index: Real = np.arange(len(time), dtype=np.float64) - (len(time) - 1) / 2
+    step = float(np.sum(index * (time - time[0])) / np.sum(index * index))
+    return index, step, np.abs(time - np.mean(time) - step * index)
 
 
 def _digit(time: Real) -> float:
@@ -62,12 +70,10 @@ def with_even_stamps(record: Record) -> tuple[Record, Notice | None]:
     noise of the time.  A note says so where the digit is coarse.
     """
     time = record.time
-    if len(time) < TELLING:
+    if len(time) < 16:  # stamps that show by what they are rounded
         return record, None
-    index = np.arange(len(time), dtype=np.float64) - (len(time) - 1) / 2
-    step = float(index @ (time - time[0]) / (index @ index))
-    middle = float(np.mean(time))
-    away = float(np.max(np.abs(time - middle - step * index)))
+    index, step, off = _line(time)
+    away = float(np.max(off))
     if not ROUNDED * step < away < step:
         return record, None
     steps = np.diff(time)
@@ -77,21 +83,22 @@ def with_even_stamps(record: Record) -> tuple[Record, Notice | None]:
     coarse = away > UNEVEN * step
     if digit <= 0 or np.max(whole) > 1e-3 or away > (1.02 if coarse else 0.75) * digit:
         return record, None
-    step = _simplest(time - middle, index, step, digit)
+    middle = float(np.mean(time))
+    step = _simplest(time - middle, index, step, (1 + 1e-6) * digit)
     even: Real = np.asarray(middle + step * index, dtype=np.float64)
     text = f"{record.source}: time stamps are rounded to {digit:.3g} s; the samples are taken as {step:.6g} s apart"
     note = Notice("stamps_rounded", text, (record.source,)) if coarse else None
     return replace(record, time=even), note
 
 
-def _simplest(time: Real, index: Real, step: float, digit: float) -> float:
-    """Of the steps whose even times round to the stamps, that of the shortest number, as a rate or as a step.
+def _simplest(time: Real, index: Real, step: float, rounding: float) -> float:
+    """The shortest number, as a rate or as a step, whose even times differ from the stamps by their rounding only.
 
-    Loggers run at 64 Hz, not at 64.0008; the line through few stamps knows no better.
+    Loggers run at 64 Hz, not at 64.0008; the line through few stamps is no more accurate.
     """
-    for digits in range(1, 7):
+    for digits in range(1, 16):
         for simple in (1 / float(f"{1 / step:.{digits}g}"), float(f"{step:.{digits}g}")):
-            if np.ptp(time - simple * index) <= (1 + 1e-6) * digit:
+            if np.ptp(time - simple * index) <= rounding:
                 return simple
     return step
 

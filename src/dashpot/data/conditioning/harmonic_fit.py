@@ -2,34 +2,475 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from typing import Literal, Unpack
 
 import numpy as np
-from scipy.special import fdtrc
+from scipy.linalg import cho_solve
+from scipy.special import bdtrc, chdtrc, digamma, fdtr, fdtrc, polygamma
 
-from dashpot.arrays import Complex, Real, freeze
+from dashpot.arrays import Bools, Complex, Ints, Real, freeze
 from dashpot.channel import Channel
+from dashpot.data.calibration import real_factor
 from dashpot.data.conditioning.regression import (
     basis,
     check_length,
+    cholesky_solve,
+    chunks,
     coefficients_of,
     duration,
     exact_channels,
+    factor,
     solve_harmonics,
+    tiles,
     window,
 )
-from dashpot.data.conditioning.residual_noise import (
-    ResidualMonitor,
-    noise_beside_harmonics,
-    white_noise,
+from dashpot.data.conditioning.settings import (
+    USUAL_DRIFT,
+    Conditioning,
+    Drift,
+    FitTreatments,
+    Noise,
+    conditioning_of,
 )
-from dashpot.data.conditioning.settings import Conditioning, FitTreatments, Noise, conditioning_of
 from dashpot.data.record import Record
+from dashpot.data.spectrum import Moments, Spectrum
 from dashpot.errors import DataError
 from dashpot.notices import Notice
 
+# The noise of amplitudes from the residual of the fit: its size beside each harmonic, and whether it is
+# white.
+
+
+LAGS = 20  # of the portmanteau test
+HALF_BAND = 10  # lines on each side of a harmonic that show the noise there
+FEWEST_LINES = 6  # below this the local spectrum is not an estimate
 SIGNIFICANT = 0.01
+
+
+class ResidualMonitor:
+    """Collects, while the residual streams by, its autocovariances and its Fourier sums beside each harmonic."""
+
+    def __init__(self, record: Record, f: float, orders: Sequence[int], terms: int) -> None:
+        samples, channels = record.values.shape[-2:]
+        batch = int(np.prod(record.values.shape[:-2]))
+        self.orders = len(orders)
+        self.lags = min(LAGS, samples // 5) if samples >= 40 else 0
+        self.step = 1 / duration(record.time)
+        self.first = terms - 2 * len(orders)
+        self.offset, self.owner = _neighbours(f, orders, self.step, samples)
+        self.products = np.zeros((batch, self.lags, channels))
+        self.tail = np.zeros((batch, channels, self.lags))
+        self.sums = np.zeros((batch, len(self.owner), channels), dtype=complex)
+        self.overlap = np.zeros((terms, len(self.owner)), dtype=complex)
+        self.waves = np.zeros((len(self.owner), 0), dtype=complex)
+
+    def next_rows(self, t: Real, A: Real) -> None:
+        """The samples that `see` shows next: their times and design rows."""
+        cycles = self.step * t
+        turn = np.exp(-2j * np.pi * (cycles - np.floor(cycles)))
+        reach = int(np.max(np.abs(self.offset), initial=0))
+        turns = np.empty((reach + 1, len(t)), dtype=complex)
+        turns[0] = 1.0
+        for m in range(reach):
+            np.multiply(turns[m], turn, out=turns[m + 1])
+        self.waves = np.empty((len(self.offset), len(t)), dtype=complex)
+        for line, (order, m) in enumerate(zip(self.owner.tolist(), self.offset.tolist(), strict=True)):
+            carrier = A[:, self.first + 2 * order] - 1j * A[:, self.first + 2 * order + 1]
+            np.multiply(carrier, turns[m] if m >= 0 else np.conj(turns[-m]), out=self.waves[line])
+        self.overlap += (self.waves @ A).T
+
+    def see(self, part: slice, e: Real) -> None:
+        """Residuals (batch, rows, channels) of the present rows."""
+        self.sums[part] += self.waves.real @ e + 1j * (self.waves.imag @ e)
+        if self.lags:
+            rows = e.shape[1]
+            both = np.concatenate([self.tail[part], np.swapaxes(e, 1, 2)], axis=2)
+            later = both[:, :, self.lags :]
+            for lag in range(1, self.lags + 1):
+                earlier = both[:, :, self.lags - lag : self.lags - lag + rows]
+                self.products[part, lag - 1] += np.einsum("bct,bct->bc", later, earlier)
+            self.tail[part] = both[:, :, -self.lags :]
+
+
+def _neighbours(f: float, orders: Sequence[int], step: float, samples: int) -> tuple[Ints, Ints]:
+    """Lines a whole number of steps 1/duration beside each harmonic, no farther than half way to the next one.
+
+    Returns how many steps, and beside which of the orders.
+    """
+    reach = min(HALF_BAND, int((f / step - 1) / 2 + 1e-9))
+    offsets = np.concatenate([np.arange(-reach, 0), np.arange(1, reach + 1)]) if reach > 0 else np.arange(0)
+    nyquist = samples * step / 2
+    offset, owner = [], []
+    for i, order in enumerate(orders):
+        lines = order * f + offsets * step
+        inside = offsets[(lines > 0) & (lines < max(nyquist - step, order * f))]
+        offset.append(inside)
+        owner.append(np.full(len(inside), i))
+    return np.concatenate(offset).astype(np.int64), np.concatenate(owner).astype(np.int64)
+
+
+@dataclass(frozen=True)
+class NoiseLevel:
+    """The noise that the harmonics are seen through.
+
+    level      (batch, orders, channels, channels)  covariance of one sample that counts at each harmonic
+    dof        (orders,)  real degrees of freedom behind it
+    whiteness  (batch,)  p-value of a white residual; NaN where not tested
+    """
+
+    kind: Literal["white", "blocks"]
+    level: Complex
+    dof: Real
+    whiteness: Real
+    notes: tuple[Notice, ...] = ()
+
+
+@dataclass(frozen=True)
+class LocalNoise:
+    """The noise on lines beside each harmonic: `level` as of NoiseLevel, `counts` lines (orders,), `whiteness`."""
+
+    level: Complex
+    counts: Real
+    whiteness: Real
+
+    def chosen(self, white: NoiseLevel, noise: Noise, record: Record, f: float) -> NoiseLevel:
+        """This noise, or the white one.  Raises DataError where it is asked for and the record is too short."""
+        enough = bool(np.all(self.counts >= FEWEST_LINES))
+        periods = f * duration(record.time)
+        if noise == "blocks" and not enough:
+            raise DataError(
+                f"{periods:.3g} periods are too few to see the colour of the noise at {f:g} Hz",
+                record.source,
+                'record at least eight periods, or take the noise as "white"',
+            )
+        coloured = is_coloured(self.whiteness)
+        if noise == "blocks" or (coloured and enough):
+            return NoiseLevel("blocks", self.level, 2.0 * self.counts, self.whiteness)
+        if not coloured:
+            return replace(white, whiteness=self.whiteness)
+        text = (
+            f"{record.source}: the residual at {f:g} Hz is not white, but {periods:.3g} periods "
+            "are too few to measure its colour; the intervals treat it as white"
+        )
+        note = Notice("colour_unresolved", text, (record.source,))
+        return replace(white, whiteness=self.whiteness, notes=(note,))
+
+
+def white_noise(sigma: Real, orders: int, free: int) -> NoiseLevel:
+    """The residual covariance (batch, channels, channels) at every harmonic alike; `free` degrees of freedom."""
+    batch, channels, _ = sigma.shape
+    level = np.broadcast_to(sigma[:, None].astype(complex), (batch, orders, channels, channels))
+    return NoiseLevel("white", level, np.full(orders, float(free)), np.full(batch, np.nan))
+
+
+def noise_beside_harmonics(
+    monitor: ResidualMonitor, L: Real, samples: int, free: int, sigma: Real, exact: Bools, written: Bools
+) -> LocalNoise:
+    """What the monitor saw beside each harmonic; L is the factor of the Gram of the fit.
+
+    sigma (batch, channels, channels): covariance of the residual; exact (batch, channels): where it is nothing;
+    written (batch, channels): where it is the digits of the numbers, which repeat with the drive and are no noise.
+    """
+    level, counts = _local_level(monitor, L, samples, sigma, exact)
+    return LocalNoise(
+        level, counts, _whiteness(monitor, sigma, exact | written, level, counts, samples, free)
+    )
+
+
+def _local_level(
+    monitor: ResidualMonitor, L: Real, samples: int, sigma: Real, exact: Bools
+) -> tuple[Complex, Real]:
+    """Noise level at each harmonic, (batch, orders, channels, channels) per sample, and lines behind it, (orders,).
+
+    S(kω) = mean of J Jᴴ / samples with J = Σ e(t) e^{−jω_m t} on neighbouring lines, corrected for the share of each
+    line that the fit itself has taken.  Where the lines are too few for the correlations of so many channels, the
+    variances come from the lines and the correlations from the residual of all samples.
+    """
+    batch, _, channels = monitor.sums.shape
+    orders = monitor.orders
+    seen = cho_solve((L, True), monitor.overlap, check_finite=False)
+    share = np.sum((np.conj(monitor.overlap) * seen).real, axis=0) / samples
+    usable = share < 0.5
+    level = np.zeros((batch, orders, channels, channels), dtype=complex)
+    counts = np.zeros(orders)
+    active = int(np.max(np.sum(~exact, axis=-1), initial=0))
+    for order in range(orders):
+        mine = usable & (monitor.owner == order)
+        counts[order] = np.sum(mine)
+        if not counts[order]:
+            continue
+        J = monitor.sums[:, mine] / np.sqrt(samples * (1 - share[mine]))[None, :, None]
+        S = np.swapaxes(J, 1, 2) @ np.conj(J) / counts[order]
+        if counts[order] < 2 * active:
+            with np.errstate(divide="ignore", invalid="ignore"):
+                ratio = np.sqrt(np.diagonal(S, axis1=1, axis2=2).real / np.diagonal(sigma, axis1=1, axis2=2))
+            ratio = np.where(np.isfinite(ratio), ratio, 0.0)
+            S = ratio[:, :, None] * sigma * ratio[:, None, :]
+        level[:, order] = (S + np.conj(np.swapaxes(S, 1, 2))) / 2
+    level[np.broadcast_to((exact[:, :, None] | exact[:, None, :])[:, None], level.shape)] = 0.0
+    return level, counts
+
+
+def _whiteness(
+    monitor: ResidualMonitor, sigma: Real, exact: Bools, local: Complex, counts: Real, samples: int, free: int
+) -> Real:
+    """(batch,): p-value of white noise by Ljung and Box's portmanteau and by the noise level at each harmonic."""
+    variance = np.diagonal(sigma, axis1=1, axis2=2)
+    safe = np.where(exact, 1.0, variance)
+    ps: list[Real] = []
+    if monitor.lags:
+        lag = np.arange(1, monitor.lags + 1)[None, :, None]
+        r = monitor.products / (safe * free)[:, None, :]
+        ps.append(chdtrc(monitor.lags, samples * (samples + 2.0) * np.sum(r**2 / (samples - lag), axis=1)))
+    for order, count in enumerate(counts):
+        if count >= FEWEST_LINES:
+            ratio = np.diagonal(local[:, order], axis1=1, axis2=2).real / safe
+            ps.append(
+                np.minimum(1.0, 2 * np.minimum(fdtrc(2 * count, free, ratio), fdtr(2 * count, free, ratio)))
+            )
+    if not ps:
+        return np.full(len(sigma), np.nan)
+    smallest = np.min(np.where(exact, np.nan_to_num(1.0), np.stack(ps)), axis=(0, 2))
+    tests = len(ps) * np.sum(~exact, axis=-1)
+    return np.where(tests > 0, np.minimum(1.0, smallest * tests), np.nan)
+
+
+def is_coloured(whiteness: Real) -> bool:
+    """One decision for all repeats: more of them fail at 1 % than chance allows, and more than a few per cent.
+
+    whiteness (batch,): p-values.
+    """
+    tested = whiteness[np.isfinite(whiteness)]
+    failed = int(np.sum(tested < SIGNIFICANT))
+    if not failed:
+        return False
+    chance = float(bdtrc(failed - 1, len(tested), SIGNIFICANT))
+    return failed >= 0.03 * len(tested) and chance <= SIGNIFICANT * (1 + 1e-9)
+
+
+# Second moments of the samples of a dwell, for the methods that work on samples.
+
+
+def second_moments(record: Record, drift: Drift = USUAL_DRIFT) -> Moments:
+    """Σ q qᵀ of q = (channels, cos ωt, sin ωt), trend projected out of all alike; one line.
+
+    Raises DataError for a channel with a known delay: it turns amplitudes, not samples.
+    """
+    for channel in record.channels:
+        if channel.delay is not None and channel.delay != 0:
+            raise DataError(
+                f"channel {channel.name} has a delay of {channel.delay:g} s, which cannot be removed from samples",
+                record.source,
+                "shift its samples beforehand, or choose a method that works on amplitudes",
+            )
+    if record.frequency_hz is None:
+        raise DataError("the drive frequency is not known", record.source, "give the frequency of the record")
+    degree = Conditioning(drift=drift).degree
+    samples, channels = record.values.shape[-2:]
+    Y = record.values.reshape(-1, samples, channels)
+    factors = np.array([1 / real_factor(channel) for channel in record.channels])
+    centre, half = window(record.time)
+    gram = np.zeros((degree + 1, degree + 1))
+    right = np.zeros((len(Y), degree + 1, channels + 2))
+    for rows in chunks(samples):
+        A = basis(record.time[rows], record.frequency_hz, (1,), degree, centre, half)
+        gram += A[:, : degree + 1].T @ A[:, : degree + 1]
+        for part in tiles(len(Y), len(A), channels):
+            right[part, :, :channels] += A[:, : degree + 1].T @ (Y[part, rows] * factors)
+            right[part, :, channels:] += A[:, : degree + 1].T @ A[:, degree + 1 :]
+    trend = cholesky_solve(factor(gram, record, record.frequency_hz), right) if degree >= 0 else right
+    products = np.zeros((len(Y), channels + 2, channels + 2))
+    for rows in chunks(samples):
+        A = basis(record.time[rows], record.frequency_hz, (1,), degree, centre, half)
+        for part in tiles(len(Y), len(A), channels + 2):
+            y = Y[part, rows] * factors
+            q = np.concatenate([y, np.broadcast_to(A[:, degree + 1 :], (*y.shape[:-1], 2))], axis=-1)
+            q = q - A[:, : degree + 1] @ trend[part]
+            products[part] += np.swapaxes(q, 1, 2) @ q
+    return Moments(products.reshape(*record.values.shape[:-2], 1, channels + 2, channels + 2))
+
+
+# Variances of short dwells, moderated by those of the others (Smyth 2004; THEORY §11).
+#
+# Stat. Appl. Genet. Mol. Biol. 3, article 3. A dwell of ten samples knows its noise to a factor of two. All
+# dwells of a channel together show how the noise goes with the amplitude, and the scatter of ln s² about
+# that line how far a single dwell may be from it: as if d₀ further samples had been seen. V = (d₀ V₀ + ν V)
+# / (d₀ + ν), with d₀ + ν degrees of freedom.
+
+
+FEW = 50  # degrees of freedom from which on a dwell knows its own noise well enough
+FEWEST_LINES_MODERATED = 3
+FOR_A_SLOPE = (
+    6  # lines from which on it is asked how the noise goes with the amplitude; below it is proportional
+)
+LEAST = 4.0  # degrees of freedom beyond the channels: below, a weight has no mean
+
+
+def moderated(spectrum: Spectrum) -> Spectrum:
+    """The same lines with the noise of those that have few samples moderated, and a note.
+
+    It is unchanged where all have many samples.  Lines of white noise estimated from samples are moderated; repeats
+    share d₀.
+    """
+    chosen = np.array([kind == "white" for kind in spectrum.noise]) & np.isfinite(spectrum.dof)
+    short = chosen & (spectrum.dof < FEW)
+    if not np.any(short) or np.sum(chosen) < FEWEST_LINES_MODERATED or np.any(np.isnan(spectrum.amplitudes)):
+        return spectrum
+    lines = spectrum.select(np.flatnonzero(chosen).tolist())
+    prior, d0 = _prior(lines)
+    nu = lines.dof
+    channels = len(spectrum.channels)
+    total = nu + d0
+    weight = (nu / total)[:, None, None]
+    V = weight * lines.covariance + (1 - weight) * prior
+    # Too few samples in all for a weight that has a mean: the line counts for little, but counts.
+    enough = np.maximum(total, channels + LEAST)
+    V = V * (enough / total)[:, None, None]
+    covariance, dof = np.array(spectrum.covariance), np.array(spectrum.dof)
+    covariance[..., chosen, :, :] = V
+    dof[chosen] = enough
+    few = int(np.sum(short))
+    text = (
+        f"the noise of {few} short dwell{'s' if few > 1 else ''} ({np.min(nu):.3g} degrees of freedom) is pooled with "
+        f"that of all {len(nu)}, as if each had {d0:.3g} more"
+    )
+    note = Notice("noise_moderated", text)
+    return replace(spectrum, covariance=covariance, dof=dof, notes=(*spectrum.notes, note))
+
+
+def _prior(lines: Spectrum) -> tuple[Complex, float]:
+    """V₀ (..., lines, channels, channels) and d₀."""
+    V = lines.covariance.reshape(-1, *lines.covariance.shape[-3:])
+    count = lines.samples[:, None]
+    variance = np.diagonal(V, axis1=-2, axis2=-1).real
+    level = variance * count / 4
+    power = np.abs(lines.amplitudes).reshape(-1, *lines.amplitudes.shape[-2:]) ** 2
+    usable = np.all((variance > 0) & (power > 0), axis=(0, 1))
+    d0, fitted = _scatter(level, power, lines.dof, usable)
+    if np.isfinite(d0):
+        fitted = fitted + float(digamma(d0 / 2) - np.log(d0 / 2))
+    d0 = min(d0, (len(lines.dof) - 2) * float(np.mean(lines.dof)))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        s0 = np.where(usable, np.exp(fitted) * 4 / count, variance)
+        correlation = V / np.sqrt(variance[..., :, None] * variance[..., None, :])
+    share = lines.dof / np.sum(lines.dof)
+    R = np.sum(np.nan_to_num(correlation) * share[:, None, None], axis=-3, keepdims=True)
+    sd = np.sqrt(s0)
+    prior: Complex = R * sd[..., :, None] * sd[..., None, :]
+    return prior.reshape(lines.covariance.shape), d0
+
+
+def _scatter(level: Real, power: Real, nu: Real, usable: Bools) -> tuple[float, Real]:
+    """d₀, and E ln s² of each line and channel as all dwells show it, (repeats, lines, channels)."""
+    y = np.log(np.where(usable, level, 1.0)) - (digamma(nu / 2) - np.log(nu / 2))[:, None]
+    x = np.log(np.where(usable, power, 1.0))
+    known = polygamma(1, nu / 2)
+    w = (1 / (known + 0.05))[:, None]
+    x_mean, y_mean = (np.sum(w * v, axis=-2, keepdims=True) / np.sum(w) for v in (x, y))
+    dx, dy = x - x_mean, y - y_mean
+    slope, used = np.ones_like(x_mean), 1
+    if y.shape[-2] >= FOR_A_SLOPE:
+        with np.errstate(invalid="ignore", divide="ignore"):
+            slope = np.sum(w * dx * dy, axis=-2, keepdims=True) / np.sum(w * dx**2, axis=-2, keepdims=True)
+        slope, used = np.clip(np.nan_to_num(slope, nan=1.0), 0.0, 1.0), 2
+    fitted = y_mean + slope * dx
+    left = (y - fitted)[..., usable]
+    lines = y.shape[-2]
+    if not left.size:
+        return np.inf, fitted
+    # Σ w r² has the expectation Σ w (trigamma(ν/2) + trigamma(d₀/2)) (lines − used) / lines.
+    mean = float(np.mean(np.sum(w * left**2, axis=-2))) * lines / (lines - used)
+    beyond = (mean - float(np.sum(w[:, 0] * known))) / float(np.sum(w))
+    return (2 * _trigamma_inverse(beyond) if beyond > 0 else np.inf), fitted
+
+
+def _trigamma_inverse(value: float) -> float:
+    """x with ψ′(x) = value, by Newton's method on 1/ψ′ (Smyth 2004, appendix)."""
+    x = 0.5 + 1 / value
+    for _ in range(50):
+        at = float(polygamma(1, x))
+        step = at * (1 - at / value) / float(polygamma(2, x))
+        x += step
+        if abs(step) < 1e-10 * x:
+            break
+    return x
+
+
+# The noise that rounding to the steps of a converter makes, which the residual of a fit may not show.
+#
+# A channel that stays on one code has no residual at all, and where sampling and drive are commensurate
+# every period is rounded alike, so that the error is a harmonic of the drive. Neither is an exact channel:
+# rounding has the variance step²/12, and only distinct phases of the motion average it (THEORY §11).
+
+
+FINEST = 1e-7  # of the largest value: finer steps are digits of a text, not of a converter
+DITHERED = 0.7  # residual in steps above which noise makes rounding errors independent
+LOOKED_AT = 4096  # samples of each record
+
+
+def rounding_steps(records: Sequence[Record]) -> Real:
+    """The step of each channel in the units of its values, (channels,); 0 where it is finer than FINEST.
+
+    All values of a quantised channel are a whole number of steps apart.
+    """
+    if not records:
+        return np.zeros(0)
+    channels = records[0].values.shape[-1]
+    steps = np.zeros(channels)
+    for c in range(channels):
+        values = np.concatenate([r.values.reshape(-1, channels)[:LOOKED_AT, c] for r in records])
+        steps[c] = _common_step(np.unique(values), float(np.max(np.abs(values), initial=0.0)))
+    return steps
+
+
+def _common_step(codes: Real, largest: float) -> float:
+    """The greatest step of which all distances of ascending codes are multiples; 0 where there is none to speak of.
+
+    Euclid's algorithm on the smallest distances, with the rounding of floating point as its zero.
+    """
+    apart = np.diff(codes)
+    apart = apart[apart > 1e-12 * largest]
+    if len(apart) < 2 or np.min(apart) < FINEST * largest:
+        return 0.0
+    step = float(np.min(apart))
+    for distance in np.sort(apart)[:200].tolist():  # distances of codes that are looked at
+        rest = float(distance)
+        while abs(rest) > 1e-3 * step and step > FINEST * largest:
+            rest -= round(rest / step) * step
+            if abs(rest) > 1e-3 * step:
+                step, rest = abs(rest), step
+    if step <= FINEST * largest:
+        return 0.0
+    multiples = np.round(apart / step)
+    if np.max(np.abs(apart / step - multiples)) > 0.01:
+        return 0.0
+    return float(np.sum(apart) / np.sum(multiples))
+
+
+def distinct_phases(record: Record, f: float, size: Real, step: Real) -> Real:
+    """Samples at different phases of a motion of amplitude `size` (channels,), as far as steps (channels,) tell them.
+
+    Two phases are one where the motion between them is less than a quarter of a step, and where they are half a period
+    apart: about a zero on a code or between two, both are rounded alike.
+    """
+    cycles = 2 * f * record.time
+    phase = np.sort(cycles - np.floor(cycles)) / 2
+    gaps = np.diff(np.concatenate([phase, phase[:1] + 0.5]))
+    counts = np.ones(len(step))
+    for c, (amplitude, each) in enumerate(zip(size, step, strict=True)):
+        if each > 0 and amplitude > 0:
+            counts[c] = max(1, int(np.sum(2 * np.pi * amplitude * gaps > each / 4)))
+    return counts
+
+
+def rounding_floor(record: Record, f: float, size: Real, residual_sd: Real, step: Real) -> Real:
+    """Least variance E|Δ|² of each channel's amplitude by rounding, (channels,); 0 where the residual shows it all."""
+    floor = 4 * step**2 / 12 / distinct_phases(record, f, size, step)
+    return np.where((step > 0) & (residual_sd < DITHERED * step), floor, 0.0)
+
+
 HIGHEST_HARMONIC = 10  # looked for
 DIGITS = 1e-6  # residual over amplitude below which it is how numbers are written: no sensor is as quiet
 
@@ -78,8 +519,7 @@ class HarmonicFit:
         A = basis(
             np.asarray(time, dtype=float), self.frequency_hz, self.orders, self.degree, self.centre, self.half
         )
-        values: Real = A @ coefficients_of(self.trend, self.amplitudes)
-        return values
+        return A @ coefficients_of(self.trend, self.amplitudes)
 
     @property
     def degree(self) -> int:

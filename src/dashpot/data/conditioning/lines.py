@@ -2,63 +2,333 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
 from typing import Unpack
 
 import numpy as np
+from scipy import fft
+from scipy.special import fdtrc
 
-from dashpot.arrays import Real
+from dashpot.arrays import Bools, Complex, Real
 from dashpot.data.calibration import calibration
-from dashpot.data.conditioning.account import account_of_dwells, other_motion, summed_up
-from dashpot.data.conditioning.brief_dwells import long_enough
-from dashpot.data.conditioning.clipped_samples import notices_of_doubt, reaches_limits, without_clipping
 from dashpot.data.conditioning.clock import with_even_stamps
-from dashpot.data.conditioning.drift import LEVEL as DRIFT_LEVEL
-from dashpot.data.conditioning.drift import slope_costs, slopes_show
-from dashpot.data.conditioning.drive_fading import LEVEL as FADING_LEVEL
-from dashpot.data.conditioning.drive_fading import drive_fades
-from dashpot.data.conditioning.drive_frequency import refine_frequency
-from dashpot.data.conditioning.drive_wander import LEVEL as WANDER_LEVEL
-from dashpot.data.conditioning.drive_wander import drive_wanders
-from dashpot.data.conditioning.driven_harmonics import DrivenOrders, driven_orders, orders_used
-from dashpot.data.conditioning.dropouts import without_dropouts
-from dashpot.data.conditioning.harmonic_fit import HarmonicFit, fit_harmonics
-from dashpot.data.conditioning.moderated import moderated
-from dashpot.data.conditioning.quantisation import rounding_floor, rounding_steps
-from dashpot.data.conditioning.repetition import averaged_periods
-from dashpot.data.conditioning.sample_moments import second_moments
-from dashpot.data.conditioning.settings import Conditioning, Treatments, conditioning_of
-from dashpot.data.conditioning.stated_frequency import (
+from dashpot.data.conditioning.drive_frequency import LEVEL as WANDER_LEVEL
+from dashpot.data.conditioning.drive_frequency import LEVEL_DRIVE_FADING as FADING_LEVEL
+from dashpot.data.conditioning.drive_frequency import (
     at_frequencies,
     beyond_half_rate,
+    drive_fades,
     drive_frequencies,
+    drive_wanders,
+    refine_frequency,
     require_stated,
 )
-from dashpot.data.conditioning.steady_state import (
-    driven_throughout,
-    periods_of,
-    settled,
-    without_start,
+from dashpot.data.conditioning.harmonic_fit import (
+    HarmonicFit,
+    fit_harmonics,
+    moderated,
+    rounding_floor,
+    rounding_steps,
+    second_moments,
 )
+from dashpot.data.conditioning.lost_samples import (
+    notices_of_doubt,
+    reaches_limits,
+    without_clipping,
+    without_dropouts,
+)
+from dashpot.data.conditioning.regression import duration, holds_a_period
+from dashpot.data.conditioning.settings import Conditioning, Treatments, conditioning_of
+from dashpot.data.conditioning.transients import LEVEL as DRIFT_LEVEL
 from dashpot.data.conditioning.transients import (
     continuous,
+    driven_throughout,
     dwells_with_transients,
+    periods_of,
+    settled,
     short_dwells_bend,
     shows_settling,
+    slope_costs,
+    slopes_show,
     taken_as_settled,
     transients_matter,
+    without_start,
 )
 from dashpot.data.conditioning.whole_record import AT_REST, whole_records
+from dashpot.data.periods import average_periods
 from dashpot.data.record import Record
-from dashpot.data.spectrum import Spectrum, concatenate
-from dashpot.data.stretch import SettledDwell
+from dashpot.data.spectrum import SettledDwell, Spectrum, concatenate
 from dashpot.errors import DashpotError, DataError
+from dashpot.io.words import counted
 from dashpot.notices import Notice
+
+# What was done to settled dwells, in one line for the whole test.
+
+
+SETTLED = "settled_dwells"
+OTHER_MOTION = "other_motion"
+COLOURED = 1e-3  # p-value of a white residual
+LITTLE = 0.3  # part of a channel's power that the multiples of the drive explain
+DRIFTS = {-1: "nothing", 0: "an offset", 1: "offset and slope"}
+
+
+def account_of_dwells(given: Sequence[Record], lines: Sequence[Spectrum], settings: Conditioning) -> Notice:
+    """How many dwells, how much of them, at which frequency and without which drift; `given` as they were recorded.
+
+    lines: those of each dwell, in the same order.
+    """
+    samples = sum(len(record.time) for record in given)
+    used = sum(int(each.samples[0]) for each in lines)
+    moved = sum(
+        settings.wanted[0] * record.frequency_hz != each.frequency_hz[0]
+        for record, each in zip(given, lines, strict=True)
+        if record.frequency_hz is not None
+    )
+    share = "all" if used == samples else f"{100 * used / samples:.3g} % of"
+    frequency = "as stated" if not moved else f"refined in {moved}" if moved < len(given) else "refined"
+    drift = DRIFTS.get(settings.degree, f"a polynomial of degree {settings.degree}")
+    dwells = f"{len(given)} dwell{'' if len(given) == 1 else 's'}"
+    text = f"{dwells} as steady sines: {share} {samples} samples used, frequency {frequency}, {drift} removed"
+    return Notice(SETTLED, text)
+
+
+def other_motion(record: Record, fit: HarmonicFit, wanted: Sequence[int]) -> list[Notice]:
+    """That most channels of a dwell hardly move with its drive, but otherwise, and not as white noise does.
+
+    wanted: which of the fit's orders are used.  An earthquake given as a dwell does; so does one of hum or drift alone.
+    """
+    p = fit.whiteness[np.isfinite(fit.whiteness)]
+    if fit.noise == "white" and np.min(p, initial=1.0) > COLOURED:
+        return []
+    power = np.abs(fit.amplitudes) ** 2 / 2
+    driven, of_all = np.sum(power[..., wanted, :], axis=-2), np.sum(power, axis=-2)
+    rest = np.diagonal(fit.residual_covariance, axis1=-2, axis2=-1).real
+    share = np.median(driven / np.maximum(of_all + rest, 1e-300))
+    if share > LITTLE:
+        return []
+    text = (
+        f"{record.source}: {100 * share:.2g} % of the motion (power) is at the multiples of {fit.frequency_hz:g} Hz "
+        "that are used, and the rest is not white noise: no steady sine; given without a frequency, it is used whole"
+    )
+    return [Notice(OTHER_MOTION, text, (record.source,))]
+
+
+def summed_up(notes: Iterable[Notice]) -> list[Notice]:
+    """The notes with those on dwells that hardly move with their drive as one."""
+    notes = list(notes)
+    such = [note for note in notes if note.code == OTHER_MOTION]
+    others = [note for note in notes if note.code != OTHER_MOTION]
+    if len(such) > 1:
+        text = f"{such[0].text}; so {len(such) - 1} dwell{'' if len(such) == 2 else 's'} more"
+        such = [Notice(OTHER_MOTION, text, tuple(name for note in such for name in note.of))]
+    return [*others, *such]
+
+
+# Dwells too brief to hold an amplitude: left out where most dwells are longer.
+
+
+def long_enough(dwells: Sequence[Record]) -> tuple[Sequence[Record], list[Notice]]:
+    """The dwells without those that end before their first period, where most are longer, and what was left out.
+
+    A recording that was stopped within a dwell, or one dwell that failed, is no reason to refuse the others.
+    """
+    brief = {k: text for k, record in enumerate(dwells) if (text := _too_brief(record))}
+    if not brief or 2 * len(brief) >= len(dwells):
+        return dwells, []
+    kept = [record for k, record in enumerate(dwells) if k not in brief]
+    notes = [
+        Notice("dwell_left_out", f"{dwells[k].source}: left out: {text}", (dwells[k].source,))
+        for k, text in brief.items()
+    ]
+    return kept, notes
+
+
+def _too_brief(record: Record) -> str:
+    """Why a dwell holds no amplitude at its frequency, if it holds none."""
+    f, time = record.frequency_hz, record.time
+    if f is None:
+        return ""
+    if len(time) < 5:  # samples of a dwell: more than its offset, slope and fundamental have terms
+        return f"{counted(len(time), 'sample')} at {f:g} Hz"
+    return "" if holds_a_period(time, f) else f"{f * duration(time):.2g} of a period at {f:g} Hz"
+
+
+# Harmonics of the drive that every channel shows beyond doubt, which are data as good as the fundamental.
+#
+# A stepper motor or a crank moves its base at many multiples of its frequency, and these may be all that
+# reaches the higher modes. Where only the response shows a multiple, it is distortion and stays out of the
+# data.
+
+
+SIGNIFICANT = 0.01  # over all channels and multiples of a dwell together
+STRONG = 0.01  # of the fundamental, in the channel that shows a multiple most
+LONG = 8.0  # periods from which on the noise beside each multiple is seen
+HIGHEST = 0.95  # of half the sampling rate
+MOST = 100  # multiples
+
+
+@dataclass(frozen=True)
+class DrivenOrders:
+    """The multiples of its frequency that drive a dwell; fit: that of the fundamental alone, where it was made."""
+
+    orders: tuple[int, ...]
+    fit: HarmonicFit | None = None
+
+
+def driven_orders(records: Sequence[Record], conditioning: Conditioning) -> list[DrivenOrders]:
+    """For each dwell the multiples of its frequency that are driven: 1 alone, unless half of the long dwells have more.
+
+    A multiple counts where each channel's F test rejects noise at 1 % over all, and where it has a hundredth of some
+    channel's fundamental.  Short dwells and repeats have their fundamental alone.
+    """
+    able = [record.values.ndim == 2 and periods_of(record) >= LONG for record in records]
+    driven = [
+        _orders_of(record, conditioning) if long else DrivenOrders((1,))
+        for record, long in zip(records, able, strict=True)
+    ]
+    several = sum(len(dwell.orders) > 1 for dwell in driven)
+    if 2 * several >= max(sum(able), 1):
+        return driven
+    return [DrivenOrders((1,), dwell.fit) for dwell in driven]
+
+
+def orders_used(driven: Sequence[DrivenOrders]) -> list[Notice]:
+    """A note where dwells have more lines than their fundamentals."""
+    several = [len(dwell.orders) for dwell in driven if len(dwell.orders) > 1]
+    if not several:
+        return []
+    dwells = f"{len(several)} dwell{'s' if len(several) > 1 else ''}"
+    text = f"{sum(several)} lines of {dwells}: harmonics of the drive that every channel shows are used"
+    return [Notice("harmonics_driven", text)]
+
+
+def _orders_of(record: Record, conditioning: Conditioning) -> DrivenOrders:
+    """The multiples that drive every channel of a long dwell."""
+    fundamental = conditioning.changed(orders=(1,))
+    alone = None
+    try:
+        alone = fit_harmonics(record, None, fundamental)
+        if np.sum(_driven(alone)) < 2:
+            return DrivenOrders((1,), alone)
+        rate = (len(record.time) - 1) / float(record.time[-1] - record.time[0])
+        most = min(MOST, int(HIGHEST * rate / 2 / (record.frequency_hz or rate)), (len(record.time) - 4) // 6)
+        every = fit_harmonics(record, None, fundamental.changed(orders=range(1, most + 1), harmonics="none"))
+    except DataError:
+        return DrivenOrders((1,), alone)  # the samples do not tell so many apart
+    there = _driven(every)
+    return DrivenOrders(tuple(np.array(every.orders)[there].tolist()) if there[0] else (1,), alone)
+
+
+def _driven(fit: HarmonicFit) -> Bools:
+    """(orders,): which multiples every channel shows."""
+    size = np.abs(fit.amplitudes)
+    variance = np.diagonal(fit.covariance, axis1=-2, axis2=-1).real
+    with np.errstate(divide="ignore", invalid="ignore"):
+        F = np.where(variance > 0, size**2 / variance, np.where(size > 1e-9 * size[0], np.inf, 0.0))
+    p = fdtrc(2, fit.dof[:, None], F)
+    strong = np.any(size >= STRONG * size[0], axis=-1)
+    return strong & np.all(p < SIGNIFICANT / size.size, axis=-1)
+
+
+# Continuous records of a periodic drive: their period is found, and their periods are averaged.
+#
+# A multisine or a periodic random drive that repeats puts all its power on the multiples of one frequency.
+# What the rest of the lines hold is noise, and its size at each multiple is the scatter of the periods.
+
+
+REPEATS = 0.5  # correlation of every channel's steps with those a period later: the rest is noise
+LASTING = 0.97  # of it, between periods that are further apart
+FEWEST_PERIODS = 6
+FUNDAMENTAL = 0.3  # of the strongest line: what a dwell has in every channel
+SHORTEST = 32  # samples of a period
+SIGNIFICANT_REPETITION = 1e-3
+APART = 16.0  # times the scatter of the last half by which the mean square of a period that has not settled is off
+
+
+def averaged_periods(record: Record) -> Spectrum | None:
+    """The mean of the settled periods of a record that repeats, on the lines that every channel shows; else None.
+
+    A record of a stated frequency that moves at that frequency is a dwell, and no such record.
+    """
+    samples = _period(record)
+    if samples is None:
+        return None
+    step = float(record.time[-1] - record.time[0]) / (len(record.time) - 1)
+    count = len(record.time) // samples
+    periods = record.values[: count * samples].reshape(count, samples, -1)
+    X = fft.rfft(periods, axis=1)[:, 1 : samples // 2]
+    skip = _unsettled(X)
+    lines = _driven_repetition(X[skip:])
+    # lines in every channel: fewer are a sine, a decay or their harmonics
+    if len(lines) < 12 or (record.frequency_hz is not None and _is_dwell(X[skip:], lines)):
+        return None
+    try:
+        mean = average_periods(record, samples * step, lines, skip=skip)
+    except DataError:
+        return None  # its stamps are uneven
+    start = f", the first {skip} left out" if skip else ""
+    text = (
+        f"{record.source}: the record repeats every {samples * step:.6g} s: {len(lines)} lines are means of "
+        f"{count - skip} periods{start}"
+    )
+    return replace(mean, notes=(Notice("periods_averaged", text, (record.source,)),))
+
+
+def _is_dwell(X: Complex, lines: list[int]) -> bool:
+    """Whether all channels move at the fundamental, of (periods, lines, channels)."""
+    size = np.abs(np.mean(X, axis=0))
+    return lines[0] == 1 and bool(np.all(size[0] > FUNDAMENTAL * np.max(size, axis=0)))
+
+
+def _period(record: Record) -> int | None:
+    """Samples of the period that all channels repeat with to the record's end; None where there is none."""
+    n = len(record.time)
+    if record.values.ndim != 2 or n < FEWEST_PERIODS * SHORTEST:
+        return None
+    steps = np.diff(record.values, axis=0)
+    steps = steps - np.mean(steps, axis=0)
+    power = np.abs(fft.rfft(steps, fft.next_fast_len(2 * n), axis=0)) ** 2
+    alike = fft.irfft(power, axis=0)[: n // 2]
+    if np.any(alike[0] <= 0):
+        return None
+    alike = np.min(alike / alike[0], axis=1) * (n / (n - np.arange(len(alike))))
+    lags = alike[SHORTEST : n // FEWEST_PERIODS]
+    highest = float(np.max(lags, initial=0.0))
+    if highest < REPEATS:
+        return None
+    first = SHORTEST + int(np.flatnonzero(lags > LASTING * highest)[0])
+    peak = first + int(np.argmax(alike[first : first + max(2, first // 100)]))
+    return peak if bool(np.all(alike[peak::peak] > LASTING * alike[peak])) else None
+
+
+def _unsettled(X: Complex) -> int:
+    """Periods to leave out, of at most the first half, of (periods, lines, channels)."""
+    half = len(X) // 2
+    last = X[half:]
+    variance = np.var(last, axis=0, ddof=1)
+    away = np.abs(X[:half] - np.mean(last, axis=0)) ** 2
+    varies = variance > 0  # records without noise may repeat exactly
+    if not np.any(varies):
+        return 0
+    off: Real = np.mean(away[:, varies] / variance[varies], axis=1)
+    late = np.flatnonzero(off > APART)
+    return int(late[-1]) + 1 if len(late) else 0
+
+
+def _driven_repetition(X: Complex) -> list[int]:
+    """Multiples of the frequency that all channels show, of (periods, lines, channels)."""
+    count = len(X)
+    mean = np.mean(X, axis=0)
+    variance = np.var(X, axis=0, ddof=1) / count
+    with np.errstate(divide="ignore", invalid="ignore"):
+        p = fdtrc(2, 2 * (count - 1), np.abs(mean) ** 2 / variance)
+    there = np.all(p < SIGNIFICANT_REPETITION / p.size, axis=1)
+    return [int(line) + 1 for line in np.flatnonzero(there)]
+
 
 WANDERS = "the drive frequency wanders within a dwell, which is nevertheless treated as steady"
 FADES = "the drive's amplitude drifts within a dwell, which is nevertheless treated as steady"
-TELLING = 16  # samples of a dwell that shows by itself whether it is a steady sine
 LONG_ENOUGH = 8  # periods that must be left of a dwell that rests for a part
 
 
@@ -111,7 +381,7 @@ def _of_dwells(dwells: Sequence[Record], settings: Conditioning) -> Spectrum:
     dwells, weaker, notes = _evened(dwells, settings)
     notes = [*left_out, *notes]
     uncut, of_stamps = dwells, list(notes)
-    if settings.transients == "settle" and settings.settle == "none" and _unsettled(dwells):
+    if settings.transients == "settle" and settings.settle == "none" and _unsettled_lines(dwells):
         settings = settings.changed(settle="auto")
     if settings.refine == "auto":
         require_stated([record for record in dwells if beyond_half_rate(record)], settings.wanted)
@@ -258,11 +528,12 @@ def _why_whole(
         return None
     if settings.transients == "estimate":
         return "taken whole"
-    if not all(record.values.ndim == 2 and len(record.time) >= TELLING for record in dwells):
+    # samples of a dwell that shows by itself whether it is a steady sine
+    if not all(record.values.ndim == 2 and len(record.time) >= 16 for record in dwells):
         return None
     if wanders:
         return "not steady (the drive frequency wanders)"
-    unsettled, fades = _unsettled(dwells), drive_fades(dwells, weaker) < FADING_LEVEL
+    unsettled, fades = _unsettled_lines(dwells), drive_fades(dwells, weaker) < FADING_LEVEL
     if fades:
         return f"not steady (the drive's amplitude drifts{', or they have not settled' if unsettled else ''})"
     if unsettled:
@@ -280,7 +551,7 @@ def _taken_as_steady(
     return [Notice("drive_fades", FADES)] if drive_fades(dwells, weaker) < FADING_LEVEL else []
 
 
-def _unsettled(dwells: Sequence[Record]) -> bool:
+def _unsettled_lines(dwells: Sequence[Record]) -> bool:
     """Whether dwells have transients that spoil their amplitudes, or rest for a part."""
     return transients_matter(dwells) or not all(driven_throughout(record) for record in dwells)
 
@@ -319,6 +590,11 @@ def _lines(
     h = calibration(record.channels, frequencies)
     covariance = fit.covariance[..., wanted, :, :] + _rounding(record, fit, wanted, steps)
     covariance = covariance * np.sqrt(weaker[:, None] * weaker)
+    # Whether second moments are asked for, and with "auto" whether they can be had
+    if settings.moments != "auto":
+        with_moments = settings.moments
+    else:
+        with_moments = settings.wanted == (1,) and not any(channel.delay for channel in record.channels)
     return Spectrum(
         record.channels,
         frequencies,
@@ -328,7 +604,7 @@ def _lines(
         fit.dof[wanted],
         (fit.noise,) * len(wanted),
         np.full(len(wanted), record.experiment),
-        second_moments(record, settings.drift) if _with_moments(record, settings) else None,
+        second_moments(record, settings.drift) if with_moments else None,
         (*notes, *fit.notes, *other_motion(record, fit, wanted)),
         stretches=(SettledDwell(fit.frequency_hz if len(wanted) > 1 else None),),
     )
@@ -346,15 +622,7 @@ def _rounding(record: Record, fit: HarmonicFit, wanted: Sequence[int], steps: Re
     )
     variance = np.diagonal(fit.covariance, axis1=-2, axis2=-1).real[..., wanted, :]
     missing = np.maximum(floor.reshape(*variance.shape[:-2], 1, channels) - variance, 0.0)
-    added: Real = missing[..., None] * np.eye(channels)
-    return added
-
-
-def _with_moments(record: Record, settings: Conditioning) -> bool:
-    """Whether second moments are asked for, and with "auto" whether they can be had."""
-    if settings.moments != "auto":
-        return settings.moments
-    return settings.wanted == (1,) and not any(channel.delay for channel in record.channels)
+    return missing[..., None] * np.eye(channels)
 
 
 def _at_its_frequency(record: Record, settings: Conditioning) -> tuple[Record, list[Notice]]:

@@ -128,8 +128,7 @@ class HarmonicSolution:
     def amplitudes(self, degree: int) -> Complex:
         """Complex amplitudes of the harmonics, (batch, orders, channels)."""
         waves = self.coefficients[:, degree + 1 :]
-        amplitudes: Complex = waves[:, 0::2] - 1j * waves[:, 1::2]
-        return amplitudes
+        return waves[:, 0::2] - 1j * waves[:, 1::2]
 
 
 class Monitor(Protocol):
@@ -252,5 +251,4 @@ def exact_channels(sigma: Real, X: Complex, largest: Real, share: float = EXACT)
     rms = np.sqrt(np.maximum(np.diagonal(sigma, axis1=1, axis2=2), 0.0))
     strongest = np.max(np.abs(X), axis=1)
     bound = np.maximum(share * strongest, 32 * np.finfo(float).eps * largest)
-    small: Bools = rms <= bound
-    return small
+    return rms <= bound

@@ -42,8 +42,7 @@ class Still:
     def covariance(self, frequency_hz: Real, samples: int) -> Complex:
         """V of peak amplitudes of a record of so many samples, (lines, channels, channels)."""
         at = np.searchsorted((self.frequency_hz[1:] + self.frequency_hz[:-1]) / 2, frequency_hz)
-        V: Complex = self.power[at] / samples
-        return V
+        return self.power[at] / samples
 
 
 def noise_at_rest(records: Sequence[Record], half_window: int = HALF_WINDOW) -> Still:
@@ -124,5 +123,4 @@ def smoothed(values: Complex, half_window: int) -> Complex:
     width = min(2 * half_window + 1, lines)
     sums = np.concatenate([np.zeros((1, *values.shape[1:]), dtype=values.dtype), np.cumsum(values, axis=0)])
     first = np.clip(np.arange(lines) - width // 2, 0, lines - width)
-    mean: Complex = (sums[first + width] - sums[first]) / width
-    return mean
+    return (sums[first + width] - sums[first]) / width

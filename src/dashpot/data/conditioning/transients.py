@@ -16,19 +16,280 @@ import numpy as np
 from numpy.polynomial.legendre import legvander
 from scipy.special import chdtrc, chdtri, fdtrc
 
-from dashpot.arrays import Bools, Complex, Real
+from dashpot.arrays import Bools, Complex, Ints, Real, freeze
 from dashpot.data.conditioning.clock import FEWEST_OF_A_DWELL, even_step
 from dashpot.data.conditioning.harmonic_fit import HarmonicFit, fit_harmonics
-from dashpot.data.conditioning.regression import CHUNK, basis, duration, window
+from dashpot.data.conditioning.regression import (
+    CHUNK,
+    basis,
+    duration,
+    exact_channels,
+    solve_harmonics,
+    window,
+)
 from dashpot.data.conditioning.still import Still
 from dashpot.data.conditioning.whole_record import whole_record
 from dashpot.data.record import Record
-from dashpot.data.spectrum import Spectrum, concatenate
-from dashpot.data.stretch import WholeRecord
+from dashpot.data.spectrum import Spectrum, WholeRecord, concatenate
 from dashpot.errors import DataError
 from dashpot.notices import Notice
 
-LEVEL = 1e-3  # of the test for transients
+# A dwell cut into blocks of whole periods: what each channel does in each of them.
+
+
+MOST = 32  # blocks, of more periods each where there are many
+FEWEST = 8
+SAMPLES = 8  # that a block has on average, at least
+
+
+@dataclass(frozen=True)
+class PeriodBlocks:
+    """Blocks of whole periods, counted from the end of a dwell.
+
+    starts, ends (blocks,): the first sample of each and the one after its last
+    amplitudes, rms (blocks, batch · channels): of the sine at the drive frequency, and of what it leaves, SI units
+    """
+
+    starts: Ints
+    ends: Ints
+    amplitudes: Complex
+    rms: Real
+
+    def __post_init__(self) -> None:
+        freeze(self)
+
+
+def period_blocks(record: Record, f: float) -> PeriodBlocks | None:
+    """The blocks at f Hz, kept with the record; None where its periods are too few, or have gaps."""
+    key = (period_blocks, f)
+    if key not in record.kept:
+        edges = _edges(record.time, f)
+        record.kept[key] = None if edges is None else PeriodBlocks(*edges, *_fitted(record, f, *edges))
+    blocks = record.kept[key]
+    assert blocks is None or isinstance(blocks, PeriodBlocks)
+    return blocks
+
+
+def _edges(time: Real, f: float) -> tuple[Ints, Ints] | None:
+    """Where the blocks start and end."""
+    periods = int(f * duration(time) + 1e-6)
+    each = max(1, periods // MOST, int(np.ceil(SAMPLES * periods / len(time))))
+    blocks = periods // each
+    if blocks < FEWEST:
+        return None
+    step = (time[-1] - time[0]) / (len(time) - 1)
+    starts = np.searchsorted(time, time[-1] + step - (each / f) * np.arange(blocks, 0, -1) - step / 4)
+    ends = np.append(starts[1:], len(time))
+    return None if np.min(ends - starts) < 4 else (starts, ends)
+
+
+def _fitted(record: Record, f: float, starts: Ints, ends: Ints) -> tuple[Complex, Real]:
+    """Amplitude and residual rms of each block, both (blocks, batch · channels)."""
+    samples, channels = record.values.shape[-2:]
+    values = record.values.reshape(-1, samples, channels)
+    amplitudes, rms = [], []
+    for start, end in zip(starts.tolist(), ends.tolist(), strict=True):
+        t = record.time[start:end]
+        A = basis(t, f, (1,), 0, *window(t))
+        y = np.moveaxis(values[:, start:end], 1, 0).reshape(len(t), -1)
+        c = np.linalg.lstsq(A, y, rcond=None)[0]
+        amplitudes.append(c[1] - 1j * c[2])
+        rms.append(np.sqrt(np.mean((y - A @ c) ** 2, axis=0)))
+    return np.array(amplitudes), np.array(rms)
+
+
+# The part of a dwell that is driven and where the transient has decayed.
+
+
+SIGNIFICANT = 0.01
+HEARD = 6.0  # sd of a block's amplitude that a channel must have to say whether it is driven
+
+
+@dataclass(frozen=True)
+class Settled:
+    """The part of a dwell that is driven and where the transient has decayed, and what was thrown away around it.
+
+    `note` says so in words; it is None where nothing was thrown away and a transient would have been seen.
+    """
+
+    record: Record
+    dropped_samples: int
+    dropped_s: float
+    note: Notice | None
+
+
+def settled(record: Record, frequency_hz: float | None = None) -> Settled:
+    """The part of a dwell that is driven, after its transient.
+
+    Blocks of whole periods, counted from the end, give amplitudes and residuals.  The longest run of blocks with more
+    than half of the greatest lasting amplitude is what was driven.  Within it the cut is where the mean of what
+    remains is known best (White's marginal standard error rule, Simulation 69, 1997), at most half way, and only if
+    what comes before it differs significantly (p < 0.01) from what comes after.  A small error of the frequency does
+    not matter.  Raises DataError where the frequency is not known.
+    """
+    f = record.frequency_hz if frequency_hz is None else frequency_hz
+    if f is None:
+        raise DataError("the drive frequency is not known", record.source, "give the frequency of the record")
+    time = record.time
+    blocks = period_blocks(record, f)
+    if blocks is None:
+        periods = int(f * duration(time) + 1e-6)
+        text = (
+            f"{record.source}: {periods} periods at {f:g} Hz are too few to detect a transient, or have gaps"
+        )
+        return Settled(record, 0, 0.0, Notice("transient_undetectable", text, (record.source,)))
+    starts, Z, rms = blocks.starts, blocks.amplitudes, blocks.rms
+    begin, end = _driven(Z)
+    if end - begin >= 8:
+        begin += _truncation(_features(Z[begin:end], rms[begin:end], float(np.max(np.abs(record.values)))))
+    first = 0 if begin == 0 else int(starts[begin])
+    last = len(time) if end == len(starts) else int(starts[end])
+    dropped = len(time) - (last - first)
+    if not dropped:
+        return Settled(record, 0, 0.0, None)
+    kept = replace(record, time=time[first:last], values=record.values[..., first:last, :])
+    what = [f"the first {time[first] - time[0]:.4g} s"] * (first > 0) + [
+        f"the last {time[-1] - time[last - 1]:.4g} s"
+    ] * (last < len(time))
+    whole = float(time[-1] - time[0])
+    text = f"{record.source}: discarded {' and '.join(what)} of {whole:.4g} s at {f:g} Hz (transient)"
+    note = Notice("transient_discarded", text, (record.source,))
+    return Settled(kept, dropped, float(time[-1] - time[0] - (kept.time[-1] - kept.time[0])), note)
+
+
+def without_start(record: Record, seconds: float) -> Record:
+    """The record without its first seconds.  Raises DataError where less than two samples are left."""
+    first = int(np.searchsorted(record.time, record.time[0] + seconds))
+    if len(record.time) - first < 2:
+        length = float(record.time[-1] - record.time[0])
+        raise DataError(
+            f"the record is {length:.4g} s long and its first {seconds:g} s are to be dropped",
+            record.source,
+            "drop less, or record longer",
+        )
+    return replace(record, time=record.time[first:], values=record.values[..., first:, :])
+
+
+def periods_of(record: Record) -> float:
+    """Periods of the drive that a record lasts; 0 without a frequency."""
+    return 0.0 if record.frequency_hz is None else record.frequency_hz * duration(record.time)
+
+
+def driven_throughout(record: Record) -> bool:
+    """Whether a dwell moves from its first period to its last; True where it has too few periods to tell."""
+    f = record.frequency_hz
+    if f is None or record.values.ndim != 2:
+        return True
+    blocks = period_blocks(record, f)
+    if blocks is None:
+        return True
+    Z = blocks.amplitudes
+    noise = np.median(blocks.rms, axis=0) * np.sqrt(4 / np.min(blocks.ends - blocks.starts))
+    heard = _level(np.abs(Z)) > HEARD * noise
+    return not np.any(heard) or _driven(Z[:, heard]) == (0, len(Z))
+
+
+def _driven(Z: Complex) -> tuple[int, int]:
+    """Longest run of driven blocks, [begin, end); those in which the drive comes or goes are left out.
+
+    A channel's level is the greatest that it keeps for four blocks.
+    """
+    size = np.abs(Z)
+    level = _level(size)
+    on = np.ones(len(Z), dtype=bool)
+    if np.any(level > 0):
+        on = np.median(size[:, level > 0] / level[level > 0], axis=1) > 0.5
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], on, [False]])))
+    runs = edges.reshape(-1, 2)
+    begin, end = (int(k) for k in runs[np.argmax(runs[:, 1] - runs[:, 0])])
+    if end - begin < 4:
+        return 0, len(Z)
+    return begin + (begin > 0), end - (end < len(Z))
+
+
+def _level(size: Real) -> Real:
+    """The greatest amplitude that each channel keeps for four blocks, (channels,), of (blocks, channels)."""
+    return np.max(np.min(np.lib.stride_tricks.sliding_window_view(size, 4, axis=0), axis=-1), axis=0)
+
+
+def _features(Z: Complex, rms: Real, largest: float) -> Real:
+    """(blocks, features) in units of their scatter over the last half: amplitudes turned by the phase of the steadiest
+    channel, which makes them blind to a small error of the frequency, and residual rms."""
+    tail = len(Z) // 2
+    size = np.median(np.abs(Z), axis=0)
+    floor = np.maximum(1e-9 * size, 1e-13 * largest) + np.finfo(float).tiny
+    steady = int(np.argmax(size / np.maximum(np.std(np.abs(Z[tail:]), axis=0), floor)))
+    turned = Z * np.exp(-1j * np.angle(Z[:, steady]))[:, None]
+    values = np.concatenate([turned.real, turned.imag, rms], axis=1)
+    scatter = np.maximum(np.std(values[tail:], axis=0, ddof=1), np.tile(floor, 3))
+    return (values - np.mean(values[tail:], axis=0)) / scatter
+
+
+def _truncation(features: Real) -> int:
+    """Number of blocks to drop."""
+    blocks, width = features.shape
+    score = []
+    for cut in range(blocks // 2 + 1):
+        rest = features[cut:]
+        spread = np.sum((rest - np.mean(rest, axis=0)) ** 2) + len(rest) * 1e-3 * width
+        score.append(spread / len(rest) ** 2)
+    cut = int(np.argmin(score))
+    if cut == 0:
+        return 0
+    before, rest = features[:cut], features[cut:]
+    free = len(rest) - 1
+    spread = np.sum((rest - np.mean(rest, axis=0)) ** 2, axis=0) + free * 1e-3
+    F = np.sum((before - np.mean(rest, axis=0)) ** 2, axis=0) / cut / (spread / free)
+    p = fdtrc(cut, free, F / (1 + 1 / len(rest)))
+    return cut if float(np.min(p)) * width < SIGNIFICANT else 0
+
+
+# Whether dwells drift: one test of the slopes of all dwells and channels together (THEORY §11).
+#
+# A slope that is taken out of a dwell of one period costs up to a half of its standard deviation, of five
+# periods 1 %; one that is left in spoils the amplitude. So it is taken out of short dwells where they show
+# it, and of long ones always.
+
+
+LEVEL = 0.05  # of the test: a slope too many costs less than one too few
+CHEAP = 5.0  # periods from which on a slope costs nothing
+
+
+def slope_costs(records: Sequence[Record]) -> bool:
+    """Whether some dwell is so short that solving for a slope widens its amplitudes."""
+    return any(periods_of(record) < CHEAP for record in records)
+
+
+def slopes_show(records: Sequence[Record], orders: Sequence[int]) -> float:
+    """p-value of no drift in any dwell or channel: F of each slope, as normal squares, pooled; 1 without evidence.
+
+    Each F has the degrees of freedom of its own residual, so that few samples do not make it too large.
+    """
+    total, count = 0.0, 0
+    for record in records:
+        if record.frequency_hz is None:
+            continue
+        try:
+            solution = solve_harmonics(record, record.frequency_hz, tuple(orders), 1)
+        except DataError:
+            continue
+        free = len(record.time) - 2 - 2 * len(orders)
+        if free < 1:
+            continue
+        sigma = solution.squares / free
+        exact = exact_channels(sigma, solution.amplitudes(1), solution.largest)
+        variance = np.diagonal(sigma, axis1=1, axis2=2)[~exact]
+        slope = solution.coefficients[:, 1][~exact]
+        F = slope**2 / (solution.P[1, 1] * variance)
+        total += float(np.sum(chdtri(1, np.maximum(fdtrc(1, free, F), 1e-250))))
+        count += int(np.sum(~exact))
+        far = np.abs(solution.coefficients[:, 1][exact]) > 1e-9 * solution.largest[exact]
+        if np.any(far):
+            return 0.0
+    return float(chdtrc(count, total)) if count else 1.0
+
+
+LEVEL_TRANSIENTS = 1e-3  # of the test for transients
 EXACT = 1e-9  # of a channel's size: what scatters less is rounding, and says nothing of transients
 MANY_PERIODS = 8  # from which on the scatter of the later ones is a better measure of the noise
 MOST_A_PERIOD = 1e9  # samples, beyond which the stamps of the record are damaged
@@ -87,7 +348,7 @@ def transients_matter(records: Sequence[Record]) -> bool:
     pairs = sum(len(change.variance) for change in changes)
     clear = any(np.any(change.spoiled(CLEAR)) for change in changes)
     many = sum(int(np.sum(change.spoiled(SEEN))) for change in changes) > MANY * pairs
-    return (clear or many) and transients_show(changes) < LEVEL
+    return (clear or many) and transients_show(changes) < LEVEL_TRANSIENTS
 
 
 def short_dwells_bend(records: Sequence[Record]) -> bool:
@@ -101,8 +362,8 @@ def short_dwells_bend(records: Sequence[Record]) -> bool:
     if not tails:
         return False
     normal = chdtri(1, np.maximum(np.concatenate(tails), 1e-250))
-    bent = sum(bool(np.any(tail < LEVEL / len(tail))) for tail in tails)
-    return bent > MANY * len(records) and float(chdtrc(len(normal), float(np.sum(normal)))) < LEVEL
+    bent = sum(bool(np.any(tail < LEVEL_TRANSIENTS / len(tail))) for tail in tails)
+    return bent > MANY * len(records) and float(chdtrc(len(normal), float(np.sum(normal)))) < LEVEL_TRANSIENTS
 
 
 def _bent(record: Record) -> Real | None:
@@ -156,8 +417,7 @@ class DwellChange:
         change = np.abs(self.difference)
         share = change / (np.maximum(self.amplitude, 1e-300) * self.periods)
         slight = SLIGHT if self.periods >= MANY_PERIODS else SLIGHT_IN_FEW
-        there: Bools = (share > slight) & (change > beyond * np.sqrt(self.variance))
-        return there
+        return (share > slight) & (change > beyond * np.sqrt(self.variance))
 
 
 def transients_show(changes: Sequence[DwellChange]) -> float:
@@ -208,7 +468,12 @@ def _change(record: Record) -> DwellChange | None:
     count = len(record.time) // each
     later = count - count // 2 if count >= MANY_PERIODS else 0
     starts = [0, *(len(record.time) - each * k for k in range(max(later, 1), 0, -1))]
-    record = _without_slope(record)
+    # The record without the slope that it has beside its sine: seen through a period at another phase, that
+    # looks like a change of amplitude
+    time = record.time
+    A = basis(time, record.frequency_hz or 0.0, (1,), 1, *window(time))
+    slope = np.linalg.lstsq(A, record.values, rcond=None)[0][1]
+    record = replace(record, values=record.values - A[:, 1:2] * slope)
     fits = [fit for start in starts if (fit := _period(record, slice(start, start + each))) is not None]
     if len(fits) < len(starts):
         return None
@@ -237,15 +502,6 @@ def _period(record: Record, rows: slice) -> HarmonicFit | None:
         return fit_harmonics(part, orders=(1,), harmonics="none", drift=0, noise="white")
     except DataError:
         return None
-
-
-def _without_slope(record: Record) -> Record:
-    """The record without the slope that it has beside its sine: seen through a period at another phase, that looks like
-    a change of amplitude."""
-    time = record.time
-    A = basis(time, record.frequency_hz or 0.0, (1,), 1, *window(time))
-    slope = np.linalg.lstsq(A, record.values, rcond=None)[0][1]
-    return replace(record, values=record.values - A[:, 1:2] * slope)
 
 
 def dwells_with_transients(

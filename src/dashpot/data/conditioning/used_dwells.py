@@ -8,9 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from dashpot.arrays import Ints
-from dashpot.data.conditioning.brief_dwells import long_enough
 from dashpot.data.conditioning.clock import with_even_stamps
-from dashpot.data.conditioning.lines import driven_parts
+from dashpot.data.conditioning.lines import driven_parts, long_enough
 from dashpot.data.conditioning.settings import Conditioning
 from dashpot.data.record import Record
 from dashpot.data.spectrum import Spectrum
@@ -42,7 +41,15 @@ def used_dwells(
     Nothing where lines do not stand for one settled dwell each: whole records, averaged periods, tables beside them.
     """
     records, _ = long_enough(records)
-    lines = _lines_of_dwells(spectrum)
+    # The lines of one dwell after another: of a stretch with a fundamental all, else each line alone
+    groups: list[list[int]] = []
+    for line, number in enumerate(spectrum.stretch.tolist()):
+        alone = getattr(spectrum.stretches[number], "fundamental_hz", None) is None
+        if groups and not alone and spectrum.stretch[groups[-1][-1]] == number:
+            groups[-1].append(line)
+        else:
+            groups.append([line])
+    lines = [np.array(group, dtype=np.int64) for group in groups]
     if len(lines) != len(records) or not all(
         _fits(record, spectrum, numbers) for record, numbers in zip(records, lines, strict=True)
     ):
@@ -54,18 +61,6 @@ def used_dwells(
         UsedDwell(record, float(part.time[0]), float(part.time[-1]), numbers)
         for record, part, numbers in zip(records, parts, lines, strict=True)
     )
-
-
-def _lines_of_dwells(spectrum: Spectrum) -> list[Ints]:
-    """The lines of one dwell after another: of a stretch with a fundamental all, else each line alone."""
-    groups: list[list[int]] = []
-    for line, number in enumerate(spectrum.stretch.tolist()):
-        alone = getattr(spectrum.stretches[number], "fundamental_hz", None) is None
-        if groups and not alone and spectrum.stretch[groups[-1][-1]] == number:
-            groups[-1].append(line)
-        else:
-            groups.append([line])
-    return [np.array(group, dtype=np.int64) for group in groups]
 
 
 def _fits(record: Record, spectrum: Spectrum, lines: Ints) -> bool:

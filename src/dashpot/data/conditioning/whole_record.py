@@ -18,11 +18,10 @@ from dashpot.arrays import Complex, Ints, Real, diagonal_matrices
 from dashpot.channel import Channel
 from dashpot.data.calibration import calibration
 from dashpot.data.conditioning.clock import even_step, fewest_samples
-from dashpot.data.conditioning.held_samples import without_held_samples
+from dashpot.data.conditioning.lost_samples import without_held_samples
 from dashpot.data.conditioning.still import Still, variance_at_rest
 from dashpot.data.record import Record
-from dashpot.data.spectrum import Spectrum, concatenate
-from dashpot.data.stretch import WholeRecord
+from dashpot.data.spectrum import Spectrum, WholeRecord, concatenate
 from dashpot.errors import DataError
 from dashpot.io.words import joined
 from dashpot.notices import Notice
@@ -339,8 +338,7 @@ def without_leakage(Y: Complex) -> Real:
     A record that ends elsewhere than it began leaks into all lines, smoothly from one to the next: second differences
     have none of it, and six times the power of what is independent from line to line.
     """
-    power: Real = np.abs(np.diff(Y, 2)) ** 2 / 6
-    return power
+    return np.abs(np.diff(Y, 2)) ** 2 / 6
 
 
 def white_floor(power: Real) -> float:

@@ -15,9 +15,14 @@ from dashpot.data.local_noise import with_local_noise
 from dashpot.data.readers.datafile import open_file
 from dashpot.data.readers.delimited.amplitudes import write_amplitudes
 from dashpot.data.readers.delimited.stepped_sine import Circumstances, write_records
-from dashpot.data.readers.groups import read_group
 from dashpot.data.readers.interpretation import Interpreted, interpret_parts
-from dashpot.data.readers.manifest import is_manifest, is_pattern, manifest_of_pattern, read_manifest
+from dashpot.data.readers.manifest import (
+    is_manifest,
+    is_pattern,
+    manifest_of_pattern,
+    read_group,
+    read_manifest,
+)
 from dashpot.data.readers.registry import reader_of
 from dashpot.data.record import Record
 from dashpot.data.spectrum import Spectrum, concatenate

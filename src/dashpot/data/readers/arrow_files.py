@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Generator, Iterator
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
@@ -11,10 +11,11 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
-from dashpot.data.readers.array_columns import LONG, PIECE, ArrayColumns, Streamed
+from dashpot.data.readers.columns import LONG, PIECE, ArrayColumns, Streamed
 from dashpot.data.readers.datafile import DataFile
+from dashpot.data.readers.guarded import guarded
 from dashpot.data.readers.optional import damaged
-from dashpot.io.arrow_arrays import array_of
+from dashpot.io.json_document import array_of
 from dashpot.io.ledger import noted
 
 SMALL = 1 << 16  # numbers of a file up to which it is read whole: column by column takes ten times as long
@@ -33,11 +34,15 @@ class ParquetReader:
 
     def parts(self, file: DataFile) -> Iterator[ArrayColumns]:
         """The table."""
+        return guarded(file, lambda: self._parts(file))
+
+    def _parts(self, file: DataFile) -> Generator[ArrayColumns]:
         import pyarrow.parquet as pq
 
         with damaged(file.name, self.format):
             content = pq.ParquetFile(noted(file.path), pre_buffer=False)  # else whole columns are held
             schema, rows = content.schema_arrow, content.metadata.num_rows
+            _check_unpacked(file, schema, rows)
             source = file.name
             loads = tuple(partial(_parquet_column, content, field, source) for field in schema)
             if rows * len(schema.names) <= SMALL:
@@ -60,6 +65,9 @@ class FeatherReader:
 
     def parts(self, file: DataFile) -> Iterator[ArrayColumns]:
         """The table."""
+        return guarded(file, lambda: self._parts(file))
+
+    def _parts(self, file: DataFile) -> Generator[ArrayColumns]:
         with damaged(file.name, self.format):
             if file.head.startswith(b"FEA1"):  # of before 2020
                 import pyarrow.feather as feather
@@ -70,6 +78,7 @@ class FeatherReader:
                 return
             batches = _batch_reader(file)
             rows = sum(len(batch) for batch in _feather_batches(file, 0)) if batches.schema.names else 0
+            _check_unpacked(file, batches.schema, rows)
             loads = tuple(partial(_feather_column, file, i, rows) for i in range(len(batches.schema)))
             yield _columns(file, batches.schema, rows, loads)
 
@@ -95,6 +104,11 @@ def _feather_column(file: DataFile, index: int, rows: int) -> Any:
                 rows, lambda: (_numpy(pa.chunked_array([x])) for x in _feather_batches(file, index))
             )
         return _numpy(pa.chunked_array(list(_feather_batches(file, index)), type=kind))
+
+
+def _check_unpacked(file: DataFile, schema: Any, rows: int) -> None:
+    """Raises DataError where the numbers are more than the file may unpack to; texts have the limit of the process."""
+    file.check_unpacked(rows * sum(pa.types.is_primitive(kind) for kind in schema.types) * 8)
 
 
 def _columns(file: DataFile, schema: Any, rows: int, loads: tuple[Any, ...]) -> ArrayColumns:

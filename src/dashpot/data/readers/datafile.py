@@ -16,9 +16,9 @@ from functools import cached_property
 from pathlib import Path
 from typing import BinaryIO, cast
 
-from dashpot.errors import DataError
+from dashpot.errors import DataError, UsageError
+from dashpot.io.atomic import Scratch, lasting_scratch
 from dashpot.io.ledger import noted
-from dashpot.io.scratch import Scratch, lasting_scratch
 from dashpot.io.words import shown
 
 HEAD = 1 << 16  # bytes by which formats are told apart
@@ -27,6 +27,8 @@ SUBSTITUTED = (
     1 << 20
 )  # bytes of text in which patterns are replaced at a time, which takes some ten times as many
 LARGE = 1 << 26  # bytes from which a file is not held in memory
+UNPACKED = "DASHPOT_UNPACKED_GIB"  # environment variable: how much larger than a file its contents may be
+USUAL_UNPACKED = 1.0  # GiB
 
 
 @dataclass(frozen=True)
@@ -54,6 +56,16 @@ class DataFile:
         """The ending of the name in small letters, such as .csv, without .gz."""
         return Path(self.given.name.lower().removesuffix(".gz")).suffix
 
+    @property
+    def size(self) -> int:
+        """Bytes, of what is not packed by gzip."""
+        with _said(self.name):
+            return os.stat(self.path).st_size
+
+    def check_unpacked(self, size: int) -> None:
+        """Raises DataError where contents of so many bytes are more than the file may unpack to."""
+        _check_unpacked(size, self.size, self.name)
+
     @cached_property
     def contents(self) -> bytes | mmap.mmap:
         """All bytes; those of a large file are mapped, not held.  Raises DataError where they cannot be read."""
@@ -72,6 +84,22 @@ class DataFile:
         """The file as it is read once it is written otherwise, in a scratch file; for those too large to be held."""
         scratch = lasting_scratch()
         return DataFile(self.given, scratch.write("data", pieces), self.head, scratch)
+
+
+def most_unpacked(packed: int) -> int:
+    """Bytes to which a file of so many may unpack.  Raises UsageError where the environment says no number of GiB."""
+    text = os.environ.get(UNPACKED, "") or str(USUAL_UNPACKED)
+    try:
+        return packed + int(float(text) * 2**30)
+    except (ValueError, OverflowError):
+        what = f'{UNPACKED} is "{shown(text)}"'
+        raise UsageError(what, cure="give the room for unpacked data in GiB, such as 4") from None
+
+
+def _check_unpacked(size: int, packed: int, source: str) -> None:
+    if size > most_unpacked(packed):
+        what = f"its contents are more than {(most_unpacked(packed) - packed) / 2**30:g} GiB larger than the file"
+        raise DataError(what, source, f"if you trust the file, set {UNPACKED} to more")
 
 
 def whole_lines(
@@ -117,8 +145,19 @@ def _opened(path: Path, raw: io.BufferedReader, pipe: bool) -> DataFile:
     source: BinaryIO = cast(BinaryIO, gzip.GzipFile(fileobj=raw)) if packed else raw
     head = source.read(HEAD)
     scratch = lasting_scratch()
-    pieces = itertools.chain([head], iter(lambda: source.read(PIECE), b""))
+    pieces: Iterator[bytes] = itertools.chain([head], iter(lambda: source.read(PIECE), b""))
+    if packed:
+        pieces = _counted(pieces, path)
     return DataFile(path, scratch.write("data", pieces), head, scratch)
+
+
+def _counted(pieces: Iterable[bytes], path: Path) -> Iterator[bytes]:
+    """The same.  Raises DataError as soon as they are more than the packed file may unpack to."""
+    size, packed = 0, os.stat(path).st_size
+    for piece in pieces:
+        size += len(piece)
+        _check_unpacked(size, packed, shown(str(path), 200))
+        yield piece
 
 
 @contextmanager

@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Generator, Iterator
 from dataclasses import dataclass
 from typing import Any
+from zipfile import ZipFile
 
 from dashpot.data.readers.columns import MOST_COLUMNS
 from dashpot.data.readers.datafile import DataFile
-from dashpot.data.readers.delimited.opening import table_of
-from dashpot.data.readers.delimited.table import Table
+from dashpot.data.readers.delimited.table import Table, table_of
+from dashpot.data.readers.guarded import guarded
 from dashpot.data.readers.optional import damaged, library
 from dashpot.errors import DataError
 
+ZIP = b"PK\x03\x04"
 TRUTHS = ("true", "false")  # as text; as numbers 1 and 0
 
 
@@ -29,25 +31,33 @@ class ExcelReader:
         if head.startswith(b"\xd0\xcf\x11\xe0"):
             return True
         names = (b"[Content_Types].xml", b"xl/", b"_rels/", b"docProps/", b"opendocument.spreadsheet")
-        return head.startswith(b"PK\x03\x04") and (
+        return head.startswith(ZIP) and (
             file.suffix in (".xlsx", ".xlsm", ".xlsb", ".ods") or any(name in head[:200] for name in names)
         )
 
     def parts(self, file: DataFile) -> Iterator[Table]:
         """The sheets that hold anything.  Raises DataError where the file cannot be read."""
         fastexcel = library("fastexcel", "formats", file.name, self.format)
+        if file.head.startswith(ZIP):
+            with damaged(file.name, self.format), file.reading() as stream, ZipFile(stream) as archive:
+                file.check_unpacked(sum(item.file_size for item in archive.infolist()))
+        count = 0
+        for place, text in guarded(file, lambda: self._sheets(file, fastexcel)):
+            count += 1
+            yield table_of(text, place)
+        if not count:
+            raise DataError("the workbook is empty", file.name, "give one with a header row and data")
+
+    def _sheets(self, file: DataFile, fastexcel: Any) -> Generator[tuple[str, bytes]]:
+        """Place and text of the sheets that hold anything."""
         with damaged(file.name, self.format):
             book = fastexcel.read_excel(bytes(file.contents))
             names = list(book.sheet_names)
-        count = 0
         for name in names:
             with damaged(file.name, self.format):
                 text = _text(book, name)
             if text.count(b"\n") > 1 or (text and len(names) == 1):
-                count += 1
-                yield table_of(text, f"{file.name} ({name})" if len(names) > 1 else file.name)
-        if not count:
-            raise DataError("the workbook is empty", file.name, "give one with a header row and data")
+                yield f"{file.name} ({name})" if len(names) > 1 else file.name, text
 
 
 def _text(book: Any, name: str) -> bytes:

@@ -3,23 +3,28 @@
 from __future__ import annotations
 
 import mmap
-from collections.abc import Iterator
+from collections import deque
+from collections.abc import Generator, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
-from dashpot.data.readers.array_columns import LONG, PIECE, ArrayColumns, Streamed
+from dashpot.data.readers.columns import LONG, PIECE, ArrayColumns, Streamed, parts_of_variables
 from dashpot.data.readers.datafile import DataFile
+from dashpot.data.readers.guarded import guarded
 from dashpot.data.readers.optional import damaged, library
-from dashpot.data.readers.variables import parts_of_variables
 from dashpot.errors import DataError
 from dashpot.io.ledger import noted
+from dashpot.io.words import shown
 
 SIGNATURE = b"\x89HDF\r\n\x1a\n"
 UNITS = ("unit", "units", "Unit", "Units", "unit_string")
 MOST_GROUPS = 10_000
+MOST_OBJECTS = 100_000  # links followed in one file: 3 s of work
+MOST_SOFT_LINKS = 16  # from one to the next, as libhdf5 allows
+DEEPEST = 1000  # groups inside groups
 
 HEAP = b"GCOL\x01\0\0\0"  # begins a heap of texts: signature, version, three zeros; then its size
 SMALLEST_HEAP = 4096  # bytes
@@ -40,25 +45,22 @@ class Hdf5Reader:
     def parts(self, file: DataFile) -> Iterator[ArrayColumns]:
         """The groups, the outermost first.  Raises DataError where the file cannot be read."""
         h5py = library("h5py", "formats", file.name, self.format)
+        return guarded(file, lambda: self._parts(file, h5py))
+
+    def _parts(self, file: DataFile, h5py: Any) -> Generator[ArrayColumns]:
         with _opened(h5py, file) as content:
-            groups = [("", content)]
+            groups = _Walk(h5py, content, file).groups()
             anything = False
-            for name, group in groups:
+            while True:
                 with damaged(file.name, self.format):
-                    variables, units = _scalars(group), {}
-                    for key, item in _named(group):
-                        if isinstance(item, h5py.Group) and not key.startswith("#"):
-                            groups.append((f"{name}/{key}" if name else key, item))
-                        elif isinstance(item, h5py.Dataset):
-                            variables |= _variable(key, item)
-                            units[key] = _unit(item)
-                            variables |= {
-                                k: v
-                                for k, v in _scalars(item).items()
-                                if k not in variables and np.ndim(v) == 0
-                            }
-                if len(groups) > MOST_GROUPS:
-                    raise DataError(f"there are over {MOST_GROUPS} groups", file.name, "give a smaller file")
+                    name, scalars, datasets = next(groups, ("", {}, None))
+                    if datasets is None:
+                        break
+                    variables, units = dict(scalars), {}
+                    for key, item in datasets.items():
+                        variables |= _variable(key, item)
+                        units[key] = _unit(item)
+                        variables |= {k: v for k, v in _scalars(item).items() if k not in variables}
                 if any(np.size(value) > 1 for value in variables.values()):
                     anything = True
                     place = f"{file.name} ({name})" if name else file.name
@@ -69,10 +71,95 @@ class Hdf5Reader:
                 )
 
 
-def _named(group: Any) -> Iterator[tuple[str, Any]]:
-    """What a group holds by name; names that are no text, which h5py gives as bytes, as far as they are."""
-    for key, item in group.items():
-        yield key.decode("utf-8", errors="replace") if isinstance(key, bytes) else key, item
+@dataclass
+class _Walk:
+    """The way through a file, every group once; no step of it enters another file, and the steps are counted."""
+
+    h5py: Any
+    content: Any
+    file: DataFile
+    steps: int = 0
+    sizes: dict[int, int] = field(default_factory=dict)  # bytes of datasets, by their address
+
+    @property
+    def source(self) -> str:
+        """The file, for messages."""
+        return self.file.name
+
+    def groups(self) -> Iterator[tuple[str, dict[str, Any], dict[str, Any]]]:
+        """Name, scalars (its own first, then those of the groups around it) and datasets of each group.
+
+        Raises DataError for what is kept in another file, and where there is too much.
+        """
+        root = self.content.id
+        ahead: deque[tuple[str, int, Any, dict[str, Any]]] = deque([("", 0, root, {})])
+        seen = {self.h5py.h5o.get_info(root).addr}
+        while ahead:
+            name, depth, group, around = ahead.popleft()
+            own = _scalars(self.h5py.Group(group))
+            scalars, datasets = own | {k: v for k, v in around.items() if k not in own}, {}
+            for written in list(group):
+                key = written.decode("utf-8", errors="replace")
+                place = f"{name}/{key}" if name else key
+                item = self._followed(group, written, place)
+                if isinstance(item, self.h5py.h5d.DatasetID):
+                    if self._has_values(item, place):
+                        datasets[key] = self.h5py.Dataset(item)
+                elif isinstance(item, self.h5py.h5g.GroupID) and not key.startswith("#"):
+                    address = self.h5py.h5o.get_info(item).addr
+                    if address not in seen:
+                        seen.add(address)
+                        ahead.append((place, depth + 1, item, scalars))
+            if len(seen) > MOST_GROUPS or (ahead and depth >= DEEPEST):
+                deep = f"groups are nested over {DEEPEST} deep"
+                what = f"there are over {MOST_GROUPS} groups" if len(seen) > MOST_GROUPS else deep
+                raise DataError(what, self.source, "give a smaller file")
+            yield name, scalars, datasets
+
+    def _followed(self, group: Any, key: bytes, place: str) -> Any:
+        """What a link leads to; None where it leads nowhere.  libhdf5 would follow it into another file."""
+        links, at, soft = [key], group, 0
+        while links:
+            key = links.pop()
+            if key in (b"", b"."):
+                continue
+            self.steps += 1
+            if self.steps > MOST_OBJECTS:
+                raise DataError(f"there are over {MOST_OBJECTS} objects", self.source, "give a smaller file")
+            if not isinstance(at, self.h5py.h5g.GroupID) or not at.links.exists(key):
+                return None
+            kind = at.links.get_info(key).type
+            if kind == self.h5py.h5l.TYPE_EXTERNAL:
+                raise self._elsewhere(place, "an external link")
+            if kind == self.h5py.h5l.TYPE_HARD:
+                at = self.h5py.h5o.open(at, key)
+                continue
+            soft += 1
+            if kind != self.h5py.h5l.TYPE_SOFT or soft > MOST_SOFT_LINKS:
+                return None
+            path = at.links.get_val(key)
+            links += path.split(b"/")[::-1]
+            at = self.content.id if path.startswith(b"/") else at
+        return at
+
+    def _has_values(self, dataset: Any, place: str) -> bool:
+        """Whether a dataset has a shape.  Raises DataError where its values are kept in other files."""
+        plan = dataset.get_create_plist()
+        if plan.get_layout() == self.h5py.h5d.VIRTUAL:
+            raise self._elsewhere(place, "a virtual dataset")
+        if plan.get_layout() == self.h5py.h5d.CONTIGUOUS and plan.get_external_count():
+            raise self._elsewhere(place, "kept in an external file")
+        space = dataset.get_space()
+        if space.get_simple_extent_type() == self.h5py.h5s.NULL:
+            return False
+        size = space.get_simple_extent_npoints() * dataset.get_type().get_size()
+        self.sizes[self.h5py.h5o.get_info(dataset).addr] = size
+        self.file.check_unpacked(sum(self.sizes.values()))
+        return True
+
+    def _elsewhere(self, place: str, what: str) -> DataError:
+        cure = "other files are not read through this one: save the data in one file"
+        return DataError(f"{shown(place, 100)} is {what}", self.source, cure)
 
 
 @contextmanager
@@ -132,18 +219,15 @@ def _streamed_dataset(item: Any) -> Streamed:
 
 
 def _scalars(item: Any) -> dict[str, Any]:
-    """Attributes that are single numbers, of an item and of the groups around it."""
+    """Attributes that are single numbers."""
     scalars: dict[str, Any] = {}
-    while True:
-        for name in item.attrs:
-            if _is_sequence(item, name):
-                continue
-            value = item.attrs[name]
-            if np.size(value) == 1 and np.asarray(value).dtype.kind in "fiu":
-                scalars.setdefault(name, np.asarray(value).ravel()[0])
-        if item.name in ("/", None):
-            return scalars
-        item = item.parent
+    for name in item.attrs:
+        if _is_sequence(item, name):
+            continue
+        attribute = item.attrs.get_id(name)
+        if attribute.dtype.kind in "fiu" and attribute.get_space().get_simple_extent_npoints() == 1:
+            scalars[name] = np.asarray(item.attrs[name]).ravel()[0]
+    return scalars
 
 
 def _is_sequence(item: Any, name: str) -> bool:

@@ -8,9 +8,14 @@ from dataclasses import dataclass
 from dashpot.channel import Channel
 from dashpot.data.clocks import ClockedRecords
 from dashpot.data.readers.columns import Columns
-from dashpot.data.readers.delimited.amplitudes import is_amplitudes, read_amplitudes
-from dashpot.data.readers.delimited.frf import is_frf, read_frf
-from dashpot.data.readers.delimited.polar import polar_notices, with_real_and_imaginary
+from dashpot.data.readers.delimited.amplitudes import (
+    is_amplitudes,
+    is_frf,
+    polar_notices,
+    read_amplitudes,
+    read_frf,
+    with_real_and_imaginary,
+)
 from dashpot.data.readers.delimited.stepped_sine import Circumstances, read_records
 from dashpot.data.record import Record
 from dashpot.data.spectrum import Spectrum

@@ -22,29 +22,233 @@ part = "Sheet1"                              # the group, sheet, block or segmen
 
 from __future__ import annotations
 
-import glob
+import math
 import os
 import re
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, cast
+from time import monotonic
+from typing import Annotated, Any, Literal, Self, cast
 
-from dashpot.data.conditioning.settings import Treatments
-from dashpot.data.readers.manifest_schema import (
-    MOST_EXPERIMENTS,
-    ConditioningTable,
-    FilesEntry,
-    manifest_document,
+import numpy as np
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    ValidationError,
+    model_validator,
 )
-from dashpot.errors import DataError
-from dashpot.io.toml_document import Wanted, read_toml
-from dashpot.io.words import did_you_mean, listed, shown
+from pydantic_core import PydanticCustomError
+
+from dashpot.channel import RESERVED_NAMES, Channel
+from dashpot.data.clocks import ClockedRecords, Sensor, aligned_sensors, joined_sensors
+from dashpot.data.conditioning.settings import Treatments
+from dashpot.data.periods import average_periods, one_period, samples_of_period
+from dashpot.data.readers.columns import Columns, is_unit
+from dashpot.data.readers.datafile import open_file
+from dashpot.data.readers.delimited.stepped_sine import Circumstances, read_records
+from dashpot.data.readers.interpretation import Interpreted, interpret
+from dashpot.data.readers.registry import reader_of
+from dashpot.data.record import Record
+from dashpot.errors import DashpotError, DataError
+from dashpot.io.toml_document import TomlDocument, Wanted, read_toml
+from dashpot.io.words import did_you_mean, listed, shown, written
+from dashpot.notices import Notice
+from dashpot.quantities import quantity
+
+# What a manifest of a test may say, key by key, and how a fault in it is told.
+
+
+Names = dict[str, str]  # channel: column
+MOST_EXPERIMENTS = 10**9
+MULTIPLES = 'multiples as "11:250" or [1, 3, 5]'
+WANTED = {
+    "folder": "a folder in quotes",
+    "name": "a file or a pattern in quotes, or a list of them",
+    "columns": 'channels and their columns, such as { x1 = "Acc_X" }',
+    "units": 'channels and their units, such as { x1 = "mm" }',
+    "sensors": 'sensors and their columns, such as { floor1 = { x1 = "Acc_X" } }',
+    "clock": '"shared" or "own"',
+    "align_s": "[start, end] in s, such as [0, 8]",
+    "experiment": f"a whole number from 0 to {MOST_EXPERIMENTS}",
+    "frequency_hz": "a positive number of Hz",
+    "lines": MULTIPLES,
+    "skip_periods": "a whole number from 0",
+    "band_hz": "[lowest, highest] in Hz, such as [2, 25]",
+    "window_s": "[start, end] in s, such as [0, 60]",
+    "rate_hz": "a positive number of Hz",
+    "part": "the name of a group, sheet, block or segment in quotes",
+    "orders": MULTIPLES,
+    "harmonics": 'multiples as [2, 3], "auto" or "none"',
+    "drift": 'a degree from 0, "auto" or "none"',
+    "noise": '"auto", "own", "white" or "blocks"',
+    "refine": '"auto", "always" or "none"',
+    "settle": '"auto", "none" or a time such as "2 s"',
+}
+
+
+def _ascending(ends: tuple[float, float]) -> tuple[float, float]:
+    if not ends[0] < ends[1]:
+        raise ValueError
+    return ends
+
+
+def _seconds(value: object) -> object:
+    """The time that a text says, s; other values as they are."""
+    if not isinstance(value, str) or value in ("auto", "none"):
+        return value
+    try:
+        return quantity(value, "time")
+    except DashpotError:
+        raise ValueError from None
+
+
+Span = Annotated[tuple[float, float], Field(strict=False), AfterValidator(_ascending)]
+Text = Annotated[str, Field(min_length=1)]
+Positive = Annotated[float, Field(gt=0, lt=1e12)]
+
+
+class _Strict(BaseModel):
+    model_config = ConfigDict(extra="forbid", strict=True, frozen=True)
+
+
+class FilesEntry(_Strict):
+    """One [[files]] of a manifest."""
+
+    name: Text | Annotated[list[Text], Field(min_length=1)]
+    columns: Names = {}
+    units: dict[str, str] = {}
+    sensors: dict[str, Names] = {}
+    clock: Literal["shared", "own"] = "shared"
+    align_s: Span | None = None
+    experiment: Annotated[int, Field(ge=0, le=MOST_EXPERIMENTS)] | None = None
+    frequency_hz: Positive | None = None
+    lines: str | list[int] | None = None
+    skip_periods: Annotated[int, Field(ge=0)] = 0
+    band_hz: Span | None = None
+    window_s: Span | None = None
+    rate_hz: Positive | None = None
+    part: Text | None = None
+
+    @model_validator(mode="after")
+    def _of_one_mind(self) -> Self:
+        what = self._contradiction()
+        if what is not None:
+            raise PydanticCustomError("refused", "{what}", {"what": what})
+        return self
+
+    def _column_read_twice(self) -> str | None:
+        """That two channels are read from one column; None where no two are."""
+        for columns in (self.columns, *self.sensors.values()):
+            for name, column in columns.items():
+                other = next(key for key, value in columns.items() if value == column)
+                if other != name:
+                    return f"{shown(other)} and {shown(name)} are both read from the column {shown(column)}"
+        return None
+
+    def _contradiction(self) -> str | None:
+        """What is wrong with keys that each by itself may be right; None where nothing is."""
+        twice = self._column_read_twice()
+        if twice is not None:
+            return twice
+        names = [self.name] if isinstance(self.name, str) else self.name
+        if self.clock == "own" and not self.sensors:
+            return 'clock = "own" is for the files of several sensors; list them in sensors'
+        if self.align_s is not None and self.clock != "own":
+            return 'align_s is for sensors with clocks of their own; say clock = "own"'
+        if self.lines is not None and self.clock == "own":
+            return "lines of a multisine are not averaged over sensors with clocks of their own"
+        if self.skip_periods and self.lines is None:
+            return "skip_periods is for multisines; give their lines, or cut the start off with window_s"
+        if self.frequency_hz is not None and any("{frequency}" in name for name in names):
+            return "the frequency is said twice: by frequency_hz and by {frequency} in the name"
+        return None
+
+
+class ConditioningTable(_Strict):
+    """[conditioning] of a manifest."""
+
+    orders: str | list[int] | None = None
+    harmonics: list[Annotated[int, Field(ge=1)]] | Literal["auto", "none"] | None = None
+    drift: Annotated[int, Field(ge=0)] | Literal["auto", "none"] | None = None
+    noise: Literal["auto", "own", "white", "blocks"] | None = None
+    refine: bool | Literal["auto", "always", "none"] | None = None
+    settle: Annotated[
+        bool | Annotated[float, Field(ge=0, lt=1e9)] | Literal["auto", "none"], BeforeValidator(_seconds)
+    ] | None = None  # fmt: skip
+
+
+class ManifestDocument(_Strict):
+    """A whole manifest."""
+
+    folder: str = "."
+    conditioning: ConditioningTable = ConditioningTable()
+    files: Annotated[list[FilesEntry], Field(min_length=1)]
+
+
+def manifest_document(document: TomlDocument) -> ManifestDocument:
+    """The document, checked.  Raises DataError, with file and line, for its first fault."""
+    try:
+        return ManifestDocument.model_validate(document.table)
+    except ValidationError as error:
+        raise _first_fault(error.errors()[0], document) from None
+
+
+def _first_fault(fault: Mapping[str, Any], document: TomlDocument) -> DataError:
+    """What is wrong first, with its line and what may stand there."""
+    place = _keys(fault["loc"], document.table)
+    key = next((part for part in reversed(place) if part in WANTED), None)
+    what, cure = f"{_shown_value(fault['input'])} cannot be used", f"write {WANTED.get(str(key), '')}"
+    if fault["type"] == "refused":
+        what, _, cure = str(fault["ctx"]["what"]).partition("; ")
+        cure = cure or "leave one of them out"
+    elif fault["type"] == "extra_forbidden":
+        tables: dict[str, type[BaseModel]] = {"files": FilesEntry, "conditioning": ConditioningTable}
+        table = str(fault["loc"][0]) if len(fault["loc"]) > 1 else ""
+        known = tables.get(table, ManifestDocument).model_fields
+        what = "unknown key"
+        cure = f"{did_you_mean(str(fault['loc'][-1]), known)}there are {', '.join(known)}"
+    elif key is None:
+        what = "missing" if fault["type"] == "missing" else what
+        cure = 'write [[files]] with name = "…"'
+    elif fault["type"] == "missing" and len(place) == 3:
+        what = "missing"
+    return DataError([document.problem(place, what, cure)])
+
+
+def _keys(place: Sequence[int | str], table: Any) -> tuple[int | str, ...]:
+    """The keys of a fault's place as the file has them, without what pydantic adds, and the one that is missing."""
+    keys: list[int | str] = []
+    for part in place:
+        if keys and keys[-1] in WANTED and not isinstance(table, dict):
+            break
+        keys.append(part)
+        try:
+            table = table[part]
+        except (KeyError, IndexError, TypeError):
+            break
+    return tuple(keys)
+
+
+def _shown_value(value: object) -> str:
+    if isinstance(value, list | tuple):
+        return shown(f"[{', '.join(written(part) for part in value)}]")
+    if isinstance(value, float) and not math.isfinite(value):
+        return "nan" if math.isnan(value) else "inf"
+    return written(value)
+
 
 NUMBER = r"\d+(?:[.,p]\d+)?"
 _FIELDS = {"frequency": NUMBER, "sensor": "[^/]+?", "experiment": r"\d+"}
 _PLACE = re.compile(r"\{(\w*)\}|(\*\*/)|(\*)|(\?)")
 MOST_LINES = 100_000
+MOST_ENTRIES = 1_000_000  # names of files and folders that one pattern looks at
+DEEPEST = 32  # folders inside folders
+LONGEST_SEARCH = 20.0  # s
 
 
 @dataclass(frozen=True)
@@ -115,13 +319,28 @@ def files_named(path: str | os.PathLike[str]) -> list[Path]:
 
 def manifest_of_pattern(pattern: str | os.PathLike[str], number: int) -> Manifest:
     """The files whose names fit a pattern, as experiment `number`.  Raises DataError where none does."""
-    text = os.fspath(pattern).replace(os.sep, "/")
-    fixed, rest = [], text.split("/")
+    folder, name = _parted(pattern)
+    groups = resolved(FilesEntry(name=name), folder, shown(os.fspath(pattern), 200), number)
+    return Manifest(tuple(groups), {})
+
+
+def files_fitting(pattern: str) -> list[str]:
+    """Files whose names fit a pattern, links as well.  Raises DataError where none does, or too much is there."""
+    folder, name = _parted(pattern)
+    place = shown(pattern, 200)
+    paths = (str(folder / each) for each in _below(folder, name, place))
+    found = [path for path in paths if os.path.isfile(path)]
+    if not found:
+        raise DataError("no file fits this pattern", place, "correct the pattern or the folder")
+    return found
+
+
+def _parted(pattern: str | os.PathLike[str]) -> tuple[Path, str]:
+    """The folder in which a pattern is looked for, and what is left of it from its first place on."""
+    fixed, rest = [], os.fspath(pattern).replace(os.sep, "/").split("/")
     while len(rest) > 1 and not _PLACE.search(rest[0]):
         fixed.append(rest.pop(0))
-    folder = Path("/".join(fixed) + "/") if fixed else Path(".")
-    groups = resolved(FilesEntry(name="/".join(rest)), folder, shown(text, 200), number)
-    return Manifest(tuple(groups), {})
+    return Path("/".join(fixed) + "/") if fixed else Path("."), "/".join(rest)
 
 
 def resolved(entry: FilesEntry, folder: Path, place: str, number: int) -> list[FileGroup]:
@@ -180,45 +399,94 @@ def _fields(name: str, place: str) -> list[str]:
     return fields
 
 
-def _wild_and_regex(name: str) -> tuple[str, str]:
-    """A pattern as `glob` takes it, and as a regular expression with its fields as groups."""
-    wild, regex, position = "", "", 0
+def _regex(name: str) -> str:
+    """A pattern as a regular expression with its fields as groups."""
+    regex, position = "", 0
     for match in _PLACE.finditer(name):
-        between = name[position : match.start()]
-        wild, regex = wild + glob.escape(between), regex + re.escape(between)
+        regex += re.escape(name[position : match.start()])
         field, deep, star, _ = match.groups()
         if field is not None:
-            wild += "*"
             regex += f"(?P<{field}>{_FIELDS[field]})" if field else "[^/]*"
         else:
-            wild += "**/" if deep else "*" if star else "?"
             regex += "(?:.*/)?" if deep else "[^/]*" if star else "[^/]"
         position = match.end()
-    wild, regex = wild + glob.escape(name[position:]), regex + re.escape(name[position:])
-    return wild, regex
+    return regex + re.escape(name[position:])
 
 
 def _matches(name: str, folder: Path, place: str) -> Iterator[tuple[Path, dict[str, str], str]]:
     """Files that fit a name or pattern, what its fields are there, and their names less the sensor's; in order.
 
-    Raises DataError where none does.
+    Raises DataError where none does, or one lies outside the folder.
     """
+    if Path(name).anchor or ".." in Path(name).parts:
+        raise DataError(
+            f'"{shown(name, 100)}" leads out of the folder', place, "name it from folder, without .."
+        )
     if not _PLACE.search(name):
-        yield folder / name, {}, name
+        yield _inside(folder, name, place), {}, name
         return
     fields = _fields(name, place)
-    wild, regex = _wild_and_regex(name)
+    regex = _regex(name)
     count = 0
-    for relative in sorted(glob.glob(wild, root_dir=folder, recursive=True)):
-        found = re.fullmatch(regex, relative.replace(os.sep, "/"))
+    for relative in sorted(_below(folder, name, place)):
+        found = re.fullmatch(regex, relative)
         if found is not None:
             count += 1
             start, end = found.span("sensor") if "sensor" in fields else (0, 0)
-            yield folder / relative, found.groupdict(), relative[:start] + relative[end:]
+            left = relative[:start] + relative[end:]
+            yield _inside(folder, relative, place), found.groupdict(), left
     if not count:
         raise DataError(
             f'no file fits "{shown(name, 100)}" in {shown(str(folder), 150)}', place, "correct name or folder"
         )
+
+
+def _inside(folder: Path, relative: str, place: str) -> Path:
+    """The path of a file.  Raises DataError where a link on the way leads out of the folder."""
+    with suppress(ValueError):  # of what is no path, which says its reader
+        if not Path(os.path.realpath(folder / relative)).is_relative_to(os.path.realpath(folder)):
+            what = f"{shown(relative, 100)} is a link out of the folder {shown(str(folder), 150)}"
+            raise DataError(what, place, "copy the file into it, or write its own folder as folder")
+    return folder / relative
+
+
+def _below(folder: Path, name: str, place: str) -> set[str]:
+    """What lies below a folder and may fit a pattern; hidden names and links to folders are left out by ** and *.
+
+    Raises DataError where that is too much to look through.
+    """
+    steps = re.sub(r"\*\*/(?:\*\*/)+", "**/", name).split("/")
+    if "**" in steps and os.path.realpath(folder) == Path(os.path.realpath(folder)).anchor:
+        raise DataError("** would go through the whole file system", place, "name the folder of the data")
+    until, entries = monotonic() + LONGEST_SEARCH, 0
+    found, ahead = set(), [("", 0, 0)]
+    while ahead:
+        at, number, depth = ahead.pop()
+        if number == len(steps):
+            found.add(at.removesuffix("/"))
+            continue
+        step, deep = steps[number], steps[number] == "**"
+        if not _PLACE.search(step) and not deep:
+            if os.path.lexists(folder / at / step):
+                ahead.append((f"{at}{step}/", number + 1, depth + 1))
+            continue
+        if deep:
+            ahead.append((at, number + 1, depth))
+        fits = re.compile("[^.].*" if deep else _regex(step))
+        with suppress(OSError, ValueError), os.scandir(folder / at) as inside:
+            for entry in inside:
+                entries += 1
+                if entries > MOST_ENTRIES or depth > DEEPEST or monotonic() > until:
+                    what = f"over {MOST_ENTRIES} names, {DEEPEST} levels or {LONGEST_SEARCH:g} s of searching"
+                    raise DataError(f'"{shown(name, 100)}": {what}', place, "name the folder more closely")
+                hidden = entry.name.startswith(".") and not step.startswith(".")
+                if hidden or not fits.fullmatch(entry.name):
+                    continue
+                if not deep:
+                    ahead.append((f"{at}{entry.name}/", number + 1, depth + 1))
+                elif entry.is_dir(follow_symlinks=False):
+                    ahead.append((f"{at}{entry.name}/", number, depth + 1))
+    return found
 
 
 def line_numbers(text: str | Sequence[int], place: str) -> tuple[int, ...]:
@@ -246,3 +514,158 @@ def _treatments(conditioning: ConditioningTable, source: str) -> Treatments:
     if fields.get("orders", "auto") != "auto":
         fields["orders"] = line_numbers(fields["orders"], source)
     return cast(Treatments, fields)
+
+
+# Files of a manifest as records and spectra: columns chosen and renamed, sensors joined, periods averaged.
+
+
+def read_group(group: FileGroup, channels: Sequence[Channel], frequency_hz: float | None) -> Interpreted:
+    """What one group of files holds.  `frequency_hz` serves where neither they nor their names say it.
+
+    Raises DataError, one line, for what is missing or damaged in a file, or does not fit its entry.
+    """
+    driven = frequency_hz if group.frequency_hz is None else group.frequency_hz
+    circumstances = Circumstances(driven, group.experiment, group.entry.rate_hz)
+    if group.entry.sensors:
+        interpreted = _joined(group, channels, circumstances)
+    else:
+        (path,) = group.paths.values()
+        interpreted = Interpreted()
+        for columns in _parts(group, path):
+            chosen, named = _chosen(group, columns, group.entry.columns, channels)
+            interpreted += interpret(chosen, named, circumstances)
+    interpreted = _windowed(interpreted, group)
+    if group.entry.lines is None:
+        return interpreted
+    return _averaged(interpreted, line_numbers(group.entry.lines, group.place), group)
+
+
+def _parts(group: FileGroup, path: Path) -> Iterator[Columns]:
+    """The parts of a file that the entry means: all that have its columns, or the one it names."""
+    file = open_file(path)
+    reader = reader_of(file)
+    wanted, names = [], []
+    columns = list(group.entry.columns.values())
+    for number, part in enumerate(reader.parts(file)):
+        names.append(part.source.removeprefix(file.name).strip(" :()"))
+        if group.entry.part is not None:
+            fits = group.entry.part in (names[-1], names[-1].rpartition("/")[2])
+        else:
+            fits = all(part.find(name) is not None for name in columns)
+        if fits:
+            wanted.append(number)
+    if group.entry.part is not None and not wanted:
+        what = f"there is no part {shown(group.entry.part)}"
+        cure = f"there are {listed(names)}" if any(names) else "its parts have no names: leave part out"
+        raise DataError(what, file.name, cure)
+    # Some libraries read samples only while the file is open, so the parts are gone through again.
+    for number, part in enumerate(reader.parts(file)):
+        if number in (wanted or [0]):
+            yield part
+
+
+def _require_known(group: FileGroup, names: Mapping[str, str], by_name: Mapping[str, Channel]) -> None:
+    """Raises DataError where the entry names a channel that the rig has not, or a unit that is none."""
+    for name in (*names, *group.entry.units):
+        if name not in by_name and name not in RESERVED_NAMES:
+            cure = f"the rig file lists {listed(by_name)}"
+            raise DataError(f"{shown(name)} is not a channel of the rig", group.place, cure)
+    for name, unit in group.entry.units.items():
+        if name in by_name and not is_unit(unit):
+            what = f"units: {shown(unit)} of {shown(name)} is not a unit"
+            raise DataError(what, group.place, "write one such as mm, g or mV")
+
+
+def _chosen(
+    group: FileGroup, columns: Columns, names: Mapping[str, str], channels: Sequence[Channel]
+) -> tuple[Columns, tuple[Channel, ...]]:
+    """The columns under the names of the channels and in the units of the entry, and the channels that are meant."""
+    by_name = {channel.name: channel for channel in channels}
+    _require_known(group, names, by_name)
+    chosen = columns.renamed({column: name for name, column in names.items()})
+    if group.entry.units:
+        units = [chosen.unit(i) for i in range(len(chosen.header))]
+        other_sensors = {name for sensor in group.entry.sensors.values() for name in sensor} - names.keys()
+        for name, unit in group.entry.units.items():
+            if name not in other_sensors:
+                units[chosen.need(name)] = unit
+        chosen = replace(chosen, units=tuple(units))
+    named = [by_name[name] for name in names if name in by_name]
+    return _only(chosen, named), tuple(named) if named else tuple(channels)
+
+
+def _only(columns: Columns, named: Sequence[Channel]) -> Columns:
+    """The same; what else is in a file of which the entry chooses columns is not worth a note."""
+    return columns if not named else replace(columns, notes=(*columns.notes, _CHOSEN))
+
+
+_CHOSEN = Notice("columns_chosen", "")
+
+
+def _joined(group: FileGroup, channels: Sequence[Channel], circumstances: Circumstances) -> Interpreted:
+    """The record of all sensors of the group."""
+    sensors, notes = [], []
+    for name, names in group.entry.sensors.items():
+        path = group.paths[name]
+        columns, named = _chosen(group, next(_parts(group, path)), {**group.entry.columns, **names}, channels)
+        records, notices = read_records(columns, named, circumstances)
+        notes += notices
+        if len(records) != 1:
+            raise DataError(
+                f"{len(records)} records in the file of a sensor", str(path), "give one file each"
+            )
+        sensors.append(Sensor(name, named, records[0].time, records[0].values))
+    source = next(iter(group.paths.values())).name
+    given = (sensors, circumstances.frequency_hz, circumstances.experiment, source)
+    own = group.entry.clock == "own"
+    joint, notices = aligned_sensors(*given, group.entry.align_s) if own else joined_sensors(*given)
+    notes = [*_said(notes), *notices]
+    if isinstance(joint, ClockedRecords):
+        return Interpreted(notes=tuple(notes), joint=(joint,))
+    return Interpreted((joint,), notes=tuple(notes))
+
+
+def _said(notes: Iterable[Notice]) -> list[Notice]:
+    """Notes that are worth saying where the entry chooses the columns."""
+    notes = list(notes)
+    chosen = _CHOSEN in notes
+    return [n for n in notes if n != _CHOSEN and not (chosen and n.code == "columns_not_read")]
+
+
+def _windowed(found: Interpreted, group: FileGroup) -> Interpreted:
+    """The records within the window of the entry, notes tidied."""
+    found = replace(found, notes=tuple(_said(found.notes)))
+    window = group.entry.window_s
+    if window is None:
+        return found
+    return replace(
+        found,
+        records=tuple(_cut(record, window) for record in found.records),
+        joint=tuple(
+            replace(joint, parts=tuple(_cut(part, window) for part in joint.parts)) for joint in found.joint
+        ),
+    )
+
+
+def _cut(record: Record, window: tuple[float, float]) -> Record:
+    inside = (record.time >= window[0]) & (record.time <= window[1])
+    if np.sum(inside) < 2:
+        span = f"{record.time[0]:g} to {record.time[-1]:g} s"
+        raise DataError(f"nothing lies in window_s, the record goes from {span}", record.source, "correct it")
+    return replace(record, time=record.time[inside], values=record.values[inside])
+
+
+def _averaged(found: Interpreted, lines: tuple[int, ...], group: FileGroup) -> Interpreted:
+    """Records of a multisine as the mean of their periods."""
+    spectra = list(found.spectra)
+    for record in found.records:
+        if record.frequency_hz is None:
+            cure = "give frequency_hz, the reciprocal of the period"
+            raise DataError("the period of the multisine is not known", group.place, cure)
+        period, skip = 1 / record.frequency_hz, group.entry.skip_periods
+        whole = len(record.time) // samples_of_period(record, period)
+        if whole - skip > 1:
+            spectra.append(average_periods(record, period, lines, skip=skip))
+        else:
+            spectra.append(one_period(record, period, lines))
+    return replace(found, records=(), spectra=tuple(spectra))

@@ -7,7 +7,7 @@ import io
 import mmap
 import sys
 import traceback
-from collections.abc import Iterator
+from collections.abc import Generator, Iterator
 from contextlib import AbstractContextManager, contextmanager, redirect_stdout
 from dataclasses import dataclass
 from functools import partial
@@ -15,10 +15,10 @@ from typing import Any, BinaryIO
 
 import numpy as np
 
-from dashpot.data.readers.array_columns import LONG, ArrayColumns, Streamed, array_columns
+from dashpot.data.readers.columns import LONG, TIME, ArrayColumns, Streamed, array_columns
 from dashpot.data.readers.datafile import DataFile
+from dashpot.data.readers.guarded import guarded
 from dashpot.data.readers.optional import damaged, library
-from dashpot.data.readers.sampling import TIME
 from dashpot.errors import DataError
 
 HEADER = 64  # bytes before the first block
@@ -40,11 +40,18 @@ class MdfReader:
     def parts(self, file: DataFile) -> Iterator[ArrayColumns]:
         """The groups that hold numbers.  Raises DataError where the file cannot be read."""
         asammdf = library("asammdf", "mdf", file.name, self.format)
+        return guarded(file, lambda: self._parts(file, asammdf))
+
+    def _parts(self, file: DataFile, asammdf: Any) -> Generator[ArrayColumns]:
         with _stream(file) as stream:
             with damaged(file.name, self.format), _quiet_ends():
                 _refuse_rings(file.contents)
                 content = asammdf.MDF(stream)
                 content.configure(read_fragment_size=FRAGMENT)
+            groups = [group.channel_group for group in content.groups]
+            file.check_unpacked(
+                sum(group.cycles_nr * getattr(group, "samples_byte_nr", 0) for group in groups)
+            )
             count = 0
             # asammdf prints to stdout where it is slow, here and in _pieces.
             for number, group in enumerate(content.groups):

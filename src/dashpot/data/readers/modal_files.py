@@ -10,9 +10,9 @@ from dashpot.data.modal_data import ModalData
 from dashpot.data.readers.columns import bare
 from dashpot.data.readers.datafile import DataFile, open_file
 from dashpot.data.readers.delimited.modes import FREQUENCY, FREQUENCY_SD, read_mode_table
-from dashpot.data.readers.uff.modal_data import USUAL_SD, read_uff_modes
+from dashpot.data.readers.uff.function import UffStream, dataset_starts, skip_dataset
+from dashpot.data.readers.uff.modes import USUAL_SD, read_uff_modes
 from dashpot.data.readers.uff.reader import UffReader
-from dashpot.data.readers.uff.stream import UffStream, dataset_starts, skip_dataset
 from dashpot.errors import DashpotError
 from dashpot.notices import Notice
 

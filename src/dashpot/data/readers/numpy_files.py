@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import zipfile
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -10,15 +9,11 @@ from typing import Any, cast
 
 import numpy as np
 
-from dashpot.data.readers.array_columns import LONG, PIECE, ArrayColumns, Streamed
-from dashpot.data.readers.columns import MOST_COLUMNS
+from dashpot.data.readers.columns import LONG, MOST_COLUMNS, PIECE, ArrayColumns, Streamed, parts_of_variables
 from dashpot.data.readers.datafile import DataFile
 from dashpot.data.readers.optional import damaged
-from dashpot.data.readers.variables import parts_of_variables
 from dashpot.errors import DataError
 from dashpot.io.ledger import noted
-
-LARGEST_RATIO = 1100  # of unpacked to packed size: more than deflate can do honestly
 
 
 @dataclass(frozen=True)
@@ -42,8 +37,8 @@ class NumpyReader:
             if file.head.startswith(b"\x93NUMPY"):
                 variables = _fields(np.load(noted(file.path), mmap_mode="r", allow_pickle=False))
             else:
-                _check_sizes(file)
                 with file.reading() as stream, np.load(cast(Any, stream), allow_pickle=False) as archive:
+                    file.check_unpacked(sum(item.file_size for item in archive.zip.infolist()))
                     if len(archive.files) > 2 * MOST_COLUMNS:  # units among them
                         what = f"there are {len(archive.files)} arrays"
                         raise DataError(what, file.name, "give a file with fewer")
@@ -96,12 +91,3 @@ def _header(raw: Any) -> tuple[tuple[int, ...], Any]:
     read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
     shape, _, kind = read(raw)
     return shape, kind
-
-
-def _check_sizes(file: DataFile) -> None:
-    """Raises DataError for an archive that unpacks to more than its bytes can hold."""
-    with file.reading() as stream, zipfile.ZipFile(stream) as archive:
-        size = sum(item.file_size for item in archive.infolist())
-        packed = stream.seek(0, io.SEEK_END)
-    if size > LARGEST_RATIO * packed:
-        raise DataError("the archive claims to be far larger than it is", file.name, "it may be damaged")

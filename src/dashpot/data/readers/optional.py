@@ -12,6 +12,8 @@ from typing import Any
 from dashpot.errors import DashpotError, DataError
 from dashpot.io.words import shown
 
+PANIC = "PanicException"  # of Rust, which is no Exception
+
 
 def library(module: str, extra: str, source: str, what: str) -> Any:
     """An optional module.  Raises DataError that names the extra where it is not installed."""
@@ -19,7 +21,7 @@ def library(module: str, extra: str, source: str, what: str) -> Any:
     try:
         return import_module(module)
     except ImportError:
-        cure = f"install it: pip install 'dashpot[{extra}]'"
+        cure = f'install it: pip install ".[{extra}]" from the copy of dashpot'
         raise DataError(f"to read {what}, {package} is needed", source, cure) from None
     finally:
         _silence(package)
@@ -43,7 +45,9 @@ def damaged(source: str, what: str) -> Iterator[None]:
         raise DataError(
             f"the {what} file asks for more memory than there is", source, "it may be damaged"
         ) from None
-    except Exception as error:  # libraries of formats raise what they like
+    except BaseException as error:  # libraries of formats raise what they like
+        if not isinstance(error, Exception) and type(error).__name__ != PANIC:
+            raise
         reason = re.sub(r"\s+", " ", str(error)).strip() or type(error).__name__
         raise DataError(
             f"the {what} file is damaged or cut off ({shown(reason, 100)})", source, "copy it again"

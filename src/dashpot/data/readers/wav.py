@@ -10,13 +10,12 @@ from typing import Any, Literal
 
 import numpy as np
 
-from dashpot.data.readers.array_columns import LONG, PIECE, ArrayColumns, Streamed, array_columns, steps
+from dashpot.data.readers.columns import LONG, PIECE, TIME, ArrayColumns, Streamed, array_columns, steps
 from dashpot.data.readers.datafile import DataFile
 from dashpot.data.readers.optional import damaged
-from dashpot.data.readers.sampling import TIME
 from dashpot.errors import DataError
 from dashpot.io.ledger import noted
-from dashpot.unit_symbols import SHARE
+from dashpot.units import SHARE
 
 UNKNOWN = 2**32 - 1  # a size that stands elsewhere
 

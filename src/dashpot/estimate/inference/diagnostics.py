@@ -6,23 +6,271 @@ Nothing here changes a number.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.special import bdtrc
+from scipy.special import bdtrc, fdtrc, gammaincc
 
-from dashpot.arrays import Bools, Real
+from dashpot.arrays import Bools, Complex, Real
 from dashpot.channel import Quantity
-from dashpot.data.spectrum import Spectrum
+from dashpot.data.spectrum import Spectrum, WholeRecord
 from dashpot.errors import IdentifiabilityError
-from dashpot.estimate.method import HeldBounds, Method
+from dashpot.estimate.likelihood.global_search import moves_freely
+from dashpot.estimate.likelihood.objective import measured, prior_precision
+from dashpot.estimate.likelihood.record_passes import EndsFitted, RecordPieces
+from dashpot.estimate.likelihood.record_sums import ends_fitted, information_under
+from dashpot.estimate.method import HeldBounds, Method, Solution
+from dashpot.estimate.preparation.prepared import Prepared
 from dashpot.estimate.result import Fit
+from dashpot.io.words import joined, with_values
 from dashpot.model.dynamics import matrices
 from dashpot.model.elements import Kind
+from dashpot.model.modes import modes
 from dashpot.model.network import Model
-from dashpot.model.observation import is_direct
+from dashpot.model.observation import is_direct, measures_input
 from dashpot.model.unstructured import free_entries, free_names
 from dashpot.notices import Notice
-from dashpot.numerics.small_systems import standard_deviations
+from dashpot.numerics.small_systems import scaled_inverse, standard_deviations
+from dashpot.numerics.variance_tests import fishers_product
+
+# What whole records lack: length, lines, or inputs that have anything to do with the motion.
+#
+# A dead sensor, another clock, a band in which nothing was driven, or the free decay of a rig whose input
+# rests: the noise of such an input explains nothing, and a fit that takes it for the drive ends anywhere.
+
+
+BIN = 12  # lines in which a response is nearly constant and a transient straight
+BINS = 400  # looked at, at most
+SPARE = 4  # lines that a bin must have beyond its columns
+CHANCE = 0.01  # p-value above which no relation shows
+OPEN = 0.1  # of a value: a standard deviation, by the noise alone, from which on it is open
+FEW = 4  # equations for each term of the ends and each unknown, below which little is left for the rig
+
+
+def of_records(model: Model, theta: Real, covariance: Real, spectrum: Spectrum) -> list[Notice]:
+    """What is to be said of an estimate that whole records have given (no batch axes).
+
+    theta (m,) or longer with its covariance by the noise alone.
+    """
+    if not spectrum.records:
+        return []
+    frequency = modes(model, model.parameters(theta[: len(model.unknowns)])).frequency_hz
+    notices = short_records(frequency, spectrum) + modes_outside(
+        model, theta, covariance, frequency, spectrum
+    )
+    few = few_lines(model, spectrum)
+    if few is not None:
+        notices.append(Notice("few_lines", f"{few}, hardly more; widen the band or record for longer"))
+    return notices + unrelated_inputs(model, spectrum)
+
+
+def short_records(frequency: Real, spectrum: Spectrum) -> list[Notice]:
+    """A warning where no whole record lasts for one period of the slowest mode found, of those at `frequency`, Hz."""
+    durations = [value.duration_s for value in spectrum.stretches if isinstance(value, WholeRecord)]
+    if not durations or len(durations) < len(spectrum.stretches):
+        return []
+    slowest = float(np.min(frequency[frequency > 0], initial=np.inf))
+    if max(durations) * slowest >= 1:
+        return []
+    text = (
+        f"the longest record, {max(durations):.4g} s, is shorter than one period of the slowest mode, "
+        f"{1 / slowest:.4g} s: its transient can hardly be separated from its motion"
+    )
+    return [Notice("short_record", text)]
+
+
+def modes_outside(
+    model: Model, theta: Real, covariance: Real, frequency: Real, spectrum: Spectrum
+) -> list[Notice]:
+    """A warning where the band holds some modes of the rig only, and leaves unknowns open for that."""
+    low, high = float(np.min(spectrum.frequency_hz)), float(np.max(spectrum.frequency_hz))
+    moving = frequency[frequency > 0]
+    inside = int(np.sum((moving >= low) & (moving <= high)))
+    count = len(model.unknowns)
+    sd = np.sqrt(np.diagonal(covariance)[:count])
+    open_ones = [u.name for u, s, v in zip(model.unknowns, sd, theta, strict=False) if not s < OPEN * abs(v)]
+    if inside == len(moving) or not open_ones:
+        return []
+    text = (
+        f"the band from {low:.3g} to {high:.3g} Hz holds {inside} of the rig's {len(moving)} modes, which leaves "
+        f"{joined(open_ones)} open: widen the band to the others, or give values"
+    )
+    return [Notice("modes_outside", text, tuple(open_ones))]
+
+
+def few_lines(model: Model, spectrum: Spectrum) -> str | None:
+    """What to say where the lines of whole records carry hardly more than the terms of their ends; else None."""
+    records = [value for value in spectrum.stretches if isinstance(value, WholeRecord)]
+    if not records or len(records) < len(spectrum.stretches):
+        return None
+    outputs = int(np.sum([not measures_input(model, channel) for channel in spectrum.channels]))
+    lines = spectrum.lines
+    fitted = outputs if model.inputs else 0  # free motion alone is known between the samples as well
+    terms = sum(2 * model.n * value.loads + value.polynomial * fitted for value in records)
+    if 2 * lines * outputs >= FEW * (terms + len(model.unknowns)):
+        return None
+    whose = "records'" if len(records) > 1 else "record's"
+    return (
+        f"the {lines} lines in the band carry {terms} terms of the {whose} ends beside the "
+        f"{len(model.unknowns)} unknowns"
+    )
+
+
+def unrelated_inputs(model: Model, spectrum: Spectrum) -> list[Notice]:
+    """A warning where no output of any whole record goes with the inputs: F tests in bins of lines, Fisher's product.
+
+    In each bin of lines the outputs are fitted by a straight transient alone, and by the inputs times a constant
+    response as well: inputs of white noise then pass as often as stated, whatever the outputs are.
+    """
+    inputs = np.array([measures_input(model, channel) for channel in spectrum.channels], dtype=bool)
+    if not np.any(inputs) or np.all(inputs):
+        return []
+    amplitudes = spectrum.amplitudes[(0,) * len(spectrum.batch)]
+    bins = [
+        p
+        for number, value in enumerate(spectrum.stretches)
+        if isinstance(value, WholeRecord)
+        for p in _p_values(amplitudes[spectrum.stretch == number], inputs)
+    ]
+    if not bins or np.min(fishers_product(bins)) * np.sum(~inputs) <= CHANCE:
+        return []
+    names = [channel.name for channel, given in zip(spectrum.channels, inputs, strict=True) if given]
+    low, high = float(np.min(spectrum.frequency_hz)), float(np.max(spectrum.frequency_hz))
+    text = (
+        f"from {low:.3g} to {high:.3g} Hz no channel moves with {joined(names)}: a dead sensor, another clock, no "
+        "drive in this band, or a free decay, where a resting input is ground"
+    )
+    return [Notice("unrelated_inputs", text, tuple(names))]
+
+
+def _p_values(X: Complex, inputs: Bools) -> list[Real]:
+    """p-values of the F tests in each bin of one record, (outputs,) each; X (lines, channels)."""
+    columns = 2 + int(np.sum(inputs))
+    each = max(BIN, columns + SPARE)
+    if not np.all(np.isfinite(X)):
+        return []
+    starts = np.arange(0, len(X) - each + 1, each)
+    if not len(starts):
+        return []
+    # The starts of those BINS bins in which the inputs are strongest; inputs (lines, inputs). A few tones in
+    # a long record are in few of its bins, and the others tell nothing of them.
+    if len(starts) <= BINS:
+        most_driven = starts
+    else:
+        power = np.abs(X[:, inputs]) ** 2
+        total = np.sum(power / np.maximum(np.mean(power, axis=0), np.finfo(float).tiny), axis=1)
+        most_driven = starts[np.sort(np.argsort(np.add.reduceat(total, starts))[-BINS:])]
+    part = X[most_driven[:, None] + np.arange(each)]
+    run = np.linspace(-1, 1, each)[:, None]
+    transient = np.broadcast_to(np.concatenate([np.ones((each, 1)), run], axis=1), (len(part), each, 2))
+    driven = np.concatenate([transient, part[..., inputs]], axis=-1)
+    without, left = _left(transient, part[..., ~inputs]), _left(driven, part[..., ~inputs])
+    more, free = columns - 2, each - columns
+    with np.errstate(divide="ignore", invalid="ignore"):
+        F = np.where(left > 0, (without - left) / more / (left / free), np.inf)
+    return list(fdtrc(2 * more, 2 * free, F))
+
+
+def _left(columns: Complex, Y: Complex) -> Real:
+    """Sums of squares of what columns (bins, lines, columns) leave of Y (bins, lines, outputs), (bins, outputs)."""
+    size = np.linalg.norm(columns, axis=-2, keepdims=True)
+    scaled = columns / np.maximum(size, np.finfo(float).tiny)
+    rounding = scaled.shape[-2] * np.finfo(float).eps
+    shown = scaled @ (np.linalg.pinv(scaled, rcond=rounding) @ Y)
+    return np.sum(np.abs(Y - shown) ** 2, axis=-2)
+
+
+# Modes that the free motion of a record does not show: values that rest on one of them rest on chance.
+#
+# Without inputs the boundary loads of a record make all of its motion (THEORY §8). Of a symmetric pencil
+# the part of mode λ, φ in the response D(s)⁻¹ (a + s b) is in proportion to φᵀ (a + λ b), whose covariance
+# follows from that of the loads. Where no record shows it the likelihood takes the highest noise in the
+# band for the mode, and states a deviation as if that were one.
+
+
+MODES_UNSEEN = "modes_unseen"
+CHANCE_FREE_MOTION = 1e-3  # p-value of a mode above which it may be the highest noise of the band
+RESTS = 1.05  # times its standard deviation without the mode, from which on a value rests on it
+
+
+@dataclass(frozen=True)
+class _FreeMode:
+    """A mode in the free motion: its frequency, Hz, its part q (records, 2), and how that follows from the loads,
+    (records, 2, columns), and varies, (records, 2, 2)."""
+
+    frequency_hz: float
+    part: Real
+    by_columns: Real
+    covariance: Real
+
+    def p_chance(self, lines: int, outputs: int) -> float:
+        """p-value of the highest that noise shows anywhere in so many lines, in whatever shape suits it best."""
+        square = np.einsum(
+            "ri,rij,rj->", self.part, np.linalg.pinv(self.covariance, hermitian=True), self.part
+        )
+        return min(1.0, lines * float(gammaincc(outputs * len(self.part), square / 2)))
+
+
+def modes_unseen(data: Prepared, solution: Solution) -> tuple[Notice, ...]:
+    """That modes found in free motion (one repeat of a linear rig) may be noise, and which unknowns rest on them."""
+    spectrum, view = data.spectrum, data.view
+    model = view.model
+    if not (moves_freely(model, spectrum) and len(solution.theta) == 1):
+        return ()
+    pieces, sign = measured(data).record_pieces, spectrum.signs(solution.signs)
+    fit = ends_fitted(pieces, solution.theta, sign)
+    low, high = np.min(spectrum.frequency_hz), np.max(spectrum.frequency_hz)
+    unseen = [
+        mode
+        for mode in _free_modes(pieces, fit, solution.theta[0])
+        if low <= mode.frequency_hz <= high
+        and mode.p_chance(spectrum.lines, len(view.channels)) > CHANCE_FREE_MOTION
+    ]
+    if not unseen:
+        return ()
+    # The likeliest loads under which these modes are still
+    by = np.concatenate([mode.by_columns for mode in unseen], axis=1)
+    part = np.concatenate([mode.part for mode in unseen], axis=1)
+    across = fit.covariance[0] @ np.swapaxes(by, -1, -2)
+    z = fit.z[0] - (across @ np.linalg.pinv(by @ across, hermitian=True) @ part[..., None])[..., 0]
+    sd, sd_without = (
+        standard_deviations(
+            scaled_inverse(
+                information_under(pieces, solution.theta, sign, ends) + np.diag(prior_precision(view))
+            )
+        )[0]
+        for ends in (fit, replace(fit, z=z[None]))
+    )
+    rests = ~(sd_without < RESTS * sd)
+    names = tuple(name for name, resting in zip(model.unknown_names, rests, strict=False) if resting)
+    if not names:
+        return ()
+    text = (
+        f"the free motion does not show the mode{'s' if len(unseen) > 1 else ''} found at "
+        f"{joined(f'{mode.frequency_hz:.4g}' for mode in unseen)} Hz above the noise, and {joined(names)} "
+        f"{'rest' if len(names) > 1 else 'rests'} on {'them' if len(unseen) > 1 else 'it'}: intervals do not hold"
+    )
+    return (Notice(MODES_UNSEEN, text, names),)
+
+
+def _free_modes(pieces: RecordPieces, fit: EndsFitted, theta: Real) -> list[_FreeMode]:
+    """All modes of a rig with the values θ but those that only drift."""
+    model, n = pieces.ends.rig.model, pieces.ends.n
+    of_rig = modes(model, model.parameters(theta[: len(model.unknowns)]))
+    by_columns = np.zeros((*fit.z.shape[1:2], 2, fit.z.shape[-1]))
+    free_modes = []
+    for eigenvalue, shape, hz in zip(of_rig.eigenvalues, of_rig.shapes, of_rig.frequency_hz, strict=True):
+        if hz == 0:
+            continue
+        by_impulse = np.broadcast_to(shape, (len(by_columns), n))
+        by_doublet = eigenvalue / pieces.ends.highest[:, None] * shape
+        by_loads = np.concatenate([by_impulse, by_doublet], axis=1)
+        by = by_columns.copy()
+        by[:, :, : 2 * n] = np.stack([by_loads.real, by_loads.imag], axis=1)
+        part = np.einsum("rij,rj->ri", by, fit.z[0])
+        free_modes.append(_FreeMode(float(hz), part, by, by @ fit.covariance[0] @ np.swapaxes(by, -1, -2)))
+    return free_modes
+
 
 ZERO = 1.96  # standard deviations within which a negative part may be none
 BIASED = 3.0  # standard deviations
@@ -311,3 +559,104 @@ def require_determined(
         f"the data do not determine {', '.join(lost) if lost else 'the unknowns'}",
         cure="give an unknown a value, add frequencies, or ask `dashpot check` which combinations can be found",
     )
+
+
+# Unknowns that leave no trace, told by the information; and laws of nonlinear elements that the data do not
+# show.
+
+
+UNSEEN_LAW = "law_not_seen"  # code of a notice
+CONSTANT_HARDLY_SEEN = "constant_hardly_seen"  # code of a notice
+SHARE = 1e-3  # part of a direction from which an unknown belongs to it
+ROUNDING = 1e-13  # of an information matrix with ones on its diagonal
+
+
+@dataclass(frozen=True)
+class Traceless:
+    """Unknowns without any effect, and the least group of those that can change together without one."""
+
+    silent: tuple[str, ...]
+    together: tuple[str, ...]
+
+
+def traceless(names: Sequence[str], information: Real, least: float = ROUNDING) -> Traceless:
+    """What an information matrix (M, M) of the unknowns `names`, the first of M, tells nothing about.
+
+    least: eigenvalue, of the matrix with ones on its diagonal, below which it tells nothing.
+    """
+    if not np.all(np.isfinite(information)):
+        return Traceless((), ())
+    diagonal = np.abs(np.diagonal(information))
+    silent = tuple(name for name, told in zip(names, diagonal, strict=False) if told == 0)
+    scale = np.where(diagonal > 0, np.sqrt(diagonal), 1.0)
+    values, vectors = np.linalg.eigh(information / np.outer(scale, scale) + np.diag(1.0 * (diagonal == 0)))
+    if not values[0] < least:
+        return Traceless(silent, ())
+    part = np.abs(vectors[:, 0])
+    chosen = part[: len(names)] > SHARE * np.max(part)
+    return Traceless(silent, tuple(name for name, there in zip(names, chosen, strict=True) if there))
+
+
+def require_traces(model: Model, names: Sequence[str], information: Real, least: float = ROUNDING) -> None:
+    """Raises IdentifiabilityError that names laws or combinations of unknowns that leave no trace.
+
+    names: the first unknowns of information (M, M).
+    """
+    hidden = traceless(names, information, least)
+    silent = [name for name in hidden.silent if name in nonlinear_names(model)]
+    if silent:
+        raise IdentifiabilityError(
+            f"{joined(silent)} leave{'s' if len(silent) == 1 else ''} no trace: the element never moves far "
+            "enough for its law to show",
+            cure=f"drive the rig further, give {'it' if len(silent) == 1 else 'them'} a value, or leave the "
+            "element out",
+        )
+    if len(hidden.together) > 1:
+        raise IdentifiabilityError(
+            f"the data do not tell {joined(hidden.together)} apart: they can change together without a trace",
+            cure=f"{with_values(hidden.together)}, or leave one out",
+        )
+
+
+def unseen_laws(model: Model, theta: Real, covariance: Real) -> list[Notice]:
+    """Warnings of nonlinear elements whose parameter may be 0: the data do not show them.
+
+    Where the element shows, but 0 is within the intervals of lengths or speeds in its law, these are named.
+    theta (m,) or longer, covariance (m, m) by the noise alone: an interval that a misfit has widened hides no law.
+    """
+    if not len(model.nonlinear):
+        return []
+    sd = dict(zip(model.unknown_names, standard_deviations(covariance), strict=False))
+    values = dict(zip(model.unknown_names, theta.tolist(), strict=False))
+    notices = []
+    for element in (model.elements[int(index)] for index in model.nonlinear):
+        law, name = element.force_law, element.name
+        if law is None:
+            continue
+        if name not in values or not abs(values[name]) <= ZERO * sd[name]:
+            rough = [
+                c for c in (f"{name}.{c}" for c in law.constant_names if c in law.positive) if c in values
+            ]
+            notices += _hardly_seen(name, [c for c in rough if abs(values[c]) <= ZERO * sd[c]])
+            continue
+        inner = [f"{name}.{constant.name}" for constant in law.constants if constant.unknown]
+        then = f", and {joined(inner)} mean{'s' if len(inner) == 1 else ''} nothing then" if inner else ""
+        text = (
+            f"the data do not show {name}: 0 is within its interval{then}; drive the rig further, "
+            "or leave the element out"
+        )
+        notices.append(Notice(UNSEEN_LAW, text, (name,)))
+    return notices
+
+
+def _hardly_seen(name: str, rough: Sequence[str]) -> list[Notice]:
+    """A warning of constants `rough` in the law of an element that shows, 0 within their intervals."""
+    if not rough:
+        return []
+    single = len(rough) == 1
+    text = (
+        f"the data hardly show {joined(rough)}: 0 is within {'its interval' if single else 'their intervals'}, which "
+        f"{'is' if single else 'are'} rough then, as are those of {name} and of what else its law holds; drive the rig "
+        "further, or give a value"
+    )
+    return [Notice(CONSTANT_HARDLY_SEEN, text, tuple(rough))]

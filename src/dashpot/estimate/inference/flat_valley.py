@@ -29,7 +29,6 @@ OPEN = 5.0  # deviations over the value from which on the parabola says nothing
 RISE = 4.0  # of χ², at two standard deviations
 GENTLE = 0.25  # of that rise, by one step
 FIRST, LONGEST, SHORTEST = 1e-3, 0.25, 1e-7  # steps, in sizes of the unknowns
-STEPS = 80
 DIRECTIONS = 4  # that information lacks, at most
 FAR = 10.0  # sizes of an unknown from where it began: no end is looked for beyond
 MOVING, SHOWN = 0.1, 3  # change of an unknown that is named, and how many are with their values
@@ -121,6 +120,18 @@ def require_end(valley: Valley, names: Sequence[str], units: Sequence[str], psi:
     )
 
 
+def may_lack_direction(information: Real) -> bool:
+    """Whether information (M, M) is weak enough in some direction for a valley to be looked for."""
+    sound = np.all(np.isfinite(information)) and np.all(information.diagonal() > 0)
+    return bool(sound) and _least_eigenvalue(information) < WEAK
+
+
+def _least_eigenvalue(information: Real) -> float:
+    """The least eigenvalue of information (M, M) scaled to ones on its diagonal."""
+    root = np.sqrt(information.diagonal())
+    return float(np.linalg.eigvalsh(information / np.outer(root, root))[0])
+
+
 @dataclass(frozen=True)
 class _Point:
     """A point of the valley: ψ (M,), χ², the unknowns' sizes (M,), and the weakest direction in them, of length 1."""
@@ -141,9 +152,7 @@ class _Point:
             return None
         size = np.maximum(np.abs(psi), 1 / np.sqrt(diagonal))
         _, vectors = np.linalg.eigh(A * np.outer(size, size))
-        root = np.sqrt(diagonal)
-        eigenvalue = float(np.linalg.eigvalsh(A / np.outer(root, root))[0])
-        return _Point(psi, float(around.cost[0]), size, vectors[:, 0], eigenvalue, A)
+        return _Point(psi, float(around.cost[0]), size, vectors[:, 0], _least_eigenvalue(A), A)
 
     def weak(self, scale: float) -> bool:
         """Whether the parabola leaves some unknown open along one direction."""
@@ -173,7 +182,7 @@ class _Walk:
     ) -> _Walk:  # fmt: skip
         """The walk gone until χ² has risen, or as far as is looked."""
         walk = _Walk(evaluate, begin, side, rise, turning=turning)
-        for _ in range(STEPS):
+        for _ in range(80):  # at most
             far = np.any(np.abs(walk.point.psi - begin.psi) > FAR * begin.size)
             if walk.risen or far or not walk.stepped():
                 break

@@ -5,15 +5,21 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import TypeVar, cast
 
 import numpy as np
 from scipy.special import chdtrc
 
 from dashpot.arrays import Ints, Real
 from dashpot.data.spectrum import FITTED, Spectrum
-from dashpot.estimate.inference.band_stability import BandStability, band_stability
-from dashpot.estimate.inference.flat_valley import Valley, flat_valley
-from dashpot.estimate.inference.noise_in_time import CountedInTime, counted_in_time
+from dashpot.errors import ModelError
+from dashpot.estimate.inference.flat_valley import Valley, flat_valley, may_lack_direction
+from dashpot.estimate.inference.time_course import (
+    BandStability,
+    CountedInTime,
+    band_stability,
+    counted_in_time,
+)
 from dashpot.estimate.likelihood.descent import NEAR_END, ROUGH, descend_in_repeats
 from dashpot.estimate.likelihood.maximum_likelihood import MaximumLikelihood
 from dashpot.estimate.likelihood.objective import (
@@ -29,15 +35,121 @@ from dashpot.estimate.linear.auxiliary_model import equation_by_line, equation_s
 from dashpot.estimate.linear.instrumental_variables import likeliest
 from dashpot.estimate.method import Method, Solution, Traits
 from dashpot.estimate.nonlinear.objective import NonlinearPart
-from dashpot.estimate.preparation.noise_quality import NoiseQuality, interval_dof, noise_quality
-from dashpot.estimate.preparation.prepared import Prepared, without_priors
-from dashpot.numerics.kernel import kernel, threads
+from dashpot.estimate.preparation.prepared import (
+    NoiseQuality,
+    Prepared,
+    interval_dof,
+    noise_quality,
+    without_priors,
+)
+from dashpot.estimate.result import ModeValues
+from dashpot.model.modes import modes
+from dashpot.model.network import Model
+from dashpot.numerics.kernel import kernel, kernel_function, threads
 from dashpot.numerics.levenberg_marquardt import QuadraticModel
 from dashpot.numerics.small_systems import scaled_inverse, solve_scaled
 
+# What follows from an estimate: known and tied parameters, modes with their uncertainty.
+
+
+MODES_TO = 400  # coordinates: the modes of larger rigs would take longer than all else
+COMPILED_TO = 12  # coordinates up to which the kernel's eigenvalues take less time than LAPACK's
+LOST = 1e-13  # of the terms of a variance: below it the sum is rounding
+Values = TypeVar("Values")
+
+
+def known_values(model: Model) -> tuple[tuple[str, float, str], ...]:
+    """(name, value, unit) of the parameters and constants that are exactly known."""
+    return _kept(model, _known_values)
+
+
+def tied_values(model: Model) -> tuple[tuple[str, str, float, str], ...]:
+    """(name, unknown, times, unit) of the parameters that are a multiple of an unknown."""
+    return _kept(model, _tied_values)
+
+
+def _kept(model: Model, make: Callable[[Model], Values]) -> Values:
+    """What `make` says of a model, kept with it."""
+    if (make,) not in model.views:
+        model.views[make,] = make(model)
+    return cast("Values", model.views[make,])
+
+
+def _known_values(model: Model) -> tuple[tuple[str, float, str], ...]:
+    unknown = {u.name for u in model.unknowns}
+    constants = tuple(
+        (f"{e.name}.{c.name}", float(c.value), model.constant_unit(e, c))
+        for e, c in model.constants
+        if not c.unknown and c.value is not None
+    )
+    return constants + tuple(
+        (element.name, float(model.p0[i]), model.unit(element))
+        for i, (element, known) in enumerate(zip(model.elements, _of_no_unknown(model), strict=True))
+        if element.name not in unknown and known and not element.is_entry
+    )
+
+
+def _tied_values(model: Model) -> tuple[tuple[str, str, float, str], ...]:
+    return tuple(
+        (element.name, model.elements[tie.root].name, tie.times, model.unit(element))
+        for element, tie, known in zip(model.elements, model.ties, _of_no_unknown(model), strict=True)
+        if element.same_as is not None and not element.is_entry and not known
+    )
+
+
+def _of_no_unknown(model: Model) -> list[bool]:
+    """Whether an element's parameter follows from known ones alone, (elements,)."""
+    return (np.diff(model.sparse_T.indptr) == 0).tolist()
+
+
+def linear_modes(model: Model, theta: Real, covariance: Real) -> ModeValues | None:
+    """Modes of the linear elements; None where nonlinear ones hold the rig together, and of rigs of many coordinates.
+
+    theta (m,), covariance (m, m).
+    """
+    if model.n > MODES_TO:
+        return None
+    if not len(model.nonlinear):
+        return mode_values(model, theta, covariance)
+    try:
+        return mode_values(model, theta, covariance)
+    except ModelError:
+        return None
+
+
+def mode_values(model: Model, theta: Real, covariance: Real) -> ModeValues:
+    """Modes at θ with standard deviations of frequency and damping propagated from its covariance.
+
+    NaN where a standard deviation is lost in the rounding of terms that are far larger.
+    theta (m,), covariance (m, m).
+    """
+    compiled = kernel_function("mode_values") if model.n <= COMPILED_TO else None
+    if compiled is not None:
+        # None where masses are missing or coupled, or where nothing holds a motion.
+        table = compiled(model.B, model.letters, model.T, model.p0, theta, covariance)
+        if table is not None:
+            return ModeValues(*table)
+    of_rig = modes(model, model.parameters(theta))
+    slope = of_rig.sensitivity @ model.T
+    values = of_rig.eigenvalues
+    size = np.abs(values)[:, None]
+    size = np.where(size > 0, size, 1.0)
+    grow = (values.conj()[:, None] * slope).real / size
+    frequency = grow / (2 * np.pi)
+    damping = -slope.real / size + values.real[:, None] * grow / size**2
+    jacobian = np.stack([frequency, damping])
+    variance = ((jacobian @ covariance) * jacobian).sum(axis=-1)
+    reach = np.abs(jacobian)
+    terms = ((reach @ np.abs(covariance)) * reach).sum(axis=-1)
+    lost = (variance <= LOST * terms) & (terms > 0)
+    frequency_sd, damping_sd = np.sqrt(np.where(lost, np.nan, np.maximum(variance, 0.0)))
+    return ModeValues(
+        values, of_rig.frequency_hz, of_rig.damping_ratio, frequency_sd, damping_sd, of_rig.shapes
+    )
+
+
 ROUNDING = 1e-30  # χ² of exact data against noise of the data's own size
 UNSETTLED = 0.1  # of χ², by which an end may lie above the minimum of its parabola
-DESCENTS = 3  # into valleys whose bottom lies beside where the descent ended
 MISFIT_LEVEL = 1e-3  # p-value of χ² below which intervals count the misfit of the model
 
 
@@ -163,10 +275,13 @@ def _with_flat_valley(
     data: Prepared, solution: Solution, around: Linearised, traits: Traits
 ) -> tuple[Solution, Linearised, Valley | None]:
     """The bottom of a valley whose information lacks a direction, and the curvature that χ² has along it."""
-    view, exact = data.view, measured(data)
-    sign = data.spectrum.signs(solution.signs, 1)
+    view, sign = data.view, data.spectrum.signs(solution.signs, 1)
     valley = None
-    for _ in range(DESCENTS):
+    for _ in range(3):  # descents into valleys whose bottom lies beside where the descent ended
+        if not may_lack_direction(around.sums.symmetric[0]):
+            valley = None
+            break
+        exact = measured(data)
         scale = 1.0 if data.noise_known else float(around.sums.cost[0]) / max(around.dof, 1)
         valley = flat_valley(view, exact, solution.theta, sign, scale)
         if valley is None or not valley.bounded or valley.fall == 0:
@@ -316,8 +431,7 @@ def _excess(sums: QuadraticModel, solution: Solution) -> Real:
         gradient = np.where(held, 0.0, gradient)
         apart = (held[:, :, None] | held[:, None, :]) & ~np.eye(held.shape[-1], dtype=bool)
         step = solve_scaled(np.where(apart, 0.0, sums.symmetric), gradient)
-    excess: Real = (gradient * step).sum(axis=-1)
-    return excess
+    return (gradient * step).sum(axis=-1)
 
 
 def _with_estimated_noise(
@@ -342,8 +456,10 @@ def _noise(information: Real, quality: NoiseQuality, bread: Real, prior: Real) -
     if core is not None:
         summed, shared = core.line_shares(
             np.ascontiguousarray(information),
-            np.ascontiguousarray(np.atleast_2d(quality.inflation)), bread, threads(),
-        )  # fmt: skip
+            np.ascontiguousarray(np.atleast_2d(quality.inflation)),
+            bread,
+            threads(),
+        )
         degrees = interval_dof(shared, quality.dof, np.diagonal(stated, axis1=-2, axis2=-1))
         return bread @ summed @ bread + stated, degrees
     each = bread[:, None]

@@ -15,7 +15,7 @@ import numpy as np
 
 from dashpot.arrays import Complex, Ints, Real
 from dashpot.estimate.likelihood.boundary_loads import RecordEnds
-from dashpot.estimate.likelihood.record_pieces import RecordPieces
+from dashpot.estimate.likelihood.record_passes import RecordPieces
 from dashpot.model.observation import ObservationModel, small
 
 if TYPE_CHECKING:
@@ -97,7 +97,15 @@ def pieces(view: ObservationModel, data: Measured, count: int) -> Iterator[Piece
     if data.nonlinear is not None:  # its dwells are computed one after the other anyway
         yield Piece(slice(0, count), slice(0, total), view, data)
         return
-    each = _numbers(view)
+    # Complex numbers that one row at one line takes on the way to its slopes
+    model, channels, elements = view.model, len(view.channels), len(view.model.elements)
+    sides = channels + int(model.D.shape[1] + model.S.shape[1])
+    if view.reduced is not None:
+        k = view.reduced.size
+        each = 3 * k * (k + sides) + channels * 4 * len(view.names)
+    else:
+        system = 3 * model.n * (model.n + sides) if small(model) else 2 * model.n * sides
+        each = system + 2 * elements * sides + channels * (elements + 4 * len(view.names))
     # Lines of whole records belong together: what sums them cuts them itself.
     together = total if data.ends is not None else max(1, min(total, PIECE // each))
     rows = max(1, PIECE // (each * together))
@@ -107,9 +115,11 @@ def pieces(view: ObservationModel, data: Measured, count: int) -> Iterator[Piece
             lines = slice(line, min(line + together, total))
             whole = together == total
             yield Piece(
-                slice(row, min(row + rows, count)), lines, view if whole else view.at_lines(lines),
+                slice(row, min(row + rows, count)),
+                lines,
+                view if whole else view.at_lines(lines),
                 part if whole else part.at_lines(lines),
-            )  # fmt: skip
+            )
 
 
 class Sums:
@@ -128,14 +138,3 @@ class Sums:
             self.totals = tuple(np.zeros((self.count, *term.shape[1:])) for term in terms)
         for total, term in zip(self.totals, terms, strict=True):
             total[rows] += term
-
-
-def _numbers(view: ObservationModel) -> int:
-    """Complex numbers that one row at one line takes on the way to its slopes."""
-    model, channels, elements = view.model, len(view.channels), len(view.model.elements)
-    sides = channels + int(model.D.shape[1] + model.S.shape[1])
-    if view.reduced is not None:
-        k = view.reduced.size
-        return 3 * k * (k + sides) + channels * 4 * len(view.names)
-    system = 3 * model.n * (model.n + sides) if small(model) else 2 * model.n * sides
-    return system + 2 * elements * sides + channels * (elements + 4 * len(view.names))

@@ -8,7 +8,7 @@ import numpy as np
 
 from dashpot.arrays import Bools, Ints, Real
 from dashpot.estimate.likelihood.chunks import Measured
-from dashpot.estimate.linear.compiled import compiled_result
+from dashpot.estimate.linear.gram import compiled_result
 from dashpot.model.kernel_rig import kernel_rig
 from dashpot.model.observation import ObservationModel, small
 from dashpot.numerics.kernel import kernel, threads
@@ -37,9 +37,12 @@ def _output(core: Any, view: ObservationModel, data: Measured) -> Any | None:
     if rig is None:
         return None
     return core.Output(
-        rig, np.ascontiguousarray(data.y), np.ascontiguousarray(data.W),
-        None if data.q is None else np.ascontiguousarray(data.q), *kernel_channels(view),
-    )  # fmt: skip
+        rig,
+        np.ascontiguousarray(data.y),
+        np.ascontiguousarray(data.W),
+        None if data.q is None else np.ascontiguousarray(data.q),
+        *kernel_channels(view),
+    )
 
 
 def kernel_channels(view: ObservationModel) -> tuple[Any, ...]:
@@ -63,8 +66,7 @@ def compiled_local(
 
 def compiled_cost(output: Any, psi: Real, sign: Real, rows: Ints, weight: Real | None = None) -> Real:
     """The cost alone, (K,)."""
-    cost: Real = output.evaluate(_numbers(psi), _numbers(sign), rows, weight, False, threads())[0]
-    return cost
+    return output.evaluate(_numbers(psi), _numbers(sign), rows, weight, False, threads())[0]
 
 
 def compiled_descent(

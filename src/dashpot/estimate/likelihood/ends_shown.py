@@ -8,8 +8,7 @@ import numpy as np
 
 from dashpot.arrays import Complex, Real
 from dashpot.estimate.likelihood.chunks import Measured
-from dashpot.estimate.likelihood.record_passes import EndsFitted
-from dashpot.estimate.likelihood.record_pieces import RecordPieces
+from dashpot.estimate.likelihood.record_passes import EndsFitted, RecordPieces
 from dashpot.estimate.likelihood.record_sums import ends_fitted
 from dashpot.model.observation import calibrated_transfer
 

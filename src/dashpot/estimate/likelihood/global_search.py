@@ -3,26 +3,391 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
-from dashpot.arrays import Ints, Real
-from dashpot.errors import ConvergenceError
-from dashpot.estimate.likelihood.chunks import Measured
-from dashpot.estimate.likelihood.descent import NEAR_END, ROUGH, Likelihood, Stage, descend_all
-from dashpot.estimate.likelihood.local_minima import COMPETING, LocalMinima
-from dashpot.estimate.likelihood.objective import directly_driven, measured
-from dashpot.estimate.likelihood.starting_values import candidates, neighbours
-from dashpot.estimate.likelihood.thinning import thinned
+from dashpot.arrays import Complex, Ints, Real
+from dashpot.channel import Quantity
+from dashpot.data.modal_data import ModalData, of_eigenvalues
+from dashpot.data.spectrum import Spectrum, WholeRecord
+from dashpot.errors import ConvergenceError, DashpotError
+from dashpot.estimate.likelihood.chunks import Measured, Piece, Sums, pieces
+from dashpot.estimate.likelihood.descent import (
+    NEAR_END,
+    ROUGH,
+    Effort,
+    Likelihood,
+    Stage,
+    descend_all,
+    thinned,
+)
+from dashpot.estimate.likelihood.objective import directly_driven, measured, predict
 from dashpot.estimate.linear.least_squares import starts as equation_starts
 from dashpot.estimate.linear.least_squares import where_finite
 from dashpot.estimate.preparation.prepared import Prepared
 from dashpot.estimate.preparation.state_reconstruction import States
-from dashpot.model.observation import SPARSE_FROM, small
+from dashpot.model.dynamics import amplitudes, unit_forces
+from dashpot.model.elements import Kind
+from dashpot.model.network import Model
+from dashpot.model.observation import (
+    SPARSE_FROM,
+    ObservationModel,
+    calibration_factors,
+    channel_amplitudes,
+    small,
+)
 from dashpot.model.unstructured import free_names
 from dashpot.notices import Notice
 from dashpot.numerics.levenberg_marquardt import PATIENCE, OptimizeResult
 from dashpot.numerics.small_systems import scaled_inverse
+
+# Where searches of the likelihood ended: told apart, in order, and those that compete.
+
+
+MOST = 128  # ends of searches: dozens lie along a flat valley, and the right one must not be lost beside them
+COMPETING = (
+    60.0  # χ² by which a minimum may lie above the lowest one of one repeat and be the lowest of another
+)
+
+
+@dataclass(frozen=True)
+class LocalMinima:
+    """Where searches ended, the lowest first: psi (V, M), signs of the channels (V, channels), cost (V,)."""
+
+    psi: Real
+    sign: Real
+    cost: Real
+
+    @staticmethod
+    def none(unknowns: int, channels: int) -> LocalMinima:
+        """No minima yet."""
+        return LocalMinima(np.empty((0, unknowns)), np.empty((0, channels)), np.empty(0))
+
+    def with_ends(self, psi: Real, sign: Real, cost: Real) -> LocalMinima:
+        """With more ends, (k, M), (k, channels) and (k,).
+
+        Those within 2 % of a lower one in every unknown are left out.
+        """
+        psi, sign = np.concatenate([self.psi, psi]), np.concatenate([self.sign, sign])
+        cost = np.concatenate([self.cost, cost])
+        kept: list[int] = []
+        for k in np.argsort(cost):
+            size = np.maximum(np.abs(psi[k]), np.abs(psi[kept]))
+            near = np.abs(psi[k] - psi[kept]) <= 0.02 * size
+            if np.isfinite(cost[k]) and not np.any(
+                np.all(near, axis=-1) & np.all(sign[k] == sign[kept], axis=-1)
+            ):
+                kept.append(int(k))
+            if len(kept) == MOST:
+                break
+        return self if not kept else LocalMinima(psi[kept], sign[kept], cost[kept])
+
+    def led_by(self, psi: Real, sign: Real) -> LocalMinima:
+        """With ψ (1, M) and signs (1, channels) in the place of the first."""
+        return LocalMinima(
+            np.concatenate([psi, self.psi[1:]]), np.concatenate([sign, self.sign[1:]]), self.cost
+        )
+
+    def competing(self, rows: int) -> LocalMinima:
+        """Those that may be as likely as the lowest one, if noise is what that leaves of so many `rows`."""
+        return self.within(float(np.min(self.cost, initial=np.inf)) * COMPETING / max(rows, 1))
+
+    def within(self, margin: float) -> LocalMinima:
+        """Those that lie no more than `margin` above the lowest one."""
+        near = self.cost <= self.cost[:1] + margin
+        return LocalMinima(self.psi[near], self.sign[near], self.cost[near])
+
+
+# Where to start a search when nobody guesses: rigs of sensible size, drawn at random (THEORY §4, ml).
+
+
+SCATTER = (0.03, 0.1, 0.2, 0.35, 0.6)  # decades by which the elements of one candidate differ
+
+
+def candidates(data: Prepared, count: int, rng: np.random.Generator) -> tuple[Real, Real]:
+    """`count` draws of ψ, (count, M), and of the channels' signs, (count, channels).
+
+    Each candidate has a mass, a natural frequency and a damping ratio of its own, around which its elements scatter
+    by little or much: rigs are mostly built of parts alike, and among rigs of like parts a search finds its way.  The
+    mass is drawn around what known parameters or measured forces imply, the frequency from the band of the data.
+    Guesses and priors of the model narrow the draw; the first candidate is the middle of every range.
+    """
+    view = data.view
+    low, high = np.min(view.omega), 1.5 * np.max(view.omega)
+    middle = _typical_mass(data)
+    masses = middle * 10 ** (0.3 * rng.standard_normal(count))
+    rates = low * (high / low) ** rng.random(count)
+    ratios = 10 ** rng.uniform(-2.3, 0.0, count)
+    decades = rng.choice(SCATTER, count)[:, None] * rng.standard_normal((count, len(view.names)))
+    masses[0], rates[0], ratios[0], decades[0] = middle, np.sqrt(low * high), 0.05, 0.0
+    size = {kind: kind.law.typical_size(masses, rates, ratios) for kind in Kind}
+    kinds = {element.name: element.kind for element in data.model.elements}
+    psi = np.ones((count, len(view.names)))
+    for j, unknown in enumerate(data.model.unknowns):
+        if unknown.prior is not None and unknown.sd is not None:
+            psi[:, j] = unknown.prior + unknown.sd * np.clip(decades[:, j], -1, 1)
+        elif unknown.guess is not None:
+            psi[:, j] = unknown.guess * 10 ** (0.3 * decades[:, j])
+        else:
+            psi[:, j] = size[kinds[unknown.name]] * 10 ** decades[:, j]
+        if unknown.lower is not None or unknown.upper is not None:
+            psi[:, j] = np.clip(psi[:, j], unknown.lower, unknown.upper)
+    if view.delays:
+        psi[:, view.m + view.gains :] = 0.0
+    return _calibrated(data, psi, np.ones((count, len(view.channels))), rng)
+
+
+def neighbours(
+    psi: Real, sign: Real, view: ObservationModel, count: int, rng: np.random.Generator
+) -> tuple[Real, Real]:
+    """`count` draws around the rigs already found, near which the right minimum may lie.
+
+    Some scatter all parameters, some exchange two of a kind (chains seen at few points are nearly the same with two
+    of their parts exchanged), some change two parameters by much.
+    """
+    origin = rng.integers(0, len(psi), count)
+    moved = psi[origin].copy()
+    kinds = {element.name: element.kind for element in view.model.elements}
+    alike = np.array(
+        [[kinds[a.name] == kinds[b.name] for b in view.model.unknowns] for a in view.model.unknowns]
+    )
+    pairs = np.argwhere(np.triu(alike, 1))
+    for row in moved:
+        move = rng.integers(0, 3)
+        if move == 0 and len(pairs):
+            i, j = pairs[rng.integers(0, len(pairs))]
+            row[[i, j]] = row[[j, i]]
+            row[: view.m] *= 10 ** (0.03 * rng.standard_normal(view.m))
+        elif move == 1 and view.m > 1:
+            row[rng.choice(view.m, 2, replace=False)] *= 10 ** (0.4 * rng.standard_normal(2))
+        else:
+            row[: view.m] *= 10 ** (rng.choice(SCATTER[1:3]) * rng.standard_normal(view.m))
+    return moved, sign[origin]
+
+
+def _typical_mass(data: Prepared) -> float:
+    """The mass that known parameters imply at the middle of the band, else measured force over acceleration."""
+    view = data.view
+    omega = float(np.exp(np.mean(np.log(view.omega))))
+    known = []
+    for element in data.model.elements:
+        number = element.value if element.value is not None else element.guess
+        if number is not None and number > 0:
+            # Which share of critical damping a damper has is not known: it counts as an impedance.
+            known.append(number / element.law.typical_size(1.0, omega, 0.5))
+    masses = [
+        e.value for e in data.model.elements if e.kind is Kind.MASS and e.value is not None and e.value > 0
+    ]
+    if masses:
+        return float(np.exp(np.mean(np.log(masses))))
+    size = np.mean(np.abs(np.nan_to_num(data.spectrum.amplitudes)), axis=0)
+    force = [i for i, c in enumerate(view.channels) if c.quantity is Quantity.FORCE]
+    motion = [i for i, c in enumerate(view.channels) if c.quantity is not Quantity.FORCE]
+    if force and motion and np.any(size[:, force]) and not known:
+        rate = np.array([2 - view.channels[i].quantity.derivative for i in motion])
+        acceleration = np.max(size[:, motion] * view.omega[:, None] ** rate, axis=-1)
+        pushed = np.max(size[:, force], axis=-1)
+        usable = (acceleration > 0) & (pushed > 0)
+        if np.any(usable):
+            return float(np.exp(np.median(np.log(pushed[usable] / acceleration[usable]))))
+    return float(np.exp(np.mean(np.log(known)))) if known else 1.0
+
+
+def _calibrated(data: Prepared, psi: Real, sign: Real, rng: np.random.Generator) -> tuple[Real, Real]:
+    """Gains and signs that suit each candidate: by regression on what it predicts, where the inputs are known."""
+    view = data.view
+    if not view.gains and not np.any(view.flips):
+        return psi, sign
+    soft = measured(data, 1.0)
+    if view.gains:
+        psi[:, view.m : view.m + view.gains] = 10 ** (0.5 * rng.standard_normal((len(psi), view.gains)))
+    if np.any(view.flips):
+        sign[:, view.flips] = rng.choice([-1.0, 1.0], size=(len(psi), int(np.sum(view.flips))))
+    if soft.q is None:
+        if view.gains:
+            psi[:, view.m : view.m + view.gains] *= rng.choice([-1.0, 1.0], size=(len(psi), view.gains))
+        return psi, sign
+    with np.errstate(all="ignore"):
+        sums = Sums(len(psi))
+        for piece in pieces(view, soft, len(psi)):
+            sums.add(piece.rows, _likeness(piece, psi[piece.rows], sign[piece.rows]))
+        along, power = sums.totals
+    flip = view.flips & (along < 0)
+    sign = np.where(flip, -sign, sign)
+    for k in range(view.gains):
+        with_gain = view.gain == k
+        ratio = np.sum(along[:, with_gain], axis=-1) / np.maximum(
+            np.sum(power[:, with_gain], axis=-1), 1e-300
+        )
+        usable = np.isfinite(ratio) & (ratio != 0)
+        psi[:, view.m + k] *= np.where(usable, ratio, 1.0)
+    return psi, sign
+
+
+def _response(view: ObservationModel, data: Measured, psi: Real, sign: Real) -> Complex:
+    """The channels under known inputs without their slopes, which many candidates would spend most time on."""
+    model, q = view.model, data.q
+    assert q is not None
+    r = len(model.displacement_inputs)
+    p, U, f = model.parameters(psi[..., : view.m]), q[..., :r], q[..., r:]
+    X = amplitudes(model, p, view.omega, U, f)
+    forces = np.zeros(len(model.elements), dtype=complex)
+    if view.has_forces:
+        forces = p[..., None, :] * unit_forces(model, view.omega, X, U)
+    return calibration_factors(view, psi, sign) * channel_amplitudes(view, X, q, forces)
+
+
+def _likeness(piece: Piece, psi: Real, sign: Real) -> tuple[Real, Real]:
+    """Products of prediction and data, and of the prediction with itself, in units of the data; (K, channels) each."""
+    y = piece.data.y
+    if piece.data.ends is None and piece.data.nonlinear is None and small(piece.view.model):
+        predicted = _response(piece.view, piece.data, psi, sign)
+    else:
+        predicted = y - predict(piece.view, piece.data, psi, sign).r
+    weight = 1.0 / np.maximum(np.abs(y) ** 2, 1e-300) * (np.abs(y) > 0)
+    along = np.sum((np.conj(predicted) * y).real * weight, axis=-2)
+    return along, np.sum(np.abs(predicted) ** 2 * weight, axis=-2)
+
+
+# Where a search in free decays begins: with rigs whose modes are those that the motion shows.
+#
+# The lines of a sampled free decay are those of a state space without input, all that sampling folds back
+# included: X = C (1 − A/z)⁻¹ b with z = e^{jωh}. So z^i X is a row of the observability matrix, C Aⁱ, times
+# the states, and a real polynomial in z. That is projected out; what is left spans the observability
+# matrix, whose shift is A. It needs no start and no order of frequencies, and sees modes in the noise of
+# single lines. Source: McKelvey, Akçay and Ljung, "Subspace-based multivariable system identification from
+# frequency response data", IEEE Transactions on Automatic Control 41 (1996).
+
+
+EACH, FEWER = 80, 12  # lines of each part of the band
+BLOCKS = 8  # powers of z for each coordinate, more where fewer channels than that see it
+OVERDAMPED = 0.7  # of critical damping, from which on a pole is noise
+# What is taken for the uncertainty of modes, which only ranks rigs before the likelihood does.
+SD_FREQUENCY, SD_DAMPING, SD_SHAPE = 1e-4, 0.05, 0.01
+
+
+def moves_freely(model: Model, spectrum: Spectrum) -> bool:
+    """Whether all that is seen of a small linear rig is whole records of free motion."""
+    if model.inputs or len(model.nonlinear) or not small(model):
+        return False
+    return all(isinstance(stretch, WholeRecord) and stretch.loads for stretch in spectrum.stretches)
+
+
+def decay_minima(data: Prepared, effort: Effort) -> LocalMinima:
+    """Where rigs with the modes of free decays lead in one repeat, the lowest first; none of other data."""
+    view = data.view
+    few = thinned(data, EACH)
+    rigs = _rigs(few, effort)
+    signs = np.ones((len(rigs), len(view.channels)))
+    minima = LocalMinima.none(len(view.names), len(view.channels))
+    if not len(rigs):
+        return minima
+    # Many rigs are one: a few lines tell which.
+    for each, limit in ((FEWER, PATIENCE), (EACH, ROUGH)):
+        likelihood = Likelihood.of(thinned(few, each), effort)
+        with np.errstate(all="ignore"):
+            ends = likelihood.descend_in(likelihood.exact, rigs, signs, limit, near=NEAR_END)
+        minima = LocalMinima.none(*minima.psi.shape[1:], *minima.sign.shape[1:])
+        minima = minima.with_ends(ends.x, signs, ends.cost).competing(likelihood.exact.rows)
+        rigs, signs = minima.psi, minima.sign
+    return minima
+
+
+def _rigs(data: Prepared, effort: Effort) -> Real:
+    """Rigs with the modes that free decays show, (rigs, unknowns); none where channels tell too little of shapes."""
+    view = data.view
+    none = np.empty((0, len(view.names)))
+    calibrated = not view.gains and not view.delays and not np.any(view.flips)
+    if not (calibrated and moves_freely(view.model, data.spectrum)):
+        return none
+    from dashpot.estimate.modal.mode_search import rigs_with  # loads scipy.optimize
+
+    poles, shown = free_modes(data)
+    try:
+        return (
+            rigs_with(view.model, _modal_data(view, poles, shown), seed=effort.seed) if len(poles) else none
+        )
+    except (DashpotError, np.linalg.LinAlgError):
+        return none
+
+
+def free_modes(data: Prepared) -> tuple[Complex, Complex]:
+    """Eigenvalues with Im > 0, (modes,) 1/s, by magnitude, and what channels show of them, (channels, modes).
+
+    No more than the rig has; of the records that are sampled like the first one, in one repeat.
+    """
+    n, spectrum = data.model.n, data.spectrum
+    records = _alike(spectrum)
+    channels = len(spectrum.channels)
+    lines = sum(len(each) for _, each in records)
+    blocks = min(max(BLOCKS * n * n // channels, BLOCKS * n), lines // channels)
+    if (blocks - 1) * channels < 2 * n:
+        return np.empty(0, dtype=complex), np.empty((channels, 0), dtype=complex)
+    noise = np.sqrt(np.median(np.diagonal(data.covariance[0], axis1=-2, axis2=-1).real, axis=0))
+    size = np.sqrt(np.mean(np.abs(spectrum.amplitudes[0]) ** 2, axis=0))
+    unit = np.where(noise > 0, noise, np.where(size > 0, size, 1.0))
+    step = records[0][0].step_s
+    left = [
+        _states_seen(spectrum.amplitudes[0, each] / unit, np.exp(1j * spectrum.omega[each] * step), blocks)
+        for _, each in records
+    ]
+    _, _, rows = np.linalg.svd(np.linalg.qr(np.concatenate(left), mode="r"))
+    observability = rows[: 2 * n].T
+    A = np.linalg.lstsq(observability[:-channels], observability[channels:], rcond=None)[0]
+    z, states = np.linalg.eig(A)
+    with np.errstate(all="ignore"):
+        poles = np.log(z.astype(complex)) / step
+    swings = (poles.imag > 0) & np.isfinite(poles) & (np.abs(poles.real) < OVERDAMPED * np.abs(poles))
+    poles, states = poles[swings], states[:, swings]
+    order = np.argsort(np.abs(poles))
+    return poles[order], (unit[:, None] * (observability[:channels] @ states))[:, order]
+
+
+def _alike(spectrum: Spectrum) -> list[tuple[WholeRecord, Ints]]:
+    """The records that are sampled like the first one, with the lines in which all channels are there."""
+    whole = np.all(np.isfinite(spectrum.amplitudes[0]), axis=-1)
+    records = [
+        (value, np.flatnonzero((spectrum.stretch == number) & whole))
+        for number, value in enumerate(spectrum.stretches)
+        if isinstance(value, WholeRecord)
+    ]
+    step = records[0][0].step_s
+    return [(value, lines) for value, lines in records if abs(value.step_s / step - 1) < 1e-9]
+
+
+def _states_seen(amplitudes: Complex, z: Complex, blocks: int) -> Real:
+    """z^i X of one record, (2 lines, blocks · channels), without the polynomials that its ends add."""
+    powers = z[:, None] ** np.arange(blocks)
+    products = (powers[:, :, None] * amplitudes[:, None, :]).reshape(len(z), -1)
+    moved = np.concatenate([products.real, products.imag])
+    basis, _ = np.linalg.qr(np.concatenate([powers[:, 1:].real, powers[:, 1:].imag]))
+    return moved - basis @ (basis.T @ moved)
+
+
+def _modal_data(view: ObservationModel, poles: Complex, shown: Complex) -> ModalData:
+    """The modes at the coordinates that channels tell: all of them, or those that have a channel to themselves."""
+    motion = ~np.any(view.force, axis=-1) & np.any(view.on_x, axis=-1)
+    if np.linalg.matrix_rank(view.on_x[motion]) < view.model.n:
+        motion &= np.count_nonzero(view.on_x, axis=-1) == 1
+    seen = np.flatnonzero(np.any(view.on_x[motion], axis=0))
+    derivative = view.derivative[motion]
+    shapes = np.empty((len(poles), len(seen)), dtype=np.complex128)
+    for number, pole in enumerate(poles):
+        # In units of the motion at this mode: an acceleration is as large as its displacement there.
+        rate = np.abs(pole) ** derivative
+        reading = view.on_x[motion][:, seen] * (pole**derivative / rate)[:, None]
+        shapes[number] = np.linalg.lstsq(reading, shown[motion, number] / rate, rcond=None)[0]
+    shapes /= np.max(np.abs(shapes), axis=1, keepdims=True)
+    size = np.abs(poles)
+    poles = np.where(poles.real < 0, poles, -SD_FREQUENCY * size + 1j * poles.imag)
+    covariance = np.zeros((len(poles), 2, 2))
+    covariance[:, 0, 0] = (SD_FREQUENCY * size) ** 2 + (SD_DAMPING * poles.real) ** 2
+    covariance[:, 1, 1] = covariance[:, 0, 0]
+    spread: Complex = np.broadcast_to(SD_SHAPE**2 * np.eye(len(seen)), (len(poles), len(seen), len(seen)))
+    points = tuple(view.model.coordinates[int(i)] for i in seen)
+    return of_eigenvalues(points, poles, covariance, shapes, spread)
+
 
 POOR = 1e-6  # p-value below which a repeat is searched again from its own starts
 UNCERTAIN = 0.1  # p-value below which a search goes on where all is seen and starts are cheap
@@ -121,9 +486,12 @@ def _not_unique(
 
 
 def _of_repeats(
-    likelihood: Likelihood, best: OptimizeResult, sign: Real, ends: Sequence[tuple[Ints, OptimizeResult]],
+    likelihood: Likelihood,
+    best: OptimizeResult,
+    sign: Real,
+    ends: Sequence[tuple[Ints, OptimizeResult]],
     doubt: float,
-) -> tuple[Notice, ...]:  # fmt: skip
+) -> tuple[Notice, ...]:
     """A warning that says for how many repeats another of the `ends` fits nearly as well as the best one."""
     information = likelihood.model_at(best.x, sign).symmetric
     sd = np.sqrt(np.abs(np.diagonal(scaled_inverse(information), axis1=-2, axis2=-1)))
@@ -168,8 +536,11 @@ def searched_again(
     if len(poor) == 1 and not seen_directly(likelihood.data):
         return found, sign, ()  # its start was its own already
     x, cost, converged, iterations = (
-        found.x.copy(), found.cost.copy(), found.converged.copy(), found.iterations.copy(),
-    )  # fmt: skip
+        found.x.copy(),
+        found.cost.copy(),
+        found.converged.copy(),
+        found.iterations.copy(),
+    )
     sign, notices, history = sign.copy(), tuple[Notice, ...](), found.history
     for repeat in np.flatnonzero(poor):
         minima = global_minima(likelihood, int(repeat))
@@ -334,8 +705,7 @@ def _reliability(one: Prepared) -> Real:
     if not one.noise_known:
         return np.where(power > 0, 1.0, 0.0)
     noise = np.diagonal(one.covariance[0], axis1=-2, axis2=-1).real
-    reliability: Real = power / np.where(power + noise > 0, power + noise, 1.0)
-    return reliability
+    return power / np.where(power + noise > 0, power + noise, 1.0)
 
 
 def fits(likelihood: Likelihood, end: OptimizeResult) -> bool:

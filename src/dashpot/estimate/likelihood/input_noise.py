@@ -20,7 +20,7 @@ from dashpot.data.conditioning.still import HALF_WINDOW, smoothed
 from dashpot.data.conditioning.whole_record import FLOOR
 from dashpot.data.spectrum import Spectrum
 from dashpot.estimate.likelihood.chunks import Measured
-from dashpot.estimate.likelihood.nuisance import estimated_inputs, inputs_by_channel
+from dashpot.estimate.likelihood.objective import estimated_inputs, inputs_by_channel
 from dashpot.io.words import joined
 from dashpot.model.network import Model
 from dashpot.model.observation import ObservationModel, measures_input
@@ -33,8 +33,7 @@ STAYS = 3.0  # and up to which it is given up again
 LEAST_LEFT = 0.5  # of the freedom of those lines that tell
 PIECE = 10_000  # lines at a time
 ROOM = 1 + STAYS / (2 * HALF_WINDOW + 1) ** 0.5  # the least of many means, over the mean
-TURNS = 40  # in which the outputs' noise is told from what errors of the inputs move
-SETTLED = 0.01  # change of a variance at which they end
+SETTLED = 0.01  # change of a variance at which the turns end
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,8 +76,7 @@ class InputNoise:
         by_channel = inputs_by_channel(view, alone)
         if by_channel is None:
             return np.zeros(G.shape[:2])
-        moved: Real = np.abs(G @ by_channel) ** 2 @ (self.level * alone) / spectrum.samples[:, None]
-        return moved
+        return np.abs(G @ by_channel) ** 2 @ (self.level * alone) / spectrum.samples[:, None]
 
 
 def noise_counted(model: Model, spectrum: Spectrum, covariance: Complex) -> tuple[Notice, ...]:
@@ -125,7 +123,7 @@ def without_moved(power: Real, moved: Real, smooth: Callable[[Real], Real]) -> R
     power, moved (lines, channels); smooth: variances from powers.  Steps of expectation and maximisation.
     """
     noise = smooth(power)
-    for _ in range(TURNS):
+    for _ in range(40):  # turns in which the outputs' noise is told from what errors of the inputs move
         share = noise / np.maximum(noise + moved, np.finfo(float).tiny)
         alone = share**2 * power + share * moved
         before, noise = noise, smooth(alone)
@@ -158,8 +156,7 @@ def input_noise(
     step = np.sum(each * (score / left - scale), axis=0) / information
     level = np.clip(before + step, least, most)
     more = np.where(before > least, STAYS, SHOWS) / np.sqrt(information)
-    shown: Real = np.where(usable & (level > least + more), level, least)
-    return shown
+    return np.where(usable & (level > least + more), level, least)
 
 
 def _slopes(view: ObservationModel, data: Measured, residual: Complex, G: Complex) -> tuple[Real, Real]:
@@ -199,5 +196,4 @@ def most_noise(spectrum: Spectrum, sought: Bools) -> Real:
             power = np.nan_to_num(np.abs(spectrum.amplitudes[0, lines])) ** 2
             around = smoothed(power.astype(np.complex128), HALF_WINDOW).real
             least = np.minimum(least, np.min(around, axis=0) * spectrum.samples[lines[0]])
-    most: Real = ROOM * least
-    return most
+    return ROOM * least

@@ -7,10 +7,13 @@ from typing import ClassVar
 
 import numpy as np
 
-from dashpot.arrays import Real
+from dashpot.arrays import Complex, Ints, Real, hermitian, random_generator
+from dashpot.estimate.likelihood.boundary_loads import RecordEnds, projector
 from dashpot.estimate.likelihood.descent import ROUGH, Effort, Likelihood
-from dashpot.estimate.likelihood.free_decay import decay_minima
 from dashpot.estimate.likelihood.global_search import (
+    LocalMinima,
+    candidates,
+    decay_minima,
     fits,
     followed_minima,
     from_minima,
@@ -19,17 +22,191 @@ from dashpot.estimate.likelihood.global_search import (
     searched_again,
     seen_directly,
 )
-from dashpot.estimate.likelihood.local_minima import LocalMinima
-from dashpot.estimate.likelihood.record_start import record_starts
-from dashpot.estimate.likelihood.reduced_search import is_reducible, reduced_search
-from dashpot.estimate.likelihood.starting_values import candidates
-from dashpot.estimate.linear.least_squares import compensated
+from dashpot.estimate.likelihood.objective import per_line
+from dashpot.estimate.linear.auxiliary_model import equation_covariance
+from dashpot.estimate.linear.least_squares import compensated, equation, where_finite, without_noise
 from dashpot.estimate.method import HeldBounds, Method, Solution, Traits
 from dashpot.estimate.nonlinear.search import search_harmonics
 from dashpot.estimate.preparation.prepared import Prepared
 from dashpot.estimate.preparation.state_reconstruction import States
+from dashpot.model.dynamics import stiffness
+from dashpot.model.network import Model
+from dashpot.model.reduced import extended_basis, line_motions, reduced
 from dashpot.notices import Notice
 from dashpot.numerics.levenberg_marquardt import OptimizeResult, without_bounds
+from dashpot.numerics.small_systems import solve_scaled
+
+# The search of large rigs: on the span of few motions, which are computed anew where each search ends
+# (THEORY §10).
+#
+# Responses and adjoints at some lines span a reduced rig that is exact at those lines and parameters, with
+# its slopes. All of the search that a small rig gets runs there; its end gives new motions, until it stays
+# where they were computed. What has been left out of the basis, lines between those of the basis, the full
+# rig checks at the end.
+
+
+FROM = 400  # coordinates from which the search is on a basis
+MOST_UNKNOWNS = 100  # each has a projected matrix of its own
+LINES = 20  # at which motions are computed
+WIDEST = 260  # columns of the basis; beyond it only the last motions are kept
+STILL = 1e-4  # standard deviations within which the end of a search is where its motions were computed
+ROUNDING = 1e-9  # of a value
+NEAR = 0.05  # standard deviations that lines outside the basis may move the end by
+
+
+def is_reducible(likelihood: Likelihood) -> bool:
+    """Whether a rig is large enough for a basis to pay, and nothing stands in its way."""
+    model, exact = likelihood.view.model, likelihood.exact
+    plain = exact.ends is None and exact.nonlinear is None and likelihood.repeats == 1
+    return model.n >= FROM and plain and likelihood.view.m <= MOST_UNKNOWNS
+
+
+def reduced_search(
+    likelihood: Likelihood,
+) -> tuple[Likelihood, OptimizeResult, Real, tuple[Notice, ...]]:
+    """The minimum of one repeat of a large rig, with the likelihood on the basis there.
+
+    Returns that likelihood, the minimum, the signs of its channels (1, channels), and a notice where it is not unique.
+
+    Raises ConvergenceError where no start leads to a minimum.
+    """
+    view = likelihood.view
+    psi, sign = candidates(likelihood.data, 1, random_generator(likelihood.effort.seed))
+    # Lines for the basis: all of few, else LINES of them, spread evenly over the sorted frequencies
+    order = np.argsort(view.omega, kind="stable")
+    if len(order) <= LINES:
+        lines = np.sort(order)
+    else:
+        lines = np.sort(order[np.unique(np.linspace(0, len(order) - 1, LINES).astype(int))])
+    V = np.zeros((view.model.n, 0))
+    minima, notices, history, settled = None, tuple[Notice, ...](), [psi[0]], False
+    iterations = np.zeros(1, dtype=np.int64)
+    for _ in range(25):  # refreshes at most
+        # The basis with the motions at ψ; where it would grow too wide, they take its place
+        p = view.model.parameters(psi[0][: view.m])
+        motions = np.concatenate([line_motions(view, p, int(line)) for line in lines], axis=1)
+        wider = extended_basis(V, motions)
+        V = wider if wider.shape[1] <= WIDEST or not V.shape[1] else extended_basis(V[:, :0], motions)
+        on_basis = likelihood.on_basis(reduced(view, V))
+        if minima is None:
+            minima, sign, notices = from_minima(on_basis, global_minima(on_basis, 0))
+        else:
+            minima = on_basis.descend(psi, sign)
+        iterations += minima.iterations
+        history.append(minima.x[0])
+        still = _steps(minima.x - psi, on_basis, minima.x, sign) < STILL
+        psi = minima.x
+        if still:
+            more = _left_out(likelihood, on_basis, lines, psi, sign)
+            settled = not len(more)
+            if settled:
+                break
+            lines = np.union1d(lines, more)
+    assert minima is not None
+    converged = minima.converged & settled
+    whole = OptimizeResult(psi, minima.cost, converged, iterations, np.array(history))
+    return on_basis, whole, sign, notices
+
+
+def _steps(step: Real, likelihood: Likelihood, psi: Real, sign: Real) -> float:
+    """A step (1, M) in standard deviations, the largest; steps within rounding of the value count as none."""
+    around = likelihood.model_at(psi, sign)
+    rounding = np.abs(step[0]) <= ROUNDING * np.abs(psi[0])
+    with np.errstate(divide="ignore", invalid="ignore"):
+        sizes = np.where(rounding, 0.0, np.abs(step[0]) / around.sd[0])
+    return float(np.max(np.nan_to_num(sizes, nan=np.inf)))
+
+
+def _left_out(likelihood: Likelihood, on_basis: Likelihood, lines: Ints, psi: Real, sign: Real) -> Ints:
+    """Lines that belong into the basis: those at which the full rig differs most, where it would move the end."""
+    if len(lines) == len(likelihood.view.omega):
+        return np.zeros(0, dtype=np.int64)
+    information, scores, cost = per_line(likelihood.view, likelihood.exact, psi, sign)
+    _, near, near_cost = per_line(on_basis.view, on_basis.exact, psi, sign)
+    change = np.sum(scores - near, axis=-2)
+    step = solve_scaled(np.sum(information, axis=-3), change)
+    if _steps(step, on_basis, psi, sign) < NEAR:
+        return np.zeros(0, dtype=np.int64)
+    worst = np.argsort(-np.abs(cost - near_cost)[0])
+    fresh = worst[~np.isin(worst, lines)]
+    return np.asarray(fresh[: LINES // 2], dtype=np.int64)
+
+
+# A start for whole records whose coordinates are all seen: the equation of motion with its boundary loads
+# solved for.
+#
+# D X = R U + S f + a + jω b is linear in the unknowns and the loads. Weighted by the noise of the equation
+# at the last values, with the noise's own moments taken out at the end, as the starts of settled data are.
+
+
+STEADY = (
+    0.01  # change of all unknowns from pass to pass at which the passes end: a descent goes on from there
+)
+
+
+def record_starts(model: Model, data: States, ends: RecordEnds, rig: Real | None = None) -> Real:
+    """Values of the unknowns to begin with, (starts, K, unknowns): after each pass, with the noise in and taken out.
+
+    The first pass takes the noise of the equation from a `rig`, (unknowns,), or as even at all lines, which where lines
+    of motion are few or displacements are integrated is far from it.
+
+    Where little but transients moves, taking the noise out may lead astray, and leaving it in is biased: what they fit
+    decides.
+    """
+    Phi, h = equation(model, data)
+    prior = np.diag(model.prior_precision)
+    stated = model.prior_precision * model.prior_mean
+    if rig is None:
+        even = np.broadcast_to(np.eye(model.n, dtype=complex), (*Phi.shape[:2], model.n, model.n))
+        N, right = _sums(Phi, h, even, _loads(model, data, ends), ends)
+        # Without weights the sums have no unit noise: stated values count as much as the data do.
+        scale = np.diagonal(N, axis1=-2, axis2=-1) * (model.prior_precision > 0)
+        theta = solve_scaled(N + scale[..., None] * np.eye(len(prior)), right + scale * model.prior_mean)
+    else:
+        theta = np.broadcast_to(rig, (len(data.z), len(rig)))
+    starts = [theta]
+    for _ in range(4):  # passes at most
+        p = model.parameters(theta)
+        Se = equation_covariance(model, p, data)
+        columns = _loads(model, data, ends, p)
+        N, right = _sums(Phi, h, Se, columns, ends)
+        theta = where_finite(solve_scaled(N + prior, right + stated), theta)
+        clean, usable = without_noise(model, data, Se, N, right)
+        starts.append(theta)
+        theta = np.where(usable[..., None], where_finite(clean, theta), theta)
+        starts.append(theta)
+        if len(starts) > 3 and np.all(np.abs(theta - starts[-3]) <= STEADY * np.abs(theta)):
+            break
+    return np.stack(starts)
+
+
+def _loads(model: Model, data: States, ends: RecordEnds, p: Real | None = None) -> Complex:
+    """What the ends add to the equation of motion: loads at coordinates, and polynomials of channels through H."""
+    lead = (len(data.z), len(data.omega))
+    each = np.broadcast_to(np.eye(model.n, dtype=complex), (*lead, model.n, model.n))
+    polynomials = np.zeros((*lead, model.n, len(ends.channel)), dtype=np.complex128)
+    if p is not None:
+        H = stiffness(model, p, data.omega)
+        read = data.reconstruction[..., : H.shape[-1], :] @ ends.polynomials()
+        polynomials = H @ read
+        if model.S.shape[1]:
+            polynomials = polynomials - model.S @ (
+                data.reconstruction[..., H.shape[-1] :, :] @ ends.polynomials()
+            )
+    return np.concatenate([each, ends.s[:, None, None] * each, polynomials], axis=-1)
+
+
+def _sums(Phi: Complex, h: Complex, Se: Complex, columns: Complex, ends: RecordEnds) -> tuple[Real, Real]:
+    """2 Re Φᴴ Ω Φ and 2 Re Φᴴ Ω h with the columns of each record projected out; (K, m, m) and (K, m)."""
+    L = np.linalg.cholesky(Se)
+    m, sides = Phi.shape[-1], Phi.shape[-1] + 1
+    together = np.concatenate([Phi, h[..., None], columns], axis=-1)
+    white = np.linalg.solve(np.broadcast_to(L, (*together.shape[:2], *L.shape[-2:])), together)
+    regression, loads = white[..., :sides], white[..., sides:]
+    rest = regression - loads @ projector(ends, loads).coefficients(regression)
+    flat = rest.reshape(len(rest), -1, sides)
+    products = 2 * (hermitian(flat) @ flat).real
+    return products[:, :m, :m], products[:, :m, m]
 
 
 @dataclass(frozen=True)
@@ -63,6 +240,9 @@ class MaximumLikelihood(Method):
     traits: ClassVar[Traits] = Traits(
         by_output=True, maximum_likelihood=True, weighted=True, bounds=True, transients=True, nonlinear=True
     )
+
+    def __post_init__(self) -> None:
+        random_generator(self.seed)  # refuses what is no seed
 
     def solve(self, data: Prepared) -> Solution:
         """θ, gains and delays at the maximum of the likelihood.
@@ -168,7 +348,7 @@ def _start(likelihood: Likelihood, states: States, *, typical: int | None = None
         return compensated(model, states)
     rig: Real | None = None
     if typical is not None:
-        rigs, _ = candidates(likelihood.data, typical + 1, np.random.default_rng(likelihood.effort.seed))
+        rigs, _ = candidates(likelihood.data, typical + 1, random_generator(likelihood.effort.seed))
         rig = rigs[typical]
     starts = record_starts(model, states, ends, rig)
     channels = len(likelihood.view.channels)
@@ -180,5 +360,4 @@ def _start(likelihood: Likelihood, states: States, *, typical: int | None = None
         )
     costs = costs.reshape(starts.shape[:2])
     costs = np.where(np.isfinite(costs), costs, np.inf)
-    best: Real = starts[np.argmin(costs, axis=0), np.arange(likelihood.repeats)]
-    return best
+    return starts[np.argmin(costs, axis=0), np.arange(likelihood.repeats)]

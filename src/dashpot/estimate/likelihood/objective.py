@@ -10,18 +10,25 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy import sparse
+from scipy.sparse.csgraph import structural_rank
 
-from dashpot.arrays import Bools, Complex, Real, diagonal_matrices, hermitian, is_diagonal
-from dashpot.estimate.likelihood.boundary_loads import Projector, RecordEnds, projector, record_ends, whitener
+from dashpot.arrays import Bools, Complex, Ints, Real, diagonal_matrices, hermitian, is_diagonal
+from dashpot.estimate.likelihood.boundary_loads import (
+    Projector,
+    RecordEnds,
+    SampledLoads,
+    projector,
+    record_ends,
+    whitener,
+)
 from dashpot.estimate.likelihood.chunks import Measured, Piece, Sums, pieces
 from dashpot.estimate.likelihood.compiled import compiled_local, compiled_output
-from dashpot.estimate.likelihood.nuisance import estimated_inputs, inputs_by_channel, inputs_seen
 from dashpot.estimate.likelihood.record_sums import by_record_line, ends_rank, record_sums
-from dashpot.estimate.likelihood.sampled_loads import SampledLoads
 from dashpot.estimate.nonlinear.objective import nonlinear_part, predict_harmonics
 from dashpot.estimate.preparation.prepared import Prepared
-from dashpot.model.channel_transfer import ChannelTransfer
 from dashpot.model.observation import (
+    ChannelTransfer,
     ObservationModel,
     calibrated_transfer,
     small,
@@ -29,6 +36,60 @@ from dashpot.model.observation import (
 from dashpot.model.unstructured import free_names
 from dashpot.numerics.kernel import threads
 from dashpot.numerics.levenberg_marquardt import QuadraticModel
+from dashpot.numerics.small_systems import solve_small
+
+# Nuisance amplitudes of the likelihood: the inputs q = (U, f), which enter linearly and are solved for line
+# by line.
+#
+# Where exact channels give them they are known; else they are estimated at each line with everything else.
+
+
+BLIND = 1e-12  # relative precision of "zero" for inputs that no channel of a line sees
+
+
+def inputs_by_channel(view: ObservationModel, exact: Bools) -> Complex | None:
+    """Inputs by the exact channels, (lines, r + s, channels); None where they do not give them at every line."""
+    C = view.direct_q * exact[..., None]
+    count = C.shape[-1]
+    scale = np.max(np.abs(C), axis=-1, keepdims=True, initial=0.0)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        C = np.where(scale > 0, C / scale, 0.0)
+        unit = np.where(scale > 0, 1 / np.where(scale > 0, scale, 1.0), 0.0)[..., 0] * exact
+    if count == 1:
+        power = np.sum(np.abs(C) ** 2, axis=-2, keepdims=True)
+        if np.any(power == 0):
+            return None
+        return np.asarray(hermitian(C) / power * unit[:, None, :])
+    if count and np.any(np.linalg.matrix_rank(C) < count):
+        return None
+    return np.linalg.pinv(C) * unit[:, None, :]
+
+
+def inputs_seen(view: ObservationModel, present: Bools) -> Ints:
+    """How many inputs each line's channels can tell apart: the generic rank of G there.
+
+    present (lines, channels).
+    """
+    patterns, which = np.unique(present, axis=0, return_inverse=True)
+    ranks = [int(structural_rank(sparse.csr_array(view.sees & pattern[:, None]))) for pattern in patterns]
+    return np.array(ranks, dtype=np.int64)[which.ravel()]
+
+
+def estimated_inputs(G: Complex, W: Complex, y: Complex) -> tuple[Complex, Complex]:
+    """q̂ (K, lines, r + s) and W G (Gᴴ W G)⁻¹ of generalised least squares, y = G q with weights W, line by line.
+
+    An input that no channel of a line sees is 0 there (it was not driven): the smallest precision is added to it.
+    """
+    WG = W @ G
+    normal = hermitian(G) @ WG
+    diagonal = np.diagonal(normal, axis1=-2, axis2=-1).real
+    scale = np.sqrt(np.where(diagonal > 0, diagonal, 1.0))
+    outer = scale[..., :, None] * scale[..., None, :]
+    regular = normal / outer + BLIND * np.eye(normal.shape[-1])
+    half = hermitian(solve_small(regular, hermitian(WG / scale[..., None, :]))) / scale[..., None, :]
+    q: Complex = np.einsum("...cq,...c->...q", np.conj(half), y)
+    return q, half
+
 
 FLOOR = 1e-6  # relative noise that exact channels of coordinates are given, so that weights stay finite
 LOG_RESIDUAL = 0.5  # nepers beyond which a residual of logarithms counts no longer by its square
@@ -40,8 +101,7 @@ def measured(data: Prepared, softness: float = 0.0) -> Measured:
         return _measured(data, softness)
     if "measured" not in data.kept:
         data.kept["measured"] = _measured(data, softness)
-    kept: Measured = data.kept["measured"]
-    return kept
+    return data.kept["measured"]
 
 
 def _measured(data: Prepared, softness: float) -> Measured:
@@ -171,13 +231,11 @@ class RecordFit:
     def left_of(self, columns: Complex) -> Complex:
         """What inputs and ends cannot do of columns in the channels, (K, lines, channels, any number)."""
         columns = _without_inputs(columns, self.G, self.half)
-        left: Complex = columns - self.free @ self.of_ends.coefficients(self.root @ columns)
-        return left
+        return columns - self.free @ self.of_ends.coefficients(self.root @ columns)
 
 
 def _without_inputs(columns: Complex, G: Complex, half: Complex | None) -> Complex:
-    left: Complex = columns if half is None else columns - G @ (hermitian(half) @ columns)
-    return left
+    return columns if half is None else columns - G @ (hermitian(half) @ columns)
 
 
 def record_fit(view: ObservationModel, data: Measured, psi: Real, sign: Real) -> RecordFit:

@@ -16,19 +16,15 @@ from scipy.special import chdtri
 from dashpot.arrays import Bools, Complex, Ints, Real, diagonal_matrices, hermitian
 from dashpot.data.conditioning.still import HALF_WINDOW, smoothed
 from dashpot.data.conditioning.whole_record import FLOOR
-from dashpot.data.repeats import flattened, in_chunks
-from dashpot.data.spectrum import Spectrum
-from dashpot.data.stretch import WholeRecord
+from dashpot.data.spectrum import Spectrum, WholeRecord, flattened, in_chunks
 from dashpot.errors import DataError
 from dashpot.estimate.likelihood.chunks import Measured
-from dashpot.estimate.likelihood.free_decay import decay_minima
-from dashpot.estimate.likelihood.global_search import seen_directly
+from dashpot.estimate.likelihood.descent import thinned
+from dashpot.estimate.likelihood.global_search import LocalMinima, decay_minima, seen_directly
 from dashpot.estimate.likelihood.input_noise import InputNoise, noise_counted, without_moved
-from dashpot.estimate.likelihood.local_minima import LocalMinima
 from dashpot.estimate.likelihood.maximum_likelihood import MaximumLikelihood
 from dashpot.estimate.likelihood.objective import bounds, local, measured, predict
 from dashpot.estimate.likelihood.record_sums import record_residuals
-from dashpot.estimate.likelihood.thinning import thinned
 from dashpot.estimate.method import Method
 from dashpot.estimate.preparation.prepared import Prepared
 from dashpot.estimate.preparation.state_reconstruction import states_if_seen
@@ -39,7 +35,6 @@ from dashpot.numerics.variance_tests import equal_variances
 
 RESIDUAL = "residual"
 PIECE = 10_000  # lines at a time
-ROUNDS = 12
 ROUNDS_OF_NO_FIT = 3  # for a fit that leaves most of the outputs' power over
 STEPS = 30  # of each descent: the next round goes on from its end, and a search to the end follows them
 LAST_STEPS = 60  # of that search: what has not settled after all rounds is no fit
@@ -109,7 +104,7 @@ def noise_from_residuals(
     begun: LocalMinima | None = None
     psi, sign = np.zeros((1, 0)), np.ones((1, len(spectrum.channels)))
     used, dof, weaker = 0.0, np.array(spectrum.dof), _weaker(spectrum)
-    for turn in range(ROUNDS):
+    for turn in range(12):  # at most
         data = Prepared(view, spectrum, V, None, True, np.ones(1, dtype=bool))
         exact = measured(data)
         if begun is None:
@@ -160,9 +155,17 @@ def _own_power(
     power = np.abs(residual) ** 2
     if data.q is not None and not np.any(inputs.sought):
         return power, inputs
-    G = _responses(view, psi, sign)
+    G = np.empty((len(view.omega), *view.on_q.shape), dtype=np.complex128)
+    for first in range(0, len(G), PIECE):
+        some = slice(first, first + PIECE)
+        part = view if len(G) <= PIECE else replace(view, omega=view.omega[some])
+        G[some] = calibrated_transfer(part, psi, sign).G[0]
     if data.q is None:
-        power += _explained(G, data.W[0])
+        # What fitting the inputs takes out of the residual's power: diagonal of G (Gᴴ W G)⁻¹ Gᴴ, (lines,
+        # channels)
+        normal = hermitian(G) @ data.W[0] @ G
+        spread = np.linalg.pinv(normal, hermitian=True)
+        power += np.einsum("lcq,lqp,lcp->lc", G, spread, np.conj(G)).real
     if np.any(inputs.sought):
         inputs = inputs.refined(view, spectrum, sought, data, residual, G)
     if data.q is not None and np.any(inputs.level[view.inputs_alone] > 0):
@@ -289,24 +292,6 @@ def _descended(
         psi, limit=min(method.max_iterations, STEPS), tolerance=1e-3, lower=lower, upper=upper, patience=STEPS,
     )  # fmt: skip
     return minimum.x, float(minimum.cost[0])
-
-
-def _responses(view: ObservationModel, psi: Real, sign: Real) -> Complex:
-    """What the channels show of each input, (lines, channels, r + s), in pieces of lines."""
-    G = np.empty((len(view.omega), *view.on_q.shape), dtype=np.complex128)
-    for first in range(0, len(G), PIECE):
-        some = slice(first, first + PIECE)
-        part = view if len(G) <= PIECE else replace(view, omega=view.omega[some])
-        G[some] = calibrated_transfer(part, psi, sign).G[0]
-    return G
-
-
-def _explained(G: Complex, W: Complex) -> Real:
-    """What fitting the inputs takes out of the residual's power: diagonal of G (Gᴴ W G)⁻¹ Gᴴ, (lines, channels)."""
-    normal = hermitian(G) @ W @ G
-    spread = np.linalg.pinv(normal, hermitian=True)
-    taken: Real = np.einsum("lcq,lqp,lcp->lc", G, spread, np.conj(G)).real
-    return taken
 
 
 def _smoothed(

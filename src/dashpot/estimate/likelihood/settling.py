@@ -13,8 +13,7 @@ import numpy as np
 from scipy.special import fdtrc
 
 from dashpot.arrays import Complex, Real
-from dashpot.data.spectrum import Spectrum
-from dashpot.data.stretch import SettledDwell, WholeRecord
+from dashpot.data.spectrum import SettledDwell, Spectrum, WholeRecord
 from dashpot.errors import DashpotError, DataError
 from dashpot.estimate.likelihood.maximum_likelihood import MaximumLikelihood
 from dashpot.estimate.likelihood.objective import local, measured, nuisance_columns, predict
@@ -214,10 +213,12 @@ def _as_model(
 ) -> Complex:
     """The steady motion (channels,) that the rig at ψ makes of the inputs in what the channels have shown."""
     dwell = replace(
-        line, frequency_hz=np.array([drive_hz]), amplitudes=shown[None], stretch=np.zeros(0, dtype=np.int64),
+        line,
+        frequency_hz=np.array([drive_hz]),
+        amplitudes=shown[None],
+        stretch=np.zeros(0, dtype=np.int64),
         stretches=(SettledDwell(),),
-    )  # fmt: skip
+    )
     data = prepare(model, dwell, states=False)
     inputs = predict(data.view, measured(data), psi, sign).q
-    steady: Complex = calibrated_transfer(data.view, psi, sign).amplitudes(inputs)[0, 0]
-    return steady
+    return calibrated_transfer(data.view, psi, sign).amplitudes(inputs)[0, 0]

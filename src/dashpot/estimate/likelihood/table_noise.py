@@ -15,13 +15,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from dashpot.arrays import Complex, Ints, Real
-from dashpot.data.repeats import flattened, in_chunks
-from dashpot.data.spectrum import FITTED, Spectrum
+from dashpot.data.spectrum import FITTED, Spectrum, flattened, in_chunks
 from dashpot.errors import DashpotError
 from dashpot.estimate.likelihood.chunks import Measured
 from dashpot.estimate.likelihood.descent import Likelihood
 from dashpot.estimate.likelihood.maximum_likelihood import MaximumLikelihood
 from dashpot.estimate.likelihood.objective import measured, predict, prior_precision
+from dashpot.estimate.likelihood.record_noise import with_record_noise
 from dashpot.estimate.method import Method, Solution
 from dashpot.estimate.preparation.prepared import Prepared, prepare, without_priors
 from dashpot.model.network import Model
@@ -246,3 +246,17 @@ def _covariance(V: Complex, left: _Left, variance: Real) -> Complex:
     line, channel = left.cells
     changed[0, line, channel, channel] = variance
     return changed
+
+
+# The noise of data that do not tell it themselves, from what the model leaves over of them.
+
+
+def with_residual_noise(model: Model, spectrum: Spectrum, method: Method) -> tuple[Spectrum, Method]:
+    """The spectrum with the noise of whole records, or of amplitudes given without any.
+
+    The method begins at the fit whose residuals show it where that of records is.  Both are as they are where noise is
+    known.  `identify` does it first; what judges a fit wants the same spectrum.
+    """
+    if spectrum.records:
+        return with_record_noise(model, spectrum, method)
+    return with_table_noise(model, spectrum, method), method

@@ -7,8 +7,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from dashpot.arrays import Complex, Real, hermitian
-from dashpot.estimate.linear.compiled import compiled_equation, compiled_lines, compiled_sums
-from dashpot.estimate.linear.gram import regressors, weighted_normal
+from dashpot.estimate.linear.gram import (
+    compiled_equation,
+    compiled_lines,
+    compiled_sums,
+    regressors,
+    weighted_normal,
+)
 from dashpot.estimate.preparation.state_reconstruction import States
 from dashpot.model.dynamics import stiffness, unit_forces
 from dashpot.model.network import Model
@@ -35,13 +40,11 @@ class Auxiliary:
 
     def cost_per_line(self) -> Real:
         """2 eᴴ Ω e, (..., lines): χ² distributed at the truth, 2 n degrees of freedom each."""
-        total: Real = 2 * np.sum((np.conj(self.e) * self.Oe).real, axis=-1)
-        return total
+        return 2 * np.sum((np.conj(self.e) * self.Oe).real, axis=-1)
 
     def cost(self) -> Real:
         """2 Σ eᴴ Ω e, (...,)."""
-        total: Real = np.sum(self.cost_per_line(), axis=-1)
-        return total
+        return np.sum(self.cost_per_line(), axis=-1)
 
 
 def auxiliary(model: Model, p: Real, data: States) -> Auxiliary:
@@ -116,8 +119,10 @@ def sums_of_lines(
     total = np.sum(information, axis=-3) + np.diag(precision)
     return QuadraticModel(
         np.sum(cost, axis=-1) + np.sum(precision * away**2, axis=-1),
-        np.sum(scores, axis=-2) - precision * away, total, total,
-    )  # fmt: skip
+        np.sum(scores, axis=-2) - precision * away,
+        total,
+        total,
+    )
 
 
 def normal_equations(model: Model, at: Auxiliary, Phi: Complex) -> tuple[Real, Real, Real]:

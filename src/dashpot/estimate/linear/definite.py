@@ -183,8 +183,7 @@ class _Cone:
 
     def at(self, theta: Real) -> Real:
         """(..., rows, rows) for θ (..., unknowns)."""
-        matrix: Real = self.A0 + np.tensordot(theta, self.A, axes=1)
-        return matrix
+        return self.A0 + np.tensordot(theta, self.A, axes=1)
 
 
 def _cones(model: Model, theta: Real, letters: str) -> list[_Cone]:
@@ -212,8 +211,7 @@ def _cones(model: Model, theta: Real, letters: str) -> list[_Cone]:
 
 def _smallest(cones: list[_Cone], theta: Real) -> Real:
     """The smallest eigenvalue of all the cones' matrices, (K,)."""
-    least: Real = np.min([np.linalg.eigvalsh(cone.at(theta))[..., 0] for cone in cones], axis=0)
-    return least
+    return np.min([np.linalg.eigvalsh(cone.at(theta))[..., 0] for cone in cones], axis=0)
 
 
 def _inside(model: Model, cones: list[_Cone], free: Real) -> tuple[Real, Bools]:
@@ -282,5 +280,4 @@ def definite(matrices: FreeMatrices, letters: str = "MCK") -> Bools:
         matrix = getattr(matrices, letter)
         values = np.linalg.eigvalsh(matrix)
         checks.append(values[..., 0] >= -1e-12 * np.abs(values[..., -1]))
-    everywhere: Bools = np.all(checks, axis=0)
-    return everywhere
+    return np.all(checks, axis=0)

@@ -12,12 +12,18 @@ from scipy.special import chdtrc
 from dashpot.arrays import Bools, Complex, Ints, Real
 from dashpot.estimate.likelihood.maximum_likelihood import MaximumLikelihood
 from dashpot.estimate.linear.auxiliary_model import auxiliary, equation_sums, normal_equations
-from dashpot.estimate.linear.compiled import compiled_equation, compiled_search
-from dashpot.estimate.linear.gram import regressors
-from dashpot.estimate.linear.least_squares import sandwich, solve_sums, starts
-from dashpot.estimate.linear.sample_moments import Sampled, least_squares_sums, sampled, sums_with_harmonics
+from dashpot.estimate.linear.gram import compiled_equation, compiled_search, regressors
+from dashpot.estimate.linear.least_squares import (
+    Sampled,
+    least_squares_sums,
+    sampled,
+    sandwich,
+    solve_sums,
+    starts,
+    sums_with_harmonics,
+)
 from dashpot.estimate.method import Method, Solution, Traits
-from dashpot.estimate.nonlinear.equations import HarmonicEquations, harmonic_equations, require_direct
+from dashpot.estimate.nonlinear.regression import HarmonicEquations, harmonic_equations, require_direct
 from dashpot.estimate.preparation.prepared import Prepared
 from dashpot.estimate.preparation.state_reconstruction import States
 from dashpot.model.dynamics import amplitudes, unit_forces
@@ -191,5 +197,4 @@ def likeliest(data: Prepared, theta: Real) -> Real:
 def _tail(model: Model, states: States, cost: Real) -> Real:
     """Probability that χ² exceeds the cost, were the noise as stated."""
     dof = 2 * model.n * len(states.omega) - len(model.unknowns) + int(np.count_nonzero(model.prior_precision))
-    tail: Real = np.asarray(chdtrc(float(max(dof, 1)), np.where(np.isfinite(cost), cost, np.inf)))
-    return tail
+    return np.asarray(chdtrc(float(max(dof, 1)), np.where(np.isfinite(cost), cost, np.inf)))

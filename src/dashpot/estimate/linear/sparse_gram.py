@@ -22,9 +22,8 @@ from dashpot.arrays import Complex, Ints, Real, freeze
 from dashpot.errors import DataError, IdentifiabilityError, UsageError
 from dashpot.io.json_document import to_json
 from dashpot.io.words import did_you_mean
-from dashpot.model.incidence import row_products
-from dashpot.model.network import Model
-from dashpot.model.sparse_dynamics import sparse_amplitudes
+from dashpot.model.dynamics import sparse_amplitudes
+from dashpot.model.network import Model, row_products
 
 MOST_ITERATIONS = 50
 STILL = 1e-6  # relative change of every unknown, at which the iteration ends
@@ -86,13 +85,16 @@ class LargeEstimate:
         """As the JSON of every estimate; `covariance` is null, and so is an sd that was not asked for."""
         parameters = {
             name: {
-                "value": value, "sd": sd, "interval95": [value - QUANTILE * sd, value + QUANTILE * sd], "unit": unit,
+                "value": value,
+                "sd": sd,
+                "interval95": [value - QUANTILE * sd, value + QUANTILE * sd],
+                "unit": unit,
                 "known": False,
             }
             for name, unit, value, sd in zip(
                 self.names, self.units, self.values.tolist(), self.sd.tolist(), strict=True
             )
-        }  # fmt: skip
+        }
         content: dict[str, Any] = {
             "model": self.model, "method": "iv", "status": "converged" if self.converged else "not converged",
             "iterations": self.iterations, "parameters": parameters, "order": list(self.names), "covariance": None,
@@ -113,7 +115,15 @@ def identify_seen(
     if len(model.nonlinear):
         raise UsageError("this works for linear rigs only", cure="use identify")
     model.require_unknowns()
-    places = _places(model, selected)
+    index = {unknown.name: j for j, unknown in enumerate(model.unknowns)}
+    names = list(selected)
+    strangers = [name for name in names if name not in index]
+    if strangers:
+        raise UsageError(
+            f"{strangers[0]} is not an unknown of this rig",
+            cure=f"{did_you_mean(strangers[0], tuple(index)[:1000])}it has {len(index):,} unknowns",
+        )
+    places = np.array([index[name] for name in names], dtype=np.int64)
     pairs = MeetingPairs.of(model)
     a = _unit_forces(model, motion.omega, motion.X, motion.U)
     theta = _least_squares(model, motion, pairs, a) if start is None else np.asarray(start, dtype=np.float64)
@@ -126,7 +136,10 @@ def identify_seen(
         theta, count = fresh, count + 1
         converged = bool(change < STILL)
     w, variance = _instruments(model, motion, theta), _variance(model, motion, theta)
-    e = _equation(model, motion, theta, a)
+    p = model.parameters(theta)
+    e = np.stack(
+        [model.sparse_B.T @ (p * a[line]) - model.S @ motion.f[line] for line in range(len(motion.omega))]
+    )
     sd = np.full(len(theta), np.nan)
     if len(places):
         N = pairs.normal(model, w, a, 1 / variance)
@@ -135,18 +148,6 @@ def identify_seen(
         model.name, model.unknown_names, model.unknown_units, theta, sd, converged,
         count, float(np.sqrt(np.mean(np.abs(e) ** 2 / variance))), 2 * e.size,
     )  # fmt: skip
-
-
-def _places(model: Model, selected: Iterable[str]) -> Ints:
-    index = {unknown.name: j for j, unknown in enumerate(model.unknowns)}
-    names = list(selected)
-    strangers = [name for name in names if name not in index]
-    if strangers:
-        raise UsageError(
-            f"{strangers[0]} is not an unknown of this rig",
-            cure=f"{did_you_mean(strangers[0], tuple(index)[:1000])}it has {len(index):,} unknowns",
-        )
-    return np.array([index[name] for name in names], dtype=np.int64)
 
 
 # The Gram
@@ -269,14 +270,6 @@ def _variance(model: Model, motion: SeenMotion, theta: Real) -> Real:
         size = abs(D).power(2) @ (np.abs(motion.X[line]) ** 2)
         variance[line] = noise + model.S**2 @ motion.var_f[line] + 1e-24 * size + 1e-300
     return variance
-
-
-def _equation(model: Model, motion: SeenMotion, theta: Real, a: Complex) -> Complex:
-    """e = Bᵀ (p ∘ a) − S f, (lines, n)."""
-    p = model.parameters(theta)
-    return np.stack(
-        [model.sparse_B.T @ (p * a[line]) - model.S @ motion.f[line] for line in range(len(motion.omega))]
-    )
 
 
 def _deviations(

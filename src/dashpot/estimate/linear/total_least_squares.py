@@ -187,15 +187,13 @@ class NoisySums:
         e = np.einsum("klnu,ku->kln", self.Phi, theta) - self.h
         squares = 2 * np.sum((np.conj(e) * solve_small(self.Se, e[..., None])[..., 0]).real, axis=(-1, -2))
         away = theta - self.model.prior_mean
-        total: Real = squares + np.sum(self.model.prior_precision * away**2, axis=-1)
-        return total
+        return squares + np.sum(self.model.prior_precision * away**2, axis=-1)
 
     def noise(self, theta: Real) -> Real:
         """vᵀGv, (K,): what `cost` is on average where θ is true; each row of a prior adds 1."""
         spread = equation_covariance(self.model, self.model.parameters(theta), self.states)
         rows = np.trace(solve_small(self.Se, spread), axis1=-2, axis2=-1).real
-        total: Real = 2 * np.sum(rows, axis=-1) + np.count_nonzero(self.model.prior_precision)
-        return total
+        return 2 * np.sum(rows, axis=-1) + np.count_nonzero(self.model.prior_precision)
 
     def largest(self) -> Real:
         """The smallest λ that makes N − λG singular, (K,); inf where G is 0."""
@@ -243,5 +241,4 @@ def _covariance(data: Prepared, sums: NoisySums, theta: Real, size: Real, *, tot
         # In units of the noise as stated, as with every method; its true size comes in from χ².
         meat = meat / np.where(size > 0, size, 1.0)[:, None, None]
     half = scaled_inverse(sums.N - size[:, None, None] * sums.G)
-    covariance: Real = half @ (meat + np.diag(model.prior_precision)) @ half
-    return covariance
+    return half @ (meat + np.diag(model.prior_precision)) @ half

@@ -13,14 +13,19 @@ from scipy.special import chdtrc
 from dashpot.arrays import Real
 from dashpot.data.modal_data import ModalData
 from dashpot.errors import IdentifiabilityError
-from dashpot.estimate.inference.derived import known_values, mode_values, tied_values
 from dashpot.estimate.inference.diagnostics import held, require_determined, wrong_signs
-from dashpot.estimate.inference.uncertainty import MISFIT_LEVEL
+from dashpot.estimate.inference.uncertainty import MISFIT_LEVEL, known_values, mode_values, tied_values
 from dashpot.estimate.likelihood.global_search import DOUBT, TIE
 from dashpot.estimate.method import HeldBounds
-from dashpot.estimate.modal.mode_residuals import modal_misfit
-from dashpot.estimate.modal.mode_search import STARTS, check_suited, deepest_minima
-from dashpot.estimate.modal.pairing import MeasuredModes, measured_modes, with_one_axis
+from dashpot.estimate.modal.mode_search import (
+    STARTS,
+    MeasuredModes,
+    check_suited,
+    deepest_minima,
+    measured_modes,
+    modal_misfit,
+    with_one_axis,
+)
 from dashpot.estimate.result import MISFIT, SENSOR_NOISE, Estimate, Fit
 from dashpot.io.words import with_values
 from dashpot.model.network import Model

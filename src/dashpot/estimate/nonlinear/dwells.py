@@ -7,8 +7,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from dashpot.arrays import Complex, Ints, Real, frozen
-from dashpot.data.spectrum import Spectrum
-from dashpot.data.stretch import SettledDwell, WholeRecord
+from dashpot.data.spectrum import SettledDwell, Spectrum, WholeRecord
 from dashpot.errors import DataError
 from dashpot.estimate.preparation.state_reconstruction import States
 from dashpot.model.network import Model
@@ -61,8 +60,7 @@ class DwellLines:
     def lines(self, harmonics: Complex, repeats: int) -> Complex:
         """Lines (K, lines, …) out of harmonics (K · dwells, H + 1, …)."""
         apart = harmonics.reshape(repeats, len(self.omega), *harmonics.shape[1:])
-        chosen: Complex = apart[:, self.dwell, self.order]
-        return chosen
+        return apart[:, self.dwell, self.order]
 
     def by_dwell(self, lines: Real) -> Real:
         """Sums over the lines of each dwell: (K, lines, …) → (K, dwells, …)."""

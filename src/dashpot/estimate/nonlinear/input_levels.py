@@ -18,24 +18,137 @@ from dashpot.arrays import Bools, Real
 from dashpot.data.conditioning.still import HALF_WINDOW, QUIETEST, smoothed, variance_at_rest
 from dashpot.data.conditioning.whole_record import TOP, white_floor
 from dashpot.estimate.likelihood.input_noise import ROOM, SHOWS, STAYS
-from dashpot.estimate.nonlinear.record_problem import RecordProblem, begun_problem
-from dashpot.estimate.nonlinear.recorded_motion import base_travel
-from dashpot.estimate.nonlinear.records import NoiseAtRest, RecordData, in_pieces
-from dashpot.estimate.nonlinear.restricted_likelihood import (
-    Sizes,
-    drawn_noise,
-    information_on_inputs,
-    sizes_of_noise,
+from dashpot.estimate.nonlinear.record_problem import (
+    LinearisedRecord,
+    NotSolvedError,
+    RecordProblem,
+    begun_problem,
+    known_inputs,
 )
-from dashpot.estimate.nonlinear.uncertain_inputs import LinearisedRecord, NotSolvedError, known_inputs
+from dashpot.estimate.nonlinear.records import NoiseAtRest, RecordData, base_travel, in_pieces
 from dashpot.model.network import Model
 from dashpot.model.nonlinear.tangent import FEWEST
 from dashpot.numerics.levenberg_marquardt import OptimizeResult
 from dashpot.numerics.small_systems import scaled_inverse, solve_scaled
 
+# The sizes of the noise of outputs and inputs, from what the motion of whole records leaves over (THEORY
+# §8, c).
+#
+# Restricted likelihood: the residuals less what the unknowns can explain have a covariance in which each
+# size has a part of its own. The sums of squares that measure a size are compared with those of noise that
+# is drawn to the present sizes and goes the same way, so nothing has to be known of the colours that the
+# rig gives it; average information gives the step. Source: Gilmour, Thompson and Cullis (1995), Biometrics
+# 51, 1440.
+
+
+DRAWS = 16  # of noise: sizes vary by 1/√DRAWS of their own standard deviation with the draws
+
+
+@dataclass(frozen=True)
+class DrawnNoise:
+    """What P = V⁻¹ less the unknowns makes of the residuals and of draws of noise, for each record.
+
+    data (samples, channels), draws (samples, channels, K); errors, drawn_errors the same carried back to the inputs.
+    """
+
+    data: tuple[Real, ...]
+    draws: tuple[Real, ...]
+    errors: tuple[Real, ...]
+    drawn_errors: tuple[Real, ...]
+
+
+@dataclass(frozen=True)
+class Sizes:
+    """Slopes of the restricted ln L along the logarithms of the variances of channels and inputs, and information."""
+
+    slope: Real
+    information: Real
+
+
+def unknowns_matrix(linear: Sequence[LinearisedRecord], prior: Real) -> Real:
+    """Information on all unknowns, (M, M), from the records and the prior's precision (M,)."""
+    matrix: Real = np.diag(prior)
+    for record in linear:
+        part = record.normal_equations()
+        matrix[np.ix_(part.chosen, part.chosen)] += part.matrix
+    return matrix
+
+
+def drawn_noise(linear: Sequence[LinearisedRecord], prior: Real, draws: int = DRAWS) -> DrawnNoise:
+    """Of records at the end of a search; prior (M,) the unknowns' stated precision."""
+    rng = np.random.default_rng(0)
+    noises = []
+    for record in linear:
+        N, c = record.residual.shape
+        white = rng.standard_normal((N, c, draws))
+        moved = rng.standard_normal((N, record.covariance.known.spread.shape[1], draws))
+        noises.append(white + record.covariance.reach(moved))
+    draws_cleared = cleared(linear, prior, noises)
+    data = tuple(record.score for record in linear)
+    back = [record.covariance.back for record in linear]
+    return DrawnNoise(
+        data,
+        tuple(draws_cleared),
+        tuple(carry(z[..., None])[..., 0] for carry, z in zip(back, data, strict=True)),
+        tuple(carry(z) for carry, z in zip(back, draws_cleared, strict=True)),
+    )
+
+
+def sizes_of_noise(linear: Sequence[LinearisedRecord], prior: Real, noise: DrawnNoise) -> Sizes:
+    """Channels first, then inputs; all variances as they are now."""
+    squares = np.concatenate([_squares(noise.data), _squares(noise.errors)])
+    expected = np.concatenate([_squares(noise.draws), _squares(noise.drawn_errors)]).mean(axis=-1)
+    working = [
+        np.concatenate([_apart(z), record.covariance.reach(_apart(w))], axis=-1)
+        for record, z, w in zip(linear, noise.data, noise.errors, strict=True)
+    ]
+    solved = cleared(linear, prior, working)
+    parts = [np.tensordot(a, b, axes=([0, 1], [0, 1])) for a, b in zip(working, solved, strict=True)]
+    information: Real = np.sum(parts, axis=0) / 2
+    return Sizes((squares - expected) / 2, (information + information.T) / 2)
+
+
+def information_on_inputs(linear: Sequence[LinearisedRecord], prior: Real, noise: DrawnNoise) -> Real:
+    """Information on the logarithm of each input's variance alone, (q,), as noise of the present sizes has it."""
+    total = []
+    for j in range(noise.errors[0].shape[1]):
+        only = np.arange(noise.errors[0].shape[1]) == j
+        columns = [
+            record.covariance.reach(w * only[:, None])
+            for record, w in zip(linear, noise.drawn_errors, strict=True)
+        ]
+        solved = cleared(linear, prior, columns)
+        squares = [np.sum(a * b) for a, b in zip(columns, solved, strict=True)]
+        total.append(float(np.sum(squares)) / (2 * columns[0].shape[2]))
+    return np.array(total)
+
+
+def cleared(linear: Sequence[LinearisedRecord], prior: Real, columns: Sequence[Real]) -> list[Real]:
+    """P of columns (samples, channels, K) that run through all records: V⁻¹ of them less what unknowns explain."""
+    solved = [record.weighed(each) for record, each in zip(linear, columns, strict=True)]
+    right = np.zeros((len(prior), columns[0].shape[2]))
+    for record, each in zip(linear, solved, strict=True):
+        right[record.chosen] += np.tensordot(record.slopes, each, axes=([0, 1], [0, 1]))
+    matrix = unknowns_matrix(linear, prior)
+    values = solve_scaled(matrix, right.T).T
+    return [
+        each - record.weighed_slopes @ values[record.chosen]
+        for record, each in zip(linear, solved, strict=True)
+    ]
+
+
+def _squares(parts: Sequence[Real]) -> Real:
+    """Of columns (samples, sizes, …) over all records: (sizes, …)."""
+    return sum(np.sum(part**2, axis=0) for part in parts)
+
+
+def _apart(columns: Real) -> Real:
+    """(samples, k) as k columns of which each has one channel alone, (samples, k, k)."""
+    return columns[:, :, None] * np.eye(columns.shape[1])
+
+
 WINDOWED = 35 / 18  # samples that count as one in the power of a record under Hann's window
 CHANGED = 0.1  # of the logarithm of a variance, for the slope along it
-ROUNDS = 20
 STEPS = 8  # of the search in each round
 SETTLED = 5e-3  # change of a standard deviation at which the rounds end
 LONGEST = np.log(4.0)  # of a step, of the logarithm of a variance
@@ -237,7 +350,7 @@ class _Search:
     def run(self) -> OptimizeResult:
         """Until the sizes settle; the last search is to its end."""
         sd = self.problem.sd
-        for _ in range(ROUNDS):
+        for _ in range(20):  # at most
             self.problem = _with_noise(self.problem, sd, self.variance)
             self.psi = self.descend(self.problem, self.psi, STEPS).x[0]
             linear = all_linearised(self.problem, self.psi)
@@ -284,14 +397,12 @@ class _Search:
         told = np.maximum(np.diagonal(self.sizes.information)[c:], 1e-300)
         by_itself = np.where(self.freedom > 0, self.freedom, np.inf)
         away = self.sizes.slope[c:] * np.sqrt(1 / told + 1 / by_itself)
-        refuted: Bools = (self.freedom > 0) & (away < -STAYS)
-        return refuted
+        return (self.freedom > 0) & (away < -STAYS)
 
     def gone(self) -> Bools:
         """Whether of noise that outputs alone tell nothing is left, (q,)."""
         sd = np.sqrt(np.diagonal(self.spread())[len(self.problem.sd) :])
-        gone: Bools = self.sought & (self.freedom == 0) & ~(sd < 1)
-        return gone
+        return self.sought & (self.freedom == 0) & ~(sd < 1)
 
 
 def moves_with_sizes(problem: RecordProblem, psi: Real, noise: InputSizes) -> Real:

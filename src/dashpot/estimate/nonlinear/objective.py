@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from dashpot.arrays import Bools, Complex, Ints, Real, frozen, hermitian
-from dashpot.errors import DataError
+from dashpot.errors import ConvergenceError, DataError
 from dashpot.estimate.nonlinear.dwells import (
     DwellLines,
     Predicted,
@@ -20,17 +20,146 @@ from dashpot.estimate.nonlinear.dwells import (
     dwells_of,
     measured_elongations,
 )
-from dashpot.estimate.nonlinear.lost_dwells import regained
-from dashpot.estimate.nonlinear.shown_lines import shown_lines
 from dashpot.estimate.preparation.prepared import Prepared
 from dashpot.model.network import Model
-from dashpot.model.observation import ObservationModel, calibration_factors, calibration_slopes
+from dashpot.model.nonlinear.compiled import compiled_channels, compiled_rig
+from dashpot.model.nonlinear.continuation import grown_from_rest
+from dashpot.model.nonlinear.harmonic_balance import (
+    SETTLED,
+    harmonic_unit_forces,
+    periodic_response,
+    samples_of,
+    slopes,
+)
+from dashpot.model.nonlinear.harmonics import Drive
+from dashpot.model.observation import (
+    ObservationModel,
+    calibration_factors,
+    calibration_slopes,
+    channel_amplitudes,
+)
 
 if TYPE_CHECKING:
     from dashpot.estimate.likelihood.chunks import Measured
 
+
+# Dwells of rigs far from linear, whose motion Newton's method misses where nobody has measured it.
+
+
+POINTS = 400  # on the way of each
+
+
+def regained(model: Model, theta: Real, drive: Drive, last: Real, converged: Bools) -> Real | None:
+    """The `last` elongations (N, e, W) with those of dwells that have not converged (N,) found from rest.
+
+    Their drive is raised slowly.  theta (K, unknowns) of K repeats, one after another in the dwells.  None where none
+    of them is found.
+    """
+    delta, gained = last.copy(), False
+    dwells = len(delta) // len(theta)
+    for row in np.flatnonzero(~converged)[:6]:  # dwells that are followed
+        try:
+            alone = drive.rows(np.arange(len(delta)) == row)
+            delta[row] = grown_from_rest(model, theta[row // dwells], alone, points=POINTS)
+        except ConvergenceError:
+            continue
+        gained = True
+    return delta if gained else None
+
+
+# What uncalibrated channels show of settled dwells at given parameters and inputs, with slopes (THEORY §9).
+
+
+@dataclass(frozen=True)
+class ShownLines:
+    """Channels at the lines of K repeats, (K, lines, channels, …), and the elongations behind them.
+
+    Y and its slopes dY along θ and, where inputs are noisy, along the inputs' lines of the dwell, (…, m + Q); delta
+    (K dwells, e, W), its slopes d_delta (…, m) along θ, and which dwells have a response, converged (K dwells,).
+    """
+
+    Y: Complex
+    dY: Complex
+    delta: Real
+    d_delta: Real
+    converged: Bools
+
+
+def shown_lines(
+    view: ObservationModel, dwells: DwellLines, p: Real, constants: Real, q: Complex, start: Real | None,
+    *, noisy: bool, grow: bool,
+) -> ShownLines:  # fmt: skip
+    """The channels of a view at parameters p (K, elements) and inner constants (K, G).
+
+    q (K, lines, r + s): the inputs, along which slopes are wanted as well if `noisy`; start as `Periodic.delta` or
+    None; grow: whether the drive of dwells that Newton's method loses is raised step by step.
+    """
+    compiled = _compiled(view, dwells, p, constants, q, start, noisy)
+    if compiled is not None and (not grow or np.all(compiled.converged)):
+        return compiled
+    model: Model = view.model
+    K, R, r, m = len(p), len(dwells.omega), model.D.shape[1], view.m
+    by_dwell = np.repeat(p, R, axis=0)
+    drive = dwells.drive(q, r)
+    at = periodic_response(model, by_dwell, np.repeat(constants, R, axis=0), drive, start, grow=grow)
+    a = harmonic_unit_forces(model, drive, at)
+    X, forces = dwells.lines(at.X, K), dwells.lines(a, K)
+    Y = channel_amplitudes(view, X, q, p[:, None, :] * forces)
+    along_p, along_g, along = _directions(view, dwells, q.shape[-1], noisy)
+    every = None if along is None else np.tile(along, (K, 1, 1, 1))
+    along_U, along_f = (None, None) if every is None else (every[:, :, :r], every[:, :, r:])
+    slope = slopes(model, by_dwell, drive, at, a, along_p, along_g, along_U, along_f)
+    d_forces = p[:, None, :, None] * dwells.lines(slope.unit_forces, K)
+    d_forces[..., :m] += forces[..., None] * model.T
+    dY = view.rates[..., None] * (view.on_x @ dwells.lines(slope.X, K)) + view.force @ d_forces
+    if noisy:
+        dY[..., m:] += _straight_through(view, dwells, q.shape[-1])
+    return ShownLines(Y, dY, at.delta, slope.delta[..., :m], at.converged)
+
+
+def _directions(
+    view: ObservationModel, dwells: DwellLines, inputs: int, noisy: bool
+) -> tuple[Real, Real, Complex | None]:
+    """Directions of the parameters (elements, m + Q), the constants (G, m + Q) and the inputs.
+
+    Those of the inputs (dwells, H + 1, inputs, m + Q) are None unless they are `noisy`.
+    """
+    model = view.model
+    along_p, along_g = model.T, model.constants_map[0]
+    if not noisy:
+        return along_p, along_g, None
+    directions = dwells.input_directions(inputs)
+    along = np.concatenate([np.zeros((*directions.shape[:-1], view.m)), directions], axis=-1)
+    widen = [(0, 0), (0, directions.shape[-1])]
+    return np.pad(along_p, widen), np.pad(along_g, widen), along
+
+
+def _compiled(
+    view: ObservationModel, dwells: DwellLines, p: Real, constants: Real, q: Complex, start: Real | None, noisy: bool
+) -> ShownLines | None:  # fmt: skip
+    """By the kernel; None where NumPy is to do the work or must."""
+    times = samples_of(view.model, dwells.orders)
+    rig = compiled_rig(view.model, times)
+    if rig is None:
+        return None
+    directions = _directions(view, dwells, q.shape[-1], noisy)
+    Y, dY, delta, d_delta, error = compiled_channels(
+        rig, view.model, (p, constants, q, start), (dwells.omega, dwells.dwell, dwells.order, dwells.orders), times,
+        directions, (view.rates, view.on_x, view.on_q, view.force),
+    )  # fmt: skip
+    if noisy:
+        dY[..., view.m :] += _straight_through(view, dwells, q.shape[-1])
+    return ShownLines(Y, dY, delta, d_delta[..., : view.m], error <= SETTLED)
+
+
+def _straight_through(view: ObservationModel, dwells: DwellLines, inputs: int) -> Complex:
+    """What channels show of the inputs' lines themselves, (lines, channels, Q)."""
+    along = dwells.input_directions(inputs)[dwells.dwell, dwells.order]
+    return view.rates[..., None] * (view.on_q @ along)
+
+
 INNER = 6  # steps for the inputs of one ψ
-SETTLED = 1e-9  # standard deviations
+SETTLED_OBJECTIVE = 1e-9  # standard deviations
 BLIND = 1e-12  # relative precision of "zero" for inputs that no channel of a dwell sees
 
 
@@ -176,7 +305,7 @@ def _predicted(
         step = _solved(normal, gain[..., None])[..., 0]
         size = np.sqrt(np.abs(np.sum(step * gain, axis=-1)))
         directions = part.dwells.input_directions(q.shape[-1])[part.dwells.dwell, part.dwells.order]
-        if turn == INNER - 1 or not np.nanmax(size, initial=0.0) > SETTLED:
+        if turn == INNER - 1 or not np.nanmax(size, initial=0.0) > SETTLED_OBJECTIVE:
             break
         change = np.einsum("lqu,klu->klq", directions, step[:, part.dwells.dwell])
         q = q + np.nan_to_num(change)
@@ -215,8 +344,7 @@ def _measured_inputs(view: ObservationModel, y: Complex) -> Complex:
             "an input of a rig with nonlinear elements is not measured at every line",
             cure="give its channel, with its calibration; where it was at rest, write 0",
         )
-    q: Complex = np.einsum("lqc,klc->klq", np.linalg.pinv(C), y * alone)
-    return q
+    return np.einsum("lqc,klc->klq", np.linalg.pinv(C), y * alone)
 
 
 def _begin(data: Measured, part: NonlinearPart, theta: Real, known: bool) -> tuple[Complex, Real | None]:
@@ -266,5 +394,4 @@ def _solved(normal: Real, right: Real) -> Real:
     """normal⁻¹ right, NaN where singular or not finite."""
     finite = np.all(np.isfinite(normal), axis=(-2, -1), keepdims=True)
     safe = np.where(finite, normal, np.eye(normal.shape[-1]))
-    solution: Real = np.linalg.solve(safe, np.where(finite, right, np.nan)).astype(np.float64)
-    return solution
+    return np.linalg.solve(safe, np.where(finite, right, np.nan)).astype(np.float64)

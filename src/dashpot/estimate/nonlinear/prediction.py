@@ -85,5 +85,4 @@ def noise_of_measured_inputs(
     # Each real change of a dwell's inputs is the real or imaginary part of one input at one line.
     parts = np.abs(dwells.input_directions(q.shape[-1])[dwells.dwell, dwells.order]) ** 2
     of_parts = dwells.by_dwell(np.einsum("liq,li->lq", parts, of_inputs / 2)[None])[0]
-    variance: Real = np.einsum("lcq,lq->lc", np.abs(G) ** 2, of_parts[dwells.dwell])
-    return variance
+    return np.einsum("lcq,lq->lc", np.abs(G) ** 2, of_parts[dwells.dwell])

@@ -8,40 +8,372 @@ finds and leaves out.
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
+from scipy.fft import dct, idct
 
-from dashpot.arrays import Real
+from dashpot.arrays import Ints, Real
 from dashpot.errors import ConvergenceError
-from dashpot.estimate.nonlinear.record_constants import RecordConstants, record_constants
-from dashpot.estimate.nonlinear.recorded_motion import (
+from dashpot.estimate.nonlinear.records import (
+    RecordData,
     RecordedMotion,
     largest_states,
     laws_with_state,
     recorded_motion,
+    shown_outputs,
     start_of,
 )
-from dashpot.estimate.nonlinear.records import RecordData, shown_outputs
-from dashpot.estimate.nonlinear.uncertain_inputs import (
-    InputErrors,
-    KnownInputs,
-    LinearisedRecord,
-    NormalEquations,
-    OutputCovariance,
-)
 from dashpot.model.dynamics import matrices
+from dashpot.model.elements import Kind
 from dashpot.model.network import Model
 from dashpot.model.nonlinear.alternating import operated_states
-from dashpot.model.nonlinear.integration import Integrator, Motion
-from dashpot.model.nonlinear.moving_base import moving_rig
-from dashpot.model.nonlinear.propagation import forcing
-from dashpot.model.nonlinear.shooting import integrate, segment_length, segments_of
-from dashpot.model.nonlinear.tangent import tangent
+from dashpot.model.nonlinear.integration import Integrator, Motion, forcing
+from dashpot.model.nonlinear.moving_base import does_nothing, moving_rig
+from dashpot.model.nonlinear.shooting import ChainSolver, integrate, segment_length, segments_of
+from dashpot.model.nonlinear.tangent import Tangent, tangent
 from dashpot.numerics.levenberg_marquardt import QuadraticModel
+
+# Which constants of whole records can be found: states at their starts, and constants that sensors of
+# inputs add.
+#
+# Where nothing joins the rig to the ground and no channel shows where it is, a base may be anywhere and
+# move at any steady velocity: only motion beside it counts. Such constants are no unknowns.
+
+
+NONE = 1e-9  # of numbers around 1: what is none but for rounding
+
+
+@dataclass(frozen=True)
+class RecordConstants:
+    """Indices of the constants that can be found, in the state of the model that moves and among its force inputs.
+
+    starts (k,): of the state at the start of a record; offsets (o,): of forces, shared by all records; biases (b,): of
+    accelerations of bases, each record's own.
+    """
+
+    starts: Ints
+    offsets: Ints
+    biases: Ints
+
+    @property
+    def of_record(self) -> int:
+        """Unknowns of each record."""
+        return len(self.starts) + len(self.biases)
+
+
+def record_constants(model: Model, data: RecordData) -> RecordConstants:
+    """Of the rig as it moves, bases behind its coordinates, and a record of it."""
+    bases = len(data.bases.names)
+    n, forces = model.n, model.S.shape[1] - bases
+    # What a constant displacement of each coordinate stretches or shows, (rows, n)
+    held = _linear_springs(model) + _laws_of_position(model)
+    shown = [
+        c
+        for c, (d, drift) in enumerate(zip(data.derivative, data.drift, strict=True))
+        if d == 0 and not drift
+    ]
+    no_position = _hidden(np.concatenate([model.B[held], data.on_x[shown]]), bases)
+    no_velocity = _hidden(_rows_of_velocity(model, data), bases)
+    states = sum(e.force_law is not None and e.force_law.has_state for e in model.elements)
+    starts = np.delete(np.arange(2 * n + states), [*no_position, *(n + i for i in no_velocity)])
+    shows = [_shows(model, data, column) for column in range(forces)]
+    biases = [
+        forces + j
+        for j, order in enumerate(data.bases.orders)
+        if order == 2 and (n - bases + j not in no_velocity or _shows(model, data, forces + j))
+    ]
+    return RecordConstants(starts, np.flatnonzero(shows), np.array(biases, dtype=np.int64))
+
+
+def _rows_of_velocity(model: Model, data: RecordData) -> Real:
+    """What a constant velocity of each coordinate stretches or shows, (rows, n)."""
+    held = [
+        row
+        for row, e in enumerate(model.elements)
+        if e.law.power < 2 and not does_nothing(model.elements[row])
+    ]
+    shown = [
+        c for c, (d, drift) in enumerate(zip(data.derivative, data.drift, strict=True)) if d == 0 or not drift
+    ]
+    shown = [c for c in shown if data.derivative[c] < 2]
+    return np.concatenate([model.B[held], data.on_x[shown]])
+
+
+def _linear_springs(model: Model) -> list[int]:
+    """Springs without a law of their own that may push."""
+    return [
+        row
+        for row, (kind, element) in enumerate(zip(model.kinds, model.elements, strict=True))
+        if kind is Kind.SPRING and element.force_law is None and not does_nothing(element)
+    ]
+
+
+def _laws_of_position(model: Model) -> list[int]:
+    """Nonlinear elements whose force depends on where they are, not only on how they move."""
+    laws = [(int(row), model.elements[int(row)].force_law) for row in model.nonlinear]
+    return [
+        r
+        for r, law in laws
+        if law is not None and "d" in law.expression.names and not does_nothing(model.elements[r])
+    ]
+
+
+def _hidden(rows: Real, bases: int) -> list[int]:
+    """Coordinates that may as well stand still, those of bases first: the others move alike without a trace."""
+    size = np.linalg.norm(rows, axis=1, keepdims=True)
+    n = rows.shape[1]
+    _, values, directions = np.linalg.svd(rows / np.where(size > 0, size, 1.0))
+    free = directions[int(np.sum(values > NONE)) :]  # (free, n)
+    hidden: list[int] = []
+    for i in [*range(n - bases, n), *range(n - bases)] if len(free) else []:
+        if np.linalg.matrix_rank(free[:, [*hidden, i]], NONE) > len(hidden):
+            hidden.append(i)
+    return hidden
+
+
+def _shows(model: Model, data: RecordData, column: int) -> bool:
+    """Whether a constant of a force input leaves a trace beyond that of another start.
+
+    It does not in a rig whose laws depend on motion alone, and whose channels have no zeros.
+    """
+    shown = any(d == 0 and not drift for d, drift in zip(data.derivative, data.drift, strict=True))
+    if shown or _laws_of_position(model):
+        return True
+    n = model.n - len(data.bases.names)
+    B = model.B[_linear_springs(model), :n]
+    push = (
+        model.S[:n, column]
+        if column < model.S.shape[1] - len(data.bases.names)
+        else _carried(model, data, column)
+    )
+    rest = np.linalg.lstsq(B.T @ B, push, rcond=None)[0]
+    return bool(np.max(np.abs(B.T @ B @ rest - push), initial=0.0) > NONE * np.max(np.abs(push), initial=0.0))
+
+
+def _carried(model: Model, data: RecordData, column: int) -> Real:
+    """Inertia forces on the rig when a base accelerates, of masses of size 1, (n,)."""
+    n = model.n - len(data.bases.names)
+    base = n + column - (model.S.shape[1] - len(data.bases.names))
+    masses = model.B[list(model.by_matrix["M"])]
+    return masses[:, :n].T @ masses[:, base]
+
+
+# Inputs that were measured with noise: what is known of them, and what their noise does to the outputs
+# (THEORY §9).
+#
+# The true inputs are unknowns like others, as many as there are samples. Minimised away, to first order
+# around the motion that they give, they leave the residuals of the outputs with the covariance V = I + A
+# Aᵀ: A carries noise of the inputs to the channels, by the motion's own slopes. V is never formed:
+# conjugate gradients solve with it.
+
+
+HALF_WINDOW = 60  # lines of a cosine transform over which an input's own spectrum is smoothed
+ENDS = 8  # samples by which the slopes at the ends of an input are told
+SOLVED = 1e-8  # of a column: what the conjugate gradients leave
+MOST = 200  # of their steps
+EXACT = 1e-9  # of an input's size: noise below it is none
+
+
+@dataclass(frozen=True)
+class KnownInputs:
+    """What the measurement says of the inputs of a record, before the outputs: mean (samples, q) and independent errors
+    of its lines, `spread` (samples, q), the standard deviations of the coefficients of an orthonormal cosine transform;
+    sd (q,) those of the white noise of the samples.
+    """
+
+    mean: Real
+    spread: Real
+    sd: Real
+
+    def moved(self, white: Real) -> Real:
+        """The inputs with errors (samples, q) in standard deviations, (samples, q)."""
+        return self.mean + idct(self.spread * white, axis=0, norm="ortho")
+
+
+def known_inputs(measured: Real, sd: Real) -> KnownInputs:
+    """From measured inputs (samples, q) with white noise of standard deviations sd (q,).
+
+    Where a part of the band holds no more than noise the input is at rest there: each line is weighed by how far the
+    spectrum around it stands out (Wiener 1949).
+    """
+    lines, smooth = cosine_lines(measured)
+    moving = np.maximum(around(lines**2, HALF_WINDOW) - sd**2, 0.0)
+    total = moving + sd**2
+    share = np.where(total > 0, moving / np.where(total > 0, total, 1.0), 1.0)
+    return KnownInputs(smooth + idct(share * lines, axis=0, norm="ortho"), np.sqrt(share) * sd, sd)
+
+
+def cosine_lines(measured: Real) -> tuple[Real, Real]:
+    """Cosine transform of inputs less a smooth course, and that course, both (samples, q)."""
+    # The parabola whose slopes at the ends are those of the signal: less it, a cosine transform has no steps
+    N = len(measured)
+    count = min(ENDS, N)
+    basis = np.linalg.pinv(np.vander(np.arange(count) + 0.5, 3, increasing=True))
+    first, last = basis[1] @ measured[:count], -basis[1] @ measured[::-1][:count]
+    t = np.arange(N)[:, None]
+    smooth = first * t + (last - first) * t**2 / (2 * max(N - 1, 1))
+    lines: Real = dct(measured - smooth, axis=0, norm="ortho")
+    return lines, smooth
+
+
+def around(power: Real, half_window: int) -> Real:
+    """Mean over the nearest 2·half_window + 1 lines (axis 0), fewer at the ends."""
+    N = len(power)
+    total = np.concatenate([np.zeros((1, *power.shape[1:])), np.cumsum(power, axis=0)])
+    first = np.maximum(np.arange(N) - half_window, 0)
+    last = np.minimum(np.arange(N) + half_window + 1, N)
+    return (total[last] - total[first]) / (last - first).reshape(-1, *[1] * (power.ndim - 1))
+
+
+class NotSolvedError(Exception):
+    """The conjugate gradients do not come to an end: a motion that hangs too much on its inputs."""
+
+
+@dataclass(frozen=True, eq=False)
+class OutputCovariance:
+    """V = I + A Aᵀ of one record's residuals, in standard deviations: weight (channels,) are gains over these."""
+
+    tangent: Tangent
+    weight: Real
+    known: KnownInputs
+
+    def reach(self, white: Real) -> Real:
+        """A w: errors of the inputs (samples, q, K) in standard deviations, as the channels show them."""
+        moved = idct(self.known.spread[..., None] * white, axis=0, norm="ortho")
+        return self.weight[:, None] * self.tangent.times(moved)
+
+    def back(self, residual: Real) -> Real:
+        """Aᵀ r, (samples, q, K), of residuals (samples, channels, K)."""
+        back = self.tangent.transposed(self.weight[:, None] * residual)
+        return self.known.spread[..., None] * dct(back, axis=0, norm="ortho")
+
+    def solve(self, columns: Real) -> Real:
+        """V⁻¹ of columns (samples, channels, K).  Raises NotSolvedError."""
+        z = np.zeros_like(columns)
+        size = np.sqrt(_squares(columns))
+        active = np.flatnonzero(size > 0)
+        left = columns[..., active]
+        near = self._white.solve(left)
+        way, gain = near, np.sum(left * near, axis=(0, 1))
+        for _ in range(MOST):
+            if not len(active):
+                return z
+            pushed = way + self.reach(self.back(way))
+            step = gain / np.sum(way * pushed, axis=(0, 1))
+            z[..., active] += step * way
+            left = left - step * pushed
+            open_ = np.sqrt(_squares(left)) > SOLVED * size[active]
+            active, left, way, gain = active[open_], left[..., open_], way[..., open_], gain[open_]
+            near = self._white.solve(left)
+            after = np.sum(left * near, axis=(0, 1))
+            way, gain = near + after / gain * way, after
+            if not np.all(np.isfinite(gain)):
+                break
+        raise NotSolvedError
+
+    @cached_property
+    def _white(self) -> ChainSolver:
+        """V⁻¹ were the errors of the inputs white in the whole band, which is near enough to begin with."""
+        size = np.sqrt(np.mean(self.known.mean**2, axis=0))
+        sd = np.maximum(self.known.sd, EXACT * np.where(size > 0, size, 1.0))
+        return ChainSolver(self.tangent, self.weight, sd)
+
+
+@dataclass(frozen=True)
+class InputErrors:
+    """Errors of a record's inputs that were likeliest at psi (M,), in standard deviations.
+
+    white (samples, q), and their slopes along ψ (samples, q, M).
+    """
+
+    psi: Real
+    white: Real
+    along: Real
+
+    def at(self, psi: Real) -> Real:
+        """At a ψ nearby, (samples, q)."""
+        return self.white + self.along @ (psi - self.psi)
+
+
+@dataclass(frozen=True)
+class NormalEquations:
+    """Of the unknowns `chosen` (P,): squared residuals, minus half their slope (P,), half their curvature (P, P)."""
+
+    chosen: Ints
+    cost: float
+    gradient: Real
+    matrix: Real
+
+
+@dataclass(frozen=True, eq=False)
+class LinearisedRecord:
+    """Residuals (samples, channels) of the motion that the inputs give as they are known, to first order around the
+    motion with their errors; slopes (samples, channels, P) of what is shown along the unknowns `chosen` (P,).
+
+    drifting: channels whose mean says nothing.
+    """
+
+    covariance: OutputCovariance
+    residual: Real
+    slopes: Real
+    chosen: Ints
+    drifting: Ints
+
+    def weighed(self, columns: Real) -> Real:
+        """V⁻¹ of columns (samples, channels, K) less what constants of the drifting channels explain of them."""
+        return self._without_means(self.covariance.solve(columns))
+
+    def _without_means(self, solved: Real) -> Real:
+        if not len(self.drifting):
+            return solved
+        matrix = np.sum(self._means, axis=0)[self.drifting]
+        return solved - self._means @ np.linalg.solve(matrix, np.sum(solved, axis=0)[self.drifting])
+
+    @cached_property
+    def _means(self) -> Real:
+        """V⁻¹ of a constant in each drifting channel, (samples, channels, drifting)."""
+        constants = np.zeros((*self.residual.shape, len(self.drifting)))
+        constants[:, self.drifting, range(len(self.drifting))] = 1.0
+        return self.covariance.solve(constants)
+
+    @cached_property
+    def score(self) -> Real:
+        """V⁻¹ of the residuals, (samples, channels)."""
+        return self.weighed(self.residual[..., None])[..., 0]
+
+    @cached_property
+    def weighed_slopes(self) -> Real:
+        """V⁻¹ of the slopes, (samples, channels, P)."""
+        return self.weighed(self.slopes)
+
+    @property
+    def cost(self) -> float:
+        """The least of squared residuals and squared errors of the inputs."""
+        return float(np.sum(self.residual * self.score))
+
+    def errors(self) -> Real:
+        """The likeliest errors of the inputs, (samples, q)."""
+        return self.covariance.back(self.score[..., None])[..., 0]
+
+    def errors_along(self) -> Real:
+        """Their slopes along the unknowns, (samples, q, P)."""
+        return -self.covariance.back(self.weighed_slopes)
+
+    def normal_equations(self) -> NormalEquations:
+        """Those of the unknowns, the errors of the inputs being eliminated."""
+        gradient = np.einsum("ncp,nc->p", self.slopes, self.score)
+        matrix = np.tensordot(self.slopes, self.weighed_slopes, axes=([0, 1], [0, 1]))
+        return NormalEquations(self.chosen, self.cost, gradient, (matrix + matrix.T) / 2)
+
+
+def _squares(columns: Real) -> Real:
+    return np.sum(columns**2, axis=(0, 1))
+
 
 STEP = 0.8  # of a step times the fastest rate of the linear rig
 ROUGH = 2  # more steps where laws are not smooth
-MOST = 1000  # steps between samples
+MOST_RECORD_PROBLEM = 1000  # steps between samples
 INNER = 6  # steps for the errors of the inputs at one ψ
 NEAR = 1e-3  # of χ², that another of them would lower
 
@@ -88,8 +420,7 @@ class RecordProblem:
 
     def sizes(self) -> Real:
         """Root mean square of each channel over all records, (channels,)."""
-        rms: Real = np.sqrt(np.mean(np.concatenate([data.outputs for data in self.records]) ** 2, axis=0))
-        return rms
+        return np.sqrt(np.mean(np.concatenate([data.outputs for data in self.records]) ** 2, axis=0))
 
     def motions(self) -> dict[int, Motion]:
         """The last motions as starts for other rigs of the same states."""
@@ -323,7 +654,7 @@ def enough_substeps(model: Model, theta: Real, step_s: float, motion: tuple[Real
         return 1
     A = np.block([[np.zeros((n, n)), np.eye(n)], [-inverse @ K, -inverse @ parts.C]])
     fastest = float(np.max(np.abs(np.linalg.eigvals(A)), initial=0.0)) if np.all(np.isfinite(A)) else np.inf
-    if not fastest * step_s <= MOST * STEP:
+    if not fastest * step_s <= MOST_RECORD_PROBLEM * STEP:
         raise ConvergenceError(
             f"the rig would move at {fastest:.3g} rad/s, far too fast for {1 / step_s:.3g} samples a second",
             cure="check its values, and give guesses of the unknowns",

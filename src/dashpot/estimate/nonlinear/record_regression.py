@@ -13,11 +13,10 @@ import numpy as np
 
 from dashpot.arrays import Bools, Ints, Real
 from dashpot.errors import DataError
-from dashpot.estimate.inference.unseen_laws import require_traces
-from dashpot.estimate.nonlinear.law_domain import require_finite_laws
-from dashpot.estimate.nonlinear.recorded_motion import RecordedMotion, recorded_motion
-from dashpot.estimate.nonlinear.records import RecordData
-from dashpot.estimate.nonlinear.starting_values import constants_to_try, refined_constants
+from dashpot.estimate.inference.diagnostics import require_traces
+from dashpot.estimate.nonlinear.records import RecordData, RecordedMotion, recorded_motion
+from dashpot.estimate.nonlinear.regression import require_finite_laws
+from dashpot.estimate.nonlinear.search import constants_to_try, refined_constants
 from dashpot.model.network import Model
 from dashpot.model.nonlinear.alternating import operated_states
 from dashpot.numerics.small_systems import solve_scaled
@@ -73,16 +72,14 @@ class WeakForm:
         columns = ((unit[:, None, :] * model.B.T) @ model.T).reshape(-1, model.T.shape[1])
         size = np.sqrt(np.sum(columns**2, axis=0))
         scaled = columns / np.where(size > 0, size, 1.0)
-        matrix: Real = scaled.T @ scaled
-        return matrix
+        return scaled.T @ scaled
 
     def of(self, signal: Real, derivative: int) -> Real:
         """∫ w s^(derivative) of signals (samples, k), by parts; (windows, k)."""
         w = self.windows[derivative] * (-1.0) ** derivative
         length = w.shape[1]
         pieces = np.stack([signal[k : k + length] for k in self.first.tolist()])
-        rows: Real = np.einsum("wt,ptk->pwk", w, pieces).reshape(-1, signal.shape[1])
-        return rows
+        return np.einsum("wt,ptk->pwk", w, pieces).reshape(-1, signal.shape[1])
 
 
 def weak_form(model: Model, step_s: float, x: Real, u: Real, f: Real) -> WeakForm:
@@ -129,8 +126,7 @@ class WeakEquations:
         A, b = self._with_laws(constants)
         size = np.linalg.norm(A, axis=0)
         scaled = A / np.where(size > 0, size, 1.0)
-        left: Real = b - scaled @ np.linalg.lstsq(scaled, b, rcond=None)[0]
-        return left
+        return b - scaled @ np.linalg.lstsq(scaled, b, rcond=None)[0]
 
     def without_laws(self, constants: Real) -> tuple[Real, float]:
         """(unknown parameters, squared residual) without the nonlinear elements, whose forces are then `SMALL`."""
@@ -228,8 +224,7 @@ def _within_bounds(equations: WeakEquations, constants: Real, p: Real) -> Real:
     theta = (constants - known) @ slope
     theta[equations.free] = p
     low, high = model.bounds
-    values: Real = np.clip(np.where(model.prior_precision > 0, model.prior_mean, theta), low, high)
-    return values
+    return np.clip(np.where(model.prior_precision > 0, model.prior_mean, theta), low, high)
 
 
 def _require_traces(equations: WeakEquations, constants: Real) -> None:

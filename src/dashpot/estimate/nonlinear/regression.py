@@ -6,23 +6,64 @@ alternating transform of the measured harmonics.  Linear in the parameters where
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from dashpot.arrays import Complex, Real, hermitian
-from dashpot.errors import UsageError
+from dashpot.arrays import Complex, Ints, Real, hermitian
+from dashpot.errors import DataError, UsageError
 from dashpot.estimate.linear.gram import known_side, regressors
 from dashpot.estimate.method import Solution, closed_form
 from dashpot.estimate.nonlinear.dwells import DwellLines, dwells_of, measured_elongations
-from dashpot.estimate.nonlinear.law_domain import require_finite_laws
 from dashpot.estimate.preparation.prepared import Prepared
+from dashpot.estimate.preparation.state_reconstruction import States
+from dashpot.io.words import joined
 from dashpot.model.dynamics import unit_forces
 from dashpot.model.network import Model
 from dashpot.model.nonlinear.alternating import alternate, period_basis
-from dashpot.model.nonlinear.harmonic_balance import samples_of
+from dashpot.model.nonlinear.harmonic_balance import harmonic_unit_forces, periodic_response, samples_of
 from dashpot.model.nonlinear.harmonics import complex_of
 from dashpot.numerics.small_systems import scaled_inverse, solve_scaled
+
+# Whether the laws of nonlinear elements are finite numbers in the measured motion.
+
+
+LARGEST = 1e100  # of a unit force: squares of what is larger overflow
+
+
+def require_finite_laws(model: Model, d: Real, v: Real) -> None:
+    """Raises DataError where a law without unknown constants divides by zero, overflows or is no number.
+
+    d, v (e, …, instants): elongations and rates of the nonlinear elements in the measured motion.
+    """
+    known = model.constants_map[1]
+    for row, (index, inner) in enumerate(zip(model.nonlinear, model.constant_slices, strict=True)):
+        element = model.elements[int(index)]
+        law = element.force_law
+        assert law is not None
+        if any(constant.unknown for constant in law.constants) or law.has_state:
+            continue
+        elongation, rate = d[row], v[row]
+        with np.errstate(all="ignore"):
+            force = np.broadcast_to(law(elongation, rate, elongation, known[inner]).value, elongation.shape)
+        if law.expression.crosses_pole(law.values(elongation, rate, elongation, known[inner])):
+            what = "divides by zero"
+        elif np.any(np.isnan(force)):
+            what = "is not defined"
+        elif not np.all(np.abs(force) < LARGEST):
+            what = "overflows"
+        else:
+            continue
+        reach = [
+            f"{name} goes from {np.min(motion):.3g} to {np.max(motion):.3g}"
+            for name, motion in (("d", elongation), ("v", rate))
+            if name in law.expression.names
+        ]
+        raise DataError(
+            f"the law {law.text!r} of {element.name} {what} within the measured motion "
+            f"({joined(reach)}, in SI units)",
+            cure="write one that is finite there",
+        )
 
 
 @dataclass(frozen=True)
@@ -83,8 +124,7 @@ def scale_of_lines(motion: MeasuredMotion) -> Real:
     )
     per_dwell = motion.dwells.by_dwell(np.mean(power, axis=0)[None])[0]
     size = per_dwell[motion.dwells.dwell]
-    weight: Real = 1 / np.where(size > 0, size, 1.0)
-    return weight
+    return 1 / np.where(size > 0, size, 1.0)
 
 
 def regression(motion: MeasuredMotion, constants: Real, weight: Real) -> tuple[Real, Real]:
@@ -155,3 +195,189 @@ def harmonic_least_squares(data: Prepared) -> Solution:
     spread = count / max(count - 1, 1)
     meat = spread * np.einsum("kru,krv->kuv", by_dwell, by_dwell)
     return closed_form(theta, bread @ meat @ bread)
+
+
+# The equation of motion at the measured harmonics of dwells, as real rows with the noise that each dwell's
+# rows share.
+#
+# A nonlinear law mixes the harmonics of its dwell: with ∂a/∂q of the alternating transform the noise of the
+# equation is, to first order, H Σ Hᵀ with H = Bᵀ p ∂a/∂q [B D] of the nonlinear elements beside the linear
+# ones' (THEORY §9).
+
+
+@dataclass(frozen=True)
+class HarmonicEquations:
+    """Dwells of K repeats, all of whose coordinates are seen; θ enters linearly."""
+
+    motion: MeasuredMotion
+    states: States
+
+    def rows(self, rows: Ints) -> HarmonicEquations:
+        """Some of the repeats, rows (k,)."""
+        motion = self.motion
+        picked = replace(
+            motion, elongations=motion.elongations[rows], linear=motion.linear[rows], f=motion.f[rows]
+        )
+        return HarmonicEquations(picked, self.states.rows(rows))
+
+    @property
+    def constants(self) -> Real:
+        """The inner constants, all known, (G,)."""
+        return self.motion.model.constants_map[1]
+
+    def regression(self, a: Complex) -> tuple[Real, Real]:
+        """Φ (K, dwells, rows, unknowns) and h (K, dwells, rows) with unit forces a (K, lines, elements)."""
+        model = self.motion.model
+        both = np.concatenate(
+            [regressors_of(model, a), known_side(model, a, self.motion.f)[..., None]], axis=-1
+        )
+        rows = self._by_dwell(both)
+        return rows[..., :-1], rows[..., -1]
+
+    def _by_dwell(self, lines: Complex) -> Real:
+        """(K, lines, n, …) as real rows of each dwell, (K, dwells, slots · 2 · n, …), 0 where it has fewer lines."""
+        dwells = self.motion.dwells
+        K, _, n = lines.shape[:3]
+        rows = np.zeros((K, len(dwells.omega), dwells.slots, 2, n, *lines.shape[3:]))
+        rows[:, dwells.dwell, dwells.slot, 0] = lines.real
+        rows[:, dwells.dwell, dwells.slot, 1] = lines.imag
+        return rows.reshape(K, len(dwells.omega), -1, *lines.shape[3:])
+
+    def least_squares(self) -> Real:
+        """θ of equally weighted rows of the measured harmonics, (K, unknowns)."""
+        Phi, h = self.regression(self.motion.unit_forces(self.constants))
+        return self.solved(Phi, Phi, h, None)
+
+    def solved(self, left: Real, Phi: Real, h: Real, at: Real | None) -> Real:
+        """θ with leftᵀ (Φ θ − h) = 0 and the priors' rows, weighed by the equation's variance at θ = `at`."""
+        N, right = np.einsum("krau,krav->kuv", left, Phi), np.einsum("krau,kra->ku", left, h)
+        precision = self.motion.model.prior_precision
+        if np.any(precision):
+            variance = 1e-18 * np.ones(len(N)) if at is None else self.variance(self.noise(at))
+            N = N + variance[:, None, None] * np.diag(precision)
+            right = right + variance[:, None] * precision * self.motion.model.prior_mean
+        return solve_scaled(N, right)
+
+    def noise(self, theta: Real) -> Real:
+        """Covariance of the rows at θ (K, unknowns), (K, dwells, rows, rows); 1 on the diagonal of empty rows."""
+        model, dwells, s = self.motion.model, self.motion.dwells, self.states
+        K, R, q = len(theta), len(dwells.omega), s.z.shape[-1]
+        p = model.parameters(theta)
+        span = np.zeros((len(model.elements), q))
+        span[:, : s.n + s.r] = np.concatenate([model.B, model.D], axis=1)
+        linear = (model.B.T * (p[:, None] * model.factors(s.omega))[:, :, None]) @ span
+        linear[..., s.n + s.r :] -= model.S
+        H = np.zeros((K, R, dwells.slots, 2, model.n, dwells.slots, 2, q))
+        at = (slice(None), dwells.dwell, dwells.slot)
+        for row, column, part in (
+            (0, 0, linear.real),
+            (0, 1, -linear.imag),
+            (1, 0, linear.imag),
+            (1, 1, linear.real),
+        ):
+            H[(*at, row, slice(None), dwells.slot, column)] = np.moveaxis(part, 1, 0)
+        H += self._mixed(p[:, model.nonlinear], span[model.nonlinear])
+        spread = np.zeros((len(s.covariance), R, dwells.slots, 2, q, 2, q))
+        half = np.moveaxis(s.covariance / 2, 1, 0)
+        for row, column, part in (
+            (0, 0, half.real),
+            (0, 1, -half.imag),
+            (1, 0, half.imag),
+            (1, 1, half.real),
+        ):
+            spread[(*at, row, slice(None), column)] = part
+        size = dwells.slots * 2 * model.n
+        of_lines = H.reshape(K, R, size, dwells.slots, 2 * q)
+        carried = np.einsum("kratx,krtxy->kraty", of_lines, spread.reshape(*spread.shape[:3], 2 * q, 2 * q))
+        C: Real = carried.reshape(K, R, size, -1) @ np.swapaxes(H.reshape(K, R, size, -1), -1, -2)
+        empty = np.ones((R, dwells.slots), dtype=bool)
+        empty[dwells.dwell, dwells.slot] = False
+        return C + np.repeat(empty, 2 * model.n, axis=1)[..., None] * np.eye(size)
+
+    def _mixed(self, p: Real, span: Real) -> Real:
+        """What nonlinear elements carry from the noise of one line to the rows of another; p (K, e), span (e, q)."""
+        model, dwells, elongations = self.motion.model, self.motion.dwells, self.motion.elongations
+        K, R, e, W = elongations.shape
+        rows = np.broadcast_to(self.constants, (K * R, len(self.constants)))
+        omega, times = np.tile(dwells.omega, K), samples_of(model, dwells.orders)
+        slope = alternate(model, rows, omega, elongations.reshape(K * R, e, W), times).slope.reshape(
+            K, R, e, W, W
+        )
+        picked = np.zeros((R, 2 * dwells.slots, W))
+        for part in (0, 1):
+            picked[dwells.dwell, 2 * dwells.slot + part, 2 * dwells.order - 1 + part] = 1.0
+        between = picked[:, None] @ slope @ np.swapaxes(picked, -1, -2)[:, None]
+        parts = between.reshape(K, R, e, dwells.slots, 2, dwells.slots, 2)
+        return np.einsum(
+            "ke,ei,krescfd,ej->krscifdj", p, model.B[model.nonlinear], parts, span, optimize=True
+        )
+
+    @staticmethod
+    def variance(noise: Real) -> Real:
+        """Mean variance of a row, (K,)."""
+        return np.mean(np.diagonal(noise, axis1=-2, axis2=-1), axis=(-2, -1))
+
+    def weighted(self) -> tuple[Real, Real]:
+        """θ (K, m) weighted by the inverse covariance of the rows at least squares, and its covariance (K, m, m)."""
+        Phi, h = self.regression(self.motion.unit_forces(self.constants))
+        weight = scaled_inverse(self.noise(self.least_squares()))
+        model = self.motion.model
+        bread = np.einsum("krau,kruv->krav", weight, Phi)
+        N = np.einsum("krau,krav->kuv", bread, Phi) + np.diag(model.prior_precision)
+        right = np.einsum("krau,kra->ku", bread, h) + model.prior_precision * model.prior_mean
+        return solve_scaled(N, right), scaled_inverse(N)
+
+    def completed(self, theta: Real) -> tuple[Complex, HarmonicEquations]:
+        """Unit forces of the model's own motion at θ (K, m), and the equations with its harmonics where unmeasured."""
+        model, dwells, elongations = self.motion.model, self.motion.dwells, self.motion.elongations
+        K, R = elongations.shape[:2]
+        p = np.repeat(model.parameters(theta), R, axis=0)
+        constants = np.broadcast_to(self.constants, (K * R, len(self.constants)))
+        drive = dwells.drive(np.concatenate([self.states.U, self.states.f], axis=-1), self.states.r)
+        start = elongations.reshape(K * R, *elongations.shape[2:])
+        at = periodic_response(model, p, constants, drive, start)
+        seen = np.zeros((R, elongations.shape[-1]), dtype=bool)
+        for part in (0, 1):
+            seen[dwells.dwell, 2 * dwells.order - 1 + part] = True
+        filled = np.where(seen[:, None], elongations, at.delta.reshape(elongations.shape))
+        whole = replace(self, motion=replace(self.motion, elongations=filled))
+        return dwells.lines(harmonic_unit_forces(model, drive, at), K), whole
+
+    def with_instruments(self, theta: Real) -> Real:
+        """θ with the model's own motion at `theta` as instruments, (K, m)."""
+        a, whole = self.completed(theta)
+        Phi, h = whole.regression(whole.motion.unit_forces(self.constants))
+        return whole.solved(whole.regression(a)[0], Phi, h, theta)
+
+    def spread(self, theta: Real, *, instruments: bool) -> Real:
+        """Covariance that the noise gives an equally weighted θ, (K, unknowns, unknowns)."""
+        a, whole = self.completed(theta) if instruments else (self.motion.unit_forces(self.constants), self)
+        left = whole.regression(a)[0]
+        Phi = whole.regression(whole.motion.unit_forces(self.constants))[0]
+        C, precision = whole.noise(theta), np.diag(self.motion.model.prior_precision)
+        variance = self.variance(C)[:, None, None]
+        meat = np.einsum("krau,krab,krbv->kuv", left, C, left, optimize=True) + variance**2 * precision
+        half = scaled_inverse(np.einsum("krau,krav->kuv", left, Phi) + variance * precision)
+        return half @ meat @ np.swapaxes(half, -1, -2)
+
+
+def require_direct(data: Prepared) -> None:
+    """Raises UsageError where a channel shows more than calibrated motions, DataError where not all is seen."""
+    for channel, direct in zip(data.spectrum.channels, data.view.is_direct, strict=True):
+        if not direct:
+            raise UsageError(
+                f"channel {channel.name} measures a force of elements, or its calibration is unknown, which the"
+                " equation of motion of a nonlinear rig cannot take",
+                cure="use the method ml",
+            )
+    _ = data.seen_states
+
+
+def harmonic_equations(data: Prepared) -> HarmonicEquations:
+    """The equations of prepared data.
+
+    Raises UsageError where an inner constant or a calibration is unknown, DataError where a coordinate is not seen.
+    """
+    require_known_constants(data.model)
+    require_direct(data)
+    return HarmonicEquations(measured_motion(data), data.seen_states)

@@ -17,7 +17,6 @@ from dashpot.arrays import Ints, Real
 from dashpot.data.conditioning.still import Still
 from dashpot.data.record import Record
 from dashpot.errors import DataError, UsageError
-from dashpot.estimate.nonlinear.held_records import released
 from dashpot.estimate.nonlinear.input_levels import (
     InputSizes,
     despite_wander,
@@ -25,9 +24,14 @@ from dashpot.estimate.nonlinear.input_levels import (
     with_uncertain_inputs,
 )
 from dashpot.estimate.nonlinear.objective import must_be_positive
-from dashpot.estimate.nonlinear.record_constants import RecordConstants, record_constants
 from dashpot.estimate.nonlinear.record_inference import record_estimate
-from dashpot.estimate.nonlinear.record_problem import RecordProblem, begun_problem
+from dashpot.estimate.nonlinear.record_problem import (
+    NotSolvedError,
+    RecordConstants,
+    RecordProblem,
+    begun_problem,
+    record_constants,
+)
 from dashpot.estimate.nonlinear.record_regression import first_record_values, mostly_linear_values
 from dashpot.estimate.nonlinear.records import (
     NoiseAtRest,
@@ -36,13 +40,122 @@ from dashpot.estimate.nonlinear.records import (
     noise_of_channels,
     total_samples,
 )
-from dashpot.estimate.nonlinear.uncertain_inputs import NotSolvedError
 from dashpot.estimate.result import Estimate
-from dashpot.model.elements import Element
-from dashpot.model.network import Model
+from dashpot.model.dynamics import matrices
+from dashpot.model.elements import Element, Kind
+from dashpot.model.network import Input, Model
 from dashpot.model.nonlinear.moving_base import moving_rig
 from dashpot.numerics.levenberg_marquardt import OptimizeResult, QuadraticModel, minimise
 from dashpot.numerics.small_systems import solve_scaled
+
+# Starts far from the end of a whole record: the motion is held near the measured one, less and less.
+#
+# Of a motion that is integrated freely the misfit has many valleys where the rig is strongly nonlinear.
+# Springs and dampers between what a channel shows of the rig and what it measured keep the motion near;
+# with them the misfit has one wide valley, whose bottom moves to that of the free motion as they are
+# weakened. Source: Vyasarayani, Uchida, Carvalho and McPhee (2012), Multibody System Dynamics 26, 411.
+
+
+HOLDS = (3.0, 1.0, 0.3, 0.1, 0.03)  # natural frequency of a channel on its spring over that of its motion
+DAMPING = 0.7  # of that spring
+NEAR = 4.0  # misfit of the free motion over that of the held one at which it need be held no more
+FOLLOWED = 30.0  # the same of pieces, which are short enough for the search to go on from there
+CUTS = 5  # halvings of a record, at most
+SHORTEST = 32  # samples of a piece
+
+
+def released(
+    problem: RecordProblem, psi: Real, descend: Callable[[RecordProblem, Real], OptimizeResult]
+) -> tuple[RecordProblem, Real]:
+    """(problem, ψ) from which the free motion's misfit leads to its least; `descend` finds the least of a held problem.
+
+    Records whose free motion is lost between one end and the other are cut into pieces with starts of their own.  As
+    given where no channel shows a displacement with a known gain.
+    """
+    shown = _shown(problem.records[0])
+    if not len(shown):
+        return problem, psi
+    records = tuple(_with_measured_motion(problem.model, data, shown) for data in problem.records)
+    least = np.inf
+    for hold in HOLDS:
+        held = replace(
+            problem, model=_held(problem, psi, shown, hold), records=records, last=problem.motions()
+        )
+        if not np.isfinite(held.misfit(psi)):
+            held.last = {}
+        end = descend(held, psi)
+        if not (end.converged[0] and end.cost[0] < NEAR * least):  # too weak to hold this motion
+            break
+        psi, least, problem.last = end.x[0], float(end.cost[0]), held.motions()
+        if problem.misfit(psi) < NEAR * least:
+            return problem, psi
+    states = [problem.last[k].state for k in range(len(problem.records)) if k in problem.last]
+    problem.last = {}  # the free motion may be far from the last one that was held
+    for _ in range(CUTS if states else 0):
+        if min(data.samples for data in problem.records) < 2 * SHORTEST:
+            break
+        problem, psi, states = _halved(problem, psi, states)
+        if problem.misfit(psi) < FOLLOWED * least:
+            break
+    return problem, psi
+
+
+def _halved(problem: RecordProblem, psi: Real, states: list[Real]) -> tuple[RecordProblem, Real, list[Real]]:
+    """The same with each record cut in two, and likewise the states (samples, states) of their motions."""
+    free = problem.constants
+    records, parts, own = [], [], [psi[: problem.inner]]
+    for k, (data, state) in enumerate(zip(problem.records, states, strict=True)):
+        middle = data.samples // 2
+        for part in (slice(0, middle), slice(middle, data.samples)):
+            records.append(replace(data, inputs=data.inputs[part], outputs=data.outputs[part]))
+            parts.append(state[part])
+            own += [state[part][0, free.starts], psi[problem.of_record(k)][len(free.starts) :]]
+    begun = tuple(part[0] for part in parts)
+    substeps = tuple(count for count in problem.substeps for _ in range(2))
+    return (
+        replace(problem, records=tuple(records), begun=begun, substeps=substeps, pieces=2 * problem.pieces),
+        np.concatenate(own),
+        parts,
+    )
+
+
+def _shown(data: RecordData) -> list[int]:
+    """Outputs that are displacements with known gains, and move."""
+    moves = np.ptp(data.outputs, axis=0) > 0
+    return [c for c in range(len(data.names)) if data.derivative[c] == 0 and data.gain[c] < 0 and moves[c]]
+
+
+def _with_measured_motion(model: Model, data: RecordData, shown: list[int]) -> RecordData:
+    """The record with what channels show of the coordinates as further displacement inputs."""
+    r = model.D.shape[1]
+    motion = data.outputs[:, shown] - data.inputs @ data.on_q[shown].T
+    inputs = np.concatenate([data.inputs[:, :r], motion, data.inputs[:, r:]], axis=1)
+    on_q = np.insert(data.on_q, r, np.zeros((len(shown), 1)), axis=1)
+    rated = (*data.rated[:r], *[False] * len(shown), *data.rated[r:]) if data.rated else ()
+    return replace(data, inputs=inputs, on_q=on_q, rated=rated)
+
+
+def _held(problem: RecordProblem, psi: Real, shown: list[int], hold: float) -> Model:
+    """The rig with a spring and a damper from each of the channels to its own measurement."""
+    model, data = problem.model, problem.records[0]
+    inverse = np.linalg.inv(matrices(model, model.parameters(psi[: len(model.unknowns)])).M)
+    inputs, elements = [], []
+    for c in shown:
+        seen = data.on_x[c]
+        mass = 1 / float(seen @ inverse @ seen)
+        signal = data.outputs[:, c] - np.mean(data.outputs[:, c])
+        rate = np.sqrt(np.sum(np.diff(signal) ** 2) / np.sum(signal**2)) / data.step_s
+        omega = hold * float(rate)
+        name = f"{data.names[c]} as measured"
+        along = dict(zip(model.coordinates, seen.tolist(), strict=True)) | {name: -1.0}
+        along = {point: factor for point, factor in along.items() if factor}
+        inputs.append(Input(name))
+        elements.append(Element(f"{name}, spring", Kind.SPRING, along, value=mass * omega**2))
+        elements.append(Element(f"{name}, damper", Kind.DAMPER, along, value=2 * DAMPING * mass * omega))
+    forces = [source for source in model.inputs if source.kind == "force"]
+    moved = [source for source in model.inputs if source.kind != "force"]
+    return replace(model, inputs=(*moved, *inputs, *forces), elements=(*model.elements, *elements))
+
 
 METHOD = "ml"  # what the search is
 LIMIT = 60  # iterations
@@ -55,7 +168,7 @@ TOLERANCE = 1e-4  # standard deviations
 HALVINGS = 6  # of the integration's steps, at most
 MOST_STEPS = 10**6  # of all records, which halving must not exceed
 MOVED = 0.05  # standard deviations by which half steps may move an estimate
-SHORTEST = 1e-6  # of a start: the least that lengths and speeds inside laws may become
+SHORTEST_WHOLE_RECORD = 1e-6  # of a start: the least that lengths and speeds inside laws may become
 QUIETER = 0.5  # of the noise so far: residuals with finer steps, which coarser ones had made
 ERRORS_OF_STEPS = 0.1  # of the squared residuals: what halving the steps changes where these are too long
 FAR = 3.0  # standard deviations beyond which one step of Gauss and Newton is not enough
@@ -145,7 +258,9 @@ def _with_exact_inputs(
     """The fit with the measured inputs for the true ones, from ψ (M,) or wherever a start must be looked for."""
     model, data = problem.rig, problem.records
     before = replace(problem, last={})  # a search changes the noise and the last motions of its problem
-    far = _far_off(problem, psi)
+    # Whether the motion at the start ψ (M,) is so unlike the measured one that the search might end anywhere
+    power = problem.misfit(psi) * FIRST_NOISE**2 / total_samples(problem.records)
+    far = not power < UNLIKE**2
     if far:
         linear = mostly_linear_values(model, data)  # noise makes laws of what the motion hardly shows
         if linear is not None:
@@ -215,12 +330,6 @@ def _with_true_inputs(
     history = np.concatenate([exact.history, end.x[:, : problem.inner]])
     iterations = exact.iterations + int(end.iterations[0])
     return FittedRecords(problem, end.x[0], bool(end.converged[0]), iterations, history, exact.limits, noise)
-
-
-def _far_off(problem: RecordProblem, psi: Real) -> bool:
-    """Whether the motion at the start ψ (M,) is so unlike the measured one that the search might end anywhere."""
-    power = problem.misfit(psi) * FIRST_NOISE**2 / total_samples(problem.records)
-    return not power < UNLIKE**2
 
 
 def _released(problem: RecordProblem, psi: Real) -> tuple[RecordProblem, Real]:
@@ -343,7 +452,7 @@ def _bounds(problem: RecordProblem, psi: Real) -> tuple[Real, Real]:
     lower[:m], upper[:m] = problem.model.bounds
     # A law may be even in a length or a speed inside it; what is at 0 divides by it.
     lengths = np.any(problem.model.constants_map[0][must_be_positive(problem.model)] > 0, axis=0)
-    lower[:m] = np.where(lengths, np.maximum(lower[:m], SHORTEST * np.abs(psi[:m])), lower[:m])
+    lower[:m] = np.where(lengths, np.maximum(lower[:m], SHORTEST_WHOLE_RECORD * np.abs(psi[:m])), lower[:m])
     return lower, upper
 
 

@@ -7,25 +7,65 @@ Source: Kerschen et al. (2009), Mechanical Systems and Signal Processing 23, 170
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from dashpot.arrays import Real
+from dashpot.arrays import Complex, Real
+from dashpot.channel import Channel
 from dashpot.errors import UsageError
 from dashpot.model.dynamics import matrices
 from dashpot.model.elements import Element, Kind
 from dashpot.model.network import Model
-from dashpot.model.nonlinear.alternating import alternate
-from dashpot.model.nonlinear.balance import Balanced, balance
+from dashpot.model.nonlinear.alternating import alternate, period_basis
 from dashpot.model.nonlinear.force_law import Constant
-from dashpot.model.nonlinear.harmonic_balance import Periodic, periodic_at, samples_of
-from dashpot.model.nonlinear.harmonics import Drive, joined_drives
+from dashpot.model.nonlinear.harmonic_balance import (
+    Balanced,
+    Periodic,
+    balance,
+    harmonic_unit_forces,
+    periodic_at,
+    samples_of,
+)
+from dashpot.model.nonlinear.harmonics import Drive, joined_drives, real_of
+from dashpot.model.observation import channel_amplitudes, observation_model
 from dashpot.numerics.small_systems import solve_scaled
+
+# What channels show of periodic motions of nonlinear rigs: harmonics, and their largest value over a
+# period.
+
+
+INSTANTS = 16  # of a period, for each harmonic
+
+
+def channel_harmonics(
+    model: Model, p: Real, channels: Sequence[Channel], drive: Drive, at: Periodic
+) -> Complex:
+    """Harmonics of the channels' quantities, (N, H + 1, channels), SI units; p (N, elements) or (elements,).
+
+    Raises DataError where a channel measures what the rig has not.
+    """
+    N, orders = len(drive.omega), drive.orders
+    omega = (drive.omega[:, None] * np.arange(orders + 1)).ravel()
+    view = observation_model(model, channels, omega)
+    inputs = np.concatenate([drive.U, drive.f], axis=-1).reshape(len(omega), -1)
+    strength = np.broadcast_to(p, (N, len(model.elements)))[:, None]
+    forces = (strength * harmonic_unit_forces(model, drive, at)).reshape(len(omega), -1)
+    X = at.X.reshape(len(omega), model.n)
+    return channel_amplitudes(view, X, inputs, forces).reshape(N, orders + 1, len(channels))
+
+
+def swing(harmonics: Complex) -> Real:
+    """Half of what each channel moves from its lowest to its highest value, (N, channels), of (N, H + 1, channels)."""
+    orders = harmonics.shape[1] - 1
+    there, _, _ = period_basis(orders, INSTANTS * (orders + 1))
+    period = np.einsum("tw,ncw->ntc", there, real_of(np.moveaxis(harmonics, 1, -1)))
+    return (np.max(period, axis=1) - np.min(period, axis=1)) / 2
+
 
 SMALLEST = 1e-3  # of the largest size: where the curve begins
 POINTS = 60
-NEWTON = 20
 SETTLED = 1e-10
 
 
@@ -146,7 +186,7 @@ class _FreeMotion:
         n, count = len(X), X.size
         condition = np.zeros((n, self.orders + 1))
         condition[:, 1] = self.Bn[self.row]
-        for _ in range(NEWTON):
+        for _ in range(20):  # Newton's method, at most
             r, by_X, by_log = self._slopes(X, omega)
             square = np.zeros((count + 1, count + 1))
             square[:count, :count], square[:count, count] = by_X, by_log / size

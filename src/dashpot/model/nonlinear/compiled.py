@@ -81,20 +81,17 @@ def factors_of_orders(model: Model, omega: Real, orders: int) -> Complex:
     key = ("factors", orders, omega.tobytes())
     if key not in model.views:
         model.views[key] = model.factors((omega[:, None] * rates_of_orders(orders)).imag)
-    factors: Complex = model.views[key]
-    return factors
+    return model.views[key]
 
 
 def compiled_forces(rig: Any, constants: Real, omega: Real, q: Real, times: int) -> Real:
     """Harmonics of the unit forces of the nonlinear elements at elongations q (N, e, W), (N, e, W)."""
-    a: Real = rig.unit_forces(_numbers(constants), _numbers(omega), _numbers(q), times, threads())
-    return a
+    return rig.unit_forces(_numbers(constants), _numbers(omega), _numbers(q), times, threads())
 
 
 def compiled_start(rig: Any, model: Model, p: Real, constants: Real, drive: Drive, times: int) -> Real:
     """Elongations (N, e, W) with each nonlinear element replaced by its secant."""
-    start: Real = rig.linear_start(*_dwells(model, p, constants, drive), times, threads())
-    return start
+    return rig.linear_start(*_dwells(model, p, constants, drive), times, threads())
 
 
 def compiled_balance(
@@ -108,10 +105,7 @@ def compiled_balance(
     hopeless: Bools | None,
 ) -> tuple[Any, ...]:
     """The linear part, its free elongations, and q, unit forces, slopes, slopes by constants and errors at the end."""
-    ends: tuple[Any, ...] = rig.solve(
-        *_dwells(model, p, constants, drive), _numbers(q), times, hopeless, threads()
-    )
-    return ends
+    return rig.solve(*_dwells(model, p, constants, drive), _numbers(q), times, hopeless, threads())
 
 
 def compiled_slopes(
@@ -121,12 +115,11 @@ def compiled_slopes(
     """Slopes of X, the unit forces and the elongations; `linear`: inverse, receptance and share."""
     along_p, along_constants, *inputs = along
     by_constant = np.concatenate(forces.by_constant, axis=-1)
-    slopes: tuple[Complex, Complex, Real] = rig.slopes(
+    return rig.slopes(
         *_dwells(model, p, np.zeros((len(p), by_constant.shape[-1])), drive), *linear, forces.slope, by_constant,
         np.ascontiguousarray(a), _numbers(along_p), _numbers(along_constants),
         *(None if part is None else np.ascontiguousarray(part) for part in inputs), threads(),
     )  # fmt: skip
-    return slopes
 
 
 def compiled_channels(
@@ -145,13 +138,12 @@ def compiled_channels(
     r = model.D.shape[1]
     parts = (None, None) if inputs is None else (inputs[:, :, :r], inputs[:, :, r:])
     rates, *shown = channels
-    lines: tuple[Complex, Complex, Real, Real, Real] = rig.lines(
+    return rig.lines(
         _numbers(p), _numbers(constants), _numbers(omega), factors_of_orders(model, omega, orders),
         np.ascontiguousarray(q), None if start is None else _numbers(start), times, _numbers(along_p),
         _numbers(along_g), *(None if part is None else np.ascontiguousarray(part) for part in parts),
         _counts(dwell), _counts(order), np.ascontiguousarray(rates), *map(_numbers, shown), threads(),
     )  # fmt: skip
-    return lines
 
 
 def _dwells(model: Model, p: Real, constants: Real, drive: Drive) -> tuple[Any, ...]:

@@ -360,7 +360,8 @@ class _Dimensions:
         if exponent.symbol == "number":
             return self.plus(nothing, unit, exponent.number)
         self.alike(self.visit(exponent), nothing)
-        return unit if _is_number_free(exponent) else nothing
+        # Whether an exponent is a named constant, so that its base keeps the unit it has at an exponent of 1
+        return unit if exponent.symbol == "name" else nothing
 
     def solved(
         self, expression: Expression, result: tuple[dict[int, float], Exponents]
@@ -392,8 +393,3 @@ class _Dimensions:
         rest = b - A[:, of_numbers] @ powers[of_numbers]
         powers[of_names] = np.linalg.lstsq(A[:, of_names], rest, rcond=None)[0]
         return powers
-
-
-def _is_number_free(node: Node) -> bool:
-    """Whether an exponent is a named constant, so that its base keeps the unit it has at an exponent of 1."""
-    return node.symbol == "name"

@@ -9,7 +9,7 @@ Three kinds (THEORY §9): functions of (d, v); laws with a state z whose rate is
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from difflib import get_close_matches
 from functools import cached_property
@@ -158,25 +158,24 @@ def force_law(text: str, constants: Sequence[Constant] = (), *, damper: bool = F
     rate = parse(usual.rate) if usual is not None and usual.rate else None
     state = usual is not None and (rate is not None or bool(usual.operator))
     names = [*expression.names, *(rate.names if rate else ()), *(usual.constants if usual else ())]
-    wanted = _constants_among(names, {"d", "v", "z"} if state else {"d", "v"})
+    # The names that are constants, in order, each once
+    wanted = [name for name in dict.fromkeys(names) if name not in ({"d", "v", "z"} if state else {"d", "v"})]
     given = {constant.name: constant for constant in constants}
     _require_named(text, wanted, list(given), complete=usual is None)
     if not state:
         _require_motion(text, expression)
     law = ForceLaw(
-        text, expression, tuple(given.get(name, Constant(name)) for name in wanted), rate,
+        text,
+        expression,
+        tuple(given.get(name, Constant(name)) for name in wanted),
+        rate,
         "" if usual is None else usual.operator,
-    )  # fmt: skip
+    )
     law.exponents  # noqa: B018  # raises where no units make sense
     _require_finite_at_rest(law)
     if not state:
         _require_steady(law)
     return law
-
-
-def _constants_among(names: Sequence[str], reserved: Collection[str]) -> list[str]:
-    """The names that are constants, in order, each once."""
-    return [name for name in dict.fromkeys(names) if name not in reserved]
 
 
 def _require_named(text: str, wanted: Sequence[str], given: Sequence[str], *, complete: bool) -> None:

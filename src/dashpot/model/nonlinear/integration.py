@@ -6,15 +6,254 @@ polynomials through four Lobatto points of each step, found by Newton's method (
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from dashpot.arrays import Ints, Real
+from dashpot.errors import ModelError
+from dashpot.model.dynamics import matrices
 from dashpot.model.network import Model
 from dashpot.model.nonlinear.force_law import ForceLaw
-from dashpot.model.nonlinear.propagation import Forcing, loads, propagator
-from dashpot.model.nonlinear.step_forces import NEWTON, StepForces, held_states
+
+# One step of the linear part of a rig in time, exactly, and the inputs between samples (THEORY §9).
+#
+# Forces are polynomials through the four Lobatto points of a step (exponential collocation: Hochbruck and
+# Ostermann 2010, Acta Numerica 19, 209).
+
+
+NODES = np.array([0.0, (1 - 1 / np.sqrt(5)) / 2, (1 + 1 / np.sqrt(5)) / 2, 1.0])  # Lobatto
+LAGRANGE = np.linalg.inv(np.vander(NODES, increasing=True))  # (power, node): ℓ_k(c) = Σ_m LAGRANGE[m, k] c^m
+WITHIN = np.array([[NODES[j] ** (m + 1) / (m + 1) for m in range(4)] for j in range(4)]) @ LAGRANGE
+
+
+@dataclass(frozen=True)
+class Forcing:
+    """Inputs of one record as cubics between samples: (samples − 1, 4, r + s), powers of the share of the interval.
+
+    rated (r + s,): whether a force is the rate of its cubics, of none where it is empty.
+    """
+
+    step_s: float
+    coefficients: Real
+    rated: tuple[bool, ...] = ()
+
+    @property
+    def intervals(self) -> int:
+        """Number of intervals between samples."""
+        return len(self.coefficients)
+
+
+def forcing(step_s: float, inputs: Real, rated: tuple[bool, ...] = ()) -> Forcing:
+    """Cubic splines through the samples (samples, r + s) of the inputs, `step_s` apart; `rated` as of Forcing."""
+    from scipy.interpolate import CubicSpline  # with it comes all of scipy.optimize
+
+    time = np.arange(len(inputs), dtype=float)
+    spline = CubicSpline(time, inputs, axis=0)
+    return Forcing(step_s, np.moveaxis(np.asarray(spline.c)[::-1], 0, 1), rated)
+
+
+@dataclass(frozen=True)
+class Propagator:
+    """One step of the linear part, in steps of h: states after the share c_j of it.
+
+    E (4, 2 n, 2 n) of the state, I (4, 2 n, 4, n) of forces growing as the power m of the share.  Wf (4, 4, 2 n, n) of
+    forces given at the nodes; Wn (4, 4, 2 n, e) the same of unit forces of the nonlinear elements.
+    """
+
+    h: float
+    E: Real
+    Wf: Real
+    Wn: Real
+    inertia: Real
+    both: tuple[Real, Real, Real]
+
+
+def propagator(model: Model, p: Real, h: float) -> Propagator:
+    """Raises ModelError where a coordinate has no mass or an element is hysteretic.  p (elements,), h in s."""
+    from scipy.linalg import expm
+
+    parts = matrices(model, p)
+    n, chosen = model.n, model.nonlinear
+    if np.any(parts.H):
+        raise ModelError(
+            "a hysteretic damper has no motion in time",
+            cure="use a viscous damper, or settled dwells of a linear rig",
+        )
+    size = np.sqrt(np.abs(np.diagonal(parts.M)))  # masses of one rig may differ by many orders
+    if not np.all(size) or np.linalg.matrix_rank(parts.M / np.outer(size, size)) < n:
+        raise ModelError(
+            "a coordinate has no mass, so its motion cannot be integrated",
+            cure="give every coordinate a mass",
+        )
+    inverse: Real = np.linalg.inv(parts.M).astype(np.float64)
+    A = np.block([[np.zeros((n, n)), np.eye(n)], [-inverse @ parts.K, -inverse @ parts.C]])
+    chain = np.zeros((6 * n, 6 * n))
+    chain[: 2 * n, : 2 * n] = A * h
+    chain[n : 2 * n, 2 * n : 3 * n] = inverse * h
+    for m in range(3):  # d/dc of c^m/m! is the one before it
+        chain[2 * n + m * n : 3 * n + m * n, 3 * n + m * n : 4 * n + m * n] = np.eye(n)
+    E, moments = np.zeros((4, 2 * n, 2 * n)), np.zeros((4, 2 * n, 4, n))
+    for j, share in enumerate(NODES):
+        grown = expm(chain * share)
+        E[j] = grown[: 2 * n, : 2 * n]
+        for m, factorial in enumerate((1, 1, 2, 6)):
+            block = grown[: 2 * n, 2 * n + m * n : 3 * n + m * n]
+            moments[j, :, m] = block * factorial
+    Wf = np.einsum("jxmn,mk->jkxn", moments, LAGRANGE)
+    Wn = -np.einsum("jkxn,en,e->jkxe", Wf, model.B[chosen], p[chosen])
+    return Propagator(h, E, Wf, Wn, inverse, (parts.K, parts.C, parts.M))
+
+
+def loads(model: Model, p: Real, drive: Forcing, substeps: int) -> tuple[Real, Real]:
+    """(force of the inputs on the coordinates at the nodes of each step (steps, 4, n), inputs (steps, 4, 2, r)).
+
+    The inputs come with their rates; forces of masses between base and rig count the acceleration of the spline.
+    """
+    parts = matrices(model, p)
+    r = model.D.shape[1]
+    share = (NODES[None, :] + np.arange(substeps)[:, None]) / substeps  # (substeps, 4)
+    powers = share[..., None] ** np.arange(4)
+    rates = np.where(
+        np.arange(4) > 0, np.arange(4) * share[..., None] ** np.maximum(np.arange(4) - 1, 0), 0.0
+    )
+    bends = np.where(
+        np.arange(4) > 1,
+        np.arange(4) * (np.arange(4) - 1) * share[..., None] ** np.maximum(np.arange(4) - 2, 0),
+        0.0,
+    )
+
+    def at(basis: Real, order: int) -> Real:
+        values = np.einsum("skm,imq->iskq", basis, drive.coefficients) / drive.step_s**order
+        return values.reshape(math.prod(values.shape[:2]), *values.shape[2:])  # there may be no input
+
+    q, dq = at(powers, 0), at(rates, 1)
+    applied = np.where(drive.rated[r:], dq[..., r:], q[..., r:]) if any(drive.rated) else q[..., r:]
+    force = q[..., :r] @ parts.G.T + dq[..., :r] @ parts.F.T + applied @ model.S.T
+    if np.any(parts.J):
+        force = force + at(bends, 2)[..., :r] @ parts.J.T
+    return force, np.stack([q[..., :r], dq[..., :r]], axis=2)
+
+
+# Unit forces of nonlinear laws at the Lobatto points of a step, with their slopes and the states that laws
+# carry.
+
+
+@dataclass(frozen=True)
+class HeldStates:
+    """States of a law at the nodes, (S, 4), and their slopes along d and v at all nodes (S, 4, 4), z0 and constants.
+
+    step: the largest last change of z over its size.
+    """
+
+    z: Real
+    step: float
+    by_d: Real
+    by_v: Real
+    by_z0: Real
+    by_g: Real
+
+
+@dataclass(frozen=True)
+class StepForces:
+    """Unit forces at the nodes (S, 4, e) and their slopes: along d and v at the same node (S, 4 e), or, `full`, at all
+    nodes (S, 4 e, 4 e); along the states z0 at the start and the constants; z (S, 4, laws with a state).
+    """
+
+    a: Real
+    by_d: Real
+    by_v: Real
+    by_z0: Real
+    by_g: tuple[Real, ...]
+    z: Real
+    held: tuple[HeldStates, ...]
+    full: bool
+
+    def times(self, d: Real, v: Real) -> Real:
+        """What changes of d and v at the nodes, (S, 4, e, Q), do to the unit forces."""
+        if not self.full:
+            shape = (*d.shape[:3], 1)
+            return self.by_d.reshape(shape) * d + self.by_v.reshape(shape) * v
+        wide = (len(d), -1, d.shape[-1])
+        change: Real = self.by_d @ d.reshape(wide) + self.by_v @ v.reshape(wide)
+        return change.reshape(d.shape)
+
+    def rows(self, chosen: slice) -> StepForces:
+        """Those of some of the segments, without the states of laws."""
+        by_g = tuple(by[chosen] for by in self.by_g)
+        return replace(
+            self, a=self.a[chosen], by_d=self.by_d[chosen], by_v=self.by_v[chosen], by_z0=self.by_z0[chosen], by_g=by_g,
+            z=self.z[chosen], held=(),
+        )  # fmt: skip
+
+
+def held_states(law: ForceLaw, d: Real, v: Real, z: Real, z0: Real, g: Real, h: float) -> HeldStates:
+    """The state of a law over one step, from z0: collocation of its rate, or the operator from node to node.
+
+    One step of Newton's method from z (S, nodes) on the collocation, with the slopes there: the caller's steps for the
+    forces bring both to their end.  d, v (S, nodes), z0 (S,) at the start, g the constants of the law, h in s.
+    """
+    if law.operator:
+        return _operated_nodes(law, d, z0, g)
+    assert law.rate is not None
+    S, K = d.shape
+    Q = h * WITHIN
+    at = law.rate(law.values(d, v, z, g))
+    nothing = np.zeros((S, K))
+    along = {name: np.broadcast_to(slope, (S, K)) for name, slope in at.slopes.items()}
+    inverse: Real = np.linalg.inv(np.eye(K) - Q * along.get("z", nothing)[:, None, :]).astype(np.float64)
+    missing = z - z0[:, None] - np.broadcast_to(at.value, (S, K)) @ Q.T
+    change = (inverse @ missing[..., None])[..., 0]
+    z = z - change
+    by_d, by_v = (inverse @ (Q * along.get(name, nothing)[:, None, :]) for name in ("d", "v"))
+    columns = [along.get(name, nothing) @ Q.T for name in law.constant_names]
+    by_g = inverse @ np.stack(columns, axis=-1) if columns else np.zeros((S, K, 0))
+    step = float(np.max(np.abs(change)) / (np.max(np.abs(z)) + 1e-300))
+    return HeldStates(z, step, by_d, by_v, inverse.sum(axis=-1), by_g)
+
+
+def _operated_nodes(law: ForceLaw, d: Real, z0: Real, g: Real) -> HeldStates:
+    """Stop and play from node to node; a z0 that they cannot have at the first elongation is moved to where they can.
+
+    What a record is said to begin with may be out of reach: a play is carried along at once.
+    """
+    S, K = d.shape
+    tangent, nothing = np.zeros((S, K + 2)), np.zeros((S, K + 2))  # along d at the nodes, z0 and the width
+    tangent[:, K] = 1.0
+    z, states, tangents = z0, [], []
+    width = g[:, 0]
+    for k in range(K):
+        change = nothing.copy()
+        change[:, k] = 1.0
+        if law.operator == "play":
+            z, tangent = clipped(z, tangent, d[:, k], change, width, K + 1)
+        else:
+            if k:
+                change[:, k - 1] = -1.0
+                z, tangent = z + d[:, k] - d[:, k - 1], tangent + change
+            z, tangent = clipped(z, tangent, np.zeros(S), nothing, width, K + 1)
+        states.append(z)
+        tangents.append(tangent)
+    total = np.stack(tangents, axis=1)
+    return HeldStates(
+        np.stack(states, axis=1), 0.0, total[..., :K], np.zeros((S, K, K)), total[..., K], total[..., K + 1 :]
+    )
+
+
+def clipped(
+    free: Real, tangent: Real, centre: Real, tangent_centre: Real, width: Real, column: int
+) -> tuple[Real, Real]:
+    """`free` (...,) held within centre ± width, and its tangent (..., columns).
+
+    The width is the unknown of `column`.
+    """
+    above, below = free > centre + width, free < centre - width
+    z = np.where(above, centre + width, np.where(below, centre - width, free))
+    edge = np.broadcast_to(tangent_centre, tangent.shape).copy()
+    edge[:, column] += np.where(above, 1.0, -1.0)
+    return z, np.where((above | below)[:, None], edge, tangent)
+
 
 SETTLED = 1e-13  # of the forces of a step
 
@@ -199,8 +438,7 @@ class Integrator:
             d, rate = (np.broadcast_to(self.Dn @ way[node], shape) for way in (moved.shift, moved.rate))
             d_a = at.rows(chosen).times(d, rate)[:, 0]
             slopes[chosen] = moved.force[node] - (self.Bn.T * self.p[self.model.nonlinear]) @ d_a
-        by_inputs: Real = self.step.inertia @ slopes
-        return by_inputs
+        return self.step.inertia @ slopes
 
     def _instants(self, motion: Motion) -> tuple[Real, Real, Real, Real, Real]:
         """At the samples: x, v (samples, 1, n), forces of the inputs (samples, n), u, u̇ (samples, 1, r)."""
@@ -249,7 +487,7 @@ class Integrator:
             a, z = first.a.reshape(S, -1), first.z
         else:
             a, z = guess[0].reshape(S, -1), guess[1]
-        for _ in range(NEWTON):
+        for _ in range(24):  # Newton's method, at most
             d = free_d + (a @ self.reach_d.T).reshape(free_d.shape)
             v = free_v + (a @ self.reach_v.T).reshape(free_v.shape)
             at = self._forces(d, v, z, z0)
@@ -379,5 +617,4 @@ class Integrator:
             if element.force_law is None:
                 a[..., i] = motion[element.law.power][..., i]
         a[..., model.nonlinear] = at.a
-        load: Real = -np.einsum("en,ske,eq->sknq", model.B, a, model.T)
-        return load
+        return -np.einsum("en,ske,eq->sknq", model.B, a, model.T)

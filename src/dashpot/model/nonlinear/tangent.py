@@ -106,8 +106,7 @@ def _input_itself(N: int, h: float, power: int, on_q: Real) -> Real:
     at = np.zeros((N, 4))
     at[:-1, power] = (1.0, 1.0, 2.0)[power]
     at[-1] = ((1, 1, 1, 1), (0, 1, 2, 3), (0, 0, 2, 6))[power]
-    along: Real = (at[:, :, None] / h**power * on_q).reshape(N, -1)
-    return along
+    return (at[:, :, None] / h**power * on_q).reshape(N, -1)
 
 
 def _accelerations(machine: Integrator, motion: Motion) -> tuple[Real, Real]:

@@ -9,9 +9,7 @@ from dashpot.errors import ModelError, UsageError
 from dashpot.io.toml_document import Place
 from dashpot.io.words import quoted
 from dashpot.model.nonlinear.force_law import Constant, ForceLaw, force_law, unit_of
-from dashpot.model.rigfile.amounts import read_numbers
-from dashpot.model.rigfile.reading import RigReading
-from dashpot.model.rigfile.schema import ConstantEntry, ElementEntry
+from dashpot.model.rigfile.schema import ConstantEntry, ElementEntry, RigReading, read_numbers
 from dashpot.units import factor_between
 
 
@@ -110,9 +108,12 @@ def law_fields(law: ForceLaw) -> dict[str, str]:
     fields = {"law": quoted(law.text)}
     for constant in law.constants:
         numbers = {
-            "value": constant.value, "sd": constant.sd, "guess": constant.guess, "min": constant.lower,
+            "value": constant.value,
+            "sd": constant.sd,
+            "guess": constant.guess,
+            "min": constant.lower,
             "max": constant.upper,
-        }  # fmt: skip
+        }
         given = {key: repr(float(number)) for key, number in numbers.items() if number is not None}
         if set(given) == {"value"}:
             fields[constant.name] = given["value"]

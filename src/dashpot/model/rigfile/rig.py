@@ -25,11 +25,15 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Rig(InNotebooks):
-    """A model, the channels that its data files are made of, and the `path` of the file it was read from ("": none)."""
+    """A model, the channels that its data files are made of, and the `path` of the file it was read from ("": none).
+
+    within: the share of every channel's motion within which the rig is to describe it; None: what suits the noise.
+    """
 
     model: Model
     channels: tuple[Channel, ...]
     path: str = ""
+    within: float | None = None
 
     def __repr__(self) -> str:
         source = f", from {shown(self.path)}" if self.path else ""
@@ -51,7 +55,7 @@ class Rig(InNotebooks):
         """Whether the unknowns can be found from the channels and, with data, from their frequencies."""
         return cast("Structure", call("check", self, data, **options))
 
-    def simulate(self, values: Mapping[str, float], frequencies: Any, **options: Any) -> tuple[Record, ...]:
+    def simulate(self, values: Mapping[str, Any], frequencies: Any, **options: Any) -> tuple[Record, ...]:
         """The records that the rig would yield with values in SI units: `dashpot.simulate(rig, values, …)`."""
         return cast("tuple[Record, ...]", call("simulate", self, values, frequencies, **options))
 

@@ -15,7 +15,7 @@ from dashpot.model.elements import Element, Kind
 from dashpot.model.network import Input, Model
 from dashpot.model.rigfile.force_laws import law_fields
 from dashpot.model.rigfile.rig import Rig, is_electrical
-from dashpot.model.rigfile.schema import GROUND
+from dashpot.model.rigfile.schema import GROUND, VERDICT
 from dashpot.model.unstructured import free_entries
 
 LARGE = 1e7  # from which a number is written with a power of ten
@@ -50,6 +50,8 @@ def write_rig(rig: Rig) -> str:
         members = [element for element in model.elements if element.kind == kind and not element.free]
         lines += _section(kind.section, {element.name: _element_fields(element) for element in members})
     lines += _section("channels", {channel.name: _channel_fields(channel, model) for channel in rig.channels})
+    if rig.within is not None:
+        lines += ["", f"[{VERDICT}]", f"within = {rig.within!r}"]
     return "\n".join(lines) + "\n"
 
 

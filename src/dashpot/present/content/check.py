@@ -6,12 +6,11 @@ from collections.abc import Sequence
 from typing import Any
 
 from dashpot.channel import Channel
-from dashpot.check.collinearity import Collinearity
-from dashpot.check.data_findings import DataFindings
-from dashpot.check.directions import Deficiency
+from dashpot.check.data_findings import Collinearity, DataFindings
 from dashpot.check.identifiability import Structure
 from dashpot.check.profile import Profile
 from dashpot.check.sensitivity import KnownErrors
+from dashpot.check.structure import Deficiency
 from dashpot.data.spectrum import Spectrum
 from dashpot.model.network import Model
 from dashpot.present.text.identifiability import combinations_in_words, in_words

@@ -13,7 +13,7 @@ from dashpot.arrays import Real
 from dashpot.estimate.comparison import Comparison
 from dashpot.estimate.result import Estimate
 from dashpot.model.network import Model
-from dashpot.present.figures.style import BAD, COLOURS, HALF_PAGE, INK, MODEL, ShownFigure, style
+from dashpot.present.figures.style import BAD, COLOURS, HALF_PAGE, INK, MODEL, ShownFigure, limit_axis, style
 
 ROW, PANEL = 0.24, 2.45  # inches a method, and a panel
 WIDE = 6.0  # times the narrowest interval: wider ones run out of the picture, for the others would be dots
@@ -147,7 +147,7 @@ def _panel(
             if beyond:
                 wider = True
                 axes.plot(end, i, arrow, color=colour, ms=4.5, mew=0, clip_on=False)
-    axes.set_xlim(left, right)
+    limit_axis(axes.set_xlim, left, right)
     axes.set_ylim(len(methods) - 0.4, -0.6)
     axes.set_yticks(place, methods)
     axes.tick_params(axis="y", length=0)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -20,13 +20,86 @@ from matplotlib.ticker import (
 )
 from matplotlib.transforms import Bbox
 
-from dashpot.arrays import Real
-from dashpot.present.figures.style import COLOURS, INK, MODEL, MUTED, style
+from dashpot.arrays import Complex, Real
+from dashpot.design.advise import Answer
+from dashpot.design.plan import Plan, plan_curves
+from dashpot.design.plan_files import phase_deg
+from dashpot.present.figures import design as draw
+from dashpot.present.figures.style import COLOURS, INK, MODEL, MUTED, limit_axis, style
 from dashpot.present.text.numbers import short
+
+# Pictures of a planned test and of data as they came in: from answers to arrays to figures.
+
+
+def planned_test_figure(answer: Answer) -> Figure:
+    """Dwells on the directional derivative, information of each frequency about each parameter, intervals."""
+    assert answer.plan is not None
+    plan, setup = answer.plan, answer.setup
+    curves = plan_curves(setup, answer.criterion, plan, answer.known, answer.grid.low, answer.grid.high)
+    names = drive_names([*setup.model.displacement_inputs, *setup.model.force_inputs], setup.drives)
+    labelled = [(names[k], curve) for k, curve in zip(curves.patterns, curves.derivative, strict=True)]
+    timed = plan.time_s is not None
+    amounts = np.array([d.time_s if timed else d.samples for d in plan.dwells], dtype=float)
+    title = f"The next test: {len(plan.dwells)} dwell{'s'[: len(plan.dwells) - 1]}, {plan.samples} samples"
+    title += "" if plan.time_s is None else f", {short(plan.time_s, 3)} s"
+    p = plan.predicted
+    bars = [j for j in range(len(p.names)) if p.values[j] != 0]  # a delay of 0 has no relative error
+    return draw.plan_figure(
+        title, curves.frequency_hz, labelled, np.array([d.frequency_hz for d in plan.dwells]), amounts,
+        "s" if timed else "samples", p.names, curves.gain, [p.names[j] for j in bars], _bars(answer, plan, bars),
+    )  # fmt: skip
+
+
+def _bars(answer: Answer, plan: Plan, bars: list[int]) -> list[draw.Bars]:
+    """Relative standard deviations of the tests that are compared, of the parameters `bars`."""
+    p = plan.predicted
+    tests = [draw.Bars("this test", 100 * p.relative[bars])]
+    if answer.estimate is not None:
+        e = answer.estimate
+        now = {n: float(s / abs(v)) if v else np.nan for n, s, v in zip(e.names, e.sd, e.values, strict=True)}
+        tests.append(draw.Bars("known now", 100 * np.array([now.get(p.names[j], np.nan) for j in bars])))
+    if answer.comparison is not None:
+        tests.append(
+            draw.Bars("other test, as many samples", 100 * answer.comparison.predicted.relative[bars])
+        )
+        iv = answer.comparison.iv
+        if iv is not None and len(iv.names) == len(p.names):
+            tests.append(draw.Bars("other test by the paper's iv", 100 * iv.relative[bars]))
+    return tests
+
+
+def drive_names(inputs: Sequence[str], drives: Complex) -> list[str]:
+    """Patterns of a drive in words: "u", "u + v", "u − v".  drives (patterns, inputs)."""
+    words = []
+    for row in drives:
+        text = ""
+        for name, z in zip(inputs, row, strict=True):
+            if z == 0:
+                continue
+            sign = "−" if abs(z.imag) < 1e-12 and z.real < 0 else "+"
+            turn = "" if abs(z.imag) < 1e-12 else f"∠{phase_deg(complex(z)):.0f}°"
+            text += f"{f' {sign} ' if text else ('−' if sign == '−' else '')}{name}{turn}"
+        words.append(text)
+    return words
+
+
+def sequential_figure(answer: Answer, targets: Mapping[str, float]) -> Figure | None:
+    """Intervals against samples as data came; None where the data did not determine the unknowns before their end."""
+    so_far, verdict = answer.so_far, answer.verdict
+    if so_far is None:
+        return None
+    times = 4.0
+    if verdict is not None and np.isfinite(verdict.more):
+        times = max(1.3 * verdict.more / float(so_far.samples[-1]) + 1.3, 1.5)
+    ahead, relative = so_far.extrapolated(times)
+    aims = np.array([100 * targets.get(name, np.nan) for name in so_far.names])
+    return draw.progress_figure(
+        so_far.names, so_far.samples.astype(float), 100 * so_far.relative, ahead, 100 * relative, aims
+    )
+
 
 HEAT = LinearSegmentedColormap.from_list("heat", ["#ffffff", "#d5e6ee", "#7fb6cd", "#0b6e99", "#083d56"])
 OTHER, EARLIER = "#b0531a", "#7b8794"
-MOST_NAMED = 8  # dwells whose frequencies are written beside them
 CLEAR = 4.0  # px around a dwell and between names
 PLACES = (((6, 3), "left"), ((-6, 3), "right"), ((0, 7), "center"), ((6, -8), "left"), ((-6, -8), "right"))
 FRAME: dict[str, Any] = {"frameon": True, "framealpha": 0.85, "edgecolor": "none"}  # over bars and curves
@@ -66,14 +139,14 @@ def plan_figure(
         top.set_title(title)
         _heat(middle, frequency_hz, names, shares, dwells_hz)
         _intervals(bottom, bars, tests)
-        if len(dwells_hz) <= MOST_NAMED:
+        if len(dwells_hz) <= 8:  # dwells whose frequencies are written beside them
             figure.draw_without_rendering()  # the layout, by which places are known
             _name_dwells(over, dwells_hz, dwells)
     return figure
 
 
 def _axis(axes: Axes, f: Real) -> None:
-    axes.set_xlim(float(np.min(f)) / 1.02, float(np.max(f)) * 1.02)
+    limit_axis(axes.set_xlim, float(np.min(f)) / 1.02, float(np.max(f)) * 1.02)
     if float(np.max(f)) > 2 * float(np.min(f)):
         axes.set_xscale("log")
         wide = float(np.max(f)) > 8 * float(np.min(f))
@@ -103,7 +176,7 @@ def _dwells(
     most = float(np.max(dwells, initial=0.0))
     twin.vlines(dwells_hz, 0, dwells, color=OTHER, lw=2.2, zorder=4)
     twin.plot(dwells_hz, dwells, "o", color=OTHER, ms=5, zorder=5, clip_on=False)
-    twin.set_ylim(0, 1.3 * most if most > 0 else 1)
+    limit_axis(twin.set_ylim, 0, 1.3 * most if most > 0 else 1)
     twin.set_ylabel(f"dwell, {unit}", color=OTHER)
     twin.yaxis.set_major_locator(MaxNLocator(5, integer=unit == "samples"))
     twin.tick_params(axis="y", colors=OTHER)
@@ -186,9 +259,9 @@ def _intervals(axes: Axes, names: Sequence[str], tests: Sequence[Bars]) -> None:
     if logarithmic:
         axes.set_xscale("log")
         axes.xaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
-        axes.set_xlim(smallest / 2, largest * 2)
+        limit_axis(axes.set_xlim, smallest / 2, largest * 2)
     else:
-        axes.set_xlim(0, 1.14 * largest)
+        limit_axis(axes.set_xlim, 0, 1.14 * largest)
     axes.set_xlabel("expected standard deviation, per cent of the value")
     axes.set_title("Expected intervals")
     if len(tests) > 1:

@@ -3,17 +3,84 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, MaxNLocator, MultipleLocator, NullFormatter, StrMethodFormatter
 
-from dashpot.check.frequency_response import FrequencyResponse
+from dashpot.arrays import Bools, Ints, Real
+from dashpot.check.residuals import FrequencyResponse
 from dashpot.present.figures.interactive import AxisLabel, hover
 from dashpot.present.figures.spectra import FREQUENCY, MANY, PHASE, frequency_axis
-from dashpot.present.figures.style import DATA, MODEL, MUTED, style
+from dashpot.present.figures.style import BAD, COLOURS, DATA, MODEL, MUTED, limit_axis, style
 from dashpot.present.text.numbers import short
+
+# Amplitude-frequency curves with their unstable parts and folds, from arrays alone.
+
+
+@dataclass(frozen=True)
+class DrawnCurve:
+    """One curve: x (P,), y (P, channels), stable (P,) or None, folds (…,); a `thin` one is a backbone."""
+
+    label: str
+    x: Real
+    y: Real
+    stable: Bools | None
+    folds: Ints
+    thin: bool = False
+
+
+def response_curves(
+    names: Sequence[str], units: Sequence[str], curves: Sequence[DrawnCurve], x_label: str
+) -> Figure:
+    """A panel for each channel: stable motions drawn through, unstable ones dashed, folds as rings."""
+    with style():
+        figure = Figure(figsize=(7.6, 2.6 * len(names) + 0.5))
+        rows = figure.subplots(len(names), 1, squeeze=False, sharex=True)[:, 0]
+        for channel, (axes, name, unit) in enumerate(zip(rows, names, units, strict=True)):
+            for k, curve in enumerate(curves):
+                _draw(axes, curve, channel, COLOURS[k % len(COLOURS)])
+            axes.set_title(name)
+            axes.set_ylabel(f"half peak-to-peak, {unit}")
+            axes.set_ylim(bottom=0)
+            limit_axis(axes.set_xlim, *_range([curve.x for curve in curves if not curve.thin]))
+        rows[-1].set_xlabel(x_label)
+        if any(curve.stable is not None and not np.all(curve.stable) for curve in curves):
+            rows[0].plot([], [], color=MUTED, lw=1.2, ls=(0, (3, 2)), label="unstable")
+        if any(len(curve.folds) for curve in curves):
+            rows[0].plot([], [], "o", color=BAD, mfc="white", ms=4, label="fold")
+        rows[0].legend(loc="best")
+    return figure
+
+
+def _draw(axes: Axes, curve: DrawnCurve, channel: int, colour: str) -> None:
+    y = curve.y[:, channel]
+    if curve.thin:
+        axes.plot(curve.x, y, color=MUTED, lw=1.0, ls=(0, (6, 2, 1, 2)), label=curve.label, zorder=1)
+        return
+    stable = np.ones(len(y), dtype=bool) if curve.stable is None else curve.stable
+    # A piece between two points is stable where both its ends are.
+    through = stable & np.append(stable[1:], True)
+    axes.plot(*_pieces(curve.x, y, through), color=colour, lw=1.5, label=curve.label, zorder=3)
+    if not np.all(stable):
+        axes.plot(*_pieces(curve.x, y, ~through), color=colour, lw=1.2, ls=(0, (3, 2)), zorder=2)
+    axes.plot(curve.x[curve.folds], y[curve.folds], "o", color=BAD, mfc="white", ms=4, zorder=4)
+
+
+def _range(values: Sequence[Real]) -> tuple[float, float]:
+    low, high = min(float(np.min(x)) for x in values), max(float(np.max(x)) for x in values)
+    margin = 0.02 * (high - low)
+    return low - margin, high + margin
+
+
+def _pieces(x: Real, y: Real, chosen: Bools) -> tuple[Real, Real]:
+    """The pieces from each chosen point to the next, with gaps between runs of them."""
+    shown = chosen.copy()
+    shown[1:] |= chosen[:-1]
+    return np.where(shown, x, np.nan), np.where(shown, y, np.nan)
+
 
 REACH = 1.96  # standard deviations of a 95 % band
 MOST_PLANES = 8
@@ -62,7 +129,7 @@ def _amplitude(axes: Axes, shown: FrequencyResponse) -> None:
     positive = everything[np.isfinite(everything) & (everything > 0)]
     if len(positive):
         low, high = float(np.min(positive)) / 1.6, float(np.max(positive)) * 1.6
-        axes.set_ylim(low, high)
+        limit_axis(axes.set_ylim, low, high)
         if high < 300 * low:
             axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0), numticks=12))
             axes.yaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
@@ -85,7 +152,7 @@ def _phase(axes: Axes, shown: FrequencyResponse) -> None:
         )  # fmt: skip
     axes.plot(shown.frequency_hz, shown.curve_deg, color=MODEL, lw=1.2, label="model", zorder=4)
     low, high = float(np.min(shown.curve_deg)), float(np.max(shown.curve_deg))
-    axes.set_ylim(np.floor((low - 30) / 90) * 90, np.ceil((high + 30) / 90) * 90)
+    limit_axis(axes.set_ylim, np.floor((low - 30) / 90) * 90, np.ceil((high + 30) / 90) * 90)
     axes.yaxis.set_major_locator(MultipleLocator(90 if high - low < 400 else 180))
     axes.set_ylabel("phase, °")
 

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import re
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
+from itertools import groupby
 from textwrap import wrap
 from typing import Any
 
@@ -15,9 +17,206 @@ from matplotlib.patches import Patch
 from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
 
 from dashpot.arrays import Real
-from dashpot.present.figures.style import INK, MUTED, style
+from dashpot.present.figures import study as draw
+from dashpot.present.figures.style import INK, MUTED, limit_axis, method_colour, png, style
+from dashpot.present.text.study import COUNTED_FACTORS, factor_text, varied_factors
+from dashpot.study.montecarlo import LEVELS, Summary
+from dashpot.study.runner import StudyOutcome, SummaryRow
 
-PANELS_A_ROW = 3
+# Pictures of a Monte Carlo study: from its summaries to arrays to figures.
+
+
+FEWEST = 3  # points that make a curve
+MOST_BARS = 8
+MOST_ALIKE = (
+    12  # groups of one factor that are drawn, evenly spread: bars at each of 200 noise levels are 200 figures
+)
+
+Rest = tuple[tuple[str, str | float | int], ...]
+
+
+@dataclass(frozen=True)
+class FactorGroup:
+    """Scenarios that differ in one factor alone: its values, and the summaries by method (a list over the values)."""
+
+    factor: str
+    rest: Rest
+    values: tuple[object, ...]
+    parameters: tuple[str, ...]
+    summaries: dict[str, list[Summary]]
+
+
+def groups(outcome: StudyOutcome) -> list[FactorGroup]:
+    """All sets of scenarios that differ in one factor alone and are worth a picture."""
+    made = []
+    for factor in varied_factors(outcome.rows):
+        least = FEWEST if factor in COUNTED_FACTORS else 2
+        sets: dict[tuple[Rest, tuple[str, ...]], list[SummaryRow]] = {}
+        for row in outcome.rows:
+            factors = row.scenario.factors
+            if factor in factors:
+                rest = tuple((key, value) for key, value in factors.items() if key != factor)
+                sets.setdefault((rest, row.scenario.model.unknown_names), []).append(row)
+        for (rest, names), rows in sets.items():
+            group = _group(factor, rest, names, rows)
+            if len(group.values) >= least:
+                made.append(group)
+    return made
+
+
+def _group(factor: str, rest: Rest, names: tuple[str, ...], rows: Sequence[SummaryRow]) -> FactorGroup:
+    by_method: dict[str, dict[object, Summary]] = {}
+    for row in rows:
+        by_method.setdefault(row.method, {})[row.scenario.factors[factor]] = row.summary
+    values = list(dict.fromkeys(row.scenario.factors[factor] for row in rows))
+    if factor in COUNTED_FACTORS:
+        values.sort(key=float)
+    complete = {
+        name: [summaries[value] for value in values]
+        for name, summaries in by_method.items()
+        if len(summaries) == len(values)
+    }
+    return FactorGroup(factor, rest, tuple(values) if complete else (), names, complete)
+
+
+def study_pictures(outcome: StudyOutcome) -> dict[str, bytes]:
+    """PNG files by name: for each numeric factor errors and accuracy over it, for each other factor bars.
+
+    Of many groups of one factor some are drawn.
+    """
+    made: dict[str, bytes] = {}
+    for group in _drawn(groups(outcome)):
+        drawn = _curves(group) if group.factor in COUNTED_FACTORS else _bars(group, _title(group, outcome))
+        for kind, figure in drawn:
+            stem = "_".join(filter(None, [group.factor, kind, _slug(group, outcome)]))
+            name, k = stem, 1
+            while name in made:
+                k += 1
+                name = f"{stem}_{k}"
+            made[name] = png(figure)
+    return made
+
+
+def _drawn(every: Sequence[FactorGroup]) -> Iterable[FactorGroup]:
+    """Groups of each factor, the first and the last among them, no more than MOST_ALIKE."""
+    for _, alike in groupby(every, key=lambda group: group.factor):
+        several = list(alike)
+        places = np.linspace(0, len(several) - 1, min(len(several), MOST_ALIKE))
+        yield from (several[int(place)] for place in places)
+
+
+def _slug(group: FactorGroup, outcome: StudyOutcome) -> str:
+    """What distinguishes a group from others of its factor, as part of a file name."""
+    parts = [factor_text(value) for key, value in group.rest if key in varied_factors(outcome.rows)]
+    return re.sub(r"[^A-Za-z0-9._]+", "-", "_".join(parts)).strip("-")[:80]
+
+
+def _title(group: FactorGroup, outcome: StudyOutcome) -> str:
+    """The same in words."""
+    varied = varied_factors(outcome.rows)
+    parts = [f"{key.replace('_', ' ')} {factor_text(value)}" for key, value in group.rest if key in varied]
+    return ", ".join(parts) if parts else outcome.name
+
+
+def _curves(group: FactorGroup) -> Iterable[tuple[str, Figure]]:
+    x = np.array(group.values, dtype=float)
+    if group.factor == "noise" and ("kind", "relative") in group.rest:
+        x, label = 100 * x, "noise level ρ, %"
+    else:
+        label = COUNTED_FACTORS[group.factor]
+    logarithmic = group.factor != "noise" and float(np.max(x)) > 4 * float(np.min(x))
+    shown = range(min(len(group.parameters), 6))  # parameters drawn in one figure
+    bands = [_bands(group, j) for j in shown]
+    limits = [_limits(panel) for panel in bands]
+    yield (
+        "errors",
+        draw.band_panels(
+            [group.parameters[j] for j in shown],
+            x,
+            bands,
+            [[] for _ in shown],
+            label,
+            "relative error, %",
+            logarithmic=logarithmic,
+            limits=limits,
+        ),
+    )
+    yield (
+        "accuracy",
+        draw.accuracy_panels(
+            x,
+            [
+                draw.Accuracy(
+                    method,
+                    method_colour(method, k),
+                    _over(group, method, lambda s: s.rms_spread),
+                    _over(group, method, lambda s: s.rms_bias),
+                    _over(group, method, lambda s: float(np.mean(s.coverage))),
+                    _over(group, method, lambda s: float(np.min(s.coverage))),
+                    _over(group, method, lambda s: float(np.max(s.coverage))),
+                )
+                for k, method in enumerate(group.summaries)
+            ],
+            np.array([summary.rms_bound for summary in next(iter(group.summaries.values()))]),
+            label,
+            logarithmic=logarithmic or group.factor == "noise",
+        ),
+    )
+
+
+def _bands(group: FactorGroup, parameter: int) -> list[draw.Band]:
+    """Mean and middle 95 % of the errors of one parameter, for each method."""
+
+    def quantile(level: float) -> Callable[[Summary], float]:
+        return lambda s: float(s.quantiles[LEVELS.index(level), parameter])
+
+    return [
+        draw.Band(
+            method,
+            method_colour(method, k),
+            _over(group, method, lambda s: float(s.mean[parameter])),
+            _over(group, method, quantile(0.025)),
+            _over(group, method, quantile(0.975)),
+            k == len(group.summaries) - 1 > 0,
+        )
+        for k, method in enumerate(group.summaries)
+    ]
+
+
+def _over(group: FactorGroup, method: str, read: Callable[[Summary], float]) -> Real:
+    return np.array([read(summary) for summary in group.summaries[method]], dtype=float)
+
+
+def _limits(bands: Sequence[draw.Band]) -> tuple[float, float]:
+    """Room for all bands; one that is far wider than the others is cut off at thrice the second widest."""
+    edges = [(float(np.nanmin(band.low)), float(np.nanmax(band.high))) for band in bands]
+    widths = sorted((high - low for low, high in edges), reverse=True)
+    kept = [
+        (low, high) for low, high in edges if len(widths) < 2 or high - low <= 3 * widths[1] or widths[1] == 0
+    ] or edges
+    low, high = min(pair[0] for pair in kept), max(pair[1] for pair in kept)
+    room = 0.05 * (high - low) if high > low else 1.0
+    return low - room, high + room
+
+
+def _bars(group: FactorGroup, title: str) -> Iterable[tuple[str, Figure]]:
+    places = [factor_text(value) for value in group.values[:MOST_BARS]]
+    methods = list(group.summaries)
+    bound = np.array([summary.rms_bound for summary in group.summaries[methods[0]][:MOST_BARS]])
+
+    def series(read: Callable[[Summary], float], error: Callable[[Summary], float]) -> list[draw.Series]:
+        return [
+            draw.Series(
+                method,
+                method_colour(method, k),
+                _over(group, method, read)[:MOST_BARS],
+                _over(group, method, error)[:MOST_BARS],
+            )
+            for k, method in enumerate(methods)
+        ]
+
+    spread = series(lambda s: s.rms_spread, lambda s: s.rms_spread / np.sqrt(2 * max(s.draws - s.failed, 1)))
+    yield "", draw.bar_panels([title], places, [spread], [bound], "rms relative spread, %")
 
 
 @dataclass(frozen=True)
@@ -60,7 +259,7 @@ def band_panels(
     band_label: str = "band: 95 % of the draws",
 ) -> Figure:
     """A panel for each title with lines, bands and points over x (points,); what lies outside `limits` is cut off."""
-    columns = min(len(titles), PANELS_A_ROW)
+    columns = min(len(titles), 3)
     rows = -(-len(titles) // columns)
     with style():
         figure = Figure(figsize=(2.9 * columns + 1.0, 2.9 * rows + 0.6))
@@ -86,10 +285,11 @@ def band_panels(
         for axes in grid[max(0, len(titles) - columns) : len(titles)]:
             axes.set_xlabel(x_label)
         for axes, pair in zip(grid, limits if limits is not None else [], strict=False):
-            axes.set_ylim(*pair)
+            limit_axis(axes.set_ylim, *pair)
         for axes in table[:, 0]:
             axes.set_ylabel(y_label)
-        handles = [Line2D([], [], label=band.label, **band.stroke) for band in _distinct(bands)]
+        distinct = list({band.label: band for panel in bands for band in panel}.values())
+        handles = [Line2D([], [], label=band.label, **band.stroke) for band in distinct]
         handles.append(Line2D([], [], color=MUTED, alpha=0.25, lw=7, label=band_label))
         handles += [
             Line2D([], [], ls="", marker="D", ms=5, mfc=mark.colour, mec="white", label=mark.label)
@@ -97,10 +297,6 @@ def band_panels(
         ]
         figure.legend(handles=handles, loc="outside upper left", ncols=len(handles), handlelength=1.6)
     return figure
-
-
-def _distinct(bands: Sequence[Sequence[Band]]) -> list[Band]:
-    return list({band.label: band for panel in bands for band in panel}.values())
 
 
 def _abscissa(axes: Axes, x: Real, logarithmic: bool) -> None:
@@ -111,9 +307,9 @@ def _abscissa(axes: Axes, x: Real, logarithmic: bool) -> None:
         axes.xaxis.set_major_locator(FixedLocator([s for s in steps if low * 0.999 <= s <= high * 1.001]))
         axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:,g}"))
         axes.xaxis.set_minor_locator(NullLocator())
-        axes.set_xlim(low / 1.06, high * 1.06)
+        limit_axis(axes.set_xlim, low / 1.06, high * 1.06)
     else:
-        axes.set_xlim(float(min(0.0, np.min(x))), float(np.max(x)))
+        limit_axis(axes.set_xlim, float(min(0.0, np.min(x))), float(np.max(x)))
 
 
 @dataclass(frozen=True)
@@ -145,7 +341,15 @@ def spread_panels(
             axes.set_title(titles[place])
         for axes in grid[-1]:
             axes.set_xlabel(x_label)
-        handles = _spread_legend(panels)
+        colours = {spread.label: spread.colour for spreads in panels for spread in spreads}
+        handles = [
+            *(
+                Patch(color=colour, alpha=0.28, lw=0, label=f"{label}, 95 % of draws")
+                for label, colour in colours.items()
+            ),
+            Line2D([], [], ls="", marker="|", ms=7, mew=1.6, color=INK, label="mean of the draws"),
+            Line2D([], [], ls="", marker="D", ms=4.6, mfc=INK, mec="white", label="printed in the paper"),
+        ]
         figure.legend(handles=handles, loc="outside upper left", ncols=len(handles), handlelength=1.4)
     return figure
 
@@ -170,18 +374,6 @@ def _spread_panel(axes: Axes, rows: Sequence[str], spreads: Sequence[Spread]) ->
     axes.margins(x=0.04)
     axes.grid(visible=False, axis="y")
     axes.tick_params(axis="y", length=0)
-
-
-def _spread_legend(panels: Sequence[Sequence[Spread]]) -> list[Patch | Line2D]:
-    colours = {spread.label: spread.colour for spreads in panels for spread in spreads}
-    return [
-        *(
-            Patch(color=colour, alpha=0.28, lw=0, label=f"{label}, 95 % of draws")
-            for label, colour in colours.items()
-        ),
-        Line2D([], [], ls="", marker="|", ms=7, mew=1.6, color=INK, label="mean of the draws"),
-        Line2D([], [], ls="", marker="D", ms=4.6, mfc=INK, mec="white", label="printed in the paper"),
-    ]
 
 
 @dataclass(frozen=True)
@@ -272,7 +464,9 @@ def accuracy_panels(
         right.axhline(95, color=INK, lw=0.9, ls=(0, (1, 2)), zorder=2)
         for axes in (left, middle):
             _positive(axes)
-        right.set_ylim(min(90.0, max(0.0, float(np.nanmin([m.least for m in methods])) - 2)), 100.5)
+        limit_axis(
+            right.set_ylim, min(90.0, max(0.0, float(np.nanmin([m.least for m in methods])) - 2)), 100.5
+        )
         titles = ("rms spread, %", "rms bias, %", "coverage of 95 % intervals, %")
         for axes, title in zip((left, middle, right), titles, strict=True):
             axes.set_title(title)
@@ -297,7 +491,7 @@ def _positive(axes: Axes) -> None:
     low, high = low / room, high * room
     wanted = (1, 2, 5) if high / low < 1e3 else (1,)
     steps = [k * 10.0**n for n in range(-12, 13) for k in wanted]
-    axes.set_ylim(low, high)
+    limit_axis(axes.set_ylim, low, high)
     axes.yaxis.set_major_locator(FixedLocator([s for s in steps if low <= s <= high]))
     axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:,g}"))
     axes.yaxis.set_minor_locator(NullLocator())

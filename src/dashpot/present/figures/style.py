@@ -5,18 +5,19 @@ from __future__ import annotations
 import io
 import os
 import re
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any
 
 import matplotlib as mpl
+import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.text import Text
 from PIL import Image
 
 from dashpot.estimate.registry import METHODS
 from dashpot.io.atomic import write_bytes
-from dashpot.io.name_endings import PICTURES, chosen_format
+from dashpot.io.words import PICTURES, chosen_format
 
 INK, MUTED, GRID = "#1f2933", "#7b8794", "#e4e7eb"
 MODEL, DATA, BAD = "#0b6e99", "#1f2933", "#b5372b"
@@ -66,25 +67,13 @@ def style() -> Iterator[None]:
         yield
 
 
+def limit_axis(limits: Callable[[float | None, float | None], object], low: float, high: float) -> None:
+    """Set the limits of an axis (`axes.set_xlim`): an end that is no finite number stays what it is."""
+    limits(low if np.isfinite(low) else None, high if np.isfinite(high) else None)
+
+
 def _shortened(text: str) -> str:
     return _TOO_LONG.sub(lambda word: f"{word[0][:LONGEST]}…", text)
-
-
-def _as_written(figure: Figure) -> None:
-    """Texts are names and words, in which $ is a letter; only the ticks of logarithmic axes are math.
-
-    Of a name that would leave no room for the axes, the beginning is shown.
-    """
-    for axis in (axis for axes in figure.axes for axis in (axes.xaxis, axes.yaxis)):
-        labels = [label.get_text() for label in axis.get_ticklabels()]
-        if any(map(_TOO_LONG.search, labels)):  # which the axis would write anew
-            axis.set_ticks(axis.get_ticklocs(), [_shortened(label) for label in labels])
-    for text in figure.findobj(Text):
-        assert isinstance(text, Text)
-        if _TOO_LONG.search(text.get_text()):
-            text.set_text(_shortened(text.get_text()))
-        if "$" in text.get_text() and not text.get_text().startswith("$\\mathdefault{"):
-            text.set_parse_math(False)
 
 
 class ShownFigure(Figure):
@@ -118,7 +107,18 @@ def _saved(figure: Figure, kind: str, **settings: Any) -> bytes:
     """The content of a file of that kind, without the day and the program that would change it."""
     out = io.BytesIO()
     with style():
-        _as_written(figure)
+        # Texts are names and words, in which $ is a letter; only the ticks of logarithmic axes are math. Of a
+        # name that would leave no room for the axes, the beginning is shown.
+        for axis in (axis for axes in figure.axes for axis in (axes.xaxis, axes.yaxis)):
+            labels = [label.get_text() for label in axis.get_ticklabels()]
+            if any(map(_TOO_LONG.search, labels)):  # which the axis would write anew
+                axis.set_ticks(axis.get_ticklocs(), [_shortened(label) for label in labels])
+        for text in figure.findobj(Text):
+            assert isinstance(text, Text)
+            if _TOO_LONG.search(text.get_text()):
+                text.set_text(_shortened(text.get_text()))
+            if "$" in text.get_text() and not text.get_text().startswith("$\\mathdefault{"):
+                text.set_parse_math(False)
         figure.savefig(out, format=kind, metadata=dict.fromkeys(_UNSAID[kind]), **settings)
     return out.getvalue()
 

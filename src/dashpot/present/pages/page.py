@@ -4,9 +4,13 @@ from __future__ import annotations
 
 import base64
 import hashlib
+import os
+import platform
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
+from datetime import datetime
+from importlib.metadata import version
 from pathlib import Path
 from typing import Literal
 
@@ -14,6 +18,8 @@ from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup, escape
 from matplotlib.figure import Figure
 
+from dashpot.errors import printable
+from dashpot.io.ledger import current, noted
 from dashpot.io.words import counted, joined
 from dashpot.present.figures.interactive import interactive_svg
 from dashpot.present.figures.style import DPI
@@ -23,6 +29,7 @@ from dashpot.present.text.glossary import EXPLANATIONS
 TEMPLATES = Path(__file__).parents[1] / "templates"
 _COMMAND = r"\bdashpot [a-z]+ [^()]*?(?=\.(?:\s|$)| writes |$)"
 _CODE = re.compile(rf"{_COMMAND}|\[\w+\] [\w-]+ = \{{.*\}}")  # commands, and lines of a rig file
+LIBRARIES = ("numpy", "scipy")  # whose versions a report states
 MOST_SOURCES = 4  # files that the first lines of a page name
 Verdict = Literal["good", "bad", "open"]
 
@@ -80,6 +87,24 @@ class Provenance:
         return joined(names if rest <= 0 else [*names[:MOST_SOURCES], counted(rest, "other file")])
 
 
+def provenance_of(
+    command: str, settings: tuple[tuple[str, str, bool], ...] = (), labels: tuple[str, ...] = ()
+) -> Provenance:
+    """How a result is computed by `command` now and here, from the files that the open ledger knows as read."""
+    versions = [("dashpot", version("dashpot")), ("Python", platform.python_version())]
+    versions += [(name, version(name)) for name in LIBRARIES]
+    ledger = current()
+    files = []
+    for name in () if ledger is None else tuple(ledger.inputs):
+        path = Path(name)
+        if path.is_file():
+            with open(noted(name), "rb") as stream:
+                digest = hashlib.file_digest(stream, "sha256").hexdigest()
+            files.append(SourceFile(name, path.stat().st_size, digest))
+    date = datetime.now().astimezone().strftime("%Y-%m-%d %H:%M %z")
+    return Provenance(date, tuple(versions), command, os.getcwd(), settings, tuple(files), labels)
+
+
 @dataclass(frozen=True)
 class Page:
     """A report: the answer, what to do next, the evidence, and how it was computed.
@@ -118,19 +143,19 @@ def page_html(page: Page) -> str:
     """The page as one HTML file."""
     loader = FileSystemLoader(TEMPLATES)
     environment = Environment(
-        loader=loader, autoescape=True, undefined=StrictUndefined, trim_blocks=True,
-        lstrip_blocks=True,
-    )  # fmt: skip
+        loader=loader, autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
+    )
     explanations = [(term, EXPLANATIONS[term]) for term in page.terms]
     blocks = (*page.evidence, *(() if page.answer is None else (page.answer,)))
     pictures = [picture.svg for block in blocks for picture in block.pictures]
     scripted = any("data-panels=" in svg or "<animate " in svg for svg in pictures)
     script = loader.get_source(environment, "figures.js")[0] if scripted else ""
     allowed = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode("ascii")
-    return environment.get_template("report.html").render(
+    text = environment.get_template("report.html").render(
         page=page, explanations=explanations, inline=inline, rows=_rows, with_code=with_code, allowed=allowed,
         script=Markup(script),
     )  # fmt: skip
+    return printable(text, kept="\n")
 
 
 def inline(picture: Picture) -> Markup:

@@ -8,10 +8,8 @@ from dataclasses import dataclass, replace
 
 from dashpot.model.network import Model
 from dashpot.present.schematic import symbols
-from dashpot.present.schematic.geometry import Box, Text, Tone
-from dashpot.present.schematic.labels import Labels
-from dashpot.present.schematic.layout import ARROW_ROOM
-from dashpot.present.schematic.placed import Arrow, Layout, PlacedBody, PlacedLink, Wire
+from dashpot.present.schematic.geometry import Arrow, Box, Layout, PlacedBody, PlacedLink, Text, Tone, Wire
+from dashpot.present.schematic.layout import ARROW_ROOM, Labels
 from dashpot.present.schematic.symbols import XY, Stroke
 
 HATCH = 7.0  # between the strokes of a hatched side

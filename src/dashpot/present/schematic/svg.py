@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from html import escape
+from html import escape as escaped
 
+from dashpot.errors import printable
 from dashpot.present.schematic.geometry import Text
 from dashpot.present.schematic.scene import Part, Shape
 
@@ -26,6 +27,11 @@ STILL = (
     "<style>.still{display:none}@media print,(prefers-reduced-motion:reduce)"
     "{.still{display:inline}.moving{display:none}}</style>"
 )
+
+
+def escape(text: str) -> str:
+    """Text of an SVG: what XML forbids, and what turns or hides text, is shown escaped."""
+    return escaped(printable(text))
 
 
 def svg_document(

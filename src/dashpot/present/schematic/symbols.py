@@ -102,7 +102,11 @@ def slider(length: float) -> Symbol:
 def spring_and_slider(length: float) -> Symbol:
     """A spring in series with dry friction: the Jenkins element."""
     half = length / 2
-    return [*spring(half), *_moved(slider(half), half)]
+    moved = [
+        Stroke(tuple((x + half, y) for x, y in stroke.points), stroke.closed, stroke.filled, stroke.light)
+        for stroke in slider(half)
+    ]
+    return [*spring(half), *moved]
 
 
 def gap(length: float) -> Symbol:
@@ -157,13 +161,6 @@ def _circle(x: float, y: float, radius: float) -> Stroke:
         for k in range(count)
     ]
     return Stroke(tuple(points), closed=True)
-
-
-def _moved(symbol: Symbol, dx: float) -> Symbol:
-    return [
-        Stroke(tuple((x + dx, y) for x, y in stroke.points), stroke.closed, stroke.filled, stroke.light)
-        for stroke in symbol
-    ]
 
 
 _LINEAR: Mapping[Kind, Callable[[float], Symbol]] = {

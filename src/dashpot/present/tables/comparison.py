@@ -33,7 +33,17 @@ def show_comparison(console: Console, comparison: Comparison, level: float = 0.9
     for number, block in enumerate(blocks_of(columns, console.width)):
         if number:
             console.print()
-        console.print(_table(block, methods))
+        table = Table(box=box.SIMPLE_HEAD, padding=(0, GAP - 1, 0, 0), pad_edge=False, show_edge=False)
+        first = len(block[0].cells) - methods
+        for column in block:
+            head = Text("\n".join([column.title, *column.cells[:first]]))
+            head.stylize("not bold")
+            head.stylize("bold", 0, len(column.title))
+            table.add_column(head, overflow="fold")
+        for row in range(first, first + methods):
+            texts = [column.cells[row] for column in block]
+            table.add_row(*(Text(text, style="red" if text.endswith(MISSES) else "") for text in texts))
+        console.print(table)
     console.print()
     for line in comparison_remarks(comparison, level):
         show_paragraph(console, line)
@@ -50,21 +60,19 @@ def comparison_columns(comparison: Comparison, level: float = 0.95) -> list[Tabl
 
     With a known truth there is a column of the worst errors as well, and an interval that misses it ends in MISSES.
     """
-    heads = _heads(comparison)
-    texts = [heads, *(_column(comparison, name, level) for name in comparison.names)]
-    if comparison.truth:
-        texts.append(_errors_column(comparison, len(heads)))
-    return [TableColumn(cells[0], tuple(cells[1:])) for cells in texts]
-
-
-def _heads(comparison: Comparison) -> list[str]:
-    """The first column: what the rows are."""
     heads = ["", ""]  # names and units speak for themselves
     if comparison.truth:
         heads.append("truth")
     if any(comparison.bound_sd(name) is not None for name in comparison.names):
         heads.append("bound")
-    return [*heads, *comparison.estimates]
+    heads = [*heads, *comparison.estimates]
+    texts = [heads, *(_column(comparison, name, level) for name in comparison.names)]
+    if comparison.truth:
+        errors = aligned([_worst(comparison, estimate) for estimate in comparison.estimates.values()])
+        widest = max(map(cell_len, errors))
+        cells = [error.rjust(widest) for error in errors]
+        texts.append(["worst", "error %", *[""] * (len(heads) - 2 - len(cells)), *cells])
+    return [TableColumn(cells[0], tuple(cells[1:])) for cells in texts]
 
 
 def _column(comparison: Comparison, name: str, level: float) -> list[str]:
@@ -95,32 +103,10 @@ def _missed(estimate: Estimate, name: str, truth: float | None, level: float) ->
     return truth < float(low[j]) or truth > float(high[j])
 
 
-def _errors_column(comparison: Comparison, rows: int) -> list[str]:
-    """The worst error of each method, % of the truth."""
-    errors = aligned([_worst(comparison, estimate) for estimate in comparison.estimates.values()])
-    widest = max(map(cell_len, errors))
-    cells = [error.rjust(widest) for error in errors]
-    return ["worst", "error %", *[""] * (rows - 2 - len(cells)), *cells]
-
-
 def _worst(comparison: Comparison, estimate: Estimate) -> str:
     pairs = [(estimate[name].value - true, true) for name, true in comparison.truth.items()]
     error, true = max(pairs, key=lambda pair: abs(pair[0] / pair[1]) if pair[1] else 0.0)
     return percent(error, true)
-
-
-def _table(columns: list[TableColumn], methods: int) -> Table:
-    table = Table(box=box.SIMPLE_HEAD, padding=(0, GAP - 1, 0, 0), pad_edge=False, show_edge=False)
-    first = len(columns[0].cells) - methods
-    for column in columns:
-        head = Text("\n".join([column.title, *column.cells[:first]]))
-        head.stylize("not bold")
-        head.stylize("bold", 0, len(column.title))
-        table.add_column(head, overflow="fold")
-    for row in range(first, first + methods):
-        texts = [column.cells[row] for column in columns]
-        table.add_row(*(Text(text, style="red" if text.endswith(MISSES) else "") for text in texts))
-    return table
 
 
 def comparison_remarks(comparison: Comparison, level: float = 0.95) -> list[str]:

@@ -7,9 +7,9 @@ from collections.abc import Mapping
 from rich.console import Console
 
 from dashpot.design.advise import Answer
+from dashpot.design.criteria import ExpectedPrecision
 from dashpot.design.plan import Plan
 from dashpot.design.plan_files import phase_deg
-from dashpot.design.precision import ExpectedPrecision
 from dashpot.design.test_setup import drive_units
 from dashpot.present.tables.layout import TableColumn, show_paragraph, show_table
 from dashpot.present.text.design import plan_in_words, sensors_in_words, stopping_in_words
@@ -62,9 +62,10 @@ def dwell_columns(plan: Plan, units: Mapping[str, str]) -> list[TableColumn]:
             "settle, s": (*(short(dwell.settle_s) for dwell in dwells), short(settling)),
             "periods": (*(str(dwell.periods) for dwell in dwells), ""),
             "measure, s": (
-                *(short(dwell.time_s or 0.0, 4) for dwell in dwells), short(plan.time_s - settling, 4),
+                *(short(dwell.time_s or 0.0, 4) for dwell in dwells),
+                short(plan.time_s - settling, 4),
             ),
-        }  # fmt: skip
+        }
         columns += [TableColumn(title, cells, "right") for title, cells in timed.items()]
     samples = (*(str(dwell.samples) for dwell in dwells), str(plan.samples))
     return [*columns, TableColumn("samples", samples, "right")]

@@ -7,9 +7,12 @@ from dataclasses import dataclass
 from typing import TypeVar
 
 import numpy as np
+from rich.cells import cell_len
 from rich.console import Console
 
+from dashpot.estimate.linear.definite import FreeMatrices
 from dashpot.estimate.result import MISFIT, RESIDUALS, Estimate, Fit, ModeValues
+from dashpot.model.unstructured import Letter
 from dashpot.present.tables.layout import (
     TableColumn,
     html_paragraph,
@@ -29,8 +32,38 @@ from dashpot.present.text.estimate import (
     profiles_in_words,
     warnings_in_words,
 )
-from dashpot.present.text.notices import OPTIONS
+from dashpot.present.text.notice_guide import OPTIONS
 from dashpot.present.text.numbers import aligned, alike, percent, plain, rounded, short
+
+# M, C and K with their standard deviations, for a terminal.
+
+
+UNITS = {False: {"M": "kg", "C": "N·s/m", "K": "N/m"}, True: {"M": "kg·m²", "C": "N·m·s/rad", "K": "N·m/rad"}}
+
+
+def show_matrices(console: Console, matrices: FreeMatrices, angular: bool = False) -> None:
+    """Every matrix that was found, its upper triangle, value ± standard deviation; as many columns as fit."""
+    for letter in dict.fromkeys(letter for letter, _, _ in matrices.entries):
+        console.print()
+        show_table(console, matrix_columns(matrices, letter, UNITS[angular][letter]))
+
+
+def matrix_columns(matrices: FreeMatrices, letter: Letter, unit: str) -> list[TableColumn]:
+    """Coordinates, then a column of the upper triangle for each."""
+    values, sd = getattr(matrices, letter), matrices.sd(letter)
+    free = {(i, j) for which, i, j in matrices.entries if which == letter}
+    columns = [TableColumn(f"{letter}, {unit}", tuple(matrices.coordinates))]
+    for j, name in enumerate(matrices.coordinates):
+        pairs = [rounded(values[i, j], sd[i, j]) if (i, j) in free else ("0", "") for i in range(j + 1)]
+        left = aligned([value for value, _ in pairs])
+        widest = max(map(cell_len, left))
+        texts = [
+            f"{value.rjust(widest)} ± {spread}" if spread else value.rjust(widest)
+            for value, (_, spread) in zip(left, pairs, strict=True)
+        ]
+        columns.append(TableColumn(name, (*texts, *[""] * (len(matrices.coordinates) - j - 1))))
+    return columns
+
 
 MOST_ROWS = 200  # of tied or of known parameters; of more the table shows the first few
 FIRST_ROWS = 10
@@ -101,10 +134,13 @@ def parameter_columns(estimate: Estimate, level: float = 0.95) -> list[TableColu
     rows = parameter_rows(estimate, level)
     low, high = (max((len(getattr(row, end)) for row in rows), default=0) for end in ("low", "high"))
     intervals = [f"{row.low.rjust(low)} … {row.high.ljust(high)}" if row.low else row.tie for row in rows]
+    # ±, and whether the fit, on whose residuals it rests, could be tested
     columns = [
         TableColumn("parameter", tuple(row.name for row in rows)),
         TableColumn("value", tuple(row.value for row in rows), "right"),
-        TableColumn(_head_of_spread(estimate), tuple(row.sd for row in rows), "right"),
+        TableColumn(
+            "±, not\ntested" if estimate.basis == RESIDUALS else "±", tuple(row.sd for row in rows), "right"
+        ),
         TableColumn("unit", tuple("" if row.unit == "1" else row.unit for row in rows)),
         TableColumn("± %", tuple(row.share for row in rows), "right"),
         TableColumn(f"{100 * level:g} % interval", tuple(intervals), "center"),
@@ -114,11 +150,6 @@ def parameter_columns(estimate: Estimate, level: float = 0.95) -> list[TableColu
     if np.any(np.isfinite(estimate.bound_sd)):
         columns.append(TableColumn("bound", tuple(row.bound for row in rows), "right"))
     return columns
-
-
-def _head_of_spread(estimate: Estimate) -> str:
-    """±, and whether the fit, on whose residuals it rests, could be tested."""
-    return "±, not\ntested" if estimate.basis == RESIDUALS else "±"
 
 
 def mode_columns(modes: ModeValues) -> list[TableColumn]:

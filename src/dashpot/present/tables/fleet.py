@@ -7,14 +7,14 @@ from collections.abc import Sequence
 import numpy as np
 from rich.console import Console
 
-from dashpot.fleet.pooling import Population
+from dashpot.fleet.pooling import Population, Usual
 from dashpot.fleet.runner import FleetOutcome
-from dashpot.fleet.survey import Usual
 from dashpot.io.words import counted, shown
 from dashpot.present.tables.layout import TableColumn, show_paragraph, show_table
 from dashpot.present.text.numbers import short
 
 MOST = 10  # rigs that are named one by one
+PATH = 200  # characters of the name of a data set, which may be a path: its end says which it is
 NOTHING = "–"
 
 
@@ -88,16 +88,16 @@ def fleet_remarks(outcome: FleetOutcome) -> list[str]:
     ]
     if drifting:
         lines.append(f"Drift over the fleet: {', '.join(drifting)}.")
-    misfits = [shown(str(columns["name"][k])) for k in outcome.misfits]
+    misfits = [shown(str(columns["name"][k]), PATH) for k in outcome.misfits]
     if misfits:
         lines.append(f"The model does not fit {counted(len(misfits), 'data set')}: {_first(misfits, ', ')}.")
     if len(outcome.failed):
         by_reason: dict[str, list[str]] = {}
         for k in outcome.failed:
-            by_reason.setdefault(str(columns["reason"][k]), []).append(shown(str(columns["name"][k])))
+            by_reason.setdefault(str(columns["reason"][k]), []).append(shown(str(columns["name"][k]), PATH))
         failed = [f"{_first(names, ', ')}: {reason}" for reason, names in by_reason.items()]
         lines.append(f"Failed: {counted(len(outcome.failed), 'data set')}. {_first(failed, '; ')}")
-    stalled = [shown(str(name)) for name in columns["name"][columns["status"] == "not converged"]]
+    stalled = [shown(str(name), PATH) for name in columns["name"][columns["status"] == "not converged"]]
     if stalled:
         lines.append(f"Not converged: {_first(stalled, ', ')}.")
     return lines

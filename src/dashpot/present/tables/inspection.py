@@ -15,7 +15,6 @@ from dashpot.present.tables.layout import TableColumn, show_table
 BARS = " ▁▂▃▄▅▆▇█"
 FLOOR_DB = -80.0
 PICTURE = 20  # characters
-MOST_DAMAGED = 5
 MOST_BITS = 24  # numbers of more are no readings of a converter
 
 
@@ -27,11 +26,11 @@ def show_inspection(out: Console, inspection: Inspection) -> None:
         show_table(out, part_table(part))
         if part.others:
             shown = ", ".join(part.others[:10]) + (" …" if len(part.others) > 10 else "")
-            out.print(Text(f"  Not numbers, or not shown: {printable(shown)}"))
+            out.print(Text(f"  Not numbers, or not shown: {shown}"))
         for note in part.notes:
-            out.print(Text(f"  Note: {printable(note.text)}"))
-        for error in part.damaged[:MOST_DAMAGED]:
-            out.print(Text(f"  Damaged: {printable(str(error))}"))
+            out.print(Text(f"  Note: {note.text}"))
+        for error in part.damaged[:5]:
+            out.print(Text(f"  Damaged: {error}"))
     if inspection.more:
         out.print(Text(f"  … and {inspection.more} more parts"))
 

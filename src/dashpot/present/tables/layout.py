@@ -13,12 +13,16 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from html import escape
 from io import StringIO
+from typing import IO
 
 from rich import box
 from rich.cells import cell_len
-from rich.console import Console, JustifyMethod
+from rich.console import Console, ConsoleOptions, ConsoleRenderable, JustifyMethod, RenderHook, RenderResult
+from rich.segment import Segment
 from rich.table import Table
 from rich.text import Text
+
+from dashpot.errors import printable
 
 WIDTH = 80  # columns of text where nothing says how wide it may be
 GAP = 2  # between columns
@@ -41,13 +45,36 @@ class TableColumn:
 def console() -> Console:
     """Where tables go: as wide as the terminal or COLUMNS says, else 80 columns; without colour into a file."""
     known = sys.stdout.isatty() or "COLUMNS" in os.environ
-    return Console(width=None if known else WIDTH, highlight=False, emoji=False, markup=False)
+    return _console(None if known else WIDTH)
+
+
+class _Printable(RenderHook):
+    """Shows control characters, and what turns or hides text, escaped, whatever prints them."""
+
+    def process_renderables(self, renderables: list[ConsoleRenderable]) -> list[ConsoleRenderable]:
+        """Each with its text escaped once it is laid out."""
+        return [_Escaped(each) for each in renderables]
+
+
+@dataclass(frozen=True)
+class _Escaped:
+    of: ConsoleRenderable
+
+    def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
+        for text, style, control in console.render(self.of, options):
+            yield Segment(text if control else printable(text, kept="\n"), style, control)
+
+
+def _console(width: int | None, file: IO[str] | None = None) -> Console:
+    made = Console(file=file, width=width, highlight=False, emoji=False, markup=False)
+    made.push_render_hook(_Printable())
+    return made
 
 
 def printed(show: Callable[[Console], None], width: int = WIDTH) -> str:
     """What `show` prints, as text without empty lines around it."""
     text = StringIO()
-    show(Console(file=text, width=width, highlight=False, emoji=False, markup=False))
+    show(_console(width, text))
     return text.getvalue().strip("\n")
 
 
@@ -80,16 +107,12 @@ def show_table(
     for number, block in enumerate(blocks_of(columns, out.width, keys)):
         if number:
             out.print()
-        out.print(_block(block, styles))
-
-
-def _block(columns: Sequence[TableColumn], styles: Sequence[str]) -> Table:
-    table = Table(box=box.SIMPLE_HEAD, padding=(0, GAP - 1, 0, 0), pad_edge=False, show_edge=False)
-    for column in columns:
-        table.add_column(Text(column.title), justify=column.justify, overflow="fold")
-    for row, cells in enumerate(zip(*(column.cells for column in columns), strict=True)):
-        table.add_row(*map(Text, cells), style=styles[row] if row < len(styles) else "")
-    return table
+        table = Table(box=box.SIMPLE_HEAD, padding=(0, GAP - 1, 0, 0), pad_edge=False, show_edge=False)
+        for column in block:
+            table.add_column(Text(column.title), justify=column.justify, overflow="fold")
+        for row, cells in enumerate(zip(*(column.cells for column in block), strict=True)):
+            table.add_row(*map(Text, cells), style=styles[row] if row < len(styles) else "")
+        out.print(table)
 
 
 def html_table(columns: Sequence[TableColumn], caption: str = "") -> str:
@@ -114,7 +137,7 @@ def html_paragraph(text: str) -> str:
 
 
 def _html(text: str) -> str:
-    return escape(text).replace("\n", "<br>")
+    return printable(escape(text), kept="\n").replace("\n", "<br>")
 
 
 def show_paragraph(out: Console, text: str, style: str = "") -> None:

@@ -15,24 +15,22 @@ COARSE = 1e-3  # share of the motion in harmonics left out from which it is said
 def show_curves(console: Console, curves: Sequence[MotionCurve], by_amplitude: bool) -> None:
     """A paragraph for each curve: where it turns, and between which points motions are unstable."""
     for curve in curves:
-        console.print(_in_words(curve, by_amplitude), markup=False, highlight=False)
-
-
-def _in_words(curve: MotionCurve, by_amplitude: bool) -> str:
-    x = 100 * curve.share if by_amplitude and np.any(curve.share) else curve.frequency_hz
-    unit = "%" if x is not curve.frequency_hz else "Hz"
-    parts = [f"{curve.label}: {x[0]:.4g} to {x[-1]:.4g} {unit}"]
-    if len(curve.folds):
-        parts.append(f"folds at {', '.join(f'{x[k]:.4g}' for k in curve.folds)} {unit}")
-    if curve.stable is None:
-        parts.append("" if not np.any(curve.share) else "stability not known")
-    elif np.all(curve.stable):
-        parts.append("stable throughout")
-    else:
-        parts.append(f"unstable {_runs(x, curve.stable)} {unit}")
-    if curve.missing > COARSE:
-        parts.append(f"{curve.orders} harmonics leave out up to {100 * curve.missing:.2g} % of the motion")
-    return "; ".join(part for part in parts if part)
+        x = 100 * curve.share if by_amplitude and np.any(curve.share) else curve.frequency_hz
+        unit = "%" if x is not curve.frequency_hz else "Hz"
+        parts = [f"{curve.label}: {x[0]:.4g} to {x[-1]:.4g} {unit}"]
+        if len(curve.folds):
+            parts.append(f"folds at {', '.join(f'{x[k]:.4g}' for k in curve.folds)} {unit}")
+        if curve.stable is None:
+            parts.append("" if not np.any(curve.share) else "stability not known")
+        elif np.all(curve.stable):
+            parts.append("stable throughout")
+        else:
+            parts.append(f"unstable {_runs(x, curve.stable)} {unit}")
+        if curve.missing > COARSE:
+            parts.append(
+                f"{curve.orders} harmonics leave out up to {100 * curve.missing:.2g} % of the motion"
+            )
+        console.print("; ".join(part for part in parts if part), markup=False, highlight=False)
 
 
 def _runs(x: np.ndarray, stable: np.ndarray) -> str:

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 
 from rich.console import Console
 
-from dashpot.check.data_summary import ChannelSummary, channel_summaries, span_of
+from dashpot.check.data_findings import ChannelSummary, channel_summaries, span_of
 from dashpot.data.record import Record
 from dashpot.data.spectrum import Spectrum
 from dashpot.io.words import joined
@@ -101,7 +101,7 @@ def rig_html(rig: Rig) -> str:
         TableColumn("joins", tuple(_points(element.along) for element in parts)),
         TableColumn("value", tuple(_known(element.value, element.sd) for element in parts), "right"),
         TableColumn("unit", tuple(model.unit(element) for element in parts)),
-    ]  # fmt: skip
+    ]
     channels = [
         TableColumn("channel", tuple(channel.name for channel in rig.channels)),
         TableColumn("quantity", tuple(channel.quantity.value for channel in rig.channels)),

@@ -9,12 +9,11 @@ from rich.console import Console
 
 from dashpot.present.tables.layout import TableColumn, show_paragraph, show_table
 from dashpot.present.text.study import COUNTED_FACTORS, LEGEND, NOTHING, factor_text, varied_factors
+from dashpot.study.montecarlo import Summary
 from dashpot.study.runner import StudyOutcome, SummaryRow
-from dashpot.study.summary import Summary
 
 RESULTS = ("bias", "spread", "bound", "ratio", "coverage", "failed")
-MOST_COLUMNS = 3  # of factors; more are put into one
-LABEL = 21  # characters of that one on a line: 80 columns hold the rest beside it
+LABEL = 21  # characters of several factors in one column on a line: 80 columns hold the rest beside it
 
 
 def show_study(outcome: StudyOutcome, console: Console) -> None:
@@ -38,26 +37,22 @@ def study_columns(rows: Sequence[SummaryRow]) -> list[TableColumn]:
 
     Factors stand where the scenario changes.  The method comes first: it names the rows where columns are stacked.
     """
-    columns = _factor_columns(rows)
+    varied = varied_factors(rows)
+    changes = [k == 0 or rows[k - 1].scenario is not row.scenario for k, row in enumerate(rows)]
+    if len(varied) <= 3:  # columns of factors; more are put into one
+        columns = [_factor_column(rows, name, changes) for name in varied]
+    else:
+        labels = [[factor_text(row.scenario.factors.get(name)) for name in varied] for row in rows]
+        cells = tuple(
+            fill(", ".join(text for text in scenario if text != NOTHING), LABEL) if changed else ""
+            for scenario, changed in zip(labels, changes, strict=True)
+        )
+        columns = [TableColumn(fill(", ".join(varied), LABEL), cells)]
     columns.append(TableColumn("method", tuple(row.method for row in rows)))
     results = [_results(row.summary) for row in rows]
     for place, title in enumerate(RESULTS):
         columns.append(TableColumn(title, tuple(texts[place] for texts in results), "right"))
     return columns
-
-
-def _factor_columns(rows: Sequence[SummaryRow]) -> list[TableColumn]:
-    """A column for each factor that varies, or all of them in one where they are many."""
-    varied = varied_factors(rows)
-    changes = [k == 0 or rows[k - 1].scenario is not row.scenario for k, row in enumerate(rows)]
-    if len(varied) <= MOST_COLUMNS:
-        return [_factor_column(rows, name, changes) for name in varied]
-    labels = [[factor_text(row.scenario.factors.get(name)) for name in varied] for row in rows]
-    cells = tuple(
-        fill(", ".join(text for text in scenario if text != NOTHING), LABEL) if changed else ""
-        for scenario, changed in zip(labels, changes, strict=True)
-    )
-    return [TableColumn(fill(", ".join(varied), LABEL), cells)]
 
 
 def _factor_column(rows: Sequence[SummaryRow], name: str, changes: Sequence[bool]) -> TableColumn:

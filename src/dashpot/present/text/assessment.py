@@ -25,7 +25,7 @@ def verdict_in_words(fit: Fit, assessment: Assessment) -> str:
     tested = fit.known_noise and fit.dof > 0
     residuals = f"residuals are {short(float(fit.misfit), 2)} × the noise" if tested else ""
     why = "; ".join(part for part in (reasons, residuals) if part)
-    return f"{VERDICTS[assessment.verdict]}: {why}{_chi2(fit)}."
+    return f"{VERDICTS[assessment.verdict]}{why and ': '}{why}{_chi2(fit)}."
 
 
 def _chi2(fit: Fit) -> str:
@@ -44,6 +44,7 @@ def motion_in_words(assessment: Assessment) -> str:
     sentence = (
         f"Measured and predicted motion differ by {joined(parts)}{_noise(assessment)}." if parts else ""
     )
+    sentence += _described(assessment)
     if assessment.worst:
         worst = [
             f"{one.channel} at {short(one.frequency_hz, 4)} Hz ({short(one.sd, 2)} sd)"
@@ -51,6 +52,19 @@ def motion_in_words(assessment: Assessment) -> str:
         ]
         sentence += f" Largest residuals: {joined(worst)}."
     return sentence.strip()
+
+
+def _described(assessment: Assessment) -> str:
+    """What of the motion the rig misses at the most beyond noise, where that is known of all and speaks for it."""
+    shares = {name: share for name, share in assessment.discrepancy.items() if share is not None}
+    if not shares or len(shares) < len(assessment.discrepancy) or assessment.verdict == "does not fit":
+        return ""
+    name, share = max(shares.items(), key=lambda each: each[1].upper95)
+    bound, value = (f"{short(100 * size, 2)} %" for size in (share.upper95, share.value))
+    most = (
+        f"{value}, and at most {bound} (95 % bound)" if share.lower95 > 0 else f"at most {bound} (95 % bound)"
+    )
+    return f" Beyond noise, the model misses {most} of the motion{f' at {name}' if len(shares) > 1 else ''}."
 
 
 def _noise(assessment: Assessment) -> str:

@@ -5,14 +5,12 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from dashpot.check.collinearity import Collinearity, Combination
+from dashpot.check.data_findings import Collinearity, Combination
 from dashpot.check.identifiability import Structure
 from dashpot.check.profile import Profile
 from dashpot.data.spectrum import Spectrum
 from dashpot.io.words import joined, listed
 from dashpot.present.text.numbers import alike, short
-
-MOST_LISTED = 20  # frequencies that are listed one by one
 
 
 def structure_in_words(structure: Structure, channels: Sequence[str], lines: int | None = None) -> list[str]:
@@ -64,7 +62,7 @@ def collinearity_in_words(collinearity: Collinearity, spectrum: Spectrum, units:
 
 def _idle_in_words(idle: Sequence[float], all_hz: Sequence[float]) -> str:
     """Frequencies without information one by one; of many, how many, and between which the others lie."""
-    if len(idle) <= MOST_LISTED:
+    if len(idle) <= 20:  # frequencies that are listed one by one
         return f"Frequencies that add almost no information on any unknown: {joined(f'{f:.4g}' for f in idle)} Hz."
     telling = sorted(set(all_hz) - set(idle))
     where = f"; the most informative lie from {telling[0]:.4g} to {telling[-1]:.4g} Hz" if telling else ""

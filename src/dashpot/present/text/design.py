@@ -20,7 +20,16 @@ _SCENARIOS = {"worst": "worst of", "average": "average over"}
 def plan_in_words(answer: Answer, plan: Plan) -> list[str]:
     """What the test gives by its criterion, how close to optimal it is, and how it compares."""
     predicted = plan.predicted
-    lines = [_result(answer, plan), _optimality(plan)]
+    name = plan.criterion.name
+    names: Sequence[str] = getattr(plan.criterion, "names", ())
+    of = f" of {joined(names)}" if names else ""
+    if len(names) == 1:
+        name = "relative standard deviation"  # a mean of one
+    over = ""
+    if answer.robust is not None:
+        over = f", {_SCENARIOS[answer.robustness]} {answer.setup.scenarios} scenarios"
+    figure = figure_in_words(plan.criterion, plan.predicted.figure)
+    lines = [f"{name[0].upper()}{name[1:]}{of}{over}: {figure}.", _optimality(plan)]
     if len(predicted.names) > 1:
         rms = short(100 * predicted.rms())
         known = [unknown.name for unknown in answer.setup.model.unknowns if unknown.sd is not None]
@@ -63,19 +72,6 @@ def _used_whole(plan: Plan, whole: UnsettledTest) -> str:
     if whole.thrown_away < -WASTE:
         return f"Waiting pays: used whole, with noise in proportion to the transients, the same test gives {gives}."
     return f"Waiting costs little: used whole, transients included, the same test gives {gives}."
-
-
-def _result(answer: Answer, plan: Plan) -> str:
-    name = plan.criterion.name
-    names: Sequence[str] = getattr(plan.criterion, "names", ())
-    of = f" of {joined(names)}" if names else ""
-    if len(names) == 1:
-        name = "relative standard deviation"  # a mean of one
-    over = ""
-    if answer.robust is not None:
-        over = f", {_SCENARIOS[answer.robustness]} {answer.setup.scenarios} scenarios"
-    figure = figure_in_words(plan.criterion, plan.predicted.figure)
-    return f"{name[0].upper()}{name[1:]}{of}{over}: {figure}."
 
 
 def _optimality(plan: Plan) -> str:

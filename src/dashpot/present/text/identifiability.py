@@ -9,10 +9,9 @@ import numpy as np
 
 from dashpot.arrays import Real
 from dashpot.channel import Channel, Quantity
-from dashpot.check.directions import Deficiency
-from dashpot.check.identifiability import Structure, is_large, parallel_unknowns, structure
+from dashpot.check.identifiability import Structure, determines, is_large, parallel_unknowns, structure
 from dashpot.check.nonlinear_structure import blind_laws
-from dashpot.check.scale import require_scale
+from dashpot.check.structure import Deficiency, lines_of, require_scale
 from dashpot.data.spectrum import Spectrum
 from dashpot.errors import IdentifiabilityError, Problem
 from dashpot.io.words import listed, with_values
@@ -38,7 +37,7 @@ def require_identifiable(
         if blind is not None:
             raise IdentifiabilityError(problems_in_words(blind, model, channels, where))
         require_no_parallels(model, channels, where)
-    else:
+    elif spectrum is None or not determines(model, tuple(channels), lines_of(model, spectrum)):
         require_full_rank(structure(model, channels, spectrum), model, channels, where)
 
 
@@ -172,8 +171,7 @@ def _relative(one: Deficiency, found: Structure) -> Real:
     """The directions in parts of the nominal values, (k, names)."""
     columns = [found.names.index(name) for name in one.names]
     scale = np.where(found.nominal == 0, 1.0, found.nominal)
-    relative: Real = (one.directions / scale)[:, columns]
-    return relative
+    return (one.directions / scale)[:, columns]
 
 
 def _unseen(one: Deficiency, found: Structure, model: Model, channels: Sequence[Channel]) -> tuple[str, str]:
@@ -188,7 +186,10 @@ def _unseen(one: Deficiency, found: Structure, model: Model, channels: Sequence[
         return what, f"measure {quiet[0]}, or more points"
     give = "give it a value or leave it out" if len(one.names) == 1 else "give them values or leave them out"
     what = f"nothing that is measured depends on {_named(one.names)}"
-    light = _without_mass(one.names, model)
+    # Coordinates that these elements join and no mass, which follow their neighbours without any force
+    joined = {point for element in model.elements if element.name in one.names for point in element.along}
+    heavy = {point for element in model.elements if element.kind is Kind.MASS for point in element.along}
+    light = [x for x in model.coordinates if x in joined - heavy]
     if not light:
         return what, give
     has = "has" if len(light) == 1 else "have"
@@ -196,13 +197,6 @@ def _unseen(one: Deficiency, found: Structure, model: Model, channels: Sequence[
         f"{what}: {_named(light)} {has} no mass",
         f'add [masses] m_{light[0]} = {{ at = "{light[0]}" }}, or {give}',
     )
-
-
-def _without_mass(names: Sequence[str], model: Model) -> list[str]:
-    """Coordinates that these elements join and no mass, which follow their neighbours without any force."""
-    joined = {point for element in model.elements if element.name in names for point in element.along}
-    heavy = {point for element in model.elements if element.kind is Kind.MASS for point in element.along}
-    return [x for x in model.coordinates if x in joined - heavy]
 
 
 def _lines(one: Deficiency, found: Structure) -> tuple[str, str]:

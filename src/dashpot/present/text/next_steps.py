@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from dashpot.check.collinearity import Collinearity
+from dashpot.check.data_findings import Collinearity
 from dashpot.estimate.result import Estimate
 from dashpot.io.words import joined
 from dashpot.present.text.assessment import remaining_in_words

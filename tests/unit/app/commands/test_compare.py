@@ -1,14 +1,12 @@
 """dashpot compare: table, picture and JSON of several methods; bad input is one line, exit code 2, nothing written."""
 
-from __future__ import annotations
-
 import json
 import os
 from pathlib import Path
 
 import pytest
 
-from tests.unit.app.conftest import RIG, Command, Ran
+from tests.unit.app.conftest import RIG, SET, Command, Ran
 
 TRUTH = "m1=3,c1=20,c2=30"
 MODES = "frequency_hz,frequency_sd,damping_ratio,damping_sd,x1_re,x1_im,x1_sd,x2_re,x2_im,x2_sd\n"
@@ -34,10 +32,8 @@ def row(done: Ran, method: str) -> str:
 
 
 def test_table_picture_and_json(dashpot: Command, data: Path) -> None:
-    done = dashpot(
-        "compare", "rig.toml", "data.csv", "--methods", "hls,oiv,ml", "--truth", TRUTH,
-        "--figure", "out.png", "--json", "out.json",
-    )  # fmt: skip
+    asked = f"--methods hls,oiv,ml --truth {TRUTH}"
+    done = dashpot(f"compare rig.toml data.csv {asked} --figure out.png --json out.json")
     assert done.code == 0, done.err
     assert max(map(len, done.out.splitlines())) <= 80
     assert "truth" in done.out
@@ -91,9 +87,7 @@ def modes_file() -> None:
 
 def test_measured_modes_beside_data_and_alone(dashpot: Command, data: Path) -> None:
     modes_file()
-    done = dashpot(
-        "compare", "rig.toml", "data.csv", "--modal", "modes.csv", "--methods", "oiv", "--truth", TRUTH
-    )
+    done = dashpot("compare rig.toml data.csv --modal modes.csv --methods oiv --truth", TRUTH)
     assert done.code == 0, done.err
     assert "*" not in row(done, "modal")
     alone = dashpot("compare", "rig.toml", "--modal", "modes.csv", "--json", "-")
@@ -108,19 +102,8 @@ def test_measured_modes_beside_data_and_alone(dashpot: Command, data: Path) -> N
 def test_a_method_that_does_not_settle_is_named(dashpot: Command, rig: Path) -> None:
     """The paper's iteration under noise of three times the signal: exit code 3; the others are there all the same."""
     rig.write_text(RIG.replace("noise = 0.02", "noise = 30"), encoding="utf-8")
-    test = [
-        "--frequencies",
-        "1:15/8log",
-        "--samples",
-        "20",
-        "--periods",
-        "3",
-        "--amplitude",
-        "u=0.01",
-        "--table",
-    ]
-    values = ["--set", "m1=3", "--set", "c1=20", "--set", "c2=30"]
-    assert dashpot("simulate", "rig.toml", "--out", "n.csv", *test, *values).code == 0
+    sent = "--frequencies 1:15/8log --samples 20 --periods 3 --amplitude u=0.01 --table"
+    assert dashpot(f"simulate rig.toml --out n.csv {sent} {SET}").code == 0
     done = dashpot("compare", "rig.toml", "n.csv", "--methods", "iv,oiv", "--json", "out.json")
     assert done.code == 3
     assert "iv did not converge." in done.out
@@ -197,18 +180,8 @@ def test_methods_that_miss_the_scale_are_refused_as_by_identify(dashpot: Command
     text += 'R = { of = "u", quantity = "force", noise = 0.5 }\n'
     Path("rig.toml").write_text(text, encoding="utf-8")
     values = "m1=3,m2=2.7,k1=4600,k2=4600,c1=20,c2=30"
-    settings = [part for pair in values.split(",") for part in ("--set", pair)]
-    simulated = dashpot(
-        "simulate",
-        "rig.toml",
-        "--out",
-        "r.csv",
-        "--frequencies",
-        "1:15/8log",
-        "--amplitude",
-        "u=0.01",
-        *settings,
-    )
+    sent = f"--frequencies 1:15/8log --amplitude u=0.01 --set {values}"
+    simulated = dashpot(f"simulate rig.toml --out r.csv {sent}")
     assert simulated.code == 0, simulated.err
     done = dashpot("compare", "rig.toml", "r.csv", "--truth", values)
     assert done.code == 0, done.err
@@ -238,19 +211,8 @@ def test_a_method_gives_the_same_alone_and_in_company(dashpot: Command, rig: Pat
     text = RIG + 'v1 = { of = "x1", quantity = "velocity", noise = 0.3 }\n'
     text += 'v2 = { of = "x2", quantity = "velocity", noise = 0.3 }\n'
     rig.write_text(text, encoding="utf-8")
-    values = [
-        "--set",
-        "m1=3",
-        "--set",
-        "c1=20",
-        "--set",
-        "c2=30",
-        "--amplitude",
-        "u=0.01",
-        "--frequencies",
-        "2,5,9",
-    ]
-    assert dashpot("simulate", "rig.toml", "--out", "v.csv", *values).code == 0
+    done = dashpot(f"simulate rig.toml --out v.csv --amplitude u=0.01 --frequencies 2,5,9 {SET}")
+    assert done.code == 0
     found = {}
     for methods in ("iv", "ls,iv", "iv,oiv"):
         done = dashpot("compare", "rig.toml", "v.csv", "--methods", methods, "--json", "out.json", "-q")

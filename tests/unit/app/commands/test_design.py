@@ -1,7 +1,5 @@
 """The command `dashpot design` from the outside: contract of the JSON, files, one line for each fault."""
 
-from __future__ import annotations
-
 import importlib.util
 import json
 from pathlib import Path
@@ -53,24 +51,12 @@ def test_after_data_with_a_target(tmp_path: Path, capsys: pytest.CaptureFixture[
 def told(capsys: pytest.CaptureFixture[str], *args: str) -> dict[str, Any]:
     """The JSON that the command prints."""
     assert run(["design", str(RIG), *args, "--json", "-"]) == 0
-    found: dict[str, Any] = json.loads(capsys.readouterr().out)
-    return found
+    return json.loads(capsys.readouterr().out)
 
 
 def test_a_test_of_so_much_time_within_limits(capsys: pytest.CaptureFixture[str]) -> None:
-    args = [
-        "--time",
-        "1min",
-        "--rate",
-        "200",
-        "--settling-time",
-        "1.5s",
-        "--min-dwell",
-        "4s",
-        "--max-frequencies",
-        "3",
-    ]
-    args += ["--stroke", "5mm", "--max-velocity", "0.1m/s", "--max-acceleration", "1gn", "--max-force", "30N"]
+    limits = "--stroke 5mm --max-velocity 0.1m/s --max-acceleration 1gn --max-force 30N --max-frequencies 3"
+    args = f"--time 1min --rate 200 --settling-time 1.5s --min-dwell 4s {limits}".split()
     found = told(capsys, *args, "--grid", "0.5", "--band", "0.5:25", "--for", "c2,m1")
     assert 55 < found["time_s"] <= 60
     assert len(found["dwells"]) <= 3

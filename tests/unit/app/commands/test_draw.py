@@ -1,7 +1,5 @@
 """dashpot draw."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from tests.unit.app.conftest import Command

@@ -1,7 +1,5 @@
 """inspect, new, and commands with manifests and files of other formats."""
 
-from __future__ import annotations
-
 import tomllib
 
 import pytest

@@ -1,7 +1,5 @@
 """dashpot study: files in, a folder out, and an end to it when asked."""
 
-from __future__ import annotations
-
 import signal
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """Free M, C and K from the command line: found, printed as matrices, held definite, compared; what does not suit."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 
@@ -39,10 +37,7 @@ def free(dashpot: Command) -> Path:
     """free.toml, and data.csv with the frame of frame.toml pushed at x2."""
     Path("frame.toml").write_text(FRAME, encoding="utf-8")
     Path("free.toml").write_text(FREE, encoding="utf-8")
-    done = dashpot(
-        "simulate", "frame.toml", "--out", "data.csv", "--frequencies", "3:12/15log", "--amplitude", "f=5",
-        "--seed", "1",
-    )  # fmt: skip
+    done = dashpot("simulate frame.toml --out data.csv --frequencies 3:12/15log --amplitude f=5 --seed 1")
     assert done.code == 0, done.err
     return Path("free.toml")
 

@@ -1,16 +1,11 @@
 """dashpot identify --in-parts: files one by one, merged."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 
 import pytest
 
-from tests.two_masses import VALUES
-from tests.unit.app.conftest import Command
-
-AT = [text for name, value in VALUES.items() for text in ("--set", f"{name}={value}")]
+from tests.unit.app.conftest import SET, Command
 
 
 @pytest.fixture
@@ -18,8 +13,8 @@ def files(dashpot: Command, rig: Path) -> list[str]:
     """Three tests of the rig."""
     names = [f"part{k}.csv" for k in range(3)]
     for k, name in enumerate(names):
-        test = ("--frequencies", "1:15/8log", "--amplitude", "u=0.01", "--seed", str(k))
-        assert dashpot("simulate", "rig.toml", "--out", name, *test, *AT).code == 0
+        sent = f"--frequencies 1:15/8log --amplitude u=0.01 --seed {k} {SET}"
+        assert dashpot(f"simulate rig.toml --out {name} {sent}").code == 0
     return names
 
 

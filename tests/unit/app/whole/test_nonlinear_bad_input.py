@@ -1,7 +1,5 @@
 """Laws that the data do not show, that nothing tells apart, or that are no numbers: one line each that names them."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 
@@ -147,3 +145,28 @@ def test_friction_fitted_to_a_stiffening_spring_does_not_fit_and_the_spring_is_n
     said = " ".join(" ".join([done.out, *done.err]).split())
     assert "odd, stiffening (p < 1e-6), in place of fc" in said
     assert done.code == 3 or "The model does not fit" in said
+
+
+@pytest.mark.parametrize("law", ['"cubic"', '"coulomb", v0 = 0.1', '"jenkins", slip = 0.001'])
+def test_a_free_decay_has_no_input(dashpot: Command, law: str) -> None:
+    Path("rig.toml").write_text(
+        f"""
+coordinates = ["x"]
+[masses]
+m = {{ at = "x", value = 1.2 }}
+[springs]
+k = {{ between = ["x", "ground"] }}
+q = {{ between = ["x", "ground"], law = {law} }}
+[dampers]
+c = {{ between = ["x", "ground"] }}
+[channels]
+x = {{ of = "x", unit = "mm" }}
+""",
+        encoding="utf-8",
+    )
+    time = np.arange(300) / 100
+    x = np.exp(-0.5 * time) * np.cos(20 * time) + 1e-3 * np.random.default_rng(1).standard_normal(300)
+    np.savetxt("data.csv", np.column_stack([time, x]), "%.9g", ",", header="time_s,x", comments="")
+    done = dashpot("identify", "rig.toml", "data.csv")
+    assert done.code in (0, 3)
+    assert "k " in done.out

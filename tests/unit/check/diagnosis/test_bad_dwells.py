@@ -1,7 +1,5 @@
 """Dwells that are wrong in a way that has a name."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

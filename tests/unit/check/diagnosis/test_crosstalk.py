@@ -1,7 +1,5 @@
 """A part of one channel in another."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

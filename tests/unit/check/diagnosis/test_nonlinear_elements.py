@@ -1,16 +1,14 @@
 """Linear rigs fitted to data of nonlinear ones: what the data call for, and nothing where they call for nothing."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from dashpot.check.diagnosis.candidate_elements import candidate_elements
 from dashpot.check.diagnosis.diagnose import examined
 from dashpot.check.diagnosis.nonlinear_elements import (
     called_for,
+    candidate_elements,
     fitted_in_full,
     motions_of,
     scored_in_dwells,

@@ -1,7 +1,5 @@
 """Plain mistakes of a record that an estimate from another one predicts badly are named, with what to do about them."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -14,8 +12,7 @@ from dashpot.check.diagnosis.prediction_mistakes import mistakes_in_lines
 from dashpot.check.validation import missed, validate
 from dashpot.data.conditioning.whole_record import whole_records
 from dashpot.data.record import Record
-from dashpot.data.spectrum import concatenate
-from dashpot.data.stretch import SettledDwell
+from dashpot.data.spectrum import SettledDwell, concatenate
 from dashpot.estimate.identify import identify
 from dashpot.estimate.result import Estimate
 from dashpot.model.motion import channel_samples, integrator

@@ -1,7 +1,5 @@
 """Plain mistakes of channels in whole records of nonlinear rigs are named at once, sound channels left alone."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

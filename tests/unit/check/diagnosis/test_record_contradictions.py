@@ -1,17 +1,15 @@
 """What one channel shows in a whole record in the place of what the others say of it, by form."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np
 import pytest
 
 from dashpot.arrays import Complex, Real
+from dashpot.check.diagnosis.channel_changes import ComparedLines, contradiction_in_record
 from dashpot.check.diagnosis.contradictions import Contradiction
-from dashpot.check.diagnosis.likeness import Likeness
-from dashpot.check.diagnosis.record_contradictions import ComparedLines, contradiction_in_record
-from dashpot.data.stretch import history_of_lines
+from dashpot.check.diagnosis.trials import Likeness
+from dashpot.data.spectrum import history_of_lines
 
 LINES, DURATION = 400, 20.0
 ORDER = np.arange(1, LINES + 1)
@@ -30,8 +28,7 @@ def expected(seed: int) -> Complex:
 
 def of_history(history: Real) -> Complex:
     """The lines of a history."""
-    lines: Complex = 2 / len(history) * np.fft.rfft(history)[ORDER]
-    return lines
+    return 2 / len(history) * np.fft.rfft(history)[ORDER]
 
 
 def form(y: Complex, e: Complex, seed: int) -> Likeness | Contradiction | None:

@@ -1,7 +1,5 @@
 """Linear rigs fitted to whole records of nonlinear ones, made by SciPy's integrator: the element is named."""
 
-from __future__ import annotations
-
 import runpy
 from collections.abc import Callable
 from dataclasses import replace
@@ -78,7 +76,6 @@ def fitted(record: Record) -> Estimate:
 
 def nonlinear(estimate: Estimate) -> list[Finding]:
     """Findings of that kind."""
-    assert estimate.assessment is not None
     return [finding for finding in estimate.assessment.findings if finding.kind == "nonlinear"]
 
 
@@ -93,7 +90,6 @@ def nonlinear(estimate: Estimate) -> list[Finding]:
 def test_the_element_that_a_whole_record_calls_for_is_named_first(name: str) -> None:
     law, short, words = LAWS[name]
     estimate = fitted(recorded(law))
-    assert estimate.assessment is not None
     assert estimate.assessment.verdict == "does not fit"
     assert estimate.assessment.reasons[0].code == "nonlinear"
     first = estimate.assessment.findings[0]
@@ -179,7 +175,6 @@ def frame(folder: Path, old: str, new: str) -> Rig:
 def test_a_wrong_mass_is_named_first_though_no_noise_is_known(quake: Path, stated: str) -> None:
     """It was "x1 reads 0.743 × as much after 11.24 s": lines without transients left too much of the misfit."""
     estimate = identify(frame(quake, "0.9 kg", stated), quake / "quake.csv", diagnose=True)
-    assert estimate.assessment is not None
     assert estimate.assessment.verdict == "does not fit"
     first = estimate.assessment.findings[0]
     assert (first.kind, first.of) == ("value", ("m3",))
@@ -192,7 +187,6 @@ def test_a_wrong_mass_is_named_first_though_no_noise_is_known(quake: Path, state
 def test_a_missing_damper_is_named_first_in_an_earthquake(quake: Path) -> None:
     rig = frame(quake, 'c2 = { between = ["x1", "x2"] }\n', "")
     estimate = identify(rig, quake / "quake.csv", diagnose=True)
-    assert estimate.assessment is not None
     first = estimate.assessment.findings[0]
     assert (first.kind, first.of) == ("element", ("x1", "x2"))
     assert "dampers" in first.change
@@ -203,7 +197,6 @@ def test_a_wrong_mass_passes_for_no_nonlinear_element(quake: Path) -> None:
     rig = frame(quake, "1.2 kg", "1.8 kg")
     settings = Conditioning(still=noise_at_rest(read(quake / "still.csv", rig).records))
     estimate = identify(rig, quake / "quake.csv", diagnose=True, conditioning=settings)
-    assert estimate.assessment is not None
     # The floors are met by another base than was measured, which no part of the floors' motion tells.
     assert estimate.assessment.relative_residual["base"] > 0.5
     first, *others = estimate.assessment.findings

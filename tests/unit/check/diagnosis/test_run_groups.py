@@ -1,7 +1,5 @@
 """A rig that is changed between runs."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -11,9 +9,11 @@ from dashpot.check.diagnosis.diagnose import diagnose
 from dashpot.check.diagnosis.ranking import Cause
 from dashpot.check.diagnosis.wording import finding
 from dashpot.check.residuals import channel_response
+from dashpot.data.conditioning.lines import spectrum as conditioned
 from dashpot.data.spectrum import Spectrum
 from dashpot.estimate.assessment import Finding
 from dashpot.model.network import Model
+from dashpot.model.rigfile import parse_rig
 from tests import rigs
 from tests.unit.check.diagnosis.test_diagnose import clean
 
@@ -48,6 +48,35 @@ def test_what_is_not_the_same_in_all_runs_is_named(element: str, by_experiment: 
     assert abs(best.number) == pytest.approx(0.2 * value, rel=0.15)
     assert ("experiment" if by_experiment else "Hz on") in best.text
     assert best.remaining < 1.5
+
+
+RIG_OF_ONE = parse_rig(
+    """
+coordinates = ["x1", "x2"]
+[inputs]
+u = {}
+[masses]
+m1 = { at = "x1", value = 1 }
+m2 = { at = "x2", value = 1 }
+[springs]
+k = { between = ["x1", "u"], guess = 100 }
+k2 = { between = ["x2", "x1"], value = 100 }
+[dampers]
+c = { between = ["x1", "u"], value = 1 }
+[channels]
+x1 = { of = "x1", noise = 1e-5 }
+x2 = { of = "x2", noise = 1e-5 }
+u = { of = "u", noise = 1e-5 }
+""",
+    "rig.toml",
+)
+
+
+def test_one_run_cannot_be_parted() -> None:
+    """One line has more numbers than the rig has unknowns."""
+    only = conditioned(RIG_OF_ONE.simulate({"k": 100.0}, [1.0], samples=60, amplitudes={"u": 0.01}, seed=1))
+    away = replace(only, amplitudes=only.amplitudes * np.array([1 + 1j, 2 - 1j, 1]))
+    assert all(cause.kind != "changed" for cause in diagnose(RIG_OF_ONE.model, away))
 
 
 def test_hyphens_in_names_are_no_minus_signs() -> None:

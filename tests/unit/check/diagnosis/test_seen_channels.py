@@ -1,14 +1,12 @@
 """Plain mistakes of channels beside nonlinear elements, in settled dwells where all motion is seen."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from dashpot.check.diagnosis.diagnose import diagnose, examined
-from dashpot.check.diagnosis.seen_channels import mistakes_by_equation
+from dashpot.check.diagnosis.record_channels import mistakes_by_equation
 from dashpot.errors import IdentifiabilityError
 from dashpot.estimate.identify import identify
 from dashpot.estimate.preparation.prepared import prepare

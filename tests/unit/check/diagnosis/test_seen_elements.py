@@ -1,7 +1,5 @@
 """Nonlinear elements beside those that a rig has, by the equation of motion."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

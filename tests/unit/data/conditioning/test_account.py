@@ -1,10 +1,7 @@
 """The one line on the treatment of settled dwells says what was done to them."""
 
-from __future__ import annotations
-
 import numpy as np
 
-from dashpot.data.conditioning.account import SETTLED
 from dashpot.data.conditioning.lines import spectrum
 from dashpot.data.conditioning.settings import Conditioning
 from dashpot.data.record import Record
@@ -20,7 +17,7 @@ def account(settings: Conditioning | None = None, off: float = 1.0) -> str:
         values = wave(t, f, (1.0, 0.5))
         dwells.append(Record((X1, U), t, values + 0.01 * rng.normal(size=values.shape), off * f))
     notes = spectrum(dwells, settings).notes
-    (line,) = (note.text for note in notes if note.code == SETTLED)
+    (line,) = (note.text for note in notes if note.code == "settled_dwells")
     return line
 
 

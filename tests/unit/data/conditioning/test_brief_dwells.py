@@ -1,7 +1,5 @@
 """Dwells that end before their first period: left out where others hold, refused where most are like them."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

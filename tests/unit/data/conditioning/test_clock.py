@@ -1,11 +1,9 @@
 """Time stamps that are coarser than the sampling."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
-from dashpot.data.conditioning.clock import with_even_stamps
+from dashpot.data.conditioning.clock import even_step, with_even_stamps
 from dashpot.data.conditioning.lines import spectrum
 from dashpot.data.record import Record
 from tests.unit.data.conditioning.signals import X1, U, wave
@@ -23,7 +21,6 @@ def stamped(digit: float) -> Record:
 
 def test_rounded_stamps_are_taken_as_even() -> None:
     even, note = with_even_stamps(stamped(0.01))
-    assert note is not None
     assert note.code == "stamps_rounded"
     np.testing.assert_allclose(np.diff(even.time), 1 / RATE, rtol=1e-9)
     lines = spectrum([stamped(0.01)], transients="none")
@@ -50,3 +47,17 @@ def test_jitter_and_gaps_are_left_alone() -> None:
     kept = np.delete(np.arange(640), np.arange(100, 140))
     gap = Record((X1, U), stamped(0.01).time[kept], fine.values[kept], F)
     assert with_even_stamps(gap)[0] is gap
+
+
+@pytest.mark.parametrize("start", [0.0, 0.25, 1.7e9])
+@pytest.mark.parametrize("step", [0.01, 0.0005, 1 / 64, 1 / 51200, 0.0123456, 1 / 333.3])
+def test_a_step_comes_out_as_it_was_written(step: float, start: float) -> None:
+    """Exactly, wherever the clock starts, although no stamp but the first few is a multiple of it to the last bit."""
+    for samples in (16, 1000, 50000):
+        time = start + step * np.arange(samples)
+        if np.spacing(time[-1]) < 1e-9 * step:
+            assert even_step(Record((X1, U), time, np.zeros((samples, 2)))) == step
+    generator = np.random.default_rng(3)
+    jitter = start + step * (np.arange(1000) + generator.uniform(-0.01, 0.01, 1000))
+    if np.spacing(jitter[-1]) < 1e-3 * step:
+        assert even_step(Record((X1, U), jitter, np.zeros((1000, 2)))) == pytest.approx(step, rel=1e-5)

@@ -1,7 +1,5 @@
 """Drift by evidence: slopes of all dwells together."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -9,8 +7,8 @@ import pytest
 from scipy.stats import kstest
 
 from dashpot.channel import Quantity
-from dashpot.data.conditioning.drift import slopes_show
 from dashpot.data.conditioning.lines import spectrum
+from dashpot.data.conditioning.transients import slopes_show
 from dashpot.data.record import Record
 from dashpot.estimate.identify import identify
 from tests import rigs

@@ -1,7 +1,5 @@
 """Which multiples of the drive are data."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,15 +1,13 @@
 """Samples that a channel missed within a dwell are told by their one value and replaced by the motion around them."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from dashpot.arrays import Real
-from dashpot.data.conditioning.dropouts import without_dropouts
 from dashpot.data.conditioning.lines import spectrum
+from dashpot.data.conditioning.lost_samples import without_dropouts
 from dashpot.data.record import Record
 from tests.unit.data.conditioning.signals import X1, U, wave
 

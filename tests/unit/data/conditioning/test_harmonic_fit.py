@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 from scipy.special import stdtrit
 
-from dashpot.data.conditioning.harmonic_fit import fit_harmonics
-from dashpot.data.conditioning.sample_moments import second_moments
+from dashpot.data.conditioning.harmonic_fit import fit_harmonics, second_moments
 from dashpot.data.record import Record
 from dashpot.errors import DataError
 from tests.unit.data.conditioning.signals import X1, X2, U, wave

@@ -1,7 +1,5 @@
 """Samples in which a channel holds a value while the motion goes on are cut out of whole records."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -9,7 +7,7 @@ import pytest
 
 from dashpot.arrays import Real
 from dashpot.channel import Channel, Quantity
-from dashpot.data.conditioning.held_samples import without_held_samples
+from dashpot.data.conditioning.lost_samples import without_held_samples
 from dashpot.data.conditioning.whole_record import whole_records
 from dashpot.data.record import Record
 

@@ -1,14 +1,12 @@
 """Moderated variances: Smyth's estimators against their definition, and what they are good for."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.special import polygamma
 
 from dashpot.channel import Quantity
+from dashpot.data.conditioning.harmonic_fit import _scatter, _trigamma_inverse, moderated
 from dashpot.data.conditioning.lines import spectrum
-from dashpot.data.conditioning.moderated import _scatter, _trigamma_inverse, moderated
 from dashpot.estimate.identify import identify
 from tests import rigs
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from dashpot.data.conditioning.period_blocks import period_blocks
+from dashpot.data.conditioning.transients import period_blocks
 from dashpot.data.record import Record
 from tests.unit.data.conditioning.signals import X1, X2, wave
 
@@ -12,7 +12,6 @@ def test_blocks_count_from_the_end_and_hold_the_sine() -> None:
     t = np.arange(1030) / 100
     record = Record((X1, X2), t, wave(t, 2.0, [1.0, 2j]), 2.0)
     blocks = period_blocks(record, 2.0)
-    assert blocks is not None
     assert len(blocks.starts) == 20
     assert blocks.ends[-1] == 1030
     assert np.all(blocks.ends - blocks.starts == 50)

@@ -1,14 +1,12 @@
 """Rounding to the steps of a converter counts as noise where the residual cannot show it."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from dashpot.data.conditioning.harmonic_fit import distinct_phases, rounding_steps
 from dashpot.data.conditioning.lines import spectrum
-from dashpot.data.conditioning.quantisation import distinct_phases, rounding_steps
 from dashpot.data.record import Record
 from tests.unit.data.conditioning.signals import X1, U, wave
 

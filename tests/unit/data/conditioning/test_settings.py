@@ -4,12 +4,7 @@ import dataclasses
 
 import pytest
 
-from dashpot.data.conditioning.settings import (
-    Conditioning,
-    FitTreatments,
-    Treatments,
-    conditioning_of,
-)
+from dashpot.data.conditioning.settings import Conditioning, FitTreatments, Treatments, conditioning_of
 from dashpot.errors import DataError
 
 

@@ -1,15 +1,13 @@
 """Whether records move where it is stated: refused elsewhere, refined by evidence, left alone otherwise."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from dashpot.channel import Quantity
+from dashpot.data.conditioning.drive_frequency import drive_frequencies, moves_elsewhere
 from dashpot.data.conditioning.lines import spectrum
-from dashpot.data.conditioning.stated_frequency import drive_frequencies, moves_elsewhere
 from dashpot.data.record import Record
 from dashpot.errors import DataError
 from tests import rigs

@@ -16,9 +16,8 @@ from dashpot.data.conditioning.transients import (
 )
 from dashpot.data.readers import Reading
 from dashpot.data.record import Record
-from dashpot.data.stretch import SettledDwell, WholeRecord
-from dashpot.estimate.amplitudes import conditioning_for
-from dashpot.estimate.identify import identify
+from dashpot.data.spectrum import SettledDwell, WholeRecord
+from dashpot.estimate.identify import conditioning_for, identify
 from dashpot.estimate.likelihood.maximum_likelihood import MaximumLikelihood
 from dashpot.estimate.linear.instrumental_variables import OptimalIV
 from tests.whole_rigs import chain, record_of, stepped_sine

@@ -1,7 +1,5 @@
 """Which part of a dwell stands behind its lines."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

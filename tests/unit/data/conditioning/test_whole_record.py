@@ -9,9 +9,9 @@ from dashpot.arrays import Real
 from dashpot.channel import Channel
 from dashpot.data.conditioning.clock import even_step
 from dashpot.data.conditioning.still import noise_at_rest, smoothed
-from dashpot.data.conditioning.whole_record import FLOOR, whole_record, whole_records, without_gaps
+from dashpot.data.conditioning.whole_record import whole_record, whole_records, without_gaps
 from dashpot.data.record import Record
-from dashpot.data.stretch import WholeRecord
+from dashpot.data.spectrum import WholeRecord
 from dashpot.errors import DataError
 
 A, B = Channel("a", {"a": 1.0}), Channel("b", {"b": 1.0})
@@ -66,7 +66,7 @@ def test_what_moves_at_half_the_sampling_rate_is_said() -> None:
 
 def test_the_floor_of_the_noise_is_found() -> None:
     lines = whole_record(record(resonant(4000, np.random.default_rng(2))))
-    assert set(lines.noise) == {FLOOR}
+    assert set(lines.noise) == {"floor"}
     floor = np.diagonal(lines.covariance[0]).real
     np.testing.assert_allclose(floor, 4 * 0.04 / 4000, rtol=0.15)  # 4 sd of 760 lines
 

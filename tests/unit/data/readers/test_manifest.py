@@ -178,54 +178,30 @@ def test_sensors_of_other_sample_times_keep_them(tmp_path):
         ("[[files]\n", "test.toml:1"),
         ('[[file]]\nname = "a"\n', "test.toml: files: missing"),
         ('[[files]]\nnames = "a"\n', "missing"),
-        (
-            '[[files]]\nname = "2Hz.csv"\nrate = 5\n',
-            r"test.toml:3: files\[0\].rate: unknown key; did you mean .rate_hz.. there are name",
-        ),
+        ('[[files]]\nname = "2Hz.csv"\nrate = 5\n', r"test.toml:3: files\[0\].rate: unknown key; did you"),
         ('[[files]]\nname = "2Hz.csv"\nrate_hz = -5\n', r"test.toml:3: files\[0\].rate_hz: "),
         ('[[files]]\nname = "2Hz.csv"\nclock = "mine"\n', r"test.toml:3: files\[0\].clock"),
         ('[conditioning]\nsettle = "yes"\n[[files]]\nname = "2Hz.csv"\n', "test.toml:2: conditioning.settle"),
         ('[[files]]\nname = "{frequency}kHz.csv"\n', "test.toml:1: no file fits"),
         ('[[files]]\nname = "{frequenz}Hz.csv"\n', 'unknown field {frequenz} .*did you mean "frequency"'),
-        (
-            '[[files]]\nname = "2Hz.csv"\nwindow_s = [7, 1]\n',
-            r"window_s: \[7, 1\] cannot be used; write \[start",
-        ),
+        ('[[files]]\nname = "2Hz.csv"\nwindow_s = [7, 1]\n', r"window_s: \[7, 1\] cannot be used; write"),
         ('[[files]]\nname = "2Hz.csv"\nband_hz = [nan, 1]\n', r"band_hz: \[nan, 1\] cannot be used; write"),
-        (
-            '[[files]]\nname = "2Hz.csv"\nexperiment = 99999999999999999999\n',
-            "write a whole number from 0 to",
-        ),
-        (
-            '[[files]]\nname = "2Hz.csv"\nlines = [1.5]\n',
-            r'files\[0\].lines: \[1.5\] .*write multiples as "11:250"',
-        ),
+        ('[[files]]\nname = "2Hz.csv"\nexperiment = 99999999999999999999\n', "write a whole number from 0"),
+        ('[[files]]\nname = "2Hz.csv"\nlines = [1.5]\n', r"files\[0\].lines: \[1.5\] .*write multiples as"),
         ("[[files]]\nname = []\n", r"files\[0\].name: \[\] cannot be used; write a file or a pattern"),
         ('[[files]]\nname = "2Hz.csv"\nskip_periods = 1\n', "skip_periods is for multisines; give"),
         ('[[files]]\nname = "2Hz.csv"\nclock = "own"\n', 'clock = "own" is for the files of several sensors'),
         ('[[files]]\nname = "2Hz.csv"\nalign_s = [0, 1]\n', 'align_s is for sensors .*say clock = "own"'),
         ('[[files]]\nname = "{frequency}Hz.csv"\nfrequency_hz = 4.0\n', "the frequency is said twice"),
-        (
-            '[[files]]\nname = "2Hz.csv"\ncolumns = { x1 = "u", u = "u" }\n',
-            "x1 and u are both read from the column u",
-        ),
+        ('[[files]]\nname = "2Hz.csv"\ncolumns = { x1 = "u", u = "u" }\n', "x1 and u are both read from"),
         ('[[files]]\nname = "2Hz.csv"\nunits = { u = "wat" }\n', "units: wat of u is not a unit"),
         ('[[files]]\nname = "2Hz.csv"\npart = "x"\n', "there is no part x; its parts have no names"),
-        (
-            '[conditioning]\ndrift = -1\n[[files]]\nname = "2Hz.csv"\n',
-            "drift: -1 cannot be used; write a degree from 0",
-        ),
-        (
-            '[conditioning]\nsettle = "2 m"\n[[files]]\nname = "2Hz.csv"\n',
-            'settle: "2 m" cannot be used; write',
-        ),
+        ('[conditioning]\ndrift = -1\n[[files]]\nname = "2Hz.csv"\n', "drift: -1 cannot be used; write"),
+        ('[conditioning]\nsettle = "2 m"\n[[files]]\nname = "2Hz.csv"\n', 'settle: "2 m" cannot be used'),
         ('[[files]]\nname = "{frequency}_{frequency}"\n', "a field occurs twice"),
         ('[[files]]\nname = "no.csv"\n', "no.csv: there is no such file"),
         ('[[files]]\nname = "{frequency}Hz.csv"\nband_hz = [20, 30]\n', "no file of these names is left"),
-        (
-            '[[files]]\nname = "2Hz.csv"\ncolumns = { x9 = "x1" }\n',
-            "x9 is not a channel of the rig; the rig file lists",
-        ),
+        ('[[files]]\nname = "2Hz.csv"\ncolumns = { x9 = "x1" }\n', "x9 is not a channel of the rig; the rig"),
         ('[[files]]\nname = "2Hz.csv"\ncolumns = { x1 = "x9" }\n', "2Hz.csv:1: column x9: missing"),
         ('[[files]]\nname = "2Hz.csv"\nunits = { x1 = "N" }\n', "N is not a unit of displacement"),
         ('[[files]]\nname = "2Hz.csv"\nlines = "1:x"\n', "1:x are not multiples"),
@@ -270,3 +246,46 @@ def test_multiples():
     for wrong in ("", "0:3", "3:1", "1:9:0", "1:2:3:4", "1:10000000000", []):
         with pytest.raises(DataError, match="are not multiples"):
             line_numbers(wrong, "x")
+
+
+@pytest.mark.parametrize(
+    "name", ["../secret.csv", "run/../../secret.csv", "../*.csv", "{frequency}Hz/../../*"]
+)
+def test_names_do_not_lead_out_of_the_folder(tmp_path, name):
+    (tmp_path / "data" / "2Hz").mkdir(parents=True)
+    (tmp_path / "secret.csv").write_text("time_s,x1\n")
+    absolute = (tmp_path / "secret.csv").as_posix()
+    for each in (name, absolute, absolute.replace("secret", "*")):
+        with pytest.raises(DataError, match="out of the folder"):
+            files_named(manifest(tmp_path / "data", f'[[files]]\nname = "{each}"\n'))
+
+
+def test_links_do_not_lead_out_of_the_folder(tmp_path):
+    inside, outside = tmp_path / "data", tmp_path / "elsewhere"
+    inside.mkdir()
+    write_dwells(outside.parent, recording(64)[:1], sub="elsewhere/{:g}Hz.csv")
+    (inside / "2Hz.csv").symlink_to(outside / "2Hz.csv")
+    (inside / "run").symlink_to(outside)
+    for name in ("2Hz.csv", "{frequency}Hz.csv", "run/2Hz.csv", "run/*.csv", "*/2Hz.csv"):
+        with pytest.raises(DataError, match=r"2Hz.csv is a link"):
+            files_named(manifest(inside, f'[[files]]\nname = "{name}"\n'))
+    chosen = manifest(inside, 'folder = "../elsewhere"\n[[files]]\nname = "*.csv"\n')
+    assert [path.name for path in files_named(chosen)] == ["2Hz.csv"]
+    (outside / "again.csv").symlink_to("2Hz.csv")
+    assert [path.name for path in files_named(chosen)] == ["2Hz.csv", "again.csv"]
+
+
+def test_a_search_has_an_end(tmp_path, monkeypatch):
+    with pytest.raises(DataError, match="file system"):
+        files_named(manifest(tmp_path, 'folder = "/"\n[[files]]\nname = "**/*.csv"\n'))
+    (tmp_path / "a" / "b" / "c").mkdir(parents=True)
+    for name in ("a/1.csv", "a/b/2.csv", "a/b/c/3.csv", "a/.hidden.csv"):
+        (tmp_path / name).write_text("x")
+    (tmp_path / "a" / "b" / "up").symlink_to(tmp_path)
+    path = manifest(tmp_path, '[[files]]\nname = "**/*.csv"\n')
+    assert [each.name for each in files_named(path)] == ["1.csv", "2.csv", "3.csv"]
+    for name, limit in (("MOST_ENTRIES", 5), ("DEEPEST", 2), ("LONGEST_SEARCH", -1.0)):
+        with monkeypatch.context() as limited:
+            limited.setattr(f"dashpot.data.readers.manifest.{name}", limit)
+            with pytest.raises(DataError, match="closely"):
+                files_named(path)

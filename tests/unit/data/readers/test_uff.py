@@ -6,9 +6,8 @@ import pytest
 from dashpot.channel import Channel, Quantity
 from dashpot.data.readers import read
 from dashpot.data.readers.datafile import open_file
-from dashpot.data.readers.uff.function import FRF, TIME_RESPONSE, NodalFunction, Point
+from dashpot.data.readers.uff.function import FRF, TIME_RESPONSE, NodalFunction, Point, from_ibm, from_vax
 from dashpot.data.readers.uff.modes import NodalMode, modes_of
-from dashpot.data.readers.uff.numbers import from_ibm, from_vax
 from dashpot.data.readers.uff.reader import functions_of
 from dashpot.data.readers.uff.writer import write_functions, write_modes, write_uff_records
 from dashpot.errors import DashpotError, DataError

@@ -1,11 +1,9 @@
 """Modes with their deviations: the kernel against NumPy, and where it leaves them to NumPy."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
-from dashpot.estimate.inference.derived import mode_values
+from dashpot.estimate.inference.uncertainty import mode_values
 from dashpot.estimate.result import ModeValues
 from dashpot.model.elements import Kind, between, mass
 from dashpot.model.network import Input, Model

@@ -9,7 +9,6 @@ from dashpot.check.verdict import assess
 from dashpot.data.conditioning.whole_record import whole_record
 from dashpot.data.record import Record
 from dashpot.estimate.identify import identify
-from dashpot.estimate.inference.free_motion import MODES_UNSEEN
 from dashpot.model.network import Model
 from dashpot.notices import Notice
 from tests.whole_rigs import chain, record_of
@@ -24,7 +23,7 @@ def judged(model: Model, begin: float, seed: int) -> tuple[str, list[Notice]]:
     rows = slice(int(begin * len(noisy.time)), None)
     spectrum = whole_record(Record(noisy.channels, noisy.time[rows], noisy.values[rows]))
     estimate = identify(model, spectrum)
-    said = [notice for notice in estimate.warnings if notice.code == MODES_UNSEEN]
+    said = [notice for notice in estimate.warnings if notice.code == "modes_unseen"]
     return assess(model, spectrum, estimate).verdict, said
 
 

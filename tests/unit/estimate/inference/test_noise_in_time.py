@@ -1,13 +1,11 @@
 """Noise that changes in the course of a record: what its blocks make of an estimate."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from dashpot.estimate.inference.noise_in_time import EvenNoise, NoiseInTime
+from dashpot.estimate.inference.time_course import EvenNoise, NoiseInTime
 
 MANY = 1e9  # degrees of freedom: powers that are known
 

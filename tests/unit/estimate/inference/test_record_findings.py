@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from dashpot.data.conditioning.whole_record import whole_record
-from dashpot.data.stretch import WholeRecord
+from dashpot.data.spectrum import WholeRecord
 from dashpot.errors import DataError, IdentifiabilityError
 from dashpot.estimate.identify import identify
-from dashpot.estimate.inference.record_findings import modes_outside, unrelated_inputs
+from dashpot.estimate.inference.diagnostics import modes_outside, unrelated_inputs
 from dashpot.model.modes import modes
 from dashpot.notices import Notice
 from tests.whole_rigs import chain, record_of

@@ -1,7 +1,5 @@
 """Changes in the course of a whole record: spikes, lost samples, steps of a gain; noise and misfits show none."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
 
@@ -12,8 +10,7 @@ from dashpot.arrays import Real
 from dashpot.channel import Channel
 from dashpot.data.conditioning.lines import spectrum
 from dashpot.data.record import Record
-from dashpot.data.spectrum import Spectrum
-from dashpot.data.stretch import WholeRecord
+from dashpot.data.spectrum import Spectrum, WholeRecord
 from dashpot.estimate.identify import identify
 from dashpot.estimate.inference.time_course import (
     TIME_CHANGES,
@@ -193,7 +190,6 @@ def test_lost_samples_are_named(excitation: str) -> None:
     assert jumps(identify(test.model, spectrum([noisy]))) == []
     (said,) = jumps(identify(test.model, spectrum([without(noisy, 1)])))
     said_at = re.search(r"(?:near|at) ([\d.]+) s", said)
-    assert said_at is not None
     at = float(said_at.group(1))
     assert at == pytest.approx(0.52 * noisy.time[-1], abs=noisy.time[-1] / 40)
 

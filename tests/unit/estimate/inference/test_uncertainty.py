@@ -1,7 +1,5 @@
 """Intervals of rigs that do not fit, against those that the ratio of residuals to noise would give."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

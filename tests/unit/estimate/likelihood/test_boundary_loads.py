@@ -8,8 +8,7 @@ import pytest
 from dashpot.arrays import Real
 from dashpot.channel import Quantity
 from dashpot.data.conditioning.whole_record import whole_record
-from dashpot.data.spectrum import Spectrum, concatenate
-from dashpot.data.stretch import WholeRecord
+from dashpot.data.spectrum import Spectrum, WholeRecord, concatenate
 from dashpot.estimate.likelihood.boundary_loads import record_ends
 from dashpot.estimate.likelihood.objective import measured, predict
 from dashpot.estimate.preparation.prepared import Prepared, prepare

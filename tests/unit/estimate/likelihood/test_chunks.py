@@ -1,7 +1,5 @@
 """Chunks of starts and lines: the sums are those of all at once, and memory does not grow with lines and starts."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys
@@ -13,8 +11,8 @@ import pytest
 
 from dashpot.estimate.likelihood import chunks
 from dashpot.estimate.likelihood.chunks import pieces
+from dashpot.estimate.likelihood.global_search import candidates
 from dashpot.estimate.likelihood.objective import local, logarithmic, measured, per_line
-from dashpot.estimate.likelihood.starting_values import candidates
 from dashpot.estimate.preparation.prepared import prepare
 from dashpot.model.observation import observation_model
 from tests.partly_seen import BENCHES, noisy_base

@@ -1,7 +1,5 @@
 """Modes of free decays found without a start, and what a search makes of them."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -13,7 +11,7 @@ from dashpot.channel import Channel, Quantity
 from dashpot.data.conditioning.lines import spectrum
 from dashpot.data.record import Record
 from dashpot.estimate.identify import identify
-from dashpot.estimate.likelihood.free_decay import decay_minima, free_modes
+from dashpot.estimate.likelihood.global_search import decay_minima, free_modes
 from dashpot.estimate.likelihood.maximum_likelihood import MaximumLikelihood
 from dashpot.estimate.preparation.prepared import prepare
 from dashpot.model.dynamics import matrices

@@ -1,7 +1,5 @@
 """The right one among many minima that fit alike in the loudest lines."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -9,7 +7,6 @@ import pytest
 
 from dashpot.data.conditioning.lines import spectrum
 from dashpot.estimate.automatic import identify_with_noise
-from dashpot.estimate.identify import automatic
 from tests.whole_rigs import chain, record_of
 
 
@@ -27,6 +24,6 @@ def test_a_hammer_blow_seen_at_one_of_three_masses(seed: int) -> None:
     noise = 0.03 * np.std(record.values[:, 0]) * np.random.default_rng(seed).normal(size=len(record.time))
     noisy = replace(record, values=record.values + noise[:, None] * [1, 0])
     lines = spectrum([noisy])
-    estimate, _ = identify_with_noise(model, lines, automatic(model, lines), chosen=False)
+    estimate, _ = identify_with_noise(model, lines)
     assert bool(estimate.converged)
     assert np.all(np.abs(estimate.values - values) < 4 * estimate.sd)

@@ -8,13 +8,11 @@ from scipy.linalg import null_space
 
 from dashpot.channel import Quantity
 from dashpot.data.conditioning.whole_record import whole_record
-from dashpot.data.spectrum import Spectrum
-from dashpot.data.stretch import SettledDwell
+from dashpot.data.spectrum import SettledDwell, Spectrum
 from dashpot.estimate.identify import identify
 from dashpot.estimate.likelihood.input_noise import _slopes
 from dashpot.estimate.likelihood.maximum_likelihood import MaximumLikelihood
-from dashpot.estimate.likelihood.nuisance import estimated_inputs
-from dashpot.estimate.likelihood.objective import measured
+from dashpot.estimate.likelihood.objective import estimated_inputs, measured
 from dashpot.estimate.likelihood.record_noise import with_record_noise
 from dashpot.estimate.preparation.prepared import Prepared, flattened
 from dashpot.model.observation import observation_model, transfer

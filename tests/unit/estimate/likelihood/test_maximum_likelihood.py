@@ -1,7 +1,5 @@
 """Maximum likelihood against slow twins: χ² written out and minimised by scipy, inputs as unknowns, priors as GLS."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -12,20 +10,13 @@ from dashpot.channel import Channel, Quantity
 from dashpot.data.spectrum import concatenate
 from dashpot.errors import ConvergenceError, IdentifiabilityError, UsageError
 from dashpot.estimate.identify import automatic, identify
-from dashpot.estimate.likelihood.local_minima import LocalMinima
+from dashpot.estimate.likelihood.global_search import LocalMinima
 from dashpot.estimate.likelihood.maximum_likelihood import MaximumLikelihood
 from dashpot.estimate.linear.instrumental_variables import OptimalIV
 from dashpot.estimate.result import Estimate
 from dashpot.model.elements import Kind, between, mass
 from dashpot.model.network import Input, Model
-from tests.partly_seen import (
-    Bench,
-    calibrations,
-    noisy_base,
-    pitch_and_bounce,
-    reaction,
-    two,
-)
+from tests.partly_seen import Bench, calibrations, noisy_base, pitch_and_bounce, reaction, two
 
 ML = MaximumLikelihood()
 
@@ -303,7 +294,7 @@ def test_intervals_keep_to_the_bounds_and_hold_the_value(limits):
 
 def test_the_far_end_of_a_cut_interval_is_continuous():
     """Where the free estimate passes the bound: P(T > reach | T > 0) = 5 % is the two-sided 95 % of the whole."""
-    from dashpot.estimate.inference.intervals import truncated_reach
+    from dashpot.estimate.result import truncated_reach
 
     dof = np.array([np.inf, 10.0, 3.0])
     from scipy.stats import t

@@ -3,7 +3,7 @@
 import numpy as np
 
 from dashpot.channel import Channel, Quantity
-from dashpot.estimate.likelihood.nuisance import inputs_seen
+from dashpot.estimate.likelihood.objective import inputs_seen
 from dashpot.model.elements import Element, Kind
 from dashpot.model.network import Input, Model
 from dashpot.model.observation import observation_model

@@ -1,7 +1,5 @@
 """Channels as functions of the unknowns: against the simulation, finite differences, and inputs as unknowns."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -13,7 +11,8 @@ from dashpot.estimate.identify import identify
 from dashpot.estimate.likelihood.maximum_likelihood import MaximumLikelihood
 from dashpot.estimate.likelihood.objective import directly_driven, local, logarithmic, measured, predict
 from dashpot.estimate.preparation.prepared import prepare
-from dashpot.model import observation, sparse_dynamics
+from dashpot.model import dynamics as sparse_dynamics
+from dashpot.model import observation
 from dashpot.model.elements import Kind, between, mass
 from dashpot.model.network import Input, Model
 from dashpot.model.observation import observation_model
@@ -225,7 +224,6 @@ def test_noisy_inputs_are_taken_from_their_own_channels_for_logarithms():
     bench = noisy_base()
     data, view = prepared(bench)
     driven = directly_driven(view, measured(data))
-    assert driven is not None
     assert np.allclose(driven.q[0, :, 0], data.spectrum.amplitudes[0, :, 3] / (1j * data.spectrum.omega) ** 2)
     blind = replace(bench, channels=bench.channels[:3])
     data, view = prepared(blind)

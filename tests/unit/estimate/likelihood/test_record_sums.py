@@ -1,7 +1,5 @@
 """The sums over the lines of whole records against their slow twin, `objective.predict`, which goes line by line."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
@@ -13,11 +11,12 @@ from dashpot.channel import Quantity
 from dashpot.data.conditioning.whole_record import whole_record
 from dashpot.data.record import Record
 from dashpot.data.spectrum import Spectrum, concatenate
-from dashpot.estimate.likelihood import record_passes, record_pieces, record_sums
+from dashpot.estimate.likelihood import record_passes, record_sums
+from dashpot.estimate.likelihood import record_passes as record_pieces
 from dashpot.estimate.likelihood.chunks import Measured
 from dashpot.estimate.likelihood.ends_shown import shown_by_ends
 from dashpot.estimate.likelihood.objective import local, measured, nuisance_columns, per_line, predict
-from dashpot.estimate.likelihood.record_kernel import compiled_passes
+from dashpot.estimate.likelihood.record_sums import compiled_passes
 from dashpot.estimate.preparation.prepared import prepare
 from dashpot.model.observation import ObservationModel, observation_model
 from dashpot.numerics.kernel import using
@@ -231,7 +230,7 @@ def model_index(model: object, name: str) -> int:
 
 def test_an_input_that_nobody_sees_is_left_out() -> None:
     """Where two inputs reach the channels alike, one of them is all that can be estimated."""
-    from dashpot.estimate.likelihood.record_motion import EstimatedInputs, times
+    from dashpot.estimate.likelihood.record_passes import EstimatedInputs, times
 
     rng = np.random.default_rng(1)
     G = rng.normal(size=(1, 3, 2, 5)) + 1j * rng.normal(size=(1, 3, 2, 5))

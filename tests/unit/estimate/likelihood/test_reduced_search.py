@@ -1,13 +1,11 @@
 """The search on a basis ends where the search on the whole rig ends."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
 from dashpot.channel import Channel, Quantity
 from dashpot.estimate.identify import identify
-from dashpot.estimate.likelihood import reduced_search
+from dashpot.estimate.likelihood import maximum_likelihood as reduced_search
 from dashpot.estimate.likelihood.maximum_likelihood import MaximumLikelihood
 from dashpot.model.elements import Kind, between, mass
 from dashpot.model.network import Input, Model

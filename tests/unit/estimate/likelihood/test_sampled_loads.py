@@ -1,14 +1,12 @@
 """What sampling adds to the free motion, against sums over samples from matrix exponentials."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from dashpot.channel import Channel, Quantity
-from dashpot.estimate.likelihood.sampled_loads import sampled_loads, shows_sampled_loads
+from dashpot.estimate.likelihood.boundary_loads import sampled_loads, shows_sampled_loads
 from dashpot.model.elements import Kind, between, mass
 from dashpot.model.modes import modes
 from dashpot.model.network import Model

@@ -1,7 +1,5 @@
 """Dwells of less than two periods: settled, or records with their transients, by one test of all of them."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -91,7 +89,6 @@ def test_dwells_that_show_settling_stay_as_they_are() -> None:
     """One short dwell among long ones is alone in doubt; its lines are all that changes."""
     records = [*stepped(0.02, periods=6.0, settle=4.0)[1:], *stepped(0.02, periods=1.5, settle=4.0)[:1]]
     given = spectrum(records)
-    assert given.unsettled is not None
     assert len(given.unsettled.records) == 1
     assert given.unsettled.lines > given.lines == len(records)
     assert spectrum(records[:-1]).unsettled is None

@@ -2,8 +2,8 @@
 
 import numpy as np
 
+from dashpot.estimate.likelihood.global_search import _response
 from dashpot.estimate.likelihood.objective import measured, predict
-from dashpot.estimate.likelihood.starting_values import _response
 from dashpot.estimate.preparation.prepared import prepare
 from dashpot.model.observation import observation_model
 from tests.partly_seen import calibrations, reaction

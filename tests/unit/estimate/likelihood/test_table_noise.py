@@ -1,7 +1,5 @@
 """Noise of tables that give none: found with the parameters, and paid for by the intervals."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -10,10 +8,9 @@ from scipy.stats import t
 
 from dashpot.arrays import Complex, Real
 from dashpot.check.verdict import assess
-from dashpot.data.spectrum import FITTED, Spectrum
+from dashpot.data.spectrum import Spectrum
 from dashpot.estimate.identify import identify
-from dashpot.estimate.likelihood.residual_noise import with_residual_noise
-from dashpot.estimate.likelihood.table_noise import doubts_of_weights
+from dashpot.estimate.likelihood.table_noise import doubts_of_weights, with_residual_noise
 from dashpot.estimate.preparation.prepared import prepare
 from dashpot.estimate.registry import method
 from tests.two_masses import PUSHED
@@ -64,7 +61,7 @@ def test_the_noise_is_what_it_is() -> None:
     shares = []
     for k in range(40):
         lines, _ = with_residual_noise(RIG, table(KINDS["share"], k), method("oiv"))
-        assert set(lines.noise) == {FITTED}
+        assert set(lines.noise) == {"fitted"}
         assert not lines.noise_known
         shares.append(np.sqrt(np.diagonal(lines.covariance, axis1=1, axis2=2).real / 2)[:, :2] / SIZE[:, :2])
     assert np.sqrt(np.mean(np.square(shares))) == pytest.approx(0.02, rel=0.08)

@@ -1,7 +1,5 @@
 """Free symmetric M, C, K: against the entries of the true matrices, plain least squares, Monte Carlo, and the cone."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -12,13 +10,7 @@ from dashpot.channel import Quantity
 from dashpot.errors import IdentifiabilityError, ModelError
 from dashpot.estimate.identify import identify
 from dashpot.estimate.linear.auxiliary_model import auxiliary
-from dashpot.estimate.linear.definite import (
-    DefiniteOptimalIV,
-    _Cone,
-    _nearest,
-    definite,
-    matrices_of,
-)
+from dashpot.estimate.linear.definite import DefiniteOptimalIV, _Cone, _nearest, definite, matrices_of
 from dashpot.estimate.linear.instrumental_variables import OptimalIV
 from dashpot.estimate.linear.least_squares import HarmonicLeastSquares
 from dashpot.model.dynamics import matrices

@@ -1,7 +1,5 @@
 """The Gram on the pattern of meeting elements: the dense twin, the truth without noise, intervals that hold."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 

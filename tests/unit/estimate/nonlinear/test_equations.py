@@ -1,8 +1,6 @@
 """Least squares and instruments on measured harmonics: Yasuda and Watanabe's kind of test, a cubic spring and quadratic
 damping of a two-coordinate rig."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -10,7 +8,7 @@ import pytest
 
 from dashpot.errors import UsageError
 from dashpot.estimate.identify import identify
-from dashpot.estimate.nonlinear.equations import harmonic_equations
+from dashpot.estimate.nonlinear.regression import harmonic_equations
 from dashpot.estimate.preparation.prepared import prepare
 from dashpot.model.elements import Kind, between
 from dashpot.model.nonlinear.force_law import force_law

@@ -1,7 +1,5 @@
 """Ends of the search that fit alike are told, and dwells far from linear are not lost."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Nonlinear rigs from whole records."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -12,17 +10,16 @@ from scipy.interpolate import CubicSpline
 from dashpot.channel import Channel, Quantity
 from dashpot.data.record import Record
 from dashpot.errors import ConvergenceError, DataError
-from dashpot.estimate.nonlinear.record_prediction import predict_record
+from dashpot.estimate.nonlinear.record_inference import predict_record
 from dashpot.estimate.nonlinear.record_problem import enough_substeps
 from dashpot.estimate.nonlinear.record_regression import first_record_values
 from dashpot.estimate.nonlinear.records import arranged
 from dashpot.estimate.nonlinear.whole_record import fit_records, identify_records
-from dashpot.model.elements import Element, Kind, between, mass
-from dashpot.model.network import Input, Model
+from dashpot.model.elements import Element, Kind, between
 from dashpot.model.nonlinear.force_law import force_law
-from dashpot.model.nonlinear.integration import Integrator
-from dashpot.model.nonlinear.propagation import forcing
+from dashpot.model.nonlinear.integration import Integrator, forcing
 from dashpot.model.nonlinear.shooting import integrate
+from tests.networks import network
 from tests.nonlinear_rigs import LAWS, chain, guessed, motions, two_masses
 
 STEP = 1 / 200
@@ -80,14 +77,12 @@ def chaotic(samples):
     """A mass on a light damper and a spring that stiffens tenfold, under a force of many tones: chaotic motion."""
     rng = np.random.default_rng(2)
     along = between("q", Kind.SPRING, "x", "ground").along
-    model = Model(
-        ("x",),
-        (Input("f", "force", {"x": 1.0}),),
-        (
-            mass("m", "x"), between("k", Kind.SPRING, "x", "ground"), between("c", Kind.DAMPER, "x", "ground"),
-            Element("q", Kind.SPRING, along, force_law=force_law("cubic")),
-        ),
-    )  # fmt: skip
+    model = network(
+        "x",
+        "f@x",
+        "m@x k:x-ground c:x-ground",
+        Element("q", Kind.SPRING, along, force_law=force_law("cubic")),
+    )
     theta = np.array([1.0, 50.0, 0.2, 5e6])
     time = np.arange(samples) / 40
     tones, phases = rng.uniform(0.2, 3, 40), rng.uniform(0, 6.3, 40)
@@ -120,10 +115,7 @@ def test_a_gap_is_given_back_from_an_independent_integrator():
     """Kinks within steps cost the integration its order: steps are halved until that moves nothing."""
     k, c, m, q, gap = 1200.0, 3.0, 2.0, 2500.0, 1.5e-3
     element = replace(between("q", Kind.SPRING, "x", "ground"), force_law=force_law("gap"))
-    model = Model(
-        ("x",), (Input("f", "force", {"x": 1.0}),),
-        (mass("m", "x"), between("k", Kind.SPRING, "x", "ground"), between("c", Kind.DAMPER, "x", "ground"), element),
-    )  # fmt: skip
+    model = network("x", "f@x", "m@x k:x-ground c:x-ground", element)
     rng = np.random.default_rng(6)
     time = np.arange(300) / 90
     tones, phases = rng.uniform(1, 7, 30), rng.uniform(0, 6.3, 30)
@@ -157,7 +149,7 @@ def exact_record(law, count):
     return model, theta, Record(channels, time, np.hstack([motion.state[:, :count], u]))
 
 
-FEW_MASSES = [("cubic", 3), ("coulomb", 4), ("stribeck", 5), ("one-sided", 2), ("backlash", 3)]
+FEW_MASSES = [("cubic", 3), ("coulomb", 4), ("stribeck", 5), ("one-sided", 1), ("backlash", 2)]
 
 
 @pytest.mark.parametrize(

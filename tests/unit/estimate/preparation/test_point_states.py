@@ -1,15 +1,12 @@
 """Weighted means of channels that each show one point: the kernel against NumPy and the full least squares."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from dashpot.channel import Quantity
-from dashpot.estimate.preparation.point_states import states_by_point
-from dashpot.estimate.preparation.state_reconstruction import reconstruction
+from dashpot.estimate.preparation.state_reconstruction import reconstruction, states_by_point
 from dashpot.model.observation import observation_model
 from dashpot.numerics.kernel import using
 from tests.kernels import compiled
@@ -36,7 +33,6 @@ def test_states_of_the_kernel_are_those_of_numpy(seed: int) -> None:
     with using("compiled"):
         found = states_by_point(view, used, V, spectrum.amplitudes)
     assert twin is not None
-    assert found is not None
     for values, expected in zip(found, twin, strict=True):
         np.testing.assert_allclose(values, expected, rtol=1e-12)
     amplitudes = np.where(used, spectrum.amplitudes, np.nan)

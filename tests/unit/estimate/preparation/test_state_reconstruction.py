@@ -1,17 +1,14 @@
 """Weights of the channels where nothing is known of their noise."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from dashpot.channel import Channel, Quantity
 from dashpot.data.spectrum import Spectrum
-from dashpot.estimate.preparation.weighting import working_covariance
-from dashpot.model.elements import Kind, between, mass
-from dashpot.model.network import Input, Model
+from dashpot.estimate.preparation.prepared import working_covariance
 from dashpot.model.observation import observation_model
+from tests.networks import network
 
-MODEL = Model(("x",), (Input("u"),), (mass("m", "x"), between("k", Kind.SPRING, "x", "u")))
+MODEL = network("x", "u", "m@x k:x-u")
 
 
 def test_without_known_noise_only_the_inputs_own_channels_are_exact() -> None:

@@ -16,9 +16,8 @@ from dashpot.data.readers.uff.reader import functions_of
 from dashpot.errors import DataError, ModelError, UsageError
 from dashpot.export.formats import FORMATS, ExportOptions, export_rig, format_of
 from dashpot.export.identified_rig import identified_rig
-from dashpot.export.matrix_market import matrix_texts
 from dashpot.export.mujoco import mujoco_model
-from dashpot.export.parameter_tables import matlab_names
+from dashpot.export.parameter_tables import matlab_names, matrix_texts
 from dashpot.export.transfer_functions import frequency_responses
 from dashpot.model.dynamics import matrices
 from dashpot.model.modes import modes

@@ -1,10 +1,8 @@
 """Residuals decorrelated by one sparse factorisation, against the covariance written out."""
 
-from __future__ import annotations
-
 import numpy as np
 
-from dashpot.model.nonlinear.chain_solver import ChainSolver
+from dashpot.model.nonlinear.shooting import ChainSolver
 from tests.unit.model.nonlinear.test_tangent import CHANNELS, SAMPLES, around, base
 
 

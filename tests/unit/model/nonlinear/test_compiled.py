@@ -1,7 +1,5 @@
 """Harmonic balance in the compiled kernel against its twins in NumPy."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

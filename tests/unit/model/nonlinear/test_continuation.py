@@ -1,7 +1,5 @@
 """Curves through folds, stability and backbones, against closed forms."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -11,17 +9,22 @@ from scipy.special import ellipk
 
 from dashpot.channel import Channel
 from dashpot.errors import ConvergenceError, UsageError
-from dashpot.model.elements import Kind, between, mass
+from dashpot.model.elements import Kind, between
 from dashpot.model.modes import modes
-from dashpot.model.network import Input, Model
-from dashpot.model.nonlinear import continuation, stability
-from dashpot.model.nonlinear.backbone import backbone
-from dashpot.model.nonlinear.channel_motion import channel_harmonics, swing
-from dashpot.model.nonlinear.continuation import amplitude_sweep, followed, frequency_sweep
+from dashpot.model.nonlinear import continuation
+from dashpot.model.nonlinear import continuation as stability
+from dashpot.model.nonlinear.backbone import backbone, channel_harmonics, swing
+from dashpot.model.nonlinear.continuation import (
+    amplitude_sweep,
+    floquet_multipliers,
+    followed,
+    frequency_sweep,
+    stable_motions,
+)
 from dashpot.model.nonlinear.force_law import force_law
 from dashpot.model.nonlinear.harmonic_balance import periodic_response
 from dashpot.model.nonlinear.harmonics import Drive
-from dashpot.model.nonlinear.stability import floquet_multipliers, stable_motions
+from tests.networks import network
 from tests.nonlinear_rigs import two_masses
 
 DUFFING = np.array([1.0, 1.0, 0.05, 1.0])
@@ -29,14 +32,7 @@ DUFFING = np.array([1.0, 1.0, 0.05, 1.0])
 
 def duffing(law="cubic"):
     joint = between("k3", Kind.SPRING, "x", "ground")
-    return Model(
-        ("x",),
-        (Input("f", "force", {"x": 1.0}),),
-        (
-            mass("m", "x"), between("k", Kind.SPRING, "x", "ground"), between("c", Kind.DAMPER, "x", "ground"),
-            replace(joint, force_law=force_law(law)),
-        ),
-    )  # fmt: skip
+    return network("x", "f@x", "m@x k:x-ground c:x-ground", replace(joint, force_law=force_law(law)))
 
 
 def pushed(omega, force, orders):

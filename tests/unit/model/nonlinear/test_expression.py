@@ -1,7 +1,5 @@
 """Expressions of laws: values, slopes, units, and what is refused."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,13 +1,11 @@
 """Periodic responses against the equation of motion in time, against closed forms, and slopes against differences."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
 from dashpot.model.dynamics import response
-from dashpot.model.elements import Kind, between, mass
-from dashpot.model.network import Input, Model
+from dashpot.model.elements import Kind, between
+from dashpot.model.network import Model
 from dashpot.model.nonlinear.alternating import period_basis
 from dashpot.model.nonlinear.force_law import force_law
 from dashpot.model.nonlinear.harmonic_balance import (
@@ -17,6 +15,7 @@ from dashpot.model.nonlinear.harmonic_balance import (
     truncation,
 )
 from dashpot.model.nonlinear.harmonics import Drive
+from tests.networks import network
 from tests.nonlinear_rigs import LAWS, chain, two_masses
 
 FREQUENCIES = np.array([2.0, 4.0, 6.5, 9.0, 14.0])
@@ -133,14 +132,9 @@ def duffing():
     """One mass on a linear and a cubic spring, pushed."""
     law = force_law("cubic")
     spring = between("k3", Kind.SPRING, "x", "ground")
-    return Model(
-        ("x",),
-        (Input("f", "force", {"x": 1.0}),),
-        (
-            mass("m", "x"), between("k", Kind.SPRING, "x", "ground"), between("c", Kind.DAMPER, "x", "ground"),
-            type(spring)("k3", Kind.SPRING, spring.along, force_law=law),
-        ),
-    )  # fmt: skip
+    return network(
+        "x", "f@x", "m@x k:x-ground c:x-ground", type(spring)("k3", Kind.SPRING, spring.along, force_law=law)
+    )
 
 
 def test_duffings_first_harmonic_is_that_of_the_textbook():

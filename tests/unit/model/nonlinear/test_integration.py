@@ -1,7 +1,5 @@
 """Integration in time against scipy, against harmonic balance, and slopes against differences."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
@@ -11,8 +9,7 @@ from dashpot.model.dynamics import matrices
 from dashpot.model.network import Model
 from dashpot.model.nonlinear.harmonic_balance import periodic_response
 from dashpot.model.nonlinear.harmonics import Drive
-from dashpot.model.nonlinear.integration import Integrator
-from dashpot.model.nonlinear.propagation import forcing
+from dashpot.model.nonlinear.integration import Integrator, forcing
 from dashpot.model.nonlinear.shooting import integrate
 from tests.nonlinear_rigs import LAWS, two_masses
 

@@ -1,13 +1,11 @@
 """The mirror image of a rig: even laws change sign, odd ones stay, others have none."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from dashpot.model.nonlinear.symmetry import mirrored
+from dashpot.model.nonlinear.harmonics import mirrored
 from tests.nonlinear_rigs import LAWS, two_masses
 
 CHANGED = {"square": ["q"], "d**3 + b*d**2": ["q.b"]}

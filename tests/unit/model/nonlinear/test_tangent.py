@@ -1,21 +1,13 @@
 """How motions change with the samples of their inputs."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
 from dashpot.channel import Channel, Quantity
 from dashpot.estimate.nonlinear.records import RecordData, shown_outputs
-from dashpot.model.nonlinear.integration import Integrator, Motion
-from dashpot.model.nonlinear.propagation import forcing
+from dashpot.model.nonlinear.integration import Integrator, Motion, forcing
 from dashpot.model.nonlinear.shooting import integrate
-from dashpot.model.nonlinear.tangent import (
-    Tangent,
-    spline_coefficients,
-    spline_transposed,
-    tangent,
-)
+from dashpot.model.nonlinear.tangent import Tangent, spline_coefficients, spline_transposed, tangent
 from dashpot.model.observation import observation_model
 from tests.nonlinear_rigs import two_masses
 

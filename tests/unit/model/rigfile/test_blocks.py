@@ -1,7 +1,5 @@
 """[blocks] of rig files: every form of file gives the same rig, and what is wrong with one is told at its line."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy import sparse

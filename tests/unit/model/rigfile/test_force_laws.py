@@ -1,7 +1,5 @@
 """Laws of springs and dampers in rig files."""
 
-from __future__ import annotations
-
 import pytest
 
 from dashpot.errors import ModelError
@@ -47,10 +45,7 @@ def test_laws_are_read_and_written(entry, unknowns):
 @pytest.mark.parametrize(
     ("entry", "message"),
     [
-        (
-            'g = { between = ["x1", "u"], law = "gap", gap = -0.001 }',
-            "springs.g.gap: gap of the law 'gap' must be positive",
-        ),
+        ('g = { between = ["x1", "u"], law = "gap", gap = -0.001 }', "springs.g.gap: gap of the law 'gap'"),
         (
             'g = { between = ["x1", "u"], law = "tanh(v/w)", w = { guess = 0 } }',
             "springs.g.w: w of the law 'tanh.v/w.' must be positive",
@@ -59,10 +54,7 @@ def test_laws_are_read_and_written(entry, unknowns):
         ('k3 = { between = ["x1", "u"], law = "d**3", b = 1.0 }', "has no constant b"),
         ('k3 = { between = ["x1", "u"], law = "1/d" }', "divides by zero"),
         ('k3 = { between = ["x1", "u"], law = "d/0" }', "divides by zero"),
-        (
-            'f = { between = ["x1", "u"], law = "sign(v)" }',
-            "jumps where v changes its sign; smooth it: write tanh",
-        ),
+        ('f = { between = ["x1", "u"], law = "sign(v)" }', "jumps where v changes its sign; smooth"),
         ('f = { between = ["x1", "u"], law = "d*sign(v)" }', "jumps where v changes its sign"),
         ('k3 = { between = ["x1", "u"], law = "d**1.5" }', "is not defined where d or v is below zero"),
         ('k3 = { between = ["x1", "u"], law = "d + v" }', "no units make sense"),

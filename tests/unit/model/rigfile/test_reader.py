@@ -1,7 +1,5 @@
 """Rig files: what they say, and that whatever is wrong with one is told in one clear line each."""
 
-from __future__ import annotations
-
 import random
 import re
 from pathlib import Path
@@ -85,7 +83,6 @@ def problems(text: str, path: str = "rig.toml") -> list[str]:
     for problem in caught.value.problems:
         assert "\n" not in str(problem)
         assert problem.what
-        assert problem.where is not None
         assert problem.cure
         assert problem.where.startswith(path)
     return [str(problem) for problem in caught.value.problems]
@@ -103,16 +100,7 @@ class TestReading:
         assert model.name == "Two masses on a shaken base"
         assert model.coordinates == ("x1", "x2")
         assert model.inputs == (Input("u"),)
-        assert [element.name for element in model.elements] == [
-            "m1",
-            "m2",
-            "k1",
-            "k2",
-            "c1",
-            "c2",
-            "c3",
-            "c4",
-        ]
+        assert " ".join(element.name for element in model.elements) == "m1 m2 k1 k2 c1 c2 c3 c4"
         assert [unknown.name for unknown in model.unknowns] == ["m1", "m2", "c1", "c2", "c3", "c4"]
         m2, c1 = model.elements[1], model.elements[4]
         assert (m2.value, m2.sd) == (2.7, 0.01)
@@ -157,16 +145,7 @@ class TestReading:
     def test_channels_of_their_own_names_where_the_file_lists_none(self) -> None:
         text = RICH[: RICH.index("[channels]")]
         read = parse_rig(text)
-        assert [channel.name for channel in read.channels] == [
-            "x",
-            "pitch",
-            "wheel",
-            "u",
-            "turn",
-            "f",
-            "pair",
-            "torque",
-        ]
+        assert " ".join(channel.name for channel in read.channels) == "x pitch wheel u turn f pair torque"
         assert [channel.unit for channel in read.channels] == ["m", "rad", "rad", "m", "rad", "N", "N", "N·m"]
         assert {channel.scale for channel in read.channels} == {1.0}
         assert read.channels == default_channels(read.model)
@@ -183,12 +162,12 @@ class TestReading:
         assert short == long == dotted
 
     def test_between_at_and_along_say_the_same(self) -> None:
-        ways = [
+        ways = (
             'between = ["x1", "ground"]',
             'at = "x1"',
             "along = { x1 = 1 }",
             "along = { x1 = 1, ground = -1 }",
-        ]
+        )
         rigs = {parse_rig(rig(f"[springs]\nk = {{ {way} }}", 'coordinates = ["x1"]')) for way in ways}
         assert len(rigs) == 1
 
@@ -224,50 +203,41 @@ class TestWriting:
 
 
 class TestFaultyFiles:
-    def file(self, tmp_path: Path, raw: bytes) -> str:
+    @pytest.mark.parametrize(
+        ("raw", "told"),
+        [
+            *((empty, "rig.toml: the file is empty; ") for empty in (b"", b"\n\n", b"\xef\xbb\xbf", b"  \t")),
+            (b"# to do\n", "rig.toml: coordinates: missing; add"),
+            (
+                'coordinates = ["x1"]\nname = "Prüfstand"'.encode("latin-1"),
+                "rig.toml:2: byte 0xfc is not UTF-8; ",
+            ),
+            (PAPER.encode("utf-16"), "rig.toml: the file is UTF-16; "),
+            (b"\0" * 100, "rig.toml:1:"),
+        ],
+    )
+    def test_what_is_no_text_of_a_rig(self, tmp_path: Path, raw: bytes, told: str) -> None:
         path = tmp_path / "rig.toml"
         path.write_bytes(raw)
         with pytest.raises(ModelError) as caught:
             read_rig(path)
-        assert len(caught.value.problems) == 1
-        assert "\n" not in str(caught.value)
-        return str(caught.value).replace(f"{tmp_path}/", "")
+        (problem,) = caught.value.problems
+        assert str(problem).startswith(f"{tmp_path}/{told}")
+        assert "\n" not in str(problem)
 
-    def test_missing(self, tmp_path: Path) -> None:
-        with pytest.raises(ModelError, match="no such file; check"):
-            read_rig(tmp_path / "rig.toml")
-
-    def test_a_folder(self, tmp_path: Path) -> None:
-        with pytest.raises(ModelError, match="this is a folder; name"):
-            read_rig(tmp_path)
-
-    def test_a_name_with_a_nul(self) -> None:
-        with pytest.raises(ModelError, match="cannot be read"):
-            read_rig("rig\0.toml")
-
-    def test_a_file_used_as_a_folder(self, tmp_path: Path) -> None:
+    @pytest.mark.parametrize(
+        ("name", "told"),
+        [
+            ("none.toml", "no such file"),
+            (".", "this is a folder"),
+            ("rig\0.toml", "cannot be read"),
+            ("a/rig.toml", "cannot be read: Not a directory"),
+        ],
+    )
+    def test_what_is_no_file(self, tmp_path: Path, name: str, told: str) -> None:
         (tmp_path / "a").write_text("")
-        with pytest.raises(ModelError, match="cannot be read: Not a directory"):
-            read_rig(tmp_path / "a" / "rig.toml")
-
-    @pytest.mark.parametrize("raw", [b"", b"\n\n", b"\xef\xbb\xbf", b"  \t"])
-    def test_empty(self, tmp_path: Path, raw: bytes) -> None:
-        assert self.file(tmp_path, raw).startswith("rig.toml: the file is empty; ")
-
-    def test_only_a_comment(self, tmp_path: Path) -> None:
-        assert self.file(tmp_path, b"# to do\n").startswith(
-            "rig.toml: coordinates: missing; add coordinates ="
-        )
-
-    def test_not_utf8(self, tmp_path: Path) -> None:
-        raw = 'coordinates = ["x1"]\nname = "Prüfstand"'.encode("latin-1")
-        assert self.file(tmp_path, raw) == "rig.toml:2: byte 0xfc is not UTF-8; save the file as UTF-8"
-
-    def test_utf16(self, tmp_path: Path) -> None:
-        assert self.file(tmp_path, PAPER.encode("utf-16")) == "rig.toml: the file is UTF-16; save it as UTF-8"
-
-    def test_nul_bytes(self, tmp_path: Path) -> None:
-        assert "rig.toml:1:" in self.file(tmp_path, b"\0" * 100)
+        with pytest.raises(ModelError, match=told):
+            read_rig(tmp_path / name)
 
     @pytest.mark.parametrize(
         ("line", "expected"),
@@ -319,28 +289,20 @@ class TestFaultyEntries:
     @pytest.mark.parametrize(
         ("line", "expected"),
         [
-            (
-                'k = { at = "x1", value = "4600" }',
-                'springs.k.value: "4600" is text; write 4600 without quotes',
-            ),
+            ('k = { at = "x1", value = "4600" }', 'springs.k.value: "4600" is text; write 4600 without'),
             ('k = { at = "x1", value = "4,6" }', 'springs.k.value: "4,6" is text; write 4.6, with a point'),
-            (
-                'k = { at = "x1", value = "4600 N/s" }',
-                'springs.k.value: "N/s" is not a unit of stiffness',
-            ),
+            ('k = { at = "x1", value = "4600 N/s" }', 'springs.k.value: "N/s" is not a unit of stiffness'),
             ('k = { at = "x1", value = "unknown" }', "leave the key out where the value is unknown"),
             ('k = { at = "x1", value = "much" }', '"much" is text; write a number'),
             ('k = { at = "x1", value = true }', "springs.k.value: true is not a number"),
             ('k = { at = "x1", value = nan }', "springs.k.value: nan is not finite"),
             ('k = { at = "x1", guess = -inf }', "springs.k.guess: -inf is not finite"),
+            ('k = { at = "x1", value = 1e200 }', "springs.k.value: '1e+200' is out of range"),
             ('k = { at = "x1", value = 1e999 }', "springs.k.value: inf is not finite"),
             ('k = { at = "x1", value = ' + "9" * 400 + " }", "springs.k.value: the number is too large"),
             ('k = { at = "x1", value = 2020-01-01 }', "springs.k.value: 2020-01-01 is not a number"),
             ('k = { at = "x1", value = [1] }', "springs.k.value: a list is not a number"),
-            (
-                'k = { at = "x1", value = -5 }',
-                "springs.k: a spring of -5 N/m is negative; give a value of 0 or more",
-            ),
+            ('k = { at = "x1", value = -5 }', "springs.k: a spring of -5 N/m is negative; give a value of 0"),
             ('k = { at = "x1", value = 5, sd = 0 }', "springs.k: sd is 0; give a positive sd"),
             ('k = { at = "x1", sd = 1 }', "springs.k: sd without a value"),
             ('k = { at = "x1", value = 1, guess = 2 }', "springs.k: both a value and a guess"),
@@ -352,21 +314,12 @@ class TestFaultyEntries:
             ('k = { at = "x1", between = ["x1", "x2"] }', "springs.k: at and between are both given"),
             ("k = { value = 3 }", "springs.k: nothing says what it is attached to; add between"),
             ("k = {}", "springs.k: nothing says what it is attached to"),
-            (
-                "k = 4600",
-                'springs.k: 4600 is not a table; write k = { between = ["x1", "ground"], value = 4600 }',
-            ),
+            ("k = 4600", 'springs.k: 4600 is not a table; write k = { between = ["x1", "ground"], value'),
             ("k = true", "springs.k: true is not a table"),
             ('k = "x1"', 'springs.k: "x1" is not a table'),
-            (
-                'k = ["x2", "x1"]',
-                'springs.k: a list is not a table; write k = { between = ["x2", "x1"] }',
-            ),
+            ('k = ["x2", "x1"]', 'springs.k: a list is not a table; write k = { between = ["x2", "x1"] }'),
             ('name = "x"', "name stands above the first [section]"),
-            (
-                'k = { between = ["x1", "x3"] }',
-                'springs.k.between: "x3" is not a point; there are x1, x2, ground',
-            ),
+            ('k = { between = ["x1", "x3"] }', 'springs.k.between: "x3" is not a point; there are x1, x2'),
             ('k = { between = ["x1", "Ground"] }', 'did you mean "ground"?'),
             ('k = { between = ["x1", "x1"] }', "springs.k.between: both ends are at x1"),
             ('k = { between = ["ground", "ground"] }', "springs.k.between: both ends are at ground"),
@@ -383,10 +336,7 @@ class TestFaultyEntries:
             ("k = { along = { x1 = nan } }", "springs.k.along.x1: nan is not finite"),
             ("k = { along = { y = 1 } }", 'springs.k.along.y: "y" is not a point'),
             ('k = { at = "x1", same_as = "kk" }', 'springs.k.same_as: "kk" is not an element'),
-            (
-                'k = { at = "x1", same_as = "m1" }',
-                "springs.k: a spring (N/m) cannot be tied to the mass m1 (kg)",
-            ),
+            ('k = { at = "x1", same_as = "m1" }', "springs.k: a spring (N/m) cannot be tied to the mass m1"),
             ('k = { at = "x1", same_as = "k" }', "springs.k: a circular tie: k → k"),
             ('k = { at = "x1", same_as = "m1", value = 3 }', "springs.k: a tied parameter has a value"),
             ('k = { at = "x1", times = 3 }', "springs.k: `times` without `same_as`"),
@@ -416,10 +366,7 @@ class TestFaultyEntries:
             ('[inputs]\nu = { kind = "displacment" }', 'did you mean "displacement"?'),
             ("[inputs]\nu = { kind = 3 }", "3: inputs.u.kind: 3 is not text"),
             ('[inputs]\nf = { kind = "force" }', "3: inputs.f: a force input must say where it acts; add at"),
-            (
-                '[inputs]\nf = { kind = "force", at = "x3" }',
-                '3: inputs.f.at: "x3" is not a coordinate; there are x1, x2',
-            ),
+            ('[inputs]\nf = { kind = "force", at = "x3" }', '3: inputs.f.at: "x3" is not a coordinate'),
             ('[inputs]\nf = { kind = "force", at = "ground" }', '"ground" is not a coordinate'),
             ('[inputs]\nf = { kind = "force", at = ["x1", "x1"] }', "a name appears twice in the list"),
             ('[inputs]\nf = { kind = "force", at = [] }', "the list is empty"),
@@ -427,18 +374,12 @@ class TestFaultyEntries:
             ('[inputs]\nf = { kind = "force", at = { x1 = 0 } }', "3: inputs.f.at.x1: the factor of x1 is 0"),
             ('[inputs]\nf = "force"', '3: inputs.f: "force" is not a table'),
             ('angles = ["x3"]', "2: angles: x3 is neither a coordinate nor a displacement input"),
-            (
-                '[inputs]\nu = { at = "x1" }\n[springs]\nk={between=["u","x1"]}',
-                "a displacement input takes no `at`",
-            ),
+            ('[inputs]\nu = { at = "x1" }\n[springs]\nk={between=["u","x1"]}', "a displacement input takes"),
             (
                 '[inputs]\nf = {kind = "force", at = "x1"}\n[springs]\nk={at="f"}',
                 "springs.k.at: f is a force, not a point",
             ),
-            (
-                '[springs]\na={at="x1",same_as="b"}\nb={at="x1",same_as="a"}',
-                "4: springs.b: a circular tie: b → a → b",
-            ),
+            ('[springs]\na={at="x1",same_as="b"}\nb={at="x1",same_as="a"}', "4: springs.b: a circular tie:"),
         ],
     )
     def test_the_rest_of_the_file(self, body: str, expected: str) -> None:
@@ -452,14 +393,8 @@ class TestFaultyEntries:
             ("coordinates = 3", "rig.toml:1: coordinates: 3 is not a list"),
             ('coordinates = ["x1", 2]', "rig.toml:1: coordinates[1]: 2 is not text"),
             ("coordinates = []", "rig.toml:1: coordinates: there are no coordinates"),
-            (
-                'coordinates = [\n"x1",\n"x2",\n"x1"]',
-                "rig.toml:4: coordinates[2]: the name x1 is used 2 times",
-            ),
-            (
-                'coordinates = ["x1", "x2", "x9"]',
-                "rig.toml:1: coordinates[2]: nothing is attached to the coordinate x9",
-            ),
+            ('coordinates = [\n"x1",\n"x2",\n"x1"]', "rig.toml:4: coordinates[2]: the name x1 is used 2"),
+            ('coordinates = ["x1", "x2", "x9"]', "rig.toml:1: coordinates[2]: nothing is attached"),
             ('coordinates = ["x1", "x2", "ground"]', "coordinates[2]: the name ground is taken"),
             ('name = 3\ncoordinates = ["x1", "x2"]', 'rig.toml:1: name: 3 is not text; write "3" in quotes'),
             ('name = "no coordinates"', "rig.toml: coordinates: missing"),
@@ -483,10 +418,7 @@ class TestFaultyEntries:
             ("a = 3", "channels.a: 3 is not a table"),
             ('a = "x2"', 'channels.a: "x2" is not a table; write a = { of = "x2" }'),
             ('a = { of = "x1", at = "x1" }', 'channels.a.at: unknown key; did you mean "of"?'),
-            (
-                'a = { of = "xx1" }',
-                'channels.a.of: "xx1" is not a point, input or element; did you mean "x1"?',
-            ),
+            ('a = { of = "xx1" }', 'channels.a.of: "xx1" is not a point, input or element; did you mean'),
             ("a = { of = { x1 = 1, y = 2 } }", 'channels.a.of.y: "y" is not a point, input or element'),
             ("a = { of = { x1 = 0 } }", "channels.a.of.x1: the factor of x1 is 0"),
             ('a = { of = "ground" }', "channels.a.of: the ground does not move"),
@@ -502,10 +434,7 @@ class TestFaultyEntries:
                 'a = { of = "x1", quantity = "acceleration", unit = "V", gain = "100 mV/N" }',
                 "channels.a.gain: ",
             ),
-            (
-                'a = { of = "x1", gain = "100 mV/m" }',
-                'a sensitivity of "100 mV/m" for a channel in m; say unit = "V"',
-            ),
+            ('a = { of = "x1", gain = "100 mV/m" }', 'a sensitivity of "100 mV/m" for a channel in m; say'),
             ('a = { of = "x1", gain = "some" }', "channels.a.gain"),
             ('a = { of = "x1", gain = 0 }', "channels.a.gain: a gain of 0"),
             ('a = { of = "x1", sign = 2 }', "channels.a.sign: the sign is 2"),
@@ -513,34 +442,19 @@ class TestFaultyEntries:
             ('a = { of = "x1", rate = "1 kV" }', 'channels.a.rate: "kV" is not a unit of frequency'),
             ('a = { of = "x1", noise = "1 g" }', 'channels.a.noise: "g" is not a unit of displacement'),
             ('a = { of = "x1", noise = "-1 %" }', "channels.a.noise: a standard deviation of -1"),
-            (
-                'a = { of = "x1", noise = "1 %", relative_noise = 0.1 }',
-                "channels.a.noise: the relative noise",
-            ),
-            (
-                'a = { of = "x1", relative_noise = "1 mm" }',
-                '"1 mm" is not a share; write a number or per cent',
-            ),
+            ('a = { of = "x1", noise = "1 %", relative_noise = 0.1 }', "channels.a.noise: the relative"),
+            ('a = { of = "x1", relative_noise = "1 mm" }', '"1 mm" is not a share; write a number or per'),
             (
                 'a = { of = "x1", quantity = "acceleration", unit = "V", gain = 1, noise = "1 g" }',
                 "channels.a.noise: noise in g of a channel in V; write it in V",
             ),
-            (
-                'a = { of = { x1 = "20 mm" } }',
-                "channels.a.of.x1: x1 is not an angle, so its factor has no unit",
-            ),
+            ('a = { of = { x1 = "20 mm" } }', "channels.a.of.x1: x1 is not an angle, so its factor"),
             ('a = { of = "x1", sign = "1 V" }', 'channels.a.sign: "1 V" is text; write 1 without quotes'),
             ('a = { of = "x1", noise = -1 }', "channels.a.noise: a standard deviation of -1"),
             ('a = { of = "x1", relative_noise = -1 }', "channels.a.relative_noise"),
             ('a = { of = "x1", rate = 0 }', "channels.a.rate: a rate of 0 Hz"),
-            (
-                'a = { of = "x1", quantity = "force" }',
-                "channels.a.of: x1 is a coordinate: no force is measured there",
-            ),
-            (
-                'a = { of = "m1", quantity = "velocity" }',
-                "channels.a.of: m1 is an element: it has no velocity",
-            ),
+            ('a = { of = "x1", quantity = "force" }', "channels.a.of: x1 is a coordinate: no force"),
+            ('a = { of = "m1", quantity = "velocity" }', "channels.a.of: m1 is an element:"),
             (
                 'a = { of = "f", quantity = "displacement" }',
                 "channels.a.of: f is a force: it has no displacement",
@@ -634,7 +548,6 @@ def test_a_damaged_file_gives_a_rig_or_a_model_error() -> None:
             told += 1
             for problem in error.problems:
                 assert "\n" not in str(problem)
-                assert problem.where is not None
                 assert problem.where.startswith("rig.toml")
                 assert problem.cure
     assert told > 500
@@ -642,7 +555,7 @@ def test_a_damaged_file_gives_a_rig_or_a_model_error() -> None:
 
 def test_a_model_of_code_is_written(tmp_path: Path) -> None:
     model = Model(
-        ("x",), (Input("f", "force", {"x": 2.0}),), (Element("k", Kind.SPRING, {"x": 3.0}, value=1e-300),)
+        ("x",), (Input("f", "force", {"x": 2.0}),), (Element("k", Kind.SPRING, {"x": 3.0}, value=1e-29),)
     )
     file = tmp_path / "rig.toml"
     file.write_text(write_rig(Rig(model, default_channels(model))), encoding="utf-8")
@@ -681,10 +594,7 @@ def test_a_gain_shared_by_channels() -> None:
         (('same_gain_as = "F1" }\nF3', 'same_gain_as = "F2" }\nF3'), "shares its gain with itself"),
         (('"f1", gain = "unknown"', '"f1", gain = 2'), "the gain of F1 is known"),
         (('gain = "unknown", same', "gain = 3, same"), "the gain is given as well"),
-        (
-            ('"f2", same_gain_as = "F1"', '"f2", same_gain_as = "F2"'),
-            "has its gain from another channel; name F1",
-        ),
+        (('"f2", same_gain_as = "F1"', '"f2", same_gain_as = "F2"'), "has its gain from another channel"),
         (('same_gain_as = "F1" }\nF3', "same_gain_as = 1 }\nF3"), "1 is not text"),
     ],
 )

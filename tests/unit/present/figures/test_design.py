@@ -1,7 +1,5 @@
 """The figure of a planned test, from arrays."""
 
-from __future__ import annotations
-
 from itertools import combinations
 
 import numpy as np

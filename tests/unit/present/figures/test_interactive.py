@@ -1,7 +1,5 @@
 """What figures tell a page's script."""
 
-from __future__ import annotations
-
 import json
 import re
 from html import unescape
@@ -18,7 +16,6 @@ def described(figure: Figure) -> tuple[str, list[dict[str, Any]]]:
     """The SVG, and the description in it."""
     text = interactive_svg(figure)
     found = re.search('data-panels="([^"]*)"', text)
-    assert found is not None
     return text, json.loads(unescape(found[1]))
 
 

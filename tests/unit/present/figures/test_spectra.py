@@ -1,16 +1,15 @@
 """Figures of an identification."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import matplotlib as mpl
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 
 from dashpot.errors import UsageError
 from dashpot.present.figures import spectra as figures
-from dashpot.present.figures.style import svg, write_figure
+from dashpot.present.figures.style import limit_axis, svg, write_figure
 
 
 def test_figures_leave_no_settings_behind() -> None:
@@ -21,7 +20,15 @@ def test_figures_leave_no_settings_behind() -> None:
     assert svg(figure).startswith("<svg")
     svg(figures.residual_plot(["a"], f, np.full((3, 1), np.nan)))
     svg(figures.residual_plot(["a"], f, np.array([[1.0], [2.0], [40.0]]), ("a", 5.0, 40.0)))
+    svg(figures.residual_plot(["a"], f, np.array([[1.0], [2.0], [np.inf]]), ("a", 5.0, np.inf)))
     assert dict(mpl.rcParams) == before
+
+
+def test_an_end_that_is_no_finite_number_leaves_the_axis_as_it_is() -> None:
+    axes = Figure().subplots()
+    limit_axis(axes.set_xlim, 0.5, np.inf)
+    limit_axis(axes.set_ylim, np.nan, 3.0)
+    assert (*axes.get_xlim(), *axes.get_ylim()) == (0.5, 1.0, 0.0, 3.0)
 
 
 @pytest.mark.parametrize(("end", "head"), [("svg", b"<?xml"), ("PNG", b"\x89PNG"), ("pdf", b"%PDF")])

@@ -1,7 +1,5 @@
 """A page opened in headless Chromium, and what it finds of it."""
 
-from __future__ import annotations
-
 import json
 import re
 import subprocess
@@ -87,6 +85,4 @@ def probed(page: Path, width: int, script: str = "") -> dict[str, Any]:
         ]  # fmt: skip
         out = subprocess.run(command, capture_output=True, timeout=120, check=True).stdout.decode("utf-8")
     found = re.search("<title>RESULT(.*?)END</title>", out)
-    assert found is not None
-    result: dict[str, Any] = json.loads(unquote(found[1]))
-    return result
+    return json.loads(unquote(found[1]))

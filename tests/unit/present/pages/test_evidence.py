@@ -1,7 +1,5 @@
 """Evidence in reports: profiles where they differ."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -10,10 +8,9 @@ import pytest
 from dashpot import Spectrum, dwells, identify, simulate_spectrum
 from dashpot.check.profile import profile
 from dashpot.check.validation import RecordPrediction
-from dashpot.present.pages import evidence
-from dashpot.present.pages.evidence import prediction_block, profiles_block
+from dashpot.present.pages import report as evidence
 from dashpot.present.pages.page import Picture
-from dashpot.present.pages.report import identification_report
+from dashpot.present.pages.report import identification_report, prediction_block, profiles_block
 from dashpot.present.text.numbers import short
 from tests.unit.present.conftest import RIG, VALUES
 
@@ -34,7 +31,6 @@ def test_profiles_are_shown_where_the_normal_interval_misleads() -> None:
     assert profiles_block(RIG.model, good, sure, 0.95) is None
     unsure = identify(RIG.model, poor)
     block = profiles_block(RIG.model, poor, unsure, 0.95)
-    assert block is not None
     misled = [name for name in unsure.names if profile(RIG.model, poor, name, 0.95, unsure).misleads]
     assert misled
     assert [text.partition(" ")[0] for text in block.items] == misled
@@ -45,18 +41,8 @@ def test_profiles_are_shown_where_the_normal_interval_misleads() -> None:
 
 def test_histories_say_which_part_of_a_record_they_hold() -> None:
     values = np.full((3, 1), 1e-3 + 0j)
-    record = RecordPrediction(
-        ("x",),
-        ("m",),
-        np.array([1.0, 1.5, 2.0]),
-        values,
-        values,
-        np.ones(1),
-        np.ones(1),
-        np.full(1, 6.0),
-        2.0,
-        40,
-    )
+    sizes = np.ones(1), np.ones(1), np.full(1, 6.0)
+    record = RecordPrediction(("x",), ("m",), np.array([1.0, 1.5, 2.0]), values, values, *sizes, 2.0, 40)
     block = prediction_block("In time", (record,))
     assert any("2.000 s and hold the 3 lines from 1.000 to 2.000 Hz" in text for text in block.paragraphs)
 

@@ -1,7 +1,5 @@
 """Reports as a browser shows them: nothing asked for, no error, no overflow, alternatives, contrast; and in print."""
 
-from __future__ import annotations
-
 import re
 import shutil
 import subprocess

@@ -1,7 +1,5 @@
 """Drawings as files: values of an estimate, what is in doubt, modes that move."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
 from pathlib import Path
@@ -12,11 +10,11 @@ import pytest
 
 import dashpot
 from dashpot import Estimate, Kind, Model, UsageError, between, mass, parse_rig
-from dashpot.check.doubt import doubtful, undetermined
-from dashpot.present.schematic.drawing import schematic
-from dashpot.present.schematic.labels import elongation, law_in_symbols
-from dashpot.present.schematic.moving import REACH, mode_drawing, numbered_mode
+from dashpot.check.data_findings import doubtful, undetermined
+from dashpot.present.schematic.drawing import mode_drawing, numbered_mode, schematic
+from dashpot.present.schematic.layout import elongation, law_in_symbols
 from dashpot.present.tables.estimate import parameter_rows
+from tests.networks import network
 from tests.two_masses import UNDETERMINED
 from tests.unit.present.conftest import RIG
 
@@ -26,6 +24,13 @@ SVG = "{http://www.w3.org/2000/svg}"
 def texts(svg: str) -> list[str]:
     """All texts, which must be well-formed XML."""
     return [element.text or "" for element in ElementTree.fromstring(svg).iter(f"{SVG}text")]
+
+
+def test_what_xml_forbids_or_turns_text_is_shown_escaped() -> None:
+    svg = schematic(replace(RIG.model, name="a\ufffeb\u202ec"), RIG.channels).svg()
+    ElementTree.fromstring(svg)
+    assert not {"\ufffe", "\u202e"} & set(svg)
+    assert "202e" in svg
 
 
 def test_values_and_intervals_are_those_of_the_tables(good: Estimate) -> None:
@@ -59,14 +64,7 @@ def test_what_channels_cannot_determine_is_doubtful() -> None:
 
 
 def test_known_unknown_and_doubtful_differ_without_colour() -> None:
-    model = Model(
-        ("x",),
-        (),
-        (
-            mass("m", "x"), between("k", Kind.SPRING, "x", "ground", value=2.0),
-            between("c", Kind.DAMPER, "x", "ground"),
-        ),
-    )  # fmt: skip
+    model = network("x", "", "m@x k:x-ground=2 c:x-ground")
     shapes = {part.title: part.shapes[0] for part in schematic(model, doubtful=["c"]).parts if part.shapes}
     assert shapes["k: spring"].weight < shapes["c: damper"].weight
     assert shapes["c: damper"].dashed
@@ -89,7 +87,6 @@ def test_files(tmp_path: Path, good: Estimate, end: str, head: bytes) -> None:
 
 
 def test_the_same_parts_move_in_all_frames_and_as_the_mode_says(good: Estimate) -> None:
-    assert good.modes is not None
     title, shape = numbered_mode(RIG.model, good, 2)
     assert title.startswith(f"Mode 2: {good.modes.frequency_hz[1]:.4g}"[:10])
     drawing = mode_drawing(RIG.model, shape, title)
@@ -102,7 +99,7 @@ def test_the_same_parts_move_in_all_frames_and_as_the_mode_says(good: Estimate) 
                 [next(p for p in f if p.title == part.title).shapes[0].points[0][0] for f in drawing.frames]
             )
             moved[part.title] = x - rest
-    expected = REACH * shape.real / np.max(np.abs(shape))
+    expected = 18.0 * shape.real / np.max(np.abs(shape))
     assert list(moved.values()) == pytest.approx(
         [expected[RIG.model.coordinates.index(name.removeprefix("body "))] for name in moved], abs=1e-6
     )

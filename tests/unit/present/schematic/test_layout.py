@@ -1,7 +1,5 @@
 """Drawings as geometry: nothing crosses a symbol, no text lies over another, over a line or beyond the edge."""
 
-from __future__ import annotations
-
 from collections import Counter
 from dataclasses import replace
 from itertools import combinations
@@ -12,8 +10,7 @@ import pytest
 
 from dashpot import Element, Estimate, Input, Kind, Model, between, mass, parse_rig, read_rig
 from dashpot.channel import Channel, Quantity
-from dashpot.present.schematic.drawing import Drawing, schematic
-from dashpot.present.schematic.folded import WIDEST, folded
+from dashpot.present.schematic.drawing import Drawing, folded, schematic
 from dashpot.present.schematic.geometry import Box, text_width
 from dashpot.present.schematic.scene import Part, Shape, visible
 from tests import rigs
@@ -71,18 +68,8 @@ def random_drawing(seed: int) -> Drawing:
     n = int(rng.integers(1, 10))
     rig = None
     while rig is None:
-        rig = rigs._throw(
-            rng,
-            n,
-            int(rng.integers(0, 4)),
-            int(rng.integers(0, 3)),
-            rigs.ALL_KINDS,
-            True,
-            True,
-            0.3,
-            12,
-            False,
-        )
+        inputs = int(rng.integers(0, 4)), int(rng.integers(0, 3))
+        rig = rigs._throw(rng, n, *inputs, rigs.ALL_KINDS, True, True, 0.3, 12, False)
     channels = rigs.channels(rig, (Quantity.DISPLACEMENT, Quantity.ACCELERATION), rng)
     if n > 2:
         one, two = (str(name) for name in rng.choice(rig.model.coordinates, 2, replace=False))
@@ -91,7 +78,7 @@ def random_drawing(seed: int) -> Drawing:
     return schematic(rig.model, channels, doubtful=names)
 
 
-@pytest.mark.parametrize("seed", range(40))
+@pytest.mark.parametrize("seed", range(25))
 def test_random_rigs(seed: int) -> None:
     assert faults(random_drawing(seed)) == []
 
@@ -207,8 +194,8 @@ def storeys(count: int, bays: int) -> Model:
 def test_wide_drawings_are_cut_into_rows_that_can_be_read(model: Model) -> None:
     drawing = schematic(model)
     assert faults(drawing) == []
-    assert drawing.layout.width > 1.5 * WIDEST
-    assert drawing.width <= 1.15 * WIDEST
+    assert drawing.layout.width > 1440
+    assert drawing.width <= 1100  # px, that a page shows
     planned = Counter(text.line.text for text in drawing.layout.texts() if text.line.text)
     written = Counter(text.line.text for part in drawing.parts for text in part.texts)
     assert planned <= written
@@ -223,7 +210,7 @@ def test_cut_lines_go_on_at_the_same_height() -> None:
         for k, x in enumerate(range(10, 2000, 200))
     ]
     parts, width, _ = folded([line, *boxes], 2010.0, 100.0)
-    assert width < 1.15 * WIDEST
+    assert width < 1100  # px, that a page shows
     kept = [shape for part in parts if part.title for shape in part.shapes]
     assert len(kept) == len(boxes)
     pieces = [

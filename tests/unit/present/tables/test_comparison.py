@@ -1,7 +1,5 @@
 """The table and the picture of several methods: what stands where, what is marked, what fits."""
 
-from __future__ import annotations
-
 import io
 from dataclasses import replace
 
@@ -12,7 +10,7 @@ from rich.console import Console
 
 from dashpot.estimate.comparison import Comparison, compare
 from dashpot.estimate.registry import method
-from dashpot.present.figures.comparison import WIDE, comparison_figure, interval_plot
+from dashpot.present.figures.comparison import comparison_figure, interval_plot
 from dashpot.present.figures.style import BAD, COLOURS, png
 from dashpot.present.tables.comparison import show_comparison
 from tests.rigs import channels, covariance, noisy, paper_rig
@@ -116,8 +114,8 @@ def test_the_picture_has_a_panel_for_each_unknown_and_marks_what_misses(comparis
 
 
 def test_an_interval_much_wider_than_the_others_ends_in_arrows() -> None:
-    """The narrowest is 2 wide: 2·WIDE is shown, 2·WIDE + 1 runs out on both sides."""
-    for half, arrows in ((WIDE, 0), (WIDE + 0.5, 2)):
+    """The narrowest is 2 wide: 12 is shown, 13 runs out on both sides."""
+    for half, arrows in ((6.0, 0), (6.5, 2)):
         value = np.zeros((3, 1))
         low, high = np.array([[-1.0], [-1.2], [-half]]), np.array([[1.0], [1.2], [half]])
         figure = interval_plot(["k"], ["N/m"], ["a", "b", "c"], value, low, high, {}, {})

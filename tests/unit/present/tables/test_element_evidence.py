@@ -1,7 +1,5 @@
 """Candidates ranked by evidence, as the terminal shows them."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from io import StringIO
 

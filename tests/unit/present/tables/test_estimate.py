@@ -1,7 +1,5 @@
 """What an estimate looks like on a terminal."""
 
-from __future__ import annotations
-
 import io
 from dataclasses import replace
 

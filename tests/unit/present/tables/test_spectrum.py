@@ -1,7 +1,5 @@
 """Spectra, records and rigs as text and HTML."""
 
-from __future__ import annotations
-
 import io
 import re
 

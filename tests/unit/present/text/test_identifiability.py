@@ -1,7 +1,5 @@
 """What is said of rigs that cannot be found, in words of physics."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import pytest

@@ -1,17 +1,14 @@
 """Every code that the package gives is explained, and nothing else is."""
 
-from __future__ import annotations
-
 import ast
 from pathlib import Path
 
-from dashpot.present.text.explained import GUIDE
-from dashpot.present.text.notices import REMEDIED
+from dashpot.present.text.notice_guide import GUIDE, REMEDIED
 
 SOURCE = Path(__file__).parents[4] / "src" / "dashpot"
 # Codes that are composed when they are given, and places that pass on the codes of others.
 COMPOSED = {"study/runner.py": {"damaged_blocks", "outdated_blocks"}}
-PASSED_ON = {"estimate/assessment.py", "estimate/estimate_json.py"}
+PASSED_ON = {"estimate/assessment.py", "estimate/result.py"}
 
 
 def given_codes() -> dict[str, set[str]]:

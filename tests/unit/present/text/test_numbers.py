@@ -1,7 +1,5 @@
 """Digits as the uncertainty allows."""
 
-from __future__ import annotations
-
 import math
 
 import pytest

@@ -1,7 +1,5 @@
 """Words of Monte Carlo studies."""
 
-from __future__ import annotations
-
 from types import SimpleNamespace
 from typing import Any, cast
 

@@ -1,7 +1,5 @@
 """Words of predictions: by how many per cent the motion is missed, and whether that is noise."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -13,31 +11,14 @@ def predicted(fit: tuple[float, float], chi2: tuple[float, float]) -> tuple[Reco
     """Two channels of 50 lines."""
     lines = np.zeros((50, 2), dtype=complex)
     dof = np.full(2, 100.0)
-    return (
-        RecordPrediction(
-            ("x1", "x2"),
-            ("m", "m"),
-            np.arange(50.0),
-            lines,
-            lines,
-            np.array(fit),
-            np.array(chi2),
-            dof,
-            0.0,
-            0,
-        ),
-    )
+    sizes = np.array(fit), np.array(chi2), dof
+    return (RecordPrediction(("x1", "x2"), ("m", "m"), np.arange(50.0), lines, lines, *sizes, 0.0, 0),)
 
 
 @pytest.mark.parametrize(
     ("fit", "chi2", "within", "says"),
     [
-        (
-            (0.98, 0.97),
-            (101.0, 95.0),
-            True,
-            "within the noise of the sensors: the largest difference is 3.0 %",
-        ),
+        ((0.98, 0.97), (101.0, 95.0), True, "within the noise of the sensors: the largest difference is 3.0"),
         ((0.98, 0.97), (101.0, 400.0), False, "x2 differs by 2.0 × the noise"),
         ((0.98, 0.2), (101.0, 9000.0), False, "Poorly predicted: measured and predicted differ by 80 %"),
         ((0.98, 0.97), (np.nan, np.nan), None, "whether that is more than noise cannot be said"),

@@ -11,24 +11,302 @@ or 1).  Lines of one settled dwell have its number there and `fundamental_hz`.
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
+from dashpot import units
 from dashpot.arrays import Bools, Complex, Ints, Real
 from dashpot.channel import Channel
 from dashpot.data.calibration import calibration
-from dashpot.data.readers.columns import LARGEST, Columns, bare
-from dashpot.data.readers.delimited.polar import RectangularColumns
+from dashpot.data.readers.columns import FREQUENCY, LARGEST, Columns, bare, frequency_column, frequency_scale
 from dashpot.data.readers.delimited.stepped_sine import EXPERIMENT, check_frequency, whole_numbers
 from dashpot.data.readers.delimited.writing import write_rows
-from dashpot.data.readers.sampling import FREQUENCY, frequency_column, frequency_scale
-from dashpot.data.spectrum import Spectrum
-from dashpot.data.stretch import SettledDwell, Stretch, WholeRecord
-from dashpot.errors import DataError
-from dashpot.io.words import listed
+from dashpot.data.spectrum import SettledDwell, Spectrum, Stretch, WholeRecord, concatenate
+from dashpot.errors import DashpotError, DataError
+from dashpot.io.words import listed, shown
 from dashpot.notices import Notice
+
+# Tables of amplitude and phase, NAME_amplitude and NAME_phase, as tables of real and imaginary part.
+#
+# X = amplitude · e^{j phase}. The phase is in the unit in brackets behind its name, in degrees where there
+# is none; NAME_phase_deg and NAME_phase_rad say it in the name. Amplitudes in dB, of 20 log10, say so in
+# brackets: NAME_amplitude [dB]. Responses to inputs are OUT/IN_amplitude, OUT/IN_phase.
+
+
+AMPLITUDES = ("_amplitude", "_amp", "_abs", "_magnitude", "_mag")
+PHASES = ("_phase", "_phase_deg", "_phase_rad", "_ph", "_arg")
+# Slightly more than π and 2π: what phases in rad do not exceed unless they are unwrapped.
+HALF_TURN, TURN = 3.2, 6.5
+LEAP = 5.0  # between neighbouring frequencies, in rad: more than unwrapped phases move
+FEW = 4  # lines from which on phases are judged
+
+
+@dataclass(frozen=True)
+class _Polar:
+    """A pair of columns, the factor from the phase's numbers to rad, and whether amplitudes are in dB."""
+
+    amplitude: int
+    phase: int
+    to_radian: float
+    decibel: bool = False
+
+
+@dataclass(frozen=True)
+class RectangularColumns(Columns):
+    """Columns of `base`, and behind them the real and imaginary parts of its pairs of amplitude and phase."""
+
+    base: Columns
+    pairs: tuple[_Polar, ...]
+
+    @property
+    def heading(self) -> str:
+        """That of the base."""
+        return self.base.heading
+
+    def place(self, index: int) -> str:
+        """That of the base."""
+        return self.base.place(index)
+
+    def part_from(self, index: int) -> str:
+        """That of the base."""
+        return self.base.part_from(index)
+
+    def numbers(
+        self,
+        columns: Sequence[int],
+        optional: Sequence[int] = (),
+        infinite: Sequence[int] = (),
+        together: Sequence[int] = (),
+    ) -> dict[int, Real]:
+        """As of Columns."""
+        del together  # what is computed is new
+        plain = len(self.base.header)
+        computed = [column for column in columns if column >= plain]
+        sources = self.sources(computed)
+        gaps = self.sources(column for column in computed if column in optional)
+        wanted = list(dict.fromkeys([*(column for column in columns if column < plain), *sorted(sources)]))
+        values = self.base.numbers(wanted, [*(c for c in optional if c < plain), *gaps], infinite)
+        for column in computed:
+            pair = self.pairs[(column - plain) // 2]
+            wave = np.cos if (column - plain) % 2 == 0 else np.sin
+            size = values[pair.amplitude]
+            size = 10 ** (size / 20) if pair.decibel else size
+            values[column] = size * wave(values[pair.phase] * pair.to_radian)
+        return values
+
+    def sources(self, columns: Iterable[int]) -> set[int]:
+        """The columns of amplitude and phase behind those of these columns that are computed."""
+        plain = len(self.base.header)
+        pairs = [self.pairs[(column - plain) // 2] for column in columns if column >= plain]
+        return {at for pair in pairs for at in (pair.amplitude, pair.phase)}
+
+    def texts(self, column: int) -> list[str]:
+        """As of Columns."""
+        return self.base.texts(column)
+
+    def first(self, column: int) -> str:
+        """As of Columns."""
+        return self.base.first(column)
+
+
+def with_real_and_imaginary(columns: Columns) -> Columns:
+    """The same with NAME_re and NAME_im for each pair NAME_amplitude, NAME_phase that stands without them.
+
+    Raises DataError where the unit of a phase is none of angle.
+    """
+    names = [bare(name)[0] for name in columns.header]
+    header, unit_of, pairs = list(columns.header), [columns.unit(i) for i in range(len(names))], []
+    for ending in AMPLITUDES:
+        for at, name in enumerate(names):
+            stem = name.removesuffix(ending)
+            if not name.endswith(ending) or not stem or f"{stem}_re" in names or f"{stem}_re" in header:
+                continue
+            phases = [i for i, other in enumerate(names) if other in [stem + phase for phase in PHASES]]
+            if len(phases) != 1:
+                continue
+            unit = columns.unit(at)
+            decibel = unit is not None and unit.lower() == "db"
+            pairs.append(_Polar(at, phases[0], _to_radian(columns, phases[0]), decibel))
+            header += [f"{stem}_re", f"{stem}_im"]
+            unit_of += [None if decibel else unit] * 2
+    if not pairs:
+        return columns
+    return RectangularColumns(
+        columns.source, tuple(header), tuple(unit_of), columns.notes, columns, tuple(pairs)
+    )
+
+
+def polar_notices(columns: Columns, frequency_hz: Real) -> list[Notice]:
+    """What is said of amplitudes and phases whose numbers look like another unit than theirs; [] where there are none.
+
+    Amplitudes below zero are refused: they are most likely decibels.  Phases in rad beyond a turn are unwrapped,
+    and so move by little from one frequency to the next: others are degrees, which is refused.  Degrees that never
+    exceed π may be radians, or a rig far below its first mode.
+    Raises DataError.
+    """
+    if not isinstance(columns, RectangularColumns) or len(frequency_hz) < FEW:
+        return []
+    _require_amplitudes(columns)
+    places = [pair.phase for pair in columns.pairs]
+    phases = columns.base.numbers(places, places)
+    rows = len(phases[places[0]])
+    order = np.argsort(frequency_hz[:rows], kind="stable")  # frequency responses repeat theirs for each input
+    for pair in columns.pairs:
+        numbers = phases[pair.phase][order]
+        numbers = numbers[np.isfinite(numbers)]
+        if pair.to_radian == 1.0 and np.max(np.abs(numbers), initial=0.0) > TURN:
+            _require_unwrapped(columns, pair.phase, numbers)
+    in_degrees = [pair.phase for pair in columns.pairs if pair.to_radian != 1.0]
+    largest = max((float(np.nanmax(np.abs(phases[place]), initial=0.0)) for place in in_degrees), default=0.0)
+    if not 0 < largest < HALF_TURN:
+        return []
+    text = f"phases are read as degrees, and none exceeds {largest:.3g}: they may be radians"
+    return [Notice("phase_unit", text, tuple(columns.header[place] for place in in_degrees))]
+
+
+def _require_amplitudes(columns: RectangularColumns) -> None:
+    """Raises DataError where an amplitude of a column that is not in dB is below zero."""
+    places = [pair.amplitude for pair in columns.pairs if not pair.decibel]
+    amplitudes = columns.base.numbers(places, places)
+    for place in places:
+        numbers = amplitudes[place]
+        if np.any(numbers < 0):
+            name, least = shown(columns.header[place]), float(np.nanmin(numbers))
+            raise DataError(
+                f"column {name}: an amplitude of {least:.4g} is below zero, as decibels may be",
+                columns.heading,
+                f"name the column {bare(columns.header[place])[0]}[dB] if they are; else give amplitudes from 0",
+            )
+
+
+def _require_unwrapped(columns: Columns, place: int, numbers: Real) -> None:
+    """Raises DataError for phases in rad, in order of frequency, that are neither wrapped nor unwrapped."""
+    leap = float(np.max(np.abs(np.diff(numbers)), initial=0.0))
+    if leap > LEAP:
+        name, largest = shown(columns.header[place]), float(np.max(np.abs(numbers)))
+        what = (
+            f"column {name}: phases of up to {largest:.4g} rad that leap by {leap:.3g} rad look like degrees"
+        )
+        stem = bare(columns.header[place])[0].removesuffix("_rad").removesuffix("_deg")
+        raise DataError(what, columns.heading, f"name the column {stem}_deg, or unwrap the phases")
+
+
+def _to_radian(columns: Columns, column: int) -> float:
+    """Factor from the numbers of a phase to rad."""
+    unit = columns.unit(column)
+    if unit is None:
+        unit = "rad" if bare(columns.header[column])[0].endswith("_rad") else "deg"
+    try:
+        return units.scale(unit, "displacement", angular=True)
+    except DashpotError:
+        what = f"column {shown(columns.header[column])}: {shown(unit)} is not a unit of angle"
+        raise DataError(what, columns.heading, "give the phase in deg or rad") from None
+
+
+# Tables of frequency response functions as CSV: `frequency_hz`, then `OUT/IN_re`, `OUT/IN_im`, optionally
+# `OUT/IN_sd`.
+#
+# OUT and IN are channels of the rig file, in their units; `OUT/IN_sd` is the standard deviation of the real
+# and of the imaginary part, each. Every input makes an experiment of its own, driven with amplitude 1 at IN
+# and 0 at the others, which are exact.
+
+
+Pair = tuple[str, str]  # names of a response and of an input
+
+
+def is_frf(columns: Columns) -> bool:
+    """There is a pair OUT/IN_re, OUT/IN_im."""
+    names = {bare(name)[0] for name in columns.header}
+    return any("/" in name and name.endswith("_re") and name[:-3] + "_im" in names for name in names)
+
+
+def read_frf(
+    columns: Columns, channels: Sequence[Channel], experiment: int = 0
+) -> tuple[Spectrum, list[Notice]]:
+    """The spectrum in SI units, one experiment for each input from number `experiment` on, and notes.
+
+    Without any sd column the noise is unknown.  Raises DataError with file and column for what is missing, not a
+    number, or not in the rig file.
+    """
+    pairs = _pairs(columns, channels)
+    frequency, functions, sd = _functions(columns, channels, pairs)
+    scale = np.array([channel.scale for channel in channels]) * calibration(channels, frequency)
+    spectra = []
+    for number, into in enumerate(dict.fromkeys(into for _, into in pairs)):
+        X = np.zeros((len(frequency), len(channels)), dtype=np.complex128)
+        V: Complex = np.zeros((len(frequency), len(channels), len(channels)), dtype=np.complex128)
+        for c, channel in enumerate(channels):
+            if channel.name == into:
+                X[:, c] = 1.0
+            elif (pair := (channel.name, into)) in functions:
+                X[:, c] = functions[pair]
+                V[:, c, c] = 2 * sd[pair] ** 2 if pair in sd else 0.0
+        if not sd:
+            V = np.full_like(V, np.nan)
+        lines = len(frequency)
+        spectra.append(
+            Spectrum(
+                tuple(channels),
+                frequency,
+                X * scale,
+                V * scale[:, :, None] * np.conj(scale)[:, None, :],
+                np.ones(lines, dtype=np.int64),
+                np.full(lines, np.inf),
+                ("given" if sd else "unknown",) * lines,
+                np.full(lines, experiment + number),
+            )
+        )
+    return concatenate(spectra), list(columns.notes)
+
+
+def _pairs(columns: Columns, channels: Sequence[Channel]) -> list[Pair]:
+    """Which response to which input there is.  Raises DataError where there is none, or one is missing."""
+    names = {channel.name for channel in channels}
+    pairs = []
+    for name in (bare(column)[0] for column in columns.header):
+        out, slash, into = name.removesuffix("_re").partition("/")
+        if slash and name.endswith("_re") and out in names and into in names:
+            pairs.append((out, into))
+    if not pairs:
+        raise DataError(
+            f"no column OUT/IN_re names two channels of the rig file ({listed(c.name for c in channels)})",
+            columns.source,
+            "name the columns after its channels",
+        )
+    inputs = {into for _, into in pairs}
+    for into in inputs:
+        for out in names - inputs:
+            if (out, into) not in pairs:
+                raise DataError(
+                    f"there is no column {out}/{into}_re (the rig file lists the channels)",
+                    columns.source,
+                    "add it, or take the channel out of the rig file",
+                )
+    return pairs
+
+
+def _functions(
+    columns: Columns, channels: Sequence[Channel], pairs: Sequence[Pair]
+) -> tuple[Real, dict[Pair, Complex], dict[Pair, Real]]:
+    """Frequency in Hz, the functions and their standard deviations, each (lines,)."""
+    at = {
+        pair: (columns.need(f"{'/'.join(pair)}_re"), columns.need(f"{'/'.join(pair)}_im")) for pair in pairs
+    }
+    sd_at = {pair: i for pair in pairs if (i := columns.find(f"{'/'.join(pair)}_sd")) is not None}
+    f_at = frequency_column(columns, channels)
+    f_at = columns.need(FREQUENCY) if f_at is None else f_at
+    values = columns.numbers([f_at, *(i for both in at.values() for i in both), *sd_at.values()])
+    frequency = values[f_at] * frequency_scale(columns, f_at)
+    check_frequency(columns, f_at, frequency)
+    for i in sd_at.values():
+        if np.any(values[i] < 0):
+            row = int(np.argmax(values[i] < 0))
+            raise columns.error(row, i, f"a standard deviation of {values[i][row]:g}", "0 is exact")
+    functions = {pair: values[re] + 1j * values[im] for pair, (re, im) in at.items()}
+    return frequency, functions, {pair: values[i] for pair, i in sd_at.items()}
+
 
 SAMPLES, DOF, NOISE = "samples", "dof", "noise"
 RECORD, FUNDAMENTAL = "record", "fundamental_hz"

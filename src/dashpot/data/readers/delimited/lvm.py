@@ -15,11 +15,9 @@ import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 
+from dashpot.data.readers.columns import LONGEST, TIME
 from dashpot.data.readers.datafile import LARGE, SUBSTITUTED, DataFile, open_file, whole_lines
-from dashpot.data.readers.delimited.encoding import Text, text_of
-from dashpot.data.readers.delimited.opening import table_of
-from dashpot.data.readers.delimited.table import Table
-from dashpot.data.readers.sampling import LONGEST, TIME
+from dashpot.data.readers.delimited.table import Table, Text, table_of, text_of
 from dashpot.errors import DataError
 from dashpot.io.words import shown
 

@@ -15,11 +15,9 @@ import numpy as np
 
 from dashpot.arrays import Ints, Real
 from dashpot.channel import Channel, Quantity
-from dashpot.data.readers.array_columns import ArrayColumns, Load
+from dashpot.data.readers.columns import TIME, ArrayColumns, Load
 from dashpot.data.readers.datafile import DataFile
-from dashpot.data.readers.delimited.opening import open_table
-from dashpot.data.readers.delimited.table import Table
-from dashpot.data.readers.sampling import TIME
+from dashpot.data.readers.delimited.table import Table, open_table
 from dashpot.data.record import Record
 from dashpot.errors import DataError
 from dashpot.io.words import counted, shown

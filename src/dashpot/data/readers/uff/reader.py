@@ -8,20 +8,22 @@ from typing import Any
 
 import numpy as np
 
-from dashpot.data.readers.array_columns import ArrayColumns, array_columns, steps
+from dashpot.data.readers.columns import FREQUENCY, TIME, ArrayColumns, array_columns, steps
 from dashpot.data.readers.datafile import DataFile
-from dashpot.data.readers.sampling import FREQUENCY, TIME
 from dashpot.data.readers.uff.function import (
     FRF,
+    MARK,
     OF_FREQUENCY,
     SPECTRUM,
     TIME_RESPONSE,
     TRANSMISSIBILITY,
     NodalFunction,
     Point,
+    UffStream,
+    dataset_starts,
     read_function,
+    skip_dataset,
 )
-from dashpot.data.readers.uff.stream import MARK, UffStream, dataset_starts, skip_dataset
 from dashpot.errors import DataError
 
 MODES = 55  # number of the dataset

@@ -1,5 +1,6 @@
 """Stepped-sine CSV and tables of amplitudes: what is read, and what is refused with its place."""
 
+import csv
 import gzip
 import os
 import random
@@ -11,6 +12,7 @@ import pytest
 from dashpot.channel import Channel, Quantity
 from dashpot.data.conditioning.lines import spectrum
 from dashpot.data.readers import read, write_amplitudes, write_records
+from dashpot.data.readers.delimited.writing import name_in, write_rows
 from dashpot.data.record import Record
 from dashpot.data.spectrum import Spectrum
 from dashpot.errors import DataError
@@ -147,34 +149,19 @@ ROWS = "1,0.0,1.5,2\n1,0.1,1.5,2\n1,0.2,1.5,2\n"
         (HEAD + "1,0,1,5,2\n", "decimal commas need a semicolon"),
         (HEAD + "0,0.0,1,2\n0,0.1,1,2\n", "test.csv:2: column frequency_hz: frequency 0 Hz;"),
         (HEAD + ROWS + "\n-3,0.0,1,2\n", "test.csv:6: column frequency_hz: frequency -3 Hz;"),
-        (
-            HEAD + ROWS + "1,0.2,1,2\n",
-            "test.csv:5: column time_s: the time does not increase (0.2 s, then 0.2 s);",
-        ),
+        (HEAD + ROWS + "1,0.2,1,2\n", "test.csv:5: column time_s: the time does not increase (0.2 s, then"),
         (HEAD + ROWS + "1,0.15,1,2\n", "test.csv:5: column time_s: the time does not increase"),
         (HEAD + ROWS + "2,0.15,1,2\n", "test.csv:5: column time_s: the block has one sample;"),
-        (
-            HEAD.replace("x1", "X1") + ROWS,
-            "column x1: missing (the rig file lists it as a channel); did you mean X1?",
-        ),
+        (HEAD.replace("x1", "X1") + ROWS, "column x1: missing (the rig file lists it as a channel); did you"),
         (HEAD.replace("time_s", "times") + ROWS, "test.csv:1: column time_s: missing; did you mean times?"),
         (HEAD.replace(",u", ",x1") + ROWS, "test.csv:1: column x1: named twice, in columns 3 and 4;"),
         (HEAD.replace("x1", "x1 [m]") + ROWS, "column x1: in m, the rig file says mm;"),
         (HEAD.replace("x1", "x1 [N]") + ROWS, "column x1: N is not a unit of displacement;"),
-        (
-            (HEAD + ROWS).replace("x1", "\x81").encode("latin1"),
-            "test.csv:1: byte 21 of the row is not UTF-8;",
-        ),
+        ((HEAD + ROWS).replace("x1", "\x81").encode("latin1"), "test.csv:1: byte 21 of the row is not UTF-8"),
         ((HEAD + ROWS).encode("utf-16")[:-1], "test.csv: the file is damaged UTF-16;"),
         (b"PK\x03\x04\x00\x00\x00", "test.csv: the file is not text, and its format is not known;"),
-        (
-            gzip.compress((HEAD + ROWS).encode(), mtime=0)[:-12],
-            "test.csv: the packed file is damaged or cut off;",
-        ),
-        (
-            HEAD.replace(",u", ",u,experiment") + "1,0,1,2,0.5\n1,1,1,2,0.5\n",
-            "column experiment: 0.5 is not a whole",
-        ),
+        (gzip.compress((HEAD + ROWS).encode(), mtime=0)[:-12], "test.csv: the packed file is damaged or cut"),
+        (HEAD.replace(",u", ",u,experiment") + "1,0,1,2,0.5\n1,1,1,2,0.5\n", "column experiment: 0.5"),
         (HEAD + ROWS + '1,0.3,"1,2\n', "test.csv:5: "),
     ],
 )
@@ -193,9 +180,9 @@ def test_missing_file_and_directory(tmp_path):
 @pytest.mark.parametrize("name", ["c{}", "column_with_a_longer_name_{}"])
 def test_a_million_columns_are_refused_at_once(put, name):
     path = put(",".join(name.format(i) for i in range(1_000_000)) + "\n" + "1," * 999_999 + "1\n")
-    start = time.perf_counter()
+    start = time.process_time()
     assert "header" in refusal(path)
-    assert time.perf_counter() - start < 1
+    assert time.process_time() - start < 1
 
 
 @pytest.mark.parametrize(
@@ -204,9 +191,7 @@ def test_a_million_columns_are_refused_at_once(put, name):
 def test_a_number_that_was_cut_off_is_refused(put, last, cut):
     whole = "time_s,u,x1\n" + "".join(f"{i},0,{last}\n" for i in range(9))
     assert len(read(put(whole), CHANNELS).records[0].time) == 9
-    assert "8" in refusal(put(whole[: -len(last) - 1] + cut))[:12] or "10" in refusal(
-        put(whole[: -len(last) - 1] + cut)
-    )
+    assert refusal(put(whole[: -len(last) - 1] + cut)).startswith("test.csv:10: ")
     reading = read(put(whole[:-1]), CHANNELS)
     assert "no line end" in reading.notes[0].text
 
@@ -268,6 +253,21 @@ def test_amplitudes_read_back(tmp_path, name):
     same(lines, reading.spectrum())
     with pytest.raises(DataError, match="no samples"):
         reading.spectrum(moments=True)
+
+
+@pytest.mark.parametrize("name", ['"', "=1+2", "+x", "-x", "@x", "'=x", "x'", "'x"])
+def test_names_read_back_and_are_no_formulas(tmp_path, name):
+    channels = (Channel(name, {"x1": 1}), U)
+    lines = spectrum([dwell(f, i, channels=channels) for i, f in enumerate((1.1, 2.3, 3.7))])
+    write_amplitudes(lines, tmp_path / "s.csv")
+    same(lines, read(tmp_path / "s.csv", channels).spectrum())
+    with open(tmp_path / "s.csv", newline="") as file:
+        assert next(csv.reader(file))[1].lstrip()[0] not in "=+-@"
+    write_rows(tmp_path / "p.csv", ["name", "value"], [[name, "\tx", "\rx", "-1.5e-3"], np.ones(4)])
+    with open(tmp_path / "p.csv", newline="") as file:
+        cells = [row[0] for row in csv.reader(file)][1:]
+    assert [name_in(cell) for cell in cells] == [name, "\tx", "\rx", "-1.5e-3"]
+    assert all(cell[0] not in "=+-@\t\r" for cell in cells[:3])
 
 
 def test_unknown_noise_exact_noise_and_missing_channels_read_back(tmp_path):

@@ -32,10 +32,7 @@ ODD = {
     ),
     "form feeds": ("\f".join([page(ROWS[:20], HEAD), page(ROWS[20:])]), None),
     "comments": (page([*ROWS[:9], "# operator paused", *ROWS[9:], "% end"], HEAD), "2 comments"),
-    "spaces": (
-        page([*ROWS[:20], HEAD, *ROWS[20:]], HEAD).replace(",", "  "),
-        "1 row repeating the header",
-    ),
+    "spaces": (page([*ROWS[:20], HEAD, *ROWS[20:]], HEAD).replace(",", "  "), "1 row repeating the header"),
     "line ends of Windows": (
         page([*ROWS[:20], HEAD, "# paused", *ROWS[20:]], HEAD).replace("\n", "\r\n"),
         "1 row repeating the header, 1 comment",

@@ -72,10 +72,7 @@ class TestXsens:
             (xsens(change=("Acc_X", "Acc_W")), "Acc_X: missing"),
             (xsens(change=("SampleTimeFine", "Time")), "SampleTimeFine: missing"),
             (xsens(change=(",1.0,9.8", ",nan,9.8")), "u.csv:6: column Acc_Y"),
-            (
-                xsens(change=("2,17666,", "2,1,")),
-                "u.csv:7: column SampleTimeFine: the time does not increase",
-            ),
+            (xsens(change=("2,17666,", "2,1,")), "u.csv:7: column SampleTimeFine: the time does"),
             (xsens(change=("2,17666,", "2,17666.5,")), "u.csv:7: column SampleTimeFine"),
             (xsens()[:-30], "u.csv:44"),
             (xsens(start=1001), "0 times in common"),
@@ -210,10 +207,7 @@ class TestLabview:
             (LVM_HEAD, "a header and no rows"),
             (LVM_HEAD[: LVM_HEAD.index("X_Value")], "no header row"),
             (lvm() + LVM_HEAD + "0\t1\t2\n", "the block has one sample"),
-            (
-                lvm().replace("Force (Trigger)\tComment", "X_Value\tForce (Trigger)"),
-                "column of time for each",
-            ),
+            (lvm().replace("Force (Trigger)\tComment", "X_Value\tForce (Trigger)"), "column of time for"),
             (lvm().replace("0.010000\t", "0.010000\tbad", 1), "test_3Hz.txt:12: column Acceleration"),
             (lvm()[:-12], "test_3Hz.txt:110"),
         ],

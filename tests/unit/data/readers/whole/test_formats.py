@@ -20,15 +20,7 @@ from dashpot.model.rigfile import parse_rig
 from tests.unit.data.readers.column_files import TABLES
 from tests.unit.data.readers.famos_bytes import dwell
 from tests.unit.data.readers.text_files import TEXTS
-from tests.unit.data.readers.written import (
-    CHANNELS,
-    RIG,
-    WRITERS,
-    as_read,
-    packed,
-    recording,
-    wav,
-)
+from tests.unit.data.readers.written import CHANNELS, RIG, WRITERS, as_read, packed, recording, wav
 
 
 def same(records, expected, one_clock=False):
@@ -272,9 +264,7 @@ def test_units_of_files_count(tmp_path):
 
 
 def test_an_extra_that_is_missing_is_named():
-    with pytest.raises(
-        DataError, match=r"TDMS, nptdmz is needed; install it: pip install 'dashpot\[formats\]'"
-    ):
+    with pytest.raises(DataError, match=r"nptdmz is needed.*\.\[formats\]"):
         library("nptdmz.x", "formats", "a.tdms", "TDMS")
 
 
@@ -311,17 +301,7 @@ def test_files_cut_off(tmp_path, name):
     path, data = whole(tmp_path, name)
     expected = recording(64)
     rng = np.random.default_rng(0)
-    for length in {
-        0,
-        1,
-        4,
-        8,
-        64,
-        512,
-        len(data) // 2,
-        len(data) - 1,
-        *rng.integers(1, len(data), 12).tolist(),
-    }:
+    for length in {0, 1, 8, 64, 512, len(data) // 2, len(data) - 1, *rng.integers(1, len(data), 5).tolist()}:
         path.write_bytes(data[:length])
         if outcome(path) == "" and name != "CSV":  # text ends where it ends
             same(as_read(path), expected)
@@ -332,7 +312,7 @@ def test_files_cut_off(tmp_path, name):
 def test_flipped_bytes(tmp_path, name):
     path, data = whole(tmp_path, name)
     rng = np.random.default_rng(1)
-    for k in range(25):
+    for k in range(15):
         broken = bytearray(data)
         reach = min(len(data), 400 if k % 2 else len(data))
         for at in rng.integers(0, reach, 1 + k % 4):

@@ -13,17 +13,18 @@ from dashpot.channel import Channel, Quantity
 from dashpot.data.spectrum import Spectrum
 from dashpot.errors import DataError, UsageError
 from dashpot.estimate.identify import automatic, identify
-from dashpot.estimate.inference.derived import mode_values
+from dashpot.estimate.inference.uncertainty import mode_values
 from dashpot.estimate.likelihood.maximum_likelihood import MaximumLikelihood
 from dashpot.estimate.linear.auxiliary_model import auxiliary, information
 from dashpot.estimate.linear.gram import gram, gram_force, known_side, regressors, solve_gram
 from dashpot.estimate.linear.instrumental_variables import InstrumentalVariables, OptimalIV
 from dashpot.estimate.linear.least_squares import HarmonicLeastSquares, LeastSquares, WeightedLeastSquares
-from dashpot.estimate.preparation.noise_quality import channels_correlate, noise_quality
+from dashpot.estimate.preparation.prepared import channels_correlate, noise_quality
 from dashpot.estimate.result import Estimate
 from dashpot.model.dynamics import dynamic_stiffness, input_stiffness, response, sensitivities, unit_forces
 from dashpot.model.elements import Element, Kind, between, mass
 from dashpot.model.network import Input, Model
+from tests.networks import network
 from tests.rigs import states
 
 SEED = 20
@@ -189,10 +190,7 @@ def test_noise_quality_is_that_of_drawn_covariances(kind: str) -> None:
     K = nu // 2
     y = (rng.standard_normal((40_000, K, q)) + 1j * rng.standard_normal((40_000, K, q))) / np.sqrt(2)
     W = np.linalg.inv(np.conj(np.swapaxes(y, 1, 2)) @ y / K)
-    mean, square = (
-        np.trace(np.mean(W, axis=0)).real / q,
-        np.trace(np.mean(W @ W, axis=0)).real / q,
-    )
+    mean, square = (np.trace(np.mean(W, axis=0)).real / q, np.trace(np.mean(W @ W, axis=0)).real / q)
     blocks = noise_quality(replace(given, noise=(kind,) * len(HZ)), np.array([True]))
     assert blocks.inflation[0, 0] == pytest.approx(square / mean, rel=0.02)
     assert blocks.shrink[0, 0] == pytest.approx(1 / mean, rel=0.02)
@@ -317,9 +315,7 @@ def test_unknown_noise_is_sized_by_the_residuals() -> None:
     """
     spectrum = _draws(200)
     blind = replace(
-        spectrum,
-        covariance=np.full_like(spectrum.covariance, np.nan),
-        noise=("unknown",) * len(HZ),
+        spectrum, covariance=np.full_like(spectrum.covariance, np.nan), noise=("unknown",) * len(HZ)
     )
     size = np.sqrt(np.mean(np.abs(_clean()) ** 2, axis=0))
     L = 0.03 * size * np.array([1, 1, 1, 0])
@@ -381,7 +377,7 @@ def test_stiffness_and_response_agree() -> None:
 
 def test_a_mode_whose_variance_is_rounding_has_no_standard_deviation():
     """Where only k/m is known, and m and k for themselves hardly at all, the digits of the frequency's sd are lost."""
-    model = Model(("x",), (Input("u"),), (mass("m", "x"), between("k", Kind.SPRING, "x", "u")))
+    model = network("x", "u", "m@x k:x-u")
     theta = np.array([2.0, 3000.0])
     relative = np.array([[1.0, 1.0], [1.0, 1.0]])
     scale = np.outer(theta, theta)

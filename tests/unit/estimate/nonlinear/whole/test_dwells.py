@@ -1,7 +1,5 @@
 """Identification of nonlinear rigs from the harmonics of dwells."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -4,18 +4,15 @@ Truth as published: m 2, c 10, k 5e4, α 5e4, β 1e3, γ 0.8, δ −1.1, ν 1; a
 dashpot's state is z/α, so that γ' = βγ and δ' = βδ at ν = 1.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from scipy.integrate import solve_ivp
 from scipy.interpolate import CubicSpline
 
-from dashpot.model.elements import Element, Kind, between, mass
-from dashpot.model.network import Input, Model
+from dashpot.model.elements import Element, Kind, between
 from dashpot.model.nonlinear.force_law import Constant, force_law
-from dashpot.model.nonlinear.integration import Integrator
-from dashpot.model.nonlinear.propagation import forcing
+from dashpot.model.nonlinear.integration import Integrator, forcing
 from dashpot.model.nonlinear.shooting import integrate
+from tests.networks import network
 
 RATE = 750.0
 
@@ -24,16 +21,7 @@ def rig():
     inner = [Constant("gamma", 800.0), Constant("delta", -1100.0), Constant("nu", 1.0)]
     along = between("alpha", Kind.SPRING, "y", "ground").along
     hysteresis = Element("alpha", Kind.SPRING, along, value=5e4, force_law=force_law("bouc-wen", inner))
-    return Model(
-        ("y",),
-        (Input("f", "force", {"y": 1.0}),),
-        (
-            mass("m", "y", value=2.0),
-            between("k", Kind.SPRING, "y", "ground", value=5e4),
-            between("c", Kind.DAMPER, "y", "ground", value=10.0),
-            hysteresis,
-        ),
-    )
+    return network("y", "f@y", "m@y=2 k:y-ground=50000 c:y-ground=10", hysteresis)
 
 
 def multisine(samples, seed):

@@ -1,7 +1,5 @@
 """Every number of a report against the JSON of the same estimate, to the digits that are shown."""
 
-from __future__ import annotations
-
 import json
 import re
 from html import unescape
@@ -97,17 +95,14 @@ def test_words_are_those_of_the_json(page: tuple[str, dict[str, Any]]) -> None:
     assert shows(chi2, fit["chi2"])
     assert int(dof) == fit["dof"]
     times = re.search(r"([\d.]+) × the noise", text)
-    assert times is not None
     assert shows(times[1], np.sqrt(fit["chi2"] / fit["dof"]))
     p = re.search(r"p (=|<) ([\d.e-]+)\)", text)
-    assert p is not None
     assert shows(p[2], fit["p"]) if p[1] == "=" else fit["p"] < float(p[2])
     parts = dict(reversed(pair) for pair in re.findall(r"([\d.]+) % at (\w+)", text))
     assert set(parts) == set(fit["relative_residual"])
     for name, part in parts.items():
         assert shows(part, 100 * fit["relative_residual"][name])
     told = re.search(r"noise alone would leave (.*?)\. ", text)
-    assert told is not None
     noise, sizes = re.findall(r"[\d.]+", told[1]), list(fit["relative_noise"].values())
     ends = [min(sizes), max(sizes)][: len(noise)] if len(told[1].split()) in (2, 4) else sizes
     for part, size in zip(noise, ends, strict=True):
