@@ -14,7 +14,7 @@ from contextlib import contextmanager, suppress
 from threading import Timer, current_thread, main_thread
 from types import FrameType
 
-from dashpot.io.atomic import clear_away, clear_locks, clear_scratch
+from dashpot.io.atomic import clear_away, clear_locks, clear_scratch, postponed
 
 ENDING = tuple(getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name))
 ANSWERED = (*ENDING, signal.SIGINT)
@@ -130,6 +130,8 @@ def _without_complaint() -> Iterator[None]:
 
 def end_at_once(number: int, _: FrameType | None) -> None:
     """End without unwinding, but for temporary files: where a signal has begun that already, and in workers."""
+    if postponed(number):
+        return
     clear_away()
     clear_scratch()
     clear_locks()
@@ -142,6 +144,8 @@ def _on_its_way() -> bool:
 
 
 def _end(number: int, frame: FrameType | None) -> None:
+    if postponed(number):
+        return
     if _on_its_way():
         end_at_once(number, frame)
     _asked.add(number)

@@ -11,6 +11,7 @@ import os
 import re
 import secrets
 import shutil
+import signal
 import stat
 import sys
 import tempfile
@@ -19,10 +20,42 @@ from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
+from threading import current_thread, main_thread
 
 from dashpot.errors import DataError, UsageError
 from dashpot.io import ledger
 from dashpot.io.ledger import AnyPath
+
+# A signal handler runs between any two steps of the program, so that a file which has just been made might not be
+# known yet to those who clear it away.
+
+
+_postponed: list[int] | None = None  # signals that came within a section that is not to be cut; None outside
+
+
+@contextmanager
+def uncut() -> Iterator[None]:
+    """What is done here is done whole, as a file is made and noted: a signal is answered at the end."""
+    global _postponed
+    if current_thread() is not main_thread():  # signals are answered in the main thread alone
+        yield
+        return
+    outer, _postponed = _postponed, [] if _postponed is None else _postponed
+    try:
+        yield
+    finally:
+        came, _postponed = _postponed, outer
+        for number in came if outer is None else ():
+            signal.raise_signal(number)
+
+
+def postponed(number: int) -> bool:
+    """For signal handlers: whether this signal has to wait, and comes again by itself."""
+    if _postponed is None:
+        return False
+    _postponed.append(number)
+    return True
+
 
 # Files that other programs need for a moment: in a folder of their own, gone when the work is done.
 
@@ -59,16 +92,20 @@ class Scratch:
 @contextmanager
 def scratch() -> Iterator[Scratch]:
     """A folder for files in between, removed at the end whatever happens."""
-    with tempfile.TemporaryDirectory(prefix="dashpot-") as folder:
-        yield Scratch(Path(folder))
+    lasting = lasting_scratch()
+    try:
+        yield lasting
+    finally:
+        _remove(str(lasting.folder))
 
 
 def lasting_scratch() -> Scratch:
     """A folder for files that are read until their reader is let go: removed with it, or when the process ends."""
-    folder = tempfile.mkdtemp(prefix="dashpot-")
-    lasting = Scratch(Path(folder))
-    _lasting[folder] = os.getpid()
-    weakref.finalize(lasting, _remove, folder)
+    with uncut():
+        folder = tempfile.mkdtemp(prefix="dashpot-")
+        lasting = Scratch(Path(folder))
+        _lasting[folder] = os.getpid()
+        weakref.finalize(lasting, _remove, folder)
     return lasting
 
 
@@ -99,7 +136,10 @@ def locked(folder: AnyPath) -> Iterator[None]:
     """
     path = os.path.join(folder, LOCK)
     try:
-        descriptor = _held(path)
+        with uncut():
+            descriptor = _held(path)
+            if descriptor is not None:
+                _held_here.add(path)
     except OSError as error:
         raise UsageError(
             f"the folder cannot be used ({error.strerror or error})", os.fspath(folder), "name another one"
@@ -110,16 +150,16 @@ def locked(folder: AnyPath) -> Iterator[None]:
             os.fspath(folder),
             "wait until it has finished, or name another folder",
         )
-    _held_here.add(path)
     try:
         os.ftruncate(descriptor, 0)
         os.write(descriptor, f"{os.getpid()}\n".encode())
         yield
     finally:
-        with suppress(OSError):
-            os.unlink(path)
-        _held_here.discard(path)
-        os.close(descriptor)
+        with uncut():
+            with suppress(OSError):
+                os.unlink(path)
+            _held_here.discard(path)
+            os.close(descriptor)
 
 
 def clear_locks() -> None:

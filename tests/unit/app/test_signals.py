@@ -12,10 +12,11 @@ from dashpot.app import signals
 
 # Each has a work of its own in place of the command's, and is ended in it by the signals that it is given.
 PROGRAM = """
-import os, signal, sys, time, weakref
+import os, signal, sys, tempfile, time, weakref
 from multiprocessing import util
 from dashpot.app import cli
 from dashpot.app.workers import mapping
+from dashpot.io import atomic
 
 numbers = [getattr(signal, name) for name in sys.argv[1:]]
 
@@ -72,6 +73,16 @@ def work(*args, **options):
     with mapping(2) as mapper:
         list(mapper(abs, range(8)))
 """,
+    # What has just been made and not yet noted would stay: the lock of a folder, a folder of files in between.
+    "while files are made and noted": """
+same, make = atomic._same, tempfile.mkdtemp
+
+def work(*args, **options):
+    atomic._same = lambda *given: (end(), end(), same(*given))[2]
+    tempfile.mkdtemp = lambda **given: (make(**given), end())[0]
+    with atomic.locked("."), atomic.scratch():
+        time.sleep(20)
+""",
     # A thread that is begun for it, and cut off by the next signal, had left a traceback.
     "swallowed again and again": """
 def work(*args, **options):
@@ -89,10 +100,15 @@ def work(*args, **options):
 def ended(folder: Path, work: str, *names: str) -> subprocess.CompletedProcess[str]:
     (folder / "ended.py").write_text(PROGRAM.replace("{work}", WORKS[work]), encoding="utf-8")
     words = [sys.executable, "ended.py", *names]
-    done = subprocess.run(words, cwd=folder, capture_output=True, text=True, timeout=300)
+    between = folder / "between"
+    between.mkdir()
+    done = subprocess.run(
+        words, cwd=folder, capture_output=True, text=True, timeout=300, env={**os.environ, "TMPDIR": str(between)}
+    )
     assert done.stderr.startswith("dashpot: ")
     assert len(done.stderr.splitlines()) == 1, done.stderr
     assert "no file is left half-written" in done.stderr
+    assert [*folder.glob(".*"), *between.iterdir()] == []
     return done
 
 
