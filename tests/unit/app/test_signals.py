@@ -103,7 +103,12 @@ def ended(folder: Path, work: str, *names: str) -> subprocess.CompletedProcess[s
     between = folder / "between"
     between.mkdir()
     done = subprocess.run(
-        words, cwd=folder, capture_output=True, text=True, timeout=300, env={**os.environ, "TMPDIR": str(between)}
+        words,
+        cwd=folder,
+        capture_output=True,
+        text=True,
+        timeout=300,
+        env={**os.environ, "TMPDIR": str(between)},
     )
     assert done.stderr.startswith("dashpot: ")
     assert len(done.stderr.splitlines()) == 1, done.stderr
