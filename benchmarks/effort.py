@@ -22,13 +22,13 @@ from pathlib import Path
 import numpy as np
 
 from dashpot.channel import Channel, Quantity
+from dashpot.check.deficiencies import require_identifiable
 from dashpot.check.diagnosis.diagnose import examined
 from dashpot.errors import DashpotError, IdentifiabilityError
 from dashpot.estimate.automatic import identify_automatically
 from dashpot.estimate.modal.identify_modal import identify_modal
 from dashpot.model.elements import Element, Kind, between, mass
 from dashpot.model.network import Input, Model
-from dashpot.present.text.identifiability import require_identifiable
 from dashpot.study.simulate import dwells, simulate_spectrum
 
 sys.path.insert(0, str(Path(__file__).parents[1]))

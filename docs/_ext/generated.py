@@ -105,12 +105,12 @@ def _table(head: str, rows: list[tuple[str, str]]) -> list[str]:
 
 def notices() -> str:
     """A section for each place where notices arise: code, what it says, what to do."""
-    from dashpot.present.text.notice_guide import GUIDE
+    from dashpot.present.notices import notice_guide
 
     lines = []
-    for place in dict.fromkeys(entry.place for entry in GUIDE.values()):
+    for place in dict.fromkeys(entry.place for entry in notice_guide().values()):
         lines += [f"## {place}", ""]
-        for code, entry in GUIDE.items():
+        for code, entry in notice_guide().items():
             if entry.place == place:
                 lines += [f"### `{code}`", "", entry.meaning, "", f"*What to do:* {entry.cure}", ""]
     return "\n".join(lines)

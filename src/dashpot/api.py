@@ -19,6 +19,7 @@ import numpy as np
 
 from dashpot.arrays import Real, random_generator
 from dashpot.channel import Channel, Quantity
+from dashpot.check.deficiencies import require_identifiable
 from dashpot.check.identifiability import Structure, structure
 from dashpot.data import readers
 from dashpot.data.conditioning.settings import Conditioning
@@ -119,8 +120,6 @@ def identify(
                 rig, data, None if chosen is None else chosen.name, conditioning, judged, asked, progress
             )
     spectrum = _spectrum(rig, data, frequency_hz, conditioning, [] if chosen is None else [chosen])
-    from dashpot.present.text.identifiability import require_identifiable
-
     model = _model(rig)
     where = rig.path or None if isinstance(rig, Rig) else None
     require_identifiable(model, spectrum.channels, where, spectrum)

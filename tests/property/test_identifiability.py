@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 
 from dashpot.channel import Channel
+from dashpot.check.deficiencies import require_identifiable
 from dashpot.check.identifiability import Structure, structure
 from dashpot.errors import IdentifiabilityError
 from dashpot.model.dynamics import response
 from dashpot.model.elements import Kind, between, mass
 from dashpot.model.network import Model
-from dashpot.present.text.identifiability import require_identifiable
 from tests.rigs import Rig, channels, perfect, random_rig
 
 Case = tuple[Model, tuple[Channel, ...], set[str]]

@@ -224,10 +224,10 @@ def _estimated(search: Search, rig: Rig, spectrum: Spectrum) -> tuple[Estimate, 
     from dataclasses import replace
 
     from dashpot.app.progress import progress
+    from dashpot.check.deficiencies import require_identifiable
     from dashpot.check.diagnosis.diagnose import examined
     from dashpot.errors import ConvergenceError, IdentifiabilityError
     from dashpot.estimate.automatic import identify_with_noise
-    from dashpot.present.text.identifiability import require_identifiable
 
     seed, wanted = search.seed, None if search.chosen == "auto" else search.chosen
     require_identifiable(rig.model, spectrum.channels, search.path, spectrum)

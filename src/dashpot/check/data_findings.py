@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -256,3 +257,69 @@ def data_findings(
         tuple(profile(model, spectrum, name, level, estimate) for name in profiled),
         known_errors(model, spectrum, estimate) if known else None,
     )
+
+
+# The same as plain content for JSON: numbers, texts, lists and tables; None for what is not finite.
+
+
+def findings_content(found: DataFindings, spectrum: Spectrum) -> dict[str, Any]:
+    """What data say, each part that was asked for."""
+    content: dict[str, Any] = {"data": collinearity_content(found.collinearity, spectrum)}
+    if found.profiles:
+        content["profiles"] = [profile_content(entry) for entry in found.profiles]
+    if found.known_errors is not None:
+        content["known_errors"] = known_content(found.known_errors)
+    return content
+
+
+def collinearity_content(found: Collinearity, spectrum: Spectrum) -> dict[str, Any]:
+    """Weak combinations and what each line contributes."""
+    return {
+        "weak_combinations": [
+            {
+                "unknowns": dict(zip(entry.names, entry.direction.tolist(), strict=True)),
+                "relative_sd": entry.spread,
+                "widening": dict(zip(entry.names, entry.widening.tolist(), strict=True)),
+                "best_to_know": entry.best,
+                "intervals_then": entry.narrowing,
+            }
+            for entry in found.combinations
+        ],
+        "lines": [
+            {
+                "frequency_hz": float(f),
+                "shares": dict(zip(found.names, row, strict=True)),
+                "idle": line in found.idle,
+            }
+            for line, (f, row) in enumerate(zip(spectrum.frequency_hz, found.shares.tolist(), strict=True))
+        ],
+    }
+
+
+def profile_content(found: Profile) -> dict[str, Any]:
+    """Both intervals of one unknown and the curve; an end that does not exist is null (no batch axes)."""
+    return {
+        "name": found.name,
+        "unit": found.unit,
+        "level": found.level,
+        "value": float(found.value),
+        "interval": [float(found.lower), float(found.upper)],
+        "normal_interval": [float(found.normal_lower), float(found.normal_upper)],
+        "normal_misleads": bool(found.misleads),
+        "better_fit_met": bool(found.improved),
+        "curve": [[x, y] for x, y in zip(found.points.tolist(), found.rise.tolist(), strict=True)],
+    }
+
+
+def known_content(found: KnownErrors) -> dict[str, Any]:
+    """Per cent of each unknown for one per cent of each known parameter, and the slopes themselves."""
+    return {
+        "percent_per_percent": {
+            name: dict(zip(found.unknowns, row, strict=True))
+            for name, row in zip(found.known, found.relative.tolist(), strict=True)
+        },
+        "slopes": {
+            name: dict(zip(found.unknowns, row, strict=True))
+            for name, row in zip(found.known, found.slopes.tolist(), strict=True)
+        },
+    }

@@ -2,7 +2,7 @@
 
 The rank is exact (see `structure`); what it lacks is described by the directions that nothing shows (see
 `directions`).  This is local identifiability; of exchanges that a whole rig allows only that of unseen coordinates is
-looked for.  Sentences are made in `present`.
+looked for.  Its sentences: `deficiencies`.
 """
 
 from __future__ import annotations

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from dashpot.channel import Channel, Quantity
+from dashpot.check.deficiencies import require_identifiable
 from dashpot.check.nonlinear_structure import blind_laws, nonlinear_structure
 from dashpot.check.verdict import several_motions
 from dashpot.errors import IdentifiabilityError
@@ -14,7 +15,6 @@ from dashpot.model.elements import Kind, between
 from dashpot.model.nonlinear.continuation import followed, frequency_sweep
 from dashpot.model.nonlinear.force_law import Constant, force_law
 from dashpot.model.nonlinear.harmonics import Drive
-from dashpot.present.text.identifiability import require_identifiable
 from tests.networks import network
 from tests.nonlinear_rigs import LAWS, motions, settled, two_masses
 

@@ -7,6 +7,7 @@ import pytest
 
 from dashpot.arrays import Complex
 from dashpot.channel import Channel, Quantity
+from dashpot.check.deficiencies import require_identifiable
 from dashpot.check.diagnosis.diagnose import examined
 from dashpot.check.verdict import assess
 from dashpot.data.conditioning.lines import spectrum
@@ -20,7 +21,6 @@ from dashpot.model.dynamics import response
 from dashpot.model.elements import Kind, between, mass
 from dashpot.model.network import Input, Model
 from dashpot.notices import Notice
-from dashpot.present.text.identifiability import require_identifiable
 from tests import rigs
 from tests.networks import network
 from tests.nonlinear_rigs import motions, settled, two_masses

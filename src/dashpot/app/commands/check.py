@@ -65,13 +65,13 @@ def command(
     from dashpot.app.data_files import read_spectrum
     from dashpot.app.options import write_result
     from dashpot.app.progress import progress
+    from dashpot.check.data_findings import findings_content
+    from dashpot.check.deficiencies import require_full_rank, structure_content
     from dashpot.check.identifiability import structure
     from dashpot.check.nonlinear_structure import nonlinear_structure
     from dashpot.errors import UsageError
     from dashpot.io.json_document import to_json
     from dashpot.model.rigfile import read_rig
-    from dashpot.present.content.check import findings_content, structure_content
-    from dashpot.present.text.identifiability import require_full_rank
 
     if (profiled or known) and not data:
         raise UsageError("--profile and --known need data", cure="name the data files after the rig file")

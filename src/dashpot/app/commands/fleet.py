@@ -97,11 +97,11 @@ def command(
     number of workers.
     """
     from dashpot.app.identifying import treatment_from
+    from dashpot.check.deficiencies import require_identifiable
     from dashpot.fleet.data_sets import expanded, of_files
     from dashpot.fleet.tables import of_tables
     from dashpot.io.ledger import noted
     from dashpot.model.rigfile import read_rig
-    from dashpot.present.text.identifiability import require_identifiable
 
     rig_read = read_rig(rig)
     rig_read.model.require_unknowns(rig)

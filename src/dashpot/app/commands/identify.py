@@ -200,10 +200,10 @@ def _rig(path: str, chosen: str, positive: bool, matrices: bool, within: float |
     from dataclasses import replace
 
     from dashpot.app.parameters import require_bounds_held
+    from dashpot.check.deficiencies import require_identifiable
     from dashpot.check.structure import require_scale_seen
     from dashpot.estimate.registry import method_class
     from dashpot.model.rigfile import read_rig
-    from dashpot.present.text.identifiability import require_identifiable
 
     rig = read_rig(path)
     rig = rig if within is None else replace(rig, within=within)

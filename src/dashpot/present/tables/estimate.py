@@ -13,6 +13,7 @@ from rich.console import Console
 from dashpot.estimate.linear.definite import FreeMatrices
 from dashpot.estimate.result import MISFIT, RESIDUALS, Estimate, Fit, ModeValues
 from dashpot.model.unstructured import Letter
+from dashpot.present.notices import OPTIONS
 from dashpot.present.tables.layout import (
     TableColumn,
     html_paragraph,
@@ -32,7 +33,6 @@ from dashpot.present.text.estimate import (
     profiles_in_words,
     warnings_in_words,
 )
-from dashpot.present.text.notice_guide import OPTIONS
 from dashpot.present.text.numbers import aligned, alike, percent, plain, rounded, short
 
 # M, C and K with their standard deviations, for a terminal.

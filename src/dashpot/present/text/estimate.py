@@ -10,7 +10,7 @@ import numpy as np
 from dashpot.estimate.likelihood.input_noise import INPUT_NOISE
 from dashpot.estimate.result import MISFIT, RESIDUALS, Estimate, Fit
 from dashpot.io.words import joined
-from dashpot.present.text.notice_guide import OPTIONS, with_remedy
+from dashpot.present.notices import OPTIONS, with_remedy
 from dashpot.present.text.numbers import probability, short
 
 SAID_BY_THE_FIT = ("model_misfit", "unknown_noise")  # codes

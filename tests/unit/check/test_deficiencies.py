@@ -6,12 +6,12 @@ import pytest
 
 from dashpot import parse_rig
 from dashpot.channel import Channel
+from dashpot.check.deficiencies import in_words, problems_in_words, require_identifiable
 from dashpot.check.identifiability import structure
 from dashpot.errors import IdentifiabilityError
 from dashpot.model.elements import Kind, between, mass
 from dashpot.model.network import Input, Model
 from dashpot.model.rigfile import Rig
-from dashpot.present.text.identifiability import in_words, problems_in_words, require_identifiable
 from tests.rigs import channels, paper_rig, perfect
 from tests.two_masses import SEEN, two_mass_rig
 

@@ -1,9 +1,10 @@
-"""What cannot be found of a rig, in words of physics, with what would help."""
+"""What cannot be found of a rig, in words of physics and as plain content for JSON, with what would help."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from fractions import Fraction
+from typing import Any
 
 import numpy as np
 
@@ -39,6 +40,38 @@ def require_identifiable(
         require_no_parallels(model, channels, where)
     elif spectrum is None or not determines(model, tuple(channels), lines_of(model, spectrum)):
         require_full_rank(structure(model, channels, spectrum), model, channels, where)
+
+
+def structure_content(model: Model, channels: Sequence[Channel], found: Structure) -> dict[str, Any]:
+    """Whether the rig is identifiable; directions are changes of unknowns, in their units, at `nominal`."""
+    return {
+        "dashpot": "0.1",
+        "model": model.name,
+        "identifiable": found.identifiable,
+        "unknowns": list(found.names),
+        "rank": found.rank,
+        "nominal": dict(zip(found.names, found.nominal.tolist(), strict=True)),
+        "deficiencies": [_deficiency(entry, found, model, channels) for entry in found.deficiencies],
+        "exchangeable": [list(pair) for pair in found.permutation_ambiguities],
+        "rests_on_sd_of": list(found.prior_dependent),
+    }
+
+
+def _deficiency(
+    one: Deficiency, found: Structure, model: Model, channels: Sequence[Channel]
+) -> dict[str, Any]:
+    what, cure = in_words(one, found, model, channels)
+    return {
+        "sort": one.sort,
+        "unknowns": list(one.names),
+        "can_be_found": list(combinations_in_words(one)),
+        "what": what,
+        "cure": cure,
+        "directions": [
+            {name: x for name, x in zip(found.names, row, strict=True) if x != 0}
+            for row in one.directions.tolist()
+        ],
+    }
 
 
 def require_no_parallels(model: Model, channels: Sequence[Channel], where: str | None = None) -> None:

@@ -3,9 +3,9 @@
 import ast
 from pathlib import Path
 
-from dashpot.present.text.notice_guide import GUIDE, REMEDIED
+from dashpot.present.notices import REMEDIED, notice_guide
 
-SOURCE = Path(__file__).parents[4] / "src" / "dashpot"
+SOURCE = Path(__file__).parents[3] / "src" / "dashpot"
 # Codes that are composed when they are given, and places that pass on the codes of others.
 COMPOSED = {"study/runner.py": {"damaged_blocks", "outdated_blocks"}}
 PASSED_ON = {"estimate/assessment.py", "estimate/result.py"}
@@ -41,13 +41,13 @@ def given_codes() -> dict[str, set[str]]:
 def test_every_code_is_explained_and_every_explanation_is_of_a_code() -> None:
     given = set().union(*given_codes().values())
     assert len(given) > 40
-    assert given - set(GUIDE) == set()
-    assert set(GUIDE) - given == set()
+    assert given - set(notice_guide()) == set()
+    assert set(notice_guide()) - given == set()
 
 
 def test_explanations_are_sentences() -> None:
-    for code, entry in GUIDE.items():
+    for code, entry in notice_guide().items():
         for text in (entry.meaning, entry.cure):
             assert text[0].isupper() or text[0] == "`", code
             assert text.endswith("."), code
-    assert REMEDIED in GUIDE
+    assert REMEDIED in notice_guide()

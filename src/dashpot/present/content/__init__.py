@@ -1,1 +1,0 @@
-"""Results as plain content for JSON: numbers, texts, lists and tables."""
