@@ -1,9 +1,9 @@
 """Large rigs: identified, in seconds and memory, against their size.
 
-`python3 dev.py bench large`, or `--kind chain|plate|seen|evaluation` for one of the groups.  A rod of two halves on a
+`python3 dev.py bench large`, or `--kind chain|plate|evaluation` for one of the groups.  A rod of two halves on a
 shaken base, ever more finely divided: unit masses, three unknowns tied along it (stiffness of either half, damping),
 guesses 25 % off, accelerometers at both ends and the force at the base, 20 lines, 1 % noise.  The plate is the same in
-two directions.  "Seen" is a chain of which every motion is measured, three unknowns for each coordinate.
+two directions.
 """
 
 from __future__ import annotations
@@ -23,15 +23,13 @@ from dashpot.data.spectrum import Spectrum
 from dashpot.estimate.identify import identify
 from dashpot.estimate.likelihood.maximum_likelihood import MaximumLikelihood
 from dashpot.estimate.likelihood.objective import local, measured
-from dashpot.estimate.linear.sparse_gram import SeenMotion, identify_seen
 from dashpot.estimate.preparation.prepared import prepare
-from dashpot.model.dynamics import sparse_amplitudes
 from dashpot.model.elements import Element, Kind, between, mass
 from dashpot.model.network import Input, Model
 from dashpot.model.observation import observation_model
 from dashpot.study.simulate import dwells, simulate_spectrum
 
-SIZES = {"chain": (1000, 10_000, 100_000), "plate": (32, 100, 316), "seen": (1000, 10_000, 100_000)}
+SIZES = {"chain": (1000, 10_000, 100_000), "plate": (32, 100, 316)}
 EVALUATIONS = (10, 30, 100, 300, 1000)
 LINES = 20
 A, F = Quantity.ACCELERATION, Quantity.FORCE
@@ -116,36 +114,12 @@ def identified(build: Callable[[int], tuple[Model, np.ndarray]], n: int) -> str:
     return f"{model.n} {cpu:.1f} {seconds:.1f} {_memory():.2f} {worst:.1f} {bool(found.converged)}"
 
 
-def all_seen(n: int) -> str:
-    """The same line for a chain of which everything is seen: 3 n unknowns, 60 of them with standard deviations."""
-    rng = np.random.default_rng(0)
-    numbers = range(1, n + 1)
-    elements = [mass(f"m{i}", f"x{i}") for i in numbers]
-    elements += [between(f"k{i}", Kind.SPRING, f"x{i}", f"x{i + 1}" if i < n else "ground") for i in numbers]
-    elements += [between(f"c{i}", Kind.DAMPER, f"x{i}", "u") for i in numbers]
-    elements += [between(f"f{i}", Kind.SPRING, f"x{i}", "u", value=3000.0) for i in numbers]
-    model = Model(tuple(f"x{i}" for i in numbers), (Input("u"),), tuple(elements))
-    theta = np.repeat([1.0, 4000.0, 30.0], n) * np.exp(rng.uniform(-0.5, 0.5, 3 * n))
-    omega = 2 * np.pi * np.linspace(4, 22, 12)
-    U, f = np.full((12, 1), 0.01 + 0j), np.zeros((12, 0), dtype=complex)
-    X = sparse_amplitudes(model, model.parameters(theta), omega, U, f)
-    variance = (0.01 * np.abs(X)) ** 2
-    X = X + np.sqrt(variance / 2) * (rng.standard_normal(X.shape) + 1j * rng.standard_normal(X.shape))
-    motion = SeenMotion(omega, X, U, f, variance, np.zeros(U.shape), np.zeros(f.shape))
-    chosen = [f"{letter}{i}" for letter in "mkc" for i in np.linspace(1, n, 20, dtype=int)]
-    start, cpu = time.perf_counter(), time.process_time()
-    found = identify_seen(model, motion, chosen)
-    seconds, cpu = time.perf_counter() - start, time.process_time() - cpu
-    z = ((found.values - theta) / found.sd)[np.isfinite(found.sd)]
-    return f"{n} {cpu:.1f} {seconds:.1f} {_memory():.2f} {np.max(np.abs(z)):.1f} {found.converged}"
-
-
 def _memory() -> float:
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024**2
 
 
 ONE: dict[str, Callable[[int], str]] = {
-    "chain": lambda n: identified(chain, n), "plate": lambda n: identified(plate, n), "seen": all_seen,
+    "chain": lambda n: identified(chain, n), "plate": lambda n: identified(plate, n),
 }  # fmt: skip
 
 

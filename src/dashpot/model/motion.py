@@ -57,11 +57,6 @@ class LinearIntegrator:
         a = z @ self.acceleration.T + np.einsum("dnq,dsq->sn", self.by_input, w[:3])
         return LinearMotion(z[:, : self.n], z[:, self.n :], a, w[:3])
 
-    def free_motions(self, samples: int) -> Real:
-        """States that each unit of a starting state leads to without inputs, (2n, samples, 2n)."""
-        nothing = np.zeros((samples, 2 * self.n))
-        return np.stack([carried(self.phi, nothing, each) for each in np.eye(2 * self.n)])
-
 
 def integrator(model: Model, p: Real, step_s: float) -> LinearIntegrator:
     """How a rig with parameters p (elements,) goes on by one step.
