@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import replace
-from functools import cache, partial
+from functools import partial
 from typing import Any
 
 import numpy as np
 
-from dashpot.arrays import Real, frozen
 from dashpot.data.conditioning.settings import Conditioning, Orders, SampleMoments
 from dashpot.data.readers import Reading
 from dashpot.data.record import Record
@@ -28,24 +27,21 @@ from dashpot.estimate.inference.time_course import time_change_notices
 from dashpot.estimate.inference.uncertainty import (
     Inference,
     inference,
-    known_values,
     linear_modes,
-    tied_values,
     with_noise_of_residuals,
 )
 from dashpot.estimate.likelihood.maximum_likelihood import MaximumLikelihood
 from dashpot.estimate.likelihood.settling import with_settling_decided
 from dashpot.estimate.likelihood.table_noise import with_residual_noise
-from dashpot.estimate.method import Method, Solution, Traits, require_suited
+from dashpot.estimate.method import Method, Traits, require_suited
 from dashpot.estimate.preparation.prepared import prepare
 from dashpot.estimate.preparation.state_reconstruction import unseen
 from dashpot.estimate.registry import AUTOMATIC, method_class
 from dashpot.estimate.registry import method as method_named
-from dashpot.estimate.result import MISFIT, RESIDUALS, SENSOR_NOISE, Estimate, Fit
+from dashpot.estimate.result import MISFIT, RESIDUALS, SENSOR_NOISE, Estimate, Fit, estimate_of
 from dashpot.model.network import Model
 from dashpot.model.observation import observation_model
 from dashpot.notices import Notice
-from dashpot.numerics.small_systems import standard_deviations
 
 # Amplitudes for one rig: what its elements and the methods ask of the conditioning, decided here for
 # everyone.
@@ -201,64 +197,47 @@ def _estimate(
     """The Estimate of all chunks together."""
 
     def join(piece: Callable[[Inference], Any]) -> Any:
-        whole = piece(parts[0]) if len(parts) == 1 else np.concatenate([piece(part) for part in parts])
-        return whole.reshape((*batch, *whole.shape[1:]))
+        return piece(parts[0]) if len(parts) == 1 else np.concatenate([piece(part) for part in parts])
 
     some = parts[0]
-    first = some.solution
     theta, covariance = join(lambda part: part.solution.theta), join(lambda part: part.uncertainty.covariance)
-    chi2, p = join(lambda part: part.uncertainty.chi2), join(lambda part: part.uncertainty.p)
+    chi2, p = (
+        join(lambda part: part.uncertainty.chi2).reshape(batch),
+        join(lambda part: part.uncertainty.p).reshape(batch),
+    )
     fit = Fit(chi2, some.dof, p, spectrum.noise_known)
-    m = len(model.unknowns)
-    unknowns = len(some.names)
-    if first.bounds is None:
-        lower, upper = _no_bounds(unknowns)
-    else:
-        lower, upper = np.full(unknowns, first.bounds.lower), np.full(unknowns, first.bounds.upper)
+    held, m = some.solution.bounds, len(model.unknowns)
+    if held is not None:
+        free = [part.solution.bounds.free for part in parts if part.solution.bounds is not None]
+        held = replace(held, free=np.concatenate(free))
     warnings = dict.fromkeys(notice for part in parts for notice in part.solution.warnings)
     bands = [part.uncertainty.bands for part in parts if part.uncertainty.bands is not None]
     shown = notices(model, spectrum, None if batch else parts[0], fit)
-    return Estimate(
-        model=model.name,
-        method=method.name,
-        names=some.names,
-        units=some.units,
-        values=theta,
-        covariance=covariance,
-        noise_covariance=join(lambda part: part.uncertainty.noise),
-        bound_sd=standard_deviations(join(lambda part: part.uncertainty.bound)),
+    return estimate_of(
+        model,
+        method.name,
+        some.names,
+        some.units,
+        theta,
+        covariance,
+        batch,
+        noise=join(lambda part: part.uncertainty.noise),
+        bound=join(lambda part: part.uncertainty.bound),
         dof=join(lambda part: part.uncertainty.dof),
-        lower=lower,
-        upper=upper,
-        free_values=join(lambda part: _free_values(part.solution)),
+        fit=fit,
         basis=_basis(fit, any(np.any(each.disagree) for each in bands)),
         converged=join(lambda part: part.solution.converged),
         iterations=join(lambda part: part.solution.iterations),
-        history=first.history,
-        fit=fit,
-        known=known_values(model),
-        tied=tied_values(model),
-        modes=None if batch else linear_modes(model, theta[:m], covariance[:m, :m]),
-        signs={name: join(_sign_of(name)) for name in first.signs},
+        history=some.solution.history,
+        bounds=held,
+        modes=None if batch else linear_modes(model, theta[0, :m], covariance[0, :m, :m]),
+        signs={
+            name: np.concatenate([part.solution.signs[name] for part in parts])
+            for name in some.solution.signs
+        },
         warnings=(*warnings, *shown),
         notes=spectrum.notes,
     )
-
-
-@cache
-def _no_bounds(unknowns: int) -> tuple[Real, Real]:
-    endless = np.full(unknowns, np.inf)
-    return frozen(-endless, np.float64), frozen(endless, np.float64)
-
-
-def _sign_of(channel: str) -> Callable[[Inference], Real]:
-    """The sign that a chunk has for the channel."""
-    return lambda part: part.solution.signs[channel]
-
-
-def _free_values(solution: Solution) -> Real:
-    """The estimates as they would be without bounds."""
-    return solution.theta if solution.bounds is None else solution.bounds.free
 
 
 def _basis(fit: Fit, bands_disagree: bool) -> str:

@@ -13,10 +13,12 @@ import numpy as np
 from dashpot.arrays import Bools, Complex, Ints, Real, freeze, frozen
 from dashpot.errors import DataError, Problem, UsageError
 from dashpot.estimate.assessment import Assessment, assessment_from
+from dashpot.estimate.method import HeldBounds
 from dashpot.io.json_document import from_json, nullable, optional_library, to_json
 from dashpot.io.ledger import noted
 from dashpot.io.words import listed, shown
 from dashpot.notices import Notice
+from dashpot.numerics.small_systems import standard_deviations
 from dashpot.quantities import LARGEST
 from dashpot.shorthand import Printable, call
 
@@ -25,6 +27,7 @@ if TYPE_CHECKING:
     from dashpot.data.spectrum import Spectrum
     from dashpot.export.state_space import StateSpace
     from dashpot.export.transfer_functions import TransferFunctions
+    from dashpot.model.network import Model
     from dashpot.model.rigfile import Rig
 
 
@@ -581,6 +584,66 @@ class Estimate(Printable):
         except (OSError, UnicodeDecodeError) as error:
             raise DataError("the file cannot be read", str(path), REMEDY) from error
         return Estimate.from_json(text, str(path))
+
+
+def estimate_of(
+    model: Model,
+    method: str,
+    names: tuple[str, ...],
+    units: tuple[str, ...],
+    values: Real,
+    covariance: Real,
+    batch: tuple[int, ...] = (),
+    *,
+    noise: Real,
+    bound: Real,
+    dof: Real,
+    fit: Fit,
+    basis: str,
+    converged: Bools,
+    iterations: Ints,
+    history: Real,
+    bounds: HeldBounds | None = None,
+    modes: ModeValues | None = None,
+    signs: Mapping[str, Real] | None = None,
+    warnings: Sequence[Notice] = (),
+    notes: Sequence[Notice] = (),
+) -> Estimate:
+    """The Estimate of a model by any method, from arrays of K repeats whose axis becomes the axes `batch`.
+
+    values, dof (K, m); covariance, noise, bound (K, m, m), `bound` at the Cramér-Rao bound; converged, iterations,
+    signs (K,).  `fit` has the axes `batch` already.
+    """
+
+    def shaped(part: Any) -> Any:
+        return part.reshape((*batch, *part.shape[1:]))
+
+    endless = np.full(len(names), np.inf)
+    return Estimate(
+        model=model.name,
+        method=method,
+        names=names,
+        units=units,
+        values=shaped(values),
+        covariance=shaped(covariance),
+        noise_covariance=shaped(noise),
+        bound_sd=shaped(standard_deviations(bound)),
+        dof=shaped(dof),
+        lower=-endless if bounds is None else np.full(len(names), bounds.lower),
+        upper=endless if bounds is None else np.full(len(names), bounds.upper),
+        free_values=shaped(values if bounds is None else bounds.free),
+        basis=basis,
+        converged=shaped(converged),
+        iterations=shaped(iterations),
+        history=history,
+        fit=fit,
+        known=model.known_parameters,
+        tied=model.tied_parameters,
+        modes=modes,
+        signs={name: shaped(sign) for name, sign in (signs or {}).items()},
+        warnings=tuple(warnings),
+        notes=tuple(notes),
+    )
 
 
 # An Estimate as the content of a JSON file, and back.

@@ -568,6 +568,35 @@ class Model:
                 p0[i] = tie.times * value
         return frozen(p0, np.float64)
 
+    @cached_property
+    def known_parameters(self) -> tuple[tuple[str, float, str], ...]:
+        """(name, value, unit) of inner constants and parameters that are exactly known, those of entries left out."""
+        constants = tuple(
+            (f"{e.name}.{c.name}", float(c.value), self.constant_unit(e, c))
+            for e, c in self.constants
+            if not c.unknown and c.value is not None
+        )
+        unknown = set(self.unknown_names)
+        return constants + tuple(
+            (element.name, float(value), self.unit(element))
+            for element, value, moved in zip(self.elements, self.p0, self._moved, strict=True)
+            if element.name not in unknown and not moved and not element.is_entry
+        )
+
+    @cached_property
+    def tied_parameters(self) -> tuple[tuple[str, str, float, str], ...]:
+        """(name, unknown, times, unit) of the parameters that are a multiple of an unknown."""
+        return tuple(
+            (element.name, self.elements[tie.root].name, tie.times, self.unit(element))
+            for element, tie, moved in zip(self.elements, self.ties, self._moved, strict=True)
+            if element.same_as is not None and not element.is_entry and moved
+        )
+
+    @property
+    def _moved(self) -> list[bool]:
+        """Whether an element's parameter follows from an unknown, (elements,)."""
+        return (np.diff(self.sparse_T.indptr) > 0).tolist()
+
     def parameters(self, theta: Real) -> Real:
         """p = T θ + p⁰, (..., elements), of θ (..., unknowns), SI units."""
         if len(self.elements) * len(self.unknowns) <= DENSE:

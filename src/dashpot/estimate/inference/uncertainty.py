@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TypeVar, cast
 
 import numpy as np
 from scipy.special import chdtrc
@@ -49,57 +48,12 @@ from dashpot.numerics.kernel import kernel, kernel_function, threads
 from dashpot.numerics.levenberg_marquardt import QuadraticModel
 from dashpot.numerics.small_systems import scaled_inverse, solve_scaled
 
-# What follows from an estimate: known and tied parameters, modes with their uncertainty.
+# The modes of an estimate with their uncertainty.
 
 
 MODES_TO = 400  # coordinates: the modes of larger rigs would take longer than all else
 COMPILED_TO = 12  # coordinates up to which the kernel's eigenvalues take less time than LAPACK's
 LOST = 1e-13  # of the terms of a variance: below it the sum is rounding
-Values = TypeVar("Values")
-
-
-def known_values(model: Model) -> tuple[tuple[str, float, str], ...]:
-    """(name, value, unit) of the parameters and constants that are exactly known."""
-    return _kept(model, _known_values)
-
-
-def tied_values(model: Model) -> tuple[tuple[str, str, float, str], ...]:
-    """(name, unknown, times, unit) of the parameters that are a multiple of an unknown."""
-    return _kept(model, _tied_values)
-
-
-def _kept(model: Model, make: Callable[[Model], Values]) -> Values:
-    """What `make` says of a model, kept with it."""
-    if (make,) not in model.views:
-        model.views[make,] = make(model)
-    return cast("Values", model.views[make,])
-
-
-def _known_values(model: Model) -> tuple[tuple[str, float, str], ...]:
-    unknown = {u.name for u in model.unknowns}
-    constants = tuple(
-        (f"{e.name}.{c.name}", float(c.value), model.constant_unit(e, c))
-        for e, c in model.constants
-        if not c.unknown and c.value is not None
-    )
-    return constants + tuple(
-        (element.name, float(model.p0[i]), model.unit(element))
-        for i, (element, known) in enumerate(zip(model.elements, _of_no_unknown(model), strict=True))
-        if element.name not in unknown and known and not element.is_entry
-    )
-
-
-def _tied_values(model: Model) -> tuple[tuple[str, str, float, str], ...]:
-    return tuple(
-        (element.name, model.elements[tie.root].name, tie.times, model.unit(element))
-        for element, tie, known in zip(model.elements, model.ties, _of_no_unknown(model), strict=True)
-        if element.same_as is not None and not element.is_entry and not known
-    )
-
-
-def _of_no_unknown(model: Model) -> list[bool]:
-    """Whether an element's parameter follows from known ones alone, (elements,)."""
-    return (np.diff(model.sparse_T.indptr) == 0).tolist()
 
 
 def linear_modes(model: Model, theta: Real, covariance: Real) -> ModeValues | None:

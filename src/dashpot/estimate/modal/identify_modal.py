@@ -14,7 +14,7 @@ from dashpot.arrays import Real
 from dashpot.data.modal_data import ModalData
 from dashpot.errors import IdentifiabilityError
 from dashpot.estimate.inference.diagnostics import held, require_determined, wrong_signs
-from dashpot.estimate.inference.uncertainty import MISFIT_LEVEL, known_values, mode_values, tied_values
+from dashpot.estimate.inference.uncertainty import MISFIT_LEVEL, mode_values
 from dashpot.estimate.likelihood.global_search import DOUBT, TIE
 from dashpot.estimate.method import HeldBounds
 from dashpot.estimate.modal.mode_search import (
@@ -26,7 +26,7 @@ from dashpot.estimate.modal.mode_search import (
     modal_misfit,
     with_one_axis,
 )
-from dashpot.estimate.result import MISFIT, SENSOR_NOISE, Estimate, Fit
+from dashpot.estimate.result import MISFIT, SENSOR_NOISE, Estimate, Fit, estimate_of
 from dashpot.io.words import with_values
 from dashpot.model.network import Model
 from dashpot.notices import Notice
@@ -68,51 +68,44 @@ def _estimate(
     batch: tuple[int, ...],
 ) -> Estimate:
     """The deepest minima with their covariance and χ²; `ends` are those of all starts, where rivals are looked for."""
-    m = len(model.unknowns)
     theta = minima.x
     at = modal_misfit(model, data, view, theta, np.arange(len(theta)))
     lower, upper = model.bounds
-    free = without_bounds(theta, at, lower, upper)
+    bounds = HeldBounds(lower, upper, without_bounds(theta, at, lower, upper))
     covariance = scaled_inverse(at.symmetric)
     chi2, dof = at.cost, view.dof(model)
     p: Real = np.asarray(chdtrc(float(dof), chi2)) if dof > 0 else np.full(len(chi2), np.nan)
     misfit = (p < MISFIT_LEVEL) & (chi2 > dof)
     widened = covariance * np.where(misfit, chi2 / max(dof, 1), 1.0)[:, None, None]
-    fit = Fit(chi2.reshape(batch), dof, p.reshape(batch))
     warnings: tuple[Notice, ...] = ()
     if not batch:
         _require_regular(at.symmetric[0], model)
         require_determined(model.unknown_names, theta[0], covariance[0])
-        warnings = _warnings(model, theta[0], widened[0], HeldBounds(lower, upper, free))
-        warnings += () if ends is None else _rivals(model, minima, ends, np.sqrt(np.diagonal(covariance[0])))
-    return Estimate(
-        model=model.name,
-        method=NAME,
-        names=model.unknown_names,
-        units=model.unknown_units,
-        values=theta.reshape((*batch, m)),
-        covariance=widened.reshape((*batch, m, m)),
-        noise_covariance=covariance.reshape((*batch, m, m)),
-        bound_sd=np.sqrt(np.diagonal(covariance, axis1=-2, axis2=-1)).reshape((*batch, m)),
-        dof=np.where(misfit[:, None], float(max(dof, 1)), np.inf).repeat(m, axis=1).reshape((*batch, m)),
-        lower=lower,
-        upper=upper,
-        free_values=free.reshape((*batch, m)),
+        warnings = (
+            *wrong_signs(model, theta[0], widened[0]),
+            *held(model.unknown_names, theta[0], bounds),
+            *(() if ends is None else _rivals(model, minima, ends, np.sqrt(np.diagonal(covariance[0])))),
+        )
+    return estimate_of(
+        model,
+        NAME,
+        model.unknown_names,
+        model.unknown_units,
+        theta,
+        widened,
+        batch,
+        noise=covariance,
+        bound=covariance,
+        dof=np.where(misfit[:, None], float(max(dof, 1)), np.inf).repeat(theta.shape[1], axis=1),
+        fit=Fit(chi2.reshape(batch), dof, p.reshape(batch)),
         basis=MISFIT if np.any(misfit) else SENSOR_NOISE,
-        converged=minima.converged.reshape(batch),
-        iterations=minima.iterations.reshape(batch),
+        converged=minima.converged,
+        iterations=minima.iterations,
         history=minima.history,
-        fit=fit,
-        known=known_values(model),
-        tied=tied_values(model),
+        bounds=bounds,
         modes=None if batch else mode_values(model, theta[0], widened[0]),
-        signs={},
         warnings=warnings,
     )
-
-
-def _warnings(model: Model, theta: Real, covariance: Real, limits: HeldBounds) -> tuple[Notice, ...]:
-    return (*wrong_signs(model, theta, covariance), *held(model.unknown_names, theta, limits))
 
 
 def _require_regular(symmetric: Real, model: Model) -> None:

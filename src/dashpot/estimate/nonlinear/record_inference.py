@@ -11,8 +11,8 @@ from dashpot.arrays import Real
 from dashpot.data.record import Record
 from dashpot.errors import DataError
 from dashpot.estimate.inference.diagnostics import require_determined, require_traces, unseen_laws
-from dashpot.estimate.inference.uncertainty import known_values, tied_values
 from dashpot.estimate.likelihood.input_noise import counted_as_exact
+from dashpot.estimate.method import HeldBounds
 from dashpot.estimate.nonlinear.input_levels import (
     DRAWS,
     InputSizes,
@@ -24,7 +24,7 @@ from dashpot.estimate.nonlinear.input_levels import (
 )
 from dashpot.estimate.nonlinear.record_problem import HALF_WINDOW, RecordProblem, around, begun_problem
 from dashpot.estimate.nonlinear.records import RecordData, arranged, total_samples
-from dashpot.estimate.result import RESIDUALS, Estimate, Fit
+from dashpot.estimate.result import RESIDUALS, Estimate, Fit, estimate_of
 from dashpot.model.network import Model
 from dashpot.notices import Notice
 from dashpot.numerics.small_systems import scaled_inverse
@@ -199,14 +199,25 @@ def record_estimate(
         if held
         else counted_as_exact([source.name for source in model.inputs])
     )
-    return Estimate(
-        model=model.name, method="ml", names=names, units=units, values=values, covariance=covariance,
-        noise_covariance=covariance, bound_sd=plain, dof=np.full(inner, float(dof)), lower=lower, upper=upper,
-        free_values=values, basis=RESIDUALS, converged=np.asarray(converged),
-        iterations=np.asarray(iterations, dtype=np.int64), history=history,
-        fit=_fit(problem, psi, dof, noise), known=known_values(model),
-        tied=tied_values(model), modes=None, signs={}, warnings=tuple(warnings), notes=tuple(notes),
-    )  # fmt: skip
+    return estimate_of(
+        model,
+        "ml",
+        names,
+        units,
+        values[None],
+        covariance[None],
+        noise=covariance[None],
+        bound=white[None, :inner, :inner],
+        dof=np.full((1, inner), float(dof)),
+        fit=_fit(problem, psi, dof, noise),
+        basis=RESIDUALS,
+        converged=np.array([converged]),
+        iterations=np.array([iterations], dtype=np.int64),
+        history=history,
+        bounds=HeldBounds(lower, upper, values[None]),
+        warnings=warnings,
+        notes=notes,
+    )
 
 
 def _bound_notices(names: tuple[str, ...], values: Real, lower: Real, upper: Real) -> list[Notice]:
