@@ -14,7 +14,7 @@ from scipy.special import fdtrc
 from dashpot.channel import Channel
 from dashpot.data.conditioning.lines import spectrum
 from dashpot.data.readers import write_amplitudes
-from dashpot.data.readers.delimited.xsens import read_xsens
+from dashpot.data.readers.manifest import FilesEntry, read_group, resolved
 from dashpot.data.record import Record
 from dashpot.data.spectrum import Spectrum, concatenate
 from dashpot.errors import DashpotError
@@ -37,13 +37,13 @@ def records(folder: Path, channels: tuple[Channel, ...]) -> list[Record]:
     """One record for each drive frequency."""
     found = []
     for number, nominal in enumerate(NOMINAL):
-        stem = f"flexible_3_story__sine_{nominal}"
-        paths = {channel: folder / f"{stem}__{sensor}.csv.gz" for channel, sensor in SENSORS.items()}
-        record, notes = read_xsens(
-            paths, channels, frequency_hz=float(nominal), experiment=number, source=stem
-        )
-        print(*notes, sep="\n", file=sys.stderr)
-        found.append(record)
+        sensors = {sensor: {channel: "Acc_X"} for channel, sensor in SENSORS.items()}
+        name = f"flexible_3_story__sine_{nominal}__{{sensor}}.csv.gz"
+        files = FilesEntry(name=name, sensors=sensors, frequency_hz=float(nominal))
+        for group in resolved(files, folder, str(folder), number):
+            interpreted = read_group(group, channels, None)
+            print(*interpreted.notes, sep="\n", file=sys.stderr)
+            found += interpreted.records
     return found
 
 

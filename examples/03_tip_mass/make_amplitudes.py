@@ -10,8 +10,7 @@ from pathlib import Path
 
 from dashpot.data.conditioning.lines import spectrum
 from dashpot.data.readers import write_amplitudes
-from dashpot.data.readers.delimited.lvm import open_lvm
-from dashpot.data.readers.delimited.stepped_sine import Circumstances, read_records
+from dashpot.data.readers.manifest import FilesEntry, read_group, resolved
 from dashpot.data.record import Record
 from dashpot.data.spectrum import Spectrum
 from dashpot.errors import DashpotError
@@ -29,17 +28,13 @@ SOURCE = """\
 
 def records(folder: Path) -> list[Record]:
     """A record for each file above LOWEST, driven at the frequency in its name."""
-    channels = {channel.name: channel for channel in read_rig(HERE / "rig.toml").channels}
+    channels = read_rig(HERE / "rig.toml").channels
     found: list[Record] = []
     for number in (0, 1):
-        acceleration, force = f"a{number + 1}", f"F{number + 1}"
-        names = {"Acceleration (Trigger)": acceleration, "Force (Trigger)": force}
-        for path in sorted((folder / f"mass{number + 1}").glob("*.txt")):
-            table = open_lvm(path, names)
-            dwells, _ = read_records(
-                table, (channels[acceleration], channels[force]), Circumstances(experiment=number)
-            )
-            found += dwells
+        columns = {f"a{number + 1}": "Acceleration (Trigger)", f"F{number + 1}": "Force (Trigger)"}
+        files = FilesEntry(name=f"mass{number + 1}/*.txt", columns=columns)
+        for group in resolved(files, folder, str(folder), number):
+            found += read_group(group, channels, None).records
     driven = [(record.experiment, record.frequency_hz, record) for record in found]
     return [record for _, f, record in sorted(driven, key=lambda d: d[:2]) if f is not None and f > LOWEST]
 

@@ -6,9 +6,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from dashpot.channel import Channel
 from dashpot.data.conditioning.lines import spectrum
 from dashpot.data.readers import read
-from dashpot.data.readers.delimited.xsens import read_xsens
+from dashpot.data.readers.manifest import FilesEntry, read_group, resolved
+from dashpot.data.record import Record
 from dashpot.estimate.identify import identify
 from dashpot.estimate.result import Estimate
 from dashpot.model.rigfile import read_rig
@@ -21,6 +23,17 @@ FILES = RAW / "shake_table_3storey"
 FREE_HZ = np.array(
     [3.767, 11.20, 16.67]
 )  # peaks of the free vibration after the earthquake record, ± 0.03 Hz
+
+
+def joined(
+    run: str, files: dict[str, str], channels: tuple[Channel, ...], frequency_hz: float | None = None
+) -> Record:
+    """The record of all sensors, {channel: sensor}, of one run."""
+    sensors = {sensor: {channel: "Acc_X"} for channel, sensor in files.items()}
+    name = f"flexible_3_story__{run}__{{sensor}}.csv.gz"
+    (group,) = resolved(FilesEntry(name=name, sensors=sensors, frequency_hz=frequency_hz), FILES, run, 0)
+    (record,) = read_group(group, channels, None).records
+    return record
 
 
 def estimate(rig_file: str) -> Estimate:
@@ -92,9 +105,7 @@ def test_fundamental_transmissibilities(nominal: str, transmissibility: list[flo
     # Figures of an independent analysis of the same files, given to three decimals; gains are good to 1 %.
     example = runpy.run_path(str(EXAMPLE / "make_amplitudes.py"))
     channels = read_rig(EXAMPLE / "rig.toml").channels
-    stem = f"flexible_3_story__sine_{nominal}"
-    paths = {name: FILES / f"{stem}__{sensor}.csv.gz" for name, sensor in example["SENSORS"].items()}
-    record, _ = read_xsens(paths, channels, frequency_hz=float(nominal))
+    record = joined(f"sine_{nominal}", example["SENSORS"], channels, float(nominal))
     line = spectrum([record], settle=True, refine=True).amplitudes[0]
     assert np.abs(line[1:] / line[0]) == pytest.approx(transmissibility, rel=0.007)
 
@@ -105,8 +116,7 @@ def test_the_earthquake_record_is_used_whole() -> None:
     # fits of this record gave 417 / 383 / 586 and, by a prototype of the same method, 409 / 379 / 521 N/m.
     rig = read_rig(EXAMPLE / "rig.toml")
     files = {"base": "ground", "x1": "floor1", "x2": "floor2", "x3": "floor3"}
-    paths = {name: FILES / f"flexible_3_story__northridge__{sensor}.csv.gz" for name, sensor in files.items()}
-    record, _ = read_xsens(paths, rig.channels)
+    record = joined("northridge", files, rig.channels)
     found = identify(rig.model, spectrum([record], band_hz=(2.0, 6.0)))
     assert found.method == "ml"
     assert bool(found.converged)
@@ -122,8 +132,7 @@ def test_the_late_sensor_in_free_vibration() -> None:
     # The frame swings freely after the earthquake record: phases between floors are those of the sensors.
     channels = read_rig(EXAMPLE / "rig_bending.toml").channels
     files = {"base": "ground", "x1": "floor1", "x2": "floor2", "x3": "floor3"}
-    paths = {name: FILES / f"flexible_3_story__northridge__{sensor}.csv.gz" for name, sensor in files.items()}
-    record, _ = read_xsens(paths, channels)
+    record = joined("northridge", files, channels)
     free = (record.time > 60) & (record.time < 90)
     x = record.values[free, 1:]
     x = (x - np.mean(x, axis=0)) * np.hanning(len(x))[:, None]

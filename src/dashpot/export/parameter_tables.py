@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from dashpot.arrays import Real
-from dashpot.data.readers.delimited.writing import write_rows
+from dashpot.data.readers.text import write_rows
 from dashpot.export.identified_rig import IdentifiedRig
 from dashpot.io.atomic import write_bytes, write_text
 from dashpot.model.dynamics import matrices

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from dashpot.arrays import Real
-from dashpot.data.readers.delimited.writing import write_rows
+from dashpot.data.readers.text import write_rows
 from dashpot.errors import UsageError
 from dashpot.export.fmu.archive import write_fmu
 from dashpot.export.formats import ExportOptions, Written

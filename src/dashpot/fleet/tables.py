@@ -20,10 +20,10 @@ from typing import Any
 import numpy as np
 
 from dashpot.data.readers import Reading, read
-from dashpot.data.readers.columns import array_columns
-from dashpot.data.readers.delimited.amplitudes import with_real_and_imaginary
-from dashpot.data.readers.delimited.stepped_sine import Circumstances
+from dashpot.data.readers.amplitudes import with_real_and_imaginary
+from dashpot.data.readers.arrays import array_columns
 from dashpot.data.readers.interpretation import interpret
+from dashpot.data.readers.records import Circumstances
 from dashpot.data.spectrum import Moments, Spectrum, concatenate
 from dashpot.errors import DataError
 from dashpot.fleet.data_sets import BlockPart, DataSet, Source, Treatment, digest_of

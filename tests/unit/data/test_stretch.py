@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from dashpot.channel import Channel
-from dashpot.data.readers.delimited.amplitudes import read_amplitudes, write_amplitudes
-from dashpot.data.readers.delimited.table import open_table
+from dashpot.data.readers.amplitudes import read_amplitudes, write_amplitudes
+from dashpot.data.readers.text import open_table
 from dashpot.data.spectrum import SettledDwell, Spectrum, WholeRecord, concatenate, merge_repeats
 from dashpot.errors import DataError
 

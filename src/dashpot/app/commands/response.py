@@ -164,7 +164,7 @@ def _write(rig: Rig, curves: Sequence[MotionCurve], out: str) -> None:
     """A row for each point; lengths and forces in the units of the channels."""
     import numpy as np
 
-    from dashpot.data.readers.delimited.writing import write_rows
+    from dashpot.data.readers.text import write_rows
 
     scale = np.array([channel.scale for channel in rig.channels])
     labels = [curve.label for curve in curves for _ in curve.frequency_hz]

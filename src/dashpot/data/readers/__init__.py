@@ -12,9 +12,8 @@ from dashpot.data.clocks import ClockedRecords, clocked_lines
 from dashpot.data.conditioning.lines import spectrum as amplitudes_of
 from dashpot.data.conditioning.settings import Conditioning, Treatments, conditioning_of
 from dashpot.data.local_noise import with_local_noise
+from dashpot.data.readers.amplitudes import write_amplitudes
 from dashpot.data.readers.datafile import open_file
-from dashpot.data.readers.delimited.amplitudes import write_amplitudes
-from dashpot.data.readers.delimited.stepped_sine import Circumstances, write_records
 from dashpot.data.readers.interpretation import Interpreted, interpret_parts
 from dashpot.data.readers.manifest import (
     is_manifest,
@@ -23,6 +22,7 @@ from dashpot.data.readers.manifest import (
     read_group,
     read_manifest,
 )
+from dashpot.data.readers.records import Circumstances, write_records
 from dashpot.data.readers.registry import reader_of
 from dashpot.data.record import Record
 from dashpot.data.spectrum import Spectrum, concatenate

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
-from dashpot.data.readers.columns import LONG, PIECE, ArrayColumns, Streamed
+from dashpot.data.readers.arrays import LONG, PIECE, ArrayColumns, Streamed
 from dashpot.data.readers.datafile import DataFile
 from dashpot.data.readers.guarded import guarded
 from dashpot.data.readers.optional import damaged

@@ -11,7 +11,7 @@ import stat
 import zlib
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import BinaryIO, cast
@@ -23,9 +23,7 @@ from dashpot.io.words import shown
 
 HEAD = 1 << 16  # bytes by which formats are told apart
 PIECE = 1 << 24
-SUBSTITUTED = (
-    1 << 20
-)  # bytes of text in which patterns are replaced at a time, which takes some ten times as many
+SUBSTITUTED = 1 << 20  # bytes in which patterns are replaced at a time, which takes some ten times as many
 LARGE = 1 << 26  # bytes from which a file is not held in memory
 UNPACKED = "DASHPOT_UNPACKED_GIB"  # environment variable: how much larger than a file its contents may be
 USUAL_UNPACKED = 1.0  # GiB
@@ -39,12 +37,14 @@ class DataFile:
     path     where its bytes are: there, or in a scratch file of what came packed by gzip or out of a pipe
     head     the first of them
     scratch  keeps the scratch file for as long as the file may be read
+    held     all bytes, where they stand in no file
     """
 
     given: Path
     path: Path
     head: bytes
     scratch: Scratch | None = None
+    held: bytes | None = None
 
     @property
     def name(self) -> str:
@@ -69,6 +69,8 @@ class DataFile:
     @cached_property
     def contents(self) -> bytes | mmap.mmap:
         """All bytes; those of a large file are mapped, not held.  Raises DataError where they cannot be read."""
+        if self.held is not None:
+            return self.held
         with self.reading() as stream:
             if os.fstat(stream.fileno()).st_size < LARGE:
                 return stream.read()
@@ -81,7 +83,9 @@ class DataFile:
             yield stream
 
     def rewritten(self, pieces: Iterable[bytes]) -> DataFile:
-        """The file as it is read once it is written otherwise, in a scratch file; for those too large to be held."""
+        """The file as it is read once it is written otherwise: held, or in a scratch file where this one is mapped."""
+        if isinstance(self.contents, bytes):
+            return replace(self, held=b"".join(pieces))
         scratch = lasting_scratch()
         return DataFile(self.given, scratch.write("data", pieces), self.head, scratch)
 

@@ -9,9 +9,9 @@ from zipfile import ZipFile
 
 from dashpot.data.readers.columns import MOST_COLUMNS
 from dashpot.data.readers.datafile import DataFile
-from dashpot.data.readers.delimited.table import Table, table_of
 from dashpot.data.readers.guarded import guarded
 from dashpot.data.readers.optional import damaged, library
+from dashpot.data.readers.text import Table, open_table
 from dashpot.errors import DataError
 
 ZIP = b"PK\x03\x04"
@@ -44,7 +44,7 @@ class ExcelReader:
         count = 0
         for place, text in guarded(file, lambda: self._sheets(file, fastexcel)):
             count += 1
-            yield table_of(text, place)
+            yield open_table(file.rewritten([text]), source=place)
         if not count:
             raise DataError("the workbook is empty", file.name, "give one with a header row and data")
 

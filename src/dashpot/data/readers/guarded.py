@@ -11,7 +11,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from dashpot.data.readers.columns import ArrayColumns, Load, Streamed
+from dashpot.data.readers.arrays import ArrayColumns, Load, Streamed
 from dashpot.data.readers.datafile import DataFile, most_unpacked
 from dashpot.errors import DataError
 from dashpot.io.guarded import GUARDED, Child

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from dashpot.data.readers.columns import LONG, PIECE, ArrayColumns, Streamed, parts_of_variables
+from dashpot.data.readers.arrays import LONG, PIECE, ArrayColumns, Streamed, parts_of_variables
 from dashpot.data.readers.datafile import DataFile
 from dashpot.data.readers.guarded import guarded
 from dashpot.data.readers.optional import damaged, library

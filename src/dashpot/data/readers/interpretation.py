@@ -7,8 +7,7 @@ from dataclasses import dataclass
 
 from dashpot.channel import Channel
 from dashpot.data.clocks import ClockedRecords
-from dashpot.data.readers.columns import Columns
-from dashpot.data.readers.delimited.amplitudes import (
+from dashpot.data.readers.amplitudes import (
     is_amplitudes,
     is_frf,
     polar_notices,
@@ -16,7 +15,8 @@ from dashpot.data.readers.delimited.amplitudes import (
     read_frf,
     with_real_and_imaginary,
 )
-from dashpot.data.readers.delimited.stepped_sine import Circumstances, read_records
+from dashpot.data.readers.columns import Columns
+from dashpot.data.readers.records import Circumstances, read_records
 from dashpot.data.record import Record
 from dashpot.data.spectrum import Spectrum
 from dashpot.notices import Notice

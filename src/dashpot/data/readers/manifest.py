@@ -50,8 +50,8 @@ from dashpot.data.conditioning.settings import Treatments
 from dashpot.data.periods import average_periods, one_period, samples_of_period
 from dashpot.data.readers.columns import Columns, is_unit
 from dashpot.data.readers.datafile import open_file
-from dashpot.data.readers.delimited.stepped_sine import Circumstances, read_records
 from dashpot.data.readers.interpretation import Interpreted, interpret
+from dashpot.data.readers.records import Circumstances, read_records
 from dashpot.data.readers.registry import reader_of
 from dashpot.data.record import Record
 from dashpot.errors import DashpotError, DataError

@@ -15,10 +15,11 @@ from typing import Any, BinaryIO
 
 import numpy as np
 
-from dashpot.data.readers.columns import LONG, TIME, ArrayColumns, Streamed, array_columns
+from dashpot.data.readers.arrays import LONG, ArrayColumns, Streamed, array_columns
 from dashpot.data.readers.datafile import DataFile
 from dashpot.data.readers.guarded import guarded
 from dashpot.data.readers.optional import damaged, library
+from dashpot.data.readers.time_columns import TIME
 from dashpot.errors import DataError
 
 HEADER = 64  # bytes before the first block

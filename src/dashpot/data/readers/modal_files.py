@@ -9,7 +9,7 @@ from dashpot.channel import Channel
 from dashpot.data.modal_data import ModalData
 from dashpot.data.readers.columns import bare
 from dashpot.data.readers.datafile import DataFile, open_file
-from dashpot.data.readers.delimited.modes import FREQUENCY, FREQUENCY_SD, read_mode_table
+from dashpot.data.readers.modes import FREQUENCY, FREQUENCY_SD, read_mode_table
 from dashpot.data.readers.uff.function import UffStream, dataset_starts, skip_dataset
 from dashpot.data.readers.uff.modes import USUAL_SD, read_uff_modes
 from dashpot.data.readers.uff.reader import UffReader

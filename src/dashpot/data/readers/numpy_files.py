@@ -9,7 +9,8 @@ from typing import Any, cast
 
 import numpy as np
 
-from dashpot.data.readers.columns import LONG, MOST_COLUMNS, PIECE, ArrayColumns, Streamed, parts_of_variables
+from dashpot.data.readers.arrays import LONG, PIECE, ArrayColumns, Streamed, parts_of_variables
+from dashpot.data.readers.columns import MOST_COLUMNS
 from dashpot.data.readers.datafile import DataFile
 from dashpot.data.readers.optional import damaged
 from dashpot.errors import DataError

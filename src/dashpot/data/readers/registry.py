@@ -8,16 +8,15 @@ from typing import Protocol
 from dashpot.data.readers.arrow_files import FeatherReader, ParquetReader
 from dashpot.data.readers.columns import Columns
 from dashpot.data.readers.datafile import DataFile
-from dashpot.data.readers.delimited.lvm import LabViewReader
-from dashpot.data.readers.delimited.table import TextReader
-from dashpot.data.readers.delimited.xsens import XsensReader
 from dashpot.data.readers.excel import ExcelReader
 from dashpot.data.readers.famos import FamosReader
 from dashpot.data.readers.hdf5 import Hdf5Reader
+from dashpot.data.readers.instruments import LabViewReader, XsensReader
 from dashpot.data.readers.matlab import MatlabReader
 from dashpot.data.readers.mdf import MdfReader
 from dashpot.data.readers.numpy_files import NumpyReader
 from dashpot.data.readers.tdms import TdmsReader
+from dashpot.data.readers.text import TextReader
 from dashpot.data.readers.uff.reader import UffReader
 from dashpot.data.readers.wav import WavReader
 from dashpot.errors import DataError

@@ -9,12 +9,10 @@ from typing import Any, BinaryIO
 
 import numpy as np
 
-from dashpot.data.readers.columns import (
+from dashpot.data.readers.arrays import (
     LONG,
     OF_ALL,
     PIECE,
-    TIME,
-    TIME_NAMES,
     ArrayColumns,
     Load,
     Streamed,
@@ -26,6 +24,7 @@ from dashpot.data.readers.columns import (
 from dashpot.data.readers.datafile import DataFile
 from dashpot.data.readers.guarded import guarded
 from dashpot.data.readers.optional import damaged, library
+from dashpot.data.readers.time_columns import TIME, TIME_NAMES
 from dashpot.errors import DataError
 from dashpot.io.ledger import noted
 

@@ -10,9 +10,10 @@ from typing import Any, Literal
 
 import numpy as np
 
-from dashpot.data.readers.columns import LONG, PIECE, TIME, ArrayColumns, Streamed, array_columns, steps
+from dashpot.data.readers.arrays import LONG, PIECE, ArrayColumns, Streamed, array_columns, steps
 from dashpot.data.readers.datafile import DataFile
 from dashpot.data.readers.optional import damaged
+from dashpot.data.readers.time_columns import TIME
 from dashpot.errors import DataError
 from dashpot.io.ledger import noted
 from dashpot.units import SHARE

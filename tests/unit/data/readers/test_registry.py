@@ -11,7 +11,7 @@ import pytest
 
 from dashpot.channel import Channel
 from dashpot.data.readers import read, registry
-from dashpot.data.readers.columns import ArrayColumns, array_columns
+from dashpot.data.readers.arrays import ArrayColumns, array_columns
 from dashpot.data.readers.datafile import DataFile
 
 

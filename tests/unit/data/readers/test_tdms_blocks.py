@@ -13,7 +13,7 @@ from nptdms import ChannelObject, TdmsFile, TdmsWriter
 from dashpot.arrays import Real
 from dashpot.data.readers import guarded
 from dashpot.data.readers import tdms as tdms_blocks
-from dashpot.data.readers.columns import ArrayColumns
+from dashpot.data.readers.arrays import ArrayColumns
 from dashpot.data.readers.datafile import open_file
 from dashpot.data.readers.tdms import UNFINISHED, TdmsReader
 

@@ -13,7 +13,7 @@ from typing import Any, BinaryIO
 import numpy as np
 
 from dashpot.arrays import Complex, Real, freeze, frozen
-from dashpot.data.readers.columns import LONG, PIECE, Streamed, steps
+from dashpot.data.readers.arrays import LONG, PIECE, Streamed, steps
 from dashpot.data.readers.datafile import DataFile
 from dashpot.errors import DataError
 

@@ -8,8 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from dashpot.data.readers.columns import FREQUENCY, TIME, ArrayColumns, array_columns, steps
+from dashpot.data.readers.arrays import ArrayColumns, array_columns, steps
 from dashpot.data.readers.datafile import DataFile
+from dashpot.data.readers.time_columns import FREQUENCY, TIME
 from dashpot.data.readers.uff.function import (
     FRF,
     MARK,

@@ -16,10 +16,8 @@ import numpy as np
 import pytest
 
 from dashpot.channel import Channel
-from dashpot.data.readers import arrow_files, datafile, hdf5, mdf, numpy_files, read, tdms, wav
-from dashpot.data.readers import columns as array_columns
+from dashpot.data.readers import arrays, arrow_files, datafile, hdf5, mdf, numpy_files, read, tdms, text, wav
 from dashpot.data.readers import matlab as matlab_vectors
-from dashpot.data.readers.delimited import table
 from dashpot.data.readers.uff import function
 from dashpot.data.readers.uff.function import TIME_RESPONSE, NodalFunction, Point
 from dashpot.data.readers.uff.reader import functions_of
@@ -33,14 +31,14 @@ from tests.unit.data.readers.written import CHANNELS, WRITERS, as_read, recordin
 @pytest.fixture
 def _small(monkeypatch: pytest.MonkeyPatch) -> None:
     """Everything is large: pieces of 100 numbers, text in blocks of 4 kB."""
-    for module in (array_columns, arrow_files, function, hdf5, matlab_vectors, mdf, numpy_files, tdms, wav):
+    for module in (arrays, arrow_files, function, hdf5, matlab_vectors, mdf, numpy_files, tdms, wav):
         for name, value in (("PIECE", 100), ("LONG", 200)):
             if hasattr(module, name):
                 monkeypatch.setattr(module, name, value)
-    monkeypatch.setattr(array_columns, "LARGE", 1)
+    monkeypatch.setattr(arrays, "LARGE", 1)
     monkeypatch.setattr(datafile, "LARGE", 1)
-    monkeypatch.setattr(table, "STREAMED", 4096)
-    monkeypatch.setattr(table, "COUNTED", 1000)
+    monkeypatch.setattr(text, "BLOCK", 4096)
+    monkeypatch.setattr(text, "COUNTED", 1000)
 
 
 @contextlib.contextmanager

@@ -12,7 +12,7 @@ import pytest
 from dashpot.channel import Channel, Quantity
 from dashpot.data.conditioning.lines import spectrum
 from dashpot.data.readers import read, write_amplitudes, write_records
-from dashpot.data.readers.delimited.writing import name_in, write_rows
+from dashpot.data.readers.text import name_in, write_rows
 from dashpot.data.record import Record
 from dashpot.data.spectrum import Spectrum
 from dashpot.errors import DataError

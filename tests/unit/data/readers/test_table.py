@@ -8,9 +8,9 @@ import pytest
 from dashpot.channel import Channel, Quantity
 from dashpot.data.readers import read
 from dashpot.data.readers.datafile import open_file
-from dashpot.data.readers.delimited.table import open_table
-from dashpot.data.readers.delimited.timestamps import seconds_of
 from dashpot.data.readers.registry import reader_of
+from dashpot.data.readers.text import open_table
+from dashpot.data.readers.time_columns import seconds_of
 from dashpot.errors import DataError
 
 MM = (Channel("x1", {"x1": 1}, unit="mm", scale=1e-3), Channel("u", {"u": 1}, unit="mm", scale=1e-3))
@@ -71,7 +71,7 @@ def test_the_same_samples(tmp_path, shape, packed):
 def test_large_files_are_not_held(tmp_path, shape, piece, monkeypatch):
     monkeypatch.setattr("dashpot.data.readers.datafile.LARGE", 1)
     monkeypatch.setattr("dashpot.data.readers.datafile.PIECE", piece)
-    monkeypatch.setattr("dashpot.data.readers.delimited.table.PIECE", piece)
+    monkeypatch.setattr("dashpot.data.readers.text.PIECE", piece)
     content = SHAPES[shape]
     path = tmp_path / "test.txt"
     path.write_bytes(content if isinstance(content, bytes) else content.encode())

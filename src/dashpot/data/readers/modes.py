@@ -22,7 +22,7 @@ import numpy as np
 from dashpot.arrays import Complex, Real
 from dashpot.data.modal_data import ModalData
 from dashpot.data.readers.columns import LARGEST, Columns, bare
-from dashpot.data.readers.delimited.table import open_table
+from dashpot.data.readers.text import open_table
 from dashpot.errors import DataError
 from dashpot.io.json_document import from_json
 from dashpot.io.ledger import noted

@@ -1,16 +1,18 @@
-"""A delimited text file as named columns of numbers, with the place of everything that is wrong in it."""
+"""Delimited text, read and written: named columns of numbers, with the place of everything that is wrong in them."""
 
 from __future__ import annotations
 
 import codecs
 import csv
-import itertools
 import mmap
 import os
 import re
-from collections.abc import Iterator, Sequence
+import zlib
+from collections import Counter
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import chain
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -20,9 +22,9 @@ import pyarrow.csv as pacsv
 from dashpot.arrays import Bools, Real
 from dashpot.data.readers.columns import LARGEST, MOST_COLUMNS, Columns, bare, columns_of_block, is_unit
 from dashpot.data.readers.datafile import PIECE, SUBSTITUTED, DataFile, open_file, whole_lines
-from dashpot.data.readers.delimited.timestamps import is_date, is_timestamp
-from dashpot.data.readers.delimited.writing import name_in
+from dashpot.data.readers.time_columns import is_date, is_timestamp
 from dashpot.errors import DataError
+from dashpot.io.atomic import write_bytes
 from dashpot.io.ledger import noted
 from dashpot.io.words import counted, listed, shown
 from dashpot.notices import Notice
@@ -31,11 +33,11 @@ from dashpot.notices import Notice
 
 
 Text = bytes | mmap.mmap
-LOOKED_AT = 1 << 20  # bytes by which an encoding is told
-_MARKS = (b"\xff\xfe", b"\xfe\xff")  # that begin a text in UTF-16
+LOOKED_AT = (
+    1 << 20
+)  # bytes from which the encoding and the line ends are told, and in which the header must end
 _END = b"\0\x1a"  # of a file that was laid out before it was written, or that DOS ended
 _NO_WINDOWS_TEXT = re.compile(rb"[\x00-\x08\x0e-\x1f\x7f\x81\x8d\x8f\x90\x9d]")
-_FEWEST = 8  # bytes of text in UTF-16 that need no mark
 
 
 def is_text(head: bytes) -> bool:
@@ -53,47 +55,41 @@ def text_of(head: bytes) -> str:
         return head.decode("cp1252", errors="replace")
 
 
-def as_utf8(data: bytes, source: str) -> bytes:
-    """The text of a file as UTF-8 without a mark, with line feeds.  Raises DataError where it is not text."""
-    encoding = _encoding(data, source)
+def _as_utf8(file: DataFile) -> DataFile:
+    """The same in UTF-8 without a mark, with line feeds.  Raises DataError where it is no text."""
+    encoding = _encoding(file.contents[:LOOKED_AT], file.name)
     if encoding is not None:
         try:
-            data = data.decode(encoding).encode()
+            file = file.rewritten(
+                text.encode() for text in codecs.iterdecode(_pieces(file.contents, 0), encoding)
+            )
         except UnicodeError:
-            raise _damaged(source) from None
-    data = data.removeprefix(codecs.BOM_UTF8).rstrip(_END)
-    if not data.strip():
-        raise DataError("the file is empty", source, "give a file with a header row and data")
-    if b"\0" in data[:LOOKED_AT]:
-        raise DataError("the file is not text", source, "give a CSV file")
-    return data.replace(b"\r", b"\n") if b"\n" not in data and b"\r" in data else data
+            raise DataError("the file is damaged UTF-16", file.name, "save it as UTF-8") from None
+    data, end = file.contents, len(file.contents)
+    start = 3 if data[:3] == codecs.BOM_UTF8 else 0
+    while end > start and data[end - 1] in _END:
+        block = data[max(start, end - PIECE) : end]
+        end -= len(block) - len(block.rstrip(_END))
+    head = data[start : min(end, LOOKED_AT)]
+    if not head or re.compile(rb"\S").search(data, start, end) is None:
+        raise DataError("the file is empty", file.name, "give a file with a header row and data")
+    if b"\0" in head:
+        raise DataError("the file is not text", file.name, "give a CSV file")
+    if b"\n" not in head and b"\r" in head:
+        return file.rewritten(piece.replace(b"\r", b"\n") for piece in _pieces(data, start, end))
+    return file if (start, end) == (0, len(data)) else file.rewritten(_pieces(data, start, end))
 
 
-def rewritten_as_utf8(file: DataFile, data: Text) -> DataFile:
-    """The same of a file that is too large to be held; itself where it is so already.
-
-    Raises DataError where it is said to be UTF-16 and is not.
-    """
-    pieces = (data[at : at + PIECE] for at in range(0, len(data), PIECE))
-    encoding = _encoding(data[:LOOKED_AT], file.name)
-    if encoding is not None:
-        try:
-            return file.rewritten(text.encode() for text in codecs.iterdecode(pieces, encoding))
-        except UnicodeError:
-            raise _damaged(file.name) from None
-    if b"\n" not in data[:LOOKED_AT] and b"\r" in data[:LOOKED_AT]:
-        return file.rewritten(piece.replace(b"\r", b"\n") for piece in pieces)
-    if data[-1] in _END:
-        return file.rewritten(piece.translate(None, _END) for piece in pieces)
-    return file
+def _pieces(data: Text, start: int, end: int | None = None) -> Iterator[bytes]:
+    end = len(data) if end is None else end
+    return (data[at : min(at + PIECE, end)] for at in range(start, end, PIECE))
 
 
-def _encoding(data: bytes, source: str) -> str | None:
+def _encoding(head: bytes, source: str) -> str | None:
     """What the text is written in, None where that is UTF-8; Windows-1252 is what a µ or ² alone in it may be."""
-    wide = _wide(data)
+    wide = _wide(head)
     if wide is not None:
         return wide
-    head = data[:LOOKED_AT]
     try:
         codecs.getincrementaldecoder("utf-8")().decode(head)
     except UnicodeDecodeError as error:
@@ -107,11 +103,11 @@ def _encoding(data: bytes, source: str) -> str | None:
 
 
 def _wide(data: bytes) -> str | None:
-    """UTF-16, with a mark or where every other byte of the beginning is zero."""
-    if data[:2] in _MARKS:
+    """UTF-16, with a mark, or where every other byte of the first 8 to 64 is zero."""
+    if data[:2] in (b"\xff\xfe", b"\xfe\xff"):
         return "utf-16"
     begin = data[:64]
-    if len(begin) >= _FEWEST and len(begin) % 2 == 0:
+    if len(begin) >= 8 and len(begin) % 2 == 0:
         for encoding, low, high in (
             ("utf-16-le", begin[::2], begin[1::2]),
             ("utf-16-be", begin[1::2], begin[::2]),
@@ -121,18 +117,34 @@ def _wide(data: bytes) -> str | None:
     return None
 
 
-def _damaged(source: str) -> DataError:
-    return DataError("the file is damaged UTF-16", source, "save it as UTF-8")
+# Rows between those of numbers that are none: a header on each page, comments.  They are blanked, so that the others
+# keep their places, and counted.
 
 
-# Rows between those of numbers that are none: a header on each page, comments. They are blanked, and told.
-#
-# Rows keep their places, for blank ones are passed over.
+_MINUS = "\u2212".encode()
+_COMMENT = re.compile(rb"(?m)^[ \t\f]*[#%][^\r\n]*(?=\r?$)")
 
 
-_MINUS, _HYPHEN = "\u2212".encode(), b"-"
-_COMMENTS = b"#", b"%"
-_LETTER = rb"[A-Za-z_\x80-\xff]"
+def _without_stray_rows(file: DataFile, start: int, source: str) -> tuple[DataFile, tuple[Notice, ...]]:
+    """The file without such rows behind byte `start`, form feeds and minus signs of typesetting; what was left out.
+
+    Rows repeat the header where they are one of those in front of `start` in which there is a letter.
+    """
+    data = file.contents
+    lines = map(bytes.strip, data[:start].splitlines())
+    heading = [line for line in lines if re.search(rb"[A-Za-z_\x80-\xff]", line)]
+    signs = (*heading[-2:], b"\f", _MINUS, b"#", b"%")
+    # A byte is found ten times as fast as several, and one that numbers do not have is seldom there.
+    present = {byte for byte in map(_telling, signs) if data.find(byte, start) >= 0}
+    if not any(_telling(sign) in present and data.find(sign, start) >= 0 for sign in signs):
+        return file, ()
+    again = b"|".join(map(re.escape, heading)) or rb"(?!)"
+    repeated = re.compile(rb"(?m)^[ \t\f]*(?:" + again + rb")[ \t\f]*(?=\r?$)")
+    left_out: Counter[str] = Counter()
+    file = file.rewritten(chain([data[:start]], _blanked(data, start, repeated, left_out)))
+    words = [f"{counted(left_out['row'], 'row')} repeating the header"] if left_out["row"] else []
+    words += [counted(left_out["comment"], "comment")] if left_out["comment"] else []
+    return file, (Notice("stray_rows", f"{source}: left out {listed(words)}", (source,)),) if words else ()
 
 
 def _telling(sign: bytes) -> bytes:
@@ -141,60 +153,16 @@ def _telling(sign: bytes) -> bytes:
     return match[0] if match else sign[:1]
 
 
-class StrayRows:
-    """What is to be left out of the text behind a header, and how much of it there was.
-
-    heading  the text from its beginning to the row of units, or the header where there is none
-    """
-
-    def __init__(self, heading: bytes) -> None:
-        self._start = len(heading)
-        self._headings = [row for row in map(bytes.strip, heading.splitlines()) if re.search(_LETTER, row)]
-        repeated = b"|".join(re.escape(row) for row in self._headings)
-        self._stray = re.compile(rb"(?m)^[ \t\f]*(?:(" + repeated + rb")|[#%][^\r\n]*)[ \t\f]*(?=\r?$)")
-        self.repeated = self.comments = 0
-
-    def among(self, data: Text) -> bool:
-        """Whether there may be such rows: a quick look."""
-        signs = (*self._headings[-2:], b"\f", _MINUS, *_COMMENTS)
-        # A byte is found ten times as fast as several, and one that numbers do not have is seldom there.
-        present = {byte for byte in map(_telling, signs) if data.find(byte, self._start) >= 0}
-        return any(_telling(sign) in present and data.find(sign, self._start) >= 0 for sign in signs)
-
-    def blanked(self, data: bytes) -> bytes:
-        """The text without them."""
-        return data[: self._start] + self._blanked(data[self._start :])
-
-    def _blanked(self, lines: bytes) -> bytes:
-        """Whole lines without them, and with hyphens for signs that typesetting has put there."""
-
-        def counting(match: re.Match[bytes]) -> bytes:
-            self.repeated += match[1] is not None
-            self.comments += match[1] is None
-            return b""
-
-        return self._stray.sub(counting, lines).replace(_MINUS, _HYPHEN).replace(b"\f", b"")
-
-    def rewritten(self, file: DataFile, data: Text) -> DataFile:
-        """A file that is too large to be held without them."""
-        return file.rewritten(
-            chain([data[: self._start]], map(self._blanked, whole_lines(data, self._start)))
-        )
-
-    def note(self, source: str) -> tuple[Notice, ...]:
-        """What was left out, where anything was."""
-        words = []
-        if self.repeated:
-            words.append(f"{counted(self.repeated, 'row')} repeating the header")
-        if self.comments:
-            words.append(counted(self.comments, "comment"))
-        return (Notice("stray_rows", f"{source}: left out {listed(words)}", (source,)),) if words else ()
+def _blanked(data: Text, start: int, repeated: re.Pattern[bytes], left_out: Counter[str]) -> Iterator[bytes]:
+    """The text behind `start` without stray rows, which are counted."""
+    for lines in whole_lines(data, start):
+        lines, rows = repeated.subn(b"", lines)
+        lines, comments = _COMMENT.subn(b"", lines)
+        left_out.update(row=rows, comment=comments)
+        yield lines.replace(_MINUS, b"-").replace(b"\f", b"")
 
 
-HELD, STREAMED = (
-    1 << 23,
-    1 << 21,
-)  # bytes that are parsed at a time; of a file, some such blocks are read ahead
+BLOCK = 1 << 21  # bytes that are parsed at a time; some such blocks are read ahead
 COUNTED = 1 << 24  # bytes whose line ends are counted at a time
 
 
@@ -202,23 +170,17 @@ COUNTED = 1 << 24  # bytes whose line ends are counted at a time
 class Table(Columns):
     """The text of a file behind its header row.
 
-    body       bytes after the header row
-    first_row  file row on which the body begins, counted from 1
+    start      byte at which the rows begin
+    first_row  file row that begins there, counted from 1
     clock      start and step of the first column, where that is left empty for the header says its numbers
     """
 
-    body: memoryview
+    file: DataFile
+    start: int
     first_row: int
     delimiter: str
     decimal: str
-    file: DataFile | None = None  # of which the body is the end, where it is too large to be held
     clock: tuple[float, float] | None = None
-
-    @property
-    def whole(self) -> tuple[bytes | mmap.mmap, int]:
-        """The bytes that the body is the end of, and where it begins there."""
-        held: Any = self.body.obj
-        return held, len(held) - len(self.body)
 
     @property
     def heading(self) -> str:
@@ -247,31 +209,17 @@ class Table(Columns):
         infinite: Sequence[int] = (),
         together: Sequence[int] = (),
     ) -> dict[int, Real]:
-        """The columns as float64.  Empty cells of `optional` ones give NaN; those of `infinite` may be inf.
-
-        Of a file that is not held, those of `together` are the columns of one new array.
-        Raises DataError at the first row with too few or too many cells, a gap, text, NaN or infinity.
-        """
+        """As of Columns.  Raises DataError at the first row with too few or too many cells as well."""
         if not columns:
             return {}
-        pieces = self._pieces(columns, optional, infinite)
-        if self.file is not None:
-            return _filled(columns_of_block(columns, together, self._row_count()), pieces)
-        parts: dict[int, list[Real]] = {column: [] for column in columns}
-        for piece in pieces:
-            for column, numbers in piece.items():
-                parts[column].append(numbers)
-        pa.default_memory_pool().release_unused()
-        return {column: np.concatenate([*parts.pop(column), np.zeros(0)]) for column in list(parts)}
-
-    def _pieces(
-        self, columns: Sequence[int], optional: Sequence[int], infinite: Sequence[int]
-    ) -> Iterator[dict[int, Real]]:
-        """The columns some rows at a time, checked."""
         optional = optional if self.clock is None else [*optional, 0]
-        rows = 0
+        arrays = columns_of_block(columns, together, self._row_count())
+        rows, room = 0, len(arrays[columns[0]])
         for batch in self._batches(columns, pa.float64(), optional, infinite):
-            piece: dict[int, Real] = {}
+            more = rows + batch.num_rows
+            if more > room:  # the count was too low: what stands in quotes may have line ends
+                room = max(more, 2 * room)
+                arrays = {column: np.resize(array[:rows], room) for column, array in arrays.items()}
             for column, array in zip(columns, batch.columns, strict=True):
                 numbers, empty = _numbers_of(array)
                 wrong = ~(np.abs(numbers) <= LARGEST) & ~empty
@@ -281,18 +229,17 @@ class Table(Columns):
                     wrong |= empty
                 if np.any(wrong):
                     raise self._diagnosis(columns, optional, infinite)
-                piece[column] = numbers
-            if self.clock is not None and 0 in piece:
-                start, step = self.clock
-                piece[0] = start + step * np.arange(rows, rows + batch.num_rows)
-            rows += batch.num_rows
-            yield piece
+                if column == 0 and self.clock is not None:
+                    numbers = self.clock[0] + self.clock[1] * np.arange(rows, more)
+                arrays[column][rows:more] = numbers
+            rows = more
+        pa.default_memory_pool().release_unused()
+        return arrays if rows == room else {column: array[:rows] for column, array in arrays.items()}
 
     def _row_count(self) -> int:
-        """How many rows there are if none is blank, but for a guess that `_filled` puts right."""
-        count = 0
-        held, start = self.whole
-        for at in range(start, len(held), COUNTED):
+        """How many rows there are if none is blank."""
+        held, count = self.file.contents, 0
+        for at in range(self.start, len(held), COUNTED):
             ends = np.frombuffer(held[at : at + COUNTED], dtype=np.uint8) == ord("\n")
             count += int(np.count_nonzero(ends))
         return count + int(held[-1:] != b"\n")
@@ -320,37 +267,33 @@ class Table(Columns):
         Raises DataError: what pyarrow finds wrong is looked for again, as it does not say where in a way to rely on.
         """
         names = [f"c{i}" for i in range(len(self.header))]
-        wanted = [names[i] for i in columns]
-        options = {
-            "read_options": pacsv.ReadOptions(
-                column_names=names, block_size=HELD if self.file is None else STREAMED
-            ),
-            "parse_options": pacsv.ParseOptions(delimiter=self.delimiter),
-            "convert_options": pacsv.ConvertOptions(
-                column_types=dict.fromkeys(wanted, kind),
-                include_columns=wanted,
-                null_values=[""],
-                strings_can_be_null=True,
-                quoted_strings_can_be_null=True,
-                decimal_point=self.decimal,
-            ),
-        }
+        wanted, held = [names[i] for i in columns], self.file.contents
         try:
-            if self.file is None:
-                yield from pacsv.read_csv(pa.BufferReader(pa.py_buffer(self.body)), **options).to_batches()
-                return
-            # A file of pyarrow's own: its threads may still read ahead when it is closed.
-            with pa.OSFile(str(noted(self.file.path))) as stream:
-                stream.seek(self.whole[1])
-                with pacsv.open_csv(stream, **options) as reader:
+            # A mapped file as one of pyarrow's own: its threads may still read ahead when it is closed.
+            with (
+                pa.BufferReader(held) if isinstance(held, bytes) else pa.OSFile(str(noted(self.file.path)))
+            ) as stream:
+                stream.seek(self.start)
+                with pacsv.open_csv(
+                    stream,
+                    pacsv.ReadOptions(column_names=names, block_size=BLOCK),
+                    pacsv.ParseOptions(delimiter=self.delimiter),
+                    pacsv.ConvertOptions(
+                        column_types=dict.fromkeys(wanted, kind),
+                        include_columns=wanted,
+                        null_values=[""],
+                        strings_can_be_null=True,
+                        quoted_strings_can_be_null=True,
+                        decimal_point=self.decimal,
+                    ),
+                ) as reader:
                     yield from reader
         except (pa.ArrowException, UnicodeDecodeError):
             raise self._diagnosis(columns if kind == pa.float64() else [], optional, infinite) from None
 
     def rows(self) -> Iterator[tuple[int, str]]:
         """(file row, text) of the rows that are not blank."""
-        row = self.first_row
-        body, start = self.whole
+        row, body, start = self.first_row, self.file.contents, self.start
         while start < len(body):
             end = body.find(b"\n", start)
             end = len(body) if end < 0 else end
@@ -424,37 +367,20 @@ def _numbers_of(array: Any) -> tuple[Real, Bools]:
     return np.array(np.from_dlpack(array)), empty
 
 
-def _filled(arrays: dict[int, Real], pieces: Iterator[dict[int, Real]]) -> dict[int, Real]:
-    """The arrays with the numbers of the pieces; shorter, or new ones, where blank rows or quotes misled the count."""
-    rows, room = 0, min((len(array) for array in arrays.values()), default=0)
-    for piece in pieces:
-        more = len(next(iter(piece.values()), ()))
-        if rows + more > room:
-            room = max(rows + more, 2 * room)
-            arrays = {column: np.resize(array[:rows], room) for column, array in arrays.items()}
-        for column, numbers in piece.items():
-            arrays[column][rows : rows + more] = numbers
-        rows += more
-    pa.default_memory_pool().release_unused()
-    return arrays if rows == room else {column: array[:rows] for column, array in arrays.items()}
-
-
-# Whether the last number of a text file was cut off.
-
-
-def with_checked_end(table: Table) -> Table:
+def _with_checked_end(table: Table) -> Table:
     """The table, whose last row, where it has no line end, may have been cut off within its last number.
 
     Raises DataError where that shows.
     """
-    if bytes(table.body[-1:]) == b"\n":
+    data = table.file.contents
+    if data[-1:] == b"\n":
         return table
-    tail = bytes(table.body[-(1 << 16) :]).decode("utf-8", errors="replace").splitlines()
-    rows = [line for line in tail if line.strip()]
-    rows = rows[1:] if len(table.body) > 1 << 16 else rows
+    begin = max(table.start, len(data) - (1 << 16))
+    tail = data[begin:].decode("utf-8", errors="replace").splitlines()[begin > table.start :]
+    rows = [line for line in tail if line.strip()][-50:]
     if len(rows) < 2:
         return table
-    *before, last = (line.rpartition(table.delimiter)[2].strip() for line in rows[-50:])
+    *before, last = (line.rpartition(table.delimiter)[2].strip() for line in rows)
     if rows[-1].count(table.delimiter) == len(table.header) - 1 and _looks_cut(last, before):
         raise DataError(
             f'the last number, "{shown(last)}", is shorter than those above and has no line end: the file was cut off',
@@ -481,10 +407,9 @@ def _looks_cut(last: str, before: list[str]) -> bool:
     return last.endswith((".", ",")) and not any(cell.endswith((".", ",")) for cell in before)
 
 
-# Where the columns of a text file begin: encoding, delimiter, header row, row of units.
+# Where the columns of a text file begin: delimiter, header row, row of units.
 
 
-HEAD = 1 << 20  # bytes in which the header row must end
 MOST_LEADING = 400  # rows in front of the data that are looked through
 _DELIMITERS = (",", ";", "\t", "|")
 _BLANKS = " "  # as a delimiter: any number of blanks and tabs
@@ -499,84 +424,54 @@ class _Row:
     text: str
 
 
-def open_table(path: str | os.PathLike[str] | DataFile, first_column: str | None = None) -> Table:
+def open_table(
+    path: str | os.PathLike[str] | DataFile, first_column: str | None = None, source: str | None = None
+) -> Table:
     """Read a file, plain or .gz, and its header row: after blank rows, rows that begin with #, `sep=`, and others.
 
     The header row is the one in front of the numbers, or in front of a row of units.  With `first_column` it is the
-    first row that begins with it.
+    first row that begins with it.  `source` names the file, or the part of it, in messages.
     Raises DataError where the file cannot be read, is not text, is empty, or has a header and no rows.
     """
-    file = path if isinstance(path, DataFile) else open_file(path)
-    if isinstance(file.contents, bytes):
-        return table_of(file.contents, file.name, first_column)
-    file = rewritten_as_utf8(file, file.contents)
-    header = _header(file.contents, file.name, first_column)
-    stray = _stray_rows(file.contents, header, first_column)
-    if stray is not None and stray.among(file.contents):
-        file = stray.rewritten(file, file.contents)
-    if header.delimiter == _BLANKS:
-        above = (b"\n" * (header.row.number - 1), _tabbed_row(header.row))
-        file = file.rewritten(itertools.chain(above, _tabbed(file.contents, header.row.end)))
-    table = table_of(file.contents, file.name, first_column)
-    left_out = () if stray is None else stray.note(file.name)
-    return replace(table, file=file, notes=(*table.notes, *left_out))
-
-
-@dataclass(frozen=True)
-class _Header:
-    """The header row of a table, and what parts its cells."""
-
-    row: _Row
-    delimiter: str
-
-
-def _header(data: Text, source: str, first_column: str | None) -> _Header:
-    rows, commented, delimiter = _leading_rows(data, source, first_column)
-    header_at = len(rows) - 1
-    if first_column is None:
-        if commented is not None and _is_heading(commented, rows[0], delimiter):
-            rows, header_at = [commented], 0
-        else:
-            rows, header_at = _with_header(data, rows, delimiter)
-    row = rows[header_at]
-    return _Header(row, _delimiter(row.text) if delimiter is None else delimiter)
-
-
-def table_of(data: Text, source: str, first_column: str | None = None) -> Table:
-    """The table in the bytes of a file; as `open_table`.  Raises DataError where there is no table."""
-    data = as_utf8(data, source) if isinstance(data, bytes) else data
-    header = _header(data, source, first_column)
-    row, delimiter = header.row, header.delimiter
-    place = f"{source}:{row.number}"
-    stray = _stray_rows(data, header, first_column)
-    if stray is not None and isinstance(data, bytes) and stray.among(data):
-        data = stray.blanked(data)
+    file = _as_utf8(path if isinstance(path, DataFile) else open_file(path))
+    source = file.name if source is None else source
+    header, delimiter = _header(file.contents, source, first_column)
+    place, text = f"{source}:{header.number}", header.text
     if delimiter == _BLANKS:
-        data = b"".join((data[: row.end], *_tabbed(data, row.end)))
-        row = _Row(row.number, row.end, _tabbed_row(row).decode().rstrip("\n"))
-        delimiter = "\t"
-    names = _names(row.text, delimiter, place)
+        text = "\t".join(text.split())
+    names = _names(text, "\t" if delimiter == _BLANKS else delimiter, place)
     units: tuple[str | None, ...] = ()
-    start, first_row = row.end, row.number + 1
+    notes: tuple[Notice, ...] = ()
+    start, first_row = header.end, header.number + 1
     if first_column is None:
-        start, first_row, units = _behind_units(data, row, delimiter, len(names))
-    first_data = _next_row(data, start, first_row - 1)
-    if first_data is None:
+        below = _next_row(file.contents, start, header.number)
+        cells = [] if below is None else _cells(below.text, delimiter)
+        if below is not None and len(cells) == len(names) and _is_unit_row(cells):
+            start, first_row, units = below.end, below.number + 1, tuple(map(_unit, cells))
+        file, notes = _without_stray_rows(file, start, source)
+    if delimiter == _BLANKS:
+        file = file.rewritten(chain([file.contents[:start]], _tabbed(file.contents, start)))
+        delimiter = "\t"
+    data = file.contents
+    first = _next_row(data, start, first_row - 1)
+    if first is None:
         raise DataError("the file has a header and no rows", place, "give a file with data")
-    names, units = _of_width(names, units, _cells(first_data.text, delimiter))
-    decimal, notes = _decimal(data[start : start + 4096].decode("utf-8", errors="replace"), delimiter, source)
-    notes = notes if stray is None else (*notes, *stray.note(source))
-    body = memoryview(data)[start:]
-    return with_checked_end(Table(source, names, units, notes, body, first_row, delimiter, decimal))
+    names, units = _of_width(names, units, _cells(first.text, delimiter))
+    sample = data[start : start + 4096].decode("utf-8", errors="replace")
+    decimal, thousands = _decimal(sample, delimiter, source)
+    notes = (*thousands, *notes)
+    return _with_checked_end(Table(source, names, units, notes, file, start, first_row, delimiter, decimal))
 
 
-def _stray_rows(data: Text, header: _Header, first_column: str | None) -> StrayRows | None:
-    """What may stand between the rows, where nothing fixed says how the file looks."""
-    if first_column is not None:
-        return None
-    row = header.row
-    start, _, _ = _behind_units(data, row, header.delimiter, len(_cells(row.text, header.delimiter)))
-    return StrayRows(data[:start])
+def _header(data: Text, source: str, first_column: str | None) -> tuple[_Row, str]:
+    """The header row of a table, and what parts its cells."""
+    candidate, commented, delimiter = _leading_rows(data, source, first_column)
+    if first_column is None:
+        if commented is not None and _is_heading(commented, candidate, delimiter):
+            candidate = commented
+        else:
+            candidate = _in_front_of_numbers(data, candidate, delimiter)
+    return candidate, _delimiter(candidate.text) if delimiter is None else delimiter
 
 
 def _of_width(
@@ -599,50 +494,26 @@ def _is_heading(commented: _Row, below: _Row, delimiter: str | None) -> bool:
     )
 
 
-def _behind_units(
-    data: Text, header: _Row, delimiter: str, columns: int
-) -> tuple[int, int, tuple[str | None, ...]]:
-    """Where the rows begin behind the header, and behind a row of units where there is one; the units."""
-    following = _next_row(data, header.end, header.number)
-    if following is not None:
-        cells = _cells(following.text, delimiter)
-        if len(cells) == columns and _is_unit_row(cells):
-            return following.end, following.number + 1, tuple(_unit(cell) for cell in cells)
-    return header.end, header.number + 1, ()
-
-
 def _decimal(sample: str, delimiter: str, source: str) -> tuple[str, tuple[Notice, ...]]:
-    """The decimal mark, and a note where a comma may be meant to part thousands."""
-    if delimiter == "," or "," not in sample:
-        return ".", ()
+    """The decimal mark, and a note where each comma could part thousands: three digits behind it, no 0 alone before."""
     cells = [cell for line in sample.splitlines() for cell in _cells(line, delimiter)]
     numbers = [cell for cell in cells if _is_number(cell)]
-    if any("." in cell for cell in numbers) or not any("," in cell for cell in numbers):
+    if delimiter == "," or any("." in cell for cell in numbers) or not any("," in cell for cell in numbers):
         return ".", ()
-    return ",", (_thousands_note(source),) if _may_be_thousands(sample, delimiter) else ()
-
-
-def _may_be_thousands(sample: str, delimiter: str) -> bool:
-    """Whether each comma could part thousands: three digits behind it, one to three and no zero alone before it."""
-    cells = [cell.strip().strip('"') for line in sample.splitlines() for cell in line.split(delimiter)]
-    return all(re.fullmatch(r"[-+]?[1-9]\d{0,2}(,\d{3})+", cell) for cell in cells if "," in cell)
-
-
-def _thousands_note(source: str) -> Notice:
+    if not all(re.fullmatch(r"[-+]?[1-9]\d{0,2}(,\d{3})+", cell) for cell in cells if "," in cell):
+        return ",", ()
     text = f"{source}: commas are read as decimal points, 1,000 as 1.000; write numbers without thousands separators"
-    return Notice("decimal_comma", text, (source,))
+    return ",", (Notice("decimal_comma", text, (source,)),)
 
 
-def _leading_rows(
-    data: Text, source: str, first_column: str | None
-) -> tuple[list[_Row], _Row | None, str | None]:
+def _leading_rows(data: Text, source: str, first_column: str | None) -> tuple[_Row, _Row | None, str | None]:
     """The first row that may be the header, the row before it that begins with #, the delimiter of `sep=`."""
     position, number, delimiter = 0, 0, None
     commented: _Row | None = None
     while True:
         number += 1
-        end = data.find(b"\n", position, position + HEAD)
-        if end < 0 and len(data) - position > HEAD:
+        end = data.find(b"\n", position, position + LOOKED_AT)
+        if end < 0 and len(data) - position > LOOKED_AT:
             cure = "give a CSV file with one row per sample"
             raise DataError("the header row is over 1 MB long", f"{source}:{number}", cure)
         end = len(data) if end < 0 else end
@@ -655,7 +526,7 @@ def _leading_rows(
         if text.lower().startswith("sep=") and len(text) == 5:
             delimiter = text[4]
         elif text.startswith(first_column) if first_column else text and not text.startswith("#"):
-            return [_Row(number, position, text)], commented, delimiter
+            return _Row(number, position, text), commented, delimiter
         elif text.startswith("#"):
             commented = _Row(number, position, text.lstrip("# \t"))
         if position >= len(data):
@@ -667,8 +538,8 @@ def _leading_rows(
 def _next_row(data: Text, position: int, number: int) -> _Row | None:
     """The next row that is not blank, behind row `number` that ends at `position`."""
     while position < len(data):
-        end = data.find(b"\n", position, position + HEAD)
-        end = min(len(data), position + HEAD) if end < 0 else end
+        end = data.find(b"\n", position, position + LOOKED_AT)
+        end = min(len(data), position + LOOKED_AT) if end < 0 else end
         text = data[position:end].decode("utf-8", errors="replace").strip("\r\n ")
         position, number = min(end + 1, len(data)), number + 1
         if text:
@@ -676,13 +547,13 @@ def _next_row(data: Text, position: int, number: int) -> _Row | None:
     return None
 
 
-def _with_header(data: Text, rows: list[_Row], delimiter: str | None) -> tuple[list[_Row], int]:
-    """Rows from the first candidate on, and which of them is the header row.
+def _in_front_of_numbers(data: Text, candidate: _Row, delimiter: str | None) -> _Row:
+    """The header row: the first candidate, where numbers or units follow it.
 
-    The first candidate is, where numbers or units follow it.  Otherwise the last row of text in front of two rows of
-    numbers of the same width, or in front of a row of units there; where there is none, the first candidate.
+    Otherwise the last row of text in front of two rows of numbers of the same width, or in front of a row of units
+    there; where there is none, the first candidate.
     """
-    rows = list(rows)
+    rows = [candidate]
     while len(rows) < MOST_LEADING:
         following = _next_row(data, rows[-1].end, rows[-1].number)
         if following is None:
@@ -690,12 +561,10 @@ def _with_header(data: Text, rows: list[_Row], delimiter: str | None) -> tuple[l
         rows.append(following)
         if len(rows) == 2 and _follow_at_once(rows, delimiter):
             break
-        if len(rows) < 3:
-            continue
-        header = _header_in_front(rows, delimiter)
+        header = _header_in_front(rows, delimiter) if len(rows) > 2 else None
         if header is not None:
-            return rows, header
-    return rows, 0
+            return rows[header]
+    return candidate
 
 
 def _follow_at_once(rows: Sequence[_Row], delimiter: str | None) -> bool:
@@ -764,10 +633,6 @@ def _unit(cell: str) -> str | None:
     return None if text in ("", "-") else text
 
 
-def _tabbed_row(row: _Row) -> bytes:
-    return "\t".join(row.text.split()).encode() + b"\n"
-
-
 def _tabbed(data: Text, start: int) -> Iterator[bytes]:
     """What follows, in pieces, with cells apart by one tab instead of blanks."""
     for lines in whole_lines(data, start, most=SUBSTITUTED):
@@ -820,3 +685,60 @@ class TextReader:
             cure = "name a data file; an estimate is what validate and export take first"
             raise DataError("this is JSON, and no recording", file.name, cure)
         yield open_table(file)
+
+
+# Comma-separated files, written whole or not at all.
+
+
+# How a formula begins in spreadsheets, and apostrophes before it, of which reading takes one away
+_FORMULA = re.compile(r"'*[=+\-@\t\r].", re.DOTALL)
+_QUOTED = set(',"\n\r')
+_NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?|[+-]?(inf|nan)")
+
+
+def write_rows(
+    path: str | os.PathLike[str], header: Sequence[str], columns: Sequence[Sequence[object] | Real]
+) -> None:
+    """Write a comma-separated file, numbers with all their digits, packed where the name ends in .gz.
+
+    The file appears whole or not at all.  Raises DataError where it cannot be written.  columns (rows,) each.
+    """
+    arrays = [
+        pa.array(np.asarray(c))
+        if isinstance(c, np.ndarray)
+        else pa.array([_safe(str(x)) for x in c], pa.string())
+        for c in columns
+    ]
+    names = [f"c{i}" for i in range(len(arrays))]
+    sink = pa.BufferOutputStream()
+    # Arrow quotes every text of a table or none.
+    quoted = any(_QUOTED & set(text) for c in arrays if pa.types.is_string(c.type) for text in c.to_pylist())
+    options = pacsv.WriteOptions(include_header=False, quoting_style="needed" if quoted else "none")
+    pacsv.write_csv(pa.table(arrays, names=names), sink, options)
+    head = (",".join(_cell(name) for name in header) + "\n").encode()
+    parts = (head, memoryview(sink.getvalue()))
+    write_bytes(path, _packed(parts) if Path(path).suffix == ".gz" else parts)
+
+
+def _packed(parts: Iterable[bytes | memoryview]) -> Iterator[bytes]:
+    """Packed as gzip, without name and time, so that the same data give the same bytes."""
+    packer = zlib.compressobj(9, wbits=31)
+    for part in parts:
+        yield packer.compress(part)
+    yield packer.flush()
+
+
+def _cell(text: str) -> str:
+    """The text as one cell, in quotes where it must be."""
+    text = _safe(text)
+    return '"' + text.replace('"', '""') + '"' if _QUOTED & set(text) else text
+
+
+def _safe(text: str) -> str:
+    """The text with an apostrophe before what a spreadsheet takes for a formula; numbers stay as they are."""
+    return f"'{text}" if _FORMULA.match(text) and not _NUMBER.fullmatch(text) else text
+
+
+def name_in(text: str) -> str:
+    """The name that was written, without the apostrophe before a formula."""
+    return text[1:] if text.startswith("'") and _FORMULA.match(text) else text

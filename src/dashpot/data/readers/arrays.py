@@ -1,0 +1,340 @@
+"""Columns of files whose numbers are arrays already, held or read as they are needed."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from dashpot.arrays import Real
+from dashpot.data.readers.columns import LARGEST, MOST_COLUMNS, Columns, bare, columns_of_block
+from dashpot.data.readers.time_columns import FREQUENCY, TIME, TIME_NAMES
+from dashpot.errors import DataError
+from dashpot.io.words import shown
+from dashpot.notices import Notice
+
+LARGE = 1 << 23  # numbers from which columns are put where they stay
+PIECE = 1 << 18  # numbers that are turned into float64 at a time
+LONG = 1 << 20  # numbers from which a column is streamed where its format allows
+
+
+@dataclass(frozen=True)
+class Streamed:
+    """A long column that is not held: numbers (no dates) in pieces, read again each time that they are asked for."""
+
+    rows: int
+    pieces: Callable[[], Iterator[Any]]
+    ndim: int = 1
+
+    @property
+    def shape(self) -> tuple[int]:
+        """As of an array."""
+        return (self.rows,)
+
+    @property
+    def size(self) -> int:
+        """As of an array."""
+        return self.rows
+
+    def __len__(self) -> int:
+        return self.rows
+
+
+def _pieces(values: Any) -> Iterator[Any]:
+    """A column in pieces; whole where it does not hold numbers alone."""
+    if isinstance(values, Streamed):
+        yield from values.pieces()
+        return
+    array = np.asarray(values)
+    if array.dtype.kind not in "fiub" or len(array) <= PIECE:
+        yield array
+        return
+    for at in range(0, len(array), PIECE):
+        yield array[at : at + PIECE]
+
+
+def _all_usable(numbers: Real) -> bool:
+    """Whether all are finite and not too large, without an array as large as they are."""
+    return not len(numbers) or bool(np.min(numbers) >= -LARGEST and np.max(numbers) <= LARGEST)
+
+
+Load = Callable[[], Any]  # of a variable: a one-dimensional array, or Streamed
+
+
+@dataclass(frozen=True)
+class ArrayColumns(Columns):
+    """Columns of a file that holds arrays; each is loaded when it is asked for.
+
+    rows  their common length
+    """
+
+    rows: int
+    loads: tuple[Load, ...]
+
+    @property
+    def heading(self) -> str:
+        """The file itself."""
+        return self.source
+
+    def place(self, index: int) -> str:
+        """Sample counted from 1."""
+        return f"{self.source}: sample {index + 1}"
+
+    def numbers(
+        self,
+        columns: Sequence[int],
+        optional: Sequence[int] = (),
+        infinite: Sequence[int] = (),
+        together: Sequence[int] = (),
+    ) -> dict[int, Real]:
+        """As of Columns."""
+        large = self.rows * len(together) >= LARGE
+        try:
+            values = columns_of_block(columns, together if large else (), self.rows)
+        except MemoryError:
+            what = f"{self.rows} samples ask for more memory than there is"
+            raise DataError(what, self.source, "the file may be damaged") from None
+        for column, numbers in values.items():
+            self._fill(column, numbers)
+            if _all_usable(numbers):
+                continue
+            wrong = ~np.isfinite(numbers)
+            wrong |= np.abs(np.where(wrong, 0.0, numbers)) > LARGEST
+            if column in infinite:
+                wrong &= numbers != np.inf
+            if column in optional:
+                wrong &= ~np.isnan(numbers)
+            if np.any(wrong):
+                at = int(np.argmax(wrong))
+                cause = "is too large" if np.isfinite(numbers[at]) else "is not a finite number"
+                raise self.error(at, column, f"{numbers[at]:g} {cause}", "fill the gap, or cut it out")
+        return values
+
+    def _fill(self, column: int, into: Real) -> None:
+        """Put one column into an array of float64, its length checked."""
+        load = self.loads[column]()
+        values = load if isinstance(load, Streamed) else np.asarray(load)
+        if values.ndim != 1 or len(values) != self.rows:
+            name = shown(bare(self.header[column])[0])
+            raise DataError(
+                f"{name} has the shape {values.shape}, not ({self.rows},)", self.source, "the file is damaged"
+            )
+        filled = 0
+        for piece in _pieces(values):
+            if filled + len(piece) > self.rows:
+                break
+            into[filled : filled + len(piece)] = self._as_numbers(column, piece)
+            filled += len(piece)
+        if filled != self.rows:
+            raise self._cut_off()
+
+    def _as_numbers(self, column: int, values: Any) -> Any:
+        """Numbers of any kind; durations in s, of dates since the first."""
+        if values.dtype.kind == "M":
+            elapsed = (values - values[0]) if len(values) else values.astype("timedelta64[ns]")
+            return elapsed / np.timedelta64(1, "ns") * 1e-9
+        if values.dtype.kind == "m":
+            return values / np.timedelta64(1, "ns") * 1e-9
+        if values.dtype.kind == "O":
+            values = np.array([np.nan if value is None else value for value in values.tolist()])
+        if values.dtype.kind not in "fiub":
+            name = shown(bare(self.header[column])[0])
+            text = _first_text(values)
+            if text is not None:
+                what = f'sample {text[0]}: column {name}: "{shown(text[1])}" is not a number'
+                raise DataError(what, self.source, "correct it, or choose another column")
+            cure = "give real and imaginary part as NAME_re and NAME_im" if values.dtype.kind == "c" else ""
+            raise DataError(f"{name} holds no real numbers", self.source, cure or "choose another variable")
+        return values
+
+    def texts(self, column: int) -> list[str]:
+        """As of Columns."""
+        values = np.concatenate(list(_pieces(self.loads[column]())))
+        return ["" if value is None else str(value) for value in values.tolist()]
+
+    def first(self, column: int) -> str:
+        """As of Columns."""
+        values = next(_pieces(self.loads[column]()), np.zeros(0))
+        if not self.rows or values.dtype.kind in "mM":
+            return "0"
+        if not len(values):
+            raise self._cut_off()
+        return str(values[0])
+
+    def _cut_off(self) -> DataError:
+        return DataError("a column is cut off", self.source, "copy the file again")
+
+
+def _first_text(values: Any) -> tuple[int, str] | None:
+    """The first of some texts that is no number, and at which sample, from 1; None where they are no texts."""
+    for sample, value in enumerate(values.tolist() if values.dtype.kind == "U" else (), 1):
+        try:
+            float(value)
+        except ValueError:
+            return sample, value
+    return None
+
+
+def constant(value: object, rows: int) -> Load:
+    """A column that has one value throughout."""
+    return lambda: np.full(rows, value)
+
+
+def steps(start: float, step: float, rows: int) -> Streamed:
+    """A column of evenly spaced times."""
+
+    def pieces() -> Iterator[Any]:
+        for at in range(0, rows, PIECE):
+            yield start + step * np.arange(at, min(at + PIECE, rows))
+
+    return Streamed(rows, pieces)
+
+
+def array_columns(
+    source: str,
+    variables: Mapping[str, Any],
+    units: Mapping[str, str | None] | None = None,
+    notes: Sequence[Notice] = (),
+) -> ArrayColumns:
+    """Columns of arrays (or of functions that load them) of one length.
+
+    Raises DataError where there are none, too many, or where their lengths differ.
+    """
+    if not variables:
+        raise DataError("there are no variables", source, "give a file with data")
+    if len(variables) > MOST_COLUMNS:
+        raise DataError(f"there are {len(variables)} variables", source, "give a file with fewer")
+    lengths = {name: len(values) for name, values in variables.items() if not callable(values)}
+    if len(set(lengths.values())) > 1:
+        short = ", ".join(f"{shown(name)}: {length}" for name, length in list(lengths.items())[:4])
+        raise DataError(
+            f"the variables are of different lengths ({short})", source, "choose those that match"
+        )
+    rows = next(iter(lengths.values()), 0)
+    loads = tuple(values if callable(values) else _held(values) for values in variables.values())
+    named = tuple(None if units is None else units.get(name) for name in variables)
+    return ArrayColumns(source, tuple(variables), named, tuple(notes), rows, loads)
+
+
+def _held(values: Any) -> Load:
+    return lambda: values
+
+
+# Named arrays of a file, as scientific formats hold them, as parts: columns of one length each.
+#
+# A scalar `frequency_hz` or `experiment` holds for all; a sampling rate (`fs`, `rate_hz`, …) or step (`dt`,
+# …) stands for a missing time. Where `frequency_hz` has m values and others are n by m, each column of
+# theirs is a dwell. Complex arrays are pairs NAME_re, NAME_im; other matrices are columns NAME_1, NAME_2,
+# ….
+
+
+RATES = {
+    "fs",
+    "rate_hz",
+    "rate",
+    "fsamp",
+    "sample_rate",
+    "samplerate",
+    "sampling_rate",
+    "sampling_frequency",
+    "samplefrequency",
+}
+STEPS = {"dt", "ts", "step", "delta_t", "sampling_time", "sample_time", "tsample"}
+WIDEST = 512  # matrices with more columns than this are no channels
+OF_ALL = (FREQUENCY, "experiment")
+
+
+def parts_of_variables(
+    source: str, variables: Mapping[str, Any], units: Mapping[str, str | None] | None = None
+) -> Iterator[ArrayColumns]:
+    """The parts, those with most variables first.  Raises DataError where there is no array of numbers."""
+    units = dict(units or {})
+    scalars: dict[str, Any] = {}
+    arrays: dict[str, Any] = {}
+    for name, value in variables.items():
+        if isinstance(value, Streamed):
+            arrays[name] = value
+            continue
+        array = np.asarray(value)
+        array = array.reshape([n for n in array.shape if n != 1]) if array.ndim else array
+        if array.dtype.kind == "c":
+            for ending, part in (("re", array.real), ("im", array.imag)):
+                arrays[f"{name}_{ending}"] = part
+                units.setdefault(f"{name}_{ending}", units.get(name))
+        elif array.dtype.kind in "fiubmM":
+            (arrays if array.ndim else scalars)[name] = array
+    driven = arrays.get(FREQUENCY)
+    if driven is not None and driven.ndim == 1:
+        dwells = list(_dwells(source, arrays, scalars, units, len(driven)))
+        if dwells:
+            yield from dwells
+            return
+    yield from _by_length(source, arrays, scalars, units)
+
+
+def _dwells(
+    source: str,
+    arrays: Mapping[str, Any],
+    scalars: Mapping[str, Any],
+    units: Mapping[str, str | None],
+    count: int,
+) -> Iterator[ArrayColumns]:
+    """A part for each value of the frequency, where there are matrices with a column (or row) for each."""
+    matrices = {
+        name: array if array.shape[1] == count else array.T
+        for name, array in arrays.items()
+        if array.ndim == 2 and count in array.shape
+    }
+    if not matrices:
+        return
+    rows = next(iter(matrices.values())).shape[0]
+    per_dwell = [name for name in OF_ALL if name in arrays and arrays[name].shape == (count,)]
+    for k in range(count):
+        columns: dict[str, Any] = {name: array[:, k] for name, array in matrices.items()}
+        columns |= {n: a for n, a in arrays.items() if a.ndim == 1 and len(a) == rows and n not in per_dwell}
+        constants = {**scalars, **{name: arrays[name][k] for name in per_dwell}}
+        yield from _by_length(f"{source} (dwell {k + 1})", columns, constants, units)
+
+
+def _by_length(
+    source: str, arrays: Mapping[str, Any], scalars: Mapping[str, Any], units: Mapping[str, str | None]
+) -> Iterator[ArrayColumns]:
+    """A part for each length of the columns."""
+    groups: dict[int, dict[str, Any]] = {}
+    of_columns: dict[str, str | None] = dict(units)
+    for name, array in arrays.items():
+        if array.ndim == 1:
+            groups.setdefault(len(array), {})[name] = array
+        elif array.ndim == 2 and min(array.shape) <= WIDEST:
+            tall = array if array.shape[0] >= array.shape[1] else array.T
+            for k in range(tall.shape[1]):
+                groups.setdefault(len(tall), {})[f"{name}_{k + 1}"] = tall[:, k]
+                of_columns[f"{name}_{k + 1}"] = units.get(name)
+    if not groups:
+        array_columns(source, {})  # says that there is nothing
+    for rows, columns in sorted(groups.items(), key=lambda item: -len(item[1])):
+        for name in OF_ALL:
+            if name in scalars and name not in columns:
+                columns[name] = np.full(rows, scalars[name])
+        if not any(name.lower() in TIME_NAMES for name in columns):
+            step = step_of(scalars)
+            if step is not None:
+                columns[TIME] = steps(0.0, step, rows)
+        yield array_columns(source, columns, of_columns)
+
+
+def step_of(scalars: Mapping[str, Any]) -> float | None:
+    """The sampling step in s that the scalars of a file say; None where they say none that makes sense."""
+    for name, value in scalars.items():
+        try:
+            number = float(value)
+        except (TypeError, ValueError):
+            continue
+        plain = name.lower().rpartition(".")[2]
+        if plain in RATES and 0 < number < 1e12:
+            return 1 / number
+        if plain in STEPS and 0 < number < 1e12:
+            return number
+    return None

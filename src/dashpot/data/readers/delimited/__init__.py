@@ -1,1 +1,0 @@
-"""Text tables: one module a format."""
