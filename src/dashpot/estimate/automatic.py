@@ -8,22 +8,23 @@ from many starts among rigs of positive parts; the likelier end is taken, and th
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 
 import numpy as np
 
-from dashpot.arrays import Bools
-from dashpot.data.spectrum import Spectrum
+from dashpot.arrays import Bools, Ints
+from dashpot.data.spectrum import Moments, Spectrum, flattened, in_chunks
 from dashpot.errors import ConvergenceError, DashpotError, IdentifiabilityError
 from dashpot.estimate.identify import automatic, identify
-from dashpot.estimate.inference.diagnostics import largest_of_kind, of_one_sign
+from dashpot.estimate.inference.diagnostics import of_one_sign
 from dashpot.estimate.likelihood.global_search import DOUBT, TIE, apart, not_unique
 from dashpot.estimate.likelihood.maximum_likelihood import MaximumLikelihood
 from dashpot.estimate.likelihood.settling import with_settling_decided
 from dashpot.estimate.likelihood.table_noise import with_residual_noise
 from dashpot.estimate.method import Method
 from dashpot.estimate.registry import method as method_named
+from dashpot.estimate.registry import method_class
 from dashpot.estimate.result import Estimate
 from dashpot.model.network import Model
 from dashpot.model.observation import measures_input
@@ -69,11 +70,7 @@ def identify_automatically(
         estimate = identify(model, spectrum, first, progress=progress)
     except (IdentifiabilityError, ConvergenceError) as error:
         return _in_place_of(model, spectrum, first, plain, error)
-    # Whether a part is uncertain enough to be another's in another valley
-    doubtful = not plausible(model, estimate) or (
-        bool(np.any(_below(model, estimate, LOOSE))) and noisy(model, spectrum)
-    )
-    if not doubtful or model.n > LARGEST:
+    if not doubtful(model, spectrum, estimate) or model.n > LARGEST:
         return estimate
     second = _searched(model, spectrum, plain)
     return estimate if second is None else _likelier(model, estimate, second)
@@ -106,36 +103,79 @@ def identify_with_noise(
     return identify_automatically(model, spectrum, first, seed=seed, progress=progress), spectrum
 
 
-def plausible(model: Model, estimate: Estimate) -> bool:
-    """Whether one estimate has converged, is not rejected by χ², and makes no part of the rig negative or endless."""
-    rejected = bool(estimate.fit.p < REJECTED)
-    wrong = np.any(_below(model, estimate, -BEYOND)) or _endless(model, estimate)
-    return bool(estimate.converged) and not rejected and not wrong
+def identify_each(
+    model: Model, spectrum: Spectrum, method: str | None = None, *, seed: int = 0, positive: bool = False
+) -> Iterator[tuple[Ints, Estimate | Exception]]:
+    """What `identify_with_noise` gives of each repeat, with the places (n,) of the repeats that it is of.
+
+    One batch for the repeats that need no second look, a thousand times as fast, then the others one by one, each with
+    its estimate or what it raises.  The spectrum has one batch axis.
+    """
+    alone = np.ones(len(spectrum.amplitudes), dtype=bool)
+    if len(alone) > 1:
+        try:
+            batch, known = identify_with_noise(model, spectrum, method, seed=seed, positive=positive)
+        except Exception:  # of one of them, which is found and says itself what is wrong
+            pass
+        else:
+            alone = ~batch.converged | ~np.all(np.isfinite(batch.sd), axis=-1)
+            first = method_class(batch.method).traits
+            if method is None and not first.by_output and model.n <= LARGEST:
+                alone |= doubtful(model, known, batch)
+            yield np.flatnonzero(~alone), batch
+    for k, repeat in enumerate(in_chunks(flattened(spectrum), 1)):
+        if not alone[k]:
+            continue
+        moments = None if repeat.moments is None else Moments(repeat.moments.products[0])
+        one = repeat.derived(
+            amplitudes=repeat.amplitudes[0], covariance=repeat.covariance[0], moments=moments
+        )
+        try:
+            yield np.array([k]), identify_with_noise(model, one, method, seed=seed, positive=positive)[0]
+        except Exception as error:
+            yield np.array([k]), error
 
 
-def _endless(model: Model, estimate: Estimate) -> bool:
-    """Whether an unknown has run off to infinity, where the likelihood is flat: no end of a search."""
-    sizes = np.abs(model.parameters(estimate.values[: len(model.unknowns)]))
-    limits = {name: OPEN * largest for name, largest in largest_of_kind(model, sizes).items()}
-    deviations = zip(model.unknowns, estimate.noise_sd.tolist(), strict=False)
-    return any(not sd <= limits.get(unknown.name, np.inf) for unknown, sd in deviations)
+def doubtful(model: Model, spectrum: Spectrum, estimate: Estimate) -> Bools:
+    """Which estimates (...,) may be another minimum: not plausible, or with a part that noise leaves uncertain."""
+    uncertain = np.any(_below(model, estimate, LOOSE), axis=-1)
+    return ~plausible(model, estimate) | (uncertain & noisy(model, spectrum))
 
 
-def noisy(model: Model, spectrum: Spectrum) -> bool:
-    """Whether noise is more than NOISY of the motion at the middle line of a channel; so where it is not given."""
+def plausible(model: Model, estimate: Estimate) -> Bools:
+    """Which estimates (...,) have converged, are not rejected by χ², and make no part negative or endless."""
+    wrong = np.any(_below(model, estimate, -BEYOND), axis=-1) | _endless(model, estimate)
+    return estimate.converged & ~np.asarray(estimate.fit.p < REJECTED) & ~wrong
+
+
+def _endless(model: Model, estimate: Estimate) -> Bools:
+    """Where an unknown has run off to infinity, where the likelihood is flat: no end of a search; (...,)."""
+    m, kinds = len(model.unknowns), {element.name: element.kind for element in model.elements}
+    sizes = np.abs(model.parameters(estimate.values[..., :m]))
+    endless = np.zeros(estimate.converged.shape, dtype=bool)
+    for unknown, sd in zip(model.unknowns, np.moveaxis(estimate.noise_sd[..., :m], -1, 0), strict=True):
+        if (kind := kinds.get(unknown.name)) is not None:
+            alike = [element.kind is kind for element in model.elements]
+            largest = np.fmax.reduce(sizes[..., alike], axis=-1)
+            endless |= ~(sd <= np.where(largest > 0, OPEN * largest, np.inf))
+    return endless
+
+
+def noisy(model: Model, spectrum: Spectrum) -> Bools:
+    """Where noise is more than NOISY of the motion at a channel's middle line, (...,); so where it is not given."""
     measured = np.array([not measures_input(model, channel) for channel in spectrum.channels])
     noise = np.sqrt(np.diagonal(spectrum.covariance, axis1=-2, axis2=-1).real)[..., measured]
     if not np.any(np.isfinite(noise)):
-        return True
+        return np.ones(spectrum.batch, dtype=bool)
     with np.errstate(all="ignore"):
         share = np.nanmedian(noise / np.abs(spectrum.amplitudes[..., measured]), axis=-2)
-    return not bool(np.all(share <= NOISY))
+    return ~np.all(share <= NOISY, axis=-1)
 
 
 def _below(model: Model, estimate: Estimate, deviations: float) -> Bools:
-    """Parts below so many standard deviations, (unknowns,); entries of free matrices and nonlinear terms never are."""
+    """Parts below so many standard deviations, (..., unknowns); entries of free matrices, nonlinear terms never are."""
     physical = of_one_sign(model)
-    values, sd = estimate.values[: len(physical)], estimate.noise_sd[: len(physical)]
+    values, sd = estimate.values[..., : len(physical)], estimate.noise_sd[..., : len(physical)]
     return physical & (values < deviations * sd)
 
 
